@@ -90,7 +90,7 @@ PUBLIC = {
     "observers": "EKF OBSERVER_NAMES PLL REGISTRY STATE_OBSERVER_NAMES STATE_REGISTRY UKF AbstractFlowObserver "
     "AbstractLinearFilter AbstractMechanicalObserver AbstractObserver Contracting ContractingState Copy Delayed "
     "DelayedState EKFInfo EKFState Entry Estimate FilterInfo FilteredDerivative FilteredState Gate Gated GatedState "
-    "Geodesic GeodesicInfo GeodesicState HeldState HighGain Info InformationEKF InformationState Intrinsic "
+    "Geodesic GeodesicInfo GeodesicState SampledState HighGain Info InformationEKF InformationState Intrinsic "
     "IntrinsicKalman JointInfo JointKalman JointState KalmanInfo KalmanState Levant LoopState MechanicalState Noise "
     "PassiveGains PassiveShip Riccati Salcudean SalcudeanState SavitzkyGolay Slow StateEKF StateEKFInfo "
     "StateEKFState StateEntry UKFState WindowState checked chooses_substeps continuous craft_observer external_force "

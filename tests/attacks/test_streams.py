@@ -28,7 +28,6 @@ from covariant.observers import (
     Copy,
     FilteredDerivative,
     Geodesic,
-    HeldState,
     HighGain,
     InformationEKF,
     Intrinsic,
@@ -38,6 +37,7 @@ from covariant.observers import (
     PassiveShip,
     Riccati,
     Salcudean,
+    SampledState,
     SavitzkyGolay,
     craft_observer,
     lyapunov_gains,
@@ -244,7 +244,7 @@ def stepped(state, u, y, dt):
     return WATCHER.step(state, u, y, dt)
 
 
-def moving() -> HeldState:
+def moving() -> SampledState:
     return WATCHER.init(jnp.array([1.0]), 2.0)._replace(v=jnp.array([0.5]))
 
 
@@ -298,11 +298,11 @@ def test_on_a_group_one_entry_that_is_not_finite_makes_the_whole_missing():
 
 
 def test_a_state_made_by_hand_without_a_held_input_takes_zero_and_keeps_its_form():
-    bare = HeldState(jnp.array([1.0]), jnp.array([0.5]), jnp.asarray(2.0))
+    bare = SampledState(jnp.array([1.0]), jnp.array([0.5]), jnp.asarray(2.0))
     state, info = stepped(bare, jnp.array([np.nan, 1.0]), NOTHING, jnp.asarray(0.1))
     twin, _ = stepped(bare, jnp.array([0.0, 1.0]), NOTHING, jnp.asarray(0.1))
     same(state, twin)
-    assert state.held is None
+    assert state.last_input is None
     assert info.result == Result.INPUT_HELD
 
 

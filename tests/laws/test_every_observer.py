@@ -206,7 +206,7 @@ def test_prediction_and_correction_make_the_step(entry, name):
 
     for y in (jnp.asarray(watched.y[1]), jnp.full_like(watched.y[1], jnp.nan)):
         (state, info), (corrected, by_hand), innovation = both(y)
-        for field in set(state._fields) - {"held"}:  # a step remembers the input, too
+        for field in set(state._fields) - {"last_input"}:  # a step remembers the input, too
             jax.tree.map(np.testing.assert_array_equal, getattr(state, field), getattr(corrected, field))
         jax.tree.map(np.testing.assert_array_equal, info, by_hand)
         np.testing.assert_array_equal(innovation, info.innovation)

@@ -18,7 +18,7 @@ from covariant._linalg import solve
 from covariant._typing import Number, Numbers, Scalar, Vector
 from covariant.models import StateSpace, state_space
 from covariant.models.marine import Craft
-from covariant.observers._protocol import AbstractFlowObserver, Held, Info, as_gain, check_finite, no_input, still
+from covariant.observers._protocol import AbstractFlowObserver, Info, LastInput, as_gain, check_finite, no_input, still
 from covariant.signals import Result
 
 Injected = Callable[[Array, Array, Array, Array], Array]
@@ -32,7 +32,7 @@ class ContractingState(NamedTuple):
         x: Estimated state (n,).
         t: Time [s] that it belongs to.
         unmeasured: Time [s] since each output (p,) was last measured.
-        held: The last finite input (m,).
+        last_input: The last finite input (m,).
 
     Example:
         >>> import jax.numpy as jnp
@@ -48,7 +48,7 @@ class ContractingState(NamedTuple):
     x: Vector
     t: Scalar
     unmeasured: Float[Array, "p"]
-    held: Held = None
+    last_input: LastInput = None
 
 
 class Contracting(AbstractFlowObserver):
@@ -139,7 +139,7 @@ class Contracting(AbstractFlowObserver):
         expected = self.model.h(t, state.x, u)
         nearest = expected - self.model.output_error(expected, y)  # y, with angles shifted by 2π to be nearest
         slope, one = self.virtual(t, state.x, u, nearest), jnp.ones_like(state.t)
-        return ContractingState(slope, one, jnp.zeros_like(state.unmeasured), still(state.held))
+        return ContractingState(slope, one, jnp.zeros_like(state.unmeasured), still(state.last_input))
 
     def predict(self, state: ContractingState, u: Float[Array, "m"], dt: Scalar) -> ContractingState:
         x = rk4(lambda s, x: self.model.f(s, x, u), state.t, state.x, dt, self.substeps)

@@ -11,8 +11,8 @@ from covariant._typing import Number, Scalar
 from covariant.models import MechanicalSystem, Motion, friction, source
 from covariant.observers._protocol import (
     AbstractMechanicalObserver,
-    HeldState,
     Info,
+    SampledState,
     aged,
     as_gain,
     at_rest,
@@ -21,7 +21,7 @@ from covariant.observers._protocol import (
     still,
     uniqueness,
 )
-from covariant.observers._sampled import predicted, sampled_correction, worth
+from covariant.observers._sampled import predicted, sampled_correction, step_result
 
 
 class Copy(AbstractMechanicalObserver):
@@ -59,26 +59,26 @@ class Copy(AbstractMechanicalObserver):
     def __check_init__(self):
         check_positive("Copy", alpha=self.alpha, beta=self.beta)
 
-    def init(self, y: Array, t: Number = 0.0) -> HeldState:
+    def init(self, y: Array, t: Number = 0.0) -> SampledState:
         return at_rest(self.model, y, t)
 
-    def flow(self, t: Scalar, state: HeldState, u: Float[Array, "m"], y: Array) -> HeldState:
-        q, v, _, held, age = state
+    def flow(self, t: Scalar, state: SampledState, u: Float[Array, "m"], y: Array) -> SampledState:
+        q, v, _, last_input, age = state
         e = -self.model.manifold.towards(q, y)
         drive = source(self.model, t, self.model.manifold.measured(q, y), u) + friction(self.model, t, q, v, u)
         v_dot = drive - self.beta * e - self.model.space.connection(q, v, v)
-        return HeldState(v - self.alpha * e, v_dot, jnp.ones_like(state.t), still(held), still(age))
+        return SampledState(v - self.alpha * e, v_dot, jnp.ones_like(state.t), still(last_input), still(age))
 
-    def predict(self, state: HeldState, u: Float[Array, "m"], dt: Scalar) -> HeldState:
+    def predict(self, state: SampledState, u: Float[Array, "m"], dt: Scalar) -> SampledState:
         return predicted(self.model, state, u, dt, self.substeps)
 
-    def correct(self, state: HeldState, u: Float[Array, "m"], y: Array) -> tuple[HeldState, Info]:
+    def correct(self, state: SampledState, u: Float[Array, "m"], y: Array) -> tuple[SampledState, Info]:
         q, v, t, _, age = state
         e = -self.innovation(state, u, y)
         # The prediction used S(q̂); the observer (15) uses S at the measurement.
         missing = source(self.model, t, self.model.manifold.measured(q, y), u) - source(self.model, t, q, u)
         correction = sampled_correction(self.model.space, Motion(q, v), self.alpha, self.beta, age, e, missing)
         new_q, new_v = self.model.manifold.retract(q, -correction.part * e), v + correction.velocity
-        result = outcome(new_q, new_v, y, worth(correction, uniqueness(self.model, q, y)))
+        result = outcome(new_q, new_v, y, step_result(correction, uniqueness(self.model, q, y)))
         new = state._replace(q=new_q, v=new_v, age=aged(self.model, state, y))
         return new, Info(-e, self.model.space.norm(q, e), result)

@@ -20,7 +20,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Inexact
 
 from covariant._typing import Number, Scalar, Vector
-from covariant.observers._protocol import AbstractObserver, Held
+from covariant.observers._protocol import AbstractObserver, LastInput
 from covariant.signals import Result
 
 SAME_TIME = 1e-6
@@ -41,7 +41,7 @@ class DelayedState(NamedTuple):
         y: These readings (L, *n); NaN where a coordinate was not read then.
         stamp: Ages (M,) [s] of the last stamps, the oldest first.
         u: Inputs (M, m) that acted up to each of these stamps.
-        held: The last finite input (m,), or None for an inner observer that stores none.
+        last_input: The last finite input (m,), or None for an inner observer that stores none.
 
     Example:
         >>> import jax.numpy as jnp
@@ -60,7 +60,7 @@ class DelayedState(NamedTuple):
     y: Inexact[Array, "L *n"]
     stamp: Float[Array, "M"]
     u: Float[Array, "M m"]
-    held: Held = None
+    last_input: LastInput = None
 
 
 class Delayed(AbstractObserver):
@@ -136,7 +136,7 @@ class Delayed(AbstractObserver):
         real = jnp.real(y).dtype
         longest = jnp.max(self.delay).astype(real)
         t = jnp.asarray(t, real)
-        held = getattr(now, "held", None)
+        last_input = getattr(now, "last_input", None)
         rows, stamps = self.length * len(self.groups), self.length + 2
         return DelayedState(
             now,
@@ -146,8 +146,8 @@ class Delayed(AbstractObserver):
             jnp.full(rows, jnp.inf, real),
             jnp.full((rows, *y.shape), jnp.nan, y.dtype),
             jnp.full(stamps, jnp.inf, real),
-            jnp.zeros((stamps, 0 if held is None else held.shape[0]), real),
-            held,
+            jnp.zeros((stamps, 0 if last_input is None else last_input.shape[0]), real),
+            last_input,
         )
 
     def admitted(self, y: Inexact[Array, "*n"]) -> Inexact[Array, "*n"]:
@@ -170,8 +170,8 @@ class Delayed(AbstractObserver):
         if self._no_delay:
             return state._replace(now=self.observer.predict(state.now, u, dt), t=state.t + dt)
         # An observer that stores no input has no model and uses none; its log need not have inputs.
-        held = state.u.shape[1]
-        acting = u[:held].astype(state.u.dtype) if u.size else jnp.zeros(held, state.u.dtype)
+        inputs = state.u.shape[1]
+        acting = u[:inputs].astype(state.u.dtype) if u.size else jnp.zeros(inputs, state.u.dtype)
         return state._replace(
             t=state.t + dt,
             known_age=state.known_age + dt,

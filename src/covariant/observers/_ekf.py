@@ -20,7 +20,7 @@ from covariant._typing import Code, Matrix, Number, Scalar, Vector
 from covariant.models import MechanicalSystem
 from covariant.observers._gate import Gate, open_gate
 from covariant.observers._gated_filter import AbstractMechanicalFilter, Expectation
-from covariant.observers._protocol import Held, as_gain, at_rest, check_finite
+from covariant.observers._protocol import LastInput, as_gain, at_rest, check_finite
 from covariant.observers._sampled import predict
 from covariant.observers._square_root import normalised_square
 
@@ -35,7 +35,7 @@ class EKFState(NamedTuple):
         cov: Covariance (2n, 2n) of the error `(local(q̂, q), v − v̂)`.
         refused: Number of samples in a row that the gate refused (n,); see `Gate.judge`.
         scale: Averaged ratio of actual to expected squared innovations (n,); see `Gate.judge`.
-        held: Last finite input (m,), which replaces an input that is not finite; None where none is stored.
+        last_input: Last finite input (m,), which replaces an input that is not finite; None where none is stored.
 
     Example:
         >>> import numpy as np
@@ -51,7 +51,7 @@ class EKFState(NamedTuple):
     cov: Float[Array, "two_n two_n"]
     refused: Int[Array, "n"]
     scale: Vector
-    held: Held = None
+    last_input: LastInput = None
 
 
 class EKFInfo(NamedTuple):
@@ -122,8 +122,8 @@ class EKF(AbstractMechanicalFilter):
         check_finite("EKF", initial_velocity_std=self.initial_velocity_std)
 
     def init(self, y: Array, t: Number = 0.0) -> EKFState:
-        q, v, t, held, _ = at_rest(self.model, y, t)
-        return EKFState(q, v, t, self._first_cov(v), *open_gate(v), held)
+        q, v, t, last_input, _ = at_rest(self.model, y, t)
+        return EKFState(q, v, t, self._first_cov(v), *open_gate(v), last_input)
 
     def predict(self, state: EKFState, u: Float[Array, "m"], dt: Scalar) -> EKFState:
         """Integrate the model and the covariance over one step.

@@ -30,7 +30,7 @@ from covariant.models import MechanicalSystem, Motion
 from covariant.observers._gate import Gate, Judged, open_gate
 from covariant.observers._protocol import (
     AbstractObserver,
-    Held,
+    LastInput,
     as_gain,
     check_positive,
     no_input,
@@ -52,7 +52,7 @@ class GatedState(NamedTuple):
         refused: Number (n,) of samples refused in a row; see `Gate.judge`.
         scale: Average (n,) of the ratio of actual to expected squares; see `Gate.judge`.
         slip: Average (n,) of d², relative to that of an estimate which is astray.
-        held: The last finite input (m,).
+        last_input: The last finite input (m,).
         dt: Length of the last prediction [s].
 
     Example:
@@ -72,7 +72,7 @@ class GatedState(NamedTuple):
     refused: Int[Array, "n"]
     scale: Vector
     slip: Vector
-    held: Held = None
+    last_input: LastInput = None
     dt: Scalar | None = None
 
 
@@ -127,9 +127,9 @@ class Gated(AbstractObserver):
         """
         rest = self.model.manifold.zero(y)
         inner = _without_last_input(self.observer.init(y, t))
-        held = no_input(self.model, rest)
+        last_input = no_input(self.model, rest)
         t = jnp.asarray(t, rest.dtype)
-        return GatedState(inner, t, rest, rest, *open_gate(rest), rest, held, jnp.zeros_like(t))
+        return GatedState(inner, t, rest, rest, *open_gate(rest), rest, last_input, jnp.zeros_like(t))
 
     def estimate(self, state: GatedState) -> Any:
         return self.observer.estimate(state.inner)
@@ -199,7 +199,8 @@ class Gated(AbstractObserver):
 
     def _restarted(self, state: GatedState, motion: Motion, y: Array) -> GatedState:
         """The state at the measured configuration, with the velocity of the estimate where that is credible."""
-        fresh = self.init(self.model.manifold.measured(motion.q, y), state.t)._replace(held=state.held, dt=state.dt)
+        fresh = self.init(self.model.manifold.measured(motion.q, y), state.t)
+        fresh = fresh._replace(last_input=state.last_input, dt=state.dt)
         if "v" not in fresh.inner._fields:
             return fresh
         credible = jnp.all(jnp.abs(motion.v) <= CREDIBLE * self.speed)
@@ -208,4 +209,4 @@ class Gated(AbstractObserver):
 
 def _without_last_input(state: Any) -> Any:
     """State of the inner observer without a field for the last input: it gets valid inputs only."""
-    return state._replace(held=None) if "held" in state._fields else state
+    return state._replace(last_input=None) if "last_input" in state._fields else state

@@ -15,7 +15,7 @@ from covariant.geometry import Budget
 from covariant.models import MechanicalSystem, Motion, friction, source
 from covariant.observers._protocol import (
     AbstractMechanicalObserver,
-    Held,
+    LastInput,
     aged,
     as_gain,
     at_rest,
@@ -24,7 +24,7 @@ from covariant.observers._protocol import (
     still,
     uniqueness,
 )
-from covariant.observers._sampled import predicted, sampled_correction, worth
+from covariant.observers._sampled import predicted, sampled_correction, step_result
 from covariant.signals import Result
 
 
@@ -36,7 +36,7 @@ class GeodesicState(NamedTuple):
         v: Estimated velocity (n,), in the frame.
         t: Time [s] that they belong to.
         log: The last solution `log_q(q̂)` (n,), a velocity at the measurement q, from which the next search starts.
-        held: The last finite input (m,); None in continuous time.
+        last_input: The last finite input (m,); None in continuous time.
         age: Time since the last measurement [s]; None in continuous time.
 
     Example:
@@ -51,7 +51,7 @@ class GeodesicState(NamedTuple):
     v: Vector
     t: Scalar
     log: Vector
-    held: Held = None
+    last_input: LastInput = None
     age: Scalar | None = None
 
 
@@ -137,8 +137,8 @@ class Geodesic(AbstractMechanicalObserver):
         check_positive("Geodesic", alpha=self.alpha, beta=self.beta)
 
     def init(self, y: Array, t: Number = 0.0) -> GeodesicState:
-        q, v, t, held, age = at_rest(self.model, y, t)
-        return GeodesicState(q, v, t, jnp.zeros_like(v), held, age)
+        q, v, t, last_input, age = at_rest(self.model, y, t)
+        return GeodesicState(q, v, t, jnp.zeros_like(v), last_input, age)
 
     def flow(self, t: Scalar, state: GeodesicState, u: Float[Array, "m"], y: Array) -> GeodesicState:
         # A time derivative has no result to report: conjugate points are not counted.
@@ -148,7 +148,7 @@ class Geodesic(AbstractMechanicalObserver):
         v_dot = v_dot - self.model.space.connection(state.q, w, state.v)
         # This is only a warm start: it tracks the computed geodesic, and the estimate does not depend on how closely.
         log_dot = 10 * self.alpha * (error.back - state.log)
-        return GeodesicState(w, v_dot, jnp.ones_like(state.t), log_dot, still(state.held), still(state.age))
+        return GeodesicState(w, v_dot, jnp.ones_like(state.t), log_dot, still(state.last_input), still(state.age))
 
     def predict(self, state: GeodesicState, u: Float[Array, "m"], dt: Scalar) -> GeodesicState:
         return predicted(self.model, state, u, dt, self.substeps)
@@ -168,7 +168,7 @@ class Geodesic(AbstractMechanicalObserver):
             innovation,
             space.norm(q, error.log),
             error.residual,
-            outcome(new_q, new_v, y, worth(correction, error.result)),
+            outcome(new_q, new_v, y, step_result(correction, error.result)),
         )
         log = (1 - correction.part) * error.back
         return state._replace(q=new_q, v=new_v, log=log, age=aged(self.model, state, y)), info

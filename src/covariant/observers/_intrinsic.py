@@ -16,8 +16,8 @@ from covariant.geometry import AbstractSpace
 from covariant.models import MechanicalSystem, Motion, friction, source
 from covariant.observers._protocol import (
     AbstractMechanicalObserver,
-    HeldState,
     Info,
+    SampledState,
     aged,
     as_gain,
     at_rest,
@@ -26,7 +26,7 @@ from covariant.observers._protocol import (
     still,
     uniqueness,
 )
-from covariant.observers._sampled import predicted, sampled_correction, worth
+from covariant.observers._sampled import predicted, sampled_correction, step_result
 
 
 class Intrinsic(AbstractMechanicalObserver):
@@ -84,14 +84,14 @@ class Intrinsic(AbstractMechanicalObserver):
         if self.coefficients not in ("measured", "estimated"):
             raise ValueError(f"Intrinsic: coefficients must be 'measured' or 'estimated'; got {self.coefficients!r}")
 
-    def init(self, y: Array, t: Number = 0.0) -> HeldState:
+    def init(self, y: Array, t: Number = 0.0) -> SampledState:
         return at_rest(self.model, y, t)
 
-    def flow(self, t: Scalar, state: HeldState, u: Float[Array, "m"], y: Array) -> HeldState:
-        q, v, _, held, age = state
+    def flow(self, t: Scalar, state: SampledState, u: Float[Array, "m"], y: Array) -> SampledState:
+        q, v, _, last_input, age = state
         xi, drive = self._correction(t, q, v, u, y)
         w, v_dot = self.rates(q, v, xi, drive + friction(self.model, t, q, v, u))
-        return HeldState(w, v_dot, jnp.ones_like(state.t), still(held), still(age))
+        return SampledState(w, v_dot, jnp.ones_like(state.t), still(last_input), still(age))
 
     def rates(self, q: Array, v: Vector, xi: Vector, drive: Vector) -> tuple[Vector, Vector]:
         """Velocity w of the estimate, and v̂'.
@@ -122,10 +122,10 @@ class Intrinsic(AbstractMechanicalObserver):
         """
         return drive + self.model.space.curvature(at, xi, v, v) if self.curvature else drive
 
-    def predict(self, state: HeldState, u: Float[Array, "m"], dt: Scalar) -> HeldState:
+    def predict(self, state: SampledState, u: Float[Array, "m"], dt: Scalar) -> SampledState:
         return predicted(self.model, state, u, dt, self.substeps)
 
-    def correct(self, state: HeldState, u: Float[Array, "m"], y: Array) -> tuple[HeldState, Info]:
+    def correct(self, state: SampledState, u: Float[Array, "m"], y: Array) -> tuple[SampledState, Info]:
         q, v, t, _, age = state
         xi, drive = self._correction(t, q, v, u, y)
         missing = drive - source(self.model, t, q, u)  # acceleration missing in the prediction, which used S(q̂)
@@ -134,7 +134,7 @@ class Intrinsic(AbstractMechanicalObserver):
         new_q = self.model.manifold.retract(q, displacement)
         # v̂ keeps its direction along the displacement to first order: parallel transport from q̂ to the new q̂.
         new_v = v - self.model.space.connection(q, displacement, v) + correction.velocity
-        result = outcome(new_q, new_v, y, worth(correction, uniqueness(self.model, q, y)))
+        result = outcome(new_q, new_v, y, step_result(correction, uniqueness(self.model, q, y)))
         info = Info(self.innovation(state, u, y), self.model.space.norm(q, xi), result)
         return state._replace(q=new_q, v=new_v, age=aged(self.model, state, y)), info
 

@@ -24,7 +24,7 @@ from covariant.models import MechanicalSystem, Motion, advance
 from covariant.observers._covariance import Covariance, check_covariance, covariance_at
 from covariant.observers._gate import Gate, open_gate
 from covariant.observers._gated_filter import AbstractMechanicalFilter, Expectation
-from covariant.observers._protocol import Held, as_gain, at_rest, check_positive
+from covariant.observers._protocol import LastInput, as_gain, at_rest, check_positive
 from covariant.observers._sampled import needed_substeps
 from covariant.observers._slow import Slow, SlowStates, SlowVector, as_groups
 from covariant.observers._square_root import diagonal, normalised_square, updated, white_acceleration
@@ -47,7 +47,7 @@ class KalmanState(NamedTuple):
             slow states.
         refused: Number of samples in a row that the gate refused (n,).
         scale: Averaged ratio of actual to expected squared innovations (n,); see `Gate.judge`.
-        held: Last finite input (m,), which replaces an input that is not finite; None where none is stored.
+        last_input: Last finite input (m,), which replaces an input that is not finite; None where none is stored.
         readings: Last readings of encoders that count ticks; None where measurements have noise.
 
     Example:
@@ -66,7 +66,7 @@ class KalmanState(NamedTuple):
     root: Float[Array, "two_n_k two_n_k"]
     refused: Int[Array, "n"]
     scale: Vector
-    held: Held = None
+    last_input: LastInput = None
     readings: Readings | None = None
 
 
@@ -196,10 +196,10 @@ class IntrinsicKalman(AbstractMechanicalFilter):
                 raise ValueError("IntrinsicKalman: quantum is for coordinates; encoders count no ticks of an attitude")
 
     def init(self, y: Array, t: Number = 0.0) -> KalmanState:
-        q, v, t, held, _ = at_rest(self.model, y, t)
+        q, v, t, last_input, _ = at_rest(self.model, y, t)
         slow, readings = self._slow.first(v), self._first_readings(q, jnp.zeros_like(v))
         q = self._without_offset(q, v, slow)
-        return KalmanState(q, v, t, slow, self._first_root(q, v, slow), *open_gate(v), held, readings)
+        return KalmanState(q, v, t, slow, self._first_root(q, v, slow), *open_gate(v), last_input, readings)
 
     def cov(self, state: KalmanState) -> Float[Array, "two_n_k two_n_k"]:
         """Covariance P (2n + k, 2n + k) of (ε, ν), then the slow states, in the parallel frame at the estimate."""

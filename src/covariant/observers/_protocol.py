@@ -41,8 +41,8 @@ MOST_TURNS = 1e9
 LEAST_OF_A_TURN = 1e-3
 """Resolution that an angle needs, in turns; in single precision it limits angles to 8 000 turns."""
 
-Held = Float[Array, "m"] | None
-"""The last finite input, in the field `held` of a state; None where the state stores none."""
+LastInput = Float[Array, "m"] | None
+"""The last finite input, in the field `last_input` of a state; None where the state stores none."""
 
 
 class MechanicalState(NamedTuple):
@@ -66,15 +66,15 @@ class MechanicalState(NamedTuple):
     t: Scalar
 
 
-class HeldState(NamedTuple):
+class SampledState(NamedTuple):
     """State of a mechanical observer that also remembers the last input and the time since the last measurement.
 
     Attributes:
         q: Estimated configuration: coordinates (n,), or on a group a matrix (N, N).
         v: Estimated velocity (n,), in the frame of the configuration space.
         t: Time [s] that they belong to.
-        held: The last finite input (m,), which replaces an input that is not finite; where it is None (default), zero
-            does.
+        last_input: The last finite input (m,), which replaces an input that is not finite; where it is None (default),
+            zero does.
         age: Time since the last measurement [s]; where it is None (default), every step counts as following one.
 
     Example:
@@ -82,14 +82,14 @@ class HeldState(NamedTuple):
         >>> from covariant import models, observers
         >>> observer = observers.Copy(models.oscillator(), alpha=2.0, beta=4.0)
         >>> state = observer.init(jnp.array([0.5]), t=1.0)
-        >>> state.v.tolist(), state.t.item(), state.held.tolist(), state.age.item()
+        >>> state.v.tolist(), state.t.item(), state.last_input.tolist(), state.age.item()
         ([0.0], 1.0, [0.0], 0.0)
     """
 
     q: Vector
     v: Vector
     t: Scalar
-    held: Held = None
+    last_input: LastInput = None
     age: Scalar | None = None
 
 
@@ -122,8 +122,8 @@ class AbstractObserver(Functional):
 
     A subclass writes its algorithm in `init`, `predict`, `correct` and `estimate`. `predict` and `correct` get valid
     numbers only: `step` is the same for all observers and replaces invalid ones before it calls them. A state is a
-    `NamedTuple` of arrays whose form never changes. If it has a field `held` with the shape of the input, `step` keeps
-    the last finite input there.
+    `NamedTuple` of arrays whose form never changes. If it has a field `last_input` with the shape of the input, `step`
+    stores the last finite input there.
 
     Example:
         A filter that halves its error with each sample, and expects the position to stay where it is:
@@ -374,7 +374,7 @@ class AbstractMechanicalObserver(AbstractFlowObserver):
         return self.model.manifold.towards(state.q, y)
 
 
-def at_rest(model: MechanicalSystem, y: Array, t: Number) -> HeldState:
+def at_rest(model: MechanicalSystem, y: Array, t: Number) -> SampledState:
     """State at rest at the first measurement.
 
     Args:
@@ -391,7 +391,7 @@ def at_rest(model: MechanicalSystem, y: Array, t: Number) -> HeldState:
     q = model.manifold.checked(y)
     rest = model.manifold.zero(q)
     t = jnp.asarray(t, rest.dtype)
-    return HeldState(q, rest, t, no_input(model, rest), jnp.zeros_like(t))
+    return SampledState(q, rest, t, no_input(model, rest), jnp.zeros_like(t))
 
 
 def since(state: Any, dt: Scalar) -> Scalar:
@@ -507,7 +507,7 @@ def no_input(model: Any, like: Vector) -> Float[Array, "m"]:
     return jnp.zeros(input_count(model, like.shape[0]), like.dtype)
 
 
-def still(kept: Held | Scalar) -> Any:
+def still(kept: LastInput | Scalar) -> Any:
     """Time derivative of what is remembered between samples: zero, in the same form.
 
     Args:
@@ -526,37 +526,37 @@ def continuous(state: Any) -> Any:
         state: State of an observer.
 
     Returns:
-        The state with None in its fields `held`, `age` and `dt`, as far as it has them.
+        The state with None in its fields `last_input`, `age` and `dt`, as far as it has them.
 
     Example:
         >>> import jax.numpy as jnp
         >>> from covariant import models, observers
         >>> state = observers.Copy(models.oscillator(), alpha=2.0, beta=4.0).init(jnp.zeros(1))
-        >>> observers.continuous(state).held is None
+        >>> observers.continuous(state).last_input is None
         True
     """
-    return state._replace(**{name: None for name in ("held", "age", "dt") if name in state._fields})
+    return state._replace(**{name: None for name in ("last_input", "age", "dt") if name in state._fields})
 
 
 def _has_last_input(state: Any) -> bool:
     """Whether the state has a field for the last finite input."""
-    return "held" in state._fields
+    return "last_input" in state._fields
 
 
 def _stores_input(state: Any, u: Array) -> bool:
-    return _has_last_input(state) and state.held is not None and state.held.shape == u.shape
+    return _has_last_input(state) and state.last_input is not None and state.last_input.shape == u.shape
 
 
 def _replacement_input(state: Any, u: Array) -> Array:
     """The input that replaces one that is not finite: the last finite one, or zero where the state stores none."""
-    return state.held.astype(u.dtype) if _stores_input(state, u) else jnp.zeros_like(u)
+    return state.last_input.astype(u.dtype) if _stores_input(state, u) else jnp.zeros_like(u)
 
 
 def _with_last_input(advanced: Any, state: Any, u: Array) -> Any:
     """The new state, with the input stored in it where the old state keeps one: the form of a state must not change."""
     if _stores_input(state, u):
-        return advanced._replace(held=u.astype(state.held.dtype))
-    return advanced._replace(held=state.held) if _has_last_input(state) else advanced
+        return advanced._replace(last_input=u.astype(state.last_input.dtype))
+    return advanced._replace(last_input=state.last_input) if _has_last_input(state) else advanced
 
 
 def _input_fault(u: Array, too_large: Array, dt: Scalar) -> Code:

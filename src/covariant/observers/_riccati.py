@@ -16,7 +16,7 @@ from covariant._linalg import half_solve, pivots, solve
 from covariant._typing import Code, Flag, Matrix, MatrixField, Number, Scalar, Vector
 from covariant.metrics import Equation, RiccatiMetric
 from covariant.models import StateSpace
-from covariant.observers._protocol import AbstractFlowObserver, Held, Info, as_gain, check_finite, no_input, still
+from covariant.observers._protocol import AbstractFlowObserver, Info, LastInput, as_gain, check_finite, no_input, still
 from covariant.observers._sampled import steps_for
 from covariant.signals import Result
 
@@ -27,20 +27,20 @@ class Estimate(NamedTuple):
     Attributes:
         x: Estimated state (n,).
         t: Time [s] that it belongs to.
-        held: The last finite input (m,); None in continuous time.
+        last_input: The last finite input (m,); None in continuous time.
         dt: Length [s] of the last prediction; None in continuous time.
 
     Example:
         >>> import jax.numpy as jnp
         >>> from covariant import observers
         >>> state = observers.Estimate(x=jnp.ones(2), t=jnp.zeros(()))
-        >>> state.held is None, state.dt is None
+        >>> state.last_input is None, state.dt is None
         (True, True)
     """
 
     x: Vector
     t: Scalar
-    held: Held = None
+    last_input: LastInput = None
     dt: Scalar | None = None
 
 
@@ -108,7 +108,7 @@ class Riccati(AbstractFlowObserver):
         p = self._metric(x, u)
         correction = jnp.where(_is_metric(p), 2 * self._gain(x) * solve(p, output_jacobian.T @ error), 0.0)
         slope = self.model.f(t, x, u) - correction
-        return Estimate(slope, jnp.ones_like(state.t), still(state.held), still(state.dt))
+        return Estimate(slope, jnp.ones_like(state.t), still(state.last_input), still(state.dt))
 
     def predict(self, state: Estimate, u: Float[Array, "m"], dt: Scalar) -> Estimate:
         x = rk4(lambda s, x: self.model.f(s, x, u), state.t, state.x, dt, self.substeps)
@@ -146,7 +146,7 @@ class InformationState(NamedTuple):
         x: Estimated state (n,).
         information: Its information matrix P (n, n), the inverse of its covariance.
         t: Time [s] that they belong to.
-        held: The last finite input (m,); None in continuous time.
+        last_input: The last finite input (m,); None in continuous time.
         dt: Length [s] of the last prediction; None in continuous time.
 
     Example:
@@ -160,7 +160,7 @@ class InformationState(NamedTuple):
     x: Vector
     information: Matrix
     t: Scalar
-    held: Held = None
+    last_input: LastInput = None
     dt: Scalar | None = None
 
 
@@ -221,7 +221,7 @@ class InformationEKF(AbstractFlowObserver):
         predicted = self._unmeasured_rate(t, x, p, u)
         gain = output_jacobian.T @ output_jacobian
         slope = self.model.f(t, x, u) - solve(p, output_jacobian.T @ error)
-        return InformationState(slope, predicted + gain, jnp.ones_like(t), still(state.held), still(state.dt))
+        return InformationState(slope, predicted + gain, jnp.ones_like(t), still(state.last_input), still(state.dt))
 
     def predict(self, state: InformationState, u: Float[Array, "m"], dt: Scalar) -> InformationState:
         def flow(s, joint):

@@ -15,8 +15,8 @@ from covariant.geometry.lie import SO3, quaternion_from_rotation
 from covariant.models import MechanicalSystem, Motion, applied_force, body_velocity, resistance, spatial_momentum
 from covariant.observers._protocol import (
     AbstractFlowObserver,
-    Held,
     Info,
+    LastInput,
     as_gain,
     at_rest,
     check_positive,
@@ -34,7 +34,7 @@ class SalcudeanState(NamedTuple):
         q: Estimated rotation (3, 3).
         momentum: Estimated momentum (3,) [N m s], in the space frame.
         t: Time [s] that they belong to.
-        held: The last finite input (m,); None in continuous time.
+        last_input: The last finite input (m,); None in continuous time.
         dt: Length [s] of the last prediction; None in continuous time.
 
     Example:
@@ -48,7 +48,7 @@ class SalcudeanState(NamedTuple):
     q: Float[Array, "3 3"]
     momentum: Vector
     t: Scalar
-    held: Held = None
+    last_input: LastInput = None
     dt: Scalar | None = None
 
 
@@ -98,8 +98,8 @@ class Salcudean(AbstractFlowObserver):
             raise ValueError(f"Salcudean: the observer is for SO(3) only; the model is on {self.model.manifold}")
 
     def init(self, y: Float[Array, "3 3"], t: Number = 0.0) -> SalcudeanState:
-        q, rest, t, held, _ = at_rest(self.model, y, t)
-        return SalcudeanState(q, rest, t, held, jnp.zeros_like(t))
+        q, rest, t, last_input, _ = at_rest(self.model, y, t)
+        return SalcudeanState(q, rest, t, last_input, jnp.zeros_like(t))
 
     def estimate(self, state: SalcudeanState) -> Motion:
         return Motion(state.q, body_velocity(self.model, state.q, state.momentum))
@@ -122,7 +122,7 @@ class Salcudean(AbstractFlowObserver):
         injected = y @ self.model.space.raise_(y, y.T @ e)
         turning = state.q.T @ (omega + self.kv * injected)
         return SalcudeanState(
-            turning, torque + self.kp / 2 * injected, jnp.ones_like(state.t), still(state.held), still(state.dt)
+            turning, torque + self.kp / 2 * injected, jnp.ones_like(state.t), still(state.last_input), still(state.dt)
         )
 
     def predict(self, state: SalcudeanState, u: Float[Array, "m"], dt: Scalar) -> SalcudeanState:

@@ -250,14 +250,14 @@ def sampled_correction(
     return Correction(jnp.where(restarted, 1.0, k1), jnp.where(restarted, 0.0, velocity), restarted)
 
 
-def worth(taken: Correction, result: Code) -> Code:
+def step_result(correction: Correction, result: Code) -> Code:
     """Result code of a step: its own, or `RESTARTED`, whichever is worse.
 
     Args:
-        taken: Correction of the step.
+        correction: Correction of the step.
         result: Code of the step itself.
 
     Returns:
         The code.
     """
-    return jnp.where(taken.restarted, jnp.maximum(result, int(Result.RESTARTED)), result)
+    return jnp.where(correction.restarted, jnp.maximum(result, int(Result.RESTARTED)), result)

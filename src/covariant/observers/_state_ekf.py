@@ -17,7 +17,7 @@ from covariant.geometry import AbstractManifold
 from covariant.models import StateSpace
 from covariant.observers._gate import Gate, Judged, open_gate
 from covariant.observers._gated_filter import AbstractGatedFilter, Expectation
-from covariant.observers._protocol import Held, check_finite, no_input
+from covariant.observers._protocol import LastInput, check_finite, no_input
 from covariant.observers._sampled import steps_for
 from covariant.observers._square_root import normalised_square
 from covariant.signals import Result
@@ -32,7 +32,7 @@ class StateEKFState(NamedTuple):
         cov: Covariance (n, n) of the estimate.
         refused: Number of samples in a row that the gate refused of each output (p,); see `Gate.judge`.
         scale: Averaged ratio of actual to expected squared innovations (p,); see `Gate.judge`.
-        held: Last finite input (m,), which replaces an input that is not finite; None where none is stored.
+        last_input: Last finite input (m,), which replaces an input that is not finite; None where none is stored.
 
     Example:
         >>> import jax
@@ -49,7 +49,7 @@ class StateEKFState(NamedTuple):
     cov: Matrix
     refused: Int[Array, "p"]
     scale: Vector
-    held: Held = None
+    last_input: LastInput = None
 
 
 class StateEKFInfo(NamedTuple):

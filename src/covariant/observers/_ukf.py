@@ -27,7 +27,7 @@ from covariant.observers._covariance import Covariance, check_covariance, covari
 from covariant.observers._ekf import EKFInfo, ekf_info
 from covariant.observers._gate import Gate, open_gate
 from covariant.observers._gated_filter import AbstractMechanicalFilter, Expectation
-from covariant.observers._protocol import Held, as_gain, at_rest, check_finite
+from covariant.observers._protocol import LastInput, as_gain, at_rest, check_finite
 from covariant.observers._sampled import predict
 from covariant.observers._square_root import diagonal, updated, white_acceleration
 
@@ -42,7 +42,7 @@ class UKFState(NamedTuple):
         root: Square root S (2n, 2n) of the covariance `S Sᵀ` of the error `(local(q̂, q), v − v̂)`.
         refused: Number of samples in a row that the gate refused (n,); see `Gate.judge`.
         scale: Averaged ratio of actual to expected squared innovations (n,); see `Gate.judge`.
-        held: Last finite input (m,), which replaces an input that is not finite; None where none is stored.
+        last_input: Last finite input (m,), which replaces an input that is not finite; None where none is stored.
 
     Example:
         >>> import numpy as np
@@ -58,7 +58,7 @@ class UKFState(NamedTuple):
     root: Float[Array, "two_n two_n"]
     refused: Int[Array, "n"]
     scale: Vector
-    held: Held = None
+    last_input: LastInput = None
 
 
 class UKF(AbstractMechanicalFilter):
@@ -108,8 +108,8 @@ class UKF(AbstractMechanicalFilter):
             raise ValueError(f"UKF: spread must be between .52 and 1.93; got {self.spread}")
 
     def init(self, y: Array, t: Number = 0.0) -> UKFState:
-        q, v, t, held, _ = at_rest(self.model, y, t)
-        return UKFState(q, v, t, self._first_root(q, v), *open_gate(v), held)
+        q, v, t, last_input, _ = at_rest(self.model, y, t)
+        return UKFState(q, v, t, self._first_root(q, v), *open_gate(v), last_input)
 
     def cov(self, state: UKFState) -> Float[Array, "two_n two_n"]:
         """Covariance (2n, 2n) of the error `(local(q̂, q), v − v̂)` in a state, from its square root."""

@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 from covariant._typing import Element, Number, Scalar, Vector
 from covariant.geometry.lie import SO3
 from covariant.models import GroupSystem, Motion, friction, source
-from covariant.observers import AbstractFlowObserver, HeldState, Info, MechanicalState
+from covariant.observers import AbstractFlowObserver, Info, MechanicalState, SampledState
 
 
 class PrintedBallAndBeam(AbstractFlowObserver):
@@ -101,14 +101,14 @@ class PrintedGroup(AbstractFlowObserver):
     beta: Number
     slips: tuple[str, ...] = eqx.field(static=True)
 
-    def init(self, y: Element, t: Number = 0.0) -> HeldState:
+    def init(self, y: Element, t: Number = 0.0) -> SampledState:
         rest = jnp.zeros(self.model.group.dimension, y.dtype)
-        return HeldState(y, rest, jnp.asarray(t, y.dtype))
+        return SampledState(y, rest, jnp.asarray(t, y.dtype))
 
-    def estimate(self, state: HeldState) -> Motion:
+    def estimate(self, state: SampledState) -> Motion:
         return Motion(state.q, state.v)
 
-    def flow(self, t: Scalar, state: HeldState, u: Float[Array, "m"], y: Element) -> HeldState:
+    def flow(self, t: Scalar, state: SampledState, u: Float[Array, "m"], y: Element) -> SampledState:
         space, group, q, v = self.model.space, self.model.group, state.q, state.v
         error = _printed_log(y, q) if "logarithm" in self.slips else group.between(y, q)
         s = source(self.model, t, y, u)
@@ -125,9 +125,9 @@ class PrintedGroup(AbstractFlowObserver):
         v_dot = v_dot - space.connection(q, w, v) + friction(self.model, t, q, v, u)
         if "alpha" in self.slips:
             v_dot = v_dot + (1 - self.alpha) * group.lie_bracket(error, v)
-        return HeldState(w, v_dot, jnp.ones_like(state.t))
+        return SampledState(w, v_dot, jnp.ones_like(state.t))
 
-    def predict(self, state: HeldState, u: Float[Array, "m"], dt: Scalar):
+    def predict(self, state: SampledState, u: Float[Array, "m"], dt: Scalar):
         raise NotImplementedError("the printed observer is a counter-example in continuous time only")
 
     correct = predict
