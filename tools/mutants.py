@@ -85,6 +85,7 @@ RELEVANT = {
     "lowering/_loops.py": "lowering/test_c",
     "lowering/_jax_forms.py": "lowering/test_jax_forms lowering/test_lowering",
     "lowering/_fingerprint.py": "lowering/test_fingerprint",
+    **{f"lowering/_{name}.py": "lowering/test_to_c" for name in ("c_names", "to_c")},
     "lowering/_c*.py": "lowering/test_c lowering/test_lowering",
     "lowering/_peephole.py": "lowering/test_c",
     "lowering/_rounding.py": "lowering/test_c",

@@ -7,6 +7,7 @@ import os
 import weakref
 from fractions import Fraction
 
+import jax
 import jax.numpy as jnp
 import mpmath
 import numpy as np
@@ -801,3 +802,17 @@ def test_values_are_let_go_after_their_last_use():
     assert found[1] is inputs[0]
     assert len(graph.graph.nodes) > 300
     assert most < 8
+
+
+@pytest.mark.parametrize("engine", ["numpy", "auto"])
+def test_loops_and_tables_have_no_bounds(engine):
+    def halved(x):
+        return jax.lax.while_loop(lambda z: z > 1.0, lambda z: z / 2.0, x)
+
+    def looked_up(x):
+        return jax.lax.dynamic_slice(jnp.arange(100.0), (jnp.floor(x).astype(int),), (1,))
+
+    for function, kind in ((halved, "loop"), (looked_up, "table")):
+        lowered = lower(function, jnp.array(0.0), loops="any")
+        with pytest.raises(ValueError, match=f"a function with a {kind} has no bounds"):
+            enclose(lowered, np.array([[0.5]]), np.array([[3.0]]), engine=engine)

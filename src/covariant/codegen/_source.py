@@ -13,21 +13,11 @@ from typing import Literal, NamedTuple, get_args
 import numpy as np
 
 from covariant.codegen._program import Leaf, Program, Real
-from covariant.lowering import CText, Lowered, Signature, c_function, c_helpers, c_number
+from covariant.lowering import C_KEYWORDS, CText, Lowered, Signature, c_function, c_helpers, c_number
 from covariant.signals import Result
 
-KEYWORDS = frozenset(  # as a text, since a list of a hundred words takes a hundred lines
-    """
-    auto break case char const continue default do double else enum extern float for goto if inline int long
-    register restrict return short signed sizeof static struct switch typedef union unsigned void volatile while
-    alignas alignof and and_eq asm bitand bitor bool catch char16_t char32_t char8_t class co_await co_return
-    co_yield compl concept const_cast consteval constexpr constinit decltype delete dynamic_cast explicit export
-    false friend mutable namespace new noexcept not not_eq nullptr operator or or_eq private protected public
-    reinterpret_cast requires static_assert static_cast template this thread_local throw true try typeid
-    typename using virtual wchar_t xor xor_eq info
-    """.split()  # noqa: SIM905
-)
-"""Words that are no names in C or C++, and the name of the info of a step."""
+KEYWORDS = C_KEYWORDS | {"info"}
+"""Words that are no names of an export or of its numbers; the info of a step is called so."""
 SENTENCE = "This text is yours: use, change and sell it as you like; no licence of its generator extends to it."
 
 

@@ -1,4 +1,5 @@
 from ._c import c_function as c_function, c_helpers as c_helpers, c_number as c_number
+from ._c_names import C_KEYWORDS as C_KEYWORDS
 from ._c_rows import c_rows as c_rows
 from ._c_writer import CText as CText, Signature as Signature
 from ._differentiate import Derivative as Derivative, expand as expand, pairs as pairs
@@ -38,3 +39,4 @@ from ._read import NUMBERS as NUMBERS, Domain as Domain, evaluate as evaluate, n
 from ._rounding import perturbed as perturbed
 from ._stumpff import STUMPFF as STUMPFF, stumpff as stumpff
 from ._tape import Interval as Interval, Truth as Truth
+from ._to_c import to_c as to_c

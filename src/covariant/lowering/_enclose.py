@@ -138,7 +138,13 @@ def bounds(lowered: Lowered, inputs: Sequence[Interval]) -> tuple[list[Interval]
 
     Returns:
         Interval of each scalar output, with statements as the numbers 0 and 1, and where the function does not jump.
+
+    Raises:
+        ValueError: The function has loops or tables.
     """
+    # A loop in intervals may never end, since its condition stays undecided; a table would be read at one place only.
+    if odd := {node.op for node in lowered.graph.nodes} & {"loop", "table"}:
+        raise ValueError(f"a function with a {min(odd)} has no bounds; lower it with loops='unrolled'")
     smooth: Truth = constant(True)  # pyright: ignore[reportAssignmentType]
 
     def watched(op: str) -> Callable:

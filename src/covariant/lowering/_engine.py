@@ -2,14 +2,17 @@
 
 import functools
 import weakref
+from typing import Literal
 
 import numpy as np
 
-from covariant._typing import Arithmetic
 from covariant.lowering._c_intervals import CompiledBounds, Library, at_hand
 from covariant.lowering._enclose import Enclosure, by_numpy, corners
 from covariant.lowering._graph import Graph
 from covariant.lowering._lowered import Lowered
+
+Arithmetic = Literal["auto", "numpy", "c"]
+"""Implementation of interval arithmetic: compiled C where it pays, or always NumPy, or always C."""
 
 A_CALL = 1500
 """Fixed cost of a call of NumPy, in boxes. Translating the graph into steps for C costs less."""
@@ -37,7 +40,7 @@ def enclose(lowered: Lowered, low: np.ndarray, high: np.ndarray, engine: Arithme
         1.
 
     Raises:
-        ValueError: The corners have another shape, are NaN, or low exceeds high.
+        ValueError: The corners have another shape, are NaN, or low exceeds high; or the function has loops or tables.
         OSError: The engine is "c" and there is no working compiler.
 
     Example:

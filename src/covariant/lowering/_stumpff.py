@@ -19,8 +19,7 @@ import numpy as np
 from jax.core import ShapedArray
 from jax.extend import core
 from jax.interpreters import ad, batching, mlir
-
-from covariant._typing import Scalar
+from jax.typing import ArrayLike
 
 U = 2.0**-53
 TERMS = 24
@@ -29,7 +28,7 @@ FALLS_UNTIL = 9.869
 """A number slightly below π²."""
 
 
-def stumpff(k: int, x: Scalar) -> Scalar:
+def stumpff(k: int, x: ArrayLike) -> jax.Array:
     """Stumpff's function `c_k(x) = Σ_j (−x)^j / (2j + k)!`, such as c₁(θ²) = sin θ/θ.
 
     Args:
@@ -69,7 +68,7 @@ ad.defjvp(STUMPFF, lambda g, x, *, k: (k * stumpff(k + 2, x) - stumpff(k + 1, x)
 batching.primitive_batchers[STUMPFF] = lambda values, axes, *, k: (STUMPFF.bind(*values, k=k), axes[0])
 
 
-def _series(k: int, threshold: float, x: Scalar) -> Scalar:
+def _series(k: int, threshold: float, x: jax.Array) -> jax.Array:
     coefficients = [1 / math.factorial(k)]
     # Until a term is below the rounding error of the first at the largest x.
     while coefficients[-1] * threshold ** (len(coefficients) - 1) > 1e-18 * coefficients[0]:
@@ -80,7 +79,7 @@ def _series(k: int, threshold: float, x: Scalar) -> Scalar:
     return total
 
 
-def _closed(k: int, x: Scalar) -> Scalar:
+def _closed(k: int, x: jax.Array) -> jax.Array:
     if k == 0:
         return jnp.cos(jnp.sqrt(x))
     if k == 1:

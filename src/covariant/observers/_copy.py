@@ -19,6 +19,7 @@ from covariant.observers._protocol import (
     check_positive,
     outcome,
     still,
+    time_since_measurement,
     uniqueness,
 )
 from covariant.observers._sampled import predicted, sampled_correction, step_result
@@ -73,11 +74,11 @@ class Copy(AbstractMechanicalObserver):
         return predicted(self.model, state, u, dt, self.substeps)
 
     def correct(self, state: SampledState, u: Float[Array, "m"], y: Array) -> tuple[SampledState, Info]:
-        q, v, t, _, age = state
+        (q, v, t), waited = state[:3], time_since_measurement(state)
         e = -self.innovation(state, u, y)
         # The prediction used S(q̂); the observer (15) uses S at the measurement.
         missing = source(self.model, t, self.model.manifold.measured(q, y), u) - source(self.model, t, q, u)
-        correction = sampled_correction(self.model.space, Motion(q, v), self.alpha, self.beta, age, e, missing)
+        correction = sampled_correction(self.model.space, Motion(q, v), self.alpha, self.beta, waited, e, missing)
         new_q, new_v = self.model.manifold.retract(q, -correction.part * e), v + correction.velocity
         result = outcome(new_q, new_v, y, step_result(correction, uniqueness(self.model, q, y)))
         new = state._replace(q=new_q, v=new_v, age=aged(self.model, state, y))

@@ -34,6 +34,7 @@ from covariant.observers._protocol import (
     as_gain,
     check_positive,
     no_input,
+    step_length,
 )
 from covariant.signals import Result
 
@@ -185,7 +186,7 @@ class Gated(AbstractObserver):
 
     def _judge(self, state: GatedState, innovation: Vector, present: Array) -> Judged:
         """The gate's verdict on d: whether noise and velocity explain it; see the head of this file."""
-        dt, rate = state.dt, CREDIBLE / self.gate.deviations * self.speed
+        dt, rate = step_length(state), CREDIBLE / self.gate.deviations * self.speed
         expected = 2 * self.noise**2 + (rate * dt) ** 2
         # An error of the velocity has acted since a measurement was last used, `idle` ago; half a step is forgiven.
         least = (2 * self.noise**2 + (rate * (state.idle - dt / 2)) ** 2) / expected

@@ -43,13 +43,9 @@ class Expectation(NamedTuple):
 class AbstractGatedFilter(AbstractObserver):
     """A filter with a covariance and a gate.
 
-    Its state has the fields `refused` (n,) and `scale` (n,), which the gate remembers; see `Gate.judge`.
-
-    Attributes:
-        gate: The gate, or None to use every measurement.
+    Its field `gate` is a `Gate`, or None to use every measurement. Its state has the fields `refused` (n,) and
+    `scale` (n,), which the gate remembers; see `Gate.judge`.
     """
-
-    gate: eqx.AbstractVar[Gate | None]
 
     @final
     def correct(self, state: Any, u: Float[Array, "m"], y: Array) -> tuple[Any, Any]:
@@ -63,9 +59,11 @@ class AbstractGatedFilter(AbstractObserver):
         Returns:
             The corrected state, or the one of a new start, and the info.
         """
+        # A field `gate` of this class would come before those of a filter, which are its arguments in their order.
+        gate: Gate | None = self.gate  # pyright: ignore[reportAttributeAccessIssue]
         expected = self._expected(state, u, y)
         verdict = judged(
-            self.gate,
+            gate,
             self._manifold,
             expected.innovation,
             expected.cov,

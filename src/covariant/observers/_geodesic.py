@@ -22,6 +22,7 @@ from covariant.observers._protocol import (
     check_positive,
     outcome,
     still,
+    time_since_measurement,
     uniqueness,
 )
 from covariant.observers._sampled import predicted, sampled_correction, step_result
@@ -154,10 +155,10 @@ class Geodesic(AbstractMechanicalObserver):
         return predicted(self.model, state, u, dt, self.substeps)
 
     def correct(self, state: GeodesicState, u: Float[Array, "m"], y: Array) -> tuple[GeodesicState, GeodesicInfo]:
-        space, (q, v, t) = self.model.space, state[:3]
+        space, (q, v, t), waited = self.model.space, state[:3], time_since_measurement(state)
         error = self._correction(t, state, u, y, self.budget)
         missing = error.drive - source(self.model, t, q, u)  # acceleration missing in the prediction, which used S(q̂)
-        correction = sampled_correction(space, Motion(q, v), self.alpha, self.beta, state.age, -error.log, missing)
+        correction = sampled_correction(space, Motion(q, v), self.alpha, self.beta, waited, -error.log, missing)
         # Move along the geodesic by the fraction `part`, and transport the velocity with it.
         corrected, displacement = v + correction.velocity, correction.part * error.log
         end = space.transport_along(q, displacement, corrected, self.budget)

@@ -24,6 +24,7 @@ from covariant.observers._protocol import (
     check_positive,
     outcome,
     still,
+    time_since_measurement,
     uniqueness,
 )
 from covariant.observers._sampled import predicted, sampled_correction, step_result
@@ -126,10 +127,10 @@ class Intrinsic(AbstractMechanicalObserver):
         return predicted(self.model, state, u, dt, self.substeps)
 
     def correct(self, state: SampledState, u: Float[Array, "m"], y: Array) -> tuple[SampledState, Info]:
-        q, v, t, _, age = state
+        (q, v, t), waited = state[:3], time_since_measurement(state)
         xi, drive = self._correction(t, q, v, u, y)
         missing = drive - source(self.model, t, q, u)  # acceleration missing in the prediction, which used S(q̂)
-        correction = sampled_correction(self.model.space, Motion(q, v), self.alpha, self.beta, age, xi, missing)
+        correction = sampled_correction(self.model.space, Motion(q, v), self.alpha, self.beta, waited, xi, missing)
         displacement = -correction.part * xi
         new_q = self.model.manifold.retract(q, displacement)
         # v̂ keeps its direction along the displacement to first order: parallel transport from q̂ to the new q̂.

@@ -507,6 +507,16 @@ def no_input(model: Any, like: Vector) -> Float[Array, "m"]:
     return jnp.zeros(input_count(model, like.shape[0]), like.dtype)
 
 
+def time_since_measurement(state: Any) -> Scalar:
+    """Time [s] since the last measurement, at the end of the prediction that led to a predicted state."""
+    return state.age
+
+
+def step_length(state: Any) -> Scalar:
+    """Length [s] of the prediction that led to a predicted state, for observers whose correction depends on it."""
+    return state.dt
+
+
 def still(kept: LastInput | Scalar) -> Any:
     """Time derivative of what is remembered between samples: zero, in the same form.
 

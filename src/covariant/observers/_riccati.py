@@ -16,7 +16,16 @@ from covariant._linalg import half_solve, pivots, solve
 from covariant._typing import Code, Flag, Matrix, MatrixField, Number, Scalar, Vector
 from covariant.metrics import Equation, RiccatiMetric
 from covariant.models import StateSpace
-from covariant.observers._protocol import AbstractFlowObserver, Info, LastInput, as_gain, check_finite, no_input, still
+from covariant.observers._protocol import (
+    AbstractFlowObserver,
+    Info,
+    LastInput,
+    as_gain,
+    check_finite,
+    no_input,
+    step_length,
+    still,
+)
 from covariant.observers._sampled import steps_for
 from covariant.signals import Result
 
@@ -125,7 +134,7 @@ class Riccati(AbstractFlowObserver):
         Returns:
             The corrected state, and the info, whose distance is the length of the correction in the metric P.
         """
-        x, weight = state.x, 2 * self._gain(state.x) * state.dt
+        x, weight = state.x, 2 * self._gain(state.x) * step_length(state)
         corrected, info = _correct(self.model, self.measurement_cov, state.t, x, self._metric(x, u), weight, u, y)
         return state._replace(x=corrected), info
 
@@ -246,7 +255,7 @@ class InformationEKF(AbstractFlowObserver):
             The corrected state, and the info, whose distance is the length of the correction in P before the
             measurement.
         """
-        x, p, t, _, dt = state
+        (x, p, t), dt = state[:3], step_length(state)
         corrected, info = _correct(self.model, self.equation.measurement_cov, t, x, p, dt, u, y)
         output_jacobian, _ = _whitened_output(self.model, self.equation.measurement_cov, t, x, u, y)
         return state._replace(x=corrected, information=p + dt * output_jacobian.T @ output_jacobian), info

@@ -21,6 +21,7 @@ from covariant.observers._protocol import (
     at_rest,
     check_positive,
     outcome,
+    step_length,
     still,
     uniqueness,
 )
@@ -137,8 +138,9 @@ class Salcudean(AbstractFlowObserver):
         # The feedback: the difference between the flow and the prediction, which used the estimated rotation.
         slope = self.flow(state.t, state, u, measured)
         omega, torque = self._free_motion(state.t, state, u, state.q)
-        q = state.q @ SO3.exp(state.dt * (slope.q - state.q.T @ omega))
-        momentum = state.momentum + state.dt * (slope.momentum - torque)
+        dt = step_length(state)
+        q = state.q @ SO3.exp(dt * (slope.q - state.q.T @ omega))
+        momentum = state.momentum + dt * (slope.momentum - torque)
         code = outcome(q, momentum, y, uniqueness(self.model, state.q, measured))
         innovation = self.innovation(state, u, y)
         info = Info(innovation, self.model.space.norm(state.q, innovation), code)

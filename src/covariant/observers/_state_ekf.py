@@ -182,10 +182,11 @@ class StateEKF(AbstractGatedFilter):
     def _used(
         self, state: StateEKFState, y: Float[Array, "p"], expected: Expectation, used: Bool[Array, "p"]
     ) -> StateEKFState:
-        x, slope, noise = state.x, expected.details, jnp.asarray(self.measurement_cov, state.x.dtype)
+        x, noise = state.x, jnp.asarray(self.measurement_cov, state.x.dtype)
+        slope: Array = expected.details
         # The noise of an output that is not used must not affect the others, even where the two are correlated.
         noise = jnp.where(used[:, None] & used[None, :], noise, jnp.eye(len(y), dtype=x.dtype))
-        output = jnp.where(used[:, None], slope, 0.0)
+        output: Array = jnp.where(used[:, None], slope, 0.0)
         gain = solve(output @ state.cov @ output.T + noise, output @ state.cov).T
         remaining = jnp.eye(len(x), dtype=x.dtype) - gain @ output
         # Joseph form: a sum of squares, so that rounding does not make it indefinite.

@@ -13,6 +13,9 @@ from covariant.geometry.lie import SO3
 from covariant.models import GroupSystem, Motion, friction, source
 from covariant.observers import AbstractFlowObserver, Info, MechanicalState, SampledState
 
+CONTINUOUS = "the printed observer is a counter-example in continuous time only"
+"""Why it makes no steps."""
+
 
 class PrintedBallAndBeam(AbstractFlowObserver):
     """Observer (14) for the normalised ball and beam, exactly as printed, in continuous time. Do not use it.
@@ -59,10 +62,11 @@ class PrintedBallAndBeam(AbstractFlowObserver):
             jnp.ones_like(state.t),
         )
 
-    def advance(
-        self, state: MechanicalState, u: Float[Array, "m"], y: Vector, dt: Scalar
-    ) -> tuple[MechanicalState, Info]:
-        raise NotImplementedError("equation (14) as printed is a counter-example in continuous time only")
+    def predict(self, state: MechanicalState, u: Float[Array, "m"], dt: Scalar) -> MechanicalState:
+        raise NotImplementedError(CONTINUOUS)
+
+    def correct(self, state: MechanicalState, u: Float[Array, "m"], y: Vector) -> tuple[MechanicalState, Info]:
+        raise NotImplementedError(CONTINUOUS)
 
 
 SLIPS = {
@@ -127,10 +131,11 @@ class PrintedGroup(AbstractFlowObserver):
             v_dot = v_dot + (1 - self.alpha) * group.lie_bracket(error, v)
         return SampledState(w, v_dot, jnp.ones_like(state.t))
 
-    def predict(self, state: SampledState, u: Float[Array, "m"], dt: Scalar):
-        raise NotImplementedError("the printed observer is a counter-example in continuous time only")
+    def predict(self, state: SampledState, u: Float[Array, "m"], dt: Scalar) -> SampledState:
+        raise NotImplementedError(CONTINUOUS)
 
-    correct = predict
+    def correct(self, state: SampledState, u: Float[Array, "m"], y: Element) -> tuple[SampledState, Info]:
+        raise NotImplementedError(CONTINUOUS)
 
 
 def _printed_log(y: Element, estimate: Element) -> Vector:
