@@ -9,9 +9,10 @@ _C = (
 )
 """Keywords of C99 and those that C23 adds."""
 _CPP = (
-    "and and_eq bitand bitor catch char16_t char32_t char8_t class co_await co_return co_yield compl concept const_cast consteval constinit decltype delete dynamic_cast explicit "
-    "export friend mutable namespace new noexcept not not_eq operator or or_eq private protected public "
-    "reinterpret_cast requires static_cast template this throw try typeid typename using virtual wchar_t xor xor_eq"
+    "and and_eq bitand bitor catch char16_t char32_t char8_t class co_await co_return co_yield compl concept "
+    "const_cast consteval constinit decltype delete dynamic_cast explicit export friend mutable namespace new "
+    "noexcept not not_eq operator or or_eq private protected public reinterpret_cast requires static_cast template "
+    "this throw try typeid typename using virtual wchar_t xor xor_eq"
 )
 """Further keywords of C++, whose programs may call the function."""
 _MATH = (
