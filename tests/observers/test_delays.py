@@ -10,7 +10,7 @@ import pytest
 
 from covariant.calibration import tuned_estimators
 from covariant.models import MechanicalSystem, Motion, free_body, pendulum_chain
-from covariant.observers import EKF, Delayed, Intrinsic, IntrinsicKalman, run
+from covariant.observers import EKF, Delayed, FilteredDerivative, Intrinsic, IntrinsicKalman, run
 from covariant.scoring import rmse
 from covariant.signals import Record, Result
 from covariant.simulation import hold, simulate
@@ -153,6 +153,13 @@ def test_without_delay_it_is_the_observer_itself(pendulum, regular):
 
 
 @pytest.mark.long
+@pytest.mark.parametrize("delay", [0.0, 0.02])
+def test_an_angle_of_too_many_turns_is_missing_to_the_observer_inside_too(delay):
+    late, huge = Delayed(FilteredDerivative(50.0, circles=(0,)), delay, 100.0), jnp.array([1e12])
+    _, info = late.step(late.init(jnp.zeros(1)), jnp.zeros(0), huge, 0.01)
+    assert info.result == Result.COASTED
+
+
 def test_batches_and_full_turns():
     """Logs run side by side, one with its angles as they are and one with angles that jump by a turn."""
     t = 0.005 * np.arange(200)

@@ -8,8 +8,8 @@ from scipy import stats
 
 from covariant.geometry import Coordinates, ProductManifold
 from covariant.geometry.lie import SE3, SO3
-from covariant.models import Lagrangian, Motion, advance, free_body, pendulum_chain
-from covariant.observers import Gate, Gated, Intrinsic, IntrinsicKalman, run
+from covariant.models import Lagrangian, Motion, advance, free_body, oscillator, pendulum_chain
+from covariant.observers import Copy, Gate, Gated, Intrinsic, IntrinsicKalman, run
 from covariant.signals import Record, Result
 
 LONG = (
@@ -169,3 +169,15 @@ def test_a_gate_does_not_do_the_work_of_its_observer_twice(joints):
         return step.compile().cost_analysis()["flops"]
 
     assert operations(Gated(observer, chain, 1e-3, 5.0)) < 1.15 * operations(observer)
+
+
+@pytest.mark.parametrize("size", [0.3, 5.0])
+def test_a_burst_of_outliers_does_not_open_the_gate_for_its_last_ones(size):
+    t = 0.01 * np.arange(400)
+    y = np.cos(t) + NOISE * np.random.default_rng(0).normal(size=400)
+    y[300:310] += size
+    observer = Gated(Copy(oscillator(), 20.0, 100.0, substeps=1), oscillator(), noise=NOISE, speed=1.0)
+    followed = run(observer, Record(t, np.zeros((400, 1)), y[:, None]))
+    assert (codes(followed)[300:310] == Result.OUTLIER).all()
+    assert (codes(followed)[310:] == Result.OK).all()
+    assert np.abs(np.asarray(followed.estimate)[300:, 1] + np.sin(t[300:])).max() < 0.05

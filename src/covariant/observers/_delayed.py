@@ -153,11 +153,24 @@ class Delayed(AbstractObserver):
     def admitted(self, y: Inexact[Array, "*n"]) -> Inexact[Array, "*n"]:
         return self.observer.admitted(y)
 
+    def largest(self, y: Inexact[Array, "*n"] | np.ndarray) -> np.ndarray:
+        return self.observer.largest(y)
+
     def estimate(self, state: DelayedState) -> Any:
         return self.observer.estimate(state.now)
 
+    def advance(
+        self, state: DelayedState, u: Float[Array, "m"], y: Inexact[Array, "*n"], dt: Scalar
+    ) -> tuple[DelayedState, Any]:
+        if self._no_delay:  # with the inner observer's own step nothing differs from it, whatever its form
+            now, info = self.observer.step(state.now, u, y, dt)
+            return state._replace(now=now, known=now, t=state.t + dt), info
+        return self.correct(self.predict(state, u, dt), u, y)
+
     def predict(self, state: DelayedState, u: Float[Array, "m"], dt: Scalar) -> DelayedState:
         """Move the time of the state and the ages of all readings dt later; `correct` runs the inner observer.
+
+        With delays, `estimate` is for the time before until the state is corrected.
 
         Args:
             state: State after the previous sample.

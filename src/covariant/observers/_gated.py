@@ -49,7 +49,7 @@ class GatedState(NamedTuple):
         inner: State of the observer behind the gate.
         t: Time [s] that it belongs to.
         left: Error (n,) that the last correction left behind, from the estimate to the measurement.
-        idle: Time [s] since a measurement of each component (n,) was last used.
+        idle: Time [s] since each component (n,) was last measured, refused or not.
         refused: Number (n,) of samples refused in a row; see `Gate.judge`.
         scale: Average (n,) of the ratio of actual to expected squares; see `Gate.judge`.
         slip: Average (n,) of d², relative to that of an estimate which is astray.
@@ -162,7 +162,7 @@ class Gated(AbstractObserver):
         new = state._replace(
             inner=inner,
             left=jnp.where(used, error, state.left),
-            idle=jnp.where(used, 0.0, state.idle),
+            idle=jnp.where(present, 0.0, state.idle),
             refused=verdict.refused,
             scale=verdict.scale,
             slip=slip,
@@ -188,7 +188,7 @@ class Gated(AbstractObserver):
         """The gate's verdict on d: whether noise and velocity explain it; see the head of this file."""
         dt, rate = step_length(state), CREDIBLE / self.gate.deviations * self.speed
         expected = 2 * self.noise**2 + (rate * dt) ** 2
-        # An error of the velocity has acted since a measurement was last used, `idle` ago; half a step is forgiven.
+        # An error of the velocity has acted over a gap; readings that were refused do not widen the gate for the next.
         least = (2 * self.noise**2 + (rate * (state.idle - dt / 2)) ** 2) / expected
         cov = jnp.diag(jnp.broadcast_to(expected, innovation.shape).astype(innovation.dtype))
         change = innovation - state.left

@@ -158,7 +158,7 @@ class JointKalman(AbstractGatedFilter, AbstractLinearFilter):
             The state dt later, before a measurement.
         """
         step, added = singer(dt / self.motion_time)
-        units = self._units.astype(dt.dtype)[:, None]
+        units = self._units.astype(state.q.dtype)[:, None]
         q, v, a = units * (step @ (jnp.stack([state.q, state.v, state.a]) / units))
         noise = semidefinite_root(added)  # the covariance is nearly singular for a small θ
         root = jax.vmap(lambda each: triangular(jnp.concatenate([step @ each, noise], axis=1)))(state.root)

@@ -90,9 +90,9 @@ class SavitzkyGolay(AbstractLinearFilter):
         Returns:
             The state dt later, before a measurement.
         """
-        # The newest sample counts as missing until `correct` enters it.
-        age = jnp.append(state.age[1:] + dt, 0.0)
-        samples = jnp.concatenate([state.y[1:], jnp.full_like(state.y[:1], jnp.nan)])
+        # The newest sample counts as missing until `correct` enters it; without a step there is none.
+        age = jnp.where(dt > 0, jnp.append(state.age[1:] + dt, 0.0), state.age)
+        samples = jnp.where(dt > 0, jnp.concatenate([state.y[1:], jnp.full_like(state.y[:1], jnp.nan)]), state.y)
         return WindowState(age, samples, state.q + dt * state.v, state.v)
 
     def correct(self, state: WindowState, u: Float[Array, "m"], y: Vector) -> tuple[WindowState, FilterInfo]:
