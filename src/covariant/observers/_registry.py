@@ -34,17 +34,17 @@ EDGE = 0.1
 
 
 def anything(model: MechanicalSystem) -> bool:
-    """Whether the model is a mechanical system of any kind: always true."""
+    """Every mechanical system."""
     return True
 
 
 def coordinates(model: MechanicalSystem) -> bool:
-    """Whether the model is in coordinates, not on a group."""
+    """Systems in coordinates, not on a group."""
     return model.manifold.commuting
 
 
 def rotations(model: MechanicalSystem) -> bool:
-    """Whether the model is a rigid body on SO(3)."""
+    """Rigid bodies on SO(3)."""
     return model.manifold == SO3
 
 
