@@ -273,6 +273,22 @@ def test_growing_observer_error_is_shown_as_a_trajectory():
     np.testing.assert_allclose(np.diff(np.log(size)) / np.diff(found.growth.t), 2.0, rtol=1e-6)
 
 
+def test_an_error_that_shrinks_slowly_in_a_metric_that_falls_is_not_said_to_grow():
+    """Where the motion is, the Jacobian alone grows at 0.2 1/s; along the motion the metric falls at 1 1/s."""
+
+    def at(z):
+        metric: StateMetric = in_coordinates(lambda t, x: jnp.exp(-x[0]) * jnp.eye(2))
+        return Point(lambda t, x: (0.2 - z[0]) * x + jnp.array([1.0, 0.0]), metric, jnp.zeros(2))
+
+    plant = linear(np.array([[-1.0, 2.0], [-2.0, -3.0]]), np.diag([4.0, 1.0]), ("d",))
+    coupling = (lambda z: (z[0] * jnp.eye(2), jnp.zeros((2, 2)))), box(k=(0.5, 2.0))
+    region = box(d=(0.0, 1.0))
+    found = cascade((plant, region), (ErrorSystem(("d",), ("",), at), region), coupling)
+    np.testing.assert_allclose(found.constants.lambda_q, 0.6, rtol=1e-9)
+    assert found.growth is None
+    assert found.verdict == "holds"
+
+
 def test_proved_constants_are_on_the_safe_side():
     sampled, proved = built(), built(proved=True)
     a, b = sampled.constants, proved.constants

@@ -95,6 +95,10 @@ def test_a_group_is_checked(tmp_path):
     assert check(path, model=wheel).radius == found.radius > 0
     with pytest.raises(ValueError, match="the bound of the force is not shown"):
         check(forged(path, tmp_path, put("given", "positions", "high", 0, 2.0)), model=wheel())
+    # The error may be half a turn on either side of its box alone.
+    for side, value in (("low", -3.2), ("high", 3.2)):
+        with pytest.raises(ValueError, match=r"must be below π, .* it is up to 3\.2 there"):
+            check(forged(path, tmp_path, bound(side, len(found.domain.low) - 2, value)), model=wheel())
 
 
 def test_every_altered_character_is_refused(saved, tmp_path):

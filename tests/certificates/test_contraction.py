@@ -259,6 +259,20 @@ def test_a_distance_from_below_looks_along_the_line_where_the_line_is():
         assert (1 - 4 * size) * true < lower_distance(metric, ZERO, a, b) <= true <= upper_distance(metric, ZERO, a, b)
 
 
+def test_tiny_distances_are_compared_to_what_solutions_are_computed_to():
+    """What they are computed to is a part of the first distance, for which no lower bound need be known."""
+    first, last, bound = 1.0, 5e-10, 1e-12
+
+    def measured(low, high):
+        return Decay(
+            np.array([0.0, 60.0]), np.array([[0.0, low]]), np.array([[first, high]]), np.array([[first, bound]])
+        )
+
+    assert measured(last, last).holds
+    assert measured(0.0, 4 * last).statement.verdict == "undecided"
+    assert measured(4 * last, 4 * last).statement.verdict == "fails"
+
+
 @pytest.mark.long
 def test_theorem_two_measured():
     """Pairs of estimates of one trajectory of the ball and beam: no distance falls more slowly than certified."""

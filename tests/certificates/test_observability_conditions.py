@@ -222,7 +222,10 @@ def test_with_several_outputs_no_bending_decides_nothing():
 
 def test_a_wanted_rate_is_asked_for():
     points = GRID[:3]
-    assert observability(OSCILLATOR, analytic_metric(1.0), points, rate=1.1).condition_1.verdict == "fails"
+    found = observability(OSCILLATOR, analytic_metric(1.0), points, rate=1.1).condition_1
+    assert found.verdict == "fails"
+    assert found.margin == pytest.approx(1.0, rel=1e-8)
+    assert found.hypotheses[0].margin == pytest.approx(-0.1, rel=1e-7)  # by as much as the rate is missed
 
 
 def test_a_point_without_a_metric_is_refused():

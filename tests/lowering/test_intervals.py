@@ -545,6 +545,16 @@ def test_nothing_is_known_where_a_function_is_not_defined_on_the_whole_box(op):
     assert np.isnan(found.high[0])
 
 
+@pytest.mark.parametrize("op", ["log", "log1p"])
+def test_logarithms_have_no_bound_where_their_arguments_have_none(op):
+    found = apply(op, Interval(np.array([1.0, 1.0]), np.array([2.0, np.inf])))
+    assert found.high[0] < 1.1
+    assert found.high[1] == np.inf
+    # An argument may lose its bound on the way: e⁸⁰⁰ is beyond all doubles.
+    log = getattr(jnp, op)
+    assert enclose(lower(lambda x: log(jnp.exp(x[0])), jnp.zeros(1)), *boxes([[1.0, 800.0]])).high[0, 0] >= 800.0
+
+
 BINARY = [op for op in ["add", "sub", "mul", "div", "min", "max", "pow", "atan2"] if op in INTERVALS]
 TRUTHS = ("lt", "le", "eq", "and", "or", "not", "is_finite", "select", "either", "stumpff", "constant")
 SINGLE = [op for op in INTERVALS if op not in (*BINARY, *TRUTHS)]
@@ -747,6 +757,10 @@ def test_jumps_are_reported():
         # The values of both sides are within the bounds, though no derivative tells.
         values = np.asarray([jumps(jnp.array([x])) for x in (-0.1, -1e-9, 0.0, 1e-9, 0.2)], float)
         assert found.low[0, 0] <= values.min() <= values.max() <= found.high[0, 0]
+    # The sign of zero is that of neither side.
+    sides = [[0.0, 0.2]], [[-0.1, 0.0]], [[0.0, 0.0]], [[1e-300, 0.2]]
+    found = enclose(lower(lambda x: jnp.sign(x[0]), jnp.zeros(1)), *boxes(*sides))
+    assert found.smooth.tolist() == [False, False, False, True]
     for continuous in (
         lambda x: jnp.abs(x[0]) + jnp.maximum(x[0], 0.0) * jnp.minimum(x[0], 0.1),
         lambda x: jnp.clip(x[0], -0.05, 0.15) + jnp.sqrt(1.0 + x[0]),

@@ -126,6 +126,16 @@ def test_a_short_step_is_the_flow(name):
     assert np.log10(gaps[0] / gaps[1]) == pytest.approx(1.0, abs=0.15)
 
 
+def test_with_equal_moments_of_inertia_the_exact_flow_has_a_closed_form():
+    """Geodesics are then those of the group, and a body that turns at w sees a parallel v turn by −½ w × v."""
+    alpha, beta, off, v = 2.0, 3.0, np.array([0.2, -0.1, 0.3]), np.array([0.5, -0.4, 0.7])
+    observer = Geodesic(free_body((1.0, 1.0, 1.0)), alpha, beta, Budget(newton=0, steps=1), curvature=False)
+    state = observer.init(SO3.exp(jnp.asarray(off)))._replace(v=jnp.asarray(v))
+    slope = eqx.filter_jit(observer.flow)(jnp.zeros(()), state, jnp.zeros(3), jnp.eye(3))
+    np.testing.assert_allclose(slope.q, v - alpha * off, atol=1e-12)
+    np.testing.assert_allclose(slope.v, -beta * off - np.cross(v - alpha * off, v) / 2, atol=1e-12)
+
+
 @pytest.mark.parametrize("name", OBSERVERS)
 def test_an_observer_that_is_told_no_time_starts_at_zero(name):
     assert OBSERVERS[name].init(jnp.eye(3)).t == 0.0
@@ -227,6 +237,8 @@ def test_a_first_measurement_that_is_no_rotation_is_refused(name):
         with pytest.raises(ValueError, match="not an element of the group"):
             OBSERVERS[name].init(wrong)
         assert np.isnan(start(wrong).q).all()
+    with pytest.raises(ValueError, match="not an element of the group"):
+        OBSERVERS[name].init(jnp.eye(3).at[0, 1].set(jnp.nan))
     # A program that calls Python is not kept.
     assert "callback" not in start.lower(jnp.eye(3)).as_text()
 

@@ -16,6 +16,7 @@ from covariant.geometry.lie import SO3
 from covariant.models import GroupSystem, Lagrangian, Motion, Parametric, chart_jacobian, chart_velocity, in_chart
 from covariant.models.marine import euler_rotation
 from covariant.observers import EKF, IntrinsicKalman
+from covariant.signals import Result
 
 LONG = ("SO(3)", "double pendulum")
 
@@ -51,6 +52,25 @@ def test_on_two_coupled_masses_it_is_the_kalman_filter(follow):
     np.testing.assert_allclose(found.x, plain.x, rtol=0, atol=1e-10)
     cov = found.state.root @ np.swapaxes(found.state.root, 1, 2)
     np.testing.assert_allclose(cov, plain.state.cov, rtol=0, atol=1e-10)
+
+
+def test_an_angle_starts_anew_where_it_is_uncertain_by_more_than_its_noise_explains():
+    """A wheel whose velocity is known to 1 rad/s: after 0.4 s its angle is to 0.4 rad, after 0.6 s to 0.6 rad."""
+    wheel = Lagrangian(lambda q: jnp.eye(1), lambda q: jnp.zeros(()), circles=(0,))
+    start = IntrinsicKalman(wheel, 1e-6, 1.0, 1.0).init(jnp.zeros(1))
+
+    @jax.jit
+    def stepped(noise, dt):
+        known = start._replace(root=jnp.diag(jnp.stack([noise, jnp.ones(())])))
+        observer = IntrinsicKalman(wheel, 1e-6, noise**2, 1.0, gate=None, substeps=1)
+        found, info = observer.step(known, jnp.zeros(1), jnp.array([0.1]), dt)
+        return jnp.concatenate([found.q, found.v]), info.result
+
+    for noise, dt, restarts in ((0.01, 0.4, False), (0.01, 0.6, True), (1.0, 0.4, False), (1.0, 0.6, False)):
+        found, result = stepped(jnp.asarray(noise), jnp.asarray(dt))
+        gain = np.array([dt**2 + noise**2, dt]) / (dt**2 + 2 * noise**2)
+        assert result == (Result.RESTARTED if restarts else Result.OK)
+        np.testing.assert_allclose(found, [0.1, 0.0] if restarts else 0.1 * gain, atol=1e-5)
 
 
 # The reset: how an error is seen from the estimate after a correction.
