@@ -207,7 +207,8 @@ def test_modules_import_each_other_in_no_circle():
     graphlib.TopologicalSorter(needs).prepare()  # raises CycleError, which names the circle
 
 
-MOST_LINES = 400
+MOST_LINES, MOST_LINES_OF = 400, {"certificates/_check.py": 280}
+"""Of the check, which has to be believed, less than of others."""
 
 
 def test_no_file_is_too_long_to_be_read_in_one_sitting():
@@ -220,7 +221,7 @@ def test_no_file_is_too_long_to_be_read_in_one_sitting():
         texts = [text for text in texts if isinstance(text.value, ast.Constant) and isinstance(text.value.value, str)]
         return lines - sum(text.end_lineno - text.lineno + 1 for text in texts)
 
-    assert not {place(path) for path in FILES if length(path) > MOST_LINES}
+    assert not {place(path) for path in FILES if length(path) > MOST_LINES_OF.get(place(path), MOST_LINES)}
 
 
 def test_kinds_of_models_are_told_apart_by_what_they_offer():
