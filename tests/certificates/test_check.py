@@ -417,7 +417,3 @@ def test_the_check_shares_with_the_prover_the_observer_alone(module):
         "covariant.models.input_count",
     }
     assert {name for name in own if not name.startswith("covariant.proofs.checker.")} <= allowed
-
-
-def test_the_check_can_be_read_in_one_sitting():
-    assert len(Path(_check.__file__).read_text(encoding="utf-8").splitlines()) <= 280
