@@ -128,6 +128,20 @@ def test_known_numbers_are_looked_up_at_any_place_and_clipped_to_where_they_are(
     assert all(node.op != "table" for node in known.graph.nodes)
 
 
+def test_numbers_of_which_one_is_an_argument_are_no_table():
+    import jax
+    import jax.numpy as jnp
+
+    def entry(x):
+        row = jnp.asarray(GRID[0, :, 0]).at[3].set(x[0])
+        return jax.lax.dynamic_slice(row, (jnp.floor(x[1]).astype(int),), (1,))
+
+    lowered = lower(entry, jnp.zeros(2), loops="long")
+    assert all(node.op != "table" for node in lowered.graph.nodes)
+    points = np.stack([np.linspace(-1, 1, 14), np.arange(-1.0, 13.0)], axis=1)
+    np.testing.assert_array_equal(numbers(lowered, points), jax.vmap(entry)(points))
+
+
 def every_operation(graph, x):
     """Each operation of `FOLD` on the inputs."""
     a, b, c, d = x
