@@ -115,9 +115,9 @@ def test_common_metric_serves_all_jacobians():
     f = np.array([[[-1.0, 4.0], [0.0, -1.0]], [[-1.0, 0.0], [-0.3, -2.0]]])
     design = common_metric(f, 0.5)
     for jacobian in f:
-        change = jacobian.T @ metrics.metric_on_grid + metrics.metric_on_grid @ jacobian + 0.5 * metrics.metric_on_grid
+        change = jacobian.T @ design.metric + design.metric @ jacobian + 0.5 * design.metric
         assert np.linalg.eigvalsh(change)[-1] < 1e-6
-    values = np.linalg.eigvalsh(metrics.metric_on_grid)
+    values = np.linalg.eigvalsh(design.metric)
     assert values[0] > 1 - 1e-6
     np.testing.assert_allclose(values[-1] / values[0], design.conditioning, rtol=1e-4)
     assert design.gain.shape == (2, 0)
@@ -147,12 +147,12 @@ def test_gain_from_vertices_is_proved_on_the_whole_polytope():
     )
     design = contracting_gain(model, [[0.0, 0.0], [math.pi, 0.0]], 2.0)
     observer = Contracting(model, jnp.asarray(design.gain), jnp.zeros(2))
-    error_system = virtual(observer, metrics.metric_on_grid)
+    error_system = virtual(observer, design.metric)
     high = np.array([math.pi, 10.0, 1.0, math.pi, 1.0])
     region = Box(error_system.names, error_system.units, -high, high)
     assert prove(contraction(error_system, 1.99), region).verdict == "holds"
     weak = Contracting(model, jnp.asarray(0.2 * design.gain), jnp.zeros(2))
-    assert falsify(virtual(weak, metrics.metric_on_grid), region, 1.99).verdict == "fails"
+    assert falsify(virtual(weak, design.metric), region, 1.99).verdict == "fails"
 
 
 def test_designs_that_cannot_be_are_refused():

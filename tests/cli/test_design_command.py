@@ -151,7 +151,7 @@ def interrupted(monkeypatch, capsys, blocks: int, *arguments: str) -> str:
         return solve(*given, on_progress=stop, **settings)
 
     with monkeypatch.context() as patch:
-        patch.setattr(design, "metric", metric)
+        patch.setattr(_metric, "metric_on_grid", metric)
         patch.setattr(sys, "argv", ["covariant", "design", "metric", *arguments])
         with pytest.raises(SystemExit) as left:
             main()

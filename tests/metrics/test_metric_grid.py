@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from covariant import calibration, metrics, models
-from covariant.metrics import metric_summary
+from covariant.metrics import _metric_on_grid, metric_summary
 from covariant.signals import Result
 
 MODEL = models.duffing()
@@ -83,9 +83,9 @@ def test_a_summary_covers_the_whole_grid(path, store, monkeypatch):
     inside = store["result"].values != Result.OUT_OF_DOMAIN
     assert found.reconstructibility == store["reconstructibility"].values[inside].min()
     # The same in parts, as it is read where memory does not hold the grid.
-    parts = list(design._metric._regions(metrics.open_grid(path).chunk({"q": 5, "q_dot": 4})))
+    parts = list(_metric_on_grid._regions(metrics.open_grid(path).chunk({"q": 5, "q_dot": 4})))
     assert len(parts) == 9
-    monkeypatch.setattr(design._metric, "_regions", lambda store: parts)
+    monkeypatch.setattr(_metric_on_grid, "_regions", lambda store: parts)
     assert metric_summary(path) == found
 
 
@@ -143,5 +143,5 @@ def test_what_does_not_fit_is_refused(path, tmp_path):
     level = {"level": metrics.Variable((), "1", "a number")}
     metrics.map_grid(lambda x: {"level": x[0]}, wrong, tmp_path / "level.zarr", variables=level, provenance={})
     for load in (metrics.load_metric, metric_summary):
-        with pytest.raises(ValueError, match=r"level\.zarr holds level and no metric of design\.metric"):
+        with pytest.raises(ValueError, match=r"level\.zarr holds level and no metric of metrics\.metric_on_grid"):
             load(tmp_path / "level.zarr")

@@ -304,7 +304,7 @@ def test_boxes_that_take_different_branches_are_shown_apart():
 
 MUTANTS = [
     ("ROUND, TINY = 2.0**-40, 2.0**-990", "ROUND, TINY = 0.0, 0.0"),
-    ("cut = line * curved + bend * (slope + curved)", "cut = 0.0"),
+    ("cut = linear_a * quadratic_b + quadratic_a * (linear_b + quadratic_b)", "cut = 0.0"),
     ("a.radius * (two + b.radius) + one * b.radius", "0.0"),
     ("terms[0][()] = terms[0][()] + part", "pass"),
     ('"inv": lambda x, f: (-(f * f), f * f * f)', '"inv": lambda x, f: (-(f * f), ZERO)'),
@@ -315,7 +315,7 @@ MUTANTS = [
     ("- exact(2 * k + 1) * three", "+ exact(2 * k + 1) * three"),
     ("number(middle, a.away + error)", "number(middle, error)"),
     ("abs(high - low) / 2 + error", "error"),
-    ("* (left * left)", "* (left * left) * HALF"),
+    ("* (deviation * deviation)", "* (deviation * deviation) * HALF"),
     ("0x1.0b4611a626331p-34", "0x0p+0"),
     ("range(22, 0, -1)", "range(9, 0, -1)"),
     ("range(45, 0, -2)", "range(9, 0, -2)"),

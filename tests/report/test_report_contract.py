@@ -1,14 +1,12 @@
 """What a report is of: velocities, positions and velocities, or states, from the arrays of any engine."""
 
-import inspect
 import re
-import textwrap
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from covariant.report import EstimateReport, figure, write_html, write_png, write_report
+from covariant.report import EstimateReport, figure, write_html, write_png
 from covariant.report._panels import quantities
 
 ARRAYS = pytest.mark.parametrize("array", [np.asarray, jnp.asarray], ids=["numpy", "jax"])
@@ -83,11 +81,3 @@ def test_states_have_no_measured_positions_beside_them(make):
         velocities_in_a_chart(make())._replace(estimated="state").check()
     with pytest.raises(ValueError, match="velocity, state; got 'acceleration'"):
         make()._replace(estimated="acceleration").check()
-
-
-@pytest.mark.parametrize("documented", [EstimateReport, figure, write_report], ids=lambda each: each.__name__)
-def test_examples_of_docstrings_run(documented, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    [example] = re.findall(r"```python\n(.*?)```", inspect.getdoc(documented), re.DOTALL)
-    exec(compile(textwrap.dedent(example), documented.__name__, "exec"), {})
-    assert "pendulum" in {path.stem for path in tmp_path.iterdir()}
