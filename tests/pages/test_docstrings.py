@@ -23,6 +23,7 @@ def room_of(path: Path) -> str:
     return path.relative_to(SOURCE).parts[0].removesuffix(".py")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("room", sorted({room_of(path) for path in WITH_EXAMPLES}))
 def test_examples_show_what_they_compute(room, tmp_path):
     names = [name_of(path) for path in WITH_EXAMPLES if room_of(path) == room]
