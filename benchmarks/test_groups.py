@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import pytest
 
 from covariant.models import free_body, underwater_vehicle
-from covariant.observers import EKF, Intrinsic, Salcudean
+from covariant.observers import EKF, Geodesic, Intrinsic, Salcudean
 
 BATCH = 1000
 SYSTEMS = {"SO(3)": free_body(), "SE(3)": underwater_vehicle()}
