@@ -119,14 +119,27 @@ def test_a_file_gives_everything(tmp_path):
         0.0,
         {},
         0.0,
-        None,
+        *[None] * 3,
     )
 
 
 def test_what_a_file_leaves_out_has_a_default(tmp_path):
     file = load(written(tmp_path, 'system = "ball_and_beam"'))
     assert file.columns == Columns("t", ("r", "theta"), ("u1",))
-    assert file[3:] == (None,) * 5 + (math.sqrt(0.5), 0.0, 0.03, 3, 0.0, 0.0, "held", *(None,) * 7, 0.0, {}, 0.0, None)
+    assert file[3:] == (None,) * 5 + (
+        math.sqrt(0.5),
+        0.0,
+        0.03,
+        3,
+        0.0,
+        0.0,
+        "held",
+        *(None,) * 7,
+        0.0,
+        {},
+        0.0,
+        *(None,) * 3,
+    )
     assert load("ball_and_beam")._replace(name="m", model=file.model) == file
 
 
@@ -477,6 +490,8 @@ def test_what_is_estimated_with_the_motion(tmp_path):
         ("measurement.bias=[0.1]", "measurement.bias lists 1 numbers; give 2, or one number without brackets"),
         ("measurement.bias=-0.1", "measurement.bias must be a number ≥ 0; got -0.1"),
         ("measurement.bias_drift=nan", "measurement.bias_drift must be a number ≥ 0; got nan"),
+        ("uncertainty.external_force_time=1", "needs external_force_std and external_force_time together"),
+        ("uncertainty.external_force_std=0.1", "needs external_force_std and external_force_time together"),
         ("uncertainty.parameters=0.3", "uncertainty.parameters must name numbers of [parameters]"),
         ('uncertainty.parameters={"mass[0]"=0}', "uncertainty.parameters.mass[0] must be a positive number; got 0"),
         ('uncertainty.parameters={"mas"=0.1}', "unknown number 'mas'. Did you mean 'mass[1]'?"),

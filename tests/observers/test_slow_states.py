@@ -192,6 +192,93 @@ def wrong_shape(s):
 
 
 ONE = jnp.eye(1)
+# Forces that are forgotten.
+
+
+def spring_with(slow: Slow, substeps: int = 1) -> IntrinsicKalman:
+    spring = mass_on_a_spring(6.0)
+    return IntrinsicKalman(spring, 1e-6, NOISE**2 * jnp.eye(1), 4 * jnp.eye(1), (slow,), gate=None, substeps=substeps)
+
+
+def pushed(std: float, time: float, seed: int, rows: int = 2000) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Positions, velocities and forces of a mass on a spring under a Gauss–Markov force, in fine steps."""
+    rng, fine = np.random.default_rng(seed), 10
+    h = STEP / fine
+    w, fade = np.sqrt(6.0), np.exp(-h / time)
+    # Exact for a force that is constant over a fine step.
+    ahead = np.array([[np.cos(w * h), np.sin(w * h) / w], [-w * np.sin(w * h), np.cos(w * h)]])
+    by_force = np.array([(1 - np.cos(w * h)) / w**2, np.sin(w * h) / w])
+    x, force, rows_of = np.zeros(2), std * rng.normal(), []
+    for _ in range(rows):
+        rows_of.append([*x, force])
+        for _ in range(fine):
+            x = ahead @ x + by_force * force
+            force = fade * force + std * np.sqrt(1 - fade**2) * rng.normal()
+    q, v, force = np.array(rows_of).T
+    return q + NOISE * rng.normal(size=rows), v, force
+
+
+def test_through_a_gap_a_force_fades_and_becomes_as_uncertain_as_at_first():
+    """The closed form of a Gauss–Markov process, whatever the length of the steps."""
+    std, time, gap = 0.5, 0.3, 0.7
+    y, _, _ = pushed(std, time, seed=0, rows=200)
+    observer = spring_with(external_force(std=std, time=time))
+
+    @jax.jit
+    def last(y):
+        def step(state, each):
+            return observer.step(state, jnp.zeros(1), each, STEP)
+
+        return jax.lax.scan(step, observer.init(y[0]), y[1:])[0]
+
+    state = last(jnp.asarray(y[:, None]))
+    assert abs(float(state.slow[0])) > 0.1, "there must be a force to forget"
+    for steps in (1, 7):
+        moved = state
+        for _ in range(steps):
+            moved = observer.predict(moved, jnp.zeros(1), jnp.asarray(gap / steps))
+        np.testing.assert_allclose(moved.slow, np.exp(-gap / time) * state.slow, rtol=1e-12)
+        known, now = (observer.cov(each)[2, 2] for each in (state, moved))
+        np.testing.assert_allclose(now, std**2 + np.exp(-2 * gap / time) * (known - std**2), rtol=1e-9)
+
+
+def test_of_a_very_long_time_it_is_the_random_walk():
+    y, _, _ = pushed(0.5, 0.3, seed=1, rows=300)
+    record = Record(STAMPS[:300], np.zeros((300, 1)), y[:, None])
+    walk = external_force(0.8 * jnp.eye(1))
+    without, with_time = (run(spring_with(slow), record) for slow in (walk, dataclasses.replace(walk, time=1e9)))
+    for a, b in zip(jax.tree.leaves(without), jax.tree.leaves(with_time), strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-6, atol=1e-9)
+
+
+def test_forces_that_fade_are_estimated_consistently_in_and_after_gaps():
+    """Over gaps of a few time constants the random walk keeps what is over, and the velocity runs away with it."""
+    std, time = 0.5, 0.3
+    gaps = np.zeros(2000, bool)
+    for start in range(150, 2000, 200):
+        gaps[start : start + 100] = True
+    errors = {"fades": [], "walks": []}
+    squared = []
+    kinds = {"fades": external_force(std=(std,), time=time), "walks": external_force(2 * std**2 / time * jnp.eye(1))}
+    for seed in range(4):
+        y, v, force = pushed(std, time, seed)
+        record = Record(STEP * np.arange(2000), np.zeros((2000, 1)), np.where(gaps, np.nan, y)[:, None])
+        for name, slow in kinds.items():
+            found = run(spring_with(slow), record)
+            errors[name].append(np.asarray(found.estimate)[gaps, 1] - v[gaps])
+            if name == "fades":
+                squared.append(
+                    ((np.asarray(found.info.slow)[:, 0] - force) / np.asarray(found.info.slow_std)[:, 0]) ** 2
+                )
+                squared.append(
+                    ((np.asarray(found.estimate)[:, 1] - v) / np.asarray(found.info.velocity_std)[:, 0]) ** 2
+                )
+    rms = {name: np.sqrt(np.mean(np.square(each))) for name, each in errors.items()}
+    assert rms["fades"] < 0.8 * rms["walks"], rms
+    assert 0.8 < np.mean(np.array(squared)[:, gaps]) < 1.2
+    assert 0.85 < np.mean(np.array(squared)[:, ~gaps]) < 1.15
+
+
 FAMILY_ARGUMENTS = ("pendulum_chain", ["mass"], ["parameters.mass=[1.0]", "parameters.length=[1.0]"])
 REFUSED = [
     (lambda: sensor_bias((-0.1,)), "sensor_bias: std must be numbers ≥ 0"),
@@ -201,6 +288,11 @@ REFUSED = [
     (lambda: sensor_bias((0.1, 0.1), (0.1, 0.1, 0.1)), "sensor_bias: drift must be one number, or 2"),
     (lambda: external_force(-ONE), "external_force: density must have variances that are zero or more"),
     (lambda: external_force(2.0), r"external_force: density must be a matrix \(n, n\)"),
+    (lambda: external_force(ONE, time=1.0), "give a density, or both std and time"),
+    (lambda: external_force(std=1.0), "give a density, or both std and time"),
+    (lambda: external_force(std=1.0, time=0.0), "time must be a positive, finite number; got 0"),
+    (lambda: external_force(std=-1.0, time=1.0), "external_force: std must be numbers ≥ 0"),
+    (lambda: Slow(("a",), jnp.zeros(1), ONE, ONE, offset=wrong_shape, time=-1.0), "Slow: time must be a positive"),
     (lambda: uncertain_parameters(models.family(*FAMILY_ARGUMENTS), (0.1, 0.2)), "std must be one number, or 1"),
     (lambda: Slow((), jnp.zeros(0), ONE, ONE, offset=wrong_shape), "names must be different names"),
     (lambda: Slow(("a",), jnp.zeros(2), ONE, ONE, offset=wrong_shape), "first must be 1 finite numbers"),

@@ -62,7 +62,7 @@ class ModelFile(NamedTuple):
         quantum: One tick of the encoders [unit of the coordinates], or one for each coordinate, where the model file
             states that and not a standard deviation.
         external_force: Standard deviation of the change in a second of a force that the model does not know [N or N m],
-            for a filter that estimates it.
+            for a filter that estimates it: a random walk, which stays through a gap.
         process_std: Of a `StateSpace`: standard deviation of the white noise in the rate of each state [its unit/√s],
             or one for all.
         initial_state: Of a `StateSpace`: first estimate of each state [its unit], or one for all. By default the middle
@@ -77,6 +77,9 @@ class ModelFile(NamedTuple):
         uncertain: Relative standard deviations of numbers of [parameters], by name, for a filter that estimates them.
         parameters_drift: Standard deviation of their relative change in a second.
         family: The model with these numbers open, in their order.
+        external_force_std: Usual size [N or N m] of a force that the model does not know, or one for each coordinate,
+            for a filter that estimates it and forgets it after `external_force_time` [s].
+        external_force_time: Its time constant [s].
 
     Example:
         >>> from covariant import models
@@ -111,6 +114,8 @@ class ModelFile(NamedTuple):
     uncertain: Mapping[str, float] = MappingProxyType({})
     parameters_drift: float = 0.0
     family: Any = None
+    external_force_std: float | tuple[float, ...] | None = None
+    external_force_time: float | None = None
 
     @property
     def typical_std(self) -> float | None:

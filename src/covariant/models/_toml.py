@@ -26,6 +26,8 @@ NUMBERS = {
     ("initial", "state"): ("initial_state", 1.0),
     ("initial", "std"): ("initial_std", 1.0),
     ("uncertainty", "external_force"): ("external_force", 1.0),
+    ("uncertainty", "external_force_std"): ("external_force_std", 1.0),
+    ("uncertainty", "external_force_time"): ("external_force_time", 1.0),
     ("uncertainty", "parameters_drift"): ("parameters_drift", 1.0),
     ("uncertainty", "motion_acceleration"): ("motion_std", 1.0),
     ("uncertainty", "motion_time"): ("motion_time", 1.0),
@@ -57,13 +59,21 @@ _MAY_BE_ZERO = {("inputs", "lag"), ("inputs", "delay"), ("measurement", "delay")
     ("uncertainty", "parameters_drift"),
 }
 _ANY_SIGN = {("initial", "state")}
+_FORCE_IN_THE_LONG_RUN = {"external_force_std", "external_force_time"}
+"""Keys of a force that returns to zero, which go together."""
 _OF_STATES = {("uncertainty", "process"), ("initial", "state"), ("initial", "std")}
 """Numbers of state-space models, of which there may be one for each state."""
-_MAY_BE_LISTS = {("measurement", key) for key in ("std", "quantum", "delay", "bias", "bias_drift")} | _OF_STATES
-"""Numbers of which there may be one for each coordinate or state."""
-_RIVALS = {"measurement.std": ("quantum",), "measurement.quantum": ("std",)} | {
-    f"columns.{kind}": tuple(other for other in ATTITUDES if other != kind) for kind in ATTITUDES
+_MAY_BE_LISTS = {("measurement", key) for key in ("std", "quantum", "delay", "bias", "bias_drift")} | {
+    ("uncertainty", "external_force_std"),
+    *_OF_STATES,
 }
+"""Numbers of which there may be one for each coordinate or state."""
+_RIVALS = {
+    "measurement.std": ("quantum",),
+    "measurement.quantum": ("std",),
+    "uncertainty.external_force": ("external_force_std", "external_force_time"),
+    "uncertainty.external_force_std": ("external_force",),
+} | {f"columns.{kind}": tuple(other for other in ATTITUDES if other != kind) for kind in ATTITUDES}
 
 
 def parse(text: str) -> dict[str, Any]:
@@ -227,6 +237,12 @@ def numbers(document: dict[str, Any], count: int, states: int) -> dict[str, Any]
     """
     if {"std", "quantum"} <= document.get("measurement", {}).keys():
         raise ValueError("[measurement] has both std and quantum; keep one (std = quantum / sqrt(12))")
+    forces = {"external_force", *_FORCE_IN_THE_LONG_RUN} & document.get("uncertainty", {}).keys()
+    if forces not in (set(), {"external_force"}, _FORCE_IN_THE_LONG_RUN):
+        raise ValueError(
+            "[uncertainty] needs external_force_std and external_force_time together, for a force that is forgotten, "
+            f"or external_force alone, for one that stays; got {', '.join(sorted(forces))}"
+        )
     entries = {(table, key): document[table][key] for table, key in NUMBERS if key in document.get(table, {})}
     fields: dict[str, Any] = {}
     for where, value in entries.items():

@@ -338,12 +338,12 @@ class IntrinsicKalman(AbstractMechanicalFilter):
 
         def propagated_error(error):
             start = Motion(manifold.retract(state.q, error[:n]), state.v + error[n : 2 * n])
-            slow = state.slow + error[2 * n :]
-            end = advance(self._slow.in_model(self.model, slow), state.t, start, u, h, 1)
+            mean, slow = self._slow.advanced(state.slow + error[2 * n :], h)
+            end = advance(self._slow.in_model(self.model, mean), state.t, start, u, h, 1)
             # Zero in value, for the end is compared with itself; its derivative is the displacement in the frame.
-            return jnp.concatenate([manifold.local(jax.lax.stop_gradient(end.q), end.q), end.v, slow]), end
+            return jnp.concatenate([manifold.local(jax.lax.stop_gradient(end.q), end.q), end.v, slow]), (*end, slow)
 
-        slope, (q, v) = jax.jacfwd(propagated_error, has_aux=True)(jnp.zeros(state.root.shape[0], state.v.dtype))
+        slope, (q, v, slow) = jax.jacfwd(propagated_error, has_aux=True)(jnp.zeros(state.root.shape[0], state.v.dtype))
         # From right to left: from the parallel frame to the frame at the start, the flow, and back at the end.
         root = (
             _with_slow(parallel(space, q, v), state)
@@ -353,10 +353,10 @@ class IntrinsicKalman(AbstractMechanicalFilter):
         )
         noise = white_acceleration(covariance_at(self.process_cov, space, q), h)
         if self.slow:
-            noise = diagonal(noise, jnp.sqrt(h) * self._slow.walk_root().astype(noise.dtype))
+            noise = diagonal(noise, self._slow.walk_root(h).astype(noise.dtype))
         readings = state.readings and state.readings._replace(age=state.readings.age + h)
         root = triangular(jnp.concatenate([root, noise], axis=1))
-        return state._replace(q=q, v=v, t=state.t + h, root=root, readings=readings)
+        return state._replace(q=q, v=v, t=state.t + h, slow=slow, root=root, readings=readings)
 
     def _rebased(self, state: KalmanState, error: Array, root: Array) -> tuple[Array, Vector, Array]:
         """Estimate and root after a correction by `error` along its geodesic, which transports the velocity.

@@ -3,9 +3,13 @@
 An unknown force, the offset of an encoder, a payload, a level of friction: each of them enters the equations of motion
 or the measurement, by functions that a filter differentiates as it computes them. So one mechanism serves all.
 
+A state with a time constant τ is a first-order Gauss–Markov (Ornstein–Uhlenbeck) process: `s' = −(s − s₀)/τ + w`. What
+nothing shows any more is forgotten, and its uncertainty goes to what is usual, where a random walk would keep the one
+and lose the other.
+
 Source: Friedland 1969, Treatment of bias in recursive filtering, IEEE TAC 14(4), for states that are constant;
 Pannocchia & Rawlings 2003, Disturbance models for offset-free model-predictive control, AIChE Journal 49(2), for
-integral action.
+integral action; Gelb 1974, Applied Optimal Estimation, section 2.2, for Gauss–Markov processes.
 """
 
 import functools
@@ -22,16 +26,17 @@ from jaxtyping import Array, Float
 
 from covariant._functional import Functional
 from covariant._linalg import semidefinite_root
-from covariant._typing import Matrix, Numbers, Vector
+from covariant._typing import Matrix, Number, Numbers, Scalar, Vector
 from covariant.models import Family, MechanicalSystem, Motion, Parametric, acceleration, input_count, resistance
 from covariant.observers._covariance import check_covariance
+from covariant.observers._protocol import as_gain, check_positive
 from covariant.observers._square_root import diagonal
 
 SlowVector = Float[Array, "k"]
 
 
 class Slow(Functional):
-    """A group of k slow states s, each a constant or a random walk.
+    """A group of k slow states s: constants, random walks, or Gauss–Markov processes.
 
     At least one of `force`, `model` and `offset` is required.
 
@@ -40,15 +45,18 @@ class Slow(Functional):
         first: Values (k,) at the start.
         first_cov: Covariance (k, k) of these values.
         walk_cov: Spectral density (k, k) of the random walk, the variance that is added in a second; 0 for constants.
+            With a `time` τ, `walk_cov τ/2` is the covariance that the states have in the long run.
         force: `(q, v, s) -> (n,)`, a generalised force that acts besides those of the model, a covector in the frame.
         model: `s -> MechanicalSystem`, the model with these states as parameters, which replaces that of the filter.
         offset: `s -> (n,)`, the offset of measured configurations: `y = retract(q, offset)`. In coordinates it is
             added, on a group it is a displacement in the body frame.
         values: `s -> (k,)`, the values that are reported, where they are not s itself.
+        time: Time constant τ [s], after which 1/e is left of the difference to `first`; None (default) for states that
+            do not return.
 
     Raises:
-        ValueError: A matrix is no covariance, a shape does not fit the names, two names are equal, or nothing depends
-            on the states.
+        ValueError: A matrix is no covariance, a time is not positive and finite, a shape does not fit the names, two
+            names are equal, or nothing depends on the states.
 
     Example:
         >>> import numpy as np
@@ -66,8 +74,11 @@ class Slow(Functional):
     model: Callable[[SlowVector], MechanicalSystem] | None = None
     offset: Callable[[SlowVector], Vector] | None = None
     values: Callable[[SlowVector], SlowVector] | None = None
+    time: Scalar | None = eqx.field(default=None, converter=as_gain)
 
     def __check_init__(self):
+        if self.time is not None:
+            check_positive("Slow", time=self.time)
         k = len(self.names)
         if not k or len(set(self.names)) < k:
             raise ValueError(f"Slow: names must be different names, one for each state; got {self.names}")
@@ -127,9 +138,47 @@ class SlowStates(NamedTuple):
         """Square root (k, k) of the covariance at the start; at least one group is needed."""
         return functools.reduce(diagonal, [semidefinite_root(group.first_cov) for group in self.groups])
 
-    def walk_root(self) -> Float[Array, "k k"]:
-        """Square root (k, k) of the spectral density of the random walks; at least one group is needed."""
-        return functools.reduce(diagonal, [semidefinite_root(group.walk_cov) for group in self.groups])
+    def walk_root(self, h: Scalar) -> Float[Array, "k k"]:
+        """Square root of the covariance that is added in a step; at least one group is needed.
+
+        Args:
+            h: Length of the step [s].
+
+        Returns:
+            The square root (k, k): of `walk_cov h`, or of `walk_cov τ/2 (1 − exp(−2h/τ))` with a time constant.
+        """
+
+        def spread(group: Slow) -> Array:
+            # The exact integral over the step, by expm1, since for a large τ it is a difference of equal numbers.
+            added = h if group.time is None else -group.time / 2 * jnp.expm1(-2 * h / group.time)
+            return jnp.sqrt(added) * semidefinite_root(group.walk_cov).astype(h.dtype)
+
+        return functools.reduce(diagonal, [spread(group) for group in self.groups])
+
+    def advanced(self, s: SlowVector, h: Scalar) -> tuple[SlowVector, SlowVector]:
+        """The expected states in the mean over a step, and at its end.
+
+        Those with a time constant τ return towards their first values, by the factor `exp(−h/τ)`, and by
+        `τ/h (1 − exp(−h/τ))` in the mean; the others stay.
+
+        Args:
+            s: States of all groups (k,), one group after the other.
+            h: Length of the step [s].
+
+        Returns:
+            The mean (k,), which acts over the step, and the states (k,) at its end.
+        """
+        means, ends = [s[:0]], [s[:0]]
+        for group, part in zip(self.groups, self.parts(s), strict=True):
+            if group.time is None:
+                means, ends = [*means, part], [*ends, part]
+                continue
+            first, steps = group.first.astype(part.dtype), (h / group.time).astype(part.dtype)
+            safe = jnp.where(steps > 0, steps, 1.0)  # no step has no mean
+            mean = jnp.where(steps > 0, -jnp.expm1(-safe) / safe, 1.0)
+            means = [*means, first + mean * (part - first)]
+            ends = [*ends, first + jnp.exp(-steps) * (part - first)]
+        return jnp.concatenate(means), jnp.concatenate(ends)
 
     def parts(self, s: SlowVector) -> list[Array]:
         """Split of the states into those of each group.
@@ -216,29 +265,51 @@ class SlowStates(NamedTuple):
             _check_shapes(whose, self, model)
 
 
-def external_force(density: Numbers, name: str = "external_force") -> Slow:
-    """A generalised force that the model does not contain, such as a disturbance: a random walk from zero.
+def external_force(
+    density: Numbers | None = None,
+    name: str = "external_force",
+    *,
+    std: Numbers | None = None,
+    time: Number | None = None,
+) -> Slow:
+    """A generalised force that the model does not contain, such as a push, a disturbance, or friction that is wrong.
+
+    With `std` and `time` it is a Gauss–Markov process, which pushes that end and errors of friction resemble: through a
+    gap in the log the estimate returns to zero. With a `density` it is a random walk from zero, which suits a load that
+    stays; through a gap its estimate stays, and its uncertainty grows without a bound.
 
     Args:
         density: Spectral density (n, n) of the walk [N²/s or (N m)²/s]. At the start the covariance of the force is
             that of the walk after one second.
         name: Name of the states, followed by the number of the component; "external_force" by default.
+        std: Usual size (n,) of each component, its standard deviation in the long run and at the start [N or N m].
+        time: Time constant τ [s] after which a force is forgotten.
 
     Returns:
         A group of n states, the components of the force in the frame [N or N m].
 
     Raises:
-        ValueError: The density is no covariance matrix.
+        ValueError: The density is no covariance matrix, a number is not positive, or it is neither a density alone nor
+            `std` and `time` together.
 
     Example:
         >>> import numpy as np
         >>> from covariant import observers
         >>> observers.external_force(0.1 * np.eye(2), name="wind").names
         ('wind1', 'wind2')
+        >>> push = observers.external_force(std=[0.5, 0.2], time=0.3)
+        >>> push.names, float(push.time)
+        (('external_force1', 'external_force2'), 0.3)
     """
-    cov = _square("external_force", "density", density)
-    n = cov.shape[0]
-    return Slow(_numbered(name, n), jnp.zeros(n), cov, cov, force=_itself)
+    if density is not None and std is None and time is None:
+        cov = _square("external_force", "density", density)
+        return Slow(_numbered(name, len(cov)), jnp.zeros(len(cov)), cov, cov, force=_itself)
+    if density is not None or std is None or time is None:
+        raise ValueError("external_force: give a density, or both std and time")
+    check_positive("external_force", time=time)
+    cov = jnp.diag(jnp.asarray(_deviations("external_force", "std", std) ** 2))
+    n, walk = len(cov), 2 / time * cov
+    return Slow(_numbered(name, n), jnp.zeros(n), cov, walk, force=_itself, time=time)
 
 
 def sensor_bias(std: Numbers, drift: Numbers = 0.0, name: str = "bias") -> Slow:

@@ -379,7 +379,7 @@ def _choose(
     asked = [
         what
         for what, stated in (
-            ("the external force of [uncertainty]", sheet.external_force),
+            ("the external force of [uncertainty]", sheet.external_force or loaded.file.external_force_std),
             ("the bias of [measurement]", loaded.file.bias),
             ("the parameters of [uncertainty]", loaded.file.family),
         )

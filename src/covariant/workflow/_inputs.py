@@ -11,7 +11,15 @@ import numpy as np
 from covariant import logs, models, scoring
 from covariant.calibration import DataSheet, misfit, outliers, suggest_noise, usual_speeds
 from covariant.models import Overrides
-from covariant.observers import REGISTRY, AbstractObserver, Delayed, Slow, sensor_bias, uncertain_parameters
+from covariant.observers import (
+    REGISTRY,
+    AbstractObserver,
+    Delayed,
+    Slow,
+    external_force,
+    sensor_bias,
+    uncertain_parameters,
+)
 from covariant.signals import Record, acting_inputs, lag_inputs
 from covariant.workflow._arguments import ColumnNames as ColumnNames
 from covariant.workflow._outputs import check_output as check_output
@@ -376,13 +384,16 @@ def _remedy(file: models.ModelFile, missing: Sequence[str], record: Record | Non
 
 
 def _slow(file: models.ModelFile) -> tuple[Slow, ...]:
-    """What the model file has estimated along with the motion, beside an external force."""
+    """What the model file has estimated along with the motion, beside a random walk of an external force."""
     components = ()
     if file.family is not None:
         stds = [
             file.uncertain[next(key for key in file.uncertain if _stands_for(key, name))] for name in file.family.names
         ]
         components += (uncertain_parameters(file.family, stds, file.parameters_drift),)
+    if file.external_force_std is not None:
+        std = np.broadcast_to(file.external_force_std, file.dimension)
+        components += (external_force(std=std, time=file.external_force_time),)
     if file.bias is not None:
         components += (sensor_bias(np.broadcast_to(file.bias, file.dimension), file.bias_drift),)
     return components

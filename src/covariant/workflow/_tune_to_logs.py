@@ -150,6 +150,9 @@ def _content(job: Job, tables: dict[str, dict[str, Any]]) -> dict[str, Any]:
         content.setdefault(table, {}).update(numbers)
     if "external_force" not in tables["uncertainty"]:
         content["uncertainty"].pop("external_force", None)
+    else:  # a force that is forgotten, and one that stays, exclude each other
+        for key in ("external_force_std", "external_force_time"):
+            content["uncertainty"].pop(key, None)
     if "measurement" in tables:
         content["measurement"].pop("quantum", None)
     return content
