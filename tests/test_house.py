@@ -13,6 +13,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import get_origin
 
+from style import docstrings
+
 ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src" / "covariant"
 
@@ -215,11 +217,7 @@ def test_no_file_is_too_long_to_be_read_in_one_sitting():
     """Docstrings, which are read one at a time, do not count."""
 
     def length(path: Path) -> int:
-        lines = len(path.read_text(encoding="utf-8").split("\n"))
-        bodies = [body for node in ast.walk(tree(path)) if isinstance(body := getattr(node, "body", None), list)]
-        texts = [child for body in bodies for child in body if isinstance(child, ast.Expr)]
-        texts = [text for text in texts if isinstance(text.value, ast.Constant) and isinstance(text.value.value, str)]
-        return lines - sum(text.end_lineno - text.lineno + 1 for text in texts)
+        return path.read_text(encoding="utf-8").count("\n") - sum(lines for _, lines in docstrings(tree(path)))
 
     assert not {place(path) for path in FILES if length(path) > MOST_LINES_OF.get(place(path), MOST_LINES)}
 
