@@ -47,6 +47,12 @@ def test_the_new_file_is_saved_once(tuned, tmp_path):
     assert tuned.save(path, overwrite=True).read_text() == written
 
 
+def test_a_force_that_is_forgotten_is_not_written_beside_numbers_found_without_it(log):
+    fading = {"uncertainty.external_force_std": 0.3, "uncertainty.external_force_time": 0.5}
+    with pytest.raises(ValueError, match=r"is not tuned; take external_force_std and external_force_time out"):
+        tune("oscillator", log, overrides=NOISE | fading)
+
+
 @pytest.mark.parametrize("engine", ["c", "jax"])
 def test_a_page_is_drawn_after_either_engine(log, tmp_path, engine):
     result = tune("oscillator", log, overrides=NOISE, engine=engine)

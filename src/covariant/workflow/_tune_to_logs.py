@@ -60,11 +60,17 @@ def tune_to_logs(jobs: list[Job], engine: EngineName, progress: Progress) -> Tun
 
     Raises:
         MisfitError: Where the model explains nothing of the motion in a log.
-        ValueError: For a model or a log that cannot be used.
+        ValueError: For a model or a log that cannot be used, and for an external force with a time constant.
     """
     progress("reading", 0.0)
     loaded = [aligned(job).loaded for job in jobs]
     file = loaded[0].file
+    if file.external_force_std is not None:
+        # Neither row of the table would have it, and the file that is written would.
+        raise ValueError(
+            f"{file.name}: a force that is forgotten is not tuned; take external_force_std and external_force_time "
+            "out, or have a force that stays tuned: --set uncertainty.external_force=0.1"
+        )
     before = None
     if file.typical_std is not None and file.acceleration_std is not None:
         before = data_sheet(file)
@@ -150,9 +156,6 @@ def _content(job: Job, tables: dict[str, dict[str, Any]]) -> dict[str, Any]:
         content.setdefault(table, {}).update(numbers)
     if "external_force" not in tables["uncertainty"]:
         content["uncertainty"].pop("external_force", None)
-    else:  # a force that is forgotten, and one that stays, exclude each other
-        for key in ("external_force_std", "external_force_time"):
-            content["uncertainty"].pop(key, None)
     if "measurement" in tables:
         content["measurement"].pop("quantum", None)
     return content
