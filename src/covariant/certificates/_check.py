@@ -203,7 +203,9 @@ def sizes(document: Document) -> np.ndarray:
         Sizes (2n,): those of the measured position, then those of the force.
     """
     given = document.given
-    return np.concatenate([given.noise, (given.disturbance + given.slopes @ given.noise) * (1 + ROUND)])
+    # The slopes that are shown may exceed the stated ones by the slack.
+    steepest = given.slopes * (1 + SLACK)
+    return np.concatenate([given.noise, (given.disturbance + steepest @ given.noise) * (1 + ROUND)])
 
 
 def _jobs(document: Document) -> Iterator[tuple]:

@@ -426,10 +426,12 @@ def damped_newton(space: Curved, p: Configuration, target: Target, start: Vector
         Velocity (n,) at p, the best one where the method does not converge.
     """
 
-    def unfinished(s: _Search):
+    def far(s: _Search):
         # Convergence is quadratic: below this the last correction leaves only rounding errors.
-        large_step = space.norm(p, s.correction) > epsilon(start) ** 0.5 * space.norm(p, s.velocity)
-        return (s.tries == 0) | (large_step & (s.tries < NEWTON_LIMIT) & (s.damping > 1e-6))
+        return space.norm(p, s.correction) > epsilon(start) ** 0.5 * space.norm(p, s.velocity)
+
+    def unfinished(s: _Search):
+        return (s.tries == 0) | (far(s) & (s.tries < NEWTON_LIMIT) & (s.damping > 1e-6))
 
     def improve(s: _Search):
         candidate = s.velocity + s.damping * s.correction
@@ -445,7 +447,7 @@ def damped_newton(space: Curved, p: Configuration, target: Target, start: Vector
     one = jnp.ones((), start.dtype)
     first = _Search(start, jnp.zeros_like(start), one * jnp.inf, one, jnp.zeros((), jnp.int32))
     last = jax.lax.while_loop(unfinished, improve, first)
-    return last.velocity + jnp.where(unfinished(last), 0.0, 1.0) * last.correction
+    return last.velocity + jnp.where(far(last), 0.0, last.correction)
 
 
 def find_geodesic(space: Curved, p: Configuration, target: Target, start: Vector, budget: Budget) -> Vector:

@@ -8,6 +8,7 @@ from ._delayed import Delayed as Delayed, DelayedState as DelayedState
 from ._ekf import EKF as EKF, EKFInfo as EKFInfo, EKFState as EKFState
 from ._filtered_derivative import FilteredDerivative as FilteredDerivative, FilteredState as FilteredState
 from ._gate import Gate as Gate
+from ._gate_memory import GateMemory as GateMemory, Judged as Judged, Sample as Sample, Velocity as Velocity
 from ._gated import Gated as Gated, GatedState as GatedState
 from ._geodesic import Geodesic as Geodesic, GeodesicInfo as GeodesicInfo, GeodesicState as GeodesicState
 from ._high_gain import HighGain as HighGain

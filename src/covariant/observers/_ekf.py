@@ -13,12 +13,13 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Inexact, Int
+from jaxtyping import Array, Bool, Float, Inexact
 
 from covariant._linalg import solve
 from covariant._typing import Code, Matrix, Number, Scalar, Vector
 from covariant.models import MechanicalSystem
-from covariant.observers._gate import Gate, open_gate
+from covariant.observers._gate import Gate
+from covariant.observers._gate_memory import GateMemory, Velocity
 from covariant.observers._gated_filter import AbstractMechanicalFilter, Expectation
 from covariant.observers._protocol import LastInput, as_gain, at_rest, check_finite
 from covariant.observers._sampled import predict
@@ -33,8 +34,7 @@ class EKFState(NamedTuple):
         v: Estimated velocity v̂ (n,) in the frame of the space.
         t: Time [s] of the estimate.
         cov: Covariance (2n, 2n) of the error `(local(q̂, q), v − v̂)`.
-        refused: Number of samples in a row that the gate refused (n,); see `Gate.judge`.
-        scale: Averaged ratio of actual to expected squared innovations (n,); see `Gate.judge`.
+        gate: Memory of the gate.
         last_input: Last finite input (m,), which replaces an input that is not finite; None where none is stored.
 
     Example:
@@ -49,8 +49,7 @@ class EKFState(NamedTuple):
     v: Vector
     t: Scalar
     cov: Float[Array, "two_n two_n"]
-    refused: Int[Array, "n"]
-    scale: Vector
+    gate: GateMemory
     last_input: LastInput = None
 
 
@@ -123,7 +122,7 @@ class EKF(AbstractMechanicalFilter):
 
     def init(self, y: Array, t: Number = 0.0) -> EKFState:
         q, v, t, last_input, _ = at_rest(self.model, y, t)
-        return EKFState(q, v, t, self._first_cov(v), *open_gate(v), last_input)
+        return EKFState(q, v, t, self._first_cov(self._usual(v)), GateMemory.at_start(v), last_input)
 
     def predict(self, state: EKFState, u: Float[Array, "m"], dt: Scalar) -> EKFState:
         """Integrate the model and the covariance over one step.
@@ -149,12 +148,20 @@ class EKF(AbstractMechanicalFilter):
         # Covariance of the double and the single integral of white noise over dt: dt³/3, dt²/2, dt.
         q_part, cross, v_part = (self.process_cov * dt**k / c for k, c in ((3, 3), (2, 2), (1, 1)))
         noise = jnp.block([[q_part, cross], [cross, v_part]])
-        return state._replace(q=q, v=v, t=state.t + dt, cov=transition @ state.cov @ transition.T + noise)
+        cov = transition @ state.cov @ transition.T + noise
+        return state._replace(q=q, v=v, t=state.t + dt, cov=cov, gate=state.gate.advanced(dt))
 
     def _expected(self, state: EKFState, u: Float[Array, "m"], y: Array) -> Expectation:
         n, manifold = state.v.shape[0], self.model.manifold
         cov = state.cov[:n, :n] + self.measurement_cov
-        return Expectation(y, manifold.towards(state.q, y), cov, ~manifold.missing(y))
+        return Expectation(y, manifold.towards(state.q, y), cov, self.measurement_cov, ~manifold.missing(y))
+
+    def _velocity(self, state: EKFState) -> Velocity:
+        n = state.v.shape[0]
+        return Velocity(state.v, state.cov[n:, n:])
+
+    def _usual_velocity(self, state: EKFState) -> Matrix:
+        return self._usual(state.v)
 
     def _used(self, state: EKFState, y: Array, expected: Expectation, used: Bool[Array, "n"]) -> EKFState:
         n = state.v.shape[0]
@@ -171,16 +178,20 @@ class EKF(AbstractMechanicalFilter):
         q, v = self.model.manifold.retract(state.q, error[:n]), state.v + error[n:]
         return state._replace(q=q, v=v, cov=(cov + cov.T) / 2)  # rounding leaves it slightly unsymmetric
 
-    def _started_anew(self, state: EKFState, corrected: EKFState, y: Array, expected: Expectation) -> EKFState:
-        q = self.model.manifold.measured(state.q, y)
-        return corrected._replace(q=q, v=state.v, cov=self._first_cov(state.v))
+    def _started_anew(
+        self, state: EKFState, corrected: EKFState, y: Array, expected: Expectation, velocity: Velocity
+    ) -> EKFState:
+        q = self.model.manifold.measured(state.q, expected.y)
+        return corrected._replace(q=q, v=velocity.mean, cov=self._first_cov(velocity.cov))
 
     def _info(self, state: EKFState, new: EKFState, expected: Expectation, result: Code) -> EKFInfo:
         std = jnp.sqrt(jnp.diag(new.cov)[state.v.shape[0] :])
         return ekf_info(self.model, state.q, expected, std, result)
 
-    def _first_cov(self, v: Vector) -> Float[Array, "two_n two_n"]:
-        velocity_cov = jnp.eye(v.shape[0], dtype=v.dtype) * self.initial_velocity_std**2
+    def _usual(self, v: Vector) -> Matrix:
+        return jnp.eye(v.shape[0], dtype=v.dtype) * self.initial_velocity_std**2
+
+    def _first_cov(self, velocity_cov: Matrix) -> Float[Array, "two_n two_n"]:
         zero = jnp.zeros_like(velocity_cov)
         return jnp.block([[self.measurement_cov, zero], [zero, velocity_cov]])
 
@@ -198,6 +209,6 @@ def ekf_info(model: MechanicalSystem, q: Array, expected: Expectation, std: Vect
     Returns:
         The `EKFInfo`, with the normalised innovation squared of the measured components.
     """
-    _, innovation, cov, present, *_ = expected
+    _, innovation, cov, _, present, *_ = expected
     nis = normalised_square(cov, innovation, present)
     return EKFInfo(innovation, model.space.norm(q, innovation), cov, nis, std, result)

@@ -1,51 +1,35 @@
 """The gate: decides which measurements an estimator uses, by how far they are from the predicted ones.
 
-Source: Bar-Shalom, Li & Kirubarajan 2001, Estimation with Applications to Tracking and Navigation, section 5.4.
+An outlier is alone; what moves has neighbours that agree. A reading is refused where neither the estimate nor the last
+reading that was used explains it. Refused readings that lie on a line, which starts where the last used reading was and
+whose slope is a credible velocity, show an impact, or an estimate whose velocity is off: at the third of them the
+estimate starts anew, with their position and their velocity. Readings that agree otherwise, as after a slip, have to
+stay for `patience` samples.
+
+Source: Bar-Shalom, Li & Kirubarajan 2001, Estimation with Applications to Tracking and Navigation, section 5.4 for the
+gate.
 """
 
 import math
-from typing import NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Int
+from jaxtyping import Array, Bool, Float
 
-from covariant._linalg import solve
-from covariant._typing import Code, Flag, Matrix, Vector
+from covariant._linalg import half_solve
+from covariant._typing import Flag, Matrix, Vector
 from covariant.geometry import AbstractManifold
-from covariant.signals import Result
+from covariant.observers._gate_memory import BEND, GateMemory, Judged, Line, Sample, Velocity
 
 BELIEVED = 4.0
 """Cap on a squared innovation in the average, as a multiple of the average, so that an outlier changes it little."""
-
-
-class Judged(NamedTuple):
-    """Verdict of a gate on a measurement of n components.
-
-    Attributes:
-        far: Which components (n,) are refused.
-        restart: Whether so many samples were refused in a row that the estimate has to start anew from this
-            measurement.
-        refused: Number (n,) of samples refused in a row, this one included.
-        scale: Average (n,) of the ratio of actual to expected squared innovations.
-    """
-
-    far: Bool[Array, "n"]
-    restart: Flag
-    refused: Int[Array, "n"]
-    scale: Vector
-
-    def result(self, otherwise: Code) -> Code:
-        """Result code of the step.
-
-        Args:
-            otherwise: Code of the step without the gate.
-
-        Returns:
-            `RESTARTED`, `OUTLIER` or `OK` by what the gate did, or `otherwise` where that is worse.
-        """
-        code = jnp.where(self.restart, int(Result.RESTARTED), jnp.where(jnp.any(self.far), int(Result.OUTLIER), 0))
-        return jnp.maximum(code, otherwise)
+CREDIBLE = 4.0
+"""Largest credible velocity, as a multiple of the usual one."""
+AGREEING = 3.0
+"""Standard deviations of the noise within which readings are on a line."""
+MOVING = 4.0
+"""Least distance of neighbours on a line, in standard deviations of the noise, at which it shows a velocity."""
 
 
 class Gate(eqx.Module):
@@ -55,7 +39,7 @@ class Gate(eqx.Module):
         deviations: Threshold in standard deviations, 8 by default: a single number that is off by more is refused.
             Several numbers measured together, such as an attitude, are refused when they are as improbable as that.
         patience: Number of samples refused in a row after which the next one is accepted, and the estimate starts anew
-            from it; 10 by default.
+            from it; 10 by default. Readings that show a velocity do not wait for it.
         memory: Number of samples over which the ratio of actual to expected squared innovations is averaged, 50 by
             default; the average widens the gate where the assumed noise is too small.
 
@@ -66,11 +50,10 @@ class Gate(eqx.Module):
         >>> import jax.numpy as jnp
         >>> from covariant import models, observers
         >>> gate, manifold = observers.Gate(deviations=5.0), models.ball_and_beam().manifold
-        >>> innovation, cov = jnp.array([4.0, 6.0]), jnp.eye(2)
-        >>> verdict = gate.judge(
-        ...     manifold, innovation, cov, jnp.ones(2, bool), refused=jnp.zeros(2, jnp.int32), scale=jnp.ones(2)
-        ... )
-        >>> verdict.far.tolist(), verdict.refused.tolist()
+        >>> sample = observers.Sample(jnp.array([4.0, 6.0]), jnp.eye(2), jnp.eye(2), jnp.ones(2, bool))
+        >>> rest = observers.Velocity(jnp.zeros(2), jnp.eye(2))
+        >>> verdict = gate.judge(manifold, sample, observers.GateMemory.at_start(jnp.zeros(2)), rest)
+        >>> verdict.far.tolist(), verdict.memory.refused.tolist()
         ([False, True], [0, 1])
     """
 
@@ -89,11 +72,10 @@ class Gate(eqx.Module):
     def judge(
         self,
         manifold: AbstractManifold,
-        innovation: Vector,
-        spread: Matrix,
-        present: Bool[Array, "n"],
-        refused: Int[Array, "n"],
-        scale: Vector,
+        sample: Sample,
+        memory: GateMemory,
+        predicted: Velocity,
+        usual: Matrix | None = None,
         least: Vector | float = 1.0,
     ) -> Judged:
         """Judge the measured components of an innovation by its covariance.
@@ -102,34 +84,46 @@ class Gate(eqx.Module):
 
         Args:
             manifold: Manifold of the measured configurations, which says which components are measured together.
-            innovation: Measured minus expected configuration (n,), in the frame.
-            spread: Covariance (n, n) of the innovation.
-            present: Which components (n,) are measured.
-            refused: Field `refused` (n,) of the verdict on the previous sample; 0 at the start.
-            scale: Field `scale` (n,) of the verdict on the previous sample; 1 at the start.
+            sample: The innovation, at the end of the prediction over which `memory` was advanced.
+            memory: Field `memory` of the verdict on the previous sample, advanced; `GateMemory.at_start` at the start.
+            predicted: Velocity of the estimate.
+            usual: Covariance (n, n) of the velocities of the system, with zero mean; None (default) where the state
+                holds no velocity, so that readings cannot correct it.
             least: Lower bound of the scale by which the gate is widened, a number or (n,); 1 by default.
 
         Returns:
             The verdict.
         """
-        far, new_scale = jnp.zeros_like(present), scale
-        widening = jnp.maximum(scale, least)
-        for together in manifold.measured_together(innovation.shape[0]):
-            block = jnp.asarray(together)
-            r = innovation[block]
-            # The squared length of n standard Gaussian numbers is n on average, so this is 1.
-            square = r @ solve(spread[jnp.ix_(block, block)], r) / len(together)
+        line, present, widening = memory.line(sample.innovation), sample.present, jnp.maximum(memory.scale, least)
+        far, straight, joined = (jnp.zeros_like(present),) * 3
+        scale = memory.scale
+        for together in manifold.measured_together(present.shape[0]):
+            block, n = jnp.asarray(together), len(together)
             # A block is judged as a whole, so it needs all of its components.
             measured = jnp.all(present[block])
-            far = far.at[block].set(
-                measured & (square > self._limit(len(together)) / len(together) * widening[block[0]])
-            )
-            change = (jnp.minimum(square, BELIEVED * widening[block]) - scale[block]) / self.memory
-            new_scale = new_scale.at[block].add(jnp.where(measured, change, 0.0))
-        # A new start needs a complete configuration.
-        restart = jnp.any(far & (refused >= self.patience)) & jnp.all(present)
-        count = jnp.where(far, refused + 1, jnp.where(present, 0, refused))
-        return Judged(far, restart, jnp.where(restart, 0, count), new_scale)
+            # An estimate that is off does not make an outlier of a reading that continues the last used one.
+            either = jnp.stack([sample.innovation[block], line.change[block]], axis=1)
+            square = jnp.min(_mean_squares(sample.cov[jnp.ix_(block, block)], either))
+            far = far.at[block].set(measured & (square > self._limit(n) / n * widening[block[0]]))
+            noise = sample.noise[jnp.ix_(block, block)] * memory.scale[block[0]]
+            shape = _shape(jax.tree.map(lambda a, block=block: a[block], line), noise)
+            straight, joined = straight.at[block].set(shape[0]), joined.at[block].set(shape[1])
+            change = (jnp.minimum(square, BELIEVED * memory.scale[block]) - memory.scale[block]) / self.memory
+            scale = scale.at[block].add(jnp.where(measured, change, 0.0))
+        complete = jnp.all(present)  # a new start needs a complete configuration
+        patient = jnp.any(far & (memory.refused >= self.patience)) & complete
+        straight = straight & far & (memory.refused >= 1)
+        # All readings since the velocity changed are on the line: later in a burst, three in a row are so by chance.
+        moved = straight & joined & (memory.refused <= 2) & complete & _credible(manifold, line, predicted, usual)
+        restart = patient | jnp.any(moved)
+        judged = memory.judged(line, present, far, scale)
+        judged = jax.tree.map(lambda a, b: jnp.where(restart, a, b), judged.restarted(), judged)
+        velocity = predicted
+        if usual is not None:
+            mean = predicted.mean + jnp.where(straight, line.slope, 0.0)
+            cov = jnp.where(patient, usual, predicted.cov)
+            velocity = Velocity(mean, _with_block(cov, line.slope_cov(sample.noise, memory.scale), moved))
+        return Judged(far, moved, restart, velocity, judged)
 
     def _limit(self, n: int) -> float:
         """The squared length that n standard Gaussian numbers exceed as rarely as a single one exceeds `deviations`."""
@@ -151,41 +145,83 @@ def _exceedance(n: int, square: float) -> float:
     return total
 
 
+def _mean_squares(cov: Matrix, vectors: Float[Array, "n k"]) -> Float[Array, "k"]:
+    """Squared lengths of k vectors by a covariance (n, n), divided by n: 1 on average where it is theirs."""
+    return jnp.sum(half_solve(cov, vectors) ** 2, axis=0) / len(vectors)
+
+
+def _shape(line: Line, noise: Matrix) -> tuple[Flag, Flag]:
+    """Whether the last three readings of a block are on a line that moves, and whether it starts at the last used one.
+
+    Args:
+        line: The line of the block.
+        noise: Covariance of the noise of a reading of the block.
+
+    Returns:
+        Whether three readings are on a line whose neighbours are apart; whether that line passes the last used reading
+        between the time of that reading and now.
+    """
+    step, length = line.step[0], line.length[0]
+    columns = half_solve(noise, jnp.stack([line.slope, line.bend, line.change], axis=1)) / len(noise) ** 0.5
+    slope, bend, change = columns.T
+    speed = jnp.sqrt(slope @ slope)
+    # The bend is a second difference, of the variance 1 + 4 + 1.
+    straight = (speed * step >= MOVING) & (jnp.sqrt(bend @ bend) <= AGREEING * 6**0.5 + BEND * speed * step)
+    # q is continuous: the velocity changed at some time between the last used reading and the reading before this one.
+    since = jnp.clip(slope @ change / jnp.maximum(slope @ slope, jnp.finfo(slope.dtype).tiny), step, length)
+    apart = change - since * slope
+    joined = jnp.sqrt(apart @ apart) <= AGREEING * (1 + since / step) + BEND * since * speed
+    return straight, joined
+
+
+def _credible(manifold: AbstractManifold, line: Line, predicted: Velocity, usual: Matrix | None) -> Bool[Array, "n"]:
+    """Which components (n,) are measured together with a credible velocity; none where no velocity is usual.
+
+    Two readings are weak evidence of a line, and show only a velocity as after an impact: no faster than before, or
+    than usual. Three may show any that is credible.
+    """
+    credible = jnp.zeros(line.slope.shape, bool)
+    if usual is None:
+        return credible
+    for together in manifold.measured_together(len(usual)):
+        block = jnp.asarray(together)
+        before = predicted.mean[block]
+        both = jnp.stack([before + line.slope[block], before], axis=1)
+        after, before = _mean_squares(usual[jnp.ix_(block, block)], both)
+        bound = jnp.where(line.refused[block] > 1, CREDIBLE**2, jnp.maximum(before, 1.0))
+        credible = credible.at[block].set(after <= bound)
+    return credible
+
+
+def _with_block(cov: Matrix, block: Matrix, places: Bool[Array, "n"]) -> Matrix:
+    """A covariance with a block replaced by that of another one, uncorrelated with the rest."""
+    inside, outside = places[:, None] & places[None], ~places[:, None] & ~places[None]
+    return jnp.where(inside, block, jnp.where(outside, cov, 0.0))
+
+
 def judged(
     gate: Gate | None,
     manifold: AbstractManifold,
-    innovation: Vector,
-    spread: Matrix,
-    present: Bool[Array, "n"],
-    refused: Int[Array, "n"],
-    scale: Vector,
+    sample: Sample,
+    memory: GateMemory,
+    predicted: Velocity,
+    usual: Matrix | None,
 ) -> Judged:
     """Verdict of a gate, or of no gate, which refuses nothing.
 
     Args:
         gate: The gate, or None.
         manifold: Manifold of the measured configurations.
-        innovation: Measured minus expected configuration (n,).
-        spread: Covariance (n, n) of the innovation.
-        present: Which components (n,) are measured.
-        refused: Field `refused` (n,) of the previous verdict.
-        scale: Field `scale` (n,) of the previous verdict.
+        sample: The innovation.
+        memory: Field `memory` of the verdict on the previous sample, advanced.
+        predicted: Velocity of the estimate.
+        usual: Covariance (n, n) of the velocities of the system, or None; see `Gate.judge`.
 
     Returns:
-        The verdict of `Gate.judge`; without a gate, one that refuses nothing and changes neither `refused` nor `scale`.
+        The verdict of `Gate.judge`; without a gate, one that refuses nothing and leaves the memory as it is.
     """
     if gate is None:
-        return Judged(jnp.zeros_like(present), jnp.zeros((), bool), refused, scale)
-    return gate.judge(manifold, innovation, spread, present, refused, scale)
-
-
-def open_gate(v: Vector) -> tuple[Int[Array, "n"], Vector]:
-    """What a gate remembers at the start.
-
-    Args:
-        v: A vector of n velocities, of which only shape and precision count.
-
-    Returns:
-        `refused` (n,), zeros, and `scale` (n,), ones.
-    """
-    return jnp.zeros(v.shape, jnp.int32), jnp.ones_like(v)
+        nothing = jnp.zeros_like(sample.present)
+        velocity = predicted if usual is None else predicted._replace(cov=usual)
+        return Judged(nothing, nothing, jnp.zeros((), bool), velocity, memory)
+    return gate.judge(manifold, sample, memory, predicted, usual)

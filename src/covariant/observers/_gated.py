@@ -12,8 +12,10 @@ explains it, `d² > 2(ks)² + (cS dt)²`, with k the deviations of the gate, S t
 4 at the start and 2 once smaller ones have been seen. An outlier that passes is no more than a velocity of cS over one
 step.
 
-Where measurements agree with each other and not with the estimate, as after an observer has lost a spinning body, d
-stays large: once its square is more than that of a velocity error of 2S on average, the estimate is `ASTRAY`.
+Readings that are refused one after the other and show a credible velocity, of less than cS with c = 4, give the state
+that velocity at the third of them; see `Gate`. Where measurements agree with each other and not with the estimate, as
+after an observer has lost a spinning body, d stays large: once its square is more than that of a velocity error of 2S
+on average, the estimate is `ASTRAY`.
 
 Source: Bar-Shalom, Li & Kirubarajan 2001, Estimation with Applications to Tracking and Navigation, section 5.4.
 """
@@ -23,11 +25,12 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float
 
-from covariant._typing import Number, Scalar, Vector
+from covariant._typing import Matrix, Number, Scalar, Vector
 from covariant.models import MechanicalSystem, Motion
-from covariant.observers._gate import Gate, Judged, open_gate
+from covariant.observers._gate import CREDIBLE, Gate
+from covariant.observers._gate_memory import GateMemory, Judged, Sample, Velocity
 from covariant.observers._protocol import (
     AbstractObserver,
     LastInput,
@@ -38,9 +41,6 @@ from covariant.observers._protocol import (
 )
 from covariant.signals import Result
 
-CREDIBLE = 4.0
-"""Largest credible velocity, as a multiple of the usual speed; the gate halves it once smaller ones have been seen."""
-
 
 class GatedState(NamedTuple):
     """State of a `Gated` observer.
@@ -48,10 +48,7 @@ class GatedState(NamedTuple):
     Attributes:
         inner: State of the observer behind the gate.
         t: Time [s] that it belongs to.
-        left: Error (n,) that the last correction left behind, from the estimate to the measurement.
-        idle: Time [s] since each component (n,) was last measured, refused or not.
-        refused: Number (n,) of samples refused in a row; see `Gate.judge`.
-        scale: Average (n,) of the ratio of actual to expected squares; see `Gate.judge`.
+        gate: Memory of the gate.
         slip: Average (n,) of d², relative to that of an estimate which is astray.
         last_input: The last finite input (m,).
         dt: Length of the last prediction [s].
@@ -62,16 +59,13 @@ class GatedState(NamedTuple):
         >>> model = models.oscillator()
         >>> observer = observers.Gated(observers.Copy(model, 2.0, 4.0), model, noise=1e-3, speed=1.0)
         >>> state = observer.init(jnp.array([0.5]))
-        >>> state.inner.q.tolist(), state.refused.tolist()
+        >>> state.inner.q.tolist(), state.gate.refused.tolist()
         ([0.5], [0])
     """
 
     inner: Any
     t: Scalar
-    left: Vector
-    idle: Vector
-    refused: Int[Array, "n"]
-    scale: Vector
+    gate: GateMemory
     slip: Vector
     last_input: LastInput = None
     dt: Scalar | None = None
@@ -82,7 +76,8 @@ class Gated(AbstractObserver):
 
     A measurement that is refused counts as missing, and `result` says `OUTLIER`. After `gate.patience` of them in a row
     the estimate starts anew from the measured configuration, and `result` says `RESTARTED`; a velocity that the state
-    of the observer holds as `v` is kept, unless it is not credible. Where the velocity is off by more than twice the
+    of the observer holds as `v` is kept, unless it is not credible. Refused readings that show a credible velocity
+    start the estimate anew at once, with that velocity in its `v`. Where the velocity is off by more than twice the
     usual one, as far as measurements tell, `result` says `ASTRAY`.
 
     Attributes:
@@ -130,14 +125,14 @@ class Gated(AbstractObserver):
         inner = _without_last_input(self.observer.init(y, t))
         last_input = no_input(self.model, rest)
         t = jnp.asarray(t, rest.dtype)
-        return GatedState(inner, t, rest, rest, *open_gate(rest), rest, last_input, jnp.zeros_like(t))
+        return GatedState(inner, t, GateMemory.at_start(rest), rest, last_input, jnp.zeros_like(t))
 
     def estimate(self, state: GatedState) -> Any:
         return self.observer.estimate(state.inner)
 
     def predict(self, state: GatedState, u: Float[Array, "m"], dt: Scalar) -> GatedState:
         inner = self.observer.predict(state.inner, u, dt)
-        return state._replace(inner=inner, t=state.t + dt, idle=state.idle + dt, dt=dt)
+        return state._replace(inner=inner, t=state.t + dt, gate=state.gate.advanced(dt), dt=dt)
 
     def correct(self, state: GatedState, u: Float[Array, "m"], y: Array) -> tuple[GatedState, Any]:
         """Correct a predicted state by a measurement that passes the gate.
@@ -154,23 +149,19 @@ class Gated(AbstractObserver):
         manifold = self.model.manifold
         present, innovation = ~manifold.missing(y), self.innovation(state, u, y)
         verdict = self._judge(state, innovation, present)
-        inner, info = self.observer.correct(state.inner, u, self._without_refused(y, verdict.far))
-        used = present & ~verdict.far
+        # Without a velocity to correct, an estimate follows readings that show one by its ordinary correction.
+        outlying = verdict.far if self._holds_velocity(state) else verdict.far & ~verdict.moved
+        inner, info = self.observer.correct(state.inner, u, self._without(y, outlying))
+        used = present & ~outlying
         motion = self.model.motion(self.observer.estimate(inner))
-        error = manifold.towards(motion.q, y)
         slip = self._average_slip(state, innovation, used)
-        new = state._replace(
-            inner=inner,
-            left=jnp.where(used, error, state.left),
-            idle=jnp.where(present, 0.0, state.idle),
-            refused=verdict.refused,
-            scale=verdict.scale,
-            slip=slip,
-        )
-        # After a new start a scale above 1 still holds; a smaller one would make the gate too narrow.
-        fresh = self._restarted(state, motion, y)
-        fresh = fresh._replace(scale=jnp.maximum(verdict.scale, 1.0))
-        new = jax.tree.map(lambda a, b: jnp.where(verdict.restart, a, b), fresh, new)
+        memory = verdict.memory.used(used, manifold.towards(motion.q, y))
+        new = state._replace(inner=inner, gate=memory, slip=slip)
+        restart = verdict.restart
+        if not self._holds_velocity(state):
+            restart = restart & ~jnp.any(verdict.moved)
+        fresh = self._restarted(state, motion, verdict, y)
+        new = jax.tree.map(lambda a, b: jnp.where(restart, a, b), fresh, new)
         astray = jnp.any(slip > 1).astype(jnp.int32) * int(Result.ASTRAY)
         result = jnp.maximum(jnp.maximum(info.result, verdict.result(info.result)), astray)
         return new, info._replace(innovation=innovation, result=result.astype(info.result.dtype))
@@ -178,34 +169,44 @@ class Gated(AbstractObserver):
     def innovation(self, state: GatedState, u: Float[Array, "m"], y: Array) -> Vector:
         return self.observer.innovation(state.inner, u, y)
 
-    def _average_slip(self, state: GatedState, innovation: Vector, used: Array) -> Vector:
-        limit = 2 * (self.gate.deviations * self.noise) ** 2 + (CREDIBLE / 2 * self.speed * state.idle) ** 2
+    def _average_slip(self, state: GatedState, innovation: Vector, used: Bool[Array, "n"]) -> Vector:
+        limit = 2 * (self.gate.deviations * self.noise) ** 2 + (CREDIBLE / 2 * self.speed * state.gate.unused) ** 2
         # Twice the variance: two samples contribute to the difference d.
-        change = (innovation - state.left) ** 2 / limit - state.slip
+        change = (innovation - state.gate.left) ** 2 / limit - state.slip
         return state.slip + jnp.where(used, change, 0.0) / (1 + self.gate.patience)
 
-    def _judge(self, state: GatedState, innovation: Vector, present: Array) -> Judged:
+    def _judge(self, state: GatedState, innovation: Vector, present: Bool[Array, "n"]) -> Judged:
         """The gate's verdict on d: whether noise and velocity explain it; see the head of this file."""
         dt, rate = step_length(state), CREDIBLE / self.gate.deviations * self.speed
         expected = 2 * self.noise**2 + (rate * dt) ** 2
         # An error of the velocity has acted over a gap; readings that were refused do not widen the gate for the next.
-        least = (2 * self.noise**2 + (rate * (state.idle - dt / 2)) ** 2) / expected
-        cov = jnp.diag(jnp.broadcast_to(expected, innovation.shape).astype(innovation.dtype))
-        change = innovation - state.left
-        return self.gate.judge(self.model.manifold, change, cov, present, state.refused, state.scale, least)
+        least = (2 * self.noise**2 + (rate * (state.gate.idle - dt / 2)) ** 2) / expected
+        cov, noise, usual = (self._diagonal(square, innovation) for square in (expected, self.noise**2, self.speed**2))
+        predicted = Velocity(self.model.motion(self.observer.estimate(state.inner)).v, usual)
+        sample = Sample(innovation, cov, noise, present)
+        return self.gate.judge(self.model.manifold, sample, state.gate, predicted, usual, least)
 
-    def _without_refused(self, y: Array, far: Array) -> Array:
+    def _diagonal(self, variances: Vector | Scalar, like: Vector) -> Matrix:
+        return jnp.diag(jnp.broadcast_to(variances, like.shape).astype(like.dtype))
+
+    def _without(self, y: Array, outlying: Bool[Array, "n"]) -> Array:
         """The measurement with NaN for what is refused; one that is not in coordinates is missing as a whole."""
-        return jnp.where(far if self.model.manifold.commuting else jnp.any(far), jnp.nan, y)
+        return jnp.where(outlying if self.model.manifold.commuting else jnp.any(outlying), jnp.nan, y)
 
-    def _restarted(self, state: GatedState, motion: Motion, y: Array) -> GatedState:
-        """The state at the measured configuration, with the velocity of the estimate where that is credible."""
+    def _holds_velocity(self, state: GatedState) -> bool:
+        return "v" in state.inner._fields
+
+    def _restarted(self, state: GatedState, motion: Motion, verdict: Judged, y: Array) -> GatedState:
+        """The state at the measured configuration, with the velocity of the verdict where that is credible."""
         fresh = self.init(self.model.manifold.measured(motion.q, y), state.t)
         fresh = fresh._replace(last_input=state.last_input, dt=state.dt)
-        if "v" not in fresh.inner._fields:
+        # A scale above 1 still holds after a new start; a smaller one would make the gate too narrow.
+        fresh = fresh._replace(gate=fresh.gate._replace(scale=jnp.maximum(verdict.memory.scale, 1.0)))
+        if not self._holds_velocity(state):
             return fresh
-        credible = jnp.all(jnp.abs(motion.v) <= CREDIBLE * self.speed)
-        return fresh._replace(inner=fresh.inner._replace(v=jnp.where(credible, motion.v, 0.0)))
+        v = verdict.velocity.mean
+        credible = jnp.all(jnp.abs(v) <= CREDIBLE * self.speed)
+        return fresh._replace(inner=fresh.inner._replace(v=jnp.where(credible, v, 0.0)))
 
 
 def _without_last_input(state: Any) -> Any:

@@ -15,7 +15,8 @@ from jaxtyping import Array, Bool, Float
 from covariant._typing import Code, Flag, Matrix, Vector
 from covariant.geometry import AbstractManifold
 from covariant.models import MechanicalSystem, Motion
-from covariant.observers._gate import Gate, Judged, judged
+from covariant.observers._gate import Gate, judged
+from covariant.observers._gate_memory import Judged, Sample, Velocity
 from covariant.observers._protocol import AbstractObserver, outcome, uniqueness
 
 
@@ -26,6 +27,7 @@ class Expectation(NamedTuple):
         y: The measurement, without the offset that the filter estimates it to have.
         innovation: Difference (n,) from the prediction to the measurement, 0 where it is missing.
         cov: Covariance (n, n) of the innovation, the noise of the measurement included.
+        noise: Covariance (n, n) of that noise.
         present: Which entries (n,) are measured.
         lost: Whether the estimate is too uncertain to be corrected, so that it starts anew regardless of the gate;
             False by default.
@@ -35,16 +37,21 @@ class Expectation(NamedTuple):
     y: Array
     innovation: Vector
     cov: Matrix
+    noise: Matrix
     present: Bool[Array, "n"]
     lost: Flag | bool = False
     details: Any = None
+
+    def without(self, outlying: Bool[Array, "n"]) -> "Expectation":
+        """The same without the entries (n,) of the measurement that are `outlying`, where they are coordinates."""
+        return self if self.y.shape != outlying.shape else self._replace(y=jnp.where(outlying, jnp.nan, self.y))
 
 
 class AbstractGatedFilter(AbstractObserver):
     """A filter with a covariance and a gate.
 
-    Its field `gate` is a `Gate`, or None to use every measurement. Its state has the fields `refused` (n,) and
-    `scale` (n,), which the gate remembers; see `Gate.judge`.
+    Its field `gate` is a `Gate`, or None to use every measurement. Its state has the field `gate`, a `GateMemory`,
+    which its `predict` has to advance.
     """
 
     @final
@@ -62,20 +69,22 @@ class AbstractGatedFilter(AbstractObserver):
         # A field `gate` of this class would come before those of a filter, which are its arguments in their order.
         gate: Gate | None = self.gate  # pyright: ignore[reportAttributeAccessIssue]
         expected = self._expected(state, u, y)
-        verdict = judged(
-            gate,
-            self._manifold,
-            expected.innovation,
-            expected.cov,
-            expected.present,
-            state.refused,
-            state.scale,
-        )
-        restart = verdict.restart | expected.lost
-        corrected = self._used(state, y, expected, expected.present & ~verdict.far)
-        corrected = corrected._replace(refused=verdict.refused, scale=verdict.scale)
+        sample = Sample(expected.innovation, expected.cov, expected.noise, expected.present)
+        predicted, usual = self._velocity(state), self._usual_velocity(state)
+        verdict = judged(gate, self._manifold, sample, state.gate, predicted, usual)
+        restart, used = verdict.restart | expected.lost, expected.present & ~verdict.far
+        corrected = self._used(state, y, expected, used)
+        memory = verdict.memory
+        if gate is not None:
+            memory = memory.used(used, self._expected(corrected, u, y).innovation)
+        corrected = corrected._replace(gate=memory)
+        velocity = verdict.velocity
+        if usual is not None:  # an estimate that is too uncertain tells nothing of its velocity but the mean
+            velocity = velocity._replace(cov=jnp.where(expected.lost, usual, velocity.cov))
+        # Where readings show a velocity, an outlier of another joint is no place to start from.
+        readings = expected.without(verdict.far & ~verdict.moved & jnp.any(verdict.moved))
         # Both branches are computed, so that the program has no branch; a new start begins to count refusals again.
-        fresh = self._started_anew(state, corrected, y, expected)._replace(refused=jnp.zeros_like(verdict.refused))
+        fresh = self._started_anew(state, corrected, y, readings, velocity)._replace(gate=memory.restarted())
         new = jax.tree.map(lambda a, b: jnp.where(restart, a, b), fresh, corrected)
         result = self._result(state, new, y, expected, verdict._replace(restart=restart))
         return new, self._info(state, new, expected, result)
@@ -98,8 +107,16 @@ class AbstractGatedFilter(AbstractObserver):
         """The state after a correction by the entries of the measurement that are `used` (n,)."""
 
     @abc.abstractmethod
-    def _started_anew(self, state: Any, corrected: Any, y: Array, expected: Expectation) -> Any:
-        """The state of a new start from the measurement, with the predicted velocity."""
+    def _velocity(self, state: Any) -> Velocity:
+        """The predicted velocity; what its mean has no entries for, a state-space model, may return anything."""
+
+    @abc.abstractmethod
+    def _usual_velocity(self, state: Any) -> Matrix | None:
+        """Covariance (n, n) of the velocity at the start, about zero; None where the state has no velocity."""
+
+    @abc.abstractmethod
+    def _started_anew(self, state: Any, corrected: Any, y: Array, expected: Expectation, velocity: Velocity) -> Any:
+        """The state of a new start from the measurement `expected.y`, whose raw form is y, with this velocity."""
 
     @abc.abstractmethod
     def _result(self, state: Any, new: Any, y: Array, expected: Expectation, verdict: Judged) -> Code:

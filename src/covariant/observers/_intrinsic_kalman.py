@@ -15,14 +15,15 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Inexact, Int
+from jaxtyping import Array, Bool, Float, Inexact
 
 from covariant._linalg import semidefinite_root, triangular
 from covariant._typing import Code, Matrix, Number, Scalar, Vector
 from covariant.geometry import AbstractManifold, AbstractSpace, Budget
 from covariant.models import MechanicalSystem, Motion, advance
 from covariant.observers._covariance import Covariance, check_covariance, covariance_at
-from covariant.observers._gate import Gate, open_gate
+from covariant.observers._gate import Gate
+from covariant.observers._gate_memory import GateMemory, Velocity
 from covariant.observers._gated_filter import AbstractMechanicalFilter, Expectation
 from covariant.observers._protocol import LastInput, as_gain, at_rest, check_positive
 from covariant.observers._sampled import needed_substeps
@@ -45,8 +46,7 @@ class KalmanState(NamedTuple):
         slow: Estimated slow states (k,), before `Slow.values` is applied.
         root: Square root S (2n + k, 2n + k) of the covariance `S Sᵀ` of (ε, ν) in the parallel frame, followed by the
             slow states.
-        refused: Number of samples in a row that the gate refused (n,).
-        scale: Averaged ratio of actual to expected squared innovations (n,); see `Gate.judge`.
+        gate: Memory of the gate.
         last_input: Last finite input (m,), which replaces an input that is not finite; None where none is stored.
         readings: Last readings of encoders that count ticks; None where measurements have noise.
 
@@ -64,8 +64,7 @@ class KalmanState(NamedTuple):
     t: Scalar
     slow: SlowVector
     root: Float[Array, "two_n_k two_n_k"]
-    refused: Int[Array, "n"]
-    scale: Vector
+    gate: GateMemory
     last_input: LastInput = None
     readings: Readings | None = None
 
@@ -199,7 +198,8 @@ class IntrinsicKalman(AbstractMechanicalFilter):
         q, v, t, last_input, _ = at_rest(self.model, y, t)
         slow, readings = self._slow.first(v), self._first_readings(q, jnp.zeros_like(v))
         q = self._without_offset(q, v, slow)
-        return KalmanState(q, v, t, slow, self._first_root(q, v, slow), *open_gate(v), last_input, readings)
+        root = self._first_root(q, self._velocity_cov(q), slow)
+        return KalmanState(q, v, t, slow, root, GateMemory.at_start(v), last_input, readings)
 
     def cov(self, state: KalmanState) -> Float[Array, "two_n_k two_n_k"]:
         """Covariance P (2n + k, 2n + k) of (ε, ν), then the slow states, in the parallel frame at the estimate."""
@@ -240,7 +240,16 @@ class IntrinsicKalman(AbstractMechanicalFilter):
         cov = projected @ projected.T + output.noise
         # A restart needs a complete configuration.
         lost = _too_uncertain(manifold, cov, output.noise) & ~jnp.any(missing)
-        return Expectation(output.y, manifold.towards(state.q, output.y), cov, ~missing, lost, output)
+        innovation = manifold.towards(state.q, output.y)
+        return Expectation(output.y, innovation, cov, output.noise, ~missing, lost, output)
+
+    def _velocity(self, state: KalmanState) -> Velocity:
+        n = state.v.shape[0]
+        root = state.root[n : 2 * n]
+        return Velocity(state.v, root @ root.T)
+
+    def _usual_velocity(self, state: KalmanState) -> Matrix:
+        return self._velocity_cov(state.q)
 
     def _used(self, state: KalmanState, y: Array, expected: Expectation, used: Bool[Array, "n"]) -> KalmanState:
         error, root = self._posterior(state, expected.details, y, expected.innovation, used)
@@ -251,15 +260,17 @@ class IntrinsicKalman(AbstractMechanicalFilter):
         slow = state.slow + error[2 * state.v.shape[0] :]
         return state._replace(q=q, v=v, slow=slow, root=root, readings=readings)
 
-    def _started_anew(self, state: KalmanState, corrected: KalmanState, y: Array, expected: Expectation) -> KalmanState:
+    def _started_anew(
+        self, state: KalmanState, corrected: KalmanState, y: Array, expected: Expectation, velocity: Velocity
+    ) -> KalmanState:
         manifold = self.model.manifold
         measured = manifold.measured(state.q, expected.y)
-        root = self._first_root(measured, corrected.v, corrected.slow)
+        root = self._first_root(measured, velocity.cov, corrected.slow)
         readings = self._first_readings(manifold.measured(state.q, y), 0 * corrected.v)
-        return corrected._replace(q=measured, v=state.v, root=root, readings=readings)
+        return corrected._replace(q=measured, v=velocity.mean, root=root, readings=readings)
 
     def _info(self, state: KalmanState, new: KalmanState, expected: Expectation, result: Code) -> KalmanInfo:
-        _, innovation, cov, present, *_ = expected
+        _, innovation, cov, _, present, *_ = expected
         nis = normalised_square(cov, innovation, present)
         distance, std = self.model.space.norm(state.q, innovation), self.velocity_std(new)
         return KalmanInfo(innovation, distance, cov, nis, std, *self._slow_estimates(new), result)
@@ -356,7 +367,8 @@ class IntrinsicKalman(AbstractMechanicalFilter):
             noise = diagonal(noise, self._slow.walk_root(h).astype(noise.dtype))
         readings = state.readings and state.readings._replace(age=state.readings.age + h)
         root = triangular(jnp.concatenate([root, noise], axis=1))
-        return state._replace(q=q, v=v, t=state.t + h, slow=slow, root=root, readings=readings)
+        gate = state.gate.advanced(h)
+        return state._replace(q=q, v=v, t=state.t + h, slow=slow, root=root, gate=gate, readings=readings)
 
     def _rebased(self, state: KalmanState, error: Array, root: Array) -> tuple[Array, Vector, Array]:
         """Estimate and root after a correction by `error` along its geodesic, which transports the velocity.
@@ -372,10 +384,14 @@ class IntrinsicKalman(AbstractMechanicalFilter):
         slope, (q, v) = jax.jacfwd(corrected, has_aux=True)(error[: 2 * n])
         return q, v, _with_slow(parallel(space, q, v) @ slope, state) @ root
 
-    def _first_root(self, q: Array, like: Vector, slow: SlowVector) -> Float[Array, "two_n_k two_n_k"]:
-        """Root of the covariance after a single measurement, from its noise and the initial covariances."""
-        noise, slope = self._slopes(q, like, slow)
-        velocity = semidefinite_root(covariance_at(self.initial_velocity_cov, self.model.space, q))
+    def _velocity_cov(self, q: Array) -> Matrix:
+        """Covariance (n, n) of the initial velocity, in the frame at the configuration q."""
+        return covariance_at(self.initial_velocity_cov, self.model.space, q)
+
+    def _first_root(self, q: Array, velocity_cov: Matrix, slow: SlowVector) -> Float[Array, "two_n_k two_n_k"]:
+        """Root of the covariance after a single measurement, from its noise and the covariance of the velocity."""
+        noise, slope = self._slopes(q, velocity_cov[0], slow)
+        velocity = semidefinite_root(velocity_cov)
         motion_root = diagonal(semidefinite_root(noise), velocity)
         if not self.slow:
             return motion_root

@@ -18,12 +18,13 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float
 
 from covariant._linalg import semidefinite_root, triangular
 from covariant._typing import Code, Matrix, Number, Scalar, Vector
 from covariant.geometry import AbstractManifold, Coordinates, wrap
-from covariant.observers._gate import Gate, Judged, open_gate
+from covariant.observers._gate import Gate
+from covariant.observers._gate_memory import GateMemory, Judged, Velocity
 from covariant.observers._gated_filter import AbstractGatedFilter, Expectation
 from covariant.observers._model_free import AbstractLinearFilter, response
 from covariant.observers._protocol import as_gain, check_positive, outcome
@@ -39,8 +40,7 @@ class JointState(NamedTuple):
         a: Acceleration (n,) [rad/s² or m/s²].
         root: Square root (n, 3, 3) of the covariance of position, velocity and acceleration of each coordinate, in
             units of στ², στ and σ.
-        refused: Number of samples in a row that the gate refused (n,); see `Gate.judge`.
-        scale: Averaged ratio of actual to expected squared innovations (n,); see `Gate.judge`.
+        gate: Memory of the gate.
 
     Example:
         >>> import numpy as np
@@ -54,8 +54,7 @@ class JointState(NamedTuple):
     v: Vector
     a: Vector
     root: Float[Array, "n 3 3"]
-    refused: Int[Array, "n"]
-    scale: Vector
+    gate: GateMemory
 
 
 class JointInfo(NamedTuple):
@@ -135,7 +134,7 @@ class JointKalman(AbstractGatedFilter, AbstractLinearFilter):
             The state, with the standard deviations s, στ and σ of position, velocity and acceleration.
         """
         rest = jnp.zeros_like(y)
-        return JointState(y, rest, rest, self._first_root(y), *open_gate(y))
+        return JointState(y, rest, rest, self._first_root(self._usual(y)), GateMemory.at_start(y))
 
     def estimate(self, state: JointState) -> Float[Array, "two_n"]:
         return jnp.concatenate([state.q, state.v])
@@ -162,7 +161,7 @@ class JointKalman(AbstractGatedFilter, AbstractLinearFilter):
         q, v, a = units * (step @ (jnp.stack([state.q, state.v, state.a]) / units))
         noise = semidefinite_root(added)  # the covariance is nearly singular for a small θ
         root = jax.vmap(lambda each: triangular(jnp.concatenate([step @ each, noise], axis=1)))(state.root)
-        return state._replace(q=q, v=v, a=a, root=root)
+        return state._replace(q=q, v=v, a=a, root=root, gate=state.gate.advanced(dt))
 
     @property
     def _manifold(self) -> AbstractManifold:
@@ -173,7 +172,14 @@ class JointKalman(AbstractGatedFilter, AbstractLinearFilter):
         innovation = wrap(self.circles, jnp.where(present, y - state.q, 0.0))
         unit = self._units[0].astype(y.dtype)
         cov = jnp.diag(jnp.sum(state.root[:, 0] ** 2, axis=1) + self.noise**2) * unit**2 * self.motion_std**2
-        return Expectation(y, innovation, cov, present)
+        noise = self.measurement_std**2 * jnp.eye(len(y), dtype=y.dtype)
+        return Expectation(y, innovation, cov, noise, present)
+
+    def _velocity(self, state: JointState) -> Velocity:
+        return Velocity(state.v, jnp.diag(self._velocity_std(state.root) ** 2))
+
+    def _usual_velocity(self, state: JointState) -> Matrix:
+        return self._usual(state.v)
 
     def _used(self, state: JointState, y: Vector, expected: Expectation, used: Bool[Array, "n"]) -> JointState:
         gain, root = jax.vmap(updated, (0, 0, None, 0))(
@@ -183,22 +189,30 @@ class JointKalman(AbstractGatedFilter, AbstractLinearFilter):
         error = (units / units[0])[:, None] * gain[..., 0].T * expected.innovation[None]
         return state._replace(q=state.q + error[0], v=state.v + error[1], a=state.a + error[2], root=root)
 
-    def _started_anew(self, state: JointState, corrected: JointState, y: Vector, expected: Expectation) -> JointState:
-        q = state.q + expected.innovation
-        return corrected._replace(q=q, v=state.v, a=state.a, root=self._first_root(y))
+    def _started_anew(
+        self, state: JointState, corrected: JointState, y: Vector, expected: Expectation, velocity: Velocity
+    ) -> JointState:
+        q = state.q + jnp.where(jnp.isnan(expected.y), 0.0, expected.innovation)
+        return corrected._replace(q=q, v=velocity.mean, a=state.a, root=self._first_root(velocity.cov))
 
     def _result(self, state: JointState, new: JointState, y: Vector, expected: Expectation, verdict: Judged) -> Code:
         return outcome(new.q, new.v, y, verdict.result(jnp.zeros((), jnp.int32)))
 
     def _info(self, state: JointState, new: JointState, expected: Expectation, result: Code) -> JointInfo:
         nis = jnp.sum(expected.innovation**2 / jnp.diag(expected.cov))
-        unit = self._units[1].astype(state.v.dtype)
-        std = self.motion_std * unit * jnp.sqrt(jnp.sum(new.root[:, 1] ** 2, axis=1))
-        return JointInfo(expected.innovation, nis, std, result)
+        return JointInfo(expected.innovation, nis, self._velocity_std(new.root), result)
 
-    def _first_root(self, y: Vector) -> Float[Array, "n 3 3"]:
-        one = jnp.ones_like(y)
-        return jax.vmap(jnp.diag)(jnp.stack([self.noise * one, one, one], axis=1))
+    def _velocity_std(self, root: Float[Array, "n 3 3"]) -> Vector:
+        unit = self._units[1].astype(root.dtype)
+        return self.motion_std * unit * jnp.sqrt(jnp.sum(root[:, 1] ** 2, axis=1))
+
+    def _usual(self, like: Vector) -> Matrix:
+        return (self.motion_std * self.motion_time) ** 2 * jnp.eye(len(like), dtype=like.dtype)
+
+    def _first_root(self, velocity_cov: Matrix) -> Float[Array, "n 3 3"]:
+        velocity = jnp.sqrt(jnp.diag(velocity_cov)) / (self.motion_std * self.motion_time)
+        one = jnp.ones_like(velocity)
+        return jax.vmap(jnp.diag)(jnp.stack([self.noise * one, velocity, one], axis=1))
 
     def weights(self, rate: float) -> Float[np.ndarray, "k"]:
         """Weights of the measured positions in the velocity, with the stationary gain.

@@ -8,14 +8,15 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float
 
 from covariant._integrate import rk4
 from covariant._linalg import solve
 from covariant._typing import Code, Matrix, Number, Scalar, Vector
 from covariant.geometry import AbstractManifold
 from covariant.models import StateSpace
-from covariant.observers._gate import Gate, Judged, open_gate
+from covariant.observers._gate import Gate
+from covariant.observers._gate_memory import GateMemory, Judged, Velocity
 from covariant.observers._gated_filter import AbstractGatedFilter, Expectation
 from covariant.observers._protocol import LastInput, check_finite, no_input
 from covariant.observers._sampled import steps_for
@@ -30,8 +31,7 @@ class StateEKFState(NamedTuple):
         x: Estimated state (n,).
         t: Time [s] of the estimate.
         cov: Covariance (n, n) of the estimate.
-        refused: Number of samples in a row that the gate refused of each output (p,); see `Gate.judge`.
-        scale: Averaged ratio of actual to expected squared innovations (p,); see `Gate.judge`.
+        gate: Memory of the gate.
         last_input: Last finite input (m,), which replaces an input that is not finite; None where none is stored.
 
     Example:
@@ -47,8 +47,7 @@ class StateEKFState(NamedTuple):
     x: Vector
     t: Scalar
     cov: Matrix
-    refused: Int[Array, "p"]
-    scale: Vector
+    gate: GateMemory
     last_input: LastInput = None
 
 
@@ -136,9 +135,9 @@ class StateEKF(AbstractGatedFilter):
             The state, with a zero input as the last one.
         """
         start, cov = jnp.asarray(self.start, y.dtype), jnp.asarray(self.start_cov, y.dtype)
-        refused, scale = open_gate(jnp.zeros_like(y))
+        gate = GateMemory.at_start(jnp.zeros_like(y))
         u = no_input(self.model, start)
-        return self.correct(StateEKFState(start, jnp.asarray(t, y.dtype), cov, refused, scale, u), u, y)[0]
+        return self.correct(StateEKFState(start, jnp.asarray(t, y.dtype), cov, gate, u), u, y)[0]
 
     def estimate(self, state: StateEKFState) -> Vector:
         return state.x
@@ -165,7 +164,8 @@ class StateEKF(AbstractGatedFilter):
         half = (jnp.eye(len(x), dtype=x.dtype) + transition) / 2
         density = jnp.asarray(self.process_cov, x.dtype)
         added = density + 4 * half @ density @ half.T + transition @ density @ transition.T
-        return state._replace(x=x, t=state.t + dt, cov=transition @ state.cov @ transition.T + dt / 6 * added)
+        cov = transition @ state.cov @ transition.T + dt / 6 * added
+        return state._replace(x=x, t=state.t + dt, cov=cov, gate=state.gate.advanced(dt))
 
     @property
     def _manifold(self) -> AbstractManifold:
@@ -176,13 +176,19 @@ class StateEKF(AbstractGatedFilter):
         slope: Array = jax.jacfwd(self.model.h, 1)(state.t, x, u)
         # `output_error` is predicted minus measured; an innovation has the opposite sign.
         innovation = -self.model.output_error(self.model.h(state.t, x, u), y)
-        cov = slope @ state.cov @ slope.T + jnp.asarray(self.measurement_cov, x.dtype)
-        return Expectation(y, innovation, cov, ~jnp.isnan(y), details=slope)
+        noise = jnp.asarray(self.measurement_cov, x.dtype)
+        return Expectation(y, innovation, slope @ state.cov @ slope.T + noise, noise, ~jnp.isnan(y), details=slope)
+
+    def _velocity(self, state: StateEKFState) -> Velocity:
+        return Velocity(jnp.zeros_like(state.gate.left), jnp.zeros((0, 0)))  # outputs show no velocity of the state
+
+    def _usual_velocity(self, state: StateEKFState) -> None:
+        return None
 
     def _used(
         self, state: StateEKFState, y: Float[Array, "p"], expected: Expectation, used: Bool[Array, "p"]
     ) -> StateEKFState:
-        x, noise = state.x, jnp.asarray(self.measurement_cov, state.x.dtype)
+        x, noise = state.x, expected.noise
         slope: Array = expected.details
         # The noise of an output that is not used must not affect the others, even where the two are correlated.
         noise = jnp.where(used[:, None] & used[None, :], noise, jnp.eye(len(y), dtype=x.dtype))
@@ -195,7 +201,12 @@ class StateEKF(AbstractGatedFilter):
         return state._replace(x=x_new, cov=(cov + cov.T) / 2)
 
     def _started_anew(
-        self, state: StateEKFState, corrected: StateEKFState, y: Float[Array, "p"], expected: Expectation
+        self,
+        state: StateEKFState,
+        corrected: StateEKFState,
+        y: Float[Array, "p"],
+        expected: Expectation,
+        velocity: Velocity,
     ) -> StateEKFState:
         # Outputs alone do not determine a state: the estimate stays, with the covariance of the start.
         return corrected._replace(cov=jnp.asarray(self.start_cov, state.x.dtype))
@@ -208,7 +219,7 @@ class StateEKF(AbstractGatedFilter):
         return jnp.where(finite, verdict.result(code), int(Result.NOT_FINITE)).astype(jnp.int32)
 
     def _info(self, state: StateEKFState, new: StateEKFState, expected: Expectation, result: Code) -> StateEKFInfo:
-        _, innovation, cov, present, *_ = expected
+        _, innovation, cov, _, present, *_ = expected
         nis = normalised_square(cov, innovation, present)
         return StateEKFInfo(innovation, jnp.sqrt(nis), cov, nis, jnp.sqrt(jnp.diag(new.cov)), result)
 

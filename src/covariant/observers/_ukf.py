@@ -18,14 +18,15 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Inexact, Int
+from jaxtyping import Array, Bool, Float, Inexact
 
 from covariant._linalg import semidefinite_root, triangular
-from covariant._typing import Code, Number, Scalar, Vector
+from covariant._typing import Code, Matrix, Number, Scalar, Vector
 from covariant.models import MechanicalSystem, Motion
 from covariant.observers._covariance import Covariance, check_covariance, covariance_at
 from covariant.observers._ekf import EKFInfo, ekf_info
-from covariant.observers._gate import Gate, open_gate
+from covariant.observers._gate import Gate
+from covariant.observers._gate_memory import GateMemory, Velocity
 from covariant.observers._gated_filter import AbstractMechanicalFilter, Expectation
 from covariant.observers._protocol import LastInput, as_gain, at_rest, check_finite
 from covariant.observers._sampled import predict
@@ -40,8 +41,7 @@ class UKFState(NamedTuple):
         v: Estimated velocity v̂ (n,) in the frame of the space.
         t: Time [s] of the estimate.
         root: Square root S (2n, 2n) of the covariance `S Sᵀ` of the error `(local(q̂, q), v − v̂)`.
-        refused: Number of samples in a row that the gate refused (n,); see `Gate.judge`.
-        scale: Averaged ratio of actual to expected squared innovations (n,); see `Gate.judge`.
+        gate: Memory of the gate.
         last_input: Last finite input (m,), which replaces an input that is not finite; None where none is stored.
 
     Example:
@@ -56,8 +56,7 @@ class UKFState(NamedTuple):
     v: Vector
     t: Scalar
     root: Float[Array, "two_n two_n"]
-    refused: Int[Array, "n"]
-    scale: Vector
+    gate: GateMemory
     last_input: LastInput = None
 
 
@@ -109,7 +108,7 @@ class UKF(AbstractMechanicalFilter):
 
     def init(self, y: Array, t: Number = 0.0) -> UKFState:
         q, v, t, last_input, _ = at_rest(self.model, y, t)
-        return UKFState(q, v, t, self._first_root(q, v), *open_gate(v), last_input)
+        return UKFState(q, v, t, self._first_root(q, self._usual(v)), GateMemory.at_start(v), last_input)
 
     def cov(self, state: UKFState) -> Float[Array, "two_n two_n"]:
         """Covariance (2n, 2n) of the error `(local(q̂, q), v − v̂)` in a state, from its square root."""
@@ -149,28 +148,40 @@ class UKF(AbstractMechanicalFilter):
         noise = white_acceleration(covariance_at(self.process_cov, self.model.space, q), dt)
         # The triangular factor of both roots side by side is the root of the sum of their covariances.
         root = triangular(jnp.concatenate([columns, noise.astype(columns.dtype)], axis=1))
-        return state._replace(q=q, v=v, t=state.t + dt, root=root)
+        return state._replace(q=q, v=v, t=state.t + dt, root=root, gate=state.gate.advanced(dt))
 
     def _expected(self, state: UKFState, u: Float[Array, "m"], y: Array) -> Expectation:
         manifold, n = self.model.manifold, state.v.shape[0]
         noise = covariance_at(self.measurement_cov, self.model.space, state.q)
         cov = state.root[:n] @ state.root[:n].T + noise
-        return Expectation(y, manifold.towards(state.q, y), cov, ~manifold.missing(y), details=noise)
+        return Expectation(y, manifold.towards(state.q, y), cov, noise, ~manifold.missing(y))
+
+    def _velocity(self, state: UKFState) -> Velocity:
+        root = state.root[state.v.shape[0] :]
+        return Velocity(state.v, root @ root.T)
+
+    def _usual_velocity(self, state: UKFState) -> Matrix:
+        return self._usual(state.v)
 
     def _used(self, state: UKFState, y: Array, expected: Expectation, used: Bool[Array, "n"]) -> UKFState:
         n = state.v.shape[0]
-        gain, root = updated(state.root, state.root[:n], expected.details, used)
+        gain, root = updated(state.root, state.root[:n], expected.noise, used)
         error = gain @ expected.innovation
         return state._replace(q=self.model.manifold.retract(state.q, error[:n]), v=state.v + error[n:], root=root)
 
-    def _started_anew(self, state: UKFState, corrected: UKFState, y: Array, expected: Expectation) -> UKFState:
-        measured = self.model.manifold.measured(state.q, y)
-        return corrected._replace(q=measured, v=state.v, root=self._first_root(measured, state.v))
+    def _started_anew(
+        self, state: UKFState, corrected: UKFState, y: Array, expected: Expectation, velocity: Velocity
+    ) -> UKFState:
+        measured = self.model.manifold.measured(state.q, expected.y)
+        return corrected._replace(q=measured, v=velocity.mean, root=self._first_root(measured, velocity.cov))
 
     def _info(self, state: UKFState, new: UKFState, expected: Expectation, result: Code) -> EKFInfo:
         std = jnp.sqrt(jnp.sum(new.root[state.v.shape[0] :] ** 2, axis=1))
         return ekf_info(self.model, state.q, expected, std, result)
 
-    def _first_root(self, q: Array, v: Vector) -> Float[Array, "two_n two_n"]:
-        position = semidefinite_root(covariance_at(self.measurement_cov, self.model.space, q)).astype(v.dtype)
-        return diagonal(position, jnp.eye(v.shape[0], dtype=v.dtype) * self.initial_velocity_std)
+    def _usual(self, v: Vector) -> Matrix:
+        return jnp.eye(v.shape[0], dtype=v.dtype) * self.initial_velocity_std**2
+
+    def _first_root(self, q: Array, velocity_cov: Matrix) -> Float[Array, "two_n two_n"]:
+        position = semidefinite_root(covariance_at(self.measurement_cov, self.model.space, q))
+        return diagonal(position.astype(velocity_cov.dtype), semidefinite_root(velocity_cov))

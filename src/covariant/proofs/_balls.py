@@ -166,12 +166,16 @@ def _balls(arb: Any) -> Domain:
         return rounded
 
     def _stumpff(k: int, x: Any) -> Any:
-        """The series, with a remainder bounded by the absolute value of its first omitted term."""
-        total, term = arb(0), 1 / arb(math.factorial(k))
-        for j in range(1, 40):
+        """The series, with its remainder bounded by a geometric series, which holds for either sign of x."""
+        total, term, terms = arb(0), 1 / arb(math.factorial(k)), 40
+        for j in range(1, terms):
             total, term = total + term, -term * x / ((2 * j + k) * (2 * j + k - 1))
-        # arb(0, 1) is the ball [−1, 1]: the remainder has either sign.
-        return total + abs(term).upper() * arb(0, 1)
+        # From the first omitted term on, each is at most this multiple of the one before.
+        ratio = abs(x).upper() / ((2 * terms + k) * (2 * terms + k - 1))
+        if not ratio < 0.5:
+            raise _UndecidedError
+        # The factor is 1/(1 − 1/2). arb(0, 1) is the ball [−1, 1]: the remainder has either sign.
+        return total + 2 * abs(term).upper() * arb(0, 1)
 
     zero, one = arb(0), arb(1)
     alone = "sqrt exp expm1 log log1p sin cos tan asin acos atan sinh cosh tanh asinh acosh atanh"

@@ -28,12 +28,18 @@ def to_letters(levels: Sequence[np.ndarray]) -> list[str]:
         One string for each level, with one character for each box: the letter of the variable that is halved, "." for
         proved, "?" for open.
 
+    Raises:
+        ValueError: A variable has no letter: there are more than 52.
+
     Example:
         >>> import numpy as np
         >>> from covariant.proofs import OPEN, PROVED, to_letters
         >>> to_letters([np.array([1]), np.array([PROVED, OPEN])])
         ['b', '.?']
     """
+    most = max((int(codes.max()) for codes in levels if codes.size), default=-1) + 1
+    if most > len(LETTERS):
+        raise ValueError(f"files hold trees over at most {len(LETTERS)} variables; this one halves {most}")
     table = np.array([ord(c) for c in LETTERS + "?."], np.uint8)  # indices −1 and −2 are the last two
     return [table[codes].tobytes().decode("ascii") for codes in levels]
 
@@ -77,6 +83,7 @@ def saved_levels(field: Field, variables: int) -> tuple[str, ...]:
         >>> saved_levels(Field("claims.json", "levels", ["a", ".."]), 1)
         ('a', '..')
     """
+    field.need(variables <= len(LETTERS), f"a tree over at most {len(LETTERS)} variables, not {variables}")
     rows, known, size = field.rows(1, MOST_LEVELS), set(LETTERS[:variables]) | {".", "?"}, 1
     for row in rows:
         fits = type(row.value) is str and len(row.value) == size and known >= set(row.value)

@@ -1,0 +1,212 @@
+"""What a gate is asked, what it remembers, and what it answers."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Int
+
+from covariant._typing import Code, Flag, Matrix, Scalar, Vector
+from covariant.signals import Result
+
+BEND = 0.1
+"""Change of the slope along a line, as a fraction of it: a motion that accelerates has a bent one."""
+
+
+class Line(NamedTuple):
+    """The line through the last refused readings and a new one, each as it differs from the last used reading.
+
+    Attributes:
+        refused: Number (n,) of readings before the new one that were refused in a row.
+        change: Innovation (n,) of the new reading, less the one that the last used reading left behind.
+        slope: Slope (n,) of the line, a velocity relative to that of the estimate: between the last two readings where
+            one was refused before, and over the last three where there were more.
+        bend: Distance (n,) of the new reading from the line through the two before it, 0 where only one was refused.
+        step: Time (n,) [s] from the reading before to the new one.
+        length: Time (n,) [s] from the last used reading to the new one.
+    """
+
+    refused: Int[Array, "n"]
+    change: Vector
+    slope: Vector
+    bend: Vector
+    step: Vector
+    length: Vector
+
+    def slope_cov(self, noise: Matrix, scale: Vector) -> Matrix:
+        """Covariance (n, n) of the slope.
+
+        Args:
+            noise: Covariance (n, n) of the noise of a reading.
+            scale: Factor (n,) of its variances.
+
+        Returns:
+            That of a difference of two readings, one or two steps apart, and of the bend of the line: the one between
+            three readings, and `BEND` as expected of any line.
+        """
+        over = jnp.sqrt(scale) * jnp.where(self.refused > 1, 0.5**0.5, 2**0.5) / self.step
+        bends = jnp.stack([self.bend / self.step, BEND * self.slope])
+        return noise * jnp.outer(over, over) + bends.T @ bends
+
+
+class GateMemory(NamedTuple):
+    """What a gate remembers from sample to sample, for each of n components.
+
+    Attributes:
+        refused: Number (n,) of samples refused in a row.
+        scale: Average (n,) of the ratio of actual to expected squared innovations.
+        left: Innovation (n,) that the correction by the last used reading left behind.
+        last: Innovation (n,) of the last reading, less `left`; 0 where it was used.
+        slope: Velocity (n,) from the reading before the last one to the last one, relative to that of the estimate.
+        idle: Time (n,) [s] since the last reading, used or not.
+        unused: Time (n,) [s] since the last used reading.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant import observers
+        >>> memory = observers.GateMemory.at_start(jnp.zeros(2)).advanced(0.01)
+        >>> memory.refused.tolist(), memory.idle.tolist()
+        ([0, 0], [0.01, 0.01])
+    """
+
+    refused: Int[Array, "n"]
+    scale: Vector
+    left: Vector
+    last: Vector
+    slope: Vector
+    idle: Vector
+    unused: Vector
+
+    @classmethod
+    def at_start(cls, like: Vector) -> "GateMemory":
+        """The memory of a gate that has seen one measurement and used it.
+
+        Args:
+            like: A vector of n components, of which only shape and precision count.
+
+        Returns:
+            The memory.
+        """
+        zero = jnp.zeros_like(like)
+        return cls(jnp.zeros(like.shape, jnp.int32), jnp.ones_like(like), *(zero,) * 5)
+
+    def advanced(self, dt: Scalar) -> "GateMemory":
+        """The memory after a prediction over dt [s]."""
+        return self._replace(idle=self.idle + dt, unused=self.unused + dt)
+
+    def line(self, innovation: Vector) -> Line:
+        """The line through the last refused readings and the new one, whose innovation (n,) is the argument."""
+        change = innovation - self.left
+        # A repeated stamp changes no state: any positive number serves, instead of a division by zero.
+        step = jnp.where(self.idle > 0, self.idle, 1.0)
+        slope, several = (change - self.last) / step, self.refused > 1
+        mean, bend = (slope + self.slope) / 2, (slope - self.slope) * step
+        slope, bend = jnp.where(several, mean, slope), jnp.where(several, bend, 0.0)
+        return Line(self.refused, change, slope, bend, step, self.unused)
+
+    def judged(self, line: Line, present: Bool[Array, "n"], far: Bool[Array, "n"], scale: Vector) -> "GateMemory":
+        """The memory after a verdict, before `used` adds what a correction left behind.
+
+        Args:
+            line: The line through the last refused readings and the new one.
+            present: Which components (n,) are measured.
+            far: Which components (n,) are refused.
+            scale: The new average (n,).
+
+        Returns:
+            The memory.
+        """
+        step = (line.change - self.last) / line.step
+        return self._replace(
+            refused=jnp.where(far, self.refused + 1, jnp.where(present, 0, self.refused)),
+            scale=scale,
+            last=jnp.where(far, line.change, jnp.where(present, 0.0, self.last)),
+            slope=jnp.where(far, step, jnp.where(present, 0.0, self.slope)),
+            idle=jnp.where(present, 0.0, self.idle),
+        )
+
+    def used(self, used: Bool[Array, "n"], left: Vector) -> "GateMemory":
+        """The memory after a correction.
+
+        Args:
+            used: Which components (n,) of the measurement were used.
+            left: Difference (n,) from the corrected estimate to the measurement.
+
+        Returns:
+            The memory.
+        """
+        return self._replace(left=jnp.where(used, left, self.left), unused=jnp.where(used, 0.0, self.unused))
+
+    def restarted(self) -> "GateMemory":
+        """The memory after a new start, which keeps the scale."""
+        return GateMemory.at_start(self.scale)._replace(scale=self.scale)
+
+
+class Sample(NamedTuple):
+    """An innovation as a gate judges it.
+
+    Attributes:
+        innovation: Measured minus expected configuration (n,), in the frame, 0 where it is missing.
+        cov: Covariance (n, n) of the innovation.
+        noise: Covariance (n, n) of the noise of the measurement alone.
+        present: Which components (n,) are measured.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant import observers
+        >>> observers.Sample(jnp.array([0.1]), jnp.eye(1), jnp.eye(1), jnp.ones(1, bool)).innovation.shape
+        (1,)
+    """
+
+    innovation: Vector
+    cov: Matrix
+    noise: Matrix
+    present: Bool[Array, "n"]
+
+
+class Velocity(NamedTuple):
+    """A velocity and its covariance.
+
+    Attributes:
+        mean: Velocity (n,), in the frame.
+        cov: Its covariance (n, n).
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant import observers
+        >>> observers.Velocity(jnp.zeros(2), jnp.eye(2)).cov.tolist()
+        [[1.0, 0.0], [0.0, 1.0]]
+    """
+
+    mean: Vector
+    cov: Matrix
+
+
+class Judged(NamedTuple):
+    """Verdict of a gate on a measurement of n components.
+
+    Attributes:
+        far: Which components (n,) are refused: no ordinary correction uses them.
+        moved: Which of these (n,) show a velocity, so that the estimate has to start anew with it.
+        restart: Whether the estimate has to start anew from this measurement: because of `moved`, or because so many
+            samples were refused in a row.
+        velocity: Velocity of the new start: the predicted one, and where readings show another, that.
+        memory: What the gate remembers.
+    """
+
+    far: Bool[Array, "n"]
+    moved: Bool[Array, "n"]
+    restart: Flag
+    velocity: Velocity
+    memory: GateMemory
+
+    def result(self, otherwise: Code) -> Code:
+        """Result code of the step.
+
+        Args:
+            otherwise: Code of the step without the gate.
+
+        Returns:
+            `RESTARTED`, `OUTLIER` or `OK` by what the gate did, or `otherwise` where that is worse.
+        """
+        code = jnp.where(self.restart, int(Result.RESTARTED), jnp.where(jnp.any(self.far), int(Result.OUTLIER), 0))
+        return jnp.maximum(code, otherwise)

@@ -1,0 +1,224 @@
+"""Impacts, a late joint, a start at full speed, and bursts of outliers: the gate refuses what is alone, not motion.
+
+The motions are simulated without this library where it has no model of them: a rod that bounces off a stop by SciPy, a
+cube that is tossed onto a floor by MuJoCo.
+"""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.spatial.transform import Rotation
+
+from covariant.geometry.lie import SE3
+from covariant.models import GroupSystem, Motion, advance, pendulum_chain
+from covariant.observers import EKF, UKF, Gate, Gated, GateMemory, Intrinsic, IntrinsicKalman, JointKalman, run
+from covariant.signals import Record, Result
+
+LONG = (
+    "test_a_gate_takes_an_impact_for_motion[UKF]",
+    "test_a_gate_takes_an_impact_for_motion[EKF]",
+    "test_a_gate_takes_an_impact_for_motion[JointKalman]",
+    "test_a_gate_takes_the_impacts_of_a_tossed_cube_for_motion[EKF]",
+    "test_a_gate_takes_the_impacts_of_a_tossed_cube_for_motion[IntrinsicKalman]",
+    "test_a_burst_costs_no_more_than_the_same_rows_missing[EKF-3]",
+    "test_a_burst_costs_no_more_than_the_same_rows_missing[EKF-10]",
+    "test_a_burst_costs_no_more_than_the_same_rows_missing[IntrinsicKalman-3]",
+    "test_a_gate_leaves_a_late_joint_alone",
+)
+"""Cases of the long suite: a cheaper one of the same test is in the short one."""
+
+NOISE = 1e-3
+ROD, CHAIN = pendulum_chain((1.0,), (0.5,)), pendulum_chain((1.0, 0.7), (0.5, 0.4))
+
+
+def estimator(kind: str, model, speed: float, gate: Gate | None = Gate(), density: float = 1.0):
+    """An estimator of the kind, with the noise of the logs here; without a gate where it is None."""
+    eye = np.eye(len(model.manifold.zero(model.manifold.origin())))
+    if kind == "Intrinsic":
+        observer = Intrinsic(model, 40.0, 800.0, substeps=2)
+        return observer if gate is None else Gated(observer, model, NOISE, speed, gate)
+    if kind == "JointKalman":
+        return JointKalman(10 * speed, 0.1, NOISE, gate=gate)
+    if kind == "IntrinsicKalman":
+        return IntrinsicKalman(model, density * eye, NOISE**2 * eye, speed**2 * eye, substeps=2, gate=gate)
+    return {"EKF": EKF, "UKF": UKF}[kind](model, density * eye, NOISE**2 * eye, speed, substeps=2, gate=gate)
+
+
+def followed(observer, t, y):
+    found = run(observer, Record(t, np.zeros((len(t), y.shape[1])), y))
+    return np.asarray(found.estimate), np.asarray(found.info.result)
+
+
+def error(estimate: np.ndarray, v: np.ndarray, rows=slice(20, None)) -> float:
+    return float(np.sqrt(np.mean((estimate[rows, v.shape[1] :] - v[rows]) ** 2)))
+
+
+@functools.cache
+def bounces(rate: float = 200.0, seconds: float = 10.0) -> tuple[np.ndarray, np.ndarray]:
+    """Stamps and states of a rod that falls onto a stop at −.5 rad and leaves it at .8 of its speed."""
+
+    def hits(_, x):
+        return x[0] + 0.5
+
+    hits.terminal, hits.direction = True, -1
+    t = np.arange(0, seconds, 1 / rate)
+    x, start, now, done = np.zeros((len(t), 2)), 0.0, np.array([2.0, 0.0]), 0
+    while done < len(t):
+        part = solve_ivp(
+            lambda _, x: [x[1], -9.81 / 0.5 * np.sin(x[0])],
+            (start, seconds),
+            now,
+            events=hits,
+            rtol=1e-10,
+            atol=1e-12,
+            dense_output=True,
+        )
+        last = np.searchsorted(t, part.t[-1], side="right")
+        x[done:last] = part.sol(t[done:last]).T
+        start, done = part.t[-1], max(last, done)
+        now = np.array([-0.5 + 1e-9, -0.8 * part.y[1, -1]])
+        if part.status == 0:
+            break
+    return t, x
+
+
+@functools.cache
+def swing(rows: int = 2000, start=(2.0, -1.0), v=(0.0, 0.0)) -> tuple[np.ndarray, np.ndarray]:
+    """Stamps and states of a double pendulum at 200 Hz."""
+
+    def step(motion, _):
+        return advance(CHAIN, 0.0, motion, jnp.zeros(2), 0.005, 8), jnp.concatenate(motion)
+
+    motion = Motion(jnp.array(start), jnp.array(v))
+    return 0.005 * np.arange(rows), np.asarray(jax.jit(lambda: jax.lax.scan(step, motion, None, rows)[1])())
+
+
+def noisy(x: np.ndarray, seed: int = 0) -> np.ndarray:
+    n = x.shape[1] // 2
+    return x[:, :n] + NOISE * np.random.default_rng(seed).normal(size=(len(x), n))
+
+
+@pytest.mark.parametrize("kind", ["IntrinsicKalman", "Intrinsic", "EKF", "UKF", "JointKalman"])
+def test_a_gate_takes_an_impact_for_motion(kind):
+    t, x = bounces()
+    y, v = noisy(x), x[:, 1:]
+    speed = float(np.sqrt(np.mean(v**2)))
+    estimates, codes = followed(estimator(kind, ROD, speed), t, y)
+    free, _ = followed(estimator(kind, ROD, speed, gate=None), t, y)
+    assert (codes == Result.RESTARTED).sum() >= 4
+    # An impact costs the readings that show it, and gives its velocity at once: one refused reading for each new start.
+    assert (codes == Result.OUTLIER).sum() <= 1.5 * (codes == Result.RESTARTED).sum()
+    assert error(estimates, v) < 1.05 * error(free, v)
+
+
+@pytest.mark.parametrize("kind", ["EKF", "IntrinsicKalman"])
+def test_a_gate_takes_the_impacts_of_a_tossed_cube_for_motion(kind):
+    ratios = []
+    for seed in range(4):
+        t, y, v = tossed(seed)
+        gated, free = (cube_velocities(kind, gate, t, y) for gate in (Gate(), None))
+        ratios.append([np.sqrt(np.mean((a - v)[5:] ** 2, axis=0)) for a in (gated, free)])
+    gated, free = np.sqrt(np.mean(np.array(ratios) ** 2, axis=0))
+    assert np.linalg.norm(gated[:3]) < 1.1 * np.linalg.norm(free[:3])
+    assert np.linalg.norm(gated[3:]) < 1.1 * np.linalg.norm(free[3:])
+
+
+def tossed(seed: int, rate: float = 150.0, rows: int = 300) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Stamps, noisy poses and twists in the body of a cube tossed onto a floor."""
+    plant = mujoco.MjModel.from_xml_string(
+        '<mujoco><option timestep="5e-4" integrator="RK4"/><worldbody><geom type="plane" size="5 5 .1"/>'
+        '<body pos="0 0 .5"><freejoint/><geom type="box" size=".05 .05 .05" mass=".37"/></body></worldbody></mujoco>'
+    )
+    data, rng = mujoco.MjData(plant), np.random.default_rng(seed)
+    data.qvel[:] = [1.0, 0.3, 1.0, *8 * rng.normal(size=3)]
+    t, y, v = np.arange(rows) / rate, np.tile(np.eye(4), (rows, 1, 1)), np.zeros((rows, 6))
+    for k in range(rows):
+        while data.time < t[k] - 1e-9:
+            mujoco.mj_step(plant, data)
+        mujoco.mj_forward(plant, data)
+        rotation = data.xmat[1].reshape(3, 3)
+        y[k, :3, 3] = data.qpos[:3] + 2e-3 * rng.normal(size=3)
+        y[k, :3, :3] = rotation @ Rotation.from_rotvec(5e-3 * rng.normal(size=3)).as_matrix()
+        v[k] = [*rotation.T @ data.qvel[:3], *data.qvel[3:]]
+    return t, y, v
+
+
+def cube_velocities(kind: str, gate: Gate | None, t, y) -> np.ndarray:
+    mass, moment = 0.37, 0.37 / 6 * 0.1**2
+    inertia = jnp.diag(jnp.array([mass] * 3 + [moment] * 3))
+    body = GroupSystem(SE3, inertia, lambda g: mass * 9.81 * g[2, 3], inputs=0, force=lambda t, g, u: jnp.zeros(6))
+    process, noise = np.diag([1.0] * 3 + [50.0] * 3), np.diag([4e-6] * 3 + [2.5e-5] * 3)
+    if kind == "EKF":
+        observer = EKF(body, process, noise, 4.0, substeps=1, gate=gate)
+    else:
+        observer = IntrinsicKalman(body, process, noise, np.diag([1.0] * 3 + [64.0] * 3), substeps=1, gate=gate)
+    return np.asarray(run(observer, Record(t, np.zeros((len(t), 0)), y)).estimate.v)
+
+
+def test_a_gate_leaves_a_late_joint_alone():
+    """One joint is read a row late, so that the model is off by as much as the joint moves in a row."""
+    t, x = swing()
+    y = noisy(x)
+    y[1:, 1] = y[:-1, 1]
+    for kind in ("EKF", "Intrinsic", "JointKalman"):
+        estimates, codes = followed(estimator(kind, CHAIN, 3.0, density=1e-2), t, y)
+        free, _ = followed(estimator(kind, CHAIN, 3.0, gate=None, density=1e-2), t, y)
+        assert (codes == Result.OUTLIER).sum() == 0
+        assert error(estimates, x[:, 2:]) <= 1.05 * error(free, x[:, 2:])
+
+
+def test_a_start_at_full_speed_is_motion():
+    """At three times the speed that the filter expects: its first readings agree, and give it the velocity."""
+    t, x = swing(start=(0.5, 0.2), v=(9.0, -11.0))
+    y, v = noisy(x), x[:, 2:]
+    observer = JointKalman(motion_std=30.0, motion_time=0.1, measurement_std=NOISE)
+    estimates, codes = followed(observer, t, y)
+    assert (codes == Result.OUTLIER).sum() <= 2
+    assert np.abs(estimates[3, 2:] - v[3]).max() < 2.0
+
+
+@pytest.mark.parametrize("length", [3, 10])
+@pytest.mark.parametrize("kind", ["EKF", "IntrinsicKalman"])
+def test_a_burst_costs_no_more_than_the_same_rows_missing(kind, length):
+    t, x = swing()
+    y, v, rng = noisy(x), x[:, 2:], np.random.default_rng(5)
+    spoiled, missing = y.copy(), y.copy()
+    for k in range(100, len(t), 150):
+        spoiled[k : k + length] += rng.uniform(0.2, 0.6, (length, 2)) * rng.choice([-1, 1], (length, 2))
+        missing[k : k + length] = np.nan
+    gated = estimator(kind, CHAIN, 3.0, density=1e-2)
+    estimates, codes = followed(gated, t, spoiled)
+    assert Result.RESTARTED not in codes
+    assert error(estimates, v) < 1.02 * error(followed(gated, t, missing)[0], v)
+    assert error(estimates, v) < 1.25 * error(followed(gated, t, y)[0], v)
+
+
+@pytest.mark.parametrize(
+    ("change", "moves"),
+    [
+        ([0.05, 0.10], True),  # a velocity of 10 from the last used reading on
+        ([0.02, 0.07], True),  # the same from between two readings on
+        ([0.05, 0.05], False),  # a slip: the readings stay where they are
+        ([0.05, -0.05], False),  # to one side and the other
+        ([0.09, 0.14], False),  # a slip, and a velocity
+        ([0.60, 1.20], False),  # a velocity of 120, where 12 is usual
+    ],
+)
+def test_two_refused_readings_show_a_velocity_where_they_continue_the_last_used_one(change, moves):
+    from covariant.observers import Sample, Velocity
+
+    gate, manifold = Gate(), ROD.manifold
+    memory, eye = GateMemory.at_start(jnp.zeros(1)), jnp.eye(1)
+    for value in change:
+        memory = memory.advanced(jnp.asarray(0.005))
+        sample = Sample(jnp.array([value]), 1.5 * NOISE**2 * eye, NOISE**2 * eye, jnp.ones(1, bool))
+        verdict = gate.judge(manifold, sample, memory, Velocity(jnp.zeros(1), eye), 144.0 * eye)
+        memory = verdict.memory
+    assert bool(verdict.moved[0]) == moves
+    if moves:
+        assert float(verdict.velocity.mean[0]) == pytest.approx(10.0)
