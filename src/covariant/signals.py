@@ -349,6 +349,7 @@ def read_together(record: Record, delay: Float[np.ndarray, "n"]) -> Record:
     t, y = np.asarray(record.t, float), np.array(record.y, float)
     later = np.max(delay) - np.asarray(delay, float)
     for i in np.flatnonzero(later > 0):
+        # At the stamp t, y_i is the position at t − delay_i; the sample of t − later_i is that at t − max delay.
         y[:, i] = _between(t, y[:, i], t - later[i])
     begin = int(np.argmax(np.isfinite(y).all(axis=1)))
     return Record(t[begin:], np.asarray(record.u)[begin:], y[begin:])

@@ -255,16 +255,19 @@ def curve(op: str, x: TaylorModel, *given: float) -> TaylorModel:
     value, slope, bend = (TaylorModel.within(result) for result in _enclosed(graph, outputs[:3], Interval(x.at, x.at)))
     third = TaylorModel.within(_enclosed(graph, outputs[3:], x.bounds)[0])
     deviation = TaylorModel(x.on, np.zeros_like(x.at), x.line, x.bend, x.rest, x.shares)
+    # `bend.rest` is not halved: the remainder may only be too large.
     result = value + deviation * slope + deviation * deviation * TaylorModel.number(bend.at / 2, bend.rest)
     # The remainder of third order, rounded up: ξ is anywhere in the range of x.
     most = (np.abs(third.at) + third.rest) * deviation.away**3 / 6 * (1 + ROUND)
     part = x.dues / np.where(x.away > 0, x.away, 1.0)
     result = TaylorModel(x.on, result.at, result.line, result.bend, result.rest + most, result.shares + most * part)
     hull = TaylorModel(x.on, whole.at, 0 * x.line, 0 * x.bend, whole.rest, whole.rest * part)
+    # The range of the function alone where it is narrower; a NaN in the remainder chooses it too.
     return result.where(result.rest <= whole.rest, hull)
 
 
 def _divided(a: TaylorModel, b: TaylorModel) -> TaylorModel:
+    # A quotient as a product with 1/b, which is a function of one number; it has no bound where b may be zero.
     return a * curve("div", b, 1.0)
 
 

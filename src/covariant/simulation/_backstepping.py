@@ -110,6 +110,7 @@ class Backstepping(eqx.Module):
         # One Jacobian-vector product along (1, Jν) gives ν_r and its total time derivative, that of J included.
         nu_r, change = jax.jvp(self.virtual_velocity, (t, z), (jnp.ones_like(t), j @ nu))
         mass, kp, kd = (jnp.asarray(a, z.dtype) for a in (self.craft.mass, self.kp, self.kd))
+        # Jᵀ turns a force in the frame of η into one of the body frame: the power η'ᵀF = νᵀJᵀF stays the same.
         spring = j.T @ (kp @ self.error(t, eta))
         return nu_r, mass @ change + self.craft.restoring(z) - spring - kd @ (nu - nu_r)
 
