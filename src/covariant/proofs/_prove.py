@@ -193,7 +193,7 @@ def prove_at_corners(
     if kink is not None:
         # Its second derivatives vanish on either side of the kink, so they do not show that it is not affine.
         raise ValueError(f"prove_at_corners: the matrix is not affine in {', '.join(affine)}: it has a kink, by {kink}")
-    # A matrix that is affine jointly is a convex combination of its values at the corners, and the cone S > 0 is convex.
+    # A jointly affine matrix is a convex combination of its values at the corners, and the cone S > 0 is convex.
     derivatives = expand(formed.entries, indices.tolist(), 2)
     entries = np.array([not derivatives.graph.is_zero(i) for i in derivatives.outputs]).reshape(
         -1, len(formed.entries.outputs)
