@@ -193,7 +193,7 @@ def _cbrt(low: Any, high: Any) -> Bounds:
     usual = (size > 0) & (size < np.inf)
     inside = np.where(usual, size, 1.0)
     guess = (inside.view(np.int64) // 3 + THIRD).view(float)
-    # Newton doubles the digits: the guess is right to 6 %, four steps make it exact to rounding, and the fifth is to spare.
+    # Newton doubles the digits: from a guess right to 6 %, four steps reach rounding, and the fifth is to spare.
     for _ in range(5):
         guess = (2.0 * guess + inside / (guess * guess)) / 3.0
     guess = np.where(usual, guess, size)
