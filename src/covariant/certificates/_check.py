@@ -189,6 +189,7 @@ def _complete(resolved: Resolved) -> None:
         _need(r <= claim.limit <= available, f"{what}, and has {available:.6g} of room")
     if disturbed:
         count = np.count_nonzero(sizes(document))
+        # The steady distance 2D/λ; the box of scaled errors lies in the ball of radius √count, hence D = √(count square).
         steady = 2 * math.sqrt(count * claims[-1].square) / document.rate * (1 + ROUND)
         _need(steady < radius, f"radius: noise alone leads {steady:.6g} away, and the radius is {radius:.6g}")
 
@@ -252,6 +253,7 @@ def _matrix(resolved: Resolved, what: int | str) -> TaylorEnclosure:
     unmoved = np.concatenate([region, np.zeros((2, n))], axis=1)
     pinned = np.concatenate([[low, high], np.zeros((2, 2 * n + 1))], axis=1)
     force, slopes = matrices.force(model, shape), matrices.slopes(model, shape, n)
+    # Forces are shown within the box and half the slack, claims for forces within all of it: the rest covers rounding.
     slack, unknown, steep = _slack(low, high)[-n:] / 2, document.given.disturbance, document.given.slopes.ravel()
     claimed, allowed = (low[-n:] + unknown - slack, high[-n:] - unknown + slack), steep * (1 + SLACK) + 1e-200
     function, box, watch = {

@@ -72,6 +72,7 @@ class Table:
                 counts as 0.
         """
         with np.errstate(all="ignore"):
+            # NaN becomes 0, and infinities the nearest end: an index is always inside, as in the C of a table.
             index = np.clip(np.nan_to_num(np.rint(place)), 0, len(self.numbers) - 1)
         return self.numbers[index.astype(int)]
 

@@ -74,6 +74,7 @@ def _outward(graph: Graph, op: str, x: tuple[int, ...]) -> int:
         return _outward(graph, "neg", (node,))
 
     match op, x, positive:
+        # −(a − b) = b − a exactly, up to the sign of a zero.
         case "neg", (a,), _ if graph.nodes[a].op == "sub":
             return graph.apply("sub", *graph.nodes[a].arguments[::-1])
         case _, _, (int(a),) if op in ODD:

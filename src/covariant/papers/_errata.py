@@ -52,6 +52,7 @@ class PrintedBallAndBeam(AbstractFlowObserver):
         r_dot, theta_dot = vr - self.alpha * er, vt - self.alpha * et
         sr, st = -jnp.sin(theta), (u[0] - r * jnp.cos(theta)) / (1 + r**2)
         k = 1 + r_hat**2
+        # R(ξ, v̂)v̂, as (5) has it, is minus these: the metric diag(1, k), k = 1 + r̂², has the curvature −1/k².
         curvature_r = (-vr * vt * et + vt**2 * er) / k
         curvature_t = (vr**2 * et - vr * vt * er) / k**2
         vr_dot = r_hat * theta_dot * vt + (sr + r_hat * et * st) - self.beta * er
@@ -117,6 +118,7 @@ class PrintedGroup(AbstractFlowObserver):
         error = _printed_log(y, q) if "logarithm" in self.slips else group.between(y, q)
         s = source(self.model, t, y, u)
         s = space.lower(q, s) if "source" in self.slips else s
+        # The α of the paper is half of that of Aghannan and Rouchon, see (17).
         w = v - 2 * self.alpha * error
         transported = s - (
             space.connection(q, s, error) if "transport" in self.slips else space.connection(q, error, s)

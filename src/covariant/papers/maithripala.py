@@ -165,6 +165,7 @@ def _conserved(t):
     x = simulate(top, models.Motion(SO3.exp(jnp.array(TILT)), jnp.array(SPINNING)), t).x
 
     def invariants(g, v):
+        # A row of g is gᵀe₃: the vertical in the body, about which weight has no torque.
         vertical = g[2]  # e₃ in the body frame
         return jnp.stack([models.energy(top, g, v), vertical @ top.space.lower(g, v), vertical @ vertical])
 

@@ -69,6 +69,7 @@ def _tested(
     tests = tests_in_c(matrix.engine, matrix.size)
     enclosures = (tests.enclosed if tests else enclosed_by)(at, on, half, k)
     test = tests.definite if tests else definite
+    # First the form with terms: under one congruence its terms cancel between entries, which bounds of entries cannot.
     proved, c = test(enclosures.centre, enclosures.rest, enclosures.terms)
     rest = np.flatnonzero(~proved)
     # Bounds of the entries also hold where the matrix is not smooth, where Taylor's form says nothing.

@@ -259,6 +259,7 @@ def curve(op: str, x: TaylorModel, *given: float) -> TaylorModel:
     result = value + deviation * slope + deviation * deviation * TaylorModel.number(bend.at / 2, bend.rest)
     # The remainder of third order, rounded up: ξ is anywhere in the range of x.
     most = (np.abs(third.at) + third.rest) * deviation.away**3 / 6 * (1 + ROUND)
+    # The remainder is due to the variables in proportion to what each adds to |d|.
     part = x.dues / np.where(x.away > 0, x.away, 1.0)
     result = TaylorModel(x.on, result.at, result.line, result.bend, result.rest + most, result.shares + most * part)
     hull = TaylorModel(x.on, whole.at, 0 * x.line, 0 * x.bend, whole.rest, whole.rest * part)
