@@ -189,7 +189,7 @@ def _complete(resolved: Resolved) -> None:
         _need(r <= claim.limit <= available, f"{what}, and has {available:.6g} of room")
     if disturbed:
         count = np.count_nonzero(sizes(document))
-        # The steady distance 2D/λ; the box of scaled errors lies in the ball of radius √count, hence D = √(count square).
+        # The steady distance 2D/λ: the box of scaled errors lies in the ball of radius √count, so D² = count · square.
         steady = 2 * math.sqrt(count * claims[-1].square) / document.rate * (1 + ROUND)
         _need(steady < radius, f"radius: noise alone leads {steady:.6g} away, and the radius is {radius:.6g}")
 

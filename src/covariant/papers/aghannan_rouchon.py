@@ -150,17 +150,9 @@ def _figure4(observer, t, amplitude, scale, rtol):
     def measure(s, q):
         return q + amplitude * noise(s)
 
+    # Of a basin some runs escape: the limit of steps ends them.
     x, state = observe(
-        plant,
-        observer,
-        x0,
-        state0,
-        t,
-        feedback,
-        measure,
-        rtol=rtol,
-        atol=rtol / 100,
-        max_steps=MOST_STEPS,
+        plant, observer, x0, state0, t, feedback, measure, rtol=rtol, atol=rtol / 100, max_steps=MOST_STEPS
     )
     return x, jax.vmap(measure)(t, x[:, :2]), jnp.concatenate([state.q, state.v], axis=1)
 

@@ -192,7 +192,7 @@ def _balls(arb: Any) -> Domain:
         "sign": lambda a: -one if less(a, zero) else one,
         "floor": floor,
         "ceil": lambda a: -floor(-a),
-        # Half-way between integers it differs from rounding to even, but there the conditions of a proof exclude a jump.
+        # Half-way between integers it differs from rounding to even: the conditions of a proof exclude this jump.
         "round": lambda a: floor(a + 0.5),
         "min": lambda a, b: a if less(a, b) else b,
         "max": lambda a, b: b if less(a, b) else a,

@@ -221,7 +221,7 @@ def prove_at_corners(
             failed, corners = [_failed_at_once(at, counterexample, effort, reason)], corners[:k]
             break
     trees = [Tree(at) for at in corners]
-    # A counter-example at one corner leaves the corners before it in the search, which may still fail first.
+    # A counter-example at one corner leaves those before it in the search: the first corner that fails is reported.
     while (counterexample := _search_together(expansions, trees, effort, progress)) is not None:
         at = counterexample[0][indices]
         k = next(k for k, tree in enumerate(trees) if np.array_equal(tree.domain.low[indices], at))

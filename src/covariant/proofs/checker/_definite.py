@@ -46,7 +46,7 @@ def definite(
         unit = 1 / np.sqrt(np.diagonal(s[0], axis1=1, axis2=2))[:, :, None]
         scaled = unit * s[0] * unit.swapaxes(1, 2)
         values, vectors = np.linalg.eigh(np.where(np.isfinite(scaled), scaled, -np.eye(len(matrix))))
-        # C = U V Λ^−½ of the scaled middle; a negative eigenvalue is replaced, and then E is not small and nothing is shown.
+        # C = U V Λ^−½ of the scaled middle. A negative eigenvalue is replaced: then E is large, and nothing is shown.
         c = unit * vectors / np.sqrt(np.maximum(values, TINY))[:, None]
         ct = c.swapaxes(1, 2)
         turned = ct @ s @ c
