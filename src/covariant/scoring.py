@@ -183,6 +183,7 @@ def _turning(t, rotation, at, half, order):
     attitude, turning = np.empty((len(at), 3, 3)), np.empty((len(at), 3))
     for fit in _fits(t, at, half, order):
         nearest, measured = rotation[fit.nearest], rotation[fit.rows]
+        # First around the nearest measurement, then around the smoothed attitude: there the offset is zero.
         attitude[fit.at] = nearest @ _exp(_polynomial(fit, nearest, measured)[0])
         turning[fit.at] = _polynomial(fit, attitude[fit.at], measured)[1]  # at zero offset the slope is the velocity
     return attitude, turning
@@ -262,6 +263,7 @@ def _weights(t, at, rows, last, half, order):
     for _ in range(2 * order):
         moments.append(moments[-1] * s)
     powers = np.arange(order + 1)
+    # The normal matrix of powers is a Hankel matrix: entry (i, j) is the moment i + j.
     sums = np.stack([moment.sum(axis=1) for moment in moments], axis=1)
     solved = _inverses(sums[:, powers[:, None] + powers]) @ np.stack(moments[: order + 1], axis=1)
     ill = ~np.isfinite(solved[:, 0, 0])

@@ -314,6 +314,7 @@ def acting_inputs(record: Record, between: str = "held", delay: float = 0.0) -> 
     rise = np.diff(u, axis=0) if between == "linear" else np.zeros_like(u[1:])
     gathered = np.concatenate([np.zeros_like(u[:1]), np.cumsum((u[:-1] + rise / 2) * step[:, None], axis=0)])
     slope = np.concatenate([rise / step[:, None], np.zeros_like(u[:1])])
+    # The last input acts as long as the one before it.
     edges = np.append(t, 2 * t[-1] - t[-2]) - delay
     # A mean is the difference of the integral of the input at the edges. Before the first stamp `past` is negative:
     # there the integral continues linearly, with the first input, and the slope does not count.

@@ -133,6 +133,7 @@ def certify(
         )
     check_unique(observer, error_bound)
     domain, bounds = _domain(observer, system, speeds, error_bound, position, input, times, noise_bounds, force_bound)
+    # One budget for all claims together.
     remaining = boxes
 
     def run(what: str, matrix) -> Proof:
@@ -291,6 +292,7 @@ def _domain(
     # The widths depend on the box, and the box on them: a few fixed-point iterations, with a margin of a tenth.
     for _ in range(3):
         roots = np.sqrt(sampled_widths(system, box(excess)))
+        # The radius is the least (error − noise)/width of a position; times its width it is how far a velocity goes.
         excess = 1.1 * roots[n:] * ((error - noise) / roots[:n]).min()
     return check_box(box(excess)), bounds
 

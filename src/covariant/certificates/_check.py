@@ -176,6 +176,7 @@ def _complete(resolved: Resolved) -> None:
     start = document.given.positions[:, : places * model.manifold.commuting]
     truth = [np.concatenate([p, v, b]) for p, v, b in zip(start, (-speed, speed), (-noise, noise), strict=True)]
     widths = [radius * math.sqrt(claim.square) * (1 + ROUND) for claim in claims[1 : 1 + 2 * n]]
+    # In the order of the box. The measurement is fixed, so that position and error move together: the first n rows.
     reach = [*widths[: len(start[0])], *widths[n:], *widths[:n]]
     for name, a, b, c, d, r in zip(system.names[:-n], low[:-n], high[:-n], *truth, reach, strict=True):
         # `fsum` rounds the exact sum once, which keeps its sign.
@@ -232,6 +233,7 @@ def _force_box(document: Document) -> np.ndarray:
     """Least and largest time, measured position and input: (2, 1 + places + m). On a group `positions` are measured."""
     given, positions = document.given, document.given.positions
     if document.observer["frame"] == "coordinates":
+        # The force is taken at the measured position, which lies farther out than the true one by up to the noise.
         positions = positions + np.outer([-1, 1], given.noise)
     return np.concatenate([given.times[:, None], positions, given.inputs], axis=1)
 

@@ -100,6 +100,7 @@ def lower_distance(metric: StateMetric, t: Scalar, x0: Vector, x1: Vector) -> Sc
     covector = theta.T @ metric.gram(t, middle) @ theta @ (x1 - x0)
     size = jnp.sqrt(widest(half, covector[None])[0])
     # Equal states have the distance 0; the inner `where` keeps the unused quotient finite.
+    # |dφ| ≤ size on the box, so that φ(x1) − φ(x0) ≤ size · distance.
     lower = jnp.where(upper > 0, (covector @ (x1 - x0)) / jnp.where(size > 0, size, 1.0), 0.0)
     return jnp.where(inside, jnp.maximum(lower, 0.0), 0.0)
 

@@ -217,6 +217,7 @@ def _solved(f: np.ndarray, h: np.ndarray, rate: float, effort: float) -> tuple[n
     # Scale is free, since the inequalities are homogeneous in M and Y: it is fixed by M ≥ I.
     forms += [lambda x: parts(x)[0] - eye, lambda x: parts(x)[2] * eye - parts(x)[0], bounded]
     cost = np.zeros(size + n * p + 2)
+    # Without outputs the bound of |Y| is free, and any positive cost brings it to 0.
     cost[-2:] = 1.0, effort if p else 1.0
     x = minimise(cost, forms)
     if x is None:

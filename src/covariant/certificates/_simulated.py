@@ -170,6 +170,7 @@ def trajectories(
     plant = _Plant(certificate)
     half_widths = plant.half_widths
     m = len(certificate.given["inputs"]["low"])
+    # Paces that are no multiples of each other: several inputs do not repeat one pattern.
     control = plant.inputs(2 * jnp.pi / plant.longest * (2 + 0.74 * jnp.arange(m, dtype=float)), jnp.zeros(m))
     rng = np.random.default_rng(seed)
     start, duration, travel = _longest_motion(plant, control, rng)

@@ -41,6 +41,7 @@ class Equation(eqx.Module):
         if isinstance(self.rate, float | int):
             if not 0 <= self.rate < float("inf"):
                 raise ValueError(f"rate must be a number ≥ 0; got {self.rate}")
+            # Without λ and Q nothing is forgotten, and W grows without bound.
             if self.rate == 0 and self.process_cov is None:
                 raise ValueError("an equation needs a rate λ > 0, a process_cov Q, or both; it has neither")
 

@@ -294,6 +294,7 @@ def reconstructibility(gramian: Matrix) -> Scalar:
     diagonal: Array = jnp.diagonal(gramian)
     # An unobserved coordinate keeps its zero row: the eigenvalue 0, not a division by zero.
     scale = jnp.where(diagonal > 0, jax.lax.rsqrt(jnp.where(diagonal > 0, diagonal, 1.0)), 0.0)
+    # A diagonal of ones: the index does not depend on the units of the coordinates.
     scaled = scale[:, None] * gramian * scale[None, :]
     finite = jnp.all(jnp.isfinite(scaled))
     least = jnp.linalg.eigvalsh(jnp.where(finite, scaled, 0.0))[0]

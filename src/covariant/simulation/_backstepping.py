@@ -56,6 +56,7 @@ class Backstepping(eqx.Module):
         self.kp, self.kd, self.lam = (_gain(name, g, n) for name, g in (("kp", kp), ("kd", kd), ("lam", lam)))
         product = np.asarray(self.kp @ self.lam)
         # `not >` is true for NaN as well.
+        # V_con' has −η̃ᵀK_pΛη̃, of which only the symmetric part counts.
         if not np.linalg.eigvalsh(product + product.T)[0] > 0:
             raise ValueError("kp and lam: K_pΛ + ΛᵀK_p must be positive definite; choose both diagonal")
 

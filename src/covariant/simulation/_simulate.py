@@ -166,6 +166,7 @@ def _observe_in_charts(model: MechanicalSystem, observer: AbstractFlowObserver, 
             (sigma, mu), moved, rest = joint
             x = plant.motion(sigma, mu)
             inputs, slope = answer(s, x, rest._replace(q=manifold.retract(state.q, moved)))
+            # The velocity is in the frame at the estimate; integrated are coordinates in the chart.
             turning = manifold.local_rate(state.q, moved, slope.q)
             return plant.flow(s, (sigma, mu), lambda *_: inputs)[0], turning, slope._replace(q=None)
 

@@ -253,12 +253,14 @@ def along_the_flow(
         def along(s):
             """ζ and V of the variation that is transported by the flow."""
             here, xi_now = model.manifold.nudged(x, s * w), xi + s * xi_rate
+            # ζ is the covariant derivative of v̂ in the direction ξ, hence the connection.
             zeta = delta + s * a_change + space.connection(here, xi_now, v + s * a)
             gram = space.gram(here, jnp.stack([xi_now, zeta]))
             return zeta, jnp.sum(q * gram) / 2
 
         (zeta, _), (zeta_rate, lyapunov_rate) = change(along)
         connection_xi, connection_zeta = space.connection(x, w, xi), space.connection(x, w, zeta)
+        # Law (10) with ∇ = d/dt + B(w, ·): ∇ξ = ζ − αξ and ∇ζ = −βξ.
         first = xi_rate + connection_xi - (zeta - alpha * xi)
         second = zeta_rate + connection_zeta + beta * xi
         # Relative to the terms that cancel, so that rounding errors are measured in proportion to them.
@@ -301,6 +303,7 @@ def of_the_geometry(model: MechanicalSystem, states: States) -> GeometryDeviatio
         along_b, along_c = space.connection(x, a, b), space.connection(x, a, c)
         changed = change(lambda s: space.inner(model.manifold.nudged(x, s * a), b, c))[1]
         metric = jnp.abs(changed - space.inner(x, along_b, c) - space.inner(x, b, along_c))
+        # |b||c| keeps the quotient finite in flat coordinates, where all other terms are 0.
         metric = metric / (jnp.abs(changed) + norm(along_b) * norm(c) + norm(b) * (norm(along_c) + norm(c)))
         swapped, commutator = space.connection(x, b, a), bracket(model, x, a, b)
         torsion = norm(along_b - swapped - commutator)

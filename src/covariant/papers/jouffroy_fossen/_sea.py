@@ -161,6 +161,7 @@ def sea_errors(log: Sea) -> dict[str, Float[np.ndarray, "T 3"]]:
     passive, kalman, filtered = (np.asarray(run(o, record).estimate) for o in log.observers.values())
     derived = filtered[:, 3:]
     heading = np.asarray(record.x)[:, 2]
+    # R(ψ)ᵀ turns velocities over ground into the frame of the ship, in which the others estimate.
     turned = np.stack(
         [
             np.cos(heading) * derived[:, 0] + np.sin(heading) * derived[:, 1],
