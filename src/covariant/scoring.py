@@ -251,7 +251,7 @@ def _weights(t, at, rows, last, half, order):
     """Weights (j, order + 1, w) of the polynomials at the stamps `at` (j,), fitted to the measurements in `rows`."""
     inside = rows < last[:, None]
     s = np.where(inside, t[np.minimum(rows, len(t) - 1)] - at[:, None], 0.0)
-    # A window that was widened for lack of samples is scaled by its width, so that |s| ≤ 1 and no weight is zero.
+    # A window that was widened for lack of samples is scaled by its width, so that |s| ≤ 1, as the kernel needs it.
     half_width = np.maximum(half, np.abs(s).max(axis=1))[:, None]
     s = s / half_width
     base = np.maximum(1 - np.abs(s) * s * s, 0.0)

@@ -574,6 +574,6 @@ def conjugate_points(space: Curved, p: Configuration, velocity: Vector, budget: 
     x = jnp.concatenate([jnp.zeros_like(velocity), velocity])
     # Columns n and later: fields that vanish at p, one for each direction of the initial velocity.
     first = (step(x), jax.jacfwd(step)(x)[:, n:], jnp.zeros((), jnp.int32))
-    # Interior nodes only: a point that is conjugate at q itself still leaves the geodesic a shortest one.
+    # Interior nodes only: by the index theorem a conjugate point at q itself does not count.
     (_, _, index), _ = jax.lax.scan(advance, first, length=budget.steps - 1)
     return index

@@ -192,7 +192,7 @@ def _trials(kernel: Kernel, rng: np.random.Generator) -> np.ndarray:
         if kind is Truth:
             rows.append(np.sort(rng.integers(0, 2, (2, TRIALS)), axis=0).astype(float))
         elif kind is Interval:
-            # Half of the intervals are narrow: wide ones hide a wrong last bit behind the other end.
+            # Half of the intervals are narrow, as in proofs; the others have ends of unrelated sizes.
             size = rng.choice(SIZES, (2, TRIALS)) * rng.uniform(0.5, 1.0, (2, TRIALS)) * rng.choice([-1, 1], TRIALS)
             size[1] = np.where(rng.random(TRIALS) < 0.5, size[0] * (1 + 1e-6), size[1] * rng.choice([-1, 1], TRIALS))
             # Some intervals of which nothing is known.

@@ -138,7 +138,7 @@ def _minus(graph: Graph, number: float, node: int) -> int:
 
 def _product(graph: Graph, node: int, arguments: tuple[int, ...], changes: tuple[int, ...]) -> int:
     (a, b), (da, db) = arguments, changes
-    # 2ab′ in place of a′b + ab′: one product less, and in intervals no second, unrelated a.
+    # (a²)′ = 2aa′: one product in place of two.
     if a == b:
         return graph.apply("mul", graph.constant(2.0), graph.apply("mul", a, da))
     return graph.apply("add", graph.apply("mul", da, b), graph.apply("mul", a, db))

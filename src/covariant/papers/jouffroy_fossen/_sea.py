@@ -70,6 +70,7 @@ def sea(seed: int = 0) -> Sea:
     noise = random.normal(size=(len(t), 6)) / math.sqrt(STEP) * np.concatenate([np.ones(3), slow])
     x, tau, y = (np.asarray(a) for a in _station_keeping(station, jnp.asarray(t), jnp.asarray(noise)))
     y = y + random.normal(size=y.shape) * np.array([GNSS, GNSS, COMPASS])
+    # GNSS has one sample a second, the compass one a step.
     missing = np.arange(len(t)) % round(1 / STEP) != 0
     for begin, end in GAPS:
         missing |= (t >= begin) & (t < end)

@@ -65,7 +65,7 @@ ENTRIES: dict[str, Callable] = {
     "abs": lambda a: choose(less(a, ZERO), -a, a),
     # At zero the hull [−1, 1] holds both values and 0.
     "sign": lambda a: choose(less(a, ZERO), -ONE, ONE),
-    # They differ half-way between integers alone, where rounding jumps and `_between` shows nothing.
+    # It differs from rounding to even half-way between integers alone: a jump, of which `_between` shows nothing.
     "round": lambda a: floor(a + HALF),
     "floor": floor,
     "is_finite": finite,
