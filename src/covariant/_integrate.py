@@ -41,6 +41,7 @@ def compiled(function: Callable) -> Callable:
 
 
 def _as_array(leaf: Any) -> Any:
+    # A Python float would be a constant of the program, which each new number would compile again.
     return jnp.asarray(leaf) if isinstance(leaf, float | np.ndarray) else leaf
 
 

@@ -157,6 +157,7 @@ def _in_loops(a: Matrix, b: Float[Array, "n k"]) -> Float[Array, "n k"]:
 
     def shrink(rest, _):
         step, rest = _eliminated(rest)
+        # Padded to the size it had: a scan carries arrays of one shape.
         return jnp.pad(rest, ((0, 1), (0, 1))), step
 
     def down(rows, step):

@@ -451,5 +451,6 @@ def _growth(error_system: ErrorSystem, domain: Box, where: np.ndarray) -> Growth
     if not rate > 0:
         return None
     stamps = np.linspace(0.0, 5 / rate, 101)
+    # The real part of a complex solution is a solution, since the Jacobian is real.
     error = (np.exp(values[fastest] * stamps)[:, None] * vectors[:, fastest]).real
     return Growth(stamps, error, rate, dict(zip(domain.names, where.tolist(), strict=True)))

@@ -145,6 +145,7 @@ class PrintedGroup(AbstractFlowObserver):
 
 def _printed_log(y: Element, estimate: Element) -> Vector:
     """Equations (44) and (45) as printed: the spatial logarithm of the rotation, and a difference of two frames."""
+    # log(g̃gᵀ) is the rotation vector in space; that of gᵀg̃ in the body would be gᵀ times it.
     omega = SO3.log(estimate[:3, :3] @ y[:3, :3].T)
     if y.shape[0] == 3:
         return omega

@@ -55,6 +55,7 @@ class TaylorModel:
     def __init__(
         self, on: Support, at: np.ndarray, line: np.ndarray, bend: np.ndarray, rest: np.ndarray, shares: np.ndarray
     ):
+        # TINY covers what underflows in the operation that made this number, where relative bounds do not hold.
         self.on, self.at, self.line, self.bend, self.rest, self.shares = on, at, line, bend, rest + TINY, shares
         self.sloped, self.bent = np.abs(line).sum(0), np.abs(bend).sum(0)
         self.away = (self.sloped + self.bent + self.rest) * (1 + ROUND)
@@ -195,6 +196,7 @@ def _each(bend: np.ndarray, count: int) -> np.ndarray:
 @functools.cache
 def _incidence(count: int) -> Float[np.ndarray, "s p"]:
     i, j = _pairs(count)
+    # A pair counts half for each of its variables, a square wholly for its one.
     return (np.arange(count)[:, None] == i) / 2 + (np.arange(count)[:, None] == j) / 2
 
 
