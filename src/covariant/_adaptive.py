@@ -44,6 +44,7 @@ def _run(
     slope: Callable[[Any, Array], Array], x0: Array, begin, end, shortest, *, rtol, atol, max_steps, event=None
 ) -> _Run:
     """Integrate from x0 to `end`, to an event, or to where steps become shorter than `shortest`."""
+    # Nothing is raised: callers see by the last time whether the run came to its end.
     solution: Any = dfx.diffeqsolve(
         dfx.ODETerm(lambda t, x, _: slope(t, x)),
         dfx.Dopri8(),
@@ -93,10 +94,12 @@ def solve(
     def interval(x: Array, bounds: tuple[Array, Array]):
         begin, end = bounds
         escaped = ~jnp.all(jnp.isfinite(x))
+        # An interval of no length: a state that has escaped ends the loop at once.
         end = jnp.where(escaped, begin, end)
         # A step of four roundings of the time, shortened by a tenth, is rounded to four: it would be tried for ever.
         shortest = 10 * jnp.finfo(ts.dtype).eps * jnp.maximum(jnp.abs(begin), jnp.abs(end))
         run = _run(slope, x, begin, end, shortest, rtol=rtol, atol=atol, max_steps=max_steps)
+        # A run that stopped before its end ran out of steps, or they became too short: it has no state at the stamp.
         x = jnp.where(escaped | (run.t != end), jnp.inf, run.x)
         return x, x
 
@@ -158,6 +161,7 @@ def _root(function: Callable[[Array], Array], start: Array, wanted: Array) -> Ar
 
     def closer(carry):
         a, at_a, b, at_b, count = carry
+        # The secant through both ends; b is always the latest point, so that the loop ends by the value there.
         c = b - at_b * (b - a) / (at_b - at_a)
         at_c = function(c)
         between = at_c * at_b < 0
@@ -167,6 +171,7 @@ def _root(function: Callable[[Array], Array], start: Array, wanted: Array) -> Ar
     def going(carry):
         *_, value, count = carry
         # Relative to the value at the start of the step, so that the scale of the border function has no influence.
+        # The order of Illinois is 3^⅓ = 1.44, so that a dozen steps usually do; 50 end a search that rounding stalls.
         return wanted & (jnp.abs(value) > 1e-12 * start) & (count < 50)
 
     first = jnp.zeros_like(end), start, end, function(end), jnp.zeros((), jnp.int32)

@@ -94,6 +94,7 @@ def is_kept(source: str, flags: Sequence[str]) -> bool:
 
 def _cached_path(source: str, flags: Sequence[str]) -> Path | None:
     machine = _processor() if "-march=native" in flags else ""
+    # With the compiler's version: another one may make other code of the same source.
     key = hashlib.sha256("\n".join([source, *flags, _version(), machine]).encode()).hexdigest()[:32]
     folder = cache_folder()
     return None if folder is None else folder / f"{key}.so"

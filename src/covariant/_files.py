@@ -95,6 +95,7 @@ def attended(folder: Path, tidy: Callable[[], object]) -> Iterator[None]:
     with _opened(folder) as lock:
         if _take(lock, "EX", wait=False):
             tidy()
+        # Shared from here on: others may write too, and none of them tidies while this process writes.
         _take(lock, "SH", wait=True)
         yield
 

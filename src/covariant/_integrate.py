@@ -41,6 +41,7 @@ def compiled(function: Callable) -> Callable:
 
 
 def _as_array(leaf: Any) -> Any:
+    # A Python float would be a constant of the program, which each new number would compile again.
     return jnp.asarray(leaf) if isinstance(leaf, float | np.ndarray) else leaf
 
 
@@ -58,6 +59,7 @@ def rk4_step(flow: Flow, t, x, dt):
     """
 
     real = jax.tree.leaves(x)[0].dtype
+    # The slope before the first stage is zero and unused, as `ahead` is 0 there: four stages are one loop.
     ahead, weight = jnp.array([0.0, 0.5, 0.5, 1.0], real), jnp.array([1 / 6, 1 / 3, 1 / 3, 1 / 6], real)
 
     def stage(i, carry):
@@ -133,6 +135,7 @@ def dormand_prince() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     import diffrax  # a quarter of a second, which only work offline has to wait
 
     tableau = diffrax.Dopri8.tableau
+    # The last stage is the slope at the end of the step, for the error estimate alone: its weight here is zero.
     count = len(tableau.b_sol) - 1
     a = np.stack([np.zeros(count), *(np.pad(row, (0, count - len(row))) for row in tableau.a_lower[:-1])])
     return a, tableau.b_sol[:-1], np.append(0.0, tableau.c[:-1])

@@ -53,6 +53,7 @@ def ldl(a: Matrix) -> list[Pivot]:
     Returns:
         The n steps of the elimination, first column first.
     """
+    # A positive definite matrix needs no pivoting: its pivots are positive and its Schur complements do not grow.
     steps, rest = [], a
     for _ in range(a.shape[0]):
         step, rest = _eliminated(rest)
@@ -156,6 +157,7 @@ def _in_loops(a: Matrix, b: Float[Array, "n k"]) -> Float[Array, "n k"]:
 
     def shrink(rest, _):
         step, rest = _eliminated(rest)
+        # Padded to the size it had: a scan carries arrays of one shape.
         return jnp.pad(rest, ((0, 1), (0, 1))), step
 
     def down(rows, step):
@@ -205,6 +207,7 @@ def _back(step: Pivot, row: Float[Array, "1 k"], x: Float[Array, "m k"]) -> Floa
 @_solve.defjvp
 def _(primals, tangents):
     # The derivative of the solution is another solve with the same factor, which the compiler reuses.
+    # From d(a x) = db: a dx = db − da x.
     (a, b), (da, db) = primals, tangents
     x = solve(a, b)
     return x, solve(a, db - da @ x)
@@ -308,6 +311,7 @@ def triangular(a: Float[Array, "n k"]) -> Matrix:
         length = jnp.sqrt(jnp.sum(rest[0] ** 2))
         # A row that depends on those before it has length zero here, and a column of zeros in L.
         axis = rest[0] / jnp.where(length > 0, length, 1.0)
+        # Modified Gram and Schmidt, a = L Qᵀ: the rows that remain lose their part along `axis`.
         below = rest @ axis
         columns.append(jnp.concatenate([jnp.zeros(k, a.dtype), below]))
         rest = rest[1:] - jnp.outer(below[1:], axis)

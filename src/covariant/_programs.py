@@ -68,6 +68,7 @@ def evict_unused(folder: Path) -> None:
         if file.name.endswith((".so", ".json", ".made", "-cache")):  # .made: of versions before this one
             with contextlib.suppress(OSError):  # another process was faster, or may
                 times = file.stat()
+                # Many file systems do not record reads: then the time of writing counts.
                 if max(times.st_atime, times.st_mtime) < time.time() - UNUSED:
                     file.unlink()
 

@@ -178,10 +178,12 @@ def _turning(t, rotation, at, half, order):
         c, s = np.cos(smooth), np.sin(smooth)
         return np.moveaxis(np.array(((c, -s), (s, c))), 2, 0), rate[:, None]
     speed = np.linalg.norm(_log(_between(rotation[:-1], rotation[1:])), axis=1) / np.diff(t)
+    # A quantile, so that a few wrong attitudes do not shorten every window.
     half = min(half, FARTHEST_TURN / max(float(np.quantile(speed, 0.95)), 1e-9))
     attitude, turning = np.empty((len(at), 3, 3)), np.empty((len(at), 3))
     for fit in _fits(t, at, half, order):
         nearest, measured = rotation[fit.nearest], rotation[fit.rows]
+        # First around the nearest measurement, then around the smoothed attitude: there the offset is zero.
         attitude[fit.at] = nearest @ _exp(_polynomial(fit, nearest, measured)[0])
         turning[fit.at] = _polynomial(fit, attitude[fit.at], measured)[1]  # at zero offset the slope is the velocity
     return attitude, turning
@@ -215,6 +217,7 @@ def _fits(t, at, half, order) -> Iterator[_Fit]:
         raise ValueError(f"a reference of order {order} needs {order + 3} measurements; there are {len(t)}")
     reach = half * (1 + 1e-9)  # so that no rounding decides on the samples at the ends of a window
     first, last = np.searchsorted(t, at - reach), np.searchsorted(t, at + reach, side="right")
+    # order + 1 coefficients, and two samples more, so that noise is averaged and not interpolated.
     few = last - first < order + 3
     first = np.where(few, np.maximum(0, first - order - 3), first)
     last = np.where(few, np.minimum(len(t), last + order + 3), last)
@@ -237,6 +240,7 @@ def _kinds(t, at, first, last, half):
     """
     spacing = np.round(np.diff(t) / half, SAME)
     changes = np.concatenate([[0], np.cumsum(spacing[1:] != spacing[:-1])])
+    # Rows first … last − 1 have the steps first … last − 2; these are equal where no step changed in between.
     even = changes[first] == changes[last - 2]
     offset = np.round((t[first] - at) / half, SAME)
     unique = np.column_stack([np.full(len(at), -1.0), np.arange(len(at)), np.zeros(len(at))])
@@ -247,6 +251,7 @@ def _weights(t, at, rows, last, half, order):
     """Weights (j, order + 1, w) of the polynomials at the stamps `at` (j,), fitted to the measurements in `rows`."""
     inside = rows < last[:, None]
     s = np.where(inside, t[np.minimum(rows, len(t) - 1)] - at[:, None], 0.0)
+    # A window that was widened for lack of samples is scaled by its width, so that |s| ≤ 1, as the kernel needs it.
     half_width = np.maximum(half, np.abs(s).max(axis=1))[:, None]
     s = s / half_width
     base = np.maximum(1 - np.abs(s) * s * s, 0.0)
@@ -258,13 +263,16 @@ def _weights(t, at, rows, last, half, order):
     for _ in range(2 * order):
         moments.append(moments[-1] * s)
     powers = np.arange(order + 1)
+    # The normal matrix of powers is a Hankel matrix: entry (i, j) is the moment i + j.
     sums = np.stack([moment.sum(axis=1) for moment in moments], axis=1)
     solved = _inverses(sums[:, powers[:, None] + powers]) @ np.stack(moments[: order + 1], axis=1)
     ill = ~np.isfinite(solved[:, 0, 0])
     if ill.any():
         basis = s[ill, :, None] ** powers * weight[ill, :, None]
+        # The relative threshold of NumPy's `matrix_rank`: singular values below it are rounding errors.
         rcond = max(basis.shape[1:]) * np.finfo(float).eps
         solved[ill] = np.linalg.pinv(basis, rcond=rcond) * weight[ill, None]
+    # The fit is in the scaled time s, so a derivative of order p has the factor half_width⁻ᵖ.
     return solved / half_width[..., None] ** powers[:, None]
 
 

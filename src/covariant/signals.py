@@ -314,6 +314,7 @@ def acting_inputs(record: Record, between: str = "held", delay: float = 0.0) -> 
     rise = np.diff(u, axis=0) if between == "linear" else np.zeros_like(u[1:])
     gathered = np.concatenate([np.zeros_like(u[:1]), np.cumsum((u[:-1] + rise / 2) * step[:, None], axis=0)])
     slope = np.concatenate([rise / step[:, None], np.zeros_like(u[:1])])
+    # The last input acts as long as the one before it.
     edges = np.append(t, 2 * t[-1] - t[-2]) - delay
     # A mean is the difference of the integral of the input at the edges. Before the first stamp `past` is negative:
     # there the integral continues linearly, with the first input, and the slope does not count.
@@ -349,6 +350,7 @@ def read_together(record: Record, delay: Float[np.ndarray, "n"]) -> Record:
     t, y = np.asarray(record.t, float), np.array(record.y, float)
     later = np.max(delay) - np.asarray(delay, float)
     for i in np.flatnonzero(later > 0):
+        # At the stamp t, y_i is the position at t − delay_i; the sample of t − later_i is that at t − max delay.
         y[:, i] = _between(t, y[:, i], t - later[i])
     begin = int(np.argmax(np.isfinite(y).all(axis=1)))
     return Record(t[begin:], np.asarray(record.u)[begin:], y[begin:])

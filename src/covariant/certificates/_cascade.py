@@ -81,6 +81,7 @@ class Constants(NamedTuple):
         """The upper bound of γ1² as printed, `4(c3 − c4γ2)λ_q/c4²`; −∞ where V_con has no gradient."""
         if not self.c4 > 0:
             return -math.inf
+        # The condition for κ = 1 below, that is with V_con + V_obs itself; c4 has the unit of V_con, λ_q has not.
         return 4 * (self.c3 - self.c4 * self.gamma2) * self.lambda_q / self.c4**2
 
     @property
@@ -100,6 +101,7 @@ class Constants(NamedTuple):
         """The lower bound of the κ for which `V_con + κV_obs` decreases; infinite where there is no such κ."""
         if not self.weighted:
             return math.inf
+        # V' ≤ −(c3 − c4γ2)|e|² + c4γ1|e||x̃| − κλ_q|x̃|² is negative exactly where its discriminant is.
         return (self.c4 * self.gamma1) ** 2 / (4 * self.lambda_q * (self.c3 - self.c4 * self.gamma2))
 
 
@@ -346,6 +348,7 @@ def _forms(controller, observer, coupling) -> dict[str, _Form]:
         def form(whole):
             z, e, _ = split(whole, len(coupling_box.low))
             b = jacobians(z)[which]
+            # The least eigenvalue of −BᵀEB is −|√E B|²: the square of a largest singular value, from the same search.
             return -b.T @ (e[:, None] * b)
 
         return as_form(form)
@@ -363,6 +366,7 @@ def _forms(controller, observer, coupling) -> dict[str, _Form]:
 
     return {
         "small": with_pencil(metric(plant, plant_box, 1.0), "e", plant_box),
+        # The largest eigenvalue of P as the least one of −P: one search serves both.
         "large": with_pencil(metric(plant, plant_box, -1.0), "e", plant_box),
         "fall": with_pencil(_change(plant, len(plant_box.low), -0.5), "e", plant_box),  # V_con has the factor ½
         "error": with_pencil(_change(error, len(error_box.low), -1.0), "x", error_box),
@@ -408,6 +412,7 @@ def _change(error_system: ErrorSystem, d: int, factor: float) -> Form:
     """A multiple of `FᵀM + Ṁ + MF` (n, n) in coordinates, as a function of z and of scales, which it ignores."""
 
     def formula(coframe, gram, change):
+        # From the frame back to coordinates, in which the norms of Theorem 3 are.
         return factor * coframe.T @ change @ coframe
 
     def numbers(z):
@@ -432,6 +437,7 @@ def _scales(of_e: Sequence[str], of_x: Sequence[str]):
 def _factor(written: str, unit: str, factor: float) -> float:
     """Factor of the number of a quantity in "a" or "a/b" where `unit` is replaced by a unit smaller by `factor`."""
     over, _, under = written.partition("/")
+    # In "a/b" a smaller unit makes the number of a larger, and that of 1/b smaller.
     return (factor if over == unit else 1.0) / (factor if under == unit else 1.0)
 
 
@@ -445,5 +451,6 @@ def _growth(error_system: ErrorSystem, domain: Box, where: np.ndarray) -> Growth
     if not rate > 0:
         return None
     stamps = np.linspace(0.0, 5 / rate, 101)
+    # The real part of a complex solution is a solution, since the Jacobian is real.
     error = (np.exp(values[fastest] * stamps)[:, None] * vectors[:, fastest]).real
     return Growth(stamps, error, rate, dict(zip(domain.names, where.tolist(), strict=True)))

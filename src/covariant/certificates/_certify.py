@@ -115,7 +115,9 @@ def certify(
     for name, gain in (("alpha", alpha), ("beta", beta)):
         if not math.isfinite(gain):
             raise ValueError(f"certify: {name} of the observer must be a finite number; got {gain:g}")
+    # λ is the rate of squared lengths, hence twice the decay rate of the slower pole.
     best = -2 * float(np.linalg.eigvals(error_matrix(alpha, beta)).real.max())
+    # Towards the best rate Q grows without bound; two thirds of it leave Q well conditioned.
     matrix = optimal_lyapunov(alpha, beta, best * 2 / 3) if q is None else check_q("certify", q)
     target = rate_of(alpha, beta, matrix) / 2 if rate is None else float(rate)
     if not (math.isfinite(target) and target > 0):
@@ -131,6 +133,7 @@ def certify(
         )
     check_unique(observer, error_bound)
     domain, bounds = _domain(observer, system, speeds, error_bound, position, input, times, noise_bounds, force_bound)
+    # One budget for all claims together.
     remaining = boxes
 
     def run(what: str, matrix) -> Proof:
@@ -165,6 +168,7 @@ def certify(
             claims.append(Claim("disturbance", run("noise", disturbance_bound(system, sizes, square)), 0, square))
         if all(claim.proof.verdict == "holds" for claim in claims):
             # Rounded down: the statement also holds for a smaller radius.
+            # |row · δ| ≤ √square |δ|: a curve of length ε leads no farther than ε√square ≤ limit.
             radius = min(limit / math.sqrt(claim.square) for claim, limit in zip(claims[1:], limits, strict=False))
             radius *= 1 - 1e-9
             if not steady_distance(target, disturbance_length(bounds, claims)) < radius:
@@ -175,6 +179,7 @@ def certify(
     if checker != "off" and statement.verdict == "holds":
         if progress is not None:
             progress("by the checker", 0.0, sum(claim.proof.boxes for claim in claims))
+        # The checker gets as long as the proof took, so that a certificate is never much slower for being checked.
         result = judged(_stated(facts, system), max(elapsed, PATIENCE) if checker == "auto" else math.inf)
         statement = contraction_statement(facts, "proved", result)
     if statement.verdict != "holds":
@@ -287,6 +292,7 @@ def _domain(
     # The widths depend on the box, and the box on them: a few fixed-point iterations, with a margin of a tenth.
     for _ in range(3):
         roots = np.sqrt(sampled_widths(system, box(excess)))
+        # The radius is the least (error − noise)/width of a position; times its width it is how far a velocity goes.
         excess = 1.1 * roots[n:] * ((error - noise) / roots[:n]).min()
     return check_box(box(excess)), bounds
 
@@ -383,6 +389,7 @@ def sampled_widths(about: ErrorSystem, domain: Box, count: int = 2000) -> Float[
 def _sampled_disturbance(about: ErrorSystem, domain: Box, sizes: np.ndarray, count: int = 2000) -> float:
     """The largest squared change of the flow by errors in the unit ball, at such points."""
     matrices = _sampled(disturbance_bound(about, sizes, 0.0).graph(jnp.asarray(domain.low)).entries, domain, count)
+    # With square = 0 the matrix is −BᵀMB, whose least eigenvalue is minus the largest squared length.
     return float(-np.linalg.eigvalsh(matrices).min())
 
 

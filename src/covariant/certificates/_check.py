@@ -176,6 +176,7 @@ def _complete(resolved: Resolved) -> None:
     start = document.given.positions[:, : places * model.manifold.commuting]
     truth = [np.concatenate([p, v, b]) for p, v, b in zip(start, (-speed, speed), (-noise, noise), strict=True)]
     widths = [radius * math.sqrt(claim.square) * (1 + ROUND) for claim in claims[1 : 1 + 2 * n]]
+    # In the order of the box. The measurement is fixed, so that position and error move together: the first n rows.
     reach = [*widths[: len(start[0])], *widths[n:], *widths[:n]]
     for name, a, b, c, d, r in zip(system.names[:-n], low[:-n], high[:-n], *truth, reach, strict=True):
         # `fsum` rounds the exact sum once, which keeps its sign.
@@ -189,6 +190,7 @@ def _complete(resolved: Resolved) -> None:
         _need(r <= claim.limit <= available, f"{what}, and has {available:.6g} of room")
     if disturbed:
         count = np.count_nonzero(sizes(document))
+        # The steady distance 2D/λ: the box of scaled errors lies in the ball of radius √count, so D² = count · square.
         steady = 2 * math.sqrt(count * claims[-1].square) / document.rate * (1 + ROUND)
         _need(steady < radius, f"radius: noise alone leads {steady:.6g} away, and the radius is {radius:.6g}")
 
@@ -233,6 +235,7 @@ def _force_box(document: Document) -> np.ndarray:
     """Least and largest time, measured position and input: (2, 1 + places + m). On a group `positions` are measured."""
     given, positions = document.given, document.given.positions
     if document.observer["frame"] == "coordinates":
+        # The force is taken at the measured position, which lies farther out than the true one by up to the noise.
         positions = positions + np.outer([-1, 1], given.noise)
     return np.concatenate([given.times[:, None], positions, given.inputs], axis=1)
 
@@ -254,6 +257,7 @@ def _matrix(resolved: Resolved, what: int | str) -> TaylorEnclosure:
     unmoved = np.concatenate([region, np.zeros((2, n))], axis=1)
     pinned = np.concatenate([[low, high], np.zeros((2, 2 * n + 1))], axis=1)
     force, slopes = matrices.force(model, shape), matrices.slopes(model, shape, n)
+    # Forces are shown within the box and half the slack, claims for forces within all of it: the rest covers rounding.
     slack, unknown, steep = _slack(low, high)[-n:] / 2, document.given.disturbance, document.given.slopes.ravel()
     claimed, allowed = (low[-n:] + unknown - slack, high[-n:] - unknown + slack), steep * (1 + SLACK) + 1e-200
     function, box, watch = {

@@ -74,6 +74,7 @@ def entries_read(function, *arguments: Array) -> set[int]:
     """
     lowered = lower(function, *arguments, real=True)
     assert lowered.conditions is not None
+    # What a condition depends on is read as well: such an entry may decide where the function is defined.
     graphs = lowered.graph, lowered.conditions.graph
     return {int(node.value or 0) for graph in graphs for node in graph.nodes if node.op == "input"}
 

@@ -142,6 +142,7 @@ def slowest(form: Pencil, domain: Box, attempts: int, starts: int, seed: int) ->
         count = min(BATCH, attempts - begin)
         share = rng.uniform(size=(count, d))
         face = rng.integers(d, size=count)
+        # Every second point lies on a face, since an extreme is at a bound of some variable more often than inside.
         share[np.arange(count)[::2], face[::2]] = rng.integers(2, size=len(face[::2]))
         if not begin:
             share[0] = 0.5  # the middle, which often is at rest

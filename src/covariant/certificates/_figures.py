@@ -119,6 +119,7 @@ def trade_off(certificate: ContractionCertificate, count: int = 40) -> TradeOff:
     alpha, beta = float(certificate.observer.alpha), float(certificate.observer.beta)
     # Twice the slower pole, since λ is the rate of squared lengths.
     fastest = -2 * float(np.linalg.eigvals(error_matrix(alpha, beta)).real.max())
+    # Towards the fastest rate Q grows without bound.
     rates = fastest * np.linspace(0.02, 0.98, count)
     matrices = [optimal_lyapunov(alpha, beta, rate) for rate in rates]
 

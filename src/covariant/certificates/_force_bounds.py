@@ -81,6 +81,7 @@ def force_slopes(
 
     lowered = lower(force, jnp.zeros(()), jnp.zeros(shape), jnp.zeros(inputs.shape[1]), jnp.zeros(n), real=True)
     assert lowered.conditions is not None
+    # The step from the position is fixed at 0; it is there so that derivatives by it can be bounded.
     whole = region.with_fixed(np.zeros(n))
     _need_conditions("the force of the model jumps, or is not defined", lowered.conditions, whole)
     steps = range(len(region.low), len(whole.low))

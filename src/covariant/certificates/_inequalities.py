@@ -94,6 +94,7 @@ def width_bound(error_system: ErrorSystem, row: int, square: float) -> Form:
     def matrix(z):
         point, t = error_system.at(z), jnp.zeros((), z.dtype)
         r = point.error_jacobian()[row]
+        # r rᵀ ≤ square N means |r·δ| ≤ √square |δ| for all δ, by Cauchy and Schwarz.
         return square * point.metric.gram(t, point.x) - jnp.outer(r, r)
 
     return as_form(matrix)
@@ -137,6 +138,7 @@ def disturbance_bound(error_system: ErrorSystem, sizes: Float[np.ndarray, "two_n
         return coframe, gram, noise, derivatives.each(flow, range(last - 2 * n, last))
 
     def formula(coframe, gram, noise, change):
+        # The metric is given by Θ and N, M = ΘᵀNΘ, hence the coframe before the columns of B.
         b = jnp.concatenate([change[:, :n] @ noise, change[:, n:]], axis=1) * jnp.asarray(sizes)[None]
         return square * jnp.eye(2 * n) - (coframe @ b).T @ gram @ (coframe @ b)
 

@@ -127,6 +127,7 @@ def _in_the_body(observer: Intrinsic, q: TwoByTwo) -> ErrorSystem:
         theta, v = jnp.split(x, 2)
         body = each(functools.partial(manifold.frame_velocity, origin, theta), x.dtype)
         turn = each(lambda e: space.connection(origin, e, v), x.dtype)
+        # [[E, 0], [ΓE, I]]⁻¹ = [[E⁻¹, 0], [−Γ, I]], with E the body velocity of a rate of θ.
         lower = turn @ body if sign > 0 else -turn
         upper = body if sign > 0 else each(functools.partial(manifold.local_rate, origin, theta), x.dtype)
         return jnp.block([[upper, jnp.zeros((n, n), x.dtype)], [lower, jnp.eye(n, dtype=x.dtype)]])

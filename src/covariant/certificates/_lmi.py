@@ -121,6 +121,7 @@ def _design(f: np.ndarray, h: np.ndarray, rate: float, effort: float) -> MetricD
     if not math.isfinite(rate):
         raise ValueError(f"the rate must be a finite number; got {rate}")
     slack = SLACK * max(abs(rate), *(float(np.linalg.norm(each, 2)) for each in f))
+    # First at a slightly higher rate, so that the statement at `rate` survives the solver's rounding.
     solution = _solved(f, h, rate + slack, effort) or _solved(f, h, rate, effort)
     if solution is None:
         raise ValueError(
@@ -213,8 +214,10 @@ def _solved(f: np.ndarray, h: np.ndarray, rate: float, effort: float) -> tuple[n
     eye = np.eye(n)
     forms: list[AffineMatrix] = [shrinks(a, b) for a, b in zip(f, h, strict=True)]
     # I ≤ M ≤ κI: the eigenvalues of M lie between 1 and the condition number κ, which is minimised.
+    # Scale is free, since the inequalities are homogeneous in M and Y: it is fixed by M ≥ I.
     forms += [lambda x: parts(x)[0] - eye, lambda x: parts(x)[2] * eye - parts(x)[0], bounded]
     cost = np.zeros(size + n * p + 2)
+    # Without outputs the bound of |Y| is free, and any positive cost brings it to 0.
     cost[-2:] = 1.0, effort if p else 1.0
     x = minimise(cost, forms)
     if x is None:

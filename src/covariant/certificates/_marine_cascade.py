@@ -53,6 +53,7 @@ def tracking(controller: Backstepping) -> ErrorSystem:
 
         def flow(t, e):
             nu = desired + e[n:]
+            # The plant less the controller, which has C(ν)ν_r + D(ν_r)ν_r as in (94): C(ν)ν − C(ν)ν_r = C(ν)s.
             force = craft.coriolis(nu) @ e[n:] + craft.damping(nu) @ nu - craft.damping(desired) @ desired
             return jnp.concatenate([j @ e[n:] - lam @ e[:n], -solve(mass, force + kd @ e[n:] + j.T @ (kp @ e[:n]))])
 

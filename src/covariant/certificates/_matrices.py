@@ -39,6 +39,7 @@ def contraction(about: ErrorSystem, rate: float) -> Matrix:
             at = x + s * velocity
             return plain(point.metric.coframe)(s, at), plain(point.metric.gram)(s, at)
 
+        # Total derivatives: time runs and the state moves with the flow. t is 0, so that t + 1 is the tangent 1.
         (coframe, gram), (turn, change) = jax.jvp(metric_along, (t,), (t + 1,))
         product = gram @ (turn + coframe @ slope) @ point.metric.frame(t, x)
         return -(product + product.T + change) - rate * gram

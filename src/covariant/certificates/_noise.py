@@ -31,6 +31,7 @@ def steady_distance(rate: float, disturbance: float) -> float:
     """
     if not rate > 0:
         raise ValueError(f"a bound needs a positive rate; got {rate:g}")
+    # d' ≤ −(λ/2) d + D comes to rest at d = 2D/λ.
     return 2 * disturbance / rate
 
 
@@ -104,4 +105,5 @@ def error_bounds(
         raise ValueError(f"error_bounds: the gains contract the metric q at {fastest:.6g} 1/s at most; got {rate:g}")
     distance = steady_distance(rate, noise_disturbance(alpha, beta, q, noise, slope))
     inverse = np.linalg.inv(check_q("error_bounds", q))
+    # ½ vᵀQv ≤ d² bounds an entry of v by d√(2 (Q⁻¹)ᵢᵢ), the half width of this ellipse.
     return distance * math.sqrt(2 * inverse[0, 0]), distance * math.sqrt(2 * inverse[1, 1])

@@ -101,6 +101,7 @@ def detectability_rate(model: StateSpace, metric: MatrixField, x: Vector, u: Flo
     # More outputs than states are always dependent, which the singular values alone do not show.
     independent = (sizes[-1] > DEPENDENT * sizes[0]) & (dh.shape[0] <= dh.shape[1])
     if not hidden.shape[1]:
+        # Without hidden directions (2) holds for every q with a large enough ρ.
         return jnp.where(independent, jnp.inf, -jnp.inf).astype(x.dtype)
     change = hidden.T @ lie_derivative(model, metric, x, u) @ hidden
     # Finsler's lemma: a ρ exists exactly where the inequality holds on the kernel of dh.
@@ -149,6 +150,7 @@ def _bending(model: StateSpace, metric: MatrixField, x: Vector, u: Array | None)
     t0, _, u0 = _arguments(model, x, u)
 
     def second(v, w):
+        # Second covariant derivative of h: ∇²h(v, w) = ∂²h(v, w) − dh(Γ(v, w)).
         of_output = jax.jvp(lambda y: jax.jvp(lambda z: model.h(t0, z, u0), (y,), (v,))[1], (x,), (w,))[1]
         of_connection = dh @ christoffel(metric, x, v, w)
         return of_output - of_connection, jnp.abs(of_output) + jnp.abs(of_connection)
@@ -266,6 +268,7 @@ def observability(
     )
     if not fails:
         return Observability(first, second, None, None)
+    # A step of a tenth of the radius of curvature 1/bending: the level set bends away visibly, yet to second order.
     states = _witness(metric, jnp.asarray(points[worst]), jnp.asarray(0.1 / bends[worst] * directions[worst]), budget)
     outputs = jax.vmap(lambda x: model.h(*_arguments(model, x, u)))(states)
     return Observability(first, second, np.asarray(states), np.asarray(outputs))

@@ -66,6 +66,7 @@ def check_sample(source: str | Path | Document, count: int = 20, seed: int = 0, 
     boxes = [leaves(low, high, claim.levels, f"claims[{index}]") for index, claim in enumerate(claims)]
     ends = np.cumsum([len(low) for low, _ in boxes])
     rng = np.random.default_rng(seed)
+    # Without repetition, and over all claims together, so that each leaf is drawn with the same probability.
     drawn = np.sort(rng.permutation(ends[-1])[:count])
     done = 0
     with flint.ctx.workprec(BITS):

@@ -170,6 +170,7 @@ def trajectories(
     plant = _Plant(certificate)
     half_widths = plant.half_widths
     m = len(certificate.given["inputs"]["low"])
+    # Paces that are no multiples of each other: several inputs do not repeat one pattern.
     control = plant.inputs(2 * jnp.pi / plant.longest * (2 + 0.74 * jnp.arange(m, dtype=float)), jnp.zeros(m))
     rng = np.random.default_rng(seed)
     start, duration, travel = _longest_motion(plant, control, rng)
@@ -225,6 +226,7 @@ class _Plant:
         # Time constant of the slower pole of the error law.
         self.constant = -1 / float(np.linalg.eigvals(error_matrix(alpha, beta)).real.max())
         self.first, last = certificate.given["times"]
+        # e⁻⁸ = 3e-4: what is left of a first error is then hardly visible.
         self.longest = 8 * self.constant
         if last > self.first:
             self.longest = min(self.longest, last - self.first)
@@ -233,10 +235,12 @@ class _Plant:
         """Random states inside the bounds, as starts of motions."""
         if self.flat:
             low, high = (np.asarray(self.certificate.given["positions"][end]) for end in ("low", "high"))
+            # Shrunk by a random factor: starts close to the middle keep their bounds longer.
             share = rng.uniform(-1, 1, (count, 2, self.n)) * rng.uniform(size=(count, 1, 1))
             q = (low + high) / 2 + share[:, 0] * (high - low) / 2
             return Motion(jnp.asarray(q), jnp.asarray(share[:, 1] * self.certificate.velocity))
         turn = rng.normal(size=(count, self.n))
+        # Lengths up to π: on SO(3) they reach every attitude, and longer ones no other.
         turn *= np.pi * rng.uniform(size=(count, 1)) / np.linalg.norm(turn, axis=1, keepdims=True)
         v = rng.uniform(-1, 1, (count, self.n)) * rng.uniform(size=(count, 1)) * self.certificate.velocity
         q = jax.vmap(lambda s: self.manifold.retract(self.manifold.origin(), s))(jnp.asarray(turn))
@@ -345,6 +349,7 @@ def _across(plant, start, shown, angle):
     """A step from the state `start`, in the plane of one position error and its velocity, at the given angle."""
     point, t = plant.certificate.error_system.at(plant.place(start)), jnp.zeros(())
     rows = point.error_jacobian()[jnp.array([shown, shown + plant.n])]
+    # N⁻¹rᵀ is the direction in which a row r changes most for its length.
     widest = jnp.linalg.solve(point.metric.gram(t, point.x), rows.T)
     along = widest / jnp.sqrt(jnp.sum(rows.T * widest, axis=0, keepdims=True))
     return point.metric.frame(t, point.x) @ (along @ jnp.array([jnp.cos(angle), jnp.sin(angle)]))

@@ -208,6 +208,7 @@ def optimal_lyapunov(alpha: Number, beta: Number, rate: float) -> TwoByTwo:
     alpha, beta = float(alpha), float(beta)
     lyapunov(alpha, beta, rate)
     # A weight of 1/β weighs both errors equally in the units of `conditioning`; the grid is around it.
+    # 241 weights in twelve decades are 12 % apart, so that the best of them is close to the optimum, which is flat.
     matrices = _solutions(alpha, beta, rate, np.logspace(-6, 6, 241) / beta)
     return matrices[np.argmin(_conditions(beta, matrices))]
 
@@ -244,6 +245,7 @@ def tangent_metric(metric: MatrixField, q: TwoByTwo) -> StateMetric:
         return jnp.eye(x.shape[0], dtype=x.dtype) + sign * jnp.kron(jnp.asarray(lower, x.dtype), connection(x))
 
     def gram(t, x):
+        # V = ½(a|ξ|² + 2c<ξ, ζ> + b|ζ|²) is the squared length, hence the half.
         return jnp.kron(jnp.asarray(q / 2, x.dtype), geometry(jnp.split(x, 2)[0]))
 
     return StateMetric(coframe, lambda t, x: coframe(t, x, -1.0), gram)

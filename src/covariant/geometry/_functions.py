@@ -289,6 +289,7 @@ def distance(space: Space, p: Configuration, q: Configuration, budget: Budget = 
         >>> bool(jnp.isclose(distance(sphere(), jnp.zeros(2), jnp.array([1.0, 0.0])), jnp.pi / 2))
         True
     """
+    # A geodesic has constant speed, so its length over unit time is that of its first velocity.
     return norm(space, p, log(space, p, q, budget))
 
 

@@ -184,6 +184,7 @@ def follow(space: Curved, p: Configuration, ray: Ray, budget: Budget, fraction: 
         # Parallel transport: ∇ w = 0 means ẇ = −B(v, w) in components of the frame.
         return Ray(manifold.local_rate(p, point.s, point.velocity), -rates[0], -rates[1:])
 
+    # Offline, errors of integration shall not limit Newton's method; a fixed amount of work is paid for at each sample.
     rule = rk8 if budget.newton is None else rk4
     return rule(flow, 0.0, ray, fraction, budget.steps)
 
@@ -292,6 +293,7 @@ def shoot(space: Curved, p: Configuration, q: Configuration, guess: Vector | Non
     # A search that converges misses by rounding errors only; a fixed number of corrections may leave more.
     result = found(space, p, velocity, residual, NEAR_ENOUGH if budget.newton is not None else 1e4 * epsilon(velocity))
     if budget.newton is None and budget.conjugate:
+        # A count has no derivative; without `stop_gradient` the one of this whole recursion would be traced.
         is_conjugate = conjugate_points(space, p, jax.lax.stop_gradient(velocity), budget) > 0
         result = jnp.where((result == Result.OK) & is_conjugate, Result.CONJUGATE_POINT, result)
     return Shot(velocity, end.velocity, residual, result)
@@ -317,13 +319,16 @@ def shoot_near(space: Curved, p: Configuration, q: Configuration, budget: Budget
     d = space.manifold.local(p, q)
 
     def second_order(v: Vector) -> Vector:
+        # Along a geodesic s'' = −B(v, v) − Q(v, v) at s = 0, so it ends at v − (B + Q)/2 up to third order.
         return (space.connection(p, v, v) + space.manifold.retraction_acceleration(p, v)) / 2
 
     velocity = d + second_order(d)
     for _ in range(budget.newton):
         miss = d - arrive(space, p, velocity, budget).s
+        # I + D(second_order) is the inverse of the Jacobian of v ↦ s to first order in v; no linear system is solved.
         velocity = velocity + miss + jax.jvp(second_order, (velocity,), (miss,))[1]
     end = arrive(space, p, velocity, budget)
+    # A difference of s becomes a frame vector at q, so that the metric there measures it.
     residual = space.norm(q, space.manifold.frame_velocity(p, d, d - end.s))
     return Shot(velocity, end.velocity, residual, found(space, p, velocity, residual, NEAR_ENOUGH))
 
@@ -341,6 +346,7 @@ def found(space: Curved, p: Configuration, velocity: Vector, residual: Scalar, p
     Returns:
         `OK` or `NOT_CONVERGED`.
     """
+    # The absolute part decides where p = q: the geodesic has length zero, of which every fraction is zero.
     close = residual <= part * space.norm(p, velocity) + 64 * epsilon(velocity)
     return jnp.where(close, Result.OK, Result.NOT_CONVERGED)
 
@@ -369,6 +375,7 @@ def first_guess(space: Curved, p: Configuration, target: Target, guess: Vector |
     if len(candidates) > 1:
         velocities = jnp.stack(candidates)
         miss = jax.vmap(lambda v: target.length(d - arrive(space, p, v, budget).s))(velocities)
+        # A candidate whose geodesic overflows ends nowhere, and is never the best.
         best = velocities[jnp.argmin(jnp.where(jnp.isfinite(miss), miss, jnp.inf))]
     return best
 
@@ -395,6 +402,7 @@ def newton_step(space: Curved, p: Configuration, target: Target, velocity: Vecto
 
     jacobian, reached = jax.jacfwd(end, has_aux=True)(velocity)
     miss = target.s - reached
+    # Normal equations in the metric at q: `solve` needs a positive definite matrix, which JᵀGJ is and J is not.
     weighted = jacobian.T @ target.metric
     return solve(weighted @ jacobian, weighted @ miss), target.square(miss)
 
@@ -431,6 +439,7 @@ def damped_newton(space: Curved, p: Configuration, target: Target, start: Vector
         return space.norm(p, s.correction) > epsilon(start) ** 0.5 * space.norm(p, s.velocity)
 
     def unfinished(s: _Search):
+        # Ten refusals in a row leave the damping 4⁻¹⁰ < 1e-6: no shorter step would decrease the residual.
         return (s.tries == 0) | (far(s) & (s.tries < NEWTON_LIMIT) & (s.damping > 1e-6))
 
     def improve(s: _Search):
@@ -438,6 +447,7 @@ def damped_newton(space: Curved, p: Configuration, target: Target, start: Vector
         # Step and residual come from one integration, so that a refused candidate costs no more than an accepted one.
         correction, miss = newton_step(space, p, target, candidate, budget)
         better = (miss < s.miss) & jnp.all(jnp.isfinite(correction))
+        # Grown as fast as it was cut: close to the solution full steps return, and with them quadratic convergence.
         damping = jnp.where(better, jnp.minimum(1.0, 4 * s.damping), s.damping / 4)
         new = _Search(candidate, correction, miss, damping, s.tries + 1)
         old = s._replace(damping=damping, tries=s.tries + 1)
@@ -475,6 +485,7 @@ def find_geodesic(space: Curved, p: Configuration, target: Target, start: Vector
         begin = jnp.where(direct, start, jnp.where(k == 1, fraction * target.s, extrapolated))
         velocity = damped_newton(space, p, waypoint, begin, budget)
         miss = target.length(target.s - arrive(space, p, velocity, budget).s)
+        # The root of rounding suffices to tell convergence from failure; `shoot` checks the residual that is reported.
         return k + 1, velocity, miss <= epsilon(start) ** 0.5 * space.norm(p, velocity)
 
     def unfinished(carry):
@@ -505,6 +516,7 @@ def implicit_newton(space: Curved, p: Configuration, target: Target, start: Vect
         return find_geodesic(space, p, target, first, budget)
 
     def solve_linear(linear, y):
+        # The map is linear, so its derivative at 0 is its matrix, of the few rows that a configuration has.
         return least_squares(jax.jacfwd(linear)(jnp.zeros_like(y)), y)
 
     return jax.lax.custom_root(miss, jax.lax.stop_gradient(start), search, solve_linear)
@@ -548,6 +560,7 @@ def conjugate_points(space: Curved, p: Configuration, velocity: Vector, budget: 
 
     def advance(carry, _):
         x, fields, index = carry
+        # Jacobi fields are derivatives of geodesics by their initial values: the flow of the linearised equation.
         change = jax.jacfwd(step)(x)
         following = change @ fields
         # Congruence by J keeps the signature of a pivot and avoids its inverse. Velocities are in the frame, J is not.
@@ -561,6 +574,8 @@ def conjugate_points(space: Curved, p: Configuration, velocity: Vector, budget: 
         return (step(x), following, index + negative.astype(index.dtype)), None
 
     x = jnp.concatenate([jnp.zeros_like(velocity), velocity])
+    # Columns n and later: fields that vanish at p, one for each direction of the initial velocity.
     first = (step(x), jax.jacfwd(step)(x)[:, n:], jnp.zeros((), jnp.int32))
+    # Interior nodes only: by the index theorem a conjugate point at q itself does not count.
     (_, _, index), _ = jax.lax.scan(advance, first, length=budget.steps - 1)
     return index

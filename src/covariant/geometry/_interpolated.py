@@ -66,6 +66,7 @@ class Interpolated(eqx.Module):
         # A valid matrix replaces each unknown one, so that a factorisation that fails means a wrong value.
         known = _known(values)[..., None, None]
         filled = np.where(known, values, np.eye(n, dtype=values.dtype))
+        # Entries of L and log D may have any value, so every interpolation of them is a positive definite matrix.
         factors = np.asarray(_to_factors(jnp.asarray(filled.reshape(-1, n, n))))
         factors = factors.reshape(*values.shape[:n], -1)
         _check_definite(axes, values, factors)
@@ -123,6 +124,7 @@ def _to_factors(p: Matrix) -> Float[Array, "k"]:
 
 def _from_factors(factors: Float[Array, "k"], n: int) -> Matrix:
     """`L D Lᵀ`, computed as `(L√D)(L√D)ᵀ`, so that it is exactly symmetric."""
+    # Half of log D, so that the exponential is √D.
     entries, root = factors[:-n], jnp.exp(factors[-n:] / 2)
     starts = itertools.accumulate(range(n - 1, 0, -1), initial=0)
     columns = [
@@ -162,6 +164,7 @@ def _check_symmetry(axes: tuple[np.ndarray, ...], values: np.ndarray) -> None:
     # Relative to the diagonal, so that the test does not depend on the units of the coordinates.
     size = np.sqrt(np.abs(np.diagonal(filled, axis1=-2, axis2=-1)))
     least = size[..., :, None] * size[..., None, :]
+    # 1e-6 is eight roundings of single precision, in which a metric may have been stored.
     wrong = np.asarray((np.abs(filled - np.swapaxes(filled, -1, -2)) > 1e-6 * least).any(axis=(-2, -1)))
     if wrong.any():
         where, point = _first(axes, wrong)

@@ -392,6 +392,7 @@ def wrap(circles: tuple[int, ...], e: Vector) -> Vector:
         [6.0, -0.283]
     """
     # Entry by entry, so that an entry that is no angle is not even rounded.
+    # `round` goes to even numbers, so π and −π stay; its derivative is 0, so that of an angle is 1 everywhere.
     wrapped = [x - 2 * np.pi * jnp.round(x / (2 * np.pi)) if i in circles else x for i, x in enumerate(e)]
     return jnp.stack(wrapped) if circles else e
 
@@ -443,6 +444,7 @@ class ProductManifold(AbstractManifold):
     def rotations(self) -> tuple[tuple[int, ...], ...] | None:
         groups = []
         for factor, start in zip(self.factors, starts(self._dimensions), strict=True):
+            # One factor whose rotations are unknown leaves those of the product unknown.
             if factor.rotations is None:
                 return None
             groups += [tuple(start + i for i in turn) for turn in factor.rotations]
@@ -530,6 +532,7 @@ class ProductManifold(AbstractManifold):
     def _dimensions(self) -> list[int]:
         shapes = [jax.ShapeDtypeStruct(factor.shape, float) for factor in self.factors]  # pyright: ignore[reportArgumentType]
         pairs = zip(self.factors, shapes, strict=True)
+        # Shapes alone: the dimension of a velocity is known without computing one.
         return [jax.eval_shape(factor.zero, shape).shape[0] for factor, shape in pairs]
 
     def _each(self, operation: str, *arguments: list[Array]) -> Array:

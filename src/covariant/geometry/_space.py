@@ -119,6 +119,7 @@ class AbstractSpace(Functional):
         Returns:
             Covector (n,).
         """
+        # Terms in the order of the docstring: (∂_a M)b, (∂_b M)a, ∂<a, b>.
         one = derivative(self.manifold, lambda y: self.lower(y, b), x, a)
         two = derivative(self.manifold, lambda y: self.lower(y, a), x, b)
         total = one + two - differential(self.manifold, lambda y: self.inner(y, a, b), x)
@@ -143,6 +144,7 @@ class AbstractSpace(Functional):
             Matrix (n, n).
         """
         zero = self.manifold.zero(x)
+        # C acts on the differentiated field, the second argument: only so is M' − 2C skew also outside coordinates.
         force = jax.vmap(lambda a: self.connection_force(x, v, a), out_axes=1)
         return force(jnp.eye(zero.shape[0], dtype=zero.dtype))
 

@@ -67,6 +67,7 @@ class FlatTorus(Euclidean):
 
     def shoot(self, p: Vector, q: Vector, guess: Vector | None = None, budget: Budget = Budget()) -> Shot:
         periods = self.periods.astype(q.dtype)
+        # `round` goes to even numbers: of two paths of half a period the direct one is taken.
         shortest = q - p - periods * jnp.round((q - p) / periods)
         return _found(shortest, shortest)
 
@@ -92,9 +93,11 @@ class ConstantCurvature(AbstractMetric):
         return self._scale(x) ** 2 * jnp.eye(x.shape[0], dtype=x.dtype)
 
     def connection(self, x: Vector, a: Vector, b: Vector) -> Vector:
+        # A metric e^{2φ} I has Γ(a, b) = (a·∇φ)b + (b·∇φ)a − (a·b)∇φ; here φ = log σ and ∇φ = −Kσx, σ being the scale.
         return -self.k * self._scale(x) * ((x @ a) * b + (x @ b) * a - (a @ b) * x)
 
     def curvature(self, x: Vector, a: Vector, b: Vector, c: Vector) -> Vector:
+        # R(a, b)c = K(<b, c>a − <a, c>b), and an inner product is σ² times the one of components.
         return self.k * self._scale(x) ** 2 * ((b @ c) * a - (a @ c) * b)
 
     def transport_along(self, p: Vector, velocity: Vector, w: Vectors, budget: Budget = Budget()) -> Transported:
@@ -113,6 +116,7 @@ class ConstantCurvature(AbstractMetric):
         return _found(velocity, self._carry(p, velocity, q))
 
     def _exponential(self, p: Vector, velocity: Vector) -> Vector:
+        # A point at the distance r from the origin is at tan(√K r/2)/√K in the chart, hence the half of r = σ|v|.
         half = self._scale(p) * velocity / 2
         return self._add(p, half * self._tan_ratio(half @ half))
 
@@ -121,6 +125,7 @@ class ConstantCurvature(AbstractMetric):
 
     def _add(self, x: Vector, y: Vector) -> Vector:
         """Möbius addition: the isometry that takes 0 to x, applied to y."""
+        # The denominator is zero only for y opposite −x on the sphere: the sum is the point that the chart leaves out.
         k, xy, xx, yy = self.k, x @ y, x @ x, y @ y
         return ((1 - 2 * k * xy - k * yy) * x + (1 + k * xx) * y) / (1 - 2 * k * xy + k**2 * xx * yy)
 
@@ -137,6 +142,7 @@ class ConstantCurvature(AbstractMetric):
         """`tan(√K s) / (√K s)` as a function of s², smooth at zero for either sign of K."""
         x = self.k * square
         small, root = _root(x)
+        # √K s = i√|K| s for K < 0, and tan(iz) = i tanh z: the factor i cancels in the ratio.
         closed_form = jnp.tan(root) / root if self.k > 0 else jnp.tanh(root) / root
         return jnp.where(small, _polynomial(_TAN, x), closed_form)
 
@@ -150,6 +156,7 @@ class ConstantCurvature(AbstractMetric):
 
 _NEAR = 0.1
 """Below this |K s²| a series replaces the closed form. The bound is generous: around s = 0 only the series is used."""
+# The first term left out is at most 0.1¹⁸/37 = 3e-20 of the sum, that of the arc tangent.
 _TERMS = 18
 
 
@@ -336,6 +343,7 @@ class Product(AbstractMetric):
             space.shoot(*parts, first, budget) for (space, *parts), first in zip(self._each(p, q), guesses, strict=True)
         ]
         velocity, arrival = (jnp.concatenate([s[i] for s in shots]) for i in (0, 1))
+        # Factors are orthogonal, so squares of lengths add; the largest result code is the worst one.
         residual = jnp.sqrt(sum(s.residual**2 for s in shots))
         return Shot(velocity, arrival, residual, jnp.max(jnp.stack([s.result for s in shots])))
 

@@ -124,6 +124,7 @@ class Library:
         differing = self._differs()
         if differing:
             raise OSError(f"{compiler()} rounds {differing} in another way than NumPy, so NumPy does the work")
+        # Half of it is subnormal: it survives in the sum only where such numbers are not flushed to zero.
         if not np.float64(SMALLEST) * 0.5 + np.float64(SMALLEST) * 0.5 == SMALLEST:
             raise OSError(f"numbers below {SMALLEST:.0e} count as zero in this process, so NumPy does the work")
 
@@ -191,6 +192,7 @@ def _trials(kernel: Kernel, rng: np.random.Generator) -> np.ndarray:
         if kind is Truth:
             rows.append(np.sort(rng.integers(0, 2, (2, TRIALS)), axis=0).astype(float))
         elif kind is Interval:
+            # Half of the intervals are narrow, as in proofs; the others have ends of unrelated sizes.
             size = rng.choice(SIZES, (2, TRIALS)) * rng.uniform(0.5, 1.0, (2, TRIALS)) * rng.choice([-1, 1], TRIALS)
             size[1] = np.where(rng.random(TRIALS) < 0.5, size[0] * (1 + 1e-6), size[1] * rng.choice([-1, 1], TRIALS))
             # Some intervals of which nothing is known.

@@ -135,6 +135,7 @@ PRECISIONS = {
         "6.36619772367581382433e-01",
         # 1.5·2⁵²: added to it, a number leaves its nearest integer in the last bits of the sum.
         "6755399441055744.0",
+        # Up to here k < 2¹⁶, and its products with the first two parts, of 33 bits, are exact; <math.h> does the rest.
         "100000.0",
         # From the second bit of the count of quarter turns to the sign bit.
         62,

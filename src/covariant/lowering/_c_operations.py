@@ -79,6 +79,7 @@ HELPERS = {
     # NaN of either argument results, as in NumPy and unlike fmin and fmax.
     "min": "static {real} {prefix}min({real} a, {real} b)\n{{\n    return a < b || a != a ? a : b;\n}}\n",
     "max": "static {real} {prefix}max({real} a, {real} b)\n{{\n    return a > b || a != a ? a : b;\n}}\n",
+    # a − a is NaN for infinities and NaN, which equals nothing; it needs no macro of <math.h>.
     "is_finite": "static int {prefix}is_finite({real} a)\n{{\n    return a - a == {zero};\n}}\n",
     "table": "static int {prefix}table({real} place, int last)\n{{\n"
     "    return place > {zero} ? place < ({real})last ? (int)place : last : 0;\n}}\n",

@@ -38,6 +38,7 @@ def _gap(occupied: list[bool], length: int) -> int:
         gaps += [(size, start)] if free and size >= length else []
         start += size
     last = next((n for n in range(len(occupied), 0, -1) if occupied[n - 1]), 0)
+    # The smallest gap that fits: larger ones stay for longer runs.
     first = min(gaps)[1] if gaps else last
     occupied[first : first + length] = [True] * length
     return first

@@ -88,6 +88,7 @@ def padded(parameters: dict, value: np.ndarray, fill: np.ndarray) -> np.ndarray:
         fill: The number that is put before, after and between the entries.
     """
     config = parameters["padding_config"]
+    # A negative low or high cuts entries off, which is done last, on the array that is already spread out.
     slots = [slice(max(low, 0), None, inside + 1) for low, _, inside in config]
     sizes = [max(n + (n - 1) * inside, 0) for n, (_, _, inside) in zip(value.shape, config, strict=True)]
     result = np.full([n + max(low, 0) + max(high, 0) for n, (low, high, _) in zip(sizes, config, strict=True)], fill)
@@ -98,6 +99,7 @@ def padded(parameters: dict, value: np.ndarray, fill: np.ndarray) -> np.ndarray:
 
 def _window(value: np.ndarray, starts: Sequence[np.ndarray], sizes: Sequence[int]) -> tuple[slice, ...]:
     """The window of a slice, moved to where it fits."""
+    # XLA moves a slice that would reach beyond the array to where it fits; NumPy would shorten it.
     first = [min(max(int(s), 0), n - size) for s, n, size in zip(starts, value.shape, sizes, strict=True)]
     return tuple(slice(s, s + size) for s, size in zip(first, sizes, strict=True))
 

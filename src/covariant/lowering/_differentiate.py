@@ -138,6 +138,7 @@ def _minus(graph: Graph, number: float, node: int) -> int:
 
 def _product(graph: Graph, node: int, arguments: tuple[int, ...], changes: tuple[int, ...]) -> int:
     (a, b), (da, db) = arguments, changes
+    # (a²)′ = 2aa′: one product in place of two.
     if a == b:
         return graph.apply("mul", graph.constant(2.0), graph.apply("mul", a, da))
     return graph.apply("add", graph.apply("mul", da, b), graph.apply("mul", a, db))
@@ -170,6 +171,7 @@ def _extreme(graph: Graph, node: int, arguments: tuple[int, ...], changes: tuple
 
 
 def _size(graph: Graph, node: int, arguments: tuple[int, ...], changes: tuple[int, ...]) -> int:
+    # |a| has the derivative −a′ for a < 0 and a′ for a > 0; at 0 bounds take the hull of both.
     return graph.apply("either", arguments[0], graph.constant(0.0), graph.apply("neg", changes[0]), changes[0])
 
 
@@ -208,6 +210,7 @@ RULES: dict[str, Rule] = {
     "log1p": _over(lambda g, f, x: _plus(g, 1.0, x)),
     "sin": _chain(lambda g, f, x: g.apply("cos", x)),
     "cos": _chain(lambda g, f, x: g.apply("neg", g.apply("sin", x))),
+    # tan′ = 1 + tan², and tanh, sqrt, cbrt and exp likewise: the value is there already.
     "tan": _chain(lambda g, f, x: _plus(g, 1.0, _square(g, f))),
     "asin": _over(lambda g, f, x: _root(g, _minus(g, 1.0, _square(g, x)))),
     "acos": _over(lambda g, f, x: g.apply("neg", _root(g, _minus(g, 1.0, _square(g, x))))),
@@ -218,6 +221,7 @@ RULES: dict[str, Rule] = {
     "asinh": _over(lambda g, f, x: _root(g, _plus(g, 1.0, _square(g, x)))),
     "acosh": _over(lambda g, f, x: _root(g, _plus(g, -1.0, _square(g, x)))),
     "atanh": _over(lambda g, f, x: _minus(g, 1.0, _square(g, x))),
+    # Constant between their jumps, which the conditions of a proof exclude.
     **{op: lambda g, node, x, d: g.constant(0.0) for op in ("sign", "floor", "ceil", "round")},
     # The derivative of a statement is zero.
     **{op: lambda g, node, x, d: g.constant(0.0) for op in TRUTHS},

@@ -28,6 +28,7 @@ Rule = Callable[..., Bounds]
 
 def _relative(op: str) -> float:
     """Relative step outward that exceeds the error of the value and of the step itself."""
+    # Beyond the error of the value: one unit for the rounding of value ± step, and a quarter for that of the step.
     return (UNITS[op] + 1.25) * U
 
 
@@ -96,6 +97,7 @@ def _wave(op: str) -> Rule:
         error += size
         lowest, highest = value - error, value + error
         lowest, highest = np.minimum(lowest[0], lowest[1]), np.maximum(highest[0], highest[1])
+        # The sine is −1 at quarter turns 3 modulo 4 and 1 at 1; for the cosine, a quarter turn ahead, at 2 and 0.
         lowest = np.where(_within(first, last, 3 - ahead, 4), -1.0, np.maximum(lowest, -1.0))
         highest = np.where(_within(first, last, 1 - ahead, 4), 1.0, np.minimum(highest, 1.0))
         irreducible = largest > points.MOST_QUARTERS
@@ -109,6 +111,7 @@ def _wave(op: str) -> Rule:
 def _tan(low: Any, high: Any) -> Bounds:
     bits, sine, cosine, error, first, last, largest = _turns(low, high)
     odd = (bits & 1).astype(bool)
+    # tan(kπ/2 + r) is tan r for even k, and −cot r for odd k.
     value = np.where(odd, -cosine, sine) / np.where(odd, sine, cosine)
     size = np.abs(value)
     # The remaining error of the reduction is magnified by the derivative, 1 + tan².
@@ -122,12 +125,14 @@ def _exp(low: Any, high: Any) -> Bounds:
     value = points.exp(np.stack([low, high]))
     step = value * _relative("exp")
     step += TINY
+    # exp has no zero, so that the step below an underflow is cut at 0.
     return np.maximum(np.where(value[0] > LARGEST, HUGE, value[0] - step[0]), 0.0), value[1] + step[1]
 
 
 def _power(x_low: Any, x_high: Any, y_low: Any, y_high: Any) -> Bounds:
     """Bounds of xʸ for x ≥ 0, with y > 0 where x may be 0. It is monotonic along every side of a box."""
     x = np.stack([x_low, x_high])
+    # The logarithm of 0 is replaced, and so is its result: 0ʸ = 0 for y > 0.
     parts, ends = points.log_parts(np.where(x == 0, 1.0, x)), []
     for y in (y_low,) if np.array_equal(y_low, y_high) else (y_low, y_high):
         value, error = points.power(parts, y)
@@ -137,11 +142,13 @@ def _power(x_low: Any, x_high: Any, y_low: Any, y_high: Any) -> Bounds:
     lows, highs, errors = (list(row) for row in zip(*ends, strict=True))
     low, high = functools.reduce(np.minimum, lows), functools.reduce(np.maximum, highs)
     defined = (x_low > 0) | (x_low == 0) & (y_low > 0)
+    # Beyond 1e-3 the bound of the error, which is linear in it, no longer holds.
     defined = defined & (x_high < np.inf) & (functools.reduce(np.maximum, errors) < 1e-3)
     return _known(defined, (low.min(axis=0), high.max(axis=0)))
 
 
 def _cosh(low: Any, high: Any) -> Bounds:
+    # The smallest and the largest |x| of the interval: cosh is even, and rises with |x|.
     value = points.cosh(np.stack([np.maximum(np.maximum(low, -high), 0.0), np.maximum(-low, high)]))
     step = value * _relative("cosh")
     return np.maximum(np.where(value[0] > LARGEST, HUGE, value[0] - step[0]), 1.0), value[1] + step[1]
@@ -167,6 +174,7 @@ def _atan2(y_low: Any, y_high: Any, x_low: Any, x_high: Any) -> Bounds:
         ends.append((value - step, value + step))
     lowest = np.minimum(ends[0][0], ends[1][0]).min(axis=0)
     highest = np.maximum(ends[0][1], ends[1][1]).max(axis=0)
+    # An interval across the cut has angles up to π on one side and down to −π on the other.
     across, pi = (y_low < 0) & (y_high >= 0) & (x_low < 0), 2 * HALF_PI_HIGH * (1 + 4 * U)
     return np.where(across, np.minimum(lowest, -pi), lowest), np.where(across, np.maximum(highest, pi), highest)
 
@@ -178,12 +186,14 @@ def _cbrt(low: Any, high: Any) -> Bounds:
     """
     x = np.stack([low, high])
     size = np.abs(x)
+    # Cubes of the guess must neither underflow nor overflow: ∛(s³x) = s∛x with a power of 2, exactly.
     scale = np.where(size < 2.0**-700, 2.0**-100, np.where(size > 2.0**700, 2.0**100, 1.0))
     back = 1 / scale
     size = size * back * back * back
     usual = (size > 0) & (size < np.inf)
     inside = np.where(usual, size, 1.0)
     guess = (inside.view(np.int64) // 3 + THIRD).view(float)
+    # Newton doubles the digits: from a guess right to 6 %, four steps reach rounding, and the fifth is to spare.
     for _ in range(5):
         guess = (2.0 * guess + inside / (guess * guess)) / 3.0
     guess = np.where(usual, guess, size)

@@ -83,6 +83,7 @@ def off_the_cut(y: Interval, x: Interval) -> Truth:
         y: Second coordinate of the point.
         x: First coordinate of the point.
     """
+    # The cut is y = 0, x ≤ 0. From y ≥ 0 the angle is continuous onto it for x < 0, hence the second part.
     known = ~((y.low <= 0) & (y.high >= 0) & (x.low <= 0)) | (y.low >= 0) & (x.high < 0)
     return Truth(known, known)
 

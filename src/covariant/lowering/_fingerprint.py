@@ -64,6 +64,7 @@ class _Keys:
     def of(self, x: Any) -> str:
         """The key of a value that a jaxpr may have as a parameter or constant."""
         if x is None or isinstance(x, (bool, int, float, complex, str, bytes)):
+            # In hexadecimal, so that numbers that print alike have different keys.
             return _hash(type(x).__name__, x.hex() if isinstance(x, float) else repr(x))
         if isinstance(x, enum.Enum):
             return _hash("enum", type(x).__qualname__, x.name)

@@ -87,6 +87,7 @@ def fused(tape: Tape, outputs: Sequence[int]) -> list[Step]:
         outputs: Places whose numbers are needed.
     """
     uses = Counter(itertools.chain(outputs, *(step.arguments for step in tape.steps)))
+    # A result that is read once vanishes into the step that reads it; one that others read too must be stored.
     unshared = {step.results: step for step in tape.steps if uses[step.results[0]] <= 1 >= uses[step.results[1]]}
     done: set[tuple[int, ...]] = set()
     steps = []

@@ -72,6 +72,7 @@ class Table:
                 counts as 0.
         """
         with np.errstate(all="ignore"):
+            # NaN becomes 0, and infinities the nearest end: an index is always inside, as in the C of a table.
             index = np.clip(np.nan_to_num(np.rint(place)), 0, len(self.numbers) - 1)
         return self.numbers[index.astype(int)]
 
@@ -506,6 +507,7 @@ def _needs(graph: Graph, op: str, x: tuple[int, ...], nodes: list[Node]) -> Iter
     match op:
         case "div":
             yield apart(x[1], number(0.0))
+        # Strictly: at the ends of their domains sqrt, asin, acos and acosh have no derivative.
         case "sqrt" | "log":
             yield less(number(0.0), x[0])
         case "log1p":
@@ -524,6 +526,7 @@ def _needs(graph: Graph, op: str, x: tuple[int, ...], nodes: list[Node]) -> Iter
             yield "true", graph.apply("or", graph.apply("lt", number(0.0), x[1]), apart(x[0], number(0.0))[1])
         case "pow":
             exponent = nodes[1].value if nodes[1].op == "constant" else None
+            # A power with such an exponent is exp(y log x), which needs x > 0; whole powers are products.
             if exponent is None or not float(exponent).is_integer():
                 yield less(number(0.0), x[0])
             elif exponent < 0:

@@ -115,6 +115,7 @@ def add(a: Interval, b: Interval) -> Interval:
         a: First term.
         b: Second term.
     """
+    # A sum that underflows is exact in IEEE arithmetic, so that a relative step is enough.
     return Interval(_down(a.low + b.low), _up(a.high + b.high))
 
 
@@ -149,6 +150,7 @@ def mul(a: Interval, b: Interval) -> Interval:
 
 def _extremes(operation: np.ufunc, a: Interval, b: Interval) -> Interval:
     """Bounds of products or quotients: their extremes are at the ends of a and b."""
+    # A product is linear in each factor, so that its extremes over a rectangle are at corners.
     low, other = operation(a.low, b.low), operation(a.low, b.high)
     is_array = isinstance(low, np.ndarray)  # new, so that it may be changed in place
     high = np.maximum(low, other)
@@ -355,6 +357,7 @@ def power(a: Interval, b: Interval) -> Interval:
     """
     if _is_number(b) and (2 * b.low).is_integer() and abs(b.low) <= MOST_PRODUCTS:
         whole = b.low.is_integer()
+        # a^{m/2} = (√a)ᵐ: products have tighter bounds than the logarithm, and allow a zero base.
         result = _product_of_many(a if whole else sqrt(a), int(abs(b.low if whole else 2 * b.low)))
         return div(Interval(np.float64(1.0), np.float64(1.0)), result) if b.low < 0 else result
     return _ELEMENTARY["pow"](a, b)
@@ -540,6 +543,7 @@ def select(p: Truth, a: Any, b: Any) -> Any:
         b: Interval or statement chosen where p does not hold.
     """
     if isinstance(a, Truth):
+        # With p undecided, "a and b" still follows, which the other two terms miss.
         return either(both(a, b), either(both(p, a), both(opposite(p), b)))
     return chosen(p, a, b)
 

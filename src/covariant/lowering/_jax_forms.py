@@ -433,6 +433,7 @@ def _unstack(x: jax.Array, *, axis: int) -> list[jax.Array]:
 
 def _one_minus_square(x: jax.Array) -> jax.Array:
     one = jnp.ones((), x.dtype)
+    # 1 − x² with no cancellation near |x| = 1, since both factors are rounded relatively.
     return (one + x) * (one - x)
 
 

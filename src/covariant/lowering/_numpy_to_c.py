@@ -131,6 +131,7 @@ class Traced:
     def __array_ufunc__(self, function: np.ufunc, method: str, *arguments: Any, **options: Any) -> "Traced":
         if method != "__call__" or options:
             raise TypeError(f"{function.__name__}.{method} has no C for each entry")
+        # C's && would branch; & of truth values that are 0 or 1 is the same, and a vector.
         if function is np.logical_and:
             function = np.bitwise_and
         # A finite number times a truth value, as in `TINY * mask`, is a choice.

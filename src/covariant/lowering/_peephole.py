@@ -35,6 +35,7 @@ def simplified(lowered: Lowered) -> Lowered:
     outward = _rewritten(lowered, lambda graph, node, x: _outward(graph, node.op, x))
     nodes = outward.graph.nodes
     divisors = Counter(node.arguments[1] for node in nodes if node.op == "div")
+    # A quotient by a constant keeps its one rounding; a/b as a · (1/b) has two.
     shared = {a for a, count in divisors.items() if count >= FEWEST_QUOTIENTS and nodes[a].op != "constant"}
 
     def divide_once(graph: Graph, node: Node, x: tuple[int, ...]) -> int:
@@ -73,6 +74,7 @@ def _outward(graph: Graph, op: str, x: tuple[int, ...]) -> int:
         return _outward(graph, "neg", (node,))
 
     match op, x, positive:
+        # −(a − b) = b − a exactly, up to the sign of a zero.
         case "neg", (a,), _ if graph.nodes[a].op == "sub":
             return graph.apply("sub", *graph.nodes[a].arguments[::-1])
         case _, _, (int(a),) if op in ODD:

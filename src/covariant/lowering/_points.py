@@ -135,6 +135,7 @@ def exp_reduced(r: Any) -> Any:
     Args:
         r: Reduced argument.
     """
+    # r is added last: the quadratic rest is at most a fifth of it, so that its rounding counts little.
     return r + r * r * horner(EXP, r)
 
 
@@ -152,6 +153,7 @@ def exp(x: Any, shift: float = 0.0, rest: Any = None) -> Any:
         shift: Integer exponent of a power of two; −1 halves the value without an overflow before.
         rest: Correction of x, below a unit in its last place.
     """
+    # exp(−746) is below half of the smallest subnormal number, exp(712) above the largest double.
     k, q = _exp_parts(np.minimum(np.maximum(x, -746.0), 712.0), rest)
     return _scaled(1.0 + q, k + shift)
 
@@ -162,6 +164,7 @@ def expm1(x: Any) -> Any:
     Args:
         x: The argument; below −40 the result is −1, to the nearest double.
     """
+    # exp(−40) = 4e-18 is below half a unit of 1, so that the result is −1 from there on.
     k, q = _exp_parts(np.minimum(np.maximum(x, -40.0), 712.0))
     return _scaled((1.0 - _scaled(1.0, -k)) + q, k)
 
@@ -176,6 +179,7 @@ def sinh(x: Any) -> Any:
     """
     size = np.abs(x)
     q = expm1(np.minimum(size, 20.0))
+    # Beyond 20, exp(−|x|) is e⁻⁴⁰ = 4e-18 of exp |x|, less than half a unit.
     return np.copysign(np.where(size > 20.0, exp(size, -1.0), 0.5 * (q + q / (q + 1.0))), x)
 
 
@@ -238,6 +242,7 @@ def log(x: Any, shift: float = 0.0) -> Any:
     """
     k, f = _mantissa(x)
     k += shift
+    # k·LN2_HIGH is exact and the largest, so that it is added last, to the sum of the smaller ones.
     return _at_ends(x, f - (log_tail(f) - k * LN2_LOW) + k * LN2_HIGH)
 
 
@@ -249,6 +254,7 @@ def log1p(x: Any) -> Any:
     """
     total = 1.0 + x
     k, f = _mantissa(total)
+    # 1 + x is then between √½ and √2, where k = 0 and f is x itself: nothing of x is lost in the sum.
     small = (x > -0.2928) & (x < 0.4142)
     k, f = np.where(small, 0.0, k), np.where(small, x, f)
     rest = np.where(small, 0.0, _rounding_error(1.0, x, total) / total + k * LN2_LOW)
@@ -327,6 +333,7 @@ def asinh(x: Any) -> Any:
     """
     a = np.abs(x)
     b = np.minimum(a, 2.0**28)
+    # Beyond 2²⁸, √(1 + a²) is a to within rounding, and a² is not formed: asinh a = log 2a + 1/(4a²).
     return np.copysign(np.where(a > b, log(a, 1.0), log1p(b + b * b / (1.0 + np.sqrt(1.0 + b * b)))), x)
 
 
@@ -388,6 +395,7 @@ def angle(y: Any, x: Any) -> Any:
     """
     size = np.abs(x)
     largest = np.maximum(y, size)
+    # The quotient of the smaller by the larger is at most 1; the octant is put back by the two reflections below.
     t = np.minimum(y, size) / np.where(largest == 0, 1.0, largest)
     j, bits = whole(4.0 * t - 0.25)
     # Three bits, so that the index of NaN is within the tables too; its result is NaN in any case.
@@ -423,6 +431,7 @@ def asin(x: Any) -> Any:
     Args:
         x: The argument, −1 … 1.
     """
+    # (1 − x)(1 + x) and not 1 − x², which would lose the digits of 1 − x near 1.
     return np.copysign(angle(np.abs(x), np.sqrt((1.0 - x) * (1.0 + x))), x)
 
 
@@ -432,6 +441,7 @@ def acos(x: Any) -> Any:
     Args:
         x: The argument, −1 … 1.
     """
+    # tan(½ acos x) = √((1 − x)/(1 + x)); 1 − x and 1 + x lose no digits at either end.
     return 2.0 * angle(np.sqrt(1.0 - x), np.sqrt(1.0 + x))
 
 
@@ -456,6 +466,7 @@ def quarters(x: Any) -> tuple[Any, Any, Any, Any]:
         The integer k, an int64 with its last bits, and r as the sum of two doubles.
     """
     k, bits = whole(x * (2 / math.pi))
+    # Cody and Waite: products of k with the leading words are exact, so that the cancellation in x − kπ/2 is too.
     first, second = x - k * QUARTER_HIGH, k * -QUARTER_MIDDLE
     r = first + second
     rest = _rounding_error(first, second, r) - k * QUARTER_LOW
@@ -474,6 +485,7 @@ def sin_cos_reduced(r: Any, rest: Any) -> tuple[Any, Any]:
     """
     z = r * r
     half = 0.5 * z
+    # First order in `rest`: sin(r + e) = sin r + e cos r, with cos r = 1 − r²/2 to the accuracy that e needs.
     sine = r - (z * r * horner(SIN, z) - rest * (1.0 - half))
     cosine = 1.0 - (half - (z * z * horner(COS, z) - r * rest))
     return sine, cosine

@@ -64,6 +64,7 @@ def _values(x, *, k: int):
 
 
 mlir.register_lowering(STUMPFF, mlir.lower_fun(_values, multiple_results=False))
+# From 2 c_k′ = k c_{k+2} − c_{k+1}, which no division by x spoils at x = 0.
 ad.defjvp(STUMPFF, lambda g, x, *, k: (k * stumpff(k + 2, x) - stumpff(k + 1, x)) / 2 * g)
 batching.primitive_batchers[STUMPFF] = lambda values, axes, *, k: (STUMPFF.bind(*values, k=k), axes[0])
 
@@ -86,6 +87,7 @@ def _closed(k: int, x: jax.Array) -> jax.Array:
         theta = jnp.sqrt(x)
         return jnp.sin(theta) / theta
     if k == 2:
+        # 1 − cos θ = 2 sin²(θ/2): no cancellation, unlike (1 − cos θ)/θ².
         return _closed(1, x / 4) ** 2 / 2
     return (1 / math.factorial(k - 2) - _closed(k - 2, x)) / x
 
@@ -104,6 +106,7 @@ def values(k: Any, x: Any) -> Any:
     series = _horner(coefficients(int(k)), np.clip(x, 0.0, FALLS_UNTIL), -1.0)
     safe = np.maximum(x, FALLS_UNTIL)
     theta = np.sqrt(safe)
+    # c_{k+2}(x) = (1/k! − c_k(x))/x, upwards from the cosine or from sin θ/θ.
     closed = np.cos(theta) if int(k) % 2 == 0 else np.sin(theta) / theta
     for j in range(2 + int(k) % 2, int(k) + 1, 2):
         closed = (1 / math.factorial(j - 2) - closed) / safe
@@ -139,7 +142,9 @@ def bounds(series: Sequence[Any], low: Any, high: Any) -> tuple[Any, Any]:
     # c_k decreases: its lower bound is at the upper end of x.
     x = np.where(inside, np.stack([high, low]), 0.0)
     value, size = _horner(series, x, -1.0), _horner(series, x, 1.0)
+    # Horner's rule rounds twice a term and the coefficients once; `size` sums the absolute values of all terms.
     off = (4 * TERMS * U + 1e-30) * size
+    # |c_k(x)| ≤ c_k(0) = 1/k! for all x ≥ 0: c_k averages cosines.
     lowest, highest = np.maximum(value[0] - off[0], -most), np.minimum(value[1] + off[1], most)
     known = low >= 0
     return (

@@ -86,6 +86,7 @@ def metric_through(
     def back(y, _):
         return rk8(lambda s, y: -model.f(t0, y, input_held), t0, y, h), y
 
+    # Each step records the state before it, so that `later` begins with x, the last node of the way forward.
     first, later = jax.lax.scan(back, x, length=steps)
     nodes = jnp.concatenate([first[None], later[::-1]])
 
@@ -93,11 +94,13 @@ def metric_through(
         y, p = joint
         a, q, c = coefficients(model, equation, y, input_held)
         quadratic = 0.0 if q is None else p @ q @ p
+        # L_f P = Ṗ + P f_x + f_xᵀ P solved for Ṗ; the rate is in a = f_x + λ/2, and R⁻¹ in the scaled rows c.
         return model.f(t0, y, input_held), -p @ a - a.T @ p + c.T @ c - quadratic
 
     def radon(s, joint):
         y, alpha, beta = joint
         a, q, c = coefficients(model, equation, y, input_held)
+        # P = αβ⁻¹ has Ṗ = α'β⁻¹ − P β'β⁻¹, Riccati's equation; the first line of (10) is misprinted (see the errata).
         grown = a @ beta if q is None else q @ alpha + a @ beta
         return model.f(t0, y, input_held), -a.T @ alpha + c.T @ c @ beta, grown
 
@@ -106,6 +109,7 @@ def metric_through(
         if route == "riccati":
             p = rk8(riccati, t0, (node, p), h)[1]
         else:
+            # From (P, I) anew at each step: over a long way both grow along the same solutions, and β becomes singular.
             _, alpha, beta = rk8(radon, t0, (node, p, eye), h)
             p = alpha @ jnp.linalg.inv(beta)
         # The exact solution is symmetric; rounding is not.

@@ -41,6 +41,7 @@ class Equation(eqx.Module):
         if isinstance(self.rate, float | int):
             if not 0 <= self.rate < float("inf"):
                 raise ValueError(f"rate must be a number ≥ 0; got {self.rate}")
+            # Without λ and Q nothing is forgotten, and W grows without bound.
             if self.rate == 0 and self.process_cov is None:
                 raise ValueError("an equation needs a rate λ > 0, a process_cov Q, or both; it has neither")
 
@@ -122,6 +123,7 @@ def coefficients(model: StateSpace, equation: Equation, x: Vector, u: Array):
     a, c = model.jacobians(jnp.zeros((), x.dtype), x, u)
     eye = jnp.eye(x.shape[0], dtype=x.dtype)
     if equation.measurement_cov is not None:
+        # With R = L Lᵀ: (L⁻¹c)ᵀ(L⁻¹c) = cᵀR⁻¹c, so that R⁻¹ is never formed.
         c = half_solve(jnp.asarray(equation.measurement_cov, x.dtype), c)
     # P(f_x + λ/2) + (f_x + λ/2)ᵀ P = P f_x + f_xᵀ P + λ P.
     shifted = a + jnp.asarray(equation.rate, x.dtype) / 2 * eye

@@ -54,6 +54,7 @@ def high_gain(model: StateSpace, rate: Number) -> MatrixField:
                 functions.append(lambda z, last=functions[-1]: jax.jvp(last, (z,), (model.f(t0, z, input_held),))[1])
             return jnp.stack([function(y) for function in functions])
 
+        # x ↦ (h, L_f h, …, L_fⁿ⁻¹h) turns the model into a chain of integrators, whose metric its Jacobian pulls back.
         jacobian = jax.jacfwd(derivatives)(x)
         order = np.arange(n)
         binomial = np.array([[math.comb(i + j, j) for j in order] for i in order])

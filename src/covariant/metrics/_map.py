@@ -132,6 +132,7 @@ def _threads(work: _Work, workers: int) -> Iterator[tuple[Submit, int]]:
     program = work.compile()
     pool = concurrent.futures.ThreadPoolExecutor(workers)
     try:
+        # One block in work and one that waits for each thread, so that none is idle and few are pending.
         yield lambda index: pool.submit(work.compute, program, index), 2 * workers
     finally:
         pool.shutdown(cancel_futures=True)
@@ -143,6 +144,7 @@ def _cluster(work: _Work, scheduler: str) -> Iterator[tuple[Submit, int]]:
     with optional("distributed").Client(scheduler, set_as_default=False) as client:
         # A task and not a scattered value: the scheduler can compute it again when the worker that holds it dies.
         shared = client.submit(bytes, pickled)
+        # A block is written, not returned: no result of an earlier call may replace a call.
         pool = client.get_executor(pure=False)
         yield lambda index: pool.submit(_compute_pickled, shared, index), IN_FLIGHT
 

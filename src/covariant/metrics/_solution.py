@@ -107,6 +107,7 @@ def metric_at(
     # A thousandth of what is asked for, so that errors of integration stay below the bound; not below rounding.
     rtol = max(1e-3 * wanted, 20 * eps)
     low, high = _box(domain, x)
+    # A side without bounds is never left, and ∞/1 says so where ∞/∞ would be NaN.
     width = jnp.where(jnp.isfinite(high - low), high - low, 1.0)
     far = FAR * (1 + jnp.abs(x))
 
@@ -263,6 +264,7 @@ def rate_from_gramian(
     if unobserved.any():
         point = ", ".join(f"{entry:.4g}" for entry in np.asarray(points)[int(unobserved.argmax())])
         raise ValueError(f"({point}) is not reconstructible from any past up to {longest:g} s, so it has no rate")
+    # One rate for all points, so each window counts by the point that it determines worst.
     least = indices.min(axis=0)
     enough = int((least >= share * least.max()).argmax())
     if not enough:
@@ -270,6 +272,7 @@ def rate_from_gramian(
             f"the first of {len(least)} windows up to {longest:g} s tells most: shorten the longest window, or, where "
             "the past grows, take a rate above twice its rate of growth"
         )
+    # 1/τ: the window number `enough`, counted from 0, has the length τ = longest (enough + 1)/steps.
     return len(least) / (longest * (enough + 1))
 
 
@@ -291,9 +294,11 @@ def reconstructibility(gramian: Matrix) -> Scalar:
     diagonal: Array = jnp.diagonal(gramian)
     # An unobserved coordinate keeps its zero row: the eigenvalue 0, not a division by zero.
     scale = jnp.where(diagonal > 0, jax.lax.rsqrt(jnp.where(diagonal > 0, diagonal, 1.0)), 0.0)
+    # A diagonal of ones: the index does not depend on the units of the coordinates.
     scaled = scale[:, None] * gramian * scale[None, :]
     finite = jnp.all(jnp.isfinite(scaled))
     least = jnp.linalg.eigvalsh(jnp.where(finite, scaled, 0.0))[0]
+    # A Gramian has no negative eigenvalue; rounding makes one of a singular matrix slightly negative.
     return jnp.where(finite, jnp.maximum(least, 0.0), jnp.nan)
 
 
@@ -319,6 +324,7 @@ def spd_distance(a: Matrix, b: Matrix) -> Scalar:
     whitened = whiten(a, b)
     finite = jnp.all(jnp.isfinite(whitened))
     ratios: Array = jnp.linalg.eigvalsh(jnp.where(finite, (whitened + whitened.T) / 2, 0.0))
+    # A ratio ≤ 0 means that a or b is not positive definite: then the distance is NaN.
     return jnp.sqrt(jnp.sum(jnp.log(jnp.where(finite & (ratios > 0), ratios, jnp.nan)) ** 2))
 
 

@@ -171,6 +171,7 @@ def written(path: Path, n: int) -> set[tuple[int, ...]]:
     """
     # The chunks are listed, not read: reading would open every chunk of the grid, of which only a few exist at first.
     chunks = path.joinpath(DONE, "c").glob("/".join("*" * n))
+    # A name that is no number is a file that a writer has not moved to its place yet.
     return {tuple(map(int, chunk.parts[-n:])) for chunk in chunks if chunk.name.isdecimal()}
 
 

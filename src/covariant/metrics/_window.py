@@ -76,16 +76,19 @@ class Window(NamedTuple):
         """
         known = jnp.all(pivots(self.information) > 0)
         if self.spread is None:
+            # Without Q nothing bounds π: it is assumed to be at most `MARGIN` times W, or `start` where that is more.
             before = MARGIN * self.transition.T @ self.information @ self.transition
             most = jnp.maximum(self._share(before), self._share(self._carried(start)))
         else:
             # Where Q is singular, V becomes positive as the window grows; until then it gives no bound.
             known = known & jnp.all(pivots(self.spread) > 0)
+            # (π⁻¹ + V)⁻¹ ≤ V⁻¹ for every π, so this bounds what any past can add to W.
             most = self._share(self.transition.T @ solve(self.spread, self.transition))
         return jnp.where(known, most, jnp.nan)
 
     def _share(self, more: Matrix) -> Scalar:
         """Bound on the distance from W to W + more: it is sqrt(Σ log²(1 + μ)) ≤ Σ μ, μ the eigenvalues of W⁻¹ more."""
+        # log(1 + μ) ≤ μ for μ ≥ 0, and the root of a sum of squares is at most the sum.
         return jnp.trace(solve(self.information, more))
 
     def _carried(self, start: Number | Matrix) -> Matrix:
@@ -162,6 +165,7 @@ def backward(model: StateSpace, equation: Equation, u: Array | None, dtype):
             return Window(-model.f(t0, x, input_held), -propagated, _times(output.T, output), None)
         correlation = _times(v, c.T)
         drift = _times(a, v)
+        # Φ' = −aΦ − V cᵀc Φ, W' = Φᵀcᵀc Φ and V' = Q − aV − V aᵀ − V cᵀc V, with s counted into the past.
         spread = q - drift - drift.T - _times(correlation, correlation.T)
         return Window(
             -model.f(t0, x, input_held), -propagated - _times(correlation, output), _times(output.T, output), spread

@@ -50,8 +50,10 @@ class PrintedBallAndBeam(AbstractFlowObserver):
         r, theta = y
         er, et = r_hat - r, theta_hat - theta
         r_dot, theta_dot = vr - self.alpha * er, vt - self.alpha * et
+        # The force S = −grad U + g⁻¹u at the measured position, as (14) has it.
         sr, st = -jnp.sin(theta), (u[0] - r * jnp.cos(theta)) / (1 + r**2)
         k = 1 + r_hat**2
+        # R(ξ, v̂)v̂, as (5) has it, is minus these: the metric diag(1, k), k = 1 + r̂², has the curvature −1/k².
         curvature_r = (-vr * vt * et + vt**2 * er) / k
         curvature_t = (vr**2 * et - vr * vt * er) / k**2
         vr_dot = r_hat * theta_dot * vt + (sr + r_hat * et * st) - self.beta * er
@@ -116,7 +118,9 @@ class PrintedGroup(AbstractFlowObserver):
         space, group, q, v = self.model.space, self.model.group, state.q, state.v
         error = _printed_log(y, q) if "logarithm" in self.slips else group.between(y, q)
         s = source(self.model, t, y, u)
+        # `source` has raised the force already; lowering it takes the inverse inertia away, as the print does.
         s = space.lower(q, s) if "source" in self.slips else s
+        # The α of the paper is half of that of Aghannan and Rouchon, see (17).
         w = v - 2 * self.alpha * error
         transported = s - (
             space.connection(q, s, error) if "transport" in self.slips else space.connection(q, error, s)
@@ -128,6 +132,7 @@ class PrintedGroup(AbstractFlowObserver):
         v_dot = transported + (curvature if "curvature sign" in self.slips else -curvature) - self.beta * error
         v_dot = v_dot - space.connection(q, w, v) + friction(self.model, t, q, v, u)
         if "alpha" in self.slips:
+            # The connection has the bracket with the factor α; this leaves it with the factor 1, as (21) does.
             v_dot = v_dot + (1 - self.alpha) * group.lie_bracket(error, v)
         return SampledState(w, v_dot, jnp.ones_like(state.t))
 
@@ -140,6 +145,7 @@ class PrintedGroup(AbstractFlowObserver):
 
 def _printed_log(y: Element, estimate: Element) -> Vector:
     """Equations (44) and (45) as printed: the spatial logarithm of the rotation, and a difference of two frames."""
+    # log(g̃gᵀ) is the rotation vector in space; that of gᵀg̃ in the body would be gᵀ times it.
     omega = SO3.log(estimate[:3, :3] @ y[:3, :3].T)
     if y.shape[0] == 3:
         return omega

@@ -150,6 +150,7 @@ def _figure4(observer, t, amplitude, scale, rtol):
     def measure(s, q):
         return q + amplitude * noise(s)
 
+    # Of a basin some runs escape: the limit of steps ends them.
     x, state = observe(
         plant, observer, x0, state0, t, feedback, measure, rtol=rtol, atol=rtol / 100, max_steps=MOST_STEPS
     )
@@ -171,6 +172,7 @@ def tutorial(progress: Callable[[str], None] = lambda stage: None) -> dict[str, 
     exact = _chart_differences(lambda model: Geodesic(model, ALPHA, BETA, Budget()), errors)
     progress("tutorial example: approximate observer")
     approximate = _chart_differences(lambda model: Intrinsic(model, ALPHA, BETA), errors)
+    # `approximate` is relative to the error; the difference itself shows the order.
     slope = np.polyfit(np.log(errors), np.log(np.multiply(errors, approximate)), 1)[0]
     return {
         "initial_error": list(errors),
@@ -221,6 +223,7 @@ def reproduce(progress: Callable[[str], None] = lambda stage: None) -> dict[str,
     for name, observer in figure4_observers().items():
         basin = SCALES if name in BASINS else ()
         progress(f"figure 4: {name}" + (", and its basin of attraction" if basin else ""))
+        # Looser tolerances where noise at 50 rad/s forces short steps, and where only convergence is in question.
         runs = [(False, 1.0, 1e-10), (True, 1.0, 1e-7), *((False, scale, 1e-8) for scale in basin)]
         errors = [_finite(run.error) for run in figure4_batch(observer, STAMPS, runs)]
         for key, error in zip(("fig4", "fig4_noise"), errors, strict=False):
@@ -322,6 +325,7 @@ def draw_errors(path: Path, duration: float = 40.0) -> Path:
     for name, observer in figure4_observers().items():
         error = figure4(observer, t, rtol=1e-8).error
         ax.semilogy(t, np.where(np.isfinite(error), error, np.nan), label=LABELS[name])
+    # The response of a double pole at −ω, (1 + ωt)e^(−ωt).
     omega = BETA**0.5
     ax.semilogy(t, 2 * (1 + omega * t) * np.exp(-omega * t), "k:", label="theory: double pole at −ω0")
     ax.set_ylim(1e-11, 1e3)

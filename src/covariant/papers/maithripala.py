@@ -165,6 +165,7 @@ def _conserved(t):
     x = simulate(top, models.Motion(SO3.exp(jnp.array(TILT)), jnp.array(SPINNING)), t).x
 
     def invariants(g, v):
+        # A row of g is gᵀe₃: the vertical in the body, about which weight has no torque.
         vertical = g[2]  # e₃ in the body frame
         return jnp.stack([models.energy(top, g, v), vertical @ top.space.lower(g, v), vertical @ vertical])
 
@@ -229,6 +230,7 @@ def reproduce(progress: Callable[[str], None] = lambda stage: None) -> dict[str,
         "t": t[::20].tolist(),
         "error_doubled": _finite(doubled.error[::20]),
         "error": _finite(single.error[::20]),
+        # After nearly eight time constants of the slow pole each: what is left is small enough for linear theory.
         "rate_doubled": fitted_rate(doubled, 15.0),
         "rate": fitted_rate(single, 7.0),
         "theory_doubled": slow_rate(True),

@@ -70,6 +70,7 @@ def quadrature(x: Vector, rate: Number, length: Number, steps: int = 400) -> Mat
     def output_row(s):
         """Derivative of the output at time −s with respect to the present state."""
         c, s_ = jnp.cos(w * s), jnp.sin(w * s)
+        # The output at −s is x1 cos ws − x2 sin(ws)/w; x3 = w², hence the factor 1/(2w) below.
         by_w = -x1 * s * s_ - x2 * (s * c / w - s_ / w**2)
         return jnp.stack([c, -s_ / w, by_w / (2 * w)])
 
@@ -111,6 +112,7 @@ def _routes(points: Array, rate: Array) -> dict[str, Array]:
 
     def at(x):
         solution = metric_at(model, equation, x, tolerance=1e-12)
+        # e⁻⁴⁰ = 4e-18: the start of the metric is forgotten to below rounding.
         radon = metric_through(model, equation, x, 40 / rate, 800, route="radon").metric[-1]
         riccati = metric_through(model, equation, x, 40 / rate, 800).metric[-1]
         routes = {
@@ -163,6 +165,7 @@ def _least_rate(points: Array, rate: Array, gain: Array):
         p, along = jax.jvp(metric, (x,), (flow(x),))
         change = p @ jax.jacfwd(flow)(x)
         half = jnp.linalg.inv(jnp.linalg.cholesky(p))
+        # Half: a rate of lengths, where the eigenvalue is that of squared lengths.
         return -jnp.linalg.eigvalsh(half @ (along + change + change.T) @ half.T)[-1] / 2
 
     return jax.vmap(at)(points).min()
@@ -202,6 +205,7 @@ def prior(duration: float = 40.0) -> dict[str, float]:
     Returns root mean square errors of x3 [1/s²] over the log; noise is 0.1 m, and Q and R are the same for both.
     """
     model, std, dt = models.unknown_frequency(), 0.1, 0.01
+    # A sample of variance σ² every dt is continuous noise of the density σ² dt.
     equation = Equation(process_cov=jnp.diag(jnp.array([1e-6, 1e-6, 1e-4])), measurement_cov=jnp.array([[std**2 * dt]]))
     record = _noisy(duration, std)
     start = jnp.array([0.9, 0.1, 1.01])

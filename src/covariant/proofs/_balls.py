@@ -92,6 +92,7 @@ class BallMatrix:
         """Whether the matrix is positive definite, by `|I − CᵀSC| x < x`; and the variable that widens it most."""
         centre, count = low / 2 + high / 2, self.n * (self.n + 1) // 2
         around = [self.arb(a).union(self.arb(b)) for a, b in zip(low.tolist(), high.tolist(), strict=True)]
+        # The middle is rounded, so that the larger side of the box counts; `upper` rounds it up.
         away = [abs(around[i] - self.arb(float(centre[i]))).upper() for i in self.free]
         at = self._matrices(self.first, list(map(self.arb, centre.tolist())), count)
         bend = self._matrices(self.second, around, count)[1 + len(self.free) :]
@@ -103,6 +104,7 @@ class BallMatrix:
         c = self.matrix((vectors / np.sqrt(values)).tolist())
         identity = self.matrix(np.eye(self.n).tolist())
         parts: list[tuple[Any, Any, tuple[int, ...]]] = [(c.transpose() * at[0] * c - identity, self.arb(1), ())]
+        # A symmetric S(c) + Σ Sᵢ δᵢ + ½ Σ Sᵢⱼ δᵢδⱼ: a pair i ≠ j occurs twice in the last sum, a square once.
         parts += [(c.transpose() * s * c, d, (k,)) for k, (s, d) in enumerate(zip(at[1:], away, strict=True))]
         for s, (i, j) in zip(bend, pairs(len(self.free)), strict=True):
             parts.append((c.transpose() * s * c, away[i] * away[j] / (2 if i == j else 1), (i, j)))
@@ -115,6 +117,7 @@ class BallMatrix:
         rough, x = np.array([[float(error[i, j].mid()) for j in range(self.n)] for i in range(self.n)]), np.ones(self.n)
         for _ in range(8):
             x = rough @ x
+            # Power iteration towards the Perron vector; the small number keeps every entry positive.
             x = x / x.max() + 1e-9
         product = error * self.matrix([[v] for v in x.tolist()])
         # A comparison of balls is true only where it holds for all numbers in them.
@@ -151,6 +154,7 @@ def _balls(arb: Any) -> Domain:
         return not less(b, a)
 
     def equal(a: Any, b: Any) -> bool:
+        # The same node is equal to itself, though its ball has a width.
         if a is b:
             return True
         if not a.overlaps(b):
@@ -188,9 +192,11 @@ def _balls(arb: Any) -> Domain:
         "div": operator.truediv,
         "neg": operator.neg,
         "abs": abs,
+        # 0 may get either sign: a jump there is excluded by the conditions of a proof.
         "sign": lambda a: -one if less(a, zero) else one,
         "floor": floor,
         "ceil": lambda a: -floor(-a),
+        # Half-way between integers it differs from rounding to even: the conditions of a proof exclude this jump.
         "round": lambda a: floor(a + 0.5),
         "min": lambda a, b: a if less(a, b) else b,
         "max": lambda a, b: b if less(a, b) else a,

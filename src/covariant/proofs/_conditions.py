@@ -57,6 +57,7 @@ def show_conditions(conditions: Conditions, domain: Box) -> str:
         # A side of adjacent floats has no number strictly between its ends, and cannot be halved.
         relative = np.where((middle > low) & (middle < high), relative, 0.0)
         stuck = np.flatnonzero(relative.max(axis=1) <= 0)
+        # Each box has two halves, so that the next depth would exceed the number of boxes allowed.
         if len(stuck) or depth >= DEEPEST or 2 * len(low) > MOST_CONDITIONS:
             k = int(stuck[0]) if len(stuck) else 0
             condition = conditions.conditions[int(undecided[k].argmax())]
@@ -75,6 +76,7 @@ def _needed_halvings(conditions: Conditions, domain: Box, reads: np.ndarray) -> 
 
     All others being points; 0 where it is not read. It only guides the search: inputs that matter are halved first.
     """
+    # The seed is fixed, so that equal proofs halve equal boxes; the points only order the halvings.
     shares = np.random.default_rng(0).uniform(size=(CENTRES, len(domain.low)))
     points = domain.low * (1 - shares) + domain.high * shares  # a difference of the ends may overflow
     needed = reads.copy()

@@ -138,6 +138,7 @@ def definite(
             x = sum_over(e * x[:, None]) + 1e-6
             x /= x.max(axis=0)
         # The left side is rounded up. SLACK lowers the right side, so that another implementation decides alike.
+        # With an unbounded radius both sides may be ∞ or NaN (∞ · 0), for which the comparison is False.
         below = (sum_over(e * x[:, None]) * (1 + ROUND) + TINY <= (1 - SLACK) * x).all(axis=0)
     return below & positive, c
 
@@ -177,6 +178,7 @@ def indefinite(middle: np.ndarray, radius: np.ndarray) -> Bool[np.ndarray, "B"]:
     middle, radius = symmetric(middle), symmetric(radius)
     finite = np.asarray(((np.abs(middle) < HUGE) & np.isfinite(radius)).all(axis=(1, 2)))
     safe = np.where(finite[:, None, None], middle, 0.0)
+    # The eigenvector of the least eigenvalue makes xᵀSx least; any x would do for the proof.
     x = np.linalg.eigh(safe)[1][:, :, :1]
     xt = np.swapaxes(x, 1, 2)
     with np.errstate(all="ignore"):
@@ -199,6 +201,7 @@ def factors(middle: np.ndarray) -> tuple[Float[np.ndarray, "n n B"], Bool[np.nda
     """
     n, full = size_of(middle), symmetric(middle)
     diagonal = np.abs(np.diagonal(full, axis1=1, axis2=2))
+    # Scaled to a diagonal of ones first: eigenvectors of entries in mixed units would be lost to rounding.
     units = 1 / np.sqrt(np.where(np.isfinite(diagonal) & (diagonal > TINY), diagonal, 1.0))
     with np.errstate(all="ignore"):
         scaled = full * units[:, :, None] * units[:, None, :]
@@ -206,5 +209,6 @@ def factors(middle: np.ndarray) -> tuple[Float[np.ndarray, "n n B"], Bool[np.nda
     values, vectors = np.linalg.eigh(np.where(finite[:, None, None], scaled, np.eye(n)))
     # Eigenvalues of magnitude zero would make C infinite; its accuracy does not matter for the proof.
     sizes = np.maximum(np.abs(values), np.abs(values).max(axis=1, keepdims=True) * 1e-12 + TINY)
+    # S^−½ of the scaled matrix: congruence by it gives the identity, up to rounding and the signs of eigenvalues.
     root = (vectors / np.sqrt(sizes)[:, None, :]) @ np.swapaxes(vectors, 1, 2)
     return np.ascontiguousarray((units[:, :, None] * root).transpose(1, 2, 0)), finite & (values[:, 0] > 0)

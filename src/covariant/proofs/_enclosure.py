@@ -80,6 +80,7 @@ class Expansions(NamedTuple):
             raise ValueError(f"the matrix must be square; it has shape {shape}")
         rows, columns = np.tril_indices(shape[0])
         graph = Graph.of(entries.graph.nodes)
+        # xᵀMx sees the symmetric part alone; entries that are equal but computed in two ways become one.
         lower = graft(graph, lambda full: ((full + full.T) / 2)[rows, columns], entries.nodes())
         value = entries._replace(outputs=tuple(lower.tolist()))._replace(graph=graph)
         small, outputs = graph.pruned(value.outputs)
@@ -165,6 +166,7 @@ def enclosed_by(at: Enclosure, on: Enclosure, half: np.ndarray, k: int) -> Enclo
     with np.errstate(invalid="ignore", over="ignore"):  # the middle of bounds −∞ and ∞ is NaN
         value, terms, shares = taylor_form(at, on, half, k)
         # A form with derivatives holds where these exist everywhere in the box.
+        # The radii of all terms come together in one remainder, the middles stay apart so that they can cancel.
         rest = np.where(on.smooth, (value.radius + sum_over(shares)) * (1 + ROUND) + TINY, np.inf)
         radius = rest + sum_over(np.abs(terms)) * (1 + ROUND)
         low, high = on.low.T[: k + f * k], on.high.T[: k + f * k]
@@ -244,6 +246,7 @@ def taylor_form(at: Enclosure, on: Enclosure, half: np.ndarray, k: int) -> tuple
     square = np.array([i == j for i, j in chosen])
     np.multiply(bends.middle.reshape(-1, k, boxes), size * np.where(square, 0.5, 1.0)[:, None, None], out=terms[f:])
     np.multiply(bends.radius.reshape(-1, k, boxes), size * (1 + ROUND), out=shares[f:])
+    # ε² is in [0, 1], which is ½ ± ½: half of each square moves the centre, and half stays a term.
     shifted = value.middle + sum_over(terms[f:][square])
     rounding = ROUND * (np.abs(value.middle) + sum_over(np.abs(terms[f:])))
     return Ball(shifted, value.radius + rounding), terms, shares

@@ -35,6 +35,7 @@ def judge(matrix: Expansions, low: np.ndarray, high: np.ndarray) -> tuple[Int[np
     rest = np.flatnonzero(~proved)
     if not len(rest):
         return codes, None
+    # Middles of boxes that resist are the likeliest places of a counter-example, and one ends the whole search.
     counterexample = counterexample_at(matrix, middle_of(low[rest], high[rest]))
     if counterexample is not None:
         return codes, counterexample
@@ -50,6 +51,7 @@ def judge(matrix: Expansions, low: np.ndarray, high: np.ndarray) -> tuple[Int[np
     possible = (middle > low[rest][:, matrix.free]) & (middle < high[rest][:, matrix.free])
     # The relative widths only break ties between variables of equal weight; −1 marks those that cannot be halved.
     weight = np.where(possible, weight + 1e-9 * relative * weight.max(axis=1, keepdims=True, initial=0.0), -1.0)
+    # A box of adjacent floats, or one without free variables, stays open.
     codes[rest] = np.where(possible.any(axis=1), matrix.free[weight.argmax(axis=1)] if len(matrix.free) else OPEN, OPEN)
     return codes, None
 
@@ -67,6 +69,7 @@ def _tested(
     tests = tests_in_c(matrix.engine, matrix.size)
     enclosures = (tests.enclosed if tests else enclosed_by)(at, on, half, k)
     test = tests.definite if tests else definite
+    # First the form with terms: under one congruence its terms cancel between entries, which bounds of entries cannot.
     proved, c = test(enclosures.centre, enclosures.rest, enclosures.terms)
     rest = np.flatnonzero(~proved)
     # Bounds of the entries also hold where the matrix is not smooth, where Taylor's form says nothing.
@@ -129,6 +132,7 @@ def counterexample_at(matrix: Expansions, points: np.ndarray) -> np.ndarray | No
     """
     at = enclose(matrix.value, points, points, matrix.engine)
     wrong = np.flatnonzero(indefinite(*Ball.of(at.low.T, at.high.T)))
+    # A box of one point: its two corners are equal.
     return np.stack([points[wrong[0]]] * 2) if len(wrong) else None
 
 

@@ -55,6 +55,7 @@ class TaylorModel:
     def __init__(
         self, on: Support, at: np.ndarray, line: np.ndarray, bend: np.ndarray, rest: np.ndarray, shares: np.ndarray
     ):
+        # TINY covers what underflows in the operation that made this number, where relative bounds do not hold.
         self.on, self.at, self.line, self.bend, self.rest, self.shares = on, at, line, bend, rest + TINY, shares
         self.sloped, self.bent = np.abs(line).sum(0), np.abs(bend).sum(0)
         self.away = (self.sloped + self.bent + self.rest) * (1 + ROUND)
@@ -195,6 +196,7 @@ def _each(bend: np.ndarray, count: int) -> np.ndarray:
 @functools.cache
 def _incidence(count: int) -> Float[np.ndarray, "s p"]:
     i, j = _pairs(count)
+    # A pair counts half for each of its variables, a square wholly for its one.
     return (np.arange(count)[:, None] == i) / 2 + (np.arange(count)[:, None] == j) / 2
 
 
@@ -255,16 +257,20 @@ def curve(op: str, x: TaylorModel, *given: float) -> TaylorModel:
     value, slope, bend = (TaylorModel.within(result) for result in _enclosed(graph, outputs[:3], Interval(x.at, x.at)))
     third = TaylorModel.within(_enclosed(graph, outputs[3:], x.bounds)[0])
     deviation = TaylorModel(x.on, np.zeros_like(x.at), x.line, x.bend, x.rest, x.shares)
+    # `bend.rest` is not halved: the remainder may only be too large.
     result = value + deviation * slope + deviation * deviation * TaylorModel.number(bend.at / 2, bend.rest)
     # The remainder of third order, rounded up: ξ is anywhere in the range of x.
     most = (np.abs(third.at) + third.rest) * deviation.away**3 / 6 * (1 + ROUND)
+    # The remainder is due to the variables in proportion to what each adds to |d|.
     part = x.dues / np.where(x.away > 0, x.away, 1.0)
     result = TaylorModel(x.on, result.at, result.line, result.bend, result.rest + most, result.shares + most * part)
     hull = TaylorModel(x.on, whole.at, 0 * x.line, 0 * x.bend, whole.rest, whole.rest * part)
+    # The range of the function alone where it is narrower; a NaN in the remainder chooses it too.
     return result.where(result.rest <= whole.rest, hull)
 
 
 def _divided(a: TaylorModel, b: TaylorModel) -> TaylorModel:
+    # A quotient as a product with 1/b, which is a function of one number; it has no bound where b may be zero.
     return a * curve("div", b, 1.0)
 
 

@@ -193,6 +193,7 @@ def prove_at_corners(
     if kink is not None:
         # Its second derivatives vanish on either side of the kink, so they do not show that it is not affine.
         raise ValueError(f"prove_at_corners: the matrix is not affine in {', '.join(affine)}: it has a kink, by {kink}")
+    # A jointly affine matrix is a convex combination of its values at the corners, and the cone S > 0 is convex.
     derivatives = expand(formed.entries, indices.tolist(), 2)
     entries = np.array([not derivatives.graph.is_zero(i) for i in derivatives.outputs]).reshape(
         -1, len(formed.entries.outputs)
@@ -220,6 +221,7 @@ def prove_at_corners(
             failed, corners = [_failed_at_once(at, counterexample, effort, reason)], corners[:k]
             break
     trees = [Tree(at) for at in corners]
+    # A counter-example at one corner leaves those before it in the search: the first corner that fails is reported.
     while (counterexample := _search_together(expansions, trees, effort, progress)) is not None:
         at = counterexample[0][indices]
         k = next(k for k, tree in enumerate(trees) if np.array_equal(tree.domain.low[indices], at))
@@ -267,6 +269,7 @@ def blocks(matrix: Callable[[Array], Array], domain: Box) -> list[Int[np.ndarray
     """
     formed = as_form(matrix).then(lambda m: m + m.T).graph(jnp.asarray(domain.low))
     nodes = formed.entries.nodes()
+    # An entry that is zero as a formula is zero for all z; the diagonal makes every index reach itself.
     reached = ~np.vectorize(formed.entries.graph.is_zero, otypes=[bool])(nodes) | np.eye(len(nodes), dtype=bool)
     # Squaring doubles the length of the paths that are followed, so ⌊log₂ n⌋ + 1 squarings reach whole components.
     for _ in range(len(nodes).bit_length()):

@@ -128,6 +128,7 @@ class Tree:
             return None
         lots, count = [], 0
         while self.waiting and count < CHUNK:
+            # The latest boxes first: depth first keeps the number of waiting boxes small.
             lots.append(self.waiting.pop())
             count += len(lots[-1][0])
         whole = tuple(np.concatenate(part) for part in zip(*lots, strict=True))
@@ -150,6 +151,7 @@ class Tree:
         new = 2 * int(split.sum())
         first = self.count
         self.count += new
+        # Doubled, so that n boxes cost O(n) copies in all.
         while self.count > len(self.code):
             self.code = np.concatenate([self.code, np.full(len(self.code), OPEN)])
             self.child = np.concatenate([self.child, np.zeros(len(self.child), int)])

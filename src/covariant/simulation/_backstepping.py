@@ -56,6 +56,7 @@ class Backstepping(eqx.Module):
         self.kp, self.kd, self.lam = (_gain(name, g, n) for name, g in (("kp", kp), ("kd", kd), ("lam", lam)))
         product = np.asarray(self.kp @ self.lam)
         # `not >` is true for NaN as well.
+        # V_con' has −η̃ᵀK_pΛη̃, of which only the symmetric part counts.
         if not np.linalg.eigvalsh(product + product.T)[0] > 0:
             raise ValueError("kp and lam: K_pΛ + ΛᵀK_p must be positive definite; choose both diagonal")
 
@@ -110,6 +111,7 @@ class Backstepping(eqx.Module):
         # One Jacobian-vector product along (1, Jν) gives ν_r and its total time derivative, that of J included.
         nu_r, change = jax.jvp(self.virtual_velocity, (t, z), (jnp.ones_like(t), j @ nu))
         mass, kp, kd = (jnp.asarray(a, z.dtype) for a in (self.craft.mass, self.kp, self.kd))
+        # Jᵀ turns a force in the frame of η into one of the body frame: the power η'ᵀF = νᵀJᵀF stays the same.
         spring = j.T @ (kp @ self.error(t, eta))
         return nu_r, mass @ change + self.craft.restoring(z) - spring - kd @ (nu - nu_r)
 

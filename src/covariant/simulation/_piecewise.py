@@ -99,6 +99,7 @@ def logged_inputs(
     begin = np.unique(np.round(np.concatenate([t + delay, [] if at is None else at]), DIGITS))
     steps = np.diff(begin)
     middle = begin + np.append(steps / 2, 1.0)  # where no rounding of the ends decides which input acts
+    # −1 before the first stamp, where the first input acts; `rise` has a zero row there, and the index becomes 0 below.
     k = np.searchsorted(t + delay, middle) - 1
     rise = np.diff(u, axis=0) / np.diff(t)[:, None] if between == "linear" else np.zeros_like(u[1:])
     rise = np.concatenate([np.zeros_like(u[:1]), rise, np.zeros_like(u[:1])])  # none before the first, nor after
@@ -109,6 +110,7 @@ def logged_inputs(
         return PiecewiseInputs(begin, value, rate, np.zeros_like(value))
     value = value - rate * lag  # a ramp is followed later by the lag
     transient, now = np.empty_like(value), u[0]
+    # Solution of lag·x' + x = value + rate·s: a ramp, and a transient that makes x continuous where the input jumps.
     for j, step in enumerate(np.append(steps, 0.0)):
         transient[j] = now - value[j]
         now = value[j] + rate[j] * step + transient[j] * np.exp(-step / lag)
@@ -146,6 +148,7 @@ def simulate_piecewise(
         (3, 2)
     """
     begin = jnp.asarray(inputs.begin)
+    # The last interval has no end of its own; as long as the one before, it only has to record the last state.
     ends = jnp.append(begin[1:], 2 * begin[-1] - begin[-2])
 
     def interval(x, piece):

@@ -78,6 +78,7 @@ def stamps(sensor: Sensor, duration: float, seed: int = 0) -> Float[NumpyArray, 
     if not 1 <= steps < np.inf:
         raise ValueError(f"sensor: {duration} s at {sensor.rate} Hz do not hold two samples or more")
     count = int(steps) + 1
+    # Streams of their own for stamps (0) and values (1): one does not change with what the other draws.
     late = np.random.default_rng([seed, 0]).normal(0, sensor.jitter, count) if sensor.jitter else np.zeros(count)
     late[0] = 0.0
     # A jitter below half a sample on either side leaves the stamps strictly increasing.

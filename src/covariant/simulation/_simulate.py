@@ -72,6 +72,7 @@ def simulate(
 
         def interval(motion, bounds):
             begin, end = bounds
+            # A chart around a configuration is singular after a turn by 2π; so many charts keep displacements small.
             charts = _charts(end - begin, motion.v)
             moved = advance(model, begin, motion, input_at, end - begin, charts, _adaptive(rtol, atol))
             return moved, moved
@@ -165,6 +166,7 @@ def _observe_in_charts(model: MechanicalSystem, observer: AbstractFlowObserver, 
             (sigma, mu), moved, rest = joint
             x = plant.motion(sigma, mu)
             inputs, slope = answer(s, x, rest._replace(q=manifold.retract(state.q, moved)))
+            # The velocity is in the frame at the estimate; integrated are coordinates in the chart.
             turning = manifold.local_rate(state.q, moved, slope.q)
             return plant.flow(s, (sigma, mu), lambda *_: inputs)[0], turning, slope._replace(q=None)
 
@@ -177,6 +179,7 @@ def _observe_in_charts(model: MechanicalSystem, observer: AbstractFlowObserver, 
     def interval(now, bounds):
         begin, end = bounds
         q, momentum, state = now
+        # The faster of plant and observer decides, since both move in charts of their own.
         v = jnp.concatenate([model.space.raise_(q, momentum), observer.estimate(state).v])
         charts = _charts(end - begin, v)
         h = (end - begin) / jnp.asarray(charts, v.dtype)

@@ -275,6 +275,7 @@ def audit(
         raise ValueError(f"audit: points, speed and error must be positive; got {points}, {speed:g}, {error:g}")
     box = _box(model, domain)
     states, coordinates = _draw(model, box, speed, points, np.random.default_rng(seed))
+    # Three errors, each ten times the one before, from whose differences an order is fitted.
     gain_pair, errors = (jnp.asarray(alpha), jnp.asarray(beta)), error * np.array([1e-2, 1e-1, 1.0])
     findings: dict[str, _Finding] = {}
     if not {"plant", "error", "lyapunov"}.isdisjoint(laws):

@@ -29,6 +29,7 @@ def inverse_jacobian_coefficient(x: Scalar) -> Scalar:
         The coefficient, a scalar; 1/12 at θ = 0.
     """
     x = x / 4
+    # With h = θ/2: 1 − h cot h = (c₁ − c₀)/c₁, and c₁ − c₀ = h²(c₂ − c₃), whose h² cancels that of θ² = 4h².
     return (stumpff(2, x) - stumpff(3, x)) / (4 * stumpff(1, x))
 
 
@@ -48,5 +49,6 @@ def angle_over_half_sine(squared_sine: Scalar, cosine: Scalar) -> Scalar:
     safe_cosine = jnp.where(small, cosine, 1.0)
     x = jnp.where(small, squared_sine, 0.0) / safe_cosine**2
     arctangent = _alternating([1 / (2 * j + 1) for j in range(9)], x)  # over its argument
+    # The root has an infinite derivative at 0, and is not used there.
     sine = jnp.sqrt(jnp.where(small, 1.0, squared_sine))
     return jnp.where(small, 2 * arctangent / safe_cosine, 2 * jnp.arctan2(sine, cosine) / sine)

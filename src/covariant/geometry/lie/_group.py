@@ -252,6 +252,7 @@ class AbstractGroup(AbstractManifold):
         Returns:
             Whether it is; False where it is not finite.
         """
+        # A comparison with NaN is False, so that a matrix with a NaN in it is no element.
         return self.defect(g) <= tolerance
 
     # As a manifold: the frame is the body frame, and the retraction follows one-parameter groups.
@@ -268,6 +269,7 @@ class AbstractGroup(AbstractManifold):
         return jnp.zeros(self.dimension, jnp.finfo(x.dtype).dtype)
 
     def tangent(self, x: Element, a: Vector) -> Element:
+        # Left translation: the velocity a in the body frame stands on the right of x.
         return x @ self.hat(a)
 
     def components(self, x: Element, rate: Element) -> Vector:
@@ -282,12 +284,14 @@ class AbstractGroup(AbstractManifold):
     def local(self, x: Element, y: Element) -> Vector:
         return self.between(x, y)
 
+    # The body velocity of x exp(s) is exp(−s) D exp(s)[s'], which does not depend on x.
     def frame_velocity(self, x: Element, s: Vector, rate: Vector) -> Vector:
         return self.right_jacobian(s, rate)
 
     def local_rate(self, x: Element, s: Vector, velocity: Vector) -> Vector:
         return self.right_jacobian_inverse(s, velocity)
 
+    # The curve t ↦ x exp(ta) has the constant body velocity a.
     def retraction_acceleration(self, x: Element, a: Vector) -> Vector:
         return jnp.zeros_like(a)
 

@@ -88,6 +88,7 @@ class Inertia(AbstractInertia):
                 raise ValueError(f"inertia: the matrix must be positive definite; its least eigenvalue is {least:.3g}")
         # In NumPy where the numbers are known: compiling a JAX program for each of the many small steps takes a second.
         inverse = _inverse(self.matrix) if isinstance(self.matrix, Tracer) else np.linalg.inv(np.asarray(self.matrix))
+        # The inverse is symmetric and its rounding is not; then `raise_` is self-adjoint as `lower` is.
         self.inverse = jnp.asarray((inverse + inverse.T) / 2)
 
     def __call__(self, x: Vector) -> Vector:
@@ -161,6 +162,7 @@ class LeftInvariant(AbstractSpace):
         """
         return (self.inertia(self.group.lie_bracket(a, b)) - self._coadjoint_sum(a, b)) / 2
 
+    # The energy ½<Iv, v> of a body velocity does not depend on the configuration.
     def kinetic_force(self, x: Element, v: Vector) -> Vector:
         return jnp.zeros_like(v)
 
@@ -177,6 +179,7 @@ class LeftInvariant(AbstractSpace):
         Returns:
             Vector (n,).
         """
+        # B(v, v) = −I⁻¹ ad*_v I v, so that geodesics v' = −B(v, v) satisfy Euler's equation I v' = ad*_v I v.
         return (self.group.lie_bracket(a, b) - self.inertia.solve(self._coadjoint_sum(a, b))) / 2
 
     def curvature(self, x: Element, a: Vector, b: Vector, c: Vector) -> Vector:
@@ -192,6 +195,7 @@ class LeftInvariant(AbstractSpace):
             Vector (n,).
         """
         along = jax.jit(lambda d, e: self.connection(x, d, e))  # traced once, not at each of the five places
+        # The terms ∂B of the general formula are zero: B has the same components at every point.
         return along(a, along(b, c)) - along(b, along(a, c)) - along(self.group.lie_bracket(a, b), c)
 
     def _coadjoint_sum(self, a: Vector, b: Vector) -> Vector:

@@ -41,6 +41,7 @@ class SpecialEuclidean2(AbstractGroup):
         return ((2,),)
 
     def hat(self, x: Vector) -> Element:
+        # The corner is 0 in the algebra, the derivative of the 1 of an element.
         return _affine(SO2.hat(x[2:]), x[:2], 0.0)
 
     def vee(self, matrix: Element) -> Vector:
@@ -54,6 +55,7 @@ class SpecialEuclidean2(AbstractGroup):
 
     def log(self, g: Element) -> Vector:
         angle = SO2.log(g[:2, :2])
+        # The plane is z = 0 of space, where a rotation vector (0, 0, ω) maps the plane to itself.
         at_start = jnp.concatenate([g[:2, 2], jnp.zeros_like(angle)])
         return jnp.concatenate([SO3.left_jacobian_inverse(_axis(angle), at_start)[:2], angle])
 
@@ -115,6 +117,7 @@ class SpecialEuclidean3(AbstractGroup):
 
     def log(self, g: Element) -> Vector:
         omega = SO3.log(g[:3, :3])
+        # The translation of exp is J_l(ω) v, whose inverse gives v.
         return jnp.concatenate([SO3.left_jacobian_inverse(omega, g[:3, 3]), omega])
 
     def inverse(self, g: Element) -> Element:
@@ -144,6 +147,7 @@ _PLANE = np.ix_([0, 1, 3], [0, 1, 3])
 
 def _dual(formula, x: Vector, y: Vector) -> Vector:
     """A formula of SO(3) in rotation vectors, evaluated on the dual numbers `ω + εv`."""
+    # f(ω + εv) = f(ω) + ε Df(ω)[v] with ε² = 0: the ε part is the translation, so no formula of SE(3) is written twice.
     real, dual = jax.jvp(formula, (x[3:], y[3:]), (x[:3], y[:3]))
     return jnp.concatenate([dual, real])
 

@@ -128,6 +128,7 @@ class SpecialOrthogonal3(AbstractGroup):
         return g.T
 
     def right_jacobian(self, x: Vector, y: Vector) -> Vector:
+        # The sign of the odd term is that of the body frame: J_r(x) = J_l(−x).
         square, turned = x @ x, jnp.cross(x, y)
         return y - stumpff(2, square) * turned + stumpff(3, square) * jnp.cross(x, turned)
 
@@ -159,12 +160,14 @@ def rotation_defect(g: Element) -> Array:
         Largest entry of |gᵀg − 1|, or infinity for a reflection.
     """
     size = g.shape[0]
+    # |gᵀg − 1| alone is zero for reflections as well.
     determinant = g[0, 0] * g[1, 1] - g[0, 1] * g[1, 0] if size == 2 else jnp.dot(jnp.cross(g[0], g[1]), g[2])
     return jnp.where(determinant < 0, jnp.inf, jnp.max(jnp.abs(g.T @ g - jnp.eye(size, dtype=g.dtype))))
 
 
 def no_half_turn(g: Element) -> Flag:
     """Whether a rotation g, (2, 2) or (3, 3), is no turn by π; False to within the square root of rounding of one."""
+    # The trace is 2cos θ in the plane and 1 + 2cos θ in space, and 2 + 2cos θ = 4cos²(θ/2).
     squared_cosine = jnp.trace(g) + (4 - g.shape[0])  # 4cos²(θ/2), in the plane and in space
     return squared_cosine > 4 * jnp.finfo(g.dtype).eps
 
@@ -218,4 +221,5 @@ def rotation_from_quaternion(q: Quaternion) -> Float[Array, "3 3"]:
     w, v = q[0], q[1:]
     square = v @ v
     scaled = (w * w - square) * jnp.eye(3, dtype=q.dtype) + 2 * jnp.outer(v, v) + 2 * w * SO3.hat(v)
+    # Both are of degree 2 in q, so that its length cancels.
     return scaled / (w * w + square)

@@ -75,6 +75,7 @@ def reproduce(progress: Callable[[str], None] = lambda stage: None) -> dict[str,
     turning = somersault()
     results["somersault"] = {
         "largest_pitch": math.degrees(float(np.abs(turning["pitch"]).max())),
+        # Rising edges of "past 80°": each passage counts once.
         "times_past_80_degrees": int((np.diff((np.abs(turning["pitch"]) > math.radians(80.0)).astype(int)) == 1).sum()),
         "error_first": float(turning["error"][0]),
         "error_last": float(turning["error"][-1]),

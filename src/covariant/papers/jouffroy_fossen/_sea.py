@@ -64,10 +64,13 @@ def sea(seed: int = 0) -> Sea:
     station = _station()
     random = np.random.default_rng(seed)
     t = np.arange(round(DURATION / STEP) + 1) * STEP
+    # A first-order process of time constant T has the variance q T/2, so that q = 2σ²/T; below as a density.
     slow = np.array([3e4, 3e4, 1e6]) / math.sqrt(1000.0 / 2)  # N/√s and N m/√s: 30 kN and 1 MN m in the long run
+    # White noise of density 1 that is constant over a step has the variance 1/step.
     noise = random.normal(size=(len(t), 6)) / math.sqrt(STEP) * np.concatenate([np.ones(3), slow])
     x, tau, y = (np.asarray(a) for a in _station_keeping(station, jnp.asarray(t), jnp.asarray(noise)))
     y = y + random.normal(size=y.shape) * np.array([GNSS, GNSS, COMPASS])
+    # GNSS has one sample a second, the compass one a step.
     missing = np.arange(len(t)) % round(1 / STEP) != 0
     for begin, end in GAPS:
         missing |= (t >= begin) & (t < end)
@@ -98,6 +101,7 @@ def _station_keeping(station: marine.Station, t: Array, noise: Array):
         now, drive = sample
         eta, nu = x[:3], x[3:6]
         error = geometry.wrap((2,), eta - goal(now))
+        # A PD controller of 0.05 rad/s with a damping ratio of 0.8.
         wanted = -mass * (0.05**2 * (marine.yaw_rotation(eta[2]).T @ error) + 2 * 0.8 * 0.05 * nu)
         tau = jnp.clip(wanted, -jnp.array([3e5, 3e5, 1e7]), jnp.array([3e5, 3e5, 1e7]))
         u = jnp.concatenate([tau, drive])
@@ -158,6 +162,7 @@ def sea_errors(log: Sea) -> dict[str, Float[np.ndarray, "T 3"]]:
     passive, kalman, filtered = (np.asarray(run(o, record).estimate) for o in log.observers.values())
     derived = filtered[:, 3:]
     heading = np.asarray(record.x)[:, 2]
+    # R(ψ)ᵀ turns velocities over ground into the frame of the ship, in which the others estimate.
     turned = np.stack(
         [
             np.cos(heading) * derived[:, 0] + np.sin(heading) * derived[:, 1],

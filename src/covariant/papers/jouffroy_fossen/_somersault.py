@@ -24,6 +24,7 @@ def _somersault(t: Array):
 
     x, state = observe(system, observer, x0, start, t, torque, rtol=1e-9, atol=1e-12)
     error = jax.vmap(system.group.between)(x.q, state.q)
+    # −g₃₁ is the sine of the pitch of yaw, pitch and roll angles; rounding may lead it beyond ±1.
     return jnp.arcsin(jnp.clip(-x.q[:, 2, 0], -1.0, 1.0)), jnp.concatenate([error, state.v - x.v], axis=1)
 
 

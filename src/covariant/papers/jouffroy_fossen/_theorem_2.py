@@ -68,6 +68,7 @@ class Scalar(NamedTuple):
         )
 
 
+# Printed and true rates are −9 and 1, −2.5 and 0.5, 4 and −1 [1/s]: of opposite signs in each pair.
 COUNTEREXAMPLES = {
     "called contracting, diverges": Scalar(1.0, 1.0, -10.0, 0.0),
     "called contracting, diverges slowly": Scalar(1.0, 1.0, -3.0, 0.5),

@@ -46,6 +46,7 @@ def definite(
         unit = 1 / np.sqrt(np.diagonal(s[0], axis1=1, axis2=2))[:, :, None]
         scaled = unit * s[0] * unit.swapaxes(1, 2)
         values, vectors = np.linalg.eigh(np.where(np.isfinite(scaled), scaled, -np.eye(len(matrix))))
+        # C = U V Λ^−½ of the scaled middle. A negative eigenvalue is replaced: then E is large, and nothing is shown.
         c = unit * vectors / np.sqrt(np.maximum(values, TINY))[:, None]
         ct = c.swapaxes(1, 2)
         turned = ct @ s @ c
@@ -125,6 +126,7 @@ def show_definite(
         except UndecidedError:
             good, axes = np.zeros(len(a), bool), (b - a).argmax(1)
             if len(a) > 1:
+                # A branch must be the same on all boxes of a lot: fewer boxes at once leave more of them decided.
                 size = len(a) // 2
                 pairs = (low, a), (high, b), (left, deep), (whole, first)
                 low, high, left, whole = (np.concatenate(pair) for pair in pairs)

@@ -40,6 +40,7 @@ ENTRIES: dict[str, Callable] = {
     "rsqrt": lambda a: curve("inv", curve("sqrt", a)),
     "cos": lambda a: curve("sin", a + RIGHT),
     "tan": lambda a: curve("sin", a) / curve("sin", a + RIGHT),
+    # 1 − 2/(e²ᵃ + 1): one occurrence of a, so that its range is not widened as in a quotient of two exponentials.
     "tanh": lambda a: ONE - ONE / (HALF * (curve("exp", a + a) + ONE)),
     "logistic": lambda a: ONE / (ONE + curve("exp", -a)),
     "atan2": lambda y, x: (half := curve("atan", y / (x + curve("sqrt", x * x + y * y)))) + half,
@@ -64,6 +65,7 @@ ENTRIES: dict[str, Callable] = {
     "abs": lambda a: choose(less(a, ZERO), -a, a),
     # At zero the hull [−1, 1] holds both values and 0.
     "sign": lambda a: choose(less(a, ZERO), -ONE, ONE),
+    # It differs from rounding to even half-way between integers alone: a jump, of which `_between` shows nothing.
     "round": lambda a: floor(a + HALF),
     "floor": floor,
     "is_finite": finite,
