@@ -352,6 +352,7 @@ def _best_change(
 def _signed_ranks(falls: np.ndarray) -> float:
     """Wilcoxon's statistic of differences (b,), as a standard normal: how surely their middle is above zero."""
     count = len(falls)
+    # Ranks from 1 to b: the position of each in the order of sizes; equal sizes have probability zero.
     ranks = np.argsort(np.argsort(np.abs(falls))) + 1.0
     # Under symmetry about zero the variance of the sum is b (b + 1) (2b + 1) / 6.
     return float(np.sum(ranks * np.sign(falls)) / np.sqrt(count * (count + 1) * (2 * count + 1) / 6))

@@ -241,6 +241,7 @@ def _noise(y: np.ndarray, lengths: Sequence[bool]) -> float:
     if len(y) <= 4:
         return 0.0
     steps = np.diff(y, axis=0)
+    # A step beyond half a turn is one across the seam of the angle.
     steps = np.where(lengths, steps, steps - 2 * np.pi * np.round(steps / (2 * np.pi)))
     # Third differences of white noise have 1 + 9 + 9 + 1 = 20 times its variance.
     return float(np.sqrt(np.nanmean(np.diff(steps, 2, axis=0) ** 2) / 20))

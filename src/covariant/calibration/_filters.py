@@ -49,6 +49,7 @@ def filter_bandwidth(
         >>> precise > noisy
         True
     """
+    # From a memory of 200 samples to a filter that all but follows the last difference.
     return _best((np.geomspace(0.005, 3.0, 80) * rate).tolist(), kind, sheet, rate, trial)
 
 
@@ -199,6 +200,7 @@ def relative_error(found: Float[np.ndarray, "T n"], true: Float[np.ndarray, "T n
     Returns:
         The fraction; 1 for an estimate of zero.
     """
+    # The floor is for a coordinate that stands still: its error then counts as infinite, unless it is zero.
     size = np.maximum(np.mean(true**2, axis=0), np.finfo(float).tiny)
     return float(np.sqrt(np.mean(np.mean((found - true) ** 2, axis=0) / size)))
 
@@ -241,6 +243,7 @@ def linear_filter_error(weights: np.ndarray, sheet: DataSheet, rate: float) -> f
         The standard deviation [unit/s].
     """
     ages = np.arange(len(weights)) / rate
+    # With tail sums W = Σ w and moments Σ w s over s_i ≥ r, h(r) = Σ w_i s_i − r Σ w_i.
     tail = np.cumsum(weights[::-1])[::-1]
     moment = np.cumsum((weights * ages)[::-1])[::-1]
     lag = (moment - tail * ages) / rate
@@ -249,5 +252,6 @@ def linear_filter_error(weights: np.ndarray, sheet: DataSheet, rate: float) -> f
     carried, lagged = 0.0, 0.0
     for value in lag:  # Σ_ij lag_i lag_j decay^|i−j| in one pass
         lagged += value * (value + 2 * decay * carried)
+        # carried = Σ_j lag_j decay^(i−j) over those so far: all cross terms of the next in one product.
         carried = value + decay * carried
     return float(np.sqrt(sheet.measurement_std**2 * weights @ weights + sheet.motion_std**2 * max(lagged, 0.0)))

@@ -100,10 +100,12 @@ def _least_squares(left, columns):
     theta, inverse, weighted = _solved(left, columns, weight)
     scores = np.einsum("kjp,kj->kp", weighted, left + columns @ theta)
     sums = np.array([part.sum(axis=0) for part in np.array_split(scores, BLOCKS)])
+    # B/(B − 1): the scores sum to zero over all blocks, which makes their squares too small by that.
     return theta, inverse @ (sums.T @ sums) @ inverse * BLOCKS / (BLOCKS - 1), weight
 
 
 def _weight(rest):
+    # Pseudoinverse: coordinates whose residuals are proportional make the covariance singular.
     return np.linalg.pinv(rest.T @ rest / len(rest), rcond=1e-9)
 
 

@@ -304,6 +304,7 @@ def _best_noise(
     least = LEAST * size if std is None else np.asarray(std, float)
     # At first one half of the variance of the innovations is noise of the reading.
     first = np.maximum(size / np.sqrt(2), least)
+    # Inverse of ω⁴ = S_a/S_m, with S_m = std²/rate.
     acceleration = frequency**2 * float(np.sqrt(np.mean(first**2))) / np.sqrt(logs[0].rate)
     force = (
         acceleration * np.sqrt(frequency) / float(np.mean([np.abs(np.asarray(s.input_matrix)).max() for s in systems]))
@@ -397,6 +398,7 @@ def _judged(logs, systems, runs, earlier, noise: NoiseLevels) -> HeldOut:
         rms(gains),
         rms(filtered),
         relative,
+        # `loss` lacks the constant log 2π of each measured number.
         float(-0.5 * (loss.sum() / count + np.log(2 * np.pi))),
         float(np.sum(white**2) / count),
         products[0] / products[1],

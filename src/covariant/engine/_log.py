@@ -109,6 +109,7 @@ def run_logs(
     count = max(len(many), len(logs))
     opened, numbers = _open([*many, *others])
     each, logs = many * (count // len(many)), logs * (count // len(logs))
+    # Below that number of runs cores would stand idle while others compute lanes.
     lanes = vector_bytes() // np.dtype(float).itemsize if count > RUNS_A_CORE * (os.cpu_count() or 1) else 1
     ((y, inputs),) = forms
     rows = repeats * sum(len(r.t) for r in logs)
@@ -170,6 +171,7 @@ def _by_c(kernel: Kernel, numbers: np.ndarray, logs: Sequence[Record], keep: Col
     # Runs of like lengths go together, since lanes wait for the longest.
     order = sorted(range(len(logs)), key=lambda k: len(logs[k].t))
     blocks = [order[k : k + lanes] for k in range(0, len(order), lanes)]
+    # By identity, since one log may be in many runs and is laid out once.
     rows = {id(log): _Rows.of(log) for log in logs}
     with ThreadPoolExecutor(min(len(blocks), cores)) as pool:  # C releases Python's lock while it runs
         results = pool.map(

@@ -107,6 +107,7 @@ def _family(spec: str, names: Sequence[str], content: dict[str, Any]) -> Family:
         return made(spec, filled).model, filled.get(LAG[0], {}).get(LAG[1], file.input_lag)
 
     positive = tuple(
+        # The model's own refusal of −value says that a number is positive: no list of such names can go stale.
         _refused(spec, _with(content, (place,), [-abs(value) or -1.0]))  # −0.0 is no negative number: −1 in its place
         for place, value in zip(places, first, strict=True)
     )

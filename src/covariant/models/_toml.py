@@ -141,6 +141,7 @@ def _plain(value: Any) -> Any:
 
 
 def _value(text: str, value: str) -> Any:
+    # Texts are emptied first: a name in quotes may hold anything.
     if _ODD_NUMBER.search(_QUOTED.sub('""', value)):
         raise ValueError(f"override {text!r}: write numbers in plain decimals, as 1000 or 1e3")
     try:

@@ -171,6 +171,7 @@ class Geodesic(AbstractMechanicalObserver):
             error.residual,
             outcome(new_q, new_v, y, step_result(correction, error.result)),
         )
+        # The same geodesic from the measurement, shortened: its initial velocity shrinks with its length.
         log = (1 - correction.part) * error.back
         return state._replace(q=new_q, v=new_v, log=log, age=aged(self.model, state, y)), info
 
@@ -190,7 +191,9 @@ class Geodesic(AbstractMechanicalObserver):
         log, back = jnp.where(exact, jnp.stack([-shot.arrival, shot.velocity]), jnp.stack([straight, -straight]))
         s = source(self.model, t, measured, u)
         transported = space.transport_along(measured, shot.velocity, s, budget).w
+        # From the measurement to the estimate the displacement is −straight, hence the plus sign of the transport.
         drive = jnp.where(exact, transported, s + space.connection(q, straight, s))
+        # ξ = −log, so that R(ξ, v̂)v̂ is subtracted as R(log, v̂)v̂.
         drive = drive - space.curvature(q, log, v, v) if self.curvature else drive
         residual = jnp.where(exact, shot.residual, jnp.inf)
         return _Correction(log, back, drive, residual, jnp.maximum(uniqueness(self.model, q, y), shot.result), exact)

@@ -31,6 +31,7 @@ from covariant.observers._square_root import diagonal, normalised_square, update
 from covariant.observers._ticks import Readings, take
 from covariant.signals import Result
 
+# Three such deviations are about a quarter turn, where sin has its maximum and no linearisation is left.
 FARTHEST_TURN = 0.5
 """Standard deviation of an angle [rad] beyond which the estimate starts anew, as after a long gap in the log."""
 

@@ -308,6 +308,7 @@ def external_force(
         raise ValueError("external_force: give a density, or both std and time")
     check_positive("external_force", time=time)
     cov = jnp.diag(jnp.asarray(_deviations("external_force", "std", std) ** 2))
+    # Stationary: density · τ/2 is the covariance in the long run.
     n, walk = len(cov), 2 / time * cov
     return Slow(_numbered(name, n), jnp.zeros(n), cov, walk, force=_itself, time=time)
 

@@ -119,6 +119,7 @@ def _damping(nu, linear, square):
 def _restoring(eta, torque):
     roll, pitch = eta[3], eta[4]
     zero = jnp.zeros_like(roll)
+    # ∂/∂(roll, pitch) of −torque cos(roll) cos(pitch), here as the moment in the body frame, Fossen 2011, (4.6).
     tilt = [torque * jnp.cos(pitch) * jnp.sin(roll), torque * jnp.sin(pitch)]
     return jnp.stack([zero, zero, zero, *tilt, zero])
 

@@ -138,6 +138,7 @@ def _body(read: _Reader, i: int, links: dict[str, BodyInertia], joints: list[Joi
     """Add a body, its joints, and a link without mass between any two of them."""
     model = read.model
     axes = _rotation(model.body_iquat[i])
+    # `ipos`, `iquat`: the compiler gives the moments along principal axes, about the centre of mass.
     inertia = BodyInertia.of(
         float(model.body_mass[i]), np.array(model.body_ipos[i]), axes @ np.diag(model.body_inertia[i]) @ axes.T
     )
@@ -244,6 +245,7 @@ def _coupled(read: _Reader, joints: list[Joint]) -> list[Joint]:
         if other < 0:
             coupled[name] = coupled[name]._replace(follows=Follows("", 0.0, start + constant))
         else:
+            # MuJoCo's polynomial holds between deviations from qpos0: q − q₀ = c₀ + c₁ (p − p₀).
             offset = start + constant - ratio * float(model.qpos0[model.jnt_qposadr[other]])
             coupled[name] = coupled[name]._replace(follows=Follows(read.names[other], ratio, offset))
     return list(coupled.values())
