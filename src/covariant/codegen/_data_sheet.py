@@ -150,6 +150,7 @@ def _size(source: Source, compiler: str) -> Size | None:
     with tempfile.TemporaryDirectory() as folder:
         (Path(folder) / f"{source.name}.h").write_text(source.header, encoding="utf-8")
         (Path(folder) / f"{source.name}.c").write_text(source.source, encoding="utf-8")
+        # -Os, as for the flash of a microcontroller; at -O2 loops are unrolled.
         command = [compiler, "-std=c99", "-Os", *flags, "-fstack-usage", "-c", f"{source.name}.c"]
         if subprocess.run(command, cwd=folder, capture_output=True, check=False).returncode:
             return None

@@ -48,6 +48,7 @@ def _texts(where: str, column: Any, needed: bool) -> np.ndarray:
     if not written.all():
         row = int((~written).argmax())
         raise fault(where, row, column[row].as_py(), needed)
+    # Arrow's parser of numbers knows no plus sign.
     plain = compute.replace_substring_regex(cells, r"^\+", "")
     filled = compute.if_else(compute.equal(plain, ""), "nan", plain)
     return floats(filled.cast(pa.float64()))
