@@ -396,5 +396,6 @@ def metric(
             )
     except KeyboardInterrupt as stopped:
         print(f"covariant: {stopped}", file=sys.stderr)
+        # 128 + 2, what shells report of a process that SIGINT ended.
         raise SystemExit(130) from None
     show(result, json)

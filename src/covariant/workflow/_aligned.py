@@ -55,6 +55,7 @@ def aligned(job: Job) -> Aligned:
     loaded = load(undelayed, why="this command takes")
     if np.ptp(delay) > 0:
         loaded = _together(loaded, delay)
+    # What moves a position back by its delay moves an input on by as much against it.
     between, late = file.input_between, file.input_delay + float(delay.max())
     raw, lagging = loaded.log.record, lag_inputs(loaded.log.record, file.input_lag)
     log = loaded.log._replace(record=acting_inputs(raw, between, late))

@@ -83,6 +83,7 @@ def fit_to_logs(
     gain = _gain(family, {word: part[0] for word, part in parts.items()}, fits)
     used = BETWEEN[1] if gain is not None and gain.clear and gain.of_linear > 0 else tried[0]
     best, held_out = fits[used], parts[used][1]
+    # Before the fit no way between stamps was chosen: the first is the one that the model file would use.
     before = prediction_errors(*family.make(best.first), parts[tried[0]][1])
     after = prediction_errors(*family.make(best.values), held_out)
     content = _document(family, best, jobs)

@@ -175,6 +175,7 @@ def load(job: Job, score: bool = True, why: str = "") -> Loaded:
         needed = columns if isinstance(job.log, Record) else columns._replace(u=(), v=())
         full = log if whole else logs.read(job.log, needed)
         reference = ReferenceVelocity(*_slopes(file, log, full), scoring.scored_window(t))
+    # The median interval: a gap in the log does not change the rate.
     return Loaded(file, model, log, record, 1 / float(np.median(np.diff(t))), reference, note + _delay_note(file))
 
 
@@ -323,6 +324,7 @@ def _slopes(file: models.ModelFile, log: logs.Log, full: logs.Log) -> tuple[np.n
             # A row at t shows the position at t − delay.
             slopes[:, alike] = scoring.zero_phase_velocity(t - delay, y[:, alike], at, half, order)
         return slopes, "zero-phase reference"
+    # All of a pose is read at once, so that there is one delay.
     t = t - np.max(file.delay)
     twists = [
         scoring.zero_phase_twist(t, g, at, half, order, body.space)
