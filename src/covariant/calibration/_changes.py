@@ -16,6 +16,7 @@ from covariant.signals import Record
 CLOCKS = {
     "seconds": 1.0,
     **{"milliseconds": 1e-3, "microseconds": 1e-6, "nanoseconds": 1e-9},
+    # Such stamps were multiplied by the size of the unit when they were read: this undoes it.
     **{f"seconds that were taken for {name}": 1 / size for name, size in (("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9))},
 }
 """Possible units of the stamps, and the factor that converts them, as they are read, to seconds."""

@@ -121,7 +121,7 @@ def error_model(
         return slope, defect, input_matrix
 
     linear = jax.vmap(step)(t[:-1], q[:-1], v[:-1], u[:-1], dt, q[1:], v[1:])
-    # What is not finite is set to zero below, since 0 · NaN would spread over the rows that follow.
+    # After an invalid step the filter restarts and its numbers are not used: zero is as good as any, and finite.
     valid = jnp.all(jnp.isfinite(linear[0]), axis=(1, 2)) & (dt <= LONGEST_GAP * jnp.median(dt))
     linear = [jnp.where(valid.reshape(-1, *[1] * (each.ndim - 1)), each, 0.0) for each in linear]
     transition, defect, input_matrix = (jnp.concatenate([jnp.zeros_like(each[:1]), each]) for each in linear)

@@ -112,6 +112,7 @@ def joint_noise(sheet: DataSheet, rate: float, trial: Trial | None = None) -> tu
     def kind(motion_std):
         return JointKalman(motion_std, sheet.motion_time, sheet.measurement_std)
 
+    # Steps of a tenth of a decade: the error is flat about its minimum.
     stds = [sheet.motion_std] if trial is None else (sheet.motion_std * np.geomspace(1e-3, 1e3, 61)).tolist()
     return _best(stds, kind, sheet, rate, trial), sheet.motion_time, sheet.measurement_std
 
@@ -221,6 +222,7 @@ def filtered(weights: Float[np.ndarray, "k"], x: Float[np.ndarray, "T"]) -> Floa
         The filtered samples (T,).
     """
     x = x - x[0]
+    # A short sum is quicker than three transforms.
     if len(weights) < 100:
         return np.convolve(x, weights)[: len(x)]
     # At least the length of the full convolution, so that the transform does not wrap around.

@@ -332,6 +332,7 @@ def _descend(
 ) -> tuple[_Point, int]:
     """Minimise the loss from a point by Levenberg–Marquardt steps; returns the last point and their number."""
     point = _at(problem, windows, point.z, point.s, point.weighing)
+    # Relative to the diagonal: the first step is nearly the full one of Gauss and Newton (Madsen et al., 3.2).
     damping, growth = 1e-3, 2.0
     for k in range(MOST_STEPS):
         progress(k)
@@ -398,6 +399,7 @@ def _step(point: _Point, fixed: _Fixed, damping: float) -> tuple[NumpyArray, Num
 def _ridge(matrices: Any) -> NumpyArray:
     """A small multiple of the identity for each matrix (W, k, k), for windows in which too little is measured."""
     largest = np.max(np.diagonal(matrices, axis1=1, axis2=2), axis=1) + 1e-300
+    # Far above the rounding errors of the elimination, far below what one measurement tells.
     return 1e-12 * largest[:, None, None] * np.eye(matrices.shape[1])
 
 
@@ -414,6 +416,7 @@ def _undetermined(b: _Blocks) -> Float[NumpyArray, "p p"]:
     actual errors, alike within each window, do.
     """
     eigenvalues, vectors = np.linalg.eigh(_information(b))
+    # Information below 1/UNKNOWN² is a standard error above UNKNOWN; the other bound is for what is rounding.
     basis = vectors[:, eigenvalues < max(UNKNOWN**-2, ROUNDING * eigenvalues[-1])]
     eigenvalues, vectors = np.linalg.eigh(_sandwich(b, basis @ basis.T))
     basis = np.linalg.qr(np.concatenate([basis, vectors[:, eigenvalues > UNKNOWN**2]], axis=1))[0]

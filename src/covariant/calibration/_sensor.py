@@ -92,6 +92,7 @@ def missing_cells(y: np.ndarray) -> list[Finding]:
     if not lost.any():
         return []
     share = float(lost.mean())
+    # The mask changes in pairs: where a gap begins, and where it ends.
     edges = np.flatnonzero(np.diff(np.concatenate([[False], lost, [False]])))
     longest = int(np.max(edges[1::2] - edges[::2]))
     return [
@@ -384,6 +385,7 @@ def repeated_findings(
     share = float(same.mean())
     if share <= FEW_REPEATED and len(places) <= MOST_NAMED:
         return []
+    # Distances between changes of the reading are the lengths of its runs.
     runs = np.diff(np.flatnonzero(np.concatenate([[True], ~same, [True]])))
     usual = int(np.median(runs[runs > 1]))
     return [

@@ -108,6 +108,7 @@ def held_inputs(t, u, grid, step):
     summed = np.concatenate([np.zeros((1, u.shape[1])), np.cumsum(u[:-1] * np.diff(t)[:, None], axis=0)])
 
     def integral(at):
+        # The integral of a held input is linear between stamps, so that interpolation is exact.
         return np.array([np.interp(at, t, column) for column in summed.T]).reshape(u.shape[1], len(at)).T
 
     return (integral(grid + step / 2) - integral(grid - step / 2)) / step

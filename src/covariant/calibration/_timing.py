@@ -53,6 +53,7 @@ def fit(model: MechanicalSystem, log: Smooth, now: Residual) -> Fitted:
     n, m = log.q.shape[1], log.u.shape[1]
     columns, used = [], now.used.copy()
     for i in range(n):
+        # Central differences: their error is of second order in the shift.
         later, earlier = (residual(model, shifted(log, i, s)) for s in (NUDGE, -NUDGE))
         columns.append(((later.measured - later.modelled) - (earlier.measured - earlier.modelled)) / (2 * NUDGE))
         used &= later.used & earlier.used

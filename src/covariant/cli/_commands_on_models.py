@@ -229,6 +229,7 @@ def export(
             overrides=tuple(override),
             progress=progress,
         )
+    # On standard error, so that --json prints its object alone.
     for warning in result.warnings:
         print(f"covariant: warning: {warning}", file=sys.stderr)
     show(result, json)

@@ -38,6 +38,7 @@ def unit_source(
         writes += [f"    m->numbers[{at + i}] = (double)output->{e};" for i, e in enumerate(entries("", leaf))]
         at += leaf.size
     firsts = np.cumsum([0, *sizes])[:-1].tolist()
+    # `forget` sets all numbers to zero first.
     start = [f"    m->numbers[{i}] = {c_number(v)};" for i, v in enumerate(starts) if v != 0]
     replacements = {
         "@NAME@": name,

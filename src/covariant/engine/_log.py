@@ -116,6 +116,7 @@ def run_logs(
     real = not any(np.iscomplexobj(r.y) for r in logs)
     chosen = choose(many[0], KernelForm(y, inputs, opened, lanes, real), rows, engine)
     if chosen.kernel is not None:
+        # np.resize repeats the rows, as for one observer over many logs.
         runs = _by_c(chosen.kernel, np.resize(numbers[: len(many)], (count, numbers.shape[1])), logs, keep)
     else:
         runs = [_by_jax(observer, record, keep) for observer, record in zip(each, logs, strict=True)]

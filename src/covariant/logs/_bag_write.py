@@ -54,6 +54,7 @@ def write_bag(path: Path, columns: Mapping[str, np.ndarray], origin_ns: int | No
                 header = known.types["std_msgs/msg/Header"](stamp, "")
                 for connection, message in topics:
                     writer.write(connection, now, known.serialize_cdr(message(header, k), connection.msgtype))
+        # A bag in MCAP is a folder too: of metadata and one file, which is all that a log needs.
         os.replace(bag / f"{bag.name}.mcap" if path.suffix.lower() == ".mcap" else bag, path)
 
 

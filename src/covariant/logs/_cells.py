@@ -27,6 +27,7 @@ def numbers(where: str, column: Any, needed: bool) -> Float[np.ndarray, "T"]:
     if pa.types.is_boolean(column.type):
         raise LogError(f"{where} holds true and false, which are no numbers; name another column")
     try:
+        # `safe=False`: a whole number beyond 2⁵³ is rounded, where Arrow would refuse it.
         values = floats(column.cast(pa.float64(), safe=False))
     except pa.ArrowInvalid:
         values = _texts(where, column, needed)

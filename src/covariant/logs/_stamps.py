@@ -78,7 +78,7 @@ def stamps(where: str, column: Any, given: str | None) -> Stamps:
 
 def _since_first(pa: Any, column: Any, values: np.ndarray) -> tuple[Fraction, np.ndarray]:
     """The first number, and all of them since the first, subtracted as they are written: a float has 16 digits."""
-    # 18 digits before the point hold nanoseconds since 1970, 12 after it picoseconds.
+    # int64 holds nanoseconds since 1970; decimals have 18 digits before the point, enough for microseconds.
     for exact in (pa.int64(), pa.decimal128(30, 12)):
         try:
             plain = pa.compute.utf8_trim_whitespace(column) if pa.types.is_string(column.type) else column

@@ -43,7 +43,7 @@ def _is_usable(g: np.ndarray, q: np.ndarray) -> bool:
     """Whether g (n, n) is positive definite at q (n,), well beyond rounding errors."""
     if not np.isfinite(g).all():
         return False
-    # Error bound of a symmetric eigenvalue (Weyl): a sum of n rounded terms; integers get the eps of a float.
+    # Weyl: errors of the entries of eps · max move an eigenvalue by no more than n times that. Integers have no eps.
     roundoff = len(g) * np.finfo(np.result_type(g, np.float32)).eps * np.abs(g).max()
     asymmetry, smallest = np.abs(g - g.T).max(), np.linalg.eigvalsh((g + g.T) / 2)[0]
     # Entries (i, j) and (j, i) may be computed by different sums, hence the factor.

@@ -116,6 +116,7 @@ def _family(spec: str, names: Sequence[str], content: dict[str, Any]) -> Family:
             remedy = f"--set parameters.{name.partition('[')[0]}=…" if name != ".".join(LAG) else f"--set {name}=0.01"
             raise ValueError(f"{name} must be positive and starts from {value:g}; give it a first value by {remedy}")
     try:
+        # Traced, not evaluated: a function that uses NumPy or branches on a number fails here, and not within a fit.
         eqx.filter_eval_shape(make, first)
     except (TypeError, ValueError) as error:  # building it from plain numbers succeeded above
         raise ValueError(

@@ -391,6 +391,7 @@ def _unit(n: int) -> complex:
 
 
 def _frequencies(n: int) -> np.ndarray:
+    # fftfreq divides and multiplies by n, which rounds for some n.
     return np.rint(np.fft.fftfreq(n, 1 / n)).astype(int)
 
 

@@ -144,6 +144,7 @@ class Geodesic(AbstractMechanicalObserver):
     def flow(self, t: Scalar, state: GeodesicState, u: Float[Array, "m"], y: Array) -> GeodesicState:
         # A time derivative has no result to report: conjugate points are not counted.
         error = self._correction(t, state, u, y, self.budget._replace(conjugate=False))
+        # ξ = −log, hence plus α and plus β.
         w = state.v + self.alpha * error.log
         v_dot = error.drive + self.beta * error.log + friction(self.model, t, state.q, state.v, u)
         v_dot = v_dot - self.model.space.connection(state.q, w, state.v)

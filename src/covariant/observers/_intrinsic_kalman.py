@@ -356,6 +356,7 @@ class IntrinsicKalman(AbstractMechanicalFilter):
         if self.slow:
             noise = diagonal(noise, self._slow.walk_root(h).astype(noise.dtype))
         readings = state.readings and state.readings._replace(age=state.readings.age + h)
+        # Roots side by side have the sum of both covariances; the triangular factor is square again.
         root = triangular(jnp.concatenate([root, noise], axis=1))
         return state._replace(q=q, v=v, t=state.t + h, slow=slow, root=root, readings=readings)
 

@@ -172,6 +172,7 @@ class JointKalman(AbstractGatedFilter, AbstractLinearFilter):
         present = ~jnp.isnan(y)
         innovation = wrap(self.circles, jnp.where(present, y - state.q, 0.0))
         unit = self._units[0].astype(y.dtype)
+        # The root is in units of στ², so that variances are in those of σ²τ⁴.
         cov = jnp.diag(jnp.sum(state.root[:, 0] ** 2, axis=1) + self.noise**2) * unit**2 * self.motion_std**2
         return Expectation(y, innovation, cov, present)
 

@@ -332,6 +332,7 @@ def notch_gains(
         waves = np.concatenate([np.diag(-2 * (notch_damping - z) * cutoffs / w), np.diag(2 * w * (notch_damping - z))])
     # Without waves s² + K1 s + P1/m is (s + ω)²: the cutoff is 2ω, so that P1/m is ω².
     stiffness = m * cutoffs * bandwidths / 2
+    # With K3/m = ωcω²/20 Routh's condition for s³ + ωc s² + ½ωcω s + K3/m is ω < 10 ωc.
     bias = stiffness * bandwidths / 10 if station.bias_time is not None else np.zeros(3)
     return _gains(np.diag(cutoffs), np.diag(stiffness), np.asarray(station.ship.mass), np.diag(bias), waves)
 

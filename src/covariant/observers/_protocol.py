@@ -601,7 +601,7 @@ def outcome(q: Array, v: Array, y: Array, result: Code | int = Result.OK) -> Cod
     Returns:
         The code.
     """
-    # Beyond 1/ε neighbouring floating-point numbers are more than 1 apart.
+    # Beyond 1/ε neighbouring floating-point numbers are 1 or more apart.
     finite = jnp.all(jnp.abs(q) < 1 / jnp.finfo(q.dtype).eps) & jnp.all(jnp.isfinite(v))
     measured = jnp.where(jnp.any(jnp.isnan(y)), int(Result.COASTED), result)
     return jnp.where(finite, measured, int(Result.NOT_FINITE)).astype(jnp.int32)

@@ -295,6 +295,7 @@ class InformationEKF(AbstractFlowObserver):
 
 def _is_metric(p: Matrix) -> Flag:
     """Whether p is positive definite; where it is not, or not finite, there is no correction."""
+    # All pivots of the elimination are positive exactly where p is positive definite; NaN compares as false.
     return jnp.all(pivots(p) > 0)
 
 

@@ -193,6 +193,7 @@ def sampled_gains(alpha: Number, beta: Number, dt: Number) -> tuple[Scalar, Scal
     Returns:
         k1 [1] and k2 [1/s], both 0 for dt ≤ 0.
     """
+    # Where dt ≤ 0 the 1 keeps the branch that is not taken finite, and so its derivative.
     positive_dt = jnp.where(dt > 0, dt, 1.0)
     square = beta - alpha * alpha / 4
     # At a double pole the derivative of the root is infinite; what is computed from the 1 is not used there.

@@ -81,4 +81,5 @@ def normalised_square(spread: Matrix, innovation: Vector, present: Bool[Array, "
     """
     both = present[:, None] & present[None, :]
     r = jnp.where(present, innovation, 0.0)
+    # A component that is not measured has unit variance and r = 0: it adds nothing, and the matrix stays regular.
     return r @ solve(jnp.where(both, spread, jnp.eye(len(r), dtype=r.dtype)), r)

@@ -195,7 +195,7 @@ def _forces(nu, delta, n, length, scale, ratio, diameter, rudder_area, wake, den
         + sum(hull[f"{a}{name}"] * c for name, c in zip(("vvv", "vvr", "vrr", "rrr"), cubic, strict=True)) / speed
         for a in "YN"
     )
-    # Positive where the water comes from port, that is at a sway to starboard below zero.
+    # Positive for a motion to port, v < 0: the water then comes from that side.
     drift = jnp.arctan2(-v, u)
     inflow = drift + 0.5 * turn / speed  # the propeller is at half a length aft
     swirl = jnp.where(inflow > 0, propeller["C2+"], propeller["C2-"]) - 1
@@ -215,6 +215,7 @@ def _forces(nu, delta, n, length, scale, ratio, diameter, rudder_area, wake, den
     lift = (
         density / 2 * rudder_area * (along**2 + cross**2) * rudder["lift"] * jnp.sin(delta - jnp.arctan2(cross, along))
     )
+    # For δ > 0 the ship feels −F_N across: it pushes the stern to port, and so turns the bow to starboard.
     side = lift * jnp.cos(delta)
     return jnp.stack(
         [

@@ -263,6 +263,7 @@ def _motors(read: _Reader) -> tuple[Motor, ...]:
         linear = (int(mujoco.mjtBias.mjBIAS_NONE), int(mujoco.mjtBias.mjBIAS_AFFINE))
         joint = int(model.actuator_trnid[i, 0])
         hinged = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+        # A bias of the type none leaves numbers in biasprm that MuJoCo does not use.
         if int(model.actuator_biastype[i]) == linear[0]:
             bias = bias * 0
         kind = int(model.jnt_type[joint]) if int(model.actuator_trntype[i]) in hinged else None

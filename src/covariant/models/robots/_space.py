@@ -147,6 +147,7 @@ class RobotSpace(AbstractSpace):
             mass, first, second = whole.mass[i + 1], whole.first[i + 1], whole.second[i + 1]
             turned = rotation @ first
             aside = jnp.outer(turned, place)
+            # Moments of the points R r + p, about the origin of the parent.
             moved = rotation @ second @ rotation.T + aside + aside.T + mass * jnp.outer(place, place)
             moved = jnp.where(UPPER, moved, moved.T)  # symmetric to the last bit: when lowered, half the work
             return Moments(
@@ -156,6 +157,7 @@ class RobotSpace(AbstractSpace):
             ), None
 
         bodies = (order, parents, *joints)
+        # In reverse, children before parents: a composite body is complete when it is passed on.
         whole = jax.lax.scan(collect, self._bodies(x), bodies, reverse=True)[0]
         turn, slide = (axis.astype(x.dtype) for axis in (tree.turn, tree.slide))
         each = Moments(*(part[1:] for part in whole))
@@ -436,6 +438,7 @@ class RobotSpace(AbstractSpace):
         k1 = len(tree.parents) + 1
         # A sliding axis turns with its body: each of the two rates is turned by the other's spin (Coriolis).
         sliding = jnp.cross(spin_b[1:k1], slide * rates_a) + jnp.cross(spin_a[1:k1], slide * rates_b)
+        # The axes of a ball joint's three bodies all stand still in the frame that it carries.
         frame_spin = spin_a[1 + tree.frames()] if tree.balls else spin_a[1:k1]
         spun = jnp.cross(frame_spin, turn * rates_b)
 
