@@ -245,6 +245,7 @@ def structure_changes(names: Names) -> Iterator[Change]:
             inputs=np.where(np.arange(m) == j, -1.0, 1.0),
         )
     for i, j in itertools.combinations(range(n), 2):
+        # Joint i has input i only where there are as many of both.
         square = n == m
         for what, description, swap_q, swap_u in (
             ("swapped positions", f"{names.q[i]} and {names.q[j]} in each other's place", True, False),

@@ -191,6 +191,7 @@ def _kind(name: str) -> str:
     """Role of a column by its name, a key of `_WORDS`: by its words, else by its unit; empty where neither shows it."""
     words = words_of(name)
     if "left out" not in (roles := [kind for kind, synonyms in _WORDS.items() if words & set(synonyms.split())]):
+        # A unit of velocity decides, whatever the words: q1 [rad/s] is no position.
         if unit_in_name(name, MEANT["v"]):
             return "v"
         roles += [kind for kind, units in MEANT.items() if unit_in_name(name, units)]

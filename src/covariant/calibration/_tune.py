@@ -254,6 +254,7 @@ def _best_gains(model: MechanicalSystem, logs: list[_Log], runs: Runs) -> tuple[
         with np.errstate(all="ignore"):
             mean = [_mean_square(column[mask]) for column, mask in zip(r.T, measured.T, strict=True)]
             total = float(np.sum(np.log(mean)))
+        # A finite number larger than any other: the simplex computes with what it compares.
         return total if np.isfinite(total) else 1e6
 
     bounds = [np.log(FREQUENCIES), np.log(DAMPINGS)]

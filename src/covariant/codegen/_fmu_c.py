@@ -50,6 +50,7 @@ def unit_source(
         "@VARIABLES@": str(len(sizes)),
         "@FIRSTS@": ", ".join(map(str, firsts)),
         "@SIZES@": ", ".join(map(str, sizes)),
+        # Without parameters the structure has one unused member, which C demands, and m is not read.
         "@TAKEN@": "\n".join(reads) or "    (void)m;\n    params->unused = 0;",
         "@SHOWN@": "\n".join(writes),
         "@START@": "\n".join(start),

@@ -414,4 +414,5 @@ def _build(name: str, candidate: Any, parameters: dict[str, Any]) -> ModelFile:
 
 def _points(n: int) -> np.ndarray:
     """Points at which the metric is checked: 0, 1, and a few fixed points between 0 and 2."""
+    # Fixed, so that a model passes always or never; 0 alone may be a singular point of its chart.
     return np.concatenate([np.zeros((1, n)), np.ones((1, n)), np.random.default_rng(0).uniform(0, 2, (4, n))])

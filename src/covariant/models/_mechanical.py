@@ -181,6 +181,7 @@ class MechanicalSystem(Functional):
         elif isinstance(function, eqx.Partial):
             function = functools.partial(function.func, *function.args, **function.keywords)
         try:
+            # Tried, not counted: parameters may have defaults, be bound already, or be gathered by *args.
             inspect.signature(function).bind(None, None)
         except TypeError:
             return True

@@ -203,6 +203,7 @@ class SlowStates(NamedTuple):
             The mechanical system.
         """
         pairs = list(zip(self.groups, self.parts(s), strict=True))
+        # The model first, since forces are added to the dissipation of the one that takes its place.
         for group, part in pairs:
             model = model if group.model is None else group.model(part)
         forces = [(group.force, part) for group, part in pairs if group.force is not None]

@@ -130,6 +130,7 @@ def _potential(g, torque):  # z is down, so the energy is lowest where the body'
 
 def _inertia_matrix(mass: float, inertia: Sequence[float], added_mass: Sequence[float]) -> np.ndarray:
     """M (6, 6), equation (82)."""
+    # No coupling m z_g of translation and rotation: for a sphere (82) is diagonal.
     return np.diag(np.asarray([mass] * 3 + list(inertia), float) + np.asarray(added_mass, float))
 
 

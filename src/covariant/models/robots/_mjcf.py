@@ -161,6 +161,7 @@ def _body(read: _Reader, i: int, links: dict[str, BodyInertia], joints: list[Joi
         anchor = np.array(model.jnt_pos[k])
         joints.append(_joint(read, k, above, below, rotation, place + rotation @ (anchor - origin)))
         links[below] = inertia.moved(np.eye(3), -anchor) if last else NO_INERTIA
+        # Further joints of a body are in its frame, each at its own anchor.
         above, rotation, place, origin = below, np.eye(3), np.zeros(3), anchor
 
 
