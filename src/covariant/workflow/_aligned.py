@@ -74,4 +74,5 @@ def _together(loaded: Loaded, delay: np.ndarray) -> Loaded:
     t = np.asarray(record.t)
     slopes = scoring.zero_phase_velocity(t, np.asarray(record.y), t, file.reference_half, int(file.reference_order))
     reference = ReferenceVelocity(slopes, "zero-phase reference", scoring.scored_window(t))
+    # Velocities and truth of the log are those at its stamps, not at these times.
     return loaded._replace(log=log._replace(record=record, v=None, truth=None), reference=reference)
