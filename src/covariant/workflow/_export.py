@@ -270,7 +270,7 @@ def _program(
         if closed:
             raise ValueError(f"{name}: no code can be written: {error}") from error
     try:
-        # The function from numbers to model may be no graph of scalars where the model is one: then its arrays are open.
+        # The function from numbers to model may be no graph of scalars while the model is: then its arrays are open.
         return program(_usual(observer), y, inputs, real, loops)  # pyright: ignore[reportArgumentType]
     except LoweringError as error:
         remedy = "" if "table" in str(error) else "; try without numbers that may be changed (--parameters none)"
