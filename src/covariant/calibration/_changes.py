@@ -16,6 +16,7 @@ from covariant.signals import Record
 CLOCKS = {
     "seconds": 1.0,
     **{"milliseconds": 1e-3, "microseconds": 1e-6, "nanoseconds": 1e-9},
+    # Such stamps were multiplied by the size of the unit when they were read: this undoes it.
     **{f"seconds that were taken for {name}": 1 / size for name, size in (("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9))},
 }
 """Possible units of the stamps, and the factor that converts them, as they are read, to seconds."""
@@ -173,6 +174,7 @@ def _unit_text(stated: str, factor: float, kind: str) -> str:
     """Unit of a column that was read in the `stated` unit and whose numbers are to be multiplied by a factor."""
     if factor == 1:
         return stated
+    # The factor acts on numbers that were converted from the stated unit already.
     total = factor * unit_factor(stated)
     named = next((text for text in KNOWN.get(kind, ()) if math.isclose(total, unit_factor(text), rel_tol=1e-9)), None)
     if named is not None:
@@ -197,9 +199,11 @@ def unit_changes(names: Names, record: Record) -> Iterator[Change]:
     """
     same = no_change(len(names.q), len(names.u))
     step = float(np.median(np.diff(np.asarray(record.t))))
+    # A clock that makes the step implausible is not tried: it would match by chance and cost a smoothing.
     clocks = {clock: factor for clock, factor in CLOCKS.items() if SHORTEST <= factor * step <= LONGEST or factor == 1}
     angles = dict(ANGLES) if names.angles.any() else {"radians": 1.0}
     y = np.asarray(record.y)[:, names.angles]
+    # Whole numbers beyond a turn: no angles in radians are logged so, but counts are.
     if names.angles.any() and np.all(y[np.isfinite(y)] % 1 == 0) and np.nanmax(np.abs(y)) > 2 * np.pi:
         angles |= {f"counts of {count} a turn": 2 * np.pi / count for count in COUNTS}
     for (clock, time), (angle, size) in itertools.product(clocks.items(), angles.items()):
@@ -241,6 +245,7 @@ def structure_changes(names: Names) -> Iterator[Change]:
             inputs=np.where(np.arange(m) == j, -1.0, 1.0),
         )
     for i, j in itertools.combinations(range(n), 2):
+        # Joint i has input i only where there are as many of both.
         square = n == m
         for what, description, swap_q, swap_u in (
             ("swapped positions", f"{names.q[i]} and {names.q[j]} in each other's place", True, False),

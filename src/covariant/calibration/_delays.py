@@ -148,7 +148,9 @@ def _common(fitting: _Fit, delay: np.ndarray, scale: np.ndarray, spacing: float)
         fitted = fit(fitting.model, log, after)
         earliest = delay == delay.min()
         weights = earliest / earliest.sum()
+        # Of the coordinates that start together, the mean: their differences are findings of their own.
         step, std = float(weights @ fitted.delay), float(np.sqrt(weights @ fitted.cov[:n, :n] @ weights))
+        # Half the threshold while it iterates; the full one is for the converged delay, below.
         if not (np.isfinite(std) and abs(total + step) > SIGNIFICANT_COMMON / 2 * std):
             return _Common()
         total += step

@@ -297,6 +297,7 @@ def _changed(case: _Case, change: Change) -> _Case:
 def _corrected(case: _Case) -> tuple[list[Finding], _Case]:
     """Findings on wrong units, orders and signs, and the case after these corrections."""
     findings = []
+    # One after another: in wrong units a swap of columns explains nothing.
     for _ in range(MOST_CHANGES):
         unchanged = _compared(case)
         if unchanged is not None and unchanged.told.any() and unchanged.misfit < FITS:
@@ -330,6 +331,7 @@ def _best_change(
     if unchanged is not None:
         falls = (unchanged.misfits(BLOCKS) - left.misfits(BLOCKS))[:, left.told].mean(axis=1)
         share_before, improved = float(unchanged.misfits()[0, left.told].mean()), int((falls > 0).sum())
+        # The fall has to be large, and in so many parts of the log that it is no chance.
         if share_before < MARGIN * left.misfit or _signed_ranks(falls) < SIGNIFICANT:
             return None
     if unchanged is None:
@@ -352,6 +354,7 @@ def _best_change(
 def _signed_ranks(falls: np.ndarray) -> float:
     """Wilcoxon's statistic of differences (b,), as a standard normal: how surely their middle is above zero."""
     count = len(falls)
+    # Ranks from 1 to b: the position of each in the order of sizes; equal sizes have probability zero.
     ranks = np.argsort(np.argsort(np.abs(falls))) + 1.0
     # Under symmetry about zero the variance of the sum is b (b + 1) (2b + 1) / 6.
     return float(np.sum(ranks * np.sign(falls)) / np.sqrt(count * (count + 1) * (2 * count + 1) / 6))

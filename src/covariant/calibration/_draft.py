@@ -191,6 +191,7 @@ def _kind(name: str) -> str:
     """Role of a column by its name, a key of `_WORDS`: by its words, else by its unit; empty where neither shows it."""
     words = words_of(name)
     if "left out" not in (roles := [kind for kind, synonyms in _WORDS.items() if words & set(synonyms.split())]):
+        # A unit of velocity decides, whatever the words: q1 [rad/s] is no position.
         if unit_in_name(name, MEANT["v"]):
             return "v"
         roles += [kind for kind, units in MEANT.items() if unit_in_name(name, units)]
@@ -241,6 +242,7 @@ def _noise(y: np.ndarray, lengths: Sequence[bool]) -> float:
     if len(y) <= 4:
         return 0.0
     steps = np.diff(y, axis=0)
+    # A step beyond half a turn is one across the seam of the angle.
     steps = np.where(lengths, steps, steps - 2 * np.pi * np.round(steps / (2 * np.pi)))
     # Third differences of white noise have 1 + 9 + 9 + 1 = 20 times its variance.
     return float(np.sqrt(np.nanmean(np.diff(steps, 2, axis=0) ** 2) / 20))

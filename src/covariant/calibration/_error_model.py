@@ -121,6 +121,7 @@ def error_model(
         return slope, defect, input_matrix
 
     linear = jax.vmap(step)(t[:-1], q[:-1], v[:-1], u[:-1], dt, q[1:], v[1:])
+    # After an invalid step the filter restarts and its numbers are not used: zero is as good as any, and finite.
     valid = jnp.all(jnp.isfinite(linear[0]), axis=(1, 2)) & (dt <= LONGEST_GAP * jnp.median(dt))
     linear = [jnp.where(valid.reshape(-1, *[1] * (each.ndim - 1)), each, 0.0) for each in linear]
     transition, defect, input_matrix = (jnp.concatenate([jnp.zeros_like(each[:1]), each]) for each in linear)
@@ -185,6 +186,7 @@ def _reading(x: Vector, cov: Array, i: int, residual: Scalar, variance: Scalar, 
     innovation, total_variance = residual - x[i], cov[i, i] + variance
     square = innovation**2 / total_variance
     limit = CREDIBLE**2
+    # With the noise enlarged so, the corrected innovation has exactly `CREDIBLE` deviations.
     inflation = jnp.maximum(square / limit, 1.0)
     gain = jnp.where(present, cov[:, i] / (total_variance * inflation), 0.0)
     reduction = jnp.eye(len(x)) - jnp.outer(gain, jnp.eye(len(x))[i])

@@ -225,6 +225,7 @@ def _gains(entry: Entry, known: Known) -> tuple:
 
 def _noise(entry: Entry, known: Known) -> tuple:
     sheet = known.sheet
+    # Independent at each sample: σ²/rate as 2σ² time.
     time = 1 / (2 * known.rate) if sheet.correlation_time is None else sheet.correlation_time
     # A correlated acceleration acts like white noise of density 2 std² time (S_a in `gains`).
     process_cov = 2 * sheet.acceleration_std**2 * time * jnp.eye(known.n)

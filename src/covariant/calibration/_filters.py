@@ -49,6 +49,7 @@ def filter_bandwidth(
         >>> precise > noisy
         True
     """
+    # From a memory of 200 samples to a filter that all but follows the last difference.
     return _best((np.geomspace(0.005, 3.0, 80) * rate).tolist(), kind, sheet, rate, trial)
 
 
@@ -111,6 +112,7 @@ def joint_noise(sheet: DataSheet, rate: float, trial: Trial | None = None) -> tu
     def kind(motion_std):
         return JointKalman(motion_std, sheet.motion_time, sheet.measurement_std)
 
+    # Steps of a tenth of a decade: the error is flat about its minimum.
     stds = [sheet.motion_std] if trial is None else (sheet.motion_std * np.geomspace(1e-3, 1e3, 61)).tolist()
     return _best(stds, kind, sheet, rate, trial), sheet.motion_time, sheet.measurement_std
 
@@ -199,6 +201,7 @@ def relative_error(found: Float[np.ndarray, "T n"], true: Float[np.ndarray, "T n
     Returns:
         The fraction; 1 for an estimate of zero.
     """
+    # The floor is for a coordinate that stands still: its error then counts as infinite, unless it is zero.
     size = np.maximum(np.mean(true**2, axis=0), np.finfo(float).tiny)
     return float(np.sqrt(np.mean(np.mean((found - true) ** 2, axis=0) / size)))
 
@@ -219,6 +222,7 @@ def filtered(weights: Float[np.ndarray, "k"], x: Float[np.ndarray, "T"]) -> Floa
         The filtered samples (T,).
     """
     x = x - x[0]
+    # A short sum is quicker than three transforms.
     if len(weights) < 100:
         return np.convolve(x, weights)[: len(x)]
     # At least the length of the full convolution, so that the transform does not wrap around.
@@ -241,6 +245,7 @@ def linear_filter_error(weights: np.ndarray, sheet: DataSheet, rate: float) -> f
         The standard deviation [unit/s].
     """
     ages = np.arange(len(weights)) / rate
+    # With tail sums W = Σ w and moments Σ w s over s_i ≥ r, h(r) = Σ w_i s_i − r Σ w_i.
     tail = np.cumsum(weights[::-1])[::-1]
     moment = np.cumsum((weights * ages)[::-1])[::-1]
     lag = (moment - tail * ages) / rate
@@ -249,5 +254,6 @@ def linear_filter_error(weights: np.ndarray, sheet: DataSheet, rate: float) -> f
     carried, lagged = 0.0, 0.0
     for value in lag:  # Σ_ij lag_i lag_j decay^|i−j| in one pass
         lagged += value * (value + 2 * decay * carried)
+        # carried = Σ_j lag_j decay^(i−j) over those so far: all cross terms of the next in one product.
         carried = value + decay * carried
     return float(np.sqrt(sheet.measurement_std**2 * weights @ weights + sheet.motion_std**2 * max(lagged, 0.0)))

@@ -308,6 +308,7 @@ def _evaluate(problem: _Problem, windows: Windows, z: Array, s: Array, weighed: 
         # The slope of the pseudo-Huber loss is weight · e; its curvature weight³ is below the weight, which majorises
         # it.
         weight = 1 / jnp.sqrt(1 + (e / HUBER) ** 2)
+        # As a quotient, since the difference would cancel for small e.
         loss = jnp.sum(e**2 / (1 + 1 / weight))  # δ² (√(1 + (e/δ)²) − 1)
         second, curved = (slope.T @ (w[:, None] * slope) for w in (weight, weight**3))
         return loss, slope.T @ (weight * e), second, curved, raw, seen
@@ -331,6 +332,7 @@ def _descend(
 ) -> tuple[_Point, int]:
     """Minimise the loss from a point by Levenberg–Marquardt steps; returns the last point and their number."""
     point = _at(problem, windows, point.z, point.s, point.weighing)
+    # Relative to the diagonal: the first step is nearly the full one of Gauss and Newton (Madsen et al., 3.2).
     damping, growth = 1e-3, 2.0
     for k in range(MOST_STEPS):
         progress(k)
@@ -360,6 +362,7 @@ def _perhaps_zero(
         directions = fixed.directions + np.outer(unit, unit)
         # Fixed at e^−BROAD times its value the parameter is all but zero.
         goal = fixed.directions @ fixed.at + unit * (point.z[j] - BROAD)
+        # `at` acts only through directions @ at, so that any point with this goal will do: the pseudoinverse gives one.
         without, _ = _descend(
             problem, windows, point, _Fixed(directions, np.linalg.pinv(directions) @ goal), lambda _: None
         )
@@ -387,6 +390,7 @@ def _step(point: _Point, fixed: _Fixed, damping: float) -> tuple[NumpyArray, Num
     # Scaled to a unit diagonal, since the sensitivities differ by orders of magnitude.
     dz = -np.linalg.solve(reduced / np.outer(size, size), right / size) / size
     ds = -back[:, :, p] - back[:, :, :p] @ dz
+    # Without the damping, which only limits the step: the ratio to the actual fall then measures the model itself.
     quadratic = dz @ (zz + prior) @ dz + 2 * np.einsum("wkp,wk,p->", b.sz, ds, dz)
     quadratic += np.einsum("wkl,wk,wl->", b.ss, ds, ds)
     return dz, ds, float(-(slope @ dz + np.sum(b.s * ds) + quadratic / 2))
@@ -395,6 +399,7 @@ def _step(point: _Point, fixed: _Fixed, damping: float) -> tuple[NumpyArray, Num
 def _ridge(matrices: Any) -> NumpyArray:
     """A small multiple of the identity for each matrix (W, k, k), for windows in which too little is measured."""
     largest = np.max(np.diagonal(matrices, axis1=1, axis2=2), axis=1) + 1e-300
+    # Far above the rounding errors of the elimination, far below what one measurement tells.
     return 1e-12 * largest[:, None, None] * np.eye(matrices.shape[1])
 
 
@@ -411,6 +416,7 @@ def _undetermined(b: _Blocks) -> Float[NumpyArray, "p p"]:
     actual errors, alike within each window, do.
     """
     eigenvalues, vectors = np.linalg.eigh(_information(b))
+    # Information below 1/UNKNOWN² is a standard error above UNKNOWN; the other bound is for what is rounding.
     basis = vectors[:, eigenvalues < max(UNKNOWN**-2, ROUNDING * eigenvalues[-1])]
     eigenvalues, vectors = np.linalg.eigh(_sandwich(b, basis @ basis.T))
     basis = np.linalg.qr(np.concatenate([basis, vectors[:, eigenvalues > UNKNOWN**2]], axis=1))[0]
@@ -428,6 +434,7 @@ def _sandwich(b: _Blocks, fixed: NumpyArray) -> Float[NumpyArray, "p p"]:
 
 def _inverse_information(b: _Blocks, fixed: NumpyArray) -> Float[NumpyArray, "p p"]:
     """Covariance of z for independent errors with combinations fixed; zero along these."""
+    # A projection has the eigenvalues 0 and 1 but for rounding.
     values, vectors = np.linalg.eigh(fixed)
     free = vectors[:, values < 0.5]
     if not free.shape[1]:

@@ -115,6 +115,7 @@ def predict_errors(alpha: Number, beta: Number, measurement_density: float, acce
     """
     alpha, beta = float(alpha), float(beta)
     factor = alpha**2 + beta
+    # From the Lyapunov equation of ξ' = ζ − αξ + αn, ζ' = −βξ + βn + a.
     position = factor * measurement_density / (2 * alpha) + acceleration_density / (2 * alpha * beta)
     velocity = beta**2 * measurement_density / (2 * alpha) + factor * acceleration_density / (2 * alpha * beta)
     return Gains(alpha, beta, math.sqrt(position), math.sqrt(velocity))
@@ -156,6 +157,7 @@ def predict_sampled_errors(
     # The poles of λ² + αλ + β, sampled: both errors decay as in continuous time.
     pole1, pole2 = np.exp(np.roots([1.0, alpha, beta]) * dt)
     k1, k2 = float((1 - pole1 * pole2).real), float(((1 - pole1) * (1 - pole2)).real) / dt
+    # The sample at the end of a step also reduces what the acceleration added within it.
     correction = np.array([[1 - k1, 0.0], [-k2, 1.0]])
     loop = correction @ np.array([[1.0, dt], [0.0, 1.0]])
     disturbance = acceleration_density * np.array([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]])

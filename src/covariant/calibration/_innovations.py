@@ -112,6 +112,8 @@ def _scales(windows: Windows, errors: Array, seen: Array, among: Float[Array, "f
     def scale(frequency):
         new = jax.vmap(innovations, (0, 0, 0, None))(errors, seen, t, frequency)
         # The median of the sizes is that of noise even where some errors are outliers.
+        # 1.4826 = 1/Φ⁻¹(3/4): half of all normal deviates are within 0.6745 standard deviations.
         return 1.4826 * jnp.nanmedian(jnp.where(seen, jnp.abs(new), jnp.nan), axis=(0, 1))
 
+    # The floor keeps the logarithms above finite where a model predicts a noise-free log exactly.
     return jnp.maximum(jax.lax.map(scale, among), (FINEST * motion + 1e-300)[None])

@@ -61,6 +61,7 @@ def readings(record: Record, circles: tuple[int, ...]) -> Readings:
             # The factor makes the median size of normal errors their standard deviation.
             noise[i] = 1.4826 * np.median(np.abs(error))
             # Neighbouring errors share measurements with opposite signs: those of white noise alternate.
+            # At even stamps the weights are (1, −4, 6, −4, 1)/6: white noise has −0.8, smooth motion a positive number.
             white[i] = np.mean(error[1:] * error[:-1]) < ALTERNATES * np.mean(error**2)
     return Readings(noise, white, quanta(y, np.nan_to_num(noise)))
 

@@ -43,6 +43,7 @@ def _sentence(names: tuple[str, ...], row: Float[np.ndarray, "p"], changed: Bool
         return f"{parts[0][0]} cannot be told from this log; it keeps its first value"
     if len(parts) == 2:
         (first, _), (second, weight) = parts
+        # A change e^s of the first goes with e^(s·weight) of the second, so that 1 + power · weight must vanish.
         power = -1 / weight  # the invariant is first · second^power
         expression = f"{first} · {_power(second, power)}" if power > 0 else f"{first} / {_power(second, -power)}"
         what = "product" if power > 0 else "ratio"

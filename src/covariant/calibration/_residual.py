@@ -57,6 +57,7 @@ class Residual(NamedTuple):
         """
         left, measured, modelled = self.left, self.measured[self.used], self.modelled[self.used]
         scale = (np.mean(measured**2, axis=0) + np.mean(modelled**2, axis=0)) / 2
+        # The expected square of a residual is that of the model's error plus that of the noise.
         parts = np.array_split(left**2 - self.noise**2, blocks)
         return np.array([part.mean(axis=0) for part in parts]) / np.where(scale > 0, scale, 1.0)
 
@@ -96,6 +97,7 @@ def averaged(log: Smooth, values: Float[np.ndarray, "K n"]) -> Float[np.ndarray,
     Returns:
         The averages (K, n).
     """
+    # The same weights on both sides: what smoothing does to a true acceleration it does to the model's.
     return np.stack([np.convolve(column, log.kernel, "same") for column in values.T], axis=1)
 
 

@@ -46,6 +46,7 @@ def stamps(t: Float[np.ndarray, "T"]) -> list[Finding]:
     """
     steps = np.diff(t)
     usual = float(np.median(steps))
+    # 1.4826 makes the median deviation of normal steps their standard deviation; gaps do not enter it.
     jitter = 1.4826 * float(np.median(np.abs(steps - usual)))
     gaps = steps > max(GAP * usual, usual + FAR * jitter)
     findings = []
@@ -91,6 +92,7 @@ def missing_cells(y: np.ndarray) -> list[Finding]:
     if not lost.any():
         return []
     share = float(lost.mean())
+    # The mask changes in pairs: where a gap begins, and where it ends.
     edges = np.flatnonzero(np.diff(np.concatenate([[False], lost, [False]])))
     longest = int(np.max(edges[1::2] - edges[::2]))
     return [
@@ -141,6 +143,7 @@ def outliers(
                 break
             error = prediction_errors(t[remaining], column[remaining])
             floor = np.maximum(1.4826 * np.median(np.abs(error)), tick(column[remaining]))
+            # A cubic misses some of a sharp motion, in proportion to what happens among its points.
             floor = np.maximum(floor, COARSE * _local_range(column[remaining]))
             size = np.zeros(len(remaining))
             candidates = np.flatnonzero(np.abs(error) > FAR * floor)  # few: only they need the local deviation
@@ -185,6 +188,7 @@ def prediction_errors(t: Float[np.ndarray, "T"], y: Float[np.ndarray, "T"]) -> F
 
 def _errors(t, y, neighbours, at, value) -> np.ndarray:
     """Scaled errors of values (k,) at stamps (k,) against the cubics through the measurements `neighbours` (k, 4)."""
+    # In units of the span, so that the products below are of order one whatever the unit of time.
     offsets = (t[neighbours] - at[:, None]) / (t[neighbours[:, -1:]] - t[neighbours[:, :1]])
     weights = np.ones_like(offsets)  # Lagrange's, at zero
     for k in range(4):
@@ -197,6 +201,7 @@ def _errors(t, y, neighbours, at, value) -> np.ndarray:
 
 def _readmitted(t, y, remaining: np.ndarray, removed: np.ndarray, scale: float) -> np.ndarray:
     """Removed rows that agree with the remaining ones after all: they were between two outliers."""
+    # Two rows on either side of the removed one; at the ends the nearest four.
     place = np.clip(np.searchsorted(remaining, removed), 2, len(remaining) - 2)
     error = _errors(t[remaining], y[remaining], place[:, None] + np.array([-2, -1, 0, 1]), t[removed], y[removed])
     return removed[np.abs(error) < FAR * scale]
@@ -228,10 +233,12 @@ def tick(y: Float[np.ndarray, "T"]) -> float:
     changes = changes[changes > 1e-9 * max(1.0, np.ptp(y[np.isfinite(y)]))]
     if len(changes) < 20:
         return 0.0
+    # A low quantile and not the minimum, which one wrong cell can spoil.
     smallest = float(np.quantile(changes, 0.01))
     # The least change in a log may be two or three ticks.
     for fraction in (1, 2, 3):
         step = smallest / fraction
+        # Over k ticks an error of the step grows k times, so that large changes are no test of it.
         small = changes[changes < 20.5 * step]
         whole = np.rint(small / step)
         if len(small) >= 20 and np.quantile(np.abs(small / step - whole), 0.95) < LATTICE and _gcd(whole) == 1:
@@ -378,6 +385,7 @@ def repeated_findings(
     share = float(same.mean())
     if share <= FEW_REPEATED and len(places) <= MOST_NAMED:
         return []
+    # Distances between changes of the reading are the lengths of its runs.
     runs = np.diff(np.flatnonzero(np.concatenate([[True], ~same, [True]])))
     usual = int(np.median(runs[runs > 1]))
     return [

@@ -108,6 +108,7 @@ def held_inputs(t, u, grid, step):
     summed = np.concatenate([np.zeros((1, u.shape[1])), np.cumsum(u[:-1] * np.diff(t)[:, None], axis=0)])
 
     def integral(at):
+        # The integral of a held input is linear between stamps, so that interpolation is exact.
         return np.array([np.interp(at, t, column) for column in summed.T]).reshape(u.shape[1], len(at)).T
 
     return (integral(grid + step / 2) - integral(grid - step / 2)) / step
@@ -122,6 +123,7 @@ def _second_derivative(offsets, half):
 def _acceleration_weights(half: float, spacing: float) -> float:
     """Ratio of the standard deviation of an acceleration to that of a measurement [1/s²]."""
     count = int(half / spacing)
+    # A weighted sum of independent readings has the root of the sum of squared weights as its gain.
     return float(np.linalg.norm(_second_derivative(spacing * np.arange(-count, count + 1), half)))
 
 
@@ -133,6 +135,7 @@ def _kernel(half: float) -> np.ndarray:
     are the double sums of those of the positions.
     """
     weights = _second_derivative(half / HALF * np.arange(-HALF, HALF + 1), half)
+    # Two sums by parts turn Σ w y into Σ (ΣΣw) Δ²y, and Δ²y ≈ step² a.
     kernel = (half / HALF) ** 2 * np.concatenate([[0.0], np.cumsum(np.cumsum(weights))[:-1]])
     kernel.flags.writeable = False  # the cache shares it among all callers
     return kernel

@@ -46,6 +46,7 @@ def usual_speeds(model: MechanicalSystem, record: Record) -> tuple[float, ...]:
 
 
 def _wrapped(change: np.ndarray, circle: bool) -> np.ndarray:
+    # Onto [−π, π): a step of more than half a turn is one the other way.
     return (change + np.pi) % (2 * np.pi) - np.pi if circle else change
 
 

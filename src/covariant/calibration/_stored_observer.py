@@ -39,6 +39,7 @@ def stored_observer(model: StateSpace, path: str | os.PathLike[str], start: Floa
     parameters = {key: np.asarray(parameter.value) for key, parameter in model.parameters.items()}
     for key in sorted({*provenance["parameters"], *parameters}):
         stored, actual = provenance["parameters"].get(key), parameters.get(key)
+        # Equal to the last digit: numbers were stored with all of theirs, and another one is another equation.
         if stored is None or actual is None or not np.array_equal(np.asarray(stored), actual):
             raise ValueError(f"{path}: the metric is for {key} = {stored}; the model has {actual}; compute it anew")
     equation = provenance["equation"]

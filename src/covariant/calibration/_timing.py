@@ -53,6 +53,7 @@ def fit(model: MechanicalSystem, log: Smooth, now: Residual) -> Fitted:
     n, m = log.q.shape[1], log.u.shape[1]
     columns, used = [], now.used.copy()
     for i in range(n):
+        # Central differences: their error is of second order in the shift.
         later, earlier = (residual(model, shifted(log, i, s)) for s in (NUDGE, -NUDGE))
         columns.append(((later.measured - later.modelled) - (earlier.measured - earlier.modelled)) / (2 * NUDGE))
         used &= later.used & earlier.used
@@ -100,10 +101,12 @@ def _least_squares(left, columns):
     theta, inverse, weighted = _solved(left, columns, weight)
     scores = np.einsum("kjp,kj->kp", weighted, left + columns @ theta)
     sums = np.array([part.sum(axis=0) for part in np.array_split(scores, BLOCKS)])
+    # B/(B − 1): the scores sum to zero over all blocks, which makes their squares too small by that.
     return theta, inverse @ (sums.T @ sums) @ inverse * BLOCKS / (BLOCKS - 1), weight
 
 
 def _weight(rest):
+    # Pseudoinverse: coordinates whose residuals are proportional make the covariance singular.
     return np.linalg.pinv(rest.T @ rest / len(rest), rcond=1e-9)
 
 

@@ -254,9 +254,11 @@ def _best_gains(model: MechanicalSystem, logs: list[_Log], runs: Runs) -> tuple[
         with np.errstate(all="ignore"):
             mean = [_mean_square(column[mask]) for column, mask in zip(r.T, measured.T, strict=True)]
             total = float(np.sum(np.log(mean)))
+        # A finite number larger than any other: the simplex computes with what it compares.
         return total if np.isfinite(total) else 1e6
 
     bounds = [np.log(FREQUENCIES), np.log(DAMPINGS)]
+    # A grid by factors of two, since the simplex descends to the nearest minimum only.
     starts = [np.array([w, np.log(DAMPINGS[0])]) for w in np.linspace(np.log(0.02), np.log(2.0), 8)]
     tried = [runs([observer(z) for z in starts], [part]) for part in parts]  # by part, then by start
     start = starts[int(np.argmin([size(usable(results)) for results in zip(*tried, strict=True)]))]
@@ -277,6 +279,7 @@ def _usable(model: MechanicalSystem, log: _Log) -> Bool[np.ndarray, "T n"]:
 def _mean_square(r: np.ndarray) -> float:
     """Mean square of innovations, robust to outliers."""
     square = r**2
+    # Of normal innovations the 90 % quantile is 2.7 variances, and the cap 6.6 deviations.
     return float(np.mean(np.minimum(square, FAR * np.quantile(square, 0.9))))
 
 
@@ -304,6 +307,7 @@ def _best_noise(
     least = LEAST * size if std is None else np.asarray(std, float)
     # At first one half of the variance of the innovations is noise of the reading.
     first = np.maximum(size / np.sqrt(2), least)
+    # Inverse of ω⁴ = S_a/S_m, with S_m = std²/rate.
     acceleration = frequency**2 * float(np.sqrt(np.mean(first**2))) / np.sqrt(logs[0].rate)
     force = (
         acceleration * np.sqrt(frequency) / float(np.mean([np.abs(np.asarray(s.input_matrix)).max() for s in systems]))
@@ -348,6 +352,7 @@ def _descend(cost: Callable, start: np.ndarray) -> tuple[np.ndarray, float]:
         full[moving] += z
         return full
 
+    # 0.1 in twice the log-likelihood is small beside the log N that decides on a force.
     options = {"initial_simplex": simplex, "xatol": 0.03, "fatol": 0.1, "maxfev": 60 * int(moving.sum())}
     minimum = minimize(lambda z: cost(at(z)), simplex[0], method="Nelder-Mead", options=options)
     return at(minimum.x), float(minimum.fun)
@@ -371,6 +376,7 @@ def _judged(logs, systems, runs, earlier, noise: NoiseLevels) -> HeldOut:
         result = _filtered(system, noise, _speed(logs))
         rows, present = log.held_out, np.asarray(system.present)
         white = np.asarray(result.innovation) / np.where(present, result.spread, 1.0)
+        # The filter estimates the error of the run: the run plus this is its estimate.
         off = np.asarray(v) + np.asarray(result.error)[:, n:] - log.velocity
         parts.append(
             (
@@ -397,6 +403,7 @@ def _judged(logs, systems, runs, earlier, noise: NoiseLevels) -> HeldOut:
         rms(gains),
         rms(filtered),
         relative,
+        # `loss` lacks the constant log 2π of each measured number.
         float(-0.5 * (loss.sum() / count + np.log(2 * np.pi))),
         float(np.sum(white**2) / count),
         products[0] / products[1],

@@ -74,6 +74,7 @@ def horizon(record: Record, velocity: Float[np.ndarray, "T n"], part: float = 1.
     step, span = float(np.median(np.diff(t))), float(t[-1] - t[0])
     size = np.sqrt(np.nanmean(velocity**2, axis=0))
     relative = velocity[:, size > 0] / size[size > 0]
+    # Room for twice the windows that a fit needs, and for one more than it needs in the part.
     least, most = FEWEST_ROWS * step, span * min(1 / (2 * FEWEST_WINDOWS), part / (FEWEST_WINDOWS + 1))
     if least >= most or not relative.size:
         return max(least, min(most, span / 2))

@@ -229,6 +229,7 @@ def export(
             overrides=tuple(override),
             progress=progress,
         )
+    # On standard error, so that --json prints its object alone.
     for warning in result.warnings:
         print(f"covariant: warning: {warning}", file=sys.stderr)
     show(result, json)
@@ -396,5 +397,6 @@ def metric(
             )
     except KeyboardInterrupt as stopped:
         print(f"covariant: {stopped}", file=sys.stderr)
+        # 128 + 2, what shells report of a process that SIGINT ended.
         raise SystemExit(130) from None
     show(result, json)

@@ -171,6 +171,7 @@ def with_shared_options(command: Callable[..., None]) -> Callable[..., None]:
     for parameter in signature.parameters.values():
         group = groups.get(parameter.name)
         if group is None:
+            # Keyword-only: those with and without a default may then stand in any order.
             options.append(parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY))
             continue
         for name, kind in get_type_hints(group, include_extras=True).items():

@@ -150,12 +150,14 @@ def _size(source: Source, compiler: str) -> Size | None:
     with tempfile.TemporaryDirectory() as folder:
         (Path(folder) / f"{source.name}.h").write_text(source.header, encoding="utf-8")
         (Path(folder) / f"{source.name}.c").write_text(source.source, encoding="utf-8")
+        # -Os, as code for the flash of a microcontroller is compiled.
         command = [compiler, "-std=c99", "-Os", *flags, "-fstack-usage", "-c", f"{source.name}.c"]
         if subprocess.run(command, cwd=folder, capture_output=True, check=False).returncode:
             return None
         printed = subprocess.run([tool, f"{source.name}.o"], cwd=folder, capture_output=True, text=True, check=False)
         usage = Path(folder) / f"{source.name}.su"
         stack = _deepest(usage.read_text(encoding="utf-8"), source.name) if usage.exists() else None
+    # Berkeley format: text, data and bss come first.
     numbers = re.findall(r"^\s*(\d+)\s+(\d+)\s+(\d+)", printed.stdout, re.MULTILINE)
     label = f"{compiler} -Os{' for Cortex-M4F' if flags else ' of this machine'}"
     # text and data: initialised data stand in flash too, and are copied to memory at the start.
@@ -165,6 +167,7 @@ def _size(source: Source, compiler: str) -> Size | None:
 def _deepest(usage: str, name: str) -> int:
     """The stack [bytes] of a step, with those of all functions that it calls; where one calls one of several, the
     largest counts."""
+    # A line of gcc -fstack-usage is file:line:column:function, bytes, and whether these are static, by tabs.
     cells = [line.split("\t") for line in usage.splitlines()]
     # Compilers name variants of a function with a dot.
     frames = {cell[0].rpartition(":")[2].partition(".")[0]: int(cell[1]) for cell in cells}

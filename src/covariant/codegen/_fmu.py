@@ -115,6 +115,7 @@ def fmu(program: Program, name: str, about: str, rate: float, y: np.ndarray, ver
         >>> [path for path in unit.files if not path.startswith("binaries")]
         ['sources/speed.h', 'sources/speed.c', 'sources/speed_fmu.c', 'modelDescription.xml']
     """
+    # A comment of C ends at */, and one line must stay one.
     about = " ".join(about.replace("*/", "").split())
     source = write_source(program, name, about)
     variables = list(_variables(program, y))
@@ -167,6 +168,7 @@ def write_fmu(unit: Unit, path: Path, overwrite: bool = False) -> None:
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, content in unit.files.items():
             entry = zipfile.ZipInfo(name, BEGINNING)
+            # The upper half of a ZIP entry's external attributes is the Unix mode: without it files unpack unreadable.
             entry.compress_type, entry.external_attr = zipfile.ZIP_DEFLATED, 0o644 << 16
             archive.writestr(entry, content)
     write_atomically(path, lambda file: file.write(buffer.getvalue()))
@@ -224,10 +226,12 @@ def _variability(variable: UnitVariable) -> str:
 
 
 def _start_text(value: float) -> str:
+    # The spelling of xs:double in XML Schema.
     return "NaN" if np.isnan(value) else repr(float(value))
 
 
 def _variables_3(variables: list[UnitVariable]) -> str:
+    # References 0 and 1 are those of time and outcome, as `_fmi3` has them.
     lines = ['    <Float64 name="time" valueReference="0" causality="independent" variability="continuous"/>']
     lines.append('    <Int32 name="outcome" valueReference="1" causality="output" variability="discrete"/>')
     for reference, v in enumerate(variables, start=2):
@@ -257,6 +261,7 @@ def _variables_2(variables: list[UnitVariable]) -> str:
             )
             reference += 1
             if v.causality == "output":
+                # FMI 2.0 counts variables from one, so the index is the length so far.
                 outputs.append(len(lines))
     lines.append(
         '    <ScalarVariable name="outcome" valueReference="0" causality="output" variability="discrete">'

@@ -38,6 +38,7 @@ def unit_source(
         writes += [f"    m->numbers[{at + i}] = (double)output->{e};" for i, e in enumerate(entries("", leaf))]
         at += leaf.size
     firsts = np.cumsum([0, *sizes])[:-1].tolist()
+    # `forget` sets all numbers to zero first.
     start = [f"    m->numbers[{i}] = {c_number(v)};" for i, v in enumerate(starts) if v != 0]
     replacements = {
         "@NAME@": name,
@@ -49,6 +50,7 @@ def unit_source(
         "@VARIABLES@": str(len(sizes)),
         "@FIRSTS@": ", ".join(map(str, firsts)),
         "@SIZES@": ", ".join(map(str, sizes)),
+        # Without parameters the structure has one unused member, which C demands, and m is not read.
         "@TAKEN@": "\n".join(reads) or "    (void)m;\n    params->unused = 0;",
         "@SHOWN@": "\n".join(writes),
         "@START@": "\n".join(start),

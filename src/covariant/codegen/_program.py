@@ -172,6 +172,7 @@ def of_family(observer: AbstractObserver, family: Family) -> Recipe:
         ['alpha', 'beta', 'mass']
     """
     model = family.file.model
+    # By identity: an observer of this model holds the very arrays of it.
     index_in_model = {id(leaf): k for k, leaf in enumerate(jax.tree.leaves(model))}
     dynamic, static = eqx.partition(observer, eqx.is_inexact_array)
     paths, tree = jax.tree_util.tree_flatten_with_path(dynamic)
@@ -347,6 +348,7 @@ def trace_program(
     kinds = structures["state"]
     state = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape, dtype), kinds)
 
+    # Counts and truth values, real numbers in the code, get their types back here.
     def typed(state):
         return jax.tree.map(lambda a, kind: a.astype(kind.dtype), state, kinds)
 
@@ -359,6 +361,7 @@ def trace_program(
         observer = cast_observer(numbers)
         x: Any = observer.estimate(typed(state))
         structures["estimate"] = _kinds(x)
+        # The state x of a state-space model is one array; elsewhere an estimate is q and v in halves.
         if isinstance(x, tuple) or "x" in getattr(state, "_fields", ()):
             return x
         return Motion(*jnp.split(x, 2))

@@ -139,6 +139,7 @@ def closed_loop(
 
     def parts(t, joint):
         x, state = joint[:n], unravel(joint[n:])
+        # The controller needs y for u: an output that depended on u would be an algebraic loop.
         y = model.h(t, x, zero)
         estimate = observer.estimate(state)
         return x, state, y, estimate, controller(t, y, estimate)

@@ -90,6 +90,7 @@ def write_source(program: Program, name: str, about: str, flash: int | float = m
     if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name) or name in KEYWORDS:
         raise ValueError(f"{name!r} is no name in C; take letters, digits and underscores, beginning with a letter")
     least = math.inf
+    # From the fastest code to the smallest: the first that fits is taken.
     for tables in get_args(Tables):
         source = _written(program, name, about, tables)
         size = _estimated(source, program.real)

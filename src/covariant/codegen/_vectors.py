@@ -8,6 +8,7 @@ import numpy as np
 from covariant.codegen._program import DTYPES, Program
 from covariant.lowering import Lowered, evaluate, perturbed
 
+# Half the distance from 1 to the next number: the largest relative error of one rounding.
 UNITS = {"double": 2.0**-53, "float": 2.0**-24}
 LANES = 12
 ALLOWED = 10.0

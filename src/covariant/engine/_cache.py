@@ -65,6 +65,7 @@ def cached_text(key: str | None, write: Callable[[], str]) -> str:
     folder = cache_folder()
     if folder is None or key is None:
         return write()
+    # 128 bits of the hash: two texts of one name are beyond all chance.
     path = folder / f"{key[:32]}.json"
     entry = _read(path)
     if entry is None:

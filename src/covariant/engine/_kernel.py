@@ -201,6 +201,7 @@ def _layout(traced: TracedProgram) -> Layout:
 
 def _c_text(traced: TracedProgram, lanes: int) -> str:
     """The text of a kernel; raises `LoweringError`."""
+    # On a computer a step may take as long as its numbers ask for; code for a controller has fixed loops.
     program = traced.lower(loops=True)
     n_state, n_x, n_info = _layout(traced).sizes
     sizes = {"o": sum(leaf.size for leaf in program.given), "s": n_state, "u": program.u, "y": int(np.prod(program.y))}

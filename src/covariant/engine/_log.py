@@ -109,12 +109,14 @@ def run_logs(
     count = max(len(many), len(logs))
     opened, numbers = _open([*many, *others])
     each, logs = many * (count // len(many)), logs * (count // len(logs))
+    # Below that number of runs cores would stand idle while others compute lanes.
     lanes = vector_bytes() // np.dtype(float).itemsize if count > RUNS_A_CORE * (os.cpu_count() or 1) else 1
     ((y, inputs),) = forms
     rows = repeats * sum(len(r.t) for r in logs)
     real = not any(np.iscomplexobj(r.y) for r in logs)
     chosen = choose(many[0], KernelForm(y, inputs, opened, lanes, real), rows, engine)
     if chosen.kernel is not None:
+        # np.resize repeats the rows, as for one observer over many logs.
         runs = _by_c(chosen.kernel, np.resize(numbers[: len(many)], (count, numbers.shape[1])), logs, keep)
     else:
         runs = [_by_jax(observer, record, keep) for observer, record in zip(each, logs, strict=True)]
@@ -170,6 +172,7 @@ def _by_c(kernel: Kernel, numbers: np.ndarray, logs: Sequence[Record], keep: Col
     # Runs of like lengths go together, since lanes wait for the longest.
     order = sorted(range(len(logs)), key=lambda k: len(logs[k].t))
     blocks = [order[k : k + lanes] for k in range(0, len(order), lanes)]
+    # By identity, since one log may be in many runs and is laid out once.
     rows = {id(log): _Rows.of(log) for log in logs}
     with ThreadPoolExecutor(min(len(blocks), cores)) as pool:  # C releases Python's lock while it runs
         results = pool.map(

@@ -194,6 +194,7 @@ class Stream:
         """Start at a measurement that is complete and a configuration; otherwise wait for one."""
         self._t, self._back = t, 0
         result = Result.COASTED
+        # NaN compares as false: a measurement with a missing entry starts nothing.
         if (np.abs(self._backend.y) <= self._largest).all():
             self._backend.start(t)
             result = Result.OK if np.isfinite(self._backend.x).all() else Result.NOT_FINITE

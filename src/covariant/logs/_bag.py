@@ -139,6 +139,7 @@ def _at(stamps: np.ndarray, series: tuple[np.ndarray, dict[str, np.ndarray]], na
         column[np.searchsorted(stamps, clock)] = values
         return column
     clock, values = clock[~np.isnan(values)], values[~np.isnan(values)]
+    # `right` and −1: a number at the very stamp counts as the latest one.
     at = np.searchsorted(clock, stamps, side="right") - 1
     column[at >= 0] = values[at[at >= 0]]
     return column
@@ -181,6 +182,7 @@ def _gather(
 
 def _stamp(message: Any) -> int:
     stamp = message.header.stamp
+    # Integers of Python: seconds since 1970 in a float resolve a quarter of a microsecond only.
     return stamp.sec * 1_000_000_000 + stamp.nanosec
 
 
@@ -225,6 +227,7 @@ def _messages(path: Path) -> Iterator[tuple[dict[str, int], Callable[..., Iterat
     highlevel = load_optional("rosbags.highlevel", use=need, extra="ros")
     types = load_optional("rosbags.typesys", use=need, extra="ros")
     try:
+        # Bags in SQLite hold no definitions of their messages before ROS Iron: these are then taken from Humble.
         with highlevel.AnyReader([path], default_typestore=types.get_typestore(types.Stores.ROS2_HUMBLE)) as reader:
             known = [connection for connection in reader.connections if connection.msgtype in KINDS]
             if not known:

@@ -35,6 +35,7 @@ def write_bag(path: Path, columns: Mapping[str, np.ndarray], origin_ns: int | No
     (_, stamps), *others = columns.items()
     # Integers of Python, since nanoseconds since 1970 need more than the 53 bits of a float.
     ns = np.array([round(t * 1e9) for t in stamps.tolist()], dtype=object) + (origin_ns or 0)
+    # builtin_interfaces/Time has the seconds in 32 bits with a sign.
     if not 0 <= ns.min() <= ns.max() < 2**31 * 10**9:
         raise LogError(f"{path}: ROS counts seconds from 0 to 2147483647; these go from {ns.min()} to {ns.max()} ns")
     rosbag2 = load_optional("rosbags.rosbag2", use="writing messages of ROS needs", extra="ros")
@@ -53,6 +54,7 @@ def write_bag(path: Path, columns: Mapping[str, np.ndarray], origin_ns: int | No
                 header = known.types["std_msgs/msg/Header"](stamp, "")
                 for connection, message in topics:
                     writer.write(connection, now, known.serialize_cdr(message(header, k), connection.msgtype))
+        # A bag in MCAP is a folder too: of metadata and one file, which is all that a log needs.
         os.replace(bag / f"{bag.name}.mcap" if path.suffix.lower() == ".mcap" else bag, path)
 
 

@@ -27,6 +27,7 @@ def numbers(where: str, column: Any, needed: bool) -> Float[np.ndarray, "T"]:
     if pa.types.is_boolean(column.type):
         raise LogError(f"{where} holds true and false, which are no numbers; name another column")
     try:
+        # `safe=False`: a whole number beyond 2⁵³ is rounded, where Arrow would refuse it.
         values = floats(column.cast(pa.float64(), safe=False))
     except pa.ArrowInvalid:
         values = _texts(where, column, needed)
@@ -48,6 +49,7 @@ def _texts(where: str, column: Any, needed: bool) -> np.ndarray:
     if not written.all():
         row = int((~written).argmax())
         raise fault(where, row, column[row].as_py(), needed)
+    # Arrow's parser of numbers knows no plus sign.
     plain = compute.replace_substring_regex(cells, r"^\+", "")
     filled = compute.if_else(compute.equal(plain, ""), "nan", plain)
     return floats(filled.cast(pa.float64()))

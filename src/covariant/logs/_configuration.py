@@ -84,6 +84,7 @@ def _bodies(columns: Columns) -> tuple[tuple[Body, ...], tuple[Body, ...]]:
             f"position ({', '.join(columns.position) or 'none'}) and {kind} ({', '.join(names) or 'none'}) make no "
             "pose; three names go with a quaternion of 4 or a matrix of 9 columns, two with an angle"
         )
+    # Without an attitude the first angle is the heading of a body in the plane.
     wheels = columns.angle[1:] if first and not attitudes else columns.angle
     return (*first, *(Body("angle", (name,)) for name in wheels)), balls
 
@@ -161,6 +162,7 @@ def to_columns(columns: Columns, y: np.ndarray) -> dict[str, np.ndarray]:
         cells = np.full((len(g), len(body.rotation)), np.nan)
         cells[present] = KINDS[body.kind].cells(g[present, : body.space, : body.space])
         named |= dict(zip(body.rotation, cells.T, strict=True))
+        # A body without a position has no names here, and zip ends at once.
         named |= dict(zip(body.position, g[:, : body.space, -1].T, strict=False))
     return {name: named[name] for name in columns.measured}
 

@@ -147,6 +147,7 @@ def _of_columns(name: str, log: Any, columns: Columns, optional: Collection[str]
     """All rows of a log that has columns."""
     columns, table, units = _table(name, log, columns, optional)
     for field in ("t", *MEASURED, "u", *OPTIONAL):
+        # Dates and durations state their unit by their type.
         if field != "t" or not timed(table.column(columns.t)):
             _need_units(name, columns, field, units)
 
@@ -156,6 +157,7 @@ def _of_columns(name: str, log: Any, columns: Columns, optional: Collection[str]
             for place, column in enumerate(getattr(columns, field)):
                 unit = columns.unit_of(field, place)
                 values = numbers(_where(name, column, unit), table.column(column), needed)
+                # Without a number in any row it is another column, and not a sensor with gaps.
                 if field in MEASURED and len(values) and np.isnan(values).all():
                     raise LogError(f"{_where(name, column, unit)} holds no number in any row; name another column")
                 cells.append(values if unit is None else values * unit_factor(unit))
@@ -176,6 +178,7 @@ def _need_units(log: str, columns: Columns, field: str, units: Mapping[str, str]
     names = getattr(columns, field)
     names = (names,) if isinstance(names, str) else names
     meant = MEANT.get(field, ())
+    # Units that the log states are written as in a name, so that one parser reads both.
     in_names = [unit_in_name(f"{name} [{units[name]}]" if name in units else name, meant) for name in names]
     for place, (name, text) in enumerate(zip(names, in_names, strict=True)):
         if text is not None and unit_factor(text) != 1 and columns.unit_of(field, place) is None:
@@ -209,6 +212,7 @@ def _cut(name: str, log: Log, every: int, until: float | None, start: float | No
         asked = (("every", every), ("from", start), ("until", until))
         given = ", ".join(f"{word}={value:g}" for word, value in asked if value is not None)
         raise LogError(f"{name}: {given} keep {len(t[rows])} of {len(t)} rows, and two are needed")
+    # An observer starts from a measurement, which has to be complete.
     if np.isnan(log.record.y[rows][0]).any():
         row = low + 1
         raise LogError(f"{name}: row {row}, the first one kept, lacks a measurement; begin a little later or earlier")
@@ -248,6 +252,7 @@ def survey(log: str | PathLike[str] | Any) -> dict[str, Float[np.ndarray, "T"]]:
     name = source_name(log)
     with _legible(name, log):
         _, shown, load, _ = _opened(name, log)
+        # A name of two columns denotes neither.
         alone = [column for column, count in Counter(shown).items() if column and count == 1]
         table = with_points(pyarrow(), name, load(alone, ()))
     columns: dict[str, np.ndarray] = {}
@@ -274,6 +279,7 @@ def _table(name: str, log: Any, columns: Columns, optional: Collection[str]) -> 
     """The columns without the optional ones that the log lacks, a table of them, and the units that the log states."""
     with _legible(name, log):
         names, shown, load, units = _opened(name, log)
+        # A field of which some columns are there is not absent: the others are an error below.
         absent = [field for field in optional if not set(getattr(columns, field)) & set(names)]
         columns = columns._replace(**dict.fromkeys(absent, ()))
         wanted = list(dict.fromkeys((columns.t, *columns.measured, *columns.u, *columns.v, *columns.truth)))

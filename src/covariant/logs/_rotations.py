@@ -28,6 +28,7 @@ class Kind(NamedTuple):
 
 
 def _from_wxyz(q: Cells) -> Rotations:
+    # Logs hold few digits: the length is 1 up to their rounding.
     w, x, y, z = (q / np.linalg.norm(q, axis=1, keepdims=True)).T
     rows = (
         (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
@@ -44,6 +45,7 @@ def _to_wxyz(r: Rotations) -> Cells:
     Source: Shepperd 1978.
     """
     x, y, z = r[:, 0, 0], r[:, 1, 1], r[:, 2, 2]
+    # Of a unit quaternion r₂₁ − r₁₂ = 4wx and r₂₁ + r₁₂ = 4yz, and so on in cycles.
     a, b, c = (r[:, i, j] - r[:, j, i] for i, j in ((2, 1), (0, 2), (1, 0)))
     d, e, f = (r[:, i, j] + r[:, j, i] for i, j in ((2, 1), (0, 2), (1, 0)))
     rows = ((1 + x + y + z, a, b, c), (a, 1 + x - y - z, f, e), (b, f, 1 - x + y - z, d), (c, e, d, 1 - x - y + z))

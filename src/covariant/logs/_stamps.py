@@ -78,6 +78,7 @@ def stamps(where: str, column: Any, given: str | None) -> Stamps:
 
 def _since_first(pa: Any, column: Any, values: np.ndarray) -> tuple[Fraction, np.ndarray]:
     """The first number, and all of them since the first, subtracted as they are written: a float has 16 digits."""
+    # int64 holds nanoseconds since 1970; decimals have 18 digits before the point, enough for microseconds.
     for exact in (pa.int64(), pa.decimal128(30, 12)):
         try:
             plain = pa.compute.utf8_trim_whitespace(column) if pa.types.is_string(column.type) else column
@@ -111,6 +112,7 @@ def _dates(pa: Any, where: str, column: Any) -> np.ndarray:
     """Nanoseconds since 1970 (T,); a date without a zone is taken for UTC."""
     if pa.types.is_string(column.type):
         plain = pa.compute.utf8_trim_whitespace(column)
+        # ISO 8601 also allows a comma before the fraction of a second; Arrow reads a point only.
         plain = pa.compute.replace_substring_regex(plain, r"(:[0-9]{2}),([0-9]+)", r"\1.\2")
         zone = None if re.search(r"(Z|[+-][0-9]{2}:?[0-9]{2})$", plain[0].as_py()) is None else "UTC"
         try:

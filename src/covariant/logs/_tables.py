@@ -113,6 +113,7 @@ def _dataset_source(name: str, log: Any) -> LogSource:
     along = [variable.dims[0] for variable in lines.values()]
     if not along:
         raise LogError(f"{name}: it has no variable along one dimension, such as time")
+    # Of equal counts `max` takes the first, in the order of the dataset.
     time = max(dict.fromkeys(along), key=along.count)
     columns = {key: variable for key, variable in lines.items() if variable.dims[0] == time}
     units = {key: str(variable.attrs["units"]) for key, variable in columns.items() if "units" in variable.attrs}

@@ -90,6 +90,7 @@ def read_text(pa: Any, path: Path, found: Sheet, wanted: Sequence[str]) -> Any:
     ragged = []
     table = pa.csv.read_csv(
         pa.BufferReader(found.rows),
+        # One thread, since Arrow knows the number of an invalid row only then.
         read_options=pa.csv.ReadOptions(use_threads=False, column_names=found.header),
         parse_options=pa.csv.ParseOptions(
             delimiter=found.delimiter, invalid_row_handler=lambda row: ragged.append(row) or "skip"
@@ -97,6 +98,7 @@ def read_text(pa: Any, path: Path, found: Sheet, wanted: Sequence[str]) -> Any:
         convert_options=pa.csv.ConvertOptions(
             include_columns=wanted,
             column_types=dict.fromkeys(wanted, pa.string()),
+            # Only empty cells are missing: Arrow's default list has words such as NA, which shall be quoted as faults.
             null_values=[""],
             strings_can_be_null=True,
         ),

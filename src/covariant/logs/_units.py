@@ -80,6 +80,7 @@ def _part(match: re.Match[str]) -> _Unit | None:
         base = base._replace(factor=base.factor * _PREFIXES[name[0]])
     if base is None or base.exponents is None:
         return None
+    # The power includes the prefix: mm² is (mm)², SI Brochure, section 3.
     return _Unit(base.factor**power, tuple(power * e for e in base.exponents))
 
 

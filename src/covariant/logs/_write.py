@@ -84,6 +84,7 @@ def _checked(path: Path, columns: Mapping[str, np.ndarray]) -> dict[str, np.ndar
 
 def _column(pa: Any, array: np.ndarray) -> Any:
     """A column of Arrow over the memory of an array; where Arrow converts one itself, it imports pandas first."""
+    # Arrow's buffers are in the byte order of the machine; an array of a file may be in the other.
     numbers = pa.py_buffer(np.ascontiguousarray(array, array.dtype.newbyteorder("=")))
     return pa.Array.from_buffers(pa.from_numpy_dtype(array.dtype), len(array), [None, numbers])
 

@@ -64,6 +64,7 @@ def bioreactor(
         units=("kg/m^3", "kg/m^3"),
         outputs=("substrate",),
         inputs=1,
+        # z = biomass + conversion·substrate obeys z' = u (conversion·feed − z), so no state stays above these bounds.
         box=tuple((high / 50, high) for high in (conversion * feed, feed)),  # unobservable without substrate
         parameters=parameters,
     )

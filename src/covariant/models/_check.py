@@ -43,6 +43,7 @@ def _is_usable(g: np.ndarray, q: np.ndarray) -> bool:
     """Whether g (n, n) is positive definite at q (n,), well beyond rounding errors."""
     if not np.isfinite(g).all():
         return False
+    # Weyl: errors of the entries of eps · max move an eigenvalue by no more than n times that. Integers have no eps.
     roundoff = len(g) * np.finfo(np.result_type(g, np.float32)).eps * np.abs(g).max()
     asymmetry, smallest = np.abs(g - g.T).max(), np.linalg.eigvalsh((g + g.T) / 2)[0]
     # Entries (i, j) and (j, i) may be computed by different sums, hence the factor.
@@ -51,6 +52,7 @@ def _is_usable(g: np.ndarray, q: np.ndarray) -> bool:
             f"metric is not symmetric positive definite at q = {_text(q)}: smallest eigenvalue {smallest:.3g}, "
             f"largest asymmetry {asymmetry:.3g}; look at the signs and units of its parameters"
         )
+    # Within ±roundoff the sign of the eigenvalue is unknown: the chart may be singular here, which is no mistake.
     return bool(smallest > roundoff)
 
 

@@ -46,6 +46,7 @@ def model_columns(model: Any, loaded: Columns, given: dict[str, Any]) -> Columns
         ValueError: Names the first key with too many columns or too few, or the wrong unit.
     """
     if any(given.get(kind) for kind in ATTITUDES):
+        # The file's representation replaces the loaded one: two kinds of columns for one attitude would contradict.
         loaded = loaded._replace(**dict.fromkeys(ATTITUDES, ()))
     given = {key: value for key, value in loaded._asdict().items() if value} | given
     columns = _named(model, given)

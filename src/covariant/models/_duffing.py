@@ -44,6 +44,7 @@ def duffing(damping: float = 0.25, stiffness: float = -1.0, cubic: float = 1.0) 
         units=("m", "m/s"),
         outputs=("q",),
         inputs=1,
+        # The wells are at ±√(−stiffness/cubic) = ±1, and the orbit through the saddle between them reaches ±√2.
         box=((-2.0, 2.0), (-2.0, 2.0)),
         parameters=parameters,
     )

@@ -107,6 +107,7 @@ def _family(spec: str, names: Sequence[str], content: dict[str, Any]) -> Family:
         return made(spec, filled).model, filled.get(LAG[0], {}).get(LAG[1], file.input_lag)
 
     positive = tuple(
+        # The model's own refusal of −value says that a number is positive: no list of such names can go stale.
         _refused(spec, _with(content, (place,), [-abs(value) or -1.0]))  # −0.0 is no negative number: −1 in its place
         for place, value in zip(places, first, strict=True)
     )
@@ -115,6 +116,7 @@ def _family(spec: str, names: Sequence[str], content: dict[str, Any]) -> Family:
             remedy = f"--set parameters.{name.partition('[')[0]}=…" if name != ".".join(LAG) else f"--set {name}=0.01"
             raise ValueError(f"{name} must be positive and starts from {value:g}; give it a first value by {remedy}")
     try:
+        # Traced, not evaluated: a function that uses NumPy or branches on a number fails here, and not within a fit.
         eqx.filter_eval_shape(make, first)
     except (TypeError, ValueError) as error:  # building it from plain numbers succeeded above
         raise ValueError(

@@ -121,6 +121,7 @@ class ModelFile(NamedTuple):
     def typical_std(self) -> float | None:
         """The measurement noise in one number: `measurement_std`, or the root mean square of its entries."""
         std = self.measurement_std
+        # hypot scales its arguments, so that no square overflows or underflows.
         return math.hypot(*std) / math.sqrt(len(std)) if isinstance(std, tuple) else std
 
     @property
@@ -201,6 +202,7 @@ def _finished(loaded: ModelFile, name: str, content: dict[str, Any]) -> ModelFil
     model: Any = loaded.model
     if loaded.mechanical and model.manifold.commuting:
         check_metric(model, _points(len(columns.q)))
+    # On a group the errors are components in the body frame, not logged columns: one number serves for all.
     count = len(columns.q) if model.manifold.commuting else 1
     states = 0 if loaded.mechanical else len(model.coordinates)
     return loaded._replace(name=name, columns=columns, **_toml.numbers(content, count, states))
@@ -412,4 +414,5 @@ def _build(name: str, candidate: Any, parameters: dict[str, Any]) -> ModelFile:
 
 def _points(n: int) -> np.ndarray:
     """Points at which the metric is checked: 0, 1, and a few fixed points between 0 and 2."""
+    # Fixed, so that a model passes always or never; 0 alone may be a singular point of its chart.
     return np.concatenate([np.zeros((1, n)), np.ones((1, n)), np.random.default_rng(0).uniform(0, 2, (4, n))])

@@ -38,6 +38,7 @@ def heavy_top(
     xp = namespace(inertia, moment, axis)
     matrix, along = xp.asarray(inertia, float), xp.asarray(axis, float)
     matrix = xp.diag(matrix) if matrix.ndim == 1 else matrix
+    # U = m g l times the height of the unit vector along the arm: only the product is identifiable.
     arm = moment * along / xp.linalg.norm(along)
     return GroupSystem(
         SO3,

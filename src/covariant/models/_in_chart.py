@@ -117,6 +117,7 @@ def _has_known_shape(model: MechanicalSystem) -> bool:
 
 def _metric(model: MechanicalSystem, chart: Chart, z: Vector) -> Matrix:
     jacobian = chart_jacobian(model.manifold, chart, z)
+    # v = J z' leaves the kinetic energy unchanged, so the matrix in the chart is JᵀG J.
     return jacobian.T @ model.space(chart(z)) @ jacobian
 
 

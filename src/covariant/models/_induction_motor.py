@@ -62,6 +62,7 @@ def induction_motor(
     check_parameters("induction_motor", parameters, signed=("load",))
     coupling = mutual_inductance / rotor_inductance
     leakage = stator_inductance - coupling * mutual_inductance
+    # The magnetic energy is positive definite exactly where M² < Ls Lr; leakage is that determinant over Lr.
     if leakage <= 0:
         raise ValueError(
             f"induction_motor: mutual_inductance {mutual_inductance:g} H must be below the geometric mean of the other "
@@ -98,9 +99,12 @@ def _f(
 ):
     current, flux, speed = x[:2], x[2:4], x[4]
     turned = jnp.stack([-flux[1], flux[0]])  # by +90°
+    # The rotor is short-circuited, so its resistive drop, with rotor current (ψ − M i)/Lr, drives the flux.
     induced = rotor_resistance / rotor_inductance * (mutual_inductance * current - flux)
     flux_dot = induced + pole_pairs * speed * turned
+    # Faraday in the stator, u = Rs i + (leakage i + coupling ψ)', solved for i'.
     current_dot = (u - stator_resistance * current - coupling * flux_dot) / leakage
+    # No factor 3/2: the two phases are scaled so that u·i is the power of all three.
     torque = pole_pairs * coupling * (turned @ current)
     resisting = x[5] if load is None else load
     unknown = jnp.zeros_like(x[5:])

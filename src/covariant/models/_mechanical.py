@@ -181,6 +181,7 @@ class MechanicalSystem(Functional):
         elif isinstance(function, eqx.Partial):
             function = functools.partial(function.func, *function.args, **function.keywords)
         try:
+            # Tried, not counted: parameters may have defaults, be bound already, or be gathered by *args.
             inspect.signature(function).bind(None, None)
         except TypeError:
             return True
@@ -335,6 +336,7 @@ def no_dissipation(q, v):
 
 def no_potential(q):
     """The default potential energy: zero, in the real type of q."""
+    # finfo of a complex type is that of its real part: on SU(n) the matrices are complex, the energy is real.
     return jnp.zeros((), jnp.finfo(q.dtype).dtype)
 
 
@@ -572,6 +574,7 @@ def spatial_momentum(system: MechanicalSystem, g: Element, v: Vector) -> Vector:
         [1.0, 2.0, 3.0]
     """
     group = _group_of(system)
+    # Noether: for a left-invariant energy without potential, Ad*_{g⁻¹} μ is the conserved momentum map.
     return group.coadjoint_action(group.inverse(g), system.space.lower(g, v))
 
 
@@ -729,6 +732,7 @@ class MomentumChart(NamedTuple):
         q, v = x = self.motion(s, momentum)
         inputs = u(t, x)
         force = applied_force(system, t, q, inputs) + resistance(system, t, q, v, inputs)
+        # ½∂<v, v> is the only place where the metric is differentiated: μ in place of v spares the term M' v.
         force = force + system.space.kinetic_force(q, v)
         rate = system.manifold.local_rate(self.centre, s, v)
         # −s carries the force back, from the frame at q to that of the centre.

@@ -60,6 +60,7 @@ def _spring(q, stiffness):
 
 
 def _unit_mass_in_r(r):
+    # q = ln r, so q' = r'/r and the energy ½q'² is ½r'²/r².
     return 1 / r[None] ** 2
 
 
@@ -68,4 +69,5 @@ def _spring_in_r(r, stiffness):
 
 
 def _force_in_r(t, r, u):
+    # The power u q' is (u/r) r'.
     return u / r

@@ -105,14 +105,17 @@ def pendulum_chain(
         if known(p[name]) and (p[name] < 0).any():
             raise ValueError(f"pendulum_chain: {name} must not be negative; got {tuple(p[name].tolist())}")
 
+    # Steiner's theorem: the energy of the centres of mass, m com² among it, is in `coupling` already.
     about_com = p["inertia"] - (p["mass"] * p["com"] ** 2 if inertia_about == "joint" else 0.0)
     carriers, identity = np.tri(n, k=-1), np.eye(n)
     arms = carriers * p["length"][None] + identity * p["com"][None]  # arms[k, i]: lever arm of link i at mass k
+    # Point masses at rate ω: Σ m_k |Σ_i arms[k, i] ω_i e(θ_i)|², whose mixed terms have e(θ_i)·e(θ_j) = cos(θ_i − θ_j).
     coupling = (arms.T * p["mass"][None]) @ arms
     moment = p["mass"] @ arms
     relative = np.eye(n) - np.eye(n, k=-1)  # joint rates from absolute rates
     rotor_rates = np.eye(n, k=-1) - p["gear"][:, None] * relative  # rotor rates from absolute rates
     constant = identity * about_com[None] + (rotor_rates.T * p["rotor_inertia"][None]) @ rotor_rates
+    # The inverse has the entries 0 and 1 only: elimination makes no rounding error.
     absolute = np.linalg.inv(relative) if angles == "relative" else np.eye(n)  # absolute rates from the coordinates'
     between = absolute[:, None, :] - absolute[None, :, :]
     joints = np.eye(n) if angles == "relative" else relative  # joint rates from the coordinates'
@@ -152,6 +155,7 @@ def _force(t, q, u, offset, motors, joints):
 
 def _dissipation(q, v, viscous, coulomb, joints):
     rate = joints @ v
+    # Far from rest the Coulomb torque is coulomb·π/2, not coulomb: so Wiebe et al. define the coefficient.
     return -joints.T @ (viscous * rate + coulomb * jnp.arctan(COULOMB_STEEPNESS * rate))
 
 

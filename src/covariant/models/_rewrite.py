@@ -101,6 +101,7 @@ def _value(text: str, value: Any, old: Any) -> str:
     """The text of a value with other numbers, where it has as many of them as before; otherwise written anew."""
     before, after = _leaves(old), _leaves(value)
     tokens = [token for token in _TOKEN.finditer(text) if token.lastgroup == "number"]
+    # Hexadecimal numbers match as several tokens and inf and nan as none: the counts then differ.
     if not len(before) == len(after) == len(tokens) or not all(isinstance(leaf, int | float) for leaf in after):
         return written(value)
     # From the end, so that the positions of the tokens before remain valid.

@@ -154,6 +154,7 @@ def _typed(value: Any, declared: Any) -> Any:
         return {_typed(key, choices[0]): _typed(entry, choices[1]) for key, entry in value.items()}
     elif get_origin(declared) is Sequence and isinstance(value, list | tuple):
         return [_typed(entry, choices[0]) for entry in value]
+    # `type`, not `isinstance`: in Python True is an int.
     elif type(value) is declared or (type(value), declared) == (int, float):
         return declared(value)
     raise TypeError

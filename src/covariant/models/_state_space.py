@@ -203,6 +203,7 @@ def _check(model: StateSpace, box: Sequence[tuple[Any, Any]]) -> int:
         if entries and len(entries) != n:
             raise ValueError(f"{name} needs one entry for each of the {n} states; it has {len(entries)}")
     for name, (low, high) in zip(model.coordinates, box, strict=False):
+        # A comparison of traced numbers has no truth value in Python: bounds that are being fitted go unchecked.
         if not (isinstance(low, Tracer) or isinstance(high, Tracer) or low < high):
             raise ValueError(f"box of {name}: the lower bound {low:g} must be below the upper one {high:g}")
     return count

@@ -66,6 +66,7 @@ def survey(
     steps = np.zeros((samples, n))
     steps[:, n - count :] = rng.uniform(box[:, 0], box[:, 1], (samples, count))
     planes = rng.normal(size=(samples, 2, n))
+    # The length of a normal vector (3,) is about 1.6 standard deviations: turns of 2.5 rad in the mean.
     steps[:, : n - count] = rng.normal(size=(samples, n - count), scale=np.pi / 2)
     each = jax.vmap(lambda s, w: _at_configuration(model, model.manifold.retract(origin, s), w))
     eigenvalues, curvature = jax.jit(each)(steps, planes)

@@ -141,9 +141,11 @@ def _plain(value: Any) -> Any:
 
 
 def _value(text: str, value: str) -> Any:
+    # Texts are emptied first: a name in quotes may hold anything.
     if _ODD_NUMBER.search(_QUOTED.sub('""', value)):
         raise ValueError(f"override {text!r}: write numbers in plain decimals, as 1000 or 1e3")
     try:
+        # By the parser of the file, so that a value means the same in both places.
         return tomllib.loads(f"value = {value}")["value"]
     except tomllib.TOMLDecodeError as error:
         reason = str(error).split(" (at ")[0]

@@ -57,6 +57,7 @@ def underwater_vehicle(
     xp = namespace(mass, inertia, added_mass, centre_of_mass, centre_of_buoyancy)
     centre, lift = xp.asarray(centre_of_mass, float), xp.asarray(centre_of_buoyancy, float)
     coupling = mass * xp.cross(xp.eye(3), centre)  # the matrix of x ↦ mass · centre × x
+    # Linear momentum m (v + ω × c) and angular momentum about the origin I ω + m c × v: coupling is antisymmetric.
     rigid = xp.block([[mass * xp.eye(3), coupling.T], [coupling, xp.diag(xp.asarray(inertia, float))]])
     potential = Parametric(_potential, weight=mass * gravity, buoyancy=buoyancy, centre=centre, lift=lift)
 
@@ -104,6 +105,7 @@ def submerged_body(
 
 
 def _potential(g, weight, buoyancy, centre, lift):
+    # The weight acts at the centre of mass and buoyancy, upwards, at its own centre: z is up.
     return weight * SE3.act(g, centre)[2] - buoyancy * SE3.act(g, lift)[2]
 
 

@@ -57,6 +57,7 @@ def ideal_fluid(n: int, viscosity: float = 0.0) -> GroupSystem:
         >>> models.fluid.ideal_fluid(3).group.dimension
         8
     """
+    # n odd: one half then exists modulo n (`_coefficients`), and no frequency n/2 lacks its negative.
     if not isinstance(n, int) or n < 3 or n % 2 == 0:
         raise ValueError(f"ideal_fluid: n must be an odd integer of 3 or more; got {n!r}")
     if not viscosity >= 0:
@@ -251,6 +252,7 @@ def carry(n: int, g: Element, tracer: Modes) -> Modes:
         >>> bool(jnp.allclose(fluid.carry(3, jnp.eye(3, dtype=complex), stream), stream))  # at rest
         True
     """
+    # g is unitary, so its inverse is gᴴ.
     return _coefficients(n, g.conj().T @ _matrix(n, tracer) @ g)
 
 
@@ -271,6 +273,7 @@ def enstrophy(n: int, v: Vector) -> Scalar:
         >>> bool(jnp.isclose(fluid.enstrophy(3, fluid.velocity_coordinates(3, stream)), jnp.pi**2))
         True
     """
+    # Parseval on the torus of area (2π)².
     return (2 * np.pi) ** 2 / 2 * jnp.sum(jnp.abs(vorticity_modes(n, v)) ** 2)
 
 
@@ -294,6 +297,7 @@ def casimirs(n: int, v: Vector) -> Float[Array, "k"]:
         >>> bool(jnp.isclose(square, 2 * jnp.pi**2))
         True
     """
+    # Hermitian since the field is real; μ' = [μ, ζ] keeps the eigenvalues, of which the traces are power sums.
     values = jnp.linalg.eigvalsh(_matrix(n, vorticity_modes(n, v)))
     return (2 * np.pi) ** 2 / n * jnp.sum(values[:, None] ** jnp.arange(2, n + 1, dtype=values.dtype)[None], axis=0)
 
@@ -349,6 +353,7 @@ class Laplacian(AbstractInertia):
     @property
     def scale(self) -> float:
         """The factor in front of |m|²."""
+        # ½∫|u|²dx = ½(2π)² Σ|m|²|ψ_m|², over the n³/8π² of the dot product: 4π² · 8π²/n³.
         return 32 * np.pi**4 / self.n**3
 
 
@@ -386,6 +391,7 @@ def _unit(n: int) -> complex:
 
 
 def _frequencies(n: int) -> np.ndarray:
+    # fftfreq divides and multiplies by n, which rounds for some n.
     return np.rint(np.fft.fftfreq(n, 1 / n)).astype(int)
 
 

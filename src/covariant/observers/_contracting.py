@@ -165,6 +165,7 @@ class Contracting(AbstractFlowObserver):
         weight = jnp.where(missing, 0.0, jnp.minimum(elapsed, self.memory))
         # output_error is h − z, so that this is z, with angles nearest to the expected ones.
         correction_gain = self._gain(time, expected - error) * weight[None, :]
+        # One implicit Euler step of x' = −K (h − z) over the weight, with h linearised: (I + h_x KW) is its matrix.
         effect = jnp.eye(y.shape[0], dtype=y.dtype) + jax.jacfwd(self.model.h, 1)(time, x, u) @ correction_gain
         # The matrix is not symmetric, so its normal equations are solved; it is small.
         correction = correction_gain @ solve(effect.T @ effect, effect.T @ error)

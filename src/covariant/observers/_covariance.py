@@ -43,6 +43,7 @@ def check_covariance(whose: str, name: str, covariance: Any, positive: bool = Fa
     if not np.allclose(matrix, matrix.T, rtol=0, atol=1e-9 * largest):
         raise ValueError(f"{whose}: {name} must be symmetric; got {entries.tolist()}")
     smallest = np.linalg.eigvalsh(matrix)[0]
+    # Eigenvalues are computed to some n·eps of the largest; 1e-12 leaves a singular covariance of any size room.
     if smallest < -1e-12 * largest or (positive and not smallest > 1e-12 * largest):
         condition = "positive" if positive else "zero or more"
         raise ValueError(f"{whose}: {name} must have variances that are {condition}; its least is {smallest:.3g}")

@@ -170,11 +170,13 @@ class EKF(AbstractMechanicalFilter):
         apart = ~(used[:, None] & used[None, :]) & ~jnp.eye(n, dtype=bool)
         measurement_cov = jnp.where(apart, 0.0, self.measurement_cov)
         output = jnp.concatenate([present, jnp.zeros_like(present)], axis=1)
+        # Both covariances are symmetric, so that (S⁻¹ H P)ᵀ is the gain P Hᵀ S⁻¹.
         gain = solve(output @ state.cov @ output.T + measurement_cov, output @ state.cov).T
         error = gain @ expected.innovation
         remaining = jnp.eye(2 * n, dtype=error.dtype) - gain @ output
         # Joseph form: a sum of squares, so that rounding does not make it indefinite.
         cov = remaining @ state.cov @ remaining.T + gain @ measurement_cov @ gain.T
+        # The covariance stays in the frame of the prediction, as published; `IntrinsicKalman` moves it too.
         q, v = self.model.manifold.retract(state.q, error[:n]), state.v + error[n:]
         return state._replace(q=q, v=v, cov=(cov + cov.T) / 2)  # rounding leaves it slightly unsymmetric
 

@@ -92,6 +92,7 @@ class FilteredDerivative(AbstractLinearFilter):
         age, (present, displacement) = state.age, self._displacement(state, y)
         # A coordinate measured at this very stamp is not measured anew: the divisor 1 only avoids 0/0.
         slope = displacement / jnp.where(age > 0, age, 1.0)
+        # The exact solution of v' = ω (slope − v) over the age; expm1 keeps the digits where ω age is small.
         v = state.v + jnp.where(present, -jnp.expm1(-self.bandwidth * age) * (slope - state.v), 0.0)
         q = state.q + displacement
         new = FilteredState(q, v, jnp.where(present, 0.0, age))
@@ -111,4 +112,5 @@ class FilteredDerivative(AbstractLinearFilter):
         decay = np.exp(-bandwidth / rate)
         # Cut off after 12 time constants, where e⁻¹² is left, or at 2000 samples.
         difference = (1 - decay) * decay ** np.arange(min(2000, int(12 * rate / bandwidth) + 2)) * rate
+        # Each slope has the newer position with its weight and the older one with its negative.
         return np.append(difference, 0.0) - np.append(0.0, difference)

@@ -144,6 +144,7 @@ class Geodesic(AbstractMechanicalObserver):
     def flow(self, t: Scalar, state: GeodesicState, u: Float[Array, "m"], y: Array) -> GeodesicState:
         # A time derivative has no result to report: conjugate points are not counted.
         error = self._correction(t, state, u, y, self.budget._replace(conjugate=False))
+        # ξ = −log, hence plus α and plus β.
         w = state.v + self.alpha * error.log
         v_dot = error.drive + self.beta * error.log + friction(self.model, t, state.q, state.v, u)
         v_dot = v_dot - self.model.space.connection(state.q, w, state.v)
@@ -171,6 +172,7 @@ class Geodesic(AbstractMechanicalObserver):
             error.residual,
             outcome(new_q, new_v, y, step_result(correction, error.result)),
         )
+        # The same geodesic from the measurement, shortened: its initial velocity shrinks with its length.
         log = (1 - correction.part) * error.back
         return state._replace(q=new_q, v=new_v, log=log, age=aged(self.model, state, y)), info
 
@@ -190,7 +192,9 @@ class Geodesic(AbstractMechanicalObserver):
         log, back = jnp.where(exact, jnp.stack([-shot.arrival, shot.velocity]), jnp.stack([straight, -straight]))
         s = source(self.model, t, measured, u)
         transported = space.transport_along(measured, shot.velocity, s, budget).w
+        # From the measurement to the estimate the displacement is −straight, hence the plus sign of the transport.
         drive = jnp.where(exact, transported, s + space.connection(q, straight, s))
+        # ξ = −log, so that R(ξ, v̂)v̂ is subtracted as R(log, v̂)v̂.
         drive = drive - space.curvature(q, log, v, v) if self.curvature else drive
         residual = jnp.where(exact, shot.residual, jnp.inf)
         return _Correction(log, back, drive, residual, jnp.maximum(uniqueness(self.model, q, y), shot.result), exact)

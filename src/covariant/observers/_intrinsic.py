@@ -147,6 +147,7 @@ class Intrinsic(AbstractMechanicalObserver):
         at = measured if self.coefficients == "measured" else q
         xi = e if self.order == 1 else second_order(self.model.space, q, e)
         s = source(self.model, t, measured, u)
+        # ξ leads from the measurement to the estimate: transport along it subtracts B(ξ, S), (5).
         return xi, self.bend(at, s - self.model.space.connection(at, xi, s), xi, v)
 
 

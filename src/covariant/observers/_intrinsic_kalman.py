@@ -32,6 +32,7 @@ from covariant.observers._square_root import diagonal, normalised_square, update
 from covariant.observers._ticks import Readings, take
 from covariant.signals import Result
 
+# Three such deviations are about a quarter turn, where sin has its maximum and no linearisation is left.
 FARTHEST_TURN = 0.5
 """Standard deviation of an angle [rad] beyond which the estimate starts anew, as after a long gap in the log."""
 
@@ -366,6 +367,7 @@ class IntrinsicKalman(AbstractMechanicalFilter):
         if self.slow:
             noise = diagonal(noise, self._slow.walk_root(h).astype(noise.dtype))
         readings = state.readings and state.readings._replace(age=state.readings.age + h)
+        # Roots side by side have the sum of both covariances; the triangular factor is square again.
         root = triangular(jnp.concatenate([root, noise], axis=1))
         gate = state.gate.advanced(h)
         return state._replace(q=q, v=v, t=state.t + h, slow=slow, root=root, gate=gate, readings=readings)

@@ -171,6 +171,7 @@ class JointKalman(AbstractGatedFilter, AbstractLinearFilter):
         present = ~jnp.isnan(y)
         innovation = wrap(self.circles, jnp.where(present, y - state.q, 0.0))
         unit = self._units[0].astype(y.dtype)
+        # The root is in units of στ², so that variances are in those of σ²τ⁴.
         cov = jnp.diag(jnp.sum(state.root[:, 0] ** 2, axis=1) + self.noise**2) * unit**2 * self.motion_std**2
         noise = self.measurement_std**2 * jnp.eye(len(y), dtype=y.dtype)
         return Expectation(y, innovation, cov, noise, present)
@@ -254,6 +255,7 @@ def singer(theta: Scalar) -> tuple[Matrix, Matrix]:
     small = jnp.where(large, 1.0, theta)  # where the closed forms would be differences of equal numbers
     decay, f = jnp.exp(-theta), -jnp.expm1(-theta)
     g = jnp.where(large, theta - f, small**2 * _series(_POSITION, small))
+    # By parts: ∫f² = g − f²/2, 2∫gf = g², 2∫f e⁻ˣ = f² and ∫g e⁻ˣ = fg − ∫f².
     ff = jnp.where(large, g - f**2 / 2, small**3 * _series(_VELOCITY_SQUARE, small))  # ∫f²
     gg = theta**3 / 3 - theta**2 + 2 * (1 - (1 + theta) * decay) + ff
     gg = jnp.where(large, gg, small**5 * _series(_POSITION_SQUARE, small))  # ∫g²
@@ -278,6 +280,7 @@ def _stationary(step: np.ndarray, added: np.ndarray, noise: float) -> np.ndarray
     a, cov = step.T, added
     information = np.zeros_like(cov)
     information[0, 0] = 1 / noise
+    # After k passes 2ᵏ samples are in: 60 suffice for any filter whose memory ends.
     for _ in range(60):
         solved = np.linalg.solve(np.eye(3) + information @ cov, np.concatenate([a, information], axis=1))
         increment = a.T @ cov @ solved[:, :3]

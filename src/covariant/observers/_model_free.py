@@ -82,6 +82,7 @@ def response(step: Float[np.ndarray, "k k"], gain: Float[np.ndarray, "k"]) -> Fl
     slowest = max(np.abs(np.linalg.eigvals(closed_loop)).max(), 1e-300)
     count = MOST_WEIGHTS if slowest >= 1 else int(np.clip(np.log(1e-10) / np.log(slowest), 4, MOST_WEIGHTS))
     columns = gain[:, None]
+    # By doubling: a power of the loop takes the first k responses to the next k.
     while columns.shape[1] < count:
         columns = np.concatenate([columns, closed_loop @ columns], axis=1)
         closed_loop = closed_loop @ closed_loop

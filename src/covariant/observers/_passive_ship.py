@@ -328,8 +328,11 @@ def notch_gains(
         cutoffs = 1.22 * w if cutoff is None else _three_positive("cutoff", cutoff)
         if not (notch_damping > z).all():
             raise ValueError(f"notch_damping must exceed that of the waves, {z.max():g}; got {notch_damping:g}")
+        # From the measurement to the wave-free error this leaves a notch of damping `notch_damping` at ω, (41)–(46).
         waves = np.concatenate([np.diag(-2 * (notch_damping - z) * cutoffs / w), np.diag(2 * w * (notch_damping - z))])
+    # Without waves s² + K1 s + P1/m is (s + ω)²: the cutoff is 2ω, so that P1/m is ω².
     stiffness = m * cutoffs * bandwidths / 2
+    # With K3/m = ωcω²/20 Routh's condition for s³ + ωc s² + ½ωcω s + K3/m is ω < 10 ωc.
     bias = stiffness * bandwidths / 10 if station.bias_time is not None else np.zeros(3)
     return _gains(np.diag(cutoffs), np.diag(stiffness), np.asarray(station.ship.mass), np.diag(bias), waves)
 

@@ -571,6 +571,7 @@ def _with_last_input(advanced: Any, state: Any, u: Array) -> Any:
 
 def _input_fault(u: Array, too_large: Array, dt: Scalar) -> Code:
     """The worst fault of a sample, apart from what the observer itself reports about a missing measurement."""
+    # The least normal number: processors that flush subnormal numbers to zero see no step below it.
     tiny = jnp.finfo(dt.dtype).tiny
     faults = (
         (jnp.any(too_large), Result.COASTED),
@@ -600,6 +601,7 @@ def outcome(q: Array, v: Array, y: Array, result: Code | int = Result.OK) -> Cod
     Returns:
         The code.
     """
+    # Beyond 1/ε neighbouring floating-point numbers are 1 or more apart.
     finite = jnp.all(jnp.abs(q) < 1 / jnp.finfo(q.dtype).eps) & jnp.all(jnp.isfinite(v))
     measured = jnp.where(jnp.any(jnp.isnan(y)), int(Result.COASTED), result)
     return jnp.where(finite, measured, int(Result.NOT_FINITE)).astype(jnp.int32)
@@ -607,6 +609,7 @@ def outcome(q: Array, v: Array, y: Array, result: Code | int = Result.OK) -> Cod
 
 @eqx.filter_jit
 def _scan(observer: AbstractObserver, t: Array, u: Array, y: Array, keep: frozenset[str] | None):
+    # The input of a row is held from its stamp on, so that a step uses that of the row before.
     before = jnp.concatenate([u[:1], u[:-1]])  # the input that acted since the previous stamp
     dt = jnp.diff(t, prepend=t[:1])
 

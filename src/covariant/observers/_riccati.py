@@ -258,6 +258,7 @@ class InformationEKF(AbstractFlowObserver):
         (x, p, t), dt = state[:3], step_length(state)
         corrected, info = _correct(self.model, self.equation.measurement_cov, t, x, p, dt, u, y)
         output_jacobian, _ = _whitened_output(self.model, self.equation.measurement_cov, t, x, u, y)
+        # A sample stands for a measurement in continuous time over dt, whose information is dt h_xᵀ R⁻¹ h_x.
         return state._replace(x=corrected, information=p + dt * output_jacobian.T @ output_jacobian), info
 
     def needed_substeps(self, state: InformationState, u: Array, dt: Scalar) -> Code:
@@ -288,11 +289,13 @@ class InformationEKF(AbstractFlowObserver):
         a = jax.jacfwd(self.model.f, 1)(t, x, u)
         q = self.equation.noise(x)
         loss = self.equation.rate * p + (0.0 if q is None else p @ q @ p)
+        # P is an inverse covariance: from C' = AC + CAᵀ + Q follows P' = −P C' P.
         return -p @ a - a.T @ p - loss
 
 
 def _is_metric(p: Matrix) -> Flag:
     """Whether p is positive definite; where it is not, or not finite, there is no correction."""
+    # All pivots of the elimination are positive exactly where p is positive definite; NaN compares as false.
     return jnp.all(pivots(p) > 0)
 
 
@@ -325,6 +328,7 @@ def _correct(
 ) -> tuple[Vector, Info]:
     """Correct by y: `x − (P + w h_xᵀ R⁻¹ h_x)⁻¹ w h_xᵀ R⁻¹ (h − y)`, with w the `weight`."""
     output_jacobian, error = _whitened_output(model, measurement_cov, t, x, u, y)
+    # The least of |δ|_P² + w |h − y + h_x δ|²: positive definite with P, whatever rank h_x has.
     correction = solve(p + weight * output_jacobian.T @ output_jacobian, weight * output_jacobian.T @ error)
     positive = _is_metric(p)
     correction = jnp.where(positive, correction, 0.0)

@@ -120,6 +120,7 @@ class Salcudean(AbstractFlowObserver):
         omega, torque = self._free_motion(t, state, u, y)
         # R R̂ᵀ = R̂ (R̂ᵀR) R̂ᵀ, so R̂ rotates the vector part of R̂ᵀR into that of R R̂ᵀ.
         e = state.q @ quaternion_from_rotation(state.q.T @ y)[1:]
+        # I₀⁻¹ = R I⁻¹ Rᵀ at the measured rotation, since the momentum is in the space frame.
         injected = y @ self.model.space.raise_(y, y.T @ e)
         turning = state.q.T @ (omega + self.kv * injected)
         return SalcudeanState(

@@ -175,6 +175,7 @@ def steps_for(dt: Number, rate: Number) -> Code:
     Returns:
         The number, at least 1.
     """
+    # A NaN has no integer; one step keeps it in the state, where the result code reports it.
     count = jnp.ceil(jnp.nan_to_num(jnp.asarray(dt * rate), nan=1.0))
     return jnp.clip(count, 1, MOST_SUBSTEPS).astype(jnp.int32)
 
@@ -192,8 +193,10 @@ def sampled_gains(alpha: Number, beta: Number, dt: Number) -> tuple[Scalar, Scal
     Returns:
         k1 [1] and k2 [1/s], both 0 for dt ≤ 0.
     """
+    # Where dt ≤ 0 the 1 keeps the branch that is not taken finite, and so its derivative.
     positive_dt = jnp.where(dt > 0, dt, 1.0)
     square = beta - alpha * alpha / 4
+    # At a double pole the derivative of the root is infinite; what is computed from the 1 is not used there.
     half_gap = jnp.sqrt(jnp.where(square != 0, jnp.abs(square), 1.0))  # half the distance between the poles
     swing = jnp.where(square > 0, jnp.sin(half_gap * positive_dt / 2) ** 2, 0.0)
     # Differences from 1 by expm1 and sin²: for small dt the plain formulas cancel.
@@ -245,6 +248,7 @@ def sampled_correction(
     rounding = float(jnp.finfo(xi.dtype).eps) ** 0.5 * dt * space.norm(*motion)
     restarted = gap > LONGEST_GAP * size + rounding
     square = gap / jnp.where(size > 0, size, 1.0)
+    # ½(1 + ab) dt, since k1 = 1 − ab.
     kappa = dt * (1 - k1 / 2) - k2 * dt * dt / 6
     velocity = kappa / (1 + square / 18) * missing - k2 * xi  # for large |N| dt² it grows as x coth x does
     return Correction(jnp.where(restarted, 1.0, k1), jnp.where(restarted, 0.0, velocity), restarted)

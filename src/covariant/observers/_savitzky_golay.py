@@ -126,6 +126,7 @@ class SavitzkyGolay(AbstractLinearFilter):
             Weights (k,) [1/s], newest first.
         """
         ages = -np.arange(self.window) / rate
+        # Row 1 of the pseudoinverse gives the coefficient of the linear term, the slope at age zero.
         return np.linalg.pinv(np.vander(ages, self.order + 1, increasing=True))[1]
 
     def _fit(self, age, samples, expected: Vector, v: Vector) -> tuple[Vector, Vector]:
@@ -133,6 +134,7 @@ class SavitzkyGolay(AbstractLinearFilter):
         span = jnp.maximum(age[0], jnp.finfo(age.dtype).tiny)
         # Ages in units of the window: else the powers differ by orders of magnitude.
         powers = jnp.stack([(-age / span) ** k for k in range(self.order + 1)], axis=1)
+        # Negligible beside the squares of order 1 in a window with samples, and regular in one without.
         prior = 1e-9 * jnp.eye(self.order + 1, dtype=samples.dtype)
 
         def fit(column, start, slope):

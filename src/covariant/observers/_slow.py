@@ -203,6 +203,7 @@ class SlowStates(NamedTuple):
             The mechanical system.
         """
         pairs = list(zip(self.groups, self.parts(s), strict=True))
+        # The model first, since forces are added to the dissipation of the one that takes its place.
         for group, part in pairs:
             model = model if group.model is None else group.model(part)
         forces = [(group.force, part) for group, part in pairs if group.force is not None]
@@ -308,6 +309,7 @@ def external_force(
         raise ValueError("external_force: give a density, or both std and time")
     check_positive("external_force", time=time)
     cov = jnp.diag(jnp.asarray(_deviations("external_force", "std", std) ** 2))
+    # Stationary: density · τ/2 is the covariance in the long run.
     n, walk = len(cov), 2 / time * cov
     return Slow(_numbered(name, n), jnp.zeros(n), cov, walk, force=_itself, time=time)
 

@@ -64,6 +64,7 @@ def updated(
     # The factor has the same `A Aᵀ`: its blocks are the innovation's root, the cross term and the corrected root.
     joint = triangular(jnp.concatenate([above, below]))
     innovation_root, cross = joint[:n, :n], joint[n:, :n]
+    # The gain is cross · L⁻¹ with the innovation's root L, as cross Lᵀ (L Lᵀ)⁻¹ for a solver of symmetric systems.
     return solve(innovation_root @ innovation_root.T, innovation_root @ cross.T).T, joint[n:, n:]
 
 
@@ -80,4 +81,5 @@ def normalised_square(spread: Matrix, innovation: Vector, present: Bool[Array, "
     """
     both = present[:, None] & present[None, :]
     r = jnp.where(present, innovation, 0.0)
+    # A component that is not measured has unit variance and r = 0: it adds nothing, and the matrix stays regular.
     return r @ solve(jnp.where(both, spread, jnp.eye(len(r), dtype=r.dtype)), r)

@@ -82,6 +82,7 @@ def take(
     for i in range(len(step)):
         position, velocity = rows[0][i], rows[1][i]
         half = step[i] / 2
+        # The variance step²/12 of a uniform distribution over one tick.
         uniform = half * half / 3
         # Rounded, since the difference of two multiples of a tick is a whole number of ticks but for its last digits.
         ticks = jnp.round(jnp.abs(moved[i]) / step[i])
@@ -93,7 +94,9 @@ def take(
         # Without an edge the noise is such that the variance becomes the uniform one, if it was larger.
         wider = variance > uniform
         interval = 1 / jnp.where(wider, 1 / uniform - 1 / jnp.where(wider, variance, 1.0), 1.0)
+        # The time of an edge is uniform over the age: its variance age²/12, times the mean square of the speed.
         r = noise[i] + jnp.where(edge, mean_square_speed * age[i] ** 2 / 12, jnp.where(still, interval, uniform))
+        # The edge is half a tick before the new reading, at the position that was `back` seconds ago.
         measured = offset[i] - jnp.where(edge, jnp.sign(moved[i]) * half - back * speed[i], 0.0)
         state = _scalar(state, position - back * velocity, measured, r, used[i] & (wider | ~still))
         state = _clamped(state, position, offset[i], half + jnp.sqrt(noise[i]), used[i])

@@ -114,6 +114,7 @@ def _padded(low: float, high: float, log: bool) -> tuple[float, float]:
     """Ends with a margin; equal ends, or ends that differ by rounding only, with a margin that shows their level."""
     size = max(abs(low), abs(high))
     level = 0.5 if log else 0.1 * size or 1.0
+    # Ends closer than nine digits differ by rounding: their difference would fill the panel with noise.
     air = 0.06 * (high - low) if high - low > 1e-9 * size else level
     return low - air, high + air
 

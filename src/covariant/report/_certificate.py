@@ -181,6 +181,7 @@ def _draw_tube(ax: "matplotlib.axes.Axes", motion: Trajectories, certificate: Co
     names, units = _names(certificate)
     x, y = motion.positions[:, i], motion.velocities[:, i]
     half = motion.half_widths[[i, i + n]]
+    # The tube is drawn as rectangles: 16 between two samples overlap to a band without steps.
     dense = np.linspace(0, len(x) - 1, 16 * len(x))
     steps = np.arange(len(x))
     middles = np.stack([np.interp(dense, steps, x), np.interp(dense, steps, y)], axis=1)

@@ -130,6 +130,7 @@ def span(values: Float[np.ndarray, "T c"]) -> Float[np.ndarray, "c"]:
         Largest minus smallest sample (c,), 0 for a column without any.
     """
     finite = np.isfinite(values)
+    # With infinities, since nanmax warns of a column without a finite sample.
     high = np.where(finite, values, -np.inf).max(axis=0)
     low = np.where(finite, values, np.inf).min(axis=0)
     return np.where(finite.any(axis=0), high, 0.0) - np.where(finite.any(axis=0), low, 0.0)

@@ -79,6 +79,7 @@ def _y_axis(quantity: Quantity, column: int, limits: AxisRange | None) -> dict[s
     if limits is None:
         axis |= {"showticklabels": False, "ticks": ""}
     else:
+        # plotly takes the ends of a logarithmic axis as exponents of 10.
         axis["range"] = [math.log10(y) if quantity.log else y for y in (limits.low, limits.high)]
     return axis
 

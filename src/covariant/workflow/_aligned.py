@@ -55,6 +55,7 @@ def aligned(job: Job) -> Aligned:
     loaded = load(undelayed, why="this command takes")
     if np.ptp(delay) > 0:
         loaded = _together(loaded, delay)
+    # What moves a position back by its delay moves an input on by as much against it.
     between, late = file.input_between, file.input_delay + float(delay.max())
     raw, lagging = loaded.log.record, lag_inputs(loaded.log.record, file.input_lag)
     log = loaded.log._replace(record=acting_inputs(raw, between, late))
@@ -73,4 +74,5 @@ def _together(loaded: Loaded, delay: np.ndarray) -> Loaded:
     t = np.asarray(record.t)
     slopes = scoring.zero_phase_velocity(t, np.asarray(record.y), t, file.reference_half, int(file.reference_order))
     reference = ReferenceVelocity(slopes, "zero-phase reference", scoring.scored_window(t))
+    # Velocities and truth of the log are those at its stamps, not at these times.
     return loaded._replace(log=log._replace(record=record, v=None, truth=None), reference=reference)

@@ -45,6 +45,7 @@ def numbers(
         raise ValueError(f"{argument}: {given!r} is not a list of numbers") from None
     counts = (1, len(names)) if one else (len(names),)
     fits = values.ndim == 1 and len(values) in counts
+    # `initial`: a model without inputs has no number here, and an empty array has no minimum.
     if not fits or not np.isfinite(values).all() or (positive and values.min(initial=1.0) <= 0):
         whose = f", for {', '.join(names)}" if names else ""
         needed = "one number, or " if one and len(names) > 1 else ""
@@ -83,6 +84,7 @@ def amounts(argument: str, given: Amounts, names: Sequence[str]) -> Float[np.nda
     """
     finite(argument, given)
     limits = numbers(argument, given, names, one=True)
+    # As above: there may be no bound at all.
     if limits.min(initial=0.0) < 0:
         raise ValueError(f"{argument}: bounds must not be negative; got {_shown(limits)}")
     return limits

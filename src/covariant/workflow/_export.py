@@ -125,6 +125,7 @@ def export(
     # A simulator asks a unit for steps of any length; firmware has one step length, and must do the same work in each.
     fixed = exported.observer if unit else _of_fixed_length(exported, rate, file)
     informed = any(entry.name == exported.name and entry.knows_model for entry in REGISTRY)
+    # Only an observer with a model can predict from the time of a late reading to the present.
     delayed = Delayed(fixed, file.delay, rate) if informed and float(np.max(file.delay)) > 0 else fixed
     progress(f"writing {prefix}")
     written = _program(label, delayed, family, file, parameters, real, exported.measured[0], unit)
@@ -269,6 +270,7 @@ def _program(
         if closed:
             raise ValueError(f"{name}: no code can be written: {error}") from error
     try:
+        # The function from numbers to model may be no graph of scalars while the model is: then its arrays are open.
         return program(_usual(observer), y, inputs, real, loops)  # pyright: ignore[reportArgumentType]
     except LoweringError as error:
         remedy = "" if "table" in str(error) else "; try without numbers that may be changed (--parameters none)"

@@ -59,6 +59,7 @@ def fit_to_logs(
     family = models.family(spec, names, overrides)
     logs = [aligned(job) for job in jobs]
     file, references = logs[0].loaded.file, [log.loaded.reference.v for log in logs if log.loaded.reference]
+    # Of a single log the held-out third must hold enough windows too.
     part = 1 - FITTED if len(jobs) == 1 else 1.0
     length = horizon(logs[0].raw, references[0], part) if length is None else length
     known = file.input_between != BETWEEN[0] or "between" in models.document(spec, overrides).get("inputs", {})
@@ -83,6 +84,7 @@ def fit_to_logs(
     gain = _gain(family, {word: part[0] for word, part in parts.items()}, fits)
     used = BETWEEN[1] if gain is not None and gain.clear and gain.of_linear > 0 else tried[0]
     best, held_out = fits[used], parts[used][1]
+    # Before the fit no way between stamps was chosen: the first is the one that the model file would use.
     before = prediction_errors(*family.make(best.first), parts[tried[0]][1])
     after = prediction_errors(*family.make(best.values), held_out)
     content = _document(family, best, jobs)

@@ -132,10 +132,12 @@ class InitResult(AbstractResult):
         path = Path(path)
         check_output(path, ".toml", log=self.log)
         texts = {path.with_name(name): text for name, text in self.texts(path.stem).items()}
+        # All names are free before the first file is written.
         for existing in [file for file in texts if file.exists() and not overwrite]:
             raise ValueError(f"{existing}: there is such a file already, and it is not overwritten; give another name")
         for file, text in texts.items():
             write_atomically(file, lambda stream, text=text: stream.write(text.encode()))
+        # A draft that cannot be loaded fails here, and not in the command after it.
         models.load(str(path))
         return path
 

@@ -175,6 +175,7 @@ def load(job: Job, score: bool = True, why: str = "") -> Loaded:
         needed = columns if isinstance(job.log, Record) else columns._replace(u=(), v=())
         full = log if whole else logs.read(job.log, needed)
         reference = ReferenceVelocity(*_slopes(file, log, full), scoring.scored_window(t))
+    # The median interval: a gap in the log does not change the rate.
     return Loaded(file, model, log, record, 1 / float(np.median(np.diff(t))), reference, note + _delay_note(file))
 
 
@@ -259,8 +260,10 @@ def _off_ticks(quantum: float, steps: np.ndarray) -> str:
     if ticks.size == 0:
         return ""
     least = np.quantile(ticks, 0.01, method="lower")  # not the minimum, which a single outlier decides
+    # A quantile: single wrong cells are off by anything.
     if np.quantile(np.abs(steps - np.round(steps)), 0.95) >= OFF_TICK:
         return f"are not whole ticks of {quantum:.4g} apart"
+    # All changes are multiples of several ticks: the encoder's tick is that multiple, and `quantum` is too fine.
     if least > 1 and ticks.size >= FEWEST_MOVES and np.mean(ticks % least == 0) > 0.95:
         return f"are multiples of {least:.0f} ticks of {quantum:.4g} apart"
     return ""
@@ -323,12 +326,14 @@ def _slopes(file: models.ModelFile, log: logs.Log, full: logs.Log) -> tuple[np.n
             # A row at t shows the position at t − delay.
             slopes[:, alike] = scoring.zero_phase_velocity(t - delay, y[:, alike], at, half, order)
         return slopes, "zero-phase reference"
+    # All of a pose is read at once, so that there is one delay.
     t = t - np.max(file.delay)
     twists = [
         scoring.zero_phase_twist(t, g, at, half, order, body.space)
         for body, g in zip(logs.bodies(file.columns), logs.matrices(file.columns, y), strict=True)
     ]
     joints = logs.coordinates(file.columns, y)
+    # The joints are the last columns of a configuration, and circles are counted over all of them.
     circles = tuple(i - (y.shape[1] - joints.shape[1]) for i in file.model.circles)
     rates = [scoring.zero_phase_velocity(t, scoring.unwrap(joints, circles), at, half, order)] if joints.size else []
     return np.concatenate([*twists, *rates], axis=1), "zero-phase reference"

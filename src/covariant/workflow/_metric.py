@@ -273,6 +273,7 @@ def _equation(
 def _rate(model: StateSpace, grid: Grid, longest: float, u: Float[Array, "m"] | None) -> float:
     """λ from the Gramians at fixed random states of the box."""
     low, high = np.asarray(grid.low, float), np.asarray(grid.high, float)
+    # A fixed seed: λ is part of the equation, and a run that goes on must have the same one.
     points = np.random.default_rng(0).uniform(low, high, (STATES, len(low)))
     return rate_from_gramian(model, jnp.asarray(points), longest, u)
 

@@ -83,11 +83,13 @@ def drive(observer: AbstractObserver, loaded: Loaded, engine: Engine = "auto", t
     spent = float("inf")
     for _ in range(3 if timed else 0):  # the quickest of three, since other load only lengthens a run
         began = time.perf_counter()
+        # The engine that did the first run, by its name: what it compiled is used again.
         jax.block_until_ready(run_log(observer, loaded.record, KEPT, "c" if by == "c" else "jax")[0])
         spent = min(spent, time.perf_counter() - began)
     velocity = np.asarray(loaded.model.sought.of(run.estimate))
     score = None if loaded.reference is None else _score(velocity, run.info, loaded.reference)
     each = 1e6 * spent / len(run.t) if timed else math.nan
+    # Behind a gate or a delay, too.
     named = getattr(getattr(observer, "observer", observer), "slow_names", ())
     return Outcome(run, velocity, _nis(run.info, loaded), score, each, by, named)
 

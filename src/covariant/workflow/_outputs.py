@@ -35,6 +35,7 @@ def check_output(
         raise ValueError(f"{path}: there is a folder of this name, and it is not replaced; give another name")
     if not path.parent.is_dir():
         raise ValueError(f"{path}: there is no folder {path.parent}; make it first")
+    # `samefile` and not equality: a link or another spelling of the path is the log too.
     if isinstance(log, str | Path) and path.exists() and Path(log).exists() and path.samefile(log):
         raise ValueError(f"{path}: this is the log itself; write to another file")
     if path.exists() and not (overwrite or store):

@@ -74,6 +74,7 @@ def tune_to_logs(jobs: list[Job], engine: EngineName, progress: Progress) -> Tun
     before = None
     if file.typical_std is not None and file.acceleration_std is not None:
         before = data_sheet(file)
+    # No reading is better than the rounding to its ticks.
     known = None if file.quantum is None else np.broadcast_to(np.asarray(file.measurement_std), file.dimension)
     records, velocities = [one.record for one in loaded], [one.reference.v for one in loaded if one.reference]
     runs = _Runs(engine)
@@ -156,6 +157,7 @@ def _content(job: Job, tables: dict[str, dict[str, Any]]) -> dict[str, Any]:
         content.setdefault(table, {}).update(numbers)
     if "external_force" not in tables["uncertainty"]:
         content["uncertainty"].pop("external_force", None)
+    # std stands in its place: a model file may not have both.
     if "measurement" in tables:
         content["measurement"].pop("quantum", None)
     return content

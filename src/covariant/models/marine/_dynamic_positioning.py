@@ -138,6 +138,7 @@ class Station(eqx.Module):
         if "bias" in part:
             force = force + turn.T @ part["bias"]  # b is in north and east, the force in the body frame
         drive = jnp.zeros(3 * (("waves" in part) + ("bias" in part)), x.dtype) if noise is None else noise
+        # The restoring force turns by the same heading: measured, both rotations are known functions of time.
         rates = [turn @ nu, self.ship.acceleration(eta.at[2].set(heading), nu, force)]
         if self.waves is not None:
             w, z, k = (
@@ -146,6 +147,7 @@ class Station(eqx.Module):
             place, speed = jnp.split(part["waves"], 2)
             rates += [speed, -(w**2) * place - 2 * z * w * speed + k * drive[:3]]
         if self.bias_time is not None:
+            # A time constant of infinity leaves the noise alone: a random walk.
             rates.append(-part["bias"] / self.bias_time + drive[-3:])  # last, with or without waves before it
         if self.thruster_time is not None:
             rates.append((u - part["thrust"]) / self.thruster_time)

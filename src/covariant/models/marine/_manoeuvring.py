@@ -105,6 +105,7 @@ def manoeuvring_ship(
     h, p, r = _merge("hull", HULL, hull), _merge("propeller", PROPELLER, propeller), _merge("rudder", RUDDER, rudder)
     mass, scale = density * displacement, density / 2 * length * draught
     added = {"x": 0.022 * scale * length, "y": 0.223 * scale * length, "z": 0.011 * scale * length**3}
+    # Radius of gyration L/4, as the source assumes; the moment is about midships, hence Steiner's term.
     turning = mass * (length / 4) ** 2 + centre**2 * mass + added["z"]
     ratio = propeller_diameter / rudder_height
     return StateSpace(
@@ -185,6 +186,7 @@ def _forces(nu, delta, n, length, scale, ratio, diameter, rudder_area, wake, den
     u, v, yaw = nu
     speed = jnp.maximum(jnp.sqrt(u**2 + v**2), 1e-9)  # a divisor below
     turn = yaw * length
+    # v' = v/U and r' = rL/U, so U² times a quadratic term is free of U, and a cubic one keeps 1/U.
     x = -hull["R0"] * speed**2 + hull["Xvv"] * v**2 + hull["Xvr"] * v * turn + hull["Xrr"] * turn**2
     x = x + hull["Xvvvv"] * v**4 / speed**2
     cubic = (v**3, v**2 * turn, v * turn**2, turn**3)
@@ -193,6 +195,7 @@ def _forces(nu, delta, n, length, scale, ratio, diameter, rudder_area, wake, den
         + sum(hull[f"{a}{name}"] * c for name, c in zip(("vvv", "vvr", "vrr", "rrr"), cubic, strict=True)) / speed
         for a in "YN"
     )
+    # Positive for a motion to port, v < 0: the water then comes from that side.
     drift = jnp.arctan2(-v, u)
     inflow = drift + 0.5 * turn / speed  # the propeller is at half a length aft
     swirl = jnp.where(inflow > 0, propeller["C2+"], propeller["C2-"]) - 1
@@ -204,6 +207,7 @@ def _forces(nu, delta, n, length, scale, ratio, diameter, rudder_area, wake, den
     rudder_drift = drift - rudder["arm"] * turn / speed
     cross = speed * rudder_drift * jnp.where(rudder_drift > 0, rudder["straightening+"], rudder["straightening-"])
     # Speed of the propeller's jet by momentum theory; a braking thrust may leave no real root.
+    # The source divides by the advance ratio J; times its square, no inflow or no revolutions stay finite.
     jet = jnp.sqrt(jnp.maximum(inflow_speed**2 + 8 * thrust_coefficient * tip**2 / math.pi, 0.0))
     along = rudder["wake"] * jnp.sqrt(
         ratio * (inflow_speed + rudder["jet"] * (jet - inflow_speed)) ** 2 + (1 - ratio) * inflow_speed**2
@@ -211,6 +215,7 @@ def _forces(nu, delta, n, length, scale, ratio, diameter, rudder_area, wake, den
     lift = (
         density / 2 * rudder_area * (along**2 + cross**2) * rudder["lift"] * jnp.sin(delta - jnp.arctan2(cross, along))
     )
+    # For δ > 0 the ship feels −F_N across: it pushes the stern to port, and so turns the bow to starboard.
     side = lift * jnp.cos(delta)
     return jnp.stack(
         [

@@ -119,6 +119,7 @@ def _damping(nu, linear, square):
 def _restoring(eta, torque):
     roll, pitch = eta[3], eta[4]
     zero = jnp.zeros_like(roll)
+    # ∂/∂(roll, pitch) of −torque cos(roll) cos(pitch), here as the moment in the body frame, Fossen 2011, (4.6).
     tilt = [torque * jnp.cos(pitch) * jnp.sin(roll), torque * jnp.sin(pitch)]
     return jnp.stack([zero, zero, zero, *tilt, zero])
 
@@ -129,6 +130,7 @@ def _potential(g, torque):  # z is down, so the energy is lowest where the body'
 
 def _inertia_matrix(mass: float, inertia: Sequence[float], added_mass: Sequence[float]) -> np.ndarray:
     """M (6, 6), equation (82)."""
+    # No coupling m z_g of translation and rotation: for a sphere (82) is diagonal.
     return np.diag(np.asarray([mass] * 3 + list(inertia), float) + np.asarray(added_mass, float))
 
 

@@ -97,6 +97,7 @@ def supply_vessel(
         >>> round(vessel.mass[0, 0].item() / 6000e3, 4)  # added mass in surge included
         1.1274
     """
+    # Yaw is the only angle: its rows and columns carry a length each, so moments scale with L².
     stretch = np.diag([1.0, 1.0, length])
     m = mass * stretch @ np.asarray(inertia, float) @ stretch
     d = mass * np.sqrt(gravity / length) * stretch @ np.asarray(damping, float) @ stretch

@@ -219,6 +219,7 @@ def _with_motors(joint: Joint, motors: Sequence[Motor]) -> Joint:
     """The joint with the springs and dampers of the servos that drive it."""
     drives = [motor for motor in motors if motor.joint == joint.name]
     stiffness = joint.stiffness + sum(motor.stiffness for motor in drives)
+    # Springs in parallel: stiffnesses add, and so do the torques at θ = 0, each stiffness · rest.
     torque = joint.stiffness * joint.rest + sum(motor.constant for motor in drives)
     if torque and not stiffness:
         raise ValueError(f"joint {joint.name!r}: a motor with a constant bias is not supported; add it to the input")
@@ -269,6 +270,7 @@ def _with_followers(robot: Description, locked: dict[str, float]) -> dict[str, f
     """The locked joints, and those that follow one of them."""
     still = locked | {joint.name: 0.0 for joint in robot.joints if joint.kind == "fixed"}
     still |= {j.name: j.follows.offset for j in robot.joints if j.follows is not None and not j.follows.joint}
+    # A follower may follow a follower: each pass settles one more link of the chain, so the loop ends.
     while True:
         more = {
             joint.name: joint.follows.ratio * still[joint.follows.joint] + joint.follows.offset
@@ -355,6 +357,7 @@ def _motions(joint: Joint) -> list[tuple[str, np.ndarray, np.ndarray, bool]]:
         return [(joint.name, joint.axis, none, joint.kind == "continuous")]
     if joint.kind == "ball":
         return [(f"{joint.name}_{x}", axis, none, False) for x, axis in zip("xyz", np.eye(3), strict=True)]
+    # The coordinate axis least along the normal: its part in the plane is at least √(2/3) long.
     first = np.eye(3)[np.argmin(np.abs(joint.axis))]
     first = first - joint.axis * (first @ joint.axis)
     first = first / np.linalg.norm(first)

@@ -44,6 +44,7 @@ class BodyInertia(NamedTuple):
         Returns:
             The inertia about the origin of the frame.
         """
+        # With S the second moment, I = tr(S) 1 − S, so tr(I) = 2 tr(S).
         central = np.trace(about_centre) / 2 * np.eye(3) - about_centre
         return cls(mass, mass * centre, central + mass * np.outer(centre, centre))
 
@@ -77,6 +78,7 @@ class BodyInertia(NamedTuple):
     @property
     def about_centre(self) -> np.ndarray:
         """Inertia tensor (3, 3) about the centre of mass [kg m²]."""
+        # Without mass there is no centre, and the quotient would be 0/0.
         central = self.second - np.outer(self.first, self.first) / self.mass if self.mass > 0 else self.second
         return np.trace(central) * np.eye(3) - central
 

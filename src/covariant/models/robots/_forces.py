@@ -85,6 +85,7 @@ def resistance(
         Covector (b + n,).
     """
     rates = coordinates @ v[base.shape[0] :]
+    # atan tends to π/2, so the factor makes `friction` the torque far from rest.
     torque = damping * rates + friction * (2 / jnp.pi) * jnp.arctan(COULOMB_STEEPNESS * rates)
     # coordinatesᵀ by virtual work: the power is −torque · rates ≤ 0.
     return jnp.concatenate([base, -coordinates.T @ torque])

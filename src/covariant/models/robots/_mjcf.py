@@ -138,6 +138,7 @@ def _body(read: _Reader, i: int, links: dict[str, BodyInertia], joints: list[Joi
     """Add a body, its joints, and a link without mass between any two of them."""
     model = read.model
     axes = _rotation(model.body_iquat[i])
+    # `ipos`, `iquat`: the compiler gives the moments along principal axes, about the centre of mass.
     inertia = BodyInertia.of(
         float(model.body_mass[i]), np.array(model.body_ipos[i]), axes @ np.diag(model.body_inertia[i]) @ axes.T
     )
@@ -160,6 +161,7 @@ def _body(read: _Reader, i: int, links: dict[str, BodyInertia], joints: list[Joi
         anchor = np.array(model.jnt_pos[k])
         joints.append(_joint(read, k, above, below, rotation, place + rotation @ (anchor - origin)))
         links[below] = inertia.moved(np.eye(3), -anchor) if last else NO_INERTIA
+        # Further joints of a body are in its frame, each at its own anchor.
         above, rotation, place, origin = below, np.eye(3), np.zeros(3), anchor
 
 
@@ -244,6 +246,7 @@ def _coupled(read: _Reader, joints: list[Joint]) -> list[Joint]:
         if other < 0:
             coupled[name] = coupled[name]._replace(follows=Follows("", 0.0, start + constant))
         else:
+            # MuJoCo's polynomial holds between deviations from qpos0: q − q₀ = c₀ + c₁ (p − p₀).
             offset = start + constant - ratio * float(model.qpos0[model.jnt_qposadr[other]])
             coupled[name] = coupled[name]._replace(follows=Follows(read.names[other], ratio, offset))
     return list(coupled.values())
@@ -261,6 +264,7 @@ def _motors(read: _Reader) -> tuple[Motor, ...]:
         linear = (int(mujoco.mjtBias.mjBIAS_NONE), int(mujoco.mjtBias.mjBIAS_AFFINE))
         joint = int(model.actuator_trnid[i, 0])
         hinged = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+        # A bias of the type none leaves numbers in biasprm that MuJoCo does not use.
         if int(model.actuator_biastype[i]) == linear[0]:
             bias = bias * 0
         kind = int(model.jnt_type[joint]) if int(model.actuator_trntype[i]) in hinged else None

@@ -147,6 +147,7 @@ class RobotSpace(AbstractSpace):
             mass, first, second = whole.mass[i + 1], whole.first[i + 1], whole.second[i + 1]
             turned = rotation @ first
             aside = jnp.outer(turned, place)
+            # Moments of the points R r + p, about the origin of the parent.
             moved = rotation @ second @ rotation.T + aside + aside.T + mass * jnp.outer(place, place)
             moved = jnp.where(UPPER, moved, moved.T)  # symmetric to the last bit: when lowered, half the work
             return Moments(
@@ -156,6 +157,7 @@ class RobotSpace(AbstractSpace):
             ), None
 
         bodies = (order, parents, *joints)
+        # In reverse, children before parents: a composite body is complete when it is passed on.
         whole = jax.lax.scan(collect, self._bodies(x), bodies, reverse=True)[0]
         turn, slide = (axis.astype(x.dtype) for axis in (tree.turn, tree.slide))
         each = Moments(*(part[1:] for part in whole))
@@ -170,6 +172,7 @@ class RobotSpace(AbstractSpace):
             row = carries * (force @ slide + moment @ turn)
             force = force @ rotation.T
             moved = jnp.concatenate([force, moment @ rotation.T + jnp.cross(place[None], force)], axis=1)
+            # Momenta of bodies not carried here are on another branch: their frames do not change in this step.
             return jnp.where(carries[:, None] > 0.5, moved, columns), row
 
         bodies = (order, *joints, turn, slide, by_joint, carried)
@@ -239,6 +242,7 @@ class RobotSpace(AbstractSpace):
         def normal(along, spin, inertia):
             """What mass points with these moments resist `II(along, c)` with."""
             field = self._accelerations(joints, along, c, spin, spin_c, twists[0, :3])
+            # The part along the motions is what the constraint forces leave: its momentum is the gathered resistance.
             within = _solve_leaves_first(matrix, gathered(_wrench(_resistance(moments, field)))[0])
             speed, twist = _split(self._all_twists(joints, within))
             return _resistance(inertia, PointField(field.offset - speed, _plus_cross(field.gradient, -1, twist)))
@@ -432,12 +436,15 @@ class RobotSpace(AbstractSpace):
         tree, rates_a, rates_b = self.tree, self.joint_rates(a)[:, None], self.joint_rates(b)[:, None]
         turn, slide = tree.turn.astype(b.dtype), tree.slide.astype(b.dtype)
         k1 = len(tree.parents) + 1
+        # A sliding axis turns with its body: each of the two rates is turned by the other's spin (Coriolis).
         sliding = jnp.cross(spin_b[1:k1], slide * rates_a) + jnp.cross(spin_a[1:k1], slide * rates_b)
+        # The axes of a ball joint's three bodies all stand still in the frame that it carries.
         frame_spin = spin_a[1 + tree.frames()] if tree.balls else spin_a[1:k1]
         spun = jnp.cross(frame_spin, turn * rates_b)
 
         def points(angular, spin_a, spin_b):
             """The matrix of `r ↦ α × r + ω_b × (ω_a × r)`."""
+            # ω_b × (ω_a × r) = ω_a (ω_b·r) − (ω_a·ω_b) r.
             twice = jnp.outer(spin_a, spin_b)
             return _plus_cross(twice - jnp.trace(twice) * jnp.eye(3, dtype=twice.dtype), 1, angular)
 
@@ -452,6 +459,7 @@ class RobotSpace(AbstractSpace):
             return (now, angular.at[i + 1].set(turned)), None
 
         parents = jnp.asarray([p + 1 for p in tree.parents])
+        # The base's twist has constant components in its own frame: only the turn of that frame, by ω_a, changes it.
         angular = jnp.cross(spin_a[0], spin_b[0])
         none = jnp.zeros((k1, 3), b.dtype)
         start = PointField(
@@ -546,6 +554,7 @@ def _resistance(moments: Moments, field: PointField) -> PointField:
 def _wrench(resisted: PointField) -> Float[Array, "k1 6"]:
     """Force `∫ρ N` and moment `∫ρ r × N` of each body."""
     force, dual = resisted
+    # Negative indices step cyclically: entry 0 is r₁N₂ − r₂N₁, and so on.
     moment = [dual[:, i - 1, i - 2] - dual[:, i - 2, i - 1] for i in range(3)]
     return jnp.concatenate([force, jnp.stack(moment, axis=1)], axis=1)
 

@@ -65,6 +65,7 @@ def with_rotors(
         if inertia < 0:
             raise ValueError(f"{where}: {ROTOR} must not be negative; got {inertia:g} kg m²")
         by_name[joint.name] = joint._replace(
+            # The energy ½J(n q')² is that of n²J at the joint.
             armature=joint.armature + reduction**2 * inertia,
             reductions=(*joint.reductions, reduction) if geared else joint.reductions,
         )
@@ -74,6 +75,7 @@ def with_rotors(
 def _reduction(entry: Element, where: str) -> float:
     """Turns of the motor for one of the joint, or for 1 m: 1 where nothing is stated."""
     stated = {name_of(part): _value(part, where) for part in entry.iter() if name_of(part) in REDUCTIONS}
+    # Both names of a reduction may be given, but not with different numbers.
     if len(set(stated.values())) > 1:
         raise ValueError(f"{where}: " + " and ".join(f"{k} {v:g}" for k, v in stated.items()) + " differ; keep one")
     reduction = next(iter(stated.values()), 1.0)

@@ -75,6 +75,7 @@ class KinematicTree(eqx.Module):
         k = len(self.parents)
         bodies = np.eye(k, dtype=bool)
         for i in reversed(range(k)):
+            # From the last body to the first: what a body carries is complete when its parent takes it over.
             if self.parents[i] >= 0:
                 bodies[self.parents[i]] |= bodies[i]
         return bodies

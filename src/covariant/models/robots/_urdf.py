@@ -94,6 +94,7 @@ def _inertia(link: Element, name: str) -> BodyInertia:
     if mass is None or moments is None:
         raise ValueError(f"{where}: <inertial> needs <mass> and <inertia>")
     xx, xy, xz, yy, yz, zz = (
+        # The moments are required by the specification; files often leave out products that are zero.
         number(moments, key, where, 0.0 if key in ("ixy", "ixz", "iyz") else None)
         for key in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
     )
@@ -113,11 +114,13 @@ def _joint(entry: Element, name: str) -> Joint:
             raise ValueError(f"{where}: <{end} link=…/> is missing")
         ends[end] = attribute(tag, "link", where)
     rotation, place = _origin(entry, where)
+    # The specification's default axis is x.
     axis = vector(entry.find("axis"), "xyz", where, (1.0, 0.0, 0.0))
     length = np.linalg.norm(axis)
     if kind not in WITHOUT_AXIS and not length > 1e-9:
         raise ValueError(f"{where}: the axis must have a direction; got {axis.tolist()}")
     dynamics, limit, mimic = entry.find("dynamics"), entry.find("limit"), entry.find("mimic")
+    # The specification has 0 for a limit that is not stated, and limits a continuous joint by none.
     lower, upper = (
         (-np.inf, np.inf)
         if limit is None or kind in ("continuous", *WITHOUT_AXIS)

@@ -21,8 +21,10 @@ def parse(path: Path) -> Element:
         ValueError: The file is not readable, or declares document types or entities.
     """
     data = path.read_bytes()
+    # UTF-16 has NUL bytes between letters, and would hide the words that are searched for below.
     if b"\0" in data:
         raise ValueError("is not text in UTF-8; save it as such")
+    # Entities can grow exponentially (billion laughs) or name files to read.
     if b"<!DOCTYPE" in data or b"<!ENTITY" in data:
         raise ValueError("declares a document type or entities, which a robot description has no need of; remove them")
     try:
