@@ -217,7 +217,7 @@ def test_a_gate_makes_the_step_of_the_observer_when_nothing_is_wrong():
     y = jnp.asarray(y)
     a, b = pure.init(y[0]), inside.init(y[0])
     a, b = far(a), b._replace(inner=far(b.inner))
-    b = b._replace(left=BODY.manifold.towards(a.q, y[0]))
+    b = b._replace(gate=b.gate._replace(left=BODY.manifold.towards(a.q, y[0])))
     for each in y[1:]:
         a, b, i, j = both(a, b, each)
         assert int(j.result) == Result.OK

@@ -6,14 +6,13 @@ from covariant.codegen._program import Program
 from covariant.codegen._source import SENTENCE, field
 
 
-def companions(program: Program, name: str, about: str, rate: float) -> dict[str, str]:
+def companions(program: Program, name: str, about: str) -> dict[str, str]:
     """The files beside an exported observer: CMake, Arduino, a class in C++ and a README.
 
     Args:
         program: The observer as graphs.
         name: Prefix of all names in C.
         about: A line that says what the observer is, for comments and texts.
-        rate: Sampling rate [Hz] of the example.
 
     Returns:
         The texts by file name. The self-test is in a separate folder, which Arduino does not compile.
@@ -25,7 +24,6 @@ def companions(program: Program, name: str, about: str, rate: float) -> dict[str
         "@SENTENCE@": SENTENCE,
         "@Y@": str(_count(program)),
         "@U@": str(max(1, program.u)),
-        "@DT@": f"{1 / rate:g}{'f' if program.real == 'float' else ''}",
         "@FIRST@": f"{field(program.x[-1])}{'[0]' if program.x[-1].shape else ''}",
         "@REAL@": program.real,
     }

@@ -55,7 +55,7 @@ def export_texts(
         f"{name}.c": source.source,
         f"test/{name}_test.c": write_test(program, name, vectors(program, measured, facts.rate)),
         "DATASHEET.md": data_sheet(program, source, about, facts),
-        **companions(program, name, about, facts.rate),
+        **companions(program, name, about),
     }
 
 

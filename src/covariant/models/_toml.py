@@ -50,7 +50,7 @@ _KEYS = {"columns": _NAMES, "units": tuple(name for name in _NAMES if name not i
     table: tuple(key for other, key in (*NUMBERS, *WORDS, UNCERTAIN) if other == table)
     for table in dict.fromkeys(table for table, _ in NUMBERS)
 }
-_QUOTED = re.compile(r"""\"(?:[^"\\\\]|\\\\.)*\"|'[^']*'""")
+_QUOTED = re.compile(r"""\"(?:[^"\\]|\\.)*\"|'[^']*'""")
 _ODD_NUMBER = re.compile(r"(?<![\w-])[+-]?(?:0[xob]\w|[0-9.]+_)")
 """TOML allows underscores and hexadecimal numbers; on a command line these are more likely typing errors."""
 _MAY_BE_ZERO = {("inputs", "lag"), ("inputs", "delay"), ("measurement", "delay")} | {

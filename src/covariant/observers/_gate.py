@@ -116,14 +116,12 @@ class Gate(eqx.Module):
         # All readings since the velocity changed are on the line: later in a burst, three in a row are so by chance.
         moved = straight & joined & (memory.refused <= 2) & complete & _credible(manifold, line, predicted, usual)
         restart = patient | jnp.any(moved)
-        judged = memory.judged(line, present, far, scale)
-        judged = jax.tree.map(lambda a, b: jnp.where(restart, a, b), judged.restarted(), judged)
         velocity = predicted
         if usual is not None:
             mean = predicted.mean + jnp.where(straight, line.slope, 0.0)
             cov = jnp.where(patient, usual, predicted.cov)
             velocity = Velocity(mean, _with_block(cov, line.slope_cov(sample.noise, memory.scale), moved))
-        return Judged(far, moved, restart, velocity, judged)
+        return Judged(far, moved, restart, velocity, memory.judged(line, present, far, scale))
 
     def _limit(self, n: int) -> float:
         """The squared length that n standard Gaussian numbers exceed as rarely as a single one exceeds `deviations`."""
@@ -164,13 +162,13 @@ def _shape(line: Line, noise: Matrix) -> tuple[Flag, Flag]:
     step, length = line.step[0], line.length[0]
     columns = half_solve(noise, jnp.stack([line.slope, line.bend, line.change], axis=1)) / len(noise) ** 0.5
     slope, bend, change = columns.T
-    speed = jnp.sqrt(slope @ slope)
-    # The bend is a second difference, of the variance 1 + 4 + 1.
-    straight = (speed * step >= MOVING) & (jnp.sqrt(bend @ bend) <= AGREEING * 6**0.5 + BEND * speed * step)
+    displacement = slope @ slope * step**2
+    # The bend is a second difference of noise, of the variance 1 + 4 + 1, and of the motion.
+    straight = (displacement >= MOVING**2) & (bend @ bend <= 6 * AGREEING**2 + BEND**2 * displacement)
     # q is continuous: the velocity changed at some time between the last used reading and the reading before this one.
     since = jnp.clip(slope @ change / jnp.maximum(slope @ slope, jnp.finfo(slope.dtype).tiny), step, length)
-    apart = change - since * slope
-    joined = jnp.sqrt(apart @ apart) <= AGREEING * (1 + since / step) + BEND * since * speed
+    apart, steps = change - since * slope, since / step
+    joined = apart @ apart <= AGREEING**2 * (1 + 2 * steps**2) + (BEND * steps) ** 2 * displacement
     return straight, joined
 
 

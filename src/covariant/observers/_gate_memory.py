@@ -104,7 +104,7 @@ class GateMemory(NamedTuple):
         return Line(self.refused, change, slope, bend, step, self.unused)
 
     def judged(self, line: Line, present: Bool[Array, "n"], far: Bool[Array, "n"], scale: Vector) -> "GateMemory":
-        """The memory after a verdict, before `used` adds what a correction left behind.
+        """The memory after a verdict, before `used` accounts for the correction.
 
         Args:
             line: The line through the last refused readings and the new one.
@@ -117,10 +117,10 @@ class GateMemory(NamedTuple):
         """
         step = (line.change - self.last) / line.step
         return self._replace(
-            refused=jnp.where(far, self.refused + 1, jnp.where(present, 0, self.refused)),
+            refused=self.refused + far,
             scale=scale,
-            last=jnp.where(far, line.change, jnp.where(present, 0.0, self.last)),
-            slope=jnp.where(far, step, jnp.where(present, 0.0, self.slope)),
+            last=jnp.where(far, line.change, self.last),
+            slope=jnp.where(far, step, self.slope),
             idle=jnp.where(present, 0.0, self.idle),
         )
 
@@ -134,7 +134,14 @@ class GateMemory(NamedTuple):
         Returns:
             The memory.
         """
-        return self._replace(left=jnp.where(used, left, self.left), unused=jnp.where(used, 0.0, self.unused))
+        # A used reading is where the next line starts.
+        return self._replace(
+            refused=jnp.where(used, 0, self.refused),
+            left=jnp.where(used, left, self.left),
+            last=jnp.where(used, 0.0, self.last),
+            slope=jnp.where(used, 0.0, self.slope),
+            unused=jnp.where(used, 0.0, self.unused),
+        )
 
     def restarted(self) -> "GateMemory":
         """The memory after a new start, which keeps the scale."""

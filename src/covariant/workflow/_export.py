@@ -95,8 +95,8 @@ def export(
         What was written, with warnings.
 
     Raises:
-        ValueError: For arguments that do not fit the model or each other, and an observer that has no code.
-        FileExistsError: For files that are there already.
+        ValueError: For arguments that do not fit the model or each other, an observer that has no code, and a folder
+            that is not empty.
 
     Example:
         >>> import covariant, tempfile

@@ -49,7 +49,7 @@ def with_rotors(
         if not (geared or rotors):
             continue
         where = f"transmission {entry.get('name', '')!r}"
-        driven = [attribute(part, "name", where) for part in entry.findall("joint")]
+        driven = [attribute(part, "name", where) for part in entry if name_of(part) == "joint"]
         if len(driven) != 1 or len(rotors) > 1:
             what = f"{len(rotors)} rotors on" if rotors else "a reduction of"
             remedy = f"remove <{ROTOR}>" if rotors else "log the torques of the joints"
@@ -74,13 +74,14 @@ def with_rotors(
 
 def _reduction(entry: Element, where: str) -> float:
     """Turns of the motor for one of the joint, or for 1 m: 1 where nothing is stated."""
-    stated = {name_of(part): _value(part, where) for part in entry.iter() if name_of(part) in REDUCTIONS}
-    # Both names of a reduction may be given, but not with different numbers.
-    if len(set(stated.values())) > 1:
-        raise ValueError(f"{where}: " + " and ".join(f"{k} {v:g}" for k, v in stated.items()) + " differ; keep one")
-    reduction = next(iter(stated.values()), 1.0)
+    stated = [(name_of(part), _value(part, where)) for part in entry.iter() if name_of(part) in REDUCTIONS]
+    # Joint and actuator may both state the reduction, by either name, but not with different numbers.
+    if len({value for _, value in stated}) > 1:
+        both = " and ".join(f"{name} {value:g}" for name, value in stated)
+        raise ValueError(f"{where}: {both} differ; keep one")
+    name, reduction = stated[0] if stated else ("", 1.0)
     if not reduction:
-        raise ValueError(f"{where}: {next(iter(stated))} must not be 0")
+        raise ValueError(f"{where}: {name} must not be 0")
     return reduction
 
 

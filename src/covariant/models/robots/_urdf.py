@@ -69,7 +69,8 @@ def read_urdf(robot: Element, name: str, motor_torques: bool = False) -> Descrip
             doubts += limits_in_doubt(joints[-1])
     if not links:
         raise ValueError("has no <link>")
-    joints = with_rotors(robot.findall("transmission"), joints, motor_torques, used, ignored)
+    transmissions = [entry for entry in robot if name_of(entry) == "transmission"]
+    joints = with_rotors(transmissions, joints, motor_torques, used, ignored)
     root, ordered = in_order(links, joints)
     return Description(
         robot.get("name", name),
