@@ -81,18 +81,41 @@ def assemble(
 def _assemble(
     robot: Description, floating: bool, locked: dict[str, float], actuated: Sequence[str] | None, loads: dict[str, Any]
 ) -> MechanicalSystem:
-    named = {joint.name: joint for joint in robot.joints}
-    for name in [*locked, *(actuated or ())]:
-        if name not in named:
-            raise ValueError(f"there is no joint {name!r}; there are {', '.join(named)}")
-    for joint in robot.joints:
-        follows = joint.follows
-        if follows is not None and follows.joint not in (*named, ""):
-            raise ValueError(f"joint {joint.name!r} follows {follows.joint!r}, and there is no such joint")
+    _check_names(robot, [*locked, *(actuated or ())])
     locked = _with_followers(robot, locked)
     robot, free_base = _on_its_base(robot, locked)
     floating = floating or free_base
     axes, bodies, base, frames = _bodies(robot, locked)
+    base = _with_payload(bodies, base, frames, loads)
+    if not axes and not floating:
+        raise ValueError("no joint moves; a robot needs one that is not fixed or locked")
+    freedom = _freedom(axes)
+    tree = _tree(axes, freedom, *_regrouped(axes, bodies, base), namespace(loads))
+    of_joints = Coordinates(tuple(k for k, i in enumerate(freedom.free) if axes[i].circle), len(freedom.free))
+    manifold = _product(floating, len(tree.balls), of_joints)
+    space = RobotSpace(tree, _links(frames), manifold=manifold, floating=floating)
+    model = _system(robot, axes, freedom, space, actuated)
+    if known(loads):
+        _check_inertia(model, [axes[i].joint.name for i in freedom.moving])
+    return model
+
+
+def _check_names(robot: Description, names: Sequence[str]) -> None:
+    """Raise `ValueError` where there is no joint of a name, or none that another one follows."""
+    present = [joint.name for joint in robot.joints]
+    for name in names:
+        if name not in present:
+            raise ValueError(f"there is no joint {name!r}; there are {', '.join(present)}")
+    for joint in robot.joints:
+        follows = joint.follows
+        if follows is not None and follows.joint not in (*present, ""):
+            raise ValueError(f"joint {joint.name!r} follows {follows.joint!r}, and there is no such joint")
+
+
+def _with_payload(
+    bodies: list[BodyInertia], base: BodyInertia, frames: dict[str, Any], loads: dict[str, Any]
+) -> BodyInertia:
+    """Add the payload to the bodies that carry it; returns the base with its own."""
     for link, (mass, place) in loads.items():
         if link not in frames:
             raise ValueError(f"payload: there is no link {link!r}; there are {', '.join(frames)}")
@@ -101,21 +124,44 @@ def _assemble(
             base = base.with_mass(mass, rotation @ place + origin)
         else:
             bodies[body] = bodies[body].with_mass(mass, rotation @ place + origin)
-    if not axes and not floating:
-        raise ValueError("no joint moves; a robot needs one that is not fixed or locked")
-    names = [axis.name for axis in axes]
-    in_balls = [i for i, axis in enumerate(axes) if axis.ball]
+    return base
+
+
+class _Freedom(NamedTuple):
+    """The axes that move by themselves: those of ball joints, the free ones, and all axes as functions of them.
+
+    Attributes:
+        balls: Numbers of the axes of ball joints, three for each.
+        free: Numbers of the axes that are coordinates.
+        matrix: The axes as linear functions (k, n) of the moving ones.
+        offset: Their positions (k,) where those are zero [rad or m].
+    """
+
+    balls: list[int]
+    free: list[int]
+    matrix: np.ndarray
+    offset: np.ndarray
+
+    @property
+    def moving(self) -> list[int]:
+        return self.balls + self.free
+
+
+def _freedom(axes: list[_Axis]) -> _Freedom:
+    balls = [i for i, axis in enumerate(axes) if axis.ball]
     free = [i for i, axis in enumerate(axes) if axis.joint.follows is None and not axis.ball]
-    coordinates, offset = _follow(axes, names, in_balls + free)
-    motors = robot.motors if actuated is None else ()
-    springs = [_with_motors(axis.joint, motors) for axis in axes]
-    bodies, base = _regrouped(axes, bodies, base)
-    xnp = namespace(loads)
+    return _Freedom(balls, free, *_follow(axes, [axis.name for axis in axes], balls + free))
+
+
+def _tree(
+    axes: list[_Axis], freedom: _Freedom, bodies: list[BodyInertia], base: BodyInertia, xnp: Any
+) -> KinematicTree:
+    """The arrays of the robot space; `xnp` is JAX's NumPy where the payload is traced, else NumPy."""
 
     def stacked(parts: list, shape: tuple[int, ...]) -> Array:
         return jnp.asarray(xnp.stack([xnp.asarray(part, float) for part in parts])) if parts else jnp.zeros((0, *shape))
 
-    tree = KinematicTree(
+    return KinematicTree(
         tuple(axis.parent for axis in axes),
         stacked([axis.turn for axis in axes], (3,)),
         stacked([axis.slide for axis in axes], (3,)),
@@ -127,53 +173,60 @@ def _assemble(
         jnp.asarray(base.mass, float),
         jnp.asarray(base.first, float),
         jnp.asarray(base.second, float),
-        jnp.asarray(coordinates),
-        jnp.asarray(offset),
+        jnp.asarray(freedom.matrix),
+        jnp.asarray(freedom.offset),
         # Each joint depends on one coordinate, so that the inertia of the rotors is diagonal: ratio² times each.
-        jnp.asarray(coordinates.T**2 @ np.array([axis.joint.armature for axis in axes])),
-        tuple(in_balls[::3]),
+        jnp.asarray(freedom.matrix.T**2 @ np.array([axis.joint.armature for axis in axes])),
+        tuple(freedom.balls[::3]),
     )
-    of_joints = Coordinates(tuple(k for k, i in enumerate(free) if axes[i].circle), len(free))
-    manifold = _product(floating, len(tree.balls), of_joints)
+
+
+def _links(frames: dict[str, Any]) -> Links:
     placements = list(frames.values())
-    links = Links(
+    return Links(
+        tuple(frames),
         tuple(frames),
         tuple(body for body, _, _ in placements),
         jnp.asarray(np.array([rotation for _, rotation, _ in placements])),
         jnp.asarray(np.array([place for _, _, place in placements])),
     )
-    space = RobotSpace(tree, links, manifold=manifold, floating=floating)
-    inputs = _inputs(robot, axes, coordinates, in_balls + free, motors, actuated)
+
+
+def _system(
+    robot: Description, axes: list[_Axis], freedom: _Freedom, space: RobotSpace, actuated: Sequence[str] | None
+) -> MechanicalSystem:
+    """The system on the space, with the springs, dampers and motors of the joints, and names and units."""
+    motors = robot.motors if actuated is None else ()
+    springs = [_with_motors(axis.joint, motors) for axis in axes]
+    inputs = _inputs(robot, axes, freedom, motors, actuated)
+    floating, balls, free = space.floating, space.tree.balls, freedom.free
     units = tuple("rad" if axes[i].turn.any() else "m" for i in free)
-    spins = tuple(f"w{k + 1}_{axes[i].joint.name}" for i in tree.balls for k in range(3))
-    velocities = (*TWIST * floating, *spins, *(f"rate_{names[i]}" for i in free))
+    spins = tuple(f"w{k + 1}_{axes[i].joint.name}" for i in balls for k in range(3))
+    velocities = (*TWIST * floating, *spins, *(f"rate_{axes[i].name}" for i in free))
     velocity_units = (*TWIST_UNITS * floating, *("rad/s" for _ in spins), *(f"{unit}/s" for unit in units))
-    model = MechanicalSystem(
+    return MechanicalSystem(
         space,
         potential=Potential(
             space,
             jnp.asarray(robot.gravity),
             jnp.array([spring.stiffness for spring in springs], float),
             jnp.array([spring.rest for spring in springs], float),
-            tuple(ball for ball, i in enumerate(tree.balls) if springs[i].stiffness),
+            tuple(ball for ball, i in enumerate(balls) if springs[i].stiffness),
         ),
         force=Parametric(force, motors=inputs, base=np.zeros(6 * floating)),
         dissipation=Parametric(
             resistance,
-            coordinates=coordinates,
+            coordinates=freedom.matrix,
             damping=np.array([spring.damping for spring in springs]),
             friction=np.array([spring.friction for spring in springs]),
             base=np.zeros(6 * floating),
         ),
-        coordinates=tuple(names[i] for i in free),
+        coordinates=tuple(axes[i].name for i in free),
         units=units,
-        velocities=velocities if floating or in_balls else (),
-        velocity_units=velocity_units if floating or in_balls else (),
+        velocities=velocities if floating or balls else (),
+        velocity_units=velocity_units if floating or balls else (),
         inputs=inputs.shape[1],
     )
-    if known(loads):
-        _check_inertia(model, [axes[i].joint.name for i in in_balls + free])
-    return model
 
 
 def _product(floating: bool, balls: int, joints: Coordinates) -> AbstractManifold:
@@ -232,14 +285,14 @@ def _with_motors(joint: Joint, motors: Sequence[Motor]) -> Joint:
 def _inputs(
     robot: Description,
     axes: list[_Axis],
-    coordinates: np.ndarray,
-    free: list[int],
+    freedom: _Freedom,
     motors: Sequence[Motor],
     actuated: Sequence[str] | None,
 ) -> np.ndarray:
     """Generalised force (n, m) of each input."""
+    coordinates = freedom.matrix
     if not motors:
-        driven = [i for i in free if actuated is None or axes[i].joint.name in actuated]
+        driven = [i for i in freedom.moving if actuated is None or axes[i].joint.name in actuated]
         # By virtual work the transpose of coordinates ↦ joint positions takes torques to generalised forces.
         return coordinates[driven].T * ([_reduction(axes[i].joint) for i in driven] if robot.motor_torques else 1.0)
     columns = []
