@@ -185,7 +185,6 @@ def _links(frames: dict[str, Any]) -> Links:
     placements = list(frames.values())
     return Links(
         tuple(frames),
-        tuple(frames),
         tuple(body for body, _, _ in placements),
         jnp.asarray(np.array([rotation for _, rotation, _ in placements])),
         jnp.asarray(np.array([place for _, _, place in placements])),
