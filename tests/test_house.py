@@ -90,13 +90,13 @@ PUBLIC = {
     "manoeuvring_ship odin odin_on_group positive_definite supply_vessel surface_ship yaw_rotation",
     "models.robots": "ROBOTS BodyInertia Description Follows Joint KinematicTree Links Motor RobotSpace assemble "
     "load located read",
-    "observers": "EKF OBSERVER_NAMES PLL REGISTRY STATE_OBSERVER_NAMES STATE_REGISTRY UKF AbstractFlowObserver "
+    "observers": "EKF OBSERVER_NAMES PLL REGISTRY STATE_OBSERVER_NAMES UKF AbstractFlowObserver "
     "AbstractLinearFilter AbstractMechanicalObserver AbstractObserver Contracting ContractingState Copy Delayed "
     "DelayedState EKFInfo EKFState Entry Estimate FilterInfo FilteredDerivative FilteredState Gate Gated GatedState "
     "GateMemory Geodesic GeodesicInfo GeodesicState SampledState HighGain Info InformationEKF InformationState "
     "Intrinsic IntrinsicKalman JointInfo JointKalman JointState KalmanInfo KalmanState Levant LoopState "
     "MechanicalState Noise PassiveGains PassiveShip Riccati Salcudean SalcudeanState SavitzkyGolay Slow StateEKF "
-    "StateEKFInfo Judged Sample StateEKFState StateEntry UKFState Velocity WindowState checked chooses_substeps continuous "
+    "StateEKFInfo Judged Sample StateEKFState UKFState Velocity WindowState checked chooses_substeps continuous "
     "craft_observer external_force "
     "lyapunov_gains lyapunov_rate needed_substeps notch_gains printed_rate run second_order sensor_bias "
     "uncertain_parameters with_fixed_substeps",

@@ -24,6 +24,7 @@ NUMBERS = {
     "window": "window, order",
     "motion": "motion, noise",
     "jerk": "jerk",
+    "state noise": "covariances, first estimate",
 }
 
 

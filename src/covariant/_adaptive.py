@@ -40,16 +40,23 @@ class _Run(NamedTuple):
     last: tuple[Array, Array]
 
 
-def _run(
-    slope: Callable[[Any, Array], Array], x0: Array, begin, end, shortest, *, rtol, atol, max_steps, event=None
-) -> _Run:
-    """Integrate from x0 to `end`, to an event, or to where steps become shorter than `shortest`."""
+class _Limits(NamedTuple):
+    """Tolerances of an adaptive integration, its largest number of steps, and the shortest step."""
+
+    rtol: Number
+    atol: Number
+    max_steps: int
+    shortest: Any
+
+
+def _run(slope: Callable[[Any, Array], Array], x0: Array, span: tuple[Any, Any], limits: _Limits, event=None) -> _Run:
+    """Integrate over a span of time from x0 to its end, to an event, or to where steps are shorter than allowed."""
+    rtol, atol, max_steps, shortest = limits
     # Nothing is raised: callers see by the last time whether the run came to its end.
     solution: Any = dfx.diffeqsolve(
         dfx.ODETerm(lambda t, x, _: slope(t, x)),
         dfx.Dopri8(),
-        begin,
-        end,
+        *span,
         None,
         x0,
         saveat=dfx.SaveAt(t1=True, controller_state=True),
@@ -98,7 +105,7 @@ def solve(
         end = jnp.where(escaped, begin, end)
         # A step of four roundings of the time, shortened by a tenth, is rounded to four: it would be tried for ever.
         shortest = 10 * jnp.finfo(ts.dtype).eps * jnp.maximum(jnp.abs(begin), jnp.abs(end))
-        run = _run(slope, x, begin, end, shortest, rtol=rtol, atol=atol, max_steps=max_steps)
+        run = _run(slope, x, (begin, end), _Limits(rtol, atol, max_steps, shortest))
         # A run that stopped before its end ran out of steps, or they became too short: it has no state at the stamp.
         x = jnp.where(escaped | (run.t != end), jnp.inf, run.x)
         return x, x
@@ -141,7 +148,7 @@ def solve_until(
 
     over = jax.jit(lambda x: stop(unravel(x)) | (ahead(x) <= 0))
     event = dfx.Event(lambda t, y, args, **_: over(y))
-    run = _run(slope, start, zero, zero + jnp.inf, tiny, rtol=rtol, atol=atol, max_steps=max_steps, event=event)
+    run = _run(slope, start, (zero, zero + jnp.inf), _Limits(rtol, atol, max_steps, tiny), event)
     if border is None:
         return run.t, unravel(run.x)
     # The last step is repeated in part: interpolation within a step is a hundred times less accurate than its end.

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from covariant import calibration, observers
-from covariant.models import ModelError, check_spec, load
+from covariant.models import ModelError, check_spec, duffing, load
 from covariant.models._source import system
 from covariant.models._systems import SYSTEMS
 
@@ -58,10 +58,12 @@ def test_a_wrong_name_is_refused_without_jax(case, tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["log.csv"]
 
 
-def test_names_of_observers_are_those_of_the_registries():
-    assert tuple(entry.name for entry in observers.REGISTRY) == observers.OBSERVER_NAMES == calibration.ESTIMATORS
-    states = tuple(entry.name for entry in observers.STATE_REGISTRY)
-    assert states == observers.STATE_OBSERVER_NAMES == calibration.STATE_ESTIMATORS
+def test_names_of_observers_are_those_of_the_registry():
+    names = observers.OBSERVER_NAMES + observers.STATE_OBSERVER_NAMES
+    assert tuple(entry.name for entry in observers.REGISTRY) == names
+    assert observers.OBSERVER_NAMES == calibration.ESTIMATORS
+    assert observers.STATE_OBSERVER_NAMES == calibration.STATE_ESTIMATORS
+    assert calibration.estimators(duffing()) == observers.STATE_OBSERVER_NAMES
 
 
 def test_what_is_refused_early_is_what_cannot_be_loaded(tmp_path, monkeypatch):

@@ -11,7 +11,7 @@ import pytest
 from covariant.calibration import DataSheet, Trial, tuned_estimators
 from covariant.models import Lagrangian, Motion, advance, free_body, pendulum_chain
 from covariant.observers import IntrinsicKalman, run
-from covariant.observers._ticks import take
+from covariant.observers._ticks import Encoded, take
 from covariant.signals import Record
 from covariant.workflow._inputs import Job, data_sheet, load
 
@@ -74,7 +74,7 @@ def taken(prior, **given):
     numbers = {"offset": 0.0, "moved": 0.0, "age": 0.01, "speed": 2.0, "step": 0.1, "noise": 1e-6} | given
     rows = jnp.eye(2)[:1], jnp.eye(2)[1:]
     o, m, a, s, step, noise = (jnp.array([numbers[k]]) for k in ("offset", "moved", "age", "speed", "step", "noise"))
-    found = take(jnp.linalg.cholesky(jnp.asarray(prior)), o, m, a, s, rows, step, noise, jnp.array([True]))
+    found = take(jnp.linalg.cholesky(jnp.asarray(prior)), rows, Encoded(o, m, a, s, step, noise, jnp.array([True])))
     return np.asarray(found.error), np.asarray(found.root @ found.root.T)
 
 

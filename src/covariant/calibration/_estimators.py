@@ -1,6 +1,5 @@
 """Estimators tuned from one data sheet, each for the least predicted velocity error."""
 
-import functools
 from collections.abc import Callable, Collection
 from typing import Any, NamedTuple
 
@@ -15,7 +14,6 @@ from covariant.observers import (
     OBSERVER_NAMES,
     REGISTRY,
     STATE_OBSERVER_NAMES,
-    STATE_REGISTRY,
     AbstractObserver,
     Entry,
     Gated,
@@ -24,9 +22,9 @@ from covariant.observers import (
 )
 
 ESTIMATORS = OBSERVER_NAMES
-"""Names of all estimators of mechanical systems: those in `covariant.observers.REGISTRY`."""
+"""Names of all estimators of mechanical systems: as in `covariant.observers.REGISTRY`."""
 STATE_ESTIMATORS = STATE_OBSERVER_NAMES
-"""Names of all estimators of state-space models: those in `covariant.observers.STATE_REGISTRY`."""
+"""Names of all estimators of state-space models: as in `covariant.observers.REGISTRY`."""
 
 
 def observer_gains(sheet: DataSheet, rate: float) -> Gains:
@@ -54,7 +52,6 @@ def observer_gains(sheet: DataSheet, rate: float) -> Gains:
     )
 
 
-@functools.singledispatch
 def estimators(model: Any) -> tuple[str, ...]:
     """Names of the estimators that fit a model.
 
@@ -73,12 +70,6 @@ def estimators(model: Any) -> tuple[str, ...]:
     return tuple(entry.name for entry in REGISTRY if entry.fits(model))
 
 
-@estimators.register
-def _(model: StateSpace) -> tuple[str, ...]:
-    return STATE_ESTIMATORS
-
-
-@functools.singledispatch
 def with_gains(model: Any, alpha: float, beta: float) -> dict[str, AbstractObserver]:
     """Observers with the constant gains α and β, by name.
 
@@ -101,11 +92,6 @@ def with_gains(model: Any, alpha: float, beta: float) -> dict[str, AbstractObser
     """
     fitting = (entry for entry in REGISTRY if entry.tuned_by == "gains" and entry.fits(model))
     return {entry.name: entry.make(model, alpha, beta) for entry in fitting}
-
-
-@with_gains.register
-def _(model: StateSpace, alpha: float, beta: float) -> dict[str, AbstractObserver]:
-    return {}
 
 
 class Known(NamedTuple):
@@ -191,7 +177,8 @@ def tuned_state_estimators(
         >>> list(tuned_state_estimators(duffing(), noise, names=("covariance-ekf",)))
         ['covariance-ekf']
     """
-    return {entry.name: entry.make(model, noise) for entry in STATE_REGISTRY if entry.name in names}
+    fitting = (entry for entry in REGISTRY if entry.name in names and entry.fits(model))
+    return {entry.name: entry.make(model, noise) for entry in fitting}
 
 
 def gated(observer: AbstractObserver, model: MechanicalSystem, sheet: DataSheet) -> Gated:

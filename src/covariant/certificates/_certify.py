@@ -12,12 +12,14 @@ below 2D/λ. An estimate within ε stays so where 2D/λ < ε.
 Source: Aghannan & Rouchon 2003, Theorems 1 and 2, and Fig. 2; Lohmiller & Slotine 1998, section 3.7 for D.
 """
 
+import dataclasses
+import functools
 import itertools
 import math
 import time
 import typing
-from collections.abc import Callable
-from typing import Any, Literal
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, Literal, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -36,11 +38,11 @@ from covariant.certificates._inequalities import contraction, disturbance_bound,
 from covariant.certificates._intrinsic import Intrinsics, check_unique, error_system
 from covariant.certificates._noise import steady_distance
 from covariant.certificates._saved import observer_document
-from covariant.certificates._tangent_metric import check_q, error_matrix, optimal_lyapunov, rate_of
+from covariant.certificates._tangent_metric import TwoByTwo, check_q, error_matrix, optimal_lyapunov, rate_of
 from covariant.geometry.lie import SO2, SO3
 from covariant.lowering import Lowered, lower, numbers
 from covariant.models import MechanicalSystem, input_count
-from covariant.proofs import MOST_BOXES, Box, Proof, check_box, prove
+from covariant.proofs import MOST_BOXES, Box, Form, Proof, check_box, prove
 
 Bounds = tuple[ArrayLike, ArrayLike]
 CheckerName = Literal["auto", "all", "off"]
@@ -111,75 +113,27 @@ def certify(
     if checker not in CHECKERS:
         raise ValueError(f"certify: checker must be one of {', '.join(CHECKERS)}; got {checker!r}")
     start = time.monotonic()
-    alpha, beta = float(observer.alpha), float(observer.beta)
-    for name, gain in (("alpha", alpha), ("beta", beta)):
-        if not math.isfinite(gain):
-            raise ValueError(f"certify: {name} of the observer must be a finite number; got {gain:g}")
-    # λ is the rate of squared lengths, hence twice the decay rate of the slower pole.
-    best = -2 * float(np.linalg.eigvals(error_matrix(alpha, beta)).real.max())
-    # Towards the best rate Q grows without bound; two thirds of it leave Q well conditioned.
-    matrix = optimal_lyapunov(alpha, beta, best * 2 / 3) if q is None else check_q("certify", q)
-    target = rate_of(alpha, beta, matrix) / 2 if rate is None else float(rate)
-    if not (math.isfinite(target) and target > 0):
-        raise ValueError(f"certify: the rate must be a positive number; got {target:g}")
-    system = error_system(observer, matrix)
-    n = len(observer.model.coordinates or observer.model.velocities)
-    speeds, error_bound = _positive("velocity", velocity, n), _positive("error", error, n)
-    noise_bounds, force_bound = _amount("noise", noise, n), _amount("disturbance", disturbance, n)
-    if not (noise_bounds < error_bound).all():
-        raise ValueError(
-            f"certify: noise must be below the error {error_bound.tolist()}, which includes it; "
-            f"got {noise_bounds.tolist()}"
-        )
-    check_unique(observer, error_bound)
-    domain, bounds = _domain(observer, system, speeds, error_bound, position, input, times, noise_bounds, force_bound)
-    # One budget for all claims together.
-    remaining = boxes
-
-    def run(what: str, matrix) -> Proof:
-        nonlocal remaining
-
-        def report(share: float, boxes: int) -> None:
-            if progress is not None:
-                progress(what, share, boxes)
-
-        result = prove(matrix, domain, boxes=remaining, seconds=seconds, processes=processes, progress=report)
-        remaining = max(remaining - result.boxes, 0)
-        return result
-
-    claims = [Claim("contraction", run("contraction", contraction(system, target)))]
+    matrix, target = _metric_and_rate(observer, q, rate)
+    system, assumed = error_system(observer, matrix), _assumed(observer, velocity, error, noise, disturbance)
+    domain, bounds = _domain(observer, system, assumed, _region(observer.model, position, input, times))
+    effort = _Effort(domain, boxes, seconds, processes, progress)
+    claims = [Claim("contraction", effort.prove("contraction", contraction(system, target)))]
     radius = 0.0
     if claims[0].proof.verdict == "holds":
-        limits = limits_of(domain, speeds, noise_bounds)
-        sampled = sampled_widths(system, domain)
-        for row in range(2 * n):
-            square, limit = float(SLACK * sampled[row]), float(limits[row])
-            proof = run(f"reach {row + 1} of {2 * n}", width_bound(system, row, square))
-            for _ in range(WIDENINGS):  # where a point is wider than all that were sampled
-                if proof.counterexample is None:
-                    break
-                wider = squared_widths(system, jnp.asarray(proof.counterexample.mean(axis=0)))[row]
-                square = SLACK * max(square, float(wider))
-                proof = run(f"reach {row + 1} of {2 * n}", width_bound(system, row, square))
-            claims.append(Claim("reach", proof, row, square, limit))
+        limits = limits_of(domain, assumed.velocity, assumed.noise)
+        claims += _reach(system, limits, effort)
         sizes = disturbance_sizes(bounds)
         if sizes.any():
             square = SLACK * _sampled_disturbance(system, domain, sizes)
-            claims.append(Claim("disturbance", run("noise", disturbance_bound(system, sizes, square)), 0, square))
-        if all(claim.proof.verdict == "holds" for claim in claims):
-            # Rounded down: the statement also holds for a smaller radius.
-            # |row · δ| ≤ √square |δ|: a curve of length ε leads no farther than ε√square ≤ limit.
-            radius = min(limit / math.sqrt(claim.square) for claim, limit in zip(claims[1:], limits, strict=False))
-            radius *= 1 - 1e-9
-            if not steady_distance(target, disturbance_length(bounds, claims)) < radius:
-                radius = 0.0
-    facts = Contraction(target, radius, observer, matrix, domain, speeds, bounds, claims, recipe)
+            claims.append(
+                Claim("disturbance", effort.prove("noise", disturbance_bound(system, sizes, square)), 0, square)
+            )
+        radius = _radius(claims, limits, steady_distance(target, disturbance_length(bounds, claims)))
+    facts = Contraction(target, radius, observer, matrix, domain, assumed.velocity, bounds, claims, recipe)
     statement = contraction_statement(facts, "proved")
     elapsed, check_start = time.monotonic() - start, time.monotonic()
     if checker != "off" and statement.verdict == "holds":
-        if progress is not None:
-            progress("by the checker", 0.0, sum(claim.proof.boxes for claim in claims))
-        # The checker gets as long as the proof took, so that a certificate is never much slower for being checked.
+        effort.report("by the checker", 0.0, sum(claim.proof.boxes for claim in claims))
         result = judged(_stated(facts, system), max(elapsed, PATIENCE) if checker == "auto" else math.inf)
         statement = contraction_statement(facts, "proved", result)
     if statement.verdict != "holds":
@@ -192,13 +146,103 @@ def certify(
         matrix,
         system,
         domain,
-        speeds,
+        assumed.velocity,
         bounds,
         tuple(claims),
         recipe,
         verified=True,
         checker_seconds=time.monotonic() - check_start,
     )
+
+
+def _metric_and_rate(observer: Intrinsics, q: Numbers | None, rate: float | None) -> tuple[TwoByTwo, float]:
+    """The matrix Q and the rate to prove, as given or by default."""
+    alpha, beta = float(observer.alpha), float(observer.beta)
+    for name, gain in (("alpha", alpha), ("beta", beta)):
+        if not math.isfinite(gain):
+            raise ValueError(f"certify: {name} of the observer must be a finite number; got {gain:g}")
+    best = -2 * float(np.linalg.eigvals(error_matrix(alpha, beta)).real.max())
+    matrix = optimal_lyapunov(alpha, beta, best * 2 / 3) if q is None else check_q("certify", q)
+    target = rate_of(alpha, beta, matrix) / 2 if rate is None else float(rate)
+    if not (math.isfinite(target) and target > 0):
+        raise ValueError(f"certify: the rate must be a positive number; got {target:g}")
+    return matrix, target
+
+
+class _Assumed(NamedTuple):
+    """Bounds (n,) of velocity, of the errors of the estimate and of a measurement, and of an unmodelled force."""
+
+    velocity: Float[np.ndarray, "n"]
+    error: Float[np.ndarray, "n"]
+    noise: Float[np.ndarray, "n"]
+    disturbance: Float[np.ndarray, "n"]
+
+
+def _assumed(
+    observer: Intrinsics, velocity: ArrayLike, error: ArrayLike, noise: ArrayLike, disturbance: ArrayLike
+) -> _Assumed:
+    n = len(observer.model.coordinates or observer.model.velocities)
+    speeds, errors = _positive("velocity", velocity, n), _positive("error", error, n)
+    assumed = _Assumed(speeds, errors, _amount("noise", noise, n), _amount("disturbance", disturbance, n))
+    if not (assumed.noise < errors).all():
+        raise ValueError(
+            f"certify: noise must be below the error {errors.tolist()}, which includes it; got {assumed.noise.tolist()}"
+        )
+    check_unique(observer, errors)
+    return assumed
+
+
+@dataclasses.dataclass
+class _Effort:
+    """Proofs over one region, which share a number of boxes."""
+
+    domain: Box
+    boxes: int
+    seconds: float | None
+    processes: int
+    progress: Callable[[str, float, int], None] | None
+
+    def report(self, what: str, share: float, boxes: int) -> None:
+        if self.progress is not None:
+            self.progress(what, share, boxes)
+
+    def prove(self, what: str, matrix: Form) -> Proof:
+        """Prove that a matrix is positive definite, with the boxes that are left."""
+        proof = prove(
+            matrix,
+            self.domain,
+            boxes=self.boxes,
+            seconds=self.seconds,
+            processes=self.processes,
+            progress=functools.partial(self.report, what),
+        )
+        self.boxes = max(self.boxes - proof.boxes, 0)
+        return proof
+
+
+def _reach(system: ErrorSystem, limits: np.ndarray, effort: _Effort) -> Iterator[Claim]:
+    """Claims on how far a curve of unit length changes each position error and each velocity."""
+    sampled = sampled_widths(system, effort.domain)
+    for row, limit in enumerate(limits.tolist()):
+        what, square = f"reach {row + 1} of {len(limits)}", float(SLACK * sampled[row])
+        proof = effort.prove(what, width_bound(system, row, square))
+        for _ in range(WIDENINGS):  # where a point is wider than all that were sampled
+            if proof.counterexample is None:
+                break
+            wider = squared_widths(system, jnp.asarray(proof.counterexample.mean(axis=0)))[row]
+            square = SLACK * max(square, float(wider))
+            proof = effort.prove(what, width_bound(system, row, square))
+        yield Claim("reach", proof, row, square, limit)
+
+
+def _radius(claims: Sequence[Claim], limits: np.ndarray, steady: float) -> float:
+    """Largest radius that all claims allow; zero where one is not proved or estimates may end beyond it."""
+    if any(claim.proof.verdict != "holds" for claim in claims):
+        return 0.0
+    # Rounded down: the statement also holds for a smaller radius.
+    radius = min(limit / math.sqrt(claim.square) for claim, limit in zip(claims[1:], limits, strict=False))
+    radius *= 1 - 1e-9
+    return radius if steady < radius else 0.0
 
 
 def _stated(facts: Contraction, system: ErrorSystem) -> Resolved:
@@ -244,39 +288,53 @@ def _amounts(name: str, value: ArrayLike, n: int) -> Float[np.ndarray, "n"]:
     return amounts.copy()
 
 
+class _Region(NamedTuple):
+    """Where the system is: the box of true positions, the bounds (2, m) of inputs, and first and last time [s]."""
+
+    true: Box
+    inputs: Float[np.ndarray, "2 m"]
+    times: tuple[float, float]
+
+
+def _region(
+    model: MechanicalSystem, position: Bounds | None, inputs: Bounds | ArrayLike, times: tuple[float, float] | None
+) -> _Region:
+    n = len(model.coordinates or model.velocities)
+    true = _coordinates(model, position, n) if model.manifold.commuting else _elements(model, position)
+    return _Region(check_box(true), _inputs(model, inputs, n), _times(model, n, times))
+
+
 def _domain(
-    observer, system: ErrorSystem, velocity, error, position, input_bounds, times, noise, disturbance
+    observer: Intrinsics, system: ErrorSystem, assumed: _Assumed, region: _Region
 ) -> tuple[Box, dict[str, Any]]:
     """The box of estimate, error and force, and the quantities from which the bounds of the force follow."""
-    model = observer.model
-    n = len(velocity)
-    if model.manifold.commuting:
-        if position is None:
-            raise ValueError(f"certify: position needs bounds of {', '.join(model.coordinates)}")
-        low, high = (np.broadcast_to(np.asarray(side, float), (n,)).copy() for side in position)
-        true = Box(model.coordinates, model.units, low, high)
-        check_box(true)
-        measured = true._replace(low=_sum(low, -noise, -1), high=_sum(high, noise, 1)) if noise.any() else true
-        # Rounded outward: the region has to contain every estimate within the error.
-        low, high = _sum(low, -error, -1), _sum(high, error, 1)
-    else:
-        low, high = np.zeros(0), np.zeros(0)
-        measured = true = check_box(_elements(model, position))
-    inputs = _inputs(model, input_bounds, n)
-    first, last = _times(model, n, times)
+    model, true, n = observer.model, region.true, len(assumed.velocity)
+    noise, disturbance, inputs, times = assumed.noise, assumed.disturbance, region.inputs, region.times
+    measured = true
+    if model.manifold.commuting and noise.any():
+        measured = true._replace(low=_sum(true.low, -noise, -1), high=_sum(true.high, noise, 1))
     # The true force and the one that the observer uses may differ by the whole disturbance, in either direction.
-    force = force_bounds(model, measured, inputs, (first, last))
+    force = force_bounds(model, measured, inputs, times)
     if disturbance.any():
         force = np.stack([_sum(force[0], -disturbance, -1), _sum(force[1], disturbance, 1)])
-    slopes = force_slopes(model, measured, inputs, (first, last)) if noise.any() else np.zeros((n, n))
+    slopes = force_slopes(model, measured, inputs, times) if noise.any() else np.zeros((n, n))
     bounds = {
         "positions": {"low": true.low.tolist(), "high": true.high.tolist()},
         "inputs": {"low": inputs[0].tolist(), "high": inputs[1].tolist()},
-        "times": [first, last],
+        "times": list(times),
         "noise": noise.tolist(),
         "disturbance": disturbance.tolist(),
         "slopes": slopes.tolist(),
     }
+    return _widened(system, assumed, true if model.manifold.commuting else None, force), bounds
+
+
+def _widened(system: ErrorSystem, assumed: _Assumed, true: Box | None, force: np.ndarray) -> Box:
+    """The box of estimates within the error of the true positions, of their velocities, of errors and of forces."""
+    velocity, error, noise, _ = assumed
+    # Rounded outward: the region has to contain every estimate within the error.
+    low = np.zeros(0) if true is None else _sum(true.low, -error, -1)
+    high = np.zeros(0) if true is None else _sum(true.high, error, 1)
 
     def box(excess):
         speed = _sum(velocity, excess, 1)
@@ -288,13 +346,20 @@ def _domain(
         )
 
     # The velocity error that corresponds to the position error, so that both limit the tube equally.
-    excess = np.zeros(n)
+    excess = np.zeros(len(velocity))
     # The widths depend on the box, and the box on them: a few fixed-point iterations, with a margin of a tenth.
     for _ in range(3):
         roots = np.sqrt(sampled_widths(system, box(excess)))
         # The radius is the least (error − noise)/width of a position; times its width it is how far a velocity goes.
-        excess = 1.1 * roots[n:] * ((error - noise) / roots[:n]).min()
-    return check_box(box(excess)), bounds
+        excess = 1.1 * roots[len(velocity) :] * ((error - noise) / roots[: len(velocity)]).min()
+    return check_box(box(excess))
+
+
+def _coordinates(model: MechanicalSystem, position: Bounds | None, n: int) -> Box:
+    if position is None:
+        raise ValueError(f"certify: position needs bounds of {', '.join(model.coordinates)}")
+    low, high = (np.broadcast_to(np.asarray(side, float), (n,)).copy() for side in position)
+    return Box(model.coordinates, model.units, low, high)
 
 
 def _elements(model: MechanicalSystem, position: Bounds | None) -> Box:

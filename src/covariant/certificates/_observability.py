@@ -213,65 +213,109 @@ def observability(
     if not np.isfinite(points).all():
         raise ValueError("observability: the points must be finite numbers")
     _check_premises(model, metric, points, u)
-
-    @eqx.filter_jit
-    def conditions_at(x):
-        return detectability_rate(model, metric, x, u), *_bending(model, metric, x, u)
-
-    rates, bends, sizes, directions = (
-        np.asarray(a) for a in jax.lax.map(conditions_at, jnp.asarray(points), batch_size=64)
-    )
-    for name, values in (("contraction rate", rates), ("bending", bends)):
-        if np.isnan(values).any():
-            raise ValueError(f"the {name} is not a number at {_text(points[int(np.isnan(values).argmax())])}")
-    domain = f"{len(points)} states between {_text(points.min(0))} and {_text(points.max(0))}"
-    slowest = int(rates.argmin())
+    sampled = _sampled(model, metric, points, u)
     premises = (
         Hypothesis("the metric is positive definite at each of the points", "sampled"),
         _independence(model, points, u),
         Hypothesis("what holds at the points holds between them", "assumed"),
         Hypothesis("it holds at other times, and under other inputs than the constant one given", "assumed"),
     )
+    first = _contracting(sampled, rate, _hidden(model, points, u), premises)
+    single_output = jax.eval_shape(model.h, *_arguments(model, jnp.asarray(points[0]), u)).shape == (1,)
+    second = _totally_geodesic(sampled, single_output, premises)
+    if not sampled.bent:
+        return Observability(first, second, None, None)
+    k = sampled.worst
+    shift = 0.1 / sampled.bends[k] * sampled.directions[k]
+    states = _witness(metric, jnp.asarray(points[k]), jnp.asarray(shift), budget)
+    outputs = jax.vmap(lambda x: model.h(*_arguments(model, x, u)))(states)
+    return Observability(first, second, np.asarray(states), np.asarray(outputs))
+
+
+class _Sampled(NamedTuple):
+    """Both conditions at the points (k, n).
+
+    Attributes:
+        points: The states.
+        rates: `detectability_rate` at each.
+        bends: Largest principal curvature of the level sets of the output at each.
+        sizes: Sizes of the terms of which these are sums.
+        directions: The directions (k, n) in which the level sets bend most.
+    """
+
+    points: np.ndarray
+    rates: np.ndarray
+    bends: np.ndarray
+    sizes: np.ndarray
+    directions: np.ndarray
+
+    @property
+    def domain(self) -> str:
+        return f"{len(self.points)} states between {_text(self.points.min(0))} and {_text(self.points.max(0))}"
+
+    @property
+    def worst(self) -> int:
+        """The point where the bending exceeds rounding most."""
+        return int((self.bends - ROUNDING * self.sizes).argmax())
+
+    @property
+    def bent(self) -> bool:
+        return bool(self.bends[self.worst] > ROUNDING * self.sizes[self.worst])
+
+
+def _sampled(model: StateSpace, metric: MatrixField, points: np.ndarray, u: Array | None) -> _Sampled:
+    @eqx.filter_jit
+    def conditions_at(x):
+        return detectability_rate(model, metric, x, u), *_bending(model, metric, x, u)
+
+    values = jax.lax.map(conditions_at, jnp.asarray(points), batch_size=64)
+    sampled = _Sampled(points, *(np.asarray(a) for a in values))
+    for name, numbers in (("contraction rate", sampled.rates), ("bending", sampled.bends)):
+        if np.isnan(numbers).any():
+            raise ValueError(f"the {name} is not a number at {_text(points[int(np.isnan(numbers).argmax())])}")
+    return sampled
+
+
+def _contracting(sampled: _Sampled, rate: float, hidden: str, premises: tuple[Hypothesis, ...]) -> Statement:
+    """The first condition."""
+    k = int(sampled.rates.argmin())
+    slowest, point = float(sampled.rates[k]), sampled.points[k]
     contracts = Hypothesis(
         f"f contracts the hidden directions faster than {rate:.4g} 1/s at each of the points",
         "sampled",
-        "holds" if rates[slowest] > rate else "fails",
-        float(rates[slowest]) - rate,
-        _text(points[slowest]),
+        "holds" if slowest > rate else "fails",
+        slowest - rate,
+        _text(point),
     )
-    first = Statement(
+    return Statement(
         "f contracts the metric in the directions the output does not see, at the rate of the margin [1/s]",
-        (f"states: {domain}", f"directions that the output does not see: {_hidden(model, points, u)}"),
+        (f"states: {sampled.domain}", f"directions that the output does not see: {hidden}"),
         (contracts, *premises),
-        float(rates[slowest]),
-        domain,
-        tuple(points[slowest].tolist()),
+        slowest,
+        sampled.domain,
+        tuple(point.tolist()),
     )
-    worst = int((bends - ROUNDING * sizes).argmax())
-    fails = bool(bends[worst] > ROUNDING * sizes[worst])
-    single_output = jax.eval_shape(model.h, *_arguments(model, jnp.asarray(points[0]), u)).shape == (1,)
+
+
+def _totally_geodesic(sampled: _Sampled, single_output: bool, premises: tuple[Hypothesis, ...]) -> Statement:
+    """The second condition."""
+    largest, point = float(sampled.bends[sampled.worst]), sampled.points[sampled.worst]
     geodesic_levels = Hypothesis(
         "the level sets of the output do not bend at any of the points"
         + ("" if single_output else "; of several outputs this is known of one at a time only"),
         "sampled",
-        "fails" if fails else "holds" if single_output else "undecided",
-        float(bends[worst]),
-        _text(points[worst]),
+        "fails" if sampled.bent else "holds" if single_output else "undecided",
+        largest,
+        _text(point),
     )
-    second = Statement(
+    return Statement(
         "level sets of the output are totally geodesic; the margin is their largest principal curvature",
-        (f"states: {domain}",),
+        (f"states: {sampled.domain}",),
         (geodesic_levels, *premises),
-        float(bends[worst]),
-        domain,
-        tuple(points[worst].tolist()),
+        largest,
+        sampled.domain,
+        tuple(point.tolist()),
     )
-    if not fails:
-        return Observability(first, second, None, None)
-    # A step of a tenth of the radius of curvature 1/bending: the level set bends away visibly, yet to second order.
-    states = _witness(metric, jnp.asarray(points[worst]), jnp.asarray(0.1 / bends[worst] * directions[worst]), budget)
-    outputs = jax.vmap(lambda x: model.h(*_arguments(model, x, u)))(states)
-    return Observability(first, second, np.asarray(states), np.asarray(outputs))
 
 
 def _check_premises(model: StateSpace, metric: MatrixField, points: np.ndarray, u: Array | None) -> None:

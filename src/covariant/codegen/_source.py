@@ -113,10 +113,10 @@ def _estimated(source: Source, real: Real) -> float:
 
 
 def _written(program: Program, name: str, about: str, tables: Tables) -> Source:
+    core = {"init": _init(program, name), "step": _step(program, name), "estimate": _estimate(program, name)}
     functions = {
-        "init": _init(program, name, tables),
-        "step": _step(program, name, tables),
-        "estimate": _estimate(program, name, tables),
+        key: c_function(graph, f"{name}_core_{key}", signature, program.real, f"{name}_", static=True, tables=tables)
+        for key, (graph, signature) in core.items()
     }
     return Source(name, _header(program, name, about), _source(program, name, about, functions), functions, tables)
 
@@ -207,19 +207,17 @@ def _last(leaf: Leaf) -> Leaf:
     return leaf._replace(name=f"last_{leaf.name}")
 
 
-def _init(program: Program, name: str, tables: Tables) -> CText:
+def _init(program: Program, name: str) -> tuple[Lowered, Signature]:
     inputs = [*_numbers(program), *(f"y[{i}]" for i in range(int(np.prod(program.y)))), "t"]
     outputs = [e for leaf in program.state for e in entries("state->", leaf)]
     declared = (
         f"const {name}_params *restrict params, const {name}_real *restrict y, {name}_real t,\n"
         f"    {name}_state *restrict state"
     )
-    return _function(
-        program.init, program, f"{name}_core_init", declared, ("params", "y", "t", "state"), inputs, outputs, tables
-    )
+    return program.init, Signature(declared, ("params", "y", "t", "state"), tuple(inputs), tuple(outputs))
 
 
-def _step(program: Program, name: str, tables: Tables) -> CText:
+def _step(program: Program, name: str) -> tuple[Lowered, Signature]:
     state = [e for leaf in program.state for e in entries("state->", leaf)]
     u, y = ([f"{n}[{i}]" for i in range(k)] for n, k in (("u", program.u), ("y", int(np.prod(program.y)))))
     after = [e for leaf in program.state for e in entries("next->", leaf)]
@@ -234,8 +232,8 @@ def _step(program: Program, name: str, tables: Tables) -> CText:
         f"    {name}_state *restrict next, {name}_real *restrict result"
     )
     passed = ("params", "state", "u", "y", "dt", "next", "result")
-    inputs = [*_numbers(program), *state, *u, *y, "dt"]
-    return _function(lowered, program, f"{name}_core_step", declared, passed, inputs, outputs, tables)
+    inputs = (*_numbers(program), *state, *u, *y, "dt")
+    return lowered, Signature(declared, passed, inputs, tuple(outputs))
 
 
 def _only_reported(program: Program) -> tuple[Lowered, list[int], list[Leaf]]:
@@ -253,34 +251,18 @@ def _only_reported(program: Program) -> tuple[Lowered, list[int], list[Leaf]]:
     return lowered._replace(graph=graph, outputs=tuple(outputs)), places, chosen
 
 
-def _estimate(program: Program, name: str, tables: Tables) -> CText:
+def _estimate(program: Program, name: str) -> tuple[Lowered, Signature]:
     state = [e for leaf in program.state for e in entries("state->", leaf)]
     outputs = [e for leaf in program.x for e in entries("output->", leaf)]
     declared = (
         f"const {name}_params *restrict params, const {name}_state *restrict state,\n    {name}_output *restrict output"
     )
-    passed = ("params", "state", "output")
-    inputs = [*_numbers(program), *state]
-    return _function(program.estimate, program, f"{name}_core_estimate", declared, passed, inputs, outputs, tables)
+    inputs = (*_numbers(program), *state)
+    return program.estimate, Signature(declared, ("params", "state", "output"), inputs, tuple(outputs))
 
 
 def _numbers(program: Program) -> list[str]:
     return [e for leaf in program.given for e in entries("params->", leaf)]
-
-
-def _function(
-    lowered: Lowered,
-    program: Program,
-    name: str,
-    declared: str,
-    passed: tuple[str, ...],
-    inputs: Sequence[str],
-    outputs: Sequence[str],
-    tables: Tables,
-) -> CText:
-    prefix = name[: -len(name.rpartition("core_")[2]) - len("core_")]
-    signature = Signature(declared, passed, tuple(inputs), tuple(outputs))
-    return c_function(lowered, name, signature, program.real, prefix, static=True, tables=tables)
 
 
 def _source(program: Program, name: str, about: str, functions: dict[str, CText]) -> str:

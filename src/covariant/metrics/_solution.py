@@ -8,7 +8,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from covariant._adaptive import solve_until
 from covariant._integrate import rk8
 from covariant._linalg import whiten
 from covariant._typing import Bounds, Code, Matrix, Number, Scalar, Vector
@@ -101,6 +100,8 @@ def metric_at(
         >>> round(float(solution.metric[0, 0]), 6)
         0.5
     """
+    from covariant._adaptive import solve_until  # loads diffrax, a quarter of a second
+
     check_state(model, x)
     eps = float(jnp.finfo(x.dtype).eps)
     wanted = eps**0.5 if tolerance is None else tolerance

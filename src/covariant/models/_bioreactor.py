@@ -70,10 +70,15 @@ def bioreactor(
     )
 
 
-def _f(t, x, u, growth, saturation, inhibition, conversion, feed):
+def _f(t, x, u, conversion, feed, **kinetics):
     biomass, substrate = x
-    production = growth * substrate / (saturation + substrate + inhibition * substrate**2) * biomass
+    production = _growth_rate(substrate, **kinetics) * biomass
     return jnp.stack([production - u[0] * biomass, u[0] * (feed - substrate) - production / conversion])
+
+
+def _growth_rate(substrate, growth, saturation, inhibition):
+    """μ(s) [1/s]."""
+    return growth * substrate / (saturation + substrate + inhibition * substrate**2)
 
 
 def _h(t, x, u):

@@ -3,7 +3,10 @@
 Source: Marino, Peresada & Valigi 1993, Adaptive input-output linearizing control of induction motors, section II.
 """
 
+from typing import NamedTuple
+
 import jax.numpy as jnp
+from jaxtyping import Array
 
 from covariant.models._parameters import Parameter, Parametric, check_parameters, values
 from covariant.models._state_space import StateSpace
@@ -82,33 +85,35 @@ def induction_motor(
     )
 
 
-def _f(
-    t,
-    x,
-    u,
-    stator_resistance,
-    rotor_resistance,
-    stator_inductance,
-    rotor_inductance,
-    mutual_inductance,
-    inertia,
-    pole_pairs,
-    coupling,
-    leakage,
-    load=None,
-):
+class _Motor(NamedTuple):
+    """The parameters of `induction_motor`, with `coupling` M/L_r and `leakage` L_s − M²/L_r [H]."""
+
+    stator_resistance: Array
+    rotor_resistance: Array
+    stator_inductance: Array
+    rotor_inductance: Array
+    mutual_inductance: Array
+    inertia: Array
+    pole_pairs: Array
+    coupling: Array
+    leakage: Array
+    load: Array | None = None
+
+
+def _f(t, x, u, **parameters):
+    motor = _Motor(**parameters)
     current, flux, speed = x[:2], x[2:4], x[4]
     turned = jnp.stack([-flux[1], flux[0]])  # by +90°
     # The rotor is short-circuited, so its resistive drop, with rotor current (ψ − M i)/Lr, drives the flux.
-    induced = rotor_resistance / rotor_inductance * (mutual_inductance * current - flux)
-    flux_dot = induced + pole_pairs * speed * turned
+    induced = motor.rotor_resistance / motor.rotor_inductance * (motor.mutual_inductance * current - flux)
+    flux_dot = induced + motor.pole_pairs * speed * turned
     # Faraday in the stator, u = Rs i + (leakage i + coupling ψ)', solved for i'.
-    current_dot = (u - stator_resistance * current - coupling * flux_dot) / leakage
+    current_dot = (u - motor.stator_resistance * current - motor.coupling * flux_dot) / motor.leakage
     # No factor 3/2: the two phases are scaled so that u·i is the power of all three.
-    torque = pole_pairs * coupling * (turned @ current)
-    resisting = x[5] if load is None else load
+    torque = motor.pole_pairs * motor.coupling * (turned @ current)
+    resisting = x[5] if motor.load is None else motor.load
     unknown = jnp.zeros_like(x[5:])
-    return jnp.concatenate([current_dot, flux_dot, ((torque - resisting) / inertia)[None], unknown])
+    return jnp.concatenate([current_dot, flux_dot, ((torque - resisting) / motor.inertia)[None], unknown])
 
 
 def _currents(t, x, u):

@@ -59,6 +59,6 @@ from ._slow import (
     uncertain_parameters as uncertain_parameters,
 )
 from ._state_ekf import StateEKF as StateEKF, StateEKFInfo as StateEKFInfo, StateEKFState as StateEKFState
-from ._state_registry import STATE_REGISTRY as STATE_REGISTRY, Noise as Noise, StateEntry as StateEntry
+from ._state_noise import Noise as Noise
 from ._tracking_loop import LoopState as LoopState
 from ._ukf import UKF as UKF, UKFState as UKFState

@@ -29,7 +29,7 @@ from covariant.observers._protocol import LastInput, as_gain, at_rest, check_pos
 from covariant.observers._sampled import needed_substeps
 from covariant.observers._slow import Slow, SlowStates, SlowVector, as_groups
 from covariant.observers._square_root import diagonal, normalised_square, updated, white_acceleration
-from covariant.observers._ticks import Readings, take
+from covariant.observers._ticks import Encoded, Readings, take
 from covariant.signals import Result
 
 # Three such deviations are about a quarter turn, where sin has its maximum and no linearisation is left.
@@ -335,7 +335,7 @@ class IntrinsicKalman(AbstractMechanicalFilter):
         noise = jnp.diag(covariance_at(self.measurement_cov, space, state.q))
         parts = position, rows[n : 2 * n]
         step = self.quantum.astype(noise.dtype)
-        return take(state.root, straight, moved, state.readings.age, state.v, parts, step, noise, used)
+        return take(state.root, parts, Encoded(straight, moved, state.readings.age, state.v, step, noise, used))
 
     def _displacement(self, state: KalmanState, y: Array, straight: Vector, used: Array) -> Vector:
         """Geodesic `log_q̂ y` (n,); where an entry of y is not used, the coordinate difference `straight` instead."""

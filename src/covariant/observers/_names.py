@@ -1,4 +1,4 @@
-"""Names of the observers in the registries, available without loading the observers."""
+"""Names of the observers in the registry, available without loading the observers."""
 
 OBSERVER_NAMES = (
     "intrinsic",
@@ -16,6 +16,6 @@ OBSERVER_NAMES = (
     "joint-kalman",
     "salcudean",
 )
-"""Names of the entries of `REGISTRY`, in their order."""
+"""Names of the entries of `REGISTRY` that are for mechanical systems, which come first, in their order."""
 STATE_OBSERVER_NAMES = ("covariance-ekf", "information-ekf", "riccati")
-"""Names of the entries of `STATE_REGISTRY`, in their order."""
+"""Names of the entries of `REGISTRY` that are for state-space models, in their order."""

@@ -1,12 +1,12 @@
-"""The registry of observers that `calibration` can tune from a model's data sheet: one entry for each.
+"""The registry of observers that `calibration` can tune: one entry for each.
 
-An observer is entered here and nowhere else. `calibration.tuned_estimators`, the commands `estimate`, `compare` and
-`audit`, the laws in `tests/laws` and the table in `docs/observers.md` read this list.
+An observer is entered here and nowhere else. `calibration.estimators` and `tuned_estimators`, the commands `estimate`,
+`compare` and `audit`, the laws in `tests/laws` and the table in `docs/observers.md` read this list.
 """
 
 from collections.abc import Callable
 from functools import partial
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import jax.numpy as jnp
 
@@ -24,28 +24,36 @@ from covariant.observers._joint_kalman import JointKalman
 from covariant.observers._levant import Levant
 from covariant.observers._pll import PLL
 from covariant.observers._protocol import AbstractObserver
+from covariant.observers._riccati import InformationEKF, Riccati
 from covariant.observers._salcudean import Salcudean, of_mean_inertia
 from covariant.observers._savitzky_golay import SavitzkyGolay
 from covariant.observers._slow import Slow
+from covariant.observers._state_ekf import StateEKF
+from covariant.observers._state_noise import covariance_ekf, information_ekf, riccati
 from covariant.observers._ukf import UKF
 
 EDGE = 0.1
 """Standard deviation of the position of an encoder's edge, as a fraction of a tick: the manufacturing tolerance."""
 
 
-def anything(model: MechanicalSystem) -> bool:
+def mechanical(model: Any) -> bool:
     """Every mechanical system."""
-    return True
+    return model.sought.what == "velocity"
 
 
-def coordinates(model: MechanicalSystem) -> bool:
-    """Systems in coordinates, not on a group."""
-    return model.manifold.commuting
+def coordinates(model: Any) -> bool:
+    """Mechanical systems in coordinates, not on a group."""
+    return mechanical(model) and model.manifold.commuting
 
 
-def rotations(model: MechanicalSystem) -> bool:
+def rotations(model: Any) -> bool:
     """Rigid bodies on SO(3)."""
-    return model.manifold == SO3
+    return mechanical(model) and model.manifold == SO3
+
+
+def states(model: Any) -> bool:
+    """Every state-space model."""
+    return model.sought.what == "state"
 
 
 def intrinsic_kalman(
@@ -79,13 +87,13 @@ def intrinsic_kalman(
 
 
 class Entry(NamedTuple):
-    """An observer of mechanical systems, and how to construct it for a model.
+    """An observer, and how to construct it for a model.
 
     Attributes:
         name: Name on the command line.
         observer: Class of the observer.
         make: Function that constructs the observer, `make(model, *numbers)`, with the numbers of `tuned_by`.
-        tuned_by: Numbers that the observer needs, which `calibration.tuned_estimators` computes.
+        tuned_by: Numbers that the observer needs. For a mechanical system `calibration.tuned_estimators` computes them.
             "gains" are α [1/s] and β [1/s²].
             "noise" are the process covariance (n, n), the measurement covariance (n, n) and the standard deviation of
             the initial velocity; "noise or ticks" are these, one tick of the encoders or None, and the slow states that
@@ -94,10 +102,11 @@ class Entry(NamedTuple):
             [samples] and the degree of a polynomial; "motion" are the standard deviation [rad/s²] and the correlation
             time [s] of the accelerations, and the standard deviation of a sample; "jerk" is a bound on the jerk
             [rad/s³].
+            For a state-space model "state noise" is its `Noise`.
         about: Short description of the observer.
         when: When to choose it.
         source: Where it was published.
-        fits: Function that says whether the observer can be constructed for a model; any model by default.
+        fits: Function that says whether the observer can be constructed for a model; any mechanical system by default.
         promises: Laws that the tests check besides those of every observer. "error law": to first order the error in a
             parallel frame obeys `ξ' = ζ − αξ`, `ζ' = −βξ` on every model that it fits; "coordinate-free": the estimate
             is the same in all coordinates, to the accuracy of its geodesics. None by default.
@@ -111,23 +120,25 @@ class Entry(NamedTuple):
         ('PLL', 'bandwidth', True)
         >>> entry.make(models.oscillator(), 20.0).bandwidth.item()
         20.0
+        >>> [entry.name for entry in observers.REGISTRY if entry.fits(models.duffing())]
+        ['covariance-ekf', 'information-ekf', 'riccati']
     """
 
     name: str
     observer: type[AbstractObserver]
     make: Callable[..., AbstractObserver]
-    tuned_by: Literal["gains", "noise", "noise or ticks", "bandwidth", "window", "motion", "jerk"]
+    tuned_by: Literal["gains", "noise", "noise or ticks", "bandwidth", "window", "motion", "jerk", "state noise"]
     about: str
     when: str
     source: str
-    fits: Callable[[MechanicalSystem], bool] = anything
+    fits: Callable[[Any], bool] = mechanical
     promises: tuple[Literal["error law", "coordinate-free"], ...] = ()
     has_gate: bool = False
 
     @property
     def knows_model(self) -> bool:
         """Whether the observer predicts with the model, and not from the positions alone."""
-        return self.tuned_by in ("gains", "noise", "noise or ticks")
+        return self.tuned_by not in ("bandwidth", "window", "motion", "jerk")
 
 
 REGISTRY = (
@@ -271,5 +282,35 @@ REGISTRY = (
         source="Salcudean 1991",
         fits=rotations,
     ),
+    Entry(
+        name="covariance-ekf",
+        observer=StateEKF,
+        make=covariance_ekf,
+        tuned_by="state noise",
+        about="extended Kalman filter with sampled measurements, covariance in Joseph form, and a gate for outliers",
+        when="the default: it knows how certain each state is",
+        source="Gelb 1974, 6.1",
+        fits=states,
+    ),
+    Entry(
+        name="information-ekf",
+        observer=InformationEKF,
+        make=information_ekf,
+        tuned_by="state noise",
+        about="extended Kalman filter in information form, measurements as in continuous time",
+        when="dense samples, and states that are unknown at first",
+        source="Sanfelice & Praly 2015, (13)–(14)",
+        fits=states,
+    ),
+    Entry(
+        name="riccati",
+        observer=Riccati,
+        make=riccati,
+        tuned_by="state noise",
+        about="correction through the contraction metric that a Riccati equation gives at the estimate",
+        when="a gain that depends on the estimate alone, and not on how it got there",
+        source="Sanfelice & Praly 2015, (11)",
+        fits=states,
+    ),
 )
-"""All entries; the first is the default choice."""
+"""All entries; the first that fits a model is the default choice."""

@@ -113,9 +113,9 @@ class Riccati(AbstractFlowObserver):
 
     def flow(self, t: Scalar, state: Estimate, u: Float[Array, "m"], y: Float[Array, "p"]) -> Estimate:
         x = state.x
-        output_jacobian, error = _whitened_output(self.model, self.measurement_cov, t, x, u, y)
+        output = _output(self.model, self.measurement_cov, t, x, u, y)
         p = self._metric(x, u)
-        correction = jnp.where(_is_metric(p), 2 * self._gain(x) * solve(p, output_jacobian.T @ error), 0.0)
+        correction = jnp.where(_is_metric(p), 2 * self._gain(x) * solve(p, output.jacobian.T @ output.error), 0.0)
         slope = self.model.f(t, x, u) - correction
         return Estimate(slope, jnp.ones_like(state.t), still(state.last_input), still(state.dt))
 
@@ -135,7 +135,8 @@ class Riccati(AbstractFlowObserver):
             The corrected state, and the info, whose distance is the length of the correction in the metric P.
         """
         x, weight = state.x, 2 * self._gain(state.x) * step_length(state)
-        corrected, info = _correct(self.model, self.measurement_cov, state.t, x, self._metric(x, u), weight, u, y)
+        output = _output(self.model, self.measurement_cov, state.t, x, u, y)
+        corrected, info = _correct(x, self._metric(x, u), weight, output)
         return state._replace(x=corrected), info
 
     def _gain(self, x: Vector) -> Number:
@@ -226,10 +227,10 @@ class InformationEKF(AbstractFlowObserver):
 
     def flow(self, t: Scalar, state: InformationState, u: Float[Array, "m"], y: Float[Array, "p"]) -> InformationState:
         x, p = state.x, state.information
-        output_jacobian, error = _whitened_output(self.model, self.equation.measurement_cov, t, x, u, y)
+        output = _output(self.model, self.equation.measurement_cov, t, x, u, y)
         predicted = self._unmeasured_rate(t, x, p, u)
-        gain = output_jacobian.T @ output_jacobian
-        slope = self.model.f(t, x, u) - solve(p, output_jacobian.T @ error)
+        gain = output.jacobian.T @ output.jacobian
+        slope = self.model.f(t, x, u) - solve(p, output.jacobian.T @ output.error)
         return InformationState(slope, predicted + gain, jnp.ones_like(t), still(state.last_input), still(state.dt))
 
     def predict(self, state: InformationState, u: Float[Array, "m"], dt: Scalar) -> InformationState:
@@ -256,10 +257,10 @@ class InformationEKF(AbstractFlowObserver):
             measurement.
         """
         (x, p, t), dt = state[:3], step_length(state)
-        corrected, info = _correct(self.model, self.equation.measurement_cov, t, x, p, dt, u, y)
-        output_jacobian, _ = _whitened_output(self.model, self.equation.measurement_cov, t, x, u, y)
+        output = _output(self.model, self.equation.measurement_cov, t, x, u, y)
+        corrected, info = _correct(x, p, dt, output)
         # A sample stands for a measurement in continuous time over dt, whose information is dt h_xᵀ R⁻¹ h_x.
-        return state._replace(x=corrected, information=p + dt * output_jacobian.T @ output_jacobian), info
+        return state._replace(x=corrected, information=p + dt * output.jacobian.T @ output.jacobian), info
 
     def needed_substeps(self, state: InformationState, u: Array, dt: Scalar) -> Code:
         """Number of Runge–Kutta steps that keep h·rate ≤ 1.
@@ -299,37 +300,44 @@ def _is_metric(p: Matrix) -> Flag:
     return jnp.all(pivots(p) > 0)
 
 
-def _whitened_output(
+class _Output(NamedTuple):
+    """An output compared with its measurement, whitened with zeros for the entries that are missing.
+
+    Attributes:
+        innovation: `y − h` (p,), not whitened, with zeros where missing.
+        missing: Which entries of the measurement are missing (p,).
+        jacobian: `R^{-1/2} h_x` (p, n).
+        error: `R^{-1/2} (h − y)` (p,).
+    """
+
+    innovation: Array
+    missing: Array
+    jacobian: Array
+    error: Array
+
+
+def _output(
     model: StateSpace, measurement_cov: Float[Array, "p p"] | None, t, x: Vector, u: Array, y: Array
-) -> tuple[Array, Array]:
-    """`R^{-1/2} h_x` and `R^{-1/2} (h − y)`, whitened with zeros for the outputs that are missing (NaN)."""
+) -> _Output:
+    """The output of the model at x beside the measurement y, NaN where missing."""
     missing = jnp.isnan(y)
     error = model.output_error(model.h(t, x, u), y)
     jacobian: Array = jax.jacfwd(model.h, 1)(t, x, u)
     output_jacobian: Array = jnp.where(missing[:, None], 0.0, jacobian)
     if measurement_cov is None:
-        return output_jacobian, error
+        return _Output(-error, missing, output_jacobian, error)
     # The noise of a missing output must not affect the others, even where the two are correlated.
     uncoupled = (missing[:, None] | missing[None, :]) & ~jnp.eye(y.shape[0], dtype=bool)
     cov = jnp.where(uncoupled, 0.0, jnp.asarray(measurement_cov, x.dtype))
     whitened = half_solve(cov, jnp.concatenate([output_jacobian, error[:, None]], axis=1))
-    return whitened[:, :-1], whitened[:, -1]
+    return _Output(-error, missing, whitened[:, :-1], whitened[:, -1])
 
 
-def _correct(
-    model: StateSpace,
-    measurement_cov: Float[Array, "p p"] | None,
-    t,
-    x: Vector,
-    p: Matrix,
-    weight: Number,
-    u: Array,
-    y: Array,
-) -> tuple[Vector, Info]:
+def _correct(x: Vector, p: Matrix, weight: Number, output: _Output) -> tuple[Vector, Info]:
     """Correct by y: `x − (P + w h_xᵀ R⁻¹ h_x)⁻¹ w h_xᵀ R⁻¹ (h − y)`, with w the `weight`."""
-    output_jacobian, error = _whitened_output(model, measurement_cov, t, x, u, y)
+    jacobian = output.jacobian
     # The least of |δ|_P² + w |h − y + h_x δ|²: positive definite with P, whatever rank h_x has.
-    correction = solve(p + weight * output_jacobian.T @ output_jacobian, weight * output_jacobian.T @ error)
+    correction = solve(p + weight * jacobian.T @ jacobian, weight * jacobian.T @ output.error)
     positive = _is_metric(p)
     correction = jnp.where(positive, correction, 0.0)
     corrected = x - correction
@@ -337,10 +345,10 @@ def _correct(
         ~jnp.all(jnp.isfinite(corrected)),
         int(Result.NOT_FINITE),
         jnp.where(
-            jnp.all(jnp.isnan(y)), int(Result.COASTED), jnp.where(positive, int(Result.OK), int(Result.OUT_OF_DOMAIN))
+            jnp.all(output.missing), int(Result.COASTED), jnp.where(positive, int(Result.OK), int(Result.OUT_OF_DOMAIN))
         ),
     )
     # A product with zero is not zero where p is not finite: p is replaced first.
     square = jnp.where(positive, correction @ jnp.where(jnp.isfinite(p), p, 0.0) @ correction, 0.0)
     distance = jnp.sqrt(jnp.maximum(square, 0.0))
-    return corrected, Info(-model.output_error(model.h(t, x, u), y), distance, result.astype(jnp.int32))
+    return corrected, Info(output.innovation, distance, result.astype(jnp.int32))

@@ -51,33 +51,42 @@ class Believed(NamedTuple):
     root: Float[Array, "N N"]
 
 
+class Encoded(NamedTuple):
+    """What encoders show at a sample, beside what was expected.
+
+    Attributes:
+        offset: Difference (n,) from the expected to the read position of each joint [rad or m].
+        moved: Change (n,) of each reading since the previous one [rad or m].
+        age: Time (n,) since the previous reading [s].
+        speed: Expected velocity (n,) [rad/s or m/s].
+        step: One tick (n,) of each encoder [rad or m].
+        noise: Variance (n,) of the position of an edge [rad² or m²].
+        used: Which readings are used (n,).
+    """
+
+    offset: Vector
+    moved: Vector
+    age: Vector
+    speed: Vector
+    step: Vector
+    noise: Vector
+    used: Bool[Array, "n"]
+
+
 def take(
-    prior: Float[Array, "N N"],
-    offset: Vector,
-    moved: Vector,
-    age: Vector,
-    speed: Vector,
-    rows: tuple[Float[Array, "n N"], Float[Array, "n N"]],
-    step: Vector,
-    noise: Vector,
-    used: Bool[Array, "n"],
+    prior: Float[Array, "N N"], rows: tuple[Float[Array, "n N"], Float[Array, "n N"]], encoded: Encoded
 ) -> Believed:
     """Posterior of an error of mean zero after readings of encoders that count ticks.
 
     Args:
         prior: Square root (N, N) of the covariance of the error.
-        offset: Difference (n,) from the expected to the read position of each joint [rad or m].
-        moved: Change (n,) of each reading since the previous one [rad or m].
-        age: Time (n,) since the previous reading [s].
-        speed: Expected velocity (n,) [rad/s or m/s].
         rows: Positions and velocities as linear functions (n, N) of the error.
-        step: One tick (n,) of each encoder [rad or m].
-        noise: Variance (n,) of the position of an edge [rad² or m²].
-        used: Which readings are used (n,).
+        encoded: The readings.
 
     Returns:
         Mean (N,) and square root (N, N) of the covariance of the error.
     """
+    offset, moved, age, speed, step, noise, used = encoded
     state = Believed(jnp.zeros_like(prior[0]), prior)
     for i in range(len(step)):
         position, velocity = rows[0][i], rows[1][i]

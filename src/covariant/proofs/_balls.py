@@ -142,45 +142,6 @@ class _UndecidedError(ArithmeticError):
 
 def _balls(arb: Any) -> Domain:
     """The arithmetic of Arb. A branch that a box does not decide raises `_UndecidedError`."""
-
-    def less(a: Any, b: Any) -> bool:
-        if a < b:
-            return True
-        if a >= b:
-            return False
-        raise _UndecidedError
-
-    def at_most(a: Any, b: Any) -> bool:
-        return not less(b, a)
-
-    def equal(a: Any, b: Any) -> bool:
-        # The same node is equal to itself, though its ball has a width.
-        if a is b:
-            return True
-        if not a.overlaps(b):
-            return False
-        if a.is_exact() and b.is_exact():
-            return True
-        raise _UndecidedError
-
-    def floor(a: Any) -> Any:
-        rounded = a.floor()
-        if not rounded.is_exact():
-            raise _UndecidedError
-        return rounded
-
-    def _stumpff(k: int, x: Any) -> Any:
-        """The series, with its remainder bounded by a geometric series, which holds for either sign of x."""
-        total, term, terms = arb(0), 1 / arb(math.factorial(k)), 40
-        for j in range(1, terms):
-            total, term = total + term, -term * x / ((2 * j + k) * (2 * j + k - 1))
-        # From the first omitted term on, each is at most this multiple of the one before.
-        ratio = abs(x).upper() / ((2 * terms + k) * (2 * terms + k - 1))
-        if not ratio < 0.5:
-            raise _UndecidedError
-        # The factor is 1/(1 − 1/2). arb(0, 1) is the ball [−1, 1]: the remainder has either sign.
-        return total + 2 * abs(term).upper() * arb(0, 1)
-
     zero, one = arb(0), arb(1)
     alone = "sqrt exp expm1 log log1p sin cos tan asin acos atan sinh cosh tanh asinh acosh atanh"
     return {
@@ -193,24 +154,66 @@ def _balls(arb: Any) -> Domain:
         "neg": operator.neg,
         "abs": abs,
         # 0 may get either sign: a jump there is excluded by the conditions of a proof.
-        "sign": lambda a: -one if less(a, zero) else one,
-        "floor": floor,
-        "ceil": lambda a: -floor(-a),
+        "sign": lambda a: -one if _less(a, zero) else one,
+        "floor": _floor,
+        "ceil": lambda a: -_floor(-a),
         # Half-way between integers it differs from rounding to even: the conditions of a proof exclude this jump.
-        "round": lambda a: floor(a + 0.5),
-        "min": lambda a, b: a if less(a, b) else b,
-        "max": lambda a, b: b if less(a, b) else a,
+        "round": lambda a: _floor(a + 0.5),
+        "min": lambda a, b: a if _less(a, b) else b,
+        "max": lambda a, b: b if _less(a, b) else a,
         "pow": operator.pow,
         "cbrt": lambda a: a.root(3),
         "atan2": lambda y, x: zero.atan2(y, x),
-        "lt": less,
-        "le": at_most,
-        "eq": equal,
+        "lt": _less,
+        "le": _at_most,
+        "eq": _equal,
         "and": operator.and_,
         "or": operator.or_,
         "not": operator.not_,
         "is_finite": lambda a: a.is_finite(),
         "select": lambda p, a, b: a if p else b,
         "either": lambda a, b, x, y: x if a < b else y if b < a else x.union(y),
-        "stumpff": lambda k, x: _stumpff(int(float(k)), x),
+        "stumpff": lambda k, x: _stumpff(arb, int(float(k)), x),
     }
+
+
+def _less(a: Any, b: Any) -> bool:
+    if a < b:
+        return True
+    if a >= b:
+        return False
+    raise _UndecidedError
+
+
+def _at_most(a: Any, b: Any) -> bool:
+    return not _less(b, a)
+
+
+def _equal(a: Any, b: Any) -> bool:
+    if a is b:
+        return True
+    if not a.overlaps(b):
+        return False
+    if a.is_exact() and b.is_exact():
+        return True
+    raise _UndecidedError
+
+
+def _floor(a: Any) -> Any:
+    rounded = a.floor()
+    if not rounded.is_exact():
+        raise _UndecidedError
+    return rounded
+
+
+def _stumpff(arb: Any, k: int, x: Any) -> Any:
+    """The series, with its remainder bounded by a geometric series, which holds for either sign of x."""
+    total, term, terms = arb(0), 1 / arb(math.factorial(k)), 40
+    for j in range(1, terms):
+        total, term = total + term, -term * x / ((2 * j + k) * (2 * j + k - 1))
+    # From the first omitted term on, each is at most this multiple of the one before.
+    ratio = abs(x).upper() / ((2 * terms + k) * (2 * terms + k - 1))
+    if not ratio < 0.5:
+        raise _UndecidedError
+    # The factor is 1/(1 − 1/2). arb(0, 1) is the ball [−1, 1]: the remainder has either sign.
+    return total + 2 * abs(term).upper() * arb(0, 1)

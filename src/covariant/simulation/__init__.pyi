@@ -6,5 +6,4 @@ from ._piecewise import (
 )
 from ._reference import Reference as Reference, follow as follow, lissajous as lissajous, set_point as set_point
 from ._sensors import Sensor as Sensor, sense as sense, stamps as stamps
-from ._simulate import hold as hold, no_input as no_input
-from ._simulate_state_space import observe as observe, simulate as simulate
+from ._simulate import hold as hold, no_input as no_input, observe as observe, simulate as simulate

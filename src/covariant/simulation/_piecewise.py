@@ -16,7 +16,7 @@ from covariant._integrate import compiled
 from covariant._typing import Number
 from covariant.models import MechanicalSystem, StateSpace
 from covariant.signals import Record
-from covariant.simulation._simulate_state_space import simulate
+from covariant.simulation._simulate import simulate
 
 DIGITS = 12
 """Decimals of the times [s] at which intervals begin."""

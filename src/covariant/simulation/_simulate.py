@@ -7,7 +7,7 @@ groups, with the eighth-order method of Dormand and Prince.
 
 import functools
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -16,7 +16,7 @@ from jaxtyping import Array, Float
 
 from covariant._adaptive import solve
 from covariant._integrate import compiled
-from covariant._typing import Controller, Number
+from covariant._typing import Controller, Number, Vector
 from covariant.models import MechanicalSystem, MomentumChart, Motion, StateSpace, acceleration, advance, input_count
 from covariant.observers import AbstractFlowObserver, continuous
 from covariant.signals import Record
@@ -30,10 +30,42 @@ CHART_SIZE = 0.5
 """Largest motion in one chart, as the fastest component of v times time [rad or m]."""
 
 
+class _Plant(NamedTuple):
+    """A model as the integrator sees it.
+
+    Attributes:
+        start: Initial velocity or state (n,), of the size of an input where the model states none.
+        in_charts: Whether the motion is solved in a sequence of charts.
+        output: `(t, x, u)` to the configuration or the output h, which is measured.
+        slope: `(t, x, u)` to x', where the motion is one differential equation.
+    """
+
+    start: Vector
+    in_charts: bool
+    output: Callable[[Any, Any, Any], Array]
+    slope: Callable[[Any, Any, Any], Array]
+
+
 @functools.singledispatch
+def _plant(model: MechanicalSystem, x0: Any) -> _Plant:
+    def output(t, x, u):
+        return model.motion(x).q
+
+    def slope(t, x, u):
+        q, v = model.motion(x)
+        return jnp.concatenate([v, acceleration(model, t, q, v, u)])
+
+    return _Plant(model.motion(x0).v, not model.manifold.commuting, output, slope)
+
+
+@_plant.register
+def _(model: StateSpace, x0: Vector) -> _Plant:
+    return _Plant(x0, False, model.h, model.f)
+
+
 @compiled
 def simulate(
-    model: MechanicalSystem,
+    model: MechanicalSystem | StateSpace,
     x0: Any,
     t: Float[Array, "T"],
     u: Input | None = None,
@@ -64,21 +96,26 @@ def simulate(
         >>> record.x.shape, record.y.shape, round(float(record.y[-1, 0]), 3)
         ((5, 2), (5, 1), 0.54)
     """
-    start = model.motion(x0)
-    input_at = u or no_input(model, start.v)
-    if model.manifold.commuting:
-        x = solve(lambda s, x: _derivative(model, s, x, input_at(s, x)), x0, t, rtol=rtol, atol=atol)
+    plant = _plant(model, x0)
+    input_at = u or no_input(model, plant.start)
+    if plant.in_charts:
+        x = _simulate_in_charts(model, x0, t, input_at, _adaptive(rtol, atol))
     else:
+        x = solve(lambda s, x: plant.slope(s, x, input_at(s, x)), x0, t, rtol=rtol, atol=atol)
+    inputs = jax.vmap(input_at)(t, x)
+    return Record(t, inputs, jax.vmap(plant.output)(t, x, inputs), x)
 
-        def interval(motion, bounds):
-            begin, end = bounds
-            # A chart around a configuration is singular after a turn by 2π; so many charts keep displacements small.
-            charts = _charts(end - begin, motion.v)
-            moved = advance(model, begin, motion, input_at, end - begin, charts, _adaptive(rtol, atol))
-            return moved, moved
 
-        x = _joined(start, jax.lax.scan(interval, start, (t[:-1], t[1:]))[1])
-    return Record(t, jax.vmap(input_at)(t, x), model.motion(x).q, x)
+def _simulate_in_charts(model: Any, x0: Any, t: Float[Array, "T"], input_at: Input, rule) -> Motion:
+    def interval(motion, bounds):
+        begin, end = bounds
+        # A chart around a configuration is singular after a turn by 2π; so many charts keep displacements small.
+        charts = _charts(end - begin, motion.v)
+        moved = advance(model, begin, motion, input_at, end - begin, charts, rule)
+        return moved, moved
+
+    start = model.motion(x0)
+    return _joined(start, jax.lax.scan(interval, start, (t[:-1], t[1:]))[1])
 
 
 def position(t, q):
@@ -86,10 +123,9 @@ def position(t, q):
     return q
 
 
-@functools.singledispatch
 @compiled
 def observe(
-    model: MechanicalSystem,
+    model: MechanicalSystem | StateSpace,
     observer: AbstractFlowObserver,
     x0: Any,
     state0: Any,
@@ -133,26 +169,30 @@ def observe(
         >>> bool(abs(x[-1, 1] - state.v[-1, 0]) < 1e-6)
         True
     """
-    input_at = u or no_input(model, model.motion(x0).v)
+    plant = _plant(model, x0)
+    input_at = u or no_input(model, plant.start)
 
     def answer(s, x, state) -> tuple[Array, Any]:
         """The input, and the derivative of the observer's state."""
-        y = measure(s, model.motion(x).q)
-        now = input_at(s, x) if controller is None else controller(s, y, observer.estimate(state))
+        now = input_at(s, x)
+        # The measurement comes before the input of a controller, so an output h must not depend on the input then.
+        y = measure(s, plant.output(s, x, now))
+        if controller is not None:
+            now = controller(s, y, observer.estimate(state))
         return now, observer.flow(s, state, now, y)
 
-    adaptive = functools.partial(_adaptive, rtol, atol, max_steps)
-    if not model.manifold.commuting:
-        return _observe_in_charts(model, observer, answer, x0, continuous(state0), t, adaptive())
+    if plant.in_charts:
+        rule = _adaptive(rtol, atol, max_steps)
+        return _observe_in_charts(model, observer, answer, x0, continuous(state0), t, rule)
 
     def flow(s, joint):
         now, slope = answer(s, *joint)
-        return _derivative(model, s, joint[0], now), slope
+        return plant.slope(s, joint[0], now), slope
 
     return solve(flow, (x0, continuous(state0)), t, rtol=rtol, atol=atol, max_steps=max_steps)
 
 
-def _observe_in_charts(model: MechanicalSystem, observer: AbstractFlowObserver, answer, x0: Motion, state0, t, rule):
+def _observe_in_charts(model: Any, observer: AbstractFlowObserver, answer, x0: Motion, state0, t, rule):
     """Integrate the plant, by its momentum, and the observer, each in a chart around its configuration at a step's
     start.
     """
@@ -237,11 +277,6 @@ def hold(t: Float[Array, "T"], u: Float[Array, "T m"]) -> Input:
 def _zero_order_hold(t, u, s, x):
     # side="right": at a stamp its own input acts, not the one before.
     return u[jnp.clip(jnp.searchsorted(t, s, side="right") - 1, 0, t.shape[0] - 1)]
-
-
-def _derivative(model: MechanicalSystem, t: Array, x: Array, u: Array) -> Array:
-    q, v = model.motion(x)
-    return jnp.concatenate([v, acceleration(model, t, q, v, u)])
 
 
 def _joined(first: Any, after: Any) -> Any:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from covariant.workflow._arguments import ColumnNames, Overrides
-from covariant.workflow._model_output import as_logs, check_model_output, model_text, seen_logs
+from covariant.workflow._model_output import as_logs, seen_logs, write_model
 from covariant.workflow._progress import Progress, silent
 from covariant.workflow._result import AbstractTable
 
@@ -168,15 +168,9 @@ class FitResult(AbstractTable):
         Raises:
             ValueError: Where it may not be written, or the fitted model is worse than before on what is held out.
         """
-        from covariant import models
-        from covariant._files import write_atomically
-
         if not self.better:
             raise ValueError(f"{path}: {self.warnings[-1]}")
-        job = self.jobs[0]
-        check_model_output(job.model, path, overwrite)
-        text = self._head() + models.rewrite(model_text(job.model), self.content)
-        return write_atomically(path, lambda file: file.write(text.encode()))
+        return write_model(self.jobs[0].model, path, overwrite, self._head(), self.content)
 
     def _head(self) -> str:
         """Comment lines that say what has been fitted, how well it is known, and what is still a first value."""

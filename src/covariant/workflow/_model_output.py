@@ -59,6 +59,30 @@ def check_model_output(model: Any, path: str | Path | None, overwrite: bool = Fa
         raise ValueError(f"{path}: {what}; write to another file, or say --overwrite")
 
 
+def write_model(model: Any, path: str | Path, overwrite: bool, head: str, content: Any) -> Path:
+    """Write the file of a model with other numbers; comments and layout stay.
+
+    Args:
+        model: The model whose file is written anew.
+        path: The file to write (.toml).
+        overwrite: Whether a file that exists may be replaced, the model file itself included.
+        head: Comment lines that come first.
+        content: The numbers, as for `models.rewrite`.
+
+    Returns:
+        The path.
+
+    Raises:
+        ValueError: As `check_model_output`.
+    """
+    from covariant import models
+    from covariant._files import write_atomically
+
+    check_model_output(model, path, overwrite)
+    text = head + models.rewrite(model_text(model), content)
+    return write_atomically(path, lambda file: file.write(text.encode()))
+
+
 def model_text(model: str | os.PathLike[str]) -> str:
     """Read the text of a model file whose numbers are to be changed.
 

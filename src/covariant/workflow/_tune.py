@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from covariant.workflow._arguments import ColumnNames, Overrides
-from covariant.workflow._model_output import as_logs, check_model_output, model_text
+from covariant.workflow._model_output import as_logs, write_model
 from covariant.workflow._outputs import check_output
 from covariant.workflow._progress import Progress, silent
 from covariant.workflow._result import AbstractResult
@@ -126,14 +126,9 @@ class TuneResult(AbstractResult):
         Raises:
             ValueError: Where it may not be written, or the model has no file.
         """
-        from covariant import models
-        from covariant._files import write_atomically
-
-        model = self.jobs[0].model
-        check_model_output(model, path, overwrite)
         names = ", ".join(Path(job.log_name).name for job in self.jobs)
-        text = f"# Tuned by covariant tune to {names}.\n\n" + models.rewrite(model_text(model), self.tuned.content)
-        return write_atomically(path, lambda file: file.write(text.encode()))
+        head = f"# Tuned by covariant tune to {names}.\n\n"
+        return write_model(self.jobs[0].model, path, overwrite, head, self.tuned.content)
 
     def report(self, path: str | Path) -> list[Path]:
         """Write an interactive page of estimates on the last log before and after, and figures (.png) beside it.

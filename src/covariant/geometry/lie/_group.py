@@ -98,7 +98,6 @@ class AbstractGroup(AbstractManifold):
     def inverse(self, g: Element) -> Element:
         """Inverse (N, N) of the element g."""
 
-    @abc.abstractmethod
     def right_jacobian(self, x: Vector, y: Vector) -> Vector:
         """Right Jacobian `J_r(x)y` of the exponential: the body velocity of `exp(x(t))` where x' = y.
 
@@ -111,8 +110,9 @@ class AbstractGroup(AbstractManifold):
         Returns:
             Body velocity (n,).
         """
+        # Inverting the matrix exp(x) instead would lose twice as many digits.
+        return self.vee(self.exp(-x) @ jax.jvp(self.exp, (x,), (y,))[1])
 
-    @abc.abstractmethod
     def right_jacobian_inverse(self, x: Vector, y: Vector) -> Vector:
         """Inverse `J_r(x)⁻¹y` of the right Jacobian: the x' for which y is the body velocity of `exp(x(t))`.
 
@@ -123,6 +123,9 @@ class AbstractGroup(AbstractManifold):
         Returns:
             Derivative x' (n,).
         """
+        # From the matrix (n, n) of J_r: no series for the inverse converges wherever it exists.
+        one = jnp.eye(x.shape[0], dtype=x.dtype)
+        return jnp.linalg.solve(jax.vmap(lambda e: self.right_jacobian(x, e), out_axes=1)(one), y)
 
     def identity(self, dtype: Any = float) -> Element:
         """Neutral element of the group.
@@ -211,7 +214,6 @@ class AbstractGroup(AbstractManifold):
         """
         return jax.linear_transpose(lambda y: self.adjoint(g, y), mu)(mu)[0]
 
-    @abc.abstractmethod
     def act(self, g: Element, point: Inexact[Array, "d"]) -> Inexact[Array, "d"]:
         """Image of a point under g.
 
@@ -220,8 +222,9 @@ class AbstractGroup(AbstractManifold):
             point: point (d,) of the space that the group acts on.
 
         Returns:
-            Point (d,).
+            Point (d,), by default `g @ point`.
         """
+        return g @ point
 
     @abc.abstractmethod
     def defect(self, g: Element) -> Array:

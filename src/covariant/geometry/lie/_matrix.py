@@ -91,15 +91,6 @@ class SU(AbstractGroup):
     def inverse(self, g: Element) -> Element:
         return g.conj().T
 
-    def right_jacobian(self, x: Vector, y: Vector) -> Vector:
-        return matrix_right_jacobian(self, x, y)
-
-    def right_jacobian_inverse(self, x: Vector, y: Vector) -> Vector:
-        return matrix_right_jacobian_inverse(self, x, y)
-
-    def act(self, g: Element, point: Inexact[Array, "d"]) -> Inexact[Array, "d"]:
-        return g @ point
-
     def defect(self, g: Element) -> Array:
         unitary = jnp.max(jnp.abs(g.conj().T @ g - jnp.eye(self.n, dtype=g.dtype)))
         return jnp.maximum(unitary, jnp.abs(jnp.linalg.det(g) - 1))
@@ -208,15 +199,6 @@ class MatrixGroup(AbstractGroup):
     def inverse(self, g: Element) -> Element:
         return jnp.linalg.inv(g)
 
-    def right_jacobian(self, x: Vector, y: Vector) -> Vector:
-        return matrix_right_jacobian(self, x, y)
-
-    def right_jacobian_inverse(self, x: Vector, y: Vector) -> Vector:
-        return matrix_right_jacobian_inverse(self, x, y)
-
-    def act(self, g: Element, point: Inexact[Array, "d"]) -> Inexact[Array, "d"]:
-        return g @ point
-
     def defect(self, g: Element) -> Array:
         """Distance of `exp(log g)` from g.
 
@@ -287,37 +269,6 @@ def matrix_exp(a: Element) -> Element:
     # f = exp(a) − 1 squared: (1 + f)² − 1 = f² + 2f.
     total = jax.lax.fori_loop(0, DOUBLINGS, lambda i, f: jnp.where(i < doublings, f @ f + 2 * f, f), total)
     return total + jnp.eye(a.shape[0], dtype=a.dtype)
-
-
-def matrix_right_jacobian(group: AbstractGroup, x: Vector, y: Vector) -> Vector:
-    """Right Jacobian `exp(−x) D exp(x)[y]`; inverting the matrix exp(x) instead would lose twice as many digits.
-
-    Args:
-        group: the group.
-        x: coordinates (n,).
-        y: derivative x' (n,).
-
-    Returns:
-        Body velocity (n,).
-    """
-    return group.vee(group.exp(-x) @ jax.jvp(group.exp, (x,), (y,))[1])
-
-
-def matrix_right_jacobian_inverse(group: AbstractGroup, x: Vector, y: Vector) -> Vector:
-    """Inverse right Jacobian `J_r(x)⁻¹y`, from the matrix (n, n) of J_r.
-
-    No series for the inverse converges wherever it exists.
-
-    Args:
-        group: the group.
-        x: coordinates (n,).
-        y: body velocity (n,).
-
-    Returns:
-        Derivative x' (n,).
-    """
-    one = jnp.eye(x.shape[0], dtype=x.dtype)
-    return jnp.linalg.solve(jax.vmap(lambda e: group.right_jacobian(x, e), out_axes=1)(one), y)
 
 
 @eqx.filter_custom_jvp

@@ -66,9 +66,6 @@ class SpecialOrthogonal2(AbstractGroup):
     def right_jacobian_inverse(self, x: Vector, y: Vector) -> Vector:
         return y
 
-    def act(self, g: Element, point: Float[Array, "2"]) -> Float[Array, "2"]:
-        return g @ point
-
     def defect(self, g: Element) -> Array:
         return rotation_defect(g)
 
@@ -135,9 +132,6 @@ class SpecialOrthogonal3(AbstractGroup):
     def right_jacobian_inverse(self, x: Vector, y: Vector) -> Vector:
         turned = jnp.cross(x, y)
         return y + turned / 2 + inverse_jacobian_coefficient(x @ x) * jnp.cross(x, turned)
-
-    def act(self, g: Element, point: Float[Array, "3"]) -> Float[Array, "3"]:
-        return g @ point
 
     def defect(self, g: Element) -> Array:
         return rotation_defect(g)

@@ -6,8 +6,10 @@ Marine Science and Technology 20, with its tables for KVLCC2.
 
 import math
 from collections.abc import Mapping
+from typing import NamedTuple
 
 import jax.numpy as jnp
+from jaxtyping import Array
 
 from covariant._linalg import solve
 from covariant.models._parameters import Parameter, Parametric
@@ -174,18 +176,60 @@ def _f(t, x, u, mass, added, turning, centre, **rest):
             -mass * centre * surge * yaw,
         ]
     )
-    return jnp.concatenate([yaw_rotation(x[2]) @ nu, solve(m, _forces(nu, u[0], u[1], **rest) + turned)])
+    return jnp.concatenate([yaw_rotation(x[2]) @ nu, solve(m, _forces(nu, u[0], u[1], _Ship(**rest)) + turned)])
 
 
 def _position(t, x, u):
     return x[:3]
 
 
-def _forces(nu, delta, n, length, scale, ratio, diameter, rudder_area, wake, density, hull, propeller, rudder):
+class _Ship(NamedTuple):
+    """Parameters of the forces: those of `manoeuvring_ship`, `scale` ½ρLd [kg/m], and `ratio`, propeller to rudder."""
+
+    length: Array
+    scale: Array
+    ratio: Array
+    diameter: Array
+    rudder_area: Array
+    wake: Array
+    density: Array
+    hull: dict[str, Array]
+    propeller: dict[str, Array]
+    rudder: dict[str, Array]
+
+
+class _Flow(NamedTuple):
+    """Water around the ship: speed U at midships [m/s], drift angle β [rad], and r L [m/s] by the yaw rate r."""
+
+    speed: Array
+    drift: Array
+    turn: Array
+
+
+def _forces(nu, delta, n, ship: _Ship):
     """Surge and sway force and yaw moment at midships [N, N, N m]."""
     u, v, yaw = nu
     speed = jnp.maximum(jnp.sqrt(u**2 + v**2), 1e-9)  # a divisor below
-    turn = yaw * length
+    # The drift angle is positive for a motion to port, v < 0: the water then comes from that side.
+    flow = _Flow(speed, jnp.arctan2(-v, u), yaw * ship.length)
+    x, y, z = _hull(v, flow, ship.hull)
+    inflow_speed, jet, thrust = _propeller(u, n, flow, ship)
+    lift = _lift(delta, inflow_speed, jet, flow, ship)
+    # For δ > 0 the ship feels −F_N across: it pushes the stern to port, and so turns the bow to starboard.
+    side, rudder, length = lift * jnp.cos(delta), ship.rudder, ship.length
+    thrust, braking = (1 - ship.propeller["deduction"]) * thrust, (1 - rudder["deduction"]) * lift * jnp.sin(delta)
+    return jnp.stack(
+        [
+            ship.scale * x + thrust - braking,
+            ship.scale * y - (1 + rudder["hull"]) * side,
+            ship.scale * length * z - (-0.5 + rudder["hull"] * rudder["place"]) * length * side,
+        ]
+    )
+
+
+def _hull(v, flow: _Flow, hull: dict[str, Array]):
+    """Surge and sway force by `scale`, and yaw moment by `scale * length` [m²/s²], of the hull alone."""
+    speed, turn = flow.speed, flow.turn
     # v' = v/U and r' = rL/U, so U² times a quadratic term is free of U, and a cubic one keeps 1/U.
     x = -hull["R0"] * speed**2 + hull["Xvv"] * v**2 + hull["Xvr"] * v * turn + hull["Xrr"] * turn**2
     x = x + hull["Xvvvv"] * v**4 / speed**2
@@ -195,32 +239,31 @@ def _forces(nu, delta, n, length, scale, ratio, diameter, rudder_area, wake, den
         + sum(hull[f"{a}{name}"] * c for name, c in zip(("vvv", "vvr", "vrr", "rrr"), cubic, strict=True)) / speed
         for a in "YN"
     )
-    # Positive for a motion to port, v < 0: the water then comes from that side.
-    drift = jnp.arctan2(-v, u)
-    inflow = drift + 0.5 * turn / speed  # the propeller is at half a length aft
+    return x, y, z
+
+
+def _propeller(u, n, flow: _Flow, ship: _Ship):
+    """Speed of the water into the propeller and of its jet [m/s], and its thrust [N]."""
+    propeller = ship.propeller
+    inflow = flow.drift + 0.5 * flow.turn / flow.speed  # the propeller is at half a length aft
     swirl = jnp.where(inflow > 0, propeller["C2+"], propeller["C2-"]) - 1
-    inflow_speed = (1 - wake) * u * (1 + (1 - jnp.exp(-propeller["C1"] * jnp.abs(inflow))) * swirl)
-    tip = jnp.maximum(n * diameter, 1e-9)  # a divisor below
+    inflow_speed = (1 - ship.wake) * u * (1 + (1 - jnp.exp(-propeller["C1"] * jnp.abs(inflow))) * swirl)
+    tip = jnp.maximum(n * ship.diameter, 1e-9)  # a divisor below
     advance = inflow_speed / tip
     thrust_coefficient = propeller["k0"] + propeller["k1"] * advance + propeller["k2"] * advance**2
-    thrust = density * n**2 * diameter**4 * thrust_coefficient
-    rudder_drift = drift - rudder["arm"] * turn / speed
-    cross = speed * rudder_drift * jnp.where(rudder_drift > 0, rudder["straightening+"], rudder["straightening-"])
     # Speed of the propeller's jet by momentum theory; a braking thrust may leave no real root.
     # The source divides by the advance ratio J; times its square, no inflow or no revolutions stay finite.
     jet = jnp.sqrt(jnp.maximum(inflow_speed**2 + 8 * thrust_coefficient * tip**2 / math.pi, 0.0))
+    return inflow_speed, jet, ship.density * n**2 * ship.diameter**4 * thrust_coefficient
+
+
+def _lift(delta, inflow_speed, jet, flow: _Flow, ship: _Ship):
+    """Normal force [N] on the rudder."""
+    rudder, ratio = ship.rudder, ship.ratio
+    drift = flow.drift - rudder["arm"] * flow.turn / flow.speed
+    cross = flow.speed * drift * jnp.where(drift > 0, rudder["straightening+"], rudder["straightening-"])
     along = rudder["wake"] * jnp.sqrt(
         ratio * (inflow_speed + rudder["jet"] * (jet - inflow_speed)) ** 2 + (1 - ratio) * inflow_speed**2
     )
-    lift = (
-        density / 2 * rudder_area * (along**2 + cross**2) * rudder["lift"] * jnp.sin(delta - jnp.arctan2(cross, along))
-    )
-    # For δ > 0 the ship feels −F_N across: it pushes the stern to port, and so turns the bow to starboard.
-    side = lift * jnp.cos(delta)
-    return jnp.stack(
-        [
-            scale * x + (1 - propeller["deduction"]) * thrust - (1 - rudder["deduction"]) * lift * jnp.sin(delta),
-            scale * y - (1 + rudder["hull"]) * side,
-            scale * length * z - (-0.5 + rudder["hull"] * rudder["place"]) * length * side,
-        ]
-    )
+    attack = jnp.sin(delta - jnp.arctan2(cross, along))
+    return ship.density / 2 * ship.rudder_area * (along**2 + cross**2) * rudder["lift"] * attack

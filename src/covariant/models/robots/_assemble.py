@@ -2,7 +2,7 @@
 
 import contextlib
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -14,7 +14,8 @@ from covariant.geometry import AbstractManifold, AbstractSpace, Coordinates, Pro
 from covariant.geometry.lie import SE3, SO3
 from covariant.models._mechanical import MechanicalSystem
 from covariant.models._parameters import Parametric, known, namespace
-from covariant.models.robots._description import NO_INERTIA, BodyInertia, Description, Joint, Motor, turn_about
+from covariant.models.robots._axes import Axis, Freedom, bodies_of, freedom_of, regrouped
+from covariant.models.robots._description import BodyInertia, Description, Joint, Motor
 from covariant.models.robots._forces import Potential, force, resistance
 from covariant.models.robots._space import RobotSpace
 from covariant.models.robots._tree import KinematicTree, Links
@@ -24,23 +25,6 @@ TWIST = ("v1", "v2", "v3", "w1", "w2", "w3")
 TWIST_UNITS = ("m/s", "m/s", "m/s", "rad/s", "rad/s", "rad/s")
 SMALLEST_INERTIA = 1e-12
 """Smallest eigenvalue of the inertia matrix, relative to the largest, with which it counts as positive definite."""
-
-
-class _Axis(NamedTuple):
-    """A joint of one axis, one of the three of a planar or ball joint, or a frame that one moves."""
-
-    name: str
-    joint: Joint
-    parent: int
-    rotation: np.ndarray
-    place: np.ndarray
-    turn: np.ndarray
-    slide: np.ndarray
-    circle: bool
-
-    @property
-    def ball(self) -> bool:
-        return self.joint.kind == "ball"
 
 
 def assemble(
@@ -81,18 +65,41 @@ def assemble(
 def _assemble(
     robot: Description, floating: bool, locked: dict[str, float], actuated: Sequence[str] | None, loads: dict[str, Any]
 ) -> MechanicalSystem:
-    named = {joint.name: joint for joint in robot.joints}
-    for name in [*locked, *(actuated or ())]:
-        if name not in named:
-            raise ValueError(f"there is no joint {name!r}; there are {', '.join(named)}")
-    for joint in robot.joints:
-        follows = joint.follows
-        if follows is not None and follows.joint not in (*named, ""):
-            raise ValueError(f"joint {joint.name!r} follows {follows.joint!r}, and there is no such joint")
+    _check_names(robot, [*locked, *(actuated or ())])
     locked = _with_followers(robot, locked)
     robot, free_base = _on_its_base(robot, locked)
     floating = floating or free_base
-    axes, bodies, base, frames = _bodies(robot, locked)
+    axes, bodies, base, frames = bodies_of(robot, locked)
+    base = _with_payload(bodies, base, frames, loads)
+    if not axes and not floating:
+        raise ValueError("no joint moves; a robot needs one that is not fixed or locked")
+    freedom = freedom_of(axes)
+    tree = _tree(axes, freedom, *regrouped(axes, bodies, base), namespace(loads))
+    of_joints = Coordinates(tuple(k for k, i in enumerate(freedom.free) if axes[i].circle), len(freedom.free))
+    manifold = _product(floating, len(tree.balls), of_joints)
+    space = RobotSpace(tree, _links(frames), manifold=manifold, floating=floating)
+    model = _system(robot, axes, freedom, space, actuated)
+    if known(loads):
+        _check_inertia(model, [axes[i].joint.name for i in freedom.moving])
+    return model
+
+
+def _check_names(robot: Description, names: Sequence[str]) -> None:
+    """Raise `ValueError` where there is no joint of a name, or none that another one follows."""
+    present = [joint.name for joint in robot.joints]
+    for name in names:
+        if name not in present:
+            raise ValueError(f"there is no joint {name!r}; there are {', '.join(present)}")
+    for joint in robot.joints:
+        follows = joint.follows
+        if follows is not None and follows.joint not in (*present, ""):
+            raise ValueError(f"joint {joint.name!r} follows {follows.joint!r}, and there is no such joint")
+
+
+def _with_payload(
+    bodies: list[BodyInertia], base: BodyInertia, frames: dict[str, Any], loads: dict[str, Any]
+) -> BodyInertia:
+    """Add the payload to the bodies that carry it; returns the base with its own."""
     for link, (mass, place) in loads.items():
         if link not in frames:
             raise ValueError(f"payload: there is no link {link!r}; there are {', '.join(frames)}")
@@ -101,21 +108,16 @@ def _assemble(
             base = base.with_mass(mass, rotation @ place + origin)
         else:
             bodies[body] = bodies[body].with_mass(mass, rotation @ place + origin)
-    if not axes and not floating:
-        raise ValueError("no joint moves; a robot needs one that is not fixed or locked")
-    names = [axis.name for axis in axes]
-    in_balls = [i for i, axis in enumerate(axes) if axis.ball]
-    free = [i for i, axis in enumerate(axes) if axis.joint.follows is None and not axis.ball]
-    coordinates, offset = _follow(axes, names, in_balls + free)
-    motors = robot.motors if actuated is None else ()
-    springs = [_with_motors(axis.joint, motors) for axis in axes]
-    bodies, base = _regrouped(axes, bodies, base)
-    xnp = namespace(loads)
+    return base
+
+
+def _tree(axes: list[Axis], freedom: Freedom, bodies: list[BodyInertia], base: BodyInertia, xnp: Any) -> KinematicTree:
+    """The arrays of the robot space; `xnp` is JAX's NumPy where the payload is traced, else NumPy."""
 
     def stacked(parts: list, shape: tuple[int, ...]) -> Array:
         return jnp.asarray(xnp.stack([xnp.asarray(part, float) for part in parts])) if parts else jnp.zeros((0, *shape))
 
-    tree = KinematicTree(
+    return KinematicTree(
         tuple(axis.parent for axis in axes),
         stacked([axis.turn for axis in axes], (3,)),
         stacked([axis.slide for axis in axes], (3,)),
@@ -127,53 +129,59 @@ def _assemble(
         jnp.asarray(base.mass, float),
         jnp.asarray(base.first, float),
         jnp.asarray(base.second, float),
-        jnp.asarray(coordinates),
-        jnp.asarray(offset),
+        jnp.asarray(freedom.matrix),
+        jnp.asarray(freedom.offset),
         # Each joint depends on one coordinate, so that the inertia of the rotors is diagonal: ratio² times each.
-        jnp.asarray(coordinates.T**2 @ np.array([axis.joint.armature for axis in axes])),
-        tuple(in_balls[::3]),
+        jnp.asarray(freedom.matrix.T**2 @ np.array([axis.joint.armature for axis in axes])),
+        tuple(freedom.balls[::3]),
     )
-    of_joints = Coordinates(tuple(k for k, i in enumerate(free) if axes[i].circle), len(free))
-    manifold = _product(floating, len(tree.balls), of_joints)
+
+
+def _links(frames: dict[str, Any]) -> Links:
     placements = list(frames.values())
-    links = Links(
+    return Links(
         tuple(frames),
         tuple(body for body, _, _ in placements),
         jnp.asarray(np.array([rotation for _, rotation, _ in placements])),
         jnp.asarray(np.array([place for _, _, place in placements])),
     )
-    space = RobotSpace(tree, links, manifold=manifold, floating=floating)
-    inputs = _inputs(robot, axes, coordinates, in_balls + free, motors, actuated)
+
+
+def _system(
+    robot: Description, axes: list[Axis], freedom: Freedom, space: RobotSpace, actuated: Sequence[str] | None
+) -> MechanicalSystem:
+    """The system on the space, with the springs, dampers and motors of the joints, and names and units."""
+    motors = robot.motors if actuated is None else ()
+    springs = [_with_motors(axis.joint, motors) for axis in axes]
+    inputs = _inputs(robot, axes, freedom, motors, actuated)
+    floating, balls, free = space.floating, space.tree.balls, freedom.free
     units = tuple("rad" if axes[i].turn.any() else "m" for i in free)
-    spins = tuple(f"w{k + 1}_{axes[i].joint.name}" for i in tree.balls for k in range(3))
-    velocities = (*TWIST * floating, *spins, *(f"rate_{names[i]}" for i in free))
+    spins = tuple(f"w{k + 1}_{axes[i].joint.name}" for i in balls for k in range(3))
+    velocities = (*TWIST * floating, *spins, *(f"rate_{axes[i].name}" for i in free))
     velocity_units = (*TWIST_UNITS * floating, *("rad/s" for _ in spins), *(f"{unit}/s" for unit in units))
-    model = MechanicalSystem(
+    return MechanicalSystem(
         space,
         potential=Potential(
             space,
             jnp.asarray(robot.gravity),
             jnp.array([spring.stiffness for spring in springs], float),
             jnp.array([spring.rest for spring in springs], float),
-            tuple(ball for ball, i in enumerate(tree.balls) if springs[i].stiffness),
+            tuple(ball for ball, i in enumerate(balls) if springs[i].stiffness),
         ),
         force=Parametric(force, motors=inputs, base=np.zeros(6 * floating)),
         dissipation=Parametric(
             resistance,
-            coordinates=coordinates,
+            coordinates=freedom.matrix,
             damping=np.array([spring.damping for spring in springs]),
             friction=np.array([spring.friction for spring in springs]),
             base=np.zeros(6 * floating),
         ),
-        coordinates=tuple(names[i] for i in free),
+        coordinates=tuple(axes[i].name for i in free),
         units=units,
-        velocities=velocities if floating or in_balls else (),
-        velocity_units=velocity_units if floating or in_balls else (),
+        velocities=velocities if floating or balls else (),
+        velocity_units=velocity_units if floating or balls else (),
         inputs=inputs.shape[1],
     )
-    if known(loads):
-        _check_inertia(model, [axes[i].joint.name for i in in_balls + free])
-    return model
 
 
 def _product(floating: bool, balls: int, joints: Coordinates) -> AbstractManifold:
@@ -232,15 +240,15 @@ def _with_motors(joint: Joint, motors: Sequence[Motor]) -> Joint:
 
 def _inputs(
     robot: Description,
-    axes: list[_Axis],
-    coordinates: np.ndarray,
-    free: list[int],
+    axes: list[Axis],
+    freedom: Freedom,
     motors: Sequence[Motor],
     actuated: Sequence[str] | None,
 ) -> np.ndarray:
     """Generalised force (n, m) of each input."""
+    coordinates = freedom.matrix
     if not motors:
-        driven = [i for i in free if actuated is None or axes[i].joint.name in actuated]
+        driven = [i for i in freedom.moving if actuated is None or axes[i].joint.name in actuated]
         # By virtual work the transpose of coordinates ↦ joint positions takes torques to generalised forces.
         return coordinates[driven].T * ([_reduction(axes[i].joint) for i in driven] if robot.motor_torques else 1.0)
     columns = []
@@ -280,133 +288,6 @@ def _with_followers(robot: Description, locked: dict[str, float]) -> dict[str, f
         if not more:
             return still
         still |= more
-
-
-def _bodies(
-    robot: Description, locked: dict[str, float]
-) -> tuple[list[_Axis], list[BodyInertia], BodyInertia, dict[str, Any]]:
-    """The axes, the body behind each, the base, and the frame of each link in its body.
-
-    Fixed and locked links become part of the body that carries them.
-    """
-    axes: list[_Axis] = []
-    bodies: list[BodyInertia] = []
-    base = robot.links[robot.root]
-    frames = {robot.root: (-1, np.eye(3), np.zeros(3))}  # body of each link, and where the link's frame is in it
-
-    def add(body: int, inertia: BodyInertia) -> None:
-        nonlocal base
-        if body < 0:
-            base = base.joined(inertia)
-        else:
-            bodies[body] = bodies[body].joined(inertia)
-
-    for joint in robot.joints:
-        body, turned, shifted = frames[joint.parent]
-        rotation, place = turned @ joint.rotation, shifted + turned @ joint.place
-        if joint.name in locked:
-            inner, shift = _locked(joint, locked[joint.name])
-            rotation, place = rotation @ inner, place + rotation @ shift
-            frames[joint.child] = body, rotation, place
-            add(body, robot.links[joint.child].moved(rotation, place))
-            continue
-        # Where the frame of the link is that of its carrier but for quarter turns, that of the body makes none: they
-        # would cost an observer a change of sign at every joint in every sweep.
-        quarters = np.isin(rotation, (-1.0, 0.0, 1.0)).all() and joint.kind != "ball"
-        turned = rotation if quarters else np.eye(3)
-        for name, turn, slide, circle in _motions(joint):
-            axes.append(_Axis(name, joint, body, rotation @ turned.T, place, turned @ turn, turned @ slide, circle))
-            bodies.append(NO_INERTIA)
-            body, rotation, place = len(bodies) - 1, turned, np.zeros(3)
-        bodies[body] = robot.links[joint.child].moved(turned, place)
-        frames[joint.child] = body, turned, place
-    return axes, bodies, base, frames
-
-
-def _regrouped(
-    axes: list[_Axis], bodies: list[BodyInertia], base: BodyInertia
-) -> tuple[list[BodyInertia], BodyInertia]:
-    """Regroup the inertial parameters: what a joint does not move differently becomes part of what carries the joint.
-
-    A mass on the axis of a turning joint moves with the carrier, and a sliding joint turns its body as the carrier. So
-    bodies have no mass, no first and no second moment along an axis that they turn about, no second moment where they
-    slide, and behind a ball joint no mass, since its centre moves with the carrier. Source: Khalil & Dombre 2002,
-    Modeling, Identification and Control of Robots, section 9.4.
-    """
-    regrouped, carried = list(bodies), [*bodies, base]  # the base is last: index −1 is its number as a parent
-    for i in reversed(range(len(axes))):  # leaves first: a body passes on what it received
-        turn, body = axes[i].turn, carried[i]
-        if axes[i].ball:
-            moved = BodyInertia(body.mass, np.zeros(3), np.zeros((3, 3)))
-        elif turn.any():
-            projection = np.outer(turn, turn)
-            moved = BodyInertia(body.mass, projection @ body.first, projection @ body.second @ projection)
-        else:
-            moved = BodyInertia(0.0, np.zeros(3), body.second)
-        regrouped[i] = BodyInertia(body.mass - moved.mass, body.first - moved.first, body.second - moved.second)
-        carried[axes[i].parent] = carried[axes[i].parent].joined(moved.moved(axes[i].rotation, axes[i].place))
-    return regrouped, carried[-1]
-
-
-def _motions(joint: Joint) -> list[tuple[str, np.ndarray, np.ndarray, bool]]:
-    """Name, turning axis, sliding axis of each motion of a joint, and whether it is an angle on a full circle."""
-    none = np.zeros(3)
-    if joint.kind == "prismatic":
-        return [(joint.name, none, joint.axis, False)]
-    if joint.kind in ("revolute", "continuous"):
-        return [(joint.name, joint.axis, none, joint.kind == "continuous")]
-    if joint.kind == "ball":
-        return [(f"{joint.name}_{x}", axis, none, False) for x, axis in zip("xyz", np.eye(3), strict=True)]
-    # The coordinate axis least along the normal: its part in the plane is at least √(2/3) long.
-    first = np.eye(3)[np.argmin(np.abs(joint.axis))]
-    first = first - joint.axis * (first @ joint.axis)
-    first = first / np.linalg.norm(first)
-    second = np.cross(joint.axis, first)
-    return [
-        (f"{joint.name}_x", none, first, False),
-        (f"{joint.name}_y", none, second, False),
-        (f"{joint.name}_turn", joint.axis, none, True),
-    ]
-
-
-def _locked(joint: Joint, value: float) -> tuple[np.ndarray, np.ndarray]:
-    """Rotation and place of a locked joint."""
-    if not np.isfinite(value):
-        raise ValueError(f"joint {joint.name!r}: it must be locked at a finite number; got {value}")
-    if joint.kind == "prismatic":
-        return np.eye(3), joint.axis * value
-    if joint.kind in ("fixed", "planar", "floating", "ball"):
-        if value:
-            raise ValueError(f"joint {joint.name!r}: a {joint.kind} joint is locked at 0; got {value}")
-        return np.eye(3), np.zeros(3)
-    return turn_about(joint.axis, value), np.zeros(3)
-
-
-def _follow(axes: list[_Axis], names: list[str], free: list[int]) -> tuple[np.ndarray, np.ndarray]:
-    """The joints as linear functions of the free ones: matrix (k, n) and offset (k,)."""
-    matrix, offset = np.zeros((len(axes), len(free))), np.zeros(len(axes))
-    for column, i in enumerate(free):
-        matrix[i, column] = 1.0
-    pending = [i for i in range(len(axes)) if i not in free]
-    done = set(free)
-    while pending:
-        ready = [i for i in pending if _leader(axes[i], names) in done]
-        if not ready:
-            raise ValueError(f"joint {axes[pending[0]].name!r} follows itself")
-        for i in ready:
-            follows, leader = axes[i].joint.follows, _leader(axes[i], names)
-            assert follows is not None
-            matrix[i], offset[i] = follows.ratio * matrix[leader], follows.ratio * offset[leader] + follows.offset
-        done |= set(ready)
-        pending = [i for i in pending if i not in ready]
-    return matrix, offset
-
-
-def _leader(axis: _Axis, names: list[str]) -> int:
-    assert axis.joint.follows is not None
-    if axis.joint.follows.joint not in names:
-        raise ValueError(f"joint {axis.name!r} follows {axis.joint.follows.joint!r}, which has more than one axis")
-    return names.index(axis.joint.follows.joint)
 
 
 @eqx.filter_jit  # operation by operation a first robot would take several times as long

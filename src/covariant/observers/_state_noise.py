@@ -1,6 +1,5 @@
-"""The registry of observers of state-space models that `design` can tune: one entry for each."""
+"""Observers of state-space models from the noise of the model."""
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -11,7 +10,6 @@ from jaxtyping import Array, Float
 from covariant._typing import Matrix, Vector
 from covariant.metrics import Equation, RiccatiMetric, metric_at
 from covariant.models import StateSpace
-from covariant.observers._protocol import AbstractObserver
 from covariant.observers._riccati import InformationEKF, Riccati
 from covariant.observers._state_ekf import StateEKF
 from covariant.signals import Result
@@ -52,34 +50,6 @@ class Noise(NamedTuple):
     def equation(self) -> Equation:
         """Equation of information and metric, in which samples are white noise of density `measurement_cov / rate`."""
         return Equation(process_cov=self.process_cov, measurement_cov=self.measurement_cov / self.rate)
-
-
-class StateEntry(NamedTuple):
-    """An observer of state-space models, and how to construct it for a model.
-
-    Attributes:
-        name: Name on the command line.
-        observer: Class of the observer.
-        make: Function that constructs the observer, `make(model, noise)`.
-        about: Short description of the observer.
-        when: When to choose it.
-        source: Where it was published.
-
-    Example:
-        >>> import numpy as np
-        >>> from covariant import models, observers
-        >>> entry = observers.STATE_REGISTRY[0]
-        >>> noise = observers.Noise(np.eye(2), np.array([[1e-4]]), np.zeros(2), np.eye(2), rate=100.0)
-        >>> entry.name, type(entry.make(models.duffing(), noise)).__name__
-        ('covariance-ekf', 'StateEKF')
-    """
-
-    name: str
-    observer: type[AbstractObserver]
-    make: Callable[[StateSpace, Noise], AbstractObserver]
-    about: str
-    when: str
-    source: str
 
 
 def covariance_ekf(model: StateSpace, noise: Noise) -> StateEKF:
@@ -141,32 +111,3 @@ def riccati(model: StateSpace, noise: Noise) -> Riccati:
     steps = int(np.clip(np.ceil(2 * length * fastest), FEWEST_STEPS, MOST_STEPS))
     metric = RiccatiMetric(model, equation, length, steps, first)
     return Riccati(model, metric, noise.start, 0.5, equation.measurement_cov)
-
-
-STATE_REGISTRY = (
-    StateEntry(
-        name="covariance-ekf",
-        observer=StateEKF,
-        make=covariance_ekf,
-        about="extended Kalman filter with sampled measurements, covariance in Joseph form, and a gate for outliers",
-        when="the default: it knows how certain each state is",
-        source="Gelb 1974, 6.1",
-    ),
-    StateEntry(
-        name="information-ekf",
-        observer=InformationEKF,
-        make=information_ekf,
-        about="extended Kalman filter in information form, measurements as in continuous time",
-        when="dense samples, and states that are unknown at first",
-        source="Sanfelice & Praly 2015, (13)–(14)",
-    ),
-    StateEntry(
-        name="riccati",
-        observer=Riccati,
-        make=riccati,
-        about="correction through the contraction metric that a Riccati equation gives at the estimate",
-        when="a gain that depends on the estimate alone, and not on how it got there",
-        source="Sanfelice & Praly 2015, (11)",
-    ),
-)
-"""All entries; the first is the default choice."""
