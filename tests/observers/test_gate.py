@@ -168,7 +168,8 @@ def test_a_gate_does_not_do_the_work_of_its_observer_twice(joints):
         step = jax.jit(watched.step).lower(watched.init(rest), rest, rest, jnp.asarray(0.01))
         return step.compile().cost_analysis()["flops"]
 
-    assert operations(Gated(observer, chain, 1e-3, 5.0)) < 1.15 * operations(observer)
+    # The gate costs a number of operations a joint that no model changes.
+    assert operations(Gated(observer, chain, 1e-3, 5.0)) < operations(observer) + 330 * joints
 
 
 @pytest.mark.parametrize("size", [0.3, 5.0])

@@ -38,7 +38,7 @@ ROD, CHAIN = pendulum_chain((1.0,), (0.5,)), pendulum_chain((1.0, 0.7), (0.5, 0.
 
 def estimator(kind: str, model, speed: float, gate: Gate | None = Gate(), density: float = 1.0):
     """An estimator of the kind, with the noise of the logs here; without a gate where it is None."""
-    eye = np.eye(len(model.manifold.zero(model.manifold.origin())))
+    eye = jnp.eye(len(model.manifold.zero(model.manifold.origin())))
     if kind == "Intrinsic":
         observer = Intrinsic(model, 40.0, 800.0, substeps=2)
         return observer if gate is None else Gated(observer, model, NOISE, speed, gate)
@@ -152,11 +152,13 @@ def cube_velocities(kind: str, gate: Gate | None, t, y) -> np.ndarray:
     mass, moment = 0.37, 0.37 / 6 * 0.1**2
     inertia = jnp.diag(jnp.array([mass] * 3 + [moment] * 3))
     body = GroupSystem(SE3, inertia, lambda g: mass * 9.81 * g[2, 3], inputs=0, force=lambda t, g, u: jnp.zeros(6))
-    process, noise = np.diag([1.0] * 3 + [50.0] * 3), np.diag([4e-6] * 3 + [2.5e-5] * 3)
+    process, noise, prior = (
+        jnp.diag(jnp.array([a] * 3 + [b] * 3)) for a, b in ((1.0, 50.0), (4e-6, 2.5e-5), (1.0, 64.0))
+    )
     if kind == "EKF":
         observer = EKF(body, process, noise, 4.0, substeps=1, gate=gate)
     else:
-        observer = IntrinsicKalman(body, process, noise, np.diag([1.0] * 3 + [64.0] * 3), substeps=1, gate=gate)
+        observer = IntrinsicKalman(body, process, noise, prior, substeps=1, gate=gate)
     return np.asarray(run(observer, Record(t, np.zeros((len(t), 0)), y)).estimate.v)
 
 

@@ -118,7 +118,9 @@ class Gate(eqx.Module):
         restart = patient | jnp.any(moved)
         velocity = predicted
         if usual is not None:
-            mean = predicted.mean + jnp.where(straight, line.slope, 0.0)
+            # A start after long patience takes the velocity of the readings too, where three of them agree.
+            agreed = moved | (patient & straight & (memory.refused >= 2))
+            mean = predicted.mean + jnp.where(agreed, line.slope, 0.0)
             cov = jnp.where(patient, usual, predicted.cov)
             velocity = Velocity(mean, _with_block(cov, line.slope_cov(sample.noise, memory.scale), moved))
         return Judged(far, moved, restart, velocity, memory.judged(line, present, far, scale))

@@ -117,7 +117,7 @@ class GateMemory(NamedTuple):
         """
         step = (line.change - self.last) / line.step
         return self._replace(
-            refused=self.refused + far,
+            refused=self.refused + far.astype(self.refused.dtype),
             scale=scale,
             last=jnp.where(far, line.change, self.last),
             slope=jnp.where(far, step, self.slope),
