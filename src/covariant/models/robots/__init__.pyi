@@ -1,8 +1,15 @@
 from ._assemble import assemble as assemble
+from ._changes import (
+    OF_INERTIA as OF_INERTIA,
+    changed as changed,
+    inertia_of as inertia_of,
+    numbers_of as numbers_of,
+)
 from ._description import (
     BodyInertia as BodyInertia,
     Description as Description,
     Follows as Follows,
+    FrictionLaw as FrictionLaw,
     Joint as Joint,
     Motor as Motor,
 )

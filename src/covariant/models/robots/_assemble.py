@@ -1,7 +1,7 @@
 """Mechanical systems from descriptions of robots: links that do not move apart become one body."""
 
 import contextlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -14,8 +14,16 @@ from covariant.geometry import AbstractManifold, AbstractSpace, Coordinates, Pro
 from covariant.geometry.lie import SE3, SO3
 from covariant.models._mechanical import MechanicalSystem
 from covariant.models._parameters import Parametric, known, namespace
-from covariant.models.robots._description import NO_INERTIA, BodyInertia, Description, Joint, Motor, turn_about
-from covariant.models.robots._forces import Potential, force, resistance
+from covariant.models.robots._description import (
+    NO_INERTIA,
+    BodyInertia,
+    Description,
+    FrictionLaw,
+    Joint,
+    Motor,
+    turn_about,
+)
+from covariant.models.robots._forces import Potential, force, joint_friction, resistance
 from covariant.models.robots._space import RobotSpace
 from covariant.models.robots._tree import KinematicTree, Links
 
@@ -74,7 +82,7 @@ def assemble(
     loads = _checked_payload(payload or {})
     # `_check_inertia` needs the numbers of the inertia, also inside a compiled function.
     traced = not known(jnp.zeros(()))
-    with jax.ensure_compile_time_eval() if traced and known(loads) else contextlib.nullcontext():
+    with jax.ensure_compile_time_eval() if traced and known((loads, robot)) else contextlib.nullcontext():
         return _assemble(robot, floating, dict(lock or {}), actuated, loads)
 
 
@@ -110,7 +118,7 @@ def _assemble(
     motors = robot.motors if actuated is None else ()
     springs = [_with_motors(axis.joint, motors) for axis in axes]
     bodies, base = _regrouped(axes, bodies, base)
-    xnp = namespace(loads)
+    xnp = namespace(loads, robot)
 
     def stacked(parts: list, shape: tuple[int, ...]) -> Array:
         return jnp.asarray(xnp.stack([xnp.asarray(part, float) for part in parts])) if parts else jnp.zeros((0, *shape))
@@ -128,9 +136,9 @@ def _assemble(
         jnp.asarray(base.first, float),
         jnp.asarray(base.second, float),
         jnp.asarray(coordinates),
-        jnp.asarray(offset),
+        jnp.asarray(offset + coordinates @ _numbers(axes[i].joint.encoder_offset for i in in_balls + free)),
         # Each joint depends on one coordinate, so that the inertia of the rotors is diagonal: ratio² times each.
-        jnp.asarray(coordinates.T**2 @ np.array([axis.joint.armature for axis in axes])),
+        jnp.asarray(coordinates.T**2 @ _numbers(axis.joint.armature for axis in axes)),
         tuple(in_balls[::3]),
     )
     of_joints = Coordinates(tuple(k for k, i in enumerate(free) if axes[i].circle), len(free))
@@ -158,22 +166,38 @@ def _assemble(
             tuple(ball for ball, i in enumerate(tree.balls) if springs[i].stiffness),
         ),
         force=Parametric(force, motors=inputs, base=np.zeros(6 * floating)),
-        dissipation=Parametric(
-            resistance,
-            coordinates=coordinates,
-            damping=np.array([spring.damping for spring in springs]),
-            friction=np.array([spring.friction for spring in springs]),
-            base=np.zeros(6 * floating),
-        ),
+        dissipation=_dissipation(springs, coordinates, np.zeros(6 * floating)),
         coordinates=tuple(names[i] for i in free),
         units=units,
         velocities=velocities if floating or in_balls else (),
         velocity_units=velocity_units if floating or in_balls else (),
         inputs=inputs.shape[1],
     )
-    if known(loads):
+    if known((loads, robot)):
         _check_inertia(model, [axes[i].joint.name for i in in_balls + free])
     return model
+
+
+def _numbers(values: Iterable[Any]) -> Any:
+    """An array of numbers some of which may be traced."""
+    listed = list(values)
+    return namespace(listed).asarray(listed, float)
+
+
+def _dissipation(joints: list[Joint], coordinates: np.ndarray, base: np.ndarray) -> Parametric:
+    """Friction of the joints; where one has a law it takes the place of its damping and dry friction."""
+    plain = {
+        "coordinates": coordinates,
+        "damping": _numbers(0.0 if joint.law else joint.damping for joint in joints),
+        "friction": _numbers(0.0 if joint.law else joint.friction for joint in joints),
+        "base": base,
+    }
+    if not any(joint.law for joint in joints):
+        return Parametric(resistance, **plain)
+    none = FrictionLaw()
+    laws = [joint.law or none for joint in joints]
+    law = {field: _numbers(getattr(one, field) for one in laws) for field in none._fields}
+    return Parametric(joint_friction, **plain, law=law)
 
 
 def _product(floating: bool, balls: int, joints: Coordinates) -> AbstractManifold:
@@ -241,7 +265,10 @@ def _inputs(
     if not motors:
         driven = [i for i in free if actuated is None or axes[i].joint.name in actuated]
         # By virtual work the transpose of coordinates ↦ joint positions takes torques to generalised forces.
-        return coordinates[driven].T * ([_reduction(axes[i].joint) for i in driven] if robot.motor_torques else 1.0)
+        factors = _numbers(
+            axes[i].joint.torque_constant * (_reduction(axes[i].joint) if robot.motor_torques else 1.0) for i in driven
+        )
+        return coordinates[driven].T * factors
     columns = []
     for motor in motors:
         if motor.unsupported:
@@ -251,8 +278,9 @@ def _inputs(
             )
         driven = [coordinates[i] for i, axis in enumerate(axes) if axis.joint.name == motor.joint]
         if driven:
-            columns.append(motor.gain * (np.array(motor.direction) @ np.array(driven)))
-    return np.array(columns).reshape(len(columns), coordinates.shape[1]).T
+            constant = next(axis.joint.torque_constant for axis in axes if axis.joint.name == motor.joint)
+            columns.append(motor.gain * constant * (np.array(motor.direction) @ np.array(driven)))
+    return _numbers(columns).reshape(len(columns), coordinates.shape[1]).T
 
 
 def _reduction(joint: Joint) -> float:
