@@ -25,6 +25,7 @@ from jaxtyping import Array, Bool, Float
 from covariant import scoring
 from covariant.calibration._robot_combinations import Combinations, combinations
 from covariant.calibration._smooth import held_inputs, second_derivative_weights
+from covariant.geometry import differential
 from covariant.models import MechanicalSystem, RobotFamily, acceleration, applied_force, resistance
 from covariant.signals import Record
 
@@ -76,13 +77,15 @@ class RobotFit(NamedTuple):
         half: Half width [s] of the windows.
         rounds: Number of Gauss–Newton steps.
         coordinates: Coordinates (p,) of the family.
+        losses: Negative log-likelihood (B,) of each block of the logs, up to a constant.
 
     Example:
         >>> import numpy as np
         >>> from covariant.calibration import Combinations, RobotFit
         >>> none = Combinations((), (), 1)
         >>> one = np.ones(1)
-        >>> RobotFit(("gravity",), one, 9.8 * one, 0.1 * one, none, one, 0.03, 4, one).determined.tolist()
+        >>> fitted = RobotFit(("gravity",), one, 9.8 * one, 0.1 * one, none, one, 0.03, 4, one, one)
+        >>> fitted.determined.tolist()
         [True]
     """
 
@@ -95,6 +98,7 @@ class RobotFit(NamedTuple):
     half: float
     rounds: int
     coordinates: Float[np.ndarray, "p"]
+    losses: Float[np.ndarray, "B"]
 
     @property
     def determined(self) -> Bool[np.ndarray, "p"]:
@@ -107,6 +111,7 @@ def fit_robot(
     records: Sequence[Record],
     half: float,
     progress: Callable[[int], object] = lambda _: None,
+    start: RobotFit | None = None,
 ) -> RobotFit:
     """Fit open numbers of a robot to logs.
 
@@ -115,6 +120,7 @@ def fit_robot(
         records: The logs, with the inputs that act in each step.
         half: Half width [s] of the shortest window.
         progress: Called with the number of each round.
+        start: A fit to other inputs, from whose numbers the search starts, with its window.
 
     Returns:
         Values, standard errors, and the combinations that the logs determine.
@@ -133,9 +139,10 @@ def fit_robot(
         True
     """
     search = _Search.of(family, records, half)
-    point = search.point(np.zeros(len(family.names)), search.tracks[0].half)
+    x = np.zeros(len(family.names)) if start is None else start.coordinates
+    point = search.point(x, search.tracks[0].half if start is None else start.half)
     rounds = 0
-    for most in (ROUNDS, MORE_ROUNDS):
+    for most in (ROUNDS, MORE_ROUNDS) if start is None else (ROUNDS,):
         for _ in range(most):
             progress(rounds)
             rounds += 1
@@ -143,7 +150,7 @@ def fit_robot(
             point = search.point(point.x + step.dx, point.half, point.motions)
             if step.settled:
                 break
-        if most == ROUNDS:
+        if most == ROUNDS and start is None:
             point = search.with_best_window(point)
     solution = search.step(point)
     slopes = np.asarray(jax.jit(jax.jacfwd(family.values))(point.x))
@@ -162,6 +169,7 @@ def fit_robot(
         point.half,
         rounds,
         point.x,
+        solution.losses,
     )
 
 
@@ -198,13 +206,15 @@ class _Point(NamedTuple):
 
 
 class _Step(NamedTuple):
-    """A step of the coordinates, with their covariance, the information about them, and the scale of the torques."""
+    """A step of the coordinates, with their covariance, the information about them, the scale of the torques, and the
+    negative log-likelihood (B,) of each block."""
 
     dx: Float[np.ndarray, "p"]
     covariance: Float[np.ndarray, "p p"]
     information: Float[np.ndarray, "p p"]
     scale: Float[np.ndarray, "n"]
     settled: bool
+    losses: Float[np.ndarray, "B"]
 
 
 class _Search(NamedTuple):
@@ -214,7 +224,7 @@ class _Search(NamedTuple):
     tracks: tuple[_Track, ...]
     sizes: Float[np.ndarray, "p"]
     resting: Float[np.ndarray, "n"]
-    derivatives: Callable[..., Any]
+    compiled: "_Compiled"
 
     @classmethod
     def of(cls, family: RobotFamily, records: Sequence[Record], half: float) -> "_Search":
@@ -222,29 +232,25 @@ class _Search(NamedTuple):
         total = sum(float(record.t[-1] - record.t[0]) for record in records)
         tracks = tuple(_track(record, half, model.circles, total) for record in records)
         paths = [_smoothed(track, track.half, None) for track in tracks]
-        v, a = (np.concatenate([getattr(p, name)[p.used] for p in paths]) for name in ("v", "residual"))
+        q, v, a = (np.concatenate([getattr(p, name)[p.used] for p in paths]) for name in ("q", "v", "residual"))
         u = np.concatenate([track.u[path.used] for track, path in zip(tracks, paths, strict=True)])
         if len(v) < FEWEST_BLOCKS * BLOCK * FINE:
             raise ValueError(
                 f"the logs hold {len(v) * tracks[0].step:.3g} s without a gap, and {FEWEST_BLOCKS * BLOCK * half:.3g} s "
                 "are needed; give longer logs"
             )
-        first = family.make(np.zeros(len(family.names)))
-        torque = np.sqrt(np.mean(_in_batches(_driving, first, u) ** 2, axis=0))
-        weight = np.sqrt(np.mean(_in_batches(_resisting, first, *(np.concatenate(
-            [getattr(p, name)[p.used] for p in paths]) for name in ("q", "v", "residual")), u) ** 2, axis=0))
-        rms = [np.maximum(np.sqrt(np.mean(each**2, axis=0)), 1e-9) for each in (v, a)]
-        return cls(
-            family,
-            tracks,
-            family.sizes(np.maximum(np.maximum(torque, weight), 1e-9), *rms),
-            _resting_speeds(family),
-            _derivatives(family),
-        )
+        compiled = _Compiled.of(family)
+        first = compiled.model(np.zeros(len(family.names)))
+        rms = [
+            np.maximum(np.sqrt(np.mean(each**2, axis=0)), 1e-9)
+            for each in (_in_batches(_driving, first, u), _in_batches(_needed, first, q, v, a), v, a)
+        ]
+        sizes = family.sizes(np.maximum(*rms[:2]), *rms[2:])
+        return cls(family, tracks, sizes, _resting_speeds(family), compiled)
 
     def point(self, x: np.ndarray, half: float, before: tuple[_Path, ...] | None = None) -> _Point:
         """The motion along each log under the model at x: smoothed with the accelerations along the motion before."""
-        model = self.family.make(x)
+        model = self.compiled.model(x)
         motions = []
         for i, track in enumerate(self.tracks):
             path = before[i] if before else _smoothed(track, track.half, None)
@@ -278,20 +284,23 @@ class _Search(NamedTuple):
         # Neighbouring windows overlap: as many rows are independent as half windows fit into the log.
         _, numbering = np.unique(blocks, return_inverse=True)
         thinned = min(1.0, BLOCK * (numbering.max() + 1) / len(blocks))
-        half_information = thinned * np.einsum("kjp,kj,kjq->pq", z, weight, z, optimize=True)
+        information = thinned * np.einsum("kjp,kj,kjq->pq", z, weight, z, optimize=True)
         prior = np.eye(len(self.sizes)) / PRIOR**2
         gradient = thinned * np.einsum("kjp,kj->p", z, weight * relative, optimize=True) + prior @ (point.x / self.sizes)
-        inverse = np.linalg.inv(half_information + prior)
+        inverse = np.linalg.inv(information + prior)
         scores = np.zeros((numbering.max() + 1, len(self.sizes)))
         np.add.at(scores, numbering, thinned * np.einsum("kjp,kj->kp", z, weight * relative, optimize=True))
-        free = np.trace(inverse @ half_information)
+        free = np.trace(inverse @ information)
         scores *= np.sqrt(len(scores) / max(len(scores) - free, 1.0))
         covariance = inverse @ (scores.T @ scores + prior) @ inverse
-        dz = _bounded(half_information + prior, gradient, (self.family.least - point.x) / self.sizes)
+        dz = _bounded(information + prior, gradient, (self.family.least - point.x) / self.sizes)
         dz *= min(1.0, LONGEST_STEP / max(np.abs(dz).max(), 1e-300))
         settled = bool(np.all(np.abs(dz) < CONVERGED * np.sqrt(np.diagonal(covariance))))
         outer = np.outer(self.sizes, self.sizes)
-        return _Step(dz * self.sizes, covariance * outer, half_information / outer, scale, settled)
+        # The pseudo-Huber loss, and the logarithm of the scale that normalises the density.
+        density = HUBER**2 * (np.sqrt(1 + (relative / HUBER) ** 2) - 1) + np.log(scale)
+        losses = thinned * np.bincount(numbering, np.sum(counts * density, axis=1))
+        return _Step(dz * self.sizes, covariance * outer, information / outer, scale, settled, losses)
 
     def _rows(self, point: _Point, i: int):
         """Derivatives (k, n, p) of the torques, residual torques (k, n), which count, and the block of each row."""
@@ -299,10 +308,10 @@ class _Search(NamedTuple):
         total = sum(len(one.grid) for one in self.tracks)
         stride = max(1, -(-total // MOST_ROWS), int(point.half / 8 / track.step))
         rows = np.arange(0, len(track.grid), stride)
-        raw = self.derivatives(point.x, path.q[rows], path.v[rows], path.modelled[rows], track.u[rows])
+        raw = self.compiled.derivatives(point.x, path.q[rows], path.v[rows], path.modelled[rows], track.u[rows])
         weights = _averaging(point.half, track.step * stride)
         slopes = _convolved(np.where(np.isfinite(raw), raw, 0.0), weights)
-        torque = _in_batches(_momentum, self.family.make(point.x), path.q[rows], path.residual[rows])
+        torque = _in_batches(_momentum, self.compiled.model(point.x), path.q[rows], path.residual[rows])
         rests = _convolved((np.abs(path.v[rows]) < self.resting).astype(float), np.abs(weights) / np.abs(weights).sum())
         used = path.used[rows]
         counts = (rests < RESTING)[used]
@@ -396,13 +405,15 @@ def _bounded(matrix: np.ndarray, gradient: np.ndarray, least: np.ndarray) -> np.
 
 def _in_batches(function: Callable[..., Array], model: MechanicalSystem, *columns: np.ndarray) -> np.ndarray:
     """A function of the model and of one row, at all rows."""
+    return _batched(lambda *part: _mapped(function, model, *part), columns)
+
+
+def _batched(function: Callable[..., Array], columns: Sequence[np.ndarray]) -> np.ndarray:
+    """A function of `BATCH` rows, at all rows."""
     count = len(columns[0])
     size = -(-count // BATCH) * BATCH
     padded = [np.concatenate([c, np.repeat(c[-1:], size - count, axis=0)]) for c in columns]
-    parts = [
-        np.asarray(_mapped(function, model, *(c[start : start + BATCH] for c in padded)))
-        for start in range(0, size, BATCH)
-    ]
+    parts = [np.asarray(function(*(c[i : i + BATCH] for c in padded))) for i in range(0, size, BATCH)]
     return np.concatenate(parts)[:count]
 
 
@@ -419,10 +430,10 @@ def _driving(model: MechanicalSystem, u: Array) -> Array:
     return model.force(jnp.zeros(()), model.manifold.origin(), u)
 
 
-def _resisting(model: MechanicalSystem, q: Array, v: Array, a: Array, u: Array) -> Array:
+def _needed(model: MechanicalSystem, q: Array, v: Array, a: Array) -> Array:
     """Torques (n,) that a motion needs, without friction."""
-    still = applied_force(model, jnp.zeros(()), q, jnp.zeros_like(u))
-    return model.space.lower(q, a) + model.space.connection_force(q, v, v) - still
+    weight = differential(model.manifold, model.potential, q)
+    return model.space.lower(q, a) + model.space.connection_force(q, v, v) + weight
 
 
 def _torque(model: MechanicalSystem, q: Array, v: Array, a: Array, u: Array) -> Array:
@@ -431,37 +442,37 @@ def _torque(model: MechanicalSystem, q: Array, v: Array, a: Array, u: Array) -> 
     return model.space.lower(q, a) + model.space.connection_force(q, v, v) - acting
 
 
-def _derivatives(family: RobotFamily) -> Callable[..., np.ndarray]:
-    """Function that gives the derivatives (K, n, p) of the torques in the coordinates at K rows of a motion."""
+class _Compiled(NamedTuple):
+    """The robot as compiled functions of the coordinates x.
 
-    def arrays(x: Array) -> tuple[Array, Any]:
-        numbers, rest = eqx.partition(family.make(x), eqx.is_inexact_array)
-        return ravel_pytree(numbers)[0], rest
+    Attributes:
+        model: `x (p,) -> model`, without making it anew from its files.
+        derivatives: Derivatives (K, n, p) of the torques in x, at x and K rows (q, v, a, u) of a motion.
+    """
 
-    numbers, static = eqx.partition(family.make(np.zeros(len(family.names))), eqx.is_inexact_array)
-    unravel = ravel_pytree(numbers)[1]
+    model: Callable[[np.ndarray], Any]
+    derivatives: Callable[..., np.ndarray]
 
-    @jax.jit
-    def of_arrays(x: Array) -> tuple[Array, Array]:
-        return arrays(x)[0], jax.jacfwd(lambda z: arrays(z)[0])(x)
+    @classmethod
+    def of(cls, family: RobotFamily) -> "_Compiled":
+        numbers, static = eqx.partition(family.make(np.zeros(len(family.names))), eqx.is_inexact_array)
+        unravel = ravel_pytree(numbers)[1]
 
-    @jax.jit
-    def batch(flat: Array, slopes: Array, *columns: Array) -> Array:
-        # Fewer torques than numbers: backwards from each torque to all arrays of the model, then on to the numbers.
-        def at(*row: Array) -> Array:
-            return jax.jacrev(lambda part: _torque(eqx.combine(unravel(part), static), *row))(flat) @ slopes
+        def arrays(x: Array) -> Array:
+            return ravel_pytree(eqx.filter(family.make(x), eqx.is_inexact_array))[0]
 
-        return jax.vmap(at)(*columns)
+        at, slopes_at = jax.jit(arrays), jax.jit(jax.jacfwd(arrays))
 
-    def derivatives(x: np.ndarray, *columns: np.ndarray) -> np.ndarray:
-        flat, slopes = of_arrays(jnp.asarray(x))
-        count = len(columns[0])
-        size = -(-count // BATCH) * BATCH
-        padded = [np.concatenate([c, np.repeat(c[-1:], size - count, axis=0)]) for c in columns]
-        parts = [
-            np.asarray(batch(flat, slopes, *(c[start : start + BATCH] for c in padded)))
-            for start in range(0, size, BATCH)
-        ]
-        return np.concatenate(parts)[:count]
+        @jax.jit
+        def batch(flat: Array, slopes: Array, *columns: Array) -> Array:
+            # Fewer torques than numbers: backwards from each torque to all arrays of the model, then to the numbers.
+            def one(*row: Array) -> Array:
+                return jax.jacrev(lambda part: _torque(eqx.combine(unravel(part), static), *row))(flat) @ slopes
 
-    return derivatives
+            return jax.vmap(one)(*columns)
+
+        def derivatives(x: np.ndarray, *columns: np.ndarray) -> np.ndarray:
+            flat, slopes = at(x), slopes_at(x)
+            return _batched(lambda *part: batch(flat, slopes, *part), columns)
+
+        return cls(lambda x: eqx.combine(unravel(at(x)), static), derivatives)

@@ -10,7 +10,13 @@ from typing import Any
 import numpy as np
 
 from covariant.workflow._arguments import ColumnNames, Overrides
-from covariant.workflow._model_output import as_logs, check_model_output, model_text, seen_logs
+from covariant.workflow._model_output import (
+    as_logs,
+    check_model_output,
+    model_text,
+    robot_content,
+    seen_logs,
+)
 from covariant.workflow._progress import Progress, silent
 from covariant.workflow._result import AbstractTable
 
@@ -39,8 +45,9 @@ def fit(
             can be built anew with other numbers.
         log: A path, a `Record`, a DataFrame or an xarray Dataset, or a list of them. The last of several is held out to
             judge the fit by, or the last third of one.
-        parameters: Names of the numbers to fit: "mass" or "com[0]" of [parameters], or "inputs.lag"; several in a list,
-            or separated by commas.
+        parameters: Names of the numbers to fit: "mass" or "com[0]" of [parameters], or "inputs.lag"; of a robot
+            "friction", "armature", "payload", "inertia", "gravity", "torque_constants" or "offsets", for all joints and
+            links or for one, as in "friction.elbow" (see `models.robot_family`). Several in a list, or by commas.
         horizon: Length of the predictions [s]; by default as the motion suggests.
         overrides: Values that replace those of the model file, such as other first values.
         every: Use each k-th row.
@@ -158,6 +165,8 @@ class FitResult(AbstractTable):
     def save(self, path: str | Path, overwrite: bool = False) -> Path:
         """Write the model file with the fitted numbers (.toml); comments and layout stay.
 
+        Fitted inertias of a robot from a URDF file go to a new URDF file beside it, of the same name.
+
         Args:
             path: The file to write.
             overwrite: Whether a file that exists may be replaced, the model file itself included.
@@ -175,7 +184,12 @@ class FitResult(AbstractTable):
             raise ValueError(f"{path}: {self.warnings[-1]}")
         job = self.jobs[0]
         check_model_output(job.model, path, overwrite)
-        text = self._head() + models.rewrite(model_text(job.model), self.content)
+        content, urdf = robot_content(self.content, Path(path))
+        if urdf is not None and urdf[0].exists() and not overwrite:
+            raise ValueError(f"{urdf[0]}: there is such a file already; write to another file, or say --overwrite")
+        text = self._head() + models.rewrite(model_text(job.model), content)
+        if urdf is not None:
+            write_atomically(urdf[0], lambda file: file.write(urdf[1].encode()))
         return write_atomically(path, lambda file: file.write(text.encode()))
 
     def _head(self) -> str:
@@ -213,8 +227,12 @@ class FitResult(AbstractTable):
             }
             for i, (name, unit) in enumerate(zip(result["coordinates"], result["units"], strict=True))
         ]
+        if "windows" in result:
+            how = f"{result['windows']} windows of {result['horizon']:.3g} s"
+        else:
+            how = f"Residual torques in windows of {result['window']:.3g} s"
         lines = [
-            f"{result['windows']} windows of {result['horizon']:.3g} s of {', '.join(result['logs'])}",
+            f"{how} of {', '.join(result['logs'])}",
             *([result["inputs"]["sentence"]] if result["inputs"]["sentence"] else []),
             "",
             table(numbers),
