@@ -37,11 +37,11 @@ FINE = 12
 """Points of the grid in half of the shortest window."""
 MOST_POINTS = 40_000
 """Largest number of points of the grid of all logs: beyond it the grid is coarser."""
-MOST_ROWS = 8_000
+MOST_ROWS = 6_000
 """Largest number of points of the grid at which derivatives are computed."""
 ROUNDS, MORE_ROUNDS = 8, 4
 """Most rounds with the shortest window, and after another one has been chosen."""
-CONVERGED = 0.02
+CONVERGED = 0.05
 """A step is the last one when it changes no number by more than this fraction of its standard error."""
 LONGEST_STEP = 1.0
 """Longest step of a coordinate in its usual size."""
@@ -306,7 +306,7 @@ class _Search(NamedTuple):
         """Derivatives (k, n, p) of the torques, residual torques (k, n), which count, and the block of each row."""
         track, path = self.tracks[i], point.motions[i]
         total = sum(len(one.grid) for one in self.tracks)
-        stride = max(1, -(-total // MOST_ROWS), int(point.half / 8 / track.step))
+        stride = max(1, -(-total // MOST_ROWS), int(point.half / 4 / track.step))
         rows = np.arange(0, len(track.grid), stride)
         raw = self.compiled.derivatives(point.x, path.q[rows], path.v[rows], path.modelled[rows], track.u[rows])
         weights = _averaging(point.half, track.step * stride)
