@@ -23,10 +23,11 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float
 
 from covariant import scoring
+from covariant._linalg import solve
 from covariant.calibration._robot_combinations import Combinations, combinations
 from covariant.calibration._smooth import held_inputs, second_derivative_weights
 from covariant.geometry import differential
-from covariant.models import MechanicalSystem, RobotFamily, acceleration, applied_force, resistance
+from covariant.models import MechanicalSystem, RobotFamily, applied_force, resistance
 from covariant.signals import Record
 
 WINDOWS = (1.0, 2.0, 4.0, 8.0)
@@ -60,6 +61,10 @@ BLOCK = 6.0
 """Length of a block, in half windows, over which residuals may be alike."""
 FEWEST_BLOCKS = 12
 BATCH = 1024
+ROUNDING = 1e-10
+"""A value below this fraction of its prior standard deviation is zero but for rounding."""
+STILL, MOSTLY = 8.0, 0.9
+"""A joint that rests for this fraction of so many half windows is held by its friction: the model does not move it."""
 ORDER = 3
 
 
@@ -158,6 +163,7 @@ def fit_robot(
     errors = np.sqrt(np.einsum("ij,jk,ik->i", slopes, solution.covariance, slopes))
     determined = errors < KNOWN * prior
     values = np.asarray(jax.jit(family.values)(point.x))
+    values = np.where(np.abs(values) < ROUNDING * prior, 0.0, values)
     to_linear = np.asarray(jax.jit(jax.jacfwd(family.linear))(point.x))
     return RobotFit(
         family.names,
@@ -174,7 +180,7 @@ def fit_robot(
 
 
 class _Track(NamedTuple):
-    """A log and its grid of K even times; `u` are inputs averaged around its points, `half` the shortest half window."""
+    """A log, its grid of K even times, inputs averaged around these, and the shortest half window."""
 
     t: Float[np.ndarray, "T"]
     y: Float[np.ndarray, "T n"]
@@ -236,8 +242,8 @@ class _Search(NamedTuple):
         u = np.concatenate([track.u[path.used] for track, path in zip(tracks, paths, strict=True)])
         if len(v) < FEWEST_BLOCKS * BLOCK * FINE:
             raise ValueError(
-                f"the logs hold {len(v) * tracks[0].step:.3g} s without a gap, and {FEWEST_BLOCKS * BLOCK * half:.3g} s "
-                "are needed; give longer logs"
+                f"the logs hold {len(v) * tracks[0].step:.3g} s without a gap, and a fit needs "
+                f"{FEWEST_BLOCKS * BLOCK * half:.3g} s; give longer logs"
             )
         compiled = _Compiled.of(family)
         first = compiled.model(np.zeros(len(family.names)))
@@ -254,11 +260,17 @@ class _Search(NamedTuple):
         motions = []
         for i, track in enumerate(self.tracks):
             path = before[i] if before else _smoothed(track, track.half, None)
-            modelled = _in_batches(acceleration, model, track.grid, path.q, path.v, track.u)
+            moving = 1.0 - self._still(track, path.v)
+            modelled = _in_batches(_accelerations, model, path.q, path.v, track.u, moving)
             motions.append(_smoothed(track, half, np.where(np.isfinite(modelled), modelled, 0.0)))
         if not any(motion.used.any() for motion in motions):
             raise ValueError("no window of the logs is complete; give logs with fewer gaps")
         return _Point(x, half, tuple(motions))
+
+    def _still(self, track: _Track, v: np.ndarray) -> np.ndarray:
+        """Joints (K, n) that friction holds, 1 where it does: at rest for long."""
+        box = np.ones(int(STILL * track.half / track.step) + 1)
+        return (_convolved((np.abs(v) < self.resting).astype(float), box / len(box)) > MOSTLY).astype(float)
 
     def with_best_window(self, point: _Point) -> _Point:
         """The same numbers with the window that makes their standard errors smallest."""
@@ -286,10 +298,10 @@ class _Search(NamedTuple):
         thinned = min(1.0, BLOCK * (numbering.max() + 1) / len(blocks))
         information = thinned * np.einsum("kjp,kj,kjq->pq", z, weight, z, optimize=True)
         prior = np.eye(len(self.sizes)) / PRIOR**2
-        gradient = thinned * np.einsum("kjp,kj->p", z, weight * relative, optimize=True) + prior @ (point.x / self.sizes)
         inverse = np.linalg.inv(information + prior)
         scores = np.zeros((numbering.max() + 1, len(self.sizes)))
         np.add.at(scores, numbering, thinned * np.einsum("kjp,kj->kp", z, weight * relative, optimize=True))
+        gradient = np.sum(scores, axis=0) + prior @ (point.x / self.sizes)
         free = np.trace(inverse @ information)
         scores *= np.sqrt(len(scores) / max(len(scores) - free, 1.0))
         covariance = inverse @ (scores.T @ scores + prior) @ inverse
@@ -424,6 +436,14 @@ def _mapped(function: Callable[..., Array], model: MechanicalSystem, *columns: A
 
 def _momentum(model: MechanicalSystem, q: Array, a: Array) -> Array:
     return model.space.lower(q, a)
+
+
+def _accelerations(model: MechanicalSystem, q: Array, v: Array, u: Array, moving: Array) -> Array:
+    """Accelerations (n,) of the joints that move; the others are held, by whatever torque that takes."""
+    t = jnp.zeros(())
+    covector = applied_force(model, t, q, u) + resistance(model, t, q, v, u) - model.space.connection_force(q, v, v)
+    held = model.space(q) * moving[:, None] * moving[None, :] + jnp.diag(1.0 - moving)
+    return solve(held, covector * moving)
 
 
 def _driving(model: MechanicalSystem, u: Array) -> Array:

@@ -14,7 +14,17 @@ from jaxtyping import Array, Float
 
 from covariant.models import _source, _toml
 from covariant.models._file import ModelError, ModelFile, document, finish, made
-from covariant.models.robots import OF_INERTIA, BodyInertia, Description, FrictionLaw, changed, inertia_of, numbers_of, read
+from covariant.models._parameters import AnyArray
+from covariant.models.robots import (
+    OF_INERTIA,
+    BodyInertia,
+    Description,
+    FrictionLaw,
+    changed,
+    inertia_of,
+    numbers_of,
+    read,
+)
 
 GROUPS = ("friction", "armature", "payload", "inertia", "gravity", "torque_constants", "offsets")
 """What may be open: `GROUP`, `GROUP.NAME` of a joint or link, by name or number, and `GROUP.NAME.NUMBER`."""
@@ -122,7 +132,7 @@ class RobotFamily(NamedTuple):
             [n.size * float(np.prod(motion[:, n.joint] ** np.array(n.powers, float))) for n in self.numbers]
         )
 
-    def values(self, x: Float[Array, "p"]) -> Float[Array, "p"]:
+    def values(self, x: Float[AnyArray, "p"]) -> Float[Array, "p"]:
         """Numbers (p,) at the coordinates x (p,), traced or not."""
         x = jnp.asarray(x)
         values = jnp.asarray(self.first) + x
@@ -131,13 +141,17 @@ class RobotFamily(NamedTuple):
             values = values.at[block].set(_inertia_at(self.first[block], x[block]))
         return values
 
-    def linear(self, x: Float[Array, "p"]) -> Float[Array, "p"]:
+    def linear(self, x: Float[AnyArray, "p"]) -> Float[Array, "p"]:
         """The numbers (p,) with those of inertias in their linear form: mass, first moments, inertia about the origin
         of the link; so the torques are linear in them."""
         values = self.values(x)
         for start in self._inertias:
             block = slice(start, start + len(OF_INERTIA))
-            m, c, (xx, yy, zz, xy, xz, yz) = values[start], values[start + 1 : start + 4], values[start + 4 : block.stop]
+            m, c, (xx, yy, zz, xy, xz, yz) = (
+                values[start],
+                values[start + 1 : start + 4],
+                values[start + 4 : block.stop],
+            )
             cx, cy, cz = c
             about = [
                 xx + m * (cy**2 + cz**2),
@@ -147,7 +161,7 @@ class RobotFamily(NamedTuple):
                 xz - m * cx * cz,
                 yz - m * cy * cz,
             ]
-            values = values.at[block].set(jnp.concatenate([jnp.stack([m, *(m * c)]), jnp.stack(about)]))
+            values = values.at[block].set(jnp.concatenate([jnp.stack([m, m * cx, m * cy, m * cz]), jnp.stack(about)]))
         return values
 
     @property
@@ -158,7 +172,7 @@ class RobotFamily(NamedTuple):
             for n in self.numbers
         )
 
-    def make(self, x: Float[Array, "p"]) -> Any:
+    def make(self, x: Float[AnyArray, "p"]) -> Any:
         """The model at the coordinates x (p,), which JAX may trace."""
         return made(self.spec, self.with_values(self.values(x))).model
 
@@ -232,10 +246,14 @@ def robot_family(spec: str, names: Sequence[str], overrides: _toml.Overrides = (
 
 def _family(spec: str, names: Sequence[str], content: dict[str, Any]) -> RobotFamily:
     if content.get("system") != "robot":
-        raise ValueError(f"{', '.join(names)} are numbers of a robot, and this model is {content.get('system', spec)!r}")
+        raise ValueError(
+            f"{', '.join(names)} are numbers of a robot, and this model is {content.get('system', spec)!r}"
+        )
     file = finish(spec, content)
     if not file.model.manifold.commuting:
-        raise ValueError("numbers of a robot are fitted in joint coordinates: a base must stand still, lock ball joints")
+        raise ValueError(
+            "numbers of a robot are fitted in joint coordinates: a base must stand still, lock ball joints"
+        )
     parameters = content.get("parameters", {})
     robot = read(parameters["path"], motor_torques=parameters.get("motor_torques", False))
     tables = {key: parameters[key] for key in GROUPS if key in parameters and key != "payload"}
@@ -259,6 +277,8 @@ def _filled(content: dict[str, Any], robot: Description, numbers: list[OpenNumbe
         if joint.law is None and any(n.group == "friction" and n.target == joint.name for n in numbers):
             first = {"viscous": joint.damping, "coulomb": joint.friction}
             content["parameters"].setdefault("friction", {})[joint.name] = first
+    for link in {n.target for n in numbers if n.group == "payload"} - content["parameters"].get("payload", {}).keys():
+        content["parameters"].setdefault("payload", {})[link] = _first_load(robot, link)
     return content
 
 
@@ -313,7 +333,9 @@ class _Scene(NamedTuple):
 
 def _done(rest: list[str], where: str, known: Sequence[str] = ()) -> None:
     if rest:
-        raise ValueError(f"{where} has no {'.'.join(rest)!r}; " + (f"there are {', '.join(known)}" if known else "drop it"))
+        raise ValueError(
+            f"{where} has no {'.'.join(rest)!r}; " + (f"there are {', '.join(known)}" if known else "drop it")
+        )
 
 
 def _friction(scene: _Scene, rest: list[str]) -> list[OpenNumber]:
@@ -364,12 +386,13 @@ def _payload(scene: _Scene, rest: list[str]) -> list[OpenNumber]:
     if rest and rest[0] not in OF_PAYLOAD:
         _done(rest, f"payload.{links[0]}", OF_PAYLOAD)
     kinds = OF_PAYLOAD if not rest else tuple(rest[:1])
-    units, sizes = dict(zip(OF_PAYLOAD, ("kg", "m", "m", "m"), strict=True)), {"mass": _mass(scene)}
+    units, sizes = (
+        dict(zip(OF_PAYLOAD, ("kg", "m", "m", "m"), strict=True)),
+        {"mass": sum(body.mass for body in scene.robot.links.values())},
+    )
     opened = []
     for link in links:
-        centre = scene.robot.links[link]
-        at = centre.first / centre.mass if centre.mass else np.zeros(3)
-        first = dict(zip(OF_PAYLOAD, known.get(link, (FIRST_LOAD * _mass(scene), *at)), strict=True))
+        first = dict(zip(OF_PAYLOAD, known.get(link) or _first_load(scene.robot, link), strict=True))
         opened += [
             OpenNumber(
                 *("payload", link, kind, float(first[kind]), 0.0 if kind == "mass" else -np.inf),
@@ -380,8 +403,11 @@ def _payload(scene: _Scene, rest: list[str]) -> list[OpenNumber]:
     return opened
 
 
-def _mass(scene: _Scene) -> float:
-    return float(sum(scene.robot.links[link].mass for link in scene.moving_links))
+def _first_load(robot: Description, link: str) -> list[float]:
+    """First load on a link without one: a small mass in the centre of the link."""
+    body, whole = robot.links[link], sum(each.mass for each in robot.links.values())
+    centre = body.first / body.mass if body.mass else np.zeros(3)
+    return [FIRST_LOAD * whole, *centre.tolist()]
 
 
 def _inertia(scene: _Scene, rest: list[str]) -> list[OpenNumber]:

@@ -1,4 +1,4 @@
-"""What a fit says of itself, whatever was fitted: its numbers, how inputs go between stamps, errors on held-out rows."""
+"""What a fit says of itself: its numbers, how inputs go between stamps, and errors on what is held out."""
 
 from collections.abc import Sequence
 from typing import Any, NamedTuple

@@ -1,4 +1,4 @@
-"""Computes a fit of a robot's numbers to logs, by residual torques, and judges it by predictions of what is held out."""
+"""Computes a fit of a robot's numbers to logs, by residual torques, and judges it on what is held out."""
 
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -126,10 +126,8 @@ def _of_robot(best: RobotFit) -> dict[str, Any]:
     found = best.combinations
     sentences = []
     if unknown:
-        sentences.append(
-            f"{', '.join(unknown)} cannot be told {'by itself' if len(unknown) == 1 else 'by themselves'} from this log "
-            f"and {'stays' if len(unknown) == 1 else 'stay'} near the first values"
-        )
+        shown = "does not show by itself" if len(unknown) == 1 else "does not show by themselves"
+        sentences.append(f"this log {shown} {', '.join(unknown)}: the nearest values to the first ones are kept")
     sentences += [f"only the combination {text} is determined" for text in found.determined]
     return {
         "undetermined": sentences,

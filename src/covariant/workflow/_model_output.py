@@ -102,7 +102,7 @@ def robot_content(content: dict[str, Any], path: Path) -> tuple[dict[str, Any], 
         the text of another URDF file that has them, to which the content then refers. Other content is unchanged.
     """
     parameters = content.get("parameters", {})
-    if content.get("system") != "robot" or parameters.get("path") in ROBOTS and "inertia" not in parameters:
+    if content.get("system") != "robot" or (parameters.get("path") in ROBOTS and "inertia" not in parameters):
         return content, None
     robot = parameters["path"]
     if "inertia" in parameters and (robot in ROBOTS or robot.endswith(".urdf")):
