@@ -1,4 +1,4 @@
-"""Numbers of a robot that replace those of its file, against MuJoCo and closed forms; and as open numbers of a family."""
+"""Numbers of a robot that replace those of its file, against MuJoCo and closed forms; and as a family."""
 
 import jax
 import jax.numpy as jnp

@@ -270,7 +270,8 @@ class _Search(NamedTuple):
     def _still(self, track: _Track, v: np.ndarray) -> np.ndarray:
         """Joints (K, n) that friction holds, 1 where it does: at rest for long."""
         box = np.ones(int(STILL * track.half / track.step) + 1)
-        return (_convolved((np.abs(v) < self.resting).astype(float), box / len(box)) > MOSTLY).astype(float)
+        rests, rows = (_convolved(each, box) for each in ((np.abs(v) < self.resting).astype(float), np.ones_like(v)))
+        return (rests > MOSTLY * rows).astype(float)
 
     def with_best_window(self, point: _Point) -> _Point:
         """The same numbers with the window that makes their standard errors smallest."""

@@ -153,8 +153,9 @@ def fit(
     parameters: Annotated[
         str,
         typer.Option(
-            help="Numbers to fit, by commas: mass, com[0] of [parameters], or inputs.lag; of a robot friction, armature, "
-            "payload, inertia, gravity, torque_constants, offsets, or of one joint or link: friction.elbow, armature.3."
+            help="Numbers to fit, by commas: mass, com[0] of [parameters], or inputs.lag; of a robot friction, "
+            "armature, payload, inertia, gravity, torque_constants, offsets, or of one joint or link: friction.elbow, "
+            "armature.3."
         ),
     ],
     out: Annotated[

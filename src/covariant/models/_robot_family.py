@@ -252,7 +252,7 @@ def _family(spec: str, names: Sequence[str], content: dict[str, Any]) -> RobotFa
     file = finish(spec, content)
     if not file.model.manifold.commuting:
         raise ValueError(
-            "numbers of a robot are fitted in joint coordinates: a base must stand still, lock ball joints"
+            "a robot is fitted in joint coordinates: its base must stand still; lock its ball joints"
         )
     parameters = content.get("parameters", {})
     robot = read(parameters["path"], motor_torques=parameters.get("motor_torques", False))

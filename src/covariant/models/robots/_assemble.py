@@ -1,7 +1,7 @@
 """Mechanical systems from descriptions of robots: links that do not move apart become one body."""
 
 import contextlib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -18,12 +18,11 @@ from covariant.models.robots._description import (
     NO_INERTIA,
     BodyInertia,
     Description,
-    FrictionLaw,
     Joint,
-    Motor,
     turn_about,
 )
-from covariant.models.robots._forces import Potential, force, joint_friction, resistance
+from covariant.models.robots._forces import Potential, force
+from covariant.models.robots._joint_forces import dissipation, inputs, numbers, with_motors
 from covariant.models.robots._space import RobotSpace
 from covariant.models.robots._tree import KinematicTree, Links
 
@@ -116,7 +115,7 @@ def _assemble(
     free = [i for i, axis in enumerate(axes) if axis.joint.follows is None and not axis.ball]
     coordinates, offset = _follow(axes, names, in_balls + free)
     motors = robot.motors if actuated is None else ()
-    springs = [_with_motors(axis.joint, motors) for axis in axes]
+    springs = [with_motors(axis.joint, motors) for axis in axes]
     bodies, base = _regrouped(axes, bodies, base)
     xnp = namespace(loads, robot)
 
@@ -136,9 +135,9 @@ def _assemble(
         jnp.asarray(base.first, float),
         jnp.asarray(base.second, float),
         jnp.asarray(coordinates),
-        jnp.asarray(offset + coordinates @ _numbers(axes[i].joint.encoder_offset for i in in_balls + free)),
+        jnp.asarray(offset + coordinates @ numbers(axes[i].joint.encoder_offset for i in in_balls + free)),
         # Each joint depends on one coordinate, so that the inertia of the rotors is diagonal: ratio² times each.
-        jnp.asarray(coordinates.T**2 @ _numbers(axis.joint.armature for axis in axes)),
+        jnp.asarray(coordinates.T**2 @ numbers(axis.joint.armature for axis in axes)),
         tuple(in_balls[::3]),
     )
     of_joints = Coordinates(tuple(k for k, i in enumerate(free) if axes[i].circle), len(free))
@@ -151,7 +150,7 @@ def _assemble(
         jnp.asarray(np.array([place for _, _, place in placements])),
     )
     space = RobotSpace(tree, links, manifold=manifold, floating=floating)
-    inputs = _inputs(robot, axes, coordinates, in_balls + free, motors, actuated)
+    motor_forces = inputs(robot, axes, coordinates, in_balls + free, motors, actuated)
     units = tuple("rad" if axes[i].turn.any() else "m" for i in free)
     spins = tuple(f"w{k + 1}_{axes[i].joint.name}" for i in tree.balls for k in range(3))
     velocities = (*TWIST * floating, *spins, *(f"rate_{names[i]}" for i in free))
@@ -165,39 +164,17 @@ def _assemble(
             jnp.array([spring.rest for spring in springs], float),
             tuple(ball for ball, i in enumerate(tree.balls) if springs[i].stiffness),
         ),
-        force=Parametric(force, motors=inputs, base=np.zeros(6 * floating)),
-        dissipation=_dissipation(springs, coordinates, np.zeros(6 * floating)),
+        force=Parametric(force, motors=motor_forces, base=np.zeros(6 * floating)),
+        dissipation=dissipation(springs, coordinates, np.zeros(6 * floating)),
         coordinates=tuple(names[i] for i in free),
         units=units,
         velocities=velocities if floating or in_balls else (),
         velocity_units=velocity_units if floating or in_balls else (),
-        inputs=inputs.shape[1],
+        inputs=motor_forces.shape[1],
     )
     if known((loads, robot)):
         _check_inertia(model, [axes[i].joint.name for i in in_balls + free])
     return model
-
-
-def _numbers(values: Iterable[Any]) -> Any:
-    """An array of numbers some of which may be traced."""
-    listed = list(values)
-    return namespace(listed).asarray(listed, float)
-
-
-def _dissipation(joints: list[Joint], coordinates: np.ndarray, base: np.ndarray) -> Parametric:
-    """Friction of the joints; where one has a law it takes the place of its damping and dry friction."""
-    plain = {
-        "coordinates": coordinates,
-        "damping": _numbers(0.0 if joint.law else joint.damping for joint in joints),
-        "friction": _numbers(0.0 if joint.law else joint.friction for joint in joints),
-        "base": base,
-    }
-    if not any(joint.law for joint in joints):
-        return Parametric(resistance, **plain)
-    none = FrictionLaw()
-    laws = [joint.law or none for joint in joints]
-    law = {field: _numbers(getattr(one, field) for one in laws) for field in none._fields}
-    return Parametric(joint_friction, **plain, law=law)
 
 
 def _product(floating: bool, balls: int, joints: Coordinates) -> AbstractManifold:
@@ -237,60 +214,6 @@ def _on_its_base(robot: Description, locked: dict[str, float]) -> tuple[Descript
         )
     joints = tuple(joint for joint in robot.joints if joint.parent in carried)
     return robot._replace(root=base, joints=joints), True
-
-
-def _with_motors(joint: Joint, motors: Sequence[Motor]) -> Joint:
-    """The joint with the springs and dampers of the servos that drive it."""
-    drives = [motor for motor in motors if motor.joint == joint.name]
-    stiffness = joint.stiffness + sum(motor.stiffness for motor in drives)
-    torque = joint.stiffness * joint.rest + sum(motor.constant for motor in drives)
-    if torque and not stiffness:
-        raise ValueError(f"joint {joint.name!r}: a motor with a constant bias is not supported; add it to the input")
-    return joint._replace(
-        stiffness=stiffness,
-        rest=torque / stiffness if stiffness else 0.0,
-        damping=joint.damping + sum(motor.damping for motor in drives),
-    )
-
-
-def _inputs(
-    robot: Description,
-    axes: list[_Axis],
-    coordinates: np.ndarray,
-    free: list[int],
-    motors: Sequence[Motor],
-    actuated: Sequence[str] | None,
-) -> np.ndarray:
-    """Generalised force (n, m) of each input."""
-    if not motors:
-        driven = [i for i in free if actuated is None or axes[i].joint.name in actuated]
-        # By virtual work the transpose of coordinates ↦ joint positions takes torques to generalised forces.
-        factors = _numbers(
-            axes[i].joint.torque_constant * (_reduction(axes[i].joint) if robot.motor_torques else 1.0) for i in driven
-        )
-        return coordinates[driven].T * factors
-    columns = []
-    for motor in motors:
-        if motor.unsupported:
-            raise ValueError(
-                f"actuator {motor.name!r} {motor.unsupported}, which is not supported; give actuated=[...], the joints "
-                "whose torques are logged, or remove it"
-            )
-        driven = [coordinates[i] for i, axis in enumerate(axes) if axis.joint.name == motor.joint]
-        if driven:
-            constant = next(axis.joint.torque_constant for axis in axes if axis.joint.name == motor.joint)
-            columns.append(motor.gain * constant * (np.array(motor.direction) @ np.array(driven)))
-    return _numbers(columns).reshape(len(columns), coordinates.shape[1]).T
-
-
-def _reduction(joint: Joint) -> float:
-    if len(joint.reductions) != 1:
-        stated = f"{len(joint.reductions)} transmissions with a reduction" if joint.reductions else "no reduction"
-        raise ValueError(
-            f"motor_torques: joint {joint.name!r} has {stated}; give it one <transmission> with a "
-            "<mechanicalReduction>, 1 where the motor turns as the joint does, or leave the joint out by actuated=[...]"
-        )
-    return joint.reductions[0]
 
 
 def _with_followers(robot: Description, locked: dict[str, float]) -> dict[str, float]:

@@ -33,7 +33,7 @@ class BodyInertia(NamedTuple):
     second: np.ndarray
 
     @classmethod
-    def of(cls, mass: float, centre: np.ndarray, about_centre: np.ndarray) -> "BodyInertia":
+    def of(cls, mass: Any, centre: Any, about_centre: Any) -> "BodyInertia":
         """Inertia of a body from its centre of mass.
 
         Args:
