@@ -100,7 +100,7 @@ def test_a_family_makes_the_robot_of_its_numbers():
     x = 0.1 * np.random.default_rng(1).normal(size=len(family.names))
     x[:2] = [0.1, 0.2]
     x[3:6] = 0.1
-    q, v, u = np.random.default_rng(2).normal(size=(3, 2))
+    q, v, u = jnp.asarray(np.random.default_rng(2).normal(size=(3, 2)))
     compiled = jax.jit(lambda x: models.acceleration(family.make(x), ZERO, q, v, u))(x)
     content = family.with_values(np.asarray(family.values(x)))
     overrides = {f"parameters.{key}": value for key, value in content["parameters"].items()}

@@ -251,9 +251,7 @@ def _family(spec: str, names: Sequence[str], content: dict[str, Any]) -> RobotFa
         )
     file = finish(spec, content)
     if not file.model.manifold.commuting:
-        raise ValueError(
-            "a robot is fitted in joint coordinates: its base must stand still; lock its ball joints"
-        )
+        raise ValueError("a robot is fitted in joint coordinates: its base must stand still; lock its ball joints")
     parameters = content.get("parameters", {})
     robot = read(parameters["path"], motor_torques=parameters.get("motor_torques", False))
     tables = {key: parameters[key] for key in GROUPS if key in parameters and key != "payload"}
