@@ -61,7 +61,7 @@ def combinations(
     # A square root of the information is as good as the regressor itself: it has the same triangular factor.
     values, vectors = np.linalg.eigh(information)
     root = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
-    _, r, order = qr(root @ back * size, mode="economic", pivoting=True)
+    _, r, order = qr(root @ back * size, mode="economic", pivoting=True)  # pyright: ignore[reportAssignmentType]
     rank = int(np.sum(np.abs(np.diagonal(r)) > 1 / known))
     names, independent, dependent = family.linear_names, order[:rank], order[rank:]
     if not rank:

@@ -30,7 +30,7 @@ GROUPS = ("friction", "armature", "payload", "inertia", "gravity", "torque_const
 """What may be open: `GROUP`, `GROUP.NAME` of a joint or link, by name or number, and `GROUP.NAME.NUMBER`."""
 USUAL_FRICTION = ("viscous", "coulomb", "asymmetry")
 """Numbers of the friction law that `friction` opens; the others are opened by their names."""
-OF_PAYLOAD = ("mass", "x", "y", "z")
+OF_PAYLOAD: tuple[str, ...] = ("mass", "x", "y", "z")
 LINEAR = ("mass", "mx", "my", "mz", "Ixx", "Iyy", "Izz", "Ixy", "Ixz", "Iyz")
 """Names of the ten numbers of a link in which torques are linear."""
 FIRST_LOAD = 0.01
@@ -316,16 +316,17 @@ class _Scene(NamedTuple):
     def joint(self, name: str) -> Any:
         return next(joint for joint in self.robot.joints if joint.name == name)
 
-    def index(self, name: str) -> int:
+    def place(self, name: str) -> int:
         return self.file.model.coordinates.index(name)
 
     def unit(self, name: str) -> str:
-        return self.file.model.units[self.index(name)]
+        return self.file.model.units[self.place(name)]
 
     @property
     def moving_links(self) -> list[str]:
         """Links with a mass that some joint moves."""
-        links = self.file.model.space.links
+        model: Any = self.file.model
+        links = model.space.links
         return [n for n, body in zip(links.names, links.bodies, strict=True) if body >= 0 and self.robot.links[n].mass]
 
 
@@ -345,7 +346,7 @@ def _friction(scene: _Scene, rest: list[str]) -> list[OpenNumber]:
     _done(rest[1:], f"friction.{kinds[0]}")
     opened = []
     for name in joints:
-        joint, i, unit = scene.joint(name), scene.index(name), scene.unit(name)
+        joint, i, unit = scene.joint(name), scene.place(name), scene.unit(name)
         law = joint.law or FrictionLaw(viscous=joint.damping, coulomb=joint.friction)
         force = "N m" if unit == "rad" else "N"
         for kind in kinds:
@@ -369,7 +370,7 @@ def _of_joint(attribute: str, least: float, size: float, unit: Callable[[str], s
         return [
             OpenNumber(
                 *(scene.group, name, "", float(getattr(scene.joint(name), attribute)), least),
-                *(unit(scene.unit(name)), size, scene.index(name), powers),
+                *(unit(scene.unit(name)), size, scene.place(name), powers),
             )
             for name in joints
         ]

@@ -116,7 +116,7 @@ def _errors(
     """Errors of predictions of what is held out by the model as it was, and by the fitted one."""
     # At the first values the family has the program of the fitted model; but a load that it adds was not there.
     added = any(n.group == "payload" for n in family.numbers)
-    before = family.file.model if added else family.make(np.zeros(len(family.names)))
+    before: Any = family.file.model if added else family.make(np.zeros(len(family.names)))
     return prediction_errors(before, 0.0, first), prediction_errors(family.make(best.coordinates), 0.0, after)
 
 
