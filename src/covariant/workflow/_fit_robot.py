@@ -28,7 +28,11 @@ EXPECTED = 12
 
 def is_robot_fit(job: Job, names: Sequence[str]) -> bool:
     """Whether numbers are those of a robot's joints and links, and not plain entries of [parameters]."""
-    if models.document(job.model_name, job.overrides).get("system") != "robot":
+    try:
+        system = models.document(job.model_name, job.overrides).get("system")
+    except ValueError:  # whoever makes the family says what is wrong, with the name of the file
+        return False
+    if system != "robot":
         return False
     return any("[" not in name and not name.strip().startswith("inputs.") for name in names)
 
