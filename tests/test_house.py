@@ -46,11 +46,12 @@ OPTIONAL = (
 )
 
 PUBLIC = {
-    "calibration": "ESTIMATORS FITTED STATE_ESTIMATORS DataSheet Diagnosis Draft Finding Fit Gains HeldOut "
-    "NoiseLevels PredictionErrors Suggestion Trial Tuning Windows bias contracting_gain diagnose draft estimators "
-    "filter_bandwidth fit gains gated given_noise growth horizon jerk_bound joint_noise losses misfit observer_gains "
-    "outliers predict_errors predict_sampled_errors prediction_errors relations split stored_observer suggest_noise "
-    "tune tuned_estimators tuned_state_estimators usual_speeds window_length windows with_gains",
+    "calibration": "ESTIMATORS FITTED STATE_ESTIMATORS Combinations DataSheet Diagnosis Draft Finding Fit Gains "
+    "HeldOut NoiseLevels PredictionErrors RobotFit Suggestion Trial Tuning Windows bias contracting_gain diagnose "
+    "draft estimators filter_bandwidth fit fit_robot gains gated given_noise growth horizon jerk_bound joint_noise "
+    "losses misfit observer_gains outliers predict_errors predict_sampled_errors prediction_errors relations split "
+    "stored_observer suggest_noise tune tuned_estimators tuned_state_estimators usual_speeds window_length windows "
+    "with_gains",
     "certificates": "ASSUMED CHECKERS CascadeCertificate Checked CheckerName Claim Constants ContractionCertificate "
     "Corners Decay Document Evidence Followed Growth Hypothesis MetricDesign Observability Projection Sampled "
     "StateMetric Statement ErrorSystem TradeOff Trajectories Verdict at_corners bending cascade certify check "
@@ -81,15 +82,15 @@ PUBLIC = {
     "high_gain lie_derivative load_metric map_grid metric_at metric_on_grid metric_summary metric_through open_grid "
     "open_metric rate_from_gramian reconstructibility right_side spd_distance window_at",
     "models": "Family GroupSystem Lagrangian MechanicalSystem ModelError ModelFile MomentumChart Motion Overrides "
-    "Parameter Parametric StateSpace Survey acceleration advance applied_force ball_and_beam bioreactor "
+    "Parameter Parametric RobotFamily StateSpace Survey acceleration advance applied_force ball_and_beam bioreactor "
     "body_velocity chart_jacobian chart_velocity check_metric check_model check_spec document duffing energy family "
-    "free_body friction from_recipe heavy_top hovercraft in_chart induction_motor input_count load lorenz oscillator "
-    "pendulum_chain recipe recipe_text resistance rewrite satellite satellite_arm source spatial_momentum spec_name "
-    "state_space survey underwater_vehicle unknown_frequency van_der_pol",
+    "free_body friction from_recipe heavy_top hovercraft in_chart induction_motor input_count is_robot_number load "
+    "lorenz oscillator pendulum_chain recipe recipe_text resistance rewrite robot_family satellite satellite_arm "
+    "source spatial_momentum spec_name state_space survey underwater_vehicle unknown_frequency van_der_pol",
     "models.marine": "Craft Station Waves coriolis_matrix cybership euler_rates euler_rotation euler_transform "
     "manoeuvring_ship odin odin_on_group positive_definite supply_vessel surface_ship yaw_rotation",
-    "models.robots": "ROBOTS BodyInertia Description Follows Joint KinematicTree Links Motor RobotSpace assemble "
-    "load located read",
+    "models.robots": "OF_INERTIA ROBOTS BodyInertia Description Follows FrictionLaw Joint KinematicTree Links Motor "
+    "RobotSpace assemble changed inertia_of load located numbers_of read urdf_with_inertias",
     "observers": "EKF OBSERVER_NAMES PLL REGISTRY STATE_OBSERVER_NAMES UKF AbstractFlowObserver "
     "AbstractLinearFilter AbstractMechanicalObserver AbstractObserver Contracting ContractingState Copy Delayed "
     "DelayedState EKFInfo EKFState Entry Estimate FilterInfo FilteredDerivative FilteredState Gate Gated GatedState "

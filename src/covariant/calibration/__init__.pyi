@@ -31,6 +31,8 @@ from ._gains import (
 from ._held_out import FITTED as FITTED, growth as growth, split as split
 from ._predict import PredictionErrors as PredictionErrors, prediction_errors as prediction_errors
 from ._relations import relations as relations
+from ._robot_combinations import Combinations as Combinations
+from ._robot_fit import RobotFit as RobotFit, fit_robot as fit_robot
 from ._sensor import outliers as outliers
 from ._speeds import usual_speeds as usual_speeds
 from ._stored_observer import stored_observer as stored_observer

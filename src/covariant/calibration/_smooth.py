@@ -114,8 +114,16 @@ def held_inputs(t, u, grid, step):
     return (integral(grid + step / 2) - integral(grid - step / 2)) / step
 
 
-def _second_derivative(offsets, half):
-    """Weights of samples at these offsets [s] in the second derivative at zero."""
+def second_derivative_weights(offsets, half):
+    """Weights of samples at some offsets in the second derivative at zero of the polynomial through a window.
+
+    Args:
+        offsets: Times (k,) of the samples since the middle of the window [s].
+        half: Half width of the window [s].
+
+    Returns:
+        The weights (k,) [1/s²].
+    """
     return 2 * scoring.local_polynomials(offsets, np.eye(len(offsets)), np.zeros(1), half, ORDER)[0, 2]
 
 
@@ -124,7 +132,7 @@ def _acceleration_weights(half: float, spacing: float) -> float:
     """Ratio of the standard deviation of an acceleration to that of a measurement [1/s²]."""
     count = int(half / spacing)
     # A weighted sum of independent readings has the root of the sum of squared weights as its gain.
-    return float(np.linalg.norm(_second_derivative(spacing * np.arange(-count, count + 1), half)))
+    return float(np.linalg.norm(second_derivative_weights(spacing * np.arange(-count, count + 1), half)))
 
 
 @functools.lru_cache
@@ -134,7 +142,7 @@ def _kernel(half: float) -> np.ndarray:
     A sum of positions that is zero for motions at constant velocity is a sum of their second differences; its weights
     are the double sums of those of the positions.
     """
-    weights = _second_derivative(half / HALF * np.arange(-HALF, HALF + 1), half)
+    weights = second_derivative_weights(half / HALF * np.arange(-HALF, HALF + 1), half)
     # Two sums by parts turn Σ w y into Σ (ΣΣw) Δ²y, and Δ²y ≈ step² a.
     kernel = (half / HALF) ** 2 * np.concatenate([[0.0], np.cumsum(np.cumsum(weights))[:-1]])
     kernel.flags.writeable = False  # the cache shares it among all callers

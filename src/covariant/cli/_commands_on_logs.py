@@ -151,7 +151,12 @@ def fit(
     rows: Rows,
     names: ColumnNames,
     parameters: Annotated[
-        str, typer.Option(help="Numbers to fit, by commas: mass, com[0] of [parameters], or inputs.lag.")
+        str,
+        typer.Option(
+            help="Numbers to fit, by commas: mass, com[0] of [parameters], or inputs.lag; of a robot friction, "
+            "armature, payload, inertia, gravity, torque_constants, offsets, or of one joint or link: friction.elbow, "
+            "armature.3."
+        ),
     ],
     out: Annotated[
         Path | None, typer.Option("--out", "-o", help="Write the model file with the fitted numbers here (.toml).")

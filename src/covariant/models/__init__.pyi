@@ -39,6 +39,11 @@ from ._oscillator import oscillator as oscillator
 from ._parameters import Parameter as Parameter, Parametric as Parametric
 from ._pendulum_chain import pendulum_chain as pendulum_chain
 from ._rewrite import rewrite as rewrite
+from ._robot_family import (
+    RobotFamily as RobotFamily,
+    is_robot_number as is_robot_number,
+    robot_family as robot_family,
+)
 from ._satellite import satellite as satellite
 from ._satellite_arm import satellite_arm as satellite_arm
 from ._state_space import StateSpace as StateSpace, state_space as state_space

@@ -119,13 +119,20 @@ def written(value: Any) -> str:
     """Format a value as TOML.
 
     Args:
-        value: Number, Boolean, text, or a list of them.
+        value: Number, Boolean, text, a list of them, or a dictionary of them, which becomes an inline table.
 
     Returns:
         Its text.
     """
     if isinstance(value, list):
         return "[" + ", ".join(map(written, value)) + "]"
+    if isinstance(value, dict):
+        pairs = (f"{_key(key)} = {written(entry)}" for key, entry in value.items())
+        return "{ " + ", ".join(pairs) + " }"
     if isinstance(value, str):
         return '"' + value.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n") + '"'
     return str(value).lower() if isinstance(value, bool) else repr(value)
+
+
+def _key(key: str) -> str:
+    return key if re.fullmatch(r"[A-Za-z0-9_-]+", key) else written(key)

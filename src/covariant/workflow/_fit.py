@@ -39,8 +39,9 @@ def fit(
             can be built anew with other numbers.
         log: A path, a `Record`, a DataFrame or an xarray Dataset, or a list of them. The last of several is held out to
             judge the fit by, or the last third of one.
-        parameters: Names of the numbers to fit: "mass" or "com[0]" of [parameters], or "inputs.lag"; several in a list,
-            or separated by commas.
+        parameters: Names of the numbers to fit: "mass" or "com[0]" of [parameters], or "inputs.lag"; of a robot
+            "friction", "armature", "payload", "inertia", "gravity", "torque_constants" or "offsets", for all joints and
+            links or for one, as in "friction.elbow" (see `models.robot_family`). Several in a list, or by commas.
         horizon: Length of the predictions [s]; by default as the motion suggests.
         overrides: Values that replace those of the model file, such as other first values.
         every: Use each k-th row.
@@ -158,6 +159,8 @@ class FitResult(AbstractTable):
     def save(self, path: str | Path, overwrite: bool = False) -> Path:
         """Write the model file with the fitted numbers (.toml); comments and layout stay.
 
+        Fitted inertias of a robot from a URDF file go to a new URDF file beside it, of the same name.
+
         Args:
             path: The file to write.
             overwrite: Whether a file that exists may be replaced, the model file itself included.
@@ -207,8 +210,12 @@ class FitResult(AbstractTable):
             }
             for i, (name, unit) in enumerate(zip(result["coordinates"], result["units"], strict=True))
         ]
+        if "windows" in result:
+            how = f"{result['windows']} windows of {result['horizon']:.3g} s"
+        else:
+            how = f"Residual torques in windows of {result['window']:.3g} s"
         lines = [
-            f"{result['windows']} windows of {result['horizon']:.3g} s of {', '.join(result['logs'])}",
+            f"{how} of {', '.join(result['logs'])}",
             *([result["inputs"]["sentence"]] if result["inputs"]["sentence"] else []),
             "",
             table(numbers),

@@ -6,7 +6,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from covariant.models.robots import ROBOTS
 from covariant.workflow._outputs import check_output
+
+OF_ROBOTS = (".urdf", ".xml")
 
 
 def as_logs(log: Any) -> tuple[Any, ...]:
@@ -60,7 +63,9 @@ def check_model_output(model: Any, path: str | Path | None, overwrite: bool = Fa
 
 
 def write_model(model: Any, path: str | Path, overwrite: bool, head: str, content: Any) -> Path:
-    """Write the file of a model with other numbers; comments and layout stay.
+    """Write the file of a model with other numbers, and for a robot with new inertias another URDF file beside it.
+
+    Comments and layout stay.
 
     Args:
         model: The model whose file is written anew.
@@ -79,7 +84,12 @@ def write_model(model: Any, path: str | Path, overwrite: bool, head: str, conten
     from covariant._files import write_atomically
 
     check_model_output(model, path, overwrite)
+    content, urdf = robot_content(content, Path(path))
+    if urdf is not None and urdf[0].exists() and not overwrite:
+        raise ValueError(f"{urdf[0]}: there is such a file already; write to another file, or say --overwrite")
     text = head + models.rewrite(model_text(model), content)
+    if urdf is not None:
+        write_atomically(urdf[0], lambda file: file.write(urdf[1].encode()))
     return write_atomically(path, lambda file: file.write(text.encode()))
 
 
@@ -90,9 +100,11 @@ def model_text(model: str | os.PathLike[str]) -> str:
         model: The path of the file, or the name of a system or a robot of the library.
 
     Returns:
-        The text; for a system of the library, a line that names it.
+        The text; for a robot or a system of the library, a line that names it.
     """
     spec = os.fspath(model)
+    if spec in ROBOTS or spec.endswith(OF_ROBOTS):
+        return 'system = "robot"\n'
     return Path(spec).read_text(encoding="utf-8") if spec.endswith(".toml") else f'system = "{spec}"\n'
 
 
@@ -107,3 +119,28 @@ def seen_logs(names: Sequence[str]) -> str:
     """
     short = [Path(name).name for name in names]
     return ", ".join(short[:-1] or short)
+
+
+def robot_content(content: dict[str, Any], path: Path) -> tuple[dict[str, Any], tuple[Path, str] | None]:
+    """Content of a robot's model file for the place where it is written.
+
+    Args:
+        content: Tables and keys of a model file, with the path of the robot's file from the current folder.
+        path: The model file to write.
+
+    Returns:
+        The content with that path from the folder of the file; and, where inertias of a URDF file are new, the path and
+        the text of another URDF file that has them, to which the content then refers. Other content is unchanged.
+    """
+    parameters = content.get("parameters", {})
+    if content.get("system") != "robot" or (parameters.get("path") in ROBOTS and "inertia" not in parameters):
+        return content, None
+    robot = parameters["path"]
+    if "inertia" in parameters and (robot in ROBOTS or robot.endswith(".urdf")):
+        from covariant.models.robots import urdf_with_inertias
+
+        urdf = path.with_suffix(".urdf")
+        rest = {key: value for key, value in parameters.items() if key != "inertia"}
+        text = urdf_with_inertias(robot, parameters["inertia"])
+        return content | {"parameters": rest | {"path": urdf.name}}, (urdf, text)
+    return content | {"parameters": parameters | {"path": os.path.relpath(robot, path.parent)}}, None

@@ -1,8 +1,15 @@
 from ._assemble import assemble as assemble
+from ._changes import (
+    OF_INERTIA as OF_INERTIA,
+    changed as changed,
+    inertia_of as inertia_of,
+    numbers_of as numbers_of,
+)
 from ._description import (
     BodyInertia as BodyInertia,
     Description as Description,
     Follows as Follows,
+    FrictionLaw as FrictionLaw,
     Joint as Joint,
     Motor as Motor,
 )
@@ -10,3 +17,4 @@ from ._library import ROBOTS as ROBOTS, located as located
 from ._load import load as load, read as read
 from ._space import RobotSpace as RobotSpace
 from ._tree import KinematicTree as KinematicTree, Links as Links
+from ._urdf_inertias import urdf_with_inertias as urdf_with_inertias

@@ -15,8 +15,9 @@ from covariant.geometry.lie import SE3, SO3
 from covariant.models._mechanical import MechanicalSystem
 from covariant.models._parameters import Parametric, known, namespace
 from covariant.models.robots._axes import Axis, Freedom, bodies_of, freedom_of, regrouped
-from covariant.models.robots._description import BodyInertia, Description, Joint, Motor
-from covariant.models.robots._forces import Potential, force, resistance
+from covariant.models.robots._description import BodyInertia, Description
+from covariant.models.robots._forces import Potential, force
+from covariant.models.robots._joint_forces import dissipation, inputs, numbers, with_motors
 from covariant.models.robots._space import RobotSpace
 from covariant.models.robots._tree import KinematicTree, Links
 
@@ -58,7 +59,7 @@ def assemble(
     loads = _checked_payload(payload or {})
     # `_check_inertia` needs the numbers of the inertia, also inside a compiled function.
     traced = not known(jnp.zeros(()))
-    with jax.ensure_compile_time_eval() if traced and known(loads) else contextlib.nullcontext():
+    with jax.ensure_compile_time_eval() if traced and known((loads, robot)) else contextlib.nullcontext():
         return _assemble(robot, floating, dict(lock or {}), actuated, loads)
 
 
@@ -74,12 +75,12 @@ def _assemble(
     if not axes and not floating:
         raise ValueError("no joint moves; a robot needs one that is not fixed or locked")
     freedom = freedom_of(axes)
-    tree = _tree(axes, freedom, *regrouped(axes, bodies, base), namespace(loads))
+    tree = _tree(axes, freedom, *regrouped(axes, bodies, base), namespace(loads, robot))
     of_joints = Coordinates(tuple(k for k, i in enumerate(freedom.free) if axes[i].circle), len(freedom.free))
     manifold = _product(floating, len(tree.balls), of_joints)
     space = RobotSpace(tree, _links(frames), manifold=manifold, floating=floating)
     model = _system(robot, axes, freedom, space, actuated)
-    if known(loads):
+    if known((loads, robot)):
         _check_inertia(model, [axes[i].joint.name for i in freedom.moving])
     return model
 
@@ -112,7 +113,7 @@ def _with_payload(
 
 
 def _tree(axes: list[Axis], freedom: Freedom, bodies: list[BodyInertia], base: BodyInertia, xnp: Any) -> KinematicTree:
-    """The arrays of the robot space; `xnp` is JAX's NumPy where the payload is traced, else NumPy."""
+    """The arrays of the robot space; `xnp` is JAX's NumPy where a number is traced, else NumPy."""
 
     def stacked(parts: list, shape: tuple[int, ...]) -> Array:
         return jnp.asarray(xnp.stack([xnp.asarray(part, float) for part in parts])) if parts else jnp.zeros((0, *shape))
@@ -130,9 +131,9 @@ def _tree(axes: list[Axis], freedom: Freedom, bodies: list[BodyInertia], base: B
         jnp.asarray(base.first, float),
         jnp.asarray(base.second, float),
         jnp.asarray(freedom.matrix),
-        jnp.asarray(freedom.offset),
+        jnp.asarray(freedom.offset + freedom.matrix @ numbers(axes[i].joint.encoder_offset for i in freedom.moving)),
         # Each joint depends on one coordinate, so that the inertia of the rotors is diagonal: ratio² times each.
-        jnp.asarray(freedom.matrix.T**2 @ np.array([axis.joint.armature for axis in axes])),
+        jnp.asarray(freedom.matrix.T**2 @ numbers(axis.joint.armature for axis in axes)),
         tuple(freedom.balls[::3]),
     )
 
@@ -152,8 +153,8 @@ def _system(
 ) -> MechanicalSystem:
     """The system on the space, with the springs, dampers and motors of the joints, and names and units."""
     motors = robot.motors if actuated is None else ()
-    springs = [_with_motors(axis.joint, motors) for axis in axes]
-    inputs = _inputs(robot, axes, freedom, motors, actuated)
+    springs = [with_motors(axis.joint, motors) for axis in axes]
+    motor_forces = inputs(robot, axes, freedom.matrix, freedom.moving, motors, actuated)
     floating, balls, free = space.floating, space.tree.balls, freedom.free
     units = tuple("rad" if axes[i].turn.any() else "m" for i in free)
     spins = tuple(f"w{k + 1}_{axes[i].joint.name}" for i in balls for k in range(3))
@@ -168,19 +169,13 @@ def _system(
             jnp.array([spring.rest for spring in springs], float),
             tuple(ball for ball, i in enumerate(balls) if springs[i].stiffness),
         ),
-        force=Parametric(force, motors=inputs, base=np.zeros(6 * floating)),
-        dissipation=Parametric(
-            resistance,
-            coordinates=freedom.matrix,
-            damping=np.array([spring.damping for spring in springs]),
-            friction=np.array([spring.friction for spring in springs]),
-            base=np.zeros(6 * floating),
-        ),
+        force=Parametric(force, motors=motor_forces, base=np.zeros(6 * floating)),
+        dissipation=dissipation(springs, freedom.matrix, np.zeros(6 * floating)),
         coordinates=tuple(axes[i].name for i in free),
         units=units,
         velocities=velocities if floating or balls else (),
         velocity_units=velocity_units if floating or balls else (),
-        inputs=inputs.shape[1],
+        inputs=motor_forces.shape[1],
     )
 
 
@@ -221,57 +216,6 @@ def _on_its_base(robot: Description, locked: dict[str, float]) -> tuple[Descript
         )
     joints = tuple(joint for joint in robot.joints if joint.parent in carried)
     return robot._replace(root=base, joints=joints), True
-
-
-def _with_motors(joint: Joint, motors: Sequence[Motor]) -> Joint:
-    """The joint with the springs and dampers of the servos that drive it."""
-    drives = [motor for motor in motors if motor.joint == joint.name]
-    stiffness = joint.stiffness + sum(motor.stiffness for motor in drives)
-    # Springs in parallel: stiffnesses add, and so do the torques at θ = 0, each stiffness · rest.
-    torque = joint.stiffness * joint.rest + sum(motor.constant for motor in drives)
-    if torque and not stiffness:
-        raise ValueError(f"joint {joint.name!r}: a motor with a constant bias is not supported; add it to the input")
-    return joint._replace(
-        stiffness=stiffness,
-        rest=torque / stiffness if stiffness else 0.0,
-        damping=joint.damping + sum(motor.damping for motor in drives),
-    )
-
-
-def _inputs(
-    robot: Description,
-    axes: list[Axis],
-    freedom: Freedom,
-    motors: Sequence[Motor],
-    actuated: Sequence[str] | None,
-) -> np.ndarray:
-    """Generalised force (n, m) of each input."""
-    coordinates = freedom.matrix
-    if not motors:
-        driven = [i for i in freedom.moving if actuated is None or axes[i].joint.name in actuated]
-        # By virtual work the transpose of coordinates ↦ joint positions takes torques to generalised forces.
-        return coordinates[driven].T * ([_reduction(axes[i].joint) for i in driven] if robot.motor_torques else 1.0)
-    columns = []
-    for motor in motors:
-        if motor.unsupported:
-            raise ValueError(
-                f"actuator {motor.name!r} {motor.unsupported}, which is not supported; give actuated=[...], the joints "
-                "whose torques are logged, or remove it"
-            )
-        driven = [coordinates[i] for i, axis in enumerate(axes) if axis.joint.name == motor.joint]
-        if driven:
-            columns.append(motor.gain * (np.array(motor.direction) @ np.array(driven)))
-    return np.array(columns).reshape(len(columns), coordinates.shape[1]).T
-
-
-def _reduction(joint: Joint) -> float:
-    if len(joint.reductions) != 1:
-        stated = f"{len(joint.reductions)} transmissions with a reduction" if joint.reductions else "no reduction"
-        raise ValueError(
-            f"motor_torques: joint {joint.name!r} has {stated}; give it one <transmission> with a "
-            "<mechanicalReduction>, 1 where the motor turns as the joint does, or leave the joint out by actuated=[...]"
-        )
-    return joint.reductions[0]
 
 
 def _with_followers(robot: Description, locked: dict[str, float]) -> dict[str, float]:

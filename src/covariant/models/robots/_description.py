@@ -33,7 +33,7 @@ class BodyInertia(NamedTuple):
     second: np.ndarray
 
     @classmethod
-    def of(cls, mass: float, centre: np.ndarray, about_centre: np.ndarray) -> "BodyInertia":
+    def of(cls, mass: Any, centre: Any, about_centre: Any) -> "BodyInertia":
         """Inertia of a body from its centre of mass.
 
         Args:
@@ -45,8 +45,9 @@ class BodyInertia(NamedTuple):
             The inertia about the origin of the frame.
         """
         # With S the second moment, I = tr(S) 1 − S, so tr(I) = 2 tr(S).
-        central = np.trace(about_centre) / 2 * np.eye(3) - about_centre
-        return cls(mass, mass * centre, central + mass * np.outer(centre, centre))
+        trace = about_centre[0, 0] + about_centre[1, 1] + about_centre[2, 2]  # np.trace takes no traced array
+        central = trace / 2 * np.eye(3) - about_centre
+        return cls(mass, mass * centre, central + mass * centre[:, None] * centre[None, :])
 
     def moved(self, rotation: np.ndarray, place: np.ndarray) -> "BodyInertia":
         """Transform the inertia to another frame.
@@ -117,6 +118,34 @@ class Follows(NamedTuple):
     offset: float
 
 
+class FrictionLaw(NamedTuple):
+    """Friction of a joint that depends on speed and direction, for the rate v [rad/s or m/s].
+
+    The force against the motion is `viscous v + (coulomb + stribeck exp(−(v/stribeck_velocity)²)) s + asymmetry s²`
+    with `s = tanh(v/smoothing)`. Source: Armstrong-Hélouvry 1991, Control of Machines with Friction, chapter 2.
+
+    Attributes:
+        viscous: Viscous friction [N m s/rad or N s/m].
+        coulomb: Coulomb friction [N m or N], the mean of both directions.
+        asymmetry: Half the difference between the Coulomb friction forwards and backwards [N m or N].
+        stribeck: Friction at rest beyond the Coulomb friction [N m or N].
+        stribeck_velocity: Speed at which that has fallen by a factor of e [rad/s or m/s].
+        smoothing: Speed v0 [rad/s or m/s] up to which the Coulomb friction rises, as tanh(v/v0).
+
+    Example:
+        >>> from covariant.models import robots
+        >>> robots.FrictionLaw(viscous=0.1, coulomb=0.5).smoothing
+        0.02
+    """
+
+    viscous: Any = 0.0
+    coulomb: Any = 0.0
+    asymmetry: Any = 0.0
+    stribeck: Any = 0.0
+    stribeck_velocity: Any = 0.1
+    smoothing: Any = 0.02
+
+
 class Joint(NamedTuple):
     """A joint between two links.
 
@@ -141,6 +170,9 @@ class Joint(NamedTuple):
         effort: Limit of the torque or force [N m or N]; inf without one.
         follows: Constraint by which it follows another joint; None without one.
         reductions: Turns of each motor for one of the joint, or for 1 m, where they matter.
+        law: Friction in place of `damping` and `friction`; None without one.
+        encoder_offset: What has to be added to a logged position for the true one [rad or m].
+        torque_constant: Factor of the logged torque, force or input of the joint's motors.
 
     Example:
         >>> from covariant.models import robots
@@ -158,7 +190,7 @@ class Joint(NamedTuple):
     axis: np.ndarray
     damping: float = 0.0
     friction: float = 0.0
-    armature: float = 0.0
+    armature: Any = 0.0
     stiffness: float = 0.0
     rest: float = 0.0
     lower: float = -np.inf
@@ -167,6 +199,9 @@ class Joint(NamedTuple):
     effort: float = np.inf
     follows: Follows | None = None
     reductions: tuple[float, ...] = ()
+    law: FrictionLaw | None = None
+    encoder_offset: Any = 0.0
+    torque_constant: Any = 1.0
 
 
 class Motor(NamedTuple):

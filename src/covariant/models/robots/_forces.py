@@ -89,3 +89,33 @@ def resistance(
     torque = damping * rates + friction * (2 / jnp.pi) * jnp.arctan(COULOMB_STEEPNESS * rates)
     # coordinatesᵀ by virtual work: the power is −torque · rates ≤ 0.
     return jnp.concatenate([base, -coordinates.T @ torque])
+
+
+def joint_friction(
+    q,
+    v,
+    coordinates: Float[Array, "k n"],
+    damping: Float[Array, "k"],
+    friction: Float[Array, "k"],
+    base: Float[Array, "b"],
+    law: dict[str, Float[Array, "k"]],
+):
+    """Generalised force of the friction in joints some of which have a `FrictionLaw`.
+
+    Args:
+        q: Configuration; not used.
+        v: Velocity (b + n,).
+        coordinates: Rates of the k joints for those of the velocity (k, n).
+        damping: Viscous friction (k,) of the joints without a law; 0 for the others.
+        friction: Coulomb friction (k,) of the joints without a law; 0 for the others.
+        base: Zeros (b,) for the components of a floating base, b = 6 or 0.
+        law: Fields of the `FrictionLaw` of each joint (k,); zeros, and speeds of one, for the joints without a law.
+
+    Returns:
+        Covector (b + n,).
+    """
+    rates = coordinates @ v[base.shape[0] :]
+    sign = jnp.tanh(rates / law["smoothing"])
+    at_rest = law["stribeck"] * jnp.exp(-((rates / law["stribeck_velocity"]) ** 2))
+    torque = law["viscous"] * rates + (law["coulomb"] + at_rest) * sign + law["asymmetry"] * sign**2
+    return resistance(q, v, coordinates, damping, friction, base) + jnp.concatenate([base, -coordinates.T @ torque])

@@ -6,7 +6,8 @@ from pathlib import Path
 from covariant._typing import Number
 from covariant.models._mechanical import MechanicalSystem
 from covariant.models.robots._assemble import assemble
-from covariant.models.robots._description import Description
+from covariant.models.robots._changes import changed
+from covariant.models.robots._description import Description, FrictionLaw, Joint
 from covariant.models.robots._library import ROBOTS, located
 from covariant.models.robots._mjcf import read_mjcf
 from covariant.models.robots._urdf import read_urdf
@@ -65,6 +66,12 @@ def load(
     payload: Mapping[str, Sequence[Number]] | None = None,
     dry_friction: bool = True,
     motor_torques: bool = False,
+    friction: Mapping[str, Mapping[str, Number]] | None = None,
+    armature: Mapping[str, Number] | None = None,
+    inertia: Mapping[str, Sequence[Number]] | None = None,
+    gravity: Number | Sequence[Number] | None = None,
+    torque_constants: Mapping[str, Number] | None = None,
+    offsets: Mapping[str, Number] | None = None,
 ) -> MechanicalSystem:
     """Load the mechanical system of a robot from its URDF or MJCF file.
 
@@ -87,6 +94,14 @@ def load(
             compensated.
         motor_torques: True where logs have the torques [N m] of motors, before the reductions that the `transmission`s
             of a URDF file state. Every joint with an input needs one; losses in the gear count as friction.
+        friction: Fields of `FrictionLaw` by joint, in place of the damping and dry friction of the file:
+            `{joint: {"viscous": 0.1, "coulomb": 0.5}}`.
+        armature: Inertia of the rotor as felt at the joint, by joint [kg m² or kg].
+        inertia: Mass, centre of mass and inertia about it, by link, in its frame:
+            `{link: (mass, cx, cy, cz, ixx, iyy, izz, ixy, ixz, iyz)}` [kg, m, kg m²].
+        gravity: Its magnitude, along its direction in the file, or the vector [m/s²].
+        torque_constants: Factor of the logged torque, force or motor input, by joint.
+        offsets: What has to be added to a logged position for the true one, by joint [rad or m].
 
     Returns:
         The system, with its configuration space as a `RobotSpace`.
@@ -102,9 +117,22 @@ def load(
         True
     """
     robot = read(path, motor_torques=motor_torques)
-    if not dry_friction:
-        robot = robot._replace(joints=tuple(joint._replace(friction=0.0) for joint in robot.joints))
+    numbers = {
+        "friction": friction,
+        "armature": armature,
+        "inertia": inertia,
+        "gravity": gravity,
+        "torque_constants": torque_constants,
+        "offsets": offsets,
+    }
     try:
+        robot = changed(robot, **numbers)
+        if not dry_friction:
+            robot = robot._replace(joints=tuple(map(_without_dry_friction, robot.joints)))
         return assemble(robot, floating=floating, lock=lock, actuated=actuated, payload=payload)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
+
+
+def _without_dry_friction(joint: Joint) -> Joint:
+    return joint._replace(friction=0.0, law=joint.law and FrictionLaw(viscous=joint.law.viscous))

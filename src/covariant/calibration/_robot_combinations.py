@@ -1,0 +1,82 @@
+"""Which combinations of a robot's numbers a log determines, by a pivoted QR decomposition of the regressor.
+
+Source: Gautier 1991, Numerical calculation of the base inertial parameters of robots, Journal of Robotic Systems 8(4).
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from covariant.models import RobotFamily
+
+SMALL = 0.01
+"""Part of a combination, relative to its largest one in the usual sizes of the numbers, below which it is not named."""
+ALIKE = 1e-3
+"""Relative distance to a whole number at which a factor is rounded to it."""
+
+
+class Combinations(NamedTuple):
+    """What a log determines of numbers that it cannot tell apart.
+
+    Attributes:
+        determined: Combinations of two or more numbers, as "inertia.upper.Iyy + 0.09 inertia.lower.mass".
+        absorbed: Numbers that appear only in combinations, or not at all: as base parameters they are redundant.
+        rank: Number of combinations and single numbers that the log determines.
+
+    Example:
+        >>> from covariant.calibration import Combinations
+        >>> Combinations(("armature.elbow + inertia.lower.Iyy",), ("inertia.lower.Iyy",), 5).rank
+        5
+    """
+
+    determined: tuple[str, ...]
+    absorbed: tuple[str, ...]
+    rank: int
+
+
+def combinations(
+    family: RobotFamily,
+    information: Float[np.ndarray, "p p"],
+    to_linear: Float[np.ndarray, "p p"],
+    prior: Float[np.ndarray, "p"],
+    known: float,
+) -> Combinations:
+    """Combinations that a log determines.
+
+    Args:
+        family: The robot as a function of its numbers.
+        information: Information (p, p) of the log about the coordinates of the family.
+        to_linear: Derivatives (p, p) of the numbers in linear form in the coordinates.
+        prior: Standard deviations (p,) of the coordinates before the log.
+        known: A combination is determined where its standard error is below this fraction of the prior one.
+
+    Returns:
+        The combinations, in the numbers in which torques are linear.
+    """
+    from scipy.linalg import qr
+
+    back = np.linalg.inv(to_linear)
+    size = np.sqrt(np.sum((to_linear * prior) ** 2, axis=1))
+    # A square root of the information is as good as the regressor itself: it has the same triangular factor.
+    values, vectors = np.linalg.eigh(information)
+    root = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
+    _, r, order = qr(root @ back * size, mode="economic", pivoting=True)  # pyright: ignore[reportAssignmentType]
+    rank = int(np.sum(np.abs(np.diagonal(r)) > 1 / known))
+    names, independent, dependent = family.linear_names, order[:rank], order[rank:]
+    if not rank:
+        return Combinations((), tuple(names[i] for i in sorted(dependent)), 0)
+    factors = np.linalg.solve(r[:rank, :rank], r[:rank, rank:])
+    sentences = []
+    for row, i in sorted(zip(factors, independent, strict=True), key=lambda pair: pair[1]):
+        parts = [(names[j], f * size[i] / size[j]) for f, j in zip(row, dependent, strict=True) if abs(f) > SMALL]
+        if parts:
+            sentences.append(names[i] + "".join(_term(name, factor) for name, factor in parts))
+    return Combinations(tuple(sentences), tuple(names[i] for i in sorted(dependent)), rank)
+
+
+def _term(name: str, factor: float) -> str:
+    size = abs(factor)
+    whole = round(size) or size
+    size = whole if abs(size - whole) < ALIKE * whole else size
+    return f" {'-' if factor < 0 else '+'} {name if size == 1 else f'{size:.3g} {name}'}"

@@ -1,0 +1,149 @@
+"""Numbers of a robot that replace those of its file: friction, rotors, inertias, gravity, torque constants, offsets."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from covariant._typing import Number
+from covariant.models._parameters import known, namespace
+from covariant.models.robots._description import BodyInertia, Description, FrictionLaw, Joint, doubts_on
+
+POSITIVE = ("stribeck_velocity", "smoothing")
+SIGNED = ("asymmetry",)
+OF_INERTIA = ("mass", "cx", "cy", "cz", "ixx", "iyy", "izz", "ixy", "ixz", "iyz")
+"""The ten numbers of a link: mass [kg], centre of mass [m], inertia about it [kg m²], in the frame of the link."""
+
+
+def changed(
+    robot: Description,
+    *,
+    friction: Mapping[str, Mapping[str, Number]] | None = None,
+    armature: Mapping[str, Number] | None = None,
+    inertia: Mapping[str, Sequence[Number]] | None = None,
+    gravity: Number | Sequence[Number] | None = None,
+    torque_constants: Mapping[str, Number] | None = None,
+    offsets: Mapping[str, Number] | None = None,
+) -> Description:
+    """Replace numbers of a robot; see `load`.
+
+    Args:
+        robot: Description of the robot.
+        friction: Fields of `FrictionLaw`, by joint.
+        armature: Inertia of the rotor, by joint [kg m² or kg].
+        inertia: The ten numbers of `OF_INERTIA`, by link.
+        gravity: Its magnitude, along its direction in the file, or the vector (3,) [m/s²].
+        torque_constants: Factor of the logged torque, by joint.
+        offsets: What has to be added to a logged position, by joint [rad or m].
+
+    Returns:
+        The changed description.
+
+    Raises:
+        ValueError: Names the first joint or link that does not exist, or number out of its range.
+    """
+    laws = {name: _law(name, fields) for name, fields in (friction or {}).items()}
+    for what, named in (("friction", laws), ("armature", armature), ("torque_constants", torque_constants)):
+        _check_joints(what, named or {}, robot.joints)
+    _check_joints("offsets", offsets or {}, robot.joints)
+    for what, named, least in (
+        ("armature", armature, 0.0),
+        ("torque_constants", torque_constants, np.nextafter(0.0, 1.0)),
+        ("offsets", offsets, -np.inf),
+    ):
+        for name, value in (named or {}).items():
+            _check_number(f"{what} of {name!r}", value, least)
+
+    def replaced(joint: Joint) -> Joint:
+        return joint._replace(
+            law=laws.get(joint.name, joint.law),
+            armature=(armature or {}).get(joint.name, joint.armature),
+            torque_constant=(torque_constants or {}).get(joint.name, joint.torque_constant),
+            encoder_offset=(offsets or {}).get(joint.name, joint.encoder_offset),
+        )
+
+    links = dict(robot.links)
+    for name, numbers in (inertia or {}).items():
+        if name not in links:
+            raise ValueError(f"inertia: there is no link {name!r}; there are {', '.join(links)}")
+        links[name] = inertia_of(name, numbers)
+    return robot._replace(
+        links=links,
+        joints=tuple(replaced(joint) for joint in robot.joints),
+        gravity=robot.gravity if gravity is None else _gravity(robot.gravity, gravity),
+    )
+
+
+def inertia_of(name: str, numbers: Any) -> BodyInertia:
+    """Inertia of a link from its ten numbers.
+
+    Args:
+        name: Name of the link, for messages.
+        numbers: The numbers of `OF_INERTIA`; they may be traced.
+
+    Returns:
+        The inertia about the origin of the link.
+
+    Raises:
+        ValueError: There are not ten, or no body has them.
+    """
+    if len(numbers) != len(OF_INERTIA):
+        raise ValueError(f"inertia of {name!r}: give {', '.join(OF_INERTIA)}; got {len(numbers)} numbers")
+    xnp = namespace(list(numbers))
+    values = xnp.asarray(numbers, float)
+    mass, centre, (xx, yy, zz, xy, xz, yz) = values[0], values[1:4], values[4:]
+    tensor = xnp.stack([xnp.stack([xx, xy, xz]), xnp.stack([xy, yy, yz]), xnp.stack([xz, yz, zz])])
+    inertia = BodyInertia.of(mass, centre, tensor)
+    if known(values):
+        doubts_on(name, inertia)
+    return inertia
+
+
+def numbers_of(inertia: BodyInertia) -> np.ndarray:
+    """The ten numbers of a link's inertia, the inverse of `inertia_of`.
+
+    Args:
+        inertia: Inertia about the origin of the link.
+
+    Returns:
+        The numbers (10,) of `OF_INERTIA`.
+    """
+    centre = inertia.first / inertia.mass if inertia.mass > 0 else np.zeros(3)
+    (xx, xy, xz), (_, yy, yz), (_, _, zz) = inertia.about_centre
+    return np.array([inertia.mass, *centre, xx, yy, zz, xy, xz, yz])
+
+
+def first_law(joint: Joint) -> FrictionLaw:
+    """The law of a joint, or one with its damping and dry friction where it has none."""
+    return joint.law or FrictionLaw(viscous=joint.damping, coulomb=joint.friction)
+
+
+def _law(name: str, fields: Mapping[str, Any]) -> FrictionLaw:
+    for field, value in fields.items():
+        if field not in FrictionLaw._fields:
+            raise ValueError(f"friction of {name!r}: there is no {field!r}; there are {', '.join(FrictionLaw._fields)}")
+        least = -np.inf if field in SIGNED else np.nextafter(0.0, 1.0) if field in POSITIVE else 0.0
+        _check_number(f"friction of {name!r}: {field}", value, least)
+    return FrictionLaw(**fields)
+
+
+def _gravity(direction: Any, gravity: Any) -> Any:
+    xnp = namespace(gravity)
+    value = xnp.asarray(gravity, float)
+    if value.shape not in ((), (3,)) or (known(value) and not np.isfinite(value).all()):
+        raise ValueError(f"gravity must be its magnitude or three numbers [m/s²], all finite; got {gravity!r}")
+    size = float(np.linalg.norm(direction))
+    return value if value.ndim else value * (direction / size if size else np.array([0.0, 0.0, -1.0]))
+
+
+def _check_joints(what: str, named: Mapping[str, Any], joints: Sequence[Joint]) -> None:
+    names = [joint.name for joint in joints]
+    for name in named:
+        if name not in names:
+            raise ValueError(f"{what}: there is no joint {name!r}; there are {', '.join(names)}")
+
+
+def _check_number(what: str, value: Any, least: float) -> None:
+    if known(value) and not (np.isfinite(value) and value >= least):
+        expected = "finite" if least < 0 else "≥ 0" if least == 0 else "positive"
+        raise ValueError(f"{what} must be {expected}; got {value}")

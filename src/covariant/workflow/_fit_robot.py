@@ -1,0 +1,143 @@
+"""Computes a fit of a robot's numbers to logs, by residual torques, and judges it on what is held out."""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from covariant import models
+from covariant.calibration import (
+    FITTED,
+    PredictionErrors,
+    RobotFit,
+    Windows,
+    fit_robot,
+    horizon,
+    prediction_errors,
+    split,
+)
+from covariant.signals import Record, acting_inputs, lag_inputs
+from covariant.workflow._aligned import Aligned, aligned
+from covariant.workflow._fit_details import BETWEEN, DIGITS, Gain, driven, fit_details, input_details
+from covariant.workflow._inputs import Job
+from covariant.workflow._progress import Progress
+
+EXPECTED = 12
+"""Usual number of rounds, for the progress."""
+
+
+def is_robot_fit(job: Job, names: Sequence[str]) -> bool:
+    """Whether numbers are those of a robot's joints and links, and not plain entries of [parameters]."""
+    try:
+        system = models.document(job.model_name, job.overrides).get("system")
+    except ValueError:  # whoever makes the family says what is wrong, with the name of the file
+        return False
+    if system != "robot":
+        return False
+    return any("[" not in name and not name.strip().startswith("inputs.") for name in names)
+
+
+def fit_robot_to_logs(
+    jobs: list[Job], names: Sequence[str], length: float | None, progress: Progress
+) -> tuple[list[Job], dict[str, Any], dict[str, Any]]:
+    """Fit numbers of a robot to logs, and judge the fit on what is held out.
+
+    Args:
+        jobs: The model and the logs, the same model in each.
+        names: Names of the numbers, as for `models.robot_family`.
+        length: Length of the predictions of what is held out [s]; None chooses it by the motion.
+        progress: Called with a description and a fraction as the work goes on.
+
+    Returns:
+        The fields of a `FitResult`, in their order.
+
+    Raises:
+        MisfitError: Where the model explains nothing of the motion in a log.
+        ValueError: For a model or a log that cannot be used.
+    """
+    progress("reading")
+    spec, overrides = jobs[0].model_name, jobs[0].overrides
+    family = models.robot_family(spec, names, overrides)
+    # A robot without its friction may explain little of a log: that is what the fit is for.
+    logs = [aligned(job._replace(anyway=True)) for job in jobs]
+    file, references = logs[0].loaded.file, [log.loaded.reference.v for log in logs if log.loaded.reference]
+    part = 1 - FITTED if len(jobs) == 1 else 1.0
+    length = horizon(logs[0].raw, references[0], part) if length is None else length
+    stated = file.input_between != BETWEEN[0] or "between" in models.document(spec, overrides).get("inputs", {})
+    tried = BETWEEN if not stated and driven([log.raw for log in logs]) else (file.input_between,)
+    records = {word: [_acting(log, word) for log in logs] for word in tried}
+    fits: dict[str, RobotFit] = {}
+    start = None
+    try:
+        held_out = {word: split(records[word], references, length)[1] for word in tried}
+        for k, word in enumerate(tried):
+            report = _reporter(progress, k, len(tried), word if len(tried) > 1 else "")
+            start = fits[word] = fit_robot(family, _fitted(records[word]), file.reference_half, report, start)
+    except ValueError as error:
+        raise ValueError(f"{', '.join(job.log_name for job in jobs)}: {error}") from error
+    progress("errors on what is held out", 1.0)
+    gain = _gain(fits) if len(fits) > 1 else None
+    used = BETWEEN[1] if gain is not None and gain.clear and gain.of_linear > 0 else tried[0]
+    best = fits[used]
+    before, after = _errors(family, best, held_out[tried[0]], held_out[used])
+    content = family.with_values(np.array([float(f"{value:.{DIGITS}g}") for value in best.values]))
+    if gain is not None and gain.clear:
+        content.setdefault("inputs", {})["between"] = used
+    details = fit_details(jobs, logs, best, length, before, after)
+    return jobs, content, details | input_details(used, stated, gain) | _of_robot(best)
+
+
+def _acting(log: Aligned, between: str) -> Record:
+    """The record with the inputs that act in each step."""
+    return acting_inputs(lag_inputs(log.raw, log.loaded.file.input_lag), between, log.late)
+
+
+def _fitted(records: Sequence[Record]) -> list[Record]:
+    """What a fit sees: all logs but the last, or the first part of a single one."""
+    if len(records) > 1:
+        return list(records[:-1])
+    t, u, y = (np.asarray(column) for column in (records[0].t, records[0].u, records[0].y))
+    seen = t < t[0] + FITTED * (t[-1] - t[0])
+    return [Record(t[seen], u[seen], y[seen])]
+
+
+def _reporter(progress: Progress, k: int, count: int, word: str) -> Callable[[int], None]:
+    def report(done: int) -> None:
+        which = f" with {word} inputs" if word else ""
+        progress(f"round {done + 1}{which}", (k + min(done / EXPECTED, 1.0)) / count)
+
+    return report
+
+
+def _gain(fits: dict[str, RobotFit]) -> Gain:
+    less = fits["held"].losses - fits["linear"].losses
+    return Gain(float(np.sum(less)), float(np.sqrt(len(less)) * np.std(less, ddof=1)))
+
+
+def _errors(
+    family: models.RobotFamily, best: RobotFit, first: Windows, after: Windows
+) -> tuple[PredictionErrors, PredictionErrors]:
+    """Errors of predictions of what is held out by the model as it was, and by the fitted one."""
+    # At the first values the family has the program of the fitted model; but a load that it adds was not there.
+    added = any(n.group == "payload" for n in family.numbers)
+    before: Any = family.file.model if added else family.make(np.zeros(len(family.names)))
+    return prediction_errors(before, 0.0, first), prediction_errors(family.make(best.coordinates), 0.0, after)
+
+
+def _of_robot(best: RobotFit) -> dict[str, Any]:
+    """What the log does not determine, in sentences, and which combinations it does."""
+    unknown = [name for name, known in zip(best.names, best.determined, strict=True) if not known]
+    found = best.combinations
+    sentences = []
+    if unknown:
+        shown = "does not show by itself" if len(unknown) == 1 else "does not show by themselves"
+        sentences.append(f"this log {shown} {', '.join(unknown)}: the nearest values to the first ones are kept")
+    sentences += [f"only the combination {text} is determined" for text in found.determined]
+    return {
+        "undetermined": sentences,
+        "combinations": list(found.determined),
+        "redundant": list(found.absorbed),
+        "rank": found.rank,
+        "window": float(f"{2 * best.half:.4g}"),
+        "residual_torque": [float(f"{size:.4g}") for size in best.torque],
+    }

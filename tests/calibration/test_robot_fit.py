@@ -1,0 +1,140 @@
+"""Numbers of a robot from logs of an arm that is simulated by its own closed form: truth, intervals, combinations."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from two_links import Truth, accelerate, swing
+
+from covariant import models
+from covariant.calibration import fit_robot
+from covariant.signals import Record
+
+FRICTION = ("viscous", "coulomb", "asymmetry")
+HALF = 0.03
+
+
+def expected(truth: Truth, *groups: str) -> np.ndarray:
+    """The true values of the groups' numbers, in the order of the names."""
+    values: list[float] = []
+    for group in groups:
+        if group == "friction":
+            values += [getattr(truth, kind)[j] for j in range(2) for kind in FRICTION]
+        elif group == "payload":
+            values += [truth.load, 0.0, 0.0, -truth.reach]
+        else:
+            values += list(getattr(truth, group))
+    return np.array(values)
+
+
+def fitted(truth: Truth, names: list[str], seconds: float = 12.0, **noise):
+    t, u, y = swing(1, truth, seconds, **noise)
+    return fit_robot(models.robot_family("double_pendulum", names), [Record(t, u[0], y[0])], HALF)
+
+
+def test_the_arm_of_these_tests_is_the_robot():
+    """The closed form against the sweeps along the tree, with everything that is fitted."""
+    truth = Truth(stribeck=(0.1, 0.05), load=0.2, constants=(1.1, 0.9))
+    joints = ("shoulder", "elbow")
+    law = {joint: {kind: getattr(truth, kind)[j] for kind in (*FRICTION, "stribeck")} for j, joint in enumerate(joints)}
+    arm = models.robots.load(
+        "double_pendulum",
+        friction=law,
+        armature=dict(zip(joints, truth.armature, strict=True)),
+        payload={"lower": (truth.load, 0.0, 0.0, -truth.reach)},
+        torque_constants=dict(zip(joints, truth.constants, strict=True)),
+    )
+    rng = np.random.default_rng(0)
+    q, v, u = rng.normal(size=(3, 20, 2))
+    v[:10] *= 0.05
+    ours = jax.vmap(lambda q, v, u: models.acceleration(arm, jnp.zeros(()), q, v, u))(q, v, u)
+    np.testing.assert_allclose(ours, accelerate(truth, q, v, np.array(truth.constants) * u), rtol=1e-9, atol=1e-9)
+
+
+@pytest.fixture(scope="module")
+def plain():
+    """Friction and rotors from one log."""
+    return fitted(Truth(), ["friction", "armature"])
+
+
+def test_friction_and_rotors_are_the_true_ones_within_their_standard_errors(plain):
+    truth = expected(Truth(), "friction", "armature")
+    assert plain.determined.all()
+    assert np.abs((plain.values - truth) / plain.standard_errors).max() < 3.5
+    assert (plain.standard_errors < 0.03 * np.abs(truth) + 2e-3).all(), "the intervals are not wide for nothing"
+    assert plain.combinations.determined == ()
+    assert plain.combinations.rank == 8
+
+
+@pytest.mark.long
+def test_a_load_is_found_with_its_place():
+    truth = Truth(load=0.15)
+    found = fitted(truth, ["payload", "friction.coulomb", "friction.viscous", "friction.asymmetry", "armature"])
+    by_name = dict(zip(found.names, zip(found.values, found.standard_errors, strict=True), strict=True))
+    for name, value in (("mass", truth.load), ("x", 0.0), ("z", -truth.reach)):
+        estimate, error = by_name[f"payload.lower.{name}"]
+        assert abs(estimate - value) < 4 * error, name
+        assert error < 0.01
+    assert np.isnan(by_name["payload.lower.y"][1]), "nothing turns about another axis"
+
+
+@pytest.mark.long
+def test_constants_offsets_and_stribeck_friction_are_the_true_ones():
+    truth = Truth(stribeck=(0.15, 0.06), constants=(1.2, 0.8), offsets=(0.05, -0.08))
+    found = fitted(
+        truth, ["friction", "friction.stribeck", "armature", "torque_constants", "offsets"], 40.0, torque_noise=0.01
+    )
+    parts = [expected(truth, group) for group in ("friction", "stribeck", "armature", "constants", "offsets")]
+    truth_values = np.concatenate(parts)
+    assert found.determined.all()
+    assert np.abs((found.values - truth_values) / found.standard_errors).max() < 4.0
+    assert found.standard_errors[-2:].max() < 0.01
+
+
+@pytest.mark.long
+def test_inertias_are_bodies_that_exist_and_predict_as_the_true_ones():
+    """Only combinations of the twenty numbers show: these are right, and each body can exist."""
+    family = models.robot_family("double_pendulum", ["inertia", "friction", "armature"])
+    heavy = Truth(load=0.1)
+    t, u, y = swing(1, heavy, 30.0, torque_noise=0.01)
+    found = fit_robot(family, [Record(t, u[0], y[0])], HALF)
+    assert not found.determined[family.names.index("inertia.upper.mass")]
+    assert len(found.combinations.determined) >= 2
+    assert found.combinations.rank < len(family.names)
+    for start in (0, 10):
+        moments = np.linalg.eigvalsh(models.robots.inertia_of("", found.values[start : start + 10]).second)
+        assert moments.min() > 0
+    fitted_arm = family.make(found.coordinates)
+    rng = np.random.default_rng(1)
+    q, v, u = rng.normal(size=(3, 50, 2))
+    ours = jax.vmap(lambda q, v, u: models.acceleration(fitted_arm, jnp.zeros(()), q, v, u))(q, v, u)
+    true = accelerate(heavy, q, v, u)
+    assert np.sqrt(np.mean((ours - true) ** 2)) < 0.02 * np.sqrt(np.mean(true**2))
+
+
+@pytest.mark.long
+def test_intervals_of_95_percent_cover_the_truth():
+    t, u, y = swing(40, Truth(), 20.0, torque_noise=0.03)
+    family = models.robot_family("double_pendulum", ["friction", "armature"])
+    fits = [fit_robot(family, [Record(t, u[k], y[k])], HALF) for k in range(40)]
+    values, errors = (np.array([getattr(fit, name) for fit in fits]) for name in ("values", "standard_errors"))
+    truth = expected(Truth(), "friction", "armature")
+    covered = np.abs(values - truth) < 1.96 * errors
+    assert 0.9 <= covered.mean() <= 0.99, covered.mean(axis=0)
+    # The window is chosen by the standard errors, which makes some of them too small, by up to a fifth.
+    assert covered.mean(axis=0).min() >= 0.75, covered.mean(axis=0)
+    np.testing.assert_allclose(np.median(errors, axis=0), np.std(values, axis=0), rtol=0.35)
+
+
+def test_a_joint_that_rests_shows_nothing_of_its_friction():
+    """The elbow stands still, whatever torque acts there."""
+    t, u, y = swing(1, Truth(armature=(0.0, 1e9)), 12.0)
+    found = fit_robot(models.robot_family("double_pendulum", ["friction"]), [Record(t, u[0], y[0])], HALF)
+    assert found.determined.tolist() == [True] * 3 + [False] * 3
+    assert np.abs(found.values[3:] - found.first[3:]).max() < 0.5
+
+
+def test_a_log_that_is_too_short_is_refused():
+    t, u, y = swing(1, Truth(), 0.5)
+    with pytest.raises(ValueError, match=r"a fit needs 2.16 s; give longer logs"):
+        fit_robot(models.robot_family("double_pendulum", ["friction"]), [Record(t, u[0], y[0])], HALF)

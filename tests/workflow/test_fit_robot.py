@@ -1,0 +1,79 @@
+"""`covariant.fit` of a robot: what it finds, what it writes and where, and what it says of the rest."""
+
+import tomllib
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from covariant import models
+from covariant.workflow import FitResult, fit, simulate
+
+MODEL = """system = "robot"
+
+[parameters]
+path = "arm.urdf"  # from the works
+
+[inputs]
+between = "held"
+"""
+LAW = {"elbow": {"viscous": 0.06, "coulomb": 0.08, "asymmetry": -0.02}}
+TRUTH = {"parameters.friction": LAW, "parameters.armature": {"elbow": 0.004}}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A model file in a folder of its own, beside the URDF file that it names."""
+    folder = tmp_path_factory.mktemp("robot")
+    (folder / "machine").mkdir()
+    text = models.robots.located("double_pendulum").read_text()
+    (folder / "machine" / "arm.urdf").write_text(text)
+    (folder / "machine" / "arm.toml").write_text(MODEL)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def fitted(folder) -> FitResult:
+    drive = {"duration": 16.0, "rate": 250.0, "amplitude": [2.2, 0.5], "frequency": 0.6, "noise": 1e-4}
+    log = simulate("double_pendulum", **drive, overrides=TRUTH).record
+    names = "friction.elbow,armature.2,inertia.upper"
+    return fit(str(folder / "machine" / "arm.toml"), log, names)
+
+
+def test_what_the_log_shows_is_the_truth_and_the_rest_is_named(fitted):
+    rows = {row["name"]: row for row in fitted.summary["parameters"]}
+    truth = {f"friction.elbow.{kind}": value for kind, value in LAW["elbow"].items()} | {"armature.elbow": 0.004}
+    for name, value in truth.items():
+        assert rows[name]["determined"], name
+        assert abs(rows[name]["after"] - value) < max(4 * rows[name]["standard_error"], 1e-4), name
+    assert not rows["inertia.upper.mass"]["determined"]
+    assert "inertia.upper.mass" in fitted.warnings[0]
+    assert fitted.summary["growth"] < 0.1
+    assert fitted.summary["rank"] < len(rows)
+    text = str(fitted)
+    assert "Residual torques in windows of" in text
+    assert "| armature.elbow" in text
+
+
+def test_the_fitted_robot_is_written_with_a_urdf_file_beside_it(fitted, folder):
+    (folder / "out").mkdir()
+    path = fitted.save(folder / "out" / "fitted.toml")
+    content = tomllib.loads(path.read_text())
+    assert content["parameters"]["path"] == "fitted.urdf"
+    assert set(content["parameters"]["friction"]) == {"elbow"}
+    assert "# from the works" in path.read_text()
+    written = models.load(str(path)).model
+    q, v, u = np.random.default_rng(0).normal(size=(3, 2))
+    robot = fitted.content["parameters"] | {"path": "double_pendulum"}
+    expected = models.robots.load(**robot)
+    t = np.zeros(())
+    ours, theirs = (np.asarray(models.acceleration(m, *map(jnp.asarray, (t, q, v, u)))) for m in (written, expected))
+    np.testing.assert_allclose(ours, theirs, rtol=1e-6)
+    path.unlink()
+    with pytest.raises(ValueError, match=r"fitted\.urdf: there is such a file already"):
+        fitted.save(folder / "out" / "fitted.toml")
+
+
+def test_other_numbers_do_not_go_with_those_of_a_robot(folder):
+    with pytest.raises(ValueError, match=r"unknown group of numbers 'inputs'\. Known: friction, armature, payload"):
+        fit("double_pendulum", folder / "machine" / "arm.urdf", "friction,inputs.lag")
