@@ -380,7 +380,6 @@ class _Interpreter:
         # JAX clips the index of a branch, too.
         return self.run(bodies[int(np.clip(int(chosen), 0, len(bodies) - 1))], rest)
 
-
     def choice(self, chosen: Scalars, bodies: Sequence[ClosedJaxpr], values: list[Value]) -> list[Value]:
         """One of two branches: the longer one as a loop of at most one turn, or both and a choice of the results.
 
@@ -405,7 +404,9 @@ class _Interpreter:
                 return outputs[1:]
         taken = self.run(bodies[long], values)
         return [
-            self.write.map("select", asked, *pair) if any(isinstance(v, Scalars) for v in pair) or _differ(*pair) else pair[0]
+            self.write.map("select", asked, *pair)
+            if any(isinstance(v, Scalars) for v in pair) or _differ(*pair)
+            else pair[0]
             for pair in zip(taken, short, strict=True)
         ]
 
