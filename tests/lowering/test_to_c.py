@@ -58,7 +58,10 @@ def by_cases(x):
 
 def by_long_cases(a):
     """A branch that is long enough to be left out where it is not taken, on numbers and a statement."""
-    taken = lambda a, p: (jnp.tanh(a @ a) @ a, ~p)
+
+    def taken(a, p):
+        return jnp.tanh(a @ a) @ a, ~p
+
     return jax.lax.cond(a[0, 0] > 0.0, taken, lambda a, p: (a, p), a, a[0, 1] > 0.0)[0]
 
 

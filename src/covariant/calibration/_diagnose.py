@@ -13,9 +13,10 @@ from covariant.calibration import _sensor
 from covariant.calibration._changes import Change, Names, structure_changes, unit_changes
 from covariant.calibration._delays import Stated, delay_findings
 from covariant.calibration._finding import Diagnosis, Finding
-from covariant.calibration._readings import one_or_each, readings, shown, written
+from covariant.calibration._readings import known_ticks, one_or_each, readings, shown, written
 from covariant.calibration._residual import CLEAR, Residual, residual
 from covariant.calibration._smooth import FEWEST, ORDER, Smooth, smooth
+from covariant.calibration._twin import twin
 from covariant.models import MechanicalSystem, ModelFile
 from covariant.scoring import unwrap
 from covariant.signals import Record, acting_inputs, lag_inputs
@@ -45,6 +46,8 @@ FARTHEST = 3.0
 """Largest residual acceleration, as a multiple of the one that the data sheet states."""
 NOISIER = 4.0
 """Measured noise, as a multiple of the data sheet's, from which it is a finding."""
+TWIN = 2.0
+"""Part of the accelerations that is left, as a multiple of that in a log of the model itself, from which it counts."""
 MOST_CHANGES = 3
 WEIGHTS = (
     *("nothing moves", "unit of", "swapped", "sign of", "zero of", "model", "too little motion", "delay", "scale of"),
@@ -54,12 +57,13 @@ WEIGHTS = (
 
 
 class _Case(NamedTuple):
-    """A record in coordinates, without outliers, and the model to compare it with."""
+    """A record in coordinates, without outliers, the model to compare it with, and the ticks of its encoders."""
 
     file: ModelFile
     model: MechanicalSystem
     names: Names
     record: Record
+    ticks: np.ndarray
 
     @property
     def spacing(self) -> float:
@@ -119,14 +123,15 @@ def _findings(
         return findings, checks
     checks += ("outliers", "repeated rows", "ticks", "noise")
     y, names = np.asarray(record.y), _names(file)
+    quantum = file.quantum if quantum is None else quantum
     still, whole = _sensor.still_findings(y, names.q, names.units)
     if whole:
         return [*findings, *still], checks
-    case, outliers = case_without_outliers(file, record, rows)
-    repeated = _sensor.repeated_findings(y, readings(case.record, case.model.circles).ticks, names.q, rows)
+    case, outliers = case_without_outliers(file, record, rows, quantum)
+    repeated = _sensor.repeated_findings(y, case.ticks, names.q, rows)
     case = case._replace(record=busiest(case.record, MOST_ROWS))
     changes, case = _corrected(case)
-    findings += [*still, *outliers, *repeated, *changes, *_sensors(case, file.quantum if quantum is None else quantum)]
+    findings += [*still, *outliers, *repeated, *changes, *_sensors(case, quantum)]
     best = best_window(case)
     if best is None or not best[1].told.any():
         return [*findings, _standstill(case)], checks
@@ -138,7 +143,7 @@ def _findings(
         Stated(np.broadcast_to(np.asarray(file.delay, float), len(case.names.q)), file.input_lag),
         lambda delay: _smoothed(case, best[0], delay),
     )
-    return [*findings, *delays, *_unexplained(file, case.names, after)], checks
+    return [*findings, *delays, *_unexplained(case, after, best[0])], checks
 
 
 def misfit(file: ModelFile, record: Record) -> Finding | None:
@@ -175,11 +180,7 @@ def misfit(file: ModelFile, record: Record) -> Finding | None:
     )
     if better is not None:
         return better[0]
-    findings = (
-        [finding for finding in _unexplained(file, case.names, unchanged) if finding.what == "model"]
-        if unchanged
-        else []
-    )
+    findings = [each for each in _unexplained(case, unchanged) if each.what == "model"] if unchanged else []
     return findings[0] if findings else None
 
 
@@ -216,7 +217,10 @@ def _names(file: ModelFile) -> Names:
 
 
 def case_without_outliers(
-    file: ModelFile, record: Record, rows: _sensor.Rows | None = None
+    file: ModelFile,
+    record: Record,
+    rows: _sensor.Rows | None = None,
+    quantum: float | tuple[float, ...] | None = None,
 ) -> tuple[_Case, list[Finding]]:
     """Record prepared for the comparison: outliers are set to NaN and reported.
 
@@ -224,21 +228,28 @@ def case_without_outliers(
         file: The model file, of a mechanical system in coordinates.
         record: The log.
         rows: How messages name the rows; by default they count from 1.
+        quantum: Ticks that the model file states, where `file` no longer has them.
 
     Returns:
         The case to compare, and a finding for each column with outliers.
     """
     model, names = file.need_mechanical(file.name, "accelerations are compared with those of"), _names(file)
     t, y = np.asarray(record.t), np.asarray(record.y)
-    wrong, sizes = _sensor.outliers(t, y, model.circles)
-    case = _Case(file, model, names, Record(t, np.asarray(record.u), np.where(wrong, np.nan, y)))
+    ticks = known_ticks(record, model.circles, file.quantum if quantum is None else quantum)
+    wrong, sizes = _sensor.outliers(t, y, model.circles, ticks)
+    case = _Case(file, model, names, Record(t, np.asarray(record.u), np.where(wrong, np.nan, y)), ticks)
     return case, _sensor.outlier_findings(wrong, sizes, names.q, names.units, rows or _sensor.Rows(t))
 
 
 def _smoothed(case: _Case, half: float, delay: Any = 0.0) -> Smooth:
+    late = delay + np.asarray(case.file.delay, float)
+    return smooth(_acting(case), half, case.model.circles, late, case.ticks)
+
+
+def _acting(case: _Case) -> Record:
+    """The record with the inputs that act in each step."""
     file = case.file
-    record = acting_inputs(lag_inputs(case.record, file.input_lag), file.input_between, file.input_delay)
-    return smooth(record, half, case.model.circles, delay + np.asarray(file.delay, float))
+    return acting_inputs(lag_inputs(case.record, file.input_lag), file.input_between, file.input_delay)
 
 
 def _long_enough(case: _Case, half: float) -> bool:
@@ -291,7 +302,8 @@ def _units(case: _Case) -> Iterable[Change]:
 
 
 def _changed(case: _Case, change: Change) -> _Case:
-    return case._replace(record=change.of_record(case.record), names=case.names.after(change))
+    ticks = np.abs(change.position) * case.ticks[change.order]
+    return case._replace(record=change.of_record(case.record), names=case.names.after(change), ticks=ticks)
 
 
 def _corrected(case: _Case) -> tuple[list[Finding], _Case]:
@@ -419,14 +431,18 @@ def _standstill(case: _Case) -> Finding:
         f"in {t[-1] - t[0]:.3g} s of {len(t)} rows {', '.join(ranges)} moved: too little or too short to tell an "
         "acceleration from noise",
         "log a motion: nothing can be told of units, signs, order and delays from this log",
-        True,
+        # Of known encoders that are too coarse for this motion nothing is wrong with the log.
+        not (case.ticks > 0).all(),
         {"rows": len(t)},
     )
 
 
-def _unexplained(file: ModelFile, names: Names, left: Residual) -> list[Finding]:
-    """A finding where the residual accelerations exceed what the data sheet states."""
-    clear = left.told
+def _unexplained(case: _Case, left: Residual, half: float | None = None) -> list[Finding]:
+    """A finding where the residual accelerations exceed what the data sheet states.
+
+    `half` is the half width of the windows of `left`, by default that of `_clearly`.
+    """
+    file, names, clear = case.file, case.names, left.told
     if not clear.any():
         return []
     # Noise is independent of what the model leaves, so the variances subtract; by chance the rest may be negative.
@@ -435,6 +451,9 @@ def _unexplained(file: ModelFile, names: Names, left: Residual) -> list[Finding]
     stated = file.acceleration_std
     beyond = clear & (size > FARTHEST * (stated or 0.0))
     if not beyond.any() or (stated is None and left.misfit < BARELY):
+        return []
+    usual = _left_by_a_right_model(case, half)
+    if usual is not None and not (_part_left(left)[beyond] > TWIN * _part_left(usual)[beyond]).any():
         return []
     worst = int(np.argmax(np.where(beyond, size, 0.0)))
     unit = f"{names.units[worst]}/s²".lstrip("/") if names.units[worst] else ""
@@ -449,3 +468,19 @@ def _unexplained(file: ModelFile, names: Names, left: Residual) -> list[Finding]
         return [Finding("model", names.q[worst], evidence, line, True, numbers)]
     line = f"[uncertainty] acceleration = {size[worst]:.2g}, or better [parameters]"
     return [Finding("uncertainty", names.q[worst], evidence, line, True, numbers)]
+
+
+def _part_left(left: Residual) -> np.ndarray:
+    """What the model leaves of the accelerations (n,), the noise included, as a fraction of their squares."""
+    return np.mean(left.left**2, axis=0) / np.maximum(np.mean(left.measured[left.used] ** 2, axis=0), 1e-300)
+
+
+def _left_by_a_right_model(case: _Case, half: float | None) -> Residual | None:
+    """The residual of a log that the model itself makes, smoothed in the same way; None where there is none."""
+    log = _clearly(case) if half is None else _smoothed(case, half)
+    made = None if log is None else twin(case.model, log, _acting(case), case.ticks)
+    if made is None or log is None:
+        return None
+    # Its inputs act as they stand; its positions are not late.
+    left = residual(case.model, smooth(made, log.half, case.model.circles, 0.0, case.ticks))
+    return left if left.used.any() else None

@@ -1,7 +1,7 @@
 """Checks of the clock and the sensors of a log, without a model: missing rows, jitter, outliers, ticks."""
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -106,7 +106,7 @@ def missing_cells(y: np.ndarray) -> list[Finding]:
 
 
 def outliers(
-    t: Float[np.ndarray, "T"], y: Float[np.ndarray, "T n"], circles: tuple[int, ...]
+    t: Float[np.ndarray, "T"], y: Float[np.ndarray, "T n"], circles: tuple[int, ...], ticks: Any = 0.0
 ) -> tuple[Bool[np.ndarray, "T n"], Float[np.ndarray, "n"]]:
     """Detect outliers among position measurements, without a model.
 
@@ -117,6 +117,7 @@ def outliers(
         t: Stamps (T,) [s].
         y: Measured coordinates (T, n); NaN where missing.
         circles: Indices of the coordinates that are angles.
+        ticks: Known ticks (n,) of the encoders, or one for all, 0 for none; others are looked for in the readings.
 
     Returns:
         Which measurements are outliers (T, n), and their usual distance (n,) from their neighbours, 0 without outliers.
@@ -133,14 +134,14 @@ def outliers(
     """
     y = np.array(y, float)
     wrong, sizes = np.zeros(y.shape, bool), np.zeros(y.shape[1])
-    for i in range(y.shape[1]):
+    for i, known in enumerate(np.broadcast_to(ticks, y.shape[1])):
         remaining, error, floor = np.flatnonzero(np.isfinite(y[:, i])), np.zeros(1), np.zeros(1)
         column = unwrap(y[:, i : i + 1], (0,) if i in circles else ())[:, 0]
         for _ in range(ROUNDS):
             if len(remaining) < FEW_ROWS:
                 break
             error = prediction_errors(t[remaining], column[remaining])
-            floor = np.maximum(1.4826 * np.median(np.abs(error)), tick(column[remaining]))
+            floor = np.maximum(1.4826 * np.median(np.abs(error)), known or tick(column[remaining]))
             floor = np.maximum(floor, COARSE * _local_range(column[remaining]))
             size = np.zeros(len(remaining))
             candidates = np.flatnonzero(np.abs(error) > FAR * floor)  # few: only they need the local deviation

@@ -318,7 +318,7 @@ class _Interpreter:
         least: int = 0,
     ) -> list[Value] | None:
         """A loop of the graph, which passes numbers only: a statement is passed as 0 or 1; see `loop_of`."""
-        of_truth = [dtype == bool for dtype in types]
+        of_truth = [np.dtype(dtype).kind == "b" for dtype in types]
 
         def turned(graph: Graph, values: list[Value]):
             inner = Writer(graph)
