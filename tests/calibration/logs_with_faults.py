@@ -39,6 +39,8 @@ class Made(NamedTuple):
     file: ModelFile
     record: Record
     exact: np.ndarray
+    quantum: float
+    std: float
 
 
 @eqx.filter_jit
@@ -108,7 +110,7 @@ def made(name: str, seed: int, fast: bool = False, between: str = "held", counts
     y[1:][random.random((ROWS - 1, y.shape[1])) < 0.02 * (seed % 3 == 1)] = np.nan
     names = [f"{letter}{i + 1}" for letter, n in (("q", y.shape[1]), ("u", u.shape[1])) for i in range(n)]
     columns = file.columns._replace(q=tuple(names[: y.shape[1]]), u=tuple(names[y.shape[1] :]))
-    return Made(file._replace(columns=columns), Record(t, u, y), exact)
+    return Made(file._replace(columns=columns), Record(t, u, y), exact, 2 * np.pi / counts if counts else 0.0, std)
 
 
 def sensed(random: np.random.Generator, exact: np.ndarray, quantum: float, std: float) -> np.ndarray:

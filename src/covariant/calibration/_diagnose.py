@@ -10,12 +10,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from covariant.calibration import _sensor
+from covariant.calibration._alternatives import inputs_between_rows, moved_rows, signed_ranks
 from covariant.calibration._changes import Change, Names, structure_changes, unit_changes
-from covariant.calibration._delays import Stated, delay_findings
+from covariant.calibration._delays import Corrected, Stated, delay_findings
 from covariant.calibration._finding import Diagnosis, Finding
 from covariant.calibration._readings import known_ticks, one_or_each, readings, shown, written
 from covariant.calibration._residual import CLEAR, Residual, residual
-from covariant.calibration._smooth import FEWEST, ORDER, Smooth, smooth
+from covariant.calibration._smooth import FEWEST, ORDER, Smooth, held_inputs, smooth
 from covariant.calibration._twin import twin
 from covariant.models import MechanicalSystem, ModelFile
 from covariant.scoring import unwrap
@@ -50,7 +51,8 @@ TWIN = 2.0
 """Part of the accelerations that is left, as a multiple of that in a log of the model itself, from which it counts."""
 MOST_CHANGES = 3
 WEIGHTS = (
-    *("nothing moves", "unit of", "swapped", "sign of", "zero of", "model", "too little motion", "delay", "scale of"),
+    *("nothing moves", "unit of", "swapped", "sign of", "zero of", "model", "too little motion", "delay", "row shift"),
+    *("scale of", "inputs between"),
     *("uncertainty", "noise", "ticks", "repeated", "outliers", "a position"),
 )
 """How findings begin, in the order of what they invalidate: a wrong unit or order makes all numbers below it wrong."""
@@ -128,22 +130,48 @@ def _findings(
     if whole:
         return [*findings, *still], checks
     case, outliers = case_without_outliers(file, record, rows, quantum)
-    repeated = _sensor.repeated_findings(y, case.ticks, names.q, rows)
-    case = case._replace(record=busiest(case.record, MOST_ROWS))
-    changes, case = _corrected(case)
+    ticks, case = case.ticks, case._replace(record=busiest(case.record, MOST_ROWS))
+    changes, case, factor = _corrected(case)
+    if (factor != 1).any():
+        # Angles in another unit jump at other places, so the readings are looked at anew, in that of the model.
+        y = y * factor
+        again, outliers = case_without_outliers(file, record._replace(y=y), rows, quantum)
+        ticks = again.ticks
+    repeated = _sensor.repeated_findings(y, ticks, names.q, rows)
     findings += [*still, *outliers, *repeated, *changes, *_sensors(case, quantum)]
     best = best_window(case)
     if best is None or not best[1].told.any():
         return [*findings, _standstill(case)], checks
     checks += ("units", "order and signs of columns", "scales of inputs", "delays", "accelerations")
-    delays, after = delay_findings(
+    delays, corrected = delay_findings(
         case.model,
         case.names,
         case.spacing,
         Stated(np.broadcast_to(np.asarray(file.delay, float), len(case.names.q)), file.input_lag),
-        lambda delay: _smoothed(case, best[0], delay),
+        lambda delay, rows: _smoothed(_with_rows_moved(case, rows), best[0], delay),
     )
-    return [*findings, *delays, *_unexplained(case, after, best[0])], checks
+    inputs = _inputs(case, corrected)
+    unexplained = [] if inputs else _unexplained(case, corrected.left, best[0])
+    return [*findings, *delays, *inputs, *unexplained], checks
+
+
+def _with_rows_moved(case: _Case, rows: np.ndarray) -> _Case:
+    if not rows.any():
+        return case
+    return case._replace(record=case.record._replace(y=moved_rows(np.asarray(case.record.y), rows)))
+
+
+def _inputs(case: _Case, corrected: Corrected) -> list[Finding]:
+    """A finding where inputs go from row to row in another way than the model file says."""
+    log, file = corrected.log, case.file
+
+    def left(record: Record) -> Residual:
+        u = held_inputs(np.asarray(record.t), np.asarray(record.u), log.t, log.step) * corrected.scale
+        return residual(case.model, log._replace(u=u))
+
+    stated = file.input_between, file.input_delay, file.input_lag
+    finding = inputs_between_rows(case.names, case.record, stated, corrected.left, left)
+    return [] if finding is None else [finding]
 
 
 def misfit(file: ModelFile, record: Record) -> Finding | None:
@@ -306,9 +334,12 @@ def _changed(case: _Case, change: Change) -> _Case:
     return case._replace(record=change.of_record(case.record), names=case.names.after(change), ticks=ticks)
 
 
-def _corrected(case: _Case) -> tuple[list[Finding], _Case]:
-    """Findings on wrong units, orders and signs, and the case after these corrections."""
-    findings = []
+def _corrected(case: _Case) -> tuple[list[Finding], _Case, np.ndarray]:
+    """Findings on wrong units, orders and signs, the case after these corrections, and the units of its positions.
+
+    The latter are factors (n,) of the positions as they stand in the log.
+    """
+    findings, factor = [], np.ones(len(case.names.q))
     for _ in range(MOST_CHANGES):
         unchanged = _compared(case)
         if unchanged is not None and unchanged.told.any() and unchanged.misfit < FITS:
@@ -323,7 +354,9 @@ def _corrected(case: _Case) -> tuple[list[Finding], _Case]:
             break
         findings.append(better[0])
         case = _changed(case, better[1])
-    return findings, case
+        if better[1].what.startswith("unit of") and (better[1].order == np.arange(len(factor))).all():
+            factor = factor * better[1].position
+    return findings, case, factor
 
 
 def _best_change(
@@ -342,7 +375,7 @@ def _best_change(
     if unchanged is not None:
         falls = (unchanged.misfits(BLOCKS) - left.misfits(BLOCKS))[:, left.told].mean(axis=1)
         share_before, improved = float(unchanged.misfits()[0, left.told].mean()), int((falls > 0).sum())
-        if share_before < MARGIN * left.misfit or _signed_ranks(falls) < SIGNIFICANT:
+        if share_before < MARGIN * left.misfit or signed_ranks(falls) < SIGNIFICANT:
             return None
     if unchanged is None:
         evidence = (
@@ -359,14 +392,6 @@ def _best_change(
         evidence += f"; the log cannot tell it from {', or '.join(rivals)}"
     numbers = {"unexplained": share_before, "unexplained_after": left.misfit, "parts": improved}
     return Finding(change.what, change.where, evidence, change.line, True, numbers), change
-
-
-def _signed_ranks(falls: np.ndarray) -> float:
-    """Wilcoxon's statistic of differences (b,), as a standard normal: how surely their middle is above zero."""
-    count = len(falls)
-    ranks = np.argsort(np.argsort(np.abs(falls))) + 1.0
-    # Under symmetry about zero the variance of the sum is b (b + 1) (2b + 1) / 6.
-    return float(np.sum(ranks * np.sign(falls)) / np.sqrt(count * (count + 1) * (2 * count + 1) / 6))
 
 
 def _percent(share: float) -> str:
