@@ -29,9 +29,10 @@ BETWEEN = {
     "held": "the value of a row acts from its stamp to the next",
     "linear": "inputs go linearly from row to row",
     "earlier": "the value of a row acts up to its stamp",
-    "later": "the value of a row acts from the stamp of the next row",
 }
 """How inputs may go from row to row."""
+LATEST = 5
+"""Most rows by which inputs may act later than the model file says, of those that are tried."""
 
 
 class Blocks(NamedTuple):
@@ -152,17 +153,18 @@ def inputs_between_rows(
     now = Blocks.of(before)
     tried = {
         name: Blocks.of(residual_of(acting), before)
-        for name, acting in _acting(lag_inputs(record, lag), delay)
+        for name, acting in _acting(lag_inputs(record, lag), delay, between)
         if name != between
     }
     name = chosen(tried)
     if not better(now, tried[name]):
         return None
+    if isinstance(name, int):
+        return _late_inputs(name, delay, float(np.median(np.diff(record.t))), now, tried[name])
     line = {
         "held": '[inputs] between = "held"',
         "linear": '[inputs] between = "linear"',
         "earlier": f"move {', '.join(names.u)} up by one row in the log: a row holds the input before its stamp",
-        "later": f"[inputs] delay = {delay + float(np.median(np.diff(record.t))):.3g}",
     }[name]
     return Finding(
         "inputs between rows",
@@ -174,13 +176,28 @@ def inputs_between_rows(
     )
 
 
-def _acting(record: Record, delay: float) -> Iterator[tuple[str, Record]]:
-    """The record with the inputs that act in each step, for each of `BETWEEN`."""
+def _late_inputs(rows: int, stated: float, spacing: float, now: Blocks, then: Blocks) -> Finding:
+    time, count = rows * spacing, f"{rows} row{'s' if rows > 1 else ''}"
+    line = f"[measurement] delay = {time:.2g} where measurements are late, or [inputs] delay = {stated + time:.2g}"
+    return Finding(
+        "delay against the inputs",
+        "",
+        f"positions follow the inputs {count} later than the model says, {1e3 * time:.3g} ms; {_falls(now, then)} then",
+        f"{line} where inputs act late",
+        True,
+        {"delay": time, "rows": rows, **_numbers(now, then)},
+    )
+
+
+def _acting(record: Record, delay: float, between: str) -> Iterator[tuple[str | int, Record]]:
+    """The record with the inputs that act in each step, for each of `BETWEEN`, and for numbers of rows by which it is
+    late."""
     u = np.asarray(record.u)
     for name in ("held", "linear"):
         yield name, acting_inputs(record, name, delay)
     yield "earlier", acting_inputs(record._replace(u=np.concatenate([u[1:], u[-1:]])), "held", delay)
-    yield "later", acting_inputs(record._replace(u=np.concatenate([u[:1], u[:-1]])), "held", delay)
+    for k in range(1, LATEST + 1):
+        yield k, acting_inputs(record._replace(u=np.concatenate([np.repeat(u[:1], k, axis=0), u[:-k]])), between, delay)
 
 
 def _falls(before: Blocks, after: Blocks) -> str:

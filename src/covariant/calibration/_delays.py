@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from covariant.calibration._alternatives import BLOCKS, HELD_OUT, Blocks, chosen, row_shift
+from covariant.calibration._alternatives import BLOCKS, HELD_OUT, Blocks, chosen
 from covariant.calibration._changes import Names
 from covariant.calibration._finding import Finding
 from covariant.calibration._residual import Residual, residual
@@ -118,14 +118,7 @@ def delay_findings(
     estimates, corrected = _iterated(fitting, start + common.delay, scale, spacing, True)
     rows = _whole_rows(fitting, estimates, corrected, spacing)
     findings = list(_findings(names, spacing, stated, estimates._replace(rows=rows), common, before, corrected.left))
-    if not estimates.late.any():
-        shift = row_shift(names, corrected.left, lambda rows: fitting.at(corrected.delay, corrected.scale, rows)[1])
-        findings += [] if shift is None else [shift]
-        if shift is not None:
-            rows = np.where(np.array(names.q) == shift.where, shift.numbers["rows"], 0)
-            log, left = fitting.at(corrected.delay, corrected.scale, rows)
-            corrected = corrected._replace(log=log, left=left)
-    return findings, corrected
+    return findings, corrected._replace(rows=rows)
 
 
 class Corrected(NamedTuple):
@@ -136,12 +129,14 @@ class Corrected(NamedTuple):
         left: Its residual accelerations.
         delay: Delays (n,) [s] that are subtracted, beyond those that the model file states.
         scale: Factors (m,) of the inputs.
+        rows: Whole rows (n,) by which columns are late where that is better than a delay.
     """
 
     log: Smooth
     left: Residual
     delay: Float[np.ndarray, "n"]
     scale: Float[np.ndarray, "m"]
+    rows: np.ndarray
 
 
 def _whole_rows(fitting: _Fit, estimates: _Estimates, corrected: Corrected, spacing: float) -> np.ndarray:
@@ -174,7 +169,7 @@ def _iterated(
     base = delay.min()
     estimates, corrected = None, None
     for _ in range(ROUNDS):
-        corrected = Corrected(*fitting.at(delay, scale), delay, scale)
+        corrected = Corrected(*fitting.at(delay, scale), delay, scale, np.zeros(len(delay), int))
         estimates = _estimates(fit(fitting.model, corrected.log, corrected.left), delay, scale, spacing)
         step = np.where(estimates.late, estimates.delay, 0.0) + base - delay if delays else np.zeros_like(delay)
         change = np.where(estimates.off, estimates.scale, 1.0) - scale

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from covariant.calibration import _sensor
-from covariant.calibration._alternatives import inputs_between_rows, moved_rows, signed_ranks
+from covariant.calibration._alternatives import inputs_between_rows, moved_rows, row_shift, signed_ranks
 from covariant.calibration._changes import Change, Names, structure_changes, unit_changes
 from covariant.calibration._delays import Corrected, Stated, delay_findings
 from covariant.calibration._finding import Diagnosis, Finding
@@ -32,6 +32,8 @@ WINDOWS = (1.0, 2.0, 3.0)
 """Half windows to try, in those of the reference of the model file; the one that explains most is used."""
 WIDER = (2.0, 4.0, 8.0, 16.0)
 """Half windows to try until accelerations exceed the noise, as in a slow motion only wide ones show."""
+SHIFTED = (1.0, 2.0, 4.0)
+"""Half windows to look for shifts by whole rows in, in those that explain most."""
 FITS = 0.15
 """Unexplained fraction of the accelerations up to which no other reading of the log is tried."""
 BARELY = 0.5
@@ -138,10 +140,10 @@ def _findings(
         again, outliers = case_without_outliers(file, record._replace(y=y), rows, quantum)
         ticks = again.ticks
     repeated = _sensor.repeated_findings(y, ticks, names.q, rows)
-    findings += [*still, *outliers, *repeated, *changes, *_sensors(case, quantum)]
+    findings += [*still, *outliers, *repeated, *changes]
     best = best_window(case)
     if best is None or not best[1].told.any():
-        return [*findings, _standstill(case)], checks
+        return [*findings, *_sensors(case, quantum), _standstill(case)], checks
     checks += ("units", "order and signs of columns", "scales of inputs", "delays", "accelerations")
     delays, corrected = delay_findings(
         case.model,
@@ -150,9 +152,15 @@ def _findings(
         Stated(np.broadcast_to(np.asarray(file.delay, float), len(case.names.q)), file.input_lag),
         lambda delay, rows: _smoothed(_with_rows_moved(case, rows), best[0], delay),
     )
-    inputs = _inputs(case, corrected)
-    unexplained = [] if inputs else _unexplained(case, corrected.left, best[0])
-    return [*findings, *delays, *inputs, *unexplained], checks
+    rows, inputs = _rows_and_inputs(case, corrected, best[0], not any(each.what == "delay" for each in delays))
+    # Readings of a column that is rows late are those of a sensor only in their own rows.
+    moved = _with_rows_moved(case, corrected.rows + np.array([_rows_late(rows, name) for name in case.names.q]))
+    unexplained = [] if rows or inputs else _unexplained(case, corrected.left, best[0])
+    return [*findings, *_sensors(moved, quantum), *delays, *rows, *inputs, *unexplained], checks
+
+
+def _rows_late(found: list[Finding], name: str) -> int:
+    return next((int(each.numbers["rows"]) for each in found if each.where == name), 0)
 
 
 def _with_rows_moved(case: _Case, rows: np.ndarray) -> _Case:
@@ -161,17 +169,36 @@ def _with_rows_moved(case: _Case, rows: np.ndarray) -> _Case:
     return case._replace(record=case.record._replace(y=moved_rows(np.asarray(case.record.y), rows)))
 
 
-def _inputs(case: _Case, corrected: Corrected) -> list[Finding]:
-    """A finding where inputs go from row to row in another way than the model file says."""
-    log, file = corrected.log, case.file
+def _rows_and_inputs(case: _Case, corrected: Corrected, half: float, rows: bool) -> tuple[list[Finding], list[Finding]]:
+    """Findings on a column that is whole rows late, if `rows`, and on how inputs go from row to row; at most one.
 
-    def left(record: Record) -> Residual:
-        u = held_inputs(np.asarray(record.t), np.asarray(record.u), log.t, log.step) * corrected.scale
-        return residual(case.model, log._replace(u=u))
+    Wider windows show smaller shifts in time, as far as they do not smooth the motion away.
+    """
+    file = case.file
+    for wide in (w * half for w in SHIFTED):
+        if not _long_enough(case, wide):
+            break
 
-    stated = file.input_between, file.input_delay, file.input_lag
-    finding = inputs_between_rows(case.names, case.record, stated, corrected.left, left)
-    return [] if finding is None else [finding]
+        def of_rows(rows: np.ndarray, wide: float = wide) -> tuple[Smooth, Residual]:
+            log = _smoothed(_with_rows_moved(case, rows), wide, corrected.delay)
+            log = log._replace(u=log.u * corrected.scale)
+            return log, residual(case.model, log)
+
+        log, before = of_rows(np.zeros(len(case.names.q), int))
+
+        def of_inputs(record: Record, log: Smooth = log) -> Residual:
+            u = held_inputs(np.asarray(record.t), np.asarray(record.u), log.t, log.step) * corrected.scale
+            return residual(case.model, log._replace(u=u))
+
+        stated = file.input_between, file.input_delay, file.input_lag
+        shift = row_shift(case.names, before, lambda rows: of_rows(rows)[1]) if rows else None
+        inputs = inputs_between_rows(case.names, case.record, stated, before, of_inputs)
+        if shift is not None and inputs is not None:
+            first = shift.numbers["unexplained_after"] <= inputs.numbers["unexplained_after"]
+            shift, inputs = (shift, None) if first else (None, inputs)
+        if shift is not None or inputs is not None:
+            return [shift] if shift else [], [inputs] if inputs else []
+    return [], []
 
 
 def misfit(file: ModelFile, record: Record) -> Finding | None:
