@@ -12,6 +12,7 @@ import numpy as np
 from covariant.calibration import _sensor
 from covariant.calibration._alternatives import inputs_between_rows, moved_rows, row_shift, signed_ranks
 from covariant.calibration._changes import Change, Names, structure_changes, unit_changes
+from covariant.calibration._clock import set_forward
 from covariant.calibration._delays import Corrected, Stated, delay_findings
 from covariant.calibration._finding import Diagnosis, Finding
 from covariant.calibration._readings import known_ticks, one_or_each, readings, shown, written
@@ -53,7 +54,18 @@ TWIN = 2.0
 """Part of the accelerations that is left, as a multiple of that in a log of the model itself, from which it counts."""
 MOST_CHANGES = 3
 WEIGHTS = (
-    *("nothing moves", "unit of", "swapped", "sign of", "zero of", "model", "too little motion", "delay", "row shift"),
+    *(
+        "clock",
+        "nothing moves",
+        "unit of",
+        "swapped",
+        "sign of",
+        "zero of",
+        "model",
+        "too little motion",
+        "delay",
+        "row shift",
+    ),
     *("scale of", "inputs between"),
     *("uncertainty", "noise", "ticks", "repeated", "outliers", "a position"),
 )
@@ -122,7 +134,7 @@ def _findings(
 ) -> tuple[list[Finding], tuple[str, ...]]:
     """All findings, unsorted, and the names of the checks."""
     findings = [*_sensor.stamps(rows.t), *_sensor.missing_cells(np.asarray(record.y))]
-    checks = ("missing rows", "irregular stamps", "missing measurements")
+    checks = ("clock", "missing rows", "irregular stamps", "missing measurements")
     if not in_coordinates(file):
         return findings, checks
     checks += ("outliers", "repeated rows", "ticks", "noise")
@@ -139,8 +151,10 @@ def _findings(
         y = y * factor
         again, outliers = case_without_outliers(file, record._replace(y=y), rows, quantum)
         ticks = again.ticks
+    noise = np.maximum(np.nan_to_num(readings(record._replace(y=y), case.model.circles).std), ticks)
+    forward = set_forward(rows.t, unwrap(y, case.model.circles), noise, rows)
     repeated = _sensor.repeated_findings(y, ticks, names.q, rows)
-    findings += [*still, *outliers, *repeated, *changes]
+    findings += [*forward, *still, *outliers, *repeated, *changes]
     best = best_window(case)
     if best is None or not best[1].told.any():
         return [*findings, *_sensors(case, quantum), _standstill(case)], checks

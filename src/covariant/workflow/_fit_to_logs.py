@@ -13,6 +13,7 @@ from covariant.calibration import (
     Windows,
     fit,
     growth,
+    held_out_logs,
     horizon,
     losses,
     prediction_errors,
@@ -60,7 +61,7 @@ def fit_to_logs(
     logs = [aligned(job) for job in jobs]
     file, references = logs[0].loaded.file, [log.loaded.reference.v for log in logs if log.loaded.reference]
     part = 1 - FITTED if len(jobs) == 1 else 1.0
-    length = horizon(logs[0].raw, references[0], part) if length is None else length
+    length = horizon(logs[0].raw, references[0], part, len(logs)) if length is None else length
     known = file.input_between != BETWEEN[0] or "between" in models.document(spec, overrides).get("inputs", {})
     tried = BETWEEN if not known and _driven(logs) else (file.input_between,)
     try:
@@ -159,6 +160,14 @@ def _document(family: models.Family, best: Fit, jobs: list[Job]) -> dict[str, An
     return content
 
 
+def _held_out(jobs: list[Job], logs: list[Aligned], length: float) -> str:
+    """What is held out, in words."""
+    if len(jobs) == 1:
+        return f"the last third of {jobs[0].log_name}"
+    count = held_out_logs([np.asarray(log.raw.t) for log in logs], length)
+    return jobs[-1].log_name if count == 1 else f"the last {count} logs"
+
+
 def _details(
     jobs: list[Job],
     logs: list[Aligned],
@@ -175,7 +184,7 @@ def _details(
     return {
         "model": jobs[0].model_name,
         "logs": [job.log_name for job in jobs],
-        "held_out": jobs[-1].log_name if len(jobs) > 1 else f"the last third of {jobs[0].log_name}",
+        "held_out": _held_out(jobs, logs, length),
         "horizon": float(f"{length:.4g}"),
         "windows": count,
         "scored_against": reference.label if reference else None,
