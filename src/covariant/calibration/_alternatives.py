@@ -21,6 +21,8 @@ HELD_OUT = np.arange(BLOCKS) % 3 == 2
 """Blocks of time that judge an alternative; the others choose it."""
 HALF = 0.5
 """Part of what the model leaves beyond noise, up to which an alternative has to lower it on the blocks held out."""
+MATTERS = 2e-4
+"""Fraction of the squares of the accelerations that the log as it is has to leave beyond noise: less spoils nothing."""
 SIGNIFICANT = 4.0
 """Standard errors of the signed ranks of its falls in all blocks, from which an alternative counts."""
 MOST_ROWS = 2
@@ -65,8 +67,8 @@ class Blocks(NamedTuple):
 
 def better(before: Blocks, after: Blocks) -> bool:
     """Whether an alternative leaves less than half as much on the blocks held out, and less in nearly all blocks."""
-    falls = before.squares - after.squares
-    return after.beyond_noise(HELD_OUT) < HALF * before.beyond_noise(HELD_OUT) and signed_ranks(falls) >= SIGNIFICANT
+    left, falls = before.beyond_noise(HELD_OUT), before.squares - after.squares
+    return left > MATTERS and after.beyond_noise(HELD_OUT) < HALF * left and signed_ranks(falls) >= SIGNIFICANT
 
 
 def signed_ranks(falls: Float[np.ndarray, "b"]) -> float:

@@ -144,16 +144,20 @@ def _findings(
     if whole:
         return [*findings, *still], checks
     case, outliers = case_without_outliers(file, record, rows, quantum)
-    ticks, case = case.ticks, case._replace(record=busiest(case.record, MOST_ROWS))
+    ticks = case.ticks
+    repeated = _sensor.repeated_findings(y, ticks, names.q, rows)
+    if any(each.wrong for each in repeated):
+        case = case._replace(record=case.record._replace(y=_sensor.without_repeated(np.asarray(case.record.y), ticks)))
+    case = case._replace(record=busiest(case.record, MOST_ROWS))
     changes, case, factor = _corrected(case)
     if (factor != 1).any():
         # Angles in another unit jump at other places, so the readings are looked at anew, in that of the model.
         y = y * factor
         again, outliers = case_without_outliers(file, record._replace(y=y), rows, quantum)
         ticks = again.ticks
+        repeated = _sensor.repeated_findings(y, ticks, names.q, rows)
     noise = np.maximum(np.nan_to_num(readings(record._replace(y=y), case.model.circles).std), ticks)
     forward = set_forward(rows.t, unwrap(y, case.model.circles), noise, rows)
-    repeated = _sensor.repeated_findings(y, ticks, names.q, rows)
     findings += [*forward, *still, *outliers, *repeated, *changes]
     best = best_window(case)
     if best is None or not best[1].told.any():

@@ -371,10 +371,10 @@ def repeated_findings(
     Returns:
         At most one finding.
     """
-    moving = [i for i in range(len(names)) if ticks[i] == 0 and np.nanmin(y[:, i]) < np.nanmax(y[:, i])]
+    moving = _moving(y, ticks)
     if not moving:
         return []
-    same = (np.diff(y[:, moving], axis=0) == 0).all(axis=1)
+    same = _repeated(y, moving)[1:]
     places = np.flatnonzero(same) + 1
     share = float(same.mean())
     if share <= FEW_REPEATED and len(places) <= MOST_NAMED:
@@ -392,3 +392,29 @@ def repeated_findings(
             {"rows": len(places), "share": share, "in_a_row": usual},
         )
     ]
+
+
+def without_repeated(y: Float[np.ndarray, "T n"], ticks: Float[np.ndarray, "n"]) -> Float[np.ndarray, "T n"]:
+    """Positions whose readings are missing where they repeat those of the row before, as `repeated_findings` asks for.
+
+    Args:
+        y: Positions (T, n).
+        ticks: Ticks (n,) of the encoders; 0 for a sensor without ticks.
+
+    Returns:
+        The positions (T, n).
+    """
+    kept = y.copy()
+    for i in _moving(y, ticks):
+        kept[_repeated(y, [i]), i] = np.nan
+    return kept
+
+
+def _moving(y: np.ndarray, ticks: np.ndarray) -> list[int]:
+    """Positions without ticks that do not stand still."""
+    return [i for i in range(y.shape[1]) if ticks[i] == 0 and np.nanmin(y[:, i]) < np.nanmax(y[:, i])]
+
+
+def _repeated(y: np.ndarray, moving: list[int]) -> Bool[np.ndarray, "T"]:
+    """Rows (T,) whose readings of these positions are those of the row before."""
+    return np.concatenate([[False], (np.diff(y[:, moving], axis=0) == 0).all(axis=1)])

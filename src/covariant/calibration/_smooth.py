@@ -67,7 +67,8 @@ def smooth(record: Record, half: float, circles: tuple[int, ...], delay: Any = 0
     t, u = np.asarray(record.t), np.asarray(record.u)
     y = scoring.unwrap(np.asarray(record.y), circles)
     n, delay = y.shape[1], np.broadcast_to(delay, y.shape[1:])
-    spacing = float(np.median(np.diff(t)))
+    # A sensor that is slower than the log leaves cells empty: its own readings fill the windows.
+    spacing = max(float(np.median(np.diff(t[np.isfinite(column)]))) for column in y.T)
     half = max(half, FEWEST * spacing)
     step = half / HALF
     grid = t[0] + step * np.arange(int((t[-1] - t[0]) / step) + 1)
