@@ -83,7 +83,13 @@ def inputs(random: np.random.Generator, t: np.ndarray, sizes: tuple[float, ...],
 
 
 def made(
-    name: str, seed: int, fast: bool = False, between: str = "held", counts: float = 0, std: float | None = None
+    name: str,
+    seed: int,
+    fast: bool = False,
+    between: str = "held",
+    counts: float = 0,
+    std: float | None = None,
+    push: float = 1.0,
 ) -> Made:
     """A log without a fault.
 
@@ -94,6 +100,7 @@ def made(
         between: How inputs go from row to row, which the model file says.
         counts: Counts of the encoders a turn; 0 for noise instead.
         std: Noise of the sensors; None for one between 3e-5 and 2e-3.
+        push: Size of the inputs, in those of the machine.
     """
     machine, random = MACHINES[name], np.random.default_rng(seed)
     std = 10 ** random.uniform(-4.5, -2.8) if std is None else std
@@ -104,7 +111,7 @@ def made(
         file = file._replace(quantum=None)
     t = PERIOD * np.arange(ROWS)
     t = t + random.uniform(-0.05, 0.05, ROWS) * PERIOD * (seed % 2)
-    u = inputs(random, t, machine.push, fast)
+    u = push * inputs(random, t, machine.push, fast)
     slope = np.diff(u, axis=0) / np.diff(t)[:, None] * (between == "linear")
     start = random.uniform(-machine.start, machine.start, 2 * file.dimension)
     exact = np.asarray(_moved(file.model, *map(jnp.asarray, (t, u, slope, start))))[:, : file.dimension]
@@ -272,7 +279,9 @@ FAULTS = {
 }
 """Faults by name, and the machines that can have them."""
 CLEAN = ("other inputs", "inputs after they acted")
-"""Faults that noise hides: their logs are of good sensors and of inputs that jump."""
+"""Faults of half a row or one: their logs are of good sensors and of strong inputs that jump."""
+STRONG = 4.0
+"""Size of these inputs, in those of the machine."""
 TICKLESS = ("held readings",)
 """Faults that ticks look like: their logs are of sensors with noise."""
 
@@ -293,7 +302,8 @@ def with_fault(kind: str, seed: int) -> Fault:
         fast = kind in (*CLEAN, "common delay") or bool(random.random() < 0.3)
         between = "linear" if random.random() < 0.3 else "held"
         counts = 0 if kind in (*CLEAN, *TICKLESS) else (0, 0, 1024, 4096)[int(random.integers(4))]
-        log = made(machines[seed % len(machines)], seed, fast, between, counts, 2e-5 if kind in CLEAN else None)
+        std, push = (2e-5, STRONG) if kind in CLEAN else (None, 1.0)
+        log = made(machines[seed % len(machines)], seed, fast, between, counts, std, push)
         fault = change(log, random, int(random.integers(log.exact.shape[1])))
         if fault.shows:
             return fault

@@ -21,8 +21,8 @@ HELD_OUT = np.arange(BLOCKS) % 3 == 2
 """Blocks of time that judge an alternative; the others choose it."""
 HALF = 0.5
 """Part of what the model leaves beyond noise, up to which an alternative has to lower it on the blocks held out."""
-MATTERS = 2e-4
-"""Fraction of the squares of the accelerations that the log as it is has to leave beyond noise: less spoils nothing."""
+MATTERS = 1e-4
+"""Fraction of the squares of the accelerations that the log as it is has to leave beyond noise: 1 % of their size."""
 SIGNIFICANT = 4.0
 """Standard errors of the signed ranks of its falls in all blocks, from which an alternative counts."""
 MOST_ROWS = 2

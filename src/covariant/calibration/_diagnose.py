@@ -170,11 +170,11 @@ def _findings(
         Stated(np.broadcast_to(np.asarray(file.delay, float), len(case.names.q)), file.input_lag),
         lambda delay, rows: _smoothed(_with_rows_moved(case, rows), best[0], delay),
     )
-    rows, inputs = _rows_and_inputs(case, corrected, best[0], not any(each.what == "delay" for each in delays))
+    shifted, inputs = _rows_and_inputs(case, corrected, best[0], not any(each.what == "delay" for each in delays))
     # Readings of a column that is rows late are those of a sensor only in their own rows.
-    moved = _with_rows_moved(case, corrected.rows + np.array([_rows_late(rows, name) for name in case.names.q]))
-    unexplained = [] if rows or inputs else _unexplained(case, corrected.left, best[0])
-    return [*findings, *_sensors(moved, quantum), *delays, *rows, *inputs, *unexplained], checks
+    moved = _with_rows_moved(case, corrected.rows + np.array([_rows_late(shifted, name) for name in case.names.q]))
+    unexplained = [] if shifted or inputs else _unexplained(case, corrected.left, best[0])
+    return [*findings, *_sensors(moved, quantum), *delays, *shifted, *inputs, *unexplained], checks
 
 
 def _rows_late(found: list[Finding], name: str) -> int:
