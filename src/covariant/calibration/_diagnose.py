@@ -15,8 +15,9 @@ from covariant.calibration._changes import Change, Names, structure_changes, uni
 from covariant.calibration._clock import set_forward
 from covariant.calibration._delays import Corrected, Stated, delay_findings
 from covariant.calibration._finding import Diagnosis, Finding
-from covariant.calibration._readings import known_ticks, one_or_each, readings, shown, written
+from covariant.calibration._readings import known_ticks, readings
 from covariant.calibration._residual import CLEAR, Residual, residual
+from covariant.calibration._sensor_findings import sensor_findings, standstill
 from covariant.calibration._smooth import FEWEST, ORDER, Smooth, held_inputs, smooth
 from covariant.calibration._twin import twin
 from covariant.models import MechanicalSystem, ModelFile
@@ -48,8 +49,6 @@ RIVAL = 1.5
 """Ratio to the best unexplained fraction up to which another change is named beside the best."""
 FARTHEST = 3.0
 """Largest residual acceleration, as a multiple of the one that the data sheet states."""
-NOISIER = 4.0
-"""Measured noise, as a multiple of the data sheet's, from which it is a finding."""
 TWIN = 2.0
 """Part of the accelerations that is left, as a multiple of that in a log of the model itself, from which it counts."""
 MOST_CHANGES = 3
@@ -161,7 +160,11 @@ def _findings(
     findings += [*forward, *still, *outliers, *repeated, *changes]
     best = best_window(case)
     if best is None or not best[1].told.any():
-        return [*findings, *_sensors(case, quantum), _standstill(case)], checks
+        return [
+            *findings,
+            *_sensors(case, quantum),
+            standstill(case.record, case.model.circles, case.names, case.ticks),
+        ], checks
     checks += ("units", "order and signs of columns", "scales of inputs", "delays", "accelerations")
     delays, corrected = delay_findings(
         case.model,
@@ -255,6 +258,10 @@ def misfit(file: ModelFile, record: Record) -> Finding | None:
         return better[0]
     findings = [each for each in _unexplained(case, unchanged) if each.what == "model"] if unchanged else []
     return findings[0] if findings else None
+
+
+def _sensors(case: _Case, stated: float | tuple[float, ...] | None) -> list[Finding]:
+    return sensor_findings(case.record, case.model.circles, case.names, stated, case.file.measurement_std)
 
 
 def in_coordinates(file: ModelFile) -> bool:
@@ -441,70 +448,6 @@ def _best_change(
 
 def _percent(share: float) -> str:
     return f"{100 * share:.3g} %" if np.isfinite(share) else "all"
-
-
-def _sensors(case: _Case, stated: float | tuple[float, ...] | None) -> list[Finding]:
-    """Findings on ticks and noise, in the units of the model."""
-    sensor, names, units = readings(case.record, case.model.circles), case.names.q, case.names.units
-    if not sensor.known:
-        return []
-    ticks, findings = sensor.ticks, []
-    stated_ticks = np.zeros(len(ticks)) if stated is None else np.broadcast_to(stated, len(ticks))
-    unexpected = (ticks > 0) & ~((0.95 * stated_ticks < ticks) & (ticks < 1.05 * stated_ticks))
-    if unexpected.any():
-        counting = [i for i in range(len(ticks)) if ticks[i] > 0]
-        apart = shown([ticks[i] for i in counting], [units[i] for i in counting], 5)
-        statement = (
-            f"the model file says {shown(stated_ticks, units, 4)}" if stated else "the model file does not say so"
-        )
-        key, number = ("quantum", ticks) if len(counting) == len(ticks) else ("std", sensor.std)
-        findings.append(
-            Finding(
-                "ticks",
-                ", ".join(names[i] for i in counting),
-                f"positions are whole ticks of {apart} apart, and {statement}",
-                f"[measurement] {key} = {written(one_or_each(number, units, 5))}",
-                stated is not None,
-                {"quantum": one_or_each(ticks, units, 17), "stated": stated},
-            )
-        )
-    std = case.file.measurement_std
-    usual = np.full(len(ticks), np.inf) if std is None else np.broadcast_to(std, len(ticks))
-    noisy = (ticks == 0) & sensor.white & (sensor.noise > NOISIER * usual)
-    if noisy.any():
-        worst = int(np.argmax(np.where(noisy, sensor.noise / usual, 0.0)))
-        std = one_or_each(np.where(noisy, sensor.noise, usual), units, 2)
-        findings.append(
-            Finding(
-                "noise",
-                ", ".join(name for name, bad in zip(names, noisy, strict=True) if bad),
-                f"positions have noise of {shown(sensor.noise[[worst]], [units[worst]], 3)}, "
-                f"{sensor.noise[worst] / usual[worst]:.2g} times that of the model file",
-                f"[measurement] std = {written(std)}",
-                True,
-                {"std": float(sensor.noise[worst]), "stated": float(usual[worst])},
-            )
-        )
-    return findings
-
-
-def _standstill(case: _Case) -> Finding:
-    """Finding for a log whose motion is too small or too short for the comparison."""
-    t, y = np.asarray(case.record.t), unwrap(np.asarray(case.record.y), case.model.circles)
-    ranges = [
-        f"{name} by {np.nanmax(c) - np.nanmin(c):.3g} {unit}".rstrip()
-        for name, c, unit in zip(case.names.q, y.T, case.names.units, strict=True)
-    ]
-    return Finding(
-        "too little motion",
-        "",
-        f"in {t[-1] - t[0]:.3g} s of {len(t)} rows {', '.join(ranges)} moved: too little or too short to tell an "
-        "acceleration from noise",
-        "log a motion: nothing can be told of units, signs, order and delays from this log",
-        # Of known encoders that are too coarse for this motion nothing is wrong with the log.
-        not (case.ticks > 0).all(),
-        {"rows": len(t)},
-    )
 
 
 def _unexplained(case: _Case, left: Residual, half: float | None = None) -> list[Finding]:
