@@ -79,8 +79,9 @@ def horizon(record: Record, velocity: Float[np.ndarray, "T n"], part: float = 1.
     relative = velocity[:, size > 0] / size[size > 0]
     least, most = FEWEST_ROWS * step, span * min(1 / (2 * FEWEST_WINDOWS), part / (FEWEST_WINDOWS + 1))
     if count > 1 and most < least:
-        # A third of the records is held out, and each of them holds a whole number of windows.
-        most = span / max(1, math.ceil(FEWEST_WINDOWS / max(1, count // 3))) * (1 - 1e-3)
+        # A third of the records is held out, and each of them holds a whole number of windows that share no row.
+        each = max(1, math.ceil(FEWEST_WINDOWS / max(1, count // 3)))
+        most = (span + step) / each - 1.5 * step
     if least >= most or not relative.size:
         return max(least, min(most, span / 2))
     times = np.geomspace(least, most, 40)
