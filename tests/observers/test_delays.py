@@ -15,6 +15,7 @@ from covariant.observers import EKF, Delayed, FilteredDerivative, Intrinsic, Int
 from covariant.scoring import rmse
 from covariant.signals import Record, Result
 from covariant.simulation import hold, simulate
+from covariant.workflow import export
 from covariant.workflow._inputs import Job, Loaded, data_sheet, load, with_sensor_delays
 
 LONG = (
@@ -300,3 +301,12 @@ def test_the_driven_pendulum_with_a_late_joint(data_folder):
     clean = velocity_error(loaded, "ekf", rows, y, (0.0, 0.0))
     assert velocity_error(loaded, "ekf", rows, behind, (0.0, 0.005)) < 1.15 * clean
     assert velocity_error(loaded, "ekf", rows, behind, (0.0, 0.0)) > 2.4 * clean
+
+
+@pytest.mark.parametrize("delay", ["0.005", "[0.0, 0.005]"])
+def test_the_members_of_an_exported_state_have_names_of_their_own(tmp_path, delay):
+    late = (f"measurement.delay={delay}",)
+    made = export("pendulum_chain", tmp_path / "c", rate=500.0, alpha=30.0, beta=450.0, overrides=late, audit=False)
+    names = [leaf.name for leaf in made.program.state if leaf.size]
+    assert len(set(names)) == len(names)
+    assert "age_of_known" in names

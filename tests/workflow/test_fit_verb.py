@@ -126,7 +126,8 @@ def test_short_flights_of_a_body_are_fitted_together(tmp_path):
         logs.write(paths[-1], {"t": stamps, **dict(zip(names, np.asarray(turned).reshape(-1, 9).T, strict=True))})
     model = tmp_path / "body.toml"
     model.write_text(
-        f'system = "free_body"\n[parameters]\ninertia = [1.0, 2.4, 3.5]\n[columns]\nu = []\nmatrix = {json.dumps(names)}\n'
+        'system = "free_body"\n[parameters]\ninertia = [1.0, 2.4, 3.5]\n[columns]\nu = []\n'
+        f"matrix = {json.dumps(names)}\n"
     )
     result = fit(model, paths, "inertia[1]")
     assert abs(result.values[0] - 2.0) < 0.02

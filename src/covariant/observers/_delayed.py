@@ -39,8 +39,8 @@ class DelayedState(NamedTuple):
     Attributes:
         now: State of the inner observer now.
         t: Time now [s].
-        known: State of the inner observer `known_age` ago, which no reading will change any more.
-        known_age: Age of `known` [s].
+        known: State of the inner observer `age_of_known` ago, which no reading will change any more.
+        age_of_known: Age of `known` [s].
         age: Ages (L,) [s] of the readings since, the oldest first.
         y: These readings (L, *n); NaN where a coordinate was not read then.
         stamp: Ages (M,) [s] of the last stamps, the oldest first.
@@ -52,14 +52,14 @@ class DelayedState(NamedTuple):
         >>> from covariant import observers
         >>> observer = observers.Delayed(observers.FilteredDerivative(50.0), delay=0.05, rate=100.0)
         >>> state = observer.init(jnp.array([0.5]), t=1.0)
-        >>> round(state.known_age.item(), 6), state.u.shape
+        >>> round(state.age_of_known.item(), 6), state.u.shape
         (0.05, (8, 0))
     """
 
     now: Any
     t: Scalar
     known: Any
-    known_age: Scalar
+    age_of_known: Scalar
     age: Float[Array, "L"]
     y: Inexact[Array, "L *n"]
     stamp: Float[Array, "M"]
@@ -188,7 +188,7 @@ class Delayed(AbstractObserver):
         acting = u[:inputs].astype(state.u.dtype) if u.size else jnp.zeros(inputs, state.u.dtype)
         return state._replace(
             t=state.t + dt,
-            known_age=state.known_age + dt,
+            age_of_known=state.age_of_known + dt,
             age=state.age + dt,
             stamp=jnp.append(state.stamp[1:] + dt, 0.0),
             u=jnp.concatenate([state.u[1:], acting[None]]),
@@ -241,11 +241,11 @@ class Delayed(AbstractObserver):
         horizon = jnp.max(self.delay) + self.lateness - SAME_TIME
         # Of more readings than wait in the buffer, the oldest are settled.
         settled = (age >= horizon.astype(age.dtype)) | (jnp.arange(len(age)) < len(age) - self.waiting)
-        before = jnp.minimum(jnp.concatenate([state.known_age[None], age[:-1]]), state.known_age)
+        before = jnp.minimum(jnp.concatenate([state.age_of_known[None], age[:-1]]), state.age_of_known)
         row_u = jax.vmap(lambda a, b: _mean_input(state, a, b))(before, age)
         _, shape = eqx.filter_eval_shape(self.observer.advance, state.known, state.u[0], y, state.t)
         blank = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shape)
-        start = _Replay(state.known, state.known_age, state.known, state.known_age, blank, _std_of(blank))
+        start = _Replay(state.known, state.age_of_known, state.known, state.age_of_known, blank, _std_of(blank))
         carry, _ = jax.lax.scan(self._scan_reading, start, (age, row_u, readings, current, settled))
         carry = self._to_now(carry, state, y)
         result = jnp.where(too_late, jnp.maximum(carry.info.result, int(Result.TOO_LATE)), carry.info.result)
@@ -255,7 +255,7 @@ class Delayed(AbstractObserver):
         # The sample added rows; as many of the oldest, or empty ones, leave.
         recent = slice(len(age) - self.waiting, None)
         age = jnp.where(settled, jnp.inf, age)
-        new = state._replace(now=carry.state, known=carry.known, known_age=carry.known_age)
+        new = state._replace(now=carry.state, known=carry.known, age_of_known=carry.age_of_known)
         return new._replace(age=age[recent], y=readings[recent]), info
 
     def _to_now(self, carry: "_Replay", state: DelayedState, y: Array) -> "_Replay":
@@ -295,7 +295,7 @@ class Delayed(AbstractObserver):
             distance = jnp.abs(age - at)
             same_time = (distance <= SAME_TIME) & (distance == jnp.min(distance, initial=jnp.inf))
             completes = jnp.any(same_time)
-            too_old = (at > jnp.minimum(state.known_age, state.stamp[0])) & ~completes
+            too_old = (at > jnp.minimum(state.age_of_known, state.stamp[0])) & ~completes
             too_late = too_late | (too_old & jnp.any(jnp.isfinite(part)))
             fill = _with_axes(same_time, readings) & jnp.isfinite(part)[None]
             readings, current = jnp.where(fill, part[None], readings), current | (same_time[:, None] & in_group[None])
@@ -312,8 +312,8 @@ class Delayed(AbstractObserver):
     def _read(self, carry: "_Replay", item) -> "_Replay":
         age, u, y, current, settled = item
         state, info = self.observer.advance(carry.state, u, y, carry.age - age)
-        known, known_age = jax.tree.map(
-            lambda new, old: jnp.where(settled, new, old), (state, age), (carry.known, carry.known_age)
+        known, age_of_known = jax.tree.map(
+            lambda new, old: jnp.where(settled, new, old), (state, age), (carry.known, carry.age_of_known)
         )
         # Coordinates that are read at other times are not missing: only what the sample itself lacks is.
         complete = ~jnp.any(jnp.isnan(y) & _with_axes(current, y))
@@ -324,7 +324,7 @@ class Delayed(AbstractObserver):
         innovation = jnp.where(current, info.innovation, carry.info.innovation)
         newest = jax.tree.map(lambda new, old: jnp.where(jnp.any(current), new, old), info, carry.info)
         summary = newest._replace(innovation=innovation, result=result)
-        return _Replay(state, age, known, known_age, summary, _std_of(info))
+        return _Replay(state, age, known, age_of_known, summary, _std_of(info))
 
 
 class _Replay(NamedTuple):
@@ -336,7 +336,7 @@ class _Replay(NamedTuple):
     state: Any
     age: Scalar
     known: Any
-    known_age: Scalar
+    age_of_known: Scalar
     info: Any
     std: Any
 
