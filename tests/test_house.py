@@ -47,11 +47,12 @@ OPTIONAL = (
 
 PUBLIC = {
     "calibration": "ESTIMATORS FITTED STATE_ESTIMATORS Combinations DataSheet Diagnosis Draft Finding Fit Gains "
-    "HeldOut NoiseLevels PredictionErrors RobotFit Suggestion Trial Tuning Windows bias contracting_gain diagnose "
-    "draft estimators filter_bandwidth fit fit_robot gains gated given_noise growth horizon jerk_bound joint_noise "
-    "losses misfit observer_gains outliers predict_errors predict_sampled_errors prediction_errors relations split "
-    "stored_observer suggest_noise tune tuned_estimators tuned_state_estimators usual_speeds window_length windows "
-    "with_gains",
+    "HeldOut NoiseLevels PredictionErrors RobotFit Suggestion Trial Tuning Windows bias "
+    "contracting_gain diagnose draft estimators filter_bandwidth fit fit_robot gains gated "
+    "given_noise growth held_out_logs horizon jerk_bound joint_noise losses mended_clock misfit "
+    "observer_gains outliers predict_errors predict_sampled_errors prediction_errors relations split "
+    "stored_observer suggest_noise tune tuned_estimators tuned_state_estimators usual_speeds "
+    "window_length windows with_gains",
     "certificates": "ASSUMED CHECKERS CascadeCertificate Checked CheckerName Claim Constants ContractionCertificate "
     "Corners Decay Document Evidence Followed Growth Hypothesis MetricDesign Observability Projection Sampled "
     "StateMetric Statement ErrorSystem TradeOff Trajectories Verdict at_corners bending cascade certify check "
@@ -71,8 +72,9 @@ PUBLIC = {
     "sectional_curvature shoot sphere transport transport_along wrap",
     "geometry.lie": "SE2 SE3 SO2 SO3 SU AbstractGroup AbstractInertia Inertia LeftInvariant MatrixGroup Product "
     "quaternion_from_rotation rotation_from_quaternion",
-    "logs": "ATTITUDES MEANT MESSAGES OPTIONAL WRITTEN Body Columns Log LogError bodies check_unit coordinates "
-    "matrices read record source_name survey to_columns unit_factor unit_in_name without_unit words_of write",
+    "logs": "ATTITUDES MEANT MESSAGES OPTIONAL WRITTEN Body ClockError Columns Log LogError bodies check_unit "
+    "coordinates matrices read record source_name survey to_columns unit_factor unit_in_name without_unit "
+    "words_of write",
     "lowering": "C_KEYWORDS FOLD INTERVALS LARGEST NUMBERS STUMPFF TRUTHS Branch CText Call ClosedJaxpr Condition "
     "Conditions Derivative Domain Enclosure Graph Interval JaxprEquation Lowered LoweringError Node Scan Signature "
     "TracedFunction Truth While c_function c_helpers c_number c_rows enclose equations evaluate expand fingerprint "

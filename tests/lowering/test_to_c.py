@@ -52,6 +52,28 @@ def looked_up(x):
     return jax.lax.dynamic_slice(table, (jnp.floor(10.0 * jnp.abs(x)).astype(int),), (2,)) * x
 
 
+def by_cases(x):
+    return jax.lax.cond(x > 0.0, jnp.sin, jnp.cos, x)
+
+
+def by_long_cases(a):
+    """A branch that is long enough to be left out where it is not taken, on numbers and a statement."""
+
+    def taken(a, p):
+        return jnp.tanh(a @ a) @ a, ~p
+
+    return jax.lax.cond(a[0, 0] > 0.0, taken, lambda a, p: (a, p), a, a[0, 1] > 0.0)[0]
+
+
+def over_rows(a):
+    """A turn that is long enough to stay a loop, over rows in the order from the last to the first, with a branch."""
+
+    def turn(total, row):
+        return jax.lax.cond(row[0, 0] > 0.0, lambda t, r: jnp.tanh(t @ r), lambda t, r: t - 1.0, total, row), None
+
+    return jax.lax.scan(turn, a[0], a, reverse=True)[0]
+
+
 FUNCTIONS = {
     "scalar": (lambda x: jnp.sin(x) * x, [()]),
     "vector": (lambda x: x / (1.0 + jnp.sum(x**2)), [(5,)]),
@@ -66,6 +88,10 @@ FUNCTIONS = {
     "in parts": (lambda a: jnp.tanh(a @ a) @ jnp.tanh(a.T), [(8, 8)]),
     "loop of unknown length": (halvings, [()]),
     "loop of known length": (repeated, [(8, 8)]),
+    "branch": (by_cases, [()]),
+    "long branch": (by_long_cases, [(8, 8)]),
+    "long branch where it does not hold": (lambda a: by_long_cases(-a), [(8, 8)]),
+    "rows of a loop": (over_rows, [(3, 8, 8)]),
     "table": (looked_up, [()]),
     "empty argument": (lambda x, e: x + jnp.sum(e), [(2,), (0, 3)]),
     "no argument": (lambda: jnp.arange(3.0), []),
@@ -198,17 +224,12 @@ def by_callback(x):
     return jax.pure_callback(math.sin, jax.ShapeDtypeStruct((), x.dtype), x)
 
 
-def by_cases(x):
-    return jax.lax.cond(x > 0.0, jnp.sin, jnp.cos, x)
-
-
 @pytest.mark.parametrize(
     ("function", "example", "operation"),
     [
         (by_callback, 0.0, "'pure_callback' has no graph of scalars"),
         (jnp.linalg.inv, np.eye(3), "'lu' has no graph of scalars"),
         (jnp.sort, np.zeros(3), "'sort' has no graph of scalars"),
-        (by_cases, 0.0, "'cond' chooses by the arguments"),
         (lambda x: jnp.abs(jax.lax.complex(x, x)), 0.0, "complex128, which is no real number"),
     ],
 )

@@ -9,11 +9,13 @@ import numpy as np
 import pytest
 
 from covariant.calibration import tuned_estimators
+from covariant.engine import run_log
 from covariant.models import MechanicalSystem, Motion, free_body, pendulum_chain
 from covariant.observers import EKF, Delayed, FilteredDerivative, Intrinsic, IntrinsicKalman, run
 from covariant.scoring import rmse
 from covariant.signals import Record, Result
 from covariant.simulation import hold, simulate
+from covariant.workflow import export
 from covariant.workflow._inputs import Job, Loaded, data_sheet, load, with_sensor_delays
 
 LONG = (
@@ -113,6 +115,45 @@ def test_every_reading_counts_at_the_time_at_which_it_was_true(step, delays):
     assert codes[19] == Result.COASTED
     np.testing.assert_allclose(infos[40].velocity_std, FILTER.velocity_std(states[41].now), rtol=1e-12)
     assert np.abs([info.innovation for info in infos[20:]]).max() < 2e-3
+
+
+IN_C = {
+    "intrinsic": Intrinsic(CHAIN, 60.0, 1800.0, substeps=1),
+    "ekf": EKF(CHAIN, 0.1 * jnp.eye(2), 1e-8 * jnp.eye(2), substeps=1),
+    "intrinsic-kalman": FILTER,
+}
+
+
+@pytest.mark.parametrize(
+    ("name", "rows"),
+    [
+        ("intrinsic", 2.5),
+        *(
+            pytest.param(name, rows, marks=pytest.mark.long)
+            for name in IN_C
+            for rows in (0.0, 0.4, 1.0, 2.5, (0.0, 2.5), (0.4, 1.0))
+            if (name, rows) != ("intrinsic", 2.5)
+        ),
+    ],
+)
+def test_compiled_c_equals_jax(name, rows):
+    """At irregular stamps, with measurements missing."""
+    record = swing((0.0, 0.005), rows=200)
+    record.y[50:53] = np.nan
+    observer = Delayed(IN_C[name], 0.005 * np.asarray(rows), 500.0)
+    by_jax, (by_c, engine) = run(observer, record), run_log(observer, record, engine="c")
+    assert engine == "c"
+    np.testing.assert_allclose(by_c.estimate, by_jax.estimate, rtol=0, atol=1e-11)
+    np.testing.assert_array_equal(by_c.info.result, by_jax.info.result)
+    np.testing.assert_allclose(by_c.info.innovation, by_jax.info.innovation, rtol=0, atol=1e-13)
+    assert {int(code) for code in by_c.info.result} == {Result.OK, Result.COASTED}
+
+
+def test_a_buffer_holds_what_waits_and_no_more():
+    """With one delay nothing waits; where one sensor is later, the readings of the others do."""
+    assert [Delayed(IN_C["intrinsic"], d, 1000.0).waiting for d in (0.0, 0.005, (0.0, 0.005), (0.002, 0.005))] == [
+        *(0, 0, 6, 4)
+    ]
 
 
 @pytest.mark.long
@@ -260,3 +301,12 @@ def test_the_driven_pendulum_with_a_late_joint(data_folder):
     clean = velocity_error(loaded, "ekf", rows, y, (0.0, 0.0))
     assert velocity_error(loaded, "ekf", rows, behind, (0.0, 0.005)) < 1.15 * clean
     assert velocity_error(loaded, "ekf", rows, behind, (0.0, 0.0)) > 2.4 * clean
+
+
+@pytest.mark.parametrize("delay", ["0.005", "[0.0, 0.005]"])
+def test_the_members_of_an_exported_state_have_names_of_their_own(tmp_path, delay):
+    late = (f"measurement.delay={delay}",)
+    made = export("pendulum_chain", tmp_path / "c", rate=500.0, alpha=30.0, beta=450.0, overrides=late, audit=False)
+    names = [leaf.name for leaf in made.program.state if leaf.size]
+    assert len(set(names)) == len(names)
+    assert "age_of_known" in names

@@ -1,15 +1,18 @@
 """`covariant.fit`: a fit to a simulated log gives the truth back, whichever way its inputs go between stamps."""
 
+import json
 from pathlib import Path
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from covariant import models
+from covariant import logs, models, simulation
 from covariant.workflow import FitResult, SimulateResult, fit, simulate
 
 LONG = (
+    "test_short_flights_of_a_body_are_fitted_together",
     "test_a_fit_to_a_simulated_log_gives_the_truth[held]",
     "test_a_log_that_does_not_show_how_inputs_go_decides_nothing",
     "test_what_the_model_file_says_is_not_tried_otherwise",
@@ -108,3 +111,24 @@ def test_arguments_that_make_no_sense_are_named(model, arguments, message):
 def test_a_log_that_is_not_there_is_named():
     with pytest.raises(FileNotFoundError, match=r"absent\.csv"):
         fit("pendulum_chain", [Path("absent.csv")], "mass")
+
+
+def test_short_flights_of_a_body_are_fitted_together(tmp_path):
+    """Six of .6 s, of which one alone has too few windows to be held out; no force is logged."""
+    body = models.free_body((1.0, 2.0, 3.5))
+    stamps = 0.01 * np.arange(61)
+    names = [f"r{i}{j}" for i in range(3) for j in range(3)]
+    paths, random = [], np.random.default_rng(0)
+    for k in range(6):
+        start = models.Motion(jnp.eye(3), jnp.asarray(random.normal(0, 4, 3)))
+        turned = simulation.simulate(body, start, jnp.asarray(stamps)).x.q
+        paths.append(tmp_path / f"flight{k}.csv")
+        logs.write(paths[-1], {"t": stamps, **dict(zip(names, np.asarray(turned).reshape(-1, 9).T, strict=True))})
+    model = tmp_path / "body.toml"
+    model.write_text(
+        'system = "free_body"\n[parameters]\ninertia = [1.0, 2.4, 3.5]\n[columns]\nu = []\n'
+        f"matrix = {json.dumps(names)}\n"
+    )
+    result = fit(model, paths, "inertia[1]")
+    assert abs(result.values[0] - 2.0) < 0.02
+    assert result.details["held_out"] == "the last 2 logs"

@@ -1,3 +1,4 @@
+from ._clock import mended_clock as mended_clock
 from ._contracting import contracting_gain as contracting_gain
 from ._data_sheet import DataSheet as DataSheet, Trial as Trial
 from ._diagnose import diagnose as diagnose, misfit as misfit
@@ -28,7 +29,7 @@ from ._gains import (
     predict_errors as predict_errors,
     predict_sampled_errors as predict_sampled_errors,
 )
-from ._held_out import FITTED as FITTED, growth as growth, split as split
+from ._held_out import FITTED as FITTED, growth as growth, held_out_logs as held_out_logs, split as split
 from ._predict import PredictionErrors as PredictionErrors, prediction_errors as prediction_errors
 from ._relations import relations as relations
 from ._robot_combinations import Combinations as Combinations

@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
+from covariant.calibration._alternatives import BLOCKS, HELD_OUT, Blocks, chosen
 from covariant.calibration._changes import Names
 from covariant.calibration._finding import Finding
 from covariant.calibration._residual import Residual, residual
@@ -43,6 +44,7 @@ class _Estimates(NamedTuple):
         scale: Scales (m,) of the inputs.
         scale_std: Their standard errors (m,).
         off: Which scales (m,) are accepted.
+        rows: Whole rows (n,) by which late columns are moved instead; 0 where a delay predicts better.
     """
 
     delay: Float[np.ndarray, "n"]
@@ -51,6 +53,7 @@ class _Estimates(NamedTuple):
     scale: Float[np.ndarray, "m"]
     scale_std: Float[np.ndarray, "m"]
     off: Bool[np.ndarray, "m"]
+    rows: np.ndarray
 
 
 class _Common(NamedTuple):
@@ -76,10 +79,10 @@ class _Fit(NamedTuple):
     """The model, and the log smoothed after delays (n,) [s] are subtracted and inputs are scaled."""
 
     model: MechanicalSystem
-    smoothed: Callable[[np.ndarray], Smooth]
+    smoothed: Callable[[np.ndarray, np.ndarray], Smooth]
 
-    def at(self, delay: np.ndarray, scale: np.ndarray) -> tuple[Smooth, Residual]:
-        log = self.smoothed(delay)
+    def at(self, delay: np.ndarray, scale: np.ndarray, rows: np.ndarray | None = None) -> tuple[Smooth, Residual]:
+        log = self.smoothed(delay, np.zeros(len(delay), int) if rows is None else rows)
         log = log._replace(u=log.u * scale)
         return log, residual(self.model, log)
 
@@ -89,20 +92,20 @@ def delay_findings(
     names: Names,
     spacing: float,
     stated: Stated,
-    smoothed: Callable[[np.ndarray], Smooth],
-) -> tuple[list[Finding], Residual]:
-    """Findings on delays and on scales of inputs, and the residual of the corrected log.
+    smoothed: Callable[[np.ndarray, np.ndarray], Smooth],
+) -> tuple[list[Finding], "Corrected"]:
+    """Findings on delays, shifts by whole rows and scales of inputs, and the corrected log.
 
     Args:
         model: The mechanical system.
         names: Columns and units of the log.
         spacing: Time between two rows [s].
         stated: Delays according to the model file.
-        smoothed: Function from delays (n,) [s], beyond those that the model file states, to the smoothed log from which
-            they are subtracted.
+        smoothed: Function from delays (n,) [s], beyond those that the model file states, and numbers of rows (n,), to
+            the smoothed log from which the delays are subtracted, its columns moved up by the rows.
 
     Returns:
-        The findings, and the residual accelerations once delays and scales are corrected.
+        The findings, and the log once delays and scales are corrected.
     """
     fitting = _Fit(model, smoothed)
     n, m = len(names.q), len(names.u)
@@ -112,31 +115,70 @@ def delay_findings(
     # positions like one of some of them.
     scale = np.where((first := _iterated(fitting, start, np.ones(m), spacing, False)[0]).off, first.scale, 1.0)
     common = _common(fitting, start, scale, spacing) if m else _Common()
-    estimates, after = _iterated(fitting, start + common.delay, scale, spacing, True)
-    return list(_findings(names, spacing, stated, estimates, common, before, after)), after
+    estimates, corrected = _iterated(fitting, start + common.delay, scale, spacing, True)
+    rows = _whole_rows(fitting, estimates, corrected, spacing)
+    findings = list(_findings(names, spacing, stated, estimates._replace(rows=rows), common, before, corrected.left))
+    return findings, corrected._replace(rows=rows)
+
+
+class Corrected(NamedTuple):
+    """A log whose delays and scales of inputs are corrected.
+
+    Attributes:
+        log: The smoothed log.
+        left: Its residual accelerations.
+        delay: Delays (n,) [s] that are subtracted, beyond those that the model file states.
+        scale: Factors (m,) of the inputs.
+        rows: Whole rows (n,) by which columns are late where that is better than a delay.
+    """
+
+    log: Smooth
+    left: Residual
+    delay: Float[np.ndarray, "n"]
+    scale: Float[np.ndarray, "m"]
+    rows: np.ndarray
+
+
+def _whole_rows(fitting: _Fit, estimates: _Estimates, corrected: Corrected, spacing: float) -> np.ndarray:
+    """Whole rows (n,) by which late columns are moved, where that predicts held-out rows better than a delay, or 0."""
+    rows, n = np.zeros(len(corrected.delay), int), len(corrected.delay)
+    if not corrected.left.told.any() or corrected.left.used.sum() < 2 * BLOCKS:
+        return rows
+    fitted = Blocks.of(corrected.left)
+    for i in np.flatnonzero(estimates.late):
+        late = estimates.delay[i] / spacing
+        delay = np.where(np.arange(n) == i, corrected.delay.min(), corrected.delay)
+        tried = {}
+        for k in sorted({max(1, int(np.floor(late))), max(1, int(np.ceil(late)))}):
+            _, left = fitting.at(delay, corrected.scale, np.where(np.arange(n) == i, k, 0))
+            if left.used.sum() >= 2 * BLOCKS:
+                tried[k] = Blocks.of(left, corrected.left)
+        if tried and tried[k := chosen(tried)].squares[HELD_OUT].mean() < fitted.squares[HELD_OUT].mean():
+            rows[i] = k
+    return rows
 
 
 def _iterated(
     fitting: _Fit, delay: np.ndarray, scale: np.ndarray, spacing: float, delays: bool
-) -> tuple[_Estimates, Residual]:
-    """Iterate the fit to convergence, and return the accepted estimates with the residual after their correction.
+) -> tuple[_Estimates, "Corrected"]:
+    """Iterate the fit to convergence, and return the accepted estimates with the log after their correction.
 
     Delays are corrected only if `delays` is set. The least of `delay`, that of all coordinates against the inputs,
     stays subtracted.
     """
     base = delay.min()
-    estimates, after = None, None
+    estimates, corrected = None, None
     for _ in range(ROUNDS):
-        log, after = fitting.at(delay, scale)
-        estimates = _estimates(fit(fitting.model, log, after), delay, scale, spacing)
+        corrected = Corrected(*fitting.at(delay, scale), delay, scale, np.zeros(len(delay), int))
+        estimates = _estimates(fit(fitting.model, corrected.log, corrected.left), delay, scale, spacing)
         step = np.where(estimates.late, estimates.delay, 0.0) + base - delay if delays else np.zeros_like(delay)
         change = np.where(estimates.off, estimates.scale, 1.0) - scale
         delay, scale = delay + step, scale + change
         if np.abs(step).max(initial=0.0) < SETTLED * spacing and np.abs(change).max(initial=0.0) < SETTLED:
             break
     assert estimates is not None
-    assert after is not None
-    return estimates, after
+    assert corrected is not None
+    return estimates, corrected
 
 
 def _common(fitting: _Fit, delay: np.ndarray, scale: np.ndarray, spacing: float) -> _Common:
@@ -204,7 +246,7 @@ def _estimates(fitted: Fitted, delay: np.ndarray, scale: np.ndarray, spacing: fl
     # A scale that has been applied has no gain left, but had it before.
     gained = (fitted.gain > GAIN) | (scale != 1)
     off = (deviation > OFF_SCALE) & (deviation > SIGNIFICANT_SCALE * scale_std) & gained
-    return _Estimates(later, std, late, scales, scale_std, off)
+    return _Estimates(later, std, late, scales, scale_std, off, np.zeros(n, int))
 
 
 def _std(cov: np.ndarray) -> np.ndarray:
@@ -223,14 +265,21 @@ def _findings(
     falls = ""
     if after.misfit < before.misfit:
         falls = f"; of the squares of the accelerations the model leaves {_share(after)} then, not {_share(before)}"
-    taken_off = stated.delay + np.where(estimates.late, estimates.delay, 0.0) + max(common.delay, 0.0)
+    delays = np.where(estimates.rows > 0, estimates.rows * spacing, estimates.delay)
+    taken_off = stated.delay + np.where(estimates.late, delays, 0.0) + max(common.delay, 0.0)
     line = f"[measurement] delay = [{', '.join(f'{value:.2g}' for value in taken_off)}]"
     first, lag = names.q[int(np.argmin(estimates.delay))], stated.lag
     for i in np.flatnonzero(estimates.late):
-        delay, std = float(estimates.delay[i]), float(estimates.delay_std[i])
+        delay, std, whole = float(estimates.delay[i]), float(estimates.delay_std[i]), int(estimates.rows[i])
         evidence = f"{names.q[i]} is measured {_ms(delay, std)} later than {first}{_rows(delay, std, spacing)}{falls}"
-        numbers = {"delay": delay, "std": std, "rows": delay / spacing}
-        yield Finding("delay", names.q[i], evidence, line, True, numbers)
+        numbers = {"delay": float(delays[i]), "std": std, "rows": float(delays[i] / spacing)}
+        move = ""
+        if whole:
+            count = f"{whole} row{'s' if whole > 1 else ''}"
+            evidence = f"{names.q[i]} is measured {_ms(delay, std)} later than {first}; cells that are {count} late "
+            evidence += f"predict rows that are held out better{falls}"
+            move = f"move the column {names.q[i]} up by {count} in the log, or "
+        yield Finding("delay", names.q[i], evidence, move + line, True, numbers)
     if common.delay:
         size, how = abs(common.delay), f"{_ms(abs(common.delay), common.std)}"
         rows = _rows(size, common.std, spacing)
@@ -245,9 +294,10 @@ def _findings(
         yield Finding("delay against the inputs", "", evidence, line, True, numbers)
     for j in np.flatnonzero(estimates.off):
         scale, std = float(estimates.scale[j]), float(estimates.scale_std[j])
-        line = names.line("u", np.where(np.arange(len(names.u)) == j, scale, 1.0))
+        turned = abs(scale + 1) < OFF_SCALE
+        line = names.line("u", np.where(np.arange(len(names.u)) == j, -1.0 if turned else scale, 1.0))
         yield Finding(
-            "scale of an input",
+            "sign of an input" if turned else "scale of an input",
             names.u[j],
             f"{names.u[j]} acts {scale:.3g} ± {std:.2g} times as strongly as logged{falls}",
             f"{line}, or [parameters] that make it so",

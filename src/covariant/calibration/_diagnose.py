@@ -10,12 +10,16 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from covariant.calibration import _sensor
+from covariant.calibration._alternatives import inputs_between_rows, moved_rows, row_shift, signed_ranks
 from covariant.calibration._changes import Change, Names, structure_changes, unit_changes
-from covariant.calibration._delays import Stated, delay_findings
+from covariant.calibration._clock import set_forward
+from covariant.calibration._delays import Corrected, Stated, delay_findings
 from covariant.calibration._finding import Diagnosis, Finding
-from covariant.calibration._readings import one_or_each, readings, shown, written
+from covariant.calibration._readings import known_ticks, readings
 from covariant.calibration._residual import CLEAR, Residual, residual
-from covariant.calibration._smooth import FEWEST, ORDER, Smooth, smooth
+from covariant.calibration._sensor_findings import sensor_findings, standstill
+from covariant.calibration._smooth import FEWEST, ORDER, Smooth, held_inputs, smooth
+from covariant.calibration._twin import twin
 from covariant.models import MechanicalSystem, ModelFile
 from covariant.scoring import unwrap
 from covariant.signals import Record, acting_inputs, lag_inputs
@@ -30,6 +34,8 @@ WINDOWS = (1.0, 2.0, 3.0)
 """Half windows to try, in those of the reference of the model file; the one that explains most is used."""
 WIDER = (2.0, 4.0, 8.0, 16.0)
 """Half windows to try until accelerations exceed the noise, as in a slow motion only wide ones show."""
+SHIFTED = (1.0, 2.0, 4.0)
+"""Half windows to look for shifts by whole rows in, in those that explain most."""
 FITS = 0.15
 """Unexplained fraction of the accelerations up to which no other reading of the log is tried."""
 BARELY = 0.5
@@ -43,23 +49,36 @@ RIVAL = 1.5
 """Ratio to the best unexplained fraction up to which another change is named beside the best."""
 FARTHEST = 3.0
 """Largest residual acceleration, as a multiple of the one that the data sheet states."""
-NOISIER = 4.0
-"""Measured noise, as a multiple of the data sheet's, from which it is a finding."""
+TWIN = 2.0
+"""Part of the accelerations that is left, as a multiple of that in a log of the model itself, from which it counts."""
 MOST_CHANGES = 3
 WEIGHTS = (
-    *("nothing moves", "unit of", "swapped", "sign of", "zero of", "model", "too little motion", "delay", "scale of"),
+    *(
+        "clock",
+        "nothing moves",
+        "unit of",
+        "swapped",
+        "sign of",
+        "zero of",
+        "model",
+        "too little motion",
+        "delay",
+        "row shift",
+    ),
+    *("scale of", "inputs between"),
     *("uncertainty", "noise", "ticks", "repeated", "outliers", "a position"),
 )
 """How findings begin, in the order of what they invalidate: a wrong unit or order makes all numbers below it wrong."""
 
 
 class _Case(NamedTuple):
-    """A record in coordinates, without outliers, and the model to compare it with."""
+    """A record in coordinates, without outliers, the model to compare it with, and the ticks of its encoders."""
 
     file: ModelFile
     model: MechanicalSystem
     names: Names
     record: Record
+    ticks: np.ndarray
 
     @property
     def spacing(self) -> float:
@@ -114,31 +133,93 @@ def _findings(
 ) -> tuple[list[Finding], tuple[str, ...]]:
     """All findings, unsorted, and the names of the checks."""
     findings = [*_sensor.stamps(rows.t), *_sensor.missing_cells(np.asarray(record.y))]
-    checks = ("missing rows", "irregular stamps", "missing measurements")
+    checks = ("clock", "missing rows", "irregular stamps", "missing measurements")
     if not in_coordinates(file):
         return findings, checks
     checks += ("outliers", "repeated rows", "ticks", "noise")
     y, names = np.asarray(record.y), _names(file)
+    quantum = file.quantum if quantum is None else quantum
     still, whole = _sensor.still_findings(y, names.q, names.units)
     if whole:
         return [*findings, *still], checks
-    case, outliers = case_without_outliers(file, record, rows)
-    repeated = _sensor.repeated_findings(y, readings(case.record, case.model.circles).ticks, names.q, rows)
+    case, outliers = case_without_outliers(file, record, rows, quantum)
+    ticks = case.ticks
+    repeated = _sensor.repeated_findings(y, ticks, names.q, rows)
+    if any(each.wrong for each in repeated):
+        case = case._replace(record=case.record._replace(y=_sensor.without_repeated(np.asarray(case.record.y), ticks)))
     case = case._replace(record=busiest(case.record, MOST_ROWS))
-    changes, case = _corrected(case)
-    findings += [*still, *outliers, *repeated, *changes, *_sensors(case, file.quantum if quantum is None else quantum)]
+    changes, case, factor = _corrected(case)
+    if (factor != 1).any():
+        # Angles in another unit jump at other places, so the readings are looked at anew, in that of the model.
+        y = y * factor
+        again, outliers = case_without_outliers(file, record._replace(y=y), rows, quantum)
+        ticks = again.ticks
+        repeated = _sensor.repeated_findings(y, ticks, names.q, rows)
+    noise = np.maximum(np.nan_to_num(readings(record._replace(y=y), case.model.circles).std), ticks)
+    forward = set_forward(rows.t, unwrap(y, case.model.circles), noise, rows)
+    findings += [*forward, *still, *outliers, *repeated, *changes]
     best = best_window(case)
     if best is None or not best[1].told.any():
-        return [*findings, _standstill(case)], checks
+        return [
+            *findings,
+            *_sensors(case, quantum),
+            standstill(case.record, case.model.circles, case.names, case.ticks),
+        ], checks
     checks += ("units", "order and signs of columns", "scales of inputs", "delays", "accelerations")
-    delays, after = delay_findings(
+    delays, corrected = delay_findings(
         case.model,
         case.names,
         case.spacing,
         Stated(np.broadcast_to(np.asarray(file.delay, float), len(case.names.q)), file.input_lag),
-        lambda delay: _smoothed(case, best[0], delay),
+        lambda delay, rows: _smoothed(_with_rows_moved(case, rows), best[0], delay),
     )
-    return [*findings, *delays, *_unexplained(file, case.names, after)], checks
+    shifted, inputs = _rows_and_inputs(case, corrected, best[0], not any(each.what == "delay" for each in delays))
+    # Readings of a column that is rows late are those of a sensor only in their own rows.
+    moved = _with_rows_moved(case, corrected.rows + np.array([_rows_late(shifted, name) for name in case.names.q]))
+    unexplained = [] if shifted or inputs else _unexplained(case, corrected.left, best[0])
+    return [*findings, *_sensors(moved, quantum), *delays, *shifted, *inputs, *unexplained], checks
+
+
+def _rows_late(found: list[Finding], name: str) -> int:
+    return next((int(each.numbers["rows"]) for each in found if each.where == name), 0)
+
+
+def _with_rows_moved(case: _Case, rows: np.ndarray) -> _Case:
+    if not rows.any():
+        return case
+    return case._replace(record=case.record._replace(y=moved_rows(np.asarray(case.record.y), rows)))
+
+
+def _rows_and_inputs(case: _Case, corrected: Corrected, half: float, rows: bool) -> tuple[list[Finding], list[Finding]]:
+    """Findings on a column that is whole rows late, if `rows`, and on how inputs go from row to row; at most one.
+
+    Wider windows show smaller shifts in time, as far as they do not smooth the motion away.
+    """
+    file = case.file
+    for wide in (w * half for w in SHIFTED):
+        if not _long_enough(case, wide):
+            break
+
+        def of_rows(rows: np.ndarray, wide: float = wide) -> tuple[Smooth, Residual]:
+            log = _smoothed(_with_rows_moved(case, rows), wide, corrected.delay)
+            log = log._replace(u=log.u * corrected.scale)
+            return log, residual(case.model, log)
+
+        log, before = of_rows(np.zeros(len(case.names.q), int))
+
+        def of_inputs(record: Record, log: Smooth = log) -> Residual:
+            u = held_inputs(np.asarray(record.t), np.asarray(record.u), log.t, log.step) * corrected.scale
+            return residual(case.model, log._replace(u=u))
+
+        stated = file.input_between, file.input_delay, file.input_lag
+        shift = row_shift(case.names, before, lambda rows: of_rows(rows)[1]) if rows else None
+        inputs = inputs_between_rows(case.names, case.record, stated, before, of_inputs)
+        if shift is not None and inputs is not None:
+            first = shift.numbers["unexplained_after"] <= inputs.numbers["unexplained_after"]
+            shift, inputs = (shift, None) if first else (None, inputs)
+        if shift is not None or inputs is not None:
+            return [shift] if shift else [], [inputs] if inputs else []
+    return [], []
 
 
 def misfit(file: ModelFile, record: Record) -> Finding | None:
@@ -175,12 +256,12 @@ def misfit(file: ModelFile, record: Record) -> Finding | None:
     )
     if better is not None:
         return better[0]
-    findings = (
-        [finding for finding in _unexplained(file, case.names, unchanged) if finding.what == "model"]
-        if unchanged
-        else []
-    )
+    findings = [each for each in _unexplained(case, unchanged) if each.what == "model"] if unchanged else []
     return findings[0] if findings else None
+
+
+def _sensors(case: _Case, stated: float | tuple[float, ...] | None) -> list[Finding]:
+    return sensor_findings(case.record, case.model.circles, case.names, stated, case.file.measurement_std)
 
 
 def in_coordinates(file: ModelFile) -> bool:
@@ -216,7 +297,10 @@ def _names(file: ModelFile) -> Names:
 
 
 def case_without_outliers(
-    file: ModelFile, record: Record, rows: _sensor.Rows | None = None
+    file: ModelFile,
+    record: Record,
+    rows: _sensor.Rows | None = None,
+    quantum: float | tuple[float, ...] | None = None,
 ) -> tuple[_Case, list[Finding]]:
     """Record prepared for the comparison: outliers are set to NaN and reported.
 
@@ -224,21 +308,28 @@ def case_without_outliers(
         file: The model file, of a mechanical system in coordinates.
         record: The log.
         rows: How messages name the rows; by default they count from 1.
+        quantum: Ticks that the model file states, where `file` no longer has them.
 
     Returns:
         The case to compare, and a finding for each column with outliers.
     """
     model, names = file.need_mechanical(file.name, "accelerations are compared with those of"), _names(file)
     t, y = np.asarray(record.t), np.asarray(record.y)
-    wrong, sizes = _sensor.outliers(t, y, model.circles)
-    case = _Case(file, model, names, Record(t, np.asarray(record.u), np.where(wrong, np.nan, y)))
+    ticks = known_ticks(record, model.circles, file.quantum if quantum is None else quantum)
+    wrong, sizes = _sensor.outliers(t, y, model.circles, ticks)
+    case = _Case(file, model, names, Record(t, np.asarray(record.u), np.where(wrong, np.nan, y)), ticks)
     return case, _sensor.outlier_findings(wrong, sizes, names.q, names.units, rows or _sensor.Rows(t))
 
 
 def _smoothed(case: _Case, half: float, delay: Any = 0.0) -> Smooth:
+    late = delay + np.asarray(case.file.delay, float)
+    return smooth(_acting(case), half, case.model.circles, late, case.ticks)
+
+
+def _acting(case: _Case) -> Record:
+    """The record with the inputs that act in each step."""
     file = case.file
-    record = acting_inputs(lag_inputs(case.record, file.input_lag), file.input_between, file.input_delay)
-    return smooth(record, half, case.model.circles, delay + np.asarray(file.delay, float))
+    return acting_inputs(lag_inputs(case.record, file.input_lag), file.input_between, file.input_delay)
 
 
 def _long_enough(case: _Case, half: float) -> bool:
@@ -291,12 +382,16 @@ def _units(case: _Case) -> Iterable[Change]:
 
 
 def _changed(case: _Case, change: Change) -> _Case:
-    return case._replace(record=change.of_record(case.record), names=case.names.after(change))
+    ticks = np.abs(change.position) * case.ticks[change.order]
+    return case._replace(record=change.of_record(case.record), names=case.names.after(change), ticks=ticks)
 
 
-def _corrected(case: _Case) -> tuple[list[Finding], _Case]:
-    """Findings on wrong units, orders and signs, and the case after these corrections."""
-    findings = []
+def _corrected(case: _Case) -> tuple[list[Finding], _Case, np.ndarray]:
+    """Findings on wrong units, orders and signs, the case after these corrections, and the units of its positions.
+
+    The latter are factors (n,) of the positions as they stand in the log.
+    """
+    findings, factor = [], np.ones(len(case.names.q))
     # One after another: in wrong units a swap of columns explains nothing.
     for _ in range(MOST_CHANGES):
         unchanged = _compared(case)
@@ -312,7 +407,9 @@ def _corrected(case: _Case) -> tuple[list[Finding], _Case]:
             break
         findings.append(better[0])
         case = _changed(case, better[1])
-    return findings, case
+        if better[1].what.startswith("unit of") and (better[1].order == np.arange(len(factor))).all():
+            factor = factor * better[1].position
+    return findings, case, factor
 
 
 def _best_change(
@@ -332,7 +429,7 @@ def _best_change(
         falls = (unchanged.misfits(BLOCKS) - left.misfits(BLOCKS))[:, left.told].mean(axis=1)
         share_before, improved = float(unchanged.misfits()[0, left.told].mean()), int((falls > 0).sum())
         # The fall has to be large, and in so many parts of the log that it is no chance.
-        if share_before < MARGIN * left.misfit or _signed_ranks(falls) < SIGNIFICANT:
+        if share_before < MARGIN * left.misfit or signed_ranks(falls) < SIGNIFICANT:
             return None
     if unchanged is None:
         evidence = (
@@ -351,85 +448,16 @@ def _best_change(
     return Finding(change.what, change.where, evidence, change.line, True, numbers), change
 
 
-def _signed_ranks(falls: np.ndarray) -> float:
-    """Wilcoxon's statistic of differences (b,), as a standard normal: how surely their middle is above zero."""
-    count = len(falls)
-    # Ranks from 1 to b: the position of each in the order of sizes; equal sizes have probability zero.
-    ranks = np.argsort(np.argsort(np.abs(falls))) + 1.0
-    # Under symmetry about zero the variance of the sum is b (b + 1) (2b + 1) / 6.
-    return float(np.sum(ranks * np.sign(falls)) / np.sqrt(count * (count + 1) * (2 * count + 1) / 6))
-
-
 def _percent(share: float) -> str:
     return f"{100 * share:.3g} %" if np.isfinite(share) else "all"
 
 
-def _sensors(case: _Case, stated: float | tuple[float, ...] | None) -> list[Finding]:
-    """Findings on ticks and noise, in the units of the model."""
-    sensor, names, units = readings(case.record, case.model.circles), case.names.q, case.names.units
-    if not sensor.known:
-        return []
-    ticks, findings = sensor.ticks, []
-    stated_ticks = np.zeros(len(ticks)) if stated is None else np.broadcast_to(stated, len(ticks))
-    unexpected = (ticks > 0) & ~((0.95 * stated_ticks < ticks) & (ticks < 1.05 * stated_ticks))
-    if unexpected.any():
-        counting = [i for i in range(len(ticks)) if ticks[i] > 0]
-        apart = shown([ticks[i] for i in counting], [units[i] for i in counting], 5)
-        statement = (
-            f"the model file says {shown(stated_ticks, units, 4)}" if stated else "the model file does not say so"
-        )
-        key, number = ("quantum", ticks) if len(counting) == len(ticks) else ("std", sensor.std)
-        findings.append(
-            Finding(
-                "ticks",
-                ", ".join(names[i] for i in counting),
-                f"positions are whole ticks of {apart} apart, and {statement}",
-                f"[measurement] {key} = {written(one_or_each(number, units, 5))}",
-                stated is not None,
-                {"quantum": one_or_each(ticks, units, 17), "stated": stated},
-            )
-        )
-    std = case.file.measurement_std
-    usual = np.full(len(ticks), np.inf) if std is None else np.broadcast_to(std, len(ticks))
-    noisy = (ticks == 0) & sensor.white & (sensor.noise > NOISIER * usual)
-    if noisy.any():
-        worst = int(np.argmax(np.where(noisy, sensor.noise / usual, 0.0)))
-        std = one_or_each(np.where(noisy, sensor.noise, usual), units, 2)
-        findings.append(
-            Finding(
-                "noise",
-                ", ".join(name for name, bad in zip(names, noisy, strict=True) if bad),
-                f"positions have noise of {shown(sensor.noise[[worst]], [units[worst]], 3)}, "
-                f"{sensor.noise[worst] / usual[worst]:.2g} times that of the model file",
-                f"[measurement] std = {written(std)}",
-                True,
-                {"std": float(sensor.noise[worst]), "stated": float(usual[worst])},
-            )
-        )
-    return findings
+def _unexplained(case: _Case, left: Residual, half: float | None = None) -> list[Finding]:
+    """A finding where the residual accelerations exceed what the data sheet states.
 
-
-def _standstill(case: _Case) -> Finding:
-    """Finding for a log whose motion is too small or too short for the comparison."""
-    t, y = np.asarray(case.record.t), unwrap(np.asarray(case.record.y), case.model.circles)
-    ranges = [
-        f"{name} by {np.nanmax(c) - np.nanmin(c):.3g} {unit}".rstrip()
-        for name, c, unit in zip(case.names.q, y.T, case.names.units, strict=True)
-    ]
-    return Finding(
-        "too little motion",
-        "",
-        f"in {t[-1] - t[0]:.3g} s of {len(t)} rows {', '.join(ranges)} moved: too little or too short to tell an "
-        "acceleration from noise",
-        "log a motion: nothing can be told of units, signs, order and delays from this log",
-        True,
-        {"rows": len(t)},
-    )
-
-
-def _unexplained(file: ModelFile, names: Names, left: Residual) -> list[Finding]:
-    """A finding where the residual accelerations exceed what the data sheet states."""
-    clear = left.told
+    `half` is the half width of the windows of `left`, by default that of `_clearly`.
+    """
+    file, names, clear = case.file, case.names, left.told
     if not clear.any():
         return []
     # Noise is independent of what the model leaves, so the variances subtract; by chance the rest may be negative.
@@ -438,6 +466,9 @@ def _unexplained(file: ModelFile, names: Names, left: Residual) -> list[Finding]
     stated = file.acceleration_std
     beyond = clear & (size > FARTHEST * (stated or 0.0))
     if not beyond.any() or (stated is None and left.misfit < BARELY):
+        return []
+    usual = _left_by_a_right_model(case, half)
+    if usual is not None and not (_part_left(left)[beyond] > TWIN * _part_left(usual)[beyond]).any():
         return []
     worst = int(np.argmax(np.where(beyond, size, 0.0)))
     unit = f"{names.units[worst]}/s²".lstrip("/") if names.units[worst] else ""
@@ -452,3 +483,19 @@ def _unexplained(file: ModelFile, names: Names, left: Residual) -> list[Finding]
         return [Finding("model", names.q[worst], evidence, line, True, numbers)]
     line = f"[uncertainty] acceleration = {size[worst]:.2g}, or better [parameters]"
     return [Finding("uncertainty", names.q[worst], evidence, line, True, numbers)]
+
+
+def _part_left(left: Residual) -> np.ndarray:
+    """What the model leaves of the accelerations (n,), the noise included, as a fraction of their squares."""
+    return np.mean(left.left**2, axis=0) / np.maximum(np.mean(left.measured[left.used] ** 2, axis=0), 1e-300)
+
+
+def _left_by_a_right_model(case: _Case, half: float | None) -> Residual | None:
+    """The residual of a log that the model itself makes, smoothed in the same way; None where there is none."""
+    log = _clearly(case) if half is None else _smoothed(case, half)
+    made = None if log is None else twin(case.model, log, _acting(case), case.ticks)
+    if made is None or log is None:
+        return None
+    # Its inputs act as they stand; its positions are not late.
+    left = residual(case.model, smooth(made, log.half, case.model.circles, 0.0, case.ticks))
+    return left if left.used.any() else None

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from covariant.calibration._predict import PredictionErrors
-from covariant.calibration._windows import Windows, windows
+from covariant.calibration._windows import FEWEST_WINDOWS, Windows, windows
 from covariant.signals import Record
 
 FITTED = 2 / 3
@@ -18,7 +18,8 @@ def split(
 ) -> tuple[Windows, Windows]:
     """Windows to fit, and held-out windows to judge the fit by.
 
-    Of several records the last is held out, of a single one the last third.
+    Of several records the last is held out, or as many of the last ones as have enough windows, where these are short;
+    of a single one the last third.
 
     Args:
         records: The logs.
@@ -41,11 +42,31 @@ def split(
         (True, True)
     """
     if len(records) > 1:
-        return windows(records[:-1], velocities[:-1], length), windows(records[-1:], velocities[-1:], length)
+        held_out = held_out_logs([np.asarray(record.t) for record in records], length)
+        k = len(records) - held_out
+        return windows(records[:k], velocities[:k], length), windows(records[k:], velocities[k:], length)
     t = np.asarray(records[0].t)
     border = float(t[0] + FITTED * (t[-1] - t[0]))
     first, last = ((-np.inf, border),), ((border, np.inf),)
     return windows(records, velocities, length, first), windows(records, velocities, length, last)
+
+
+def held_out_logs(stamps: Sequence[Float[np.ndarray, "_"]], length: float) -> int:
+    """Number of the last logs that are held out: the least that hold enough windows, and less than half of all.
+
+    Args:
+        stamps: Stamps (T,) [s] of each log.
+        length: Length of the windows [s].
+
+    Returns:
+        The number, at least 1.
+    """
+    # Windows share no row, so that each takes a step more than its length.
+    counts = [int(len(t) / (length / np.median(np.diff(t)) + 1) + 1e-9) for t in stamps]
+    held_out = 1
+    while sum(counts[-held_out:]) < FEWEST_WINDOWS and held_out < (len(counts) - 1) // 2:
+        held_out += 1
+    return held_out
 
 
 def growth(before: PredictionErrors, after: PredictionErrors) -> float:

@@ -17,6 +17,9 @@ ALTERNATES = -0.5
 ALIKE = 0.05
 """Relative difference up to which the numbers of coordinates of one unit are reported as one."""
 
+WHOLE = 0.1
+"""Largest distance of changes from whole stated ticks, as a fraction of one, with which they are taken for such."""
+
 
 class Readings(NamedTuple):
     """Noise and ticks of each position, in its unit.
@@ -64,6 +67,28 @@ def readings(record: Record, circles: tuple[int, ...]) -> Readings:
             # At even stamps the weights are (1, −4, 6, −4, 1)/6: white noise has −0.8, smooth motion a positive number.
             white[i] = np.mean(error[1:] * error[:-1]) < ALTERNATES * np.mean(error**2)
     return Readings(noise, white, quanta(y, np.nan_to_num(noise)))
+
+
+def known_ticks(
+    record: Record, circles: tuple[int, ...], stated: float | Sequence[float] | None
+) -> Float[np.ndarray, "n"]:
+    """Ticks of each position: those that the readings show, or where these are few, the stated ones that they fit.
+
+    Args:
+        record: The log, with positions (T, n) in coordinates.
+        circles: Indices of the coordinates that are angles.
+        stated: Ticks according to the model file, one for all or one for each; None for none.
+
+    Returns:
+        The ticks (n,); 0 where there are none.
+    """
+    ticks, y = readings(record, circles).ticks, unwrap(np.asarray(record.y), circles)
+    for i, tick in enumerate(np.broadcast_to(0.0 if stated is None else stated, len(ticks))):
+        if ticks[i] == 0 and tick > 0:
+            steps = np.diff(y[np.isfinite(y[:, i]), i]) / tick
+            if len(steps) and np.quantile(np.abs(steps - np.round(steps)), 0.95) < WHOLE:
+                ticks[i] = tick
+    return ticks
 
 
 def one_or_each(values: Float[np.ndarray, "n"], units: Sequence[str], digits: int) -> float | tuple[float, ...]:

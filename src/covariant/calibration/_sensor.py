@@ -1,7 +1,7 @@
 """Checks of the clock and the sensors of a log, without a model: missing rows, jitter, outliers, ticks."""
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -108,7 +108,7 @@ def missing_cells(y: np.ndarray) -> list[Finding]:
 
 
 def outliers(
-    t: Float[np.ndarray, "T"], y: Float[np.ndarray, "T n"], circles: tuple[int, ...]
+    t: Float[np.ndarray, "T"], y: Float[np.ndarray, "T n"], circles: tuple[int, ...], ticks: Any = 0.0
 ) -> tuple[Bool[np.ndarray, "T n"], Float[np.ndarray, "n"]]:
     """Detect outliers among position measurements, without a model.
 
@@ -119,6 +119,7 @@ def outliers(
         t: Stamps (T,) [s].
         y: Measured coordinates (T, n); NaN where missing.
         circles: Indices of the coordinates that are angles.
+        ticks: Known ticks (n,) of the encoders, or one for all, 0 for none; others are looked for in the readings.
 
     Returns:
         Which measurements are outliers (T, n), and their usual distance (n,) from their neighbours, 0 without outliers.
@@ -135,14 +136,14 @@ def outliers(
     """
     y = np.array(y, float)
     wrong, sizes = np.zeros(y.shape, bool), np.zeros(y.shape[1])
-    for i in range(y.shape[1]):
+    for i, known in enumerate(np.broadcast_to(ticks, y.shape[1])):
         remaining, error, floor = np.flatnonzero(np.isfinite(y[:, i])), np.zeros(1), np.zeros(1)
         column = unwrap(y[:, i : i + 1], (0,) if i in circles else ())[:, 0]
         for _ in range(ROUNDS):
             if len(remaining) < FEW_ROWS:
                 break
             error = prediction_errors(t[remaining], column[remaining])
-            floor = np.maximum(1.4826 * np.median(np.abs(error)), tick(column[remaining]))
+            floor = np.maximum(1.4826 * np.median(np.abs(error)), known or tick(column[remaining]))
             # A cubic misses some of a sharp motion, in proportion to what happens among its points.
             floor = np.maximum(floor, COARSE * _local_range(column[remaining]))
             size = np.zeros(len(remaining))
@@ -377,10 +378,10 @@ def repeated_findings(
     Returns:
         At most one finding.
     """
-    moving = [i for i in range(len(names)) if ticks[i] == 0 and np.nanmin(y[:, i]) < np.nanmax(y[:, i])]
+    moving = _moving(y, ticks)
     if not moving:
         return []
-    same = (np.diff(y[:, moving], axis=0) == 0).all(axis=1)
+    same = _repeated(y, moving)[1:]
     places = np.flatnonzero(same) + 1
     share = float(same.mean())
     if share <= FEW_REPEATED and len(places) <= MOST_NAMED:
@@ -399,3 +400,29 @@ def repeated_findings(
             {"rows": len(places), "share": share, "in_a_row": usual},
         )
     ]
+
+
+def without_repeated(y: Float[np.ndarray, "T n"], ticks: Float[np.ndarray, "n"]) -> Float[np.ndarray, "T n"]:
+    """Positions whose readings are missing where they repeat those of the row before, as `repeated_findings` asks for.
+
+    Args:
+        y: Positions (T, n).
+        ticks: Ticks (n,) of the encoders; 0 for a sensor without ticks.
+
+    Returns:
+        The positions (T, n).
+    """
+    kept = y.copy()
+    for i in _moving(y, ticks):
+        kept[_repeated(y, [i]), i] = np.nan
+    return kept
+
+
+def _moving(y: np.ndarray, ticks: np.ndarray) -> list[int]:
+    """Positions without ticks that do not stand still."""
+    return [i for i in range(y.shape[1]) if ticks[i] == 0 and np.nanmin(y[:, i]) < np.nanmax(y[:, i])]
+
+
+def _repeated(y: np.ndarray, moving: list[int]) -> Bool[np.ndarray, "T"]:
+    """Rows (T,) whose readings of these positions are those of the row before."""
+    return np.concatenate([[False], (np.diff(y[:, moving], axis=0) == 0).all(axis=1)])

@@ -17,6 +17,9 @@ FEWEST = 5.0
 FULL = 0.6
 """Fraction of the usual number of samples that a window must hold to be used."""
 
+ZEROS = (0.0, 1 / 3, 2 / 3)
+"""Zeros of an encoder, in ticks, over which the error of its ticks is averaged."""
+
 
 class Smooth(NamedTuple):
     """A smoothed log on a grid of K times.
@@ -48,7 +51,7 @@ class Smooth(NamedTuple):
     step: float
 
 
-def smooth(record: Record, half: float, circles: tuple[int, ...], delay: Any = 0.0) -> Smooth:
+def smooth(record: Record, half: float, circles: tuple[int, ...], delay: Any = 0.0, ticks: Any = 0.0) -> Smooth:
     """Smooth a record in coordinates by polynomials of degree 3 over windows of ±`half`.
 
     Args:
@@ -56,6 +59,7 @@ def smooth(record: Record, half: float, circles: tuple[int, ...], delay: Any = 0
         half: Half width of the windows [s]; at least `FEWEST` samples are used.
         circles: Indices of the coordinates that are angles.
         delay: Delay [s] of each coordinate (n,), or one for all: it is subtracted from the stamps.
+        ticks: Ticks (n,) of the encoders, or one for all; 0 for sensors without.
 
     Returns:
         The smoothed log, on a grid with `HALF` points in half a window.
@@ -63,7 +67,8 @@ def smooth(record: Record, half: float, circles: tuple[int, ...], delay: Any = 0
     t, u = np.asarray(record.t), np.asarray(record.u)
     y = scoring.unwrap(np.asarray(record.y), circles)
     n, delay = y.shape[1], np.broadcast_to(delay, y.shape[1:])
-    spacing = float(np.median(np.diff(t)))
+    # A sensor that is slower than the log leaves cells empty: its own readings fill the windows.
+    spacing = max(float(np.median(np.diff(t[np.isfinite(column)]))) for column in y.T)
     half = max(half, FEWEST * spacing)
     step = half / HALF
     grid = t[0] + step * np.arange(int((t[-1] - t[0]) / step) + 1)
@@ -78,18 +83,38 @@ def smooth(record: Record, half: float, circles: tuple[int, ...], delay: Any = 0
     noise, gain = _noise(t, y, grid, c, delay), _acceleration_weights(half, spacing)
     # Coefficient c is the c-th derivative divided by c!.
     q, v, a, held = c[:, 0], c[:, 1], 2 * c[:, 2], held_inputs(t, u, grid, step)
-    return Smooth(grid, q, v, a, held, used, _kernel(half), noise, gain * noise, half, step)
+    a_noise = np.maximum(gain * noise, _tick_noise(t, y, grid, c, delay, half, np.broadcast_to(ticks, n), used))
+    return Smooth(grid, q, v, a, held, used, _kernel(half), noise, a_noise, half, step)
 
 
 def _noise(t, y, grid, c, delay):
     """Standard deviation (n,) of the measurements about the smoothed positions."""
     std = np.empty(y.shape[1])
     for i, shift in enumerate(delay):
-        at = t[np.isfinite(y[:, i])]
-        nearest = np.clip(np.rint((at - shift - grid[0]) / (grid[1] - grid[0])).astype(int), 0, len(grid) - 1)
-        offset = at - shift - grid[nearest]
-        fitted = sum(c[nearest, k, i] * offset**k for k in range(ORDER + 1))
-        std[i] = np.sqrt(np.mean((y[np.isfinite(y[:, i]), i] - fitted) ** 2))
+        seen = np.isfinite(y[:, i])
+        std[i] = np.sqrt(np.mean((y[seen, i] - _along(t[seen] - shift, grid, c[:, :, i])) ** 2))
+    return std
+
+
+def _along(t, grid, c):
+    """Smoothed positions at some times, from the coefficients (K, ORDER + 1) of one coordinate."""
+    nearest = np.clip(np.rint((t - grid[0]) / (grid[1] - grid[0])).astype(int), 0, len(grid) - 1)
+    return sum(c[nearest, k] * (t - grid[nearest]) ** k for k in range(ORDER + 1))
+
+
+def _tick_noise(t, y, grid, c, delay, half, ticks, used):
+    """Standard deviation (n,) of the accelerations that ticks cause: those of the smoothed motion, read in such ticks.
+
+    Between two ticks a reading does not change, so that its errors are alike over many rows, and no white noise.
+    """
+    std = np.zeros(len(ticks))
+    for i in np.flatnonzero(ticks > 0) if used.any() else ():
+        seen = np.isfinite(y[:, i])
+        at = t[seen] - delay[i]
+        counts = _along(at, grid, c[:, :, i]) / ticks[i]
+        errors = np.stack([np.round(counts + zero) - zero - counts for zero in ZEROS], axis=1)
+        a = 2 * ticks[i] * scoring.local_polynomials(at, errors, grid, half, ORDER)[used, 2]
+        std[i] = np.sqrt(np.mean(a**2))
     return std
 
 

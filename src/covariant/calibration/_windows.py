@@ -1,5 +1,6 @@
 """Windows of logs over which a model predicts: short stretches, each with the motion at its start."""
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -47,7 +48,7 @@ class Windows(NamedTuple):
     steps: Float[AnyArray, "*k S"]
 
 
-def horizon(record: Record, velocity: Float[np.ndarray, "T n"], part: float = 1.0) -> float:
+def horizon(record: Record, velocity: Float[np.ndarray, "T n"], part: float = 1.0, count: int = 1) -> float:
     """Length of the windows that suits a motion: twice the time in which its velocity changes by its own size.
 
     That is the least τ, of a geometric sequence, for which `v(t + τ/2) − v(t)` is as large as v itself, root mean
@@ -58,6 +59,8 @@ def horizon(record: Record, velocity: Float[np.ndarray, "T n"], part: float = 1.
         record: The log.
         velocity: Reference velocities (T, n), as from `scoring.zero_phase_velocity`.
         part: Fraction of the record that must still contain enough windows, such as the held-out part.
+        count: Number of records like this one that are cut into windows together: of short ones a window may be the
+            longer, the more there are.
 
     Returns:
         The length [s].
@@ -76,6 +79,10 @@ def horizon(record: Record, velocity: Float[np.ndarray, "T n"], part: float = 1.
     relative = velocity[:, size > 0] / size[size > 0]
     # Room for twice the windows that a fit needs, and for one more than it needs in the part.
     least, most = FEWEST_ROWS * step, span * min(1 / (2 * FEWEST_WINDOWS), part / (FEWEST_WINDOWS + 1))
+    if count > 1 and most < least:
+        # A third of the records is held out, and each of them holds a whole number of windows that share no row.
+        each = max(1, math.ceil(FEWEST_WINDOWS / max(1, count // 3)))
+        most = (span + step) / each - 1.5 * step
     if least >= most or not relative.size:
         return max(least, min(most, span / 2))
     times = np.geomspace(least, most, 40)

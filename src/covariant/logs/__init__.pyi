@@ -1,4 +1,10 @@
-from ._columns import ATTITUDES as ATTITUDES, Columns as Columns, Log as Log, LogError as LogError
+from ._columns import (
+    ATTITUDES as ATTITUDES,
+    ClockError as ClockError,
+    Columns as Columns,
+    Log as Log,
+    LogError as LogError,
+)
 from ._configuration import (
     Body as Body,
     bodies as bodies,

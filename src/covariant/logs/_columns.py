@@ -26,6 +26,29 @@ class LogError(ValueError):
     """
 
 
+class ClockError(LogError):
+    """Error of stamps that repeat or go back. The message names the first of them.
+
+    Attributes:
+        record: The log as it stands, in SI units and radians.
+
+    Example:
+        >>> from covariant import Record, logs
+        >>> log = Record([0.0, 0.1, 0.1], y=[[0.0], [0.1], [0.2]])
+        >>> try:
+        ...     logs.read(log, logs.Columns(q=("q1",)))
+        ... except logs.ClockError as error:
+        ...     print(len(error.record.t))
+        3
+    """
+
+    record: Record
+
+    def __init__(self, message: str, record: Record):
+        super().__init__(message)
+        self.record = record
+
+
 ATTITUDES = {"quaternion_wxyz": 4, "quaternion_xyzw": 4, "matrix": 9}
 """The representations of an attitude, by their field of `Columns`, and the number of columns each needs."""
 

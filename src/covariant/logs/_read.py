@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from covariant.logs._bag import bag_columns, read_bag
 from covariant.logs._cells import numbers
-from covariant.logs._columns import ATTITUDES, Columns, Log, LogError, kind, pyarrow
+from covariant.logs._columns import ATTITUDES, ClockError, Columns, Log, LogError, kind, pyarrow
 from covariant.logs._configuration import bodies, from_cells
 from covariant.logs._stamps import stamps, timed
 from covariant.logs._tables import LogSource, source_name, table_source
@@ -272,6 +272,8 @@ def _checked(name: str, record: Record) -> Record:
     try:
         return record.check()
     except ValueError as error:
+        if "time goes back" in str(error) or "same stamp" in str(error):
+            raise ClockError(f"{name}: {error}", record) from error
         raise LogError(f"{name}: {error}") from error
 
 

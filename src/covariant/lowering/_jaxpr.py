@@ -31,7 +31,7 @@ from covariant.lowering._jax_forms import (
     expanded,
     need_pure,
 )
-from covariant.lowering._loops import loop_of
+from covariant.lowering._loops import Turn, loop_of
 from covariant.lowering._lowered import Conditions, Lowered, LoweringError
 from covariant.lowering._primitives import NOT_ON_INTEGERS, RULES
 
@@ -268,8 +268,8 @@ class _Interpreter:
         ends = scan.fixed, scan.fixed + scan.carried
         fixed, carry, over = values[: ends[0]], values[ends[0] : ends[1]], values[ends[1] :]
         of_rows = scan.body.results[scan.carried :]
-        if self.loops != "unrolled" and not over and not of_rows and scan.length > 1:
-            outputs = self.counted(scan, fixed, carry)
+        if self.loops != "unrolled" and not of_rows and scan.length > 1:
+            outputs = self.counted(scan, fixed, carry, over)
             if outputs is not None:
                 return outputs
         # A reversed scan visits the last row first and still stacks its results in the order of the rows.
@@ -283,16 +283,53 @@ class _Interpreter:
         stacked = [self.write.stack(list(column)) for column in zip(*rows, strict=True)] if rows else empty
         return [*carry, *stacked]
 
-    def counted(self, scan: Scan, fixed: list[Value], carry: list[Value]) -> list[Value] | None:
-        """A scan over nothing as a loop of the graph, or None where a turn is too little work for that."""
+    def counted(
+        self, scan: Scan, fixed: list[Value], carry: list[Value], over: list[Value] | None = None
+    ) -> list[Value] | None:
+        """A scan as a loop of the graph, or None where a turn is too little work for that.
+
+        A turn takes the first of the rows and puts it behind the others, so that the next turn finds its own first.
+        """
+        rows, count = over or [], scan.fixed + scan.carried
+        if scan.reverse:
+            rows = [_reversed(value) for value in rows]
 
         def turn(graph: Graph, values: list[Value]):
-            return _Interpreter(graph, self.loops).run(scan.body, values), None
+            left = values[count:]
+            results = _Interpreter(graph, self.loops).run(
+                scan.body, [*values[:count], *(_take(value, 0) for value in left)]
+            )
+            return [*results, *(_rotated(value) for value in left)], None
 
+        types = [atom.aval.dtype for atom in scan.body.jaxpr.invars]
         try:
-            return loop_of(self.graph, turn, fixed, carry, scan.length, LONG)
+            outputs = self.loop(turn, types, fixed, [*carry, *rows], scan.length, LONG)
         except LoweringError:  # a turn may need its number, to take an entry at a place
             return None
+        return None if outputs is None else outputs[: scan.carried]
+
+    def loop(
+        self,
+        turn: Turn,
+        types: Sequence[Any],
+        fixed: list[Value],
+        carry: list[Value],
+        count: int | None = None,
+        least: int = 0,
+    ) -> list[Value] | None:
+        """A loop of the graph, which passes numbers only: a statement is passed as 0 or 1; see `loop_of`."""
+        of_truth = [np.dtype(dtype).kind == "b" for dtype in types]
+
+        def turned(graph: Graph, values: list[Value]):
+            inner = Writer(graph)
+            results, going = turn(graph, [_statement(inner, *pair) for pair in zip(values, of_truth, strict=True)])
+            return [_number(inner, *pair) for pair in zip(results, of_truth[len(fixed) :], strict=True)], going
+
+        numbers = [_number(self.write, *pair) for pair in zip([*fixed, *carry], of_truth, strict=True)]
+        outputs = loop_of(self.graph, turned, numbers[: len(fixed)], numbers[len(fixed) :], count, least)
+        if outputs is None:
+            return None
+        return [_statement(self.write, *pair) for pair in zip(outputs, of_truth[len(fixed) :], strict=True)]
 
     def turns(self, loop: While, values: list[Value]) -> list[Value]:
         """A while loop as a loop of the graph."""
@@ -304,7 +341,10 @@ class _Interpreter:
             (going,) = inner.run(loop.condition, [*condition, *carry])
             return inner.run(loop.body, [*body, *carry]), going
 
-        outputs = loop_of(self.graph, turn, values[: ends[1]], values[ends[1] :])
+        types = [atom.aval.dtype for body in (loop.condition, loop.body) for atom in body.jaxpr.invars]
+        # Those of what is carried stand in both; once is enough.
+        types = [*types[: ends[0]], *types[len(loop.condition.jaxpr.invars) :]]
+        outputs = self.loop(turn, types, values[: ends[1]], values[ends[1] :])
         assert outputs is not None
         return outputs
 
@@ -334,9 +374,41 @@ class _Interpreter:
             pure = [body for body in bodies if not _calls_back(body)]
             if len(pure) == 1 and not self.graph.real:  # `equinox.error_if`: the other branch raises an error
                 return self.run(pure[0], rest)
+            if self.loops != "unrolled" and len(pure) == len(bodies) == 2:
+                return self.choice(chosen, bodies, rest)
             raise LoweringError("a 'cond' chooses by the arguments; compute both ways and take one by jnp.where")
         # JAX clips the index of a branch, too.
         return self.run(bodies[int(np.clip(int(chosen), 0, len(bodies) - 1))], rest)
+
+    def choice(self, chosen: Scalars, bodies: Sequence[ClosedJaxpr], values: list[Value]) -> list[Value]:
+        """One of two branches: the longer one as a loop of at most one turn, or both and a choice of the results.
+
+        A loop saves its work where the other branch is taken, and takes as long as the numbers ask for.
+        """
+        long = int(len(bodies[1].jaxpr.eqns) >= len(bodies[0].jaxpr.eqns))
+        short = self.run(bodies[1 - long], values)
+        # The index of a branch of two is a statement, or a whole number that JAX clips.
+        asked = self.write.map("lt", *((np.asarray(0.5), chosen) if long else (chosen, np.asarray(0.5))))
+        if self.loops == "any":
+            types = [atom.aval.dtype for atom in bodies[long].jaxpr.invars]
+            results = [aval.dtype for aval in bodies[long].results]
+
+            def turn(graph: Graph, inputs: list[Value]):
+                once, going = Writer(graph), inputs[len(values)]
+                outputs = _Interpreter(graph, self.loops).run(bodies[long], inputs[: len(values)])
+                return [np.zeros(()), *outputs], once.map("lt", np.asarray(0.5), going)
+
+            go = self.write.map("select", asked, np.asarray(1.0), np.asarray(0.0))
+            outputs = self.loop(turn, [*types, float, *results], values, [go, *short], None, LONG)
+            if outputs is not None:
+                return outputs[1:]
+        taken = self.run(bodies[long], values)
+        return [
+            self.write.map("select", asked, *pair)
+            if any(isinstance(v, Scalars) for v in pair) or _differ(*pair)
+            else pair[0]
+            for pair in zip(taken, short, strict=True)
+        ]
 
 
 def _calls_back(body: ClosedJaxpr) -> bool:
@@ -372,6 +444,33 @@ def _line(eqn: JaxprEquation, outer: Callable[[], str]) -> str:
     place, _, function = source_info_util.summarize(eqn.source_info).partition(" ")
     file, *rest = place.split(":")
     return f"at {':'.join([Path(file).name, *rest[:1]])} {function}".strip() if rest else outer()
+
+
+def _differ(a: Value, b: Value) -> bool:
+    return not np.array_equal(a, b, equal_nan=True)  # pyright: ignore[reportArgumentType]
+
+
+def _statement(write: Writer, value: Value, is_truth: bool) -> Value:
+    """A number that was 0 or 1 as a statement again."""
+    return write.map("lt", np.asarray(0.5), value) if is_truth and isinstance(value, Scalars) else value
+
+
+def _number(write: Writer, value: Value, is_truth: bool) -> Value:
+    """A statement as the number 0 or 1."""
+    if not is_truth:
+        return value
+    if isinstance(value, Scalars):
+        return write.map("select", value, np.asarray(1.0), np.asarray(0.0))
+    return np.asarray(value, float)
+
+
+def _reversed(value: Value) -> Value:
+    return Scalars(value.ids[::-1]) if isinstance(value, Scalars) else np.asarray(value)[::-1]
+
+
+def _rotated(value: Value) -> Value:
+    """The rows with the first one last."""
+    return Scalars(np.roll(value.ids, -1, 0)) if isinstance(value, Scalars) else np.roll(value, -1, 0)
 
 
 def _take(value: Value, i: int) -> Value:

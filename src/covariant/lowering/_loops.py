@@ -142,13 +142,19 @@ def loop_of(
         return Lowered(small, ((len(order),),), tuple(roots), result, jax.tree.structure(0))
 
     body = cut([ends[k] for k in places])
-    if len(body.graph.nodes) < least:
+    if _size(body) < least:
         return None
     stop = None if going is None else cut(_flat(inner, [going]))
     loop = Repetition(body, stop, count, len(used))
     node_of_loop = add_loop(graph, loop, [*used, *(starts[k] for k in places)])
     parts = {k: part_of(graph, node_of_loop, n) for n, k in enumerate(places)}
     return _filled([parts.get(k, start) for k, start in enumerate(starts)], carry, changes)
+
+
+def _size(lowered: Lowered) -> int:
+    """Operations of a graph, with those of a turn of each loop in it."""
+    inner = (node.value for node in lowered.graph.nodes if isinstance(node.value, Repetition))
+    return len(lowered.graph.nodes) + sum(_size(loop.body) for loop in inner)
 
 
 def _flat(graph: Graph, values: Sequence[Value]) -> list[int]:

@@ -127,7 +127,8 @@ def _on_manifold(model: MechanicalSystem, names: dict[str, Any]) -> Columns:
     _check_count("position", columns.position, needs.position, "coordinates of a position")
     _check_count("angle", columns.angle, needs.angle, "angles")
     _check_count("q", columns.q, needs.q, "coordinates")
-    _check_count("u", columns.u, inputs, "inputs")
+    # A body in free flight has no force to log: with u = [] its inputs are zero.
+    _check_count("u", columns.u or _numbered("u", inputs), inputs, "inputs")
     _check_count("v", columns.v or model.velocities, n, "velocities")
     _check_count("truth", columns.truth or model.velocities, n, "velocities")
     return columns

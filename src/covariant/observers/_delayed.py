@@ -1,8 +1,12 @@
 """Sensors with delays: readings count at the times at which they were true, and the estimate is for now.
 
 Coordinate i of the sample with the stamp t was true at t − d_i. The state is stored at t − max d, before which nothing
-can arrive any more; later readings wait in a buffer. A sample is sorted into the buffer at its true times, the buffer
-is run through again in their order, and the model predicts from the last of them to the stamp.
+can arrive any more; later readings wait in a buffer. A sample is inserted into the buffer at its true times, the buffer
+is run through again in their order, and the model predicts from the last of them to the stamp, input by input.
+
+A step therefore costs one step of the inner observer for each reading that is not older than the latest sensor, and one
+prediction for each row of the least delay. With one delay for all coordinates nothing waits in the buffer: a step costs
+one step and as many predictions as there are rows in the delay.
 
 Source: Bar-Shalom 2002, Update with out-of-sequence measurements in tracking: exact solution, IEEE Transactions on
 Aerospace and Electronic Systems 38(3), which shortens this for linear systems; Larsen, Andersen, Ravn & Poulsen 1998,
@@ -35,8 +39,8 @@ class DelayedState(NamedTuple):
     Attributes:
         now: State of the inner observer now.
         t: Time now [s].
-        known: State of the inner observer `known_age` ago, which no reading will change any more.
-        known_age: Age of `known` [s].
+        known: State of the inner observer `age_of_known` ago, which no reading will change any more.
+        age_of_known: Age of `known` [s].
         age: Ages (L,) [s] of the readings since, the oldest first.
         y: These readings (L, *n); NaN where a coordinate was not read then.
         stamp: Ages (M,) [s] of the last stamps, the oldest first.
@@ -48,14 +52,14 @@ class DelayedState(NamedTuple):
         >>> from covariant import observers
         >>> observer = observers.Delayed(observers.FilteredDerivative(50.0), delay=0.05, rate=100.0)
         >>> state = observer.init(jnp.array([0.5]), t=1.0)
-        >>> round(state.known_age.item(), 6), state.y.shape
-        (0.05, (6, 1))
+        >>> round(state.age_of_known.item(), 6), state.u.shape
+        (0.05, (8, 0))
     """
 
     now: Any
     t: Scalar
     known: Any
-    known_age: Scalar
+    age_of_known: Scalar
     age: Float[Array, "L"]
     y: Inexact[Array, "L *n"]
     stamp: Float[Array, "M"]
@@ -98,6 +102,8 @@ class Delayed(AbstractObserver):
     lateness: Scalar
     groups: tuple[tuple[int, ...], ...] = eqx.field(static=True)
     length: int = eqx.field(static=True)
+    waiting: int = eqx.field(static=True)
+    ahead: int = eqx.field(static=True)
 
     def __init__(self, observer: AbstractObserver, delay: Number | Sequence[float], rate: float, lateness: float = 0.0):
         delays = np.atleast_1d(np.asarray(delay, float))
@@ -110,8 +116,11 @@ class Delayed(AbstractObserver):
         self.observer = observer
         self.delay, self.lateness = jnp.asarray(delays), jnp.asarray(float(lateness))
         self.groups = tuple(tuple(np.flatnonzero(delays == d).tolist()) for d in np.unique(delays))
-        # 1e-9 keeps rounding from adding a row where delay times rate is a whole number.
-        self.length = math.ceil((delays.max() + lateness) * rate - 1e-9) + 1
+        self.length = _rows(delays.max() + lateness, rate) + 1
+        waits = [_rows(delays.max() + lateness - d, rate) for d in np.unique(delays)]
+        # One more, since irregular stamps may put one more into the same time; what never waits needs no place.
+        self.waiting = sum(rows + 1 for rows in waits if rows)
+        self.ahead = _rows(delays.min(), rate)
 
     def init(self, y: Inexact[Array, "*n"], t: Number = 0.0) -> DelayedState:
         """State at rest at a measured configuration, with empty buffers.
@@ -137,7 +146,7 @@ class Delayed(AbstractObserver):
         longest = jnp.max(self.delay).astype(real)
         t = jnp.asarray(t, real)
         last_input = getattr(now, "last_input", None)
-        rows, stamps = self.length * len(self.groups), self.length + 2
+        rows, stamps = self.waiting, self.length + 2
         return DelayedState(
             now,
             t,
@@ -159,14 +168,6 @@ class Delayed(AbstractObserver):
     def estimate(self, state: DelayedState) -> Any:
         return self.observer.estimate(state.now)
 
-    def advance(
-        self, state: DelayedState, u: Float[Array, "m"], y: Inexact[Array, "*n"], dt: Scalar
-    ) -> tuple[DelayedState, Any]:
-        if self._no_delay:  # with the inner observer's own step nothing differs from it, whatever its form
-            now, info = self.observer.step(state.now, u, y, dt)
-            return state._replace(now=now, known=now, t=state.t + dt), info
-        return self.correct(self.predict(state, u, dt), u, y)
-
     def predict(self, state: DelayedState, u: Float[Array, "m"], dt: Scalar) -> DelayedState:
         """Move the time of the state and the ages of all readings dt later; `correct` runs the inner observer.
 
@@ -187,7 +188,7 @@ class Delayed(AbstractObserver):
         acting = u[:inputs].astype(state.u.dtype) if u.size else jnp.zeros(inputs, state.u.dtype)
         return state._replace(
             t=state.t + dt,
-            known_age=state.known_age + dt,
+            age_of_known=state.age_of_known + dt,
             age=state.age + dt,
             stamp=jnp.append(state.stamp[1:] + dt, 0.0),
             u=jnp.concatenate([state.u[1:], acting[None]]),
@@ -238,36 +239,48 @@ class Delayed(AbstractObserver):
         age, readings, current, too_late = self._insert(state, y, sample_age)
         # Less SAME_TIME, so that rounding does not leave a reading at the horizon unsettled.
         horizon = jnp.max(self.delay) + self.lateness - SAME_TIME
-        # The buffer holds `length` readings of each group: older ones are settled.
-        settled = (age >= horizon.astype(age.dtype)) | (jnp.arange(len(age)) < len(self.groups))
-        before = jnp.minimum(jnp.concatenate([state.known_age[None], age[:-1]]), state.known_age)
+        # Of more readings than wait in the buffer, the oldest are settled.
+        settled = (age >= horizon.astype(age.dtype)) | (jnp.arange(len(age)) < len(age) - self.waiting)
+        before = jnp.minimum(jnp.concatenate([state.age_of_known[None], age[:-1]]), state.age_of_known)
         row_u = jax.vmap(lambda a, b: _mean_input(state, a, b))(before, age)
-        # From the last reading the model runs on, input by input, to the stamp.
-        last = jnp.minimum(state.known_age, jnp.min(age))
-        ahead = jnp.where(state.stamp < last, state.stamp, jnp.inf)
-        never = jnp.zeros((len(ahead), current.shape[1]), bool)
-        items = (
-            jnp.concatenate([age, ahead]),
-            jnp.concatenate([row_u, state.u]),
-            jnp.concatenate([readings, jnp.full((len(ahead), *y.shape), jnp.nan, y.dtype)]),
-            jnp.concatenate([current, never]),
-            jnp.concatenate([settled, never[:, 0]]),
-        )
-        _, shape = eqx.filter_eval_shape(self.observer.step, state.known, state.u[0], y, state.t)
+        _, shape = eqx.filter_eval_shape(self.observer.advance, state.known, state.u[0], y, state.t)
         blank = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shape)
-        start = (state.known, state.known_age, state.known, state.known_age, blank, blank)
-        (now, _, known, known_age, summary, latest), _ = jax.lax.scan(self._scan_item, start, items)
-        result = jnp.where(too_late, jnp.maximum(summary.result, int(Result.TOO_LATE)), summary.result)
-        summary = summary._replace(result=result)
-        if "velocity_std" in summary._fields:
-            summary = summary._replace(velocity_std=latest.velocity_std)
-        # The sample added one row per group; as many of the oldest, or empty ones, leave.
-        recent = slice(len(self.groups), None)
+        start = _Replay(state.known, state.age_of_known, state.known, state.age_of_known, blank, _std_of(blank))
+        carry, _ = jax.lax.scan(self._scan_reading, start, (age, row_u, readings, current, settled))
+        carry = self._to_now(carry, state, y)
+        result = jnp.where(too_late, jnp.maximum(carry.info.result, int(Result.TOO_LATE)), carry.info.result)
+        info = carry.info._replace(result=result)
+        if carry.std is not None:
+            info = info._replace(velocity_std=carry.std)
+        # The sample added rows; as many of the oldest, or empty ones, leave.
+        recent = slice(len(age) - self.waiting, None)
         age = jnp.where(settled, jnp.inf, age)
-        return state._replace(now=now, known=known, known_age=known_age, age=age[recent], y=readings[recent]), summary
+        new = state._replace(now=carry.state, known=carry.known, age_of_known=carry.age_of_known)
+        return new._replace(age=age[recent], y=readings[recent]), info
+
+    def _to_now(self, carry: "_Replay", state: DelayedState, y: Array) -> "_Replay":
+        """From the last reading the model runs on, input by input, to the stamp."""
+        if not self.ahead:
+            return carry
+        ages, inputs = state.stamp[-self.ahead :], state.u[-self.ahead :]
+        # Where samples come faster than `rate`, the first of these predictions covers those that are left out.
+        inputs = jnp.concatenate([_mean_input(state, carry.age, ages[0])[None], inputs[1:]])
+
+        def predicted(carry, item):
+            age, u = item
+            new, info = self.observer.advance(carry.state, u, jnp.full(y.shape, jnp.nan, y.dtype), carry.age - age)
+            code = jnp.asarray(info.result, carry.info.result.dtype)
+            # That nothing is measured here is no fault.
+            worse = jnp.where(code == int(Result.NOT_FINITE), jnp.maximum(carry.info.result, code), carry.info.result)
+            return carry._replace(state=new, age=age, info=carry.info._replace(result=worse), std=_std_of(info))
+
+        def turn(carry, item):
+            return jax.lax.cond(item[0] < carry.age, predicted, lambda carry, _: carry, carry, item), None
+
+        return jax.lax.scan(turn, carry, (ages, inputs))[0]
 
     def _insert(self, state: DelayedState, y: Array, sample_age: Scalar):
-        """Insert a sample into the buffer, the oldest reading first.
+        """Insert a sample into the buffer, the oldest reading first; empty entries have the age ∞ and come before it.
 
         Coordinates that were true at the time of a reading already there complete it. Returns the ages, the readings,
         which entries belong to the sample, and whether one of them was too old.
@@ -280,35 +293,70 @@ class Delayed(AbstractObserver):
             part = jnp.where(_with_axes(in_group, y), y, jnp.nan)
             at = sample_age + self.delay[group[0]].astype(age.dtype)
             distance = jnp.abs(age - at)
-            same_time = (distance <= SAME_TIME) & (jnp.arange(len(age)) == jnp.argmin(distance))
-            too_old = (at > jnp.minimum(state.known_age, state.stamp[0])) & ~jnp.any(same_time)
+            same_time = (distance <= SAME_TIME) & (distance == jnp.min(distance, initial=jnp.inf))
+            completes = jnp.any(same_time)
+            too_old = (at > jnp.minimum(state.age_of_known, state.stamp[0])) & ~completes
             too_late = too_late | (too_old & jnp.any(jnp.isfinite(part)))
             fill = _with_axes(same_time, readings) & jnp.isfinite(part)[None]
-            readings = jnp.concatenate([jnp.where(fill, part[None], readings), part[None]])
-            age = jnp.append(age, jnp.where(jnp.any(same_time) | too_old, jnp.inf, at))
-            current = jnp.concatenate([current | (same_time[:, None] & in_group[None]), in_group[None]])
-        # Empty entries have the age ∞ and come first.
-        order = jnp.argsort(-age)
-        return age[order], readings[order], current[order], too_late
+            readings, current = jnp.where(fill, part[None], readings), current | (same_time[:, None] & in_group[None])
+            at = jnp.where(completes | too_old, jnp.inf, at)
+            older = age >= at
+            readings, current = _inserted(readings, part, older), _inserted(current, in_group, older)
+            age = _inserted(age, at, older)
+        return age, readings, current, too_late
 
-    def _scan_item(self, carry, item):
-        """One reading processed, or one prediction; nothing where the entry is empty."""
-        return jax.lax.cond(jnp.isfinite(item[0]), self._step, lambda carry, item: carry, carry, item), None
+    def _scan_reading(self, carry: "_Replay", item):
+        """One reading processed; nothing where the entry is empty."""
+        return jax.lax.cond(jnp.isfinite(item[0]), self._read, lambda carry, item: carry, carry, item), None
 
-    def _step(self, carry, item):
-        state, at, known, known_age, summary, _ = carry
+    def _read(self, carry: "_Replay", item) -> "_Replay":
         age, u, y, current, settled = item
-        state, info = self.observer.step(state, u, y, at - age)
-        known, known_age = jax.tree.map(lambda new, old: jnp.where(settled, new, old), (state, age), (known, known_age))
+        state, info = self.observer.advance(carry.state, u, y, carry.age - age)
+        known, age_of_known = jax.tree.map(
+            lambda new, old: jnp.where(settled, new, old), (state, age), (carry.known, carry.age_of_known)
+        )
         # Coordinates that are read at other times are not missing: only what the sample itself lacks is.
         complete = ~jnp.any(jnp.isnan(y) & _with_axes(current, y))
         code = jnp.where(complete & (info.result == int(Result.COASTED)), int(Result.OK), info.result)
         counts = jnp.any(current) | (code == int(Result.NOT_FINITE))
-        result = jnp.where(counts, jnp.maximum(summary.result, jnp.asarray(code, summary.result.dtype)), summary.result)
-        innovation = jnp.where(current, info.innovation, summary.innovation)
-        newest = jax.tree.map(lambda new, old: jnp.where(jnp.any(current), new, old), info, summary)
+        before = carry.info.result
+        result = jnp.where(counts, jnp.maximum(before, jnp.asarray(code, before.dtype)), before)
+        innovation = jnp.where(current, info.innovation, carry.info.innovation)
+        newest = jax.tree.map(lambda new, old: jnp.where(jnp.any(current), new, old), info, carry.info)
         summary = newest._replace(innovation=innovation, result=result)
-        return state, age, known, known_age, summary, info
+        return _Replay(state, age, known, age_of_known, summary, _std_of(info))
+
+
+class _Replay(NamedTuple):
+    """What goes from reading to reading: the inner state and its age, the last settled ones, the info of the sample.
+
+    `std` are the standard deviations of the last velocity, None where the observer reports none.
+    """
+
+    state: Any
+    age: Scalar
+    known: Any
+    age_of_known: Scalar
+    info: Any
+    std: Any
+
+
+def _std_of(info: Any) -> Any:
+    return getattr(info, "velocity_std", None)
+
+
+def _rows(time: float, rate: float) -> int:
+    """Most samples in a time [s]; 1e-9 keeps rounding from adding one where time times rate is a whole number."""
+    return math.ceil(time * rate - 1e-9)
+
+
+def _inserted(rows: Array, row: Array, older: Bool[Array, "L"]) -> Array:
+    """The rows with another one behind those that are `older`, which come first."""
+    stays = _with_axes(jnp.pad(older, (0, 1)), rows)
+    # The first place is free for a row that is older than all others.
+    follows = _with_axes(jnp.pad(older, (1, 0), constant_values=True), rows)
+    kept, moved = (jnp.concatenate(pair) for pair in ((rows, row[None]), (row[None], rows)))
+    return jnp.where(stays, kept, jnp.where(follows, row[None], moved))
 
 
 def _with_axes(flags: Bool[Array, "k"], like: Array) -> Array:

@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 from typing import Any
 
-from covariant import models
-from covariant.calibration import Diagnosis, Finding, diagnose
+from covariant import logs, models
+from covariant.calibration import Diagnosis, Finding, diagnose, mended_clock
 from covariant.models import Overrides
 from covariant.workflow._inputs import ColumnNames, Job, load
 from covariant.workflow._progress import Progress, silent
@@ -22,7 +22,7 @@ def check(
     columns: ColumnNames | None = None,
     progress: Progress = silent,
 ) -> "CheckResult":
-    """Compare a log with a model: units, order and signs of columns, delays, ticks, noise, outliers, gaps.
+    """Compare a log with a model: clock, units, order and signs of columns, delays, ticks, noise, outliers, gaps.
 
     Args:
         model: A mechanical model, in any of the forms that `estimate` takes.
@@ -55,10 +55,16 @@ def check(
     """
     job = Job(model, log, overrides, every, until, columns or {}, True, start)
     progress(f"comparing {job.log_name} with {job.model_name}")
-    loaded = load(job, score=False, why="logs are compared with")
+    clock: tuple[Finding, ...] = ()
+    try:
+        loaded = load(job, score=False, why="logs are compared with")
+    except logs.ClockError as error:
+        record, clock = mended_clock(error.record)
+        loaded = load(job._replace(log=record), score=False, why="logs are compared with")
     # The quantum is that of the model file: loading removes it where positions are not such ticks.
     quantum = models.load(model, overrides).quantum
     diagnosis = diagnose(loaded.file, loaded.log.record, quantum, loaded.log.first_row, loaded.log.every)
+    diagnosis = diagnosis._replace(findings=(*clock, *diagnosis.findings))
     return CheckResult(job.model_name, job.log_name, len(loaded.log.record.t), loaded.rate, diagnosis)
 
 

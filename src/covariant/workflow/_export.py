@@ -263,7 +263,8 @@ def _program(
 ) -> Program:
     """The graphs of the observer, with the numbers of the model file open or, where there are none, its arrays."""
     recipe = of_family(observer, family) if family is not None else _recipe(observer, parameters)
-    inputs, closed = len(file.columns.u), parameters is not None and not parameters
+    # None: as many as the model has, which a log of free flight does not name.
+    inputs, closed = len(file.columns.u) or None, parameters is not None and not parameters
     try:
         return program(recipe, y, inputs, real, loops)  # pyright: ignore[reportArgumentType]
     except LoweringError as error:
@@ -334,7 +335,7 @@ def _of_fixed_length(exported: Exported, rate: float, file: ModelFile) -> Abstra
     speed = 3.0 if sheet is None else np.broadcast_to(sheet.speeds, file.dimension)
     # The sign of v alternates from row to row.
     v = np.broadcast_to(speed, (len(q), file.dimension)) * np.sign(np.arange(len(q)) % 2 - 0.5)[:, None]
-    inputs = jnp.zeros((len(q), len(file.columns.u)))
+    inputs = jnp.zeros((len(q), models.input_count(file.model, file.dimension)))
     return with_fixed_substeps(observer, rate, jnp.asarray(q), jnp.asarray(v), inputs)
 
 

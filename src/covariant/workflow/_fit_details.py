@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from covariant.calibration import Fit, PredictionErrors, RobotFit, growth
+from covariant.calibration import Fit, PredictionErrors, RobotFit, growth, held_out_logs
 from covariant.signals import Record
 from covariant.workflow._aligned import Aligned
 from covariant.workflow._inputs import Job, coordinates
@@ -106,7 +106,7 @@ def fit_details(
     return {
         "model": jobs[0].model_name,
         "logs": [job.log_name for job in jobs],
-        "held_out": jobs[-1].log_name if len(jobs) > 1 else f"the last third of {jobs[0].log_name}",
+        "held_out": _held_out(jobs, logs, length),
         "horizon": float(f"{length:.4g}"),
         "scored_against": reference.label if reference else None,
         "parameters": [
@@ -128,3 +128,11 @@ def fit_details(
         "growth": float(f"{ratio:.4g}") if np.isfinite(ratio) else None,
         "better": bool(ratio <= WORST_GROWTH),
     }
+
+
+def _held_out(jobs: list[Job], logs: list[Aligned], length: float) -> str:
+    """What is held out, in words."""
+    if len(jobs) == 1:
+        return f"the last third of {jobs[0].log_name}"
+    count = held_out_logs([np.asarray(log.raw.t) for log in logs], length)
+    return jobs[-1].log_name if count == 1 else f"the last {count} logs"

@@ -62,7 +62,7 @@ def fit_robot_to_logs(
     logs = [aligned(job._replace(anyway=True)) for job in jobs]
     file, references = logs[0].loaded.file, [log.loaded.reference.v for log in logs if log.loaded.reference]
     part = 1 - FITTED if len(jobs) == 1 else 1.0
-    length = horizon(logs[0].raw, references[0], part) if length is None else length
+    length = horizon(logs[0].raw, references[0], part, len(logs)) if length is None else length
     stated = file.input_between != BETWEEN[0] or "between" in models.document(spec, overrides).get("inputs", {})
     tried = BETWEEN if not stated and driven([log.raw for log in logs]) else (file.input_between,)
     records = {word: [_acting(log, word) for log in logs] for word in tried}
@@ -72,7 +72,7 @@ def fit_robot_to_logs(
         held_out = {word: split(records[word], references, length)[1] for word in tried}
         for k, word in enumerate(tried):
             report = _reporter(progress, k, len(tried), word if len(tried) > 1 else "")
-            start = fits[word] = fit_robot(family, _fitted(records[word]), file.reference_half, report, start)
+            start = fits[word] = fit_robot(family, _fitted(records[word], length), file.reference_half, report, start)
     except ValueError as error:
         raise ValueError(f"{', '.join(job.log_name for job in jobs)}: {error}") from error
     progress("errors on what is held out", 1.0)
@@ -92,10 +92,10 @@ def _acting(log: Aligned, between: str) -> Record:
     return acting_inputs(lag_inputs(log.raw, log.loaded.file.input_lag), between, log.late)
 
 
-def _fitted(records: Sequence[Record]) -> list[Record]:
-    """What a fit sees: all logs but the last, or the first part of a single one."""
+def _fitted(records: Sequence[Record], length: float) -> list[Record]:
+    """What a fit sees: all logs but those that are held out, or the first part of a single one."""
     if len(records) > 1:
-        return list(records[:-1])
+        return list(records[: -held_out_logs([np.asarray(record.t) for record in records], length)])
     t, u, y = (np.asarray(column) for column in (records[0].t, records[0].u, records[0].y))
     seen = t < t[0] + FITTED * (t[-1] - t[0])
     return [Record(t[seen], u[seen], y[seen])]

@@ -55,7 +55,7 @@ def fit_to_logs(
     file, references = logs[0].loaded.file, [log.loaded.reference.v for log in logs if log.loaded.reference]
     # Of a single log the held-out third must hold enough windows too.
     part = 1 - FITTED if len(jobs) == 1 else 1.0
-    length = horizon(logs[0].raw, references[0], part) if length is None else length
+    length = horizon(logs[0].raw, references[0], part, len(logs)) if length is None else length
     known = file.input_between != BETWEEN[0] or "between" in models.document(spec, overrides).get("inputs", {})
     tried = BETWEEN if not known and driven([log.raw for log in logs]) else (file.input_between,)
     try:

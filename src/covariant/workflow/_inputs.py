@@ -154,7 +154,7 @@ def load(job: Job, score: bool = True, why: str = "") -> Loaded:
     file = file._replace(columns=columns)
     # Columns that the model file names may be absent from this log; those that the caller names may not.
     optional = [field for field in logs.OPTIONAL if not named.get(field)]
-    log = logs.read(job.log, columns, job.every, job.until, job.start, optional)
+    log = _with_zero_inputs(file, logs.read(job.log, columns, job.every, job.until, job.start, optional))
     if not job.anyway:
         _refuse_misfit(job, file, log.record)
     record = acting_inputs(lag_inputs(log.record, file.input_lag), file.input_between, file.input_delay)
@@ -177,6 +177,14 @@ def load(job: Job, score: bool = True, why: str = "") -> Loaded:
         reference = ReferenceVelocity(*_slopes(file, log, full), scoring.scored_window(t))
     # The median interval: a gap in the log does not change the rate.
     return Loaded(file, model, log, record, 1 / float(np.median(np.diff(t))), reference, note + _delay_note(file))
+
+
+def _with_zero_inputs(file: models.ModelFile, log: logs.Log) -> logs.Log:
+    """The log with inputs that are zero where the model file names no columns of them, as of a body in free flight."""
+    if file.columns.u or not file.mechanical or file.model.manifold.commuting:
+        return log
+    count = models.input_count(file.model, file.dimension)
+    return log._replace(record=log.record._replace(u=np.zeros((len(log.record.t), count))))
 
 
 def column_names(columns: str | Sequence[str]) -> tuple[str, ...]:

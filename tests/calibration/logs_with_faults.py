@@ -1,0 +1,321 @@
+"""Simulated logs of several machines, right or with one fault, for counting what `diagnose` says of them.
+
+A machine is integrated by Runge and Kutta's method with `STEPS` steps a row, under inputs that are held between rows or
+go linearly; nothing of the library's smoothing or fitting is used.
+"""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from covariant.models import ModelFile, acceleration, load
+from covariant.signals import Record
+
+ROWS, PERIOD, STEPS = 1500, 0.004, 8
+
+
+class Machine(NamedTuple):
+    """A machine: its model, the size of its inputs, and how far from zero it starts."""
+
+    model: str
+    overrides: tuple[str, ...]
+    push: tuple[float, ...]
+    start: float
+
+
+MACHINES = {
+    "pendulum": Machine("examples/dfki_simple_pendulum.toml", ("inputs.lag=0",), (3.0,), 2.0),
+    "double pendulum": Machine("examples/demo_double_pendulum.toml", (), (0.4, 0.2), 2.0),
+    "oscillator": Machine("oscillator", (), (1.0,), 1.0),
+}
+
+
+class Made(NamedTuple):
+    """A log with the model file that describes it, and the exact positions at its stamps."""
+
+    file: ModelFile
+    record: Record
+    exact: np.ndarray
+    quantum: float
+    std: float
+
+
+@eqx.filter_jit
+def _moved(model, t, u, slope, start):
+    """States (T, 2n) at the stamps; within a row the input is u + slope (t − stamp)."""
+    n = start.shape[0] // 2
+
+    def flow(t, x, u):
+        return jnp.concatenate([x[n:], acceleration(model, t, x[:n], x[n:], u)])
+
+    def row(x, item):
+        begin, h, u, slope = item
+
+        def step(k, x):
+            now, half = begin + k * h, h / 2
+            acting = [u + slope * (k * h + s) for s in (0.0, half, h)]
+            a = flow(now, x, acting[0])
+            b = flow(now + half, x + half * a, acting[1])
+            c = flow(now + half, x + half * b, acting[1])
+            d = flow(now + h, x + h * c, acting[2])
+            return x + h / 6 * (a + 2 * b + 2 * c + d)
+
+        new = jax.lax.fori_loop(0, STEPS, step, x)
+        return new, new
+
+    h = jnp.diff(t) / STEPS
+    return jnp.concatenate([start[None], jax.lax.scan(row, start, (t[:-1], h, u[:-1], slope))[1]])
+
+
+def inputs(random: np.random.Generator, t: np.ndarray, sizes: tuple[float, ...], fast: bool) -> np.ndarray:
+    """Sums of sines, or values that jump every few rows."""
+    count = len(sizes)
+    if fast:
+        every = int(random.integers(1, 6))
+        values = random.uniform(-1, 1, (len(t) // every + 1, count))
+        return np.repeat(values, every, axis=0)[: len(t)] * sizes
+    phases = random.uniform(0, 2 * np.pi, (3, count))
+    speeds = np.array([2.0, 5.0, 11.0])[:, None]
+    return sizes * np.mean(np.sin(speeds[:, None] * t[None, :, None] + phases[:, None]), axis=0)
+
+
+def made(
+    name: str,
+    seed: int,
+    fast: bool = False,
+    between: str = "held",
+    counts: float = 0,
+    std: float | None = None,
+    push: float = 1.0,
+) -> Made:
+    """A log without a fault.
+
+    Args:
+        name: Key of `MACHINES`.
+        seed: Seed of start, inputs, noise, jitter and missing cells.
+        fast: Whether inputs jump every few rows.
+        between: How inputs go from row to row, which the model file says.
+        counts: Counts of the encoders a turn; 0 for noise instead.
+        std: Noise of the sensors; None for one between 3e-5 and 2e-3.
+        push: Size of the inputs, in those of the machine.
+    """
+    machine, random = MACHINES[name], np.random.default_rng(seed)
+    std = 10 ** random.uniform(-4.5, -2.8) if std is None else std
+    sensor = f"measurement.quantum={2 * np.pi / counts}" if counts else f"measurement.std={std}"
+    other = f'inputs.between="{between}"'
+    file = load(machine.model, (*machine.overrides, sensor, other))
+    if not counts:
+        file = file._replace(quantum=None)
+    t = PERIOD * np.arange(ROWS)
+    t = t + random.uniform(-0.05, 0.05, ROWS) * PERIOD * (seed % 2)
+    u = push * inputs(random, t, machine.push, fast)
+    slope = np.diff(u, axis=0) / np.diff(t)[:, None] * (between == "linear")
+    start = random.uniform(-machine.start, machine.start, 2 * file.dimension)
+    exact = np.asarray(_moved(file.model, *map(jnp.asarray, (t, u, slope, start))))[:, : file.dimension]
+    y = sensed(random, exact, 2 * np.pi / counts if counts else 0.0, std)
+    y[1:][random.random((ROWS - 1, y.shape[1])) < 0.02 * (seed % 3 == 1)] = np.nan
+    names = [f"{letter}{i + 1}" for letter, n in (("q", y.shape[1]), ("u", u.shape[1])) for i in range(n)]
+    columns = file.columns._replace(q=tuple(names[: y.shape[1]]), u=tuple(names[y.shape[1] :]))
+    return Made(file._replace(columns=columns), Record(t, u, y), exact, 2 * np.pi / counts if counts else 0.0, std)
+
+
+def sensed(random: np.random.Generator, exact: np.ndarray, quantum: float, std: float) -> np.ndarray:
+    """Positions as encoders of this step, or sensors with this noise, read them."""
+    return np.round(exact / quantum) * quantum if quantum else exact + random.normal(0, std, exact.shape)
+
+
+def rows_late(y: np.ndarray, column: int, rows: int) -> np.ndarray:
+    """The positions with one column moved down by some rows."""
+    y = y.copy()
+    y[rows:, column] = y[: len(y) - rows, column]
+    return y
+
+
+def seconds_late(t: np.ndarray, values: np.ndarray, columns: list[int], time: float) -> np.ndarray:
+    """Values with some columns late by a time [s], interpolated linearly."""
+    values = values.copy()
+    for i in columns:
+        seen = np.isfinite(values[:, i])
+        values[:, i] = np.interp(t - time, t[seen], values[seen, i])
+    return values
+
+
+class Fault(NamedTuple):
+    """A log with one fault.
+
+    Attributes:
+        file: The model file.
+        record: The log.
+        names: Findings, any of which names the fault.
+        where: Column that the finding has to name; "" for any.
+        shows: Whether the fault is larger than the noise.
+    """
+
+    file: ModelFile
+    record: Record
+    names: tuple[str, ...]
+    where: str = ""
+    shows: bool = True
+
+
+def _moved_positions(made: Made, y: np.ndarray, names: tuple[str, ...], where: str = "") -> Fault:
+    noise = made.quantum / np.sqrt(12) or made.std
+    change = np.sqrt(np.nanmean((y - made.record.y) ** 2, axis=0)).max()
+    return Fault(made.file, made.record._replace(y=y), names, where, bool(change > 3 * noise))
+
+
+def row_shift(made: Made, random: np.random.Generator, joint: int) -> Fault:
+    y = rows_late(made.record.y, joint, int(random.integers(1, 4)))
+    return _moved_positions(made, y, ("delay", "row shift"), f"q{joint + 1}")
+
+
+def delay(made: Made, random: np.random.Generator, joint: int) -> Fault:
+    late = seconds_late(made.record.t, made.exact, [joint], PERIOD * random.uniform(1.2, 4))
+    y = sensed(random, late, made.quantum, made.std)
+    return _moved_positions(made, y, ("delay", "row shift"), f"q{joint + 1}")
+
+
+def common_delay(made: Made, random: np.random.Generator, joint: int) -> Fault:
+    n = made.exact.shape[1]
+    late = seconds_late(made.record.t, made.exact, list(range(n)), PERIOD * random.uniform(2, 5))
+    return _moved_positions(made, sensed(random, late, made.quantum, made.std), ("delay against the inputs",))
+
+
+def sign_of_an_input(made: Made, random: np.random.Generator, joint: int) -> Fault:
+    u = made.record.u * np.where(np.arange(made.record.u.shape[1]) == joint, -1, 1)
+    # Of a single joint the sign of the angle does the same.
+    return Fault(made.file, made.record._replace(u=u), ("sign of an input", "sign of a position"))
+
+
+def sign_of_a_position(made: Made, random: np.random.Generator, joint: int) -> Fault:
+    y = made.record.y * np.where(np.arange(made.record.y.shape[1]) == joint, -1, 1)
+    return Fault(made.file, made.record._replace(y=y), ("sign of a position",))
+
+
+def degrees(made: Made, random: np.random.Generator, joint: int) -> Fault:
+    return Fault(made.file, made.record._replace(y=np.rad2deg(made.record.y)), ("unit of positions",))
+
+
+def milliseconds(made: Made, random: np.random.Generator, joint: int) -> Fault:
+    return Fault(made.file, made.record._replace(t=1e3 * made.record.t), ("unit of time",))
+
+
+def gravity(made: Made, random: np.random.Generator, joint: int) -> Fault:
+    """Gravity with the other sign is the zero of the first angle half a turn on."""
+    name = "pendulum" if made.exact.shape[1] == 1 else "double pendulum"
+    turned = load(MACHINES[name].model, (*MACHINES[name].overrides, "parameters.gravity=-9.81")).model
+    return Fault(made.file._replace(model=turned), made.record, ("zero of a position",))
+
+
+def other_inputs(made: Made, random: np.random.Generator, joint: int) -> Fault:
+    other = {"held": "linear", "linear": "held"}[made.file.input_between]
+    return Fault(made.file._replace(input_between=other), made.record, ("inputs between rows",))
+
+
+def inputs_after_they_acted(made: Made, random: np.random.Generator, joint: int) -> Fault:
+    u = np.concatenate([made.record.u[:1], made.record.u[:-1]])
+    return Fault(made.file, made.record._replace(u=u), ("inputs between rows", "delay against the inputs"))
+
+
+def many_outliers(made: Made, random: np.random.Generator, joint: int) -> Fault:
+    bad = random.random(made.record.y.shape) < 0.03
+    bad[:3] = False
+    y = made.record.y + bad * (0.3 + np.abs(random.normal(0, 0.5, bad.shape)))
+    return Fault(made.file, made.record._replace(y=y), ("outliers",))
+
+
+def swapped_positions(made: Made, random: np.random.Generator, joint: int) -> Fault:
+    return Fault(made.file, made.record._replace(y=made.record.y[:, ::-1]), ("swapped positions",))
+
+
+def swapped_joints(made: Made, random: np.random.Generator, joint: int) -> Fault:
+    y, u = made.record.y[:, ::-1], made.record.u[:, ::-1]
+    return Fault(made.file, made.record._replace(y=y, u=u), ("swapped joints",))
+
+
+def scale(made: Made, random: np.random.Generator, joint: int) -> Fault:
+    return Fault(made.file, made.record._replace(u=2 * made.record.u), ("scale of an input",))
+
+
+def gap(made: Made, random: np.random.Generator, joint: int) -> Fault:
+    kept = np.ones(ROWS, bool)
+    first = int(random.integers(200, 1200))
+    kept[first : first + int(random.integers(5, 60))] = False
+    return Fault(made.file, Record(*(a[kept] for a in made.record[:3])), ("missing rows",))
+
+
+def held_readings(made: Made, random: np.random.Generator, joint: int) -> Fault:
+    y = made.record.y[np.arange(ROWS) // 4 * 4]
+    return Fault(made.file, made.record._replace(y=y), ("repeated rows",))
+
+
+def clock_forward(made: Made, random: np.random.Generator, joint: int) -> Fault:
+    t = made.record.t + 0.4 * (np.arange(ROWS) >= int(np.argmax(np.abs(np.diff(made.exact[200:1200, 0])))) + 200)
+    return Fault(made.file, made.record._replace(t=t), ("clock set forward",))
+
+
+ANGLES, ALL, TWO = ("pendulum", "double pendulum"), tuple(MACHINES), ("double pendulum",)
+FAULTS = {
+    "row shift": (row_shift, TWO),
+    "delay": (delay, TWO),
+    "common delay": (common_delay, ALL),
+    "sign of an input": (sign_of_an_input, ALL),
+    "sign of a position": (sign_of_a_position, TWO),
+    "degrees": (degrees, ANGLES),
+    "milliseconds": (milliseconds, ALL),
+    "gravity": (gravity, ANGLES),
+    "other inputs": (other_inputs, ALL),
+    "inputs after they acted": (inputs_after_they_acted, ALL),
+    "outliers": (many_outliers, ALL),
+    "swapped positions": (swapped_positions, TWO),
+    "swapped joints": (swapped_joints, TWO),
+    "scale": (scale, ALL),
+    "gap": (gap, ALL),
+    "held readings": (held_readings, ALL),
+    "clock set forward": (clock_forward, ALL),
+}
+"""Faults by name, and the machines that can have them."""
+CLEAN = ("other inputs", "inputs after they acted")
+"""Faults of half a row or one: their logs are of good sensors and of strong inputs that jump."""
+STRONG = 4.0
+"""Size of these inputs, in those of the machine."""
+TICKLESS = ("held readings",)
+"""Faults that ticks look like: their logs are of sensors with noise."""
+
+
+def without_fault(seed: int) -> Made:
+    """A log without faults: machine, inputs, sensors and what goes on between rows depend on the seed."""
+    random = np.random.default_rng(1000 + seed)
+    fast, between = bool(random.random() < 0.4), "linear" if random.random() < 0.4 else "held"
+    counts = (0, 0, 52, 128, 256, 1024, 4096)[int(random.integers(7))]
+    return made(ALL[seed % len(ALL)], seed, fast, between, counts)
+
+
+def with_fault(kind: str, seed: int) -> Fault:
+    """A log with a fault that shows, the first one from this seed on."""
+    change, machines = FAULTS[kind]
+    while True:
+        random = np.random.default_rng(5000 + seed)
+        fast = kind in (*CLEAN, "common delay") or bool(random.random() < 0.3)
+        between = "linear" if random.random() < 0.3 else "held"
+        counts = 0 if kind in (*CLEAN, *TICKLESS) else (0, 0, 1024, 4096)[int(random.integers(4))]
+        std, push = (2e-5, STRONG) if kind in CLEAN else (None, 1.0)
+        log = made(machines[seed % len(machines)], seed, fast, between, counts, std, push)
+        fault = change(log, random, int(random.integers(log.exact.shape[1])))
+        if fault.shows:
+            return fault
+        seed += 100
+
+
+def alarms(found: list, what: tuple[str, ...] = ()) -> list[str]:
+    """The findings that are wrong, beside those that are expected."""
+    return [f"{each.what} {each.where}: {each.evidence}" for each in found if each.wrong and each.what not in what]
+
+
+def named(found: list, fault: Fault) -> bool:
+    """Whether the fault is named, and nothing else is called wrong."""
+    right = [each for each in found if each.what in fault.names and fault.where in ("", each.where)]
+    return bool(right) and not alarms(found, fault.names)

@@ -1,0 +1,60 @@
+"""How often `check` calls a log wrong that is right, and how often it names what is wrong with one."""
+
+import numpy as np
+import pytest
+from logs_with_faults import FAULTS, alarms, named, with_fault, without_fault
+
+from covariant.calibration import diagnose, misfit
+from covariant.models import ModelFile, free_body
+from covariant.signals import Record
+
+MOST_ALARMS, MOST_MISSED = 0.01, 0.05
+"""Largest fractions of logs without faults that are called wrong, and of faults that are not named."""
+LONG_ALARMS, LONG_EACH = 100, 6
+"""Logs without faults, and logs with each fault, in the long suite."""
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2, 8, 11, 20, 25, 31, 36, 56])
+def test_a_log_without_faults_is_not_called_wrong(seed):
+    """Those that had been called wrong, with coarse encoders and inputs that jump, are among them."""
+    log = without_fault(seed)
+    assert alarms(list(diagnose(log.file, log.record).findings)) == []
+    assert misfit(log.file, log.record) is None
+
+
+@pytest.mark.parametrize("kind", ["row shift", "other inputs", "inputs after they acted", "degrees", "common delay"])
+def test_a_fault_is_named(kind):
+    fault = with_fault(kind, 0)
+    found = list(diagnose(fault.file, fault.record).findings)
+    assert named(found, fault), found
+
+
+@pytest.mark.long
+def test_false_alarms_are_rare():
+    wrong = []
+    for seed in range(LONG_ALARMS):
+        log = without_fault(seed)
+        found = alarms(list(diagnose(log.file, log.record).findings))
+        if found or misfit(log.file, log.record):
+            wrong.append((seed, found))
+    print(f"{len(wrong)} of {LONG_ALARMS} logs without faults are called wrong: {wrong}")
+    assert len(wrong) <= MOST_ALARMS * LONG_ALARMS, wrong
+
+
+@pytest.mark.long
+def test_most_faults_are_named():
+    missed = []
+    for kind in FAULTS:
+        for seed in range(LONG_EACH):
+            fault = with_fault(kind, seed)
+            found = list(diagnose(fault.file, fault.record).findings)
+            if not named(found, fault):
+                missed.append((kind, seed, [(each.what, each.where) for each in found if each.wrong]))
+    print(f"{len(missed)} of {len(FAULTS) * LONG_EACH} faults are not named: {missed}")
+    assert len(missed) <= MOST_MISSED * len(FAULTS) * LONG_EACH, missed
+
+
+def test_of_a_body_on_a_group_nothing_is_called_wrong():
+    turned = np.tile(np.eye(3), (100, 1, 1))
+    record = Record(0.01 * np.arange(100), np.zeros((100, 3)), turned)
+    assert diagnose(ModelFile("body", free_body((1.0, 2.0, 3.0))), record).findings == ()
