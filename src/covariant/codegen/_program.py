@@ -348,8 +348,7 @@ def trace_program(
     kinds = structures["state"]
     state = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape, dtype), kinds)
 
-    # Counts and truth values, real numbers in the code, get their types back here.
-    def typed(state):
+    def typed(state):  # counts and truth values, real numbers in the code, get their types back here
         return jax.tree.map(lambda a, kind: a.astype(kind.dtype), state, kinds)
 
     def step(numbers, state, u, y, dt):

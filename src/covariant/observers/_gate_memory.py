@@ -43,7 +43,7 @@ class Line(NamedTuple):
             That of a difference of two readings, one or two steps apart, and of the bend of the line: the one between
             three readings, and `BEND` as expected of any line.
         """
-        over = jnp.sqrt(scale) * jnp.where(self.refused > 1, 0.5**0.5, 2**0.5) / self.step
+        over = jnp.sqrt(jnp.where(self.refused > 1, scale / 2, 2 * scale)) / self.step
         bends = jnp.stack([self.bend / self.step, BEND * self.slope])
         return noise * jnp.outer(over, over) + bends.T @ bends
 

@@ -12,6 +12,7 @@ from covariant.calibration import (
     RobotFit,
     Windows,
     fit_robot,
+    held_out_logs,
     horizon,
     prediction_errors,
     split,
