@@ -42,7 +42,8 @@ def errors_ahead(
         substeps: Runge–Kutta steps in each sample; by default none is longer than 10 ms.
 
     Returns:
-        Measured minus predicted configurations (K, h, n) in the frame; NaN where missing, or beyond a gap.
+        Measured minus predicted configurations (K, h, n) in the frame; NaN where missing, or beyond a gap,
+        and infinite where the estimate or the prediction is not finite.
 
     Raises:
         ValueError: No row is followed by h others of the selection.
@@ -83,6 +84,7 @@ def _errors(model: MechanicalSystem, data: Any, motion: Motion, starts: Array, h
         def step(now, j):
             after = advance(model, t[j], now, u[j], t[j + 1] - t[j], substeps)
             error = model.manifold.towards(after.q, y[j + 1])
+            error = jnp.where(jnp.isfinite(error), error, jnp.inf)
             return after, jnp.where(model.manifold.missing(y[j + 1]), jnp.nan, error)
 
         return jax.lax.scan(step, Motion(motion.q[k], motion.v[k]), k + jnp.arange(horizon))[1]

@@ -18,6 +18,7 @@ from jaxtyping import Bool, Float
 
 from covariant.calibration._ahead import FAR, errors_ahead, mean_square, size
 from covariant.calibration._error_model import ErrorModel, Filtered, NoiseLevels
+from covariant.calibration._gains import predict_sampled_errors
 from covariant.calibration._tuning_log import Runs, TuningLog, intrinsic
 from covariant.models import MechanicalSystem, Motion
 from covariant.signals import Record
@@ -127,7 +128,7 @@ def candidates(
     gain = np.concatenate([np.asarray(each.gain)[rows] for each, rows in zip(filtered, whole, strict=True)])
     found = {
         "rule": (float(grid[at]), USUAL),
-        "sampled design": as_poles(*_stationary(std, float(density[at]), rate), rate),
+        "sampled design": sampled_design(std, max(float(density[at]), 1e-12 * std**2 * rate**3), rate),
         "Kalman filter": as_poles(*np.mean(gain[len(gain) // 10 :], axis=0), rate),
     }
     return {name: (_within(w / rate, FREQUENCIES) * rate, _within(z, DAMPINGS)) for name, (w, z) in found.items()}
@@ -152,17 +153,27 @@ def as_poles(k1: float, k2: float, rate: float) -> tuple[float, float]:
     return frequency, float(-np.sum(rates).real / (2 * frequency))
 
 
-def _stationary(std: float, density: float, rate: float) -> tuple[float, float]:
-    """Gains of the stationary Kalman filter of a double integrator with white acceleration, sampled."""
-    from scipy.linalg import solve_discrete_are
+def sampled_design(std: float, density: float, rate: float) -> tuple[float, float]:
+    """Natural frequency [rad/s] and damping ratio with the least velocity error of the sampled loop.
 
-    # In units of the noise and of samples, so that the equation is well scaled.
-    strength = max(density / rate**3 / std**2, 1e-10)
-    flow, output = np.array([[1.0, 1.0], [0.0, 1.0]]), np.array([[1.0, 0.0]])
-    white = strength * np.array([[1 / 3, 1 / 2], [1 / 2, 1.0]])
-    cov = solve_discrete_are(flow.T, output.T, white, np.eye(1))
-    gain = cov[:, 0] / (cov[0, 0] + 1)
-    return float(gain[0]), float(gain[1]) * rate
+    Args:
+        std: Standard deviation of a reading [rad or m].
+        density: Spectral density of white acceleration [(rad/s²)² s, or (m/s²)² s].
+        rate: Sampling rate [Hz].
+
+    Returns:
+        Both, within the bounds: those of the stationary Kalman filter of a double integrator, unless its poles are
+        beyond what gains of continuous time have.
+    """
+
+    def error(z):
+        frequency = float(np.exp(z[0])) * rate
+        alpha = 2 * float(np.exp(z[1])) * frequency
+        return np.log(predict_sampled_errors(alpha, frequency**2, rate, std, density).velocity_std)
+
+    frequency = _within((density / std**2 * rate) ** 0.25 / rate, FREQUENCIES)
+    best, _ = _descend(error, np.log([frequency, USUAL]), 120)
+    return float(np.exp(best[0])) * rate, float(np.exp(best[1]))
 
 
 def best_gains(
