@@ -7,7 +7,7 @@ from scipy.linalg import solve_discrete_are
 
 from covariant.calibration import Candidate, NoiseLevels, errors_ahead, predict_sampled_errors
 from covariant.calibration._ahead import size
-from covariant.calibration._constant_gains import _chosen, as_poles, sampled_design
+from covariant.calibration._constant_gains import as_poles, chosen, sampled_design
 from covariant.calibration._error_model import error_model, forgotten, kalman
 from covariant.models import Motion, oscillator
 from covariant.observers import Intrinsic, external_force, run
@@ -86,26 +86,19 @@ def test_predictions_leave_out_what_is_missing_and_beyond_gaps_and_report_what_f
         errors_ahead(oscillator(), RECORD, TRUE, T < 0.0, 9)
 
 
-def _errors(scale, seed):
-    return [scale * np.random.default_rng(seed).normal(size=(300, 3, 1))]
-
-
-def _judge(**scales):
-    errors = [_errors(scale, 0) for scale in scales.values()]
-    judged = [Candidate(name.replace("_", " "), 1.0, 1.0, float(size(e)[0])) for name, e in zip(scales, errors)]  # noqa: B905
-    return judged[_chosen(judged, errors, 3)].source
+def taken(**errors):
+    return chosen([Candidate(name.replace("_", " "), 1.0, 1.0, error) for name, error in errors.items()]).source
 
 
 def test_what_is_worse_than_the_model_file_is_never_taken():
-    assert _judge(model_file=1.0, innovations=1.1, rule=1.2) == "model file"
-    assert _judge(model_file=1.0, innovations=0.8, rule=1.2) == "innovations"
-    assert _judge(model_file=2.0, innovations=1.0, rule=1.2) == "innovations"
+    assert taken(model_file=1.0, innovations=1.1, rule=1.01) == "model file"
+    assert taken(model_file=1.0, innovations=0.8, rule=1.2) == "innovations"
+    assert taken(model_file=0.97, predictions=0.96, rule=0.98) == "predictions"
 
 
-def test_of_candidates_that_are_alike_up_to_chance_that_of_the_noise_is_taken():
-    errors = [_errors(1.0, 1), _errors(1.001, 2)]
-    judged = [Candidate("innovations", 1.0, 1.0, 1.0), Candidate("Kalman filter", 1.0, 1.0, 1.001)]
-    assert judged[_chosen(judged, errors, 3)].source == "Kalman filter"
+def test_a_search_has_to_be_clearly_better_than_the_designs_from_the_noise():
+    assert taken(model_file=2.0, predictions=1.0, rule=1.04, sampled_design=1.03) == "sampled design"
+    assert taken(predictions=1.0, innovations=1.01, rule=1.06) == "predictions"
 
 
 @pytest.mark.parametrize("time", [0.05, 3.0])

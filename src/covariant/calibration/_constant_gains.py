@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
-from covariant.calibration._ahead import FAR, errors_ahead, mean_square, size
+from covariant.calibration._ahead import errors_ahead, mean_square, size
 from covariant.calibration._error_model import ErrorModel, Filtered, NoiseLevels
 from covariant.calibration._gains import predict_sampled_errors
 from covariant.calibration._tuning_log import Runs, TuningLog, intrinsic
@@ -31,10 +31,8 @@ USUAL = 0.5**0.5
 HORIZON, LONGEST_HORIZON = 1.5, 50
 """Horizon of predictions, in units of 1/ω of the gains with the least innovations, and its largest number of rows. Over
 a much shorter time the position alone decides, over a longer one the error of the model."""
-PREFERRED = ("Kalman filter", "sampled design", "rule")
-"""Designs from the noise of the whole log. A search follows the chance of its rows, so it has to be better by more."""
-CHANCE = 2.0
-"""Standard errors of a difference that are taken for chance."""
+DESIGNS, SLACK = ("rule", "sampled design", "Kalman filter"), 1.05
+"""Candidates that follow from the noise, and the ratio of errors up to which they go before those of a search."""
 FAILED = 1e6
 
 
@@ -213,11 +211,11 @@ def best_gains(
     z = np.log([start[0] / rate, start[1]])
     best, _ = _descend(lambda z: np.log(_total(errors((np.exp(z[0]) * rate, np.exp(z[1])), parts, tuned))), z, 30)
     everything = proposed | {"predictions": (float(np.exp(best[0])) * rate, float(np.exp(best[1])))}
-    held_out = [errors(gains, records, [log.held_out for log in logs]) for gains in everything.values()]
+    held_out = [log.held_out for log in logs]
     judged = tuple(
-        Candidate(name, *gains, _total(each)) for (name, gains), each in zip(everything.items(), held_out, strict=True)
+        Candidate(name, *gains, _total(errors(gains, records, held_out))) for name, gains in everything.items()
     )
-    return judged[_chosen(judged, held_out, horizon)], judged, horizon
+    return chosen(judged), judged, horizon
 
 
 def _total(errors: list[Float[np.ndarray, "_ _ n"]]) -> float:
@@ -227,25 +225,20 @@ def _total(errors: list[Float[np.ndarray, "_ _ n"]]) -> float:
     return value if np.isfinite(value) else FAILED
 
 
-def _chosen(judged: Sequence[Candidate], errors: list[list[np.ndarray]], horizon: int) -> int:
-    """Index of the candidate to take.
+def chosen(judged: Sequence[Candidate]) -> Candidate:
+    """The candidate to take: the best, or a design from the noise that is nearly as good.
 
-    The differences of good candidates are often less than chance. Of those that are as good as the best, up to chance,
-    the most principled is taken, in the order of `PREFERRED`; never one that is worse than the gains of the model file.
+    A search follows the chance of its rows, and where the model errs, predictions are best with velocities that err
+    along with it; so a search has to be better by more than `SLACK`. What is worse than the gains of the model file is
+    never taken.
+
+    Args:
+        judged: All candidates.
     """
-    least = int(np.argmin([each.error for each in judged]))
-    names = [each.source for each in judged]
-    allowed = judged[names.index("model file")].error if "model file" in names else np.inf
-    scale = size(errors[least])
-    # Each start counts once: the errors of one start, and of starts that are less than the horizon apart, go together.
-    mean = [np.concatenate([np.nanmean(np.minimum((x / scale) ** 2, FAR), axis=(1, 2)) for x in e]) for e in errors]
-    for name in PREFERRED:
-        if name in names and judged[names.index(name)].error <= allowed:
-            excess = mean[names.index(name)] - mean[least]
-            excess = excess[np.isfinite(excess)]
-            if np.mean(excess) <= CHANCE * np.std(excess) * np.sqrt(horizon / max(len(excess), 1)):
-                return names.index(name)
-    return least
+    best = min(judged, key=lambda each: each.error)
+    before = min((each.error for each in judged if each.source == "model file"), default=np.inf)
+    designs = [each for each in judged if each.source in DESIGNS and each.error <= min(SLACK * best.error, before)]
+    return min(designs, key=lambda each: each.error, default=best)
 
 
 def _observer(model: MechanicalSystem, z: np.ndarray, rate: float):

@@ -212,7 +212,7 @@ def notes(found: Tuning, rate: float, units: Sequence[str]) -> list[str]:
     Args:
         found: The tuning.
         rate: Sampling rate [Hz].
-        units: Units of the velocities.
+        units: Units of the coordinates.
 
     Returns:
         Sentences.
@@ -233,8 +233,8 @@ def notes(found: Tuning, rate: float, units: Sequence[str]) -> list[str]:
         worst = int(np.argmax(reference / np.maximum(estimate, 1e-300)))
         if reference[worst] > estimate[worst]:
             said.append(
-                f"The reference is noisier than the estimate: about {reference[worst]:.2g} {units[worst]} against "
-                f"{estimate[worst]:.2g} of the Kalman filter; errors against it are mostly its own."
+                f"The reference is noisier than the estimate: about {reference[worst]:.2g} {units[worst]}/s against "
+                f"{estimate[worst]:.2g} of the Kalman filter, so errors against it are largely its own."
             )
     return said
 
