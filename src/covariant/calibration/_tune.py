@@ -18,7 +18,7 @@ from jaxtyping import Float
 from covariant import scoring
 from covariant.calibration._constant_gains import Candidate, best_gains, best_innovations, candidates
 from covariant.calibration._data_sheet import DataSheet, Trial
-from covariant.calibration._error_model import NoiseLevels
+from covariant.calibration._error_model import ErrorModel, NoiseLevels
 from covariant.calibration._estimators import estimators, observer_gains, tuned_estimators
 from covariant.calibration._filters import relative_error
 from covariant.calibration._noise_search import best_noise, error_system, filtered, largest_speed, needed_steps
@@ -118,7 +118,7 @@ def tune(
     before: DataSheet | None = None,
     progress: Callable[[str], object] = lambda stage: None,
     runs: Runs | None = None,
-    window: tuple[float, int] | None = None,
+    window: tuple[float, int, float] | None = None,
 ) -> Tuning:
     """Tune gains and noise of a model on the first two thirds of each record, and confirm them on the rest.
 
@@ -133,8 +133,8 @@ def tune(
             is not taken. Where it has an `external_force_std`, such a force is searched for.
         progress: Called with the name of each of the four stages when it begins.
         runs: Runs the observers with constant gains, of which there are dozens; by default JAX, one by one.
-        window: Half width [s] and order of the polynomials of the reference, of which the noise is computed; by default
-            the reference is taken to have none.
+        window: Half width [s] and order of the polynomials of the reference, and rate [Hz] of the positions that they
+            are fitted to, of which the noise is computed; by default the reference is taken to have none.
 
     Returns:
         Gains, noise, and their errors on the held-out rows.
@@ -256,12 +256,14 @@ def _judged(logs, systems, runs, earlier, noise: NoiseLevels) -> HeldOut:
     )
 
 
-def _reference_noise(logs: list[TuningLog], systems, noise: NoiseLevels, half: float, order: int) -> np.ndarray | None:
+def _reference_noise(
+    logs: list[TuningLog], systems: list[ErrorModel], noise: NoiseLevels, half: float, order: int, rate: float
+) -> np.ndarray | None:
     """Noise (2, n) of the reference's velocities, by the weights of its polynomials, and of the Kalman filter's."""
-    count = int(half * logs[0].rate)
-    if 2 * count + 1 <= order:
+    count = int(half * rate)
+    if 2 * count + 1 < order + 3:
         return None
-    at = np.arange(-count, count + 1) / logs[0].rate
+    at = np.arange(-count, count + 1) / rate
     weights = scoring.local_polynomials(at, np.eye(len(at)), np.zeros(1), half, order)[0, 1]
     own = [
         np.asarray(filtered(system, noise, largest_speed(logs)).velocity_std)[log.held_out] ** 2

@@ -76,7 +76,13 @@ def tune_to_logs(jobs: list[Job], engine: EngineName, progress: Progress) -> Tun
         progress(stage, (1 + STAGES.index(stage)) / (1 + len(STAGES)))
 
     try:
-        options = {"std": known, "before": before, "progress": report, "runs": runs, "window": _window(loaded[0])}
+        options = {
+            "std": known,
+            "before": before,
+            "progress": report,
+            "runs": runs,
+            "window": _window(jobs[0], loaded[0]),
+        }
         tuning = tune(loaded[0].model, records, velocities, **options)
     except ValueError as error:
         raise ValueError(f"{', '.join(job.log_name for job in jobs)}: {error}") from error
@@ -106,10 +112,11 @@ def tuned_page(title: str, tuned: Tuned, notes: tuple[str, ...], rows: tuple[dic
     return estimate_report(title, loaded, curves, notes, rows)
 
 
-def _window(loaded: Loaded) -> tuple[float, int] | None:
-    """Half width [s] and order of the polynomials of the reference velocities; None where they are no such slopes."""
+def _window(job: Job, loaded: Loaded) -> tuple[float, int, float] | None:
+    """Half width [s] and order of the polynomials of the reference velocities, and rate [Hz] of the positions that they
+    are fitted to, which are those of the whole log; None where they are no such slopes."""
     slopes = loaded.reference is not None and loaded.log.truth is None and loaded.model.manifold.commuting
-    return (loaded.file.reference_half, int(loaded.file.reference_order)) if slopes else None
+    return (loaded.file.reference_half, int(loaded.file.reference_order), loaded.rate * job.every) if slopes else None
 
 
 class _Runs:
