@@ -31,8 +31,9 @@ USUAL = 0.5**0.5
 HORIZON, LONGEST_HORIZON = 1.5, 50
 """Horizon of predictions, in units of 1/ω of the gains with the least innovations, and its largest number of rows. Over
 a much shorter time the position alone decides, over a longer one the error of the model."""
-DESIGNS, SLACK = ("rule", "sampled design", "Kalman filter"), 1.05
-"""Candidates that follow from the noise, and the ratio of errors up to which they go before those of a search."""
+DESIGNS, SLACK = ("model file", "rule", "sampled design", "Kalman filter"), 1.05
+"""Candidates that are in place or follow from the noise, and the ratio of errors up to which they go before those of a
+search."""
 FAILED = 1e6
 
 
@@ -226,7 +227,7 @@ def _total(errors: list[Float[np.ndarray, "_ _ n"]]) -> float:
 
 
 def chosen(judged: Sequence[Candidate]) -> Candidate:
-    """The candidate to take: the best, or a design from the noise that is nearly as good.
+    """The candidate to take: the best, or one that is no search and nearly as good.
 
     A search follows the chance of its rows, and where the model errs, predictions are best with velocities that err
     along with it; so a search has to be better by more than `SLACK`. What is worse than the gains of the model file is

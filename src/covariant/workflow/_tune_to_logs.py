@@ -232,7 +232,9 @@ def notes(found: Tuning, rate: float, units: Sequence[str]) -> list[str]:
             f"({1e3 * found.horizon / rate:.3g} ms) ahead; RMS errors: {named}."
         )
     if found.source == "model file":
-        said.append("No other gains predict held-out positions better than those of the model file, which are kept.")
+        said.append(
+            "No other gains predict held-out positions clearly better than those of the model file, which are kept."
+        )
     if found.noise_kept:
         said.append("Held-out readings are likelier with the noise of the model file, which is kept.")
     if found.reference_noise is not None:
