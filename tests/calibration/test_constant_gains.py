@@ -39,7 +39,8 @@ def stationary(std, density, rate):
 @pytest.mark.parametrize(("std", "density", "rate"), [(1e-3, 0.1, 100.0), (2e-3, 0.01, 20.0), (1e-4, 1e-3, 1000.0)])
 def test_the_sampled_design_is_the_stationary_kalman_filter(std, density, rate):
     frequency, damping = sampled_design(std, density, rate)
-    best = as_poles(*stationary(std, density, rate), rate)
+    k1, k2 = stationary(std, density, rate)
+    best = as_poles(k1, k2, rate)
     np.testing.assert_allclose((frequency, damping), best, rtol=0.05)
     errors = [
         predict_sampled_errors(*_gains(each), rate, std, density).velocity_std for each in (best, (frequency, damping))
@@ -56,7 +57,8 @@ def test_the_gain_of_the_error_filter_is_that_of_the_stationary_design():
     noise = NoiseLevels(jnp.asarray(0.3), jnp.array([1e-3]), jnp.asarray(0.0))
     filtered = kalman(errors, noise, 1.0)
     np.testing.assert_allclose(filtered.gain[-1], stationary(1e-3, 0.09, 50.0), rtol=1e-4)
-    best = predict_sampled_errors(*_gains(as_poles(*stationary(1e-3, 0.09, 50.0), 50.0)), 50.0, 1e-3, 0.09)
+    k1, k2 = stationary(1e-3, 0.09, 50.0)
+    best = predict_sampled_errors(*_gains(as_poles(k1, k2, 50.0)), 50.0, 1e-3, 0.09)
     assert float(filtered.velocity_std[-1, 0]) == pytest.approx(best.velocity_std, rel=1e-4)
 
 

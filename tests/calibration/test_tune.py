@@ -147,7 +147,9 @@ def test_gains_of_the_model_file_that_are_as_good_as_any_are_kept_and_worse_ones
     for each in (good, bad):
         errors = {one.source: one.error for one in each.candidates}
         assert errors[each.source] <= errors["model file"]
+        assert each.before is not None
         assert each.after.gains_error[0] <= 1.02 * each.before.gains_error[0]
+    assert bad.before is not None
     assert bad.source != "model file"
     assert bad.after.gains_error[0] < 0.7 * bad.before.gains_error[0]
 

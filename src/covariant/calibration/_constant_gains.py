@@ -125,10 +125,11 @@ def candidates(
     at = int(np.argmin(np.abs(np.log(grid**4 * std**2 / rate / np.maximum(density, 1e-300)))))
     whole = [np.asarray(system.present).all(axis=1) for system in systems]
     gain = np.concatenate([np.asarray(each.gain)[rows] for each, rows in zip(filtered, whole, strict=True)])
+    mean = np.mean(gain[len(gain) // 10 :], axis=0)  # without the first tenth, in which the filter settles
     found = {
         "rule": (float(grid[at]), USUAL),
         "sampled design": sampled_design(std, max(float(density[at]), 1e-12 * std**2 * rate**3), rate),
-        "Kalman filter": as_poles(*np.mean(gain[len(gain) // 10 :], axis=0), rate),
+        "Kalman filter": as_poles(float(mean[0]), float(mean[1]), rate),
     }
     return {name: (_within(w / rate, FREQUENCIES) * rate, _within(z, DAMPINGS)) for name, (w, z) in found.items()}
 
@@ -145,11 +146,11 @@ def as_poles(k1: float, k2: float, rate: float) -> tuple[float, float]:
         ω and ζ, of the poles a and b with `k1 = 1 − ab` and `k2 = (1 − a)(1 − b) rate`.
     """
     product = float(np.clip(1 - k1, 1e-9, 1 - 1e-9))
-    poles = np.roots([1.0, -(1 + product - k2 / rate), product]).astype(complex)
+    poles = np.asarray(np.roots([1.0, -(1 + product - k2 / rate), product]), complex)
     # A real pole below zero has no continuous one; it is as fast as its size.
-    rates = np.log(np.where(poles.real > 0, poles, np.abs(poles))) * rate
+    rates = np.log(np.where(np.real(poles) > 0, poles, np.abs(poles))) * rate
     frequency = float(np.sqrt(np.abs(np.prod(rates))))
-    return frequency, float(-np.sum(rates).real / (2 * frequency))
+    return frequency, float(-np.real(np.sum(rates)) / (2 * frequency))
 
 
 def sampled_design(std: float, density: float, rate: float) -> tuple[float, float]:

@@ -56,8 +56,9 @@ def trial_part(loaded: Loaded, reference: ReferenceVelocity) -> tuple[Trial | No
         return None, none
     y = np.asarray(loaded.record.y)
     wrong = outliers(t, y, loaded.model.circles)[0]
-    known = np.isfinite(reference.v).all(axis=1)
-    span = moving_part(t, reference.v, known, wrong.any(axis=1) | ~np.isfinite(y).any(axis=1))
+    known = np.asarray(np.isfinite(reference.v).all(axis=1))
+    faulty = np.asarray(wrong.any(axis=1) | ~np.isfinite(y).any(axis=1))
+    span = moving_part(t, reference.v, known, faulty)
     part = span & known
     part[np.flatnonzero(part)[LONGEST_TRIAL:]] = False
     # Unwrapped before the cut: across rows that are left out a full turn would go unnoticed.
