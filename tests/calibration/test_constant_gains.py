@@ -95,13 +95,13 @@ def taken(**errors):
 def test_what_is_worse_than_the_model_file_is_never_taken():
     assert taken(model_file=1.0, innovations=1.1, rule=1.01) == "model file"
     assert taken(model_file=1.0, innovations=0.8, rule=1.2) == "innovations"
-    assert taken(model_file=1.2, predictions=0.96, rule=1.3) == "predictions"
-
-
-def test_a_search_has_to_be_clearly_better_than_the_designs_from_the_noise():
-    assert taken(model_file=2.0, predictions=1.0, rule=1.04, sampled_design=1.03) == "sampled design"
-    assert taken(predictions=1.0, innovations=1.01, rule=1.06) == "predictions"
     assert taken(model_file=1.02, predictions=1.0, rule=1.04) == "model file"
+
+
+def test_what_predicts_best_has_to_be_clearly_better_than_the_designs_from_the_noise():
+    assert taken(model_file=2.0, predictions=1.0, rule=1.04, sampled_design=1.09) == "sampled design"
+    assert taken(predictions=1.0, innovations=1.01, rule=1.09, sampled_design=1.11) == "rule"
+    assert taken(predictions=1.0, innovations=1.01, rule=1.11) == "predictions"
 
 
 @pytest.mark.parametrize("time", [0.05, 3.0])

@@ -31,9 +31,9 @@ USUAL = 0.5**0.5
 HORIZON, LONGEST_HORIZON = 1.5, 50
 """Horizon of predictions, in units of 1/ω of the gains with the least innovations, and its largest number of rows. Over
 a much shorter time the position alone decides, over a longer one the error of the model."""
-DESIGNS, SLACK = ("model file", "rule", "sampled design", "Kalman filter"), 1.05
-"""Candidates that are in place or follow from the noise, and the ratio of errors up to which they go before those of a
-search."""
+DESIGNS, SLACK = ("sampled design", "rule", "Kalman filter", "model file"), 1.1
+"""Candidates that follow from the noise or are in place, the first ones best for velocities where the noise is right,
+and the ratio of errors up to which they go before those that predict better."""
 FAILED = 1e6
 
 
@@ -228,19 +228,20 @@ def _total(errors: list[Float[np.ndarray, "_ _ n"]]) -> float:
 
 
 def chosen(judged: Sequence[Candidate]) -> Candidate:
-    """The candidate to take: the best, or one that is no search and nearly as good.
+    """The candidate to take: a design from the noise that predicts nearly as well as the best, else the best.
 
-    A search follows the chance of its rows, and where the model errs, predictions are best with velocities that err
-    along with it; so a search has to be better by more than `SLACK`. What is worse than the gains of the model file is
-    never taken.
+    Predictions confirm a design, and find out one whose noise is wrong. They do not order good ones: where the model
+    errs for a while, positions are predicted best from velocities that err along with it, by gains that are too fast.
+    What is worse than the gains of the model file is never taken.
 
     Args:
         judged: All candidates.
     """
     best = min(judged, key=lambda each: each.error)
-    before = min((each.error for each in judged if each.source == "model file"), default=np.inf)
-    designs = [each for each in judged if each.source in DESIGNS and each.error <= min(SLACK * best.error, before)]
-    return min(designs, key=lambda each: each.error, default=best)
+    errors = {each.source: each.error for each in judged}
+    limit = min(SLACK * best.error, errors.get("model file", np.inf))
+    design = next((name for name in DESIGNS if errors.get(name, np.inf) <= limit), best.source)
+    return next(each for each in judged if each.source == design)
 
 
 def _observer(model: MechanicalSystem, z: np.ndarray, rate: float):
