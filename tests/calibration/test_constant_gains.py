@@ -99,9 +99,9 @@ def test_what_is_worse_than_the_model_file_is_never_taken():
 
 
 def test_what_predicts_best_has_to_be_clearly_better_than_the_designs_from_the_noise():
-    assert taken(model_file=2.0, predictions=1.0, rule=1.04, sampled_design=1.09) == "sampled design"
-    assert taken(predictions=1.0, innovations=1.01, rule=1.09, sampled_design=1.11) == "rule"
-    assert taken(predictions=1.0, innovations=1.01, rule=1.11) == "predictions"
+    assert taken(model_file=2.0, predictions=1.0, rule=1.02, sampled_design=1.04) == "sampled design"
+    assert taken(predictions=1.0, innovations=1.01, rule=1.04, sampled_design=1.06) == "rule"
+    assert taken(predictions=1.0, innovations=1.01, rule=1.06) == "predictions"
 
 
 @pytest.mark.parametrize("time", [0.05, 3.0])

@@ -31,7 +31,7 @@ USUAL = 0.5**0.5
 HORIZON, LONGEST_HORIZON = 1.5, 50
 """Horizon of predictions, in units of 1/ω of the gains with the least innovations, and its largest number of rows. Over
 a much shorter time the position alone decides, over a longer one the error of the model."""
-DESIGNS, SLACK = ("sampled design", "rule", "Kalman filter", "model file"), 1.1
+DESIGNS, SLACK = ("sampled design", "rule", "Kalman filter", "model file"), 1.05
 """Candidates that follow from the noise or are in place, the first ones best for velocities where the noise is right,
 and the ratio of errors up to which they go before those that predict better."""
 FAILED = 1e6
