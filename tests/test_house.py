@@ -46,13 +46,13 @@ OPTIONAL = (
 )
 
 PUBLIC = {
-    "calibration": "ESTIMATORS FITTED STATE_ESTIMATORS Combinations DataSheet Diagnosis Draft Finding Fit Gains "
-    "HeldOut NoiseLevels PredictionErrors RobotFit Suggestion Trial Tuning Windows bias "
-    "contracting_gain diagnose draft estimators filter_bandwidth fit fit_robot gains gated "
-    "given_noise growth held_out_logs horizon jerk_bound joint_noise losses mended_clock misfit "
-    "observer_gains outliers predict_errors predict_sampled_errors prediction_errors relations split "
-    "stored_observer suggest_noise tune tuned_estimators tuned_state_estimators usual_speeds "
-    "window_length windows with_gains",
+    "calibration": "ESTIMATORS FITTED STATE_ESTIMATORS Candidate Combinations DataSheet Diagnosis Draft Finding Fit "
+    "Gains HeldOut NoiseLevels PredictionErrors RobotFit Suggestion Trial Tuning Windows bias "
+    "contracting_gain diagnose draft errors_ahead estimators filter_bandwidth fit fit_robot gains "
+    "gated given_noise growth held_out_logs horizon jerk_bound joint_noise losses mended_clock "
+    "misfit observer_gains outliers predict_errors predict_sampled_errors prediction_errors "
+    "relations split stored_observer suggest_noise tune tuned_estimators tuned_state_estimators "
+    "usual_speeds window_length windows with_gains",
     "certificates": "ASSUMED CHECKERS CascadeCertificate Checked CheckerName Claim Constants ContractionCertificate "
     "Corners Decay Document Evidence Followed Growth Hypothesis MetricDesign Observability Projection Sampled "
     "StateMetric Statement ErrorSystem TradeOff Trajectories Verdict at_corners bending cascade certify check "

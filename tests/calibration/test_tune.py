@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from covariant.calibration import NoiseLevels, gains, tune
+from covariant.calibration import DataSheet, NoiseLevels, gains, tune
 from covariant.calibration._error_model import error_model, kalman
 from covariant.models import Lagrangian, Parametric
 from covariant.observers import Intrinsic, IntrinsicKalman, external_force, run
@@ -88,21 +88,70 @@ def test_with_a_metric_that_is_too_large_the_filter_is_as_good_as_one_without_a_
 
 
 @pytest.mark.long
-def test_the_filter_of_the_errors_is_the_kalman_filter(log):
+@pytest.mark.parametrize("time", [np.inf, 0.4])
+def test_the_filter_of_the_errors_is_the_kalman_filter(log, time):
     """On a linear system exactly, whatever observer the errors are those of; with a force that is not known too."""
     record = Record(*(np.asarray(a[:300]) for a in log[0][:3]))
-    noise = NoiseLevels(jnp.asarray(0.4), jnp.array([2e-3]), jnp.asarray(0.7))
+    noise = NoiseLevels(jnp.asarray(0.4), jnp.array([2e-3]), jnp.asarray(0.7), jnp.asarray(time))
     t, u, y = map(jnp.asarray, record[:3])
     along = run(Intrinsic(MODEL, 3.0, 5.0), record).estimate
     found = kalman(error_model(MODEL, along[:, :1], along[:, 1:], t, u, y, 4), noise, 2.0)
     axes = jnp.eye(1)
-    filtered = IntrinsicKalman(
-        MODEL, 0.16 * axes, 4e-6 * axes, 4.0 * axes, external_force(0.49 * axes), gate=None, substeps=4
-    )
+    force = external_force(0.49 * axes) if np.isinf(time) else external_force(std=0.7, time=time)
+    filtered = IntrinsicKalman(MODEL, 0.16 * axes, 4e-6 * axes, 4.0 * axes, force, gate=None, substeps=4)
     done = run(filtered, record)
     later = slice(20, None)  # the first innovations are taken for outliers here
     np.testing.assert_allclose((along + found.error)[later, 1], done.estimate[later, 1], atol=2e-3)
     np.testing.assert_allclose(found.spread[later, 0] ** 2, done.info.innovation_cov[later, 0, 0], rtol=1e-2)
+
+
+PUSH, TIME = 2.0, 0.5
+
+
+@pytest.fixture(scope="module")
+def pushed():
+    """A log of the swing under a Gauss–Markov force, of small steps of the exact process, and its velocities."""
+    rng, t = np.random.default_rng(3), np.arange(0, 24.0, 0.02)
+    h, force, q, v, path = 0.001, 0.0, 0.5, 0.0, []
+    decay = np.exp(-h / TIME)
+    for i in range(len(t) * 20):
+        if i % 20 == 0:
+            path.append((q, v))
+        force = decay * force + PUSH * np.sqrt(1 - decay**2) * rng.normal()
+        v += h * (force - STIFFNESS * q)
+        q += h * v
+    q, v = np.array(path).T
+    return Record(t, np.zeros((len(t), 1)), (q + STD * rng.normal(size=len(t)))[:, None]), v[:, None]
+
+
+@pytest.mark.long
+def test_size_and_time_of_a_force_that_is_forgotten_are_those_of_the_simulation(pushed):
+    record, v = pushed
+    sheet = DataSheet(STD, 1.0, external_force_std=0.05, external_force_time=5.0)
+    found = tune(MODEL, [record], [v], before=sheet)
+    assert float(found.noise.force[0]) == pytest.approx(PUSH, rel=0.3)
+    assert float(found.noise.force_time) == pytest.approx(TIME, rel=0.6)
+    assert found.before is not None
+    assert found.after.kalman_error[0] < 0.9 * found.before.kalman_error[0]
+    assert found.after.likelihood > found.before.likelihood
+
+
+@pytest.mark.long
+def test_gains_of_the_model_file_that_are_as_good_as_any_are_kept_and_worse_ones_are_not(log):
+    record, v = log
+    best = gains(STD, RATE, ACCELERATION / np.sqrt(2), 1.0)
+    good, bad = (
+        tune(MODEL, [record], [v], before=DataSheet(STD, ACCELERATION / np.sqrt(2), 1.0, natural_frequency=frequency))
+        for frequency in (best.beta**0.5, 6 * best.beta**0.5)
+    )
+    for each in (good, bad):
+        errors = {one.source: one.error for one in each.candidates}
+        assert errors[each.source] <= errors["model file"]
+        assert each.before is not None
+        assert each.after.gains_error[0] <= 1.02 * each.before.gains_error[0]
+    assert bad.before is not None
+    assert bad.source != "model file"
+    assert bad.after.gains_error[0] < 0.7 * bad.before.gains_error[0]
 
 
 def test_a_log_that_is_too_short_is_refused(log):

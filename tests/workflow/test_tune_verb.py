@@ -47,10 +47,10 @@ def test_the_new_file_is_saved_once(tuned, tmp_path):
     assert tuned.save(path, overwrite=True).read_text() == written
 
 
-def test_a_force_that_is_forgotten_is_not_written_beside_numbers_found_without_it(log):
+def test_a_force_that_is_forgotten_is_taken_out_where_there_is_none(log):
     fading = {"uncertainty.external_force_std": 0.3, "uncertainty.external_force_time": 0.5}
-    with pytest.raises(ValueError, match=r"is not tuned; take external_force_std and external_force_time out"):
-        tune("oscillator", log, overrides=NOISE | fading)
+    result = tune("oscillator", log, overrides=NOISE | fading)
+    assert set(result.lines["uncertainty"]) == {"acceleration", "correlation_time"}
 
 
 @pytest.mark.parametrize("engine", ["c", "jax"])

@@ -1,4 +1,6 @@
+from ._ahead import errors_ahead as errors_ahead
 from ._clock import mended_clock as mended_clock
+from ._constant_gains import Candidate as Candidate
 from ._contracting import contracting_gain as contracting_gain
 from ._data_sheet import DataSheet as DataSheet, Trial as Trial
 from ._diagnose import diagnose as diagnose, misfit as misfit

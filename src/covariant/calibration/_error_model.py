@@ -5,9 +5,10 @@ Along a run of an observer, with the estimate x̂ after each sample, the true st
     δ⁺ = F δ + c + G f + w,   r = Hδ + e,
 
 where `x̂ ⊕ δ` moves along the retraction, c is the model's prediction minus the next estimate, F its derivative, and r
-the reading minus the estimated position. f is a force that the model does not know, a random walk; w is white
-acceleration, e the noise of a reading. F, G, c and r do not depend on the noise: one run of the model serves for all
-noises, and the filter of this system is the extended Kalman filter to first order in the error of the run.
+the reading minus the estimated position. f is a force that the model does not know, a random walk or a Gauss–Markov
+process; w is white acceleration, e the noise of a reading. F, G, c and r do not depend on the noise: one run of the
+model serves for all noises, and the filter of this system is the extended Kalman filter to first order in the error of
+the run.
 
 Source: Schweppe 1965, Evaluation of likelihood functions for Gaussian signals, IEEE TIT 11(1); Anderson & Moore 1979,
 Optimal Filtering, section 10.1, for the likelihood. Huber 1981, section 7.7, for the weight of an outlier.
@@ -36,7 +37,9 @@ class NoiseLevels(NamedTuple):
         acceleration: Square root of the spectral density of the white acceleration noise, in every coordinate
             [rad/s² √s, or m/s² √s].
         measurement: Standard deviation (n,) of one reading [rad or m].
-        force: Standard deviation of the change of an unknown force in one second [N or N m]; 0 for no such force.
+        force: Standard deviation of the change of an unknown force in one second [N or N m], one for all components or
+            one for each (n,); 0 for no such force. With a `force_time` it is that of the force itself.
+        force_time: Time constant [s] after which the force is forgotten; infinite for a random walk, by default.
 
     Example:
         >>> from covariant.calibration import DataSheet, NoiseLevels, given_noise
@@ -47,7 +50,8 @@ class NoiseLevels(NamedTuple):
 
     acceleration: Scalar
     measurement: Vector
-    force: Scalar
+    force: Scalar | Vector
+    force_time: Scalar | float = jnp.inf
 
 
 class ErrorModel(NamedTuple):
@@ -80,12 +84,17 @@ class Filtered(NamedTuple):
         innovation: Innovations (T, n), each given those before it in the row, so that they are independent.
         spread: Their standard deviations (T, n).
         error: Estimate (T, 2n) of δ after the row.
+        gain: Means (T, 2) of the diagonals of the gains from a reading to position [1] and velocity [1/s], which are
+            the same in all frames.
+        velocity_std: Standard deviations (T, n) of the velocity after the row.
     """
 
     loss: Float[Array, "T n"]
     innovation: Float[Array, "T n"]
     spread: Float[Array, "T n"]
     error: Float[Array, "T n2"]
+    gain: Float[Array, "T 2"]
+    velocity_std: Float[Array, "T n"]
 
 
 @eqx.filter_jit
@@ -152,26 +161,50 @@ def kalman(errors: ErrorModel, noise: NoiseLevels, speed: Scalar | float) -> Fil
     """
     n = errors.residual.shape[1]
     variance = noise.measurement**2
-    # Before any measurement the force has the variance of a random walk of one second.
-    first = jnp.diag(jnp.concatenate([variance, jnp.full(n, speed**2), jnp.full(n, noise.force**2)]))
-    walk = jnp.zeros((3 * n, 3 * n)).at[2 * n :, 2 * n :].set(jnp.eye(n) * noise.force**2)
+    force_variance = jnp.broadcast_to(jnp.asarray(noise.force) ** 2, n)
+    # Before any measurement a random walk has its variance of one second, and a force with a time its usual one.
+    first = jnp.diag(jnp.concatenate([variance, jnp.full(n, speed**2), force_variance]))
 
     def step(state, row):
         x, cov = state
-        # The force is constant over a step.
-        input_matrix = jnp.concatenate([row.dt**2 / 2 * row.input_matrix, row.dt * row.input_matrix])
-        whole = jnp.block([[row.transition, input_matrix], [jnp.zeros((n, 2 * n)), jnp.eye(n)]])
+        # The force is constant over a step, at its mean.
+        mean, decay, added = forgotten(row.dt, noise.force_time)
+        input_matrix = mean * jnp.concatenate([row.dt**2 / 2 * row.input_matrix, row.dt * row.input_matrix])
+        whole = jnp.block([[row.transition, input_matrix], [jnp.zeros((n, 2 * n)), decay * jnp.eye(n)]])
         x = whole @ x + jnp.concatenate([row.defect, jnp.zeros(n)])
-        cov = whole @ cov @ whole.T + row.dt * walk + _white(noise.acceleration, row.dt, n)
+        walk = jnp.zeros((3 * n, 3 * n)).at[2 * n :, 2 * n :].set(jnp.diag(added * force_variance))
+        cov = whole @ cov @ whole.T + walk + _white(noise.acceleration, row.dt, n)
         current: Any = jnp.where(row.fresh, 0.0, x), jnp.where(row.fresh, first, cov)
         corrections: list[Any] = []
         for i in range(n):  # their noise is independent, so they correct one after the other
             *current, correction = _reading(current[0], current[1], i, row.residual[i], variance[i], row.present[i])
             corrections.append(correction)
         loss, innovation, std = (jnp.stack(each) for each in zip(*corrections, strict=True))
-        return tuple(current), Filtered(loss, innovation, std, current[0][: 2 * n])
+        x, cov = current
+        # K = P Hᵀ R⁻¹ with the covariance P after the correction.
+        gain = jnp.stack([jnp.mean(jnp.diag(cov[at : at + n, :n]) / variance) for at in (0, n)])
+        velocity_std = jnp.sqrt(jnp.diag(cov)[n : 2 * n])
+        return tuple(current), Filtered(loss, innovation, std, x[: 2 * n], gain, velocity_std)
 
     return jax.lax.scan(step, (jnp.zeros(3 * n), first), errors)[1]
+
+
+def forgotten(dt: Scalar, time: Scalar | float) -> tuple[Scalar, Scalar, Scalar]:
+    """How a force changes in a step, as in `observers.Slow`.
+
+    Args:
+        dt: Length of the step [s].
+        time: Time constant τ [s]; infinite for a random walk.
+
+    Returns:
+        Its mean over the step and its value at the end, as fractions of the value before, `(1 − e)/(dt/τ)` and
+        `e = exp(−dt/τ)`; and the variance that is added, as a fraction of that in the long run, `1 − e²`, or for a walk
+        of that in one second, dt.
+    """
+    steps = dt / time
+    safe = jnp.where(steps > 0, steps, 1.0)
+    mean = jnp.where(steps > 0, -jnp.expm1(-safe) / safe, 1.0)
+    return mean, jnp.exp(-steps), jnp.where(steps > 0, -jnp.expm1(-2 * safe), dt)
 
 
 def _white(acceleration: Scalar, dt: Scalar, n: int) -> Float[Array, "m m"]:

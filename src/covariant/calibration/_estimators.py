@@ -224,6 +224,9 @@ def _ticks(entry: Entry, known: Known) -> tuple:
     sheet, slow = known.sheet, known.sheet.slow
     if sheet.external_force is not None:
         slow += (external_force(sheet.external_force**2 * jnp.eye(known.n)),)
+    if sheet.external_force_std is not None:
+        std = np.broadcast_to(sheet.external_force_std, known.n)
+        slow += (external_force(std=std, time=sheet.external_force_time),)
     return *_noise(entry, known), sheet.quantum, slow
 
 

@@ -1,7 +1,7 @@
 """Noise and gains from logs: those with the likeliest innovations, confirmed on held-out rows.
 
-The gains of a constant-gain observer are those whose innovations have the least size, which is the likelihood of an
-innovation model with these gains. The noise of Kalman filters is that of the greatest likelihood of their innovations,
+The gains of a constant-gain observer are those of several candidates that predict held-out measurements best, as in
+`_constant_gains`. The noise of Kalman filters is that of the greatest likelihood of their innovations,
 computed on the errors of one run as in `_error_model`. Velocities are compared with a reference on the later rows only.
 
 Source: Ljung 1999, System Identification, section 7.4, for prediction errors and likelihood; Schweppe 1965; Mehra 1970,
@@ -9,40 +9,26 @@ On the identification of variances and adaptive Kalman filtering, IEEE TAC 15(2)
 """
 
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
-from covariant.calibration import outliers
+from covariant import scoring
+from covariant.calibration._constant_gains import Candidate, best_gains, best_innovations, candidates
 from covariant.calibration._data_sheet import DataSheet, Trial
-from covariant.calibration._error_model import ErrorModel, Filtered, NoiseLevels, error_model, kalman
+from covariant.calibration._error_model import ErrorModel, NoiseLevels
 from covariant.calibration._estimators import estimators, observer_gains, tuned_estimators
 from covariant.calibration._filters import relative_error
+from covariant.calibration._noise_search import best_noise, error_system, filtered, largest_speed, needed_steps
+from covariant.calibration._tuning_log import Runs, TuningLog, by_jax, followed, prepared
 from covariant.models import MechanicalSystem
-from covariant.observers import REGISTRY, Intrinsic, run, with_fixed_substeps
-from covariant.scoring import scored_window, unwrap
-from covariant.signals import Record, Run
+from covariant.observers import REGISTRY, run
+from covariant.scoring import unwrap
+from covariant.signals import Record
 
-TUNED = 2 / 3
-"""Fraction of each log, its first part, on which gains and noise are tuned."""
-MOST_ROWS = 8000
-"""Largest number of rows of each log for tuning: the search runs an observer over them dozens of times."""
-FEWEST_ROWS = 100
-"""Least number of rows in each part of a log."""
-FREQUENCIES, DAMPINGS = (2e-3, 3.0), (0.5**0.5, 3.0)
-"""Bounds of the search for natural frequencies, in radians a sample, and damping ratios: √½ is the best for white
-disturbances and a larger one for others; a smaller one only follows the chance of a short log."""
-LEAST = 0.01
-"""Least noise of a reading, as a fraction of the innovations: with less of it no estimate changes."""
-FAR = 16.0
-"""Cap on squared innovations, as a multiple of their 90 % quantile: an outlier decides nothing."""
 NumpyArray = np.ndarray
-Runs = Callable[[Sequence[Intrinsic], Sequence[Record]], Sequence[Run]]
-"""Runs each of several observers over each of several records, and returns estimates and innovations."""
 
 
 class HeldOut(NamedTuple):
@@ -87,6 +73,12 @@ class Tuning(NamedTuple):
         model_free: Name of the best filter without a model, and its velocity RMSE on the held-out rows as a fraction of
             the velocities; None where there is none for this kind of system.
         rows: Number of rows for tuning.
+        candidates: Gains that were compared by the prediction of held-out measurements; empty where none were.
+        source: Which of them these gains are.
+        horizon: Number of rows over which they predicted.
+        noise_kept: Whether the noise is that of the data sheet, because held-out measurements are likelier with it.
+        reference_noise: Standard deviation (n,) of the reference velocities that noise of the readings causes, and of
+            the Kalman filter's velocities as it predicts it, (2, n) [rad/s or m/s]; None where that is unknown.
 
     Example:
         >>> import numpy as np
@@ -105,30 +97,16 @@ class Tuning(NamedTuple):
     after: HeldOut
     model_free: tuple[str, float] | None
     rows: int
+    candidates: tuple[Candidate, ...] = ()
+    source: str = "innovations"
+    horizon: int = 1
+    noise_kept: bool = False
+    reference_noise: Float[NumpyArray, "2 n"] | None = None
 
     @property
     def model_helps(self) -> bool:
         """Whether an estimator with the model has a smaller error than the best filter without one."""
         return self.model_free is None or bool(min(self.after.relative) < self.model_free[1])
-
-
-class _Log(NamedTuple):
-    """A record without outliers, its reference velocities (T, n), the rows for tuning and the held-out rows."""
-
-    record: Record
-    velocity: Float[NumpyArray, "T n"]
-    tuned: Bool[NumpyArray, "T"]
-    held_out: Bool[NumpyArray, "T"]
-
-    @property
-    def first_part(self) -> Record:
-        """The rows up to the last one for tuning, in which the observer settles too."""
-        end = int(np.flatnonzero(self.tuned)[-1]) + 1
-        return Record(self.record.t[:end], self.record.u[:end], self.record.y[:end])
-
-    @property
-    def rate(self) -> float:
-        return 1 / float(np.median(np.diff(np.asarray(self.record.t))))
 
 
 def tune(
@@ -140,6 +118,7 @@ def tune(
     before: DataSheet | None = None,
     progress: Callable[[str], object] = lambda stage: None,
     runs: Runs | None = None,
+    window: tuple[float, int, float] | None = None,
 ) -> Tuning:
     """Tune gains and noise of a model on the first two thirds of each record, and confirm them on the rest.
 
@@ -150,9 +129,12 @@ def tune(
             a model are tuned to them.
         std: Least standard deviation (n,) of a reading, such as that of one tick of an encoder; by default a small
             fraction of the innovations.
-        before: Data sheet whose gains and noise are judged as well, for comparison.
+        before: Data sheet whose gains and noise are judged as well. What predicts held-out measurements worse than it
+            is not taken. Where it has an `external_force_std`, such a force is searched for.
         progress: Called with the name of each of the four stages when it begins.
         runs: Runs the observers with constant gains, of which there are dozens; by default JAX, one by one.
+        window: Half width [s] and order of the polynomials of the reference, and rate [Hz] of the positions that they
+            are fitted to, of which the noise is computed; by default the reference is taken to have none.
 
     Returns:
         Gains, noise, and their errors on the held-out rows.
@@ -160,25 +142,53 @@ def tune(
     Raises:
         ValueError: A record is too short, or no gains give a finite estimate.
     """
-    logs = [_prepared(model, record, velocity) for record, velocity in zip(records, velocities, strict=True)]
+    logs = [prepared(model, record, velocity) for record, velocity in zip(records, velocities, strict=True)]
+    rate, n = logs[0].rate, logs[0].velocity.shape[1]
     progress("gains")
-    runner = runs or _by_jax
-    frequency, damping, size = _best_gains(model, logs, runner)
+    runner = runs or by_jax
+    frequency, damping, size = best_innovations(model, logs, runner)
+    proposed = {"innovations": (frequency, damping)}
     progress("noise")
-    estimates = _followed(model, logs, frequency, damping, runner)
-    systems = [_system(model, log, estimate) for log, estimate in zip(logs, estimates, strict=True)]
-    noise = _best_noise(logs, systems, frequency, size, std)
+    estimates = followed(model, logs, frequency, damping, runner)
+    steps = [needed_steps(model, log, estimate) for log, estimate in zip(logs, estimates, strict=True)]
+    systems = [error_system(model, *each) for each in zip(logs, estimates, steps, strict=True)]
+    shape = None
+    if before is not None and before.external_force_std is not None:
+        shape = np.broadcast_to(before.external_force_std, n) / np.max(before.external_force_std)
+    noise = best_noise(logs, systems, frequency, size, std, shape)
+    speed = largest_speed(logs)
+    proposed |= candidates(noise, systems, [filtered(system, noise, speed) for system in systems], rate)
     progress("held-out rows")
-    baseline = None
+    baseline, kept = None, False
     if before is not None:
-        gains = observer_gains(before, logs[0].rate)
-        ratio = gains.alpha / (2 * gains.beta**0.5)
-        earlier = _followed(model, logs, gains.beta**0.5, ratio, runner)
-        baseline = _judged(logs, systems, estimates, earlier, given_noise(before, logs[0].rate, size.shape[0]))
-    after = _judged(logs, systems, estimates, estimates, noise)
+        gains = observer_gains(before, rate)
+        old = gains.beta**0.5, gains.alpha / (2 * gains.beta**0.5)
+        proposed = {"model file": old} | proposed
+        baseline = _judged(logs, systems, estimates, followed(model, logs, *old, runner), given_noise(before, rate, n))
+    best, compared, horizon = best_gains(model, logs, proposed, steps, runner)
+    chosen = followed(model, logs, best.natural_frequency, best.damping, runner)
+    after = _judged(logs, systems, estimates, chosen, noise)
+    if before is not None and baseline is not None and after.likelihood < baseline.likelihood:
+        kept, noise = True, given_noise(before, rate, n)
+        after = _judged(logs, systems, estimates, chosen, noise)
     progress("filters without a model")
     free = _best_model_free(model, logs, noise, before)
-    return Tuning(frequency, damping, noise, baseline, after, free, sum(int(log.tuned.sum()) for log in logs))
+    known = None if window is None else _reference_noise(logs, systems, noise, *window)
+    rows = sum(int(log.tuned.sum()) for log in logs)
+    return Tuning(
+        best.natural_frequency,
+        best.damping,
+        noise,
+        baseline,
+        after,
+        free,
+        rows,
+        compared,
+        best.source,
+        horizon,
+        kept,
+        known,
+    )
 
 
 def given_noise(sheet: DataSheet, rate: float, n: int) -> NoiseLevels:
@@ -200,172 +210,10 @@ def given_noise(sheet: DataSheet, rate: float, n: int) -> NoiseLevels:
     time = 1 / (2 * rate) if sheet.correlation_time is None else sheet.correlation_time
     std = np.broadcast_to(np.asarray(sheet.coordinate_stds or sheet.measurement_std, float), n)
     acceleration = float(np.sqrt(2 * time) * sheet.acceleration_std)
+    if sheet.external_force_std is not None:
+        force, forgotten = (jnp.asarray(x) for x in (sheet.external_force_std, sheet.external_force_time))
+        return NoiseLevels(jnp.asarray(acceleration), jnp.asarray(std), force, forgotten)
     return NoiseLevels(jnp.asarray(acceleration), jnp.asarray(std), jnp.asarray(sheet.external_force or 0.0))
-
-
-def _prepared(model: MechanicalSystem, record: Record, velocity: np.ndarray) -> _Log:
-    t, y = np.asarray(record.t), np.asarray(record.y)
-    if model.manifold.commuting:
-        wrong = outliers(t, y, model.circles)[0]
-        wrong[0] = False  # a record begins with a whole measurement
-        y = np.where(wrong, np.nan, y)
-    border = t[0] + TUNED * (t[-1] - t[0])
-    valid = scored_window(t) & np.isfinite(velocity).all(axis=1)
-    tuned, held_out = valid & (t < border), valid & (t >= border)
-    tuned[np.flatnonzero(tuned)[MOST_ROWS:]] = False
-    if min(tuned.sum(), held_out.sum()) < FEWEST_ROWS:
-        raise ValueError(
-            f"a log of {len(t)} rows over {t[-1] - t[0]:.3g} s is too short to tune on: of its first two thirds "
-            f"{tuned.sum()} rows count, of the rest {held_out.sum()}, and {FEWEST_ROWS} of each are needed"
-        )
-    return _Log(Record(t, np.asarray(record.u), y), velocity, tuned, held_out)
-
-
-def _intrinsic(model: MechanicalSystem, frequency: float, damping: float) -> Intrinsic:
-    return Intrinsic(model, 2 * damping * frequency, frequency**2)
-
-
-def _by_jax(observers: Sequence[Intrinsic], records: Sequence[Record]) -> list[Run]:
-    pairs = [(observer, record) for observer in observers for record in records]
-    return [run(observer, record, ("innovation",)) for observer, record in pairs]
-
-
-def _best_gains(model: MechanicalSystem, logs: list[_Log], runs: Runs) -> tuple[float, float, Float[np.ndarray, "n"]]:
-    """Natural frequency [rad/s] and damping ratio with the least innovations, and the size (n,) of these."""
-    from scipy.optimize import minimize
-
-    rate = logs[0].rate
-    parts = [log.first_part for log in logs]
-    measured = np.concatenate(
-        [_usable(model, log)[: len(part.t)][log.tuned[: len(part.t)]] for log, part in zip(logs, parts, strict=True)]
-    )
-
-    def observer(z):
-        return _intrinsic(model, float(np.exp(z[0])) * rate, float(np.exp(z[1])))
-
-    def usable(results):
-        residuals = [np.asarray(done.info.innovation) for done in results]
-        return np.concatenate([r[log.tuned[: len(r)]] for r, log in zip(residuals, logs, strict=True)])
-
-    def innovations(z):
-        return usable(runs([observer(z)], parts))
-
-    def size(r):
-        with np.errstate(all="ignore"):
-            mean = [_mean_square(column[mask]) for column, mask in zip(r.T, measured.T, strict=True)]
-            total = float(np.sum(np.log(mean)))
-        # A finite number larger than any other: the simplex computes with what it compares.
-        return total if np.isfinite(total) else 1e6
-
-    bounds = [np.log(FREQUENCIES), np.log(DAMPINGS)]
-    # A grid by factors of two, since the simplex descends to the nearest minimum only.
-    starts = [np.array([w, np.log(DAMPINGS[0])]) for w in np.linspace(np.log(0.02), np.log(2.0), 8)]
-    tried = [runs([observer(z) for z in starts], [part]) for part in parts]  # by part, then by start
-    start = starts[int(np.argmin([size(usable(results)) for results in zip(*tried, strict=True)]))]
-    simplex = start + np.array([[0.0, 0.0], [0.4, 0.0], [0.0, 0.4]])
-    options = {"initial_simplex": simplex, "xatol": 0.02, "fatol": 1e-4, "maxfev": 60}
-    best = minimize(lambda z: size(innovations(z)), start, method="Nelder-Mead", bounds=bounds, options=options)
-    if best.fun >= 1e6:
-        raise ValueError("no gains give a finite estimate; check units and signs by `covariant check`")
-    r = innovations(best.x)
-    sizes = [np.sqrt(_mean_square(column[mask])) for column, mask in zip(r.T, measured.T, strict=True)]
-    return float(np.exp(best.x[0])) * rate, float(np.exp(best.x[1])), np.array(sizes)
-
-
-def _usable(model: MechanicalSystem, log: _Log) -> Bool[np.ndarray, "T n"]:
-    return ~np.asarray(jax.vmap(model.manifold.missing)(jnp.asarray(log.record.y)))
-
-
-def _mean_square(r: np.ndarray) -> float:
-    """Mean square of innovations, robust to outliers."""
-    square = r**2
-    # Of normal innovations the 90 % quantile is 2.7 variances, and the cap 6.6 deviations.
-    return float(np.mean(np.minimum(square, FAR * np.quantile(square, 0.9))))
-
-
-def _followed(model: MechanicalSystem, logs: list[_Log], frequency: float, damping: float, runs: Runs) -> list[Any]:
-    """Configurations, velocities (T, n) and innovations (T, n) of the observer over each of the whole logs."""
-    estimates = []
-    for done in runs([_intrinsic(model, frequency, damping)], [log.record for log in logs]):
-        motion = model.motion(done.estimate)
-        estimates.append((motion.q, motion.v, np.asarray(done.info.innovation)))
-    return estimates
-
-
-def _system(model: MechanicalSystem, log: _Log, estimate) -> ErrorModel:
-    q, v, _ = estimate
-    t, u, y = (jnp.asarray(each) for each in log.record[:3])
-    sampled = np.linspace(0, len(t) - 2, min(200, len(t) - 1)).astype(int)
-    fixed = with_fixed_substeps(_intrinsic(model, 1.0, 1.0), log.rate, q[sampled], v[sampled], u[sampled])
-    return error_model(model, q, v, t, u, y, fixed.substeps or 1)
-
-
-def _best_noise(
-    logs: list[_Log], systems: list[ErrorModel], frequency: float, size: np.ndarray, std: np.ndarray | None
-) -> NoiseLevels:
-    """Noise of the greatest likelihood; with an unknown force where that gains more than its parameter costs."""
-    least = LEAST * size if std is None else np.asarray(std, float)
-    # At first one half of the variance of the innovations is noise of the reading.
-    first = np.maximum(size / np.sqrt(2), least)
-    # Inverse of ω⁴ = S_a/S_m, with S_m = std²/rate.
-    acceleration = frequency**2 * float(np.sqrt(np.mean(first**2))) / np.sqrt(logs[0].rate)
-    force = (
-        acceleration * np.sqrt(frequency) / float(np.mean([np.abs(np.asarray(s.input_matrix)).max() for s in systems]))
-    )
-    ends = [len(log.first_part.t) for log in logs]
-    parts = [jax.tree.map(lambda a, end=end: a[:end], system) for system, end in zip(systems, ends, strict=True)]
-    masks = [np.asarray(part.present) & log.tuned[:end, None] for log, part, end in zip(logs, parts, ends, strict=True)]
-    speed = _speed(logs)
-
-    def noise(z):
-        """Of the logarithms of the noise of acceleration, force and readings."""
-        measured = np.maximum(np.exp(z[2:]), least)
-        return NoiseLevels(*(jnp.asarray(x) for x in (np.exp(z[0]), measured, np.exp(z[1]))))
-
-    def cost(z):
-        total = sum(
-            float(np.sum(np.where(mask, _filtered(part, noise(z), speed).loss, 0.0)))
-            for part, mask in zip(parts, masks, strict=True)
-        )
-        return total if np.isfinite(total) else np.inf
-
-    start = np.log([acceleration, force, *first])
-    plain = start.copy()
-    # The logarithm of no force.
-    plain[1] = -np.inf
-    plain, without = _descend(cost, plain)
-    forced, lower = _descend(cost, np.where(np.isfinite(plain), plain, start))
-    count = sum(int(mask.sum()) for mask in masks)
-    # Schwarz's criterion: one parameter more has to lower twice the negative log-likelihood by log N.
-    return noise(forced if without - lower > np.log(count) else plain)
-
-
-def _descend(cost: Callable, start: np.ndarray) -> tuple[np.ndarray, float]:
-    """Minimise the cost from a start whose infinite entries stay; returns the minimiser and the cost."""
-    from scipy.optimize import minimize
-
-    moving = np.isfinite(start)
-    simplex = np.concatenate([np.zeros((1, moving.sum())), np.eye(int(moving.sum()))])
-
-    def at(z):
-        full = start.copy()
-        full[moving] += z
-        return full
-
-    # 0.1 in twice the log-likelihood is small beside the log N that decides on a force.
-    options = {"initial_simplex": simplex, "xatol": 0.03, "fatol": 0.1, "maxfev": 60 * int(moving.sum())}
-    minimum = minimize(lambda z: cost(at(z)), simplex[0], method="Nelder-Mead", options=options)
-    return at(minimum.x), float(minimum.fun)
-
-
-def _speed(logs: list[_Log]) -> jax.Array:
-    """Largest velocity of the reference: the standard deviation of velocities before anything is measured."""
-    return jnp.asarray(max(float(np.abs(log.velocity[log.tuned]).max()) for log in logs))
-
-
-@eqx.filter_jit
-def _filtered(system: ErrorModel, noise: NoiseLevels, speed: jax.Array) -> Filtered:
-    return kalman(system, noise, speed)
 
 
 def _judged(logs, systems, runs, earlier, noise: NoiseLevels) -> HeldOut:
@@ -373,7 +221,7 @@ def _judged(logs, systems, runs, earlier, noise: NoiseLevels) -> HeldOut:
     n = logs[0].velocity.shape[1]
     parts = []
     for log, system, (_, v, _), (_, gains_v, r) in zip(logs, systems, runs, earlier, strict=True):
-        result = _filtered(system, noise, _speed(logs))
+        result = filtered(system, noise, largest_speed(logs))
         rows, present = log.held_out, np.asarray(system.present)
         white = np.asarray(result.innovation) / np.where(present, result.spread, 1.0)
         # The filter estimates the error of the run: the run plus this is its estimate.
@@ -390,18 +238,18 @@ def _judged(logs, systems, runs, earlier, noise: NoiseLevels) -> HeldOut:
                 _neighbours(white[rows], present[rows]),
             )
         )
-    r, gains, filtered, v, loss, white, present = (np.concatenate(each) for each in list(zip(*parts, strict=True))[:7])
+    r, gains, kalman, v, loss, white, present = (np.concatenate(each) for each in list(zip(*parts, strict=True))[:7])
     count = present.sum()
 
     def rms(x):
         return np.sqrt(np.mean(x**2, axis=0))
 
-    relative = np.array([relative_error(v + off, v) for off in (gains, filtered)])
+    relative = np.array([relative_error(v + off, v) for off in (gains, kalman)])
     products = np.sum([each[-1] for each in parts], axis=0)
     return HeldOut(
         np.sqrt(np.sum(r**2, axis=0) / present.sum(axis=0)),
         rms(gains),
-        rms(filtered),
+        rms(kalman),
         relative,
         # `loss` lacks the constant log 2π of each measured number.
         float(-0.5 * (loss.sum() / count + np.log(2 * np.pi))),
@@ -410,13 +258,32 @@ def _judged(logs, systems, runs, earlier, noise: NoiseLevels) -> HeldOut:
     )
 
 
+def _reference_noise(
+    logs: list[TuningLog], systems: list[ErrorModel], noise: NoiseLevels, half: float, order: int, rate: float
+) -> np.ndarray | None:
+    """Noise (2, n) of the reference's velocities, by the weights of its polynomials, and of the Kalman filter's."""
+    count = int(half * rate)
+    if 2 * count + 1 < order + 3:
+        return None
+    at = np.arange(-count, count + 1) / rate
+    weights = scoring.local_polynomials(at, np.eye(len(at)), np.zeros(1), half, order)[0, 1]
+    own = [
+        np.asarray(filtered(system, noise, largest_speed(logs)).velocity_std)[log.held_out] ** 2
+        for log, system in zip(logs, systems, strict=True)
+    ]
+    own_std = np.sqrt(np.mean(np.concatenate(own), axis=0))
+    return np.stack([float(np.linalg.norm(weights)) * np.asarray(noise.measurement), own_std])
+
+
 def _neighbours(white: np.ndarray, present: np.ndarray) -> np.ndarray:
     """Sums (2, n) of the products of neighbouring innovations, and of their squares."""
     both = present[1:] & present[:-1]
     return np.stack([np.sum(both * white[1:] * white[:-1], axis=0), np.sum(both * white[1:] ** 2, axis=0)])
 
 
-def _best_model_free(model, logs: list[_Log], noise: NoiseLevels, sheet: DataSheet | None) -> tuple[str, float] | None:
+def _best_model_free(
+    model, logs: list[TuningLog], noise: NoiseLevels, sheet: DataSheet | None
+) -> tuple[str, float] | None:
     """Name and velocity error of the best filter without a model, each tuned on the first part of the first log."""
     names = [entry.name for entry in REGISTRY if not entry.knows_model and entry.name in estimators(model)]
     if not names:

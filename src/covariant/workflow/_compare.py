@@ -10,16 +10,14 @@ from typing import Any
 import numpy as np
 
 from covariant._files import write_atomically
-from covariant.calibration import Trial, observer_gains, tuned_estimators
+from covariant.calibration import observer_gains, tuned_estimators
 from covariant.engine import EngineName
 from covariant.models import Overrides
 from covariant.observers import AbstractObserver
-from covariant.scoring import unwrap
 from covariant.workflow._inputs import (
     ColumnNames,
     Job,
     Loaded,
-    ReferenceVelocity,
     coordinates,
     innovation_units,
     load,
@@ -34,12 +32,7 @@ from covariant.workflow._pages import estimate_report, write_report
 from covariant.workflow._progress import Progress, silent
 from covariant.workflow._result import AbstractTable
 from covariant.workflow._states import state_design_note, tuned_states
-
-SHORTEST_TRIAL = 200
-"""Rows that the first third of a log must have, so that filters can be tuned on it."""
-
-LONGEST_TRIAL = 20_000
-"""Largest number of these rows that are used: the search takes seconds on them, and minutes on a million."""
+from covariant.workflow._trial import Ahead, ahead, trial_part
 
 
 def compare(
@@ -62,8 +55,8 @@ def compare(
             model file, or of `overrides`, is the data sheet.
 
     Returns:
-        The estimators in order of their errors, against the true velocities where the log has them, else against
-        slopes of the positions, else by the prediction of the outputs.
+        The estimators in order of their errors: against the true velocities where the log has them, else of positions
+        that the model predicts from the estimates, some rows ahead, on rows on which none was tuned.
 
     Raises:
         MisfitError: Where the model explains nothing of the motion in the log.
@@ -80,13 +73,15 @@ def compare(
     progress("reading the log")
     loaded = load(job)
     progress("tuning")
-    observers, note = line_up(loaded)
+    observers, note, tuned_on = line_up(loaded)
     outcomes: dict[str, Outcome] = {}
     for place, (name, observer) in enumerate(observers.items()):
         progress(name, place / len(observers))
         outcomes[name] = drive(observer, loaded, engine, timed=True)
-    ranked = {name: outcomes[name] for name in rank(outcomes, loaded)}
-    return CompareResult(job, loaded, note, ranked, engine)
+    progress("predicting")
+    predicted = ahead(outcomes, loaded, tuned_on)
+    ranked = {name: outcomes[name] for name in rank(outcomes, loaded, predicted)}
+    return CompareResult(job, loaded, note, ranked, engine, predicted)
 
 
 @dataclass(frozen=True, repr=False)
@@ -99,6 +94,7 @@ class CompareResult(AbstractTable):
         design: Sentences on how all of them are tuned.
         outcomes: Run and score of each estimator by name, in order of error.
         asked_engine: The engine that was asked for.
+        predicted: Errors of predicted positions that they are ranked by; None where they are ranked by others.
 
     Example:
         >>> import covariant
@@ -116,6 +112,7 @@ class CompareResult(AbstractTable):
     design: str
     outcomes: dict[str, Outcome]
     asked_engine: EngineName
+    predicted: Ahead | None = None
 
     @property
     def ranking(self) -> tuple[str, ...]:
@@ -132,9 +129,16 @@ class CompareResult(AbstractTable):
             "rank": np.arange(1, len(outcomes) + 1),
             "estimator": np.array(self.ranking),
             **{f"{name}_rmse": errors[:, i] for i, name in enumerate(scored)},
+            **self._predicted_columns(),
             **{key.lower(): np.array([row[key] for row in known]) for key in ("NIS", "NEES")},
             "microseconds": np.array([outcome.microseconds for outcome in outcomes]),
         }
+
+    def _predicted_columns(self) -> dict[str, np.ndarray]:
+        if self.predicted is None:
+            return {}
+        errors = np.array([self.predicted.errors[name] for name in self.ranking])
+        return {f"predicted{i + 1}_rmse": column for i, column in enumerate(errors.T)}
 
     def save(self, path: str | Path, overwrite: bool = True) -> Path:
         """Write the ranking as a table; a number that an estimator does not have is left empty.
@@ -165,12 +169,16 @@ class CompareResult(AbstractTable):
             "model": self.job.model_name,
             "log": self.job.log_name,
             "scored_against": scored_against(self.loaded),
+            "ranked_by": ranked_by(self.loaded, self.predicted),
             "design": self.design,
             "ranking": [
-                {"estimator": name, "engine": outcome.engine, **summary(outcome, what)}
+                {"estimator": name, "engine": outcome.engine, **summary(outcome, what), **self._prediction(name)}
                 for name, outcome in self.outcomes.items()
             ],
         }
+
+    def _prediction(self, name: str) -> dict[str, Any]:
+        return {} if self.predicted is None else {"predicted_rmse": rounded(self.predicted.errors[name])}
 
     @property
     def headline(self) -> str:
@@ -186,6 +194,7 @@ class CompareResult(AbstractTable):
         notable = any(engine_is_notable(each.engine, self.asked_engine) for each in self.outcomes.values())
         lines = [
             f"{self.job.log_name}, {what} errors against the {scored_against(self.loaded)}",
+            f"Ranked by {ranked_by(self.loaded, self.predicted)}.",
             self.design,
             "",
             table(self._rows()),
@@ -207,9 +216,19 @@ class CompareResult(AbstractTable):
         """
         title = f"Estimators compared: {Path(self.job.model_name).stem}, {Path(self.job.log_name).name}"
         curves = report_curves(self.outcomes)
-        rows, notes = self._rows(), (self.design,)
+        rows, notes = self._rows(), (f"Ranked by {ranked_by(self.loaded, self.predicted)}.", self.design)
         page = estimate_report(title, self.loaded, curves, notes, rows, self.headline, self.warnings)
         return write_report(Path(path), page._replace(ranked=True))
+
+    def _predicted_cells(self, name: str) -> dict[str, float]:
+        if self.predicted is None:
+            return {}
+        names, units = self._positions()
+        headings = [f"predicted {label} [{unit}]".removesuffix(" []") for label, unit in zip(names, units, strict=True)]
+        return dict(zip(headings, map(float, self.predicted.errors[name]), strict=True))
+
+    def _positions(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
+        return coordinates(self.loaded.file)[0], innovation_units(self.loaded.file)
 
     def _rows(self) -> tuple[dict[str, str | float], ...]:
         """The rows of the printed table, with units in their headings."""
@@ -223,6 +242,7 @@ class CompareResult(AbstractTable):
             {
                 "estimator": name,
                 **dict(zip(headings, map(float, rmse(outcome)), strict=True)),
+                **self._predicted_cells(name),
                 **consistency(outcome),
                 "µs a sample": round(outcome.microseconds, 1),
             }
@@ -230,25 +250,46 @@ class CompareResult(AbstractTable):
         )
 
 
-def line_up(loaded: Loaded) -> tuple[dict[str, AbstractObserver], str]:
+def line_up(loaded: Loaded) -> tuple[dict[str, AbstractObserver], str, np.ndarray]:
     """Tune all observers that fit a model.
 
     Returns:
-        The observers by name, and sentences on how they are tuned.
+        The observers by name, sentences on how they are tuned, and the rows (T,) on which filters were tuned.
     """
     if not loaded.file.mechanical:
-        return with_sensor_delays(tuned_states(loaded), loaded), state_design_note(loaded.file) + loaded.note
+        note = state_design_note(loaded.file) + loaded.note
+        return with_sensor_delays(tuned_states(loaded), loaded), note, np.zeros(len(loaded.record.t), bool)
     reference = loaded.reference
     assert reference is not None  # it was asked for
     sheet = log_sheet(loaded)
-    trial = first_part(loaded, reference)
+    trial, tuned_on = trial_part(loaded, reference)
     note = f"All tuned from one data sheet; the observers have {observer_gains(sheet, loaded.rate).summary}."
     note += loaded.note
     if trial is not None:
-        end = trial.t[-1] - np.asarray(loaded.record.t)[0]
-        note += f" Filters that know no model are those that are best on the first {end:.3g} s of this very log."
+        begin, end = np.asarray(loaded.record.t)[tuned_on][[0, -1]] - np.asarray(loaded.record.t)[0]
+        note += (
+            f" Filters that know no model are those that are best from {begin:.3g} to {end:.3g} s of this very log, "
+            "the first third of its length that moves, with the fewest faults."
+        )
+    if sheet.speed is not None:
+        note += " All are behind a gate that refuses outliers."
     tuned = tuned_estimators(loaded.model, loaded.file.dimension, sheet, loaded.rate, trial)
-    return with_sensor_delays(tuned, loaded), note
+    return with_sensor_delays(tuned, loaded), note, tuned_on
+
+
+def ranked_by(loaded: Loaded, predicted: Ahead | None) -> str:
+    """Say what the order of the estimators is by.
+
+    Args:
+        loaded: Model and log.
+        predicted: Errors of predicted positions; None where there are none.
+    """
+    if predicted is None:
+        return f"errors against the {scored_against(loaded)}"
+    return (
+        f"the prediction of positions up to {predicted.horizon} rows ({1e3 * predicted.time:.3g} ms) ahead from the "
+        "estimates, on rows that no filter was tuned on, for the log has no true velocities"
+    )
 
 
 def scored_against(loaded: Loaded) -> str:
@@ -260,48 +301,31 @@ def scored_against(loaded: Loaded) -> str:
     return "outputs, one sample ahead" if loaded.reference is None else loaded.reference.label
 
 
-def first_part(loaded: Loaded, reference: ReferenceVelocity) -> Trial | None:
-    """Cut the rows from a log on which filters without a model are tuned.
-
-    Args:
-        loaded: Model and log.
-        reference: Velocities to tune against.
-
-    Returns:
-        The rows of the first third with finite velocities, at most `LONGEST_TRIAL`; None for a model that is not in
-        coordinates, and for a log too short to tune on.
-    """
-    if not loaded.model.manifold.commuting:
-        return None
-    t = np.asarray(loaded.record.t)
-    part = (t <= t[0] + (t[-1] - t[0]) / 3) & np.isfinite(reference.v).all(axis=1)
-    part[np.flatnonzero(part)[LONGEST_TRIAL:]] = False
-    # Unwrapped before the cut: across rows that are left out a full turn would go unnoticed.
-    y = unwrap(np.asarray(loaded.record.y), loaded.model.circles)[part]
-    if part.sum() < SHORTEST_TRIAL or np.isfinite(y).sum(axis=0).min() < SHORTEST_TRIAL // 2:
-        return None
-    return Trial(t[part], y, reference.v[part])
-
-
-def rank(outcomes: dict[str, Outcome], loaded: Loaded) -> list[str]:
+def rank(outcomes: dict[str, Outcome], loaded: Loaded, predicted: Ahead | None = None) -> list[str]:
     """Order estimators by error, diverged ones last.
 
     Args:
         outcomes: Run and score of each estimator by name.
         loaded: Model and log.
+        predicted: Errors of predicted positions to order by; by default by those of `rmse`.
 
     Returns:
         The names. The error is the RMS over the columns of `rmse`, each relative to the RMS of the reference velocity,
-        or without one to the standard deviation of the output; equal errors stay in the order of `outcomes`.
+        or without one to the standard deviation of the output; of predictions each relative to the least one. Equal
+        errors stay in the order of `outcomes`.
     """
     reference = loaded.reference
-    if reference is None:
+    if predicted is not None:
+        finite = np.array([np.where(np.isfinite(e), e, np.inf) for e in predicted.errors.values()])
+        scale = np.min(finite, axis=0)
+    elif reference is None:
         scale = np.nanstd(np.asarray(loaded.record.y), axis=0)
     else:
         scale = np.sqrt(np.mean(reference.v[reference.scored] ** 2, axis=0))
 
     def badness(name: str) -> float:
-        relative = rmse(outcomes[name]) / np.where(scale > 0, scale, 1.0)  # a column at rest has no size to divide by
+        errors = rmse(outcomes[name]) if predicted is None else predicted.errors[name]
+        relative = errors / np.where(scale > 0, scale, 1.0)  # a column at rest has no size to divide by
         total = float(np.sqrt(np.mean(relative**2)))
         # NaN compares as neither smaller nor larger, which would leave the order undefined.
         return total if np.isfinite(total) else float("inf")

@@ -16,7 +16,6 @@ from covariant.observers import (
     AbstractObserver,
     Delayed,
     Slow,
-    external_force,
     sensor_bias,
     uncertain_parameters,
 )
@@ -372,6 +371,8 @@ def data_sheet(file: models.ModelFile, record: Record | None = None) -> DataShee
         "coordinate_stds": file.measurement_std if isinstance(file.measurement_std, tuple) else None,
         "quantum": file.quantum,
         "external_force": file.external_force,
+        "external_force_std": file.external_force_std,
+        "external_force_time": file.external_force_time,
         "slow": _slow(file),
         "acceleration_std": file.acceleration_std,
         "correlation_time": file.correlation_time,
@@ -397,16 +398,13 @@ def _remedy(file: models.ModelFile, missing: Sequence[str], record: Record | Non
 
 
 def _slow(file: models.ModelFile) -> tuple[Slow, ...]:
-    """What the model file has estimated along with the motion, beside a random walk of an external force."""
+    """What the model file has estimated along with the motion, beside an external force."""
     components = ()
     if file.family is not None:
         stds = [
             file.uncertain[next(key for key in file.uncertain if _stands_for(key, name))] for name in file.family.names
         ]
         components += (uncertain_parameters(file.family, stds, file.parameters_drift),)
-    if file.external_force_std is not None:
-        std = np.broadcast_to(file.external_force_std, file.dimension)
-        components += (external_force(std=std, time=file.external_force_time),)
     if file.bias is not None:
         components += (sensor_bias(np.broadcast_to(file.bias, file.dimension), file.bias_drift),)
     return components

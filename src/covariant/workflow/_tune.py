@@ -24,7 +24,7 @@ def tune(
     engine: Literal["auto", "c", "jax"] = "auto",
     progress: Progress = silent,
 ) -> "TuneResult":
-    """Tune noise and gains to logs by the likelihood of their innovations, and judge them on what was held out.
+    """Tune noise and gains to logs by the prediction of their measurements, and judge them on what was held out.
 
     Args:
         model: A model file (.toml), a robot (.urdf, .xml), `module:attribute`, the name of a system or a robot of the
@@ -149,7 +149,8 @@ class TuneResult(AbstractResult):
         check_output(Path(path), ".html")
         logs = ", ".join(Path(job.log_name).name for job in self.jobs)
         title = f"Gains of {Path(self.jobs[0].model_name).stem} tuned on {logs}"
-        page = tuned_page(title, self.tuned, tuple(_lines(self.summary)), tuple(_rows(self.summary)))
+        notes = (*self.summary["notes"], *_lines(self.summary))
+        page = tuned_page(title, self.tuned, notes, tuple(_rows(self.summary)))
         return write_report(Path(path), page._replace(headline=self.headline, warnings=self.warnings))
 
     def __str__(self) -> str:
@@ -170,7 +171,7 @@ class TuneResult(AbstractResult):
                 f"without a model {free['relative']:.3g} ({free['estimator']})."
             )
         engine = () if self.asked_engine == "auto" else (f"engine: {result['engine']}",)
-        return "\n".join([*lines, *self.warnings, "", *_lines(result), *engine])
+        return "\n".join([*lines, *result["notes"], *self.warnings, "", *_lines(result), *engine])
 
 
 def _lines(result: dict[str, Any]) -> list[str]:

@@ -60,17 +60,11 @@ def tune_to_logs(jobs: list[Job], engine: EngineName, progress: Progress) -> Tun
 
     Raises:
         MisfitError: Where the model explains nothing of the motion in a log.
-        ValueError: For a model or a log that cannot be used, and for an external force with a time constant.
+        ValueError: For a model or a log that cannot be used.
     """
     progress("reading", 0.0)
     loaded = [aligned(job).loaded for job in jobs]
     file = loaded[0].file
-    if file.external_force_std is not None:
-        # Neither row of the table would have it, and the file that is written would.
-        raise ValueError(
-            f"{file.name}: a force that is forgotten is not tuned; take external_force_std and external_force_time "
-            "out, or have a force that stays tuned: --set uncertainty.external_force=0.1"
-        )
     before = None
     if file.typical_std is not None and file.acceleration_std is not None:
         before = data_sheet(file)
@@ -83,7 +77,14 @@ def tune_to_logs(jobs: list[Job], engine: EngineName, progress: Progress) -> Tun
         progress(stage, (1 + STAGES.index(stage)) / (1 + len(STAGES)))
 
     try:
-        tuning = tune(loaded[0].model, records, velocities, std=known, before=before, progress=report, runs=runs)
+        options = {
+            "std": known,
+            "before": before,
+            "progress": report,
+            "runs": runs,
+            "window": _window(jobs[0], loaded[0]),
+        }
+        tuning = tune(loaded[0].model, records, velocities, **options)
     except ValueError as error:
         raise ValueError(f"{', '.join(job.log_name for job in jobs)}: {error}") from error
     progress("done", 1.0)
@@ -112,6 +113,13 @@ def tuned_page(title: str, tuned: Tuned, notes: tuple[str, ...], rows: tuple[dic
     return estimate_report(title, loaded, curves, notes, rows)
 
 
+def _window(job: Job, loaded: Loaded) -> tuple[float, int, float] | None:
+    """Half width [s] and order of the polynomials of the reference velocities, and rate [Hz] of the positions that they
+    are fitted to, which are those of the whole log; None where they are no such slopes."""
+    slopes = loaded.reference is not None and loaded.log.truth is None and loaded.model.manifold.commuting
+    return (loaded.file.reference_half, int(loaded.file.reference_order), loaded.rate * job.every) if slopes else None
+
+
 class _Runs:
     """Runs of observers with constant gains; `description` is the engine, with the reason where it is JAX."""
 
@@ -132,8 +140,7 @@ def _tables(file: models.ModelFile, tuning: Tuning, rate: float) -> dict[str, di
     # A deviation σ that persists over the time τ acts as white noise of the density σ √(2τ).
     acceleration = float(tuning.noise.acceleration) / np.sqrt(2 * time)
     uncertainty = {"acceleration": _short(acceleration), "correlation_time": time}
-    if tuning.noise.force > 0:
-        uncertainty["external_force"] = _short(tuning.noise.force)
+    uncertainty |= _force(file, tuning)
     tables: dict[str, dict[str, Any]] = {
         "uncertainty": uncertainty,
         "design": {"damping": _short(tuning.damping), "natural_frequency": _short(tuning.natural_frequency)},
@@ -146,6 +153,18 @@ def _tables(file: models.ModelFile, tuning: Tuning, rate: float) -> dict[str, di
     return tables
 
 
+def _force(file: models.ModelFile, tuning: Tuning) -> dict[str, Any]:
+    """The external force, as a random walk or one that is forgotten; nothing where there is none."""
+    force, time = np.asarray(tuning.noise.force), float(tuning.noise.force_time)
+    if not force.any():
+        return {}
+    if not np.isfinite(time):
+        return {"external_force": _short(force)}
+    each = isinstance(file.external_force_std, tuple)
+    std = [_short(one) for one in np.broadcast_to(force, file.dimension)] if each else _short(force.max())
+    return {"external_force_std": std, "external_force_time": _short(time)}
+
+
 def _short(value: Any) -> float:
     return float(f"{float(value):.{DIGITS}g}")
 
@@ -155,8 +174,9 @@ def _content(job: Job, tables: dict[str, dict[str, Any]]) -> dict[str, Any]:
     content = models.document(job.model_name, job.overrides)
     for table, numbers in tables.items():
         content.setdefault(table, {}).update(numbers)
-    if "external_force" not in tables["uncertainty"]:
-        content["uncertainty"].pop("external_force", None)
+    for key in ("external_force", "external_force_std", "external_force_time"):
+        if key not in tables["uncertainty"]:
+            content["uncertainty"].pop(key, None)
     # std stands in its place: a model file may not have both.
     if "measurement" in tables:
         content["measurement"].pop("quantum", None)
@@ -181,8 +201,53 @@ def _details(jobs: list[Job], loaded: list[Loaded], tuning: Tuning, tables: dict
             for when, judged in (("before", tuning.before), ("after", tuning.after))
         },
         "model_free": None if free is None else {"estimator": free[0], "relative": rounded(np.array([free[1]]))[0]},
+        "gains": {
+            "from": tuning.source,
+            "horizon": tuning.horizon,
+            "candidates": [_rounded(each._asdict()) for each in tuning.candidates],
+        },
+        "notes": notes(tuning, loaded[0].rate, units),
         "warning": warning(tuning, np.atleast_1d(np.equal(delay, np.max(delay)))),
     }
+
+
+def _rounded(numbers: dict[str, Any]) -> dict[str, Any]:
+    return {key: value if isinstance(value, str) else _short(value) for key, value in numbers.items()}
+
+
+def notes(found: Tuning, rate: float, units: Sequence[str]) -> list[str]:
+    """Say where the gains are from, what was kept, and whether the reference is good enough to compare with.
+
+    Args:
+        found: The tuning.
+        rate: Sampling rate [Hz].
+        units: Units of the coordinates.
+
+    Returns:
+        Sentences.
+    """
+    said = []
+    if found.candidates:
+        named = ", ".join(f"{each.source} {_short(each.error):g}" for each in found.candidates)
+        said.append(
+            f"Gains: {found.source}, by the prediction of held-out positions up to {found.horizon} rows "
+            f"({1e3 * found.horizon / rate:.3g} ms) ahead; RMS errors: {named}."
+        )
+    if found.source == "model file":
+        said.append(
+            "No other gains predict held-out positions clearly better than those of the model file, which are kept."
+        )
+    if found.noise_kept:
+        said.append("Held-out readings are likelier with the noise of the model file, which is kept.")
+    if found.reference_noise is not None:
+        reference, estimate = found.reference_noise
+        worst = int(np.argmax(reference / np.maximum(estimate, 1e-300)))
+        if reference[worst] > estimate[worst]:
+            said.append(
+                f"The reference is noisier than the estimate: about {reference[worst]:.2g} {units[worst]}/s against "
+                f"{estimate[worst]:.2g} of the Kalman filter, so errors against it are largely its own."
+            )
+    return said
 
 
 def _judged(judged: HeldOut) -> dict[str, Any]:

@@ -1,0 +1,119 @@
+"""What rivals are tuned on and ranked by: a part of a log that moves and has no faults, and predictions of the rest."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from covariant.calibration import Trial, errors_ahead, observer_gains, outliers
+from covariant.models import Motion
+from covariant.scoring import scored_window, unwrap
+from covariant.workflow._inputs import Loaded, ReferenceVelocity, log_sheet
+from covariant.workflow._outcome import Outcome
+
+SHORTEST_TRIAL = 200
+"""Rows that the trial must have, so that filters can be tuned on it."""
+LONGEST_TRIAL = 20_000
+"""Largest number of these rows that are used: the search takes seconds on them, and minutes on a million."""
+PARTS = 9
+"""Number of places at which a third of the log is looked at, evenly from its start to its last third."""
+MOVING = 0.25
+"""Mean square velocity of a part, as a fraction of that of the log, from which the part moves."""
+HORIZON, LONGEST_HORIZON = 1.5, 50
+"""Horizon of predictions, in units of 1/ω of the gains of the data sheet, and its largest number of rows."""
+
+
+class Ahead(NamedTuple):
+    """Errors of positions that are predicted from the estimates of each estimator, on rows that tuned nothing.
+
+    Attributes:
+        horizon: Number of rows.
+        time: The same [s].
+        errors: Root mean square errors (n,) by estimator; infinite where a prediction is not finite.
+    """
+
+    horizon: int
+    time: float
+    errors: dict[str, np.ndarray]
+
+
+def trial_part(loaded: Loaded, reference: ReferenceVelocity) -> tuple[Trial | None, Bool[np.ndarray, "T"]]:
+    """Cut the rows from a log on which filters without a model are tuned.
+
+    Of parts as long as a third of the log that move, it is the one with the fewest faults, and of equal ones the first.
+
+    Args:
+        loaded: Model and log.
+        reference: Velocities to tune against.
+
+    Returns:
+        The rows with finite velocities, at most `LONGEST_TRIAL`, their outliers missing, or None for a model that is
+        not in coordinates, and for a log too short to tune on; and which rows (T,) of the log they span.
+    """
+    t = np.asarray(loaded.record.t)
+    none = np.zeros(len(t), bool)
+    if not loaded.model.manifold.commuting:
+        return None, none
+    y = np.asarray(loaded.record.y)
+    wrong = outliers(t, y, loaded.model.circles)[0]
+    known = np.asarray(np.isfinite(reference.v).all(axis=1))
+    faulty = np.asarray(wrong.any(axis=1) | ~np.isfinite(y).any(axis=1))
+    span = moving_part(t, reference.v, known, faulty)
+    part = span & known
+    part[np.flatnonzero(part)[LONGEST_TRIAL:]] = False
+    # Unwrapped before the cut: across rows that are left out a full turn would go unnoticed.
+    y = unwrap(np.where(wrong, np.nan, y), loaded.model.circles)[part]
+    if part.sum() < SHORTEST_TRIAL or np.isfinite(y).sum(axis=0).min() < SHORTEST_TRIAL // 2:
+        return None, none
+    return Trial(t[part], y, reference.v[part]), span
+
+
+def moving_part(
+    t: Float[np.ndarray, "T"], v: Float[np.ndarray, "T n"], known: Bool[np.ndarray, "T"], faulty: Bool[np.ndarray, "T"]
+) -> Bool[np.ndarray, "T"]:
+    """Rows (T,) of a third of a log that moves and has the fewest faults.
+
+    Args:
+        t: Stamps (T,) [s].
+        v: Reference velocities (T, n).
+        known: Where these are finite (T,).
+        faulty: Rows (T,) that are missing or outliers.
+    """
+    square = np.where(known[:, None], v, 0.0) ** 2
+    # Of each coordinate relative to its mean over the log; capped, for a fault of the reference is no motion.
+    size = np.mean(np.minimum(square, np.quantile(square[known], 0.99, axis=0)), axis=0) if known.any() else 1.0
+    motion = np.mean(np.minimum(square / np.where(size > 0, size, 1.0), 10.0), axis=1)
+    third = (t[-1] - t[0]) / 3
+    parts = [(t >= begin) & (t <= begin + third) for begin in np.linspace(t[0], t[-1] - third, PARTS)]
+    moving = [part for part in parts if motion[part & known].size and motion[part & known].mean() >= MOVING]
+    return min(moving or parts, key=lambda part: int(faulty[part].sum()))
+
+
+def ahead(outcomes: dict[str, Outcome], loaded: Loaded, tuned_on: Bool[np.ndarray, "T"]) -> Ahead | None:
+    """Predict positions by the model from the estimates of each estimator, on rows on which none was tuned.
+
+    Args:
+        outcomes: Run of each estimator by name.
+        loaded: Model and log.
+        tuned_on: Rows (T,) on which filters were tuned.
+
+    Returns:
+        The errors; None where the truth is known, for a state-space model, for positions that are read late, and for a
+        log too short.
+    """
+    if not loaded.file.mechanical or loaded.log.truth is not None or np.any(loaded.file.delay):
+        return None
+    t, y = np.asarray(loaded.record.t), np.asarray(loaded.record.y)
+    frequency = observer_gains(log_sheet(loaded), loaded.rate).beta ** 0.5
+    horizon = int(np.clip(np.ceil(HORIZON * loaded.rate / frequency), 2, LONGEST_HORIZON))
+    rows = scored_window(t) & ~tuned_on
+    if rows.sum() < 4 * horizon:
+        return None
+    if loaded.model.manifold.commuting:
+        y = np.where(outliers(t, y, loaded.model.circles)[0], np.nan, y)
+    record, errors = loaded.record._replace(y=y), {}
+    for name, outcome in outcomes.items():
+        motion = loaded.model.motion(outcome.run.estimate)
+        found = errors_ahead(loaded.model, record, Motion(motion.q, motion.v), rows, horizon)
+        errors[name] = np.sqrt(np.nanmean(found**2, axis=(0, 1)))
+    return Ahead(horizon, horizon / loaded.rate, errors)

@@ -1,0 +1,125 @@
+"""Candidates for constant gains, the prediction of measurements that judges them, and forces that are forgotten."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.linalg import solve_discrete_are
+
+from covariant.calibration import Candidate, NoiseLevels, errors_ahead, predict_sampled_errors
+from covariant.calibration._ahead import size
+from covariant.calibration._constant_gains import as_poles, chosen, sampled_design
+from covariant.calibration._error_model import error_model, forgotten, kalman
+from covariant.models import Motion, oscillator
+from covariant.observers import Intrinsic, external_force, run
+from covariant.observers._sampled import sampled_gains
+from covariant.observers._slow import SlowStates
+from covariant.signals import Record
+
+T = 0.02 * np.arange(400)
+RECORD = Record(T, np.zeros((400, 1)), np.cos(T)[:, None])
+TRUE = Motion(jnp.cos(T)[:, None], -jnp.sin(T)[:, None])
+
+
+@pytest.mark.parametrize("frequency", [0.5, 20.0, 60.0])
+@pytest.mark.parametrize("damping", [0.3, 0.999, 1.0, 2.0])
+def test_gains_of_a_sample_lead_back_to_frequency_and_damping(frequency, damping):
+    k1, k2 = sampled_gains(2 * damping * frequency, frequency**2, 0.01)
+    found = as_poles(float(k1), float(k2), 100.0)
+    np.testing.assert_allclose(found, (frequency, damping), rtol=1e-4)
+
+
+def stationary(std, density, rate):
+    """Gains of the stationary Kalman filter of a double integrator, by a Riccati equation."""
+    h, flow = 1 / rate, np.array([[1.0, 1 / rate], [0.0, 1.0]])
+    white = density * np.array([[h**3 / 3, h**2 / 2], [h**2 / 2, h]])
+    cov = solve_discrete_are(flow.T, np.eye(2)[:, :1], white, np.full((1, 1), std**2))
+    return cov[:, 0] / (cov[0, 0] + std**2)
+
+
+@pytest.mark.parametrize(("std", "density", "rate"), [(1e-3, 0.1, 100.0), (2e-3, 0.01, 20.0), (1e-4, 1e-3, 1000.0)])
+def test_the_sampled_design_is_the_stationary_kalman_filter(std, density, rate):
+    frequency, damping = sampled_design(std, density, rate)
+    k1, k2 = stationary(std, density, rate)
+    best = as_poles(k1, k2, rate)
+    np.testing.assert_allclose((frequency, damping), best, rtol=0.05)
+    errors = [
+        predict_sampled_errors(*_gains(each), rate, std, density).velocity_std for each in (best, (frequency, damping))
+    ]
+    assert errors[0] <= errors[1] < 1.001 * errors[0]
+
+
+def test_the_gain_of_the_error_filter_is_that_of_the_stationary_design():
+    """Of a free mass both are the same Kalman filter."""
+    mass = oscillator(stiffness=1e-9)
+    record = Record(T, np.zeros((400, 1)), np.zeros((400, 1)))
+    t, u, y = (jnp.asarray(each) for each in record[:3])
+    errors = error_model(mass, jnp.zeros((400, 1)), jnp.zeros((400, 1)), t, u, y, 1)
+    noise = NoiseLevels(jnp.asarray(0.3), jnp.array([1e-3]), jnp.asarray(0.0))
+    filtered = kalman(errors, noise, 1.0)
+    np.testing.assert_allclose(filtered.gain[-1], stationary(1e-3, 0.09, 50.0), rtol=1e-4)
+    k1, k2 = stationary(1e-3, 0.09, 50.0)
+    best = predict_sampled_errors(*_gains(as_poles(k1, k2, 50.0)), 50.0, 1e-3, 0.09)
+    assert float(filtered.velocity_std[-1, 0]) == pytest.approx(best.velocity_std, rel=1e-4)
+
+
+def _gains(poles):
+    return 2 * poles[0] * poles[1], poles[0] ** 2
+
+
+def test_predictions_show_the_error_of_the_velocity():
+    off = Motion(TRUE.q, TRUE.v + 0.1)
+    errors = errors_ahead(oscillator(), RECORD, off, T > 2.0, 5)
+    np.testing.assert_allclose(errors[:, :, 0], np.broadcast_to(-0.1 * np.sin(T[1:6]), errors.shape[:2]), atol=1e-8)
+
+
+def test_predictions_leave_out_what_is_missing_and_beyond_gaps_and_report_what_fails():
+    y = RECORD.y.copy()
+    y[150] = np.nan
+    t = np.where(T > 5.0, T + 1.0, T)
+    errors = errors_ahead(oscillator(), Record(t, RECORD.u, y), TRUE, np.ones(400, bool), 3)
+    assert np.isnan(errors[149, 0])
+    assert np.isfinite(errors[149, 1])
+    border = int(np.argmax(T > 5.0))
+    assert np.isnan(errors[border - 1]).all()
+    assert np.isfinite(errors[border]).all()
+    failed = errors_ahead(oscillator(), RECORD, Motion(TRUE.q, TRUE.v * jnp.nan), T > 2.0, 3)
+    assert np.isinf(size([failed])).all()
+    with pytest.raises(ValueError, match="no row is followed by 9 others"):
+        errors_ahead(oscillator(), RECORD, TRUE, T < 0.0, 9)
+
+
+def taken(**errors):
+    return chosen([Candidate(name.replace("_", " "), 1.0, 1.0, error) for name, error in errors.items()]).source
+
+
+def test_what_is_worse_than_the_model_file_is_never_taken():
+    assert taken(model_file=1.0, innovations=1.1, rule=1.01) == "model file"
+    assert taken(model_file=1.0, innovations=0.8, rule=1.2) == "innovations"
+    assert taken(model_file=1.02, predictions=1.0, rule=1.04) == "model file"
+
+
+def test_what_predicts_best_has_to_be_clearly_better_than_the_designs_from_the_noise():
+    assert taken(model_file=2.0, predictions=1.0, rule=1.02, sampled_design=1.04) == "sampled design"
+    assert taken(predictions=1.0, innovations=1.01, rule=1.04, sampled_design=1.06) == "rule"
+    assert taken(predictions=1.0, innovations=1.01, rule=1.06) == "predictions"
+
+
+@pytest.mark.parametrize("time", [0.05, 3.0])
+def test_a_force_is_forgotten_as_by_the_observers(time):
+    slow, h = SlowStates((external_force(std=2.0, time=time),)), jnp.asarray(0.02)
+    mean, decay, added = forgotten(h, time)
+    means, ends = slow.advanced(jnp.ones(1), h)
+    np.testing.assert_allclose([mean, decay], [means[0], ends[0]], rtol=1e-12)
+    assert float(4 * added) == pytest.approx(float(slow.walk_root(h)[0, 0] ** 2), rel=1e-9)
+
+
+def test_a_force_without_a_time_is_a_random_walk():
+    np.testing.assert_array_equal(forgotten(jnp.asarray(0.02), jnp.inf), (1.0, 1.0, 0.02))
+    np.testing.assert_array_equal(forgotten(jnp.asarray(0.0), 1.0), (1.0, 1.0, 0.0))
+
+
+def test_the_reference_run_predicts_as_well_as_its_motion_allows():
+    done = run(Intrinsic(oscillator(), 8.0, 30.0), RECORD)
+    motion = oscillator().motion(done.estimate)
+    errors = errors_ahead(oscillator(), RECORD, Motion(motion.q, motion.v), T > 4.0, 4)
+    assert size([errors])[0] < 1e-5
