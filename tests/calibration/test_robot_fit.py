@@ -8,6 +8,7 @@ from two_links import Truth, accelerate, swing
 
 from covariant import models
 from covariant.calibration import fit_robot
+from covariant.calibration._robot_fit import _rounded
 from covariant.signals import Record
 
 FRICTION = ("viscous", "coulomb", "asymmetry")
@@ -132,6 +133,23 @@ def test_a_joint_that_rests_shows_nothing_of_its_friction():
     found = fit_robot(models.robot_family("double_pendulum", ["friction"]), [Record(t, u[0], y[0])], HALF)
     assert found.determined.tolist() == [True] * 3 + [False] * 3
     assert np.abs(found.values[3:] - found.first[3:]).max() < 0.5
+
+
+def test_only_what_has_become_zero_is_rounded_to_it():
+    """At its bound a friction is zero but for rounding; one that the log does not show stays, whatever its prior."""
+    values, first = np.array([1e-17, 1e-18, 0.05]), np.array([0.05, 0.0, 0.05])
+    assert _rounded(values, first, np.array([1.0, 1.0, 1e12])).tolist() == [0.0, 0.0, 0.05]
+
+
+@pytest.mark.long
+def test_what_only_a_combination_shows_is_not_determined_by_itself():
+    """Torque constants, friction, rotors and inertias have a common factor."""
+    t, u, y = swing(1, Truth(), 8.0)
+    names = ["friction", "armature", "torque_constants", "inertia"]
+    found = fit_robot(models.robot_family("double_pendulum", names), [Record(t, u[0], y[0])], HALF)
+    leading = {text.split(" ")[0] for text in found.combinations.determined}
+    assert any(name.startswith("friction") for name in leading)
+    assert not any(found.determined[found.names.index(name)] for name in leading & set(found.names))
 
 
 def test_a_log_that_is_too_short_is_refused():

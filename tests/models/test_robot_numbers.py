@@ -96,10 +96,13 @@ def test_every_coordinate_of_an_inertia_is_a_body_that_exists():
 
 def test_a_family_makes_the_robot_of_its_numbers():
     """What a compiled function makes of the coordinates is the robot of the written file."""
-    family = models.robot_family("double_pendulum", ["friction.2", "armature", "payload", "inertia.upper", "gravity"])
+    family = models.robot_family(
+        "double_pendulum", ["friction.2", "armature", "payload", "inertia.upper", "gravity", "torque_constants"]
+    )
     x = 0.1 * np.random.default_rng(1).normal(size=len(family.names))
     x[:2] = [0.1, 0.2]
     x[3:6] = 0.1
+    x[-2:] = [0.1, -0.2]
     q, v, u = jnp.asarray(np.random.default_rng(2).normal(size=(3, 2)))
     compiled = jax.jit(lambda x: models.acceleration(family.make(x), ZERO, q, v, u))(x)
     content = family.with_values(np.asarray(family.values(x)))
@@ -117,6 +120,8 @@ def test_a_family_makes_the_robot_of_its_numbers():
         (["friction.elbow.dry"], "friction.elbow has no 'dry'; there are viscous, coulomb, asymmetry"),
         (["inertia.base"], "inertia.base: it has no mass, or does not move; there are upper, lower"),
         (["friction.2", "friction.elbow.coulomb"], "friction.elbow.coulomb is named twice"),
+        (["inertia.lower.mass"], "inertia.lower: its ten numbers are fitted together; drop 'mass'"),
+        ([], "no number is named; name some of friction, armature, payload"),
     ],
 )
 def test_names_of_a_robot_that_do_not_exist_are_told_in_one_line(names, message):

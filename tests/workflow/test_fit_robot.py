@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from covariant import models
-from covariant.workflow import FitResult, fit, simulate
+from covariant.workflow import FitResult, check_model_output, fit, simulate
 
 MODEL = """system = "robot"
 
@@ -72,6 +72,20 @@ def test_the_fitted_robot_is_written_with_a_urdf_file_beside_it(fitted, folder):
     path.unlink()
     with pytest.raises(ValueError, match=r"fitted\.urdf: there is such a file already"):
         fitted.save(folder / "out" / "fitted.toml")
+
+
+def test_a_urdf_file_in_the_way_is_named_before_the_fit(tmp_path):
+    (tmp_path / "fitted.urdf").touch()
+    check_model_output("double_pendulum", tmp_path / "fitted.toml")
+    with pytest.raises(ValueError, match=r"fitted\.urdf: there is such a file already"):
+        check_model_output("double_pendulum", tmp_path / "fitted.toml", urdf=True)
+    check_model_output("double_pendulum", tmp_path / "fitted.toml", overwrite=True, urdf=True)
+
+
+@pytest.mark.parametrize("nothing", ["", " , ", []])
+def test_a_fit_of_nothing_says_what_there_is(folder, nothing):
+    with pytest.raises(ValueError, match="no number is named; name some of friction, armature"):
+        fit("double_pendulum", folder / "machine" / "arm.urdf", nothing)
 
 
 def test_other_numbers_do_not_go_with_those_of_a_robot(folder):

@@ -74,7 +74,7 @@ def mended_clock(record: Record) -> Mended:
                 "",
                 f"time goes back in {len(back)} place{'s' if len(back) > 1 else ''}, by up to {-steps.min():.4g} s: "
                 f"{rows.listed(back)}",
-                f"{MONOTONIC}; of this log use the part before or after, by --from and --until",
+                f"{MONOTONIC}; split this log there: each part is a log by itself",
                 True,
                 {"places": len(back), "longest": float(-steps.min())},
             )

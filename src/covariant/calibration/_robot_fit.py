@@ -62,7 +62,7 @@ BLOCK = 6.0
 FEWEST_BLOCKS = 12
 BATCH = 1024
 ROUNDING = 1e-10
-"""A value below this fraction of its prior standard deviation is zero but for rounding."""
+"""A value that has come below this fraction of its prior standard deviation is zero but for rounding."""
 STILL, MOSTLY = 8.0, 0.9
 """A joint that rests for this fraction of so many half windows is held by its friction: the model does not move it."""
 ORDER = 3
@@ -161,16 +161,19 @@ def fit_robot(
     slopes = np.asarray(jax.jit(jax.jacfwd(family.values))(point.x))
     prior = np.sqrt(np.sum((slopes * search.sizes * PRIOR) ** 2, axis=1))
     errors = np.sqrt(np.einsum("ij,jk,ik->i", slopes, solution.covariance, slopes))
-    determined = errors < KNOWN * prior
     values = np.asarray(jax.jit(family.values)(point.x))
-    values = np.where(np.abs(values) < ROUNDING * prior, 0.0, values)
+    values = _rounded(values, family.first, prior)
     to_linear = np.asarray(jax.jit(jax.jacfwd(family.linear))(point.x))
+    found = combinations(family, solution.information, to_linear, search.sizes * PRIOR, KNOWN)
+    # A number that only a combination shows, even one with a small part of others, is not known by itself.
+    combined = [any(text.startswith(f"{name} ") for text in found.determined) for name in family.names]
+    determined = (errors < KNOWN * prior) & ~np.array(combined)
     return RobotFit(
         family.names,
         family.first,
         values,
         np.where(determined, errors, np.nan),
-        combinations(family, solution.information, to_linear, search.sizes * PRIOR, KNOWN),
+        found,
         solution.scale,
         point.half,
         rounds,
@@ -393,6 +396,12 @@ def _convolved(values: np.ndarray, weights: np.ndarray) -> np.ndarray:
 
     flat = values.reshape(len(values), -1)
     return oaconvolve(flat, weights[:, None], mode="same", axes=0).reshape(values.shape)
+
+
+def _rounded(values: np.ndarray, first: np.ndarray, prior: np.ndarray) -> np.ndarray:
+    """The values, with zero for those that have become zero but for rounding; those that did not move are no such."""
+    size = np.abs(values)
+    return np.where((size < ROUNDING * prior) & (size <= np.abs(values - first)), 0.0, values)
 
 
 def _scale(values: np.ndarray) -> float:

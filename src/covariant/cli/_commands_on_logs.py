@@ -173,7 +173,10 @@ def fit(
 
     Exit code 1 where the fitted model predicts worse than before what is held out; it is not written then.
     """
-    check_model_output(model, out, overwrite)
+    inertias = any(
+        name.strip().removeprefix("parameters.").split(".")[0] == "inertia" for name in parameters.split(",")
+    )
+    check_model_output(model, out, overwrite, urdf=inertias and not model.endswith(".xml"))
     with progress_bar(quiet=json) as progress:
         result = workflow.fit(
             model,

@@ -256,6 +256,8 @@ def _family(spec: str, names: Sequence[str], content: dict[str, Any]) -> RobotFa
     robot = read(parameters["path"], motor_torques=parameters.get("motor_torques", False))
     tables = {key: parameters[key] for key in GROUPS if key in parameters and key != "payload"}
     robot = changed(robot, **tables)
+    if not names:
+        raise ValueError(f"no number is named; name some of {', '.join(GROUPS)}")
     numbers: list[OpenNumber] = []
     for name in names:
         group, *rest = name.strip().removeprefix("parameters.").split(".")
@@ -411,7 +413,8 @@ def _first_load(robot: Description, link: str) -> list[float]:
 
 def _inertia(scene: _Scene, rest: list[str]) -> list[OpenNumber]:
     links, rest = scene.of_links(rest, scene.moving_links)
-    _done(rest, f"inertia.{links[0]}")
+    if rest:
+        raise ValueError(f"inertia.{links[0]}: its ten numbers are fitted together; drop {'.'.join(rest)!r}")
     units = ("kg", *("m",) * 3, *("kg m^2",) * 6)
     opened = []
     for link in links:

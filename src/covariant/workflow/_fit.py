@@ -72,7 +72,8 @@ def fit(
         )
     if horizon is not None and not 0 < horizon < math.inf:
         raise ValueError(f"horizon must be a positive number of seconds; got {horizon}")
-    names = parameters.split(",") if isinstance(parameters, str) else list(parameters)
+    listed = parameters.split(",") if isinstance(parameters, str) else list(parameters)
+    names = [name for name in listed if name.strip()]  # whoever makes the family says which names there are
     logs = as_logs(log)
     # What computes is loaded after the arguments are checked.
     from covariant.workflow._fit_to_logs import fit_to_logs

@@ -35,7 +35,7 @@ def is_robot_fit(job: Job, names: Sequence[str]) -> bool:
         return False
     if system != "robot":
         return False
-    return any("[" not in name and not name.strip().startswith("inputs.") for name in names)
+    return not names or any("[" not in name and not name.strip().startswith("inputs.") for name in names)
 
 
 def fit_robot_to_logs(

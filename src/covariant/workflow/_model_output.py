@@ -28,13 +28,14 @@ def as_logs(log: Any) -> tuple[Any, ...]:
     return each
 
 
-def check_model_output(model: Any, path: str | Path | None, overwrite: bool = False) -> None:
+def check_model_output(model: Any, path: str | Path | None, overwrite: bool = False, urdf: bool = False) -> None:
     """Check that a model file may be written, before anything is computed.
 
     Args:
         model: The model whose file is written anew with other numbers.
         path: The file to write (.toml); None, for no file, passes.
         overwrite: Whether a file that exists may be replaced, the model file itself included.
+        urdf: Whether a URDF file of the same name is written beside it.
 
     Raises:
         ValueError: One line that names the path or the model, and what to do.
@@ -60,6 +61,9 @@ def check_model_output(model: Any, path: str | Path | None, overwrite: bool = Fa
         same = Path(spec).exists() and path.samefile(spec)
         what = "this is the model file itself" if same else "there is such a file already"
         raise ValueError(f"{path}: {what}; write to another file, or say --overwrite")
+    beside = path.with_suffix(".urdf")
+    if urdf and beside.exists() and not overwrite:
+        raise ValueError(f"{beside}: there is such a file already; write to another file, or say --overwrite")
 
 
 def write_model(model: Any, path: str | Path, overwrite: bool, head: str, content: Any) -> Path:
@@ -85,8 +89,8 @@ def write_model(model: Any, path: str | Path, overwrite: bool, head: str, conten
 
     check_model_output(model, path, overwrite)
     content, urdf = robot_content(content, Path(path))
-    if urdf is not None and urdf[0].exists() and not overwrite:
-        raise ValueError(f"{urdf[0]}: there is such a file already; write to another file, or say --overwrite")
+    if urdf is not None:
+        check_model_output(model, path, overwrite, urdf=True)
     text = head + models.rewrite(model_text(model), content)
     if urdf is not None:
         write_atomically(urdf[0], lambda file: file.write(urdf[1].encode()))

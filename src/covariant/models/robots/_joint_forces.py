@@ -54,15 +54,15 @@ def inputs(
     free: list[int],
     motors: Sequence[Motor],
     actuated: Sequence[str] | None,
-) -> np.ndarray:
-    """Generalised force (n, m) of each input."""
+) -> Any:
+    """Generalised force (n, m) of each input; traced where a torque constant is."""
     if not motors:
         driven = [i for i in free if actuated is None or axes[i].joint.name in actuated]
         # By virtual work the transpose of coordinates ↦ joint positions takes torques to generalised forces.
         factors = numbers(
             axes[i].joint.torque_constant * (_reduction(axes[i].joint) if robot.motor_torques else 1.0) for i in driven
         )
-        return coordinates[driven].T * factors
+        return coordinates[driven].T * factors[None, :]
     columns = []
     for motor in motors:
         if motor.unsupported:
