@@ -192,7 +192,8 @@ class Judged(NamedTuple):
         restart: Whether the estimate has to start anew from this measurement: because of `moved`, or because so many
             samples were refused in a row.
         anew: Which components (n,) a new start takes from this measurement: all but missing ones, and outliers of
-            joints that give no reason to start anew, which stay where they are predicted.
+            joints that give no reason to start anew, which stay where they are predicted. Without a new start, which
+            ones are used.
         velocity: Velocity of the new start: the predicted one, and where readings show another, that.
         memory: What the gate remembers.
     """

@@ -157,12 +157,11 @@ class Gated(AbstractObserver):
         slip = self._average_slip(state, innovation, used)
         if not self._holds_velocity(state):
             verdict = verdict._replace(far=outlying, restart=verdict.restart & ~jnp.any(verdict.moved))
-        restart, towards = verdict.restart, manifold.towards(motion.q, y)
-        anew = verdict.anew & restart
-        memory = verdict.memory.used(used | anew, jnp.where(anew, 0.0, towards))
+        restart = verdict.restart
+        memory = verdict.memory.used(used, manifold.towards(motion.q, y))
         new, fresh = state._replace(inner=inner, gate=memory, slip=slip), self._restarted(state, motion, verdict, y)
         # A scale above 1 still holds after a new start; a smaller one would make the gate too narrow.
-        fresh = fresh._replace(gate=memory._replace(scale=jnp.maximum(memory.scale, 1.0)))
+        fresh = fresh._replace(gate=fresh.gate._replace(scale=jnp.maximum(memory.scale, 1.0)))
         new = jax.tree.map(lambda a, b: jnp.where(restart, a, b), fresh, new)
         astray = jnp.any(slip > 1).astype(jnp.int32) * int(Result.ASTRAY)
         result = jnp.maximum(jnp.maximum(info.result, verdict.result(info.result)), astray)

@@ -78,8 +78,8 @@ class AbstractGatedFilter(AbstractObserver):
         memory, anew = verdict.memory, verdict.anew | expected.lost
         if gate is not None:
             # A new start leaves nothing behind of what it takes.
-            left = jnp.where(anew & restart, 0.0, self._expected(corrected, u, y).innovation)
-            memory = memory.used(used | (anew & restart), left)
+            left = jnp.where(restart, 0.0, self._expected(corrected, u, y).innovation)
+            memory = memory.used(anew, left)
         corrected = corrected._replace(gate=memory)
         velocity = verdict.velocity
         if usual is not None:  # an estimate that is too uncertain tells nothing of its velocity but the mean
