@@ -138,6 +138,7 @@ def test_an_attitude_is_refused_as_a_whole():
         ({"deviations": 0.0}, "deviations must be a positive, finite number; got 0.0"),
         ({"deviations": np.nan}, "deviations must be a positive"),
         ({"memory": -1.0}, "memory must be a positive"),
+        ({"memory": 0.5}, "memory must be a number of samples, 1 or more; got 0.5"),
         ({"patience": -1}, "patience must be a number of samples, 0 or more; got -1"),
     ],
 )

@@ -15,7 +15,7 @@ from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 from covariant.geometry.lie import SE3
-from covariant.models import GroupSystem, Motion, advance, pendulum_chain
+from covariant.models import GroupSystem, Lagrangian, Motion, advance, pendulum_chain
 from covariant.observers import EKF, UKF, Gate, Gated, GateMemory, Intrinsic, IntrinsicKalman, JointKalman, run
 from covariant.signals import Record, Result
 
@@ -225,3 +225,68 @@ def test_two_refused_readings_show_a_velocity_where_they_continue_the_last_used_
     assert bool(verdict.moved[0]) == moves
     if moves:
         assert float(verdict.velocity.mean[0]) == pytest.approx(10.0)
+
+
+def two_masses(hit: bool) -> tuple[Lagrangian, np.ndarray, np.ndarray, np.ndarray]:
+    """Two masses that nothing connects: the sensor of the first slips or, with `hit`, the mass bounces back."""
+    masses, t = Lagrangian(lambda q: jnp.eye(2, dtype=q.dtype), coordinates=("a", "b")), 0.005 * np.arange(300)
+    first = np.where(t < 0.7, 5 * t, 3.5 - 5 * (t - 0.7)) if hit else 5 * t
+    x = np.stack([first, 0.5 * t], axis=1)
+    y = x + NOISE * np.random.default_rng(1).normal(size=x.shape)
+    y[150:, 0] += 0.0 if hit else 0.3
+    return masses, t, x, y
+
+
+@pytest.mark.parametrize("hit", [True, False])
+@pytest.mark.parametrize("kind", ["EKF", "UKF", "IntrinsicKalman", "JointKalman", "Intrinsic"])
+def test_a_new_start_takes_no_outlier_of_another_joint(kind, hit):
+    masses, t, x, y = two_masses(hit)
+    observer = estimator(kind, masses, 2.0, density=1e-2)
+    row = np.flatnonzero(followed(observer, t, y)[1][100:] == Result.RESTARTED)[0] + 100
+    y[row, 1] += 0.4
+    estimates, codes = followed(observer, t, y)
+    assert codes[row] == Result.RESTARTED
+    assert (codes[row + 1 : row + 15] == Result.OK).all()
+    assert np.abs(estimates[row:, 1] - x[row:, 1]).max() < 5 * NOISE
+
+
+def test_a_joint_whose_outlier_is_left_out_stays_as_uncertain_as_predicted():
+    masses, t, _, y = two_masses(hit=True)
+    observer = estimator("EKF", masses, 4.0)
+    row = np.flatnonzero(followed(observer, t, y)[1][100:] == Result.RESTARTED)[0] + 100
+    y[row - 8 : row + 1, 1] += 0.5 * (-1.0) ** np.arange(9)
+    state = observer.init(jnp.array(y[0]))
+    step = jax.jit(observer.step)
+    for k in range(1, row + 1):
+        before = state
+        state, info = step(state, jnp.zeros(2), jnp.array(y[k]), 0.005)
+    predicted = observer.predict(before, jnp.zeros(2), jnp.asarray(0.005))
+    assert int(info.result) == Result.RESTARTED
+    assert float(predicted.cov[1, 1]) > 30 * NOISE**2
+    assert float(state.cov[1, 1]) == pytest.approx(float(predicted.cov[1, 1]))
+    assert state.gate.refused.tolist() == [0, 9]
+
+
+@pytest.mark.parametrize("kind", ["EKF", "JointKalman"])
+def test_an_impact_is_seen_where_joints_are_read_in_turn(kind):
+    masses, t, _, y = two_masses(hit=True)
+    y[1::2, 0] = np.nan
+    y[2::2, 1] = np.nan
+    estimates, codes = followed(estimator(kind, masses, 4.0), t, y)
+    assert (codes[140:150] == Result.RESTARTED).any()
+    assert np.abs(estimates[150:, 2] + 5).max() < 1.0
+
+
+def test_a_gap_widens_the_gate_of_each_component_by_its_own_speed():
+    """A body whose noisy position hardly moves, and whose spin reverses in a gap of .3 s."""
+    body = GroupSystem(SE3, jnp.eye(6), inputs=0, force=lambda t, g, u: jnp.zeros(6))
+    t = 0.01 * np.arange(150)
+    y = np.tile(np.eye(4), (150, 1, 1))
+    angle = np.where(t < 1.15, 3 * t, 3 * (2.3 - t))
+    y[:, :3, :3] = Rotation.from_rotvec(angle[:, None] * [0, 0, 1]).as_matrix()
+    y[:, :3, 3] = 0.02 * np.random.default_rng(0).normal(size=(150, 3))
+    y[100:130] = np.nan
+    noise, speed = (jnp.array([a] * 3 + [b] * 3) for a, b in ((0.02, 1e-3), (0.05, 3.0)))
+    observer = Gated(Intrinsic(body, 20.0, 200.0, substeps=1), body, noise, speed)
+    codes = np.asarray(run(observer, Record(t, np.zeros((150, 0)), y)).info.result)
+    assert (codes[130:] == Result.OK).all()

@@ -18,7 +18,7 @@ from jaxtyping import Array, Bool, Float, Inexact
 from covariant._linalg import solve
 from covariant._typing import Code, Matrix, Number, Scalar, Vector
 from covariant.models import MechanicalSystem
-from covariant.observers._gate import Gate
+from covariant.observers._gate import Gate, with_block
 from covariant.observers._gate_memory import GateMemory, Velocity
 from covariant.observers._gated_filter import AbstractMechanicalFilter, Expectation
 from covariant.observers._protocol import LastInput, as_gain, at_rest, check_finite
@@ -183,8 +183,10 @@ class EKF(AbstractMechanicalFilter):
     def _started_anew(
         self, state: EKFState, corrected: EKFState, y: Array, expected: Expectation, velocity: Velocity
     ) -> EKFState:
-        q = self.model.manifold.measured(state.q, expected.y)
-        return corrected._replace(q=q, v=velocity.mean, cov=self._first_cov(velocity.cov))
+        n = state.v.shape[0]
+        cov = self._first_cov(velocity.cov)
+        cov = cov.at[:n, :n].set(with_block(state.cov[:n, :n], cov[:n, :n], expected.present))
+        return corrected._replace(q=self._start(state, expected), v=velocity.mean, cov=cov)
 
     def _info(self, state: EKFState, new: EKFState, expected: Expectation, result: Code) -> EKFInfo:
         std = jnp.sqrt(jnp.diag(new.cov)[state.v.shape[0] :])

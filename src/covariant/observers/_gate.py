@@ -44,7 +44,7 @@ class Gate(eqx.Module):
             default; the average widens the gate where the assumed noise is too small.
 
     Raises:
-        ValueError: `deviations` or `memory` is not positive and finite, or `patience` is negative.
+        ValueError: `deviations` is not positive and finite, `memory` not 1 or more and finite, or `patience` negative.
 
     Example:
         >>> import jax.numpy as jnp
@@ -66,6 +66,8 @@ class Gate(eqx.Module):
             value = getattr(self, name)
             if not (math.isfinite(value) and value > 0):
                 raise ValueError(f"Gate: {name} must be a positive, finite number; got {value}")
+        if self.memory < 1:
+            raise ValueError(f"Gate: memory must be a number of samples, 1 or more; got {self.memory}")
         if self.patience < 0:
             raise ValueError(f"Gate: patience must be a number of samples, 0 or more; got {self.patience}")
 
@@ -95,6 +97,8 @@ class Gate(eqx.Module):
             The verdict.
         """
         line, present, widening = memory.line(sample.innovation), sample.present, jnp.maximum(memory.scale, least)
+        # The noise of lines is at least what is said: a scale below 1 tells of large speeds or process noise.
+        noisier = jnp.maximum(memory.scale, 1.0)
         far, straight, joined = (jnp.zeros_like(present),) * 3
         scale = memory.scale
         for together in manifold.measured_together(present.shape[0]):
@@ -103,27 +107,31 @@ class Gate(eqx.Module):
             measured = jnp.all(present[block])
             # An estimate that is off does not make an outlier of a reading that continues the last used one.
             either = jnp.stack([sample.innovation[block], line.change[block]], axis=1)
-            square = jnp.min(_mean_squares(sample.cov[jnp.ix_(block, block)], either))
-            far = far.at[block].set(measured & (square > self._limit(n) / n * widening[block[0]]))
-            noise = sample.noise[jnp.ix_(block, block)] * memory.scale[block[0]]
+            cov = sample.cov[jnp.ix_(block, block)]
+            square = narrowed = jnp.min(_mean_squares(cov, either))
+            if n > 1:  # whose components may be wider by different factors
+                narrowed = jnp.min(_mean_squares(cov, either / jnp.sqrt(widening[block])[:, None]))
+            limit = self._limit(n) / n * (1 if n > 1 else widening[together[0]])
+            far = far.at[block].set(measured & (narrowed > limit))
+            noise = sample.noise[jnp.ix_(block, block)] * noisier[block[0]]
             shape = _shape(jax.tree.map(lambda a, block=block: a[block], line), noise)
             straight, joined = straight.at[block].set(shape[0]), joined.at[block].set(shape[1])
             change = (jnp.minimum(square, BELIEVED * memory.scale[block]) - memory.scale[block]) / self.memory
             scale = scale.at[block].add(jnp.where(measured, change, 0.0))
-        complete = jnp.all(present)  # a new start needs a complete configuration
-        patient = jnp.any(far & (memory.refused >= self.patience)) & complete
+        # A start after long patience needs a complete configuration.
+        patient = far & (memory.refused >= self.patience) & jnp.all(present)
         straight = straight & far & (memory.refused >= 1)
         # All readings since the velocity changed are on the line: later in a burst, three in a row are so by chance.
-        moved = straight & joined & (memory.refused <= 2) & complete & _credible(manifold, line, predicted, usual)
-        restart = patient | jnp.any(moved)
+        moved = straight & joined & (memory.refused <= 2) & _credible(manifold, line, predicted, usual)
+        restart, anew = jnp.any(patient | moved), present & (~far | patient | moved)
         velocity = predicted
         if usual is not None:
             # A start after long patience takes the velocity of the readings too, where three of them agree.
             agreed = moved | (patient & straight & (memory.refused >= 2))
             mean = predicted.mean + jnp.where(agreed, line.slope, 0.0)
-            cov = jnp.where(patient, usual, predicted.cov)
-            velocity = Velocity(mean, _with_block(cov, line.slope_cov(sample.noise, memory.scale), moved))
-        return Judged(far, moved, restart, velocity, memory.judged(line, present, far, scale))
+            cov = jnp.where(jnp.any(patient), usual, predicted.cov)
+            velocity = Velocity(mean, with_block(cov, line.slope_cov(sample.noise, noisier), moved))
+        return Judged(far, moved, restart, anew, velocity, memory.judged(line, present, far, scale))
 
     def _limit(self, n: int) -> float:
         """The squared length that n standard Gaussian numbers exceed as rarely as a single one exceeds `deviations`."""
@@ -193,10 +201,37 @@ def _credible(manifold: AbstractManifold, line: Line, predicted: Velocity, usual
     return credible
 
 
-def _with_block(cov: Matrix, block: Matrix, places: Bool[Array, "n"]) -> Matrix:
-    """A covariance with a block replaced by that of another one, uncorrelated with the rest."""
+def with_block(cov: Matrix, block: Matrix, places: Bool[Array, "n"]) -> Matrix:
+    """A covariance with a block replaced by that of another one, uncorrelated with the rest.
+
+    Args:
+        cov: Covariance (n, n).
+        block: The other covariance (n, n).
+        places: Which entries (n,) are in the block.
+
+    Returns:
+        Covariance (n, n).
+    """
     inside, outside = places[:, None] & places[None], ~places[:, None] & ~places[None]
     return jnp.where(inside, block, jnp.where(outside, cov, 0.0))
+
+
+def start(manifold: AbstractManifold, q: Array, innovation: Vector, y: Array, anew: Bool[Array, "n"]) -> Array:
+    """The configuration of a new start.
+
+    Args:
+        manifold: Manifold of the configurations.
+        q: Predicted configuration.
+        innovation: Innovation (n,) of the measurement there.
+        y: Measurement, NaN where missing.
+        anew: Which components (n,) are taken from it; the others stay where they are predicted.
+
+    Returns:
+        The configuration.
+    """
+    partly = manifold.retract(q, jnp.where(anew, innovation, 0.0))
+    # In coordinates the two are the same. A group element is taken as it is, without a logarithm in between.
+    return partly if manifold.commuting else jnp.where(jnp.all(anew), manifold.measured(q, y), partly)
 
 
 def judged(
@@ -223,5 +258,5 @@ def judged(
     if gate is None:
         nothing = jnp.zeros_like(sample.present)
         velocity = predicted if usual is None else predicted._replace(cov=usual)
-        return Judged(nothing, nothing, jnp.zeros((), bool), velocity, memory)
+        return Judged(nothing, nothing, jnp.zeros((), bool), sample.present, velocity, memory)
     return gate.judge(manifold, sample, memory, predicted, usual)

@@ -55,8 +55,9 @@ class GateMemory(NamedTuple):
         refused: Number (n,) of samples refused in a row.
         scale: Average (n,) of the ratio of actual to expected squared innovations.
         left: Innovation (n,) that the correction by the last used reading left behind.
-        last: Innovation (n,) of the last reading, less `left`; 0 where it was used.
-        slope: Velocity (n,) from the reading before the last one to the last one, relative to that of the estimate.
+        last: Innovation (n,) of the last refused reading, less `left`; of no meaning where none was refused since.
+        slope: Velocity (n,) from the refused reading before that to it, relative to that of the estimate; of no meaning
+            where fewer than two were refused since.
         idle: Time (n,) [s] since the last reading, used or not.
         unused: Time (n,) [s] since the last used reading.
 
@@ -128,8 +129,8 @@ class GateMemory(NamedTuple):
         """The memory after a correction.
 
         Args:
-            used: Which components (n,) of the measurement were used.
-            left: Difference (n,) from the corrected estimate to the measurement.
+            used: Which components (n,) of the measurement were used, by a correction or for a new start.
+            left: Difference (n,) from the new estimate to the measurement.
 
         Returns:
             The memory.
@@ -138,14 +139,8 @@ class GateMemory(NamedTuple):
         return self._replace(
             refused=jnp.where(used, 0, self.refused),
             left=jnp.where(used, left, self.left),
-            last=jnp.where(used, 0.0, self.last),
-            slope=jnp.where(used, 0.0, self.slope),
             unused=jnp.where(used, 0.0, self.unused),
         )
-
-    def restarted(self) -> "GateMemory":
-        """The memory after a new start, which keeps the scale."""
-        return GateMemory.at_start(self.scale)._replace(scale=self.scale)
 
 
 class Sample(NamedTuple):
@@ -196,6 +191,9 @@ class Judged(NamedTuple):
         moved: Which of these (n,) show a velocity, so that the estimate has to start anew with it.
         restart: Whether the estimate has to start anew from this measurement: because of `moved`, or because so many
             samples were refused in a row.
+        anew: Which components (n,) a new start takes from this measurement: all but missing ones, and outliers of
+            joints that give no reason to start anew, which stay where they are predicted. Without a new start, which
+            ones are used.
         velocity: Velocity of the new start: the predicted one, and where readings show another, that.
         memory: What the gate remembers.
     """
@@ -203,6 +201,7 @@ class Judged(NamedTuple):
     far: Bool[Array, "n"]
     moved: Bool[Array, "n"]
     restart: Flag
+    anew: Bool[Array, "n"]
     velocity: Velocity
     memory: GateMemory
 

@@ -29,7 +29,7 @@ from jaxtyping import Array, Bool, Float
 
 from covariant._typing import Matrix, Number, Scalar, Vector
 from covariant.models import MechanicalSystem, Motion
-from covariant.observers._gate import CREDIBLE, Gate
+from covariant.observers._gate import CREDIBLE, Gate, start
 from covariant.observers._gate_memory import GateMemory, Judged, Sample, Velocity
 from covariant.observers._protocol import (
     AbstractObserver,
@@ -155,12 +155,13 @@ class Gated(AbstractObserver):
         used = present & ~outlying
         motion = self.model.motion(self.observer.estimate(inner))
         slip = self._average_slip(state, innovation, used)
-        memory = verdict.memory.used(used, manifold.towards(motion.q, y))
-        new = state._replace(inner=inner, gate=memory, slip=slip)
-        restart = verdict.restart
         if not self._holds_velocity(state):
-            restart = restart & ~jnp.any(verdict.moved)
-        fresh = self._restarted(state, motion, verdict, y)
+            verdict = verdict._replace(far=outlying, restart=verdict.restart & ~jnp.any(verdict.moved))
+        restart = verdict.restart
+        memory = verdict.memory.used(used, manifold.towards(motion.q, y))
+        new, fresh = state._replace(inner=inner, gate=memory, slip=slip), self._restarted(state, motion, verdict, y)
+        # A scale above 1 still holds after a new start; a smaller one would make the gate too narrow.
+        fresh = fresh._replace(gate=fresh.gate._replace(scale=jnp.maximum(memory.scale, 1.0)))
         new = jax.tree.map(lambda a, b: jnp.where(restart, a, b), fresh, new)
         astray = jnp.any(slip > 1).astype(jnp.int32) * int(Result.ASTRAY)
         result = jnp.maximum(jnp.maximum(info.result, verdict.result(info.result)), astray)
@@ -198,10 +199,9 @@ class Gated(AbstractObserver):
 
     def _restarted(self, state: GatedState, motion: Motion, verdict: Judged, y: Array) -> GatedState:
         """The state at the measured configuration, with the velocity of the verdict where that is credible."""
-        fresh = self.init(self.model.manifold.measured(motion.q, y), state.t)
-        fresh = fresh._replace(last_input=state.last_input, dt=state.dt)
-        # A scale above 1 still holds after a new start; a smaller one would make the gate too narrow.
-        fresh = fresh._replace(gate=fresh.gate._replace(scale=jnp.maximum(verdict.memory.scale, 1.0)))
+        manifold = self.model.manifold
+        q = start(manifold, motion.q, manifold.towards(motion.q, y), y, verdict.anew)
+        fresh = self.init(q, state.t)._replace(last_input=state.last_input, dt=state.dt)
         if not self._holds_velocity(state):
             return fresh
         v = verdict.velocity.mean

@@ -15,7 +15,7 @@ from jaxtyping import Array, Bool, Float
 from covariant._typing import Code, Flag, Matrix, Vector
 from covariant.geometry import AbstractManifold
 from covariant.models import MechanicalSystem, Motion
-from covariant.observers._gate import Gate, judged
+from covariant.observers._gate import Gate, judged, start
 from covariant.observers._gate_memory import Judged, Sample, Velocity
 from covariant.observers._protocol import AbstractObserver, outcome, uniqueness
 
@@ -42,9 +42,9 @@ class Expectation(NamedTuple):
     lost: Flag | bool = False
     details: Any = None
 
-    def without(self, outlying: Bool[Array, "n"]) -> "Expectation":
-        """The same without the entries (n,) of the measurement that are `outlying`, where they are coordinates."""
-        return self if self.y.shape != outlying.shape else self._replace(y=jnp.where(outlying, jnp.nan, self.y))
+    def of(self, taken: Bool[Array, "n"]) -> "Expectation":
+        """The same of those entries (n,) of the measurement only that are `taken`; the others count as missing."""
+        return self._replace(present=taken, innovation=jnp.where(taken, self.innovation, 0.0))
 
 
 class AbstractGatedFilter(AbstractObserver):
@@ -74,17 +74,18 @@ class AbstractGatedFilter(AbstractObserver):
         verdict = judged(gate, self._manifold, sample, state.gate, predicted, usual)
         restart, used = verdict.restart | expected.lost, expected.present & ~verdict.far
         corrected = self._used(state, y, expected, used)
-        memory = verdict.memory
+        # An outlier of another joint is no place to start from; an estimate that is lost tells no outliers.
+        memory, anew = verdict.memory, verdict.anew | expected.lost
         if gate is not None:
-            memory = memory.used(used, self._expected(corrected, u, y).innovation)
+            # A new start leaves nothing behind of what it takes.
+            left = jnp.where(restart, 0.0, self._expected(corrected, u, y).innovation)
+            memory = memory.used(anew, left)
         corrected = corrected._replace(gate=memory)
         velocity = verdict.velocity
         if usual is not None:  # an estimate that is too uncertain tells nothing of its velocity but the mean
             velocity = velocity._replace(cov=jnp.where(expected.lost, usual, velocity.cov))
-        # Where readings show a velocity, an outlier of another joint is no place to start from.
-        readings = expected.without(verdict.far & ~verdict.moved & jnp.any(verdict.moved))
-        # Both branches are computed, so that the program has no branch; a new start begins to count refusals again.
-        fresh = self._started_anew(state, corrected, y, readings, velocity)._replace(gate=memory.restarted())
+        # Both branches are computed, so that the program has no branch.
+        fresh = self._started_anew(state, corrected, y, expected.of(anew), velocity)
         new = jax.tree.map(lambda a, b: jnp.where(restart, a, b), fresh, corrected)
         result = self._result(state, new, y, expected, verdict._replace(restart=restart))
         return new, self._info(state, new, expected, result)
@@ -116,7 +117,10 @@ class AbstractGatedFilter(AbstractObserver):
 
     @abc.abstractmethod
     def _started_anew(self, state: Any, corrected: Any, y: Array, expected: Expectation, velocity: Velocity) -> Any:
-        """The state of a new start from the measurement `expected.y`, whose raw form is y, with this velocity."""
+        """The state of a new start from the entries of `expected.y` that are `expected.present`, with this velocity.
+
+        The other entries stay where they are predicted, as uncertain as there. The raw form of the measurement is y.
+        """
 
     @abc.abstractmethod
     def _result(self, state: Any, new: Any, y: Array, expected: Expectation, verdict: Judged) -> Code:
@@ -143,5 +147,9 @@ class AbstractMechanicalFilter(AbstractGatedFilter):
     def estimate(self, state: Any) -> Any:
         return self.model.state(Motion(state.q, state.v))
 
+    def _start(self, state: Any, expected: Expectation) -> Array:
+        """The configuration of a new start: measured where entries of the measurement are present, else predicted."""
+        return start(self.model.manifold, state.q, expected.innovation, expected.y, expected.present)
+
     def _result(self, state: Any, new: Any, y: Array, expected: Expectation, verdict: Judged) -> Code:
-        return outcome(new.q, new.v, y, verdict.result(uniqueness(self.model, state.q, expected.y)))
+        return verdict.result(outcome(new.q, new.v, y, uniqueness(self.model, state.q, expected.y)))

@@ -22,7 +22,7 @@ from covariant._typing import Code, Matrix, Number, Scalar, Vector
 from covariant.geometry import AbstractManifold, AbstractSpace, Budget
 from covariant.models import MechanicalSystem, Motion, advance
 from covariant.observers._covariance import Covariance, check_covariance, covariance_at
-from covariant.observers._gate import Gate
+from covariant.observers._gate import Gate, with_block
 from covariant.observers._gate_memory import GateMemory, Velocity
 from covariant.observers._gated_filter import AbstractMechanicalFilter, Expectation
 from covariant.observers._protocol import LastInput, as_gain, at_rest, check_positive
@@ -264,11 +264,18 @@ class IntrinsicKalman(AbstractMechanicalFilter):
     def _started_anew(
         self, state: KalmanState, corrected: KalmanState, y: Array, expected: Expectation, velocity: Velocity
     ) -> KalmanState:
-        manifold = self.model.manifold
-        measured = manifold.measured(state.q, expected.y)
-        root = self._first_root(measured, velocity.cov, corrected.slow)
-        readings = self._first_readings(manifold.measured(state.q, y), 0 * corrected.v)
-        return corrected._replace(q=measured, v=velocity.mean, root=root, readings=readings)
+        q, n, present = self._start(state, expected), state.v.shape[0], expected.present
+        # The offset that is removed from the measurement is that of the predicted slow states: so they are kept.
+        root = self._first_root(q, velocity.cov, state.slow)
+        apart = jnp.where(present[:, None], root[:n], 0.0)
+        position = semidefinite_root(
+            with_block(state.root[:n] @ state.root[:n].T, root[:n, :n] @ root[:n, :n].T, present)
+        )
+        root = root.at[:n].set(apart).at[:n, :n].set(position)
+        readings = state.readings
+        if readings is not None:
+            readings = Readings(jnp.where(present, y, readings.y), jnp.where(present, 0.0, readings.age))
+        return corrected._replace(q=q, v=velocity.mean, slow=state.slow, root=root, readings=readings)
 
     def _info(self, state: KalmanState, new: KalmanState, expected: Expectation, result: Code) -> KalmanInfo:
         _, innovation, cov, _, present, *_ = expected

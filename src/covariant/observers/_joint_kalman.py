@@ -193,11 +193,12 @@ class JointKalman(AbstractGatedFilter, AbstractLinearFilter):
     def _started_anew(
         self, state: JointState, corrected: JointState, y: Vector, expected: Expectation, velocity: Velocity
     ) -> JointState:
-        q = state.q + jnp.where(jnp.isnan(expected.y), 0.0, expected.innovation)
-        return corrected._replace(q=q, v=velocity.mean, a=state.a, root=self._first_root(velocity.cov))
+        # What is not measured is left as predicted, since every coordinate has a filter of its own.
+        root = jnp.where(expected.present[:, None, None], self._first_root(velocity.cov), state.root)
+        return corrected._replace(q=state.q + expected.innovation, v=velocity.mean, a=state.a, root=root)
 
     def _result(self, state: JointState, new: JointState, y: Vector, expected: Expectation, verdict: Judged) -> Code:
-        return outcome(new.q, new.v, y, verdict.result(jnp.zeros((), jnp.int32)))
+        return verdict.result(outcome(new.q, new.v, y))
 
     def _info(self, state: JointState, new: JointState, expected: Expectation, result: Code) -> JointInfo:
         nis = jnp.sum(expected.innovation**2 / jnp.diag(expected.cov))

@@ -25,7 +25,7 @@ from covariant._typing import Code, Matrix, Number, Scalar, Vector
 from covariant.models import MechanicalSystem, Motion
 from covariant.observers._covariance import Covariance, check_covariance, covariance_at
 from covariant.observers._ekf import EKFInfo, ekf_info
-from covariant.observers._gate import Gate
+from covariant.observers._gate import Gate, with_block
 from covariant.observers._gate_memory import GateMemory, Velocity
 from covariant.observers._gated_filter import AbstractMechanicalFilter, Expectation
 from covariant.observers._protocol import LastInput, as_gain, at_rest, check_finite
@@ -173,8 +173,11 @@ class UKF(AbstractMechanicalFilter):
     def _started_anew(
         self, state: UKFState, corrected: UKFState, y: Array, expected: Expectation, velocity: Velocity
     ) -> UKFState:
-        measured = self.model.manifold.measured(state.q, expected.y)
-        return corrected._replace(q=measured, v=velocity.mean, root=self._first_root(measured, velocity.cov))
+        q, n = self._start(state, expected), state.v.shape[0]
+        root = self._first_root(q, velocity.cov)
+        predicted, measured = (a[:n] @ a[:n].T for a in (state.root, root))
+        position = semidefinite_root(with_block(predicted, measured, expected.present))
+        return corrected._replace(q=q, v=velocity.mean, root=root.at[:n, :n].set(position))
 
     def _info(self, state: UKFState, new: UKFState, expected: Expectation, result: Code) -> EKFInfo:
         std = jnp.sqrt(jnp.sum(new.root[state.v.shape[0] :] ** 2, axis=1))
