@@ -44,8 +44,8 @@ class Line(NamedTuple):
             three readings, and `BEND` as expected of any line.
         """
         over = jnp.sqrt(jnp.where(self.refused > 1, scale / 2, 2 * scale)) / self.step
-        bends = jnp.stack([self.bend / self.step, BEND * self.slope])
-        return noise * jnp.outer(over, over) + bends.T @ bends
+        # The bends of joints that are hit together tell nothing of each other.
+        return noise * jnp.outer(over, over) + jnp.diag((self.bend / self.step) ** 2 + (BEND * self.slope) ** 2)
 
 
 class GateMemory(NamedTuple):
