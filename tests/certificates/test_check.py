@@ -237,8 +237,10 @@ def test_what_noise_adds_is_no_more_than_its_bounds_and_the_slope_say(noisy):
     given = json.loads(noisy.read_text(encoding="utf-8"))["given"]
     true = [1e-3, 2e-3 + given["slopes"][0][0] * 1e-3]
     assert given["slopes"][0][0] > 0.5
-    for sizes in (_check.sizes(parse(noisy)), _certify.disturbance_sizes(given)):
-        np.testing.assert_allclose(sizes, true, rtol=1e-11)
+    np.testing.assert_allclose(_certify.disturbance_sizes(given), true, rtol=1e-11)
+    # The checker shows the slopes with a slack, and counts it.
+    true[1] += given["slopes"][0][0] * 1e-3 * _check.SLACK
+    np.testing.assert_allclose(_check.sizes(parse(noisy)), true, rtol=1e-11)
 
 
 def test_a_radius_that_noise_alone_reaches_is_refused(noisy, tmp_path):

@@ -62,7 +62,7 @@ def inside(folder, monkeypatch):
 def test_a_log_that_fits_is_told_to(capsys):
     assert run("check", "model.toml", "log.csv") == 0
     text = capsys.readouterr().out
-    assert "nothing found; looked for: missing rows" in text
+    assert "nothing found; looked for: clock, missing rows" in text
     assert "801 rows at 200 Hz" in text
 
 

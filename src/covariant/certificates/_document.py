@@ -25,8 +25,8 @@ from covariant.proofs import (
 )
 
 FORMAT = "covariant certificate 2"
-MOST_PARTS = len(LETTERS) // 4
-"""Largest number of velocities, so that each variable has a letter; it also limits the size of parameters."""
+MOST_PARTS = len(LETTERS) // 3
+"""Largest number of velocities, so that each variable of a group has a letter; it also limits sizes of parameters."""
 KEYS = [
     *("format", "recipe", "observer", "q", "rate", "radius", "velocity", "given", "box", "claims", "graph", "digest"),
 ]

@@ -196,6 +196,15 @@ class Judged(NamedTuple):
             ones are used.
         velocity: Velocity of the new start: the predicted one, and where readings show another, that.
         memory: What the gate remembers.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant import Result, models, observers
+        >>> sample = observers.Sample(jnp.array([40.0]), jnp.eye(1), jnp.eye(1), jnp.ones(1, bool))
+        >>> memory, rest = observers.GateMemory.at_start(jnp.zeros(1)), observers.Velocity(jnp.zeros(1), jnp.eye(1))
+        >>> verdict = observers.Gate().judge(models.oscillator().manifold, sample, memory, rest)
+        >>> Result(verdict.result(jnp.asarray(0)).item()).name
+        'OUTLIER'
     """
 
     far: Bool[Array, "n"]
