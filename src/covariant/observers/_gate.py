@@ -108,15 +108,15 @@ class Gate(eqx.Module):
             # An estimate that is off does not make an outlier of a reading that continues the last used one.
             either = jnp.stack([sample.innovation[block], line.change[block]], axis=1)
             cov = sample.cov[jnp.ix_(block, block)]
-            square = narrowed = jnp.min(_mean_squares(cov, either))
+            squares = narrowed = _mean_squares(cov, either)
             if n > 1:  # whose components may be wider by different factors
-                narrowed = jnp.min(_mean_squares(cov, either / jnp.sqrt(widening[block])[:, None]))
+                narrowed = _mean_squares(cov, either / jnp.sqrt(widening[block])[:, None])
             limit = self._limit(n) / n * (1 if n > 1 else widening[together[0]])
-            far = far.at[block].set(measured & (narrowed > limit))
+            far = far.at[block].set(measured & (jnp.min(narrowed) > limit))
             noise = sample.noise[jnp.ix_(block, block)] * noisier[block[0]]
             shape = _shape(jax.tree.map(lambda a, block=block: a[block], line), noise)
             straight, joined = straight.at[block].set(shape[0]), joined.at[block].set(shape[1])
-            change = (jnp.minimum(square, BELIEVED * memory.scale[block]) - memory.scale[block]) / self.memory
+            change = (jnp.minimum(squares[0], BELIEVED * memory.scale[block]) - memory.scale[block]) / self.memory
             scale = scale.at[block].add(jnp.where(measured, change, 0.0))
         # A start after long patience needs a complete configuration.
         patient = far & (memory.refused >= self.patience) & jnp.all(present)

@@ -184,8 +184,11 @@ class Gated(AbstractObserver):
         least = (2 * self.noise**2 + (rate * (state.gate.idle - dt / 2)) ** 2) / expected
         cov, noise, usual = (self._diagonal(square, innovation) for square in (expected, self.noise**2, self.speed**2))
         predicted = Velocity(self.model.motion(self.observer.estimate(state.inner)).v, usual)
-        sample = Sample(innovation, cov, noise, present)
-        return self.gate.judge(self.model.manifold, sample, state.gate, predicted, usual, least)
+        # What the last used reading left behind is in d already.
+        sample = Sample(innovation - state.gate.left, cov, noise, present)
+        memory = state.gate._replace(left=jnp.zeros_like(innovation))
+        verdict = self.gate.judge(self.model.manifold, sample, memory, predicted, usual, least)
+        return verdict._replace(memory=verdict.memory._replace(left=state.gate.left))
 
     def _diagonal(self, variances: Vector | Scalar, like: Vector) -> Matrix:
         return jnp.diag(jnp.broadcast_to(variances, like.shape).astype(like.dtype))

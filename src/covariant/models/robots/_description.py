@@ -47,7 +47,7 @@ class BodyInertia(NamedTuple):
         # With S the second moment, I = tr(S) 1 − S, so tr(I) = 2 tr(S).
         trace = about_centre[0, 0] + about_centre[1, 1] + about_centre[2, 2]  # np.trace takes no traced array
         central = trace / 2 * np.eye(3) - about_centre
-        return cls(mass, mass * centre, central + mass * centre[:, None] * centre[None, :])
+        return cls(mass, mass * centre, central + mass * (centre[:, None] * centre[None, :]))
 
     def moved(self, rotation: np.ndarray, place: np.ndarray) -> "BodyInertia":
         """Transform the inertia to another frame.
