@@ -141,7 +141,7 @@ def test_compiled_c_equals_jax(name, rows):
     """At irregular stamps, with measurements missing."""
     record = swing((0.0, 0.005), rows=200)
     record.y[50:53] = np.nan
-    observer = Delayed(IN_C[name], 0.005 * np.asarray(rows), 500.0)
+    observer = Delayed(IN_C[name], np.multiply(0.005, rows).tolist(), 500.0)
     by_jax, (by_c, engine) = run(observer, record), run_log(observer, record, engine="c")
     assert engine == "c"
     np.testing.assert_allclose(by_c.estimate, by_jax.estimate, rtol=0, atol=1e-11)
