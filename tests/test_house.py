@@ -19,7 +19,7 @@ ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src" / "covariant"
 
 PLAN = (
-    "_programs _compile _typing _functional _files _optional _numbers signals scoring _linalg "
+    "_programs _compile _typing _gauss_markov _functional _files _optional _numbers signals scoring _linalg "
     "_integrate _adaptive lowering logs geometry models metrics observers simulation "
     "proofs certificates calibration codegen engine report papers workflow cli"
 )
@@ -51,8 +51,8 @@ PUBLIC = {
     "contracting_gain diagnose draft errors_ahead estimators filter_bandwidth fit fit_robot gains "
     "gated given_noise growth held_out_logs horizon jerk_bound joint_noise losses mended_clock "
     "misfit observer_gains outliers predict_errors predict_sampled_errors prediction_errors "
-    "relations split stored_observer suggest_noise tune tuned_estimators tuned_state_estimators "
-    "usual_speeds window_length windows with_gains",
+    "relations rows_ahead split stored_observer suggest_noise tune tuned_estimators "
+    "tuned_state_estimators usual_speeds window_length windows with_gains",
     "certificates": "ASSUMED CHECKERS CascadeCertificate Checked CheckerName Claim Constants ContractionCertificate "
     "Corners Decay Document Evidence Followed Growth Hypothesis MetricDesign Observability Projection Sampled "
     "StateMetric Statement ErrorSystem TradeOff Trajectories Verdict at_corners bending cascade certify check "

@@ -71,6 +71,21 @@ COARSEST = 0.01
 """Largest rounding of stamps, as a fraction of the step between rows: velocities are wrong by the same fraction."""
 
 
+class StampError(ValueError):
+    """Error of stamps that repeat or go back.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant import Record
+        >>> from covariant.signals import StampError
+        >>> try:
+        ...     Record([0.0, 0.1, 0.1], y=np.zeros((3, 1))).check()
+        ... except StampError as error:
+        ...     print(error)
+        rows 2 and 3 have the same stamp 0.1 s; keep one of them
+    """
+
+
 class _Fields(NamedTuple):
     t: Float[AnyArray, "T"]
     u: Float[AnyArray, "T m"]
@@ -119,14 +134,14 @@ class Record(_Fields):
             The record itself.
 
         Raises:
-            ValueError: Names the first fault, with its row counted from 1.
+            ValueError: Names the first fault, with its row counted from 1; a `StampError` for stamps that do not rise.
 
         Example:
             >>> import numpy as np
             >>> from covariant import Record
             >>> Record([0.0, 0.2, 0.1], y=np.zeros((3, 1))).check()
             Traceback (most recent call last):
-            ValueError: row 3: time goes back from 0.2 s to 0.1 s; sort or split the log
+            covariant.signals.StampError: row 3: time goes back from 0.2 s to 0.1 s; sort or split the log
         """
         t, u, y = (np.asarray(a) for a in (self.t, self.u, self.y))
         if self.y is None:
@@ -158,10 +173,10 @@ class Record(_Fields):
         step = np.diff(t.astype(float))  # unsigned numbers would not go back
         if (step < 0).any():
             k = int((step < 0).argmax())
-            raise ValueError(f"row {k + 2}: time goes back from {t[k]:g} s to {t[k + 1]:g} s; sort or split the log")
+            raise StampError(f"row {k + 2}: time goes back from {t[k]:g} s to {t[k + 1]:g} s; sort or split the log")
         if (step == 0).any():
             k = int((step == 0).argmax())
-            raise ValueError(f"rows {k + 1} and {k + 2} have the same stamp {t[k]:g} s; keep one of them")
+            raise StampError(f"rows {k + 1} and {k + 2} have the same stamp {t[k]:g} s; keep one of them")
         check_rounding(t)
         if np.isnan(y[0]).any():
             raise ValueError("row 1 lacks a measurement, so no estimate can start there; cut the log to begin later")

@@ -1,4 +1,4 @@
-from ._ahead import errors_ahead as errors_ahead
+from ._ahead import errors_ahead as errors_ahead, rows_ahead as rows_ahead
 from ._clock import mended_clock as mended_clock
 from ._constant_gains import Candidate as Candidate
 from ._contracting import contracting_gain as contracting_gain

@@ -17,10 +17,31 @@ from covariant.calibration._error_model import LONGEST_GAP
 from covariant.models import MechanicalSystem, Motion, advance
 from covariant.signals import Record
 
+HORIZON, LONGEST_HORIZON = 1.5, 50
+"""Horizon of predictions, in units of 1/ω of the observer, and its largest number of rows. Over a much shorter time the
+position alone decides, over a longer one the error of the model."""
 MOST_STARTS = 1000
 """Largest number of rows of a log from which the motion is predicted."""
 FAR = 16.0
 """Cap on squared errors, as a multiple of their 90 % quantile: an outlier decides nothing."""
+
+
+def rows_ahead(rate: float, frequency: float) -> int:
+    """Number of rows over which predictions tell what the velocity of an estimate is worth.
+
+    Args:
+        rate: Sampling rate [Hz].
+        frequency: Natural frequency ω [rad/s] of the observer, or of one like it.
+
+    Returns:
+        The rows in `HORIZON`/ω, at least 2 and at most `LONGEST_HORIZON`.
+
+    Example:
+        >>> from covariant.calibration import rows_ahead
+        >>> rows_ahead(rate=200.0, frequency=30.0)
+        10
+    """
+    return int(np.clip(np.ceil(HORIZON * rate / frequency), 2, LONGEST_HORIZON))
 
 
 def errors_ahead(

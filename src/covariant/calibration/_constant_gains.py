@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
-from covariant.calibration._ahead import errors_ahead, mean_square, size
+from covariant.calibration._ahead import errors_ahead, mean_square, rows_ahead, size
 from covariant.calibration._error_model import ErrorModel, Filtered, NoiseLevels
 from covariant.calibration._gains import predict_sampled_errors
 from covariant.calibration._tuning_log import Runs, TuningLog, intrinsic
@@ -28,9 +28,6 @@ FREQUENCIES, DAMPINGS = (2e-3, 3.0), (0.3, 3.0)
 others a larger or a smaller one; below 0.3 an error rings for so long that a log shows it by chance only."""
 USUAL = 0.5**0.5
 """Damping ratio that is best for white disturbances."""
-HORIZON, LONGEST_HORIZON = 1.5, 50
-"""Horizon of predictions, in units of 1/ω of the gains with the least innovations, and its largest number of rows. Over
-a much shorter time the position alone decides, over a longer one the error of the model."""
 DESIGNS, SLACK = ("sampled design", "rule", "Kalman filter", "model file"), 1.05
 """Candidates that follow from the noise or are in place, the first ones best for velocities where the noise is right,
 and the ratio of errors up to which they go before those that predict better."""
@@ -188,7 +185,7 @@ def best_gains(
     Args:
         model: The mechanical system.
         logs: The logs.
-        proposed: Natural frequencies and damping ratios by name; the horizon is `HORIZON`/ω of "innovations".
+        proposed: Natural frequencies and damping ratios by name; the horizon is `rows_ahead` of "innovations".
         substeps: Runge–Kutta steps in each sample of each log.
         runs: Runs observers.
 
@@ -196,7 +193,7 @@ def best_gains(
         The best candidate on the held-out rows, all of them, and the number of rows of the horizon.
     """
     rate = logs[0].rate
-    horizon = int(np.clip(np.ceil(HORIZON * rate / proposed["innovations"][0]), 2, LONGEST_HORIZON))
+    horizon = rows_ahead(rate, proposed["innovations"][0])
     parts, records = [log.first_part for log in logs], [log.record for log in logs]
 
     def errors(gains: tuple[float, float], over: list[Record], masks: list[Bool[np.ndarray, "T"]]) -> list[np.ndarray]:

@@ -21,6 +21,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from covariant._gauss_markov import gauss_markov
 from covariant._typing import Flag, Scalar, Vector
 from covariant.models import MechanicalSystem, Motion, advance
 
@@ -202,9 +203,8 @@ def forgotten(dt: Scalar, time: Scalar | float) -> tuple[Scalar, Scalar, Scalar]
         of that in one second, dt.
     """
     steps = dt / time
-    safe = jnp.where(steps > 0, steps, 1.0)
-    mean = jnp.where(steps > 0, -jnp.expm1(-safe) / safe, 1.0)
-    return mean, jnp.exp(-steps), jnp.where(steps > 0, -jnp.expm1(-2 * safe), dt)
+    mean, end, added = gauss_markov(steps)
+    return mean, end, jnp.where(steps > 0, added, dt)
 
 
 def _white(acceleration: Scalar, dt: Scalar, n: int) -> Float[Array, "m m"]:

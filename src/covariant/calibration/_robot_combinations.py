@@ -23,6 +23,7 @@ class Combinations(NamedTuple):
         determined: Combinations of two or more numbers, as "inertia.upper.Iyy + 0.09 inertia.lower.mass".
         absorbed: Numbers that appear only in combinations, or not at all: as base parameters they are redundant.
         rank: Number of combinations and single numbers that the log determines.
+        leading: First number of each combination.
 
     Example:
         >>> from covariant.calibration import Combinations
@@ -33,6 +34,7 @@ class Combinations(NamedTuple):
     determined: tuple[str, ...]
     absorbed: tuple[str, ...]
     rank: int
+    leading: tuple[str, ...] = ()
 
 
 def combinations(
@@ -67,12 +69,13 @@ def combinations(
     if not rank:
         return Combinations((), tuple(names[i] for i in sorted(dependent)), 0)
     factors = np.linalg.solve(r[:rank, :rank], r[:rank, rank:])
-    sentences = []
+    sentences, leading = [], []
     for row, i in sorted(zip(factors, independent, strict=True), key=lambda pair: pair[1]):
         parts = [(names[j], f * size[i] / size[j]) for f, j in zip(row, dependent, strict=True) if abs(f) > SMALL]
         if parts:
             sentences.append(names[i] + "".join(_term(name, factor) for name, factor in parts))
-    return Combinations(tuple(sentences), tuple(names[i] for i in sorted(dependent)), rank)
+            leading.append(names[i])
+    return Combinations(tuple(sentences), tuple(names[i] for i in sorted(dependent)), rank, tuple(leading))
 
 
 def _term(name: str, factor: float) -> str:

@@ -25,7 +25,7 @@ from jaxtyping import Array, Bool, Float
 from covariant import scoring
 from covariant._linalg import solve
 from covariant.calibration._robot_combinations import Combinations, combinations
-from covariant.calibration._smooth import held_inputs, second_derivative_weights
+from covariant.calibration._smooth import acceleration_kernel, held_inputs
 from covariant.geometry import differential
 from covariant.models import MechanicalSystem, RobotFamily, applied_force, resistance
 from covariant.signals import Record
@@ -166,8 +166,8 @@ def fit_robot(
     to_linear = np.asarray(jax.jit(jax.jacfwd(family.linear))(point.x))
     found = combinations(family, solution.information, to_linear, search.sizes * PRIOR, KNOWN)
     # A number that only a combination shows, even one with a small part of others, is not known by itself.
-    combined = [any(text.startswith(f"{name} ") for text in found.determined) for name in family.names]
-    determined = (errors < KNOWN * prior) & ~np.array(combined)
+    combined = np.isin(family.names, found.leading)
+    determined = (errors < KNOWN * prior) & ~combined
     return RobotFit(
         family.names,
         family.first,
@@ -385,9 +385,7 @@ def _hermite(s: np.ndarray, left: np.ndarray, right: np.ndarray, slope_left: np.
 
 def _averaging(half: float, step: float) -> np.ndarray:
     """Weights of true accelerations, at points of a grid, in the residual acceleration of a window."""
-    count = max(int(half / step), 3)
-    weights = second_derivative_weights(half / count * np.arange(-count, count + 1), half)
-    kernel = (half / count) ** 2 * np.concatenate([[0.0], np.cumsum(np.cumsum(weights))[:-1]])
+    kernel = acceleration_kernel(half, max(int(half / step), 3))
     return kernel / kernel.sum()
 
 

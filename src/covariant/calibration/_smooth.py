@@ -160,15 +160,24 @@ def _acceleration_weights(half: float, spacing: float) -> float:
     return float(np.linalg.norm(second_derivative_weights(spacing * np.arange(-count, count + 1), half)))
 
 
-@functools.lru_cache
-def _kernel(half: float) -> np.ndarray:
-    """Weights of true accelerations at points of the grid in a smoothed acceleration.
+def acceleration_kernel(half: float, count: int) -> np.ndarray:
+    """Weights (2 count + 1,) of true accelerations, at points of a grid, in a smoothed acceleration.
 
     A sum of positions that is zero for motions at constant velocity is a sum of their second differences; its weights
     are the double sums of those of the positions.
+
+    Args:
+        half: Half width of the window [s].
+        count: Steps of the grid in it.
     """
-    weights = second_derivative_weights(half / HALF * np.arange(-HALF, HALF + 1), half)
+    weights = second_derivative_weights(half / count * np.arange(-count, count + 1), half)
     # Two sums by parts turn Σ w y into Σ (ΣΣw) Δ²y, and Δ²y ≈ step² a.
-    kernel = (half / HALF) ** 2 * np.concatenate([[0.0], np.cumsum(np.cumsum(weights))[:-1]])
+    return (half / count) ** 2 * np.concatenate([[0.0], np.cumsum(np.cumsum(weights))[:-1]])
+
+
+@functools.lru_cache
+def _kernel(half: float) -> np.ndarray:
+    """The kernel on the grid of a smoothed log."""
+    kernel = acceleration_kernel(half, HALF)
     kernel.flags.writeable = False  # the cache shares it among all callers
     return kernel

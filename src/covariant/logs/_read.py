@@ -20,7 +20,7 @@ from covariant.logs._tables import LogSource, source_name, table_source
 from covariant.logs._text import is_number, read_text, sheet, with_points
 from covariant.logs._unit_in_name import MEANT, is_unit_of, unit_in_name
 from covariant.logs._units import check_unit, unit_factor
-from covariant.signals import Record
+from covariant.signals import Record, StampError
 
 OPTIONAL = ("v", "truth")
 """Fields of `Columns` that are used for comparison only."""
@@ -271,9 +271,9 @@ def _checked(name: str, record: Record) -> Record:
     """The record after `Record.check`, before rows are dropped, so that messages count rows as in the log."""
     try:
         return record.check()
+    except StampError as error:
+        raise ClockError(f"{name}: {error}", record) from error
     except ValueError as error:
-        if "time goes back" in str(error) or "same stamp" in str(error):
-            raise ClockError(f"{name}: {error}", record) from error
         raise LogError(f"{name}: {error}") from error
 
 

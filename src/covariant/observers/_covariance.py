@@ -9,7 +9,7 @@ from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from covariant._linalg import solve
-from covariant._typing import Matrix, Scalar
+from covariant._typing import Matrix, Scalar, Vector
 from covariant.geometry import AbstractSpace
 from covariant.observers._protocol import check_finite
 
@@ -47,6 +47,16 @@ def check_covariance(whose: str, name: str, covariance: Any, positive: bool = Fa
     if smallest < -1e-12 * largest or (positive and not smallest > 1e-12 * largest):
         condition = "positive" if positive else "zero or more"
         raise ValueError(f"{whose}: {name} must have variances that are {condition}; its least is {smallest:.3g}")
+
+
+def isotropic(std: Scalar, like: Vector) -> Matrix:
+    """Covariance (n, n) of n independent numbers of one standard deviation.
+
+    Args:
+        std: The standard deviation.
+        like: A vector (n,), of which only shape and precision count.
+    """
+    return jnp.eye(like.shape[0], dtype=like.dtype) * std**2
 
 
 def covariance_at(covariance: Covariance, space: AbstractSpace, q: Array) -> Float[Array, "n n"]:

@@ -18,6 +18,7 @@ from jaxtyping import Array, Bool, Float, Inexact
 from covariant._linalg import solve
 from covariant._typing import Code, Matrix, Number, Scalar, Vector
 from covariant.models import MechanicalSystem
+from covariant.observers._covariance import isotropic
 from covariant.observers._gate import Gate, with_block
 from covariant.observers._gate_memory import GateMemory, Velocity
 from covariant.observers._gated_filter import AbstractMechanicalFilter, Expectation
@@ -122,7 +123,9 @@ class EKF(AbstractMechanicalFilter):
 
     def init(self, y: Array, t: Number = 0.0) -> EKFState:
         q, v, t, last_input, _ = at_rest(self.model, y, t)
-        return EKFState(q, v, t, self._first_cov(self._usual(v)), GateMemory.at_start(v), last_input)
+        return EKFState(
+            q, v, t, self._first_cov(isotropic(self.initial_velocity_std, v)), GateMemory.at_start(v), last_input
+        )
 
     def predict(self, state: EKFState, u: Float[Array, "m"], dt: Scalar) -> EKFState:
         """Integrate the model and the covariance over one step.
@@ -161,7 +164,7 @@ class EKF(AbstractMechanicalFilter):
         return Velocity(state.v, state.cov[n:, n:])
 
     def _usual_velocity(self, state: EKFState) -> Matrix:
-        return self._usual(state.v)
+        return isotropic(self.initial_velocity_std, state.v)
 
     def _used(self, state: EKFState, y: Array, expected: Expectation, used: Bool[Array, "n"]) -> EKFState:
         n = state.v.shape[0]
@@ -191,9 +194,6 @@ class EKF(AbstractMechanicalFilter):
     def _info(self, state: EKFState, new: EKFState, expected: Expectation, result: Code) -> EKFInfo:
         std = jnp.sqrt(jnp.diag(new.cov)[state.v.shape[0] :])
         return ekf_info(self.model, state.q, expected, std, result)
-
-    def _usual(self, v: Vector) -> Matrix:
-        return jnp.eye(v.shape[0], dtype=v.dtype) * self.initial_velocity_std**2
 
     def _first_cov(self, velocity_cov: Matrix) -> Float[Array, "two_n two_n"]:
         zero = jnp.zeros_like(velocity_cov)

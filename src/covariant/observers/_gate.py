@@ -106,17 +106,14 @@ class Gate(eqx.Module):
             # A block is judged as a whole, so it needs all of its components.
             measured = jnp.all(present[block])
             # An estimate that is off does not make an outlier of a reading that continues the last used one.
-            either = jnp.stack([sample.innovation[block], line.change[block]], axis=1)
-            cov = sample.cov[jnp.ix_(block, block)]
-            squares = narrowed = _mean_squares(cov, either)
-            if n > 1:  # whose components may be wider by different factors
-                narrowed = _mean_squares(cov, either / jnp.sqrt(widening[block])[:, None])
-            limit = self._limit(n) / n * (1 if n > 1 else widening[together[0]])
-            far = far.at[block].set(measured & (jnp.min(narrowed) > limit))
+            innovation, width = sample.innovation[block], jnp.sqrt(widening[block])
+            vectors = jnp.stack([innovation, innovation / width, line.change[block] / width], axis=1)
+            square, *narrowed = _mean_squares(sample.cov[jnp.ix_(block, block)], vectors)
+            far = far.at[block].set(measured & (jnp.minimum(*narrowed) > self._limit(n) / n))
             noise = sample.noise[jnp.ix_(block, block)] * noisier[block[0]]
             shape = _shape(jax.tree.map(lambda a, block=block: a[block], line), noise)
             straight, joined = straight.at[block].set(shape[0]), joined.at[block].set(shape[1])
-            change = (jnp.minimum(squares[0], BELIEVED * memory.scale[block]) - memory.scale[block]) / self.memory
+            change = (jnp.minimum(square, BELIEVED * memory.scale[block]) - memory.scale[block]) / self.memory
             scale = scale.at[block].add(jnp.where(measured, change, 0.0))
         # A start after long patience needs a complete configuration.
         patient = far & (memory.refused >= self.patience) & jnp.all(present)

@@ -18,6 +18,7 @@ class Line(NamedTuple):
     Attributes:
         refused: Number (n,) of readings before the new one that were refused in a row.
         change: Innovation (n,) of the new reading, less the one that the last used reading left behind.
+        latest: Slope (n,) between the last two readings.
         slope: Slope (n,) of the line, a velocity relative to that of the estimate: between the last two readings where
             one was refused before, and over the last three where there were more.
         bend: Distance (n,) of the new reading from the line through the two before it, 0 where only one was refused.
@@ -27,6 +28,7 @@ class Line(NamedTuple):
 
     refused: Int[Array, "n"]
     change: Vector
+    latest: Vector
     slope: Vector
     bend: Vector
     step: Vector
@@ -99,10 +101,10 @@ class GateMemory(NamedTuple):
         change = innovation - self.left
         # A repeated stamp changes no state: any positive number serves, instead of a division by zero.
         step = jnp.where(self.idle > 0, self.idle, 1.0)
-        slope, several = (change - self.last) / step, self.refused > 1
-        mean, bend = (slope + self.slope) / 2, (slope - self.slope) * step
-        slope, bend = jnp.where(several, mean, slope), jnp.where(several, bend, 0.0)
-        return Line(self.refused, change, slope, bend, step, self.unused)
+        latest, several = (change - self.last) / step, self.refused > 1
+        slope = jnp.where(several, (latest + self.slope) / 2, latest)
+        bend = jnp.where(several, (latest - self.slope) * step, 0.0)
+        return Line(self.refused, change, latest, slope, bend, step, self.unused)
 
     def judged(self, line: Line, present: Bool[Array, "n"], far: Bool[Array, "n"], scale: Vector) -> "GateMemory":
         """The memory after a verdict, before `used` accounts for the correction.
@@ -116,12 +118,11 @@ class GateMemory(NamedTuple):
         Returns:
             The memory.
         """
-        step = (line.change - self.last) / line.step
         return self._replace(
             refused=self.refused + far.astype(self.refused.dtype),
             scale=scale,
             last=jnp.where(far, line.change, self.last),
-            slope=jnp.where(far, step, self.slope),
+            slope=jnp.where(far, line.latest, self.slope),
             idle=jnp.where(present, 0.0, self.idle),
         )
 

@@ -23,6 +23,7 @@ from jaxtyping import Array, Bool, Float
 from covariant._linalg import semidefinite_root, triangular
 from covariant._typing import Code, Matrix, Number, Scalar, Vector
 from covariant.geometry import AbstractManifold, Coordinates, wrap
+from covariant.observers._covariance import isotropic
 from covariant.observers._gate import Gate
 from covariant.observers._gate_memory import GateMemory, Judged, Velocity
 from covariant.observers._gated_filter import AbstractGatedFilter, Expectation
@@ -134,7 +135,9 @@ class JointKalman(AbstractGatedFilter, AbstractLinearFilter):
             The state, with the standard deviations s, στ and σ of position, velocity and acceleration.
         """
         rest = jnp.zeros_like(y)
-        return JointState(y, rest, rest, self._first_root(self._usual(y)), GateMemory.at_start(y))
+        return JointState(
+            y, rest, rest, self._first_root(isotropic(self.motion_std * self.motion_time, y)), GateMemory.at_start(y)
+        )
 
     def estimate(self, state: JointState) -> Float[Array, "two_n"]:
         return jnp.concatenate([state.q, state.v])
@@ -180,7 +183,7 @@ class JointKalman(AbstractGatedFilter, AbstractLinearFilter):
         return Velocity(state.v, jnp.diag(self._velocity_std(state.root) ** 2))
 
     def _usual_velocity(self, state: JointState) -> Matrix:
-        return self._usual(state.v)
+        return isotropic(self.motion_std * self.motion_time, state.v)
 
     def _used(self, state: JointState, y: Vector, expected: Expectation, used: Bool[Array, "n"]) -> JointState:
         gain, root = jax.vmap(updated, (0, 0, None, 0))(
@@ -207,9 +210,6 @@ class JointKalman(AbstractGatedFilter, AbstractLinearFilter):
     def _velocity_std(self, root: Float[Array, "n 3 3"]) -> Vector:
         unit = self._units[1].astype(root.dtype)
         return self.motion_std * unit * jnp.sqrt(jnp.sum(root[:, 1] ** 2, axis=1))
-
-    def _usual(self, like: Vector) -> Matrix:
-        return (self.motion_std * self.motion_time) ** 2 * jnp.eye(len(like), dtype=like.dtype)
 
     def _first_root(self, velocity_cov: Matrix) -> Float[Array, "n 3 3"]:
         velocity = jnp.sqrt(jnp.diag(velocity_cov)) / (self.motion_std * self.motion_time)

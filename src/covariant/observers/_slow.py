@@ -25,6 +25,7 @@ from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from covariant._functional import Functional
+from covariant._gauss_markov import gauss_markov
 from covariant._linalg import semidefinite_root
 from covariant._typing import Matrix, Number, Numbers, Scalar, Vector
 from covariant.models import Family, MechanicalSystem, Motion, Parametric, acceleration, input_count, resistance
@@ -149,8 +150,8 @@ class SlowStates(NamedTuple):
         """
 
         def spread(group: Slow) -> Array:
-            # The exact integral over the step, by expm1, since for a large τ it is a difference of equal numbers.
-            added = h if group.time is None else -group.time / 2 * jnp.expm1(-2 * h / group.time)
+            # The variance in the long run is walk_cov τ/2.
+            added = h if group.time is None else group.time / 2 * gauss_markov(h / group.time)[2]
             return jnp.sqrt(added) * semidefinite_root(group.walk_cov).astype(h.dtype)
 
         return functools.reduce(diagonal, [spread(group) for group in self.groups])
@@ -174,10 +175,8 @@ class SlowStates(NamedTuple):
                 means, ends = [*means, part], [*ends, part]
                 continue
             first, steps = group.first.astype(part.dtype), (h / group.time).astype(part.dtype)
-            safe = jnp.where(steps > 0, steps, 1.0)  # no step has no mean
-            mean = jnp.where(steps > 0, -jnp.expm1(-safe) / safe, 1.0)
-            means = [*means, first + mean * (part - first)]
-            ends = [*ends, first + jnp.exp(-steps) * (part - first)]
+            mean, end, _ = gauss_markov(steps)
+            means, ends = [*means, first + mean * (part - first)], [*ends, first + end * (part - first)]
         return jnp.concatenate(means), jnp.concatenate(ends)
 
     def parts(self, s: SlowVector) -> list[Array]:

@@ -23,7 +23,7 @@ from jaxtyping import Array, Bool, Float, Inexact
 from covariant._linalg import semidefinite_root, triangular
 from covariant._typing import Code, Matrix, Number, Scalar, Vector
 from covariant.models import MechanicalSystem, Motion
-from covariant.observers._covariance import Covariance, check_covariance, covariance_at
+from covariant.observers._covariance import Covariance, check_covariance, covariance_at, isotropic
 from covariant.observers._ekf import EKFInfo, ekf_info
 from covariant.observers._gate import Gate, with_block
 from covariant.observers._gate_memory import GateMemory, Velocity
@@ -109,7 +109,9 @@ class UKF(AbstractMechanicalFilter):
 
     def init(self, y: Array, t: Number = 0.0) -> UKFState:
         q, v, t, last_input, _ = at_rest(self.model, y, t)
-        return UKFState(q, v, t, self._first_root(q, self._usual(v)), GateMemory.at_start(v), last_input)
+        return UKFState(
+            q, v, t, self._first_root(q, isotropic(self.initial_velocity_std, v)), GateMemory.at_start(v), last_input
+        )
 
     def cov(self, state: UKFState) -> Float[Array, "two_n two_n"]:
         """Covariance (2n, 2n) of the error `(local(q̂, q), v − v̂)` in a state, from its square root."""
@@ -162,7 +164,7 @@ class UKF(AbstractMechanicalFilter):
         return Velocity(state.v, root @ root.T)
 
     def _usual_velocity(self, state: UKFState) -> Matrix:
-        return self._usual(state.v)
+        return isotropic(self.initial_velocity_std, state.v)
 
     def _used(self, state: UKFState, y: Array, expected: Expectation, used: Bool[Array, "n"]) -> UKFState:
         n = state.v.shape[0]
@@ -182,9 +184,6 @@ class UKF(AbstractMechanicalFilter):
     def _info(self, state: UKFState, new: UKFState, expected: Expectation, result: Code) -> EKFInfo:
         std = jnp.sqrt(jnp.sum(new.root[state.v.shape[0] :] ** 2, axis=1))
         return ekf_info(self.model, state.q, expected, std, result)
-
-    def _usual(self, v: Vector) -> Matrix:
-        return jnp.eye(v.shape[0], dtype=v.dtype) * self.initial_velocity_std**2
 
     def _first_root(self, q: Array, velocity_cov: Matrix) -> Float[Array, "two_n two_n"]:
         position = semidefinite_root(covariance_at(self.measurement_cov, self.model.space, q))

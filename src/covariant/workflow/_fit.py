@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from covariant.workflow._arguments import ColumnNames, Overrides
-from covariant.workflow._model_output import as_logs, seen_logs, write_model
+from covariant.workflow._model_output import as_logs, write_model
 from covariant.workflow._progress import Progress, silent
 from covariant.workflow._result import AbstractTable
 
@@ -178,9 +178,7 @@ class FitResult(AbstractTable):
 
     def _head(self) -> str:
         """Comment lines that say what has been fitted, how well it is known, and what is still a first value."""
-        lines = [
-            f"# Fitted by covariant fit to {seen_logs([job.log_name for job in self.jobs])}; ± is one standard error:"
-        ]
+        lines = [f"# Fitted by covariant fit to {self.details['fitted_to']}; ± is one standard error:"]
         for row in self.details["parameters"]:
             error = row["standard_error"]
             lines.append(f"#   {row['name']} = {row['after']:.5g}" + (f" ± {error:.2g}" if error is not None else ""))

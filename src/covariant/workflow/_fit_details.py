@@ -4,11 +4,11 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
-from covariant.calibration import Fit, PredictionErrors, RobotFit, growth, held_out_logs
-from covariant.signals import Record
-from covariant.workflow._aligned import Aligned
-from covariant.workflow._inputs import Job, coordinates
+from covariant.calibration import Fit, PredictionErrors, RobotFit, growth
+from covariant.workflow._fit_logs import BETWEEN, FitLogs
+from covariant.workflow._inputs import coordinates
 from covariant.workflow._outcome import rounded
 
 DIGITS = 7
@@ -17,12 +17,6 @@ WORST_GROWTH = 1.01
 """A model whose held-out error is larger than so many times the one before is not written: 1 % is no difference."""
 CLEAR = 2.0
 """Standard errors by which held or linear inputs must explain a log better than the other ones to be preferred."""
-BETWEEN = ("held", "linear")
-
-
-def driven(records: Sequence[Record]) -> bool:
-    """Whether any input changes: one that is constant is the same held and linear."""
-    return any(bool((np.ptp(np.asarray(record.u), axis=0) > 0).any()) for record in records)
 
 
 class Gain(NamedTuple):
@@ -36,10 +30,21 @@ class Gain(NamedTuple):
     of_linear: float
     standard_error: float
 
+    @classmethod
+    def of(cls, less: Float[np.ndarray, "B"]) -> "Gain":
+        """The gain from what linear inputs lower the negative log-likelihood by in each of B independent parts."""
+        # The variance of a sum of independent terms is their number times that of one.
+        return cls(float(np.sum(less)), float(np.sqrt(len(less)) * np.std(less, ddof=1)))
+
     @property
     def clear(self) -> bool:
         """Whether the gain exceeds `CLEAR` standard errors."""
         return abs(self.of_linear) > CLEAR * self.standard_error
+
+
+def better_way(gain: Gain | None, tried: Sequence[str]) -> str:
+    """How inputs go between stamps: linearly where that is clearly better, else in the first of the ways tried."""
+    return "linear" if gain is not None and gain.clear and gain.of_linear > 0 else tried[0]
 
 
 def _sentence(used: str, gain: Gain | None) -> str:
@@ -79,35 +84,30 @@ def input_details(used: str, stated: bool, gain: Gain | None) -> dict[str, Any]:
 
 
 def fit_details(
-    jobs: list[Job],
-    logs: list[Aligned],
-    best: Fit | RobotFit,
-    length: float,
-    before: PredictionErrors,
-    after: PredictionErrors,
+    model: str, logs: FitLogs, best: Fit | RobotFit, before: PredictionErrors, after: PredictionErrors
 ) -> dict[str, Any]:
     """Numbers before and after a fit, and its errors on what is held out.
 
     Args:
-        jobs: The model and the logs.
+        model: Name of the model.
         logs: The logs as they were read.
         best: The fit.
-        length: Length of the predictions [s].
         before: Errors of the model before the fit.
         after: Errors of the fitted model.
 
     Returns:
         Plain data for the details of a result.
     """
-    names, units = coordinates(logs[0].loaded.file)
-    reference = logs[-1].loaded.reference
+    names, units = coordinates(logs.file)
+    reference = logs.logs[-1].loaded.reference
     numbers = zip(best.names, best.first, best.values, best.standard_errors, best.determined, strict=True)
     ratio = growth(before, after)
     return {
-        "model": jobs[0].model_name,
-        "logs": [job.log_name for job in jobs],
-        "held_out": _held_out(jobs, logs, length),
-        "horizon": float(f"{length:.4g}"),
+        "model": model,
+        "logs": logs.names,
+        "fitted_to": logs.fitted_to,
+        "held_out": logs.held_out,
+        "horizon": float(f"{logs.length:.4g}"),
         "scored_against": reference.label if reference else None,
         "parameters": [
             {
@@ -128,11 +128,3 @@ def fit_details(
         "growth": float(f"{ratio:.4g}") if np.isfinite(ratio) else None,
         "better": bool(ratio <= WORST_GROWTH),
     }
-
-
-def _held_out(jobs: list[Job], logs: list[Aligned], length: float) -> str:
-    """What is held out, in words."""
-    if len(jobs) == 1:
-        return f"the last third of {jobs[0].log_name}"
-    count = held_out_logs([np.asarray(log.raw.t) for log in logs], length)
-    return jobs[-1].log_name if count == 1 else f"the last {count} logs"

@@ -12,14 +12,13 @@ from covariant.calibration import (
     RobotFit,
     Windows,
     fit_robot,
-    held_out_logs,
-    horizon,
     prediction_errors,
     split,
 )
 from covariant.signals import Record, acting_inputs, lag_inputs
-from covariant.workflow._aligned import Aligned, aligned
-from covariant.workflow._fit_details import BETWEEN, DIGITS, Gain, driven, fit_details, input_details
+from covariant.workflow._aligned import Aligned
+from covariant.workflow._fit_details import DIGITS, Gain, better_way, fit_details, input_details
+from covariant.workflow._fit_logs import FitLogs
 from covariant.workflow._inputs import Job
 from covariant.workflow._progress import Progress
 
@@ -57,35 +56,30 @@ def fit_robot_to_logs(
         ValueError: For a model or a log that cannot be used.
     """
     progress("reading")
-    spec, overrides = jobs[0].model_name, jobs[0].overrides
-    family = models.robot_family(spec, names, overrides)
+    family = models.robot_family(jobs[0].model_name, names, jobs[0].overrides)
     # A robot without its friction may explain little of a log: that is what the fit is for.
-    logs = [aligned(job._replace(anyway=True)) for job in jobs]
-    file, references = logs[0].loaded.file, [log.loaded.reference.v for log in logs if log.loaded.reference]
-    part = 1 - FITTED if len(jobs) == 1 else 1.0
-    length = horizon(logs[0].raw, references[0], part, len(logs)) if length is None else length
-    stated = file.input_between != BETWEEN[0] or "between" in models.document(spec, overrides).get("inputs", {})
-    tried = BETWEEN if not stated and driven([log.raw for log in logs]) else (file.input_between,)
-    records = {word: [_acting(log, word) for log in logs] for word in tried}
+    logs = FitLogs.read([job._replace(anyway=True) for job in jobs], length)
+    tried, half = logs.tried, logs.file.reference_half
+    records = {word: [_acting(log, word) for log in logs.logs] for word in tried}
     fits: dict[str, RobotFit] = {}
     start = None
     try:
-        held_out = {word: split(records[word], references, length)[1] for word in tried}
+        held_out = {word: split(records[word], logs.references, logs.length)[1] for word in tried}
         for k, word in enumerate(tried):
             report = _reporter(progress, k, len(tried), word if len(tried) > 1 else "")
-            start = fits[word] = fit_robot(family, _fitted(records[word], length), file.reference_half, report, start)
+            start = fits[word] = fit_robot(family, _fitted(records[word][: logs.seen]), half, report, start)
     except ValueError as error:
-        raise ValueError(f"{', '.join(job.log_name for job in jobs)}: {error}") from error
+        raise ValueError(f"{logs.title}: {error}") from error
     progress("errors on what is held out", 1.0)
-    gain = _gain(fits) if len(fits) > 1 else None
-    used = BETWEEN[1] if gain is not None and gain.clear and gain.of_linear > 0 else tried[0]
+    gain = Gain.of(fits["held"].losses - fits["linear"].losses) if len(fits) > 1 else None
+    used = better_way(gain, tried)
     best = fits[used]
-    before, after = _errors(family, best, held_out[tried[0]], held_out[used])
+    before, after = _errors(family, best, held_out[logs.tried[0]], held_out[used])
     content = family.with_values(np.array([float(f"{value:.{DIGITS}g}") for value in best.values]))
     if gain is not None and gain.clear:
         content.setdefault("inputs", {})["between"] = used
-    details = fit_details(jobs, logs, best, length, before, after)
-    return jobs, content, details | input_details(used, stated, gain) | _of_robot(best)
+    details = fit_details(jobs[0].model_name, logs, best, before, after)
+    return jobs, content, details | input_details(used, logs.stated, gain) | _of_robot(best)
 
 
 def _acting(log: Aligned, between: str) -> Record:
@@ -93,10 +87,10 @@ def _acting(log: Aligned, between: str) -> Record:
     return acting_inputs(lag_inputs(log.raw, log.loaded.file.input_lag), between, log.late)
 
 
-def _fitted(records: Sequence[Record], length: float) -> list[Record]:
-    """What a fit sees: all logs but those that are held out, or the first part of a single one."""
+def _fitted(records: Sequence[Record]) -> list[Record]:
+    """What a fit sees of the logs that are not held out: of a single one its first part."""
     if len(records) > 1:
-        return list(records[: -held_out_logs([np.asarray(record.t) for record in records], length)])
+        return list(records)
     t, u, y = (np.asarray(column) for column in (records[0].t, records[0].u, records[0].y))
     seen = t < t[0] + FITTED * (t[-1] - t[0])
     return [Record(t[seen], u[seen], y[seen])]
@@ -108,11 +102,6 @@ def _reporter(progress: Progress, k: int, count: int, word: str) -> Callable[[in
         progress(f"round {done + 1}{which}", (k + min(done / EXPECTED, 1.0)) / count)
 
     return report
-
-
-def _gain(fits: dict[str, RobotFit]) -> Gain:
-    less = fits["held"].losses - fits["linear"].losses
-    return Gain(float(np.sum(less)), float(np.sqrt(len(less)) * np.std(less, ddof=1)))
 
 
 def _errors(

@@ -7,21 +7,18 @@ import numpy as np
 
 from covariant import models
 from covariant.calibration import (
-    FITTED,
     Fit,
     Windows,
     fit,
-    horizon,
     losses,
     prediction_errors,
     relations,
     split,
 )
-from covariant.workflow._aligned import aligned
-from covariant.workflow._fit_details import BETWEEN, DIGITS, Gain, driven, fit_details, input_details
+from covariant.workflow._fit_details import DIGITS, Gain, better_way, fit_details, input_details
+from covariant.workflow._fit_logs import BETWEEN, FitLogs
 from covariant.workflow._fit_robot import fit_robot_to_logs, is_robot_fit
 from covariant.workflow._inputs import Job
-from covariant.workflow._model_output import seen_logs
 from covariant.workflow._progress import Progress
 
 ROUNDS, STEPS = 4, 25
@@ -49,19 +46,15 @@ def fit_to_logs(
     if is_robot_fit(jobs[0], names):
         return fit_robot_to_logs(jobs, names, length, progress)
     progress("reading")
-    spec, overrides = jobs[0].model_name, jobs[0].overrides
-    family = models.family(spec, names, overrides)
-    logs = [aligned(job) for job in jobs]
-    file, references = logs[0].loaded.file, [log.loaded.reference.v for log in logs if log.loaded.reference]
-    # Of a single log the held-out third must hold enough windows too.
-    part = 1 - FITTED if len(jobs) == 1 else 1.0
-    length = horizon(logs[0].raw, references[0], part, len(logs)) if length is None else length
-    known = file.input_between != BETWEEN[0] or "between" in models.document(spec, overrides).get("inputs", {})
-    tried = BETWEEN if not known and driven([log.raw for log in logs]) else (file.input_between,)
+    family = models.family(jobs[0].model_name, names, jobs[0].overrides)
+    logs = FitLogs.read(jobs, length)
+    tried = logs.tried
     try:
-        parts = {word: split([log.commanded(word) for log in logs], references, length) for word in tried}
+        parts = {
+            word: split([log.commanded(word) for log in logs.logs], logs.references, logs.length) for word in tried
+        }
     except ValueError as error:
-        raise ValueError(f"{', '.join(job.log_name for job in jobs)}: {error}") from error
+        raise ValueError(f"{logs.title}: {error}") from error
     # The first is searched once more from where the last ended: both then have had the same first values.
     searches = (*tried, *tried[:-1])
     fits: dict[str, Fit] = {}
@@ -76,15 +69,15 @@ def fit_to_logs(
         start = fits[word].values
     progress("errors on what is held out", 1.0)
     gain = _gain(family, {word: part[0] for word, part in parts.items()}, fits)
-    used = BETWEEN[1] if gain is not None and gain.clear and gain.of_linear > 0 else tried[0]
+    used = better_way(gain, tried)
     best, held_out = fits[used], parts[used][1]
     # Before the fit no way between stamps was chosen: the first is the one that the model file would use.
     before = prediction_errors(*family.make(best.first), parts[tried[0]][1])
     after = prediction_errors(*family.make(best.values), held_out)
-    content = _document(family, best, jobs)
+    content = _document(family, best, logs.fitted_to)
     if gain is not None and gain.clear:
         content.setdefault("inputs", {})["between"] = used
-    details = fit_details(jobs, logs, best, length, before, after) | input_details(used, known, gain)
+    details = fit_details(jobs[0].model_name, logs, best, before, after) | input_details(used, logs.stated, gain)
     return jobs, content, details | {"windows": len(parts[used][0].t), "undetermined": list(relations(best))}
 
 
@@ -96,17 +89,13 @@ def _gain(family: models.Family, windows: dict[str, Windows], fits: dict[str, Fi
         np.mean([losses(family, windows[word], fits[word], other) for other in fits.values()], axis=0)
         for word in BETWEEN
     )
-    less = held - linear  # losses are negative log-likelihoods, so this is the gain of linear inputs in each window
-    # The variance of a sum of independent terms is their number times that of one.
-    return Gain(float(np.sum(less)), float(np.sqrt(len(less)) * np.std(less, ddof=1)))
+    return Gain.of(held - linear)
 
 
-def _document(family: models.Family, best: Fit, jobs: list[Job]) -> dict[str, Any]:
+def _document(family: models.Family, best: Fit, fitted_to: str) -> dict[str, Any]:
     """The content of the new file; a text that says where the numbers are from says where they are from now."""
     content = family.with_values(np.array([float(f"{value:.{DIGITS}g}") for value in best.values]))
     source = content.get("parameters", {}).get("source")
     if isinstance(source, str):
-        content["parameters"]["source"] = (
-            f"fitted to {seen_logs([job.log_name for job in jobs])} from first values of: {source}"
-        )
+        content["parameters"]["source"] = f"fitted to {fitted_to} from first values of: {source}"
     return content

@@ -2,7 +2,6 @@
 
 import errno
 import os
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -110,19 +109,6 @@ def model_text(model: str | os.PathLike[str]) -> str:
     if spec in ROBOTS or spec.endswith(OF_ROBOTS):
         return 'system = "robot"\n'
     return Path(spec).read_text(encoding="utf-8") if spec.endswith(".toml") else f'system = "{spec}"\n'
-
-
-def seen_logs(names: Sequence[str]) -> str:
-    """Names of the logs that a fit uses: all but the last of several, which is held out.
-
-    Args:
-        names: Names of all logs, by path.
-
-    Returns:
-        Their file names, separated by commas.
-    """
-    short = [Path(name).name for name in names]
-    return ", ".join(short[:-1] or short)
 
 
 def robot_content(content: dict[str, Any], path: Path) -> tuple[dict[str, Any], tuple[Path, str] | None]:

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from covariant.calibration import Trial, errors_ahead, observer_gains, outliers
+from covariant.calibration import Trial, errors_ahead, observer_gains, outliers, rows_ahead
 from covariant.models import Motion
 from covariant.scoring import scored_window, unwrap
 from covariant.workflow._inputs import Loaded, ReferenceVelocity, log_sheet
@@ -19,8 +19,6 @@ PARTS = 9
 """Number of places at which a third of the log is looked at, evenly from its start to its last third."""
 MOVING = 0.25
 """Mean square velocity of a part, as a fraction of that of the log, from which the part moves."""
-HORIZON, LONGEST_HORIZON = 1.5, 50
-"""Horizon of predictions, in units of 1/ω of the gains of the data sheet, and its largest number of rows."""
 
 
 class Ahead(NamedTuple):
@@ -104,8 +102,7 @@ def ahead(outcomes: dict[str, Outcome], loaded: Loaded, tuned_on: Bool[np.ndarra
     if not loaded.file.mechanical or loaded.log.truth is not None or np.any(loaded.file.delay):
         return None
     t, y = np.asarray(loaded.record.t), np.asarray(loaded.record.y)
-    frequency = observer_gains(log_sheet(loaded), loaded.rate).beta ** 0.5
-    horizon = int(np.clip(np.ceil(HORIZON * loaded.rate / frequency), 2, LONGEST_HORIZON))
+    horizon = rows_ahead(loaded.rate, observer_gains(log_sheet(loaded), loaded.rate).beta ** 0.5)
     rows = scored_window(t) & ~tuned_on
     if rows.sum() < 4 * horizon:
         return None

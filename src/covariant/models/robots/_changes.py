@@ -113,11 +113,6 @@ def numbers_of(inertia: BodyInertia) -> np.ndarray:
     return np.array([inertia.mass, *centre, xx, yy, zz, xy, xz, yz])
 
 
-def first_law(joint: Joint) -> FrictionLaw:
-    """The law of a joint, or one with its damping and dry friction where it has none."""
-    return joint.law or FrictionLaw(viscous=joint.damping, coulomb=joint.friction)
-
-
 def _law(name: str, fields: Mapping[str, Any]) -> FrictionLaw:
     for field, value in fields.items():
         if field not in FrictionLaw._fields:
