@@ -132,3 +132,5 @@ def test_short_flights_of_a_body_are_fitted_together(tmp_path):
     result = fit(model, paths, "inertia[1]")
     assert abs(result.values[0] - 2.0) < 0.02
     assert result.details["held_out"] == "the last 2 logs"
+    head = result.save(tmp_path / "fitted.toml").read_text().splitlines()[0]
+    assert "to flight0.csv, flight1.csv, flight2.csv, flight3.csv; " in head
