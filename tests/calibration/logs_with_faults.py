@@ -4,14 +4,14 @@ A machine is integrated by Runge and Kutta's method with `STEPS` steps a row, un
 go linearly; nothing of the library's smoothing or fitting is used.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from covariant.models import ModelFile, acceleration, load
+from covariant.models import ModelFile, acceleration, document, load
 from covariant.signals import Record
 
 ROWS, PERIOD, STEPS = 1500, 0.004, 8
@@ -34,13 +34,14 @@ MACHINES = {
 
 
 class Made(NamedTuple):
-    """A log with the model file that describes it, and the exact positions at its stamps."""
+    """A log with the model file that describes it, the exact positions at its stamps, and how it was made."""
 
     file: ModelFile
     record: Record
     exact: np.ndarray
     quantum: float
     std: float
+    arguments: dict[str, Any]
 
 
 @eqx.filter_jit
@@ -90,6 +91,7 @@ def made(
     counts: float = 0,
     std: float | None = None,
     push: float = 1.0,
+    unknown: tuple[str, ...] = (),
 ) -> Made:
     """A log without a fault.
 
@@ -101,7 +103,9 @@ def made(
         counts: Counts of the encoders a turn; 0 for noise instead.
         std: Noise of the sensors; None for one between 3e-5 and 2e-3.
         push: Size of the inputs, in those of the machine.
+        unknown: Overrides that make the machine from the model that the file states.
     """
+    arguments = {"name": name, "seed": seed, "fast": fast, "between": between, "counts": counts, "std": std}
     machine, random = MACHINES[name], np.random.default_rng(seed)
     std = 10 ** random.uniform(-4.5, -2.8) if std is None else std
     sensor = f"measurement.quantum={2 * np.pi / counts}" if counts else f"measurement.std={std}"
@@ -114,12 +118,14 @@ def made(
     u = push * inputs(random, t, machine.push, fast)
     slope = np.diff(u, axis=0) / np.diff(t)[:, None] * (between == "linear")
     start = random.uniform(-machine.start, machine.start, 2 * file.dimension)
-    exact = np.asarray(_moved(file.model, *map(jnp.asarray, (t, u, slope, start))))[:, : file.dimension]
+    moving = load(machine.model, (*machine.overrides, *unknown)).model
+    exact = np.asarray(_moved(moving, *map(jnp.asarray, (t, u, slope, start))))[:, : file.dimension]
     y = sensed(random, exact, 2 * np.pi / counts if counts else 0.0, std)
     y[1:][random.random((ROWS - 1, y.shape[1])) < 0.02 * (seed % 3 == 1)] = np.nan
     names = [f"{letter}{i + 1}" for letter, n in (("q", y.shape[1]), ("u", u.shape[1])) for i in range(n)]
     columns = file.columns._replace(q=tuple(names[: y.shape[1]]), u=tuple(names[y.shape[1] :]))
-    return Made(file._replace(columns=columns), Record(t, u, y), exact, 2 * np.pi / counts if counts else 0.0, std)
+    quantum = 2 * np.pi / counts if counts else 0.0
+    return Made(file._replace(columns=columns), Record(t, u, y), exact, quantum, std, arguments | {"push": push})
 
 
 def sensed(random: np.random.Generator, exact: np.ndarray, quantum: float, std: float) -> np.ndarray:
@@ -257,6 +263,26 @@ def clock_forward(made: Made, random: np.random.Generator, joint: int) -> Fault:
     return Fault(made.file, made.record._replace(t=t), ("clock set forward",))
 
 
+def _lacking(made_: Made, name: str, sizes: list[float], joint: int) -> Record:
+    """The log of a machine with another number of one joint than the model file states."""
+    stated = document(MACHINES[made_.arguments["name"]].model)["parameters"].get(name, [0.0] * len(sizes))
+    values = [one + size * (i == joint) for i, (one, size) in enumerate(zip(stated, sizes, strict=True))]
+    return made(**made_.arguments, unknown=(f"parameters.{name}={values}",)).record
+
+
+def unknown_friction(made: Made, random: np.random.Generator, joint: int) -> Fault:
+    sizes = [0.2 * size for size in MACHINES[made.arguments["name"]].push]
+    return Fault(made.file, _lacking(made, "viscous", sizes, joint), ("friction",), f"q{joint + 1}")
+
+
+def unknown_rotor(made: Made, random: np.random.Generator, joint: int) -> Fault:
+    """A rotor as heavy as the link is at its joint; the sign or scale of the only input cannot be it, for gravity."""
+    gear = document(MACHINES[made.arguments["name"]].model)["parameters"].get("gear", [1.0] * made.exact.shape[1])
+    metric = np.diag(made.file.model.space(jnp.zeros(made.exact.shape[1])))
+    sizes = [float(one / ratio**2) for one, ratio in zip(metric, gear, strict=True)]
+    return Fault(made.file, _lacking(made, "rotor_inertia", sizes, joint), ("rotor inertia",), f"q{joint + 1}")
+
+
 ANGLES, ALL, TWO = ("pendulum", "double pendulum"), tuple(MACHINES), ("double pendulum",)
 FAULTS = {
     "row shift": (row_shift, TWO),
@@ -276,6 +302,8 @@ FAULTS = {
     "gap": (gap, ALL),
     "held readings": (held_readings, ALL),
     "clock set forward": (clock_forward, ALL),
+    "unknown friction": (unknown_friction, ANGLES),
+    "unknown rotor": (unknown_rotor, ANGLES),
 }
 """Faults by name, and the machines that can have them."""
 CLEAN = ("other inputs", "inputs after they acted")

@@ -3,6 +3,8 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from logs_with_faults import with_fault
+from two_links import Truth, swing
 
 from covariant import logs, models
 from covariant.calibration import diagnose, misfit, outliers, suggest_noise
@@ -398,3 +400,45 @@ def test_the_busiest_rows_are_those_in_which_it_moves(first):
     y = np.concatenate([np.zeros(first), np.arange(5.0), np.full(15 - first, 4.0)])[:, None]
     chosen = busiest(Record(np.arange(20.0), np.zeros((20, 0)), y), 5)
     np.testing.assert_array_equal(chosen.t, first + np.arange(5.0))
+
+
+TWO_LINKS = {"viscous": (0.0, 0.0), "coulomb": (0.0, 0.0), "asymmetry": (0.0, 0.0), "armature": (0.0, 0.0)}
+"""Numbers that the URDF file of the arm does not have."""
+
+
+@pytest.mark.parametrize(
+    ("unknown", "what", "line"),
+    [
+        ({"viscous": (0.3, 0.06), "coulomb": (0.2, 0.08)}, "friction", "friction.shoulder,friction.elbow"),
+        ({"armature": (0.01, 0.004)}, "rotor inertia", "armature.shoulder,armature.elbow"),
+        (
+            {"viscous": (0.3, 0.06), "armature": (0.01, 0.004)},
+            "friction and rotor inertia",
+            "friction.shoulder,friction.elbow,armature.shoulder,armature.elbow",
+        ),
+        ({"load": 0.3}, "", ""),
+    ],
+)
+def test_friction_and_rotors_that_a_robot_lacks_are_named(unknown, what, line):
+    t, u, y = swing(1, Truth(**TWO_LINKS | unknown), 15.0)
+    arm = load("double_pendulum", ("measurement.std=1e-4",))
+    found = [
+        each for each in diagnose(arm, Record(t, u[0], y[0])).findings if each.what not in ("model", "uncertainty")
+    ]
+    assert {each.what for each in found} == ({what} if what else set())
+    if line:
+        assert found[0].line == f"covariant fit MODEL LOG --parameters {line}"
+        assert found[0].numbers["unexplained_after"] < 0.02
+        for name, values in unknown.items():
+            kind = {"viscous": "viscous friction", "coulomb": "Coulomb friction", "armature": "rotor inertia"}[name]
+            for joint, value in zip(("shoulder", "elbow"), values, strict=True):
+                assert 0.7 * value < found[0].numbers[f"{kind} of {joint}"] < 1.3 * value
+
+
+def test_what_a_model_lacks_is_named_before_an_estimate_and_for_chains():
+    fault = with_fault("unknown rotor", 1)
+    (found,) = (each for each in diagnose(fault.file, fault.record).findings if each.wrong)
+    assert found.line == "covariant fit MODEL LOG --parameters rotor_inertia"
+    refused = misfit(fault.file, fault.record)
+    assert refused is not None
+    assert refused.what == "rotor inertia"

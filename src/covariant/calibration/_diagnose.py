@@ -10,11 +10,19 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from covariant.calibration import _sensor
-from covariant.calibration._alternatives import inputs_between_rows, moved_rows, row_shift, signed_ranks
+from covariant.calibration._alternatives import (
+    HELD_OUT,
+    Blocks,
+    inputs_between_rows,
+    moved_rows,
+    row_shift,
+    signed_ranks,
+)
 from covariant.calibration._changes import Change, Names, structure_changes, unit_changes
 from covariant.calibration._clock import set_forward
 from covariant.calibration._delays import Corrected, Stated, delay_findings
 from covariant.calibration._finding import Diagnosis, Finding
+from covariant.calibration._missing_torques import MissingTorques, missing_torques
 from covariant.calibration._readings import known_ticks, readings
 from covariant.calibration._residual import CLEAR, Residual, residual
 from covariant.calibration._sensor_findings import sensor_findings, standstill
@@ -61,6 +69,8 @@ WEIGHTS = (
         "sign of",
         "zero of",
         "model",
+        "friction",
+        "rotor inertia",
         "too little motion",
         "delay",
         "row shift",
@@ -165,19 +175,53 @@ def _findings(
             *_sensors(case, quantum),
             standstill(case.record, case.model.circles, case.names, case.ticks),
         ], checks
-    checks += ("units", "order and signs of columns", "scales of inputs", "delays", "accelerations")
-    delays, corrected = delay_findings(
-        case.model,
-        case.names,
-        case.spacing,
-        Stated(np.broadcast_to(np.asarray(file.delay, float), len(case.names.q)), file.input_lag),
-        lambda delay, rows: _smoothed(_with_rows_moved(case, rows), best[0], delay),
+    checks += (
+        *("units", "order and signs of columns", "scales of inputs", "delays"),
+        *("friction and rotor inertia", "accelerations"),
     )
+    delays, corrected = _delays(case, best[0])
+    missing = missing_torques(case.model, _smoothed(case, best[0]))
+    if missing is not None and missing.after < Blocks.of(corrected.left, best[1]).beyond_noise(HELD_OUT):
+        # Friction looks like a delay and like a scale of an input, so these are looked for in the model that has it.
+        wrong = best[1].misfit > BARELY or bool(_unexplained(case, best[1], best[0]))
+        findings.append(_missing_finding(case, missing, wrong))
+        case = case._replace(model=missing.model)
+        delays, corrected = _delays(case, best[0])
     shifted, inputs = _rows_and_inputs(case, corrected, best[0], not any(each.what == "delay" for each in delays))
     # Readings of a column that is rows late are those of a sensor only in their own rows.
     moved = _with_rows_moved(case, corrected.rows + np.array([_rows_late(shifted, name) for name in case.names.q]))
     unexplained = [] if shifted or inputs else _unexplained(case, corrected.left, best[0])
     return [*findings, *_sensors(moved, quantum), *delays, *shifted, *inputs, *unexplained], checks
+
+
+def _delays(case: _Case, half: float) -> tuple[list[Finding], Corrected]:
+    """Findings on delays and scales of inputs, and the log without these."""
+    file = case.file
+    return delay_findings(
+        case.model,
+        case.names,
+        case.spacing,
+        Stated(np.broadcast_to(np.asarray(file.delay, float), len(case.names.q)), file.input_lag),
+        lambda delay, rows: _smoothed(_with_rows_moved(case, rows), half, delay),
+    )
+
+
+def _missing_finding(case: _Case, missing: MissingTorques, wrong: bool) -> Finding:
+    """Finding on friction and rotor inertia that the model lacks; a note where the data sheet admits what it leaves."""
+    shares = [f"{100 * share:.3g} %" for share in (missing.before, missing.after)]
+    evidence = (
+        f"on rows held out the model leaves {shares[0]} of the squares of the accelerations as it is, {shares[1]} with "
+        f"about {missing.words(case.names)}"
+    )
+    if "rotor inertia" in missing.kinds:
+        evidence += "; too small an inertia of the links looks like it"
+    parameters = missing.parameters(case.file.system, case.model.coordinates)
+    line = f"covariant fit MODEL LOG --parameters {parameters}" if parameters else f"give the model {missing.what}"
+    where = ", ".join(case.names.q[i] for i in sorted(set(missing.joints)))
+    numbers = {"unexplained": missing.before, "unexplained_after": missing.after}
+    named = zip(missing.kinds, missing.joints, missing.values, strict=True)
+    numbers |= {f"{kind} of {case.names.q[joint]}": value for kind, joint, value in named}
+    return Finding(missing.what, where, evidence, line, wrong, numbers)
 
 
 def _rows_late(found: list[Finding], name: str) -> int:
@@ -257,7 +301,11 @@ def misfit(file: ModelFile, record: Record) -> Finding | None:
     if better is not None:
         return better[0]
     findings = [each for each in _unexplained(case, unchanged) if each.what == "model"] if unchanged else []
-    return findings[0] if findings else None
+    if not findings:
+        return None
+    log = _clearly(case)
+    missing = None if log is None else missing_torques(case.model, log)
+    return findings[0] if missing is None else _missing_finding(case, missing, True)
 
 
 def _sensors(case: _Case, stated: float | tuple[float, ...] | None) -> list[Finding]:

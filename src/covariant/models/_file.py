@@ -80,6 +80,7 @@ class ModelFile(NamedTuple):
         external_force_std: Usual size [N or N m] of a force that the model does not know, or one for each coordinate,
             for a filter that estimates it and forgets it after `external_force_time` [s].
         external_force_time: Its time constant [s].
+        system: Name of the system, where it is one of this library, as "robot".
 
     Example:
         >>> from covariant import models
@@ -116,6 +117,7 @@ class ModelFile(NamedTuple):
     family: Any = None
     external_force_std: float | tuple[float, ...] | None = None
     external_force_time: float | None = None
+    system: str = ""
 
     @property
     def typical_std(self) -> float | None:
@@ -399,13 +401,14 @@ def _build(name: str, candidate: Any, parameters: dict[str, Any]) -> ModelFile:
     finished = isinstance(candidate, Model | ModelFile)
     if finished and parameters:
         raise ValueError(f"{name} is a finished model; only a function that makes one takes parameters")
+    system = ""
     if name in SYSTEMS and candidate is _source.system(name):
-        parameters = _source.typed(name, _source.system(name), parameters)
+        system, parameters = name, _source.typed(name, _source.system(name), parameters)
     built = candidate if finished or not callable(candidate) else _source.call(name, candidate, parameters)
     if isinstance(built, Model):
-        return ModelFile(name, built)
+        return ModelFile(name, built, system=system)
     if isinstance(built, ModelFile):
-        return built
+        return built._replace(system=system or built.system)
     how = f"it {'is' if built is candidate else 'returned'} a {type(built).__name__}"
     raise ValueError(
         f"{name} must be a Lagrangian, a GroupSystem, a StateSpace, a ModelFile, or a function returning one; {how}"
