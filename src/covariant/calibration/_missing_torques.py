@@ -104,7 +104,7 @@ def missing_torques(model: MechanicalSystem, log: Smooth) -> MissingTorques | No
     found = regression.values(needed)
     numbers = np.zeros((len(KINDS), log.q.shape[1]))
     numbers.flat[needed] = found
-    completed = with_torques(model, *numbers, _speeds(log))
+    completed = with_torques(model, numbers[0], numbers[1], numbers[2], _speeds(log))
     after = Blocks.of(residual(completed, log), before)
     if not better(now, after):
         return None
