@@ -43,6 +43,7 @@ from covariant.models import robots
 LONG = (
     "tables",
     "scara",
+    "late",
     "exact",
     "thirty",
     "test_it_compiles_without_a_warning_and_passes_its_own_test[top]",
@@ -138,6 +139,9 @@ def case(name: str) -> Case:
             n = {"one": 1, "thirty": 30}[name]
             recipe = with_open_numbers(observers.Intrinsic(springs(n), 8.0, 30.0, substeps=1))
             return Case(recipe, swing(*np.linspace(-1, 1, n)), real="float" if n > 1 else "double")
+        case "late":  # each position by its own time, readings in a buffer, and fields called as arguments are
+            late = observers.Delayed(observers.Intrinsic(pendulum, 20.0, 200.0, substeps=1), [0.01, 0.004], RATE)
+            return Case(with_open_numbers(late, ("delay", "lateness")), swing(0.0, 0.5))
         case "slope":  # one coordinate, no input, no model
             return Case(with_open_numbers(observers.FilteredDerivative(20.0)), swing(0.4))
         case _:
@@ -153,6 +157,7 @@ CASES = (
     "top",
     "ship",
     "scara",
+    "late",
     "slope",
     "one",
     "thirty",

@@ -380,7 +380,8 @@ def _outside(text: str) -> str:
 
 
 def _mentions(body: str, name: str) -> bool:
-    return re.search(rf"\b{re.escape(name)}\b", body) is not None
+    """Whether a body uses a variable; a field of that name, as in `state->u`, is another thing."""
+    return re.search(rf"(?<!->)(?<!\.)\b{re.escape(name)}\b", body) is not None
 
 
 def truths(graph: Graph) -> list[bool]:
