@@ -51,7 +51,7 @@ PUBLIC = {
     "contracting_gain diagnose draft errors_ahead estimators filter_bandwidth fit fit_robot gains "
     "gated given_noise growth held_out_logs horizon jerk_bound joint_noise losses mended_clock "
     "misfit observer_gains outliers predict_errors predict_sampled_errors prediction_errors "
-    "relations rows_ahead split stored_observer suggest_noise tune tuned_estimators "
+    "relations robot_misfit rows_ahead split stored_observer suggest_noise tune tuned_estimators "
     "tuned_state_estimators usual_speeds window_length windows with_gains",
     "certificates": "ASSUMED CHECKERS CascadeCertificate Checked CheckerName Claim Constants ContractionCertificate "
     "Corners Decay Document Evidence Followed Growth Hypothesis MetricDesign Observability Projection Sampled "

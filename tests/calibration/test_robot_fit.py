@@ -1,5 +1,8 @@
 """Numbers of a robot from logs of an arm that is simulated by its own closed form: truth, intervals, combinations."""
 
+import re
+from pathlib import Path
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -7,8 +10,8 @@ import pytest
 from two_links import Truth, accelerate, swing
 
 from covariant import models
-from covariant.calibration import fit_robot
-from covariant.calibration._robot_fit import _rounded
+from covariant.calibration import fit_robot, robot_misfit
+from covariant.calibration._robot_fit import _rounded, _told_from_zero
 from covariant.signals import Record
 
 FRICTION = ("viscous", "coulomb", "asymmetry")
@@ -156,3 +159,66 @@ def test_a_log_that_is_too_short_is_refused():
     t, u, y = swing(1, Truth(), 0.5)
     with pytest.raises(ValueError, match=r"a fit needs 2.16 s; give longer logs"):
         fit_robot(models.robot_family("double_pendulum", ["friction"]), [Record(t, u[0], y[0])], HALF)
+
+
+def test_a_number_is_determined_where_zero_and_a_tenth_of_its_usual_size_are_told_apart():
+    """A Coulomb friction of 0 ± 0.78 N m says nothing where the motor has 3 N m; one of 2.6 ± 0.78 N m does."""
+    values, errors = np.array([0.0, 2.6, 0.0, 0.4]), np.array([0.78, 0.78, 0.1, 0.1])
+    assert _told_from_zero(values, errors, np.full(4, 3.0)).tolist() == [False, True, True, True]
+    assert _told_from_zero(values, errors, np.full(4, 20.0)).tolist() == [True] * 4
+    assert not _told_from_zero(-values, errors, np.full(4, 1.0))[2]
+
+
+@pytest.mark.parametrize("names", [["friction"], ["armature", "payload"], ["friction", "torque_constants"]])
+@pytest.mark.parametrize("truth", [Truth(), Truth(coulomb=(0.6, 0.15), viscous=(1.0, 0.3), armature=(0.3, 0.1))])
+def test_a_log_in_degrees_is_named_whatever_the_friction_and_the_rotors_are(names, truth):
+    family = models.robot_family("double_pendulum", names)
+    t, u, y = swing(1, truth, 6.0)
+    assert robot_misfit(family, family.file, Record(t, u[0], y[0])) is None
+    finding = robot_misfit(family, family.file, Record(t, u[0], np.degrees(y[0])))
+    assert finding is not None
+    assert finding.line == '[units] q = "deg"'
+
+
+@pytest.mark.parametrize(("what", "noise"), [("nothing moves", 0.0), ("too little motion", 1e-3)])
+def test_a_log_at_rest_shows_nothing(what, noise):
+    family = models.robot_family("double_pendulum", ["payload"])
+    t = np.arange(2000) / 250.0
+    y = np.array([0.3, -0.2]) + noise * np.random.default_rng(0).normal(size=(2000, 2))
+    finding = robot_misfit(family, family.file, Record(t, np.ones((2000, 2)), y))
+    assert finding is not None
+    assert finding.what == what
+    slow = y + 0.3 * np.sin(0.2 * t)[:, None]
+    assert robot_misfit(family, family.file, Record(t, np.ones((2000, 2)), slow)) is None
+
+
+def test_a_joint_may_stick_by_the_friction_of_its_file(tmp_path):
+    text = models.robots.located("double_pendulum").read_text()
+    path, slippery = tmp_path / "arm.urdf", str(tmp_path / "slippery.urdf")
+    assert 'friction="0.01"/>' in text, "of the elbow"
+    Path(slippery).write_text(re.sub(' friction="[^"]*"', "", text))
+    path.write_text(re.sub(' friction="0.01"', "", text, count=1))
+    dry = [joint.friction > 0 for joint in models.robots.read(str(path)).joints]
+    assert sum(dry) == 1
+    assert models.robot_family(str(path), ["armature"]).resting == tuple(0.02 * each for each in dry)
+    assert models.robot_family(slippery, ["friction.elbow"]).resting == (0.0, 0.02)
+    assert models.robot_family(slippery, ["armature"]).resting == (0.0, 0.0)
+    law = {"parameters.friction": {"elbow": {"coulomb": 0.1, "smoothing": 0.05}}}
+    assert models.robot_family(slippery, ["armature"], law).resting == (0.0, 0.05)
+
+
+def test_a_load_and_an_offset_have_a_mirrored_solution():
+    """The load on the other side of its link, and the elbow turned by twice the angle of the first moment: the same."""
+    mass, x, z, offset = 0.2, 0.05, -0.2, 0.1
+    turn = 2 * np.arctan2(mass * x, 0.4 * 0.13 - mass * z)
+    rng = np.random.default_rng(0)
+    q, v, u = rng.normal(size=(3, 20, 2))
+
+    def accelerations(x: float, offset: float) -> np.ndarray:
+        load = {"payload": {"lower": (mass, x, 0.0, z)}, "offsets": {"elbow": offset}}
+        arm = models.robots.load("double_pendulum", **load)
+        return np.asarray(jax.vmap(lambda q, v, u: models.acceleration(arm, jnp.zeros(()), q, v, u))(q, v, u))
+
+    true = accelerations(x, offset)
+    np.testing.assert_allclose(accelerations(-x, offset - turn), true, rtol=1e-6)
+    assert np.abs(accelerations(-x, offset + turn) - true).max() > 0.1

@@ -7,7 +7,10 @@ import numpy as np
 import pytest
 
 from covariant import models
-from covariant.workflow import FitResult, check_model_output, fit, simulate
+from covariant.calibration import Combinations, RobotFit
+from covariant.signals import Record
+from covariant.workflow import FitResult, MisfitError, check_model_output, fit, simulate
+from covariant.workflow._fit_robot import _of_robot
 
 MODEL = """system = "robot"
 
@@ -91,3 +94,48 @@ def test_a_fit_of_nothing_says_what_there_is(folder, nothing):
 def test_other_numbers_do_not_go_with_those_of_a_robot(folder):
     with pytest.raises(ValueError, match=r"unknown group of numbers 'inputs'\. Known: friction, armature, payload"):
         fit("double_pendulum", folder / "machine" / "arm.urdf", "friction,inputs.lag")
+
+
+def test_the_urdf_file_of_the_robot_itself_is_never_replaced(fitted, folder):
+    machine = folder / "machine"
+    before = (machine / "arm.urdf").read_bytes()
+    for model in (machine / "arm.toml", machine / "arm.urdf"):
+        with pytest.raises(ValueError, match=r"arm\.urdf: the robot is read from this file.*such as arm_fitted\.toml"):
+            check_model_output(model, machine / "arm.toml", overwrite=True, urdf=True)
+    with pytest.raises(ValueError, match=r"arm\.urdf: the robot is read from this file, which is never replaced"):
+        fitted.save(machine / "arm.toml", overwrite=True)
+    assert (machine / "arm.urdf").read_bytes() == before
+    assert (machine / "arm.toml").read_text() == MODEL
+
+
+def test_a_log_at_rest_or_in_degrees_is_refused():
+    t = np.arange(2000) / 250.0
+    rest = Record(t, np.zeros((2000, 2)), 1e-4 * np.random.default_rng(0).normal(size=(2000, 2)))
+    with pytest.raises(MisfitError, match=r"too little or too short.* log a motion") as refused:
+        fit("double_pendulum", rest, "friction")
+    assert refused.value.exit_code == 1
+    drive = {"duration": 8.0, "rate": 250.0, "amplitude": [2.2, 0.5], "frequency": 0.6, "noise": 1e-4}
+    log = simulate("double_pendulum", **drive, overrides=TRUTH).record
+    with pytest.raises(MisfitError, match=r'\[units\] q = "deg"; --anyway goes on'):
+        fit("double_pendulum", log._replace(y=np.degrees(log.y)), "friction")
+
+
+def made_up(**numbers: tuple[float, float, bool]) -> RobotFit:
+    """A fit with values, standard errors, and whether these are determined."""
+    names = tuple(name.replace("_", ".") for name in numbers)
+    values, errors, determined = (np.array(column) for column in zip(*numbers.values(), strict=True))
+    one, none = np.ones(1), Combinations((), (), 1)
+    return RobotFit(names, values, values, errors, determined, none, one, 0.03, 4, values, one)
+
+
+def test_what_cannot_be_told_from_zero_is_named_with_its_standard_error():
+    result = _of_robot(made_up(friction_elbow_coulomb=(0.0, 0.78, False), gravity=(9.8, 0.1, True)))
+    assert result["undetermined"] == ["friction.elbow.coulomb cannot be told from zero by this log: 0 ± 0.78"]
+
+
+def test_a_load_with_offsets_is_said_to_have_two_solutions():
+    place, offset = {"payload_lower_x": (0.1, 0.01, True)}, {"offsets_elbow": (0.1, 0.01, True)}
+    (sentence,) = _of_robot(made_up(**place, **offset))["undetermined"]
+    assert "on which side of its link the load is" in sentence
+    assert _of_robot(made_up(payload_lower_mass=(0.1, 0.01, True), **offset))["undetermined"] == []
+    assert _of_robot(made_up(**place))["undetermined"] == []

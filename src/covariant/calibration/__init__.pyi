@@ -36,6 +36,7 @@ from ._predict import PredictionErrors as PredictionErrors, prediction_errors as
 from ._relations import relations as relations
 from ._robot_combinations import Combinations as Combinations
 from ._robot_fit import RobotFit as RobotFit, fit_robot as fit_robot
+from ._robot_misfit import robot_misfit as robot_misfit
 from ._sensor import outliers as outliers
 from ._speeds import usual_speeds as usual_speeds
 from ._stored_observer import stored_observer as stored_observer

@@ -296,7 +296,7 @@ def misfit(file: ModelFile, record: Record) -> Finding | None:
     if unchanged is not None and unchanged.told.any() and unchanged.misfit < BARELY:
         return None
     better = _best_change(
-        case, unchanged, ((change, _compared(_changed(case, change))) for change in _units(case)), BARELY
+        case, unchanged, ((change, _compared(changed(case, change))) for change in _units(case)), BARELY
     )
     if better is not None:
         return better[0]
@@ -387,10 +387,14 @@ def _long_enough(case: _Case, half: float) -> bool:
     return bool(enough and t[-1] - t[0] >= SHORTEST * max(half, FEWEST * case.spacing))
 
 
-def _clearly(case: _Case) -> Smooth | None:
-    """The record smoothed by the narrowest window whose accelerations exceed the noise, or else by the widest one.
+def clearly(case: _Case) -> Smooth | None:
+    """Smooth a record by the narrowest window whose accelerations exceed the noise, or else by the widest one.
 
-    None where the record is too short for any.
+    Args:
+        case: The record.
+
+    Returns:
+        The smoothed log; None where the record is too short for any.
     """
     log = None
     for half in (w * case.file.reference_half for w in WIDER):
@@ -404,7 +408,7 @@ def _clearly(case: _Case) -> Smooth | None:
 
 def _compared(case: _Case) -> Residual | None:
     """Residual accelerations of the record; None where it is too short to be smoothed."""
-    log = _clearly(case)
+    log = clearly(case)
     return None if log is None else residual(case.model, log)
 
 
@@ -419,7 +423,7 @@ def best_window(case: _Case) -> tuple[float, Residual] | None:
     """
     halves = [half for half in (w * case.file.reference_half for w in WINDOWS) if _long_enough(case, half)]
     tried = [(half, residual(case.model, _smoothed(case, half))) for half in halves]
-    if not any(left.told.any() for _, left in tried) and (log := _clearly(case)) is not None:
+    if not any(left.told.any() for _, left in tried) and (log := clearly(case)) is not None:
         tried = [(log.half, residual(case.model, log))]
     known = [(half, left) for half, left in tried if left.told.any()]
     return min(known, key=lambda entry: entry[1].misfit) if known else None
@@ -429,7 +433,13 @@ def _units(case: _Case) -> Iterable[Change]:
     return unit_changes(case.names, case.record)
 
 
-def _changed(case: _Case, change: Change) -> _Case:
+def changed(case: _Case, change: Change) -> _Case:
+    """A case after a change of its log.
+
+    Args:
+        case: The case.
+        change: The change.
+    """
     ticks = np.abs(change.position) * case.ticks[change.order]
     return case._replace(record=change.of_record(case.record), names=case.names.after(change), ticks=ticks)
 
@@ -446,15 +456,15 @@ def _corrected(case: _Case) -> tuple[list[Finding], _Case, np.ndarray]:
         if unchanged is not None and unchanged.told.any() and unchanged.misfit < FITS:
             break
         # Units may change the time axis, so the log is smoothed anew; the other changes act on the smoothed log.
-        tried = [(change, _compared(_changed(case, change))) for change in _units(case)]
-        log = _clearly(case)
+        tried = [(change, _compared(changed(case, change))) for change in _units(case)]
+        log = clearly(case)
         if log is not None:
             tried += [(change, residual(case.model, change.of_smooth(log))) for change in structure_changes(case.names)]
         better = _best_change(case, unchanged, tried, BARELY)
         if better is None:
             break
         findings.append(better[0])
-        case = _changed(case, better[1])
+        case = changed(case, better[1])
         if better[1].what.startswith("unit of") and (better[1].order == np.arange(len(factor))).all():
             factor = factor * better[1].position
     return findings, case, factor
@@ -503,7 +513,7 @@ def _percent(share: float) -> str:
 def _unexplained(case: _Case, left: Residual, half: float | None = None) -> list[Finding]:
     """A finding where the residual accelerations exceed what the data sheet states.
 
-    `half` is the half width of the windows of `left`, by default that of `_clearly`.
+    `half` is the half width of the windows of `left`, by default that of `clearly`.
     """
     file, names, clear = case.file, case.names, left.told
     if not clear.any():
@@ -540,7 +550,7 @@ def _part_left(left: Residual) -> np.ndarray:
 
 def _left_by_a_right_model(case: _Case, half: float | None) -> Residual | None:
     """The residual of a log that the model itself makes, smoothed in the same way; None where there is none."""
-    log = _clearly(case) if half is None else _smoothed(case, half)
+    log = clearly(case) if half is None else _smoothed(case, half)
     made = None if log is None else twin(case.model, log, _acting(case), case.ticks)
     if made is None or log is None:
         return None

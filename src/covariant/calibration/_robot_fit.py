@@ -49,12 +49,19 @@ LONGEST_STEP = 1.0
 PRIOR = 3.0
 """Standard deviation of the prior, in usual sizes: it decides only where the log says nothing."""
 KNOWN = 0.1
-"""A number is determined where its standard error is below this fraction of that of the prior."""
+"""A number is known where its standard error is below this fraction of that of the prior."""
+USEFUL = 0.1
+"""Part of its usual size that is useful to know of a number: zero must be told from it."""
+APART = 2.0, 3.0
+"""Standard errors by which zero is told from a useful size, and by which a value is told from zero."""
 HUBER = 3.0
 """Size of a residual torque, in units of its scale, beyond which its influence is constant."""
-RESTING = 0.5
-"""Fraction of a window in which a joint rests, from which its torque is not used: a joint that sticks holds any torque
-up to the dry friction."""
+RESTING = 0.1
+"""Fraction of a window in which a joint may stick, from which its torque is not used: a joint that sticks holds any
+torque up to the dry friction."""
+STICKING, SLOW = 3.0, 0.3
+"""Speed from which a joint does not stick, in that at which dry friction is smoothed: tanh(3) is 1 up to half a per
+cent. In a slow motion it is this fraction of the usual speed, or once the smoothing speed."""
 FULL = 0.6
 """Fraction of the usual number of samples that a window must hold to be used."""
 BLOCK = 6.0
@@ -76,7 +83,9 @@ class RobotFit(NamedTuple):
         first: First values (p,).
         values: Fitted values (p,).
         standard_errors: Standard errors (p,), robust to residuals that are alike within a block; NaN for a number that
-            the log does not determine by itself, which stays near its first value.
+            the log does not show by itself, which stays near its first value.
+        determined: Whether the log determines each number (p,) by itself: it shows the number, and can tell it, or else
+            a tenth of its usual size, from zero.
         combinations: What the log determines of numbers that it cannot tell apart.
         torque: Robust standard deviation (n,) of the residual torques [N m or N].
         half: Half width [s] of the windows.
@@ -89,7 +98,7 @@ class RobotFit(NamedTuple):
         >>> from covariant.calibration import Combinations, RobotFit
         >>> none = Combinations((), (), 1)
         >>> one = np.ones(1)
-        >>> fitted = RobotFit(("gravity",), one, 9.8 * one, 0.1 * one, none, one, 0.03, 4, one, one)
+        >>> fitted = RobotFit(("gravity",), one, 9.8 * one, 0.1 * one, one > 0, none, one, 0.03, 4, one, one)
         >>> fitted.determined.tolist()
         [True]
     """
@@ -98,17 +107,13 @@ class RobotFit(NamedTuple):
     first: Float[np.ndarray, "p"]
     values: Float[np.ndarray, "p"]
     standard_errors: Float[np.ndarray, "p"]
+    determined: Bool[np.ndarray, "p"]
     combinations: Combinations
     torque: Float[np.ndarray, "n"]
     half: float
     rounds: int
     coordinates: Float[np.ndarray, "p"]
     losses: Float[np.ndarray, "B"]
-
-    @property
-    def determined(self) -> Bool[np.ndarray, "p"]:
-        """Whether the log determines each number (p,) by itself."""
-        return np.isfinite(self.standard_errors)
 
 
 def fit_robot(
@@ -167,12 +172,13 @@ def fit_robot(
     found = combinations(family, solution.information, to_linear, search.sizes * PRIOR, KNOWN)
     # A number that only a combination shows, even one with a small part of others, is not known by itself.
     combined = np.isin(family.names, found.leading)
-    determined = (errors < KNOWN * prior) & ~combined
+    shown = (errors < KNOWN * prior) & ~combined
     return RobotFit(
         family.names,
         family.first,
         values,
-        np.where(determined, errors, np.nan),
+        np.where(shown, errors, np.nan),
+        shown & _told_from_zero(values, errors, prior / PRIOR),
         found,
         solution.scale,
         point.half,
@@ -227,12 +233,14 @@ class _Step(NamedTuple):
 
 
 class _Search(NamedTuple):
-    """What a fit works on: the family, the logs, usual sizes (p,), and the speeds (n,) below which a joint rests."""
+    """What a fit works on: the family, the logs, usual sizes (p,), and the speeds (n,) below which a joint rests, and
+    below which it may stick."""
 
     family: RobotFamily
     tracks: tuple[_Track, ...]
     sizes: Float[np.ndarray, "p"]
     resting: Float[np.ndarray, "n"]
+    sticking: Float[np.ndarray, "n"]
     compiled: "_Compiled"
 
     @classmethod
@@ -252,10 +260,11 @@ class _Search(NamedTuple):
         first = compiled.model(np.zeros(len(family.names)))
         rms = [
             np.maximum(np.sqrt(np.mean(each**2, axis=0)), 1e-9)
-            for each in (_in_batches(_driving, first, u), _in_batches(_needed, first, q, v, a), v, a)
+            for each in (in_batches(driving, first, u), in_batches(needed, first, q, v, a), v, a)
         ]
         sizes = family.sizes(np.maximum(*rms[:2]), *rms[2:])
-        return cls(family, tracks, sizes, _resting_speeds(family), compiled)
+        resting = np.array(family.resting)
+        return cls(family, tracks, sizes, resting, np.clip(SLOW * rms[2], resting, STICKING * resting), compiled)
 
     def point(self, x: np.ndarray, half: float, before: tuple[_Path, ...] | None = None) -> _Point:
         """The motion along each log under the model at x: smoothed with the accelerations along the motion before."""
@@ -264,7 +273,7 @@ class _Search(NamedTuple):
         for i, track in enumerate(self.tracks):
             path = before[i] if before else _smoothed(track, track.half, None)
             moving = 1.0 - self._still(track, path.v)
-            modelled = _in_batches(_accelerations, model, path.q, path.v, track.u, moving)
+            modelled = in_batches(_accelerations, model, path.q, path.v, track.u, moving)
             motions.append(_smoothed(track, half, np.where(np.isfinite(modelled), modelled, 0.0)))
         if not any(motion.used.any() for motion in motions):
             raise ValueError("no window of the logs is complete; give logs with fewer gaps")
@@ -327,25 +336,18 @@ class _Search(NamedTuple):
         raw = self.compiled.derivatives(point.x, path.q[rows], path.v[rows], path.modelled[rows], track.u[rows])
         weights = _averaging(point.half, track.step * stride)
         slopes = _convolved(np.where(np.isfinite(raw), raw, 0.0), weights)
-        torque = _in_batches(_momentum, self.compiled.model(point.x), path.q[rows], path.residual[rows])
-        rests = _convolved((np.abs(path.v[rows]) < self.resting).astype(float), np.abs(weights) / np.abs(weights).sum())
+        torque = in_batches(_momentum, self.compiled.model(point.x), path.q[rows], path.residual[rows])
+        slow = (np.abs(path.v[rows]) < self.sticking).astype(float)
         used = path.used[rows]
-        counts = (rests < RESTING)[used]
+        counts = (_convolved(slow, np.abs(weights) / np.abs(weights).sum()) < RESTING)[used]
         block = np.floor((track.grid[rows][used] - track.grid[0]) / (BLOCK * point.half)).astype(int)
         return slopes[used], torque[used], counts, block + 1_000_000 * i
 
 
-def _resting_speeds(family: RobotFamily) -> Float[np.ndarray, "n"]:
-    """Speeds (n,) below which each joint may stick: those at which its dry friction is smoothed, 0 without any."""
-    names = family.file.model.coordinates
-    laws = family.document.get("parameters", {}).get("friction", {})
-    opened = {n.target for n in family.numbers if n.group == "friction" and n.number in ("coulomb", "stribeck")}
-    return np.array(
-        [
-            laws.get(name, {}).get("smoothing", 0.02) if name in opened or laws.get(name, {}).get("coulomb") else 0.0
-            for name in names
-        ]
-    )
+def _told_from_zero(values: np.ndarray, errors: np.ndarray, usual: np.ndarray) -> Bool[np.ndarray, "p"]:
+    """Whether numbers (p,) differ from zero, or cannot be of a useful size, by their standard errors."""
+    of_size, of_value = APART
+    return (of_size * errors < USEFUL * usual) | (of_value * errors < np.abs(values))
 
 
 def _track(record: Record, half: float, circles: tuple[int, ...], total: float) -> _Track:
@@ -423,8 +425,17 @@ def _bounded(matrix: np.ndarray, gradient: np.ndarray, least: np.ndarray) -> np.
     return step
 
 
-def _in_batches(function: Callable[..., Array], model: MechanicalSystem, *columns: np.ndarray) -> np.ndarray:
-    """A function of the model and of one row, at all rows."""
+def in_batches(function: Callable[..., Array], model: MechanicalSystem, *columns: np.ndarray) -> np.ndarray:
+    """A function of a model and of one row, at all rows.
+
+    Args:
+        function: Function of a model and of numbers of one row.
+        model: The model.
+        columns: These numbers, in K rows each.
+
+    Returns:
+        Its values (K, …).
+    """
     return _batched(lambda *part: _mapped(function, model, *part), columns)
 
 
@@ -454,11 +465,12 @@ def _accelerations(model: MechanicalSystem, q: Array, v: Array, u: Array, moving
     return solve(held, covector * moving)
 
 
-def _driving(model: MechanicalSystem, u: Array) -> Array:
+def driving(model: MechanicalSystem, u: Array) -> Array:
+    """Torques (n,) of the inputs u (m,)."""
     return model.force(jnp.zeros(()), model.manifold.origin(), u)
 
 
-def _needed(model: MechanicalSystem, q: Array, v: Array, a: Array) -> Array:
+def needed(model: MechanicalSystem, q: Array, v: Array, a: Array) -> Array:
     """Torques (n,) that a motion needs, without friction."""
     weight = differential(model.manifold, model.potential, q)
     return model.space.lower(q, a) + model.space.connection_force(q, v, v) + weight

@@ -85,6 +85,8 @@ class RobotFamily(NamedTuple):
         file: The model file with the first values.
         document: Its content.
         numbers: The p open numbers.
+        spec: Name or path of the model.
+        resting: Speeds (n,) below which dry friction may hold each joint [rad/s or m/s]; 0 for one without.
 
     Example:
         >>> import numpy as np
@@ -100,6 +102,7 @@ class RobotFamily(NamedTuple):
     document: dict[str, Any]
     numbers: tuple[OpenNumber, ...]
     spec: str
+    resting: tuple[float, ...]
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -266,8 +269,17 @@ def _family(spec: str, names: Sequence[str], content: dict[str, Any]) -> RobotFa
     for number in numbers:
         if [other.name for other in numbers].count(number.name) > 1:
             raise ValueError(f"{number.name} is named twice; name it once")
-    family = RobotFamily(file, _filled(content, robot, numbers), tuple(numbers), spec)
+    resting = _resting(robot, numbers)
+    at = tuple(resting.get(name, 0.0) for name in file.model.coordinates)
+    family = RobotFamily(file, _filled(content, robot, numbers), tuple(numbers), spec, at)
     return family._replace(document=family.with_values(family.first))
+
+
+def _resting(robot: Description, numbers: list[OpenNumber]) -> dict[str, float]:
+    """Speed at which dry friction is smoothed, of each joint that has some by its law or its file, or may get some."""
+    opened = {n.target for n in numbers if n.group == "friction" and n.number in ("coulomb", "stribeck")}
+    laws = {joint.name: joint.law or FrictionLaw(coulomb=joint.friction) for joint in robot.joints}
+    return {name: float(law.smoothing) for name, law in laws.items() if name in opened or law.coulomb or law.stribeck}
 
 
 def _filled(content: dict[str, Any], robot: Description, numbers: list[OpenNumber]) -> dict[str, Any]:

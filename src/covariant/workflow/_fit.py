@@ -113,7 +113,7 @@ class FitResult(AbstractTable):
 
     @property
     def standard_errors(self) -> np.ndarray:
-        """Standard errors (p,) of `values`, in their units; NaN where the logs do not determine a parameter alone."""
+        """Standard errors (p,) of `values`, in their units; NaN where the logs do not show a parameter alone."""
         return self.columns["standard_error"]
 
     @property

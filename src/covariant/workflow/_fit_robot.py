@@ -13,17 +13,22 @@ from covariant.calibration import (
     Windows,
     fit_robot,
     prediction_errors,
+    robot_misfit,
     split,
 )
 from covariant.signals import Record, acting_inputs, lag_inputs
 from covariant.workflow._aligned import Aligned
 from covariant.workflow._fit_details import DIGITS, Gain, better_way, fit_details, input_details
 from covariant.workflow._fit_logs import FitLogs
-from covariant.workflow._inputs import Job
+from covariant.workflow._inputs import Job, MisfitError
 from covariant.workflow._progress import Progress
 
 EXPECTED = 12
 """Usual number of rounds, for the progress."""
+MIRRORED = (
+    "on which side of its link the load is: with the offsets of joints open too, a mirrored load with other offsets "
+    "may explain these logs as well, and the solution nearest to the first values is given"
+)
 
 
 def is_robot_fit(job: Job, names: Sequence[str]) -> bool:
@@ -52,13 +57,15 @@ def fit_robot_to_logs(
         The fields of a `FitResult`, in their order.
 
     Raises:
-        MisfitError: Where the model explains nothing of the motion in a log.
+        MisfitError: Where nothing moves in a log, or it is in other units.
         ValueError: For a model or a log that cannot be used.
     """
     progress("reading")
     family = models.robot_family(jobs[0].model_name, names, jobs[0].overrides)
-    # A robot without its friction may explain little of a log: that is what the fit is for.
+    # A robot without its friction may explain little of a log, as the fit is for that; so it has a check of its own.
     logs = FitLogs.read([job._replace(anyway=True) for job in jobs], length)
+    if not jobs[0].anyway:
+        _refuse_misfit(family, logs)
     tried, half = logs.tried, logs.file.reference_half
     records = {word: [_acting(log, word) for log in logs.logs] for word in tried}
     fits: dict[str, RobotFit] = {}
@@ -80,6 +87,14 @@ def fit_robot_to_logs(
         content.setdefault("inputs", {})["between"] = used
     details = fit_details(jobs[0].model_name, logs, best, before, after)
     return jobs, content, details | input_details(used, logs.stated, gain) | _of_robot(best)
+
+
+def _refuse_misfit(family: models.RobotFamily, logs: FitLogs) -> None:
+    """Raise `MisfitError` where nothing moves in a log, or another unit of the log explains its torques."""
+    for name, log in zip(logs.names, logs.logs, strict=True):
+        finding = robot_misfit(family, log.loaded.file, log.raw)
+        if finding is not None:
+            raise MisfitError(f"{name}: {finding.evidence}. {finding.line}; --anyway goes on")
 
 
 def _acting(log: Aligned, between: str) -> Record:
@@ -114,15 +129,29 @@ def _errors(
     return prediction_errors(before, 0.0, first), prediction_errors(family.make(best.coordinates), 0.0, after)
 
 
+def _mirrored(names: Sequence[str]) -> bool:
+    """Whether the place of a load and an offset are open, which have two solutions."""
+    places = any(name.startswith("payload.") and not name.endswith(".mass") for name in names)
+    return places and any(name.startswith("offsets.") for name in names)
+
+
 def _of_robot(best: RobotFit) -> dict[str, Any]:
     """What the log does not determine, in sentences, and which combinations it does."""
-    unknown = [name for name, known in zip(best.names, best.determined, strict=True) if not known]
+    unknown = [name for name, error in zip(best.names, best.standard_errors, strict=True) if np.isnan(error)]
     found = best.combinations
     sentences = []
     if unknown:
         shown = "does not show by itself" if len(unknown) == 1 else "does not show by themselves"
         sentences.append(f"this log {shown} {', '.join(unknown)}: the nearest values to the first ones are kept")
     sentences += [f"only the combination {text} is determined" for text in found.determined]
+    numbers = zip(best.names, best.values, best.standard_errors, best.determined, strict=True)
+    sentences += [
+        f"{name} cannot be told from zero by this log: {value:.3g} ± {error:.2g}"
+        for name, value, error, determined in numbers
+        if np.isfinite(error) and not determined
+    ]
+    if _mirrored(best.names):
+        sentences.append(MIRRORED)
     return {
         "undetermined": sentences,
         "combinations": list(found.determined),

@@ -2,6 +2,7 @@
 
 import errno
 import os
+import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -37,7 +38,8 @@ def check_model_output(model: Any, path: str | Path | None, overwrite: bool = Fa
         urdf: Whether a URDF file of the same name is written beside it.
 
     Raises:
-        ValueError: One line that names the path or the model, and what to do.
+        ValueError: One line that names the path or the model, and what to do. The URDF file of the robot itself is not
+            replaced, `overwrite` or not.
 
     Example:
         >>> from covariant import workflow
@@ -61,8 +63,30 @@ def check_model_output(model: Any, path: str | Path | None, overwrite: bool = Fa
         what = "this is the model file itself" if same else "there is such a file already"
         raise ValueError(f"{path}: {what}; write to another file, or say --overwrite")
     beside = path.with_suffix(".urdf")
-    if urdf and beside.exists() and not overwrite:
-        raise ValueError(f"{beside}: there is such a file already; write to another file, or say --overwrite")
+    if urdf and beside.exists():
+        _refuse_source(beside, _robot_file(spec))
+        if not overwrite:
+            raise ValueError(f"{beside}: there is such a file already; write to another file, or say --overwrite")
+
+
+def _robot_file(spec: str) -> Path | None:
+    """Path of the file of a robot that a model names; None where it names none, or cannot be read, which others say."""
+    if not spec.endswith(".toml"):
+        return Path(spec)
+    try:
+        stated = tomllib.loads(Path(spec).read_text(encoding="utf-8")).get("parameters", {}).get("path")
+    except (OSError, ValueError):
+        return None
+    return Path(spec).parent / stated if isinstance(stated, str) else None
+
+
+def _refuse_source(path: Path, robot: Path | None) -> None:
+    """Raise where a URDF file that would be written is the one that the robot is read from."""
+    if robot is not None and path.exists() and robot.exists() and path.samefile(robot):
+        raise ValueError(
+            f"{path}: the robot is read from this file, which is never replaced; write to another file, such as "
+            f"{path.stem}_fitted.toml, beside which the URDF file with the new inertias then is"
+        )
 
 
 def write_model(model: Any, path: str | Path, overwrite: bool, head: str, content: Any) -> Path:
@@ -81,14 +105,16 @@ def write_model(model: Any, path: str | Path, overwrite: bool, head: str, conten
         The path.
 
     Raises:
-        ValueError: As `check_model_output`.
+        ValueError: As `check_model_output`; also where the URDF file would replace the one that the robot is read from.
     """
     from covariant import models
     from covariant._files import write_atomically
 
     check_model_output(model, path, overwrite)
+    source = models.robots.located(content.get("parameters", {}).get("path", ""))
     content, urdf = robot_content(content, Path(path))
     if urdf is not None:
+        _refuse_source(urdf[0], source)
         check_model_output(model, path, overwrite, urdf=True)
     text = head + models.rewrite(model_text(model), content)
     if urdf is not None:
