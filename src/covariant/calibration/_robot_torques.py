@@ -1,0 +1,162 @@
+"""Torques that a motion of a robot needs, their derivatives in open numbers of the robot, and what these determine."""
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.flatten_util import ravel_pytree
+from jaxtyping import Array, Float
+
+from covariant.calibration._robot_combinations import Combinations, combinations
+from covariant.calibration._smooth import acceleration_kernel
+from covariant.geometry import differential
+from covariant.models import MechanicalSystem, RobotFamily, applied_force, resistance
+
+PRIOR = 3.0
+"""Standard deviation of the prior, in usual sizes: it decides only where the log says nothing."""
+KNOWN = 0.1
+"""A number is determined where its standard error is below this fraction of that of the prior."""
+BATCH = 1024
+
+
+class Torques(NamedTuple):
+    """The robot as compiled functions of the coordinates x.
+
+    Attributes:
+        model: `x (p,) -> model`, without making it anew from its files.
+        regressor: `x (p,) -> derivatives (K, n, p) of the torques in x, at K rows (q, v, a, u)`, which JAX may trace.
+    """
+
+    model: Callable[[np.ndarray], Any]
+    regressor: Callable[[np.ndarray], Callable[..., Array]]
+
+    @classmethod
+    def of(cls, family: RobotFamily) -> "Torques":
+        """Compile the functions of a family."""
+        numbers, static = eqx.partition(family.make(np.zeros(len(family.names))), eqx.is_inexact_array)
+        unravel = ravel_pytree(numbers)[1]
+
+        def arrays(x: Array) -> Array:
+            return ravel_pytree(eqx.filter(family.make(x), eqx.is_inexact_array))[0]
+
+        at, slopes_at = jax.jit(arrays), jax.jit(jax.jacfwd(arrays))
+
+        @jax.jit
+        def batch(flat: Array, slopes: Array, *columns: Array) -> Array:
+            # Fewer torques than numbers: backwards from each torque to all arrays of the model, then to the numbers.
+            def one(*row: Array) -> Array:
+                return jax.jacrev(lambda part: _torque(eqx.combine(unravel(part), static), *row))(flat) @ slopes
+
+            return jax.vmap(one)(*columns)
+
+        def regressor(x: np.ndarray) -> Callable[..., Array]:
+            flat, slopes = at(x), slopes_at(x)
+            return lambda *columns: batch(flat, slopes, *columns)
+
+        return cls(lambda x: eqx.combine(unravel(at(x)), static), regressor)
+
+    def derivatives(self, x: np.ndarray, *columns: np.ndarray) -> Float[np.ndarray, "K n p"]:
+        """Derivatives (K, n, p) of the torques in x, at x and K rows (q, v, a, u) of a motion."""
+        return _batched(self.regressor(x), columns)
+
+
+class Determined(NamedTuple):
+    """What a log determines of the numbers.
+
+    Attributes:
+        standard_errors: Standard errors (p,); NaN for a number that the log does not determine by itself.
+        combinations: What it determines of numbers that it cannot tell apart.
+        prior: Standard deviations (p,) of the numbers before the log.
+    """
+
+    standard_errors: Float[np.ndarray, "p"]
+    combinations: Combinations
+    prior: Float[np.ndarray, "p"]
+
+    @classmethod
+    def of(
+        cls,
+        family: RobotFamily,
+        x: Float[np.ndarray, "p"],
+        sizes: Float[np.ndarray, "p"],
+        information: Float[np.ndarray, "p p"],
+        covariance: Float[np.ndarray, "p p"],
+    ) -> "Determined":
+        """What follows from information about the coordinates x (p,), and from their covariance with the prior in it.
+
+        Args:
+            family: The robot as a function of its numbers.
+            x: Coordinates (p,).
+            sizes: Their usual sizes (p,).
+            information: Information (p, p), without the prior.
+            covariance: Covariance (p, p).
+        """
+        slopes = np.asarray(jax.jit(jax.jacfwd(family.values))(x))
+        prior = np.sqrt(np.sum((slopes * sizes * PRIOR) ** 2, axis=1))
+        errors = np.sqrt(np.einsum("ij,jk,ik->i", slopes, covariance, slopes))
+        to_linear = np.asarray(jax.jit(jax.jacfwd(family.linear))(x))
+        found = combinations(family, information, to_linear, sizes * PRIOR, KNOWN)
+        # A number that only a combination shows, even one with a small part of others, is not known by itself.
+        combined = np.isin(family.names, found.leading)
+        return cls(np.where((errors < KNOWN * prior) & ~combined, errors, np.nan), found, prior)
+
+
+def needed(model: MechanicalSystem, q: Array, v: Array, a: Array) -> Array:
+    """Torques (n,) that a motion needs, without friction."""
+    weight = differential(model.manifold, model.potential, q)
+    return model.space.lower(q, a) + model.space.connection_force(q, v, v) + weight
+
+
+def _torque(model: MechanicalSystem, q: Array, v: Array, a: Array, u: Array) -> Array:
+    """Torques (n,) that a motion needs beyond those that act; zero for the motion that the model predicts."""
+    acting = applied_force(model, jnp.zeros(()), q, u) + resistance(model, jnp.zeros(()), q, v, u)
+    return model.space.lower(q, a) + model.space.connection_force(q, v, v) - acting
+
+
+def in_batches(function: Callable[..., Array], model: MechanicalSystem, *columns: np.ndarray) -> np.ndarray:
+    """A function of the model and of one row, at all rows."""
+    return _batched(lambda *part: _mapped(function, model, *part), columns)
+
+
+def _batched(function: Callable[..., Array], columns: Sequence[np.ndarray]) -> np.ndarray:
+    """A function of `BATCH` rows, at all rows."""
+    count = len(columns[0])
+    size = -(-count // BATCH) * BATCH
+    padded = [np.concatenate([c, np.repeat(c[-1:], size - count, axis=0)]) for c in columns]
+    parts = [np.asarray(function(*(c[i : i + BATCH] for c in padded))) for i in range(0, size, BATCH)]
+    return np.concatenate(parts)[:count]
+
+
+@eqx.filter_jit
+def _mapped(function: Callable[..., Array], model: MechanicalSystem, *columns: Array) -> Array:
+    return jax.vmap(lambda *row: function(model, *row))(*columns)
+
+
+def resting_speeds(family: RobotFamily) -> Float[np.ndarray, "n"]:
+    """Speeds (n,) below which each joint may stick: those at which its dry friction is smoothed, 0 without any."""
+    names = family.file.model.coordinates
+    laws = family.document.get("parameters", {}).get("friction", {})
+    opened = {n.target for n in family.numbers if n.group == "friction" and n.number in ("coulomb", "stribeck")}
+    return np.array(
+        [
+            laws.get(name, {}).get("smoothing", 0.02) if name in opened or laws.get(name, {}).get("coulomb") else 0.0
+            for name in names
+        ]
+    )
+
+
+def averaging(half: float, step: float) -> np.ndarray:
+    """Weights of true accelerations, at points of a grid, in the residual acceleration of a window."""
+    kernel = acceleration_kernel(half, max(int(half / step), 3))
+    return kernel / kernel.sum()
+
+
+def convolved(values: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """Values (K, …) along an even grid, convolved with weights (k,)."""
+    from scipy.signal import oaconvolve
+
+    flat = values.reshape(len(values), -1)
+    return oaconvolve(flat, weights[:, None], mode="same", axes=0).reshape(values.shape)
