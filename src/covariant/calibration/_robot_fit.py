@@ -24,7 +24,11 @@ from covariant import scoring
 from covariant._linalg import solve
 from covariant.calibration._robot_combinations import Combinations
 from covariant.calibration._robot_torques import (
+    BLOCK,
+    FEWEST_BLOCKS,
     PRIOR,
+    RESTING,
+    WINDOWS,
     Determined,
     Torques,
     averaging,
@@ -37,8 +41,6 @@ from covariant.calibration._smooth import held_inputs
 from covariant.models import MechanicalSystem, RobotFamily, applied_force, resistance
 from covariant.signals import Record
 
-WINDOWS = (1.0, 2.0, 4.0, 8.0)
-"""Half windows that are compared, in those of the shortest; the one with the smallest standard errors is used."""
 FEWEST = 5
 """Least number of samples in half a window."""
 FINE = 12
@@ -55,14 +57,8 @@ LONGEST_STEP = 1.0
 """Longest step of a coordinate in its usual size."""
 HUBER = 3.0
 """Size of a residual torque, in units of its scale, beyond which its influence is constant."""
-RESTING = 0.5
-"""Fraction of a window in which a joint rests, from which its torque is not used: a joint that sticks holds any torque
-up to the dry friction."""
 FULL = 0.6
 """Fraction of the usual number of samples that a window must hold to be used."""
-BLOCK = 6.0
-"""Length of a block, in half windows, over which residuals may be alike."""
-FEWEST_BLOCKS = 12
 ROUNDING = 1e-10
 """A value that has come below this fraction of its prior standard deviation is zero but for rounding."""
 STILL, MOSTLY = 8.0, 0.9

@@ -13,12 +13,20 @@ from jaxtyping import Array, Float
 from covariant.calibration._robot_combinations import Combinations, combinations
 from covariant.calibration._smooth import acceleration_kernel
 from covariant.geometry import differential
-from covariant.models import MechanicalSystem, RobotFamily, applied_force, resistance
+from covariant.models import MechanicalSystem, RobotFamily, applied_force, input_count, resistance
 
 PRIOR = 3.0
 """Standard deviation of the prior, in usual sizes: it decides only where the log says nothing."""
 KNOWN = 0.1
 """A number is determined where its standard error is below this fraction of that of the prior."""
+WINDOWS = (1.0, 2.0, 4.0, 8.0)
+"""Half windows that are compared, in those of the shortest; the one with the smallest standard errors is used."""
+RESTING = 0.5
+"""Fraction of a window in which a joint rests, from which its torque is not used: a joint that sticks holds any torque
+up to the dry friction."""
+BLOCK = 6.0
+"""Length of a block, in half windows, over which residuals may be alike."""
+FEWEST_BLOCKS = 12
 BATCH = 1024
 
 
@@ -58,9 +66,9 @@ class Torques(NamedTuple):
 
         return cls(lambda x: eqx.combine(unravel(at(x)), static), regressor)
 
-    def derivatives(self, x: np.ndarray, *columns: np.ndarray) -> Float[np.ndarray, "K n p"]:
-        """Derivatives (K, n, p) of the torques in x, at x and K rows (q, v, a, u) of a motion."""
-        return _batched(self.regressor(x), columns)
+    def derivatives(self, x: np.ndarray, *columns: np.ndarray, batch: int = BATCH) -> Float[np.ndarray, "K n p"]:
+        """Derivatives (K, n, p) of the torques in x, at x and K rows (q, v, a, u) of a motion, so many at a time."""
+        return _batched(self.regressor(x), columns, batch)
 
 
 class Determined(NamedTuple):
@@ -110,6 +118,46 @@ def needed(model: MechanicalSystem, q: Array, v: Array, a: Array) -> Array:
     return model.space.lower(q, a) + model.space.connection_force(q, v, v) + weight
 
 
+def efforts(model: MechanicalSystem, q: Array, v: Array, a: Array) -> Float[Array, "2 n"]:
+    """Torques (n,) that the motors have to give for a motion, and those that it needs without friction."""
+    without = needed(model, q, v, a)
+    braking = resistance(model, jnp.zeros(()), q, v, jnp.zeros(input_count(model, len(q))))
+    return jnp.stack([without - braking, without])
+
+
+def motor_matrix(model: MechanicalSystem) -> Float[np.ndarray, "n m"]:
+    """Generalised force (n, m) of a unit of each input."""
+    origin = model.manifold.origin()
+    zero = jnp.zeros(input_count(model, len(origin)))
+    return np.asarray(jax.jit(jax.jacfwd(lambda u: model.force(jnp.zeros(()), origin, u)))(zero))
+
+
+def motor_inputs(
+    model: MechanicalSystem, q: Float[np.ndarray, "T n"], v: Float[np.ndarray, "T n"], a: Float[np.ndarray, "T n"]
+) -> tuple[Float[np.ndarray, "T m"], Float[np.ndarray, "n m"]]:
+    """Inputs that a motion of a robot needs, by inverse dynamics with its friction.
+
+    Args:
+        model: The robot.
+        q: Positions (T, n).
+        v: Velocities (T, n).
+        a: Accelerations (T, n).
+
+    Returns:
+        The inputs (T, m), the smallest ones where there are more than joints; and the torques (n, m) of a unit of each.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant import models
+        >>> from covariant.calibration import motor_inputs
+        >>> still = np.zeros((1, 2))
+        >>> motor_inputs(models.robots.load("double_pendulum"), np.array([[0.0, np.pi / 2]]), still, still)[0].round(3)
+        array([[0.51, 0.51]])
+    """
+    motors = motor_matrix(model)
+    return in_batches(efforts, model, q, v, a)[:, 0] @ np.linalg.pinv(motors).T, motors
+
+
 def _torque(model: MechanicalSystem, q: Array, v: Array, a: Array, u: Array) -> Array:
     """Torques (n,) that a motion needs beyond those that act; zero for the motion that the model predicts."""
     acting = applied_force(model, jnp.zeros(()), q, u) + resistance(model, jnp.zeros(()), q, v, u)
@@ -121,12 +169,12 @@ def in_batches(function: Callable[..., Array], model: MechanicalSystem, *columns
     return _batched(lambda *part: _mapped(function, model, *part), columns)
 
 
-def _batched(function: Callable[..., Array], columns: Sequence[np.ndarray]) -> np.ndarray:
-    """A function of `BATCH` rows, at all rows."""
+def _batched(function: Callable[..., Array], columns: Sequence[np.ndarray], batch: int = BATCH) -> np.ndarray:
+    """A function of `batch` rows, at all rows."""
     count = len(columns[0])
-    size = -(-count // BATCH) * BATCH
+    size = -(-count // batch) * batch
     padded = [np.concatenate([c, np.repeat(c[-1:], size - count, axis=0)]) for c in columns]
-    parts = [np.asarray(function(*(c[i : i + BATCH] for c in padded))) for i in range(0, size, BATCH)]
+    parts = [np.asarray(function(*(c[i : i + batch] for c in padded))) for i in range(0, size, batch)]
     return np.concatenate(parts)[:count]
 
 

@@ -23,8 +23,13 @@ from covariant.cli._parse import byte_count, count_list, interval_map, name_list
 from covariant.workflow import check_output
 
 FIGURES = (".png", ".pdf", ".svg")
+TRAJECTORIES = (".csv", ".txt", ".tsv", ".parquet")
 on_models = typer.Typer()
-design = typer.Typer(no_args_is_help=True, rich_markup_mode=None, help="Design what an observer needs.")
+design = typer.Typer(
+    no_args_is_help=True,
+    rich_markup_mode=None,
+    help="Design what an observer needs: a metric, or a motion that shows numbers of a robot.",
+)
 
 
 def certified_observer(name: str) -> str:
@@ -400,3 +405,63 @@ def metric(
         # 128 + 2, what shells report of a process that SIGINT ended.
         raise SystemExit(130) from None
     show(result, json)
+
+
+@design.command()
+def excitation(
+    model: Model,
+    parameters: Annotated[
+        str,
+        typer.Option(
+            help="Numbers to determine, by commas, as for fit: friction, armature, payload, inertia, gravity, "
+            "torque_constants, offsets, or of one joint or link: friction.elbow, armature.3."
+        ),
+    ],
+    out: Annotated[Path, typer.Option("--out", "-o", help=f"Motion and torques to write ({', '.join(TRAJECTORIES)}).")],
+    duration: Annotated[float, typer.Option(help="Length [s], a whole number of periods.")] = 20.0,
+    rate: Annotated[float, typer.Option(help="Rows in a second [Hz].")] = 500.0,
+    frequency: Annotated[float, typer.Option(help="Frequency of the first harmonic [Hz].")] = 0.2,
+    harmonics: Annotated[int, typer.Option(help="Number of harmonics, 2 or more.")] = 5,
+    region: Annotated[
+        str | None,
+        typer.Option("--region", "--box", help="Ends of positions, as shoulder=-1:1; others as in the robot's file."),
+    ] = None,
+    velocity: Annotated[
+        str | None,
+        typer.Option(help="Largest speeds, one or one each by commas; those of the robot's file by default."),
+    ] = None,
+    effort: Annotated[str | None, typer.Option(help="Largest torques or forces, in the same way.")] = None,
+    margin: Annotated[float, typer.Option(help="Fraction of all limits that is used.")] = 0.9,
+    torque_noise: Annotated[
+        str | None,
+        typer.Option(help="Standard deviation of logged torques, one or one each; 1 % of the largest by default."),
+    ] = None,
+    starts: Annotated[int, typer.Option(help="Starts of the search.")] = 3,
+    seed: Annotated[int, typer.Option(help="Seed of the starts.", min=0)] = 0,
+    figure: Annotated[Path | None, typer.Option(help="Draw the motion and its limits here (.png).")] = None,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace a file that exists.")] = False,
+    override: Override = [],  # noqa: B006  typer copies it
+    json: Json = False,
+) -> None:
+    """Design a motion of a robot, within its limits, whose log determines what is asked, but blind to collisions."""
+    check_output(out, *TRAJECTORIES, overwrite=overwrite)
+    check_output(figure, *FIGURES)
+    with progress_bar(json) as progress:
+        result = workflow.design_excitation(
+            model,
+            parameters,
+            duration=duration,
+            rate=rate,
+            frequency=frequency,
+            harmonics=harmonics,
+            region=interval_map("region", region),
+            velocity=number_list("velocity", velocity),
+            effort=number_list("effort", effort),
+            margin=margin,
+            torque_noise=number_list("torque-noise", torque_noise),
+            starts=starts,
+            seed=seed,
+            overrides=override,
+            progress=progress,
+        )
+    show(result, json, out, figure=figure, overwrite=overwrite)
