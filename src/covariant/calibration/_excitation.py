@@ -22,7 +22,7 @@ from jaxtyping import Array, Float
 
 from covariant.calibration._expected import ExpectedErrors, Sensing, expected_errors, usual_sizes
 from covariant.calibration._fourier import FourierMotion, fourier_basis, one_sine_a_joint, resting_basis
-from covariant.calibration._robot_torques import PRIOR, Torques, efforts, in_batches, motor_matrix
+from covariant.calibration._robot_torques import PRIOR, Torques, efforts, in_batches, mapped, motor_matrix
 from covariant.models import RobotFamily
 
 COARSE, FINE, DENSE = 20, 200, 2000
@@ -196,7 +196,7 @@ def design_excitation(
         motion = problem.motion(best)
         motion = problem.enlarged(motion, LARGEST)
         window = problem.expected(motion).window.arrays(problem.points, plan.frequency)
-        found.append((float(evaluate(problem.coordinates(motion), window).value), motion))
+        found.append((evaluate(problem.coordinates(motion), window).value, motion))
     motion = min(found, key=lambda pair: pair[0])[1]
     return Excitation(
         motion,
@@ -211,10 +211,10 @@ def design_excitation(
 class _Point(NamedTuple):
     """Objective at unknowns x and its gradient; slack (3 n,) of the limits and its Jacobian."""
 
-    value: Array
-    slope: Array
-    slack: Array
-    slack_slope: Array
+    value: float
+    slope: np.ndarray
+    slack: np.ndarray
+    slack_slope: np.ndarray
 
 
 def _searched(
@@ -230,11 +230,11 @@ def _searched(
     def at(x: np.ndarray) -> _Point:
         """All four at once: they share the motion, and are asked for at the same x."""
         if not last or not np.array_equal(last[0][0], x):
-            last[:] = [(x.copy(), _Point(*map(np.asarray, evaluate(x, window))))]
+            last[:] = [(x.copy(), evaluate(x, window))]
         return last[0][1]
 
     done = minimize(
-        lambda x: float(at(x).value),
+        lambda x: at(x).value,
         start,
         jac=lambda x: at(x).slope,
         method="SLSQP",
@@ -304,9 +304,14 @@ class _Problem(NamedTuple):
         return np.concatenate([means, (self.basis.T @ motion.coefficients / self.amplitude).ravel()])
 
     def expected(self, motion: FourierMotion) -> ExpectedErrors:
-        return expected_errors(
-            self.family, self.torques, motion, self.sensing, self.plan.duration, self.half, batch=self.points
-        )
+        return expected_errors(self.family, self.derivatives, motion, self.sensing, self.plan.duration, self.half)
+
+    def derivatives(self, *columns: np.ndarray) -> Float[np.ndarray, "K n p"]:
+        """Derivatives of the torques in the numbers at rows (q, v, a, u), as many at a time as in the search."""
+        slopes, size, count = self.torques.slopes(np.zeros(len(self.family.names))), self.points, len(columns[0])
+        padded = [np.resize(each, (-(-count // size) * size, each.shape[1])) for each in columns]
+        parts = [np.asarray(slopes(*(c[i : i + size] for c in padded))[0]) for i in range(0, len(padded[0]), size)]
+        return np.concatenate(parts)[:count]
 
     def used(self, motion: FourierMotion, limits: JointLimits, points: int = DENSE) -> Float[np.ndarray, "3 n"]:
         """Largest positions, velocities and torques as fractions of limits."""
@@ -358,40 +363,73 @@ class _Problem(NamedTuple):
 
 
 def _compiled(problem: _Problem) -> Callable[..., _Point]:
-    """Compile what a search needs, as a function of the unknowns and of the arrays of a window."""
-    plan, n, limits, model = problem.plan, len(problem.amplitude), problem.limits, problem.model
-    basis = jnp.asarray(fourier_basis(problem.times(COARSE), plan.frequency, plan.harmonics) @ problem.basis)
-    back = jnp.asarray(np.linalg.pinv(motor_matrix(model)))
-    regressor = problem.torques.regressor(np.zeros(len(problem.family.names)))
-    prior = jnp.eye(len(problem.sizes)) / PRIOR**2
+    """What a search needs, as a function of the unknowns and of the arrays of a window.
 
-    def motion(x: Array) -> tuple[Array, Array, Array, Array]:
-        means = jnp.asarray(limits.middle) + jnp.asarray(limits.room) * x[:n]
-        q, v, a = basis @ (x[n:].reshape(-1, n) * jnp.asarray(problem.amplitude)[None, :])
-        q = q + means[None, :]
-        return q, v, a, jax.vmap(lambda *row: efforts(model, *row)[0])(q, v, a)
+    JAX differentiates each row of the motion by itself, forwards; the unknowns act on all rows linearly.
+    """
+    plan, n, model = problem.plan, len(problem.amplitude), problem.model
+    basis = fourier_basis(problem.times(COARSE), plan.frequency, plan.harmonics) @ problem.basis
+    back = np.linalg.pinv(motor_matrix(model))
+    slopes = problem.torques.slopes(np.zeros(len(problem.family.names)))
+    objective, slack = jax.jit(jax.value_and_grad(_objective, argnums=(0, 1))), jax.jit(_slack)
+    slack_slopes = jax.jit(jax.jacrev(_slack))
 
-    def objective(q: Array, v: Array, a: Array, torque: Array, window: tuple[Array, ...]) -> Array:
-        """Mean log standard error of the numbers in their usual sizes, up to a constant: −log det / 2p."""
-        transfer, weight, accelerations, beyond = window
-        slopes = regressor(q, v, a, torque @ back.T) * jnp.asarray(problem.sizes)[None, None, :]
-        averaged = jnp.fft.irfft(jnp.fft.rfft(slopes, axis=0) * transfer[:, None, None], n=len(q), axis=0)
-        variance = jnp.mean(jax.vmap(model.space)(q) ** 2 @ accelerations, axis=0) + beyond
-        information = weight * jnp.einsum("kjp,j,kjq->pq", averaged, 1 / variance, averaged)
-        return -jnp.linalg.slogdet(information + prior)[1] / (2 * len(problem.sizes))
+    def to_unknowns(rows: np.ndarray) -> np.ndarray:
+        """From derivatives (…, K, 3 n) in the rows (q, v, a) to those in the unknowns."""
+        parts = np.stack(np.split(rows, 3, axis=-1), axis=-3)
+        coefficients = np.einsum("dkm,...dki->...mi", basis, parts) * problem.amplitude
+        means = parts[..., 0, :, :].sum(axis=-2) * problem.limits.room
+        return np.concatenate([means, coefficients.reshape(*coefficients.shape[:-2], -1)], axis=-1)
 
-    def slack(q: Array, v: Array, torque: Array) -> Array:
-        fractions = jnp.stack(limits.fractions(q, v, torque))
-        both = jnp.concatenate([fractions, -fractions], axis=1)
-        return 1.0 - (logsumexp(SHARPNESS * both, axis=1) / SHARPNESS).ravel()
-
-    @jax.jit
-    def evaluate(x: Array, window: tuple[Array, ...]) -> _Point:
-        (q, v, a, torque), back_to_x = jax.vjp(motion, x)
-        value, slope = jax.value_and_grad(objective, argnums=(0, 1, 2, 3))(q, v, a, torque, window)
-        kept, back_to_motion = jax.vjp(slack, q, v, torque)
-        rows = jax.vmap(back_to_motion)(jnp.eye(len(kept)))
-        slopes = jax.vmap(lambda q, v, torque: back_to_x((q, v, jnp.zeros_like(a), torque))[0])(*rows)
-        return _Point(value, back_to_x(slope)[0], kept, slopes)
+    def evaluate(x: np.ndarray, window: tuple[Array, ...]) -> _Point:
+        q, v, a = basis @ (x[n:].reshape(-1, n) * problem.amplitude)
+        q = q + problem.limits.middle + problem.limits.room * x[:n]
+        torque, inertia, d_torque, d_inertia = map(np.asarray, mapped(_dynamics, model, q, v, a))
+        regressor, d_regressor = map(np.asarray, slopes(q, v, a, torque @ back.T))
+        d_rows, d_inputs = np.split(d_regressor, [3 * n], axis=-1)
+        value, (by_regressor, by_inertia) = objective(regressor * problem.sizes, inertia, window)
+        by_regressor = np.asarray(by_regressor) * problem.sizes
+        rows = np.einsum("kjp,kjpr->kr", by_regressor, d_rows)
+        rows += np.einsum("kjp,kjpm,mi,kir->kr", by_regressor, d_inputs, back, d_torque, optimize=True)
+        rows += np.einsum("kij,kijr->kr", by_inertia, d_inertia)
+        fractions = np.stack(problem.limits.fractions(q, v, torque))
+        # Of each bound, in positions, velocities and torques: (3, n, 3, K, n).
+        by_fraction = np.asarray(slack_slopes(fractions))
+        limits = problem.limits
+        by_q, by_v, by_torque = (
+            by_fraction[:, :, d] / size for d, size in enumerate((limits.room, limits.velocity, limits.effort))
+        )
+        bounds = np.concatenate([by_q, by_v, np.zeros_like(by_q)], axis=-1)
+        bounds += np.einsum("cikj,kjr->cikr", by_torque, d_torque)
+        jacobian = to_unknowns(bounds.reshape(3 * n, *bounds.shape[2:]))
+        return _Point(float(value), to_unknowns(rows), np.asarray(slack(fractions)).ravel(), jacobian)
 
     return evaluate
+
+
+def _dynamics(model: Any, q: Array, v: Array, a: Array) -> tuple[Array, Array, Array, Array]:
+    """Torques (n,) and inertia matrix (n, n) in a row, and their derivatives (…, 3 n) in it."""
+
+    def both(row: Array) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+        place, *rest = jnp.split(row, 3)
+        found = efforts(model, place, *rest)[0], model.space(place)
+        return found, found
+
+    slopes, values = jax.jacfwd(both, has_aux=True)(jnp.concatenate([q, v, a]))
+    return *values, *slopes
+
+
+def _objective(regressor: Array, inertia: Array, window: tuple[Array, ...]) -> Array:
+    """Mean log standard error of the numbers in their usual sizes, up to a constant: −log det / 2p."""
+    transfer, weight, accelerations, beyond = window
+    count, p = len(regressor), regressor.shape[2]
+    averaged = jnp.fft.irfft(jnp.fft.rfft(regressor, axis=0) * transfer[:, None, None], n=count, axis=0)
+    variance = jnp.mean(inertia**2 @ accelerations, axis=0) + beyond
+    information = weight * jnp.einsum("kjp,j,kjq->pq", averaged, 1 / variance, averaged)
+    return -jnp.linalg.slogdet(information + jnp.eye(p) / PRIOR**2)[1] / (2 * p)
+
+
+def _slack(fractions: Array) -> Array:
+    """What is left (3, n) of each limit, of which the rows (3, K, n) use such fractions: a lower bound."""
+    both = jnp.concatenate([fractions, -fractions], axis=1)
+    return 1.0 - logsumexp(SHARPNESS * both, axis=1) / SHARPNESS

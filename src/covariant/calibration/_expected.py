@@ -6,6 +6,7 @@ as `M(q)` times the second derivative of the polynomial through a window. So the
 although neighbouring windows overlap.
 """
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -15,14 +16,12 @@ from jaxtyping import Array, Float
 from covariant.calibration._fourier import FourierMotion
 from covariant.calibration._robot_combinations import Combinations
 from covariant.calibration._robot_torques import (
-    BATCH,
     BLOCK,
     FEWEST_BLOCKS,
     PRIOR,
     RESTING,
     WINDOWS,
     Determined,
-    Torques,
     convolved,
     efforts,
     in_batches,
@@ -32,7 +31,7 @@ from covariant.calibration._robot_torques import (
 from covariant.calibration._smooth import acceleration_kernel, second_derivative_weights
 from covariant.models import RobotFamily
 
-FINE = 8
+FINE = 4
 """Points of the grid in half of the shortest window."""
 KERNEL = 64
 """Points in half a window at which its averaging is summed up."""
@@ -116,23 +115,21 @@ def usual_sizes(
 
 def expected_errors(
     family: RobotFamily,
-    torques: Torques,
+    derivatives: Callable[..., np.ndarray],
     motion: FourierMotion,
     sensing: Sensing,
     duration: float,
     half: float,
-    batch: int = BATCH,
 ) -> ExpectedErrors:
     """Standard errors that a fit is expected to give from a log of a motion, all of which it sees.
 
     Args:
         family: The robot as a function of its p open numbers, at whose first values the errors are.
-        torques: Its compiled functions.
+        derivatives: Derivatives (K, n, p) of the torques in the numbers, at rows (q, v, a, u).
         motion: The motion.
         sensing: Noise and rate of the log.
         duration: Length of the log [s], a whole number of periods.
         half: Half width [s] of the shortest window.
-        batch: Rows at which derivatives are computed at a time.
 
     Raises:
         ValueError: The log is too short for a fit.
@@ -151,7 +148,7 @@ def expected_errors(
     u = torque[:, 0] @ np.linalg.pinv(motor_matrix(model)).T
     repeats = round(duration * motion.frequency)
     rows = _Rows(
-        np.tile(torques.derivatives(x, q, v, a, u, batch=batch) * sizes, (repeats, 1, 1)),
+        np.tile(derivatives(q, v, a, u) * sizes, (repeats, 1, 1)),
         np.tile(in_batches(_inertia, model, q), (repeats, 1, 1)),
         np.tile(np.abs(v) < resting_speeds(family), (repeats, 1)),
         step,

@@ -35,11 +35,13 @@ class Torques(NamedTuple):
 
     Attributes:
         model: `x (p,) -> model`, without making it anew from its files.
-        regressor: `x (p,) -> derivatives (K, n, p) of the torques in x, at K rows (q, v, a, u)`, which JAX may trace.
+        derivatives: Derivatives (K, n, p) of the torques in x, at x and K rows (q, v, a, u) of a motion.
+        slopes: Those of one row, and their derivatives (n, p, n + n + n + m) in the row, as functions of rows, at x.
     """
 
     model: Callable[[np.ndarray], Any]
-    regressor: Callable[[np.ndarray], Callable[..., Array]]
+    derivatives: Callable[..., np.ndarray]
+    slopes: Callable[[np.ndarray], Callable[..., tuple[Array, Array]]]
 
     @classmethod
     def of(cls, family: RobotFamily) -> "Torques":
@@ -60,15 +62,29 @@ class Torques(NamedTuple):
 
             return jax.vmap(one)(*columns)
 
-        def regressor(x: np.ndarray) -> Callable[..., Array]:
+        def derivatives(x: np.ndarray, *columns: np.ndarray) -> np.ndarray:
             flat, slopes = at(x), slopes_at(x)
-            return lambda *columns: batch(flat, slopes, *columns)
+            return _batched(lambda *part: batch(flat, slopes, *part), columns)
 
-        return cls(lambda x: eqx.combine(unravel(at(x)), static), regressor)
+        @jax.jit
+        def with_slopes(flat: Array, slopes: Array, *columns: Array) -> tuple[Array, Array]:
+            def one(row: Array, n: int) -> tuple[Array, Array]:
+                def torques(part: Array) -> Array:
+                    return _torque(eqx.combine(unravel(part), static), *jnp.split(row, [n, 2 * n, 3 * n]))
 
-    def derivatives(self, x: np.ndarray, *columns: np.ndarray, batch: int = BATCH) -> Float[np.ndarray, "K n p"]:
-        """Derivatives (K, n, p) of the torques in x, at x and K rows (q, v, a, u) of a motion, so many at a time."""
-        return _batched(self.regressor(x), columns, batch)
+                # Forwards, here: to the numbers, and then to the row; backwards twice takes much longer to compile.
+                found = jax.vmap(lambda d: jax.jvp(torques, (flat,), (d,))[1], in_axes=1, out_axes=1)(slopes)
+                return found, found
+
+            n = columns[0].shape[1]
+            slope, value = jax.vmap(jax.jacfwd(lambda row: one(row, n), has_aux=True))(jnp.concatenate(columns, axis=1))
+            return value, slope
+
+        def slopes(x: np.ndarray) -> Callable[..., tuple[Array, Array]]:
+            flat, to_arrays = at(x), slopes_at(x)
+            return lambda *columns: with_slopes(flat, to_arrays, *columns)
+
+        return cls(lambda x: eqx.combine(unravel(at(x)), static), derivatives, slopes)
 
 
 class Determined(NamedTuple):
@@ -166,20 +182,21 @@ def _torque(model: MechanicalSystem, q: Array, v: Array, a: Array, u: Array) -> 
 
 def in_batches(function: Callable[..., Array], model: MechanicalSystem, *columns: np.ndarray) -> np.ndarray:
     """A function of the model and of one row, at all rows."""
-    return _batched(lambda *part: _mapped(function, model, *part), columns)
+    return _batched(lambda *part: mapped(function, model, *part), columns)
 
 
-def _batched(function: Callable[..., Array], columns: Sequence[np.ndarray], batch: int = BATCH) -> np.ndarray:
-    """A function of `batch` rows, at all rows."""
+def _batched(function: Callable[..., Array], columns: Sequence[np.ndarray]) -> np.ndarray:
+    """A function of `BATCH` rows, at all rows."""
     count = len(columns[0])
-    size = -(-count // batch) * batch
+    size = -(-count // BATCH) * BATCH
     padded = [np.concatenate([c, np.repeat(c[-1:], size - count, axis=0)]) for c in columns]
-    parts = [np.asarray(function(*(c[i : i + batch] for c in padded))) for i in range(0, size, batch)]
+    parts = [np.asarray(function(*(c[i : i + BATCH] for c in padded))) for i in range(0, size, BATCH)]
     return np.concatenate(parts)[:count]
 
 
 @eqx.filter_jit
-def _mapped(function: Callable[..., Array], model: MechanicalSystem, *columns: Array) -> Array:
+def mapped(function: Callable[..., Any], model: MechanicalSystem, *columns: Array) -> Any:
+    """A function of the model and of one row, at these rows."""
     return jax.vmap(lambda *row: function(model, *row))(*columns)
 
 
