@@ -123,6 +123,7 @@ def test_seeds_repeat(robot, found):
     assert np.abs(other.motion.coefficients - found.motion.coefficients).max() > 0.01
 
 
+@pytest.mark.long
 def test_what_no_motion_shows_is_named():
     robot = family("inertia.lower")
     found = design_excitation(robot, LIMITS, SENSING, PLAN._replace(harmonics=2), HALF)
