@@ -192,16 +192,16 @@ def design_excitation(
 
         report(0)
         start = problem.start(places[k % len(places)], k)
-        best = _searched(problem, evaluate, start, report)
-        motion = problem.motion(best)
+        motion = problem.motion(_searched(problem, evaluate, start, report))
+        if problem.used(motion.scaled(0.0), problem.limits, FINE).max() >= 1:  # its middle is no place to hold
+            motion = problem.motion(start)
         motion = problem.enlarged(motion, LARGEST)
-        window = problem.expected(motion).window.arrays(problem.points, plan.frequency)
-        found.append((evaluate(problem.coordinates(motion), window).value, motion))
-    motion = min(found, key=lambda pair: pair[0])[1]
+        found.append((problem.expected(motion), motion))
+    expected, motion = min(found, key=lambda pair: pair[0].size)
     return Excitation(
         motion,
         reference,
-        problem.expected(motion),
+        expected,
         problem.expected(reference),
         problem.used(motion, limits),
         problem.used(reference, limits),

@@ -90,17 +90,19 @@ class ExpectedErrors(NamedTuple):
         combinations: What it would determine of numbers that it cannot tell apart.
         condition: Condition number of the regressor, scaled to usual sizes, over the directions that are determined.
         window: The window of the fit that makes the errors smallest.
+        size: Logarithm of the size of the errors: that of the determinant of their covariance, over 2 p.
 
     Example:
         >>> from covariant.calibration import ExpectedErrors
         >>> ExpectedErrors._fields
-        ('errors', 'combinations', 'condition', 'window')
+        ('errors', 'combinations', 'condition', 'window', 'size')
     """
 
     errors: Float[np.ndarray, "p"]
     combinations: Combinations
     condition: float
     window: Window
+    size: float
 
 
 def usual_sizes(
@@ -166,7 +168,8 @@ def expected_errors(
     values = np.linalg.eigvalsh(information)[::-1]
     rank = known.combinations.rank
     condition = float(np.sqrt(values[0] / values[rank - 1])) if rank else np.inf
-    return ExpectedErrors(known.standard_errors, known.combinations, condition, window)
+    size = float(np.linalg.slogdet(covariance * outer)[1]) / (2 * len(sizes))
+    return ExpectedErrors(known.standard_errors, known.combinations, condition, window, size)
 
 
 def _inertia(model: Any, q: Array) -> Array:
