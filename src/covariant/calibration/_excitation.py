@@ -423,7 +423,8 @@ def _objective(regressor: Array, inertia: Array, window: tuple[Array, ...]) -> A
     """Mean log standard error of the numbers in their usual sizes, up to a constant: −log det / 2p."""
     transfer, weight, accelerations, beyond = window
     count, p = len(regressor), regressor.shape[2]
-    averaged = jnp.fft.irfft(jnp.fft.rfft(regressor, axis=0) * transfer[:, None, None], n=count, axis=0)
+    spectrum = jnp.fft.rfft(regressor, axis=0)
+    averaged = jnp.fft.irfft(spectrum * transfer[:, None, None].astype(spectrum.dtype), n=count, axis=0)
     variance = jnp.mean(inertia**2 @ accelerations, axis=0) + beyond
     information = weight * jnp.einsum("kjp,j,kjq->pq", averaged, 1 / variance, averaged)
     return -jnp.linalg.slogdet(information + jnp.eye(p) / PRIOR**2)[1] / (2 * p)
