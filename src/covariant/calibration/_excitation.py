@@ -267,7 +267,8 @@ class _Problem(NamedTuple):
     def of(
         cls, family: RobotFamily, limits: JointLimits, sensing: Sensing, plan: ExcitationPlan, half: float
     ) -> "_Problem":
-        model, inner = family.file.model, limits.within(plan.margin)
+        model: Any = family.file.model
+        inner = limits.within(plan.margin)
         idle = np.linalg.norm(np.linalg.pinv(motor_matrix(model)), axis=0) == 0
         if idle.any():
             raise ValueError(

@@ -141,7 +141,8 @@ def expected_errors(
             f"duration: a fit needs a log of {FEWEST_BLOCKS * BLOCK * half:.3g} s, and this one has {duration:.3g} s; "
             "give a longer duration, or a shorter estimate.reference_half"
         )
-    x, model = np.zeros(len(family.names)), family.file.model
+    x = np.zeros(len(family.names))
+    model: Any = family.file.model
     count = int(np.ceil(FINE / half / motion.frequency))
     step = 1 / motion.frequency / count
     q, v, a = motion.at(step * np.arange(count))

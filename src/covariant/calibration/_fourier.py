@@ -64,7 +64,7 @@ def resting_basis(harmonics: int) -> Float[np.ndarray, "h m"]:
     from scipy.linalg import block_diag, null_space
 
     order = np.arange(1, harmonics + 1, dtype=float)
-    return block_diag(null_space(order[None, :]), null_space(order[None, :] ** 2))
+    return np.asarray(block_diag(null_space(order[None, :]), null_space(order[None, :] ** 2)))
 
 
 def one_sine_a_joint(

@@ -62,6 +62,7 @@ def designed_excitation(
     progress("reading the model")
     family = models.robot_family(model, names, overrides)
     file = family.file
+    machine: Any = file.model
     if file.measurement_std is None:
         raise ValueError(
             f"{model}: the noise of the encoders is not known; put measurement.std or measurement.quantum in the model "
@@ -83,7 +84,7 @@ def designed_excitation(
         raise ValueError(f"{model}: {error}") from error
     t = np.arange(round(plan.duration * rate) + 1) / rate
     q, v, a = found.motion.at(t)
-    u, motors = motor_inputs(file.model, q, v, a)
+    u, motors = motor_inputs(machine, q, v, a)
     columns, units = _columns(file, t, (q, v, a, u))
     details = {
         "model": model,
