@@ -16,6 +16,13 @@ from ._estimators import (
     tuned_state_estimators as tuned_state_estimators,
     with_gains as with_gains,
 )
+from ._excitation import (
+    Excitation as Excitation,
+    ExcitationPlan as ExcitationPlan,
+    JointLimits as JointLimits,
+    design_excitation as design_excitation,
+)
+from ._expected import ExpectedErrors as ExpectedErrors, Sensing as Sensing
 from ._filters import (
     filter_bandwidth as filter_bandwidth,
     jerk_bound as jerk_bound,
@@ -24,6 +31,7 @@ from ._filters import (
 )
 from ._finding import Diagnosis as Diagnosis, Finding as Finding
 from ._fit import Fit as Fit, fit as fit, losses as losses
+from ._fourier import FourierMotion as FourierMotion
 from ._gains import (
     Gains as Gains,
     bias as bias,
@@ -37,6 +45,7 @@ from ._relations import relations as relations
 from ._robot_combinations import Combinations as Combinations
 from ._robot_fit import RobotFit as RobotFit, fit_robot as fit_robot
 from ._robot_misfit import robot_misfit as robot_misfit
+from ._robot_torques import motor_inputs as motor_inputs
 from ._sensor import outliers as outliers
 from ._speeds import usual_speeds as usual_speeds
 from ._stored_observer import stored_observer as stored_observer

@@ -13,25 +13,34 @@ combinations that a log shows; Huber 1981 for weights; White 1982 for the sandwi
 """
 
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float
 
 from covariant import scoring
 from covariant._linalg import solve
-from covariant.calibration._robot_combinations import Combinations, combinations
-from covariant.calibration._smooth import acceleration_kernel, held_inputs
-from covariant.geometry import differential
+from covariant.calibration._robot_combinations import Combinations
+from covariant.calibration._robot_torques import (
+    BLOCK,
+    FEWEST_BLOCKS,
+    PRIOR,
+    RESTING,
+    WINDOWS,
+    Determined,
+    Torques,
+    averaging,
+    convolved,
+    in_batches,
+    needed,
+    sticking_speeds,
+)
+from covariant.calibration._smooth import held_inputs
 from covariant.models import MechanicalSystem, RobotFamily, applied_force, resistance
 from covariant.signals import Record
 
-WINDOWS = (1.0, 2.0, 4.0, 8.0)
-"""Half windows that are compared, in those of the shortest; the one with the smallest standard errors is used."""
 FEWEST = 5
 """Least number of samples in half a window."""
 FINE = 12
@@ -46,28 +55,10 @@ CONVERGED = 0.05
 """A step is the last one when it changes no number by more than this fraction of its standard error."""
 LONGEST_STEP = 1.0
 """Longest step of a coordinate in its usual size."""
-PRIOR = 3.0
-"""Standard deviation of the prior, in usual sizes: it decides only where the log says nothing."""
-KNOWN = 0.1
-"""A number is known where its standard error is below this fraction of that of the prior."""
-USEFUL = 0.1
-"""Part of its usual size that is useful to know of a number: zero must be told from it."""
-APART = 2.0, 3.0
-"""Standard errors by which zero is told from a useful size, and by which a value is told from zero."""
 HUBER = 3.0
 """Size of a residual torque, in units of its scale, beyond which its influence is constant."""
-RESTING = 0.1
-"""Fraction of a window in which a joint may stick, from which its torque is not used: a joint that sticks holds any
-torque up to the dry friction."""
-STICKING, SLOW = 3.0, 0.3
-"""Speed from which a joint does not stick, in that at which dry friction is smoothed: tanh(3) is 1 up to half a per
-cent. In a slow motion it is this fraction of the usual speed, or once the smoothing speed."""
 FULL = 0.6
 """Fraction of the usual number of samples that a window must hold to be used."""
-BLOCK = 6.0
-"""Length of a block, in half windows, over which residuals may be alike."""
-FEWEST_BLOCKS = 12
-BATCH = 1024
 ROUNDING = 1e-10
 """A value that has come below this fraction of its prior standard deviation is zero but for rounding."""
 STILL, MOSTLY = 8.0, 0.9
@@ -163,23 +154,15 @@ def fit_robot(
         if most == ROUNDS and start is None:
             point = search.with_best_window(point)
     solution = search.step(point)
-    slopes = np.asarray(jax.jit(jax.jacfwd(family.values))(point.x))
-    prior = np.sqrt(np.sum((slopes * search.sizes * PRIOR) ** 2, axis=1))
-    errors = np.sqrt(np.einsum("ij,jk,ik->i", slopes, solution.covariance, slopes))
-    values = np.asarray(jax.jit(family.values)(point.x))
-    values = _rounded(values, family.first, prior)
-    to_linear = np.asarray(jax.jit(jax.jacfwd(family.linear))(point.x))
-    found = combinations(family, solution.information, to_linear, search.sizes * PRIOR, KNOWN)
-    # A number that only a combination shows, even one with a small part of others, is not known by itself.
-    combined = np.isin(family.names, found.leading)
-    shown = (errors < KNOWN * prior) & ~combined
+    known = Determined.of(family, point.x, search.sizes, solution.information, solution.covariance)
+    values = _rounded(np.asarray(jax.jit(family.values)(point.x)), family.first, known.prior)
     return RobotFit(
         family.names,
         family.first,
         values,
-        np.where(shown, errors, np.nan),
-        shown & _told_from_zero(values, errors, prior / PRIOR),
-        found,
+        known.standard_errors,
+        known.determined,
+        known.combinations,
         solution.scale,
         point.half,
         rounds,
@@ -241,7 +224,7 @@ class _Search(NamedTuple):
     sizes: Float[np.ndarray, "p"]
     resting: Float[np.ndarray, "n"]
     sticking: Float[np.ndarray, "n"]
-    compiled: "_Compiled"
+    compiled: Torques
 
     @classmethod
     def of(cls, family: RobotFamily, records: Sequence[Record], half: float) -> "_Search":
@@ -256,15 +239,14 @@ class _Search(NamedTuple):
                 f"the logs hold {len(v) * tracks[0].step:.3g} s without a gap, and a fit needs "
                 f"{FEWEST_BLOCKS * BLOCK * half:.3g} s; give longer logs"
             )
-        compiled = _Compiled.of(family)
+        compiled = Torques.of(family)
         first = compiled.model(np.zeros(len(family.names)))
         rms = [
             np.maximum(np.sqrt(np.mean(each**2, axis=0)), 1e-9)
             for each in (in_batches(driving, first, u), in_batches(needed, first, q, v, a), v, a)
         ]
         sizes = family.sizes(np.maximum(*rms[:2]), *rms[2:])
-        resting = np.array(family.resting)
-        return cls(family, tracks, sizes, resting, np.clip(SLOW * rms[2], resting, STICKING * resting), compiled)
+        return cls(family, tracks, sizes, np.array(family.resting), sticking_speeds(family, rms[2]), compiled)
 
     def point(self, x: np.ndarray, half: float, before: tuple[_Path, ...] | None = None) -> _Point:
         """The motion along each log under the model at x: smoothed with the accelerations along the motion before."""
@@ -282,7 +264,7 @@ class _Search(NamedTuple):
     def _still(self, track: _Track, v: np.ndarray) -> np.ndarray:
         """Joints (K, n) that friction holds, 1 where it does: at rest for long."""
         box = np.ones(int(STILL * track.half / track.step) + 1)
-        rests, rows = (_convolved(each, box) for each in ((np.abs(v) < self.resting).astype(float), np.ones_like(v)))
+        rests, rows = (convolved(each, box) for each in ((np.abs(v) < self.resting).astype(float), np.ones_like(v)))
         return (rests > MOSTLY * rows).astype(float)
 
     def with_best_window(self, point: _Point) -> _Point:
@@ -334,20 +316,15 @@ class _Search(NamedTuple):
         stride = max(1, -(-total // MOST_ROWS), int(point.half / 4 / track.step))
         rows = np.arange(0, len(track.grid), stride)
         raw = self.compiled.derivatives(point.x, path.q[rows], path.v[rows], path.modelled[rows], track.u[rows])
-        weights = _averaging(point.half, track.step * stride)
-        slopes = _convolved(np.where(np.isfinite(raw), raw, 0.0), weights)
+        weights = averaging(point.half, track.step * stride)
+        slopes = convolved(np.where(np.isfinite(raw), raw, 0.0), weights)
         torque = in_batches(_momentum, self.compiled.model(point.x), path.q[rows], path.residual[rows])
         slow = (np.abs(path.v[rows]) < self.sticking).astype(float)
+        sticks = convolved(slow, np.abs(weights) / np.abs(weights).sum())
         used = path.used[rows]
-        counts = (_convolved(slow, np.abs(weights) / np.abs(weights).sum()) < RESTING)[used]
+        counts = (sticks < RESTING)[used]
         block = np.floor((track.grid[rows][used] - track.grid[0]) / (BLOCK * point.half)).astype(int)
         return slopes[used], torque[used], counts, block + 1_000_000 * i
-
-
-def _told_from_zero(values: np.ndarray, errors: np.ndarray, usual: np.ndarray) -> Bool[np.ndarray, "p"]:
-    """Whether numbers (p,) differ from zero, or cannot be of a useful size, by their standard errors."""
-    of_size, of_value = APART
-    return (of_size * errors < USEFUL * usual) | (of_value * errors < np.abs(values))
 
 
 def _track(record: Record, half: float, circles: tuple[int, ...], total: float) -> _Track:
@@ -385,19 +362,6 @@ def _hermite(s: np.ndarray, left: np.ndarray, right: np.ndarray, slope_left: np.
     return (1 + across) * left - across * right + s * (1 - s) ** 2 * slope_left - s**2 * (1 - s) * slope_right
 
 
-def _averaging(half: float, step: float) -> np.ndarray:
-    """Weights of true accelerations, at points of a grid, in the residual acceleration of a window."""
-    kernel = acceleration_kernel(half, max(int(half / step), 3))
-    return kernel / kernel.sum()
-
-
-def _convolved(values: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    from scipy.signal import oaconvolve
-
-    flat = values.reshape(len(values), -1)
-    return oaconvolve(flat, weights[:, None], mode="same", axes=0).reshape(values.shape)
-
-
 def _rounded(values: np.ndarray, first: np.ndarray, prior: np.ndarray) -> np.ndarray:
     """The values, with zero for those that have become zero but for rounding; those that did not move are no such."""
     size = np.abs(values)
@@ -425,34 +389,6 @@ def _bounded(matrix: np.ndarray, gradient: np.ndarray, least: np.ndarray) -> np.
     return step
 
 
-def in_batches(function: Callable[..., Array], model: MechanicalSystem, *columns: np.ndarray) -> np.ndarray:
-    """A function of a model and of one row, at all rows.
-
-    Args:
-        function: Function of a model and of numbers of one row.
-        model: The model.
-        columns: These numbers, in K rows each.
-
-    Returns:
-        Its values (K, …).
-    """
-    return _batched(lambda *part: _mapped(function, model, *part), columns)
-
-
-def _batched(function: Callable[..., Array], columns: Sequence[np.ndarray]) -> np.ndarray:
-    """A function of `BATCH` rows, at all rows."""
-    count = len(columns[0])
-    size = -(-count // BATCH) * BATCH
-    padded = [np.concatenate([c, np.repeat(c[-1:], size - count, axis=0)]) for c in columns]
-    parts = [np.asarray(function(*(c[i : i + BATCH] for c in padded))) for i in range(0, size, BATCH)]
-    return np.concatenate(parts)[:count]
-
-
-@eqx.filter_jit
-def _mapped(function: Callable[..., Array], model: MechanicalSystem, *columns: Array) -> Array:
-    return jax.vmap(lambda *row: function(model, *row))(*columns)
-
-
 def _momentum(model: MechanicalSystem, q: Array, a: Array) -> Array:
     return model.space.lower(q, a)
 
@@ -468,51 +404,3 @@ def _accelerations(model: MechanicalSystem, q: Array, v: Array, u: Array, moving
 def driving(model: MechanicalSystem, u: Array) -> Array:
     """Torques (n,) of the inputs u (m,)."""
     return model.force(jnp.zeros(()), model.manifold.origin(), u)
-
-
-def needed(model: MechanicalSystem, q: Array, v: Array, a: Array) -> Array:
-    """Torques (n,) that a motion needs, without friction."""
-    weight = differential(model.manifold, model.potential, q)
-    return model.space.lower(q, a) + model.space.connection_force(q, v, v) + weight
-
-
-def _torque(model: MechanicalSystem, q: Array, v: Array, a: Array, u: Array) -> Array:
-    """Torques (n,) that a motion needs beyond those that act; zero for the motion that the model predicts."""
-    acting = applied_force(model, jnp.zeros(()), q, u) + resistance(model, jnp.zeros(()), q, v, u)
-    return model.space.lower(q, a) + model.space.connection_force(q, v, v) - acting
-
-
-class _Compiled(NamedTuple):
-    """The robot as compiled functions of the coordinates x.
-
-    Attributes:
-        model: `x (p,) -> model`, without making it anew from its files.
-        derivatives: Derivatives (K, n, p) of the torques in x, at x and K rows (q, v, a, u) of a motion.
-    """
-
-    model: Callable[[np.ndarray], Any]
-    derivatives: Callable[..., np.ndarray]
-
-    @classmethod
-    def of(cls, family: RobotFamily) -> "_Compiled":
-        numbers, static = eqx.partition(family.make(np.zeros(len(family.names))), eqx.is_inexact_array)
-        unravel = ravel_pytree(numbers)[1]
-
-        def arrays(x: Array) -> Array:
-            return ravel_pytree(eqx.filter(family.make(x), eqx.is_inexact_array))[0]
-
-        at, slopes_at = jax.jit(arrays), jax.jit(jax.jacfwd(arrays))
-
-        @jax.jit
-        def batch(flat: Array, slopes: Array, *columns: Array) -> Array:
-            # Fewer torques than numbers: backwards from each torque to all arrays of the model, then to the numbers.
-            def one(*row: Array) -> Array:
-                return jax.jacrev(lambda part: _torque(eqx.combine(unravel(part), static), *row))(flat) @ slopes
-
-            return jax.vmap(one)(*columns)
-
-        def derivatives(x: np.ndarray, *columns: np.ndarray) -> np.ndarray:
-            flat, slopes = at(x), slopes_at(x)
-            return _batched(lambda *part: batch(flat, slopes, *part), columns)
-
-        return cls(lambda x: eqx.combine(unravel(at(x)), static), derivatives)

@@ -9,7 +9,8 @@ import numpy as np
 from covariant.calibration._changes import unit_changes
 from covariant.calibration._diagnose import BARELY, FEW_ROWS, MARGIN, busiest, case_without_outliers, changed, clearly
 from covariant.calibration._finding import Finding
-from covariant.calibration._robot_fit import driving, in_batches, needed
+from covariant.calibration._robot_fit import driving
+from covariant.calibration._robot_torques import in_batches, needed
 from covariant.calibration._sensor import still_findings
 from covariant.calibration._sensor_findings import standstill
 from covariant.calibration._smooth import Smooth

@@ -4,8 +4,9 @@ from typing import Annotated
 
 import typer
 
+from covariant.cli._commands_for_design import design
 from covariant.cli._commands_on_logs import on_logs
-from covariant.cli._commands_on_models import design, on_models
+from covariant.cli._commands_on_models import on_models
 
 app = typer.Typer(no_args_is_help=True, pretty_exceptions_enable=False, rich_markup_mode=None)
 app.add_typer(on_logs)

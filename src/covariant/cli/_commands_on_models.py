@@ -19,12 +19,11 @@ from covariant.cli._options import (
     existing_model,
     known_observer,
 )
-from covariant.cli._parse import byte_count, count_list, interval_map, name_list, number_list
+from covariant.cli._parse import byte_count, interval_map, name_list, number_list
 from covariant.workflow import check_output
 
 FIGURES = (".png", ".pdf", ".svg")
 on_models = typer.Typer()
-design = typer.Typer(no_args_is_help=True, rich_markup_mode=None, help="Design what an observer needs.")
 
 
 def certified_observer(name: str) -> str:
@@ -336,67 +335,3 @@ def certify(
         )
     show(result, json, None if result.wrong else out, figure=figure)
     raise SystemExit(0 if result.holds else 1)
-
-
-@design.command()
-def metric(
-    model: Model,
-    out: Annotated[Path, typer.Option("--out", "-o", help="Store to write, or to go on with (.zarr).")],
-    grid: Annotated[
-        str,
-        typer.Option(help="Points of each axis, one count or one each by commas; four at least to interpolate."),
-    ],
-    region: Annotated[
-        str | None,
-        typer.Option(
-            "--region", "--box", help="Ends of the axes, as x1=0:1,x2=1:1.5; those not named are the model's own."
-        ),
-    ] = None,
-    rate: Annotated[float, typer.Option(help="Rate λ of the equation [1/s].")] = 0.0,
-    window: Annotated[
-        float | None, typer.Option(help="Choose λ from the Gramians of the past, up to this long [s].")
-    ] = None,
-    process_cov: Annotated[str | None, typer.Option(help="Diagonal of Q, one number a state, by commas.")] = None,
-    measurement_cov: Annotated[
-        str | None, typer.Option(help="Diagonal of R, one number an output, by commas; ones by default.")
-    ] = None,
-    start: Annotated[float, typer.Option(help="Metric before the past, as a multiple of the identity.")] = 1.0,
-    tolerance: Annotated[float, typer.Option(help="How much the unknown past may change the metric.")] = 1e-8,
-    domain: Annotated[
-        str | None, typer.Option(help="Where the model holds, as --region; the past is followed no further.")
-    ] = None,
-    input: Annotated[str | None, typer.Option(help="Constant inputs, by commas; zeros by default.")] = None,
-    block: Annotated[int, typer.Option(help="Points that a worker computes at a time.", min=1)] = 4096,
-    workers: Annotated[int | None, typer.Option(help="Threads; as many as processors by default.", min=1)] = None,
-    scheduler: Annotated[str | None, typer.Option(help="Address of a Dask scheduler whose workers compute.")] = None,
-    override: Override = [],  # noqa: B006  typer copies it
-    json: Json = False,
-) -> None:
-    """Compute a contraction metric at every point of a grid of states; a run that was stopped goes on where it was."""
-    check_output(out, ".zarr", store=True)
-    try:
-        with progress_bar(json) as progress:
-            result = workflow.design_metric(
-                model,
-                out,
-                grid=count_list("grid", grid),
-                region=interval_map("region", region),
-                rate=rate,
-                window=window,
-                process_cov=number_list("process-cov", process_cov),
-                measurement_cov=number_list("measurement-cov", measurement_cov),
-                start=start,
-                tolerance=tolerance,
-                domain=interval_map("domain", domain),
-                input=number_list("input", input),
-                block=block,
-                workers=workers,
-                scheduler=scheduler,
-                overrides=tuple(override),
-                progress=progress,
-            )
-    except KeyboardInterrupt as stopped:
-        print(f"covariant: {stopped}", file=sys.stderr)
-        # 128 + 2, what shells report of a process that SIGINT ended.
-        raise SystemExit(130) from None
-    show(result, json)

@@ -1,0 +1,235 @@
+"""Computes a motion whose log determines numbers of a robot, within the limits of its file or of the arguments."""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from covariant import logs, models
+from covariant.calibration import (
+    Excitation,
+    ExcitationPlan,
+    ExpectedErrors,
+    JointLimits,
+    Sensing,
+    design_excitation,
+    motor_inputs,
+)
+from covariant.models import ModelFile, Overrides, RobotFamily, robots
+from covariant.workflow._arguments import Amounts, Region, amounts, bounds, numbers
+from covariant.workflow._inputs import numbered, sought_columns
+from covariant.workflow._progress import Progress
+
+TORQUE_NOISE = 0.01
+"""Standard deviation of logged torques, as a fraction of the largest ones, where none is given."""
+
+
+class Limits(NamedTuple):
+    """Limits that replace those of the robot's file, and the noise of logged torques; see `design_excitation`."""
+
+    region: Region
+    velocity: Amounts | None
+    effort: Amounts | None
+    torque_noise: Amounts | None
+
+
+def designed_excitation(
+    model: str,
+    names: Sequence[str],
+    overrides: Overrides,
+    given: Limits,
+    plan: ExcitationPlan,
+    rate: float,
+    progress: Progress,
+) -> tuple[logs.Columns, dict[str, np.ndarray], dict[str, str], dict[str, Any]]:
+    """Design a motion of a robot.
+
+    Args:
+        model: What `models.robot_family` takes.
+        names: Names of the numbers.
+        overrides: Values that replace those of the model file.
+        given: Limits that replace those of the robot's file.
+        plan: What the motion is like.
+        rate: Rows in a second [Hz].
+        progress: Called with a description and a fraction as the work goes on.
+
+    Returns:
+        The fields of an `ExcitationResult`, in their order.
+
+    Raises:
+        ValueError: For a model or limits that cannot be used.
+    """
+    progress("reading the model")
+    family = models.robot_family(model, names, overrides)
+    file = family.file
+    machine: Any = file.model
+    if file.measurement_std is None:
+        raise ValueError(
+            f"{model}: the noise of the encoders is not known; put measurement.std or measurement.quantum in the model "
+            "file, or give --set measurement.std=NUMBER"
+        )
+    limits = _limits(model, family, given)
+    noise = np.broadcast_to(np.asarray(file.measurement_std, float), len(limits.names))
+    torque_noise = TORQUE_NOISE * limits.effort
+    if given.torque_noise is not None:
+        torque_noise = amounts("torque-noise", given.torque_noise, limits.names)
+    sensing = Sensing(noise, torque_noise, rate)
+
+    def report(fraction: float) -> None:
+        progress(f"designing a motion of {file.name}", fraction)
+
+    try:
+        found = design_excitation(family, limits, sensing, plan, file.reference_half, report)
+    except ValueError as error:
+        raise ValueError(f"{model}: {error}") from error
+    t = np.arange(round(plan.duration * rate) + 1) / rate
+    q, v, a = found.motion.at(t)
+    u, motors = motor_inputs(machine, q, v, a)
+    columns, units = _columns(file, t, (q, v, a, u))
+    details = {
+        "model": model,
+        "rows": len(t),
+        "duration": plan.duration,
+        "rate": rate,
+        "frequency": plan.frequency,
+        "harmonics": plan.harmonics,
+        "periods": round(plan.duration * plan.frequency),
+        "margin": plan.margin,
+        "starts": plan.starts,
+        "seed": plan.seed,
+        "motors": motors.tolist(),
+        "joints": _joints(file, limits, sensing, found),
+        **_expected(family, found),
+    }
+    return file.columns, columns, units, details
+
+
+def _limits(model: str, family: RobotFamily, given: Limits) -> JointLimits:
+    """The limits of the arguments, and those of the robot's file where there are none."""
+    file, parameters = family.file, family.document["parameters"]
+    names = file.model.coordinates
+    robot = robots.read(parameters["path"], motor_torques=parameters.get("motor_torques", False))
+    robot = robots.changed(robot, **{key: parameters[key] for key in ("offsets",) if key in parameters})
+    if parameters.get("actuated") is None:
+        _refuse_servos(model, robot, names)
+    of_file = {joint.name: joint for joint in robot.joints}
+    joints = [of_file.get(name) for name in names]
+    # The file limits true positions, and those of a log are off by the offset of the encoder.
+    ends = [(j.lower - j.encoder_offset, j.upper - j.encoder_offset) if j else (-np.inf, np.inf) for j in joints]
+    region = bounds("region", given.region, names, "joint")
+    low, high = np.array([region.get(name, pair) for name, pair in zip(names, ends, strict=True)], float).T
+    limits = JointLimits(
+        names,
+        low,
+        high,
+        _largest("velocity", given.velocity, names, [j.velocity if j else np.inf for j in joints]),
+        _largest("effort", given.effort, names, [j.effort if j else np.inf for j in joints]),
+    )
+    _refuse_missing(model, limits)
+    return limits
+
+
+def _largest(argument: str, given: Amounts | None, names: Sequence[str], of_file: list[float]) -> np.ndarray:
+    if given is None:
+        return np.array(of_file, float)
+    return numbers(argument, given, names, positive=True, one=True)
+
+
+def _refuse_missing(model: str, limits: JointLimits) -> None:
+    """Raise `ValueError` for limits that neither the file nor an argument has; some files have 0 for none."""
+    unknown = {
+        "region": ~(np.isfinite(limits.room) & (limits.room > 0)),
+        "velocity": ~(np.isfinite(limits.velocity) & (limits.velocity > 0)),
+        "effort": ~(np.isfinite(limits.effort) & (limits.effort > 0)),
+    }
+    for argument, missing in unknown.items():
+        names = [name for name, each in zip(limits.names, missing, strict=True) if each]
+        if names:
+            example = ",".join(f"{name}=LOW:HIGH" for name in names) if argument == "region" else "NUMBER"
+            what = {"region": "ends of its positions", "velocity": "largest speed", "effort": "largest torque"}
+            raise ValueError(
+                f"{model}: joint {names[0]!r} has no {what[argument]} in its file"
+                + (f", and neither have {', '.join(names[1:])}" if names[1:] else "")
+                + f"; give --{argument} {example}"
+            )
+
+
+def _refuse_servos(model: str, robot: robots.Description, names: Sequence[str]) -> None:
+    """Raise `ValueError` for a motor that is a servo: its torque is not its input."""
+    for motor in robot.motors:
+        if motor.joint in names and (motor.stiffness or motor.damping):
+            raise ValueError(
+                f"{model}: actuator {motor.name!r} is a servo, whose torque is not its input; give the joints whose "
+                f"torques are logged, as --set 'parameters.actuated=[\"{motor.joint}\"]'"
+            )
+
+
+def _columns(
+    file: ModelFile, t: np.ndarray, rows: tuple[np.ndarray, ...]
+) -> tuple[dict[str, np.ndarray], dict[str, str]]:
+    """The columns in SI units, under the names of the model file, and their units."""
+    names, n = file.columns, len(file.model.coordinates)
+    groups = (names.q, sought_columns(file), numbered("a", n), names.u)
+    listed = [names.t, *(name for group in groups for name in group)]
+    for name in listed:
+        if listed.count(name) > 1:
+            raise ValueError(f"{file.name}: two columns would be named {name!r}; rename the one in [columns]")
+    arrays = dict(zip(listed, [t, *(column for each in rows for column in each.T)], strict=True))
+    units = file.model.units
+    si = ["s", *units, *(f"{unit}/s" for unit in units), *(f"{unit}/s^2" for unit in units)]
+    return arrays, dict(zip(listed, si, strict=False))
+
+
+def _joints(file: ModelFile, limits: JointLimits, sensing: Sensing, found: Excitation) -> list[dict[str, Any]]:
+    """What of its limits each joint uses."""
+    rows = []
+    for i, (name, unit) in enumerate(zip(limits.names, file.model.units, strict=True)):
+        force = "N m" if unit == "rad" else "N"
+        sizes = (limits.room[i], limits.velocity[i], limits.effort[i])
+        middles = (limits.middle[i], 0.0, 0.0)
+        kinds = {}
+        for k, (kind, its_unit) in enumerate((("position", unit), ("velocity", f"{unit}/s"), ("torque", force))):
+            kinds[kind] = {
+                "unit": its_unit,
+                "limit": float(sizes[k]),
+                "ends": [float(middles[k] - sizes[k]), float(middles[k] + sizes[k])],
+                "largest": float(found.used[k, i] * sizes[k]),
+                "fraction": float(found.used[k, i]),
+                "reference_fraction": float(found.used_reference[k, i]),
+            }
+        kinds["torque"]["noise"] = float(sensing.torque_noise[i])
+        rows.append({"name": name, "unit": unit, "noise": float(sensing.noise[i]), **kinds})
+    return rows
+
+
+def _expected(family: RobotFamily, found: Excitation) -> dict[str, Any]:
+    """Standard errors to expect, and what is not determined."""
+    after, before = found.expected, found.expected_reference
+    unknown = [name for name, error in zip(family.names, after.errors, strict=True) if np.isnan(error)]
+    sentences = [f"no log of this motion shows {', '.join(unknown)} alone"] if unknown else []
+    return {
+        "parameters": [
+            {
+                "name": number.name,
+                "unit": number.unit,
+                "value": number.first,
+                "reference_error": _known(before.errors[i]),
+                "error": _known(after.errors[i]),
+            }
+            for i, number in enumerate(family.numbers)
+        ],
+        "undetermined": [*sentences, *(f"only the combination {text} is" for text in after.combinations.determined)],
+        "combinations": list(after.combinations.determined),
+        "redundant": list(after.combinations.absorbed),
+        "rank": {"reference": before.combinations.rank, "designed": after.combinations.rank},
+        "condition": {"reference": _condition(before), "designed": _condition(after)},
+        "window": {"reference": 2 * before.window.half, "designed": 2 * after.window.half},
+    }
+
+
+def _known(error: float) -> float | None:
+    return None if np.isnan(error) else float(error)
+
+
+def _condition(expected: ExpectedErrors) -> float | None:
+    return float(expected.condition) if np.isfinite(expected.condition) else None
