@@ -303,7 +303,7 @@ def misfit(file: ModelFile, record: Record) -> Finding | None:
     findings = [each for each in _unexplained(case, unchanged) if each.what == "model"] if unchanged else []
     if not findings:
         return None
-    log = _clearly(case)
+    log = clearly(case)
     missing = None if log is None else missing_torques(case.model, log)
     return findings[0] if missing is None else _missing_finding(case, missing, True)
 
