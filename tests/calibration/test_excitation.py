@@ -193,7 +193,7 @@ def test_fits_to_simulated_logs_scatter_as_expected(monkeypatch):
             fits.append(fit_robot(rough, [noisy], HALF).values)
         errors = np.array(fits) - truth
         scatter[name] = np.sqrt(np.mean(errors**2, axis=0))
-        print(name, expected, scatter[name], scatter[name] / expected, errors.mean(axis=0) / expected)
+
         ratio = scatter[name] / expected
         assert 1 / 1.5 < np.exp(np.mean(np.log(ratio))) < 1.5, ratio
         assert (ratio > 1 / 2).all(), ratio

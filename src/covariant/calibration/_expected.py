@@ -57,7 +57,7 @@ class Sensing(NamedTuple):
     rate: float
 
 
-class Window(NamedTuple):
+class FitWindow(NamedTuple):
     """A window of the fit.
 
     Attributes:
@@ -101,7 +101,7 @@ class ExpectedErrors(NamedTuple):
     errors: Float[np.ndarray, "p"]
     combinations: Combinations
     condition: float
-    window: Window
+    window: FitWindow
     size: float
 
 
@@ -186,7 +186,7 @@ class _Rows(NamedTuple):
     rests: Any
     step: float
 
-    def covariance(self, points: int, sensing: Sensing) -> tuple[np.ndarray, np.ndarray, Window]:
+    def covariance(self, points: int, sensing: Sensing) -> tuple[np.ndarray, np.ndarray, FitWindow]:
         """Information and covariance (p, p) of the numbers in usual sizes, with windows of ± so many points."""
         step, half, spacing = self.step, points * self.step, 1 / sensing.rate
         kernel = acceleration_kernel(half, points)
@@ -197,7 +197,7 @@ class _Rows(NamedTuple):
         rests = convolved(self.rests.astype(float), np.abs(kernel) / np.abs(kernel).sum())
         used = rests < RESTING
         used[:points] = used[len(used) - points :] = False
-        window = Window(
+        window = FitWindow(
             half,
             1 / half,
             sensing.noise**2 * spacing * step * np.sum(curvature**2),
