@@ -233,8 +233,8 @@ class ExcitationResult(AbstractTable):
         condition = {key: "—" if each is None else f"{each:.3g}" for key, each in facts["condition"].items()}
         return "\n".join(
             [
-                f"{facts['rows']} rows over {facts['duration']:g} s: {facts['periods']} periods of "
-                f"{1 / facts['frequency']:.4g} s, {facts['harmonics']} harmonics",
+                f"{facts['rows']} rows over {facts['duration']:g} s: {facts['periods']} "
+                f"period{'s' * (facts['periods'] > 1)} of {1 / facts['frequency']:.4g} s, {facts['harmonics']} harmonics",
                 f"Standard errors to expect of a fit that sees all of its log, with the noise of rows {noise}:",
                 "",
                 table(errors),
