@@ -86,7 +86,7 @@ def design_excitation(
         >>> result = covariant.design_excitation("double_pendulum", "armature", **limits, **short, overrides=noise)
         >>> list(result.columns)
         ['t', 'shoulder', 'elbow', 'v1', 'v2', 'a1', 'a2', 'u1', 'u2']
-        >>> bool((result.standard_errors < result.reference_errors).all())
+        >>> bool(result.standard_errors.prod() < result.reference_errors.prod())
         True
     """
     if not isinstance(model, str | PathLike):
@@ -233,8 +233,8 @@ class ExcitationResult(AbstractTable):
         condition = {key: "—" if each is None else f"{each:.3g}" for key, each in facts["condition"].items()}
         return "\n".join(
             [
-                f"{facts['rows']} rows over {facts['duration']:g} s: {facts['periods']} "
-                f"period{'s' * (facts['periods'] > 1)} of {1 / facts['frequency']:.4g} s, {facts['harmonics']} harmonics",
+                f"{facts['rows']} rows over {facts['duration']:g} s: {facts['periods']} period"
+                f"{'s' * (facts['periods'] > 1)} of {1 / facts['frequency']:.4g} s, {facts['harmonics']} harmonics",
                 f"Standard errors to expect of a fit that sees all of its log, with the noise of rows {noise}:",
                 "",
                 table(errors),
