@@ -195,8 +195,7 @@ def test_fits_to_simulated_logs_scatter_as_expected(monkeypatch):
         scatter[name] = np.sqrt(np.mean(errors**2, axis=0))
 
         ratio = scatter[name] / expected
-        assert 1 / 1.5 < np.exp(np.mean(np.log(ratio))) < 1.5, ratio
-        assert (ratio > 1 / 2).all(), ratio
-        assert (ratio < 2).all(), ratio
+        assert (ratio > 1 / 1.5).all(), ratio
+        assert (ratio < 1.5).all(), ratio
     assert np.exp(np.mean(np.log(scatter["reference"] / scatter["designed"]))) > 1.2
     jax.clear_caches()
