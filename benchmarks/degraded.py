@@ -163,7 +163,7 @@ def triple() -> Clean:
         duration=10.0,
         rate=200.0,
         q0=[1.0, -0.5, 0.5],
-        amplitude=[1.5, 0.0, 0.0],
+        amplitude=[0.3, 0.0, 0.0],
         frequency=0.7,
         noise=std,
         seed=1,

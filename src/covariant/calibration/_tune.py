@@ -173,13 +173,12 @@ def tune(
         old = gains.beta**0.5, gains.alpha / (2 * gains.beta**0.5)
         proposed = {"model file": old} | proposed
         baseline = _judged(logs, systems, estimates, followed(model, logs, *old, runner), given_noise(before, rate, n))
+        if _judged(logs, systems, estimates, estimates, noise).likelihood < baseline.likelihood:
+            kept, noise = True, given_noise(before, rate, n)
     smooth = _smooth(systems, estimates, noise, speed) if np.any(noise.force) else None
     best, compared, horizon = best_gains(model, logs, proposed, steps, runner, smooth)
     chosen = followed(model, logs, best.natural_frequency, best.damping, runner)
     after = _judged(logs, systems, estimates, chosen, noise)
-    if before is not None and baseline is not None and after.likelihood < baseline.likelihood:
-        kept, noise = True, given_noise(before, rate, n)
-        after = _judged(logs, systems, estimates, chosen, noise)
     progress("filters without a model")
     free = _best_model_free(model, logs, noise, before)
     known = None if window is None else _reference_noise(logs, systems, noise, *window)
