@@ -193,7 +193,7 @@ def main() -> None:
         print(f"check: {finding.what} of {finding.where}: {finding.evidence}", flush=True)
         result = covariant.fit(spec, seen, NUMBERS)
         result.save(fitted)
-        print(f"fit: {result.headline}", f"{time.perf_counter() - began:.0f} s", flush=True)
+        print(f"fitted after {time.perf_counter() - began:.0f} s: {len(result.values)} numbers", flush=True)
         names = models.load(spec).model.coordinates
         nothing, everything = numbers(names, 0.0), numbers(names, 1.0)
         files = {
