@@ -136,25 +136,20 @@ def rmse(v: np.ndarray, true: np.ndarray) -> float:
     return value if np.isfinite(value) else np.inf
 
 
-def best_gains(
-    files: dict[str, models.ModelFile], record: covariant.Record, true: np.ndarray
-) -> dict[str, tuple[float, float, float]]:
-    """Least error of the intrinsic observer over its gains with each model, with its ω [rad/s] and ζ."""
-    systems = {name: file.need_mechanical(name, "this table has") for name, file in files.items()}
-    acting = {name: lag_inputs(record, file.input_lag) for name, file in files.items()}
-    best, span = dict.fromkeys(files, (np.inf, 150.0, 0.7)), 2.0
+def best_gains(file: models.ModelFile, record: covariant.Record, true: np.ndarray) -> tuple[float, float, float]:
+    """Least error of the intrinsic observer over its gains, with its ω [rad/s] and ζ."""
+    system, acting = file.need_mechanical(file.name, "this table has"), lag_inputs(record, file.input_lag)
+    best, span = (np.inf, 100.0, 0.7), 1.6
     for _ in range(3):
-        tried = [
-            (name, w * np.exp(a), float(np.clip(z * np.exp(b), 0.3, 3.0)))
-            for name, (_, w, z) in best.items()
-            for a in np.linspace(-span, span, 8)
-            for b in np.linspace(-span / 2, span / 2, 4)
+        pairs = [
+            (best[1] * float(np.exp(a)), float(np.clip(best[2] * np.exp(b), 0.3, 3.0)))
+            for a in np.linspace(-span, span, 6)
+            for b in np.linspace(-span / 2, span / 2, 3)
         ]
-        # All at once, so that one compiled program serves all models.
-        observers = [Intrinsic(systems[name], 2 * z * w, w * w) for name, w, z in tried]
-        runs, _ = engine.run_logs(observers, [acting[name] for name, *_ in tried], ("result",))
-        for (name, *pair), run in zip(tried, runs, strict=True):
-            best[name] = min(best[name], (rmse(np.asarray(run.estimate)[:, 7:], true), *pair))
+        observers = [Intrinsic(system, 2 * z * w, w * w) for w, z in pairs]
+        runs, _ = engine.run_logs(observers, acting, ("result",), "c")
+        errors = [rmse(np.asarray(run.estimate)[:, 7:], true) for run in runs]
+        best = min(best, *((error, *pair) for error, pair in zip(errors, pairs, strict=True)))
         span /= 3
     return best
 
@@ -202,10 +197,8 @@ def main() -> None:
             "intrinsic, fitted, lag of 1 ms known": models.load(fitted, {"inputs.lag": LAG}),
             "intrinsic, oracle": models.load(spec, everything | {"inputs.lag": LAG}),
         }
-        rows = {
-            name: (error, f"ω {w:.0f} rad/s, ζ {z:.2f}")
-            for name, (error, w, z) in best_gains(files, judged, true).items()
-        }
+        best = {name: best_gains(file, judged, true) for name, file in files.items()}
+    rows = {name: (error, f"ω {w:.0f} rad/s, ζ {z:.2f}") for name, (error, w, z) in best.items()}
     rows |= {
         "Savitzky–Golay": best_polynomial(judged, true),
         "filtered difference": best_difference(judged, true),
