@@ -143,7 +143,7 @@ def best_gains(file: models.ModelFile, record: covariant.Record, true: np.ndarra
     for _ in range(3):
         pairs = [
             (best[1] * float(np.exp(a)), float(np.clip(best[2] * np.exp(b), 0.3, 3.0)))
-            for a in np.linspace(-span, span, 6)
+            for a in np.linspace(-span, span, 5)
             for b in np.linspace(-span / 2, span / 2, 3)
         ]
         observers = [Intrinsic(system, 2 * z * w, w * w) for w, z in pairs]
@@ -181,7 +181,7 @@ def main() -> None:
     with TemporaryDirectory() as folder:
         spec, fitted = Path(folder) / "panda.toml", Path(folder) / "fitted.toml"
         spec.write_text(FILE)
-        (seen, _), (judged, true) = moved(15.0, 1), moved(6.0, 2)
+        (seen, _), (judged, true) = moved(15.0, 1), moved(3.0, 2)
         refused = calibration.misfit(models.load(spec), judged)
         print(f"estimate and compare refuse: {refused.evidence if refused else 'no'}")
         finding = covariant.check(spec, judged).findings[0]
