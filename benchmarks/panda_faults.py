@@ -4,8 +4,8 @@ Run `python benchmarks/panda_faults.py` from the repository's root, with MuJoCo 
 friction law of Coulomb, Stribeck and viscous parts, rotors, torque constants that are off by up to 2 %, and torques
 that lag by 1 ms; encoders have 17 bits and are read a thousand times a second. The file of the robot knows none of it.
 The fit is to one log, and the velocities are judged on another motion. `oracle` is an observer that knows the plant.
-Gains of all observers but the tuned one, and window and order of the Savitzky–Golay filter, are searched on the judged
-rows themselves with the true velocities known.
+Gains of the observers, and window and order of the Savitzky–Golay filter, are searched on the judged rows themselves
+with the true velocities known.
 """
 
 import time
