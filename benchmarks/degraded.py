@@ -318,10 +318,10 @@ class Entry(NamedTuple):
         )
 
 
-def rows(asked: str) -> Iterable[str]:
+def rows(asked: str, available: dict[str, Callable[[], Clean]]) -> Iterable[str]:
     """Rows of the table, of all logs or of the one that is asked for."""
     chosen, _, fault = asked.partition(":")
-    for name, make in all_logs().items():
+    for name, make in available.items():
         if not name.startswith(chosen):
             continue
         clean = make()
@@ -333,9 +333,9 @@ def rows(asked: str) -> Iterable[str]:
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--only", default="", help="a log, or a log and a fault: ship:noise")
-    began = time.perf_counter()
+    began, available = time.perf_counter(), all_logs()
     print("| log | fault | best gains | model file | tuned | from | best EKF | tuned Kalman | against best gains |")
     print("|---|---|--:|--:|--:|---|--:|--:|--:|")
-    for row in rows(parser.parse_args().only):
+    for row in rows(parser.parse_args().only, available):
         print(row, flush=True)
     print(f"\n{time.perf_counter() - began:.0f} s")
