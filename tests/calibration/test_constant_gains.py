@@ -8,7 +8,7 @@ from scipy.linalg import solve_discrete_are
 from covariant.calibration import Candidate, NoiseLevels, errors_ahead, predict_sampled_errors
 from covariant.calibration._ahead import size
 from covariant.calibration._constant_gains import as_poles, chosen, sampled_design
-from covariant.calibration._error_model import error_model, forgotten, kalman
+from covariant.calibration._error_model import ErrorModel, error_model, forgotten, kalman, smoothed
 from covariant.models import Motion, oscillator
 from covariant.observers import Intrinsic, external_force, run
 from covariant.observers._sampled import sampled_gains
@@ -123,3 +123,47 @@ def test_the_reference_run_predicts_as_well_as_its_motion_allows():
     motion = oscillator().motion(done.estimate)
     errors = errors_ahead(oscillator(), RECORD, Motion(motion.q, motion.v), T > 4.0, 4)
     assert size([errors])[0] < 1e-5
+
+
+def plainly_smoothed(system, noise, start):
+    """The smoother of Rauch, Tung & Striebel as in textbooks, with inverses: estimates (T, 6) of a system of n = 2."""
+    before, after, steps = [], [], []
+    for k in range(len(system.dt)):
+        h, push = float(system.dt[k]), np.asarray(system.input_matrix[k])
+        whole, added = np.eye(6), np.zeros((6, 6))
+        whole[:4, :4], whole[:2, 4:], whole[2:4, 4:] = system.transition[k], h**2 / 2 * push, h * push
+        blocks = float(noise.acceleration) ** 2 * np.array([[h**3 / 3, h**2 / 2], [h**2 / 2, h]])
+        added[:4, :4], added[4:, 4:] = np.kron(blocks, np.eye(2)), float(noise.force) ** 2 * h * np.eye(2)
+        x, cov = np.zeros(6), start
+        if not system.fresh[k]:
+            x = whole @ after[-1][0] + np.append(system.defect[k], [0.0, 0.0])
+            cov = whole @ after[-1][1] @ whole.T + added
+        before.append((x, cov))
+        seen = np.flatnonzero(system.present[k])
+        pick, variance = np.eye(6)[seen], np.diag(np.asarray(noise.measurement)[seen] ** 2)
+        gain = cov @ pick.T @ np.linalg.inv(pick @ cov @ pick.T + variance)
+        after.append((x + gain @ (np.asarray(system.residual[k])[seen] - pick @ x), cov - gain @ pick @ cov))
+        steps.append(whole)
+    smooth = [after[-1][0]]
+    for k in reversed(range(len(after) - 1)):
+        back = after[k][1] @ steps[k + 1].T @ np.linalg.inv(before[k + 1][1])
+        missed = smooth[0] - before[k + 1][0]
+        smooth.insert(0, after[k][0] + (0.0 if system.fresh[k + 1] else back @ missed))
+    return np.array(smooth)
+
+
+def test_the_smoother_of_errors_is_that_of_rauch_tung_and_striebel():
+    rng, count = np.random.default_rng(0), 60
+    present, fresh, dt = rng.random((count, 2)) < 0.8, np.isin(np.arange(count), (0, 25)), np.full(count, 0.1)
+    system = ErrorModel(
+        jnp.asarray(np.eye(4) + 0.1 * rng.normal(size=(count, 4, 4))),
+        jnp.asarray(0.1 * rng.normal(size=(count, 4))),
+        jnp.asarray(rng.normal(size=(count, 2, 2))),
+        jnp.asarray(np.where(present, 0.3 * rng.normal(size=(count, 2)), 0.0)),
+        jnp.asarray(present),
+        jnp.asarray(dt),
+        jnp.asarray(fresh),
+    )
+    noise = NoiseLevels(jnp.asarray(0.5), jnp.array([0.3, 0.4]), jnp.asarray(0.7))
+    expected = plainly_smoothed(system, noise, np.diag([0.09, 0.16, 1.0, 1.0, 0.49, 0.49]))
+    np.testing.assert_allclose(smoothed(system, noise, 1.0), expected[:, :4], atol=1e-12)

@@ -9,6 +9,7 @@ from covariant.calibration._error_model import error_model, kalman
 from covariant.models import Lagrangian, Parametric
 from covariant.observers import Intrinsic, IntrinsicKalman, external_force, run
 from covariant.signals import Record
+from covariant.simulation import hold, simulate
 
 LONG = (
     "test_what_is_held_out_confirms_it",
@@ -159,3 +160,23 @@ def test_a_log_that_is_too_short_is_refused(log):
     short = Record(*(np.asarray(a[:150]) for a in record[:3]))
     with pytest.raises(ValueError, match="too short to tune on"):
         tune(MODEL, [short], [v[:150]])
+
+
+@pytest.mark.long
+def test_under_a_force_that_lasts_gains_are_nearly_those_with_the_least_velocity_error():
+    """Predictions would favour gains that are too fast: the push is in all of them, to the side of the lag."""
+    t, rng = np.arange(0, 60.0, 0.05), np.random.default_rng(5)
+    force = 1.0 + 0.5 * np.sin(0.2 * t)
+    true = simulate(MODEL, jnp.array([0.5, 0.0]), jnp.asarray(t), hold(jnp.asarray(t), jnp.asarray(force[:, None])))
+    v = np.asarray(true.x)[:, 1:]
+    record = Record(t, np.zeros((len(t), 1)), np.asarray(true.y) + 0.01 * rng.normal(size=(len(t), 1)))
+    found = tune(MODEL, [record], [v])
+    assert float(found.noise.force) > 0
+    assert found.horizon == 0
+
+    def error(frequency, damping):
+        estimate = run(Intrinsic(MODEL, 2 * damping * frequency, frequency**2), record, ("result",)).estimate
+        return np.sqrt(np.mean((np.asarray(estimate)[:, 1] - v[:, 0])[t > 40.0] ** 2))
+
+    best = min(error(w, z) for w in np.geomspace(0.5, 10.0, 12) for z in (0.3, 0.5, 0.7, 1.0))
+    assert error(found.natural_frequency, found.damping) < 1.05 * best

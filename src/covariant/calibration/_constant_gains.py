@@ -4,6 +4,10 @@ The rule and the sampled design follow from the noise; the stationary gains are 
 noise has in the mean along the log; two searches minimise innovations, and errors of predictions further ahead. No
 reference velocity takes part: where the estimate is better than the reference, comparing with it misleads.
 
+A force that the model does not know pushes every prediction the same way, and an estimate lags to that side: both add
+up, so that predictions favour gains that are too fast. Where the noise has such a force, velocities are compared
+instead with those of the smoother that estimates the force, which orders estimates as their errors do.
+
 Source: Kalata 1984, The tracking index, IEEE TAES 20(2), for gains of the sampled filter; Ljung 1999, System
 Identification, section 7.4, for prediction errors.
 """
@@ -38,12 +42,12 @@ class Candidate(NamedTuple):
     """Constant gains, and how well they predict.
 
     Attributes:
-        source: Where they are from: "model file", "rule", "sampled design", "Kalman filter", "innovations" or
-            "predictions".
+        source: Where they are from: "model file", "rule", "sampled design", "Kalman filter", "innovations",
+            "predictions" or "smoothed velocities".
         natural_frequency: ω [rad/s].
         damping: ζ.
-        error: Root mean square error of held-out measurements predicted over the horizon, geometric mean over the
-            coordinates [rad or m].
+        error: Root mean square error of held-out measurements predicted over the horizon [rad or m], or of velocities
+            against the smoothed ones [rad/s or m/s]; geometric mean over the coordinates.
 
     Example:
         >>> from covariant.calibration import Candidate
@@ -179,8 +183,9 @@ def best_gains(
     proposed: dict[str, tuple[float, float]],
     substeps: Sequence[int],
     runs: Runs,
+    smooth: Sequence[Float[np.ndarray, "_ n"]] | None = None,
 ) -> tuple[Candidate, tuple[Candidate, ...], int]:
-    """Judge candidates by the prediction of measurements, and search for better ones from the best of them.
+    """Judge candidates by the prediction of measurements, or by smoothed velocities, and search for better ones.
 
     Args:
         model: The mechanical system.
@@ -188,20 +193,25 @@ def best_gains(
         proposed: Natural frequencies and damping ratios by name; the horizon is `rows_ahead` of "innovations".
         substeps: Runge–Kutta steps in each sample of each log.
         runs: Runs observers.
+        smooth: Smoothed velocities (T, n) of each log to judge by, where a force acts that the model does not know.
 
     Returns:
-        The best candidate on the held-out rows, all of them, and the number of rows of the horizon.
+        The best candidate on the held-out rows, all of them, and the number of rows of the horizon; 0 where velocities
+        were compared.
     """
     rate = logs[0].rate
-    horizon = rows_ahead(rate, proposed["innovations"][0])
+    horizon = 0 if smooth is not None else rows_ahead(rate, proposed["innovations"][0])
     parts, records = [log.first_part for log in logs], [log.record for log in logs]
 
     def errors(gains: tuple[float, float], over: list[Record], masks: list[Bool[np.ndarray, "T"]]) -> list[np.ndarray]:
         found = []
         results = runs([intrinsic(model, *gains)], over)
-        for done, record, mask, steps in zip(results, over, masks, substeps, strict=True):
-            motion = model.motion(done.estimate)
-            found.append(errors_ahead(model, record, Motion(motion.q, motion.v), mask, horizon, steps))
+        for k, (done, record, mask) in enumerate(zip(results, over, masks, strict=True)):
+            motion = Motion(*model.motion(done.estimate)[:2])
+            if smooth is None:
+                found.append(errors_ahead(model, record, motion, mask, horizon, substeps[k]))
+            else:
+                found.append((np.asarray(motion.v) - smooth[k][: len(mask)])[mask, None])
         return found
 
     tuned = [log.tuned[: len(part.t)] for log, part in zip(logs, parts, strict=True)]
@@ -209,12 +219,14 @@ def best_gains(
     start = proposed[min(first, key=first.__getitem__)]
     z = np.log([start[0] / rate, start[1]])
     best, _ = _descend(lambda z: np.log(_total(errors((np.exp(z[0]) * rate, np.exp(z[1])), parts, tuned))), z, 30)
-    everything = proposed | {"predictions": (float(np.exp(best[0])) * rate, float(np.exp(best[1])))}
+    searched = "predictions" if smooth is None else "smoothed velocities"
+    everything = proposed | {searched: (float(np.exp(best[0])) * rate, float(np.exp(best[1])))}
     held_out = [log.held_out for log in logs]
     judged = tuple(
         Candidate(name, *gains, _total(errors(gains, records, held_out))) for name, gains in everything.items()
     )
-    return chosen(judged), judged, horizon
+    # The order of designs is for predictions; distances to smoothed velocities order good estimates too.
+    return chosen(judged) if smooth is None else min(judged, key=lambda each: each.error), judged, horizon
 
 
 def _total(errors: list[Float[np.ndarray, "_ _ n"]]) -> float:

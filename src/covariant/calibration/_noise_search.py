@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from covariant.calibration._error_model import ErrorModel, Filtered, NoiseLevels, error_model, kalman
+from covariant.calibration._error_model import ErrorModel, Filtered, NoiseLevels, error_model, kalman, smoothed
 from covariant.calibration._tuning_log import TuningLog, intrinsic
 from covariant.models import MechanicalSystem
 from covariant.observers import with_fixed_substeps
@@ -47,6 +47,12 @@ def error_system(model: MechanicalSystem, log: TuningLog, estimate, steps: int) 
 def filtered(system: ErrorModel, noise: NoiseLevels, speed: jax.Array) -> Filtered:
     """The Kalman filter on an error model."""
     return kalman(system, noise, speed)
+
+
+@eqx.filter_jit
+def smoothed_errors(system: ErrorModel, noise: NoiseLevels, speed: jax.Array) -> jax.Array:
+    """The smoother on an error model: estimates (T, 2n) of the errors of the run from all rows."""
+    return smoothed(system, noise, speed)
 
 
 @eqx.filter_jit

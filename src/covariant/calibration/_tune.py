@@ -9,7 +9,7 @@ On the identification of variances and adaptive Kalman filtering, IEEE TAC 15(2)
 """
 
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -21,7 +21,14 @@ from covariant.calibration._data_sheet import DataSheet, Trial
 from covariant.calibration._error_model import ErrorModel, NoiseLevels
 from covariant.calibration._estimators import estimators, observer_gains, tuned_estimators
 from covariant.calibration._filters import relative_error
-from covariant.calibration._noise_search import best_noise, error_system, filtered, largest_speed, needed_steps
+from covariant.calibration._noise_search import (
+    best_noise,
+    error_system,
+    filtered,
+    largest_speed,
+    needed_steps,
+    smoothed_errors,
+)
 from covariant.calibration._tuning_log import Runs, TuningLog, by_jax, followed, prepared
 from covariant.models import MechanicalSystem
 from covariant.observers import REGISTRY, run
@@ -75,7 +82,8 @@ class Tuning(NamedTuple):
         rows: Number of rows for tuning.
         candidates: Gains that were compared by the prediction of held-out measurements; empty where none were.
         source: Which of them these gains are.
-        horizon: Number of rows over which they predicted.
+        horizon: Number of rows over which they predicted; 0 where velocities were compared with smoothed ones, because
+            the noise has a force.
         noise_kept: Whether the noise is that of the data sheet, because held-out measurements are likelier with it.
         reference_noise: Standard deviation (n,) of the reference velocities that noise of the readings causes, and of
             the Kalman filter's velocities as it predicts it, (2, n) [rad/s or m/s]; None where that is unknown.
@@ -165,12 +173,12 @@ def tune(
         old = gains.beta**0.5, gains.alpha / (2 * gains.beta**0.5)
         proposed = {"model file": old} | proposed
         baseline = _judged(logs, systems, estimates, followed(model, logs, *old, runner), given_noise(before, rate, n))
-    best, compared, horizon = best_gains(model, logs, proposed, steps, runner)
+        if _judged(logs, systems, estimates, estimates, noise).likelihood < baseline.likelihood:
+            kept, noise = True, given_noise(before, rate, n)
+    smooth = _smooth(systems, estimates, noise, speed) if np.any(noise.force) else None
+    best, compared, horizon = best_gains(model, logs, proposed, steps, runner, smooth)
     chosen = followed(model, logs, best.natural_frequency, best.damping, runner)
     after = _judged(logs, systems, estimates, chosen, noise)
-    if before is not None and baseline is not None and after.likelihood < baseline.likelihood:
-        kept, noise = True, given_noise(before, rate, n)
-        after = _judged(logs, systems, estimates, chosen, noise)
     progress("filters without a model")
     free = _best_model_free(model, logs, noise, before)
     known = None if window is None else _reference_noise(logs, systems, noise, *window)
@@ -214,6 +222,15 @@ def given_noise(sheet: DataSheet, rate: float, n: int) -> NoiseLevels:
         force, forgotten = (jnp.asarray(x) for x in (sheet.external_force_std, sheet.external_force_time))
         return NoiseLevels(jnp.asarray(acceleration), jnp.asarray(std), force, forgotten)
     return NoiseLevels(jnp.asarray(acceleration), jnp.asarray(std), jnp.asarray(sheet.external_force or 0.0))
+
+
+def _smooth(systems: Sequence[ErrorModel], runs: Sequence[Any], noise: NoiseLevels, speed: Any) -> list[np.ndarray]:
+    """Velocities (T, n) along each run by the smoother with a noise."""
+    n = systems[0].residual.shape[1]
+    return [
+        np.asarray(v) + np.asarray(smoothed_errors(system, noise, speed))[:, n:]
+        for system, (_, v, _) in zip(systems, runs, strict=True)
+    ]
 
 
 def _judged(logs, systems, runs, earlier, noise: NoiseLevels) -> HeldOut:

@@ -232,11 +232,13 @@ def notes(found: Tuning, rate: float, units: Sequence[str]) -> list[str]:
         said.append(
             f"Gains: {found.source}, by the prediction of held-out positions up to {found.horizon} rows "
             f"({1e3 * found.horizon / rate:.3g} ms) ahead; RMS errors: {named}."
+            if found.horizon
+            else f"Gains: {found.source}, by the distance of held-out velocities to those of a smoother that estimates "
+            f"the force which acts, too; RMS: {named}."
         )
     if found.source == "model file":
-        said.append(
-            "No other gains predict held-out positions clearly better than those of the model file, which are kept."
-        )
+        what = "predict held-out positions clearly better" if found.horizon else "give better held-out velocities"
+        said.append(f"No other gains {what} than those of the model file, which are kept.")
     if found.noise_kept:
         said.append("Held-out readings are likelier with the noise of the model file, which is kept.")
     if found.reference_noise is not None:
