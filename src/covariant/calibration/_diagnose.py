@@ -5,7 +5,6 @@ log is in the units, order and signs of the model, and whether every column was 
 """
 
 from collections.abc import Iterable
-from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -18,30 +17,38 @@ from covariant.calibration._alternatives import (
     row_shift,
     signed_ranks,
 )
-from covariant.calibration._changes import Change, Names, structure_changes, unit_changes
+from covariant.calibration._case import (
+    Case,
+    acting,
+    best_window,
+    busiest,
+    case_without_outliers,
+    changed,
+    clearly,
+    compared,
+    in_coordinates,
+    long_enough,
+    names_of,
+    smoothed,
+)
+from covariant.calibration._changes import Change, structure_changes, unit_changes
 from covariant.calibration._clock import set_forward
 from covariant.calibration._delays import Corrected, Stated, delay_findings
 from covariant.calibration._finding import Diagnosis, Finding
-from covariant.calibration._missing_torques import MissingTorques, missing_torques
-from covariant.calibration._readings import known_ticks, readings
-from covariant.calibration._residual import CLEAR, Residual, residual
+from covariant.calibration._missing_torques import missing_torques
+from covariant.calibration._readings import readings
+from covariant.calibration._residual import Residual, residual
 from covariant.calibration._sensor_findings import sensor_findings, standstill
-from covariant.calibration._smooth import FEWEST, ORDER, Smooth, held_inputs, smooth
+from covariant.calibration._smooth import Smooth, held_inputs, smooth
 from covariant.calibration._twin import twin
-from covariant.models import MechanicalSystem, ModelFile
+from covariant.models import ModelFile
 from covariant.scoring import unwrap
-from covariant.signals import Record, acting_inputs, lag_inputs
+from covariant.signals import Record
 
 MOST_ROWS = 10_000
 """Largest number of rows that are compared with the model: the stretch with most motion."""
 FEW_ROWS = 4_000
 """The same for the check before an estimate."""
-SHORTEST = 6.0
-"""Least length of a log that is compared with the model, in half windows."""
-WINDOWS = (1.0, 2.0, 3.0)
-"""Half windows to try, in those of the reference of the model file; the one that explains most is used."""
-WIDER = (2.0, 4.0, 8.0, 16.0)
-"""Half windows to try until accelerations exceed the noise, as in a slow motion only wide ones show."""
 SHIFTED = (1.0, 2.0, 4.0)
 """Half windows to look for shifts by whole rows in, in those that explain most."""
 FITS = 0.15
@@ -79,20 +86,6 @@ WEIGHTS = (
     *("uncertainty", "noise", "ticks", "repeated", "outliers", "a position"),
 )
 """How findings begin, in the order of what they invalidate: a wrong unit or order makes all numbers below it wrong."""
-
-
-class _Case(NamedTuple):
-    """A record in coordinates, without outliers, the model to compare it with, and the ticks of its encoders."""
-
-    file: ModelFile
-    model: MechanicalSystem
-    names: Names
-    record: Record
-    ticks: np.ndarray
-
-    @property
-    def spacing(self) -> float:
-        return float(np.median(np.diff(np.asarray(self.record.t))))
 
 
 def diagnose(
@@ -147,7 +140,7 @@ def _findings(
     if not in_coordinates(file):
         return findings, checks
     checks += ("outliers", "repeated rows", "ticks", "noise")
-    y, names = np.asarray(record.y), _names(file)
+    y, names = np.asarray(record.y), names_of(file)
     quantum = file.quantum if quantum is None else quantum
     still, whole = _sensor.still_findings(y, names.q, names.units)
     if whole:
@@ -180,11 +173,11 @@ def _findings(
         *("friction and rotor inertia", "accelerations"),
     )
     delays, corrected = _delays(case, best[0])
-    missing = missing_torques(case.model, _smoothed(case, best[0]))
+    missing = missing_torques(case.model, smoothed(case, best[0]))
     if missing is not None and missing.after < Blocks.of(corrected.left, best[1]).beyond_noise(HELD_OUT):
         # Friction looks like a delay and like a scale of an input, so these are looked for in the model that has it.
         wrong = best[1].misfit > BARELY or bool(_unexplained(case, best[1], best[0]))
-        findings.append(_missing_finding(case, missing, wrong))
+        findings.append(missing.finding(case.names, case.model.coordinates, file.system, wrong))
         case = case._replace(model=missing.model)
         delays, corrected = _delays(case, best[0])
     shifted, inputs = _rows_and_inputs(case, corrected, best[0], not any(each.what == "delay" for each in delays))
@@ -194,7 +187,7 @@ def _findings(
     return [*findings, *_sensors(moved, quantum), *delays, *shifted, *inputs, *unexplained], checks
 
 
-def _delays(case: _Case, half: float) -> tuple[list[Finding], Corrected]:
+def _delays(case: Case, half: float) -> tuple[list[Finding], Corrected]:
     """Findings on delays and scales of inputs, and the log without these."""
     file = case.file
     return delay_findings(
@@ -202,50 +195,32 @@ def _delays(case: _Case, half: float) -> tuple[list[Finding], Corrected]:
         case.names,
         case.spacing,
         Stated(np.broadcast_to(np.asarray(file.delay, float), len(case.names.q)), file.input_lag),
-        lambda delay, rows: _smoothed(_with_rows_moved(case, rows), half, delay),
+        lambda delay, rows: smoothed(_with_rows_moved(case, rows), half, delay),
     )
-
-
-def _missing_finding(case: _Case, missing: MissingTorques, wrong: bool) -> Finding:
-    """Finding on friction and rotor inertia that the model lacks; a note where the data sheet admits what it leaves."""
-    shares = [f"{100 * share:.3g} %" for share in (missing.before, missing.after)]
-    evidence = (
-        f"on rows held out the model leaves {shares[0]} of the squares of the accelerations as it is, {shares[1]} with "
-        f"about {missing.words(case.names)}"
-    )
-    if "rotor inertia" in missing.kinds:
-        evidence += "; too small an inertia of the links looks like it"
-    parameters = missing.parameters(case.file.system, case.model.coordinates)
-    line = f"covariant fit MODEL LOG --parameters {parameters}" if parameters else f"give the model {missing.what}"
-    where = ", ".join(case.names.q[i] for i in sorted(set(missing.joints)))
-    numbers = {"unexplained": missing.before, "unexplained_after": missing.after}
-    named = zip(missing.kinds, missing.joints, missing.values, strict=True)
-    numbers |= {f"{kind} of {case.names.q[joint]}": value for kind, joint, value in named}
-    return Finding(missing.what, where, evidence, line, wrong, numbers)
 
 
 def _rows_late(found: list[Finding], name: str) -> int:
     return next((int(each.numbers["rows"]) for each in found if each.where == name), 0)
 
 
-def _with_rows_moved(case: _Case, rows: np.ndarray) -> _Case:
+def _with_rows_moved(case: Case, rows: np.ndarray) -> Case:
     if not rows.any():
         return case
     return case._replace(record=case.record._replace(y=moved_rows(np.asarray(case.record.y), rows)))
 
 
-def _rows_and_inputs(case: _Case, corrected: Corrected, half: float, rows: bool) -> tuple[list[Finding], list[Finding]]:
+def _rows_and_inputs(case: Case, corrected: Corrected, half: float, rows: bool) -> tuple[list[Finding], list[Finding]]:
     """Findings on a column that is whole rows late, if `rows`, and on how inputs go from row to row; at most one.
 
     Wider windows show smaller shifts in time, as far as they do not smooth the motion away.
     """
     file = case.file
     for wide in (w * half for w in SHIFTED):
-        if not _long_enough(case, wide):
+        if not long_enough(case, wide):
             break
 
         def of_rows(rows: np.ndarray, wide: float = wide) -> tuple[Smooth, Residual]:
-            log = _smoothed(_with_rows_moved(case, rows), wide, corrected.delay)
+            log = smoothed(_with_rows_moved(case, rows), wide, corrected.delay)
             log = log._replace(u=log.u * corrected.scale)
             return log, residual(case.model, log)
 
@@ -292,11 +267,11 @@ def misfit(file: ModelFile, record: Record) -> Finding | None:
     if not in_coordinates(file):
         return None
     case, _ = case_without_outliers(file, busiest(record, FEW_ROWS))
-    unchanged = _compared(case)
+    unchanged = compared(case)
     if unchanged is not None and unchanged.told.any() and unchanged.misfit < BARELY:
         return None
     better = _best_change(
-        case, unchanged, ((change, _compared(changed(case, change))) for change in _units(case)), BARELY
+        case, unchanged, ((change, compared(changed(case, change))) for change in _units(case)), BARELY
     )
     if better is not None:
         return better[0]
@@ -305,146 +280,18 @@ def misfit(file: ModelFile, record: Record) -> Finding | None:
         return None
     log = clearly(case)
     missing = None if log is None else missing_torques(case.model, log)
-    return findings[0] if missing is None else _missing_finding(case, missing, True)
+    return findings[0] if missing is None else missing.finding(case.names, case.model.coordinates, file.system, True)
 
 
-def _sensors(case: _Case, stated: float | tuple[float, ...] | None) -> list[Finding]:
+def _sensors(case: Case, stated: float | tuple[float, ...] | None) -> list[Finding]:
     return sensor_findings(case.record, case.model.circles, case.names, stated, case.file.measurement_std)
 
 
-def in_coordinates(file: ModelFile) -> bool:
-    """Whether a model file has a mechanical system in coordinates, whose accelerations can be compared with a log."""
-    return file.mechanical and file.model.manifold.commuting  # pyright: ignore[reportAttributeAccessIssue]
-
-
-def busiest(record: Record, rows: int) -> Record:
-    """Stretch of a record in which the positions move most.
-
-    Args:
-        record: The log, with positions (T, n).
-        rows: Number of rows of the stretch.
-
-    Returns:
-        That many consecutive rows, or the whole record where it is shorter.
-    """
-    if len(record.t) <= rows:
-        return record
-    travel = np.nan_to_num(np.abs(np.diff(np.asarray(record.y), axis=0)))
-    # Each coordinate counts in units of its fast steps; the floor is for one that stands still.
-    travel = np.sum(travel / np.maximum(np.quantile(travel, 0.95, axis=0), 1e-300), axis=1)
-    reached = np.append(0.0, np.cumsum(travel))  # from the first row to each
-    start = int(np.argmax(reached[rows - 1 :] - reached[: len(reached) - rows + 1]))
-    return Record(*(np.asarray(a)[start : start + rows] for a in record[:3]))
-
-
-def _names(file: ModelFile) -> Names:
-    n = len(file.columns.q)
-    units = file.model.units or ("",) * n
-    angles = np.array([unit == "rad" or i in file.model.circles for i, unit in enumerate(units)])
-    return Names(file.columns.t, file.columns.q, file.columns.u, units, angles, file.columns.units)
-
-
-def case_without_outliers(
-    file: ModelFile,
-    record: Record,
-    rows: _sensor.Rows | None = None,
-    quantum: float | tuple[float, ...] | None = None,
-) -> tuple[_Case, list[Finding]]:
-    """Record prepared for the comparison: outliers are set to NaN and reported.
-
-    Args:
-        file: The model file, of a mechanical system in coordinates.
-        record: The log.
-        rows: How messages name the rows; by default they count from 1.
-        quantum: Ticks that the model file states, where `file` no longer has them.
-
-    Returns:
-        The case to compare, and a finding for each column with outliers.
-    """
-    model, names = file.need_mechanical(file.name, "accelerations are compared with those of"), _names(file)
-    t, y = np.asarray(record.t), np.asarray(record.y)
-    ticks = known_ticks(record, model.circles, file.quantum if quantum is None else quantum)
-    wrong, sizes = _sensor.outliers(t, y, model.circles, ticks)
-    case = _Case(file, model, names, Record(t, np.asarray(record.u), np.where(wrong, np.nan, y)), ticks)
-    return case, _sensor.outlier_findings(wrong, sizes, names.q, names.units, rows or _sensor.Rows(t))
-
-
-def _smoothed(case: _Case, half: float, delay: Any = 0.0) -> Smooth:
-    late = delay + np.asarray(case.file.delay, float)
-    return smooth(_acting(case), half, case.model.circles, late, case.ticks)
-
-
-def _acting(case: _Case) -> Record:
-    """The record with the inputs that act in each step."""
-    file = case.file
-    return acting_inputs(lag_inputs(case.record, file.input_lag), file.input_between, file.input_delay)
-
-
-def _long_enough(case: _Case, half: float) -> bool:
-    """Whether the record can be smoothed over windows of ±`half` [s]."""
-    t, y = np.asarray(case.record.t), np.asarray(case.record.y)
-    enough = np.isfinite(y).sum(axis=0).min() > 10 * (ORDER + 1)
-    return bool(enough and t[-1] - t[0] >= SHORTEST * max(half, FEWEST * case.spacing))
-
-
-def clearly(case: _Case) -> Smooth | None:
-    """Smooth a record by the narrowest window whose accelerations exceed the noise, or else by the widest one.
-
-    Args:
-        case: The record.
-
-    Returns:
-        The smoothed log; None where the record is too short for any.
-    """
-    log = None
-    for half in (w * case.file.reference_half for w in WIDER):
-        if not _long_enough(case, half):
-            break
-        log = _smoothed(case, half)
-        if np.any(np.mean(log.a[log.used] ** 2, axis=0) > CLEAR * log.a_noise**2) if log.used.any() else False:
-            break
-    return log
-
-
-def _compared(case: _Case) -> Residual | None:
-    """Residual accelerations of the record; None where it is too short to be smoothed."""
-    log = clearly(case)
-    return None if log is None else residual(case.model, log)
-
-
-def best_window(case: _Case) -> tuple[float, Residual] | None:
-    """Half width of the smoothing window with which the model explains most.
-
-    Args:
-        case: The record and the model to compare.
-
-    Returns:
-        The half width [s] and the residual accelerations; None where the accelerations of no coordinate exceed noise.
-    """
-    halves = [half for half in (w * case.file.reference_half for w in WINDOWS) if _long_enough(case, half)]
-    tried = [(half, residual(case.model, _smoothed(case, half))) for half in halves]
-    if not any(left.told.any() for _, left in tried) and (log := clearly(case)) is not None:
-        tried = [(log.half, residual(case.model, log))]
-    known = [(half, left) for half, left in tried if left.told.any()]
-    return min(known, key=lambda entry: entry[1].misfit) if known else None
-
-
-def _units(case: _Case) -> Iterable[Change]:
+def _units(case: Case) -> Iterable[Change]:
     return unit_changes(case.names, case.record)
 
 
-def changed(case: _Case, change: Change) -> _Case:
-    """A case after a change of its log.
-
-    Args:
-        case: The case.
-        change: The change.
-    """
-    ticks = np.abs(change.position) * case.ticks[change.order]
-    return case._replace(record=change.of_record(case.record), names=case.names.after(change), ticks=ticks)
-
-
-def _corrected(case: _Case) -> tuple[list[Finding], _Case, np.ndarray]:
+def _corrected(case: Case) -> tuple[list[Finding], Case, np.ndarray]:
     """Findings on wrong units, orders and signs, the case after these corrections, and the units of its positions.
 
     The latter are factors (n,) of the positions as they stand in the log.
@@ -452,11 +299,11 @@ def _corrected(case: _Case) -> tuple[list[Finding], _Case, np.ndarray]:
     findings, factor = [], np.ones(len(case.names.q))
     # One after another: in wrong units a swap of columns explains nothing.
     for _ in range(MOST_CHANGES):
-        unchanged = _compared(case)
+        unchanged = compared(case)
         if unchanged is not None and unchanged.told.any() and unchanged.misfit < FITS:
             break
         # Units may change the time axis, so the log is smoothed anew; the other changes act on the smoothed log.
-        tried = [(change, _compared(changed(case, change))) for change in _units(case)]
+        tried = [(change, compared(changed(case, change))) for change in _units(case)]
         log = clearly(case)
         if log is not None:
             tried += [(change, residual(case.model, change.of_smooth(log))) for change in structure_changes(case.names)]
@@ -471,7 +318,7 @@ def _corrected(case: _Case) -> tuple[list[Finding], _Case, np.ndarray]:
 
 
 def _best_change(
-    case: _Case, unchanged: Residual | None, tried: Iterable[tuple[Change, Residual | None]], most: float
+    case: Case, unchanged: Residual | None, tried: Iterable[tuple[Change, Residual | None]], most: float
 ) -> tuple[Finding, Change] | None:
     """The first change that explains nearly most, if it leaves less than `most` and far less than the record itself."""
     fitting = [(left.misfit, change, left) for change, left in tried if left is not None and left.told.any()]
@@ -510,7 +357,7 @@ def _percent(share: float) -> str:
     return f"{100 * share:.3g} %" if np.isfinite(share) else "all"
 
 
-def _unexplained(case: _Case, left: Residual, half: float | None = None) -> list[Finding]:
+def _unexplained(case: Case, left: Residual, half: float | None = None) -> list[Finding]:
     """A finding where the residual accelerations exceed what the data sheet states.
 
     `half` is the half width of the windows of `left`, by default that of `clearly`.
@@ -548,10 +395,10 @@ def _part_left(left: Residual) -> np.ndarray:
     return np.mean(left.left**2, axis=0) / np.maximum(np.mean(left.measured[left.used] ** 2, axis=0), 1e-300)
 
 
-def _left_by_a_right_model(case: _Case, half: float | None) -> Residual | None:
+def _left_by_a_right_model(case: Case, half: float | None) -> Residual | None:
     """The residual of a log that the model itself makes, smoothed in the same way; None where there is none."""
-    log = clearly(case) if half is None else _smoothed(case, half)
-    made = None if log is None else twin(case.model, log, _acting(case), case.ticks)
+    log = clearly(case) if half is None else smoothed(case, half)
+    made = None if log is None else twin(case.model, log, acting(case), case.ticks)
     if made is None or log is None:
         return None
     # Its inputs act as they stand; its positions are not late.

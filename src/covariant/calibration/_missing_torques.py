@@ -16,6 +16,7 @@ from jaxtyping import Float
 from covariant._typing import MatrixField, Vector
 from covariant.calibration._alternatives import BLOCKS, HELD_OUT, Blocks, better
 from covariant.calibration._changes import Names
+from covariant.calibration._finding import Finding
 from covariant.calibration._residual import Residual, averaged, residual
 from covariant.calibration._smooth import Smooth
 from covariant.models import Lagrangian, MechanicalSystem, resistance
@@ -53,23 +54,52 @@ class MissingTorques(NamedTuple):
         of_kind = [name for name in ("friction", "rotor inertia") if any(kind.endswith(name) for kind in self.kinds)]
         return " and ".join(of_kind)
 
-    def words(self, names: Names) -> str:
-        """The numbers with the names of their joints, in a sentence."""
-        parts = []
-        for kind, joint, value in zip(self.kinds, self.joints, self.values, strict=True):
-            parts.append(f"{kind} {value:.2g} {_unit(kind, bool(names.angles[joint]))} in {names.q[joint]}")
-        return ", ".join(parts)
+    def finding(self, names: Names, coordinates: Sequence[str], system: str, wrong: bool) -> Finding:
+        """Finding on friction and rotor inertia that a model lacks.
+
+        Args:
+            names: Columns of the log.
+            coordinates: Names of the coordinates of the model.
+            system: Name of the model's system, where it is one of the library.
+            wrong: Whether the data sheet does not admit what the model leaves.
+        """
+        shares = [f"{100 * share:.3g} %" for share in (self.before, self.after)]
+        of = [f"{kind} of {names.q[joint]}" for kind, joint in zip(self.kinds, self.joints, strict=True)]
+        sizes = [
+            f"{kind} {value:.2g} {_unit(kind, bool(names.angles[joint]))} in {names.q[joint]}"
+            for kind, joint, value in zip(self.kinds, self.joints, self.values, strict=True)
+        ]
+        evidence = (
+            f"on rows held out the model leaves {shares[0]} of the squares of the accelerations as it is, {shares[1]} "
+            f"with about {', '.join(sizes)}"
+        )
+        if "rotor inertia" in self.kinds:
+            evidence += "; too small an inertia of the links looks like it"
+        parameters = self.parameters(system, coordinates)
+        line = f"covariant fit MODEL LOG --parameters {parameters}" if parameters else f"give the model {self.what}"
+        where = ", ".join(names.q[i] for i in sorted(set(self.joints)))
+        numbers = {"unexplained": self.before, "unexplained_after": self.after} | dict(
+            zip(of, self.values, strict=True)
+        )
+        return Finding(self.what, where, evidence, line, wrong, numbers)
 
     def parameters(self, system: str, coordinates: Sequence[str]) -> str:
-        """What `covariant fit --parameters` calls them, for a system of the library; "" for others."""
-        named = []
+        """What `covariant fit --parameters` calls them, for a robot or a chain of pendulums; "" for others."""
+        joints = {"friction": set(), "armature": set()}
         for kind, joint in zip(self.kinds, self.joints, strict=True):
-            number = {"viscous friction": "viscous", "Coulomb friction": "coulomb", "rotor inertia": "armature"}[kind]
-            if system == "robot":
-                named.append(f"{'armature' if number == 'armature' else 'friction'}.{coordinates[joint]}")
-            elif system == "pendulum_chain":
-                named.append({"armature": "rotor_inertia"}.get(number, number))
-        return ",".join(dict.fromkeys(named))
+            joints["armature" if kind == "rotor inertia" else "friction"].add(joint)
+        if system == "pendulum_chain":
+            of_kind = {"viscous friction": "viscous", "Coulomb friction": "coulomb", "rotor inertia": "rotor_inertia"}
+            return ",".join(name for kind, name in of_kind.items() if kind in self.kinds)
+        if system != "robot":
+            return ""
+        every = set(range(len(coordinates)))
+        named = (
+            [group] if of == every else [f"{group}.{coordinates[i]}" for i in sorted(of)]
+            for group, of in joints.items()
+            if of
+        )
+        return ",".join(name for names in named for name in names)
 
 
 def _unit(kind: str, angle: bool) -> str:

@@ -6,8 +6,9 @@ are compared, and what any friction and any rotor of the joints could explain is
 
 import numpy as np
 
+from covariant.calibration._case import busiest, case_without_outliers, changed, clearly
 from covariant.calibration._changes import unit_changes
-from covariant.calibration._diagnose import BARELY, FEW_ROWS, MARGIN, busiest, case_without_outliers, changed, clearly
+from covariant.calibration._diagnose import BARELY, FEW_ROWS, MARGIN
 from covariant.calibration._finding import Finding
 from covariant.calibration._robot_fit import driving
 from covariant.calibration._robot_torques import in_batches, needed

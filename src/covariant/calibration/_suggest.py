@@ -4,14 +4,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from covariant.calibration._diagnose import (
-    BARELY,
-    MOST_ROWS,
-    best_window,
-    busiest,
-    case_without_outliers,
-    in_coordinates,
-)
+from covariant.calibration._case import best_window, busiest, case_without_outliers, in_coordinates
+from covariant.calibration._diagnose import BARELY, MOST_ROWS
 from covariant.calibration._readings import one_or_each, readings, written
 from covariant.models import ModelFile
 from covariant.signals import Record
