@@ -318,6 +318,48 @@ def triangular(a: Float[Array, "n k"]) -> Matrix:
     return jnp.stack(columns, axis=1)
 
 
+@traced_once
+def lower_solve(root: Matrix, b: Float[Array, "n k"]) -> Float[Array, "n k"]:
+    """Solve `L x = b` by forward substitution, without squaring the condition of L.
+
+    Args:
+        root: Lower triangular matrix L (n, n). Where a pivot is zero, that entry of the solution is zero.
+        b: Right side (n, k).
+
+    Returns:
+        The solution x (n, k).
+    """
+    inverse = _inverse_pivots(root)
+    x = jnp.zeros_like(b)
+    for i in range(len(root)):
+        x = x.at[i].set((b[i] - root[i, :i] @ x[:i]) * inverse[i])
+    return x
+
+
+@traced_once
+def upper_solve(root: Matrix, b: Float[Array, "n k"]) -> Float[Array, "n k"]:
+    """Solve `Lᵀ x = b` by backward substitution, without squaring the condition of L.
+
+    Args:
+        root: Lower triangular matrix L (n, n). Where a pivot is zero, that entry of the solution is zero.
+        b: Right side (n, k).
+
+    Returns:
+        The solution x (n, k).
+    """
+    inverse = _inverse_pivots(root)
+    x = jnp.zeros_like(b)
+    for i in reversed(range(len(root))):
+        x = x.at[i].set((b[i] - root[i + 1 :, i] @ x[i + 1 :]) * inverse[i])
+    return x
+
+
+def _inverse_pivots(root: Matrix) -> Vector:
+    pivots = jnp.diag(root)
+    # The inner `where` keeps derivatives finite.
+    return jnp.where(pivots == 0, 0.0, 1 / jnp.where(pivots == 0, 1.0, pivots)).astype(root.dtype)
+
+
 def at_places(array: Inexact[Array, "..."], places: Int[np.ndarray, "*k"]) -> Inexact[Array, "*k"]:
     """Entries of an array at known indices within it, counted as if its axes were one: a single operation.
 

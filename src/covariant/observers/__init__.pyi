@@ -58,6 +58,7 @@ from ._slow import (
     sensor_bias as sensor_bias,
     uncertain_parameters as uncertain_parameters,
 )
+from ._smoother import Smoothed as Smoothed, smooth as smooth
 from ._state_ekf import StateEKF as StateEKF, StateEKFInfo as StateEKFInfo, StateEKFState as StateEKFState
 from ._state_noise import Noise as Noise
 from ._tracking_loop import LoopState as LoopState
