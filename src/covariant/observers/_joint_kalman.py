@@ -199,7 +199,7 @@ class JointKalman(AbstractGatedFilter, AbstractLinearFilter):
         n, units = len(state.q), self.motion_std * self._units.astype(root.dtype)
         # Joints are independent, so that the blocks between them are zero.
         apart = jax.vmap(lambda i: root.reshape(3, n, 3, n)[:, i, :, i])(jnp.arange(n))
-        return state._replace(root=apart / units[:, None])
+        return state._replace(root=apart / units[None, :, None])
 
     def _together(self, root: Float[Array, "n 3 3"]) -> Float[Array, "three_n three_n"]:
         """Square root of the covariance of all positions, velocities and accelerations, in their units."""

@@ -173,7 +173,7 @@ def smooth(
         The smoothed run, the run of the filter, and the covariances.
 
     Raises:
-        ValueError: From `Record.check`; an observer of another kind, or a lag that is no whole number ≥ 0.
+        ValueError: From `Record.check`; an observer of another kind, or a negative lag.
 
     Example:
         >>> import numpy as np
@@ -191,9 +191,33 @@ def smooth(
             f"smooth: {type(observer).__name__} has no covariance of its own to smooth by; take an IntrinsicKalman, "
             "EKF, UKF, JointKalman or StateEKF"
         )
-    if lag is not None and not (isinstance(lag, int | np.integer) and lag >= 0):
-        raise ValueError(f"smooth: lag must be a whole number of rows, 0 or more; got {lag!r}")
-    t, u, y = (jnp.asarray(a) for a in checked(observer, record)[:3])
+    if lag is not None and lag < 0:
+        raise ValueError(f"smooth: lag must be a number of rows, 0 or more; got {lag}")
+    t, u, y, _ = checked(observer, record)
+    return smoothed(observer, jnp.asarray(t), jnp.asarray(u), jnp.asarray(y), lag, keep)
+
+
+def smoothed(
+    observer: AbstractGatedFilter,
+    t: Float[Array, "T"],
+    u: Float[Array, "T m"],
+    y: Inexact[Array, "T *n"],
+    lag: int | None = None,
+    keep: Collection[str] | None = None,
+) -> Smoothed:
+    """Smooth arrays that need no check, such as those of many runs at once under `jax.vmap`; see `smooth`.
+
+    Args:
+        observer: The filter.
+        t: Stamps (T,) [s].
+        u: Inputs (T, m).
+        y: Measurements (T, *n).
+        lag: Number of rows after each row from which it is estimated; None for all.
+        keep: Names of the fields of the infos to store; None for all.
+
+    Returns:
+        What `smooth` returns.
+    """
     count = len(t)
     lag = None if lag is None or lag >= count - 1 else int(lag)
     ahead = 1 if lag is None else lag + 1
