@@ -32,7 +32,7 @@ if TYPE_CHECKING:
         workflow,
     )
     from covariant.signals import Record, Result, Run
-    from covariant.workflow import certify, check, compare, estimate, export, fit, simulate, tune
+    from covariant.workflow import certify, check, compare, estimate, export, fit, simulate, smooth, tune
 
     __version__: str
 
@@ -42,7 +42,7 @@ if "jax" in sys.modules:
     sys.modules["jax"].config.update("jax_enable_x64", True)
 keep_programs()
 
-VERBS = ("check", "certify", "compare", "estimate", "export", "fit", "simulate", "tune")
+VERBS = ("check", "certify", "compare", "estimate", "export", "fit", "simulate", "smooth", "tune")
 """Functions of `covariant.workflow` that are also available here: from a model and a log to a result."""
 
 __all__ = [
@@ -73,6 +73,7 @@ __all__ = [
     "signals",
     "simulate",
     "simulation",
+    "smooth",
     "tune",
     "workflow",
 ]
