@@ -19,7 +19,7 @@ from covariant.signals import Record
 
 FIGURE = Path(__file__).parent / "out" / "14_estimate_afterwards.png"
 GAP = 2.0, 2.5
-NOISE = 2e-3
+NOISE = 1e-2
 
 geometry = {"length": (0.3, 0.25), "com": (0.16, 0.14), "inertia": (0.005, 0.0026), "viscous": (0.02, 0.01)}
 machine = models.pendulum_chain(mass=(0.6, 0.4), **geometry)
@@ -28,7 +28,7 @@ model = models.pendulum_chain(mass=(0.612, 0.392), **geometry)
 t = np.arange(0.0, 4.0, 0.005)
 motion = eqx.filter_jit(simulation.simulate)(
     machine,
-    jnp.array([1.0, -0.5, 0.0, 0.0]),
+    jnp.array([2.0, -1.0, 0.0, 0.0]),
     jnp.asarray(t),
     lambda s, x: jnp.array([0.3, 0.1]) * jnp.sin(jnp.array([4.0, 7.0]) * s),
 )
@@ -58,8 +58,9 @@ for color, (name, run) in zip((PALETTE[4], PALETTE[0]), runs.items(), strict=Tru
     velocity.plot(t, v[:, 1] + off, color=color, label=name)
     error.fill_between(t, -band, band, color=color, alpha=0.2, linewidth=0)
     error.plot(t, off, color=color, label=name)
-velocity.set(xlim=(1.7, 2.9), ylabel="dq₂/dt [rad/s]")
 shown = (t > 1.7) & (t < 2.9)
+low, high = v[shown, 1].min(), v[shown, 1].max()
+velocity.set(xlim=(1.7, 2.9), ylim=(low - 2, high + 4), ylabel="dq₂/dt [rad/s]")
 largest = 2.2 * np.asarray(smoothed.filtered.info.velocity_std)[shown, 1].max()
 error.set(ylabel="estimate − truth [rad/s]", xlabel="t [s]", ylim=(-largest, largest))
 velocity.legend(fontsize=8, loc="upper left")

@@ -12,7 +12,8 @@ import scipy.linalg
 import scipy.optimize
 
 from covariant import observers
-from covariant.models import Lagrangian
+from covariant.geometry import Budget
+from covariant.models import Lagrangian, Parametric, chart_jacobian, chart_velocity, in_chart
 from covariant.observers import EKF, UKF, IntrinsicKalman, JointKalman, smooth
 from covariant.observers._smoother import smoothed as smoothed_arrays
 from covariant.signals import Record, Result
@@ -186,7 +187,7 @@ def rod() -> Lagrangian:
 def swing(rows: int = 40, noise: float = 0.02, seed: int = 3) -> Record:
     """A noisy log of it, perturbed at every row; true positions and velocities are in `x`."""
     rng, h = np.random.default_rng(seed), 1 / RATE
-    states = [np.array([1.2, 0.5])]
+    states = [np.array([1.2, 2.0 * rng.normal()])]
     for _ in range(rows - 1):
         a = np.asarray(rod_step(states[-1], h))
         w = rng.normal(size=2)
@@ -302,13 +303,76 @@ def test_missing_rows_are_smoothed_across():
     assert spread[12:24].max() < 0.8 * smoothed.filtered.info.velocity_std[12:24].max()
 
 
-def test_many_runs_at_once():
-    records = [swing(seed=seed) for seed in (3, 4)]
+RUNS = 200
+
+
+def test_its_errors_are_as_large_as_it_says_and_smaller_than_those_of_the_filter():
+    """At the first, a middle and the last row of many runs at once, which are the same as one by one."""
+    records = [swing(seed=seed) for seed in range(RUNS)]
     observer = rod_filter("ekf")
     t, u = (jnp.asarray(a) for a in records[0][:2])
-    together = jax.vmap(lambda y: smoothed_arrays(observer, t, u, y).run.estimate)(jnp.stack([r.y for r in records]))
-    for record, estimate in zip(records, together, strict=True):
-        np.testing.assert_allclose(smooth(observer, record).run.estimate, estimate, rtol=0, atol=1e-12)
+
+    @jax.jit
+    @jax.vmap
+    def all_at_once(y):
+        run, filtered, root = smoothed_arrays(observer, t, u, y)
+        return run.estimate, filtered.estimate, root
+
+    y = np.stack([r.y for r in records])
+    true = np.stack([r.x for r in records])
+    # The filter starts from velocities of mean 0 and variance 4, of which the truth is one.
+    estimates, filtered, roots = map(np.asarray, all_at_once(jnp.asarray(y)))
+    alone = smooth(observer, records[7]).run.estimate
+    np.testing.assert_allclose(alone, estimates[7], rtol=0, atol=1e-11)
+    errors, before = estimates - true, filtered - true
+    for row in (5, 20, 39):
+        scaled = np.linalg.solve(roots[:, row], errors[:, row, :, None])
+        assert abs(np.mean(scaled**2) - 1) < 2.5 * (2 / (2 * RUNS)) ** 0.5
+    ratio = np.sqrt(np.mean(errors[:, 5:-5] ** 2, axis=(0, 1)) / np.mean(before[:, 5:-5] ** 2, axis=(0, 1)))
+    assert (ratio < [0.75, 0.75]).all()
+    assert (ratio > 0.4).all()
+
+
+# In other coordinates.
+
+
+def warped(z, a):
+    following = jnp.roll(z, -1)
+    return z + a * jnp.sin(following) + a / 3 * jnp.cos(2 * following)
+
+
+def sphere_pendulum() -> Lagrangian:
+    """A pendulum on a sphere, in its angles from the pole and around it."""
+    return Lagrangian(lambda q: jnp.diag(jnp.stack([jnp.ones(()), jnp.sin(q[0]) ** 2])), lambda q: 9.81 * jnp.cos(q[0]))
+
+
+CHARTS = {
+    "rod": (rod(), (0.3,), 0.35),
+    "sphere": (sphere_pendulum(), (1.1, 0.4), 0.15),
+}
+
+
+@pytest.mark.parametrize("name", ["rod", pytest.param("sphere", marks=pytest.mark.long)])
+def test_in_other_coordinates_it_is_the_same(name):
+    """Noise is the same tensor, and readings are the same points; so are the motion and its standard deviation."""
+    model, start, size = CHARTS[name]
+    chart, n, rows = Parametric(warped, a=np.array(size)), len(start), 25
+    rng = np.random.default_rng(5)
+    z = np.array(start) + 0.2 * np.sin(np.outer(np.arange(rows) / 8, np.arange(1, n + 1)))
+    z += 0.01 * rng.normal(size=z.shape)
+    t, u = 0.02 * np.arange(rows), np.zeros((rows, n))
+    named = {"gate": None, "substeps": 3, "budget": Budget(newton=2, steps=8)}
+    there = smooth(IntrinsicKalman(in_chart(model, chart), 4.0, 1e-4, 4.0, **named), Record(t, u, z))
+    y = np.asarray(jax.vmap(chart)(jnp.asarray(z)))
+    here = smooth(IntrinsicKalman(model, 4.0, 1e-4, 4.0, **named), Record(t, u, y))
+    q, v = jnp.split(there.run.estimate, 2, axis=1)
+    seen = jax.vmap(chart)(q), jax.vmap(lambda q, v: chart_velocity(model.manifold, chart, q, v))(q, v)
+    np.testing.assert_allclose(jnp.concatenate(seen, axis=1), here.run.estimate, rtol=0, atol=1e-5)
+    slopes = np.asarray(jax.vmap(lambda q: jnp.kron(jnp.eye(2), chart_jacobian(model.manifold, chart, q)))(q))
+    roots = slopes @ np.asarray(there.root)
+    covs = [a @ np.swapaxes(a, 1, 2) for a in (roots, np.asarray(here.root))]
+    np.testing.assert_allclose(*covs, rtol=0, atol=1e-5 * np.abs(covs[1]).max())
+    assert np.abs(slopes - np.eye(2 * n)).max() > 0.1
 
 
 @pytest.mark.parametrize(

@@ -215,7 +215,7 @@ class SmoothResult(AbstractTable):
         what = self.smoothed.loaded.model.sought.what
         before = {key: value for key, value in self.filtered.summary.items() if key in (f"{what}_rmse", "nis", "nees")}
         std, before_std = (
-            {f"{what}_std": rounded(np.sqrt(np.mean(np.asarray(each.velocity_std) ** 2, axis=0)))}
+            {f"{what}_std": rounded(np.median(np.asarray(each.velocity_std), axis=0))}
             for each in (self.smoothed, self.filtered)
         )
         return self.smoothed.summary | std | {"lag_rows": self.lag, "filter": before | before_std}
@@ -246,7 +246,7 @@ class SmoothResult(AbstractTable):
         if f"{what}_rmse" in result:
             lines.append(f"{what} RMSE of the filter: {with_units(result['filter'][f'{what}_rmse'], units)}")
         spread = (with_units(each[f"{what}_std"], units) for each in (result, result["filter"]))
-        lines.append("expected {} error: {}; of the filter {}".format(what, *spread))
+        lines.append("median standard deviation of the {}: {}; of the filter {}".format(what, *spread))
         return "\n".join([*lines, *self.warnings])
 
     def report(self, path: str | Path) -> list[Path]:
