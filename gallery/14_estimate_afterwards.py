@@ -2,7 +2,7 @@
 
 A double pendulum swings; its encoders are read 200 times a second, and for half a second their cable is loose. The
 filter knows at each time only what was read before: in the gap it follows its model, whose masses are two per cent
-wrong, and at its end it is corrected in a jump. The smoother knows what was read after the gap, too. The bands are two
+wrong, and is corrected as readings return. The smoother knows what was read after the gap, too. The bands are two
 standard deviations, as each of them says of itself.
 """
 
