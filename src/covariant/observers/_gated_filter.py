@@ -203,10 +203,8 @@ class AbstractGatedFilter(AbstractObserver):
         """The fields of an info that follow from a corrected state: standard deviations, and slow states."""
 
     @abc.abstractmethod
-    def _predicted(
-        self, state: Any, u: Float[Array, "m"], dt: Scalar, carry: bool
-    ) -> tuple[Any, Float[Array, "N N"] | None]:
-        """The state after a prediction and, where `carry` asks for it, what `carried` returns."""
+    def _predicted(self, state: Any, u: Float[Array, "m"], dt: Scalar, carry: bool) -> tuple[Any, Any]:
+        """The state after a prediction and, where `carry` asks for it, ΦS (N, N) as in `carried`; otherwise None."""
 
     @property
     @abc.abstractmethod

@@ -225,7 +225,7 @@ class IntrinsicKalman(AbstractMechanicalFilter):
         # The covariance is linearised at every Runge–Kutta step, not once over dt.
         h = dt / jnp.asarray(count, state.v.dtype)
         start = state, state.root if carry else None
-        return jax.lax.fori_loop(0, count, lambda _, now: self._runge_kutta_step(*now, u, h), start)
+        return jax.lax.fori_loop(0, count, lambda _, now: self._runge_kutta_step(now[0], now[1], u, h), start)
 
     def _expected(self, state: KalmanState, u: Float[Array, "m"], y: Array) -> Expectation:
         manifold, output = self.model.manifold, self._output(state, y)

@@ -278,8 +278,13 @@ def _block(
     size = len(rows.dt) - (1 if lag is None else lag + 1)
     following = jax.tree.map(lambda a: a[1:], steps)
     backward = jax.vmap(_backward)(following)
+
+    def earlier(now, step):
+        before = _before(now, step)
+        return before, before
+
     if lag is None:
-        first, smoothed = jax.lax.scan(lambda now, step: (_before(now, step),) * 2, later, backward, reverse=True)
+        first, smoothed = jax.lax.scan(earlier, later, backward, reverse=True)
     else:
         first, smoothed = later, _lagged(following.root, backward, size, lag)
     states = jax.tree.map(lambda a: a[:size], states)

@@ -11,12 +11,10 @@ from covariant import logs
 from covariant.calibration import estimators
 from covariant.models import Overrides
 from covariant.observers import SMOOTHED, smooth as smooth_record
-from covariant.signals import Run
 from covariant.workflow._estimate import EstimateResult, choose_observer, error_lines
 from covariant.workflow._inputs import (
     ColumnNames,
     Job,
-    Loaded,
     load,
     numbered,
     sought_columns,
@@ -104,11 +102,13 @@ def smooth(
     rows = None if lag is None else lag_rows(np.asarray(loaded.record.t), lag)
     progress(f"smoothing with {name}")
     smoothed = jax.block_until_ready(smooth_record(chosen, loaded.record, rows, KEPT))
-    runs = [jax.tree.map(np.asarray, run) for run in (smoothed.run, smoothed.filtered)]
-    results = [_estimates(job, loaded, name, notes, run, chosen) for run in runs]
-    if any(result.outcome.failed for result in results) or not np.isfinite(smoothed.root).all():
+    after, before = (
+        EstimateResult(job, loaded, name, notes, scored(chosen, jax.tree.map(np.asarray, run), loaded, "jax"), "auto")
+        for run in (smoothed.run, smoothed.filtered)
+    )
+    if before.outcome.failed or not (np.isfinite(after.velocity).all() and np.isfinite(smoothed.root).all()):
         raise ValueError(f"{job.log_name}: the estimate left the finite numbers; check model and units")
-    return SmoothResult(*results, np.asarray(smoothed.std), rows)
+    return SmoothResult(after, before, np.asarray(smoothed.std), rows)
 
 
 def lag_rows(t: np.ndarray, lag: float) -> int:
@@ -119,10 +119,6 @@ def lag_rows(t: np.ndarray, lag: float) -> int:
         lag: The time [s].
     """
     return round(lag / float(np.median(np.diff(t))))
-
-
-def _estimates(job: Job, loaded: Loaded, name: str, notes: tuple[str, ...], run: Run, observer: Any) -> EstimateResult:
-    return EstimateResult(job, loaded, name, notes, scored(observer, run, loaded, "jax"), "auto")
 
 
 @dataclass(frozen=True, repr=False)
