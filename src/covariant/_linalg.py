@@ -323,7 +323,8 @@ def lower_solve(root: Matrix, b: Float[Array, "n k"]) -> Float[Array, "n k"]:
     """Solve `L x = b` by forward substitution, without squaring the condition of L.
 
     Args:
-        root: Lower triangular matrix L (n, n). Where a pivot is zero, that entry of the solution is zero.
+        root: Lower triangular matrix L (n, n), a root of a covariance. Where a pivot is zero up to rounding, that
+            entry of the solution is zero.
         b: Right side (n, k).
 
     Returns:
@@ -341,7 +342,8 @@ def upper_solve(root: Matrix, b: Float[Array, "n k"]) -> Float[Array, "n k"]:
     """Solve `Lᵀ x = b` by backward substitution, without squaring the condition of L.
 
     Args:
-        root: Lower triangular matrix L (n, n). Where a pivot is zero, that entry of the solution is zero.
+        root: Lower triangular matrix L (n, n), a root of a covariance. Where a pivot is zero up to rounding, that
+            entry of the solution is zero.
         b: Right side (n, k).
 
     Returns:
@@ -355,9 +357,12 @@ def upper_solve(root: Matrix, b: Float[Array, "n k"]) -> Float[Array, "n k"]:
 
 
 def _inverse_pivots(root: Matrix) -> Vector:
-    pivots = jnp.diag(root)
+    """Inverse of the pivots of a root of a covariance; 0 for those that are rounding beside the length of their row."""
+    pivots, lengths = jnp.diag(root), jnp.sqrt(jnp.sum(root**2, axis=1))
+    # A row of length s that depends on those before it leaves rounding of some n·eps·s in place of a zero.
+    zero = jnp.abs(pivots) <= 8 * len(root) * jnp.finfo(root.dtype).eps * lengths
     # The inner `where` keeps derivatives finite.
-    return jnp.where(pivots == 0, 0.0, 1 / jnp.where(pivots == 0, 1.0, pivots)).astype(root.dtype)
+    return jnp.where(zero, 0.0, 1 / jnp.where(zero, 1.0, pivots))
 
 
 def at_places(array: Inexact[Array, "..."], places: Int[np.ndarray, "*k"]) -> Inexact[Array, "*k"]:

@@ -316,6 +316,22 @@ def test_missing_rows_are_smoothed_across():
     assert spread[12:24].max() < 0.8 * smoothed.filtered.info.velocity_std[12:24].max()
 
 
+@pytest.mark.parametrize("kind", ["ekf", "intrinsic-kalman"])
+def test_a_start_and_a_model_that_are_certain_leave_one_motion(kind):
+    """Only the first position is uncertain, and every covariance is singular."""
+    process, measurement = jnp.zeros((1, 1)), 4e-4 * jnp.eye(1)
+    observer = {
+        "ekf": lambda: EKF(rod(), process, measurement, 0.0, substeps=1, gate=None),
+        "intrinsic-kalman": lambda: IntrinsicKalman(rod(), process, measurement, process, substeps=1, gate=None),
+    }[kind]()
+    smoothed = smooth(observer, swing(speed=0.0))
+    x = np.asarray(smoothed.run.estimate)
+    np.testing.assert_allclose(x[0, 1], 0.0, atol=1e-12)
+    assert (smoothed.std <= smooth(observer, swing(speed=0.0), lag=0).std + 1e-12).all()
+    moved = np.stack([rod_step(one, 1 / RATE) for one in x[:-1]])
+    np.testing.assert_allclose(x[1:], moved, rtol=0, atol=2e-3)  # a motion of the model, to its linearisation
+
+
 RUNS = 200
 
 
@@ -445,7 +461,7 @@ def trial(model, q0, lag, key):
     space, n = model.space, model.manifold.zero(q0).shape[0]
     true, y = drawn_motion(model, q0, key)
     observer = IntrinsicKalman(model, 0.09, 1e-4, 1.0, gate=None, substeps=1)
-    done = smoothed_arrays(observer, DT * jnp.arange(STEPS), jnp.zeros((STEPS, n)), y, lag)
+    done = smoothed_arrays(observer, jnp.asarray(DT * np.arange(STEPS)), jnp.zeros((STEPS, n)), y, lag)
 
     def error(true, x):
         q, v = x if isinstance(x, Motion) else jnp.split(x, 2)
