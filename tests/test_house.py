@@ -94,7 +94,7 @@ PUBLIC = {
     "manoeuvring_ship odin odin_on_group positive_definite supply_vessel surface_ship yaw_rotation",
     "models.robots": "OF_INERTIA ROBOTS BodyInertia Description Follows FrictionLaw Joint KinematicTree Links Motor "
     "RobotSpace assemble changed inertia_of load located numbers_of read urdf_with_inertias",
-    "observers": "EKF OBSERVER_NAMES PLL REGISTRY STATE_OBSERVER_NAMES UKF AbstractFlowObserver "
+    "observers": "EKF OBSERVER_NAMES PLL REGISTRY SMOOTHED STATE_OBSERVER_NAMES Smoothed UKF AbstractFlowObserver "
     "AbstractLinearFilter AbstractMechanicalObserver AbstractObserver Contracting ContractingState Copy Delayed "
     "DelayedState EKFInfo EKFState Entry Estimate FilterInfo FilteredDerivative FilteredState Gate Gated GatedState "
     "GateMemory Geodesic GeodesicInfo GeodesicState SampledState HighGain Info InformationEKF InformationState "
@@ -102,7 +102,7 @@ PUBLIC = {
     "MechanicalState Noise PassiveGains PassiveShip Riccati Salcudean SalcudeanState SavitzkyGolay Slow StateEKF "
     "StateEKFInfo Judged Sample StateEKFState UKFState Velocity WindowState checked chooses_substeps continuous "
     "craft_observer external_force "
-    "lyapunov_gains lyapunov_rate needed_substeps notch_gains printed_rate run second_order sensor_bias "
+    "lyapunov_gains lyapunov_rate needed_substeps notch_gains printed_rate run second_order sensor_bias smooth "
     "uncertain_parameters with_fixed_substeps",
     "papers.jouffroy_fossen": "COMPASS COUNTEREXAMPLES CROSS DURATION GAPS GNSS K1 K2 KD KP LAMBDA PRINTED_K2 RATE "
     "SETTLED STAGES STEP Loop Scalar Sea draw draw_odin draw_sea odin_box odin_cascade odin_certificate "
@@ -119,9 +119,9 @@ PUBLIC = {
     "observe sense set_point simulate simulate_piecewise stamps",
     "workflow": "AbstractResult AbstractTable AuditResult CertificateCheckResult CertifyResult CheckResult "
     "CompareResult EstimateResult ExcitationResult ExportResult FitResult InitResult MetricResult MisfitError "
-    "ModelResult Progress ReproduceResult SimulateResult TuneResult audit_observer certify check check_certificate "
+    "ModelResult Progress ReproduceResult SimulateResult SmoothResult TuneResult audit_observer certify check check_certificate "
     "check_model_output check_output compare describe_model design_excitation design_metric estimate export "
-    "fit init reproduce_paper simulate tune",
+    "fit init reproduce_paper simulate smooth tune",
 }
 
 

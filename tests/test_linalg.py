@@ -8,7 +8,7 @@ from hypothesis import assume, given, strategies as st
 from jax.test_util import check_grads
 
 from covariant import _linalg
-from covariant._linalg import BLOCK, WHOLE, ldl, pivots, solve
+from covariant._linalg import BLOCK, WHOLE, ldl, lower_solve, pivots, solve, triangular, upper_solve
 from covariant.lowering import lower, numbers
 
 LONG = (
@@ -142,3 +142,17 @@ def test_no_lapack(n):
     primitives = str(jax.make_jaxpr(jax.vmap(jax.jacrev(solve)))(a[None], b[None]))
     for name in ("cholesky", "lu[", "triangular_solve", "custom_call"):
         assert name not in primitives
+
+
+def test_substitutions_solve_by_a_triangle_and_leave_out_what_is_singular():
+    root = np.linalg.cholesky(positive(5)[0])
+    b = np.random.default_rng(3).normal(size=(5, 2))
+    np.testing.assert_allclose(root @ lower_solve(jnp.asarray(root), jnp.asarray(b)), b, rtol=0, atol=1e-13)
+    np.testing.assert_allclose(root.T @ upper_solve(jnp.asarray(root), jnp.asarray(b)), b, rtol=0, atol=1e-13)
+    # Rank 2: the third row depends on the others, up to rounding.
+    wide = np.array([[0.3, 0.1, 0.7], [1e6, 2e6, 3e5], [0.0, 0.0, 0.0]])
+    wide[2] = 0.7 * wide[0] + 1e-3 * wide[1]
+    singular = triangular(jnp.asarray(wide))
+    x = lower_solve(singular, jnp.asarray(wide))
+    np.testing.assert_array_equal(x[2], 0.0)
+    np.testing.assert_allclose(singular @ x, wide, rtol=1e-12)

@@ -32,7 +32,18 @@ if TYPE_CHECKING:
         workflow,
     )
     from covariant.signals import Record, Result, Run
-    from covariant.workflow import certify, check, compare, design_excitation, estimate, export, fit, simulate, tune
+    from covariant.workflow import (
+        certify,
+        check,
+        compare,
+        design_excitation,
+        estimate,
+        export,
+        fit,
+        simulate,
+        smooth,
+        tune,
+    )
 
     __version__: str
 
@@ -42,7 +53,7 @@ if "jax" in sys.modules:
     sys.modules["jax"].config.update("jax_enable_x64", True)
 keep_programs()
 
-VERBS = ("check", "certify", "compare", "design_excitation", "estimate", "export", "fit", "simulate", "tune")
+VERBS = ("check", "certify", "compare", "design_excitation", "estimate", "export", "fit", "simulate", "smooth", "tune")
 """Functions of `covariant.workflow` that are also available here: from a model and a log to a result."""
 
 __all__ = [
@@ -74,6 +85,7 @@ __all__ = [
     "signals",
     "simulate",
     "simulation",
+    "smooth",
     "tune",
     "workflow",
 ]

@@ -318,6 +318,53 @@ def triangular(a: Float[Array, "n k"]) -> Matrix:
     return jnp.stack(columns, axis=1)
 
 
+@traced_once
+def lower_solve(root: Matrix, b: Float[Array, "n k"]) -> Float[Array, "n k"]:
+    """Solve `L x = b` by forward substitution, without squaring the condition of L.
+
+    Args:
+        root: Lower triangular matrix L (n, n), a root of a covariance. Where a pivot is zero up to rounding, that
+            entry of the solution is zero.
+        b: Right side (n, k).
+
+    Returns:
+        The solution x (n, k).
+    """
+    inverse = _inverse_pivots(root)
+    x = jnp.zeros_like(b)
+    for i in range(len(root)):
+        x = x.at[i].set((b[i] - root[i, :i] @ x[:i]) * inverse[i])
+    return x
+
+
+@traced_once
+def upper_solve(root: Matrix, b: Float[Array, "n k"]) -> Float[Array, "n k"]:
+    """Solve `Lᵀ x = b` by backward substitution, without squaring the condition of L.
+
+    Args:
+        root: Lower triangular matrix L (n, n), a root of a covariance. Where a pivot is zero up to rounding, that
+            entry of the solution is zero.
+        b: Right side (n, k).
+
+    Returns:
+        The solution x (n, k).
+    """
+    inverse = _inverse_pivots(root)
+    x = jnp.zeros_like(b)
+    for i in reversed(range(len(root))):
+        x = x.at[i].set((b[i] - root[i + 1 :, i] @ x[i + 1 :]) * inverse[i])
+    return x
+
+
+def _inverse_pivots(root: Matrix) -> Vector:
+    """Inverse of the pivots of a root of a covariance; 0 for those that are rounding beside the length of their row."""
+    pivots, lengths = jnp.diag(root), jnp.sqrt(jnp.sum(root**2, axis=1))
+    # A row of length s that depends on those before it leaves rounding of some n·eps·s in place of a zero.
+    zero = jnp.abs(pivots) <= 8 * len(root) * jnp.finfo(root.dtype).eps * lengths
+    # The inner `where` keeps derivatives finite.
+    return jnp.where(zero, 0.0, 1 / jnp.where(zero, 1.0, pivots))
+
+
 def at_places(array: Inexact[Array, "..."], places: Int[np.ndarray, "*k"]) -> Inexact[Array, "*k"]:
     """Entries of an array at known indices within it, counted as if its axes were one: a single operation.
 

@@ -107,7 +107,8 @@ def test_the_reset_is_the_derivative_of_the_exact_change_of_base_point(name):
 
     @jax.jit
     def rebased():
-        return observer._rebased(state, correction, jnp.eye(2 * n))
+        moved, reset = observer.moved(state, correction)
+        return moved.q, moved.v, reset
 
     new_q, new_v, reset = rebased()
 

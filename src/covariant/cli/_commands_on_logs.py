@@ -14,6 +14,7 @@ from covariant.cli._options import (
     ColumnNames,
     Compared,
     Every,
+    Filter,
     From,
     Inputs,
     Json,
@@ -74,6 +75,50 @@ def estimate(
             columns=names._asdict() | compared._asdict(),
             anyway=anyway,
             engine=engine,
+            progress=progress,
+            **rows._asdict(),
+        )
+    show(result, json, out, report)
+
+
+@on_logs.command()
+@with_shared_options
+def smooth(
+    model: Model,
+    log: LogFile,
+    rows: Rows,
+    names: ColumnNames,
+    compared: Compared,
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", help=f"Write the estimate here ({', '.join(WRITTEN)}).")
+    ] = None,
+    observer: Filter = None,
+    lag: Annotated[
+        float | None,
+        typer.Option(help="Time after each row from which it is estimated [s]; the whole log by default."),
+    ] = None,
+    override: Override = [],  # noqa: B006  typer copies it
+    score: Annotated[
+        bool,
+        typer.Option("--score", help="Score the velocities too, against slopes of the positions."),
+    ] = False,
+    report: Report = None,
+    anyway: Anyway = False,
+    json: Json = False,
+) -> None:
+    """Estimate velocities afterwards, from the rows before and after each."""
+    check_output(out, *WRITTEN, log=log)
+    check_output(report, ".html")
+    with progress_bar(quiet=json) as progress:
+        result = workflow.smooth(
+            model,
+            log,
+            observer=observer,
+            lag=lag,
+            score=score,
+            overrides=override,
+            columns=names._asdict() | compared._asdict(),
+            anyway=anyway,
             progress=progress,
             **rows._asdict(),
         )

@@ -2,9 +2,13 @@
 
 from typing import Literal
 
-from covariant.observers import OBSERVER_NAMES as ESTIMATORS, STATE_OBSERVER_NAMES as STATE_ESTIMATORS
+from covariant.observers import (
+    OBSERVER_NAMES as ESTIMATORS,
+    SMOOTHED as SMOOTHED,
+    STATE_OBSERVER_NAMES as STATE_ESTIMATORS,
+)
 
-__all__ = ["CERTIFIED", "ESTIMATORS", "PAPERS", "STATE_ESTIMATORS", "WRITTEN", "Checker", "Engine"]
+__all__ = ["CERTIFIED", "ESTIMATORS", "PAPERS", "SMOOTHED", "STATE_ESTIMATORS", "WRITTEN", "Checker", "Engine"]
 
 CERTIFIED = ("intrinsic", "geodesic")
 """Observers that can be certified."""

@@ -8,7 +8,7 @@ from typing import Annotated, Any, NamedTuple, get_type_hints
 
 import typer
 
-from covariant.cli._names import ESTIMATORS, STATE_ESTIMATORS, Engine
+from covariant.cli._names import ESTIMATORS, SMOOTHED, STATE_ESTIMATORS, Engine
 from covariant.models import check_spec
 
 
@@ -92,6 +92,14 @@ Observer = Annotated[
     typer.Option(
         help=f"One of: {', '.join(ESTIMATORS)}; intrinsic by default. For a state-space model: "
         f"{', '.join(STATE_ESTIMATORS)}.",
+        callback=known_observer,
+    ),
+]
+Filter = Annotated[
+    str | None,
+    typer.Option(
+        "--observer",
+        help=f"One of: {', '.join(SMOOTHED)}; intrinsic-kalman by default, covariance-ekf for a state-space model.",
         callback=known_observer,
     ),
 ]

@@ -17,7 +17,11 @@ from ._intrinsic_kalman import IntrinsicKalman as IntrinsicKalman, KalmanInfo as
 from ._joint_kalman import JointInfo as JointInfo, JointKalman as JointKalman, JointState as JointState
 from ._levant import Levant as Levant
 from ._model_free import AbstractLinearFilter as AbstractLinearFilter, FilterInfo as FilterInfo
-from ._names import OBSERVER_NAMES as OBSERVER_NAMES, STATE_OBSERVER_NAMES as STATE_OBSERVER_NAMES
+from ._names import (
+    OBSERVER_NAMES as OBSERVER_NAMES,
+    SMOOTHED as SMOOTHED,
+    STATE_OBSERVER_NAMES as STATE_OBSERVER_NAMES,
+)
 from ._passive_ship import (
     PassiveGains as PassiveGains,
     PassiveShip as PassiveShip,
@@ -58,6 +62,7 @@ from ._slow import (
     sensor_bias as sensor_bias,
     uncertain_parameters as uncertain_parameters,
 )
+from ._smoother import Smoothed as Smoothed, smooth as smooth
 from ._state_ekf import StateEKF as StateEKF, StateEKFInfo as StateEKFInfo, StateEKFState as StateEKFState
 from ._state_noise import Noise as Noise
 from ._tracking_loop import LoopState as LoopState

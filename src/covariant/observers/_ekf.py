@@ -8,20 +8,20 @@ Shuster 1982 for the multiplicative error; Barrau & Bonnabel 2017, section 3, fo
 Li & Kirubarajan 2001, section 5.4, for the gate.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Inexact
 
-from covariant._linalg import solve
+from covariant._linalg import semidefinite_root, solve
 from covariant._typing import Code, Matrix, Number, Scalar, Vector
 from covariant.models import MechanicalSystem
 from covariant.observers._covariance import isotropic
 from covariant.observers._gate import Gate, with_block
 from covariant.observers._gate_memory import GateMemory, Velocity
-from covariant.observers._gated_filter import AbstractMechanicalFilter, Expectation
+from covariant.observers._gated_filter import AbstractMechanicalFilter, Expectation, Moved, Used
 from covariant.observers._protocol import LastInput, as_gain, at_rest, check_finite
 from covariant.observers._sampled import predict
 from covariant.observers._square_root import normalised_square
@@ -127,17 +127,9 @@ class EKF(AbstractMechanicalFilter):
             q, v, t, self._first_cov(isotropic(self.initial_velocity_std, v)), GateMemory.at_start(v), last_input
         )
 
-    def predict(self, state: EKFState, u: Float[Array, "m"], dt: Scalar) -> EKFState:
-        """Integrate the model and the covariance over one step.
-
-        Args:
-            state: State after the sample before.
-            u: Input (m,), constant over the step.
-            dt: Length of the step [s].
-
-        Returns:
-            The state dt later, before a measurement.
-        """
+    def _predicted(
+        self, state: EKFState, u: Float[Array, "m"], dt: Scalar, carry: bool
+    ) -> tuple[EKFState, Matrix | None]:
         n = state.v.shape[0]
 
         def propagated_error(error):
@@ -152,7 +144,8 @@ class EKF(AbstractMechanicalFilter):
         q_part, cross, v_part = (self.process_cov * dt**k / c for k, c in ((3, 3), (2, 2), (1, 1)))
         noise = jnp.block([[q_part, cross], [cross, v_part]])
         cov = transition @ state.cov @ transition.T + noise
-        return state._replace(q=q, v=v, t=state.t + dt, cov=cov, gate=state.gate.advanced(dt))
+        new = state._replace(q=q, v=v, t=state.t + dt, cov=cov, gate=state.gate.advanced(dt))
+        return new, transition @ self.root(state) if carry else None
 
     def _expected(self, state: EKFState, u: Float[Array, "m"], y: Array) -> Expectation:
         n, manifold = state.v.shape[0], self.model.manifold
@@ -166,7 +159,7 @@ class EKF(AbstractMechanicalFilter):
     def _usual_velocity(self, state: EKFState) -> Matrix:
         return isotropic(self.initial_velocity_std, state.v)
 
-    def _used(self, state: EKFState, y: Array, expected: Expectation, used: Bool[Array, "n"]) -> EKFState:
+    def _used(self, state: EKFState, y: Array, expected: Expectation, used: Bool[Array, "n"]) -> Used:
         n = state.v.shape[0]
         present = jnp.diag(used.astype(state.v.dtype))
         # The noise of an entry that is not used must not affect the others, even where the two are correlated.
@@ -179,9 +172,20 @@ class EKF(AbstractMechanicalFilter):
         remaining = jnp.eye(2 * n, dtype=error.dtype) - gain @ output
         # Joseph form: a sum of squares, so that rounding does not make it indefinite.
         cov = remaining @ state.cov @ remaining.T + gain @ measurement_cov @ gain.T
-        # The covariance stays in the frame of the prediction, as published; `IntrinsicKalman` moves it too.
-        q, v = self.model.manifold.retract(state.q, error[:n]), state.v + error[n:]
-        return state._replace(q=q, v=v, cov=(cov + cov.T) / 2)  # rounding leaves it slightly unsymmetric
+        moved, reset = self.moved(state, error)
+        return Used(moved._replace(cov=(cov + cov.T) / 2), error, reset)  # rounding leaves it slightly unsymmetric
+
+    def moved(self, state: EKFState, error: Float[Array, "two_n"]) -> Moved:
+        return moved(self.model, state, error)
+
+    def root(self, state: EKFState) -> Float[Array, "two_n two_n"]:
+        return semidefinite_root(state.cov)
+
+    def with_root(self, state: EKFState, root: Float[Array, "two_n two_n"]) -> EKFState:
+        return state._replace(cov=root @ root.T)
+
+    def deviations(self, state: EKFState) -> dict[str, Vector]:
+        return {"velocity_std": jnp.sqrt(jnp.diag(state.cov)[state.v.shape[0] :])}
 
     def _started_anew(
         self, state: EKFState, corrected: EKFState, y: Array, expected: Expectation, velocity: Velocity
@@ -192,22 +196,40 @@ class EKF(AbstractMechanicalFilter):
         return corrected._replace(q=self._start(state, expected), v=velocity.mean, cov=cov)
 
     def _info(self, state: EKFState, new: EKFState, expected: Expectation, result: Code) -> EKFInfo:
-        std = jnp.sqrt(jnp.diag(new.cov)[state.v.shape[0] :])
-        return ekf_info(self.model, state.q, expected, std, result)
+        return ekf_info(self.model, state.q, expected, self.deviations(new), result)
 
     def _first_cov(self, velocity_cov: Matrix) -> Float[Array, "two_n two_n"]:
         zero = jnp.zeros_like(velocity_cov)
         return jnp.block([[self.measurement_cov, zero], [zero, velocity_cov]])
 
 
-def ekf_info(model: MechanicalSystem, q: Array, expected: Expectation, std: Vector, result: Code) -> EKFInfo:
+def moved(model: MechanicalSystem, state: Any, error: Float[Array, "two_n"]) -> Moved:
+    """Move the estimate of a filter with the error of the EKF.
+
+    Args:
+        model: Mechanical system.
+        state: State with the fields q and v.
+        error: Error (2n,) `(local(q̂, q), v − v̂)` by which it is moved.
+
+    Returns:
+        The moved state. The covariance stays in the frame of the prediction, as published: the reset is the identity.
+        `IntrinsicKalman` moves it too.
+    """
+    n = state.v.shape[0]
+    q, v = model.manifold.retract(state.q, error[:n]), state.v + error[n:]
+    return Moved(state._replace(q=q, v=v), jnp.eye(2 * n, dtype=error.dtype))
+
+
+def ekf_info(
+    model: MechanicalSystem, q: Array, expected: Expectation, deviations: dict[str, Vector], result: Code
+) -> EKFInfo:
     """Diagnostics of a correction, for filters with the error of the EKF.
 
     Args:
         model: Mechanical system, whose metric measures the innovation.
         q: Predicted configuration, at which the metric is evaluated.
         expected: The measurement beside what the filter expects of it.
-        std: Standard deviations (n,) of the velocity after the correction.
+        deviations: Standard deviations (n,) of the velocity after the correction, by the name of the field.
         result: Result code of the correction.
 
     Returns:
@@ -215,4 +237,4 @@ def ekf_info(model: MechanicalSystem, q: Array, expected: Expectation, std: Vect
     """
     _, innovation, cov, _, present, *_ = expected
     nis = normalised_square(cov, innovation, present)
-    return EKFInfo(innovation, model.space.norm(q, innovation), cov, nis, std, result)
+    return EKFInfo(innovation, model.space.norm(q, innovation), cov, nis, **deviations, result=result)

@@ -24,7 +24,7 @@ from covariant.models import MechanicalSystem, Motion, advance
 from covariant.observers._covariance import Covariance, check_covariance, covariance_at
 from covariant.observers._gate import Gate, with_block
 from covariant.observers._gate_memory import GateMemory, Velocity
-from covariant.observers._gated_filter import AbstractMechanicalFilter, Expectation
+from covariant.observers._gated_filter import AbstractMechanicalFilter, Expectation, Moved, Used
 from covariant.observers._protocol import LastInput, as_gain, at_rest, check_positive
 from covariant.observers._sampled import needed_substeps
 from covariant.observers._slow import Slow, SlowStates, SlowVector, as_groups
@@ -216,23 +216,16 @@ class IntrinsicKalman(AbstractMechanicalFilter):
         """Names (k) of the slow states, in the order of `KalmanInfo.slow`."""
         return self._slow.names
 
-    def predict(self, state: KalmanState, u: Float[Array, "m"], dt: Scalar) -> KalmanState:
-        """Integrate the model and the covariance over one step.
-
-        Args:
-            state: State after the sample before.
-            u: Input (m,), constant over the step.
-            dt: Length of the step [s].
-
-        Returns:
-            The state dt later, before a measurement.
-        """
+    def _predicted(
+        self, state: KalmanState, u: Float[Array, "m"], dt: Scalar, carry: bool
+    ) -> tuple[KalmanState, Matrix | None]:
         count = self.substeps
         if count is None:
             count = needed_substeps(self.model, state.t, state.q, state.v, u, dt)
         # The covariance is linearised at every Runge–Kutta step, not once over dt.
         h = dt / jnp.asarray(count, state.v.dtype)
-        return jax.lax.fori_loop(0, count, lambda _, now: self._runge_kutta_step(now, u, h), state)
+        start = state, state.root if carry else None
+        return jax.lax.fori_loop(0, count, lambda _, now: self._runge_kutta_step(now[0], now[1], u, h), start)
 
     def _expected(self, state: KalmanState, u: Float[Array, "m"], y: Array) -> Expectation:
         manifold, output = self.model.manifold, self._output(state, y)
@@ -252,14 +245,13 @@ class IntrinsicKalman(AbstractMechanicalFilter):
     def _usual_velocity(self, state: KalmanState) -> Matrix:
         return self._velocity_cov(state.q)
 
-    def _used(self, state: KalmanState, y: Array, expected: Expectation, used: Bool[Array, "n"]) -> KalmanState:
+    def _used(self, state: KalmanState, y: Array, expected: Expectation, used: Bool[Array, "n"]) -> Used:
         error, root = self._posterior(state, expected.details, y, expected.innovation, used)
-        q, v, root = self._rebased(state, error, root)
+        moved, reset = self.moved(state, error)
         readings = None
         if state.readings is not None:
             readings = Readings(jnp.where(used, y, state.readings.y), jnp.where(used, 0.0, state.readings.age))
-        slow = state.slow + error[2 * state.v.shape[0] :]
-        return state._replace(q=q, v=v, slow=slow, root=root, readings=readings)
+        return Used(moved._replace(root=reset @ root, readings=readings), error, reset)
 
     def _started_anew(
         self, state: KalmanState, corrected: KalmanState, y: Array, expected: Expectation, velocity: Velocity
@@ -280,8 +272,8 @@ class IntrinsicKalman(AbstractMechanicalFilter):
     def _info(self, state: KalmanState, new: KalmanState, expected: Expectation, result: Code) -> KalmanInfo:
         _, innovation, cov, _, present, *_ = expected
         nis = normalised_square(cov, innovation, present)
-        distance, std = self.model.space.norm(state.q, innovation), self.velocity_std(new)
-        return KalmanInfo(innovation, distance, cov, nis, std, *self._slow_estimates(new), result)
+        distance = self.model.space.norm(state.q, innovation)
+        return KalmanInfo(innovation, distance, cov, nis, **self.deviations(new), result=result)
 
     @property
     def _slow(self) -> SlowStates:
@@ -351,8 +343,10 @@ class IntrinsicKalman(AbstractMechanicalFilter):
         # Without a converged geodesic the coordinate difference replaces it, which equals it to first order.
         return jnp.where(reached & jnp.all(used), geodesic.velocity, straight)
 
-    def _runge_kutta_step(self, state: KalmanState, u: Float[Array, "m"], h: Scalar) -> KalmanState:
-        """One Runge–Kutta step of the model and of the covariance."""
+    def _runge_kutta_step(
+        self, state: KalmanState, carried: Matrix | None, u: Float[Array, "m"], h: Scalar
+    ) -> tuple[KalmanState, Matrix | None]:
+        """One Runge–Kutta step of the model, of the covariance, and of a matrix that the transition alone carries."""
         space, manifold, n = self.model.space, self.model.manifold, state.v.shape[0]
 
         def propagated_error(error):
@@ -364,25 +358,28 @@ class IntrinsicKalman(AbstractMechanicalFilter):
 
         slope, (q, v, slow) = jax.jacfwd(propagated_error, has_aux=True)(jnp.zeros(state.root.shape[0], state.v.dtype))
         # From right to left: from the parallel frame to the frame at the start, the flow, and back at the end.
-        root = (
-            _with_slow(parallel(space, q, v), state)
-            @ slope
-            @ _with_slow(apart(space, state.q, state.v), state)
-            @ state.root
+        transition = (
+            _with_slow(parallel(space, q, v), state) @ slope @ _with_slow(apart(space, state.q, state.v), state)
         )
         noise = white_acceleration(covariance_at(self.process_cov, space, q), h)
         if self.slow:
             noise = diagonal(noise, self._slow.walk_root(h).astype(noise.dtype))
         readings = state.readings and state.readings._replace(age=state.readings.age + h)
         # Roots side by side have the sum of both covariances; the triangular factor is square again.
-        root = triangular(jnp.concatenate([root, noise], axis=1))
+        root = triangular(jnp.concatenate([transition @ state.root, noise], axis=1))
         gate = state.gate.advanced(h)
-        return state._replace(q=q, v=v, t=state.t + h, slow=slow, root=root, gate=gate, readings=readings)
+        new = state._replace(q=q, v=v, t=state.t + h, slow=slow, root=root, gate=gate, readings=readings)
+        return new, None if carried is None else transition @ carried
 
-    def _rebased(self, state: KalmanState, error: Array, root: Array) -> tuple[Array, Vector, Array]:
-        """Estimate and root after a correction by `error` along its geodesic, which transports the velocity.
+    def moved(self, state: KalmanState, error: Float[Array, "two_n_k"]) -> Moved:
+        """Move the estimate along the geodesic of an error, which transports the velocity.
 
-        The covariance is moved to the new estimate by the derivative of this map (the reset).
+        Args:
+            state: The state; its covariance stays as it is.
+            error: Error (2n + k,) by which the estimate is moved, in the parallel frame.
+
+        Returns:
+            The moved state, and the reset, which is the derivative of this map.
         """
         space, manifold, n = self.model.space, self.model.manifold, state.v.shape[0]
 
@@ -391,7 +388,18 @@ class IntrinsicKalman(AbstractMechanicalFilter):
             return jnp.concatenate([manifold.local(jax.lax.stop_gradient(end.q), end.q), end.w]), (end.q, end.w)
 
         slope, (q, v) = jax.jacfwd(corrected, has_aux=True)(error[: 2 * n])
-        return q, v, _with_slow(parallel(space, q, v) @ slope, state) @ root
+        reset = _with_slow(parallel(space, q, v) @ slope, state)
+        return Moved(state._replace(q=q, v=v, slow=state.slow + error[2 * n :]), reset)
+
+    def root(self, state: KalmanState) -> Float[Array, "two_n_k two_n_k"]:
+        return state.root
+
+    def with_root(self, state: KalmanState, root: Float[Array, "two_n_k two_n_k"]) -> KalmanState:
+        return state._replace(root=root)
+
+    def deviations(self, state: KalmanState) -> dict[str, Vector]:
+        slow, slow_std = self._slow_estimates(state)
+        return {"velocity_std": self.velocity_std(state), "slow": slow, "slow_std": slow_std}
 
     def _velocity_cov(self, q: Array) -> Matrix:
         """Covariance (n, n) of the initial velocity, in the frame at the configuration q."""

@@ -26,7 +26,7 @@ from covariant.geometry import AbstractManifold, Coordinates, wrap
 from covariant.observers._covariance import isotropic
 from covariant.observers._gate import Gate
 from covariant.observers._gate_memory import GateMemory, Judged, Velocity
-from covariant.observers._gated_filter import AbstractGatedFilter, Expectation
+from covariant.observers._gated_filter import AbstractGatedFilter, Expectation, Moved, Used
 from covariant.observers._model_free import AbstractLinearFilter, response
 from covariant.observers._protocol import as_gain, check_positive, outcome
 from covariant.observers._square_root import updated
@@ -148,23 +148,16 @@ class JointKalman(AbstractGatedFilter, AbstractLinearFilter):
         time = jnp.asarray(self.motion_time)
         return jnp.stack([time**2, time, jnp.ones_like(time)])
 
-    def predict(self, state: JointState, u: Float[Array, "m"], dt: Scalar) -> JointState:
-        """Advance every coordinate by Singer's model, which is exact for any dt.
-
-        Args:
-            state: State after the sample before.
-            u: Input (m,), without influence.
-            dt: Length of the step [s].
-
-        Returns:
-            The state dt later, before a measurement.
-        """
+    def _predicted(
+        self, state: JointState, u: Float[Array, "m"], dt: Scalar, carry: bool
+    ) -> tuple[JointState, Float[Array, "three_n three_n"] | None]:
         step, added = singer(dt / self.motion_time)
         units = self._units.astype(state.q.dtype)[:, None]
         q, v, a = units * (step @ (jnp.stack([state.q, state.v, state.a]) / units))
         noise = semidefinite_root(added)  # the covariance is nearly singular for a small θ
         root = jax.vmap(lambda each: triangular(jnp.concatenate([step @ each, noise], axis=1)))(state.root)
-        return state._replace(q=q, v=v, a=a, root=root, gate=state.gate.advanced(dt))
+        new = state._replace(q=q, v=v, a=a, root=root, gate=state.gate.advanced(dt))
+        return new, self._together(step @ state.root) if carry else None
 
     @property
     def _manifold(self) -> AbstractManifold:
@@ -185,13 +178,37 @@ class JointKalman(AbstractGatedFilter, AbstractLinearFilter):
     def _usual_velocity(self, state: JointState) -> Matrix:
         return isotropic(self.motion_std * self.motion_time, state.v)
 
-    def _used(self, state: JointState, y: Vector, expected: Expectation, used: Bool[Array, "n"]) -> JointState:
+    def _used(self, state: JointState, y: Vector, expected: Expectation, used: Bool[Array, "n"]) -> Used:
         gain, root = jax.vmap(updated, (0, 0, None, 0))(
             state.root, state.root[:, :1], jnp.full((1, 1), self.noise**2), used[:, None]
         )
         units = self._units.astype(y.dtype)
         error = (units / units[0])[:, None] * gain[..., 0].T * expected.innovation[None]
-        return state._replace(q=state.q + error[0], v=state.v + error[1], a=state.a + error[2], root=root)
+        new, reset = self.moved(state, error.reshape(-1))
+        return Used(new._replace(root=root), error.reshape(-1), reset)
+
+    def moved(self, state: JointState, error: Float[Array, "three_n"]) -> Moved:
+        q, v, a = jnp.split(error, 3)
+        new = state._replace(q=state.q + q, v=state.v + v, a=state.a + a)
+        return Moved(new, jnp.eye(len(error), dtype=error.dtype))
+
+    def root(self, state: JointState) -> Float[Array, "three_n three_n"]:
+        return self._together(state.root)
+
+    def with_root(self, state: JointState, root: Float[Array, "three_n three_n"]) -> JointState:
+        n, units = len(state.q), self.motion_std * self._units.astype(root.dtype)
+        # Joints are independent, so that the blocks between them are zero.
+        apart = jax.vmap(lambda i: root.reshape(3, n, 3, n)[:, i, :, i])(jnp.arange(n))
+        return state._replace(root=apart / units[None, :, None])
+
+    def _together(self, root: Float[Array, "n 3 3"]) -> Float[Array, "three_n three_n"]:
+        """Square root of the covariance of all positions, velocities and accelerations, in their units."""
+        n, units = len(root), self.motion_std * self._units.astype(root.dtype)
+        blocks = jnp.einsum("c,icd,ij->cidj", units, root, jnp.eye(n, dtype=root.dtype))
+        return blocks.reshape(3 * n, 3 * n)
+
+    def deviations(self, state: JointState) -> dict[str, Vector]:
+        return {"velocity_std": self._velocity_std(state.root)}
 
     def _started_anew(
         self, state: JointState, corrected: JointState, y: Vector, expected: Expectation, velocity: Velocity
@@ -205,7 +222,7 @@ class JointKalman(AbstractGatedFilter, AbstractLinearFilter):
 
     def _info(self, state: JointState, new: JointState, expected: Expectation, result: Code) -> JointInfo:
         nis = jnp.sum(expected.innovation**2 / jnp.diag(expected.cov))
-        return JointInfo(expected.innovation, nis, self._velocity_std(new.root), result)
+        return JointInfo(expected.innovation, nis, **self.deviations(new), result=result)
 
     def _velocity_std(self, root: Float[Array, "n 3 3"]) -> Vector:
         unit = self._units[1].astype(root.dtype)

@@ -607,21 +607,57 @@ def outcome(q: Array, v: Array, y: Array, result: Code | int = Result.OK) -> Cod
     return jnp.where(finite, measured, int(Result.NOT_FINITE)).astype(jnp.int32)
 
 
+class Rows(NamedTuple):
+    """The steps of a record, one for each of its rows.
+
+    Attributes:
+        u: Inputs (T, m) that acted since the previous stamp.
+        y: Measurements (T, *n).
+        dt: Times (T,) since the previous stamp [s], 0 for the first row.
+    """
+
+    u: Array
+    y: Array
+    dt: Array
+
+    @classmethod
+    def of(cls, t: Array, u: Array, y: Array) -> "Rows":
+        """Steps of the stamps t (T,), inputs u (T, m) and measurements y (T, *n) of a record."""
+        # The input of a row is held from its stamp on, so that a step uses that of the row before.
+        return cls(jnp.concatenate([u[:1], u[:-1]]), y, jnp.diff(t, prepend=t[:1]))
+
+
+def scan(observer: AbstractObserver, state: Any, rows: Rows) -> tuple[Any, tuple[Any, Any]]:
+    """Run an observer over rows from a state on.
+
+    Args:
+        observer: The observer.
+        state: State after the row before.
+        rows: The rows.
+
+    Returns:
+        The state after the last row, and the estimates and infos, stacked.
+    """
+
+    def step(state, row):
+        state, info = observer.step(state, *row)
+        # The first row starts the state: it is not a step, and repeats no earlier stamp.
+        first = (row.dt == 0) & (info.result == int(Result.REPEATED))
+        info = info._replace(result=jnp.where(first, int(Result.OK), info.result))
+        return state, (observer.estimate(state), info)
+
+    return jax.lax.scan(step, state, rows)
+
+
+def kept(info: Any, keep: Collection[str] | None) -> Any:
+    """The info with None in the fields that are not named in `keep`; all of it where that is None."""
+    return info if keep is None else info._replace(**dict.fromkeys(set(info._fields) - set(keep)))
+
+
 @eqx.filter_jit
 def _scan(observer: AbstractObserver, t: Array, u: Array, y: Array, keep: frozenset[str] | None):
-    # The input of a row is held from its stamp on, so that a step uses that of the row before.
-    before = jnp.concatenate([u[:1], u[:-1]])  # the input that acted since the previous stamp
-    dt = jnp.diff(t, prepend=t[:1])
-
-    def step(state, sample):
-        state, info = observer.step(state, *sample)
-        # The first row starts the state: it is not a step, and repeats no earlier stamp.
-        first = (sample[2] == 0) & (info.result == int(Result.REPEATED))
-        info = info._replace(result=jnp.where(first, int(Result.OK), info.result))
-        dropped = () if keep is None else set(info._fields) - keep
-        return state, (observer.estimate(state), info._replace(**dict.fromkeys(dropped)))
-
-    return jax.lax.scan(step, observer.init(y[0], t[0]), (before, y, dt))[1]
+    estimate, info = scan(observer, observer.init(y[0], t[0]), Rows.of(t, u, y))[1]
+    return estimate, kept(info, keep)
 
 
 def checked(observer: AbstractObserver, record: Record) -> Record:

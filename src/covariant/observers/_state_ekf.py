@@ -11,13 +11,13 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from covariant._integrate import rk4
-from covariant._linalg import solve
+from covariant._linalg import semidefinite_root, solve
 from covariant._typing import Code, Matrix, Number, Scalar, Vector
 from covariant.geometry import AbstractManifold
 from covariant.models import StateSpace
 from covariant.observers._gate import Gate
 from covariant.observers._gate_memory import GateMemory, Judged, Velocity
-from covariant.observers._gated_filter import AbstractGatedFilter, Expectation
+from covariant.observers._gated_filter import AbstractGatedFilter, Expectation, Moved, Used
 from covariant.observers._protocol import LastInput, check_finite, no_input
 from covariant.observers._sampled import steps_for
 from covariant.observers._square_root import normalised_square
@@ -142,17 +142,9 @@ class StateEKF(AbstractGatedFilter):
     def estimate(self, state: StateEKFState) -> Vector:
         return state.x
 
-    def predict(self, state: StateEKFState, u: Float[Array, "m"], dt: Scalar) -> StateEKFState:
-        """Integrate the model and the covariance over one step.
-
-        Args:
-            state: State after the sample before.
-            u: Input (m,), constant over the step.
-            dt: Length of the step [s].
-
-        Returns:
-            The state dt later, before a measurement.
-        """
+    def _predicted(
+        self, state: StateEKFState, u: Float[Array, "m"], dt: Scalar, carry: bool
+    ) -> tuple[StateEKFState, Matrix | None]:
         count = self.needed_substeps(state, u, dt) if self.substeps is None else self.substeps
 
         def ahead(x):
@@ -165,7 +157,8 @@ class StateEKF(AbstractGatedFilter):
         density = jnp.asarray(self.process_cov, x.dtype)
         added = density + 4 * half @ density @ half.T + transition @ density @ transition.T
         cov = transition @ state.cov @ transition.T + dt / 6 * added
-        return state._replace(x=x, t=state.t + dt, cov=cov, gate=state.gate.advanced(dt))
+        new = state._replace(x=x, t=state.t + dt, cov=cov, gate=state.gate.advanced(dt))
+        return new, transition @ self.root(state) if carry else None
 
     @property
     def _manifold(self) -> AbstractManifold:
@@ -185,9 +178,7 @@ class StateEKF(AbstractGatedFilter):
     def _usual_velocity(self, state: StateEKFState) -> None:
         return None
 
-    def _used(
-        self, state: StateEKFState, y: Float[Array, "p"], expected: Expectation, used: Bool[Array, "p"]
-    ) -> StateEKFState:
+    def _used(self, state: StateEKFState, y: Float[Array, "p"], expected: Expectation, used: Bool[Array, "p"]) -> Used:
         x, noise = state.x, expected.noise
         slope: Array = expected.details
         # The noise of an output that is not used must not affect the others, even where the two are correlated.
@@ -197,8 +188,21 @@ class StateEKF(AbstractGatedFilter):
         remaining = jnp.eye(len(x), dtype=x.dtype) - gain @ output
         # Joseph form: a sum of squares, so that rounding does not make it indefinite.
         cov = remaining @ state.cov @ remaining.T + gain @ noise @ gain.T
-        x_new = x + gain @ jnp.where(used, expected.innovation, 0.0)
-        return state._replace(x=x_new, cov=(cov + cov.T) / 2)
+        error = gain @ jnp.where(used, expected.innovation, 0.0)
+        moved, reset = self.moved(state, error)
+        return Used(moved._replace(cov=(cov + cov.T) / 2), error, reset)
+
+    def moved(self, state: StateEKFState, error: Vector) -> Moved:
+        return Moved(state._replace(x=state.x + error), jnp.eye(len(error), dtype=error.dtype))
+
+    def root(self, state: StateEKFState) -> Matrix:
+        return semidefinite_root(state.cov)
+
+    def with_root(self, state: StateEKFState, root: Matrix) -> StateEKFState:
+        return state._replace(cov=root @ root.T)
+
+    def deviations(self, state: StateEKFState) -> dict[str, Vector]:
+        return {"state_std": jnp.sqrt(jnp.diag(state.cov))}
 
     def _started_anew(
         self,
@@ -221,7 +225,7 @@ class StateEKF(AbstractGatedFilter):
     def _info(self, state: StateEKFState, new: StateEKFState, expected: Expectation, result: Code) -> StateEKFInfo:
         _, innovation, cov, _, present, *_ = expected
         nis = normalised_square(cov, innovation, present)
-        return StateEKFInfo(innovation, jnp.sqrt(nis), cov, nis, jnp.sqrt(jnp.diag(new.cov)), result)
+        return StateEKFInfo(innovation, jnp.sqrt(nis), cov, nis, **self.deviations(new), result=result)
 
     def advance(
         self, state: StateEKFState, u: Float[Array, "m"], y: Float[Array, "p"], dt: Scalar
@@ -238,8 +242,8 @@ class StateEKF(AbstractGatedFilter):
             The new state and the info, whose `state_std` is that of the old state where dt is zero.
         """
         new, info = self.correct(self.predict(state, u, dt), u, y)
-        std_before = jnp.sqrt(jnp.diag(state.cov))  # a repeated stamp changes nothing
-        return new, info._replace(state_std=jnp.where(dt > 0, info.state_std, std_before))
+        before = self.deviations(state)["state_std"]  # a repeated stamp changes nothing
+        return new, info._replace(state_std=jnp.where(dt > 0, info.state_std, before))
 
     def needed_substeps(self, state: StateEKFState, u: Array, dt: Scalar) -> Code:
         """Number of Runge–Kutta steps that keep h·rate ≤ 1, with a bound on the eigenvalues of ∂f/∂x.

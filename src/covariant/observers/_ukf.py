@@ -24,10 +24,10 @@ from covariant._linalg import semidefinite_root, triangular
 from covariant._typing import Code, Matrix, Number, Scalar, Vector
 from covariant.models import MechanicalSystem, Motion
 from covariant.observers._covariance import Covariance, check_covariance, covariance_at, isotropic
-from covariant.observers._ekf import EKFInfo, ekf_info
+from covariant.observers._ekf import EKFInfo, ekf_info, moved
 from covariant.observers._gate import Gate, with_block
 from covariant.observers._gate_memory import GateMemory, Velocity
-from covariant.observers._gated_filter import AbstractMechanicalFilter, Expectation
+from covariant.observers._gated_filter import AbstractMechanicalFilter, Expectation, Moved, Used
 from covariant.observers._protocol import LastInput, as_gain, at_rest, check_finite
 from covariant.observers._sampled import predict
 from covariant.observers._square_root import diagonal, updated, white_acceleration
@@ -117,17 +117,9 @@ class UKF(AbstractMechanicalFilter):
         """Covariance (2n, 2n) of the error `(local(q̂, q), v − v̂)` in a state, from its square root."""
         return state.root @ state.root.T
 
-    def predict(self, state: UKFState, u: Float[Array, "m"], dt: Scalar) -> UKFState:
-        """Integrate every sigma point over one step, and take their mean and covariance, with the process noise added.
-
-        Args:
-            state: State after the sample before.
-            u: Input (m,), constant over the step.
-            dt: Length of the step [s].
-
-        Returns:
-            The state dt later, before a measurement.
-        """
+    def _predicted(
+        self, state: UKFState, u: Float[Array, "m"], dt: Scalar, carry: bool
+    ) -> tuple[UKFState, Matrix | None]:
         manifold, n = self.model.manifold, state.v.shape[0]
         squared_radius = 2 * n * self.spread**2  # L + λ = α²(L + κ) of the scaled set, L = 2n
 
@@ -151,7 +143,11 @@ class UKF(AbstractMechanicalFilter):
         noise = white_acceleration(covariance_at(self.process_cov, self.model.space, q), dt)
         # The triangular factor of both roots side by side is the root of the sum of their covariances.
         root = triangular(jnp.concatenate([columns, noise.astype(columns.dtype)], axis=1))
-        return state._replace(q=q, v=v, t=state.t + dt, root=root, gate=state.gate.advanced(dt))
+        new = state._replace(q=q, v=v, t=state.t + dt, root=root, gate=state.gate.advanced(dt))
+        # The covariance of the points before and after is S times the transpose of this, as with a transition Φ: half
+        # the difference of opposite points, in units of their distance, is the statistical linearisation of ΦS.
+        plus, minus = jnp.split(deviations[1:], 2)
+        return new, (plus - minus).T / (2 * squared_radius**0.5) if carry else None
 
     def _expected(self, state: UKFState, u: Float[Array, "m"], y: Array) -> Expectation:
         manifold, n = self.model.manifold, state.v.shape[0]
@@ -166,11 +162,24 @@ class UKF(AbstractMechanicalFilter):
     def _usual_velocity(self, state: UKFState) -> Matrix:
         return isotropic(self.initial_velocity_std, state.v)
 
-    def _used(self, state: UKFState, y: Array, expected: Expectation, used: Bool[Array, "n"]) -> UKFState:
+    def _used(self, state: UKFState, y: Array, expected: Expectation, used: Bool[Array, "n"]) -> Used:
         n = state.v.shape[0]
         gain, root = updated(state.root, state.root[:n], expected.noise, used)
         error = gain @ expected.innovation
-        return state._replace(q=self.model.manifold.retract(state.q, error[:n]), v=state.v + error[n:], root=root)
+        new, reset = self.moved(state, error)
+        return Used(new._replace(root=root), error, reset)
+
+    def moved(self, state: UKFState, error: Float[Array, "two_n"]) -> Moved:
+        return moved(self.model, state, error)
+
+    def root(self, state: UKFState) -> Float[Array, "two_n two_n"]:
+        return state.root
+
+    def with_root(self, state: UKFState, root: Float[Array, "two_n two_n"]) -> UKFState:
+        return state._replace(root=root)
+
+    def deviations(self, state: UKFState) -> dict[str, Vector]:
+        return {"velocity_std": jnp.sqrt(jnp.sum(state.root[state.v.shape[0] :] ** 2, axis=1))}
 
     def _started_anew(
         self, state: UKFState, corrected: UKFState, y: Array, expected: Expectation, velocity: Velocity
@@ -182,8 +191,7 @@ class UKF(AbstractMechanicalFilter):
         return corrected._replace(q=q, v=velocity.mean, root=root.at[:n, :n].set(position))
 
     def _info(self, state: UKFState, new: UKFState, expected: Expectation, result: Code) -> EKFInfo:
-        std = jnp.sqrt(jnp.sum(new.root[state.v.shape[0] :] ** 2, axis=1))
-        return ekf_info(self.model, state.q, expected, std, result)
+        return ekf_info(self.model, state.q, expected, self.deviations(new), result)
 
     def _first_root(self, q: Array, velocity_cov: Matrix) -> Float[Array, "two_n two_n"]:
         position = semidefinite_root(covariance_at(self.measurement_cov, self.model.space, q))

@@ -21,4 +21,5 @@ from ._progress import Progress as Progress
 from ._reproduce import ReproduceResult as ReproduceResult, reproduce_paper as reproduce_paper
 from ._result import AbstractResult as AbstractResult, AbstractTable as AbstractTable
 from ._simulate import SimulateResult as SimulateResult, simulate as simulate
+from ._smooth import SmoothResult as SmoothResult, smooth as smooth
 from ._tune import TuneResult as TuneResult, tune as tune

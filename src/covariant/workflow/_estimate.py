@@ -113,7 +113,8 @@ def estimate(
     progress("reading the log")
     loaded = load(job, score)
     observer = observer or estimators(loaded.model)[0]
-    chosen, notes = _choose(job, loaded, observer, alpha, beta)
+    chosen, notes = choose_observer(job, loaded, observer, alpha, beta)
+    chosen = with_sensor_delays({observer: chosen}, loaded)[observer]
     progress(f"estimating with {observer}")
     outcome = drive(chosen, loaded, engine)
     if outcome.failed:
@@ -286,7 +287,7 @@ class EstimateResult(AbstractTable):
             f"{result['log']}: {result['rows']} rows, {result['observer']} observer",
             *([f"t counts from {result['t_counts_from']}"] if "t_counts_from" in result else []),
             result["design"],
-            *_errors(result, self.loaded),
+            *error_lines(result, self.loaded),
         ]
         if "logged_velocity_rmse" in result:
             speeds = with_units(result["logged_velocity_rmse"], sought_units(self.loaded.file))
@@ -331,7 +332,7 @@ class EstimateResult(AbstractTable):
     def _page(self) -> Any:
         what = "States" if self.loaded.model.sought.what == "state" else "Velocities"
         curves = report_curves({self.observer_name: self.outcome})
-        notes = (*self.design, *_errors(self.summary, self.loaded))
+        notes = (*self.design, *error_lines(self.summary, self.loaded))
         title = f"{what} of {self.job.title}"
         return estimate_report(title, self.loaded, curves, notes, headline=self.headline, warnings=self.warnings)
 
@@ -346,10 +347,23 @@ def _check_arguments(observer: str | None, alpha: float | None, beta: float | No
         raise ValueError(f"--alpha and --beta must be positive numbers; got {alpha} and {beta}")
 
 
-def _choose(
-    job: Job, loaded: Loaded, observer: str, alpha: float | None, beta: float | None
+def choose_observer(
+    job: Job, loaded: Loaded, observer: str, alpha: float | None = None, beta: float | None = None
 ) -> tuple[AbstractObserver, tuple[str, ...]]:
-    """The observer of a name with its gains, and sentences on its design."""
+    """Design the observer of a name, as if its readings were never late.
+
+    Args:
+        job: The model and the log, for messages.
+        loaded: Both as they were read.
+        observer: Name of the observer.
+        alpha, beta: Gains [1/s], [1/s²] in place of the designed ones; both or neither.
+
+    Returns:
+        The observer, and sentences on its design.
+
+    Raises:
+        ValueError: Where it does not fit the model, or the model file lacks numbers.
+    """
     model = loaded.model
     if observer not in estimators(model):
         raise ValueError(
@@ -363,15 +377,10 @@ def _choose(
             )
         stated = f"Given gains: alpha = {alpha:g} 1/s, beta = {beta:g} 1/s²."
         if loaded.file.measurement_std is None or loaded.file.acceleration_std is None:
-            return with_sensor_delays(available, loaded)[observer], (
-                f"{stated} No measurement is refused: the model file tells no noise.",
-            )
-        behind = {observer: gated(available[observer], model, log_sheet(loaded))}
-        return with_sensor_delays(behind, loaded)[observer], (stated,)
+            return available[observer], (f"{stated} No measurement is refused: the model file tells no noise.",)
+        return gated(available[observer], model, log_sheet(loaded)), (stated,)
     if not loaded.file.mechanical:
-        return with_sensor_delays(tuned_states(loaded, (observer,)), loaded)[observer], (
-            state_design_note(loaded.file) + loaded.note,
-        )
+        return tuned_states(loaded, (observer,))[observer], (state_design_note(loaded.file) + loaded.note,)
     sheet = log_sheet(loaded)
     designed = observer_gains(sheet, loaded.rate).summary
     tuned = tuned_estimators(model, loaded.file.dimension, sheet, loaded.rate, names=(observer,))
@@ -387,11 +396,16 @@ def _choose(
     ]
     if asked and not getattr(tuned[observer], "slow_names", ()):
         unused = f" It does not estimate {' and '.join(asked)}; intrinsic-kalman does."
-    return with_sensor_delays(tuned, loaded)[observer], (f"Designed {designed}.{loaded.note}{unused}",)
+    return tuned[observer], (f"Designed {designed}.{loaded.note}{unused}",)
 
 
-def _errors(result: Mapping[str, Any], loaded: Loaded) -> list[str]:
-    """Sentences on the errors, and on the innovations, which need no reference."""
+def error_lines(result: Mapping[str, Any], loaded: Loaded) -> list[str]:
+    """Sentences on the errors, and on the innovations, which need no reference.
+
+    Args:
+        result: Summary of an `EstimateResult`.
+        loaded: Model and log.
+    """
     lines = []
     what = loaded.model.sought.what
     if f"{what}_rmse" in result:

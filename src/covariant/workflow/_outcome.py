@@ -86,12 +86,29 @@ def drive(observer: AbstractObserver, loaded: Loaded, engine: Engine = "auto", t
         # The engine that did the first run, by its name: what it compiled is used again.
         jax.block_until_ready(run_log(observer, loaded.record, KEPT, "c" if by == "c" else "jax")[0])
         spent = min(spent, time.perf_counter() - began)
+    return scored(observer, run, loaded, by, 1e6 * spent / len(run.t) if timed else math.nan)
+
+
+def scored(
+    observer: AbstractObserver, run: Run, loaded: Loaded, engine: str, microseconds: float = math.nan
+) -> Outcome:
+    """Score a run of an observer on a log.
+
+    Args:
+        observer: The observer.
+        run: Its run, with the fields `KEPT` of its info.
+        loaded: Model and log.
+        engine: What computed it, as in `Outcome.engine`.
+        microseconds: Computing time of a sample [µs].
+
+    Returns:
+        The run with its score.
+    """
     velocity = np.asarray(loaded.model.sought.of(run.estimate))
     score = None if loaded.reference is None else _score(velocity, run.info, loaded.reference)
-    each = 1e6 * spent / len(run.t) if timed else math.nan
     # Behind a gate or a delay, too.
     named = getattr(getattr(observer, "observer", observer), "slow_names", ())
-    return Outcome(run, velocity, _nis(run.info, loaded), score, each, by, named)
+    return Outcome(run, velocity, _nis(run.info, loaded), score, microseconds, engine, named)
 
 
 def engine_is_notable(by: str, asked: Engine) -> bool:

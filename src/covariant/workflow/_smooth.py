@@ -1,0 +1,287 @@
+"""`smooth`: velocities or states from a log afterwards, from the rows before and after each."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import jax
+import numpy as np
+
+from covariant import logs
+from covariant.calibration import estimators
+from covariant.models import Overrides
+from covariant.observers import SMOOTHED, smooth as smooth_record
+from covariant.workflow._estimate import EstimateResult, choose_observer, error_lines
+from covariant.workflow._inputs import (
+    ColumnNames,
+    Job,
+    load,
+    numbered,
+    sought_columns,
+    sought_units,
+    with_sensor_delays,
+)
+from covariant.workflow._outcome import KEPT, deviations, report_curves, rounded, scored, with_units
+from covariant.workflow._outputs import check_output
+from covariant.workflow._pages import estimate_report, write_report
+from covariant.workflow._progress import Progress, silent
+from covariant.workflow._result import AbstractTable
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+def smooth(
+    model: Any,
+    log: Any,
+    *,
+    observer: str | None = None,
+    lag: float | None = None,
+    score: bool = False,
+    overrides: Overrides = (),
+    every: int = 1,
+    start: float | None = None,
+    until: float | None = None,
+    columns: ColumnNames | None = None,
+    anyway: bool = False,
+    progress: Progress = silent,
+) -> "SmoothResult":
+    """Estimate velocities, or states of a state-space model, afterwards: from the rows before and after each.
+
+    A filter runs over the log, and then a Rauch–Tung–Striebel smoother back over what it stored; see
+    `observers.smooth`. It believes the model as the filter does, so that an error of the model is an error of both.
+
+    Args:
+        model: A model file (.toml), a robot (.urdf, .xml), `module:attribute`, the name of a system or a robot of the
+            library, a `ModelFile`, or a system.
+        log: A path (.csv, .txt, .tsv, .parquet, .mcap, a rosbag2), a `Record`, a DataFrame, or an xarray Dataset.
+        observer: Name of the filter: `intrinsic-kalman` (default of a mechanical model), `ekf`, `ukf`, `joint-kalman`,
+            or `covariance-ekf` (default of a state-space model).
+        lag: Time after each row [s] from which it is estimated; all of the log (default) where it is None. The number
+            of rows is that of the median interval.
+        score: Whether velocities are scored against slopes of the positions where the log has no true velocities.
+        overrides: Values that replace those of the model file: `{"measurement.std": 1e-4}`, or
+            `["measurement.std=1e-4"]`.
+        every: Use each k-th row.
+        start, until: Use the log from and up to this time [s] since its first row.
+        columns: Names of columns by field (t, q, u, v, truth) that replace those of the model file.
+        anyway: Go on with a log that does not fit the model at all.
+        progress: Called with a description and a fraction as the work goes on.
+
+    Returns:
+        The estimates with their standard deviations, and those of the filter beside them.
+
+    Raises:
+        MisfitError: Where the model explains nothing of the motion in the log.
+        ValueError: For an observer without a covariance, late readings, other bad arguments, a model or log that cannot
+            be used, or an estimate that diverged.
+
+    Example:
+        >>> import covariant
+        >>> log = covariant.simulate("oscillator", duration=2.0, rate=100.0, q0=[1.0], noise=1e-3).record
+        >>> noise = {"measurement.std": 1e-3, "uncertainty.acceleration": 0.1}
+        >>> result = covariant.smooth("oscillator", log, overrides=noise)
+        >>> bool((result.velocity_std <= result.filtered.velocity_std).all())
+        True
+    """
+    if lag is not None and not 0 <= lag < np.inf:
+        raise ValueError(f"--lag must be a time [s], 0 or more; got {lag}")
+    if observer is not None and observer not in SMOOTHED:
+        raise ValueError(f"--observer {observer} cannot be smoothed; these can: {', '.join(SMOOTHED)}")
+    job = Job(model, log, overrides, every, until, columns or {}, anyway, start)
+    progress("reading the log")
+    loaded = load(job, score)
+    name = observer or next(name for name in SMOOTHED if name in estimators(loaded.model))
+    chosen, notes = choose_observer(job, loaded, name)
+    if with_sensor_delays({name: chosen}, loaded)[name] is not chosen:
+        raise ValueError(
+            f"{job.model_name}: a smoother does not make up for readings that are late (measurement.delay = "
+            f"{loaded.file.delay}); shift the positions of the log to when they were true, and give "
+            "--set measurement.delay=0"
+        )
+    rows = None if lag is None else lag_rows(np.asarray(loaded.record.t), lag)
+    progress(f"smoothing with {name}")
+    smoothed = jax.block_until_ready(smooth_record(chosen, loaded.record, rows, KEPT))
+    after, before = (
+        EstimateResult(job, loaded, name, notes, scored(chosen, jax.tree.map(np.asarray, run), loaded, "jax"), "auto")
+        for run in (smoothed.run, smoothed.filtered)
+    )
+    if before.outcome.failed or not (np.isfinite(after.velocity).all() and np.isfinite(smoothed.root).all()):
+        raise ValueError(f"{job.log_name}: the estimate left the finite numbers; check model and units")
+    return SmoothResult(after, before, np.asarray(smoothed.std), rows)
+
+
+def lag_rows(t: np.ndarray, lag: float) -> int:
+    """Number of rows within a time, the median over the log.
+
+    Args:
+        t: Stamps (T,) [s].
+        lag: The time [s].
+    """
+    return round(lag / float(np.median(np.diff(t))))
+
+
+@dataclass(frozen=True, repr=False)
+class SmoothResult(AbstractTable):
+    """Smoothed estimates from a log: a table of time, configuration and velocities with their standard deviations.
+
+    Attributes:
+        smoothed: The smoothed estimates.
+        filtered: The estimates of the filter, from the rows before each only.
+        error_std: Standard deviations (T, N) of the error of the smoothed estimates, as in
+            `observers.Smoothed.root`.
+        lag: Number of rows after each from which it is estimated; None for all.
+
+    Example:
+        >>> import covariant
+        >>> log = covariant.simulate("oscillator", duration=2.0, rate=100.0, q0=[1.0], noise=1e-3).record
+        >>> noise = {"measurement.std": 1e-3, "uncertainty.acceleration": 0.1}
+        >>> result = covariant.smooth("oscillator", log, overrides=noise, lag=0.1)
+        >>> result
+        <SmoothResult: velocity from 201 rows by intrinsic-kalman, smoothed from 10 rows after each>
+        >>> list(result.columns)
+        ['t', 'q1', 'v1', 'v1_std', 'q1_std', 'v1_filtered', 'v1_filtered_std']
+    """
+
+    smoothed: EstimateResult
+    filtered: EstimateResult
+    error_std: np.ndarray
+    lag: int | None
+
+    @property
+    def t(self) -> np.ndarray:
+        """Stamps (T,) [s]."""
+        return self.smoothed.t
+
+    @property
+    def velocity(self) -> np.ndarray:
+        """Smoothed velocities (T, n), or states of a state-space model, in the units of the model."""
+        return self.smoothed.velocity
+
+    @property
+    def velocity_std(self) -> np.ndarray:
+        """Standard deviations (T, n) of `velocity`, in its units."""
+        return np.asarray(self.smoothed.velocity_std)
+
+    @property
+    def _positions(self) -> tuple[str, ...]:
+        """Names of the coordinates, which have a standard deviation each; none on a group."""
+        file = self.smoothed.loaded.file
+        return numbered("q", file.dimension) if file.mechanical and file.model.manifold.commuting else ()
+
+    @property
+    def columns(self) -> dict[str, np.ndarray]:
+        table, positions = self.smoothed.columns, self._positions
+        table |= {f"{name}_std": std for name, std in zip(positions, self.error_std.T, strict=False)}
+        names = sought_columns(self.smoothed.loaded.file)
+        for suffix, values in (("", self.filtered.velocity), ("_std", deviations(self.filtered.run.info))):
+            for name, column in zip(names, np.asarray(values).T, strict=True):
+                table[f"{name}_filtered{suffix}"] = column
+        return table
+
+    @property
+    def units(self) -> dict[str, str]:
+        file, units = self.smoothed.loaded.file, self.smoothed.units
+        for name, unit in zip(sought_columns(file), sought_units(file), strict=True):
+            units |= {f"{name}_filtered": unit, f"{name}_filtered_std": unit}
+        return units
+
+    def save(self, path: str | Path, overwrite: bool = True) -> Path:
+        """Write the table to a log; in messages of ROS, as `EstimateResult.save` does, without the filter's columns.
+
+        Args:
+            path: The log to write (.csv, .txt, .tsv, .parquet, .mcap, .rosbag2).
+            overwrite: Whether a file that exists may be replaced, other than the log that was read.
+
+        Returns:
+            The path.
+
+        Raises:
+            ValueError: For another suffix, a folder that does not exist, or the path of the log that was read.
+        """
+        path = Path(path)
+        if path.suffix in logs.MESSAGES:
+            return self.smoothed.save(path, overwrite)
+        check_output(path, *logs.WRITTEN, log=self.smoothed.job.log, overwrite=overwrite)
+        logs.write(path, self.columns, self.smoothed.loaded.log.origin_ns)
+        return path
+
+    @property
+    def summary(self) -> dict[str, Any]:
+        what = self.smoothed.loaded.model.sought.what
+        before = {key: value for key, value in self.filtered.summary.items() if key in (f"{what}_rmse", "nis", "nees")}
+        std, before_std = (
+            {f"{what}_std": rounded(np.median(np.asarray(each.velocity_std), axis=0))}
+            for each in (self.smoothed, self.filtered)
+        )
+        return self.smoothed.summary | std | {"lag_rows": self.lag, "filter": before | before_std}
+
+    @property
+    def headline(self) -> str:
+        return f"{self.smoothed.headline}, {self._extent}"
+
+    @property
+    def _extent(self) -> str:
+        after = "all rows" if self.lag is None else f"{self.lag} row{'s' * (self.lag != 1)} after each"
+        return f"smoothed from {after}"
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        return self.smoothed.warnings
+
+    def __str__(self) -> str:
+        result, loaded = self.summary, self.smoothed.loaded
+        what, units = loaded.model.sought.what, sought_units(loaded.file)
+        origin = [f"t counts from {result['t_counts_from']}"] if "t_counts_from" in result else []
+        lines = [
+            f"{result['log']}: {result['rows']} rows, {result['observer']} observer, {self._extent}",
+            *origin,
+            result["design"],
+            *error_lines(result, loaded),
+        ]
+        if f"{what}_rmse" in result:
+            lines.append(f"{what} RMSE of the filter: {with_units(result['filter'][f'{what}_rmse'], units)}")
+        spread = (with_units(each[f"{what}_std"], units) for each in (result, result["filter"]))
+        lines.append("median standard deviation of the {}: {}; of the filter {}".format(what, *spread))
+        return "\n".join([*lines, *self.warnings])
+
+    def report(self, path: str | Path) -> list[Path]:
+        """Write an interactive page of the estimates, with those of the filter, and figures (.png) beside it.
+
+        Args:
+            path: The page to write (.html).
+
+        Returns:
+            The paths of all files, the page first.
+
+        Raises:
+            ImportError: Without matplotlib or plotly; nothing is written then.
+        """
+        return write_report(Path(path), self._page())
+
+    def plot(self, path: str | Path | None = None) -> "Figure":
+        """Draw velocities or states, and their errors where there is a reference.
+
+        Args:
+            path: Where the figure is written as well (.png, .pdf, .svg); by default it is not.
+
+        Returns:
+            The figure, a row of panels for each coordinate.
+
+        Raises:
+            ImportError: Without matplotlib.
+        """
+        from covariant.report import figure, save_figure
+
+        page_figure = figure(self._page())
+        if path is not None:
+            save_figure(page_figure, Path(path))
+        return page_figure
+
+    def _page(self) -> Any:
+        loaded, name = self.smoothed.loaded, self.smoothed.observer_name
+        what = "States" if loaded.model.sought.what == "state" else "Velocities"
+        curves = report_curves({"smoothed": self.smoothed.outcome, name: self.filtered.outcome})
+        notes = (*self.smoothed.design, *error_lines(self.summary, loaded))
+        title = f"{what} of {self.smoothed.job.title}, smoothed"
+        return estimate_report(title, loaded, curves, notes, headline=self.headline, warnings=self.warnings)

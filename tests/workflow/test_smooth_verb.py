@@ -1,0 +1,89 @@
+"""The verb `smooth`: a table with the filter beside it, what it refuses, and what it prints."""
+
+import json
+import sys
+
+import numpy as np
+import pytest
+
+import covariant
+from covariant.cli import main
+from covariant.observers import REGISTRY, SMOOTHED
+from covariant.observers._gated_filter import AbstractGatedFilter
+
+NOISE = {"measurement.std": 1e-3, "uncertainty.acceleration": 0.2}
+
+
+def swing(noise: float = 1e-3):
+    return covariant.simulate("oscillator", duration=3.0, rate=100.0, q0=[1.0], noise=noise, seed=1)
+
+
+@pytest.fixture(scope="module")
+def smoothed(tmp_path_factory):
+    log = swing().save(tmp_path_factory.mktemp("smooth") / "log.csv")
+    return covariant.smooth("oscillator", log, overrides=NOISE, columns={"truth": "true_v1"}), log
+
+
+def test_the_names_are_those_of_the_filters_with_a_covariance_and_a_gate():
+    assert tuple(e.name for e in REGISTRY if issubclass(e.observer, AbstractGatedFilter)) == SMOOTHED
+
+
+def test_it_is_nearer_to_the_truth_than_the_filter_and_says_so(smoothed):
+    result, _ = smoothed
+    table, summary = result.columns, result.summary
+    assert list(table) == ["t", "q1", "v1", "v1_std", "q1_std", "v1_filtered", "v1_filtered_std"]
+    assert result.units["q1_std"] == "m"
+    assert result.units["v1_filtered_std"] == "m/s"
+    assert summary["velocity_rmse"][0] < 0.8 * summary["filter"]["velocity_rmse"][0]
+    assert summary["velocity_std"][0] < summary["filter"]["velocity_std"][0]
+    assert (table["v1_std"] <= table["v1_filtered_std"]).all()
+    assert json.dumps(summary)
+    text = str(result)
+    assert "smoothed from all rows" in text
+    assert "velocity RMSE of the filter" in text
+
+
+def test_the_filter_beside_it_is_what_estimate_returns(smoothed):
+    result, log = smoothed
+    filtered = covariant.estimate("oscillator", log, observer="intrinsic-kalman", overrides=NOISE, engine="jax")
+    np.testing.assert_allclose(result.filtered.velocity, filtered.velocity, rtol=0, atol=1e-10)
+    np.testing.assert_allclose(result.filtered.velocity_std[1:], filtered.velocity_std[1:], rtol=1e-9)
+
+
+REFUSED = [
+    ({"observer": "intrinsic"}, "--observer intrinsic cannot be smoothed; these can: intrinsic-kalman, ekf, ukf, "),
+    ({"observer": "covariance-ekf"}, "covariance-ekf does not fit oscillator"),
+    ({"lag": -1.0}, "--lag must be a time"),
+    ({"overrides": NOISE | {"measurement.delay": 0.05}}, "late .*shift the positions"),
+    ({"overrides": {}}, "measurement.std"),
+]
+
+
+@pytest.mark.parametrize(("wrong", "words"), REFUSED)
+def test_what_cannot_be_smoothed_is_refused(smoothed, wrong, words):
+    with pytest.raises(ValueError, match=words):
+        covariant.smooth("oscillator", smoothed[1], **({"overrides": NOISE} | wrong))
+
+
+def test_a_state_space_model_is_smoothed_by_its_filter():
+    log = covariant.simulate("duffing", duration=2.0, rate=50.0, noise=1e-2, seed=2).record
+    noise = {"measurement.std": 1e-2, "uncertainty.process": 0.1}
+    result = covariant.smooth("duffing", log, overrides=noise, lag=0.2)
+    assert result.smoothed.observer_name == "covariance-ekf"
+    assert result.lag == 10
+    assert "smoothed from 10 rows after each" in str(result)
+    assert (result.velocity_std <= result.filtered.velocity_std + 1e-12).all()
+
+
+def test_the_command_writes_the_table(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    swing().save("log.csv")
+    options = [f"--set={key}={value}" for key, value in NOISE.items()]
+    arguments = ["smooth", "oscillator", "log.csv", "-o", "s.csv", "--lag", "0.1", *options, "--json"]
+    monkeypatch.setattr(sys, "argv", ["covariant", *arguments])
+    with pytest.raises(SystemExit) as left:
+        main()
+    assert left.value.code in (0, None)
+    printed = json.loads(capsys.readouterr().out)
+    assert printed["lag_rows"] == 10
+    assert (tmp_path / "s.csv").read_text().splitlines()[0] == "t,q1,v1,v1_std,q1_std,v1_filtered,v1_filtered_std"
