@@ -120,8 +120,8 @@ PUBLIC = {
     "workflow": "AbstractResult AbstractTable AuditResult CertificateCheckResult CertifyResult CheckResult "
     "CompareResult EstimateResult ExcitationResult ExportResult FitResult InitResult MetricResult MisfitError "
     "ModelResult Progress ReproduceResult SimulateResult SmoothResult TuneResult audit_observer certify check "
-    "check_certificate check_model_output check_output compare describe_model design_excitation design_metric estimate export "
-    "fit init reproduce_paper simulate smooth tune",
+    "check_certificate check_model_output check_output compare describe_model design_excitation design_metric "
+    "estimate export fit init reproduce_paper simulate smooth tune",
 }
 
 
