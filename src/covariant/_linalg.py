@@ -294,6 +294,10 @@ def semidefinite_root(a: Matrix) -> Matrix:
     return jnp.stack(columns, axis=1)
 
 
+ROUNDING = 8
+"""Length of a row that depends on others, in roundings of its length and in its number of entries."""
+
+
 @traced_once
 def triangular(a: Float[Array, "n k"]) -> Matrix:
     """Lower triangular L with `L Lᵀ = a aᵀ`: a square root of a covariance from a wide one, without squaring it.
@@ -306,9 +310,32 @@ def triangular(a: Float[Array, "n k"]) -> Matrix:
     Returns:
         The factor L (n, n).
     """
+    return _triangular(a, 0.0)
+
+
+@traced_once
+def triangular_with_rank(a: Float[Array, "n k"]) -> Matrix:
+    """The same as `triangular`, with a column of exact zeros for each row that depends on others up to rounding.
+
+    Without that the rounding errors of such a row would be an axis of their own, along which later rows have parts: of
+    no matter for the product, but not for a solution by L.
+
+    Args:
+        a: Square root (n, k) of the covariance.
+
+    Returns:
+        The factor L (n, n).
+    """
+    return _triangular(a, ROUNDING * a.shape[1] * float(jnp.finfo(a.dtype).eps))
+
+
+def _triangular(a: Float[Array, "n k"], rounding: float) -> Matrix:
     columns, rest = [], a
     for k in range(a.shape[0]):
         length = jnp.sqrt(jnp.sum(rest[0] ** 2))
+        if rounding:
+            length = jnp.where(length > rounding * jnp.sqrt(jnp.sum(a[k] ** 2)), length, 0.0)
+            rest = rest.at[0].set(jnp.where(length > 0, rest[0], 0.0))
         # A row that depends on those before it has length zero here, and a column of zeros in L.
         axis = rest[0] / jnp.where(length > 0, length, 1.0)
         # Modified Gram and Schmidt, a = L Qᵀ: the rows that remain lose their part along `axis`.

@@ -442,7 +442,9 @@ def test_friction_and_rotors_that_a_robot_lacks_are_named(unknown, what, line):
 def test_what_a_model_lacks_is_named_before_an_estimate_and_for_chains():
     fault = with_fault("unknown rotor", 1)
     (found,) = (each for each in diagnose(fault.file, fault.record).findings if each.wrong)
-    assert found.line == "covariant fit MODEL LOG --parameters rotor_inertia"
+    assert found.line.startswith(
+        "covariant fit MODEL LOG --parameters rotor_inertia --set 'parameters.rotor_inertia=[0.1"
+    )
     refused = misfit(fault.file, fault.record)
     assert refused is not None
     assert refused.what == "rotor inertia"

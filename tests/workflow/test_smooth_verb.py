@@ -55,6 +55,8 @@ REFUSED = [
     ({"observer": "covariance-ekf"}, "covariance-ekf does not fit oscillator"),
     ({"lag": -1.0}, "--lag must be a time"),
     ({"overrides": NOISE | {"measurement.delay": 0.05}}, "late .*shift the positions"),
+    ({"overrides": NOISE | {"measurement.delay": 0.05}, "observer": "joint-kalman"}, "late .*shift the positions"),
+    ({"lag": 1e-9}, "--lag 1e-09 is less than half a row of the log"),
     ({"overrides": {}}, "measurement.std"),
 ]
 

@@ -177,7 +177,7 @@ def _findings(
     if missing is not None and missing.after < Blocks.of(corrected.left, best[1]).beyond_noise(HELD_OUT):
         # Friction looks like a delay and like a scale of an input, so these are looked for in the model that has it.
         wrong = best[1].misfit > BARELY or bool(_unexplained(case, best[1], best[0]))
-        findings.append(missing.finding(case.names, case.model.coordinates, file.system, wrong))
+        findings.append(missing.finding(case.names, case.model, file.system, wrong))
         case = case._replace(model=missing.model)
         delays, corrected = _delays(case, best[0])
     shifted, inputs = _rows_and_inputs(case, corrected, best[0], not any(each.what == "delay" for each in delays))
@@ -280,7 +280,7 @@ def misfit(file: ModelFile, record: Record) -> Finding | None:
         return None
     log = clearly(case)
     missing = None if log is None else missing_torques(case.model, log)
-    return findings[0] if missing is None else missing.finding(case.names, case.model.coordinates, file.system, True)
+    return findings[0] if missing is None else missing.finding(case.names, case.model, file.system, True)
 
 
 def _sensors(case: Case, stated: float | tuple[float, ...] | None) -> list[Finding]:

@@ -35,6 +35,8 @@ PLACES = 256
 """Random configurations among which those are sought that the motors can hold."""
 STARTING, LARGEST = 0.7, 1.25
 """Amplitudes from which a search starts, in the largest possible, and the most that its result may grow by."""
+STILL = 1e-3
+"""Largest speed, relative to the limit, of a joint that does not move."""
 HALVINGS = 16
 SLACK = 1e-3
 """Part of a limit that is not used, for what lies between the points of the grid."""
@@ -121,7 +123,8 @@ class Excitation(NamedTuple):
 
     Attributes:
         motion: The motion, which starts and ends each period at rest.
-        reference: One sine a joint, as large as the same limits allow.
+        reference: One sine a joint, each as large as the limits of positions and velocities allow, and all scaled
+            together to those of torques.
         expected: What a log of the motion is expected to show.
         expected_reference: The same of the reference.
         used, used_reference: Largest positions, velocities and torques (3, n) as fractions of the limits.
@@ -182,7 +185,8 @@ def design_excitation(
     problem = _Problem.of(family, limits, sensing, plan, half)
     evaluate = _compiled(problem)
     places = problem.places()
-    reference = one_sine_a_joint(plan.frequency, plan.harmonics, places[0], problem.amplitude)
+    inner = problem.limits
+    reference = one_sine_a_joint(plan.frequency, plan.harmonics, places[0], inner.room, inner.velocity)
     reference = problem.enlarged(reference, problem.farthest(reference))
     found = []
     for k in range(plan.starts):
@@ -198,6 +202,12 @@ def design_excitation(
         motion = problem.enlarged(motion, LARGEST)
         found.append((problem.expected(motion), motion))
     expected, motion = min(found, key=lambda pair: pair[0].size)
+    still = problem.used(motion, limits)[1] < STILL
+    if still.any():
+        joint = int(np.argmax(still))
+        raise ValueError(
+            f"effort: weight and friction leave no torque to move joint {limits.names[joint]!r}; give a larger effort"
+        )
     return Excitation(
         motion,
         reference,
@@ -281,7 +291,7 @@ class _Problem(NamedTuple):
         problem = cls(
             family, model, torques, inner, sensing, plan, half, resting_basis(plan.harmonics), amplitude, np.ones(0)
         )
-        plain = one_sine_a_joint(plan.frequency, plan.harmonics, problem.places()[0], amplitude)
+        plain = one_sine_a_joint(plan.frequency, plan.harmonics, problem.places()[0], inner.room, inner.velocity)
         q, v, a = plain.at(problem.times(COARSE))
         return problem._replace(sizes=usual_sizes(family, v, a, in_batches(efforts, model, q, v, a)))
 

@@ -11,12 +11,13 @@ from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from covariant.calibration._fourier import FourierMotion
 from covariant.calibration._robot_combinations import Combinations
 from covariant.calibration._robot_torques import (
     BLOCK,
+    FEWEST,
     FEWEST_BLOCKS,
     PRIOR,
     RESTING,
@@ -42,7 +43,7 @@ class Sensing(NamedTuple):
 
     Attributes:
         noise: Standard deviations (n,) of measured positions [rad or m], white.
-        torque_noise: Standard deviations (n,) of logged torques or forces [N m or N], white.
+        torque_noise: Standard deviations (n,) of logged torques or forces as felt at the joints [N m or N], white.
         rate: Rows in a second [Hz].
 
     Example:
@@ -62,12 +63,14 @@ class FitWindow(NamedTuple):
 
     Attributes:
         half: Half width [s].
+        duration: Length of the log [s].
         weight: Information of a second, in that of one residual torque.
         accelerations: Variances (n,) of residual accelerations.
         torque: Variances (n,) of residual torques beyond these.
     """
 
     half: float
+    duration: float
     weight: float
     accelerations: Float[np.ndarray, "n"]
     torque: Float[np.ndarray, "n"]
@@ -78,7 +81,7 @@ class FitWindow(NamedTuple):
         lags = self.half / KERNEL * np.arange(-KERNEL, KERNEL + 1)
         pace = 2 * np.pi * frequency * np.arange(points // 2 + 1)
         transfer = np.cos(pace[:, None] * lags) @ kernel / kernel.sum()
-        weight = self.weight / frequency / points
+        weight = self.weight * self.duration / points
         return tuple(jnp.asarray(each) for each in (transfer, weight, self.accelerations, self.torque))
 
 
@@ -86,7 +89,8 @@ class ExpectedErrors(NamedTuple):
     """What a log of a motion is expected to show of open numbers.
 
     Attributes:
-        errors: Standard errors (p,) of the numbers, NaN where the log would not determine one by itself.
+        errors: Standard errors (p,) of the numbers, NaN where the log would not show one by itself.
+        determined: Whether a fit of the log would say of each number (p,) that it is determined.
         combinations: What it would determine of numbers that it cannot tell apart.
         condition: Condition number of the regressor, scaled to usual sizes, over the directions that are determined.
         window: The window of the fit that makes the errors smallest.
@@ -95,10 +99,11 @@ class ExpectedErrors(NamedTuple):
     Example:
         >>> from covariant.calibration import ExpectedErrors
         >>> ExpectedErrors._fields
-        ('errors', 'combinations', 'condition', 'window', 'size')
+        ('errors', 'determined', 'combinations', 'condition', 'window', 'size')
     """
 
     errors: Float[np.ndarray, "p"]
+    determined: Bool[np.ndarray, "p"]
     combinations: Combinations
     condition: float
     window: FitWindow
@@ -136,9 +141,12 @@ def expected_errors(
     Raises:
         ValueError: The log is too short for a fit.
     """
-    if FEWEST_BLOCKS * BLOCK * half > duration:
+    half = max(half, FEWEST / sensing.rate)
+    # A fit loses half a window at both ends.
+    shortest = (FEWEST_BLOCKS * BLOCK + 2) * half
+    if shortest > duration:
         raise ValueError(
-            f"duration: a fit needs a log of {FEWEST_BLOCKS * BLOCK * half:.3g} s, and this one has {duration:.3g} s; "
+            f"duration: a fit needs a log of {shortest:.3g} s, and this one has {duration:.3g} s; "
             "give a longer duration, or a shorter estimate.reference_half"
         )
     x = np.zeros(len(family.names))
@@ -170,7 +178,7 @@ def expected_errors(
     rank = known.combinations.rank
     condition = float(np.sqrt(values[0] / values[rank - 1])) if rank else np.inf
     size = float(np.linalg.slogdet(covariance * outer)[1]) / (2 * len(sizes))
-    return ExpectedErrors(known.standard_errors, known.combinations, condition, window, size)
+    return ExpectedErrors(known.standard_errors, known.determined, known.combinations, condition, window, size)
 
 
 def _inertia(model: Any, q: Array) -> Array:
@@ -199,6 +207,7 @@ class _Rows(NamedTuple):
         used[:points] = used[len(used) - points :] = False
         window = FitWindow(
             half,
+            step * len(self.slopes),
             1 / half,
             sensing.noise**2 * spacing * step * np.sum(curvature**2),
             sensing.torque_noise**2 * spacing * np.sum(kernel**2) / step,

@@ -68,17 +68,24 @@ def resting_basis(harmonics: int) -> Float[np.ndarray, "h m"]:
 
 
 def one_sine_a_joint(
-    frequency: float, harmonics: int, centre: Float[np.ndarray, "n"], size: Float[np.ndarray, "n"]
+    frequency: float,
+    harmonics: int,
+    centre: Float[np.ndarray, "n"],
+    room: Float[np.ndarray, "n"],
+    velocity: Float[np.ndarray, "n"],
 ) -> FourierMotion:
     """Motion by one sine a joint, the harmonics spread over the joints from the first to the last.
+
+    Each is as large as positions and velocities of its joint allow.
 
     Args:
         frequency: Frequency of the first harmonic [Hz].
         harmonics: Number H of harmonics.
         centre: Means (n,) of the positions.
-        size: Amplitudes (n,).
+        room: Largest amplitudes (n,).
+        velocity: Largest speeds (n,).
     """
     coefficients = np.zeros((2 * harmonics, len(centre)))
     order = np.rint(np.linspace(1, harmonics, len(centre))).astype(int)
-    coefficients[order - 1, np.arange(len(centre))] = size
+    coefficients[order - 1, np.arange(len(centre))] = np.minimum(room, velocity / (2 * np.pi * frequency * order))
     return FourierMotion(frequency, centre, coefficients)

@@ -23,11 +23,17 @@ from covariant.models import Lagrangian, MechanicalSystem, resistance
 
 VISIBLE = 0.01
 """Fraction of the squares of the accelerations that a model has to leave beyond noise: 10 % of their size."""
-RESTING = 0.05
+SMOOTHED = 0.05
 """Speed over which dry friction is smoothed, relative to the root mean square of the speed of the joint."""
 NEEDED = 1.25
 """A number is named where the model leaves this many times as much without it as with all."""
 KINDS = ("viscous friction", "Coulomb friction", "rotor inertia")
+OF_CHAIN = {
+    "viscous friction": ("viscous", 1.0),
+    "Coulomb friction": ("coulomb", 2 / np.pi),  # times atan(100 v), which ends at pi/2
+    "rotor inertia": ("rotor_inertia", 1.0),
+}
+"""What a chain of pendulums calls them, and its numbers in these."""
 
 
 class MissingTorques(NamedTuple):
@@ -54,12 +60,12 @@ class MissingTorques(NamedTuple):
         of_kind = [name for name in ("friction", "rotor inertia") if any(kind.endswith(name) for kind in self.kinds)]
         return " and ".join(of_kind)
 
-    def finding(self, names: Names, coordinates: Sequence[str], system: str, wrong: bool) -> Finding:
+    def finding(self, names: Names, model: MechanicalSystem, system: str, wrong: bool) -> Finding:
         """Finding on friction and rotor inertia that a model lacks.
 
         Args:
             names: Columns of the log.
-            coordinates: Names of the coordinates of the model.
+            model: The model that lacks them.
             system: Name of the model's system, where it is one of the library.
             wrong: Whether the data sheet does not admit what the model leaves.
         """
@@ -75,24 +81,36 @@ class MissingTorques(NamedTuple):
         )
         if "rotor inertia" in self.kinds:
             evidence += "; too small an inertia of the links looks like it"
-        parameters = self.parameters(system, coordinates)
-        line = f"covariant fit MODEL LOG --parameters {parameters}" if parameters else f"give the model {self.what}"
+        line = self._command(model, system) or f"give the model {self.what}"
         where = ", ".join(names.q[i] for i in sorted(set(self.joints)))
         numbers = {"unexplained": self.before, "unexplained_after": self.after} | dict(
             zip(of, self.values, strict=True)
         )
         return Finding(self.what, where, evidence, line, wrong, numbers)
 
-    def parameters(self, system: str, coordinates: Sequence[str]) -> str:
-        """What `covariant fit --parameters` calls them, for a robot or a chain of pendulums; "" for others."""
+    def _command(self, model: MechanicalSystem, system: str) -> str:
+        """The command that fits them, for a robot or a chain of pendulums; "" for others."""
+        fitted = f"covariant fit MODEL LOG --parameters {self._parameters(system, model.coordinates)}"
+        if system != "pendulum_chain":
+            return fitted if system == "robot" else ""
+        # A file without a number, or with zeros, needs first values to fit from.
+        for kind, (name, factor) in OF_CHAIN.items():
+            stated = np.asarray(model.parameters[name].value)
+            if kind in self.kinds and not stated.any():
+                own = [i for i, each in enumerate(self.kinds) if each == kind]
+                values = np.full(len(stated), 0.1 * min(self.values[i] for i in own))
+                values[[self.joints[i] for i in own]] = [self.values[i] for i in own]
+                geared = np.asarray(model.parameters["gear"].value) ** 2 if name == "rotor_inertia" else 1.0
+                first = ", ".join(f"{value:.2g}" for value in factor * values / geared)
+                fitted += f" --set 'parameters.{name}=[{first}]'"
+        return fitted
+
+    def _parameters(self, system: str, coordinates: Sequence[str]) -> str:
+        if system == "pendulum_chain":
+            return ",".join(name for kind, (name, _) in OF_CHAIN.items() if kind in self.kinds)
         joints = {"friction": set(), "armature": set()}
         for kind, joint in zip(self.kinds, self.joints, strict=True):
             joints["armature" if kind == "rotor inertia" else "friction"].add(joint)
-        if system == "pendulum_chain":
-            of_kind = {"viscous friction": "viscous", "Coulomb friction": "coulomb", "rotor inertia": "rotor_inertia"}
-            return ",".join(name for kind, name in of_kind.items() if kind in self.kinds)
-        if system != "robot":
-            return ""
         every = set(range(len(coordinates)))
         named = (
             [group] if of == every else [f"{group}.{coordinates[i]}" for i in sorted(of)]
@@ -179,9 +197,9 @@ class _Regression(NamedTuple):
         """The numbers that matter beside the others, the least important dropped one after another."""
         used = [k for k, value in enumerate(self.values(range(len(self.columns)))) if value > 0]
         while used:
-            without = {k: self.left([j for j in used if j != k]) for k in used}
+            without = {k: self._left([j for j in used if j != k]) for k in used}
             least = min(used, key=without.__getitem__)
-            if without[least] > NEEDED * self.left(used):
+            if without[least] > NEEDED * self._left(used):
                 return used
             used.remove(least)
         return used
@@ -196,16 +214,16 @@ class _Regression(NamedTuple):
         orthogonal, triangle = np.linalg.qr(rows / size)
         return nnls(triangle, orthogonal.T @ self.residual[~self.held_out].ravel())[0] / size
 
-    def left(self, used: Sequence[int]) -> float:
-        """Mean square that is left on the blocks held out."""
-        left = self.residual[self.held_out]
+    def _left(self, used: Sequence[int]) -> float:
+        """Mean square that is left on the blocks that choose; those held out judge the model that comes of it."""
+        left = self.residual[~self.held_out]
         if used:
-            left = left - np.einsum("k,kjn->jn", self.values(used), self.columns[used][:, self.held_out])
+            left = left - np.einsum("k,kjn->jn", self.values(used), self.columns[used][:, ~self.held_out])
         return float(np.mean(left**2))
 
 
 def _speeds(log: Smooth) -> Float[np.ndarray, "n"]:
-    return RESTING * np.maximum(np.sqrt(np.mean(log.v[log.used] ** 2, axis=0)), 1e-12)
+    return SMOOTHED * np.maximum(np.sqrt(np.mean(log.v[log.used] ** 2, axis=0)), 1e-12)
 
 
 @eqx.filter_jit

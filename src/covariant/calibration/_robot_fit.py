@@ -25,6 +25,7 @@ from covariant._linalg import solve
 from covariant.calibration._robot_combinations import Combinations
 from covariant.calibration._robot_torques import (
     BLOCK,
+    FEWEST,
     FEWEST_BLOCKS,
     PRIOR,
     RESTING,
@@ -41,8 +42,6 @@ from covariant.calibration._smooth import held_inputs
 from covariant.models import MechanicalSystem, RobotFamily, applied_force, resistance
 from covariant.signals import Record
 
-FEWEST = 5
-"""Least number of samples in half a window."""
 FINE = 12
 """Points of the grid in half of the shortest window."""
 MOST_POINTS = 40_000
@@ -237,7 +236,7 @@ class _Search(NamedTuple):
         if len(v) < FEWEST_BLOCKS * BLOCK * FINE:
             raise ValueError(
                 f"the logs hold {len(v) * tracks[0].step:.3g} s without a gap, and a fit needs "
-                f"{FEWEST_BLOCKS * BLOCK * half:.3g} s; give longer logs"
+                f"{FEWEST_BLOCKS * BLOCK * tracks[0].half:.3g} s; give longer logs"
             )
         compiled = Torques.of(family)
         first = compiled.model(np.zeros(len(family.names)))

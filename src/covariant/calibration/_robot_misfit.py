@@ -23,7 +23,8 @@ MOVED = 6.0
 SLOW = 0.1
 """Speed, relative to the usual one, below which a joint may stick, so that its torque says nothing."""
 HEAVIEST = 30.0
-"""Largest inertia of a rotor or a load, relative to the robot's: less than degrees would need."""
+"""Largest inertia of a rotor or a load, relative to the robot's, that may explain a log in other units: a larger one
+explains any unit."""
 
 
 def robot_misfit(family: RobotFamily, file: ModelFile, record: Record) -> Finding | None:
@@ -60,13 +61,13 @@ def robot_misfit(family: RobotFamily, file: ModelFile, record: Record) -> Findin
     if not (np.ptp(log.q[log.used], axis=0) > MOVED * np.maximum(log.noise, case.ticks)).any():
         return standstill(case.record, case.model.circles, case.names, case.ticks)
     model, scaled = family.make(np.zeros(len(family.names))), any(n.group == "torque_constants" for n in family.numbers)
-    now = _unexplained(model, log, scaled)
+    now = _unexplained(model, log, scaled, np.inf)
     if not now > BARELY:
         return None
     tried = []
     for change in unit_changes(case.names, case.record):
         other = clearly(changed(case, change))
-        share = np.inf if other is None or not other.used.any() else _unexplained(model, other, scaled)
+        share = np.inf if other is None or not other.used.any() else _unexplained(model, other, scaled, HEAVIEST)
         if share < min(BARELY, now / MARGIN):
             tried.append((" and " in change.what, change.time != 1, share, change))
     if not tried:
@@ -80,9 +81,9 @@ def robot_misfit(family: RobotFamily, file: ModelFile, record: Record) -> Findin
     return Finding(change.what, change.where, evidence, change.line, True, {"unexplained": now, "after": share})
 
 
-def _unexplained(model: MechanicalSystem, log: Smooth, scaled: bool) -> float:
+def _unexplained(model: MechanicalSystem, log: Smooth, scaled: bool, heaviest: float) -> float:
     """Part of the squares of the torques, as a mean over the joints that move, which no friction, rotor and weight of a
-    right sign explain."""
+    right sign explain; rotors and loads are at most `heaviest`, relative to the robot's."""
     from scipy.optimize import lsq_linear
 
     shares, none = [], np.zeros_like(log.q)
@@ -96,7 +97,7 @@ def _unexplained(model: MechanicalSystem, log: Smooth, scaled: bool) -> float:
         inertia = np.sqrt(np.mean((standing - weight)[rows, j] ** 2) / np.maximum(np.mean(a[rows] ** 2), 1e-300))
         columns = [v, np.sign(v), np.ones_like(v), inertia * a, weight[:, j], -motor]
         least = (0.0, 0.0, -np.inf, 0.0, -1.0, 1 / HEAVIEST - 1)
-        most = (np.inf, np.inf, np.inf, HEAVIEST, HEAVIEST, HEAVIEST)
+        most = (np.inf, np.inf, np.inf, heaviest, heaviest, HEAVIEST)
         count = len(columns) if scaled else len(columns) - 1
         matrix = np.stack(columns[:count], axis=1)[rows]
         size = np.maximum(np.sqrt(np.mean(matrix**2, axis=0)), 1e-300)

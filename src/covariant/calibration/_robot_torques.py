@@ -31,6 +31,8 @@ torque up to the dry friction."""
 STICKING, SLOW = 3.0, 0.3
 """Speed from which a joint does not stick, in that at which dry friction is smoothed: tanh(3) is 1 up to half a per
 cent. In a slow motion it is this fraction of the usual speed, or once the smoothing speed."""
+FEWEST = 5
+"""Least number of samples in half a window."""
 BLOCK = 6.0
 """Length of a block, in half windows, over which residuals may be alike."""
 FEWEST_BLOCKS = 12

@@ -80,7 +80,8 @@ class Tuning(NamedTuple):
         model_free: Name of the best filter without a model, and its velocity RMSE on the held-out rows as a fraction of
             the velocities; None where there is none for this kind of system.
         rows: Number of rows for tuning.
-        candidates: Gains that were compared by the prediction of held-out measurements; empty where none were.
+        candidates: Gains that were compared by the prediction of held-out measurements, or by smoothed velocities;
+            empty where none were.
         source: Which of them these gains are.
         horizon: Number of rows over which they predicted; 0 where velocities were compared with smoothed ones, because
             the noise has a force.
@@ -137,8 +138,9 @@ def tune(
             a model are tuned to them.
         std: Least standard deviation (n,) of a reading, such as that of one tick of an encoder; by default a small
             fraction of the innovations.
-        before: Data sheet whose gains and noise are judged as well. What predicts held-out measurements worse than it
-            is not taken. Where it has an `external_force_std`, such a force is searched for.
+        before: Data sheet whose gains and noise are judged as well. What is worse than it on held-out rows, by
+            predictions, or by smoothed velocities where a force acts, is not taken. Where it has an
+            `external_force_std`, such a force is searched for.
         progress: Called with the name of each of the four stages when it begins.
         runs: Runs the observers with constant gains, of which there are dozens; by default JAX, one by one.
         window: Half width [s] and order of the polynomials of the reference, and rate [Hz] of the positions that they

@@ -112,7 +112,9 @@ def excitation(
     margin: Annotated[float, typer.Option(help="Fraction of all limits that is used.")] = 0.9,
     torque_noise: Annotated[
         str | None,
-        typer.Option(help="Standard deviation of logged torques, one or one each; 1 % of the largest by default."),
+        typer.Option(
+            help="Standard deviation of logged torques, as felt at the joints; 1 % of the largest by default."
+        ),
     ] = None,
     starts: Annotated[int, typer.Option(help="Starts of the search.")] = 3,
     seed: Annotated[int, typer.Option(help="Seed of the starts.", min=0)] = 0,

@@ -95,7 +95,9 @@ def smooth(
     observer: Filter = None,
     lag: Annotated[
         float | None,
-        typer.Option(help="Time after each row from which it is estimated [s]; the whole log by default."),
+        typer.Option(
+            help="Time after each row from which it is estimated [s], as rows at the median interval; all by default."
+        ),
     ] = None,
     override: Override = [],  # noqa: B006  typer copies it
     score: Annotated[

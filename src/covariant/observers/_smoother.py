@@ -26,11 +26,18 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Inexact
 
-from covariant._linalg import lower_solve, semidefinite_root, solve_square, triangular, upper_solve
+from covariant._linalg import (
+    lower_solve,
+    semidefinite_root,
+    solve_square,
+    triangular,
+    triangular_with_rank,
+    upper_solve,
+)
 from covariant._typing import Code, Flag, Matrix, Number, Scalar, Vector
 from covariant.observers._gated_filter import AbstractGatedFilter
 from covariant.observers._protocol import AbstractObserver, Rows, checked, kept, scan
-from covariant.signals import Record, Run
+from covariant.signals import Record, Result, Run
 
 BLOCK = 4096
 """Rows whose steps are held in memory at once: a longer log is run through twice, the second time from its end."""
@@ -143,11 +150,11 @@ class Recorder(AbstractObserver):
         observer = self.observer
         predicted, carried = observer.carried(state, u, dt)
         new, info, used, restarted = observer.corrected(predicted, u, y)
-        # A step of no length is the first row, or one that lengthens the last block: it is no step.
-        restarted = restarted | (dt == 0)
-        step = Step(
-            observer.root(state), carried, triangular(observer.root(predicted)), used.error, used.reset, restarted
-        )
+        # A step of no length is the first row, or one that lengthens the last block: it is no step. An estimate that
+        # left the finite numbers says nothing of those before.
+        restarted = restarted | (dt == 0) | (info.result == int(Result.NOT_FINITE))
+        root = triangular_with_rank(observer.root(predicted))
+        step = Step(observer.root(state), carried, root, used.error, used.reset, restarted)
         return new, StepInfo(info, step, info.result)
 
     def estimate(self, state: Any) -> Any:
@@ -209,7 +216,7 @@ def smoothed(
 
     Args:
         observer: The filter.
-        t: Stamps (T,) [s].
+        t: Stamps (T,) [s], which rise.
         u: Inputs (T, m).
         y: Measurements (T, *n).
         lag: Number of rows after each row from which it is estimated; None for all.
@@ -221,8 +228,8 @@ def smoothed(
     count = len(t)
     lag = None if lag is None or lag >= count - 1 else int(lag)
     ahead = 1 if lag is None else lag + 1
-    size = min(count, BLOCK)
-    blocks = -(-count // size)
+    blocks = -(-count // BLOCK)
+    size = -(-count // blocks)
     rows = _lengthened(Rows.of(t, u, y), blocks * size + ahead - count)
     # The states before each block, of which the steps within are computed again.
     states = [observer.init(y[0], t[0])]
@@ -321,7 +328,7 @@ def _lagged(roots: Float[Array, "M N N"], backward: Backward, size: int, lag: in
 def _backward(step: Step) -> Backward:
     """What a step says of the error before it, given the error after it."""
     n = len(step.error)
-    # With P⁻ = L Lᵀ and M = L⁻¹ΦS: C = S Mᵀ L⁻¹, and P − CP⁻Cᵀ = S(I − MᵀM)Sᵀ, in which nothing is squared.
+    # With P⁻ = L Lᵀ and M = L⁻¹ΦS: C = S Mᵀ L⁻¹, and P − CP⁻Cᵀ = S(I − MᵀM)Sᵀ, which no difference of covariances is.
     ratio = lower_solve(step.predicted, step.carried)
     gain = step.root @ upper_solve(step.predicted, ratio).T
     noise = step.root @ semidefinite_root(jnp.eye(n, dtype=ratio.dtype) - ratio.T @ ratio)

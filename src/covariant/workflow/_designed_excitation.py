@@ -75,6 +75,13 @@ def designed_excitation(
         torque_noise = amounts("torque-noise", given.torque_noise, limits.names)
     sensing = Sensing(noise, torque_noise, rate)
 
+    if not float(round(plan.duration * rate, 6)).is_integer():
+        raise ValueError(
+            f"rate: {rate:g} rows a second are no whole number of rows in {plan.duration:g} s, so the table would not "
+            f"end at rest; give {round(plan.duration * rate) / plan.duration:.6g}"
+        )
+    _column_names(file)
+
     def report(fraction: float) -> None:
         progress(f"designing a motion of {file.name}", fraction)
 
@@ -116,6 +123,7 @@ def _limits(model: str, family: RobotFamily, given: Limits) -> JointLimits:
     joints = [of_file.get(name) for name in names]
     # The file limits true positions, and those of a log are off by the offset of the encoder.
     ends = [(j.lower - j.encoder_offset, j.upper - j.encoder_offset) if j else (-np.inf, np.inf) for j in joints]
+    _refuse_followers(model, robot, names, given)
     region = bounds("region", given.region, names, "joint")
     low, high = np.array([region.get(name, pair) for name, pair in zip(names, ends, strict=True)], float).T
     limits = JointLimits(
@@ -127,6 +135,20 @@ def _limits(model: str, family: RobotFamily, given: Limits) -> JointLimits:
     )
     _refuse_missing(model, limits)
     return limits
+
+
+def _refuse_followers(model: str, robot: robots.Description, names: Sequence[str], given: Limits) -> None:
+    """Raise `ValueError` for a joint that follows another one, where the limits of the file would be used.
+
+    Its own limits bind the one that it follows, by its ratio and through chains of them.
+    """
+    followers = [j.name for j in robot.joints if j.follows and j.follows.joint and j.name not in names]
+    missing = [key for key in ("region", "velocity", "effort") if getattr(given, key) is None or given.region == {}]
+    if followers and missing:
+        raise ValueError(
+            f"{model}: joint {followers[0]!r} follows another one, and its limits bind that one, too; give limits that "
+            f"keep both, by {', '.join(f'--{key}' for key in missing)}"
+        )
 
 
 def _largest(argument: str, given: Amounts | None, names: Sequence[str], of_file: list[float]) -> np.ndarray:
@@ -149,6 +171,7 @@ def _refuse_missing(model: str, limits: JointLimits) -> None:
             what = {"region": "ends of its positions", "velocity": "largest speed", "effort": "largest torque"}
             raise ValueError(
                 f"{model}: joint {names[0]!r} has no {what[argument]} in its file"
+                + (" that is read from MJCF" if str(model).endswith(".xml") and argument != "region" else "")
                 + (f", and neither have {', '.join(names[1:])}" if names[1:] else "")
                 + f"; give --{argument} {example}"
             )
@@ -164,16 +187,21 @@ def _refuse_servos(model: str, robot: robots.Description, names: Sequence[str]) 
             )
 
 
-def _columns(
-    file: ModelFile, t: np.ndarray, rows: tuple[np.ndarray, ...]
-) -> tuple[dict[str, np.ndarray], dict[str, str]]:
-    """The columns in SI units, under the names of the model file, and their units."""
-    names, n = file.columns, len(file.model.coordinates)
-    groups = (names.q, sought_columns(file), numbered("a", n), names.u)
+def _column_names(file: ModelFile) -> list[str]:
+    names = file.columns
+    groups = (names.q, sought_columns(file), numbered("a", len(file.model.coordinates)), names.u)
     listed = [names.t, *(name for group in groups for name in group)]
     for name in listed:
         if listed.count(name) > 1:
             raise ValueError(f"{file.name}: two columns would be named {name!r}; rename the one in [columns]")
+    return listed
+
+
+def _columns(
+    file: ModelFile, t: np.ndarray, rows: tuple[np.ndarray, ...]
+) -> tuple[dict[str, np.ndarray], dict[str, str]]:
+    """The columns in SI units, under the names of the model file, and their units."""
+    listed = _column_names(file)
     arrays = dict(zip(listed, [t, *(column for each in rows for column in each.T)], strict=True))
     units = file.model.units
     si = ["s", *units, *(f"{unit}/s" for unit in units), *(f"{unit}/s^2" for unit in units)]
@@ -207,6 +235,12 @@ def _expected(family: RobotFamily, found: Excitation) -> dict[str, Any]:
     after, before = found.expected, found.expected_reference
     unknown = [name for name, error in zip(family.names, after.errors, strict=True) if np.isnan(error)]
     sentences = [f"no log of this motion shows {', '.join(unknown)} alone"] if unknown else []
+    near = [
+        f"{name}: a tenth of its usual size cannot be told from zero, nor can its value, with ± {error:.2g}"
+        for name, error, known in zip(family.names, after.errors, after.determined, strict=True)
+        if not known and np.isfinite(error)
+    ]
+    sentences += near
     return {
         "parameters": [
             {

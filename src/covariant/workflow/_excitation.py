@@ -63,8 +63,8 @@ def design_excitation(
         velocity: Largest speeds [rad/s or m/s], one or one for each joint, in place of those of the robot's file.
         effort: Largest torques or forces [N m or N], in the same way.
         margin: Fraction of all limits that is used.
-        torque_noise: Standard deviation of logged torques [N m or N], one or one for each joint; 1 % of `effort` by
-            default.
+        torque_noise: Standard deviation of logged torques, as felt at the joints [N m or N], one or one for each joint;
+            1 % of `effort` by default.
         starts: Number of starts of the search.
         seed: Seed of these.
         overrides: Values that replace those of the model file, such as other first values.
@@ -248,7 +248,7 @@ class ExcitationResult(AbstractTable):
         )
 
     def save(self, path: str | Path, overwrite: bool = False) -> Path:
-        """Write the motion, in the units of the model file.
+        """Write the motion: stamps, positions and inputs in the units of the model file, the rest in SI units.
 
         Args:
             path: The table to write (.csv, .txt, .tsv, .parquet).

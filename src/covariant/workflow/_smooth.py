@@ -19,7 +19,6 @@ from covariant.workflow._inputs import (
     numbered,
     sought_columns,
     sought_units,
-    with_sensor_delays,
 )
 from covariant.workflow._outcome import KEPT, deviations, report_curves, rounded, scored, with_units
 from covariant.workflow._outputs import check_output
@@ -29,6 +28,9 @@ from covariant.workflow._result import AbstractTable
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+FARTHEST = 1e3
+"""Size of smoothed estimates, relative to those of the filter, from which a covariance was singular up to rounding."""
 
 
 def smooth(
@@ -93,7 +95,7 @@ def smooth(
     loaded = load(job, score)
     name = observer or next(name for name in SMOOTHED if name in estimators(loaded.model))
     chosen, notes = choose_observer(job, loaded, name)
-    if with_sensor_delays({name: chosen}, loaded)[name] is not chosen:
+    if np.any(loaded.file.delay):
         raise ValueError(
             f"{job.model_name}: a smoother does not make up for readings that are late (measurement.delay = "
             f"{loaded.file.delay}); shift the positions of the log to when they were true, and give "
@@ -108,17 +110,36 @@ def smooth(
     )
     if before.outcome.failed or not (np.isfinite(after.velocity).all() and np.isfinite(smoothed.root).all()):
         raise ValueError(f"{job.log_name}: the estimate left the finite numbers; check model and units")
+    largest, beside = (
+        max(float(np.abs(np.asarray(leaf)).max()) for leaf in jax.tree.leaves(run.estimate))
+        for run in (smoothed.run, smoothed.filtered)
+    )
+    if largest > FARTHEST * beside:
+        raise ValueError(
+            f"{job.log_name}: some of the motion has no uncertainty but for rounding, and cannot be smoothed; state an "
+            "uncertainty for each coordinate"
+        )
     return SmoothResult(after, before, np.asarray(smoothed.std), rows)
 
 
-def lag_rows(t: np.ndarray, lag: float) -> int:
-    """Number of rows within a time, the median over the log.
+def lag_rows(t: np.ndarray, lag: float) -> int | None:
+    """Number of rows within a time at the median interval; None for all of the log.
 
     Args:
         t: Stamps (T,) [s].
         lag: The time [s].
+
+    Raises:
+        ValueError: The time is less than half a row, and not zero.
     """
-    return round(lag / float(np.median(np.diff(t))))
+    if lag >= t[-1] - t[0]:
+        return None
+    spacing = float(np.median(np.diff(t)))
+    if 0 < lag < spacing / 2:
+        raise ValueError(
+            f"--lag {lag:g} is less than half a row of the log, {spacing:.3g} s; give 0 for the filter itself"
+        )
+    return round(lag / spacing)
 
 
 @dataclass(frozen=True, repr=False)
