@@ -81,6 +81,8 @@ class ModelFile(NamedTuple):
             for a filter that estimates it and forgets it after `external_force_time` [s].
         external_force_time: Its time constant [s].
         system: Name of the system, where it is one of this library, as "robot".
+        wrenches: Forces on links of a robot, by name, for a filter that estimates them: arguments of
+            `observers.wrench`.
 
     Example:
         >>> from covariant import models
@@ -118,6 +120,7 @@ class ModelFile(NamedTuple):
     external_force_std: float | tuple[float, ...] | None = None
     external_force_time: float | None = None
     system: str = ""
+    wrenches: Mapping[str, Mapping[str, Any]] = MappingProxyType({})
 
     @property
     def typical_std(self) -> float | None:

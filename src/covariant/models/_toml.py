@@ -44,6 +44,10 @@ WORDS = {("inputs", "between"): ("input_between", ("held", "linear"))}
 UNCERTAIN = ("uncertainty", "parameters")
 """Table and key of the numbers of [parameters] that are estimated with the motion, with their relative deviations."""
 
+WRENCH = "wrench"
+"""Table of the forces that act on links, a table for each."""
+_OF_WRENCH = ("link", "force_std", "torque_std", "time", "frame", "point")
+
 _NAMES = tuple(field for field in Columns._fields if field != "units")
 """Keys of [columns], and of [units] but for attitudes, which have none."""
 _KEYS = {"columns": _NAMES, "units": tuple(name for name in _NAMES if name not in ATTITUDES)} | {
@@ -162,7 +166,7 @@ def check_layout(document: dict[str, Any]) -> None:
         ValueError: Names the first unknown one and suggests the nearest name.
     """
     for table, content in document.items():
-        refuse_unknown("table or key", table, ("system", "parameters", *_KEYS))
+        refuse_unknown("table or key", table, ("system", "parameters", WRENCH, *_KEYS))
         if table != "system" and not isinstance(content, dict):
             raise ValueError(f"{table} must be a table, [{table}]; got {content!r}")
         if table in _KEYS:
@@ -259,7 +263,7 @@ def numbers(document: dict[str, Any], count: int, states: int) -> dict[str, Any]
         ticks = fields["quantum"]  # an error uniform over one step has the variance quantum²/12
         values = tuple(tick / math.sqrt(12) for tick in (ticks if isinstance(ticks, tuple) else (ticks,)))
         fields["measurement_std"] = values if isinstance(ticks, tuple) else values[0]
-    return fields | _choices(document) | _uncertain(document, states)
+    return fields | _choices(document) | _uncertain(document, states) | _wrenches(document)
 
 
 def _number(where: tuple[str, str], value: Any) -> float | int:
@@ -295,6 +299,23 @@ def _uncertain(document: dict[str, Any], states: int) -> dict[str, dict[str, flo
     if deviations and states:
         raise ValueError(f"{table}.{key} is for a mechanical model, and this one is a state-space model")
     return {"uncertain": {name: _number((table, f"{key}.{name}"), value) for name, value in deviations.items()}}
+
+
+def _wrenches(document: dict[str, Any]) -> dict[str, dict[str, dict[str, Any]]]:
+    """The forces on links, by name, as arguments of `observers.wrench`; whose values are checked there."""
+    given = document.get(WRENCH, {})
+    for name, content in given.items():
+        if not isinstance(content, dict):
+            raise ValueError(f"{WRENCH}.{name} must be a table, [{WRENCH}.{name}]; got {content!r}")
+        for key in content:
+            refuse_unknown(f"key of [{WRENCH}.{name}]", key, _OF_WRENCH)
+        missing = [key for key in ("link", "force_std", "time") if key not in content]
+        if missing:
+            raise ValueError(
+                f"[{WRENCH}.{name}] needs {' and '.join(missing)}: the link, the usual size of the force [N], and the "
+                "time [s] after which it is forgotten"
+            )
+    return {"wrenches": dict(given)} if given else {}
 
 
 def _choices(document: dict[str, Any]) -> dict[str, str]:

@@ -67,3 +67,4 @@ from ._state_ekf import StateEKF as StateEKF, StateEKFInfo as StateEKFInfo, Stat
 from ._state_noise import Noise as Noise
 from ._tracking_loop import LoopState as LoopState
 from ._ukf import UKF as UKF, UKFState as UKFState
+from ._wrench import wrench as wrench

@@ -391,6 +391,7 @@ def choose_observer(
             ("the external force of [uncertainty]", sheet.external_force or loaded.file.external_force_std),
             ("the bias of [measurement]", loaded.file.bias),
             ("the parameters of [uncertainty]", loaded.file.family),
+            ("the forces of [wrench]", loaded.file.wrenches or None),
         )
         if stated is not None
     ]

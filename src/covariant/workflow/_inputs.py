@@ -18,6 +18,7 @@ from covariant.observers import (
     Slow,
     sensor_bias,
     uncertain_parameters,
+    wrench,
 )
 from covariant.signals import Record, acting_inputs, lag_inputs
 from covariant.workflow._arguments import ColumnNames as ColumnNames
@@ -407,7 +408,15 @@ def _slow(file: models.ModelFile) -> tuple[Slow, ...]:
         components += (uncertain_parameters(file.family, stds, file.parameters_drift),)
     if file.bias is not None:
         components += (sensor_bias(np.broadcast_to(file.bias, file.dimension), file.bias_drift),)
-    return components
+    return components + tuple(_wrench(file, name, given) for name, given in file.wrenches.items())
+
+
+def _wrench(file: models.ModelFile, name: str, given: Mapping[str, Any]) -> Slow:
+    """A force on a link, which the model file names."""
+    try:
+        return wrench(file.need_mechanical(file.name, "links are those of").space, name=name, **given)  # pyright: ignore[reportArgumentType]
+    except (ValueError, TypeError) as error:
+        raise ValueError(f"{file.name}: [wrench.{name}]: {str(error).removeprefix('wrench: ')}") from error
 
 
 def _stands_for(key: str, name: str) -> bool:
