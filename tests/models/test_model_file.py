@@ -120,6 +120,8 @@ def test_a_file_gives_everything(tmp_path):
         {},
         0.0,
         *[None] * 3,
+        "pendulum_chain",
+        {},
     )
 
 
@@ -139,6 +141,8 @@ def test_what_a_file_leaves_out_has_a_default(tmp_path):
         {},
         0.0,
         *(None,) * 3,
+        "ball_and_beam",
+        {},
     )
     assert load("ball_and_beam")._replace(name="m", model=file.model) == file
 

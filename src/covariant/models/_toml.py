@@ -166,7 +166,7 @@ def check_layout(document: dict[str, Any]) -> None:
         ValueError: Names the first unknown one and suggests the nearest name.
     """
     for table, content in document.items():
-        refuse_unknown("table or key", table, ("system", "parameters", WRENCH, *_KEYS))
+        refuse_unknown("table or key", table, ("system", "parameters", *_KEYS, WRENCH))
         if table != "system" and not isinstance(content, dict):
             raise ValueError(f"{table} must be a table, [{table}]; got {content!r}")
         if table in _KEYS:
