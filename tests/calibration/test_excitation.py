@@ -137,7 +137,7 @@ def test_limits_that_cannot_be_kept_are_refused(robot):
     weak = LIMITS._replace(low=np.array([0.8, -1.5]), effort=np.array([0.5, 1.0]))
     with pytest.raises(ValueError, match=r"cannot hold the joints still .* joint 'shoulder' takes .* larger effort"):
         design_excitation(robot, weak, SENSING, PLAN, HALF)
-    with pytest.raises(ValueError, match=r"duration: a fit needs a log of 2.16 s, and this one has 2 s"):
+    with pytest.raises(ValueError, match=r"duration: a fit needs a log of 2.22 s, and this one has 2 s"):
         design_excitation(robot, LIMITS, SENSING, PLAN._replace(duration=2.0, frequency=0.5), HALF)
 
 

@@ -147,7 +147,7 @@ def expected_errors(
     if shortest > duration:
         raise ValueError(
             f"duration: a fit needs a log of {shortest:.3g} s, and this one has {duration:.3g} s; "
-            "give a longer duration, or a shorter estimate.reference_half"
+            "give a longer duration, or a shorter [reference] half"
         )
     x = np.zeros(len(family.names))
     model: Any = family.file.model
