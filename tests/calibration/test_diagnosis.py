@@ -5,9 +5,14 @@ import re
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from logs_with_faults import with_fault
+from two_links import Truth, swing
 
-from covariant.calibration import diagnose, misfit
+from covariant import logs, models
+from covariant.calibration import diagnose, misfit, outliers, suggest_noise
+from covariant.calibration._case import busiest
 from covariant.calibration._changes import Names, no_change
+from covariant.calibration._smooth import smooth
 from covariant.logs import unit_factor
 from covariant.models import load
 from covariant.signals import Record
@@ -201,10 +206,246 @@ def test_ticks_are_found_and_told_only_where_the_file_does_not_know_them(pendulu
     assert found.what == "ticks"
     assert not found.wrong
     assert abs(found.numbers["quantum"] / QUANTUM - 1) < 1e-6
-    first = re.fullmatch(
-        r"covariant fit MODEL LOG --parameters rotor_inertia --set 'parameters.rotor_inertia=\[(.*), (.*)\]'",
-        found.line,
+    assert found.line.startswith("[measurement] quantum = 0.001534")
+    assert diagnose(pendulum, record, QUANTUM).findings == ()
+    assert whats(diagnose(pendulum, record, QUANTUM / 4)) == ["ticks"]
+
+
+def test_noise_beyond_the_data_sheet_is_found(pendulum, clean):
+    noisy = clean._replace(y=sense(Sensor(500.0, noise_std=3e-3), clean.y, 1))
+    (found,) = diagnose(pendulum, noisy).findings
+    assert found.what == "noise"
+    assert abs(found.numbers["std"] / 3e-3 - 1) < 0.1
+
+
+@pytest.mark.parametrize("apart", [1, 2, 3, 4])
+@pytest.mark.parametrize("sign", [1, -1])
+def test_outliers_beside_each_other_are_told_from_what_is_between_them(apart, sign):
+    t = np.arange(0, 2, 0.002)
+    y = np.sin(3 * t)[:, None]
+    wrong = np.zeros(y.shape, bool)
+    wrong[[300, 300 + apart, 700]] = True
+    y[300], y[300 + apart], y[700] = y[300] + 0.5, y[300 + apart] + 0.5 * sign, y[700] - 0.5
+    np.testing.assert_array_equal(outliers(t, y, (0,))[0], wrong)
+
+
+def test_outliers_are_found_and_what_is_left_is_compared(pendulum, clean):
+    random = np.random.default_rng(0)
+    y, bad = clean.y.copy(), random.random(clean.y.shape) < 0.05
+    y[bad] += random.normal(0, 0.5, bad.sum())
+    done = diagnose(pendulum, clean._replace(y=y))
+    assert whats(done) == ["outliers", "outliers"]
+    for finding, column in zip(done.findings, bad.T, strict=True):
+        assert abs(finding.numbers["share"] - column.mean()) < 0.005
+    turned = clean._replace(y=y * [1.0, -1.0])
+    assert whats(diagnose(pendulum, turned)) == ["sign of a position", "outliers", "outliers"]
+
+
+def test_gaps_jitter_and_missing_cells_are_notes(pendulum, exact):
+    t = exact(0.5, -0.8, 1.0, 2.0).t
+    kept = np.ones(len(t), bool)
+    kept[[500, 501, 502, 900]] = False
+    record = exact(0.5, -0.8, 1.0, 2.0)
+    y = sense(Sensor(500.0, noise_std=2e-4, dropout=0.03), record.y, 2)
+    done = diagnose(pendulum, Record(t[kept], record.u[kept], y[kept]))
+    assert [finding.what for finding in done.findings] == ["missing rows", "missing measurements"]
+    assert done.findings[0].numbers["rows"] == 4
+    assert not done.wrong
+    jitter = stamps(Sensor(500.0, jitter=2e-4), 6.0, 1)
+    moved = [np.interp(jitter, t, column) for column in (*record.u.T, *record.y.T)]
+    done = diagnose(
+        pendulum, Record(jitter, np.array(moved[:2]).T, sense(Sensor(500.0, noise_std=2e-4), np.array(moved[2:]).T))
     )
+    assert [finding.what for finding in done.findings] == ["irregular stamps"]
+
+
+def test_nothing_is_told_of_a_machine_that_stands_still(pendulum, clean):
+    still = clean._replace(
+        y=sense(Sensor(500.0, noise_std=2e-4), np.tile(clean.y[:1], (len(clean.t), 1))), u=0 * clean.u
+    )
+    (found,) = diagnose(pendulum, still).findings
+    assert found.what == "too little motion"
+    assert misfit(pendulum, still) is None
+    assert misfit(pendulum, Record(*(array[:20] for array in clean[:3]))) is None
+
+
+def test_a_model_of_another_machine_is_refused(clean):
+    other = load("examples/demo_double_pendulum.toml", ("parameters.gravity=0.5", "parameters.com=[0.01, 0.01]"))
+    found = misfit(other, clean)
+    assert found is not None
+    assert found.what == "model"
+    assert "model" in whats(diagnose(other, clean))
+
+
+def test_of_other_models_the_stamps_are_looked_at():
+    t = np.arange(100) * 0.01
+    t[50:] += 0.05
+    record = Record(t, np.zeros((100, 0)), np.tile(np.eye(3), (100, 1, 1)))
+    done = diagnose(models.ModelFile("top", models.free_body((1.0, 2.0, 3.0))), record)
+    assert [finding.what for finding in done.findings] == ["missing rows"]
+    assert "units" not in done.looked_for
+    assert misfit(models.ModelFile("lorenz", models.lorenz()), record) is None
+
+
+def test_measured_accelerations_are_averages_of_the_true_ones():
+    """Whatever the motion, so that comparing them with a model's has no error of smoothing."""
+    t = np.arange(0.0, 3.0, 1e-3)
+    log = smooth(Record(t, np.zeros((len(t), 0)), np.cos(20 * t)[:, None]), 0.08, ())
+    true = -400 * np.cos(20 * log.t)
+    averaged = np.convolve(true, log.kernel, "same")
+    error = np.abs(log.a[log.used, 0] - averaged[log.used]).max()
+    assert np.abs(true - averaged)[log.used].max() > 40
+    assert error < 4
+    np.testing.assert_allclose(log.kernel.sum(), 1.0, atol=1e-9)
+
+
+REAL = {
+    "A0_sysid_00": "dfki_double_pendulum",
+    "A0_sysid_05": "dfki_double_pendulum",
+    "A0_sysid_12": "dfki_double_pendulum",
+    "ddp": "dfki_simple_pendulum",
+    "dircol": "dfki_simple_pendulum_dircol",
+}
+
+
+def real(data_folder, name):
+    file = load(f"examples/{REAL[name]}.toml")
+    folder = REAL[name].removesuffix("_dircol")
+    return file, logs.read(data_folder / folder / f"{name}.csv", file.columns).record
+
+
+@pytest.mark.data
+@pytest.mark.parametrize("name", REAL)
+def test_recorded_logs_fit_their_models(data_folder, name):
+    file, record = real(data_folder, name)
+    assert whats(diagnose(file, record)) == []
+
+
+@pytest.mark.data
+@pytest.mark.parametrize(("name", "joint"), [("A0_sysid_00", 0), ("A0_sysid_00", 1), ("A0_sysid_05", 0)])
+def test_a_row_late_is_found_in_a_recorded_log(data_folder, name, joint):
+    file, record = real(data_folder, name)
+    y = record.y.copy()
+    y[1:, joint] = record.y[:-1, joint]
+    (found,) = [finding for finding in diagnose(file, record._replace(y=y)).findings if finding.wrong]
+    assert (found.what, found.where) == ("delay", ("q1", "q2")[joint])
+    assert abs(found.numbers["delay"] - 2e-3) < 1e-3  # joint 1 of that log seems to be late already
+
+
+@pytest.mark.data
+def test_faults_of_a_recorded_log_are_found(data_folder):
+    file, record = real(data_folder, "dircol")
+    for changed, what in (
+        (record._replace(t=record.t * 1e3), "unit of time"),
+        (record._replace(y=np.rad2deg(record.y)), "unit of positions"),
+        (record._replace(u=-record.u), "sign of an input"),
+        (record._replace(u=2 * record.u), "scale of an input"),
+    ):
+        assert whats(diagnose(file, changed)) == [what]
+    file, record = load("examples/multiarm_double.toml"), None
+    record = logs.read(data_folder / "multiarm_pendulum" / "double.csv", file.columns, until=6.0).record
+    assert whats(diagnose(file, record)) == []
+    (found,) = diagnose(file, one_late(record, 1, 2.5e-3)).findings
+    assert abs(found.numbers["delay"] - 2.5e-3) < 5e-4
+
+
+def test_single_outliers_are_named_by_row_and_spoil_nothing(pendulum, clean):
+    y = clean.y.copy()
+    y[[400, 1500], 1] += 0.4
+    (found,) = diagnose(pendulum, clean._replace(y=y), first_row=11, every=2).findings
+    assert (found.what, found.where, found.wrong) == ("outliers", "q2", False)
+    assert "2 of 3001 cells" in found.evidence
+    assert "by 0.4 rad: row 811 (0.8 s), row 3011 (3 s)" in found.evidence
+
+
+def test_a_log_in_which_nothing_moves_is_said_to_be_one(pendulum, clean):
+    done = diagnose(pendulum, clean._replace(y=np.broadcast_to([0.5, -0.25], clean.y.shape)))
+    assert [(found.what, found.wrong) for found in done.findings] == [("nothing moves", True)]
+    assert done.findings[0].evidence == "q1 is 0.5 rad, q2 is -0.25 rad in all 3001 rows"
+    one = diagnose(pendulum, clean._replace(y=np.where([True, False], clean.y, 0.1)))
+    assert ("a position does not move", "q2", False) in [(f.what, f.where, f.wrong) for f in one.findings]
+
+
+def test_readings_that_repeat_are_told_from_ticks(pendulum, clean):
+    """A sensor that is read at 125 Hz into a log of 500 Hz."""
+    held = clean._replace(y=clean.y[np.arange(len(clean.t)) // 4 * 4])
+    (found,) = [each for each in diagnose(pendulum, held).findings if each.what == "repeated rows"]
+    assert found.wrong
+    assert found.numbers["in_a_row"] == 4
+    assert "2250 of 3001 rows (75 %)" in found.evidence
+    ticks = diagnose(pendulum, clean._replace(y=QUANTUM * 4 * np.round(clean.y / (QUANTUM * 4))))
+    assert "repeated rows" not in [found.what for found in ticks.findings]
+    assert "repeated rows" not in [found.what for found in diagnose(pendulum, clean).findings]
+
+
+def test_what_spoils_most_comes_first(pendulum, clean):
+    y = clean.y.copy()
+    y[400] += 0.4
+    found = diagnose(pendulum, clean._replace(t=1e3 * clean.t, y=y)).findings
+    assert [each.what for each in found] == ["unit of time", "outliers", "outliers"]
+
+
+@pytest.mark.parametrize("rows", [2, 3, 4, 5, 6, 11, 49, 52, 60])
+@pytest.mark.parametrize("missing", [False, True])
+def test_short_logs_are_looked_at_as_far_as_they_go(pendulum, clean, rows, missing):
+    record = Record(clean.t[:rows], clean.u[:rows], clean.y[:rows].copy())
+    if missing:
+        record.y[1::2] = np.nan
+    done = diagnose(pendulum, record)
+    assert "too little motion" in [found.what for found in done.findings] or rows == 2
+    assert suggest_noise(pendulum._replace(measurement_std=None, acceleration_std=None), record) is not None
+
+
+@pytest.mark.parametrize("first", [0, 7, 15])
+def test_the_busiest_rows_are_those_in_which_it_moves(first):
+    """At the beginning, within, and at the very end of a log."""
+    y = np.concatenate([np.zeros(first), np.arange(5.0), np.full(15 - first, 4.0)])[:, None]
+    chosen = busiest(Record(np.arange(20.0), np.zeros((20, 0)), y), 5)
+    np.testing.assert_array_equal(chosen.t, first + np.arange(5.0))
+
+
+TWO_LINKS = {"viscous": (0.0, 0.0), "coulomb": (0.0, 0.0), "asymmetry": (0.0, 0.0), "armature": (0.0, 0.0)}
+"""Numbers that the URDF file of the arm does not have."""
+
+
+@pytest.mark.parametrize(
+    ("unknown", "what", "line"),
+    [
+        ({"viscous": (0.3, 0.06), "coulomb": (0.2, 0.08)}, "friction", "friction"),
+        ({"armature": (0.01, 0.004)}, "rotor inertia", "armature"),
+        (
+            {"viscous": (0.3, 0.06), "armature": (0.01, 0.004)},
+            "friction and rotor inertia",
+            "friction,armature",
+        ),
+        ({"armature": (0.01, 0.0)}, "rotor inertia", "armature.shoulder"),
+        ({"load": 0.3}, "", ""),
+    ],
+)
+def test_friction_and_rotors_that_a_robot_lacks_are_named(unknown, what, line):
+    t, u, y = swing(1, Truth(**TWO_LINKS | unknown), 15.0)
+    arm = load("double_pendulum", ("measurement.std=1e-4",))
+    found = [
+        each for each in diagnose(arm, Record(t, u[0], y[0])).findings if each.what not in ("model", "uncertainty")
+    ]
+    assert {each.what for each in found} == ({what} if what else set())
+    if line:
+        assert found[0].line == f"covariant fit MODEL LOG --parameters {line}"
+        assert found[0].numbers["unexplained_after"] < 0.02
+        for name, values in unknown.items():
+            kind = {"viscous": "viscous friction", "coulomb": "Coulomb friction", "armature": "rotor inertia"}[name]
+            for joint, value in zip(("shoulder", "elbow"), values, strict=True):
+                if not value:
+                    assert f"{kind} of {joint}" not in found[0].numbers
+                    continue
+                assert 0.7 * value < found[0].numbers[f"{kind} of {joint}"] < 1.3 * value
+
+
+def test_what_a_model_lacks_is_named_before_an_estimate_and_for_chains():
+    fault = with_fault("unknown rotor", 1)
+    (found,) = (each for each in diagnose(fault.file, fault.record).findings if each.wrong)
+    command = r"covariant fit MODEL LOG --parameters rotor_inertia --set 'parameters.rotor_inertia=\[(.*), (.*)\]'"
+    first = re.fullmatch(command, found.line)
     assert first is not None
     # That of the other joint is a tenth of it, for a fit to start from.
     assert np.isclose(float(first[1]), 10 * float(first[2]), rtol=0.05)
