@@ -441,6 +441,14 @@ def test_friction_and_rotors_that_a_robot_lacks_are_named(unknown, what, line):
                 assert 0.7 * value < found[0].numbers[f"{kind} of {joint}"] < 1.3 * value
 
 
+def test_a_wrong_centre_of_mass_is_not_called_a_rotor(pendulum, clean):
+    """A rotor explains half of it and more, and leaves a quarter."""
+    wrong = load("examples/demo_double_pendulum.toml", ("measurement.std=2e-4", "parameters.com=[0.1, 0.2]"))
+    found = diagnose(wrong._replace(columns=pendulum.columns), clean)
+    assert found.wrong
+    assert not {each.what for each in found.findings} & {"friction", "rotor inertia", "friction and rotor inertia"}
+
+
 def test_what_a_model_lacks_is_named_before_an_estimate_and_for_chains():
     fault = with_fault("unknown rotor", 1)
     (found,) = (each for each in diagnose(fault.file, fault.record).findings if each.wrong)

@@ -23,6 +23,8 @@ from covariant.models import Lagrangian, MechanicalSystem, resistance
 
 VISIBLE = 0.01
 """Fraction of the squares of the accelerations that a model has to leave beyond noise: 10 % of their size."""
+EXPLAINED = 0.15
+"""Fraction that may be left: a wrong mass or centre of mass that friction or a rotor resembles leaves more."""
 SMOOTHED = 0.05
 """Speed over which dry friction is smoothed, relative to the root mean square of the speed of the joint."""
 NEEDED = 1.25
@@ -136,8 +138,8 @@ def missing_torques(model: MechanicalSystem, log: Smooth) -> MissingTorques | No
         log: The smoothed log.
 
     Returns:
-        The numbers and the model with them; None where they do not leave less than half on the blocks held out, or
-        where the model leaves little as it is.
+        The numbers and the model with them; None where they do not leave less than half on the blocks held out and
+        little in all, or where the model leaves little as it is.
     """
     before = residual(model, log)
     if not before.told.any() or before.used.sum() < 2 * BLOCKS:
@@ -154,7 +156,7 @@ def missing_torques(model: MechanicalSystem, log: Smooth) -> MissingTorques | No
     numbers.flat[needed] = found
     completed = with_torques(model, numbers[0], numbers[1], numbers[2], _speeds(log))
     after = Blocks.of(residual(completed, log), before)
-    if not better(now, after):
+    if not better(now, after) or after.beyond_noise(HELD_OUT) > EXPLAINED:
         return None
     kinds, joints = np.unravel_index(needed, numbers.shape)
     return MissingTorques(
