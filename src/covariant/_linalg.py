@@ -350,8 +350,8 @@ def lower_solve(root: Matrix, b: Float[Array, "n k"]) -> Float[Array, "n k"]:
     """Solve `L x = b` by forward substitution, without squaring the condition of L.
 
     Args:
-        root: Lower triangular matrix L (n, n), a root of a covariance. Where a pivot is zero up to rounding, that
-            entry of the solution is zero.
+        root: Lower triangular matrix L (n, n). Where a pivot is zero, as `triangular_with_rank` makes it, that entry of
+            the solution is zero.
         b: Right side (n, k).
 
     Returns:
@@ -369,27 +369,22 @@ def upper_solve(root: Matrix, b: Float[Array, "n k"]) -> Float[Array, "n k"]:
     """Solve `Lᵀ x = b` by backward substitution, without squaring the condition of L.
 
     Args:
-        root: Lower triangular matrix L (n, n), a root of a covariance. Where a pivot is zero up to rounding, that
-            entry of the solution is zero.
+        root: Lower triangular matrix L (n, n). Where a pivot is zero, as `triangular_with_rank` makes it, that entry of
+            the solution is zero.
         b: Right side (n, k).
 
     Returns:
         The solution x (n, k).
     """
-    inverse = _inverse_pivots(root)
-    x = jnp.zeros_like(b)
-    for i in reversed(range(len(root))):
-        x = x.at[i].set((b[i] - root[i + 1 :, i] @ x[i + 1 :]) * inverse[i])
-    return x
+    # Counted from the last row, the upper triangular Lᵀ is a lower one.
+    return lower_solve(root.T[::-1, ::-1], b[::-1])[::-1]
 
 
 def _inverse_pivots(root: Matrix) -> Vector:
-    """Inverse of the pivots of a root of a covariance; 0 for those that are rounding beside the length of their row."""
-    pivots, lengths = jnp.diag(root), jnp.sqrt(jnp.sum(root**2, axis=1))
-    # A row of length s that depends on those before it leaves rounding of some n·eps·s in place of a zero.
-    zero = jnp.abs(pivots) <= 8 * len(root) * jnp.finfo(root.dtype).eps * lengths
+    """Inverse of the pivots of a triangular matrix; 0 for those that are zero."""
+    pivots = jnp.diag(root)
     # The inner `where` keeps derivatives finite.
-    return jnp.where(zero, 0.0, 1 / jnp.where(zero, 1.0, pivots))
+    return jnp.where(pivots == 0, 0.0, 1 / jnp.where(pivots == 0, 1.0, pivots))
 
 
 def at_places(array: Inexact[Array, "..."], places: Int[np.ndarray, "*k"]) -> Inexact[Array, "*k"]:

@@ -12,6 +12,7 @@ import scipy.linalg
 import scipy.optimize
 
 from covariant import models, observers
+from covariant._linalg import triangular_with_rank
 from covariant.geometry import Budget
 from covariant.geometry.lie import SO3
 from covariant.models import (
@@ -25,7 +26,7 @@ from covariant.models import (
     pendulum_chain,
 )
 from covariant.observers import EKF, UKF, IntrinsicKalman, JointKalman, smooth
-from covariant.observers._smoother import smoothed as smoothed_arrays
+from covariant.observers._smoother import Step, _backward, smoothed as smoothed_arrays
 from covariant.signals import Record, Result
 
 # Where everything is linear: the smoother is the least-squares solution over all rows.
@@ -314,6 +315,30 @@ def test_missing_rows_are_smoothed_across():
     spread = np.asarray(smoothed.run.info.velocity_std)[:, 0]
     assert spread[23] < 0.6 * smoothed.filtered.info.velocity_std[23, 0]
     assert spread[12:24].max() < 0.8 * smoothed.filtered.info.velocity_std[12:24].max()
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_row_that_depends_on_others_up_to_rounding_has_no_gain_of_its_own(seed):
+    """Its rounding errors are no axis of their own, along which rows after it would have parts."""
+    rng = np.random.default_rng(seed)
+    before, flow = np.tril(rng.normal(size=(4, 4))), rng.normal(size=(4, 4))
+    wide = np.concatenate([flow @ before, rng.normal(size=(4, 2))], axis=1)
+    wide[2] = 0.3 * wide[0] - 1.7 * wide[1]
+    carried, error = wide[:, :4], wide @ rng.normal(size=6)
+    expected = before @ carried.T @ np.linalg.pinv(wide @ wide.T, rcond=1e-10) @ error
+    root = triangular_with_rank(jnp.asarray(wide))
+    arrays = (jnp.asarray(each) for each in (before, carried, root, error, np.eye(4), False))
+    np.testing.assert_allclose(_backward(Step(*arrays)).shift, expected, rtol=0, atol=1e-10 * np.abs(expected).max())
+
+
+def test_a_motion_without_uncertainty_is_refused_where_it_spoils_another():
+    """What is certain but for rounding, beside a coordinate that is not."""
+    model = Lagrangian(lambda q: jnp.eye(2), lambda q: jnp.sum(q**2), coordinates=("a", "b"))
+    observer = UKF(model, jnp.diag(jnp.array([0.0, 0.5])), 4e-4 * jnp.eye(2), 0.0, gate=None, substeps=1)
+    t = 0.01 * np.arange(120)
+    y = np.cos(1.4 * t)[:, None] + 0.02 * np.random.default_rng(1).normal(size=(120, 2))
+    with pytest.raises(ValueError, match="no uncertainty but for rounding"):
+        smooth(observer, Record(t, np.zeros((120, 2)), y))
 
 
 @pytest.mark.parametrize("kind", ["ekf", "intrinsic-kalman"])

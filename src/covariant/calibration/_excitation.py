@@ -20,9 +20,17 @@ import numpy as np
 from jax.scipy.special import logsumexp
 from jaxtyping import Array, Float
 
-from covariant.calibration._expected import ExpectedErrors, Sensing, expected_errors, usual_sizes
+from covariant.calibration._expected import ExpectedErrors, Sensing, expected_errors
 from covariant.calibration._fourier import FourierMotion, fourier_basis, one_sine_a_joint, resting_basis
-from covariant.calibration._robot_torques import PRIOR, Torques, efforts, in_batches, mapped, motor_matrix
+from covariant.calibration._robot_torques import (
+    PRIOR,
+    Torques,
+    efforts,
+    in_batches,
+    inverse_motors,
+    mapped,
+    usual_sizes,
+)
 from covariant.models import RobotFamily
 
 COARSE, FINE, DENSE = 20, 200, 2000
@@ -279,7 +287,7 @@ class _Problem(NamedTuple):
     ) -> "_Problem":
         model: Any = family.file.model
         inner = limits.within(plan.margin)
-        idle = np.linalg.norm(np.linalg.pinv(motor_matrix(model)), axis=0) == 0
+        idle = np.linalg.norm(inverse_motors(model), axis=0) == 0
         if idle.any():
             raise ValueError(
                 f"no motor moves joint {limits.names[int(np.argmax(idle))]!r}: lock it, or give it a motor"
@@ -293,7 +301,8 @@ class _Problem(NamedTuple):
         )
         plain = one_sine_a_joint(plan.frequency, plan.harmonics, problem.places()[0], inner.room, inner.velocity)
         q, v, a = plain.at(problem.times(COARSE))
-        return problem._replace(sizes=usual_sizes(family, v, a, in_batches(efforts, model, q, v, a)))
+        torque = in_batches(efforts, model, q, v, a)
+        return problem._replace(sizes=usual_sizes(family, torque[:, 0], torque[:, 1], v, a)[0])
 
     @property
     def points(self) -> int:
@@ -380,7 +389,7 @@ def _compiled(problem: _Problem) -> Callable[..., _Point]:
     """
     plan, n, model = problem.plan, len(problem.amplitude), problem.model
     basis = fourier_basis(problem.times(COARSE), plan.frequency, plan.harmonics) @ problem.basis
-    back = np.linalg.pinv(motor_matrix(model))
+    back = inverse_motors(model)
     slopes = problem.torques.slopes(np.zeros(len(problem.family.names)))
     objective, slack = jax.jit(jax.value_and_grad(_objective, argnums=(0, 1))), jax.jit(_slack)
     slack_slopes = jax.jit(jax.jacrev(_slack))

@@ -26,8 +26,9 @@ from covariant.calibration._robot_torques import (
     convolved,
     efforts,
     in_batches,
-    motor_matrix,
+    inverse_motors,
     sticking_speeds,
+    usual_sizes,
 )
 from covariant.calibration._smooth import acceleration_kernel, second_derivative_weights
 from covariant.models import RobotFamily
@@ -110,16 +111,6 @@ class ExpectedErrors(NamedTuple):
     size: float
 
 
-def usual_sizes(
-    family: RobotFamily, v: np.ndarray, a: np.ndarray, torques: Float[np.ndarray, "K 2 n"]
-) -> Float[np.ndarray, "p"]:
-    """Usual sizes (p,) of the open numbers in a motion with such `efforts`, as of a log in `fit_robot`."""
-    driving, without_friction, speed, acceleration = (
-        np.maximum(np.sqrt(np.mean(each**2, axis=0)), 1e-9) for each in (torques[:, 0], torques[:, 1], v, a)
-    )
-    return family.sizes(np.maximum(driving, without_friction), speed, acceleration)
-
-
 def expected_errors(
     family: RobotFamily,
     derivatives: Callable[..., np.ndarray],
@@ -155,13 +146,13 @@ def expected_errors(
     step = 1 / motion.frequency / count
     q, v, a = motion.at(step * np.arange(count))
     torque = in_batches(efforts, model, q, v, a)
-    sizes = usual_sizes(family, v, a, torque)
-    u = torque[:, 0] @ np.linalg.pinv(motor_matrix(model)).T
+    sizes, speed = usual_sizes(family, torque[:, 0], torque[:, 1], v, a)
+    u = torque[:, 0] @ inverse_motors(model).T
     repeats = round(duration * motion.frequency)
     rows = _Rows(
         np.tile(derivatives(q, v, a, u) * sizes, (repeats, 1, 1)),
         np.tile(in_batches(_inertia, model, q), (repeats, 1, 1)),
-        np.tile(np.abs(v) < sticking_speeds(family, np.sqrt(np.mean(v**2, axis=0))), (repeats, 1)),
+        np.tile(np.abs(v) < sticking_speeds(family, speed), (repeats, 1)),
         step,
     )
     tried = []

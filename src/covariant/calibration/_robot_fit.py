@@ -37,6 +37,7 @@ from covariant.calibration._robot_torques import (
     in_batches,
     needed,
     sticking_speeds,
+    usual_sizes,
 )
 from covariant.calibration._smooth import held_inputs
 from covariant.models import MechanicalSystem, RobotFamily, applied_force, resistance
@@ -240,12 +241,9 @@ class _Search(NamedTuple):
             )
         compiled = Torques.of(family)
         first = compiled.model(np.zeros(len(family.names)))
-        rms = [
-            np.maximum(np.sqrt(np.mean(each**2, axis=0)), 1e-9)
-            for each in (in_batches(driving, first, u), in_batches(needed, first, q, v, a), v, a)
-        ]
-        sizes = family.sizes(np.maximum(*rms[:2]), *rms[2:])
-        return cls(family, tracks, sizes, np.array(family.resting), sticking_speeds(family, rms[2]), compiled)
+        torques = in_batches(driving, first, u), in_batches(needed, first, q, v, a)
+        sizes, speed = usual_sizes(family, *torques, v, a)
+        return cls(family, tracks, sizes, np.array(family.resting), sticking_speeds(family, speed), compiled)
 
     def point(self, x: np.ndarray, half: float, before: tuple[_Path, ...] | None = None) -> _Point:
         """The motion along each log under the model at x: smoothed with the accelerations along the motion before."""

@@ -169,6 +169,32 @@ def motor_matrix(model: MechanicalSystem) -> Float[np.ndarray, "n m"]:
     return np.asarray(jax.jit(jax.jacfwd(lambda u: model.force(jnp.zeros(()), origin, u)))(zero))
 
 
+def inverse_motors(model: MechanicalSystem) -> Float[np.ndarray, "m n"]:
+    """Inputs (m, n) that a unit of each generalised force needs, the smallest where there are more than joints."""
+    return np.linalg.pinv(motor_matrix(model))
+
+
+def usual_sizes(
+    family: RobotFamily, driving: np.ndarray, without_friction: np.ndarray, v: np.ndarray, a: np.ndarray
+) -> tuple[Float[np.ndarray, "p"], Float[np.ndarray, "n"]]:
+    """Usual sizes of the open numbers in a motion, and usual speeds of the joints.
+
+    Args:
+        family: The robot as a function of its p open numbers.
+        driving: Torques (K, n) of the motors.
+        without_friction: Torques (K, n) that the motion needs without friction.
+        v: Velocities (K, n).
+        a: Accelerations (K, n).
+
+    Returns:
+        The sizes (p,) and the speeds (n,).
+    """
+    motors, needs, speed, acceleration = (
+        np.maximum(np.sqrt(np.mean(each**2, axis=0)), 1e-9) for each in (driving, without_friction, v, a)
+    )
+    return family.sizes(np.maximum(motors, needs), speed, acceleration), speed
+
+
 def motor_inputs(
     model: MechanicalSystem, q: Float[np.ndarray, "T n"], v: Float[np.ndarray, "T n"], a: Float[np.ndarray, "T n"]
 ) -> tuple[Float[np.ndarray, "T m"], Float[np.ndarray, "n m"]]:
@@ -191,8 +217,7 @@ def motor_inputs(
         >>> motor_inputs(models.robots.load("double_pendulum"), np.array([[0.0, np.pi / 2]]), still, still)[0].round(3)
         array([[0.51, 0.51]])
     """
-    motors = motor_matrix(model)
-    return in_batches(efforts, model, q, v, a)[:, 0] @ np.linalg.pinv(motors).T, motors
+    return in_batches(efforts, model, q, v, a)[:, 0] @ inverse_motors(model).T, motor_matrix(model)
 
 
 def _torque(model: MechanicalSystem, q: Array, v: Array, a: Array, u: Array) -> Array:

@@ -8,12 +8,11 @@ import typer
 
 from covariant import workflow
 from covariant.cli._console import progress_bar, show
+from covariant.cli._names import FIGURES, TABLES
 from covariant.cli._options import Json, Model, Override
 from covariant.cli._parse import count_list, interval_map, number_list
 from covariant.workflow import check_output
 
-FIGURES = (".png", ".pdf", ".svg")
-TRAJECTORIES = (".csv", ".txt", ".tsv", ".parquet")
 design = typer.Typer(
     no_args_is_help=True,
     rich_markup_mode=None,
@@ -95,7 +94,7 @@ def excitation(
             "torque_constants, offsets, or of one joint or link: friction.elbow, armature.3."
         ),
     ],
-    out: Annotated[Path, typer.Option("--out", "-o", help=f"Motion and torques to write ({', '.join(TRAJECTORIES)}).")],
+    out: Annotated[Path, typer.Option("--out", "-o", help=f"Motion and torques to write ({', '.join(TABLES)}).")],
     duration: Annotated[float, typer.Option(help="Length [s], a whole number of periods.")] = 20.0,
     rate: Annotated[float, typer.Option(help="Rows in a second [Hz].")] = 500.0,
     frequency: Annotated[float, typer.Option(help="Frequency of the first harmonic [Hz].")] = 0.2,
@@ -124,7 +123,7 @@ def excitation(
     json: Json = False,
 ) -> None:
     """Design a motion of a robot, within its limits, whose log determines what is asked, but blind to collisions."""
-    check_output(out, *TRAJECTORIES, overwrite=overwrite)
+    check_output(out, *TABLES, overwrite=overwrite)
     check_output(figure, *FIGURES)
     with progress_bar(json) as progress:
         result = workflow.design_excitation(

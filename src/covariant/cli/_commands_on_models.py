@@ -9,7 +9,7 @@ import typer
 
 from covariant import workflow
 from covariant.cli._console import progress_bar, show
-from covariant.cli._names import CERTIFIED, PAPERS, WRITTEN, Checker
+from covariant.cli._names import CERTIFIED, FIGURES, PAPERS, WRITTEN, Checker
 from covariant.cli._options import (
     Json,
     Model,
@@ -22,7 +22,6 @@ from covariant.cli._options import (
 from covariant.cli._parse import byte_count, interval_map, name_list, number_list
 from covariant.workflow import check_output
 
-FIGURES = (".png", ".pdf", ".svg")
 on_models = typer.Typer()
 
 

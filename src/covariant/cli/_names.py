@@ -8,7 +8,18 @@ from covariant.observers import (
     STATE_OBSERVER_NAMES as STATE_ESTIMATORS,
 )
 
-__all__ = ["CERTIFIED", "ESTIMATORS", "PAPERS", "SMOOTHED", "STATE_ESTIMATORS", "WRITTEN", "Checker", "Engine"]
+__all__ = [
+    "CERTIFIED",
+    "ESTIMATORS",
+    "FIGURES",
+    "PAPERS",
+    "SMOOTHED",
+    "STATE_ESTIMATORS",
+    "TABLES",
+    "WRITTEN",
+    "Checker",
+    "Engine",
+]
 
 CERTIFIED = ("intrinsic", "geodesic")
 """Observers that can be certified."""
@@ -18,5 +29,9 @@ Engine = Literal["auto", "c", "jax"]
 """Names of engines, as in `covariant.engine`."""
 Checker = Literal["auto", "all", "off"]
 """How much is given to the checker, as in `covariant.certificates`."""
-WRITTEN = (".csv", ".txt", ".tsv", ".parquet", ".mcap", ".rosbag2")
+FIGURES = (".png", ".pdf", ".svg")
+"""Suffixes of figures."""
+TABLES = (".csv", ".txt", ".tsv", ".parquet")
+"""Suffixes of tables that are no log."""
+WRITTEN = (*TABLES, ".mcap", ".rosbag2")
 """Suffixes of logs that can be written, as in `covariant.logs`."""

@@ -307,10 +307,22 @@ def external_force(
     if density is not None or std is None or time is None:
         raise ValueError("external_force: give a density, or both std and time")
     check_positive("external_force", time=time)
-    cov = jnp.diag(jnp.asarray(_deviations("external_force", "std", std) ** 2))
+    stds = _deviations("external_force", "std", std)
+    return forgotten_force(_numbered(name, len(stds)), stds, time, _itself)
+
+
+def forgotten_force(names: tuple[str, ...], stds: np.ndarray, time: Number, force: Callable[..., Vector]) -> Slow:
+    """A force whose independent components are as uncertain at the start as in the long run, and are forgotten.
+
+    Args:
+        names: Names (k) of the components.
+        stds: Their usual sizes (k,).
+        time: Time constant τ [s].
+        force: `(q, v, s) -> (n,)`, the generalised force of the components.
+    """
+    cov = jnp.diag(jnp.asarray(stds**2))
     # Stationary: density · τ/2 is the covariance in the long run.
-    n, walk = len(cov), 2 / time * cov
-    return Slow(_numbered(name, n), jnp.zeros(n), cov, walk, force=_itself, time=time)
+    return Slow(names, jnp.zeros(len(stds)), cov, 2 / time * cov, force=force, time=time)
 
 
 def sensor_bias(std: Numbers, drift: Numbers = 0.0, name: str = "bias") -> Slow:

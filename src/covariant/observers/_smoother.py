@@ -39,6 +39,8 @@ from covariant.observers._gated_filter import AbstractGatedFilter
 from covariant.observers._protocol import AbstractObserver, Rows, checked, kept, scan
 from covariant.signals import Record, Result, Run
 
+FARTHEST = 1e3
+"""Size of smoothed estimates, relative to those of the filter, from which a covariance was singular up to rounding."""
 BLOCK = 4096
 """Rows whose steps are held in memory at once: a longer log is run through twice, the second time from its end."""
 
@@ -180,7 +182,8 @@ def smooth(
         The smoothed run, the run of the filter, and the covariances.
 
     Raises:
-        ValueError: From `Record.check`; an observer of another kind, or a negative lag.
+        ValueError: From `Record.check`; an observer of another kind, a negative lag, or a covariance that is singular
+            but for rounding where that shows in the estimates.
 
     Example:
         >>> import numpy as np
@@ -201,7 +204,17 @@ def smooth(
     if lag is not None and lag < 0:
         raise ValueError(f"smooth: lag must be a number of rows, 0 or more; got {lag}")
     t, u, y, _ = checked(observer, record)
-    return smoothed(observer, jnp.asarray(t), jnp.asarray(u), jnp.asarray(y), lag, keep)
+    result = smoothed(observer, jnp.asarray(t), jnp.asarray(u), jnp.asarray(y), lag, keep)
+    largest, beside = (
+        max(float(jnp.abs(leaf).max()) for leaf in jax.tree.leaves(run.estimate))
+        for run in (result.run, result.filtered)
+    )
+    if largest > FARTHEST * beside:
+        raise ValueError(
+            "smooth: some of the motion has no uncertainty but for rounding, which spoils the rest; give each "
+            "coordinate some uncertainty at the start, or process noise"
+        )
+    return result
 
 
 def smoothed(

@@ -17,7 +17,7 @@ from covariant._typing import Number, Numbers, Vector
 from covariant.geometry import AbstractSpace
 from covariant.models.robots import RobotSpace
 from covariant.observers._protocol import check_positive
-from covariant.observers._slow import Slow
+from covariant.observers._slow import Slow, forgotten_force
 
 FRAMES = ("link", "world")
 _AXES = ("fx", "fy", "fz", "tx", "ty", "tz")
@@ -101,10 +101,8 @@ def wrench(
         eqx.filter_eval_shape(force, q, v, jax.ShapeDtypeStruct((acting.size,), v.dtype))
     except ValueError as error:
         raise ValueError(f"wrench: {error}") from error
-    cov = jnp.diag(jnp.asarray(stds[acting] ** 2))
     names = tuple(f"{_AXES[i]}_{link if name is None else name}" for i in acting)
-    # Stationary: density · τ/2 is the covariance in the long run.
-    return Slow(names, jnp.zeros(acting.size), cov, 2 / time * cov, force=force, time=time)
+    return forgotten_force(names, stds[acting], time, force)
 
 
 def _three(what: str, value: Any, least: float) -> np.ndarray:

@@ -18,7 +18,7 @@ from covariant.observers import Geodesic, Intrinsic
 from covariant.proofs import MOST_BOXES, read_file
 from covariant.workflow._arguments import Amounts, Region, above_zero, amounts, bounds, gain_pair, numbers
 from covariant.workflow._inputs import data_sheet, numbered
-from covariant.workflow._outputs import check_output
+from covariant.workflow._outputs import FIGURES, check_output
 from covariant.workflow._progress import Progress, silent
 from covariant.workflow._result import AbstractResult
 
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
 
 OBSERVERS = {"intrinsic": Intrinsic, "geodesic": Geodesic}
 """The observers that there are certificates for."""
-FIGURES = (".png", ".pdf", ".svg")
 VERDICTS = {"holds": "proved", "fails": "wrong", "undecided": "not decided"}
 """What people call the verdicts."""
 _KINDS = {"estimate": "estimate of", "velocity": "estimated velocity", "error": "position error", "force": "force"}

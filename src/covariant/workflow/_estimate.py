@@ -4,7 +4,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -47,13 +47,9 @@ from covariant.workflow._outcome import (
     with_units,
 )
 from covariant.workflow._outputs import check_output
-from covariant.workflow._pages import estimate_report, write_report
+from covariant.workflow._pages import AbstractEstimates, estimate_report
 from covariant.workflow._progress import Progress, silent
-from covariant.workflow._result import AbstractTable
 from covariant.workflow._states import state_design_note, tuned_states
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 LONGEST_SHOWN = 3
 """How many stretches without a measurement are named, the longest ones."""
@@ -125,7 +121,7 @@ def estimate(
 
 
 @dataclass(frozen=True, repr=False)
-class EstimateResult(AbstractTable):
+class EstimateResult(AbstractEstimates):
     """Estimates from a log: a table of time, configuration and velocities, with their standard deviations if known.
 
     Attributes:
@@ -295,39 +291,6 @@ class EstimateResult(AbstractTable):
         if engine_is_notable(result["engine"], self.asked_engine):
             lines.append(f"engine: {result['engine']}")
         return "\n".join([*lines, *self.warnings])
-
-    def report(self, path: str | Path) -> list[Path]:
-        """Write an interactive page of the estimates, and figures (.png) beside it.
-
-        Args:
-            path: The page to write (.html).
-
-        Returns:
-            The paths of all files, the page first.
-
-        Raises:
-            ImportError: Without matplotlib or plotly; nothing is written then.
-        """
-        return write_report(Path(path), self._page())
-
-    def plot(self, path: str | Path | None = None) -> "Figure":
-        """Draw velocities or states, and their errors where there is a reference.
-
-        Args:
-            path: Where the figure is written as well (.png, .pdf, .svg); by default it is not.
-
-        Returns:
-            The figure, a row of panels for each coordinate.
-
-        Raises:
-            ImportError: Without matplotlib.
-        """
-        from covariant.report import figure, save_figure
-
-        page_figure = figure(self._page())
-        if path is not None:
-            save_figure(page_figure, Path(path))
-        return page_figure
 
     def _page(self) -> Any:
         what = "States" if self.loaded.model.sought.what == "state" else "Velocities"

@@ -11,13 +11,10 @@ import numpy as np
 
 from covariant import logs
 from covariant.workflow._arguments import Amounts, Overrides, Region, above_zero
-from covariant.workflow._outputs import check_output
+from covariant.workflow._outputs import FIGURES, TABLES, check_output
 from covariant.workflow._progress import Progress, silent
 from covariant.workflow._result import AbstractTable
 
-TRAJECTORIES = (".csv", ".txt", ".tsv", ".parquet")
-"""Endings of the tables that are written."""
-FIGURES = (".png", ".pdf", ".svg")
 FEWEST_ROWS = 10
 """Least number of rows in a period of the highest harmonic."""
 COLLISIONS = "Collisions are not looked at: see the motion in a simulation before the machine makes it."
@@ -261,7 +258,7 @@ class ExcitationResult(AbstractTable):
             ValueError: For another suffix, a folder that does not exist, or a file that exists.
         """
         path = Path(path)
-        check_output(path, *TRAJECTORIES, overwrite=overwrite)
+        check_output(path, *TABLES, overwrite=overwrite)
         logs.write(path, self.columns)
         return path
 

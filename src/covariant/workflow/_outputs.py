@@ -2,6 +2,11 @@
 
 from pathlib import Path
 
+FIGURES = (".png", ".pdf", ".svg")
+"""Suffixes of figures."""
+TABLES = (".csv", ".txt", ".tsv", ".parquet")
+"""Suffixes of tables that are no log."""
+
 
 def check_output(
     path: Path | None, *suffixes: str, log: object = None, store: bool = False, overwrite: bool = True

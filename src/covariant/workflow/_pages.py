@@ -1,13 +1,18 @@
 """The page of estimates on one log."""
 
+import abc
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from covariant import scoring
 from covariant.report import EstimateReport, write_report as write_page_and_figures
 from covariant.workflow._inputs import Loaded, coordinates
+from covariant.workflow._result import AbstractTable
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 def estimate_report(
@@ -72,3 +77,44 @@ def write_report(path: Path, report: EstimateReport) -> list[Path]:
         The paths of all files, the page first.
     """
     return write_page_and_figures(report, path)
+
+
+class AbstractEstimates(AbstractTable):
+    """Table of estimates, which is drawn on one page."""
+
+    def report(self, path: str | Path) -> list[Path]:
+        """Write an interactive page of the estimates, and figures (.png) beside it.
+
+        Args:
+            path: The page to write (.html).
+
+        Returns:
+            The paths of all files, the page first.
+
+        Raises:
+            ImportError: Without matplotlib or plotly; nothing is written then.
+        """
+        return write_report(Path(path), self._page())
+
+    def plot(self, path: str | Path | None = None) -> "Figure":
+        """Draw velocities or states, and their errors where there is a reference.
+
+        Args:
+            path: Where the figure is written as well (.png, .pdf, .svg); by default it is not.
+
+        Returns:
+            The figure, a row of panels for each coordinate.
+
+        Raises:
+            ImportError: Without matplotlib.
+        """
+        from covariant.report import figure, save_figure
+
+        page_figure = figure(self._page())
+        if path is not None:
+            save_figure(page_figure, Path(path))
+        return page_figure
+
+    @abc.abstractmethod
+    def _page(self) -> Any:
+        """What the page and the figures show."""

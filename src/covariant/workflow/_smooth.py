@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import jax
 import numpy as np
@@ -22,15 +22,8 @@ from covariant.workflow._inputs import (
 )
 from covariant.workflow._outcome import KEPT, deviations, report_curves, rounded, scored, with_units
 from covariant.workflow._outputs import check_output
-from covariant.workflow._pages import estimate_report, write_report
+from covariant.workflow._pages import AbstractEstimates, estimate_report
 from covariant.workflow._progress import Progress, silent
-from covariant.workflow._result import AbstractTable
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-FARTHEST = 1e3
-"""Size of smoothed estimates, relative to those of the filter, from which a covariance was singular up to rounding."""
 
 
 def smooth(
@@ -110,15 +103,6 @@ def smooth(
     )
     if before.outcome.failed or not (np.isfinite(after.velocity).all() and np.isfinite(smoothed.root).all()):
         raise ValueError(f"{job.log_name}: the estimate left the finite numbers; check model and units")
-    largest, beside = (
-        max(float(np.abs(np.asarray(leaf)).max()) for leaf in jax.tree.leaves(run.estimate))
-        for run in (smoothed.run, smoothed.filtered)
-    )
-    if largest > FARTHEST * beside:
-        raise ValueError(
-            f"{job.log_name}: some of the motion has no uncertainty but for rounding, and cannot be smoothed; state an "
-            "uncertainty for each coordinate"
-        )
     return SmoothResult(after, before, np.asarray(smoothed.std), rows)
 
 
@@ -143,7 +127,7 @@ def lag_rows(t: np.ndarray, lag: float) -> int | None:
 
 
 @dataclass(frozen=True, repr=False)
-class SmoothResult(AbstractTable):
+class SmoothResult(AbstractEstimates):
     """Smoothed estimates from a log: a table of time, configuration and velocities with their standard deviations.
 
     Attributes:
@@ -265,39 +249,6 @@ class SmoothResult(AbstractTable):
         spread = (with_units(each[f"{what}_std"], units) for each in (result, result["filter"]))
         lines.append("median standard deviation of the {}: {}; of the filter {}".format(what, *spread))
         return "\n".join([*lines, *self.warnings])
-
-    def report(self, path: str | Path) -> list[Path]:
-        """Write an interactive page of the estimates, with those of the filter, and figures (.png) beside it.
-
-        Args:
-            path: The page to write (.html).
-
-        Returns:
-            The paths of all files, the page first.
-
-        Raises:
-            ImportError: Without matplotlib or plotly; nothing is written then.
-        """
-        return write_report(Path(path), self._page())
-
-    def plot(self, path: str | Path | None = None) -> "Figure":
-        """Draw velocities or states, and their errors where there is a reference.
-
-        Args:
-            path: Where the figure is written as well (.png, .pdf, .svg); by default it is not.
-
-        Returns:
-            The figure, a row of panels for each coordinate.
-
-        Raises:
-            ImportError: Without matplotlib.
-        """
-        from covariant.report import figure, save_figure
-
-        page_figure = figure(self._page())
-        if path is not None:
-            save_figure(page_figure, Path(path))
-        return page_figure
 
     def _page(self) -> Any:
         loaded, name = self.smoothed.loaded, self.smoothed.observer_name
