@@ -46,6 +46,8 @@ jax.config.update("jax_numpy_dtype_promotion", "strict")
 hypothesis.settings.register_profile("laws", derandomize=True, deadline=None, database=None, max_examples=60)
 hypothesis.settings.load_profile("laws")
 
+SUITES = ("long", "exhaustive")
+"""Marks that a file may give its cases by a list of their names, in capitals."""
 REPOSITORY = Path(__file__).parents[1]
 
 
@@ -56,23 +58,25 @@ def pytest_unconfigure():
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config, items):
-    """Mark as long what a file says in `LONG`: a case as `test[parameters]`, or parameters of any test of the file.
+    """Mark as long, or exhaustive, what a file says in `LONG` or `EXHAUSTIVE`: a case as `test[parameters]`, or
+    parameters of any test of the file.
 
     Of several parameters, joined by dashes as tests show them, a name may be one or some that follow each other.
     """
     unused = set()
     for module in {item.module for item in items}:
-        unused |= {(module.__name__, name) for name in getattr(module, "LONG", ())}
+        unused |= {(module.__name__, name) for suite in SUITES for name in getattr(module, suite.upper(), ())}
     for item in items:
         parameters = f"-{item.callspec.id}-" if hasattr(item, "callspec") else ""
-        listed = getattr(item.module, "LONG", ())
-        names = [name for name in listed if name == item.name or f"-{name}-" in parameters]
-        if names:
-            item.add_marker(pytest.mark.long)
-        unused -= {(item.module.__name__, name) for name in names}
+        for suite in SUITES:
+            listed = getattr(item.module, suite.upper(), ())
+            names = [name for name in listed if name == item.name or f"-{name}-" in parameters]
+            if names:
+                item.add_marker(getattr(pytest.mark, suite))
+            unused -= {(item.module.__name__, name) for name in names}
     items.sort(key=lambda item: "/pages/" not in item.nodeid)  # what takes longest comes first, or a worker idles
     if unused and not any("::" in argument for argument in config.args):
-        raise pytest.UsageError(f"LONG names parameters that no test has: {sorted(unused)}")
+        raise pytest.UsageError(f"LONG or EXHAUSTIVE names parameters that no test has: {sorted(unused)}")
 
 
 @pytest.fixture(scope="module", autouse=True)

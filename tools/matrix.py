@@ -19,7 +19,7 @@ ROOT = Path(__file__).parents[1]
 VERSIONS = ("3.12", "3.13")
 INSTALL = ("-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--upgrade", "-e", ".[dev]")
 ALL = (
-    "pytest -n 2 --dist loadfile --no-loadscope-reorder --max-worker-restart 0 -m 'not long'",
+    "pytest -n 2 --dist loadfile --no-loadscope-reorder --max-worker-restart 0 -m 'not long and not exhaustive'",
     "python gallery/run_all.py",
 )
 SHORT = (

@@ -125,7 +125,7 @@ def test_seeds_repeat(robot, found):
     assert np.abs(other.motion.coefficients - found.motion.coefficients).max() > 0.01
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_what_no_motion_shows_is_named():
     robot = family("inertia.lower")
     found = design_excitation(robot, LIMITS, SENSING, PLAN._replace(harmonics=2), HALF)
@@ -170,7 +170,7 @@ def tracked(motion: FourierMotion, model, rate: float, seconds: float):
     return t, u, y
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_fits_to_simulated_logs_scatter_as_expected(monkeypatch):
     """An arm with other friction and rotors than the model of the design, in closed form, with feedback and noise."""
     rough = models.robot_family("double_pendulum", ["friction", "armature"])

@@ -71,7 +71,7 @@ def test_friction_and_rotors_are_the_true_ones_within_their_standard_errors(plai
     assert plain.combinations.rank == 8
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_a_load_is_found_with_its_place():
     truth = Truth(load=0.15)
     found = fitted(truth, ["payload", "friction.coulomb", "friction.viscous", "friction.asymmetry", "armature"])
@@ -96,7 +96,7 @@ def test_constants_offsets_and_stribeck_friction_are_the_true_ones():
     assert found.standard_errors[-2:].max() < 0.01
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_inertias_are_bodies_that_exist_and_predict_as_the_true_ones():
     """Only combinations of the twenty numbers show: these are right, and each body can exist."""
     family = models.robot_family("double_pendulum", ["inertia", "friction", "armature"])
@@ -117,7 +117,7 @@ def test_inertias_are_bodies_that_exist_and_predict_as_the_true_ones():
     assert np.sqrt(np.mean((ours - true) ** 2)) < 0.02 * np.sqrt(np.mean(true**2))
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_intervals_of_95_percent_cover_the_truth():
     t, u, y = swing(40, Truth(), 20.0, torque_noise=0.03)
     family = models.robot_family("double_pendulum", ["friction", "armature"])

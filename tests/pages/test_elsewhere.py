@@ -1,4 +1,8 @@
-"""The pages with what takes long on them, without a compiler, and without a cache; the demo likewise."""
+"""The pages with what takes long on them, without a compiler, and without a cache; the demo likewise.
+
+What computes, and whether it is kept, is decided in one place each: pages with the main commands show it in the long
+suite, all others in the exhaustive one.
+"""
 
 import os
 import sys
@@ -7,6 +11,12 @@ import pytest
 from page_runs import WITH_COMMANDS, WITH_LONG_BLOCKS, over, run, run_program
 
 pytestmark = pytest.mark.long
+MAIN = ("README.md", "check.md", "fmu.md")
+EVERYWHERE = [
+    pytest.param(page, marks=() if page.name in MAIN else pytest.mark.exhaustive, id=page.name)
+    for page in WITH_COMMANDS
+]
+everywhere = pytest.mark.parametrize("page", EVERYWHERE)
 
 
 @over(WITH_LONG_BLOCKS)
@@ -14,12 +24,12 @@ def test_a_page_runs_with_its_long_blocks_too(page, tmp_path, home):
     run(page, tmp_path, home, os.defpath, "--long")
 
 
-@over(WITH_COMMANDS)
+@everywhere
 def test_a_page_runs_without_a_compiler(page, tmp_path, home, without_compiler):
     run(page, tmp_path, home, without_compiler)
 
 
-@over(WITH_COMMANDS)
+@everywhere
 def test_a_page_runs_without_a_cache(page, tmp_path, home):
     run(page, tmp_path, home, os.defpath, COVARIANT_CACHE="off")
 
