@@ -127,8 +127,12 @@ class Record(_Fields):
         positions = _count(shape[1], "position") if len(shape) == 2 else f"positions {shape[1]} × {shape[2]}"
         return f"<Record: {_span(self.t)}, {positions}, {_count(np.shape(self.u)[1], 'input')}>"
 
-    def check(self) -> "Record":
+    def check(self, start: Any = None) -> "Record":
         """Check that the record is valid: real numbers of consistent shapes, and rising stamps in seconds.
+
+        Args:
+            start: Which places of a measurement, as a flat array, the first row must hold; an index of the flat array,
+                all (default) where it is None.
 
         Returns:
             The record itself.
@@ -178,7 +182,7 @@ class Record(_Fields):
             k = int((step == 0).argmax())
             raise StampError(f"rows {k + 1} and {k + 2} have the same stamp {t[k]:g} s; keep one of them")
         check_rounding(t)
-        if np.isnan(y[0]).any():
+        if np.isnan(y[0] if start is None else y[0].ravel()[start]).any():
             raise ValueError("row 1 lacks a measurement, so no estimate can start there; cut the log to begin later")
         return self
 

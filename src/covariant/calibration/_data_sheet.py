@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from covariant.observers import Slow
+from covariant.observers import Sensor, Slow
 
 
 class DataSheet(NamedTuple):
@@ -32,6 +32,7 @@ class DataSheet(NamedTuple):
             all components or one for each; None where no such force is estimated.
         external_force_time: Its time constant [s]; both or neither.
         slow: Further slow states to estimate along with the motion, as `observers.sensor_bias`.
+        sensors: Sensors beside the measured configuration, as `observers.gyro`, for filters that use them.
 
     Example:
         >>> from covariant.calibration import DataSheet, observer_gains
@@ -54,6 +55,7 @@ class DataSheet(NamedTuple):
     slow: tuple[Slow, ...] = ()
     external_force_std: float | tuple[float, ...] | None = None
     external_force_time: float | None = None
+    sensors: tuple[Sensor, ...] = ()
 
     @property
     def speeds(self) -> Float[np.ndarray, "*n"]:

@@ -329,7 +329,8 @@ def trace_program(
     first = recipe.make(recipe.numbers)
     model: Any = getattr(first, "model", None)
     # A filter without a model looks at no input.
-    u = inputs if inputs is not None else input_count(model, y.shape[0]) if model is not None else 0
+    n = first.configuration(y).shape[0]
+    u = inputs if inputs is not None else input_count(model, n) if model is not None else 0
     open_numbers = {name: jax.ShapeDtypeStruct(np.shape(value), dtype) for name, value in recipe.numbers.items()}
     scalar, measured = jax.ShapeDtypeStruct((), dtype), jax.ShapeDtypeStruct(y.shape, dtype)
 

@@ -66,7 +66,8 @@ class Stream:
 
     Args:
         observer: Any observer.
-        y: A configuration (n,) or (N, N), of which only the shape counts.
+        y: A measurement, a configuration (n,) or (N, N) or what the observer's sensors make of it, of which only the
+            shape counts.
         rate: Usual sampling rate [Hz], at which one step is tried before the first sample.
         inputs: Number of inputs m; by default that of the observer's model.
         engine: "auto" and "c" compile it in C where that is possible, "jax" in JAX.
@@ -100,14 +101,17 @@ class Stream:
         y = np.asarray(y, float)
         model: Any = getattr(observer, "model", None)
         stated = getattr(model, "inputs", None)
-        m = inputs if inputs is not None else 0 if model is None else len(y) if stated is None else stated
+        configuration = observer.configuration(np.arange(y.size).reshape(y.shape))
+        n = len(configuration) if stated is None else stated
+        m = inputs if inputs is not None else 0 if model is None else n
         self.observer: Any = observer
         self.engine, self._backend = backend(self.observer, y, m, engine)
         self._y, self._u = self._backend.y, self._backend.u
         self._y_place, self._u_place = self._backend.places
         self._advance, self._copy = self._backend.advance, self._backend.x.copy
         self._largest = self.observer.largest(y).ravel()
-        self._shape = y.shape if y.ndim == 2 else None
+        self._first = configuration.ravel()  # places of what has to be measured at the start
+        self._shape = configuration.shape if configuration.ndim == 2 else None
         # Compile before the first sample.
         self._backend.y[:], self._backend.u[:] = y.ravel(), 0.0
         self._backend.start(0.0)
@@ -195,7 +199,7 @@ class Stream:
         self._t, self._back = t, 0
         result = Result.COASTED
         # NaN compares as false: a measurement with a missing entry starts nothing.
-        if (np.abs(self._backend.y) <= self._largest).all():
+        if (np.abs(self._backend.y) <= self._largest)[self._first].all():
             self._backend.start(t)
             result = Result.OK if np.isfinite(self._backend.x).all() else Result.NOT_FINITE
         self._started = result == Result.OK
@@ -226,7 +230,7 @@ class Stream:
 
     def _motion(self) -> Motion:
         x: Any = self._copy()
-        return Motion(x[: self._y.size].reshape(self._shape), x[self._y.size :])
+        return Motion(x[: self._first.size].reshape(self._shape), x[self._first.size :])
 
 
 def _stamp(t: Any) -> float:

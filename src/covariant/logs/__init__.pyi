@@ -1,3 +1,4 @@
+from ._beside import readings as readings
 from ._columns import (
     ATTITUDES as ATTITUDES,
     ClockError as ClockError,

@@ -145,7 +145,7 @@ def _names(names: str | Sequence[str]) -> tuple[str, ...]:
 
 def _of_columns(name: str, log: Any, columns: Columns, optional: Collection[str]) -> Log:
     """All rows of a log that has columns."""
-    columns, table, units = _table(name, log, columns, optional)
+    columns, table, units = columns_and_table(name, log, columns, optional)
     for field in ("t", *MEASURED, "u", *OPTIONAL):
         # Dates and durations state their unit by their type.
         if field != "t" or not timed(table.column(columns.t)):
@@ -156,15 +156,15 @@ def _of_columns(name: str, log: Any, columns: Columns, optional: Collection[str]
         for field in fields:
             for place, column in enumerate(getattr(columns, field)):
                 unit = columns.unit_of(field, place)
-                values = numbers(_where(name, column, unit), table.column(column), needed)
+                values = numbers(where(name, column, unit), table.column(column), needed)
                 # Without a number in any row it is another column, and not a sensor with gaps.
                 if field in MEASURED and len(values) and np.isnan(values).all():
-                    raise LogError(f"{_where(name, column, unit)} holds no number in any row; name another column")
+                    raise LogError(f"{where(name, column, unit)} holds no number in any row; name another column")
                 cells.append(values if unit is None else values * unit_factor(unit))
         return np.column_stack(cells) if cells else np.empty((len(table), 0))
 
     unit = columns.unit_of("t", 0)
-    t, origin = stamps(_where(name, columns.t, unit), table.column(columns.t), unit)
+    t, origin = stamps(where(name, columns.t, unit), table.column(columns.t), unit)
     u, y = stack("u", needed=True), from_cells(name, columns, stack(*MEASURED))
     v, truth = (stack(field) if getattr(columns, field) else None for field in OPTIONAL)
     return Log(_checked(name, Record(t, u, y)), v, truth, origin)
@@ -263,7 +263,7 @@ def survey(log: str | PathLike[str] | Any) -> dict[str, Float[np.ndarray, "T"]]:
     return columns
 
 
-def _where(name: str, column: str, unit: str | None) -> str:
+def where(name: str, column: str, unit: str | None) -> str:
     return f"{name}: column {column!r}" + (f" [{unit}]" if unit else "")
 
 
@@ -277,7 +277,9 @@ def _checked(name: str, record: Record) -> Record:
         raise LogError(f"{name}: {error}") from error
 
 
-def _table(name: str, log: Any, columns: Columns, optional: Collection[str]) -> tuple[Columns, Any, Mapping[str, str]]:
+def columns_and_table(
+    name: str, log: Any, columns: Columns, optional: Collection[str]
+) -> tuple[Columns, Any, Mapping[str, str]]:
     """The columns without the optional ones that the log lacks, a table of them, and the units that the log states."""
     with _legible(name, log):
         names, shown, load, units = _opened(name, log)

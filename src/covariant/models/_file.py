@@ -83,6 +83,8 @@ class ModelFile(NamedTuple):
         system: Name of the system, where it is one of this library, as "robot".
         wrenches: Forces on links of a robot, by name, for a filter that estimates them: arguments of
             `observers.wrench`.
+        sensors: Sensors beside the measured positions, by name, with the keys of their tables, for a filter that uses
+            them.
 
     Example:
         >>> from covariant import models
@@ -121,6 +123,7 @@ class ModelFile(NamedTuple):
     external_force_time: float | None = None
     system: str = ""
     wrenches: Mapping[str, Mapping[str, Any]] = MappingProxyType({})
+    sensors: Mapping[str, Mapping[str, Any]] = MappingProxyType({})
 
     @property
     def typical_std(self) -> float | None:

@@ -48,6 +48,21 @@ WRENCH = "wrench"
 """Table of the forces that act on links, a table for each."""
 _OF_WRENCH = ("link", "force_std", "torque_std", "time", "frame", "point")
 
+SENSORS = "sensors"
+"""Table of the sensors beside the measured positions, a table for each."""
+_OF_EVERY_SENSOR = ("kind", "columns", "units", "delay")
+_BIASED, _PLACED = ("std", "bias", "bias_drift"), ("link", "axes", "place")
+_OF_SENSOR = {
+    "encoder": ("of", "reduction", *_BIASED),
+    "tachometer": ("of", "reduction", *_BIASED),
+    "gyro": ("link", "axes", *_BIASED),
+    "accelerometer": (*_PLACED, "gravity", *_BIASED),
+    "pose": (*_PLACED, "attitude", "position_std", "rotation_std"),
+    "point": ("link", "place", *_BIASED),
+}
+"""Kinds of sensors, with the keys of each."""
+_REQUIRED = dict.fromkeys(_OF_SENSOR, ("std",)) | {"pose": ("attitude", "position_std", "rotation_std")}
+
 _NAMES = tuple(field for field in Columns._fields if field != "units")
 """Keys of [columns], and of [units] but for attitudes, which have none."""
 _KEYS = {"columns": _NAMES, "units": tuple(name for name in _NAMES if name not in ATTITUDES)} | {
@@ -166,7 +181,7 @@ def check_layout(document: dict[str, Any]) -> None:
         ValueError: Names the first unknown one and suggests the nearest name.
     """
     for table, content in document.items():
-        refuse_unknown("table or key", table, ("system", "parameters", *_KEYS, WRENCH))
+        refuse_unknown("table or key", table, ("system", "parameters", *_KEYS, WRENCH, SENSORS))
         if table != "system" and not isinstance(content, dict):
             raise ValueError(f"{table} must be a table, [{table}]; got {content!r}")
         if table in _KEYS:
@@ -263,7 +278,7 @@ def numbers(document: dict[str, Any], count: int, states: int) -> dict[str, Any]
         ticks = fields["quantum"]  # an error uniform over one step has the variance quantum²/12
         values = tuple(tick / math.sqrt(12) for tick in (ticks if isinstance(ticks, tuple) else (ticks,)))
         fields["measurement_std"] = values if isinstance(ticks, tuple) else values[0]
-    return fields | _choices(document) | _uncertain(document, states) | _wrenches(document)
+    return fields | _choices(document) | _uncertain(document, states) | _wrenches(document) | _sensors(document)
 
 
 def _number(where: tuple[str, str], value: Any) -> float | int:
@@ -316,6 +331,35 @@ def _wrenches(document: dict[str, Any]) -> dict[str, dict[str, dict[str, Any]]]:
                 "time [s] after which it is forgotten"
             )
     return {"wrenches": dict(given)} if given else {}
+
+
+def _sensors(document: dict[str, Any]) -> dict[str, dict[str, dict[str, Any]]]:
+    """The sensors, by name; whose numbers are checked where they are made."""
+    given = document.get(SENSORS, {})
+    for name, content in given.items():
+        where = f"[{SENSORS}.{name}]"
+        if not isinstance(content, dict):
+            raise ValueError(f"{SENSORS}.{name} must be a table, {where}; got {content!r}")
+        kind = content.get("kind")
+        if kind not in _OF_SENSOR:
+            raise ValueError(f"{where} needs a kind, one of {', '.join(_OF_SENSOR)}; got {kind!r}")
+        for key in content:
+            refuse_unknown(f"key of {where}", key, (*_OF_EVERY_SENSOR, *_OF_SENSOR[kind]))
+        wanted = ("columns", "of" if "of" in _OF_SENSOR[kind] else "link", *_REQUIRED[kind])
+        missing = [key for key in wanted if key not in content]
+        if missing:
+            raise ValueError(f"{where} needs {', '.join(missing)}")
+        for key in ("columns", "of"):
+            names = content.get(key, ["x"])
+            if not isinstance(names, list) or not names or not all(isinstance(each, str) and each for each in names):
+                raise ValueError(f'{SENSORS}.{name}.{key} must be a list of names, as in ["x", "y"]; got {names!r}')
+        if "units" in content:
+            _units({f"{SENSORS}.{name}": content["units"]})
+        _number(("measurement", "delay"), content.get("delay", 0.0))
+        attitude = content.get("attitude", next(iter(ATTITUDES)))
+        if attitude not in ATTITUDES:
+            raise ValueError(f"{SENSORS}.{name}.attitude must be one of {', '.join(ATTITUDES)}; got {attitude!r}")
+    return {"sensors": dict(given)} if given else {}
 
 
 def _choices(document: dict[str, Any]) -> dict[str, str]:

@@ -56,6 +56,15 @@ from ._sampled import (
     with_fixed_substeps as with_fixed_substeps,
 )
 from ._savitzky_golay import SavitzkyGolay as SavitzkyGolay, WindowState as WindowState
+from ._sensor_kinds import (
+    accelerometer as accelerometer,
+    encoder as encoder,
+    gyro as gyro,
+    point_sensor as point_sensor,
+    pose_sensor as pose_sensor,
+    tachometer as tachometer,
+)
+from ._sensors import Instant as Instant, Sensor as Sensor, SensorInfo as SensorInfo
 from ._slow import (
     Slow as Slow,
     external_force as external_force,

@@ -25,6 +25,7 @@ from jaxtyping import Array, Bool, Float, Inexact
 
 from covariant._typing import Number, Scalar, Vector
 from covariant.observers._protocol import AbstractObserver, LastInput
+from covariant.observers._sensors import Sensor, Sensors
 from covariant.signals import Result
 
 SAME_TIME = 1e-6
@@ -164,6 +165,14 @@ class Delayed(AbstractObserver):
 
     def largest(self, y: Inexact[Array, "*n"] | np.ndarray) -> np.ndarray:
         return self.observer.largest(y)
+
+    def configuration(self, y: Any) -> Any:
+        return self.observer.configuration(y)
+
+    @property
+    def sensors(self) -> tuple[Sensor, ...]:
+        """The sensors of the inner observer."""
+        return getattr(self.observer, "sensors", ())
 
     def estimate(self, state: DelayedState) -> Any:
         return self.observer.estimate(state.now)
@@ -321,9 +330,17 @@ class Delayed(AbstractObserver):
         counts = jnp.any(current) | (code == int(Result.NOT_FINITE))
         before = carry.info.result
         result = jnp.where(counts, jnp.maximum(before, jnp.asarray(code, before.dtype)), before)
-        innovation = jnp.where(current, info.innovation, carry.info.innovation)
+        # One flag for all where there is one delay; else one for each entry of a measurement.
+        positions = current if len(current) == 1 else self.observer.configuration(current)
+        innovation = jnp.where(positions, info.innovation, carry.info.innovation)
         newest = jax.tree.map(lambda new, old: jnp.where(jnp.any(current), new, old), info, carry.info)
         summary = newest._replace(innovation=innovation, result=result)
+        sensors: Any = getattr(info, "sensors", None)
+        if sensors is not None and len(current) > 1:
+            every = Sensors(self.sensors)
+            read = every.of(current[-every.count :])
+            kept = jax.tree.map(lambda new, old: jnp.where(read, new, old), sensors, carry.info.sensors)
+            summary = summary._replace(sensors=kept)
         return _Replay(state, age, known, age_of_known, summary, _std_of(info))
 
 

@@ -10,6 +10,7 @@ Source: Ge, van Goor & Mahony 2025, on the reset; Kailath, Sayed & Hassibi 2000,
 array form; Bar-Shalom, Li & Kirubarajan 2001, section 5.4, for the gate.
 """
 
+import functools
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -23,10 +24,11 @@ from covariant.geometry import AbstractManifold, AbstractSpace, Budget
 from covariant.models import MechanicalSystem, Motion, advance
 from covariant.observers._covariance import Covariance, check_covariance, covariance_at
 from covariant.observers._gate import Gate, with_block
-from covariant.observers._gate_memory import GateMemory, Velocity
+from covariant.observers._gate_memory import GateMemory, Judged, Velocity
 from covariant.observers._gated_filter import AbstractMechanicalFilter, Expectation, Moved, Used
 from covariant.observers._protocol import LastInput, as_gain, at_rest, check_positive
 from covariant.observers._sampled import needed_substeps
+from covariant.observers._sensors import Sensed, Sensor, SensorInfo, Sensors
 from covariant.observers._slow import Slow, SlowStates, SlowVector, as_groups
 from covariant.observers._square_root import diagonal, normalised_square, updated, white_acceleration
 from covariant.observers._ticks import Encoded, Readings, take
@@ -50,6 +52,7 @@ class KalmanState(NamedTuple):
         gate: Memory of the gate.
         last_input: Last finite input (m,), which replaces an input that is not finite; None where none is stored.
         readings: Last readings of encoders that count ticks; None where measurements have noise.
+        sensor_gates: Memories of the gates of further sensors, one each.
 
     Example:
         >>> import numpy as np
@@ -68,6 +71,7 @@ class KalmanState(NamedTuple):
     gate: GateMemory
     last_input: LastInput = None
     readings: Readings | None = None
+    sensor_gates: tuple[GateMemory, ...] = ()
 
 
 class KalmanInfo(NamedTuple):
@@ -84,6 +88,7 @@ class KalmanInfo(NamedTuple):
         slow: Estimated slow states (k,), in the order of the observer's `slow_names`.
         slow_std: Standard deviations (k,) of the slow states.
         result: A `covariant.signals.Result` code.
+        sensors: Diagnostics of further sensors; None where the filter has none.
 
     Example:
         >>> import numpy as np
@@ -103,6 +108,7 @@ class KalmanInfo(NamedTuple):
     slow: SlowVector
     slow_std: SlowVector
     result: Code
+    sensors: SensorInfo | None = None
 
 
 class MeasuredOutput(NamedTuple):
@@ -157,7 +163,10 @@ class IntrinsicKalman(AbstractMechanicalFilter):
         quantum: One tick of each encoder (n,), in coordinates [their unit]. A reading is then an interval, and a change
             of it an edge that was passed; `measurement_cov` is the covariance of the positions of edges. None (default)
             where every sample has independent noise.
-        gate: Which measurements are refused as outliers; None refuses none. See `Gate`.
+        sensors: Sensors beside the measured configuration, a `Sensor` or several, as `gyro`: then a measurement is one
+            vector, the entries of the configuration and after them the readings, NaN where there is none; see
+            `Sensor`. None by default.
+        gate: Which measured configurations are refused as outliers; None refuses none. See `Gate`.
         budget: Work spent on geodesics, from the estimate to the measurement and along the correction.
         substeps: Runge–Kutta steps in each sample; None (default) takes as many as dt and the friction need (offline).
 
@@ -184,23 +193,46 @@ class IntrinsicKalman(AbstractMechanicalFilter):
     gate: Gate | None = Gate()
     budget: Budget = eqx.field(default=Budget(newton=1, steps=2), static=True)
     substeps: int | None = eqx.field(default=None, static=True)
+    sensors: tuple[Sensor, ...] = eqx.field(default=(), converter=as_groups)
 
     def __check_init__(self):
         check_covariance("IntrinsicKalman", "measurement_cov", self.measurement_cov, positive=True)
         for name in ("process_cov", "initial_velocity_cov"):
             check_covariance("IntrinsicKalman", name, getattr(self, name))
-        self._slow.check("IntrinsicKalman", self.model)
+        SlowStates(self.slow).check("IntrinsicKalman", self.model)
+        self._sensors.check("IntrinsicKalman")
+        self._slow.check_names("IntrinsicKalman")
         if self.quantum is not None:
             check_positive("IntrinsicKalman", quantum=self.quantum)
             if not self.model.manifold.commuting:
                 raise ValueError("IntrinsicKalman: quantum is for coordinates; encoders count no ticks of an attitude")
 
     def init(self, y: Array, t: Number = 0.0) -> KalmanState:
-        q, v, t, last_input, _ = at_rest(self.model, y, t)
+        """State at rest at a measured configuration; readings of sensors do not count at the start.
+
+        Args:
+            y: First measurement, whose configuration is complete.
+            t: Its time stamp [s], 0 by default.
+
+        Returns:
+            The state.
+
+        Raises:
+            ValueError: y is no configuration, followed by the readings of the sensors where there are some.
+        """
+        q, v, t, last_input, _ = at_rest(self.model, self._split(y)[0], t)
         slow, readings = self._slow.first(v), self._first_readings(q, jnp.zeros_like(v))
         q = self._without_offset(q, v, slow)
         root = self._first_root(q, self._velocity_cov(q), slow)
-        return KalmanState(q, v, t, slow, root, GateMemory.at_start(v), last_input, readings)
+        gates = self._sensors.at_start(v)
+        return KalmanState(q, v, t, slow, root, GateMemory.at_start(v), last_input, readings, gates)
+
+    def admitted(self, y: Array) -> Array:
+        configuration, readings = self._split(y)
+        return self._sensors.joined(super().admitted(configuration), readings)
+
+    def configuration(self, y: Any) -> Any:
+        return self._split(y)[0]
 
     def cov(self, state: KalmanState) -> Float[Array, "two_n_k two_n_k"]:
         """Covariance P (2n + k, 2n + k) of (ε, ν), then the slow states, in the parallel frame at the estimate."""
@@ -228,14 +260,25 @@ class IntrinsicKalman(AbstractMechanicalFilter):
         return jax.lax.fori_loop(0, count, lambda _, now: self._runge_kutta_step(now[0], now[1], u, h), start)
 
     def _expected(self, state: KalmanState, u: Float[Array, "m"], y: Array) -> Expectation:
-        manifold, output = self.model.manifold, self._output(state, y)
+        configuration, readings = self._split(y)
+        manifold, output = self.model.manifold, self._output(state, configuration)
         missing = manifold.missing(output.y)
         projected = output.projected(state.root, state.v.shape[0])
         cov = projected @ projected.T + output.noise
         # A restart needs a complete configuration.
         lost = _too_uncertain(manifold, cov, output.noise) & ~jnp.any(missing)
         innovation = manifold.towards(state.q, output.y)
-        return Expectation(output.y, innovation, cov, output.noise, ~missing, lost, output)
+        sensed = self._sensed(state, u, readings) if self.sensors else None
+        return Expectation(output.y, innovation, cov, output.noise, ~missing, lost, (output, sensed))
+
+    def _split(self, y: Any) -> tuple[Any, Any]:
+        """The measured configuration, and the readings of further sensors (K,)."""
+        return self._sensors.split(y, self.model.manifold.shape)
+
+    def _sensed(self, state: KalmanState, u: Float[Array, "m"], readings: Array) -> Sensed:
+        frame = _with_slow(apart(self.model.space, state.q, state.v), state)
+        with_slow = functools.partial(self._slow.in_model, self.model)
+        return self._sensors.sensed(self.model, state, u, frame, readings, with_slow)
 
     def _velocity(self, state: KalmanState) -> Velocity:
         n = state.v.shape[0]
@@ -246,7 +289,12 @@ class IntrinsicKalman(AbstractMechanicalFilter):
         return self._velocity_cov(state.q)
 
     def _used(self, state: KalmanState, y: Array, expected: Expectation, used: Bool[Array, "n"]) -> Used:
-        error, root = self._posterior(state, expected.details, y, expected.innovation, used)
+        output, sensed = expected.details
+        y = self._split(y)[0]
+        error, root = self._posterior(state, output, y, expected.innovation, used)
+        if sensed is not None:
+            error, root = sensed.posterior(error, root)
+            state = state._replace(sensor_gates=sensed.gates)
         moved, reset = self.moved(state, error)
         readings = None
         if state.readings is not None:
@@ -264,7 +312,7 @@ class IntrinsicKalman(AbstractMechanicalFilter):
             with_block(state.root[:n] @ state.root[:n].T, root[:n, :n] @ root[:n, :n].T, present)
         )
         root = root.at[:n].set(apart).at[:n, :n].set(position)
-        readings = state.readings
+        readings, y = state.readings, self._split(y)[0]
         if readings is not None:
             readings = Readings(jnp.where(present, y, readings.y), jnp.where(present, 0.0, readings.age))
         return corrected._replace(q=q, v=velocity.mean, slow=state.slow, root=root, readings=readings)
@@ -273,11 +321,26 @@ class IntrinsicKalman(AbstractMechanicalFilter):
         _, innovation, cov, _, present, *_ = expected
         nis = normalised_square(cov, innovation, present)
         distance = self.model.space.norm(state.q, innovation)
-        return KalmanInfo(innovation, distance, cov, nis, **self.deviations(new), result=result)
+        sensed = expected.details[1]
+        sensors = None if sensed is None else sensed.info
+        return KalmanInfo(innovation, distance, cov, nis, **self.deviations(new), result=result, sensors=sensors)
+
+    def _result(self, state: KalmanState, new: KalmanState, y: Array, expected: Expectation, verdict: Judged) -> Code:
+        configuration, sensed = self._split(y)[0], expected.details[1]
+        if sensed is None:
+            return super()._result(state, new, configuration, expected, verdict)
+        # Where sensors are read between two measured configurations, nothing is missing.
+        between = sensed.read & jnp.all(self.model.manifold.missing(configuration))
+        code = super()._result(state, new, jnp.where(between, state.q, configuration), expected, verdict)
+        return jnp.maximum(code, jnp.where(sensed.refused, int(Result.OUTLIER), 0).astype(code.dtype))
+
+    @property
+    def _sensors(self) -> Sensors:
+        return Sensors(self.sensors)
 
     @property
     def _slow(self) -> SlowStates:
-        return SlowStates(self.slow)
+        return SlowStates(self.slow + self._sensors.slow)
 
     def _slow_estimates(self, state: KalmanState) -> tuple[SlowVector, SlowVector]:
         """Values of the slow states (k,) as `Slow.values` reports them, and their standard deviations (k,)."""
@@ -362,7 +425,7 @@ class IntrinsicKalman(AbstractMechanicalFilter):
             _with_slow(parallel(space, q, v), state) @ slope @ _with_slow(apart(space, state.q, state.v), state)
         )
         noise = white_acceleration(covariance_at(self.process_cov, space, q), h)
-        if self.slow:
+        if state.slow.shape[0]:
             noise = diagonal(noise, self._slow.walk_root(h).astype(noise.dtype))
         readings = state.readings and state.readings._replace(age=state.readings.age + h)
         # Roots side by side have the sum of both covariances; the triangular factor is square again.
@@ -410,7 +473,7 @@ class IntrinsicKalman(AbstractMechanicalFilter):
         noise, slope = self._slopes(q, velocity_cov[0], slow)
         velocity = semidefinite_root(velocity_cov)
         motion_root = diagonal(semidefinite_root(noise), velocity)
-        if not self.slow:
+        if not slow.shape[0]:
             return motion_root
         slow_root = self._slow.first_root().astype(motion_root.dtype)
         root = diagonal(motion_root, slow_root)

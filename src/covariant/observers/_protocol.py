@@ -21,6 +21,7 @@ Whatever is built of observers, such as a gate or a buffer for late sensors, is 
 """
 
 import abc
+import math
 from collections.abc import Callable, Collection
 from typing import Any, NamedTuple, final
 
@@ -304,6 +305,17 @@ class AbstractObserver(Functional):
         manifold = getattr(getattr(self, "model", None), "manifold", None)
         return y if manifold is None else manifold.admitted(y)
 
+    def configuration(self, y: Any) -> Any:
+        """Measured configuration of a measurement: all of it, unless the observer has sensors beside.
+
+        Args:
+            y: Measurement, an array of any type.
+
+        Returns:
+            The entries that are the configuration, in its shape: coordinates (n,), or on a group a matrix (N, N).
+        """
+        return y
+
     @abc.abstractmethod
     def estimate(self, state: Any) -> Any:
         """Estimate of a state.
@@ -478,6 +490,33 @@ def check_finite(whose: str, **given: Any) -> None:
     for name, array in given.items():
         if not _satisfied(array, np.isfinite):
             raise ValueError(f"{whose}: {name} must have finite entries; got {_on_one_line(array)}")
+
+
+def as_numbers(whose: str, what: str, value: Any, count: int, least: float = -np.inf) -> np.ndarray:
+    """So many numbers, from one or as many.
+
+    Args:
+        whose: Name of the function, for the message.
+        what: Name of the argument, for the message.
+        value: One number, or `count` of them.
+        count: How many numbers there are.
+        least: The least that they may be; any finite number by default.
+
+    Returns:
+        The numbers (count,).
+
+    Raises:
+        ValueError: There are another number of them, or one is not finite or below `least`.
+    """
+    try:
+        numbers = np.broadcast_to(np.asarray(value, float), (count,))
+    except (TypeError, ValueError):
+        numbers = np.full(count, np.nan)
+    if not (np.isfinite(numbers).all() and (numbers >= least).all()):
+        kind = "numbers ≥ 0" if least == 0 else "finite numbers"
+        many = {1: "one number", 3: "one number or three"}.get(count, f"one number or {count}")
+        raise ValueError(f"{whose}: {what} must be {many}, {kind}; got {value}")
+    return numbers
 
 
 def _satisfied(value: Any, condition: Callable[[np.ndarray], Any]) -> bool:
@@ -682,7 +721,9 @@ def checked(observer: AbstractObserver, record: Record) -> Record:
         >>> observers.checked(observer, record) is record
         True
     """
-    y = record.check().y
+    shape = np.shape(record.y)[1:]
+    start = observer.configuration(np.arange(math.prod(shape)).reshape(shape)).ravel() if shape else None
+    y = record.check(start).y
     if isinstance(y, Tracer):
         return record
     first = np.asarray(y)[0]  # a value even inside a compiled function, where indexing in JAX is traced

@@ -27,6 +27,7 @@ from covariant.observers._protocol import AbstractObserver
 from covariant.observers._riccati import InformationEKF, Riccati
 from covariant.observers._salcudean import Salcudean, of_mean_inertia
 from covariant.observers._savitzky_golay import SavitzkyGolay
+from covariant.observers._sensors import Sensor
 from covariant.observers._slow import Slow
 from covariant.observers._state_ekf import StateEKF
 from covariant.observers._state_noise import covariance_ekf, information_ekf, riccati
@@ -63,6 +64,7 @@ def intrinsic_kalman(
     speed: float,
     quantum: float | tuple[float, ...] | None,
     slow: tuple[Slow, ...] = (),
+    sensors: tuple[Sensor, ...] = (),
 ) -> IntrinsicKalman:
     """Intrinsic Kalman filter, for encoders that count ticks where their tick is known, else for Gaussian noise.
 
@@ -74,16 +76,17 @@ def intrinsic_kalman(
         quantum: One tick of the encoders, one for all or n of them [rad or m]; None for sensors with noise. It is
             ignored on a group.
         slow: Slow states that are estimated; none by default.
+        sensors: Sensors beside the measured configuration; none by default.
 
     Returns:
         The filter.
     """
     axes = jnp.eye(process.shape[0])
     if quantum is None or not model.manifold.commuting:
-        return IntrinsicKalman(model, process, measurement, speed**2 * axes, slow)
+        return IntrinsicKalman(model, process, measurement, speed**2 * axes, slow, sensors=sensors)
     # A reading is an interval here, so that the only noise is that of the positions of edges.
     ticks = jnp.broadcast_to(jnp.asarray(quantum, float), len(axes))
-    return IntrinsicKalman(model, process, jnp.diag((EDGE * ticks) ** 2), speed**2 * axes, slow, ticks)
+    return IntrinsicKalman(model, process, jnp.diag((EDGE * ticks) ** 2), speed**2 * axes, slow, ticks, sensors=sensors)
 
 
 class Entry(NamedTuple):
@@ -97,7 +100,7 @@ class Entry(NamedTuple):
             "gains" are α [1/s] and β [1/s²].
             "noise" are the process covariance (n, n), the measurement covariance (n, n) and the standard deviation of
             the initial velocity; "noise or ticks" are these, one tick of the encoders or None, and the slow states that
-            are estimated, a tuple of `Slow`.
+            are estimated, a tuple of `Slow`, and the sensors beside the configuration, a tuple of `Sensor`.
             Of filters that use no model: "bandwidth" is the bandwidth [rad/s] of a linear filter; "window" are a window
             [samples] and the degree of a polynomial; "motion" are the standard deviation [rad/s²] and the correlation
             time [s] of the accelerations, and the standard deviation of a sample; "jerk" is a bound on the jerk

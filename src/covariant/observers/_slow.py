@@ -39,7 +39,8 @@ SlowVector = Float[Array, "k"]
 class Slow(Functional):
     """A group of k slow states s: constants, random walks, or Gauss–Markov processes.
 
-    At least one of `force`, `model` and `offset` is required.
+    In the field `slow` of a filter at least one of `force`, `model` and `offset` is required; the slow states of a
+    `Sensor` need none.
 
     Attributes:
         names: Names (k) of the states in estimates and reports.
@@ -56,8 +57,8 @@ class Slow(Functional):
             do not return.
 
     Raises:
-        ValueError: A matrix is no covariance, a time is not positive and finite, a shape does not fit the names, two
-            names are equal, or nothing depends on the states.
+        ValueError: A matrix is no covariance, a time is not positive and finite, a shape does not fit the names, or two
+            names are equal.
 
     Example:
         >>> import numpy as np
@@ -90,8 +91,6 @@ class Slow(Functional):
             if np.shape(cov) != (k, k):
                 raise ValueError(f"Slow: {name} must be a matrix ({k}, {k}); its shape is {np.shape(cov)}")
             check_covariance("Slow", name, cov)
-        if self.force is None and self.model is None and self.offset is None:
-            raise ValueError("Slow: give a force, a model or an offset that depends on the states")
 
 
 def as_groups(given: Any) -> tuple[Any, ...]:
@@ -248,21 +247,36 @@ class SlowStates(NamedTuple):
             model: Mechanical system of the filter.
 
         Raises:
-            ValueError: A group is no `Slow`, two states have the same name, two groups replace the model, or a function
-                has the wrong shape.
+            ValueError: A group is no `Slow`, nothing depends on it, two states have the same name, two groups replace
+                the model, or a function has the wrong shape.
         """
         for group in self.groups:
             if not isinstance(group, Slow):
                 raise ValueError(f"{whose}: slow must be one Slow or several, such as sensor_bias(0.01); got {group!r}")
-        duplicate = next((name for name in self.names if self.names.count(name) > 1), None)
-        if duplicate is not None:
-            raise ValueError(f"{whose}: two slow states are called {duplicate!r}; give each its own name")
+            if group.force is None and group.model is None and group.offset is None:
+                raise ValueError(
+                    f"{whose}: give {', '.join(group.names)} a force, a model or an offset that depends on it"
+                )
+        self.check_names(whose)
         if sum(group.model is not None for group in self.groups) > 1:
             raise ValueError(
                 f"{whose}: only one group of slow states may replace the model; put their numbers together"
             )
         if None not in model.manifold.shape:
             _check_shapes(whose, self, model)
+
+    def check_names(self, whose: str) -> None:
+        """Check that no two states have the same name.
+
+        Args:
+            whose: Name of the filter, for messages.
+
+        Raises:
+            ValueError: Two states have; the message names it.
+        """
+        duplicate = next((name for name in self.names if self.names.count(name) > 1), None)
+        if duplicate is not None:
+            raise ValueError(f"{whose}: two slow states are called {duplicate!r}; give each its own name")
 
 
 def external_force(

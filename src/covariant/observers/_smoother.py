@@ -141,6 +141,9 @@ class Recorder(AbstractObserver):
     def largest(self, y: Inexact[Array, "*n"] | np.ndarray) -> np.ndarray:
         return self.observer.largest(y)
 
+    def configuration(self, y: Any) -> Any:
+        return self.observer.configuration(y)
+
     def predict(self, state: Any, u: Float[Array, "m"], dt: Scalar) -> Any:
         return self.observer.predict(state, u, dt)
 

@@ -5,8 +5,6 @@ not the torques of the joints, so that joints that cannot feel a component leave
 Jacobian is inverted, near singular poses either.
 """
 
-from typing import Any
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -16,7 +14,7 @@ from jaxtyping import Array, Float
 from covariant._typing import Number, Numbers, Vector
 from covariant.geometry import AbstractSpace
 from covariant.models.robots import RobotSpace
-from covariant.observers._protocol import check_positive
+from covariant.observers._protocol import as_numbers, check_positive
 from covariant.observers._slow import Slow, forgotten_force
 
 FRAMES = ("link", "world")
@@ -87,8 +85,10 @@ def wrench(
     if frame not in FRAMES:
         raise ValueError(f"wrench: frame must be one of {', '.join(FRAMES)}; got {frame!r}")
     check_positive("wrench", time=time)
-    stds = np.concatenate([_three("force_std", force_std, 0.0), _three("torque_std", torque_std, 0.0)])
-    place = _three("point", point, -np.inf)
+    stds = np.concatenate(
+        [as_numbers("wrench", "force_std", force_std, 3, 0.0), as_numbers("wrench", "torque_std", torque_std, 3, 0.0)]
+    )
+    place = as_numbers("wrench", "point", point, 3)
     acting = np.flatnonzero(stds > 0)
     if not acting.size:
         raise ValueError("wrench: force_std and torque_std are all zero; give the usual size of a component that acts")
@@ -103,15 +103,3 @@ def wrench(
         raise ValueError(f"wrench: {error}") from error
     names = tuple(f"{_AXES[i]}_{link if name is None else name}" for i in acting)
     return forgotten_force(names, stds[acting], time, force)
-
-
-def _three(what: str, value: Any, least: float) -> np.ndarray:
-    """Three numbers, from one or three."""
-    try:
-        numbers = np.broadcast_to(np.asarray(value, float), (3,))
-    except (TypeError, ValueError):
-        numbers = np.full(3, np.nan)
-    if not (np.isfinite(numbers).all() and (numbers >= least).all()):
-        kind = "numbers ≥ 0" if least == 0 else "finite numbers"
-        raise ValueError(f"wrench: {what} must be one number or three, {kind}; got {value}")
-    return numbers

@@ -49,6 +49,7 @@ from covariant.workflow._outcome import (
 from covariant.workflow._outputs import check_output
 from covariant.workflow._pages import AbstractEstimates, estimate_report
 from covariant.workflow._progress import Progress, silent
+from covariant.workflow._sensors import SensorCount, sensor_counts
 from covariant.workflow._states import state_design_note, tuned_states
 
 LONGEST_SHOWN = 3
@@ -177,6 +178,12 @@ class EstimateResult(AbstractEstimates):
         return np.asarray(self.outcome.run.info.result)
 
     @property
+    def sensors(self) -> dict[str, SensorCount]:
+        """What was used of the readings of each sensor, by its name; empty for an observer without sensors."""
+        info, readings = getattr(self.outcome.run.info, "sensors", None), self.loaded.readings
+        return {} if info is None or readings is None else sensor_counts(self.loaded.sensors, readings, info)
+
+    @property
     def columns(self) -> dict[str, np.ndarray]:
         return self._columns(numbered("q", self.loaded.file.dimension), sought_columns(self.loaded.file))
 
@@ -251,6 +258,11 @@ class EstimateResult(AbstractEstimates):
             "design": self.design[0],
             **summary(outcome, loaded.model.sought.what),
         }
+        if self.sensors:
+            result["sensors"] = {
+                name: {"readings": each.readings, "refused": each.refused, "nis": rounded(np.array([each.nis]))[0]}
+                for name, each in self.sensors.items()
+            }
         if reference is not None and logged is not None:
             both = reference.scored & np.isfinite(logged).all(1)
             result["difference_to_logged_velocity"] = rounded(rmse(outcome.velocity[both], logged[both]))
@@ -284,6 +296,10 @@ class EstimateResult(AbstractEstimates):
             *([f"t counts from {result['t_counts_from']}"] if "t_counts_from" in result else []),
             result["design"],
             *error_lines(result, self.loaded),
+            *(
+                f"{name}: {each.readings} readings, {each.refused} refused, NIS {each.nis:.3g} a number"
+                for name, each in self.sensors.items()
+            ),
         ]
         if "logged_velocity_rmse" in result:
             speeds = with_units(result["logged_velocity_rmse"], sought_units(self.loaded.file))
@@ -355,10 +371,12 @@ def choose_observer(
             ("the bias of [measurement]", loaded.file.bias),
             ("the parameters of [uncertainty]", loaded.file.family),
             ("the forces of [wrench]", loaded.file.wrenches or None),
+            ("what [sensors] read", loaded.sensors or None),
         )
         if stated is not None
     ]
-    if asked and not getattr(tuned[observer], "slow_names", ()):
+    uses = getattr(tuned[observer], "slow_names", ()) or getattr(tuned[observer], "sensors", ())
+    if asked and not uses:
         unused = f" It does not estimate {' and '.join(asked)}; intrinsic-kalman does."
     return tuned[observer], (f"Designed {designed}.{loaded.note}{unused}",)
 

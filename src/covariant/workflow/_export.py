@@ -37,6 +37,7 @@ from covariant.workflow._exported import Exported
 from covariant.workflow._inputs import data_sheet
 from covariant.workflow._progress import Progress, silent
 from covariant.workflow._result import AbstractResult
+from covariant.workflow._sensors import file_sensors, reading_delays, with_readings
 
 GEOMETRY = ("*rotation", "*place", "*turn", "*slide", "coordinates", "motors", "joints", "base*")
 """Arrays of a robot that say how it is put together: as constants they save nine tenths of the work."""
@@ -126,7 +127,9 @@ def export(
     fixed = exported.observer if unit else _of_fixed_length(exported, rate, file)
     informed = any(entry.name == exported.name and entry.knows_model for entry in REGISTRY)
     # Only an observer with a model can predict from the time of a late reading to the present.
-    delayed = Delayed(fixed, file.delay, rate) if informed and float(np.max(file.delay)) > 0 else fixed
+    parts = file_sensors(file) if file.mechanical else ()
+    delay = reading_delays(fixed, file.delay, parts, exported.measured[0])
+    delayed = Delayed(fixed, delay, rate) if informed and np.any(delay) else fixed
     progress(f"writing {prefix}")
     written = _program(label, delayed, family, file, parameters, real, exported.measured[0], unit)
     warnings = [line for line in (_broken_laws(exported.observer) if audit else "",) if line]
@@ -244,8 +247,11 @@ def _mechanical(
             raise ValueError(f"alpha and beta do not apply to {kind}; they do to {', '.join(available)}")
         design = f"Given gains: alpha = {gains[0]:g} 1/s, beta = {gains[1]:g} 1/s^2."
         return Exported(kind, available[kind], design, measured)
-    sheet = data_sheet(file)
+    parts = file_sensors(file)
+    sheet = data_sheet(file)._replace(sensors=tuple(part.sensor for part in parts))
     tuned = tuned_estimators(model, file.dimension, sheet, rate, names=(kind,))[kind]
+    if getattr(tuned, "sensors", ()):
+        measured = with_readings(file, parts, measured)
     by_gains = next(entry for entry in REGISTRY if entry.name == kind).tuned_by == "gains"
     designed = observer_gains(sheet, rate).summary.replace("²", "^2")
     return Exported(kind, tuned, f"Designed {designed}." if by_gains else "Tuned from its data sheet.", measured)
@@ -326,7 +332,8 @@ def _open_numbers(parameters: dict[str, Any]) -> tuple[str, ...]:
 
 def _of_fixed_length(exported: Exported, rate: float, file: ModelFile) -> AbstractObserver:
     """The observer with as many substeps as it needs: for friction, at the usual speed of the model file."""
-    observer, q = exported.observer, exported.measured
+    observer = exported.observer
+    q = np.stack([observer.configuration(y) for y in exported.measured])
     if not file.mechanical:
         return with_fixed_steps(observer, q, rate)
     if not chooses_substeps(observer):

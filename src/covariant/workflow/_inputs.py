@@ -23,6 +23,7 @@ from covariant.observers import (
 from covariant.signals import Record, acting_inputs, lag_inputs
 from covariant.workflow._arguments import ColumnNames as ColumnNames
 from covariant.workflow._outputs import check_output as check_output
+from covariant.workflow._sensors import FileSensor, file_sensors, reading_delays, readings
 
 FEWEST_MOVES = 50
 """Fewest changes of positions that decide whether the log's ticks are coarser than those of the model file."""
@@ -113,6 +114,8 @@ class Loaded(NamedTuple):
         rate: Sampling rate [Hz], from the median interval.
         reference: What velocities are scored against; None where nothing is.
         note: Sentences on what was assumed of the log, to append to a text; "" where nothing was.
+        sensors: Sensors of the model file that the log has columns of, or none of them.
+        readings: Their readings (T, K), NaN where there is none; None without sensors.
     """
 
     file: models.ModelFile
@@ -122,6 +125,15 @@ class Loaded(NamedTuple):
     rate: float
     reference: ReferenceVelocity | None
     note: str = ""
+    sensors: tuple[FileSensor, ...] = ()
+    readings: np.ndarray | None = None
+
+    def record_for(self, observer: AbstractObserver) -> Record:
+        """The record as an observer measures it: for one with sensors, their readings follow each configuration."""
+        if not getattr(observer, "sensors", ()) or self.readings is None:
+            return self.record
+        y = np.asarray(self.record.y)
+        return self.record._replace(y=np.concatenate([y.reshape(len(y), -1), self.readings], axis=1))
 
     @property
     def origin(self) -> str | None:
@@ -175,8 +187,13 @@ def load(job: Job, score: bool = True, why: str = "") -> Loaded:
         needed = columns if isinstance(job.log, Record) else columns._replace(u=(), v=())
         full = log if whole else logs.read(job.log, needed)
         reference = ReferenceVelocity(*_slopes(file, log, full), scoring.scored_window(t))
-    # The median interval: a gap in the log does not change the rate.
-    return Loaded(file, model, log, record, 1 / float(np.median(np.diff(t))), reference, note + _delay_note(file))
+    parts = file_sensors(file)
+    read, lacking = readings(parts, job.log, log) if parts else (None, "")
+    note += _delay_note(file) + lacking
+    # The median interval, so that a gap does not change the rate; with sensors that of the rows with positions.
+    measured = np.isfinite(y.reshape(len(y), -1)).any(1)
+    rate = 1 / float(np.median(np.diff(t[measured] if parts and measured.sum() > 1 else t)))
+    return Loaded(file, model, log, record, rate, reference, note, () if read is None else parts, read)
 
 
 def _with_zero_inputs(file: models.ModelFile, log: logs.Log) -> logs.Log:
@@ -211,7 +228,8 @@ def with_sensor_delays(observers: Mapping[str, AbstractObserver], loaded: Loaded
     Raises:
         ValueError: For a delay in a state-space model.
     """
-    longest = float(np.max(loaded.file.delay))
+    sensors = max((part.delay for part in loaded.sensors), default=0.0)
+    longest = max(float(np.max(loaded.file.delay)), sensors)
     if longest == 0:
         return dict(observers)
     if not loaded.file.mechanical:
@@ -221,10 +239,13 @@ def with_sensor_delays(observers: Mapping[str, AbstractObserver], loaded: Loaded
     within = np.searchsorted(t, t + longest, side="right") - np.arange(len(t))
     rate = float(within.max()) / longest
     informed = {entry.name for entry in REGISTRY if entry.knows_model}
-    return {
-        name: Delayed(observer, loaded.file.delay, rate) if name in informed else observer
-        for name, observer in observers.items()
-    }
+    wrapped = dict(observers)
+    for name, observer in observers.items():
+        y = np.asarray(loaded.record_for(observer).y)[0]
+        delay = reading_delays(observer, loaded.file.delay, loaded.sensors, y)
+        if name in informed and np.any(delay):
+            wrapped[name] = Delayed(observer, delay, rate)
+    return wrapped
 
 
 def _delay_note(file: models.ModelFile) -> str:
@@ -434,7 +455,9 @@ def log_sheet(loaded: Loaded) -> DataSheet:
     Raises:
         ValueError: Where numbers are missing: it names all of them, and suggests what the log shows.
     """
-    return data_sheet(loaded.file, loaded.log.record)._replace(speed=usual_speeds(loaded.model, loaded.record))
+    sheet = data_sheet(loaded.file, loaded.log.record)
+    sensors = tuple(part.sensor for part in loaded.sensors)
+    return sheet._replace(speed=usual_speeds(loaded.model, loaded.record), sensors=sensors)
 
 
 def coordinates(file: models.ModelFile) -> tuple[tuple[str, ...], tuple[str, ...]]:

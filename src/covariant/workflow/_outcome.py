@@ -15,7 +15,7 @@ from covariant.observers import AbstractObserver
 from covariant.signals import Result, Run
 from covariant.workflow._inputs import Loaded, ReferenceVelocity
 
-KEPT = ("innovation", "distance", "result", "nis", "velocity_std", "state_std", "slow", "slow_std")
+KEPT = ("innovation", "distance", "result", "nis", "velocity_std", "state_std", "slow", "slow_std", "sensors")
 """What the commands use of the info of an observer."""
 
 
@@ -78,13 +78,13 @@ def drive(observer: AbstractObserver, loaded: Loaded, engine: Engine = "auto", t
     Returns:
         The run with its score.
     """
-    run, by = run_log(observer, loaded.record, KEPT, engine)
+    run, by = run_log(observer, loaded.record_for(observer), KEPT, engine)
     run = jax.block_until_ready(run)
     spent = float("inf")
     for _ in range(3 if timed else 0):  # the quickest of three, since other load only lengthens a run
         began = time.perf_counter()
         # The engine that did the first run, by its name: what it compiled is used again.
-        jax.block_until_ready(run_log(observer, loaded.record, KEPT, "c" if by == "c" else "jax")[0])
+        jax.block_until_ready(run_log(observer, loaded.record_for(observer), KEPT, "c" if by == "c" else "jax")[0])
         spent = min(spent, time.perf_counter() - began)
     return scored(observer, run, loaded, by, 1e6 * spent / len(run.t) if timed else math.nan)
 

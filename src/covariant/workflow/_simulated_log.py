@@ -16,6 +16,7 @@ from covariant.workflow._arguments import Amounts, amounts, numbers
 from covariant.workflow._inputs import numbered, sought_columns
 from covariant.workflow._progress import Progress
 from covariant.workflow._scenario import Scenario
+from covariant.workflow._sensors import file_sensors, sensed
 
 DIGITS = 12
 """Decimals of a time [s] in a log: times that agree in all of them are one, however they were computed."""
@@ -43,10 +44,11 @@ def simulated_log(
     progress("reading the model")
     name, file = models.spec_name(model), models.load(model, overrides)
     sensor, x0 = _sensor(name, file, scenario), _start(file, scenario)
+    delays, beside = np.atleast_1d(np.asarray(file.delay, float)), file_sensors(file)
+    late = [*delays, *(part.delay for part in beside)]
     # The log begins when its latest reading is of the start.
-    delays = np.atleast_1d(np.asarray(file.delay, float))
-    t = simulation.stamps(sensor, scenario.duration, scenario.seed) + delays.max()
-    read = np.round([t - delay for delay in delays], DIGITS)
+    t = simulation.stamps(sensor, scenario.duration, scenario.seed) + max(late)
+    read = np.round([t - delay for delay in late], DIGITS)
     u, acting = _inputs(file, scenario, t, read)
     progress("simulating")
     everything = jax.tree.map(np.asarray, simulation.simulate_piecewise(file.model, x0, acting))
@@ -55,14 +57,20 @@ def simulated_log(
     true, x = everything.y[now], jax.tree.map(lambda leaf: leaf[now], everything.x)
     if not all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(x)):
         raise ValueError(f"{name}: the motion leaves the finite numbers; check initial state and inputs")
-    late = everything.y[rows[0]]  # the configuration at the time of the reading, not of the stamp
+    of_sensors = rows[len(delays) :]
+    true_then = everything.y[rows[0]]  # the configuration at the time of the reading, not of the stamp
     if len(delays) > 1:
-        late = np.stack([everything.y[row, i] for i, row in enumerate(rows)], axis=1)
-    measured = _sense(file.model, sensor, late, scenario.seed)
+        true_then = np.stack([everything.y[row, i] for i, row in enumerate(rows[: len(delays)])], axis=1)
+    measured = _sense(file.model, sensor, true_then, scenario.seed)
     record = Record(t, u, measured, x)
     layout = _layout(file)
     configuration, hidden = _truth(file, layout, true, x)
     columns = {layout.t: t} | logs.to_columns(layout, measured) | dict(zip(layout.u, u.T, strict=True))
+    for i, (part, row) in enumerate(zip(beside, of_sensors, strict=True)):
+        then = jax.tree.map(lambda leaf, row=row: leaf[row], everything.x)
+        # What acts until then: an input that jumps at a stamp is read before it acts.
+        inputs = np.stack([acting.at(max(j - 1, 0), float(acting.begin[j])) for j in row.tolist()])
+        columns |= part.to_columns(sensed(file.model, part, then, inputs, acting.begin[row], (scenario.seed, i)))
     columns |= {f"true_{key}": column for key, column in (configuration | hidden).items()}
     names = tuple(f"true_{key}" for key in hidden)
     return name, file.mechanical, layout, record, names, columns, _units(file, layout, tuple(hidden))

@@ -96,7 +96,7 @@ def smooth(
         )
     rows = None if lag is None else lag_rows(np.asarray(loaded.record.t), lag)
     progress(f"smoothing with {name}")
-    smoothed = jax.block_until_ready(smooth_record(chosen, loaded.record, rows, KEPT))
+    smoothed = jax.block_until_ready(smooth_record(chosen, loaded.record_for(chosen), rows, KEPT))
     after, before = (
         EstimateResult(job, loaded, name, notes, scored(chosen, jax.tree.map(np.asarray, run), loaded, "jax"), "auto")
         for run in (smoothed.run, smoothed.filtered)

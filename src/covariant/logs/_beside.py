@@ -1,0 +1,71 @@
+"""Readings of sensors beside the measured configuration, in the rows of a log."""
+
+from collections.abc import Sequence
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from covariant.logs._cells import numbers
+from covariant.logs._columns import ATTITUDES, Columns, Log, LogError, kind
+from covariant.logs._configuration import bodies, from_cells
+from covariant.logs._read import columns_and_table, where
+from covariant.logs._tables import source_name
+from covariant.logs._unit_in_name import unit_in_name
+from covariant.logs._units import unit_factor
+from covariant.signals import Record
+
+
+def readings(
+    log: str | PathLike[str] | Record | Any, columns: Columns, of: Log, meant: Sequence[str] = ()
+) -> Float[np.ndarray, "T k"] | None:
+    """Read what a sensor measured, in the rows of a log that was read before.
+
+    Args:
+        log: What `read` took.
+        columns: Columns of the sensor: `q`, or a position and an attitude, their units, and the stamps of the log.
+        of: What `read` returned, whose rows are taken.
+        meant: SI unit of the numbers: a column whose name ends in another unit of that kind is refused, unless `units`
+            of the columns state one.
+
+    Returns:
+        Readings in SI units and radians, NaN where a cell is empty: the numbers (T, k) of `q`, or of a pose the
+        position (3,) and the rotation (3, 3), row by row, (T, 12). None where the log has none of the columns, as a
+        `Record` has not.
+
+    Raises:
+        LogError: A column is missing, or holds no numbers; as for `read`.
+
+    Example:
+        >>> import pandas
+        >>> from covariant import logs
+        >>> frame = pandas.DataFrame({"t": [0.0, 0.1], "q1": [0.0, 0.3], "rate": [None, 180.0]})
+        >>> log = logs.read(frame, logs.Columns(q=("q1",)))
+        >>> logs.readings(frame, logs.Columns(q=("rate",), units={"q": ("deg/s",)}), log).round(3).tolist()
+        [[nan], [3.142]]
+    """
+    if isinstance(log, Record):
+        return None
+    name = source_name(log)
+    if isinstance(log, (str, PathLike)) and Path(log).exists() and kind(Path(log)) == "bag":
+        raise LogError(f"{name}: sensors beside the positions are read from tables, not from messages; convert the log")
+    columns, table, _ = columns_and_table(name, log, columns, ("q", "position", *ATTITUDES))
+    if not columns.measured:
+        return None
+    cells = []
+    for place, column in enumerate(columns.measured):
+        unit = columns.unit_of("q", place)
+        in_name = unit_in_name(column, meant)
+        if unit is None and in_name is not None and unit_factor(in_name) != 1:
+            raise LogError(
+                f"{name}: column {column!r} has a unit in its name, and no unit is given for it; write "
+                f'units = "{in_name}" in the table of the sensor, or the unit that it is in'
+            )
+        values = numbers(where(name, column, unit), table.column(column), False)
+        cells.append(values if unit is None else values * unit_factor(unit))
+    y = from_cells(name, columns, np.column_stack(cells))
+    rows = slice(of.first_row - 1, None, of.every)
+    y = y[rows][: len(of.record.t)]
+    return y if not bodies(columns) else np.concatenate([y[:, :3, 3], y[:, :3, :3].reshape(len(y), 9)], axis=1)

@@ -1,0 +1,270 @@
+"""The sensors of a model file, their readings in a log, and what they read of a simulated motion."""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from covariant import logs, observers
+from covariant.geometry.lie import SO3
+from covariant.models import MechanicalSystem, ModelFile, Motion, acceleration, input_count
+from covariant.observers import Instant, Sensor
+
+SI = {"gyro": "rad/s", "accelerometer": "m/s^2", "pose": "m", "point": "m"}
+"""Units of the readings of sensors on links, in SI."""
+
+
+class FileSensor(NamedTuple):
+    """A sensor of a model file.
+
+    Attributes:
+        sensor: The sensor.
+        columns: Its columns in a log.
+        delay: Time [s] from when a reading is true to its stamp.
+        unit: SI unit of its readings, of a pose of its position; "" where it is not known.
+    """
+
+    sensor: Sensor
+    columns: logs.Columns
+    delay: float
+    unit: str
+
+    def to_columns(self, readings: Float[np.ndarray, "T k"]) -> dict[str, np.ndarray]:
+        """Columns of a log, in their units, from readings (T, k) in SI units and radians."""
+        if self.columns.q:
+            factors = [logs.unit_factor(self.columns.unit_of("q", i) or "1") for i in range(len(self.columns.q))]
+            return {name: values / f for name, values, f in zip(self.columns.q, readings.T, factors, strict=True)}
+        poses = np.tile(np.eye(4), (len(readings), 1, 1))
+        poses[:, :3, 3], poses[:, :3, :3] = readings[:, :3], readings[:, 3:].reshape(-1, 3, 3)
+        return logs.to_columns(self.columns, poses)
+
+
+def file_sensors(file: ModelFile) -> tuple[FileSensor, ...]:
+    """The sensors of a model file.
+
+    Args:
+        file: The model file.
+
+    Returns:
+        The sensors, in the order of their tables; none of a model file without the table.
+
+    Raises:
+        ValueError: One makes no sense for the model; the message names its table.
+    """
+    if not file.sensors:
+        return ()
+    model = file.need_mechanical(file.name, "sensors are those of")
+    found = []
+    for name, content in file.sensors.items():
+        try:
+            found.append(_sensor(name, file, model, dict(content)))
+        except (ValueError, TypeError) as error:
+            raise ValueError(f"{file.name}: [sensors.{name}]: {error}") from error
+    names = [column for each in found for column in each.columns.measured]
+    taken = {file.columns.t, *file.columns.measured, *file.columns.u}
+    twice = next((column for column in names if names.count(column) > 1 or column in taken), None)
+    if twice is not None:
+        raise ValueError(f"{file.name}: [sensors]: column {twice!r} is named twice; give each sensor its own columns")
+    return tuple(found)
+
+
+def _sensor(name: str, file: ModelFile, model: MechanicalSystem, content: dict[str, Any]) -> FileSensor:
+    kind, names, delay = content.pop("kind"), tuple(content.pop("columns")), float(content.pop("delay", 0.0))
+    units, attitude = content.pop("units", ()), content.pop("attitude", "")
+    texts = (units,) if isinstance(units, str) else tuple(units)
+    columns = logs.Columns(t=file.columns.t, q=names, units={"q": texts} if texts else {})
+    if "bias" in content:
+        content["bias_std"] = content.pop("bias")
+    if kind in ("encoder", "tachometer"):
+        sensor, unit = _of_coordinates(name, kind, file, model, content)
+    else:
+        make = getattr(observers, kind if kind in ("gyro", "accelerometer") else f"{kind}_sensor")
+        sensor, unit = make(model.space, content.pop("link"), name=name, **content), SI[kind]
+    needed = sensor.count
+    if kind == "pose":
+        if texts:
+            raise ValueError("a pose has no units: its position is in m")
+        columns = columns._replace(q=(), position=names[:3], **{attitude: names[3:]})
+        needed = 3 + logs.ATTITUDES[attitude]
+    if len(names) != needed or len(set(names)) < needed:
+        raise ValueError(f"columns must be {needed} different names; got {', '.join(names)}")
+    if len(texts) not in (0, 1, needed):
+        raise ValueError(f"units lists {len(texts)} units; give {needed}, or one without brackets")
+    for text in texts:
+        logs.check_unit(text, unit)
+    return FileSensor(sensor, columns, delay, unit)
+
+
+def _of_coordinates(
+    name: str, kind: str, file: ModelFile, model: MechanicalSystem, content: dict[str, Any]
+) -> tuple[Sensor, str]:
+    """An encoder or a tachometer of coordinates or velocities by name, and the unit of its readings."""
+    charted = model.manifold.commuting
+    if kind == "encoder" and not charted:
+        raise ValueError("an encoder is of coordinates, and the model is on a group; give a pose or a point")
+    # In coordinates a joint is called by its name in the model or in the log.
+    lists = [model.coordinates, file.columns.q] if charted else []
+    lists += [model.velocities] if kind == "tachometer" else []
+    places = []
+    for each in content.pop("of"):
+        holding = [names for names in lists if each in names]
+        if not holding:
+            known = dict.fromkeys(known for names in lists for known in names)
+            raise ValueError(f"of: there is no {each!r}; there are: {', '.join(known)}")
+        places.append(holding[0].index(each))
+    units = model.units if charted else model.velocity_units
+    unit = units[places[0]] if units else ""
+    if kind == "tachometer":
+        return observers.tachometer(places, name=name, **content), f"{unit}/s" if charted and unit else unit
+    reduction = np.abs(np.broadcast_to(np.asarray(content.get("reduction", 1.0), float), len(places)))
+    # A reading at the joint is an angle within a turn; one behind a gear counts turns.
+    period = np.where(np.isin(places, model.circles) & (reduction == 1), 2 * np.pi, 0.0)
+    return observers.encoder(places, name=name, period=period, **content), unit
+
+
+def readings(parts: Sequence[FileSensor], source: Any, log: logs.Log) -> tuple[Float[np.ndarray, "T K"] | None, str]:
+    """Readings of all sensors in the rows of a log.
+
+    Args:
+        parts: Sensors of a model file.
+        source: What `logs.read` took.
+        log: What it returned.
+
+    Returns:
+        Readings (T, K), NaN where there is none, or None where the log has no column of any sensor; and a sentence that
+        says which sensors it lacks.
+
+    Raises:
+        LogError: A log has some columns of a sensor and not others, or they hold no numbers.
+    """
+    rows = len(log.record.t)
+    read = [logs.readings(source, part.columns, log, (part.unit,) if part.unit else ()) for part in parts]
+    absent = [part.sensor.name for part, each in zip(parts, read, strict=True) if each is None]
+    note = f" The log has no column of {' or '.join(absent)}: the filter does without." if absent else ""
+    if len(absent) == len(parts):
+        return None, note
+    filled = [
+        np.full((rows, part.sensor.count), np.nan) if each is None else each
+        for part, each in zip(parts, read, strict=True)
+    ]
+    return np.concatenate(filled, axis=1), note
+
+
+def reading_delays(observer: Any, delay: Any, parts: Sequence[FileSensor], y: np.ndarray) -> Any:
+    """Delay [s] of a measurement of an observer: one for all, or with sensors one for each of its entries.
+
+    Args:
+        observer: The observer.
+        delay: Delay of the measured configuration, one number or one for each coordinate.
+        parts: Sensors of the model file.
+        y: A measurement of the observer, of which only the shape counts.
+
+    Returns:
+        A number or numbers.
+    """
+    if not getattr(observer, "sensors", ()):
+        return delay
+    late = [np.full(part.sensor.count, part.delay) for part in parts]
+    size = len(y) - sum(map(len, late))
+    return np.concatenate([np.broadcast_to(delay, size), *late])
+
+
+class SensorCount(NamedTuple):
+    """How a sensor did in a run.
+
+    Attributes:
+        readings: Number of rows with a reading, without the first row, which starts the estimate.
+        refused: Number of those of which a number was refused.
+        nis: Mean of the squared innovations over their predicted variances; 1 is expected. NaN where none was used.
+    """
+
+    readings: int
+    refused: int
+    nis: float
+
+
+def sensor_counts(parts: Sequence[FileSensor], readings: np.ndarray, info: Any) -> dict[str, SensorCount]:
+    """Count what a run used of the readings of each sensor.
+
+    Args:
+        parts: The sensors.
+        readings: Their readings (T, K), NaN where there is none.
+        info: Field `sensors` of the info of the run, a `SensorInfo` of all rows.
+
+    Returns:
+        The counts by the name of the sensor.
+    """
+    innovation, std, used = (np.asarray(field) for field in info)
+    found, at, i = {}, 0, 0
+    for part in parts:
+        k, n = part.sensor.count, len(part.sensor.cov)
+        there = np.isfinite(readings[1:, at : at + k]).any(axis=1)
+        taken, size = used[1:, i : i + n], (innovation / std)[1:, i : i + n]
+        whole = np.isfinite(readings[1:, at : at + k]).all(axis=1)
+        refused = whole & ~taken.all(axis=1)
+        nis = float(np.mean(size[taken] ** 2)) if taken.any() else float("nan")
+        found[part.sensor.name] = SensorCount(int(there.sum()), int(refused.sum()), nis)
+        at, i = at + k, i + n
+    return found
+
+
+def sensed(
+    model: MechanicalSystem,
+    part: FileSensor,
+    x: Any,
+    u: Float[np.ndarray, "T m"],
+    t: Float[np.ndarray, "T"],
+    seed: Sequence[int],
+) -> Float[np.ndarray, "T k"]:
+    """What a sensor reads of a motion, with noise and a constant bias that are drawn as the model file says.
+
+    Args:
+        model: The mechanical system.
+        part: The sensor.
+        x: True states at the times t, stacked.
+        u: Inputs (T, m) that act then.
+        t: Times (T,) [s].
+        seed: Seed of noise and bias.
+
+    Returns:
+        Readings (T, k), in SI units and radians.
+    """
+    sensor, rng, motion = part.sensor, np.random.default_rng(seed), model.motion(x)
+    first = np.zeros((0, 0)) if sensor.slow is None else np.asarray(sensor.slow.first_cov)
+    bias = jnp.asarray(rng.normal(size=len(first)) * np.sqrt(np.diag(first)))
+
+    def output(q, v, u, t):
+        return sensor.h(Instant(q, v, lambda: acceleration(model, t, q, v, u), u, t), bias)
+
+    exact = np.asarray(jax.jit(jax.vmap(output))(*map(jnp.asarray, (motion.q, motion.v, u, t))))
+    noise = rng.normal(size=(len(t), len(sensor.cov))) @ np.linalg.cholesky(np.asarray(sensor.cov)).T
+    return _noisy(exact, noise)
+
+
+def with_readings(file: ModelFile, parts: Sequence[FileSensor], y: np.ndarray) -> np.ndarray:
+    """Measurements of a filter with sensors, from configurations at rest and what the sensors read there.
+
+    Args:
+        file: The model file.
+        parts: Its sensors.
+        y: Configurations (T, *n).
+
+    Returns:
+        Measurements (T, size of a configuration + K), without noise.
+    """
+    model = file.need_mechanical(file.name, "sensors are those of")
+    x = model.state(Motion(jnp.asarray(y), jnp.zeros((len(y), file.dimension))))
+    u, t = np.zeros((len(y), input_count(model, file.dimension))), np.zeros(len(y))
+    read = [sensed(model, part, x, u, t, (0, i)) for i, part in enumerate(parts)]
+    return np.concatenate([y.reshape(len(y), -1), *read], axis=1)
+
+
+def _noisy(exact: np.ndarray, noise: np.ndarray) -> np.ndarray:
+    """Readings with noise; that of a pose, of which there are six numbers for twelve, turns its rotation."""
+    if exact.shape[1] == noise.shape[1]:
+        return exact + noise
+    turned = jax.vmap(lambda r, e: r.reshape(3, 3) @ SO3.exp(e))(jnp.asarray(exact[:, 3:]), jnp.asarray(noise[:, 3:]))
+    return np.concatenate([exact[:, :3] + noise[:, :3], np.asarray(turned).reshape(-1, 9)], axis=1)

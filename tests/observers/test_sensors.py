@@ -1,0 +1,390 @@
+"""Sensors beside the configuration: what they expect is what MuJoCo's sensors read, and they correct as they should."""
+
+import dataclasses
+import itertools
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+
+from covariant import models, observers
+from covariant.engine import Stream
+from covariant.geometry.lie import SO3
+from covariant.models import GroupSystem, Lagrangian, acceleration, robots
+from covariant.observers import Delayed, Instant, IntrinsicKalman, Sensor, run, smooth
+from covariant.signals import Record, Result
+
+LONG = (
+    "test_slopes_are_those_along_corrections[fixed]",
+    "test_slopes_are_those_along_corrections[floating]",
+    "test_on_a_floating_base_they_follow_the_motion",
+    "test_sensors_of_other_rates_and_late_ones_give_what_all_give_in_order",
+    "test_a_gyro_on_a_body_in_space_halves_the_error_and_shows_its_bias",
+)
+"""Cases of the long suite: a cheaper one of the same test, or of the same law, is in the short one."""
+
+ARM = """
+<mujoco>
+  <compiler angle="radian"/>
+  <option gravity="0.3 -0.2 -9.5"/>
+  <worldbody>
+    <body name="base" pos="0.1 0.2 0.3" euler="0.3 -0.4 0.5">
+      {joint}
+      <inertial pos="0.02 0.03 -0.1" mass="2" diaginertia="0.03 0.02 0.04"/>
+      <body name="tip" pos="0.1 0 -0.4" euler="0.2 0.7 -0.3">
+        <joint name="wrist" type="hinge" axis="0.6 0 0.8"/>
+        <inertial pos="0.05 -0.02 0.1" mass="1" diaginertia="0.01 0.02 0.015"/>
+        <site name="imu" pos="0.1 -0.05 0.2" euler="0.4 -0.2 0.9"/>
+      </body>
+    </body>
+  </worldbody>
+  <sensor>
+    <gyro site="imu"/><accelerometer site="imu"/>
+    <framepos objtype="site" objname="imu"/><framequat objtype="site" objname="imu"/>
+  </sensor>
+</mujoco>
+"""
+FIXED, FREE = '<joint name="shoulder" type="hinge" axis="0 1 0"/>', "<freejoint/>"
+GRAVITY, PLACE = (0.3, -0.2, -9.5), (0.1, -0.05, 0.2)
+
+
+@pytest.fixture(scope="module")
+def arms(tmp_path_factory):
+    """MuJoCo's model and ours, with two hinges, and floating with one; and the axes of the site in its link."""
+    found = {}
+    for name, joint in (("fixed", FIXED), ("floating", FREE)):
+        path = tmp_path_factory.mktemp("arm") / f"{name}.xml"
+        path.write_text(ARM.format(joint=joint))
+        theirs = mujoco.MjModel.from_xml_path(str(path))
+        turned = np.zeros(9)
+        mujoco.mju_quat2Mat(turned, theirs.site_quat[0])
+        found[name] = robots.load(str(path)), theirs, turned.reshape(3, 3)
+    return found
+
+
+def on_the_tip(model, axes):
+    where = {"axes": axes, "place": PLACE}
+    return (
+        observers.gyro(model.space, "tip", 0.01, axes=axes),
+        observers.accelerometer(model.space, "tip", 0.1, gravity=GRAVITY, **where),
+        observers.point_sensor(model.space, "tip", 1e-3, place=PLACE),
+        observers.pose_sensor(model.space, "tip", 1e-3, 1e-2, **where),
+    )
+
+
+def test_readings_are_those_of_mujoco(arms):
+    model, theirs, axes = arms["fixed"]
+    data, rng = mujoco.MjData(theirs), np.random.default_rng(0)
+    sensors = on_the_tip(model, axes)
+    for _ in range(3):
+        data.qpos[:], data.qvel[:] = rng.uniform(-2, 2, (2, 2))
+        mujoco.mj_forward(theirs, data)
+        read = data.sensordata
+        q, v, nothing = jnp.asarray(data.qpos), jnp.asarray(data.qvel), jnp.zeros(0)
+        now = Instant(q, v, lambda q=q, v=v: acceleration(model, jnp.zeros(()), q, v, jnp.zeros(2)), jnp.zeros(2), 0.0)
+        attitude = np.zeros(9)
+        mujoco.mju_quat2Mat(attitude, read[9:13])
+        expected = (read[:3], read[3:6], read[6:9], np.concatenate([read[6:9], attitude]))
+        for sensor, value in zip(sensors, expected, strict=True):
+            np.testing.assert_allclose(sensor.h(now, nothing), value, atol=1e-9, err_msg=sensor.name)
+
+
+def test_on_a_floating_base_they_follow_the_motion(arms):
+    """By differences of poses along the motion that the model makes."""
+    model, _, axes = arms["floating"]
+    gyro, felt, point, pose = on_the_tip(model, axes)
+    rng = np.random.default_rng(1)
+    q = model.manifold.retract(model.manifold.origin(), jnp.asarray(rng.normal(size=7)))
+    start, u, h = models.Motion(q, jnp.asarray(rng.normal(size=7))), jnp.zeros(model.inputs), 1e-3
+
+    def now(motion):
+        rate = lambda: acceleration(model, jnp.zeros(()), *motion, u)  # noqa: E731
+        return Instant(*motion, rate, u, 0.0)
+
+    def poses(dt):
+        return pose.h(now(models.advance(model, 0.0, start, u, dt, 1)), jnp.zeros(0))
+
+    before, here, after = (np.asarray(poses(dt)) for dt in (-h, 0.0, h))
+    rotation = here[3:].reshape(3, 3)
+    rate = rotation.T @ (after - before)[3:].reshape(3, 3) / (2 * h)
+    spin = [rate[2, 1], rate[0, 2], rate[1, 0]]
+    np.testing.assert_allclose(gyro.h(now(start), jnp.zeros(0)), spin, atol=1e-4)
+    felt_by_hand = rotation.T @ ((after - 2 * here + before)[:3] / h**2 - np.array(GRAVITY))
+    np.testing.assert_allclose(felt.h(now(start), jnp.zeros(0)), felt_by_hand, atol=1e-3)
+    np.testing.assert_allclose(point.h(now(start), jnp.zeros(0)), here[:3], atol=1e-12)
+
+
+def curved() -> Lagrangian:
+    """A pendulum on a ball, in coordinates with a connection."""
+    return Lagrangian(
+        lambda q: jnp.diag(jnp.stack([jnp.ones(()), jnp.sin(q[0]) ** 2])),
+        lambda q: jnp.cos(q[0]),
+        coordinates=("a", "b"),
+    )
+
+
+def spaces(arms):
+    body = GroupSystem(SO3, jnp.diag(jnp.array([1.0, 2.0, 3.5])))
+    north = Sensor("north", lambda now, s: now.q[0] + s, 1e-4 * jnp.ones(3), bias(3))
+    return {
+        "chart": (curved(), (observers.encoder([1], 0.1, reduction=3.0), observers.tachometer([0, 1], 0.1))),
+        "SO(3)": (body, (north, observers.tachometer([2, 0], 0.1, name="gyro", bias_std=0.2))),
+        "fixed": (arms["fixed"][0], on_the_tip(arms["fixed"][0], arms["fixed"][2])),
+        "floating": (arms["floating"][0], on_the_tip(arms["floating"][0], arms["floating"][2])),
+    }
+
+
+def bias(k):
+    names = tuple(f"b{i}" for i in range(k))
+    return observers.Slow(names, jnp.zeros(k), jnp.eye(k), jnp.zeros((k, k)))
+
+
+@pytest.mark.parametrize("name", ["chart", "SO(3)", "fixed", "floating"])
+def test_slopes_are_those_along_corrections(arms, name):
+    """Finite differences of the readings where `moved` takes the estimate, in the parallel frame."""
+    model, sensors = spaces(arms)[name]
+    rng = np.random.default_rng(2)
+    n = len(model.manifold.zero(model.manifold.origin())) if name != "chart" else 2
+    q = (
+        jnp.array([0.9, 0.4])
+        if name == "chart"
+        else model.manifold.retract(model.manifold.origin(), jnp.asarray(rng.normal(size=n)))
+    )
+    kalman = IntrinsicKalman(model, 1e-2, 1e-4, 1.0, sensors=sensors, substeps=1)
+    y = kalman._sensors.joined(q, jnp.full(kalman._sensors.count, jnp.nan))
+    state = kalman.init(y)
+    state = state._replace(v=jnp.asarray(rng.normal(size=n)), slow=jnp.asarray(rng.normal(size=state.slow.shape)))
+    u = jnp.asarray(rng.normal(size=models.input_count(model, n)))
+
+    def outputs(state):
+        now = Instant(state.q, state.v, lambda: acceleration(model, jnp.zeros(()), state.q, state.v, u), u, 0.0)
+        ends = np.cumsum([0, *(0 if s.slow is None else len(s.slow.names) for s in sensors)])
+        own = [state.slow[a:b] for a, b in itertools.pairwise(ends)]
+        return [sensor.h(now, part) for sensor, part in zip(sensors, own, strict=True)]
+
+    expected, h = outputs(state), 1e-6
+    slope = np.asarray(jax.jit(kalman._sensed)(state, u, y[-kalman._sensors.count :]).slope)
+
+    @jax.jit
+    @jax.vmap
+    def moved(error):
+        ends = outputs(kalman.moved(state, error).state)
+        return jnp.concatenate([s.innovation(was, end) for s, was, end in zip(sensors, expected, ends, strict=True)])
+
+    steps = h * jnp.eye(slope.shape[1])
+    differences = (moved(steps) - moved(-steps)).T / (2 * h)
+    np.testing.assert_allclose(slope, differences, atol=2e-6 * np.abs(slope).max())
+
+
+# A linear system: the textbook's filter and least squares.
+
+MASS, STIFFNESS = np.array([[2.0, 0.5], [0.5, 1.0]]), np.array([[30.0, -10.0], [-10.0, 20.0]])
+ROWS, STEP = 80, 0.01
+PROCESS, NOISE, SPEED = np.diag([2.0, 1.0]), np.diag([1e-4, 2e-4]), 0.7
+BIAS, READ = 0.3, 0.02
+
+
+def masses():
+    return Lagrangian(lambda q: jnp.asarray(MASS), lambda q: q @ jnp.asarray(STIFFNESS) @ q / 2)
+
+
+def fused(**named):
+    speed = observers.tachometer([1], READ, reduction=2.0, bias_std=BIAS, name="drum")
+    model = masses()
+    return IntrinsicKalman(
+        model, jnp.asarray(PROCESS), jnp.asarray(NOISE), SPEED**2 * jnp.eye(2), sensors=speed, substeps=1, **named
+    )
+
+
+def mixed_log(seed=0):
+    """Positions in every fourth row, one of them missing now and then, and the speed of the second in two of three."""
+    rng = np.random.default_rng(seed)
+    y = 0.05 * np.cumsum(rng.normal(size=(ROWS, 2)), 0)
+    y[np.arange(ROWS) % 4 > 0] = np.nan
+    y[16::16, 0] = np.nan
+    drum = 0.1 * rng.normal(size=ROWS)
+    drum[::3] = np.nan
+    return Record(STEP * np.arange(ROWS), np.zeros((ROWS, 2)), np.column_stack([y, drum]))
+
+
+def textbook(log):
+    """Filtered and smoothed means and covariances, in covariance form, by Kalman 1960 and Rauch, Tung & Striebel."""
+    a = np.zeros((5, 5))
+    a[:2, 2:4], a[2:4, :2] = np.eye(2), -np.linalg.solve(MASS, STIFFNESS)
+    power, transition = np.eye(5), np.eye(5)
+    for k in range(1, 5):  # what one Runge–Kutta step makes of it
+        power = power @ a * STEP / k
+        transition = transition + power
+    noise = np.zeros((5, 5))
+    noise[:2, :2], noise[:2, 2:4], noise[2:4, :2] = STEP**3 / 3 * PROCESS, STEP**2 / 2 * PROCESS, STEP**2 / 2 * PROCESS
+    noise[2:4, 2:4] = STEP * PROCESS
+    outputs = np.zeros((3, 5))
+    outputs[0, 0] = outputs[1, 1] = 1.0
+    outputs[2, 3], outputs[2, 4] = 2.0, 1.0
+    covs = np.diag([*np.diag(NOISE), READ**2])
+    x = np.concatenate([log.y[0, :2], np.zeros(3)])
+    p = np.diag([*np.diag(NOISE), SPEED**2, SPEED**2, BIAS**2])
+    kept = [(x, p, x, p)]
+    for y in log.y[1:]:
+        ahead, spread = transition @ x, transition @ p @ transition.T + noise
+        seen = np.isfinite(y)
+        h, r = outputs[seen], covs[np.ix_(seen, seen)]
+        gain = np.linalg.solve(h @ spread @ h.T + r, h @ spread).T
+        x, p = ahead + gain @ (y[seen] - h @ ahead), spread - gain @ h @ spread
+        kept.append((x, p, ahead, spread))
+    smoothed = [kept[-1][:2]]
+    for (x, p, *_), (_, _, ahead, spread) in zip(kept[-2::-1], kept[:0:-1], strict=True):
+        gain = np.linalg.solve(spread, transition @ p).T
+        after = smoothed[-1]
+        smoothed.append((x + gain @ (after[0] - ahead), p + gain @ (after[1] - spread) @ gain.T))
+    return [each[0] for each in kept], [each[1] for each in kept], [each[0] for each in smoothed[::-1]]
+
+
+def test_of_a_linear_system_it_is_the_textbook_filter_and_smoother():
+    log, kalman = mixed_log(), fused(gate=None)
+    means, covs, smoothed = map(np.array, textbook(log))
+    done = run(kalman, log)
+    found = np.concatenate([done.estimate, done.info.slow], axis=1)
+    np.testing.assert_allclose(found, means, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(done.info.slow_std[:, 0], np.sqrt(covs[:, 4, 4]), rtol=1e-8)
+    after = smooth(kalman, log).run
+    np.testing.assert_allclose(np.concatenate([after.estimate, after.info.slow], 1), smoothed, rtol=0, atol=1e-9)
+    assert done.info.sensors.used[:, 0].tolist() == (np.isfinite(log.y[:, 2]) & (np.arange(ROWS) > 0)).tolist()
+
+
+def test_a_row_is_missing_only_where_nothing_is_read():
+    log = mixed_log()
+    log = log._replace(y=1e-3 * log.y)  # nothing of which is refused
+    codes = np.asarray(run(fused(), log).info.result)
+    y, read = log.y[:, :2], np.isfinite(log.y[:, 2])
+    empty = np.isnan(y).all(1)
+    partly = np.isnan(y).any(1) & ~empty
+    assert (codes == Result.COASTED).tolist() == ((empty & ~read) | partly).tolist()
+
+
+def test_outliers_of_a_sensor_are_refused_and_what_lasts_is_used():
+    log = mixed_log()
+    y = log.y.copy()
+    y[:, 2] = 0.0
+    y[40, 2] = 100.0
+    once = run(fused(), log._replace(y=y))
+    assert once.info.result[40] == Result.OUTLIER
+    assert not once.info.sensors.used[40, 0]
+    y[41:, 2] = 100.0
+    lasting = run(fused(), log._replace(y=y)).info.sensors.used[40:, 0]
+    assert not lasting[:10].any()
+    assert lasting[10]
+
+
+def test_compiled_c_and_a_stream_compute_the_same():
+    log, kalman = mixed_log(), fused()
+    whole = run(kalman, log)
+    for engine in ("c", "jax"):
+        stream = Stream(kalman, log.y[0], 1 / STEP, engine=engine)
+        assert stream.engine == engine or stream.engine.startswith("jax")
+        rows = [stream.step(t, y, np.zeros(2)) for t, y in zip(log.t, log.y, strict=True)]
+        np.testing.assert_allclose(rows, whole.estimate, rtol=0, atol=1e-12)
+
+
+def test_sensors_of_other_rates_and_late_ones_give_what_all_give_in_order():
+    """Positions at 25 Hz, a gyro at 100 Hz, positions by a camera that come 40 ms late: in any order the same."""
+    model = masses()
+    camera = Sensor("camera", lambda now, s: now.q[:1] - now.q[1:], 1e-4, gate=None)
+    rate = dataclasses.replace(observers.tachometer([0], READ), gate=None)
+    noises = jnp.asarray(PROCESS), jnp.asarray(NOISE), SPEED**2 * jnp.eye(2)
+    kalman = IntrinsicKalman(model, *noises, sensors=(rate, camera), substeps=1, gate=None)
+    rng = np.random.default_rng(4)
+    t = STEP * np.arange(60)
+    true = rng.normal(size=(60, 4))
+    true[np.arange(60) % 4 > 0, :2] = np.nan
+    true[np.arange(60) % 5 > 0, 3] = np.nan
+    late = true.copy()
+    late[:, 3] = np.concatenate([np.full(4, np.nan), true[:-4, 3]])  # stamped four samples after it was true
+    delayed = Delayed(kalman, [0.0, 0.0, 0.0, 4 * STEP], rate=1 / STEP, lateness=3 * STEP)
+    state = delayed.init(jnp.asarray(late[0]))
+    step, arrive = jax.jit(delayed.step), jax.jit(delayed.late)
+    held: list[int] = []
+    for k in range(1, 60):
+        # Every seventh sample is held back for two steps, and so arrives after later ones.
+        reading = jnp.asarray(late[k])
+        if k % 7 == 0 and k < 57:
+            held.append(k)
+            reading = jnp.full(4, jnp.nan)
+        state, _ = step(state, jnp.zeros(2), reading, STEP)
+        if held and k - held[0] == 2:
+            state, info = arrive(state, jnp.asarray(late[held[0]]), t[held.pop(0)])
+            assert info.result < Result.OUTLIER
+    in_order = run(delayed, Record(t, np.zeros((60, 2)), late))
+    np.testing.assert_allclose(delayed.estimate(state), in_order.estimate[-1], rtol=0, atol=1e-12)
+    used = np.asarray(in_order.info.sensors.used)
+    assert used[1:, 0].all()
+    assert used[:, 1].tolist() == (np.isfinite(late[:, 3])).tolist()
+
+
+def test_a_gyro_on_a_body_in_space_halves_the_error_and_shows_its_bias():
+    inertia = jnp.diag(jnp.array([1.0, 2.0, 3.5]))
+    body, rng = GroupSystem(SO3, inertia), np.random.default_rng(5)
+    motion, true = models.Motion(jnp.eye(3), jnp.array([0.5, -0.8, 0.3])), []
+    advance = jax.jit(lambda m: models.advance(body, 0.0, m, jnp.zeros(3), 0.01, 1))
+    for _ in range(400):
+        true.append(motion)
+        motion = advance(motion)
+    q, v = np.array([m.q for m in true]), np.array([m.v for m in true])
+    turned = jax.vmap(lambda q, e: q @ SO3.exp(e))(jnp.asarray(q), jnp.asarray(0.02 * rng.normal(size=(400, 3))))
+    read = v + np.array([0.2, -0.1, 0.15]) + 0.01 * rng.normal(size=v.shape)
+    without = IntrinsicKalman(body, 1e-2, 4e-4, 1.0, substeps=1)
+    gyro = observers.tachometer([0, 1, 2], 0.01, name="gyro", bias_std=0.3)
+    with_gyro = IntrinsicKalman(body, 1e-2, 4e-4, 1.0, sensors=gyro, substeps=1)
+    t, u = 0.01 * np.arange(400), np.zeros((400, 3))
+    plain = run(without, Record(t, u, np.asarray(turned)))
+    y = with_gyro._sensors.joined(np.asarray(turned), read)
+    better = run(with_gyro, Record(t, u, y))
+    errors = [np.sqrt(np.mean((np.asarray(r.estimate.v)[200:] - v[200:]) ** 2)) for r in (plain, better)]
+    assert errors[1] < 0.5 * errors[0]
+    off = np.asarray(better.info.slow)[-1] - [0.2, -0.1, 0.15]
+    assert (np.abs(off) < 4 * np.asarray(better.info.slow_std)[-1]).all()
+    assert (np.asarray(better.info.slow_std)[-1] < 0.02).all()
+
+
+def test_a_motor_encoder_within_a_turn_is_read_modulo_its_turn():
+    motor = observers.encoder([0], 1e-3, reduction=10.0, period=2 * np.pi)
+    apart = motor.innovation(jnp.array([31.0]), jnp.array([31.01 - 8 * np.pi]))
+    np.testing.assert_allclose(apart, [0.01], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda a: observers.gyro(a.space, "elbow", 0.1), "gyro: .*elbow"),
+        (lambda a: observers.gyro(a.space, "tip", 0.0), "std must be positive"),
+        (lambda a: observers.gyro(a.space, "tip", [1.0, 2.0]), "one number or three"),
+        (lambda a: observers.gyro(a.space, "tip", 0.1, axes=np.diag([1.0, 1.0, -1.0])), "right-handed"),
+        (lambda a: observers.gyro(a.space, "tip", 0.1, axes=np.ones((3, 3))), "rotation matrix"),
+        (lambda a: observers.gyro(curved().space, "tip", 0.1), "has no links"),
+        (lambda a: observers.tachometer([0, 0], 0.1), "different indices"),
+        (lambda a: observers.encoder([0], 0.1, reduction=0.0), "reduction must not be zero"),
+        (lambda a: observers.tachometer([0], 0.1, bias_std=-1.0), "bias_std"),
+        (lambda a: Sensor("", lambda now, s: now.q, 1.0), "name must not be empty"),
+        (lambda a: Sensor("x", lambda now, s: now.q, [1.0, 0.0]), "cov must have variances that are positive"),
+    ],
+)
+def test_what_makes_no_sense_is_named(arms, make, words):
+    with pytest.raises(ValueError, match=words):
+        make(arms["fixed"][0])
+
+
+def test_names_and_lengths_are_checked():
+    one = observers.tachometer([0], 0.1)
+    noises = jnp.asarray(PROCESS), jnp.asarray(NOISE), jnp.eye(2)
+    with pytest.raises(ValueError, match="two sensors are called 'tachometer'"):
+        IntrinsicKalman(masses(), *noises, sensors=(one, one))
+    with pytest.raises(ValueError, match="must be one Sensor or several"):
+        IntrinsicKalman(masses(), *noises, sensors="gyro")
+    biased = [observers.tachometer([i], 0.1, name=name, bias_std=1.0) for i, name in enumerate(("a", "b"))]
+    kalman = IntrinsicKalman(masses(), *noises, sensors=biased)
+    assert kalman.slow_names == ("a_bias", "b_bias")
+    body = IntrinsicKalman(GroupSystem(SO3, jnp.eye(3)), 1.0, 1.0, 1.0, sensors=one)
+    with pytest.raises(ValueError, match=r"the configuration \(9 numbers\) and then the 1 readings of tachometer"):
+        body.init(jnp.eye(3))

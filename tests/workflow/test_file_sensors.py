@@ -1,0 +1,203 @@
+"""Sensors of a model file: their columns in a log, their use by a filter, and what is wrong with a table."""
+
+import numpy as np
+import pandas
+import pytest
+
+import covariant
+from covariant import logs, models
+from covariant.observers import Sensor
+from covariant.workflow._sensors import file_sensors
+
+CHAIN = """
+system = "pendulum_chain"
+[parameters]
+mass = [1.0, 0.6]
+length = [0.5, 0.4]
+viscous = [0.05, 0.02]
+[columns]
+q = ["q1", "q2"]
+[measurement]
+std = 2e-3
+[uncertainty]
+acceleration = 1.0
+correlation_time = 0.02
+"""
+SENSORS = """
+[sensors.rate]
+kind = "tachometer"
+of = ["q1", "q2"]
+columns = ["rate 1", "rate 2"]
+units = "deg/s"
+std = 0.01
+bias = 0.2
+[sensors.motor]
+kind = "encoder"
+of = ["q2"]
+columns = ["motor"]
+reduction = 20.0
+std = 1e-3
+"""
+ROBOT = """
+system = "robot"
+[parameters]
+path = "double_pendulum"
+[measurement]
+std = 1e-3
+[uncertainty]
+acceleration = 1.0
+correlation_time = 0.02
+[sensors.imu]
+kind = "gyro"
+link = "lower"
+columns = ["wx", "wy", "wz"]
+std = 0.01
+[sensors.camera]
+kind = "pose"
+link = "lower"
+columns = ["cx", "cy", "cz", "cw", "ci", "cj", "ck"]
+attitude = "quaternion_wxyz"
+position_std = 2e-3
+rotation_std = 5e-3
+delay = 0.02
+"""
+
+
+def written(tmp_path, text, name="model.toml"):
+    path = tmp_path / name
+    path.write_text(text)
+    return str(path)
+
+
+@pytest.fixture(scope="module")
+def chain(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("sensors")
+    path = written(folder, CHAIN + SENSORS)
+    log = covariant.simulate(path, duration=3.0, rate=100.0, q0=[0.6, -0.4], noise=2e-3, seed=1)
+    return path, written(folder, CHAIN, "plain.toml"), pandas.DataFrame(log.columns)
+
+
+def test_a_simulated_log_has_their_columns_in_their_units(chain):
+    path, _, frame = chain
+    rate, motor = file_sensors(models.load(path))
+    assert (rate.sensor.name, motor.sensor.name, rate.unit, motor.unit) == ("rate", "motor", "rad/s", "rad")
+    off = np.deg2rad(frame["rate 1"]) - frame["true_v1"]
+    assert 0.0 < abs(off.mean()) < 1.0  # the bias
+    assert 0.008 < off.std() < 0.012
+    assert np.abs(frame["motor"] - 20.0 * frame["true_q2"]).max() < 6e-3
+
+
+def test_a_filter_uses_them_and_finds_their_bias(chain):
+    path, plain, frame = chain
+    named = {"observer": "intrinsic-kalman", "columns": {"truth": ["true_v1", "true_v2"]}}
+    result = covariant.estimate(path, frame, engine="c", **named)
+    without = covariant.estimate(plain, frame, **named)
+    assert (result.outcome.score.rmse < 0.5 * without.outcome.score.rmse).all()
+    bias = (np.deg2rad(frame[["rate 1", "rate 2"]]) - frame[["true_v1", "true_v2"]].to_numpy()).mean()
+    columns = result.columns
+    for i in (1, 2):
+        off = columns[f"rate_bias{i}"][-1] - bias.iloc[i - 1]
+        assert abs(off) < 4 * columns[f"rate_bias{i}_std"][-1] < 0.05
+    assert {name: each.readings for name, each in result.sensors.items()} == {"rate": 300, "motor": 300}
+    assert all(0.15 < each.nis < 1.3 and each.refused == 0 for each in result.sensors.values())
+    assert "rate: 300 readings" in str(result)
+    jax = covariant.estimate(path, frame, engine="jax", **named)
+    np.testing.assert_allclose(jax.velocity, result.velocity, rtol=0, atol=1e-9)
+
+
+def test_rows_have_what_was_read_then(chain):
+    """Positions in every tenth row: the rate of the design is theirs, and the sensor fills the time between."""
+    path, plain, frame = chain
+    sparse = frame.copy()
+    sparse.loc[np.arange(len(frame)) % 10 > 0, ["q1", "q2"]] = np.nan
+    named = {"observer": "intrinsic-kalman", "columns": {"truth": ["true_v1", "true_v2"]}}
+    result = covariant.estimate(path, sparse, **named)
+    assert round(result.loaded.rate) == 10
+    assert "coasted" not in result.outcome.counts
+    only = covariant.estimate(plain, sparse, **named)
+    assert only.outcome.counts["coasted"] == 270
+    assert (result.outcome.score.rmse < 0.6 * only.outcome.score.rmse).all()
+
+
+def test_outliers_of_a_sensor_are_counted(chain):
+    path, _, frame = chain
+    odd = frame.copy()
+    odd.loc[[50, 120], "rate 1"] = 1e5
+    result = covariant.estimate(path, odd, observer="intrinsic-kalman")
+    assert result.sensors["rate"].refused == 2
+    assert result.sensors["motor"].refused == 0
+
+
+def test_a_log_without_a_sensor_is_told(chain):
+    path, plain, frame = chain
+    lacking = frame.drop(columns=["rate 1", "rate 2"])
+    result = covariant.estimate(path, lacking, observer="intrinsic-kalman")
+    assert "The log has no column of rate: the filter does without." in result.design[0]
+    assert result.sensors["rate"].readings == 0
+    none = covariant.estimate(path, lacking.drop(columns="motor"), observer="intrinsic-kalman")
+    same = covariant.estimate(plain, frame, observer="intrinsic-kalman")
+    np.testing.assert_array_equal(none.velocity, same.velocity)
+    with pytest.raises(logs.LogError, match="no column 'rate 2'"):
+        covariant.estimate(path, frame.drop(columns="rate 2"), observer="intrinsic-kalman")
+
+
+def test_other_observers_say_that_they_do_without(chain):
+    path, _, frame = chain
+    result = covariant.estimate(path, frame, observer="intrinsic")
+    assert "does not estimate what [sensors] read; intrinsic-kalman does" in result.design[0]
+
+
+def test_what_was_measured_is_smoothed_with_them(chain):
+    path, _, frame = chain
+    named = {"observer": "intrinsic-kalman", "columns": {"truth": ["true_v1", "true_v2"]}}
+    summary = covariant.smooth(path, frame, **named).summary
+    assert (np.array(summary["velocity_rmse"]) < 0.9 * np.array(summary["filter"]["velocity_rmse"])).all()
+    same = covariant.estimate(path, frame, **named).outcome.score.rmse
+    np.testing.assert_allclose(summary["filter"]["velocity_rmse"], same, rtol=1e-4)
+
+
+@pytest.mark.long
+def test_a_gyro_and_a_late_camera_on_a_robot(tmp_path):
+    path = written(tmp_path, ROBOT)
+    log = covariant.simulate(path, duration=2.0, rate=100.0, q0=[0.6, -0.4], amplitude=0.3, noise=1e-3)
+    named = {"observer": "intrinsic-kalman", "columns": {"truth": list(log.truth_columns)}}
+    result = covariant.estimate(path, pandas.DataFrame(log.columns), engine="c", **named)
+    without = covariant.estimate(
+        written(tmp_path, ROBOT[: ROBOT.index("[sensors.imu]")], "plain.toml"), pandas.DataFrame(log.columns), **named
+    )
+    assert (result.outcome.score.rmse < without.outcome.score.rmse).all()
+    assert result.sensors["camera"].readings == 200
+    assert all(0.6 < each.nis < 1.4 for each in result.sensors.values())
+
+
+@pytest.mark.parametrize(
+    ("table", "words"),
+    [
+        ('[sensors.a]\nkind = "sonar"', r"\[sensors.a\] needs a kind, one of encoder, tachometer.*'sonar'"),
+        ('[sensors.a]\nkind = "tachometer"\nof = ["q1"]', r"\[sensors.a\] needs columns, std"),
+        ('[sensors.a]\nkind = "tachometer"\nof = ["q1"]\ncolumns = ["x"]\nstd = 1\nlink = "b"', "key of .*'link'"),
+        ('[sensors.a]\nkind = "tachometer"\nof = ["q3"]\ncolumns = ["x"]\nstd = 1', "there is no 'q3'; there are: "),
+        ('[sensors.a]\nkind = "tachometer"\nof = ["q1"]\ncolumns = ["x", "y"]\nstd = 1', "1 different names"),
+        ('[sensors.a]\nkind = "tachometer"\nof = ["q1"]\ncolumns = ["x"]\nstd = -1', "std must be .* numbers ≥ 0"),
+        ('[sensors.a]\nkind = "tachometer"\nof = ["q1"]\ncolumns = ["q2"]\nstd = 1', "'q2' is named twice"),
+        ('[sensors.a]\nkind = "tachometer"\nof = ["q1"]\ncolumns = ["x"]\nstd = 1\nunits = "mm"', "no unit of"),
+        ('[sensors.a]\nkind = "gyro"\nlink = "b"\ncolumns = ["x", "y", "z"]\nstd = 1', "has no links"),
+        ('[sensors.a]\nkind = "tachometer"\nof = ["q1"]\ncolumns = ["x"]\nstd = 1\ndelay = -1', "delay must be"),
+        ("[sensors]\na = 1", r"sensors.a must be a table"),
+    ],
+)
+def test_a_table_that_makes_no_sense_is_named(table, words, tmp_path):
+    with pytest.raises(ValueError, match=words):
+        file_sensors(models.load(written(tmp_path, f"{CHAIN}\n{table}\n")))
+
+
+def test_a_unit_in_the_name_of_a_column_is_not_overlooked(tmp_path):
+    table = '[sensors.a]\nkind = "tachometer"\nof = ["q1"]\ncolumns = ["rate [deg/s]"]\nstd = 0.01\n'
+    path = written(tmp_path, CHAIN + table)
+    frame = pandas.DataFrame({"t": np.arange(5) / 10, "q1": 0.1, "q2": 0.2, "u1": 0.0, "u2": 0.0, "rate [deg/s]": 1.0})
+    with pytest.raises(logs.LogError, match=r'column .rate \[deg/s\]. has a unit in its name.* units = "deg/s"'):
+        covariant.estimate(path, frame, observer="intrinsic-kalman")
+
+
+def test_the_classes_are_those_of_the_library(chain):
+    assert all(isinstance(part.sensor, Sensor) for part in file_sensors(models.load(chain[0])))
