@@ -101,7 +101,7 @@ def smooth(
         EstimateResult(job, loaded, name, notes, scored(chosen, jax.tree.map(np.asarray, run), loaded, "jax"), "auto")
         for run in (smoothed.run, smoothed.filtered)
     )
-    if before.outcome.failed or not (np.isfinite(after.velocity).all() and np.isfinite(smoothed.root).all()):
+    if before.outcome.failed or not (np.isfinite(after.velocity).all() and np.isfinite(smoothed.std).all()):
         raise ValueError(f"{job.log_name}: the estimate left the finite numbers; check model and units")
     return SmoothResult(after, before, np.asarray(smoothed.std), rows)
 
@@ -134,7 +134,7 @@ class SmoothResult(AbstractEstimates):
         smoothed: The smoothed estimates.
         filtered: The estimates of the filter, from the rows before each only.
         error_std: Standard deviations (T, N) of the error of the smoothed estimates, as in
-            `observers.Smoothed.root`.
+            `observers.Smoothed.std`.
         lag: Number of rows after each from which it is estimated; None for all.
 
     Example:
