@@ -96,7 +96,8 @@ PUBLIC = {
     "RobotSpace assemble changed inertia_of load located numbers_of read urdf_with_inertias",
     "observers": "EKF OBSERVER_NAMES PLL REGISTRY SMOOTHED STATE_OBSERVER_NAMES Smoothed UKF AbstractFlowObserver "
     "AbstractLinearFilter AbstractMechanicalObserver AbstractObserver Contracting ContractingState Copy Delayed "
-    "DelayedState EKFInfo EKFState Entry Estimate FilterInfo FilteredDerivative FilteredState Gate Gated GatedState "
+    "DelayedState EKFInfo EKFState Entry Estimate FilterInfo FilteredDerivative FilteredState FixedLag FixedLagState "
+    "FixedLagWindow Gate Gated GatedState "
     "GateMemory Geodesic GeodesicInfo GeodesicState SampledState HighGain Info InformationEKF InformationState "
     "Intrinsic IntrinsicKalman JointInfo JointKalman JointState KalmanInfo KalmanState Levant LoopState "
     "MechanicalState Noise PassiveGains PassiveShip Riccati Salcudean SalcudeanState SavitzkyGolay Slow StateEKF "

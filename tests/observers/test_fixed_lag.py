@@ -19,19 +19,18 @@ def log() -> Record:
     """Irregular stamps, a gap, outliers, and a slip after which the filter starts anew."""
     rng = np.random.default_rng(0)
     t = 3.0 + np.cumsum(rng.uniform(0.005, 0.03, ROWS))
-    y = np.stack([0.4 * np.sin(3 * t), 0.3 * np.cos(2 * t)], 1) + 0.01 * rng.normal(size=(ROWS, 2))
-    y[15:20] = y[25:28, 0] = np.nan
+    y = 0.4 * np.sin(3 * t) + 0.01 * rng.normal(size=ROWS)
+    y[15:20] = np.nan
     y[22] += 2.0
-    y[40:, 1] += 3.0
-    return Record(t, rng.normal(size=(ROWS, 2)), np.round(y / TICK) * TICK)
+    y[40:] += 3.0
+    return Record(t, rng.normal(size=(ROWS, 1)), np.round(y / TICK)[:, None] * TICK)
 
 
 def of_a_pendulum() -> IntrinsicKalman:
     """With ticks and a force, so that its state has all fields."""
-    pendulum = models.pendulum_chain((1.0, 0.7), (0.5, 0.4), viscous=(0.05, 0.05))
-    force = observers.external_force(std=jnp.array([0.5, 0.5]), time=0.2)
-    gate = Gate(patience=4)
-    return IntrinsicKalman(pendulum, jnp.eye(2), 1e-6, 4.0, force, (TICK, TICK), gate, substeps=1)
+    pendulum = models.pendulum_chain((1.0,), (0.5,), viscous=(0.05,))
+    force = observers.external_force(std=0.5, time=0.2)
+    return IntrinsicKalman(pendulum, 1.0, 1e-6, 4.0, force, (TICK,), Gate(patience=4), substeps=1)
 
 
 FILTERS = {"pendulum": of_a_pendulum, "no model": lambda: JointKalman(5.0, 0.1, 0.01, gate=Gate(patience=4))}

@@ -79,7 +79,7 @@ class FixedLagState(NamedTuple):
     prediction: Any = None
 
 
-class Window(NamedTuple):
+class FixedLagWindow(NamedTuple):
     """Estimates of the last L + 1 samples, each from all samples up to now: the last is that of the filter.
 
     Attributes:
@@ -237,7 +237,7 @@ class FixedLag(AbstractObserver):
     def innovation(self, state: FixedLagState, u: Float[Array, "m"], y: Inexact[Array, "*n"]) -> Any:
         return self.observer.innovation(state.now, u, y)
 
-    def window(self, state: FixedLagState) -> Window:
+    def window(self, state: FixedLagState) -> FixedLagWindow:
         """Estimates of the last `lag + 1` samples, each from all samples up to now.
 
         Args:
@@ -261,7 +261,7 @@ class FixedLag(AbstractObserver):
             new, root = smoothed_state(self.observer, state, error)
             return self.observer.estimate(new), jnp.sqrt(jnp.sum(root**2, axis=-1))
 
-        return Window(state.t, *jax.vmap(estimated)(states, errors))
+        return FixedLagWindow(state.t, *jax.vmap(estimated)(states, errors))
 
     def _error(self, state: Any) -> Smoothing:
         """What the filter knows of its error now."""

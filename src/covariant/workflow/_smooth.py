@@ -256,4 +256,22 @@ class SmoothResult(AbstractEstimates):
         curves = report_curves({"smoothed": self.smoothed.outcome, name: self.filtered.outcome})
         notes = (*self.smoothed.design, *error_lines(self.summary, loaded))
         title = f"{what} of {self.smoothed.job.title}, smoothed"
-        return estimate_report(title, loaded, curves, notes, headline=self.headline, warnings=self.warnings)
+        return estimate_report(title, loaded, curves, notes, self._rows(), self.headline, self.warnings)
+
+    def _rows(self) -> tuple[dict[str, Any], ...]:
+        """The smoother and the filter: errors, where they are known, and median standard deviations."""
+        what, file, result = self.smoothed.loaded.model.sought.what, self.smoothed.loaded.file, self.summary
+        names = [
+            f"{name} [{unit}]".removesuffix(" []")
+            for name, unit in zip(sought_columns(file), sought_units(file), strict=True)
+        ]
+        kinds = {"RMSE": f"{what}_rmse", "median std": f"{what}_std"}
+        return tuple(
+            {"estimator": label}
+            | {
+                f"{kind} {name}": value
+                for kind, key in kinds.items()
+                for name, value in zip(names, numbers.get(key, ()), strict=False)
+            }
+            for label, numbers in (("smoothed", result), (self.smoothed.observer_name, result["filter"]))
+        )
