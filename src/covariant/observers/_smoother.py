@@ -315,7 +315,8 @@ def _lengthened(rows: Rows, more: int) -> Rows:
 
 
 def _part(rows: Rows, first: int, count: int) -> Rows:
-    return Rows(*(a[first : first + count] for a in rows))
+    # A slice at a place that is an argument is compiled once for all blocks.
+    return Rows(*(jax.lax.dynamic_slice_in_dim(a, first, count) for a in rows))
 
 
 @eqx.filter_jit
