@@ -23,6 +23,7 @@ from ._names import (
     SMOOTHED as SMOOTHED,
     STATE_OBSERVER_NAMES as STATE_OBSERVER_NAMES,
 )
+from ._noise_step import NoiseStep as NoiseStep, noise_step as noise_step
 from ._passive_ship import (
     PassiveGains as PassiveGains,
     PassiveShip as PassiveShip,
