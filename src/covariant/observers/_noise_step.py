@@ -165,7 +165,8 @@ def _statistics(observer: Any, parts: Array, t: Array, u: Array, y: Array) -> St
     everywhere = jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), first, errors)
     judged = recorded.result
     used = (judged == int(Result.OK)) | (judged == int(Result.COASTED)) | (jnp.arange(len(t)) == 0)
-    seen = ~jax.vmap(observer.model.manifold.missing)(y) & used[:, None]
+    missing: Any = jax.vmap(observer.model.manifold.missing)(y)
+    seen = ~missing & used[:, None]
     squares = jax.vmap(lambda *row: _of_reading(observer, *row))(states, y, everywhere)
     likelihood = jnp.where(used[1:], jax.vmap(_likelihood)(info.innovation_cov[1:], info.nis[1:], seen[1:]), 0.0)
     stepped = ~following.restarted
