@@ -169,7 +169,7 @@ def _statistics(observer: Any, parts: Array, t: Array, u: Array, y: Array) -> St
     seen = ~missing & used[:, None]
     squares = jax.vmap(lambda *row: _of_reading(observer, *row))(states, y, everywhere)
     likelihood = jnp.where(used[1:], jax.vmap(_likelihood)(info.innovation_cov[1:], info.nis[1:], seen[1:]), 0.0)
-    stepped = ~following.restarted
+    stepped = jnp.logical_not(following.restarted)
     return Statistics(
         jnp.sum(jnp.where(stepped[:, None], process, 0.0), 0),
         jnp.sum(stepped).astype(root.dtype),
