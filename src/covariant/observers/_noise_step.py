@@ -161,7 +161,7 @@ def _statistics(observer: Any, parts: Array, t: Array, u: Array, y: Array) -> St
 
     first, errors = jax.lax.scan(earlier, last, jax.vmap(backward_map)(following), reverse=True)
     # Row by row, as the filter runs: XLA takes minutes over the same side by side.
-    process = jax.lax.map(lambda row: _of_step(observer, parts, *row), (before, after, following, errors))
+    process: Any = jax.lax.map(lambda row: _of_step(observer, parts, *row), (before, after, following, errors))
     everywhere = jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), first, errors)
     judged = recorded.result
     used = (judged == int(Result.OK)) | (judged == int(Result.COASTED)) | (jnp.arange(len(t)) == 0)
@@ -169,7 +169,7 @@ def _statistics(observer: Any, parts: Array, t: Array, u: Array, y: Array) -> St
     seen = ~missing & used[:, None]
     squares = jax.vmap(lambda *row: _of_reading(observer, *row))(states, y, everywhere)
     likelihood = jnp.where(used[1:], jax.vmap(_likelihood)(info.innovation_cov[1:], info.nis[1:], seen[1:]), 0.0)
-    stepped = jnp.logical_not(following.restarted)
+    stepped: Any = jnp.logical_not(following.restarted)
     return Statistics(
         jnp.sum(jnp.where(stepped[:, None], process, 0.0), 0),
         jnp.sum(stepped).astype(root.dtype),
