@@ -160,7 +160,7 @@ def _statistics(observer: Any, parts: Array, t: Array, u: Array, y: Array) -> St
         return (error_before(error, step), error)
 
     first, errors = jax.lax.scan(earlier, last, jax.vmap(backward_map)(following), reverse=True)
-    # Row by row, as the filter runs: XLA takes minutes over the same side by side.
+    # Row by row, as the filter runs, so that the predictions of one row are in memory.
     process: Any = jax.lax.map(lambda row: _of_step(observer, parts, *row), (before, after, following, errors))
     everywhere = jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), first, errors)
     judged = recorded.result
@@ -171,7 +171,7 @@ def _statistics(observer: Any, parts: Array, t: Array, u: Array, y: Array) -> St
     likelihood = jnp.where(used[1:], jax.vmap(_likelihood)(info.innovation_cov[1:], info.nis[1:], seen[1:]), 0.0)
     stepped: Any = jnp.logical_not(following.restarted)
     return Statistics(
-        jnp.sum(jnp.where(stepped[:, None], process, 0.0), 0),
+        jnp.sum(process, 0, where=stepped[:, None]),
         jnp.sum(stepped).astype(root.dtype),
         jnp.sum(jnp.where(seen, squares, 0.0), 0),
         jnp.sum(seen, 0).astype(root.dtype),
