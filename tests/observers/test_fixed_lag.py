@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from covariant import models, observers
+from covariant.codegen import trace_program, with_open_numbers
 from covariant.observers import FixedLag, Gate, IntrinsicKalman, JointKalman, smooth
 from covariant.signals import Record, Result
 
@@ -71,6 +72,12 @@ def test_it_is_the_smoother_of_a_log_with_this_lag(name):
     close(window.t, log().t[-LAG - 1 :])
     close(window.estimate, expected.run.estimate[-LAG - 1 :])
     close(window.std, expected.std[-LAG - 1 :])
+
+
+def test_states_of_a_state_space_model_are_one_array_in_code():
+    ekf = observers.StateEKF(models.duffing(), jnp.eye(2), 1e-4 * jnp.eye(1), jnp.zeros(2), jnp.eye(2), 1)
+    traced = trace_program(with_open_numbers(FixedLag(ekf, 3)), np.zeros(1))
+    assert [leaf.name for leaf in traced.x] == ["x"]
 
 
 @pytest.mark.parametrize(
