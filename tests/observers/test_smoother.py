@@ -25,8 +25,8 @@ from covariant.models import (
     in_chart,
     pendulum_chain,
 )
-from covariant.observers import EKF, UKF, IntrinsicKalman, JointKalman, smooth
-from covariant.observers._smoother import Step, _backward, smoothed as smoothed_arrays
+from covariant.observers import EKF, UKF, IntrinsicKalman, JointKalman, _smoother, smooth
+from covariant.observers._smoother import Step, backward_map, smoothed as smoothed_arrays
 from covariant.signals import Record, Result
 
 # Where everything is linear: the smoother is the least-squares solution over all rows.
@@ -282,15 +282,41 @@ def test_where_the_filter_starts_anew_rows_before_know_nothing_of_those_after():
     np.testing.assert_array_equal(slipped.run.estimate[29], slipped.filtered.estimate[29])
 
 
-def test_blocks_make_no_difference(monkeypatch):
-    whole = {lag: smooth(rod_filter("ekf"), swing(), lag=lag) for lag in (None, 5)}
-    monkeypatch.setattr("covariant.observers._smoother.BLOCK", 17)
-    for lag, expected in whole.items():
-        jax.tree.map(
-            lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-12, atol=1e-12),
-            smooth(rod_filter("ekf"), swing(), lag=lag),
-            expected,
-        )
+SIZE, TICK = 8, 0.05
+"""Rows of a block, and a tick, of the logs of faults."""
+
+
+def faulty(ticks: bool) -> Record:
+    """A gap over a seam of blocks, refused readings on both sides of one, and a slip from a row before one on."""
+    y = np.array(swing().y)
+    y[SIZE - 2 : SIZE + 2] = np.nan
+    y[[2 * SIZE - 1, 2 * SIZE]] += 0.7
+    y[2 * SIZE + 4 :] += 0.9
+    return swing()._replace(y=np.round(y / TICK) * TICK if ticks else y)
+
+
+@pytest.mark.parametrize(("ticks", "lag"), [(True, None), (False, 2 * SIZE + 3)])
+def test_blocks_make_no_difference(monkeypatch, ticks, lag):
+    """Over gaps, refused readings, new starts and ticks at their seams, and with a lag of more than a block."""
+    encoder = {"quantum": (TICK,)} if ticks else {}
+    observer, record = rod_filter("intrinsic-kalman", gate=observers.Gate(patience=4), **encoder), faulty(ticks)
+    whole = smooth(observer, record, lag=lag)
+    results = np.asarray(whole.filtered.info.result)
+    assert {Result.COASTED, Result.OUTLIER, Result.RESTARTED} <= set(results.tolist())
+    monkeypatch.setattr("covariant.observers._smoother.BLOCK", SIZE)
+    lengths = []
+    block = _smoother._block
+    monkeypatch.setattr(_smoother, "_block", lambda *a: (lengths.append(len(a[2].dt)), block(*a))[1])
+    blocked = smooth(observer, record, lag=lag)
+    assert lengths == [SIZE + 1 + (lag or 0)] * 5  # the rows that are in memory at once
+    jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-12, atol=1e-12), blocked, whole)
+
+
+def test_only_what_is_asked_for_is_stored():
+    whole, less = (smooth(rod_filter("ekf"), swing(), keep=keep) for keep in (None, ("velocity_std",)))
+    assert less.root is less.run.info.innovation is None
+    np.testing.assert_array_equal(less.std, whole.std)
+    np.testing.assert_allclose(whole.std**2, np.einsum("tij,tij->ti", whole.root, whole.root), rtol=1e-12)
 
 
 def test_in_single_precision_it_stays_single_and_close():
@@ -328,7 +354,7 @@ def test_a_row_that_depends_on_others_up_to_rounding_has_no_gain_of_its_own(seed
     expected = before @ carried.T @ np.linalg.pinv(wide @ wide.T, rcond=1e-10) @ error
     root = triangular_with_rank(jnp.asarray(wide))
     arrays = (jnp.asarray(each) for each in (before, carried, root, error, np.eye(4), False))
-    np.testing.assert_allclose(_backward(Step(*arrays)).shift, expected, rtol=0, atol=1e-10 * np.abs(expected).max())
+    np.testing.assert_allclose(backward_map(Step(*arrays)).shift, expected, rtol=0, atol=1e-10 * np.abs(expected).max())
 
 
 def test_a_motion_without_uncertainty_is_refused_where_it_spoils_another():
@@ -369,7 +395,7 @@ def test_its_errors_are_as_large_as_it_says_and_smaller_than_those_of_the_filter
     @jax.jit
     @jax.vmap
     def all_at_once(y):
-        run, filtered, root = smoothed_arrays(observer, t, u, y)
+        run, filtered, _, root = smoothed_arrays(observer, t, u, y)
         return run.estimate, filtered.estimate, root
 
     y = np.stack([r.y for r in records])

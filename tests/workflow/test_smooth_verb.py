@@ -43,6 +43,15 @@ def test_it_is_nearer_to_the_truth_than_the_filter_and_says_so(smoothed):
     assert "velocity RMSE of the filter" in text
 
 
+def test_the_page_shows_both(smoothed):
+    page = smoothed[0]._page()
+    assert list(page.estimates) == ["smoothed", "intrinsic-kalman"]
+    after, before = page.rows
+    assert list(after) == list(before) == ["estimator", "RMSE v1 [m/s]", "median std v1 [m/s]"]
+    assert after["RMSE v1 [m/s]"] < before["RMSE v1 [m/s]"]
+    assert after["median std v1 [m/s]"] < before["median std v1 [m/s]"]
+
+
 def test_the_filter_beside_it_is_what_estimate_returns(smoothed):
     result, log = smoothed
     filtered = covariant.estimate("oscillator", log, observer="intrinsic-kalman", overrides=NOISE, engine="jax")

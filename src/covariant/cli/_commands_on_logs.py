@@ -18,6 +18,7 @@ from covariant.cli._options import (
     From,
     Inputs,
     Json,
+    Lagged,
     LogFile,
     Model,
     Observer,
@@ -25,6 +26,7 @@ from covariant.cli._options import (
     Positions,
     Report,
     Rows,
+    Smoothed,
     Time,
     Until,
     Velocities,
@@ -59,6 +61,8 @@ def estimate(
     anyway: Anyway = False,
     engine: By = "auto",
     json: Json = False,
+    smooth: Smoothed = False,
+    lag: Lagged = None,
 ) -> None:
     """Estimate velocities from the positions or attitudes in a log."""
     check_output(out, *WRITTEN, log=log)

@@ -73,6 +73,26 @@ def known_observer(name: str | None) -> str | None:
     return name
 
 
+def only_by_smooth(value: bool | float | None) -> bool | float | None:
+    """Refuse an option that `smooth` has, where a user looks for it at `estimate`.
+
+    Args:
+        value: What was given; False and None pass.
+
+    Returns:
+        The same.
+
+    Raises:
+        ValueError: One line that names the command.
+    """
+    if value is not None and value is not False:
+        raise ValueError(
+            "estimate knows the rows before each only; `covariant smooth MODEL LOG`, with --lag SECONDS or all rows "
+            "after each, writes smoothed estimates and those of the filter beside them"
+        )
+    return value
+
+
 Model = Annotated[
     str,
     typer.Argument(
@@ -103,6 +123,8 @@ Filter = Annotated[
         callback=known_observer,
     ),
 ]
+Smoothed = Annotated[bool, typer.Option("--smooth", hidden=True, callback=only_by_smooth)]
+Lagged = Annotated[float | None, typer.Option("--lag", hidden=True, callback=only_by_smooth)]
 Override = Annotated[list[str], typer.Option("--set", help="Override a value of the model file, as table.key=value.")]
 Every = Annotated[int, typer.Option(help="Use each k-th row only.", min=1)]
 From = Annotated[float | None, typer.Option("--from", help="Use the log from this time on only [s since its start].")]

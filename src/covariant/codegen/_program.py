@@ -361,8 +361,10 @@ def trace_program(
         observer = cast_observer(numbers)
         x: Any = observer.estimate(typed(state))
         structures["estimate"] = _kinds(x)
-        # The state x of a state-space model is one array; elsewhere an estimate is q and v in halves.
-        if isinstance(x, tuple) or "x" in getattr(state, "_fields", ()):
+        # The state x of a state-space model is one array; elsewhere an estimate is q and v in halves. With a lag it is
+        # that of a state in the state.
+        estimated: Any = getattr(state, "smoothed", state)
+        if isinstance(x, tuple) or "x" in getattr(estimated, "_fields", ()):
             return x
         return Motion(*jnp.split(x, 2))
 

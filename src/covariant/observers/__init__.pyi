@@ -7,6 +7,7 @@ from ._copy import Copy as Copy
 from ._delayed import Delayed as Delayed, DelayedState as DelayedState
 from ._ekf import EKF as EKF, EKFInfo as EKFInfo, EKFState as EKFState
 from ._filtered_derivative import FilteredDerivative as FilteredDerivative, FilteredState as FilteredState
+from ._fixed_lag import FixedLag as FixedLag, FixedLagState as FixedLagState, FixedLagWindow as FixedLagWindow
 from ._gate import Gate as Gate
 from ._gate_memory import GateMemory as GateMemory, Judged as Judged, Sample as Sample, Velocity as Velocity
 from ._gated import Gated as Gated, GatedState as GatedState
@@ -22,6 +23,7 @@ from ._names import (
     SMOOTHED as SMOOTHED,
     STATE_OBSERVER_NAMES as STATE_OBSERVER_NAMES,
 )
+from ._noise_step import NoiseStep as NoiseStep, noise_step as noise_step
 from ._passive_ship import (
     PassiveGains as PassiveGains,
     PassiveShip as PassiveShip,

@@ -110,7 +110,7 @@ class Gate(eqx.Module):
             vectors = jnp.stack([innovation, innovation / width, line.change[block] / width], axis=1)
             square, *narrowed = _mean_squares(sample.cov[jnp.ix_(block, block)], vectors)
             far = far.at[block].set(measured & (jnp.minimum(*narrowed) > self._limit(n) / n))
-            noise = sample.noise[jnp.ix_(block, block)] * noisier[block[0]]
+            noise = jnp.asarray(sample.noise)[jnp.ix_(block, block)] * noisier[block[0]]
             shape = _shape(jax.tree.map(lambda a, block=block: a[block], line), noise)
             straight, joined = straight.at[block].set(shape[0]), joined.at[block].set(shape[1])
             change = (jnp.minimum(square, BELIEVED * memory.scale[block]) - memory.scale[block]) / self.memory

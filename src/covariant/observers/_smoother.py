@@ -12,6 +12,10 @@ filter that does not depend on coordinates does not depend on them either.
 
 With a lag of L rows each row is estimated from the L rows after it, by the same recursion from d = 0 there.
 
+Steps are stored for one block of rows at a time. A first pass stores the state of the filter before each block, and the
+blocks are run through again from there, the last one first; only d and Pˢ go from one to the one before it. With a lag
+the blocks follow one another in time, and there is one pass.
+
 Source: Rauch, Tung & Striebel 1965, Maximum likelihood estimates of linear dynamic systems, AIAA Journal 3(8);
 Särkkä 2008, Unscented Rauch–Tung–Striebel smoother, IEEE TAC 53(3), for transitions by statistical linearisation;
 Kailath, Sayed & Hassibi 2000, Linear Estimation, chapter 10.
@@ -42,7 +46,7 @@ from covariant.signals import Record, Result, Run
 FARTHEST = 1e3
 """Size of smoothed estimates, relative to those of the filter, from which a covariance was singular up to rounding."""
 BLOCK = 4096
-"""Rows whose steps are held in memory at once: a longer log is run through twice, the second time from its end."""
+"""Rows whose steps are held in memory at once; a longer log is run through twice, the second time from its end."""
 
 
 class Smoothed(NamedTuple):
@@ -52,9 +56,10 @@ class Smoothed(NamedTuple):
         run: Stamps, smoothed estimates, and the info of the filter with the standard deviations and the slow states of
             the smoother.
         filtered: The run of the filter.
-        root: Square roots (T, N, N) of the covariances of the smoothed estimates, of the error of the filter: positions
-            and velocities in the frame, then slow states; of a `JointKalman` positions, velocities, accelerations; of a
-            state-space model its states.
+        std: Standard deviations (T, N) of the smoothed estimates, of the error of the filter: positions and velocities
+            in the frame, then slow states; of a `JointKalman` positions, velocities, accelerations; of a state-space
+            model its states.
+        root: Square roots (T, N, N) of the covariances of the same; None where they are not kept.
 
     Example:
         >>> import numpy as np
@@ -70,12 +75,8 @@ class Smoothed(NamedTuple):
 
     run: Run
     filtered: Run
-    root: Float[Array, "T N N"]
-
-    @property
-    def std(self) -> Float[Array, "T N"]:
-        """Standard deviations of the error, in the order of `root`."""
-        return jnp.sqrt(jnp.sum(self.root**2, axis=-1))
+    std: Float[Array, "T N"]
+    root: Any
 
 
 class Step(NamedTuple):
@@ -152,18 +153,41 @@ class Recorder(AbstractObserver):
 
     def advance(self, state: Any, u: Float[Array, "m"], y: Inexact[Array, "*n"], dt: Scalar) -> tuple[Any, StepInfo]:
         """Prediction and correction of the filter, with what they did to the error."""
-        observer = self.observer
-        predicted, carried = observer.carried(state, u, dt)
-        new, info, used, restarted = observer.corrected(predicted, u, y)
-        # A step of no length is the first row, or one that lengthens the last block: it is no step. An estimate that
-        # left the finite numbers says nothing of those before.
-        restarted = restarted | (dt == 0) | (info.result == int(Result.NOT_FINITE))
-        root = triangular_with_rank(observer.root(predicted))
-        step = Step(observer.root(state), carried, root, used.error, used.reset, restarted)
-        return new, StepInfo(info, step, info.result)
+        predicted, carried = self.observer.carried(state, u, dt)
+        new, info, step = recorded(self.observer, self.observer.root(state), carried, predicted, u, y)
+        # A step of no length is the first row, or one that lengthens the last block: it is no step.
+        return new, StepInfo(info, step._replace(restarted=step.restarted | (dt == 0)), info.result)
 
     def estimate(self, state: Any) -> Any:
         return state
+
+
+def recorded(
+    observer: AbstractGatedFilter,
+    root: Matrix,
+    carried: Matrix,
+    predicted: Any,
+    u: Float[Array, "m"],
+    y: Inexact[Array, "*n"],
+) -> tuple[Any, Any, Step]:
+    """Correct a predicted state, and record what prediction and correction did to the error.
+
+    Args:
+        observer: The filter.
+        root: Square root S (N, N) of the covariance before the prediction.
+        carried: ΦS (N, N), of the prediction.
+        predicted: The predicted state.
+        u: Input (m,) that acted over the prediction.
+        y: Measurement, NaN where missing.
+
+    Returns:
+        The corrected state, its info, and the step.
+    """
+    new, info, used, restarted = observer.corrected(predicted, u, y)
+    # An estimate that left the finite numbers says nothing of those before.
+    restarted = restarted | (info.result == int(Result.NOT_FINITE))
+    step = Step(root, carried, triangular_with_rank(observer.root(predicted)), used.error, used.reset, restarted)
+    return new, info, step
 
 
 def smooth(
@@ -179,10 +203,12 @@ def smooth(
         record: A log, whose input in a row acts from its stamp to the next.
         lag: Number of rows after each row from which it is estimated; all (default) where it is None, and the filter
             itself where it is 0.
-        keep: Names of the fields of the infos to store, as for `run`.
+        keep: Names of the fields of the infos to store, as for `run`, and `"root"` for the square roots of all
+            covariances, which take the most memory; all where it is None.
 
     Returns:
-        The smoothed run, the run of the filter, and the covariances.
+        The smoothed run, the run of the filter, and the covariances. Besides these, memory is taken for the steps of
+        `BLOCK` rows and of the lag.
 
     Raises:
         ValueError: From `Record.check`; an observer of another kind, a negative lag, or a covariance that is singular
@@ -236,7 +262,7 @@ def smoothed(
         u: Inputs (T, m).
         y: Measurements (T, *n).
         lag: Number of rows after each row from which it is estimated; None for all.
-        keep: Names of the fields of the infos to store; None for all.
+        keep: Names of what is stored, as for `smooth`; None for all.
 
     Returns:
         What `smooth` returns.
@@ -247,20 +273,38 @@ def smoothed(
     blocks = -(-count // BLOCK)
     size = -(-count // blocks)
     rows = _lengthened(Rows.of(t, u, y), blocks * size + ahead - count)
-    # The states before each block, of which the steps within are computed again.
-    states = [observer.init(y[0], t[0])]
-    for k in range(blocks - 1):
-        states.append(_last(observer, states[-1], _part(rows, k * size, size)))
-    root = observer.root(states[0])
+    state, fields = observer.init(y[0], t[0]), None if keep is None else frozenset(keep)
+
+    def block(k, state, later):
+        return _block(observer, state, _part(rows, k * size, size + ahead), later, lag, fields)
+
+    # The rows added at the end are no steps: nothing of this reaches a row of the log.
+    root = observer.root(state)
     later = Smoothing(jnp.zeros_like(root[0]), jnp.zeros_like(root))
-    parts, fields = [], None if keep is None else frozenset(keep)
-    for k in reversed(range(blocks)):
-        part, later = _block(observer, states[k], _part(rows, k * size, size + ahead), later, lag, fields)
-        parts.append(part)
-    estimate, info, root, filtered, filter_info = jax.tree.map(
-        lambda *a: (a[0] if blocks == 1 else jnp.concatenate(a))[:count], *parts[::-1]
-    )
-    return Smoothed(Run(t, estimate, info), Run(t, filtered, filter_info), root)
+    parts: list[Any] = [None] * blocks
+    if lag is None:
+        states = [state]
+        for k in range(blocks - 1):
+            states.append(_last(observer, states[-1], _part(rows, k * size, size)))
+        for k in reversed(range(blocks)):
+            parts[k], later, _ = block(k, states[k], later)
+    else:
+        for k in range(blocks):
+            parts[k], _, state = block(k, state, later)
+    estimate, info, std, root, filtered, filter_info = _joined(parts, count)
+    return Smoothed(Run(t, estimate, info), Run(t, filtered, filter_info), std, root)
+
+
+def _joined(parts: list[Any], count: int) -> Any:
+    """The first `count` rows of all blocks; `parts` is emptied, so that hardly anything is in memory twice."""
+    tree = jax.tree.structure(parts[0])
+    pieces = [list(each) for each in zip(*map(jax.tree.leaves, parts), strict=True)]
+    parts.clear()
+    joined = []
+    for each in pieces:
+        joined.append((each[0] if len(each) == 1 else jnp.concatenate(each))[:count])
+        each.clear()
+    return jax.tree.unflatten(tree, joined)
 
 
 def _lengthened(rows: Rows, more: int) -> Rows:
@@ -274,7 +318,8 @@ def _lengthened(rows: Rows, more: int) -> Rows:
 
 
 def _part(rows: Rows, first: int, count: int) -> Rows:
-    return Rows(*(a[first : first + count] for a in rows))
+    # A slice at a place that is an argument is compiled once for all blocks.
+    return Rows(*(jax.lax.dynamic_slice_in_dim(a, first, count) for a in rows))
 
 
 @eqx.filter_jit
@@ -290,59 +335,79 @@ def _block(
     later: Smoothing,
     lag: int | None,
     keep: frozenset[str] | None,
-) -> tuple[tuple, Smoothing]:
-    """Smoothed rows of a block, and what is known of the error at its first row.
+) -> tuple[tuple, Smoothing, Any]:
+    """Smoothed rows of a block, what is known of the error at its first row, and the state at its last row.
 
     The rows are those of the block and, of the rows after it, those that it depends on directly. What is known of the
-    first row of the next block is `later`.
+    first row of the next block is `later`, which a lag does not need.
     """
     states, recorded = scan(Recorder(observer), state, rows)[1]
     steps = recorded.step
     size = len(rows.dt) - (1 if lag is None else lag + 1)
     following = jax.tree.map(lambda a: a[1:], steps)
-    backward = jax.vmap(_backward)(following)
+    maps = jax.vmap(backward_map)(following)
 
     def earlier(now, step):
-        before = _before(now, step)
+        before = error_before(now, step)
         return before, before
 
     if lag is None:
-        first, smoothed = jax.lax.scan(earlier, later, backward, reverse=True)
+        first, smoothed = jax.lax.scan(earlier, later, maps, reverse=True)
     else:
-        first, smoothed = later, _lagged(following.root, backward, size, lag)
+        first, smoothed = later, _lagged(following.root, maps, size, lag)
     states = jax.tree.map(lambda a: a[:size], states)
 
     def moved(state, smoothing):
-        new, reset = observer.moved(state, smoothing.error)
-        root = reset @ smoothing.root
-        new = observer.with_root(new, root)
-        return observer.estimate(new), observer.deviations(new), root
+        new, root = smoothed_state(observer, state, smoothing)
+        return observer.estimate(new), observer.deviations(new), jnp.sqrt(jnp.sum(root**2, axis=-1)), root
 
-    estimate, deviations, root = jax.vmap(moved)(states, smoothed)
+    estimate, deviations, std, root = jax.vmap(moved)(states, smoothed)
     info = jax.tree.map(lambda a: a[:size], recorded.info)._replace(result=recorded.result[:size])
     info = info._replace(**jax.vmap(observer.deviations)(states))  # of the first row, which is no step
     new_info = info._replace(**deviations)
-    return (estimate, kept(new_info, keep), root, jax.vmap(observer.estimate)(states), kept(info, keep)), first
+    root = root if keep is None or "root" in keep else None
+    part = estimate, kept(new_info, keep), std, root, jax.vmap(observer.estimate)(states), kept(info, keep)
+    return part, first, jax.tree.map(lambda a: a[-1], states)
 
 
-def _lagged(roots: Float[Array, "M N N"], backward: Backward, size: int, lag: int) -> Smoothing:
+def _lagged(roots: Float[Array, "M N N"], maps: Backward, size: int, lag: int) -> Smoothing:
     """What is known of the errors of the first `size` rows, from `lag` rows after each.
 
-    Step k of `backward` leads from row k + 1 to row k, and root k is that of row k.
+    Map k leads from row k + 1 to row k, and root k is that of row k.
     """
 
     def part(tree, first):
         return jax.tree.map(lambda a: jax.lax.dynamic_slice_in_dim(a, first, size), tree)
 
     def earlier(i, smoothing):
-        return jax.vmap(_before)(smoothing, part(backward, lag - 1 - i))
+        return jax.vmap(error_before)(smoothing, part(maps, lag - 1 - i))
 
     start = part(roots, lag)
     return jax.lax.fori_loop(0, lag, earlier, Smoothing(jnp.zeros(start.shape[:2], start.dtype), start))
 
 
-def _backward(step: Step) -> Backward:
-    """What a step says of the error before it, given the error after it."""
+def smoothed_state(observer: AbstractGatedFilter, state: Any, smoothing: Smoothing) -> tuple[Any, Matrix]:
+    """The state of a filter moved to the smoothed estimate, as a correction moves it.
+
+    Args:
+        observer: The filter.
+        state: State of the row, of the filter.
+        smoothing: What is known of its error.
+
+    Returns:
+        The moved state with its covariance, and a square root (N, N) of that.
+    """
+    new, reset = observer.moved(state, smoothing.error)
+    root = reset @ smoothing.root
+    return observer.with_root(new, root), root
+
+
+def backward_map(step: Step) -> Backward:
+    """What a step says of the error before it, given the error after it.
+
+    Args:
+        step: What the step did to the error.
+    """
     n = len(step.error)
     # With P⁻ = L Lᵀ and M = L⁻¹ΦS: C = S Mᵀ L⁻¹, and P − CP⁻Cᵀ = S(I − MᵀM)Sᵀ, which no difference of covariances is.
     ratio = lower_solve(step.predicted, step.carried)
@@ -354,7 +419,12 @@ def _backward(step: Step) -> Backward:
     return jax.tree.map(lambda a, b: jnp.where(step.restarted, a, b), nothing, through)
 
 
-def _before(after: Smoothing, step: Backward) -> Smoothing:
-    """What is known of the error before a step."""
+def error_before(after: Smoothing, step: Backward) -> Smoothing:
+    """What is known of the error before a step.
+
+    Args:
+        after: What is known of the error after it.
+        step: What the step says of the one, given the other.
+    """
     root = triangular(jnp.concatenate([step.noise, step.gain @ after.root], axis=1))
     return Smoothing(step.shift + step.gain @ after.error, root)

@@ -101,7 +101,7 @@ def smooth(
         EstimateResult(job, loaded, name, notes, scored(chosen, jax.tree.map(np.asarray, run), loaded, "jax"), "auto")
         for run in (smoothed.run, smoothed.filtered)
     )
-    if before.outcome.failed or not (np.isfinite(after.velocity).all() and np.isfinite(smoothed.root).all()):
+    if before.outcome.failed or not (np.isfinite(after.velocity).all() and np.isfinite(smoothed.std).all()):
         raise ValueError(f"{job.log_name}: the estimate left the finite numbers; check model and units")
     return SmoothResult(after, before, np.asarray(smoothed.std), rows)
 
@@ -134,7 +134,7 @@ class SmoothResult(AbstractEstimates):
         smoothed: The smoothed estimates.
         filtered: The estimates of the filter, from the rows before each only.
         error_std: Standard deviations (T, N) of the error of the smoothed estimates, as in
-            `observers.Smoothed.root`.
+            `observers.Smoothed.std`.
         lag: Number of rows after each from which it is estimated; None for all.
 
     Example:
@@ -256,4 +256,22 @@ class SmoothResult(AbstractEstimates):
         curves = report_curves({"smoothed": self.smoothed.outcome, name: self.filtered.outcome})
         notes = (*self.smoothed.design, *error_lines(self.summary, loaded))
         title = f"{what} of {self.smoothed.job.title}, smoothed"
-        return estimate_report(title, loaded, curves, notes, headline=self.headline, warnings=self.warnings)
+        return estimate_report(title, loaded, curves, notes, self._rows(), self.headline, self.warnings)
+
+    def _rows(self) -> tuple[dict[str, Any], ...]:
+        """The smoother and the filter: errors, where they are known, and median standard deviations."""
+        what, file, result = self.smoothed.loaded.model.sought.what, self.smoothed.loaded.file, self.summary
+        names = [
+            f"{name} [{unit}]".removesuffix(" []")
+            for name, unit in zip(sought_columns(file), sought_units(file), strict=True)
+        ]
+        kinds = {"RMSE": f"{what}_rmse", "median std": f"{what}_std"}
+        return tuple(
+            {"estimator": label}
+            | {
+                f"{kind} {name}": value
+                for kind, key in kinds.items()
+                for name, value in zip(names, numbers.get(key, ()), strict=False)
+            }
+            for label, numbers in (("smoothed", result), (self.smoothed.observer_name, result["filter"]))
+        )
