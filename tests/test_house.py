@@ -101,7 +101,7 @@ PUBLIC = {
     "Intrinsic IntrinsicKalman JointInfo JointKalman JointState KalmanInfo KalmanState Levant LoopState "
     "MechanicalState Noise PassiveGains PassiveShip Riccati Salcudean SalcudeanState SavitzkyGolay Slow StateEKF "
     "StateEKFInfo Judged Sample StateEKFState UKFState Velocity WindowState checked chooses_substeps continuous "
-    "craft_observer external_force "
+    "craft_observer external_force AbstractForceObserver ForceState InverseDynamics MomentumObserver observed_forces "
     "lyapunov_gains lyapunov_rate needed_substeps notch_gains printed_rate run second_order sensor_bias smooth "
     "uncertain_parameters with_fixed_substeps wrench",
     "papers.jouffroy_fossen": "COMPASS COUNTEREXAMPLES CROSS DURATION GAPS GNSS K1 K2 KD KP LAMBDA PRINTED_K2 RATE "
