@@ -118,10 +118,10 @@ PUBLIC = {
     "simulation": "Backstepping PiecewiseInputs Reference Sensor follow hold lissajous logged_inputs no_input "
     "observe sense set_point simulate simulate_piecewise stamps",
     "workflow": "AbstractResult AbstractTable AuditResult CertificateCheckResult CertifyResult CheckResult "
-    "CompareResult EstimateResult ExcitationResult ExportResult FitResult InitResult MetricResult MisfitError "
-    "ModelResult Progress ReproduceResult SimulateResult SmoothResult TuneResult audit_observer certify check "
-    "check_certificate check_model_output check_output compare describe_model design_excitation design_metric "
-    "estimate export fit init reproduce_paper simulate smooth tune",
+    "CompareForceResult CompareResult EstimateResult ExcitationResult ExportResult FitResult InitResult MetricResult "
+    "MisfitError ModelResult Progress ReproduceResult SimulateResult SmoothResult TuneResult audit_observer certify "
+    "check check_certificate check_model_output check_output compare compare_force describe_model design_excitation "
+    "design_metric estimate export fit init reproduce_paper simulate smooth tune",
 }
 
 
