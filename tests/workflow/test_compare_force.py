@@ -110,8 +110,10 @@ def test_forces_on_links_are_scored_as_the_joints_feel_them():
     kalman = IntrinsicKalman(arm, 1e-4, 1e-8 * jnp.eye(2), jnp.eye(2), slow, substeps=1)
     state = kalman.init(jnp.array([0.4, 0.9]))._replace(slow=jnp.array([1.0, -0.5, 7.0, 7.0]))
     force, std = jnp.split(_Force(kalman, (True, False)).estimate(state), 2)
-    np.testing.assert_allclose(force, slow[0].force(state.q, state.v, state.slow[:2]), rtol=1e-12)
-    jacobian = np.stack([slow[0].force(state.q, state.v, axis) for axis in jnp.eye(2)], axis=1)
+    felt = slow[0].force
+    assert felt is not None
+    np.testing.assert_allclose(force, felt(state.q, state.v, state.slow[:2]), rtol=1e-12)
+    jacobian = np.stack([felt(state.q, state.v, axis) for axis in jnp.eye(2)], axis=1)
     np.testing.assert_allclose(std, np.sqrt(np.diag(jacobian @ (4.0 * np.eye(2)) @ jacobian.T)), rtol=1e-6)
 
 

@@ -50,6 +50,7 @@ from covariant.workflow._outputs import check_output
 from covariant.workflow._pages import AbstractEstimates, estimate_report
 from covariant.workflow._progress import Progress, silent
 from covariant.workflow._states import state_design_note, tuned_states
+from covariant.workflow._unexplained import unexplained
 
 LONGEST_SHOWN = 3
 """How many stretches without a measurement are named, the longest ones."""
@@ -268,9 +269,13 @@ class EstimateResult(AbstractEstimates):
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """How many samples had each result other than ok, with the longest stretches without a measurement."""
+        """Whether innovations are larger than a right model has them, and how many samples had each result but ok.
+
+        Of samples without a measurement the longest stretches are named.
+        """
         counts, rows = self.outcome.counts, len(self.t)
-        return tuple(
+        doubt = unexplained(self.job, self.loaded, self.observer_name, self.outcome)
+        return (() if doubt is None else (doubt,)) + tuple(
             f"{count} of {rows} samples: {Result[name.upper()].message}"
             + (f" ({_longest(self.t, self.codes == Result.COASTED)})" if name == "coasted" else "")
             for name, count in counts.items()

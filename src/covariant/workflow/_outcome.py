@@ -169,11 +169,24 @@ def mean_nis(info: Any, loaded: Loaded) -> float:
     nis = known(info, "nis")
     if nis is None:
         return math.nan
+    accepted, count = counted(info, loaded)
+    return float(nis[accepted].sum() / count) if count else math.nan
+
+
+def counted(info: Any, loaded: Loaded) -> tuple[np.ndarray, int]:
+    """Samples whose innovations count.
+
+    Args:
+        info: The info of a run, with its results.
+        loaded: Model and log.
+
+    Returns:
+        Which rows (T,) count, and the number of numbers that were measured in them.
+    """
     measured = ~np.asarray(jax.vmap(loaded.model.manifold.missing)(jnp.asarray(loaded.record.y)))
     accepted = np.asarray(info.result) < Result.OUTLIER  # codes grow with how bad a sample is
     accepted[0] = False
-    count = measured[accepted].sum()
-    return float(nis[accepted].sum() / count) if count else math.nan
+    return accepted, int(measured[accepted].sum())
 
 
 def summary(outcome: Outcome, what: str = "velocity") -> dict[str, Any]:
