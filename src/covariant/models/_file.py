@@ -83,6 +83,8 @@ class ModelFile(NamedTuple):
         system: Name of the system, where it is one of this library, as "robot".
         wrenches: Forces on links of a robot, by name, for a filter that estimates them: arguments of
             `observers.wrench`.
+        torque_std: Standard deviation of the torques or forces that the model does not explain [N m or N], or one for
+            each coordinate: noise like `acceleration_std`, with its correlation time.
 
     Example:
         >>> from covariant import models
@@ -121,6 +123,7 @@ class ModelFile(NamedTuple):
     external_force_time: float | None = None
     system: str = ""
     wrenches: Mapping[str, Mapping[str, Any]] = MappingProxyType({})
+    torque_std: float | tuple[float, ...] | None = None
 
     @property
     def typical_std(self) -> float | None:

@@ -21,6 +21,7 @@ NUMBERS = {
     ("measurement", "bias"): ("bias", 1.0),
     ("measurement", "bias_drift"): ("bias_drift", 1.0),
     ("uncertainty", "acceleration"): ("acceleration_std", 1.0),
+    ("uncertainty", "torque"): ("torque_std", 1.0),
     ("uncertainty", "correlation_time"): ("correlation_time", 1.0),
     ("uncertainty", "process"): ("process_std", 1.0),
     ("initial", "state"): ("initial_state", 1.0),
@@ -68,6 +69,7 @@ _FORCE_IN_THE_LONG_RUN = {"external_force_std", "external_force_time"}
 _OF_STATES = {("uncertainty", "process"), ("initial", "state"), ("initial", "std")}
 """Numbers of state-space models, of which there may be one for each state."""
 _MAY_BE_LISTS = {("measurement", key) for key in ("std", "quantum", "delay", "bias", "bias_drift")} | {
+    ("uncertainty", "torque"),
     ("uncertainty", "external_force_std"),
     *_OF_STATES,
 }

@@ -52,6 +52,8 @@ from covariant.workflow._progress import Progress, silent
 from covariant.workflow._states import state_design_note, tuned_states
 from covariant.workflow._unexplained import unexplained
 
+USE_TORQUES = "intrinsic-kalman", "ukf"
+"""Observers whose noise may depend on the configuration, as that of torques does."""
 LONGEST_SHOWN = 3
 """How many stretches without a measurement are named, the longest ones."""
 
@@ -365,6 +367,8 @@ def choose_observer(
     ]
     if asked and not getattr(tuned[observer], "slow_names", ()):
         unused = f" It does not estimate {' and '.join(asked)}; intrinsic-kalman does."
+    if loaded.file.torque_std is not None and observer not in USE_TORQUES:
+        unused += f" It does not use the torque of [uncertainty]; {' and '.join(USE_TORQUES)} do."
     return tuned[observer], (f"Designed {designed}.{loaded.note}{unused}",)
 
 
