@@ -300,7 +300,9 @@ def _uncertain(document: dict[str, Any], states: int) -> dict[str, dict[str, flo
         )
     if deviations and states:
         raise ValueError(f"{table}.{key} is for a mechanical model, and this one is a state-space model")
-    return {"uncertain": {name: _number((table, f"{key}.{name}"), value) for name, value in deviations.items()}}
+    # Nothing where there are none: a model that is an object keeps those that it has.
+    stated = {name: _number((table, f"{key}.{name}"), value) for name, value in deviations.items()}
+    return {"uncertain": stated} if stated else {}
 
 
 def _wrenches(document: dict[str, Any]) -> dict[str, dict[str, dict[str, Any]]]:

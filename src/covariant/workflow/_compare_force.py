@@ -45,8 +45,8 @@ def compare_force(
 
     The filter is `intrinsic-kalman` with the forces that the model file asks for, once forgotten after their time
     constant, and once as random walks of the same density. Its rivals take the velocity of a filtered derivative as if
-    it were exact: the momentum observer with a usual gain; the momentum observer with the bandwidth, gain, high-pass
-    and scale that are best for this very log, by its true forces; and inverse dynamics.
+    it were exact: the momentum observer with a usual gain; and the momentum observer and inverse dynamics, each with
+    the bandwidths, gain, high-pass and scale that are best for this very log, by its true forces.
 
     Args:
         model, log, overrides, every, start, until, columns, anyway, progress: As for `estimate`. The model file has

@@ -1,6 +1,7 @@
 """External forces without a filter: momentum observers and inverse dynamics, from filtered derivatives."""
 
 import itertools
+from collections.abc import Callable
 from typing import NamedTuple
 
 import equinox as eqx
@@ -12,13 +13,20 @@ from jaxtyping import Array, Bool, Float
 from covariant._gauss_markov import gauss_markov
 from covariant.calibration import DataSheet, filter_bandwidth, gated
 from covariant.models import MechanicalSystem
-from covariant.observers import FilteredDerivative, InverseDynamics, MomentumObserver, observed_forces, run
+from covariant.observers import (
+    AbstractForceObserver,
+    FilteredDerivative,
+    InverseDynamics,
+    MomentumObserver,
+    observed_forces,
+    run,
+)
 from covariant.signals import Record
 
 USUAL_GAIN = 25.0
-"""Gain [1/s] of a momentum observer that nobody tuned, and bandwidth [rad/s] of accelerations for inverse dynamics."""
-GAINS = np.geomspace(1.0, 200.0, 12)
-"""Gains [1/s] that are tried where it is tuned."""
+"""Gain [1/s] of a momentum observer that nobody tuned."""
+GAINS = np.geomspace(1.0, 300.0, 12)
+"""Gains [1/s] of momentum observers, and bandwidths [rad/s] of accelerations, that are tried where they are tuned."""
 BANDWIDTHS = 0.125, 0.25, 0.5, 1.0, 2.0, 4.0
 """Bandwidths of the velocity filter that are tried, as multiples of the one that is best for velocities."""
 HIGH_PASSES = np.inf, 10.0, 3.0, 1.0, 0.3
@@ -54,7 +62,7 @@ def rivals(
         record: The log, with the inputs that act in each step.
         sheet: Data sheet, by which the velocity filter is tuned.
         rate: Sampling rate [Hz].
-        true: True forces (T, n), to which one of them is tuned.
+        true: True forces (T, n), to which two of them are tuned.
         scored: Rows (T,) that count.
 
     Returns:
@@ -66,38 +74,43 @@ def rivals(
     bandwidth = filter_bandwidth(sheet, rate)
     motion = _motion(model, log, sheet, bandwidth)
     usual = np.asarray(observed_forces(MomentumObserver(model, USUAL_GAIN), log.t, log.u, *motion))
-    twice = np.asarray(observed_forces(InverseDynamics(model, USUAL_GAIN), log.t, log.u, *motion))
-    derivative = f"velocities by filtered-derivative, {bandwidth:.3g} rad/s"
+    motions = {multiple * bandwidth: _motion(model, log, sheet, multiple * bandwidth) for multiple in BANDWIDTHS}
     return [
-        Rival("momentum observer, usual", usual, f"{derivative}; gain {USUAL_GAIN:g} 1/s"),
-        _tuned(model, log, sheet, bandwidth, true, scored),
-        Rival("inverse dynamics", twice, f"{derivative}; accelerations by the same, {USUAL_GAIN:g} rad/s"),
+        Rival("momentum observer, usual", usual, f"{_of(bandwidth)}; gain {USUAL_GAIN:g} 1/s"),
+        _tuned("momentum observer", MomentumObserver, model, log, motions, true, scored),
+        _tuned("inverse dynamics", InverseDynamics, model, log, motions, true, scored),
     ]
 
 
 def _tuned(
-    model: MechanicalSystem, log: Record, sheet: DataSheet, bandwidth: float, true: np.ndarray, scored: np.ndarray
+    name: str,
+    kind: Callable[..., AbstractForceObserver],
+    model: MechanicalSystem,
+    log: Record,
+    motions: dict[float, tuple[np.ndarray, np.ndarray]],
+    true: np.ndarray,
+    scored: np.ndarray,
 ) -> Rival:
-    """The momentum observer that is best for these forces, of all bandwidths, gains, high-passes and scales."""
+    """The observer that is best for these forces, of all bandwidths, gains, high-passes and scales."""
     size = np.sqrt(np.mean(true[scored] ** 2, axis=0))
     weight = np.where(size > 0, 1 / np.where(size > 0, size, 1.0), 0.0)
-    wanted, best = true[scored] * weight, (np.inf, 0.0, Rival("", true, ""))
-    for multiple in BANDWIDTHS:
-        motion = _motion(model, log, sheet, multiple * bandwidth)
-        by_gain = np.asarray(_by_gain(model, *(jnp.asarray(each) for each in (GAINS, log.t, log.u, *motion))))
+    wanted, least, best = true[scored] * weight, np.inf, Rival("", true, "")
+    for bandwidth, motion in motions.items():
+        by_gain = np.asarray(_by_gain(kind, model, *(jnp.asarray(each) for each in (GAINS, log.t, log.u, *motion))))
         for (gain, force), time in itertools.product(zip(GAINS, by_gain, strict=True), HIGH_PASSES):
             passed = force if time == np.inf else force - np.asarray(_lagged(*map(jnp.asarray, (log.t, force, time))))
             seen = passed[scored] * weight
             scale = max(float(np.sum(seen * wanted) / max(np.sum(seen * seen), np.finfo(float).tiny)), 0.0)
             error = float(np.mean((scale * seen - wanted) ** 2))
-            if error < best[0]:
+            if error < least:
                 high = "no high-pass" if time == np.inf else f"high-pass of {time:g} s"
-                design = (
-                    f"velocities by filtered-derivative, {multiple * bandwidth:.3g} rad/s; gain {gain:.3g} 1/s, {high}"
-                )
-                design += f", scale {scale:.2g}: the best for the true forces of this very log"
-                best = error, scale, Rival("momentum observer, tuned to the truth", passed, design)
-    return best[2]._replace(force=best[1] * best[2].force)
+                design = f"{_of(bandwidth)}; gain {gain:.3g} 1/s, {high}, scale {scale:.2g}: the best for this very log"
+                least, best = error, Rival(f"{name}, tuned to the truth", scale * passed, design)
+    return best
+
+
+def _of(bandwidth: float) -> str:
+    return f"velocities by filtered-derivative, {bandwidth:.3g} rad/s"
 
 
 def _motion(model: MechanicalSystem, log: Record, sheet: DataSheet, bandwidth: float) -> tuple[np.ndarray, np.ndarray]:
@@ -114,8 +127,16 @@ def _held(u: Float[np.ndarray, "T m"]) -> Float[np.ndarray, "T m"]:
 
 
 @eqx.filter_jit
-def _by_gain(model: MechanicalSystem, gains: Array, t: Array, u: Array, q: Array, v: Array) -> Float[Array, "k T n"]:
-    return jax.vmap(lambda gain: observed_forces(MomentumObserver(model, gain), t, u, q, v))(gains)
+def _by_gain(
+    kind: Callable[..., AbstractForceObserver],
+    model: MechanicalSystem,
+    gains: Array,
+    t: Array,
+    u: Array,
+    q: Array,
+    v: Array,
+) -> Float[Array, "k T n"]:
+    return jax.vmap(lambda gain: observed_forces(kind(model, gain), t, u, q, v))(gains)
 
 
 @jax.jit
