@@ -312,7 +312,9 @@ def main() -> int:
     os.chdir(ROOT)
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # and take the fork along
     with tempfile.TemporaryDirectory() as folder:
-        return _run_all(chosen, Workshop(Path(folder), ["-m", "not long and not exhaustive"] if options.short else []), options)
+        return _run_all(
+            chosen, Workshop(Path(folder), ["-m", "not long and not exhaustive"] if options.short else []), options
+        )
 
 
 def _chosen(options: argparse.Namespace) -> list[Mutant]:

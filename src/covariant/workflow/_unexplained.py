@@ -35,8 +35,8 @@ def unexplained(job: Job, loaded: Loaded, observer: str, outcome: Outcome) -> st
         "chance: the model, or the noise of the model file, does not explain this log, and standard deviations are too "
         "small; "
         f"`covariant check {job.model_name} {job.log_name}` looks for what is wrong, `covariant tune` finds noise that "
-        "fits, and friction that is not known is estimated along with the motion by [uncertainty] external_force_std "
-        "and external_force_time, or parameters"
+        "fits, and pushes or friction that are not known are estimated along with the motion by intrinsic-kalman with "
+        "[uncertainty] external_force_std and external_force_time, or parameters"
     )
 
 
