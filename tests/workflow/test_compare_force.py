@@ -104,6 +104,7 @@ def test_the_command_prints_and_writes_it(compared, monkeypatch, capsys):
     assert json.dumps(result.summary)
 
 
+@pytest.mark.long
 def test_forces_on_links_are_scored_as_the_joints_feel_them():
     arm = models.robots.load("double_pendulum")
     slow = (wrench(arm.space, "lower", [2.0, 0.0, 2.0], time=0.5), external_force(std=[0.1, 0.1], time=0.5))

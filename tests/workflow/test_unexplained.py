@@ -34,7 +34,7 @@ def test_the_quantile_is_that_of_chi_squared():
         ({}, {}),
         ({}, {"dropout": 0.3, "jitter": 1e-3}),
         (STIFF, {}),
-        ({"measurement.quantum": 5e-3}, {"noise": 0.0, "quantum": 5e-3}),
+        pytest.param({"measurement.quantum": 5e-3}, {"noise": 0.0, "quantum": 5e-3}, marks=pytest.mark.long),
     ],
     ids=["right", "gaps", "with a force state", "ticks"],
 )
