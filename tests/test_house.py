@@ -74,7 +74,7 @@ PUBLIC = {
     "geometry.lie": "SE2 SE3 SO2 SO3 SU AbstractGroup AbstractInertia Inertia LeftInvariant MatrixGroup Product "
     "quaternion_from_rotation rotation_from_quaternion",
     "logs": "ATTITUDES MEANT MESSAGES OPTIONAL WRITTEN Body ClockError Columns Log LogError bodies check_unit "
-    "coordinates matrices read record source_name survey to_columns unit_factor unit_in_name without_unit "
+    "coordinates matrices read readings record source_name survey to_columns unit_factor unit_in_name without_unit "
     "words_of write",
     "lowering": "C_KEYWORDS FOLD INTERVALS LARGEST NUMBERS STUMPFF TRUTHS Branch CText Call ClosedJaxpr Condition "
     "Conditions Derivative Domain Enclosure Graph Interval JaxprEquation Lowered LoweringError Node Scan Signature "
@@ -102,7 +102,8 @@ PUBLIC = {
     "Intrinsic IntrinsicKalman JointInfo JointKalman JointState KalmanInfo KalmanState Levant LoopState "
     "MechanicalState Noise PassiveGains PassiveShip Riccati Salcudean SalcudeanState SavitzkyGolay Slow StateEKF "
     "StateEKFInfo Judged Sample StateEKFState UKFState Velocity WindowState checked chooses_substeps continuous "
-    "craft_observer external_force noise_step "
+    "craft_observer external_force noise_step AbstractForceObserver ForceState InverseDynamics MomentumObserver "
+    "observed_forces Instant Sensor SensorInfo accelerometer encoder gyro point_sensor pose_sensor tachometer "
     "lyapunov_gains lyapunov_rate needed_substeps notch_gains printed_rate run second_order sensor_bias smooth "
     "uncertain_parameters with_fixed_substeps wrench",
     "papers.jouffroy_fossen": "COMPASS COUNTEREXAMPLES CROSS DURATION GAPS GNSS K1 K2 KD KP LAMBDA PRINTED_K2 RATE "
@@ -119,10 +120,10 @@ PUBLIC = {
     "simulation": "Backstepping PiecewiseInputs Reference Sensor follow hold lissajous logged_inputs no_input "
     "observe sense set_point simulate simulate_piecewise stamps",
     "workflow": "AbstractResult AbstractTable AuditResult CertificateCheckResult CertifyResult CheckResult "
-    "CompareResult EstimateResult ExcitationResult ExportResult FitResult InitResult MetricResult MisfitError "
-    "ModelResult Progress ReproduceResult SimulateResult SmoothResult TuneResult audit_observer certify check "
-    "check_certificate check_model_output check_output compare describe_model design_excitation design_metric "
-    "estimate export fit init reproduce_paper simulate smooth tune",
+    "CompareForceResult CompareResult EstimateResult ExcitationResult ExportResult FitResult InitResult MetricResult "
+    "MisfitError ModelResult Progress ReproduceResult SimulateResult SmoothResult TuneResult audit_observer certify "
+    "check check_certificate check_model_output check_output compare compare_force describe_model design_excitation "
+    "design_metric estimate export fit init reproduce_paper simulate smooth tune",
 }
 
 

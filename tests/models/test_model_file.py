@@ -122,6 +122,7 @@ def test_a_file_gives_everything(tmp_path):
         *[None] * 3,
         "pendulum_chain",
         {},
+        None,
     )
 
 
@@ -143,6 +144,7 @@ def test_what_a_file_leaves_out_has_a_default(tmp_path):
         *(None,) * 3,
         "ball_and_beam",
         {},
+        None,
     )
     assert load("ball_and_beam")._replace(name="m", model=file.model) == file
 
@@ -507,3 +509,10 @@ def test_what_cannot_be_estimated_with_the_motion_is_named(tmp_path, override, w
     with pytest.raises(ModelError) as found:
         load(written(tmp_path, WHOLE), [override])
     assert words in str(found.value)
+
+
+def test_a_model_file_as_an_object_keeps_its_uncertain_numbers():
+    file = load("pendulum_chain", {"parameters.coulomb": [0.03, 0.03], "uncertainty.parameters": {"coulomb": 1.0}})
+    again = load(file, {"measurement.std": 1e-3})
+    assert again.uncertain == {"coulomb": 1.0}
+    assert again.family.names == file.family.names

@@ -153,7 +153,7 @@ def test_slopes_are_those_along_corrections(arms, name):
         else model.manifold.retract(model.manifold.origin(), jnp.asarray(rng.normal(size=n)))
     )
     kalman = IntrinsicKalman(model, 1e-2, 1e-4, 1.0, sensors=sensors, substeps=1)
-    y = kalman._sensors.joined(q, jnp.full(kalman._sensors.count, jnp.nan))
+    y = kalman._sensors.joined(q, jnp.full(kalman._sensors.size, jnp.nan))
     state = kalman.init(y)
     state = state._replace(v=jnp.asarray(rng.normal(size=n)), slow=jnp.asarray(rng.normal(size=state.slow.shape)))
     u = jnp.asarray(rng.normal(size=models.input_count(model, n)))
@@ -165,7 +165,7 @@ def test_slopes_are_those_along_corrections(arms, name):
         return [sensor.h(now, part) for sensor, part in zip(sensors, own, strict=True)]
 
     expected, h = outputs(state), 1e-6
-    slope = np.asarray(jax.jit(kalman._sensed)(state, u, y[-kalman._sensors.count :]).slope)
+    slope = np.asarray(jax.jit(kalman._sensed)(state, u, y[-kalman._sensors.size :]).slope)
 
     @jax.jit
     @jax.vmap

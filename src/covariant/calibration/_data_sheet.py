@@ -33,6 +33,9 @@ class DataSheet(NamedTuple):
         external_force_time: Its time constant [s]; both or neither.
         slow: Further slow states to estimate along with the motion, as `observers.sensor_bias`.
         sensors: Sensors beside the measured configuration, as `observers.gyro`, for filters that use them.
+        torque_std: Standard deviation of the torques or forces that the model does not explain [N m or N], one for all
+            velocities or one for each, beside that of the acceleration and with its correlation time; for filters
+            whose noise may depend on the configuration, `intrinsic-kalman` and `ukf`. None for none.
 
     Example:
         >>> from covariant.calibration import DataSheet, observer_gains
@@ -56,6 +59,7 @@ class DataSheet(NamedTuple):
     external_force_std: float | tuple[float, ...] | None = None
     external_force_time: float | None = None
     sensors: tuple[Sensor, ...] = ()
+    torque_std: float | tuple[float, ...] | None = None
 
     @property
     def speeds(self) -> Float[np.ndarray, "*n"]:

@@ -9,8 +9,11 @@ import numpy as np
 from covariant.calibration._data_sheet import DataSheet, Trial
 from covariant.calibration._filters import filter_bandwidth, jerk_bound, joint_noise, polynomial
 from covariant.calibration._gains import Gains, gains
+from covariant.calibration._torque_noise import TorqueNoise
+from covariant.geometry import AbstractSpace
 from covariant.models import MechanicalSystem, StateSpace
 from covariant.observers import (
+    EKF,
     OBSERVER_NAMES,
     REGISTRY,
     STATE_OBSERVER_NAMES,
@@ -102,12 +105,14 @@ class Known(NamedTuple):
         sheet: The data sheet.
         rate: Sampling rate [Hz].
         trial: Part of a log; None to tune by the data sheet alone.
+        space: Configuration space of the model.
     """
 
     n: int
     sheet: DataSheet
     rate: float
     trial: Trial | None
+    space: AbstractSpace
 
 
 def tuned_estimators(
@@ -145,7 +150,7 @@ def tuned_estimators(
     for name in ("motion_std", "motion_time"):
         if not 0 < getattr(sheet, name) < np.inf:
             raise ValueError(f"tuned_estimators: {name} must be a positive number; got {getattr(sheet, name)}")
-    known = Known(n, sheet, rate, trial)
+    known = Known(n, sheet, rate, trial, model.space)
     fitting = (entry for entry in REGISTRY if entry.name in names and entry.fits(model))
     tuned = {entry: entry.make(model, *TUNINGS[entry.tuned_by](entry, known)) for entry in fitting}
     bare = {entry.name for entry in tuned if entry.has_gate or sheet.speed is None}
@@ -216,6 +221,9 @@ def _noise(entry: Entry, known: Known) -> tuple:
     time = 1 / (2 * known.rate) if sheet.correlation_time is None else sheet.correlation_time
     # A correlated acceleration acts like white noise of density 2 std² time (S_a in `gains`).
     process_cov = 2 * sheet.acceleration_std**2 * time * jnp.eye(known.n)
+    if sheet.torque_std is not None and entry.observer is not EKF:  # which has the same noise everywhere
+        torque = jnp.sqrt(2 * time) * jnp.broadcast_to(jnp.asarray(sheet.torque_std, float), known.n)
+        process_cov = TorqueNoise(known.space, process_cov, torque)
     std = jnp.broadcast_to(jnp.asarray(sheet.coordinate_stds or sheet.measurement_std, float), known.n)
     return process_cov, jnp.diag(std**2), sheet.motion_std * sheet.motion_time
 

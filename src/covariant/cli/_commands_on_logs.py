@@ -140,6 +140,12 @@ def compare(
     names: ColumnNames,
     compared: Compared,
     out: Annotated[Path | None, typer.Option("--out", "-o", help="Write the table here (.csv).")] = None,
+    force: Annotated[
+        str | None,
+        typer.Option(
+            "--force", help="Columns of true external forces: estimates of these are compared, and not velocities."
+        ),
+    ] = None,
     override: Override = [],  # noqa: B006  typer copies it
     report: Report = None,
     anyway: Anyway = False,
@@ -149,17 +155,15 @@ def compare(
     """Run all estimators on a log, tuned from the same data sheet, and rank them."""
     check_output(out, ".csv", log=log)
     check_output(report, ".html")
+    if force is not None and report is not None:
+        raise ValueError("--report: forces have no page; give -o TABLE.csv, or leave out --force")
     with progress_bar(quiet=json) as progress:
-        result = workflow.compare(
-            model,
-            log,
-            overrides=override,
-            columns=names._asdict() | compared._asdict(),
-            anyway=anyway,
-            engine=engine,
-            progress=progress,
-            **rows._asdict(),
-        )
+        columns = names._asdict() | compared._asdict()
+        shared = {"overrides": override, "columns": columns, "anyway": anyway, "progress": progress, **rows._asdict()}
+        if force is None:
+            result = workflow.compare(model, log, engine=engine, **shared)
+        else:
+            result = workflow.compare_force(model, log, force, **shared)
     show(result, json, out, report)
 
 

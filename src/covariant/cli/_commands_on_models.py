@@ -76,6 +76,10 @@ def simulate(
     jitter: Annotated[float, typer.Option(help="Standard deviation of the sampling instants [s].")] = 0.0,
     dropout: Annotated[float, typer.Option(help="Probability that a sample is missing.")] = 0.0,
     seed: Annotated[int, typer.Option(help="Seed of noise, jitter and dropouts.", min=0)] = 0,
+    push: Annotated[
+        str | None,
+        typer.Option(help="Largest force [N or N m] of pushes on each velocity, by commas; one begins every 2 s."),
+    ] = None,
     override: Override = [],  # noqa: B006  typer copies it
     json: Json = False,
 ) -> None:
@@ -95,6 +99,7 @@ def simulate(
             jitter=jitter,
             dropout=dropout,
             seed=seed,
+            push=number_list("push", push),
             overrides=override,
             progress=progress,
         )

@@ -85,6 +85,8 @@ class ModelFile(NamedTuple):
             `observers.wrench`.
         sensors: Sensors beside the measured positions, by name, with the keys of their tables, for a filter that uses
             them.
+        torque_std: Standard deviation of the torques or forces that the model does not explain [N m or N], or one for
+            each coordinate: noise like `acceleration_std`, with its correlation time.
 
     Example:
         >>> from covariant import models
@@ -124,6 +126,7 @@ class ModelFile(NamedTuple):
     system: str = ""
     wrenches: Mapping[str, Mapping[str, Any]] = MappingProxyType({})
     sensors: Mapping[str, Mapping[str, Any]] = MappingProxyType({})
+    torque_std: float | tuple[float, ...] | None = None
 
     @property
     def typical_std(self) -> float | None:

@@ -21,6 +21,7 @@ NUMBERS = {
     ("measurement", "bias"): ("bias", 1.0),
     ("measurement", "bias_drift"): ("bias_drift", 1.0),
     ("uncertainty", "acceleration"): ("acceleration_std", 1.0),
+    ("uncertainty", "torque"): ("torque_std", 1.0),
     ("uncertainty", "correlation_time"): ("correlation_time", 1.0),
     ("uncertainty", "process"): ("process_std", 1.0),
     ("initial", "state"): ("initial_state", 1.0),
@@ -83,6 +84,7 @@ _FORCE_IN_THE_LONG_RUN = {"external_force_std", "external_force_time"}
 _OF_STATES = {("uncertainty", "process"), ("initial", "state"), ("initial", "std")}
 """Numbers of state-space models, of which there may be one for each state."""
 _MAY_BE_LISTS = {("measurement", key) for key in ("std", "quantum", "delay", "bias", "bias_drift")} | {
+    ("uncertainty", "torque"),
     ("uncertainty", "external_force_std"),
     *_OF_STATES,
 }
@@ -313,7 +315,9 @@ def _uncertain(document: dict[str, Any], states: int) -> dict[str, dict[str, flo
         )
     if deviations and states:
         raise ValueError(f"{table}.{key} is for a mechanical model, and this one is a state-space model")
-    return {"uncertain": {name: _number((table, f"{key}.{name}"), value) for name, value in deviations.items()}}
+    # Nothing where there are none: a model that is an object keeps those that it has.
+    stated = {name: _number((table, f"{key}.{name}"), value) for name, value in deviations.items()}
+    return {"uncertain": stated} if stated else {}
 
 
 def _wrenches(document: dict[str, Any]) -> dict[str, dict[str, dict[str, Any]]]:

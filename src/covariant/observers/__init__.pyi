@@ -18,6 +18,13 @@ from ._intrinsic_kalman import IntrinsicKalman as IntrinsicKalman, KalmanInfo as
 from ._joint_kalman import JointInfo as JointInfo, JointKalman as JointKalman, JointState as JointState
 from ._levant import Levant as Levant
 from ._model_free import AbstractLinearFilter as AbstractLinearFilter, FilterInfo as FilterInfo
+from ._momentum import (
+    AbstractForceObserver as AbstractForceObserver,
+    ForceState as ForceState,
+    InverseDynamics as InverseDynamics,
+    MomentumObserver as MomentumObserver,
+    observed_forces as observed_forces,
+)
 from ._names import (
     OBSERVER_NAMES as OBSERVER_NAMES,
     SMOOTHED as SMOOTHED,

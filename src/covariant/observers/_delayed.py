@@ -338,7 +338,7 @@ class Delayed(AbstractObserver):
         sensors: Any = getattr(info, "sensors", None)
         if sensors is not None and len(current) > 1:
             every = Sensors(self.sensors)
-            read = every.of(current[-every.count :])
+            read = every.of(current[-every.size :])
             kept = jax.tree.map(lambda new, old: jnp.where(read, new, old), sensors, carry.info.sensors)
             summary = summary._replace(sensors=kept)
         return _Replay(state, age, known, age_of_known, summary, _std_of(info))

@@ -331,7 +331,8 @@ class IntrinsicKalman(AbstractMechanicalFilter):
             return super()._result(state, new, configuration, expected, verdict)
         # Where sensors are read between two measured configurations, nothing is missing.
         between = sensed.read & jnp.all(self.model.manifold.missing(configuration))
-        code = super()._result(state, new, jnp.where(between, state.q, configuration), expected, verdict)
+        measured: Any = jnp.where(between, state.q, configuration)
+        code = super()._result(state, new, measured, expected, verdict)
         return jnp.maximum(code, jnp.where(sensed.refused, int(Result.OUTLIER), 0).astype(code.dtype))
 
     @property

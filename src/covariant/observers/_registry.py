@@ -14,6 +14,7 @@ from covariant._typing import Matrix
 from covariant.geometry.lie import SO3
 from covariant.models import MechanicalSystem
 from covariant.observers._copy import Copy
+from covariant.observers._covariance import Covariance
 from covariant.observers._ekf import EKF
 from covariant.observers._filtered_derivative import FilteredDerivative
 from covariant.observers._geodesic import Geodesic
@@ -59,7 +60,7 @@ def states(model: Any) -> bool:
 
 def intrinsic_kalman(
     model: MechanicalSystem,
-    process: Matrix,
+    process: Covariance,
     measurement: Matrix,
     speed: float,
     quantum: float | tuple[float, ...] | None,
@@ -70,7 +71,8 @@ def intrinsic_kalman(
 
     Args:
         model: Mechanical system.
-        process: Spectral density (n, n) of the acceleration noise [(rad/s²)² s, or (m/s²)² s].
+        process: Spectral density (n, n) of the acceleration noise [(rad/s²)² s, or (m/s²)² s], or a function of the
+            configuration.
         measurement: Covariance (n, n) of the noise of one sample [rad² or m²]; not used where ticks are counted.
         speed: Standard deviation of the initial velocity [rad/s or m/s].
         quantum: One tick of the encoders, one for all or n of them [rad or m]; None for sensors with noise. It is
@@ -81,7 +83,7 @@ def intrinsic_kalman(
     Returns:
         The filter.
     """
-    axes = jnp.eye(process.shape[0])
+    axes = jnp.eye(measurement.shape[0])
     if quantum is None or not model.manifold.commuting:
         return IntrinsicKalman(model, process, measurement, speed**2 * axes, slow, sensors=sensors)
     # A reading is an interval here, so that the only noise is that of the positions of edges.

@@ -10,6 +10,7 @@ error (ε, ν) in the parallel frame to differences in the frame, and h_q is the
 """
 
 import functools
+import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -230,7 +231,7 @@ class Sensors(NamedTuple):
             raise ValueError(f"{whose}: two sensors are called {twice!r}; give each its own name")
 
     @property
-    def count(self) -> int:
+    def size(self) -> int:
         """Numbers K in a row of readings."""
         return sum(sensor.count for sensor in self.each)
 
@@ -255,15 +256,15 @@ class Sensors(NamedTuple):
         """
         if not self.each:
             return y, y.reshape(-1)[:0]
-        size = (y.shape[0] if y.ndim == 1 else 0) - self.count
-        needed = size if None in shape else int(np.prod(shape))  # pyright: ignore[reportArgumentType]
+        size = (y.shape[0] if y.ndim == 1 else 0) - self.size
+        needed = size if None in shape else math.prod(n or 0 for n in shape)
         if y.ndim != 1 or size < 1 or size != needed:
             raise ValueError(
                 f"a measurement must be one vector, the configuration ({'n' if None in shape else needed} numbers) and "
-                f"then the {self.count} readings of {', '.join(sensor.name for sensor in self.each)}; got {y.shape}"
+                f"then the {self.size} readings of {', '.join(sensor.name for sensor in self.each)}; got {y.shape}"
             )
         configuration = y[:size]
-        return (configuration if None in shape else configuration.reshape(shape)), y[size:]  # pyright: ignore[reportArgumentType]
+        return (configuration if None in shape else configuration.reshape(shape)), y[size:]
 
     def joined(self, configuration: Any, readings: Any) -> Any:
         """Measurements y of configurations and readings: the inverse of `split`, for one row or for all.
@@ -341,8 +342,8 @@ class Sensors(NamedTuple):
         innovations, used, far, present, memories, at = [], [], [], [], [], 0
         for sensor, value, reading, memory in zip(self.each, expected, parts, state.sensor_gates, strict=True):
             there = sensor.present(reading)
-            innovation = sensor.innovation(value, jnp.where(jnp.isnan(reading), value, reading))
-            innovation = jnp.where(there, innovation, 0.0)
+            filled: Any = jnp.where(jnp.isnan(reading), value, reading)
+            innovation: Any = jnp.where(there, sensor.innovation(value, filled), 0.0)
             block = slice(at, at := at + len(innovation))
             sample = Sample(innovation, total[block, block], cov[block, block], there)
             nothing = Velocity(jnp.zeros_like(innovation), jnp.zeros((0, 0)))

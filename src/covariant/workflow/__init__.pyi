@@ -7,6 +7,7 @@ from ._certify import (
 )
 from ._check import CheckResult as CheckResult, check as check
 from ._compare import CompareResult as CompareResult, compare as compare
+from ._compare_force import CompareForceResult as CompareForceResult, compare_force as compare_force
 from ._describe import ModelResult as ModelResult, describe_model as describe_model
 from ._estimate import EstimateResult as EstimateResult, estimate as estimate
 from ._excitation import ExcitationResult as ExcitationResult, design_excitation as design_excitation

@@ -1,7 +1,5 @@
 """`compare`: all estimators on the same log, tuned from the same data sheet, and ranked."""
 
-import csv
-import io
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from covariant._files import write_atomically
 from covariant.calibration import observer_gains, tuned_estimators
 from covariant.engine import EngineName
 from covariant.models import Overrides
@@ -27,7 +24,7 @@ from covariant.workflow._inputs import (
     with_sensor_delays,
 )
 from covariant.workflow._outcome import Outcome, drive, engine_is_notable, report_curves, rounded, summary, with_units
-from covariant.workflow._outputs import check_output
+from covariant.workflow._outputs import check_output, write_table
 from covariant.workflow._pages import estimate_report, write_report
 from covariant.workflow._progress import Progress, silent
 from covariant.workflow._result import AbstractTable
@@ -155,12 +152,7 @@ class CompareResult(AbstractTable):
         """
         path = Path(path)
         check_output(path, ".csv", log=self.job.log, overwrite=overwrite)
-        text = io.StringIO()
-        rows = csv.writer(text, lineterminator="\n")
-        rows.writerow(self.columns)
-        for row in zip(*(column.tolist() for column in self.columns.values()), strict=True):
-            rows.writerow("" if isinstance(value, float) and math.isnan(value) else value for value in row)
-        return write_atomically(path, lambda file: file.write(text.getvalue().encode()))
+        return write_table(path, self.columns)
 
     @property
     def summary(self) -> dict[str, Any]:

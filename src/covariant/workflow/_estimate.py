@@ -51,7 +51,10 @@ from covariant.workflow._pages import AbstractEstimates, estimate_report
 from covariant.workflow._progress import Progress, silent
 from covariant.workflow._sensors import SensorCount, sensor_counts
 from covariant.workflow._states import state_design_note, tuned_states
+from covariant.workflow._unexplained import unexplained
 
+USE_TORQUES = "intrinsic-kalman", "ukf"
+"""Observers whose noise may depend on the configuration, as that of torques does."""
 LONGEST_SHOWN = 3
 """How many stretches without a measurement are named, the longest ones."""
 
@@ -280,9 +283,13 @@ class EstimateResult(AbstractEstimates):
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """How many samples had each result other than ok, with the longest stretches without a measurement."""
+        """Whether innovations are larger than a right model has them, and how many samples had each result but ok.
+
+        Of samples without a measurement the longest stretches are named.
+        """
         counts, rows = self.outcome.counts, len(self.t)
-        return tuple(
+        doubt = unexplained(self.job, self.loaded, self.observer_name, self.outcome)
+        return (() if doubt is None else (doubt,)) + tuple(
             f"{count} of {rows} samples: {Result[name.upper()].message}"
             + (f" ({_longest(self.t, self.codes == Result.COASTED)})" if name == "coasted" else "")
             for name, count in counts.items()
@@ -378,6 +385,8 @@ def choose_observer(
     uses = getattr(tuned[observer], "slow_names", ()) or getattr(tuned[observer], "sensors", ())
     if asked and not uses:
         unused = f" It does not estimate {' and '.join(asked)}; intrinsic-kalman does."
+    if loaded.file.torque_std is not None and observer not in USE_TORQUES:
+        unused += f" It does not use the torque of [uncertainty]; {' and '.join(USE_TORQUES)} do."
     return tuned[observer], (f"Designed {designed}.{loaded.note}{unused}",)
 
 

@@ -398,6 +398,7 @@ def data_sheet(file: models.ModelFile, record: Record | None = None) -> DataShee
         "slow": _slow(file),
         "acceleration_std": file.acceleration_std,
         "correlation_time": file.correlation_time,
+        "torque_std": file.torque_std,
         "motion_std": file.motion_std,
         "motion_time": file.motion_time,
         "damping": file.damping,

@@ -10,10 +10,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from covariant.engine import EngineName as Engine, run_log
-from covariant.models import Motion
+from covariant.models import ModelFile, Motion
 from covariant.observers import AbstractObserver
 from covariant.signals import Result, Run
-from covariant.workflow._inputs import Loaded, ReferenceVelocity
+from covariant.workflow._inputs import Loaded, ReferenceVelocity, sought_units
 
 KEPT = ("innovation", "distance", "result", "nis", "velocity_std", "state_std", "slow", "slow_std", "sensors")
 """What the commands use of the info of an observer."""
@@ -108,7 +108,7 @@ def scored(
     score = None if loaded.reference is None else _score(velocity, run.info, loaded.reference)
     # Behind a gate or a delay, too.
     named = getattr(getattr(observer, "observer", observer), "slow_names", ())
-    return Outcome(run, velocity, _nis(run.info, loaded), score, microseconds, engine, named)
+    return Outcome(run, velocity, mean_nis(run.info, loaded), score, microseconds, engine, named)
 
 
 def engine_is_notable(by: str, asked: Engine) -> bool:
@@ -154,16 +154,39 @@ def _score(velocity: np.ndarray, info: Any, reference: ReferenceVelocity) -> Sco
     return Score(np.sqrt(np.mean(off**2, axis=0)), nees)
 
 
-def _nis(info: Any, loaded: Loaded) -> float:
-    """Refused measurements are left out, and so is the first, from which the state starts."""
+def mean_nis(info: Any, loaded: Loaded) -> float:
+    """Mean normalised innovation squared for each measured number.
+
+    Refused measurements are left out, and so is the first, from which the state starts.
+
+    Args:
+        info: The info of a run, with its results and NIS.
+        loaded: Model and log.
+
+    Returns:
+        The mean; NaN for an observer without a covariance, or where nothing was measured.
+    """
     nis = known(info, "nis")
     if nis is None:
         return math.nan
+    accepted, count = counted(info, loaded)
+    return float(nis[accepted].sum() / count) if count else math.nan
+
+
+def counted(info: Any, loaded: Loaded) -> tuple[np.ndarray, int]:
+    """Samples whose innovations count.
+
+    Args:
+        info: The info of a run, with its results.
+        loaded: Model and log.
+
+    Returns:
+        Which rows (T,) count, and the number of numbers that were measured in them.
+    """
     measured = ~np.asarray(jax.vmap(loaded.model.manifold.missing)(jnp.asarray(loaded.record.y)))
     accepted = np.asarray(info.result) < Result.OUTLIER  # codes grow with how bad a sample is
     accepted[0] = False
-    count = measured[accepted].sum()
-    return float(nis[accepted].sum() / count) if count else math.nan
+    return accepted, int(measured[accepted].sum())
 
 
 def summary(outcome: Outcome, what: str = "velocity") -> dict[str, Any]:
@@ -208,6 +231,12 @@ def with_units(values: Iterable[float | None], units: tuple[str, ...]) -> str:
         for v, unit in zip(values, units, strict=True)
     )
     return ", ".join(written)
+
+
+def force_units(file: ModelFile) -> tuple[str, ...]:
+    """Units of generalised forces along the velocities, whose product with them is a power; "" where not known."""
+    per_second = {"rad/s": "N m", "m/s": "N"}
+    return tuple(per_second.get(unit, "") for unit in sought_units(file))
 
 
 def report_curves(outcomes: dict[str, Outcome]) -> dict[str, Any]:

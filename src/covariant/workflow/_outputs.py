@@ -1,6 +1,13 @@
 """What may be written where, checked before anything is computed. Loads nothing heavy."""
 
+import csv
+import io
+import math
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
+
+from covariant._files import write_atomically
 
 FIGURES = (".png", ".pdf", ".svg")
 """Suffixes of figures."""
@@ -45,3 +52,21 @@ def check_output(
         raise ValueError(f"{path}: this is the log itself; write to another file")
     if path.exists() and not (overwrite or store):
         raise ValueError(f"{path}: there is such a file already; write to another file, or with overwrite=True")
+
+
+def write_table(path: Path, columns: Mapping[str, Any]) -> Path:
+    """Write columns as a table of text, whole or not at all; a number that is not known (NaN) is left empty.
+
+    Args:
+        path: The table to write (.csv).
+        columns: Arrays (T,) by name.
+
+    Returns:
+        The path.
+    """
+    text = io.StringIO()
+    rows = csv.writer(text, lineterminator="\n")
+    rows.writerow(columns)
+    for row in zip(*(column.tolist() for column in columns.values()), strict=True):
+        rows.writerow("" if isinstance(value, float) and math.isnan(value) else value for value in row)
+    return write_atomically(path, lambda file: file.write(text.getvalue().encode()))

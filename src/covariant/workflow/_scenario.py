@@ -8,6 +8,9 @@ import numpy as np
 from covariant.simulation import Sensor, stamps
 from covariant.workflow._arguments import Amounts, amounts, finite
 
+FORCE = "external_force"
+"""Name of an external force in a log, followed by the number of its component, as filters call their estimates."""
+
 
 class Scenario(NamedTuple):
     """Motion and sensors of a simulation.
@@ -24,6 +27,7 @@ class Scenario(NamedTuple):
         jitter: Standard deviation of the sampling instants [s].
         dropout: Probability that a sample is missing.
         seed: Seed of noise, jitter and dropouts.
+        push: Largest force (n,) of the pushes on each coordinate [N or N m]; None for none.
     """
 
     duration: float
@@ -37,6 +41,7 @@ class Scenario(NamedTuple):
     jitter: float
     dropout: float
     seed: int
+    push: Amounts | None = None
 
 
 def check_scenario(scenario: Scenario) -> None:
@@ -52,6 +57,6 @@ def check_scenario(scenario: Scenario) -> None:
         raise ValueError(f"seed must be a whole number ≥ 0; got {scenario.seed}")
     for name in ("noise", "quantum"):
         amounts(name, getattr(scenario, name), ("",) * np.size(getattr(scenario, name)))
-    for name in ("q0", "v0", "amplitude"):
+    for name in ("q0", "v0", "amplitude", "push"):
         finite(name, getattr(scenario, name))
     stamps(Sensor(scenario.rate), scenario.duration)

@@ -11,7 +11,7 @@ from covariant.workflow._arguments import Amounts, Overrides
 from covariant.workflow._outputs import check_output
 from covariant.workflow._progress import Progress, silent
 from covariant.workflow._result import AbstractTable
-from covariant.workflow._scenario import Scenario, check_scenario
+from covariant.workflow._scenario import FORCE, Scenario, check_scenario
 
 
 def simulate(
@@ -28,6 +28,7 @@ def simulate(
     jitter: float = 0.0,
     dropout: float = 0.0,
     seed: int = 0,
+    push: Amounts | None = None,
     overrides: Overrides = (),
     progress: Progress = silent,
 ) -> "SimulateResult":
@@ -52,6 +53,9 @@ def simulate(
         jitter: Standard deviation of the sampling instants [s].
         dropout: Probability that a sample is missing.
         seed: Seed of noise, jitter and dropouts.
+        push: Largest force (n,) of pushes from outside [N or N m], as generalised forces along the velocities. A push
+            rises and falls within a second, one begins every two seconds, from one second on, on each coordinate in
+            turn, and their sign alternates from round to round. The log then has them as `true_external_force1`, ….
         overrides: Values that replace those of the model file: `{"parameters.mass": [2.0]}`, or
             `["parameters.mass=[2.0]"]`.
         progress: Called with a description and a fraction as the work goes on.
@@ -69,7 +73,7 @@ def simulate(
         >>> list(result.columns)
         ['t', 'q', 'u1', 'true_q', 'true_v1']
     """
-    scenario = Scenario(duration, rate, q0, v0, amplitude, frequency, noise, quantum, jitter, dropout, seed)
+    scenario = Scenario(duration, rate, q0, v0, amplitude, frequency, noise, quantum, jitter, dropout, seed, push)
     check_scenario(scenario)
     from covariant.workflow._simulated_log import simulated_log  # loads what computes, after the arguments are checked
 
@@ -119,13 +123,20 @@ class SimulateResult(AbstractTable):
         return f"{len(self.record.t)} rows over {span:g} s of {Path(self.model_name).stem}"
 
     @property
+    def force_columns(self) -> tuple[str, ...]:
+        """The columns of the true forces from outside; none where nothing pushes."""
+        return tuple(name for name in self.si_columns if name.startswith(f"true_{FORCE}"))
+
+    @property
     def summary(self) -> dict[str, Any]:
-        truth = ",".join(self.truth_columns)
-        return {"model": self.model_name, "rows": len(self.record.t), "truth_columns": truth}
+        truth, forces = ",".join(self.truth_columns), ",".join(self.force_columns)
+        pushed = {"force_columns": forces} if forces else {}
+        return {"model": self.model_name, "rows": len(self.record.t), "truth_columns": truth, **pushed}
 
     def __str__(self) -> str:
         use = "score against --truth" if self.mechanical else "the true state is in"
-        return f"{len(self.record.t)} rows; {use} {','.join(self.truth_columns)}"
+        forces = ", forces against --force " * bool(self.force_columns) + ",".join(self.force_columns)
+        return f"{len(self.record.t)} rows; {use} {','.join(self.truth_columns)}{forces}"
 
     def save(self, path: str | Path, overwrite: bool = True) -> Path:
         """Write the log, in the units of the model file.

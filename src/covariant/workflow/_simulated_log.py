@@ -1,27 +1,32 @@
 """Computes the log of a simulated machine: its motion, and what its sensors read of it."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
 from covariant import logs, models, simulation
-from covariant.models import ModelFile, Motion, Overrides
+from covariant.models import ModelFile, Motion, Overrides, Parametric
 from covariant.signals import Record
 from covariant.simulation import PiecewiseInputs, Sensor
 from covariant.workflow._arguments import Amounts, amounts, numbers
 from covariant.workflow._inputs import numbered, sought_columns
+from covariant.workflow._outcome import force_units
 from covariant.workflow._progress import Progress
-from covariant.workflow._scenario import Scenario
+from covariant.workflow._scenario import FORCE, Scenario
 from covariant.workflow._sensors import file_sensors, sensed
 
 DIGITS = 12
 """Decimals of a time [s] in a log: times that agree in all of them are one, however they were computed."""
 DETUNED = 0.37
 """Each input is faster than the one before by this part of the frequency, so that no two are in step."""
+
+FIRST_PUSH, BETWEEN_PUSHES, PUSH_LENGTH = 1.0, 2.0, 1.0
+"""When pushes from outside begin [s]: the first one, and from each to the next; and how long each of them lasts [s]."""
 
 
 def simulated_log(
@@ -51,7 +56,8 @@ def simulated_log(
     read = np.round([t - delay for delay in late], DIGITS)
     u, acting = _inputs(file, scenario, t, read)
     progress("simulating")
-    everything = jax.tree.map(np.asarray, simulation.simulate_piecewise(file.model, x0, acting))
+    machine, force = _pushed(name, file, scenario)
+    everything = jax.tree.map(np.asarray, simulation.simulate_piecewise(machine, x0, acting))
     # Both sides are rounded to DIGITS, so that each time is exactly one of the beginnings.
     now, rows = (np.searchsorted(acting.begin, times) for times in (np.round(t, DIGITS), read))
     true, x = everything.y[now], jax.tree.map(lambda leaf: leaf[now], everything.x)
@@ -70,10 +76,15 @@ def simulated_log(
         then = jax.tree.map(lambda leaf, row=row: leaf[row], everything.x)
         # What acts until then: an input that jumps at a stamp is read before it acts.
         inputs = np.stack([acting.at(max(j - 1, 0), float(acting.begin[j])) for j in row.tolist()])
-        columns |= part.to_columns(sensed(file.model, part, then, inputs, acting.begin[row], (scenario.seed, i)))
+        columns |= part.to_columns(sensed(machine, part, then, inputs, acting.begin[row], (scenario.seed, i)))
     columns |= {f"true_{key}": column for key, column in (configuration | hidden).items()}
     names = tuple(f"true_{key}" for key in hidden)
-    return name, file.mechanical, layout, record, names, columns, _units(file, layout, tuple(hidden))
+    units = _units(file, layout, tuple(hidden))
+    if force is not None:
+        forces = [f"true_{key}" for key in numbered(FORCE, file.dimension)]
+        columns |= dict(zip(forces, np.asarray(jax.vmap(force)(jnp.asarray(t))).T, strict=True))
+        units |= dict(zip(forces, force_units(file), strict=True))
+    return name, file.mechanical, layout, record, names, columns, units
 
 
 def _sensor(name: str, file: ModelFile, scenario: Scenario) -> Sensor:
@@ -114,6 +125,29 @@ def _inputs(
     stamps = np.round(t, DIGITS)
     times = np.append(read.ravel(), stamps)
     return u, simulation.logged_inputs(stamps, u, file.input_between, file.input_delay, file.input_lag, times)
+
+
+def _pushed(name: str, file: ModelFile, scenario: Scenario) -> tuple[Any, Callable[[Any], Any] | None]:
+    """The model with pushes that act on it, and these as a function of time; None where nothing pushes."""
+    if scenario.push is None:
+        return file.model, None
+    model = file.need_mechanical(name, "pushes are for")
+    force = Parametric(_pushes, largest=numbers("push", scenario.push, sought_columns(file)))
+
+    def dissipation(t, q, v, u):
+        return models.resistance(model, t, q, v, u) + force(t)
+
+    return eqx.tree_at(lambda m: m.dissipation, model, dissipation), force
+
+
+def _pushes(t: Any, largest: Any) -> Any:
+    """Pushes (n,) at a time, as `workflow.simulate` describes them."""
+    n, since = largest.shape[0], (t - FIRST_PUSH) / BETWEEN_PUSHES
+    k = jnp.floor(since)
+    within = jnp.clip((since - k) * BETWEEN_PUSHES / PUSH_LENGTH, 0.0, 1.0)
+    # A raised cosine: it and its slope are continuous.
+    height = jnp.where(k < 0, 0.0, (1 - jnp.cos(2 * jnp.pi * within)) / 2) * (1 - 2 * jnp.mod(jnp.floor(k / n), 2))
+    return jnp.where(jnp.arange(n) == jnp.mod(k, n).astype(int), height * largest, 0.0)
 
 
 def _sense(model: Any, sensor: Sensor, y: np.ndarray, seed: int) -> np.ndarray:

@@ -174,7 +174,8 @@ def _content(job: Job, tables: dict[str, dict[str, Any]]) -> dict[str, Any]:
     content = models.document(job.model_name, job.overrides)
     for table, numbers in tables.items():
         content.setdefault(table, {}).update(numbers)
-    for key in ("external_force", "external_force_std", "external_force_time"):
+    # The tuned acceleration holds what was torque.
+    for key in ("torque", "external_force", "external_force_std", "external_force_time"):
         if key not in tables["uncertainty"]:
             content["uncertainty"].pop(key, None)
     # std stands in its place: a model file may not have both.
