@@ -12,7 +12,7 @@ import numpy as np
 from covariant.calibration import diagnose, misfit
 from covariant.models import load
 from covariant.signals import Record
-from covariant.simulation import Sensor, hold, sense, simulate, stamps
+from covariant.simulation import PositionSensor, hold, sense, simulate, stamps
 
 FILES = ("examples/demo_double_pendulum.toml", "examples/dfki_simple_pendulum.toml")
 RATE, SECONDS = 250.0, 6.0
@@ -23,7 +23,7 @@ if __name__ == "__main__":
     for seed in range(100):
         rng = np.random.default_rng(seed)
         std = 10 ** rng.uniform(-4.5, -3)
-        sensor = Sensor(RATE, noise_std=std, dropout=0.02 * (seed % 3), jitter=2e-4 * (seed % 2))
+        sensor = PositionSensor(RATE, noise_std=std, dropout=0.02 * (seed % 3), jitter=2e-4 * (seed % 2))
         file = load(FILES[seed % 4 == 3], (f"measurement.std={std}", "inputs.lag=0"))
         n = file.dimension
         t = stamps(sensor, SECONDS, seed)

@@ -25,7 +25,7 @@ model = models.pendulum_chain(
 )
 
 # A log, as a machine would write it: 1000 readings a second of encoders with 4096 counts a turn.
-encoder = simulation.Sensor(rate=1000.0, quantum=2 * np.pi / 4096)
+encoder = simulation.PositionSensor(rate=1000.0, quantum=2 * np.pi / 4096)
 t = jnp.asarray(simulation.stamps(encoder, duration=5.0))
 amplitude, pace = jnp.array([0.9, 0.3]), jnp.array([4.0, 7.0])
 motion = eqx.filter_jit(simulation.simulate)(

@@ -24,7 +24,7 @@ geometry = {"length": (0.3, 0.25), "com": (0.16, 0.14), "inertia": (0.005, 0.002
 machine = models.pendulum_chain(mass=(0.6, 0.4), **geometry)
 model = models.pendulum_chain(mass=(0.612, 0.392), **geometry)
 
-sensor = simulation.Sensor(rate=500.0, quantum=2 * np.pi / 2048, jitter=2e-4, dropout=0.01)
+sensor = simulation.PositionSensor(rate=500.0, quantum=2 * np.pi / 2048, jitter=2e-4, dropout=0.01)
 t = simulation.stamps(sensor, duration=4.0)
 amplitude, pace = jnp.array([0.9, 0.3]), jnp.array([4.0, 7.0])
 motion = eqx.filter_jit(simulation.simulate)(

@@ -27,7 +27,7 @@ FIGURE, STORE = OUT / "09_frequency_of_a_pendulum.png", OUT / "09_metric.zarr"
 OUT.mkdir(exist_ok=True)
 
 # The log of a real pendulum: not quite linear, a little damped, angles counted in steps of the encoder.
-encoder = simulation.Sensor(rate=1000.0, quantum=2 * np.pi / 40_000)
+encoder = simulation.PositionSensor(rate=1000.0, quantum=2 * np.pi / 40_000)
 pendulum = models.pendulum_chain(mass=(0.15,), length=(0.15,), viscous=(1e-5,))
 truth = 9.81 / 0.15
 t = simulation.stamps(encoder, duration=4.0)

@@ -117,7 +117,7 @@ PUBLIC = {
     "proofs.checker": "ROUND TaylorEnclosure halves leaves plain show_definite",
     "report": "PALETTE EstimateReport audit_figure certificate_figure draw_audit draw_certificate figure new_figure "
     "save_figure table write_article write_audit write_html write_png write_report",
-    "simulation": "Backstepping PiecewiseInputs Reference Sensor follow hold lissajous logged_inputs no_input "
+    "simulation": "Backstepping PiecewiseInputs Reference PositionSensor follow hold lissajous logged_inputs no_input "
     "observe sense set_point simulate simulate_piecewise stamps",
     "workflow": "AbstractResult AbstractTable AuditResult CertificateCheckResult CertifyResult CheckResult "
     "CompareForceResult CompareResult EstimateResult ExcitationResult ExportResult FitResult InitResult MetricResult "

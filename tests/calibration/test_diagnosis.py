@@ -16,7 +16,7 @@ from covariant.calibration._smooth import smooth
 from covariant.logs import unit_factor
 from covariant.models import load
 from covariant.signals import Record
-from covariant.simulation import Sensor, sense, simulate, stamps
+from covariant.simulation import PositionSensor, sense, simulate, stamps
 
 LONG = ("test_a_log_that_fits_has_no_findings[0]",)
 """Cases of the long suite: a cheaper one of the same test, or of the same law, is in the short one."""
@@ -39,7 +39,7 @@ def torques(t, x):
 @pytest.fixture(scope="module")
 def exact(pendulum):
     """Its motion, without noise, from a start: the program is compiled once."""
-    t = stamps(Sensor(1 / SPACING), 6.0)
+    t = stamps(PositionSensor(1 / SPACING), 6.0)
 
     def moved(*start: float) -> Record:
         record = simulate(pendulum.model, jnp.array(start), jnp.asarray(t), torques, rtol=1e-7, atol=1e-9)
@@ -51,7 +51,7 @@ def exact(pendulum):
 @pytest.fixture(scope="module")
 def clean(exact):
     record = exact(0.5, -0.8, 1.0, 2.0)
-    return record._replace(y=sense(Sensor(500.0, noise_std=2e-4), record.y, 3))
+    return record._replace(y=sense(PositionSensor(500.0, noise_std=2e-4), record.y, 3))
 
 
 def late(column, time, t):
@@ -71,7 +71,7 @@ def whats(done):
 @pytest.mark.parametrize("seed", range(4))
 def test_a_log_that_fits_has_no_findings(pendulum, exact, seed):
     record = exact(*np.random.default_rng(seed).uniform(-2, 2, 4))
-    record = record._replace(y=sense(Sensor(500.0, noise_std=2e-4), record.y, seed))
+    record = record._replace(y=sense(PositionSensor(500.0, noise_std=2e-4), record.y, seed))
     assert diagnose(pendulum, record).findings == ()
     assert misfit(pendulum, record) is None
 
@@ -201,7 +201,7 @@ def test_two_faults_are_found_one_after_the_other(pendulum, clean):
 
 def test_ticks_are_found_and_told_only_where_the_file_does_not_know_them(pendulum, exact):
     record = exact(0.5, -0.8, 1.0, 2.0)
-    record = record._replace(y=sense(Sensor(500.0, quantum=QUANTUM), record.y))
+    record = record._replace(y=sense(PositionSensor(500.0, quantum=QUANTUM), record.y))
     (found,) = diagnose(pendulum, record).findings
     assert found.what == "ticks"
     assert not found.wrong
@@ -212,7 +212,7 @@ def test_ticks_are_found_and_told_only_where_the_file_does_not_know_them(pendulu
 
 
 def test_noise_beyond_the_data_sheet_is_found(pendulum, clean):
-    noisy = clean._replace(y=sense(Sensor(500.0, noise_std=3e-3), clean.y, 1))
+    noisy = clean._replace(y=sense(PositionSensor(500.0, noise_std=3e-3), clean.y, 1))
     (found,) = diagnose(pendulum, noisy).findings
     assert found.what == "noise"
     assert abs(found.numbers["std"] / 3e-3 - 1) < 0.1
@@ -246,22 +246,23 @@ def test_gaps_jitter_and_missing_cells_are_notes(pendulum, exact):
     kept = np.ones(len(t), bool)
     kept[[500, 501, 502, 900]] = False
     record = exact(0.5, -0.8, 1.0, 2.0)
-    y = sense(Sensor(500.0, noise_std=2e-4, dropout=0.03), record.y, 2)
+    y = sense(PositionSensor(500.0, noise_std=2e-4, dropout=0.03), record.y, 2)
     done = diagnose(pendulum, Record(t[kept], record.u[kept], y[kept]))
     assert [finding.what for finding in done.findings] == ["missing rows", "missing measurements"]
     assert done.findings[0].numbers["rows"] == 4
     assert not done.wrong
-    jitter = stamps(Sensor(500.0, jitter=2e-4), 6.0, 1)
+    jitter = stamps(PositionSensor(500.0, jitter=2e-4), 6.0, 1)
     moved = [np.interp(jitter, t, column) for column in (*record.u.T, *record.y.T)]
     done = diagnose(
-        pendulum, Record(jitter, np.array(moved[:2]).T, sense(Sensor(500.0, noise_std=2e-4), np.array(moved[2:]).T))
+        pendulum,
+        Record(jitter, np.array(moved[:2]).T, sense(PositionSensor(500.0, noise_std=2e-4), np.array(moved[2:]).T)),
     )
     assert [finding.what for finding in done.findings] == ["irregular stamps"]
 
 
 def test_nothing_is_told_of_a_machine_that_stands_still(pendulum, clean):
     still = clean._replace(
-        y=sense(Sensor(500.0, noise_std=2e-4), np.tile(clean.y[:1], (len(clean.t), 1))), u=0 * clean.u
+        y=sense(PositionSensor(500.0, noise_std=2e-4), np.tile(clean.y[:1], (len(clean.t), 1))), u=0 * clean.u
     )
     (found,) = diagnose(pendulum, still).findings
     assert found.what == "too little motion"

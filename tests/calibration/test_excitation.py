@@ -117,7 +117,7 @@ def test_the_bounds_of_the_search_are_not_below_the_largest_values(robot):
     assert (slack >= 1 - used - 0.06).all()
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_seeds_repeat(robot, found):
     again = design_excitation(robot, LIMITS, SENSING, PLAN, HALF)
     np.testing.assert_array_equal(again.motion.coefficients, found.motion.coefficients)

@@ -83,7 +83,7 @@ def test_a_load_is_found_with_its_place():
     assert np.isnan(by_name["payload.lower.y"][1]), "nothing turns about another axis"
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_constants_offsets_and_stribeck_friction_are_the_true_ones():
     truth = Truth(stribeck=(0.15, 0.06), constants=(1.2, 0.8), offsets=(0.05, -0.08))
     found = fitted(

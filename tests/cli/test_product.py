@@ -66,7 +66,8 @@ def estimates(request, tmp_path_factory) -> dict[str, dict[str, Any]]:
 
 
 # All estimators are compiled by JAX: the mechanical ones take a minute each.
-COMPARED = [pytest.param(name, marks=() if name == "state-space" else pytest.mark.long) for name in KINDS]
+SLOW = {"chart": pytest.mark.long, "group": pytest.mark.exhaustive}
+COMPARED = [pytest.param(name, marks=SLOW.get(name, ())) for name in KINDS]
 
 
 @pytest.fixture(scope="module", params=COMPARED)

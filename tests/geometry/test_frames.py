@@ -30,9 +30,7 @@ from covariant.signals import Result
 LONG = (
     "uneven, SE(2) x coordinates",
     "robot, joints",
-    "robot, planar base",
     "robot, SE(3) x joints",
-    "robot, ball joint x joints",
     "test_geodesics_are_found_again[uneven, SO(3), by its energy]",
     "test_the_curvature_has_its_symmetries[arm, SE(3) x joints]",
     "test_the_curvature_has_its_symmetries[uneven, SO(3), by its energy]",
@@ -45,6 +43,7 @@ LONG = (
     "test_transport_is_an_isometry[uneven, SO(3), by its energy]",
     "test_what_is_missing_of_a_product_is_missing_of_its_factor[0]",
 )
+EXHAUSTIVE = ("robot, planar base", "robot, ball joint x joints")
 
 BUDGET = Budget(steps=12)
 

@@ -23,18 +23,16 @@ from covariant.simulation import observe
 
 LONG = (
     "SU(3)",
-    "SU(5)",
     "SE(3) x joints",
     "geodesic-SE(3)",
     "robot, joints",
-    "robot, planar base",
     "robot, SE(3) x joints",
-    "robot, ball joint x joints",
     "test_error_in_a_parallel_frame_obeys_the_linear_law_at_any_speed[geodesic-SO(3)]",
     "test_error_in_a_parallel_frame_obeys_the_linear_law_at_any_speed[intrinsic-SE(3)]",
     "test_error_in_a_parallel_frame_obeys_the_linear_law_at_any_speed[intrinsic-SO(3)]",
     "test_error_in_a_parallel_frame_obeys_the_linear_law_at_any_speed[intrinsic2-SO(3)]",
 )
+EXHAUSTIVE = ("SU(5)", "robot, planar base", "robot, ball joint x joints")
 
 ALPHA, BETA = 1.2, 0.9
 

@@ -122,6 +122,7 @@ def test_a_file_gives_everything(tmp_path):
         *[None] * 3,
         "pendulum_chain",
         {},
+        {},
         None,
     )
 
@@ -143,6 +144,7 @@ def test_what_a_file_leaves_out_has_a_default(tmp_path):
         0.0,
         *(None,) * 3,
         "ball_and_beam",
+        {},
         {},
         None,
     )

@@ -34,6 +34,7 @@ def test_a_page_runs_without_a_cache(page, tmp_path, home):
     run(page, tmp_path, home, os.defpath, COVARIANT_CACHE="off")
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("place", ["no compiler", "no cache"])
 def test_the_demo_runs(place, tmp_path, home, without_compiler):
     """With a compiler and a cache it is `make demo`."""

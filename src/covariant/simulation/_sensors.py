@@ -11,7 +11,7 @@ PerPosition = float | Sequence[float] | NumpyArray
 """One number for all positions, or one for each of them."""
 
 
-class Sensor(NamedTuple):
+class PositionSensor(NamedTuple):
     """A position sensor.
 
     Args:
@@ -23,8 +23,8 @@ class Sensor(NamedTuple):
 
     Example:
         >>> import numpy as np
-        >>> from covariant.simulation import Sensor, sense
-        >>> sense(Sensor(100.0, quantum=[0.1, 0.5]), np.array([[0.33, 0.33]])).round(1).tolist()
+        >>> from covariant.simulation import PositionSensor, sense
+        >>> sense(PositionSensor(100.0, quantum=[0.1, 0.5]), np.array([[0.33, 0.33]])).round(1).tolist()
         [[0.3, 0.5]]
     """
 
@@ -34,7 +34,7 @@ class Sensor(NamedTuple):
     jitter: float = 0.0
     dropout: float = 0.0
 
-    def check(self) -> "Sensor":
+    def check(self) -> "PositionSensor":
         """Check that every field is in its range.
 
         Returns:
@@ -54,7 +54,7 @@ class Sensor(NamedTuple):
         return self
 
 
-def stamps(sensor: Sensor, duration: float, seed: int = 0) -> Float[NumpyArray, "T"]:
+def stamps(sensor: PositionSensor, duration: float, seed: int = 0) -> Float[NumpyArray, "T"]:
     """Sampling instants of a sensor.
 
     Args:
@@ -69,8 +69,8 @@ def stamps(sensor: Sensor, duration: float, seed: int = 0) -> Float[NumpyArray, 
         ValueError: The sensor is invalid, or the duration does not hold two samples.
 
     Example:
-        >>> from covariant.simulation import Sensor, stamps
-        >>> stamps(Sensor(100.0), 0.05).round(2).tolist()
+        >>> from covariant.simulation import PositionSensor, stamps
+        >>> stamps(PositionSensor(100.0), 0.05).round(2).tolist()
         [0.0, 0.01, 0.02, 0.03, 0.04, 0.05]
     """
     sensor.check()
@@ -85,7 +85,7 @@ def stamps(sensor: Sensor, duration: float, seed: int = 0) -> Float[NumpyArray, 
     return np.arange(count) / sensor.rate + np.clip(late, -0.45 / sensor.rate, 0.45 / sensor.rate)
 
 
-def sense(sensor: Sensor, q: Float[NumpyArray, "T n"], seed: int = 0) -> Float[NumpyArray, "T n"]:
+def sense(sensor: PositionSensor, q: Float[NumpyArray, "T n"], seed: int = 0) -> Float[NumpyArray, "T n"]:
     """Measurements of positions by a sensor, with noise, quantisation and dropouts.
 
     Args:
@@ -102,8 +102,8 @@ def sense(sensor: Sensor, q: Float[NumpyArray, "T n"], seed: int = 0) -> Float[N
 
     Example:
         >>> import numpy as np
-        >>> from covariant.simulation import Sensor, sense
-        >>> y = sense(Sensor(100.0, noise_std=0.1, dropout=0.5), np.zeros((1000, 1)))
+        >>> from covariant.simulation import PositionSensor, sense
+        >>> y = sense(PositionSensor(100.0, noise_std=0.1, dropout=0.5), np.zeros((1000, 1)))
         >>> bool(abs(np.nanstd(y) - 0.1) < 0.02), bool(400 < np.isnan(y).sum() < 600)
         (True, True)
     """

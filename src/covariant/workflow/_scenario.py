@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from covariant.simulation import Sensor, stamps
+from covariant.simulation import PositionSensor, stamps
 from covariant.workflow._arguments import Amounts, amounts, finite
 
 FORCE = "external_force"
@@ -50,7 +50,7 @@ def check_scenario(scenario: Scenario) -> None:
     Raises:
         ValueError: One line that names the argument and its value.
     """
-    Sensor(scenario.rate, 0.0, 0.0, scenario.jitter, scenario.dropout).check()
+    PositionSensor(scenario.rate, 0.0, 0.0, scenario.jitter, scenario.dropout).check()
     if not math.isfinite(scenario.frequency) or scenario.frequency < 0:
         raise ValueError(f"frequency must be a finite number ≥ 0 [Hz]; got {scenario.frequency}")
     if scenario.seed < 0:
@@ -59,4 +59,4 @@ def check_scenario(scenario: Scenario) -> None:
         amounts(name, getattr(scenario, name), ("",) * np.size(getattr(scenario, name)))
     for name in ("q0", "v0", "amplitude", "push"):
         finite(name, getattr(scenario, name))
-    stamps(Sensor(scenario.rate), scenario.duration)
+    stamps(PositionSensor(scenario.rate), scenario.duration)

@@ -12,7 +12,7 @@ from jaxtyping import Float
 from covariant import logs, models, simulation
 from covariant.models import ModelFile, Motion, Overrides, Parametric
 from covariant.signals import Record
-from covariant.simulation import PiecewiseInputs, Sensor
+from covariant.simulation import PiecewiseInputs, PositionSensor
 from covariant.workflow._arguments import Amounts, amounts, numbers
 from covariant.workflow._inputs import numbered, sought_columns
 from covariant.workflow._outcome import force_units
@@ -87,14 +87,14 @@ def simulated_log(
     return name, file.mechanical, layout, record, names, columns, units
 
 
-def _sensor(name: str, file: ModelFile, scenario: Scenario) -> Sensor:
+def _sensor(name: str, file: ModelFile, scenario: Scenario) -> PositionSensor:
     in_coordinates = file.model.manifold.commuting
     if np.any(scenario.quantum) and not in_coordinates:
         raise ValueError(f"quantum: encoders step in coordinates, and {name} is on a group; use noise")
     measured = file.columns.q if in_coordinates else file.model.velocities
     noise = amounts("noise", scenario.noise, measured)
     quantum = amounts("quantum", scenario.quantum, measured) if in_coordinates else 0.0
-    return Sensor(scenario.rate, noise, quantum, scenario.jitter, scenario.dropout)
+    return PositionSensor(scenario.rate, noise, quantum, scenario.jitter, scenario.dropout)
 
 
 def _start(file: ModelFile, scenario: Scenario) -> Any:
@@ -150,7 +150,7 @@ def _pushes(t: Any, largest: Any) -> Any:
     return jnp.where(jnp.arange(n) == jnp.mod(k, n).astype(int), height * largest, 0.0)
 
 
-def _sense(model: Any, sensor: Sensor, y: np.ndarray, seed: int) -> np.ndarray:
+def _sense(model: Any, sensor: PositionSensor, y: np.ndarray, seed: int) -> np.ndarray:
     """Measurements of outputs or configurations; on a group errors are rotations and translations in the body frame."""
     if model.manifold.commuting:
         return simulation.sense(sensor, y, seed)
