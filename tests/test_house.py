@@ -95,8 +95,8 @@ PUBLIC = {
     "models.robots": "OF_INERTIA ROBOTS BodyInertia Description Follows FrictionLaw Joint KinematicTree Links Motor "
     "RobotSpace assemble changed inertia_of load located numbers_of read urdf_with_inertias",
     "observers": "EKF OBSERVER_NAMES PLL REGISTRY SMOOTHED STATE_OBSERVER_NAMES Smoothed UKF AbstractFlowObserver "
-    "AbstractLinearFilter AbstractMechanicalObserver AbstractObserver Contracting ContractingState Copy Delayed "
-    "DelayedState EKFInfo EKFState Entry Estimate FilterInfo FilteredDerivative FilteredState FixedLag FixedLagState "
+    "AbstractLinearFilter AbstractMechanicalObserver AbstractObserver Contracting ContractingState Copy Damped "
+    "DampedInfo DampedState Delayed damping_margin DelayedState EKFInfo EKFState Entry Estimate FilterInfo FilteredDerivative FilteredState FixedLag FixedLagState "
     "FixedLagWindow Gate Gated GatedState NoiseStep "
     "GateMemory Geodesic GeodesicInfo GeodesicState SampledState HighGain Info InformationEKF InformationState "
     "Intrinsic IntrinsicKalman JointInfo JointKalman JointState KalmanInfo KalmanState Levant LoopState "

@@ -4,6 +4,12 @@ from ._contracting import (
     craft_observer as craft_observer,
 )
 from ._copy import Copy as Copy
+from ._damped import (
+    Damped as Damped,
+    DampedInfo as DampedInfo,
+    DampedState as DampedState,
+    damping_margin as damping_margin,
+)
 from ._delayed import Delayed as Delayed, DelayedState as DelayedState
 from ._ekf import EKF as EKF, EKFInfo as EKFInfo, EKFState as EKFState
 from ._filtered_derivative import FilteredDerivative as FilteredDerivative, FilteredState as FilteredState

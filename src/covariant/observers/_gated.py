@@ -122,7 +122,7 @@ class Gated(AbstractObserver):
             The state.
         """
         rest = self.model.manifold.zero(y)
-        inner = _without_last_input(self.observer.init(y, t))
+        inner = without_last_input(self.observer.init(y, t))
         last_input = no_input(self.model, rest)
         t = jnp.asarray(t, rest.dtype)
         return GatedState(inner, t, GateMemory.at_start(rest), rest, last_input, jnp.zeros_like(t))
@@ -212,6 +212,6 @@ class Gated(AbstractObserver):
         return fresh._replace(inner=fresh.inner._replace(v=jnp.where(credible, v, 0.0)))
 
 
-def _without_last_input(state: Any) -> Any:
+def without_last_input(state: Any) -> Any:
     """State of the inner observer without a field for the last input: it gets valid inputs only."""
     return state._replace(last_input=None) if "last_input" in state._fields else state

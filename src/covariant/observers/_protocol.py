@@ -477,6 +477,21 @@ def check_positive(whose: str, **gains: Any) -> None:
             raise ValueError(f"{whose}: {name} must be a positive, finite number; got {_on_one_line(gain)}")
 
 
+def check_not_negative(whose: str, **gains: Any) -> None:
+    """Check that gains are finite numbers ≥ 0; a traced gain has no value to check.
+
+    Args:
+        whose: Name of the observer, for the message.
+        **gains: Gains by name, numbers or arrays.
+
+    Raises:
+        ValueError: A gain is negative or not finite; the message names it.
+    """
+    for name, gain in gains.items():
+        if not _satisfied(gain, lambda a: np.isfinite(a) & (a >= 0)):
+            raise ValueError(f"{whose}: {name} must be a finite number, 0 or more; got {_on_one_line(gain)}")
+
+
 def check_finite(whose: str, **given: Any) -> None:
     """Check that arrays have finite entries; a traced array has no values to check.
 
