@@ -96,14 +96,15 @@ PUBLIC = {
     "RobotSpace assemble changed inertia_of load located numbers_of read urdf_with_inertias",
     "observers": "EKF OBSERVER_NAMES PLL REGISTRY SMOOTHED STATE_OBSERVER_NAMES Smoothed UKF AbstractFlowObserver "
     "AbstractLinearFilter AbstractMechanicalObserver AbstractObserver Contracting ContractingState Copy Damped "
-    "DampedInfo DampedState Delayed damping_margin DelayedState EKFInfo EKFState Entry Estimate FilterInfo FilteredDerivative FilteredState FixedLag FixedLagState "
+    "DampedInfo DampedState Delayed "
+    "DelayedState EKFInfo EKFState Entry Estimate FilterInfo FilteredDerivative FilteredState FixedLag FixedLagState "
     "FixedLagWindow Gate Gated GatedState NoiseStep "
     "GateMemory Geodesic GeodesicInfo GeodesicState SampledState HighGain Info InformationEKF InformationState "
     "Intrinsic IntrinsicKalman JointInfo JointKalman JointState KalmanInfo KalmanState Levant LoopState "
     "MechanicalState Noise PassiveGains PassiveShip Riccati Salcudean SalcudeanState SavitzkyGolay Slow StateEKF "
     "StateEKFInfo Judged Sample StateEKFState UKFState Velocity WindowState checked chooses_substeps continuous "
-    "craft_observer external_force noise_step AbstractForceObserver ForceState InverseDynamics MomentumObserver "
-    "observed_forces Instant Sensor SensorInfo accelerometer encoder gyro point_sensor pose_sensor tachometer "
+    "craft_observer damping_margin external_force noise_step AbstractForceObserver ForceState InverseDynamics "
+    "MomentumObserver observed_forces Instant Sensor SensorInfo accelerometer encoder gyro point_sensor pose_sensor tachometer "
     "lyapunov_gains lyapunov_rate needed_substeps notch_gains printed_rate run second_order sensor_bias smooth "
     "uncertain_parameters with_fixed_substeps wrench",
     "papers.jouffroy_fossen": "COMPASS COUNTEREXAMPLES CROSS DURATION GAPS GNSS K1 K2 KD KP LAMBDA PRINTED_K2 RATE "

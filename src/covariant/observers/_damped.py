@@ -223,7 +223,7 @@ class Damped(AbstractObserver):
         motion = self.model.motion(self.observer.estimate(inner))
         present = ~jnp.isnan(readings)
         expected, slope = self._outputs(motion, u, state.t)
-        residual = jnp.where(present, expected + state.bias - jnp.where(present, readings, 0.0), 0.0)
+        residual: Array = jnp.where(present, expected + state.bias - jnp.nan_to_num(readings), 0.0)
         coefficients = jnp.where(present, self.damping.astype(motion.v.dtype) * state.waited, 0.0)
         bias_gain = jnp.broadcast_to(self.bias_gain, residual.shape).astype(motion.v.dtype)
         v_change, bias_change = damping_step(self.model, motion.q, slope, coefficients, bias_gain, residual)
@@ -234,9 +234,9 @@ class Damped(AbstractObserver):
         waited = jnp.where(present, 0.0, state.waited)
         # Where sensors are read between two measured configurations, nothing is missing.
         between = read & jnp.all(self.model.manifold.missing(configuration)) & (info.result == int(Result.COASTED))
-        result = jnp.where(between, int(Result.OK), info.result)
+        code = jnp.where(between, int(Result.OK), jnp.asarray(info.result))
         finite = jnp.all(jnp.isfinite(v)) & jnp.all(jnp.isfinite(bias))
-        result = jnp.where(finite, result, int(Result.NOT_FINITE)).astype(info.result.dtype)
+        result = jnp.where(finite, code, int(Result.NOT_FINITE)).astype(info.result.dtype)
         new = state._replace(inner=_with_velocity(inner, v), bias=bias, waited=waited)
         return new, DampedInfo(info.innovation, info.distance, -residual, bias, result)
 
@@ -305,7 +305,7 @@ def damping_step(
     used = coefficients > 0
     s = jnp.where(used, jnp.sqrt(jnp.where(used, coefficients, 1.0)), 0.0)  # with a finite derivative at zero
     total = slope @ raised.T + jnp.diag(bias_gain)
-    impulse = s * solve(jnp.eye(len(s), dtype=s.dtype) + s[:, None] * total * s, s * residual)
+    impulse = s * solve(jnp.eye(len(s), dtype=s.dtype) + jnp.outer(s, s) * total, s * residual)
     return -impulse @ raised, -bias_gain * impulse
 
 
