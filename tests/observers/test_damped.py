@@ -47,15 +47,16 @@ def measurement(observer, q, readings=None):
 def by_hand(observer, q, v, u):
     """Readings at a velocity and their derivative in it, which is exact by differences where they are linear."""
 
+    @jax.jit
     def read(v):
         nothing = jnp.zeros(0)
-        return np.concatenate([s.h(Instant(q, v, lambda: v, u, 0.0), nothing) for s in observer.sensors])
+        return jnp.concatenate([s.h(Instant(q, v, lambda: v, u, 0.0), nothing) for s in observer.sensors])
 
     rest = jnp.zeros_like(v)
     return read(v), np.stack([read(axis) - read(rest) for axis in jnp.eye(len(v))], 1)
 
 
-@pytest.mark.parametrize("name", ["chart", "SO(3)", "robot"])
+@pytest.mark.parametrize("name", ["chart", "SO(3)", pytest.param("robot", marks=pytest.mark.long)])
 def test_a_sample_never_expands_and_is_the_damper_where_it_is_short(systems, name):
     """In |δv|² + δb²/γ, for random Γ, γ, dt and missing readings; and to first order in dt by hand."""
     model, q, sensors = systems[name]
@@ -131,7 +132,7 @@ def test_in_other_coordinates_it_is_the_same():
         new, info = observer.correct(state, jnp.zeros(2), measurement(observer, nowhere, jnp.ones(1)))
         return new.inner, new.bias, info.sensor_innovation
 
-    (one, *here), (two, *beyond) = (corrected(*side, *motion) for *side, motion in sides)
+    (one, *here), (two, *beyond) = jax.jit(lambda: [corrected(*side, *motion) for *side, motion in sides])()
     np.testing.assert_allclose(there(one.q, one.v)[1], two.v, rtol=0, atol=1e-12)
     np.testing.assert_allclose(here, beyond, rtol=0, atol=1e-12)
     assert np.abs(two.v - sides[1][2][1]).max() > 0.1
@@ -157,14 +158,14 @@ def test_without_a_reading_it_is_the_inner_observer(gated):
 
 
 def shaken_body(rows=1500):
-    """A body turned by torques that no observer is told of: its velocity, noisy attitudes, and a gyro with an offset."""
+    """A body turned by unknown torques: its velocity, noisy attitudes, and the readings of a gyro with an offset."""
     body, rng = GroupSystem(SO3, jnp.diag(jnp.array([1.0, 2.0, 3.5]))), np.random.default_rng(5)
 
     def advance(motion, k):
         torque = 0.5 * jnp.sin(STEP * k * jnp.array([3.0, 4.0, 2.0]))
         return models.advance(body, 0.0, motion, torque, STEP, 1), motion
 
-    true = jax.lax.scan(advance, Motion(jnp.eye(3), jnp.array([0.5, -0.8, 0.3])), jnp.arange(rows))[1]
+    true = jax.lax.scan(advance, Motion(jnp.eye(3), jnp.array([0.5, -0.8, 0.3])), jnp.arange(float(rows)))[1]
     q = jax.vmap(lambda q, e: q @ SO3.exp(e))(true.q, jnp.asarray(0.02 * rng.normal(size=(rows, 3))))
     read = np.asarray(true.v) + [0.2, -0.1, 0.15] + 0.01 * rng.normal(size=(rows, 3))
     return body, np.asarray(true.v), np.asarray(q), read

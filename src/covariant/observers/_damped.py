@@ -248,28 +248,22 @@ class Damped(AbstractObserver):
         """The measured configuration, and the readings (K,)."""
         return self._sensors.split(y, self.model.manifold.shape)
 
-    def _read(self, sensor: Sensor, motion: Motion, u: Float[Array, "m"], t: Scalar) -> Vector:
-        def refused() -> Vector:
-            raise ValueError(f"Damped: sensor {sensor.name} reads an acceleration, which is not linear in the velocity")
-
-        return sensor.h(Instant(motion.q, motion.v, refused, u, t), motion.v[:0])
-
     def _outputs(self, motion: Motion, u: Float[Array, "m"], t: Scalar) -> tuple[Readings, Float[Array, "K n"]]:
         """Expected readings (K,) without their offsets, and their derivative J (K, n) in the velocity."""
 
         def outputs(v: Vector) -> Readings:
-            return jnp.concatenate([self._read(sensor, Motion(motion.q, v), u, t) for sensor in self.sensors])
+            return jnp.concatenate([_reading(sensor, Motion(motion.q, v), u, t) for sensor in self.sensors])
 
         return outputs(motion.v), jax.jacfwd(outputs)(motion.v)
 
     def _check_linear(self, q: Array, rest: Vector, t: Scalar) -> None:
         """Check that the readings are affine in the velocity at q; traced numbers have no values to check."""
-        u, probe = no_input(self.model, rest), 1.0 + jnp.arange(len(rest), dtype=rest.dtype) / len(rest)
+        u = no_input(self.model, rest)
         for sensor in self.sensors:
-            values = [self._read(sensor, Motion(q, k * probe), u, t) for k in range(3)]
-            if any(isinstance(value, Tracer) for value in values):
+            values = _at_three_velocities(sensor, q, rest, u, t)
+            if isinstance(values, Tracer):
                 continue
-            still, once, twice = map(np.asarray, values)
+            still, once, twice = np.asarray(values)
             change = np.abs(once - still).max()
             # NaN, as at a singular place of a chart, compares as false.
             if np.abs(twice - 2 * once + still).max() > 1e-3 * (change + np.abs(still).max()) or change == 0:
@@ -277,6 +271,21 @@ class Damped(AbstractObserver):
                     f"Damped: the readings of sensor {sensor.name} must be linear in the velocity; use a filter, such "
                     "as IntrinsicKalman, for other sensors"
                 )
+
+
+def _reading(sensor: Sensor, motion: Motion, u: Float[Array, "m"], t: Scalar) -> Vector:
+    def refused() -> Vector:
+        raise ValueError(f"Damped: sensor {sensor.name} reads an acceleration, which is not linear in the velocity")
+
+    return sensor.h(Instant(motion.q, motion.v, refused, u, t), motion.v[:0])
+
+
+@eqx.filter_jit
+def _at_three_velocities(sensor: Sensor, q: Array, rest: Vector, u: Float[Array, "m"], t: Scalar) -> Array:
+    """Readings (3, j) at rest, at some velocity with different entries, and at twice that."""
+    n = rest.shape[0]
+    probe = 1.0 + jnp.arange(n, dtype=rest.dtype) / n
+    return jax.vmap(lambda v: _reading(sensor, Motion(q, v), u, t))(jnp.stack([rest, probe, 2 * probe]))
 
 
 def damping_step(
