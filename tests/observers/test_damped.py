@@ -40,7 +40,7 @@ def systems():
 
 def measurement(observer, q, readings=None):
     """Measurement of a configuration, or of none, and of readings, or of none."""
-    count = observer._sensors.count
+    count = observer._sensors.size
     return observer._sensors.joined(q, jnp.full(count, jnp.nan) if readings is None else readings)
 
 
@@ -61,7 +61,7 @@ def test_a_sample_never_expands_and_is_the_damper_where_it_is_short(systems, nam
     """In |δv|² + δb²/γ, for random Γ, γ, dt and missing readings; and to first order in dt by hand."""
     model, q, sensors = systems[name]
     observer = Damped(Intrinsic(model, 4.0, 8.0, substeps=1), sensors, 1.0)
-    k, n, rng = observer._sensors.count, len(model.manifold.zero(q)), np.random.default_rng(0)
+    k, n, rng = observer._sensors.size, len(model.manifold.zero(q)), np.random.default_rng(0)
     state, u = observer.init(measurement(observer, q)), jnp.zeros(models.input_count(model, n))
     metric, nowhere = np.asarray(model.space(q)), jnp.full_like(q, jnp.nan)
 

@@ -168,9 +168,9 @@ class Damped(AbstractObserver):
         check_not_negative("Damped", bias_gain=self.bias_gain)
         for name in ("damping", "bias_gain"):
             shape = np.shape(getattr(self, name))
-            if shape not in ((), (self._sensors.count,)):
+            if shape not in ((), (self._sensors.size,)):
                 raise ValueError(
-                    f"Damped: {name} must be one number or {self._sensors.count}, one for each reading; its shape is "
+                    f"Damped: {name} must be one number or {self._sensors.size}, one for each reading; its shape is "
                     f"{shape}"
                 )
 
