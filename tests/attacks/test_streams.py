@@ -64,6 +64,14 @@ LONG = (
     "test_no_stream_spoils_an_observer[copy]",
     "test_no_stream_spoils_an_observer[information ekf]",
 )
+EXHAUSTIVE = (
+    "test_no_stream_spoils_an_observer[intrinsic kalman, body]",
+    "test_no_stream_spoils_an_observer[invariant ekf]",
+    "test_no_stream_spoils_an_observer[group, riemannian]",
+    "test_no_stream_spoils_an_observer[intrinsic, second order]",
+    "test_no_stream_spoils_an_observer[geodesic]",
+    "test_no_stream_spoils_an_observer[craft]",
+)
 
 ROWS = 400
 FAULTY = slice(40, 70)

@@ -32,6 +32,7 @@ LONG = (
     "test_a_forger_who_mends_the_digest_is_refused_with_the_reason[square]",
 )
 """Cases of the long suite: a cheaper one of the same test is in the short one."""
+EXHAUSTIVE = ("test_a_forger_who_mends_the_digest_is_refused_with_the_reason[box enlarged]",)
 
 
 @pytest.fixture(scope="module")

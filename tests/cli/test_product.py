@@ -66,7 +66,7 @@ def estimates(request, tmp_path_factory) -> dict[str, dict[str, Any]]:
 
 
 # All estimators are compiled by JAX: the mechanical ones take a minute each.
-SLOW = {"chart": pytest.mark.long, "group": pytest.mark.exhaustive}
+SLOW = dict.fromkeys(("chart", "group"), pytest.mark.exhaustive)
 COMPARED = [pytest.param(name, marks=SLOW.get(name, ())) for name in KINDS]
 
 

@@ -58,6 +58,11 @@ LONG = (
     "test_its_vectors_are_what_the_observer_does_in_jax[top]",
     "test_sanitizers_find_nothing[top]",
 )
+EXHAUSTIVE = (
+    "test_it_compiles_without_a_warning_and_passes_its_own_test[tables]",
+    "test_it_compiles_without_a_warning_and_passes_its_own_test[scara]",
+    "test_it_compiles_without_a_warning_and_passes_its_own_test[thirty]",
+)
 
 ROOT = Path(__file__).parents[2]
 FLAGS = ["-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Wdouble-promotion", "-Werror"]

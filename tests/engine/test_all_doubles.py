@@ -23,6 +23,10 @@ LONG = (
     "test_a_step_by_either_engine_is_the_same[on a group]",
 )
 """Cases of the long suite: a cheaper one of the same test, or of the same law, is in the short one."""
+EXHAUSTIVE = (
+    "test_a_step_by_either_engine_is_the_same[gated]",
+    "test_a_step_by_either_engine_is_the_same[on a group]",
+)
 
 pytestmark = pytest.mark.skipif(shutil.which("cc") is None, reason="there is no C compiler, `cc`")
 SPECIAL = (math.nan, math.inf, -math.inf, 5e-324, -1e-323, 1e-310, -0.0, 0.0, 3e9, 7e9, 1e22, -1e22, 1e154, -1.7e308)

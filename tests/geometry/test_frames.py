@@ -43,7 +43,12 @@ LONG = (
     "test_transport_is_an_isometry[uneven, SO(3), by its energy]",
     "test_what_is_missing_of_a_product_is_missing_of_its_factor[0]",
 )
-EXHAUSTIVE = ("robot, planar base", "robot, ball joint x joints")
+EXHAUSTIVE = (
+    "robot, planar base",
+    "robot, ball joint x joints",
+    "robot, SE(3) x joints",
+    "uneven, SE(2) x coordinates",
+)
 
 BUDGET = Budget(steps=12)
 

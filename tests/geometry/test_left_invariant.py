@@ -28,6 +28,11 @@ LONG = (
     "test_euler_angles_have_the_same_geometry",
     "test_exponential_coordinates_have_the_same_geometry[SO3]",
 )
+EXHAUSTIVE = (
+    "test_exponential_coordinates_have_the_same_geometry[SE2]",
+    "test_the_frame_alone_gives_the_same_geometry[SU3]",
+    "test_the_frame_alone_gives_the_same_geometry[SO3 x SO2]",
+)
 
 GROUPS = {
     "SO3": lie.SO3,

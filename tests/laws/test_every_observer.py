@@ -68,6 +68,14 @@ LONG = (
     "test_the_engine_of_jax_returns_arrays_of_numpy_too[body on SO(3)]",
 )
 """Cases of the long suite: a cheaper one of the same test is in the short one."""
+EXHAUSTIVE = (
+    "test_from_rest_it_finds_the_motion_at_irregular_stamps[geodesic-body on SO(3)]",
+    "test_from_rest_it_finds_the_motion_at_irregular_stamps[ukf-body on SO(3)]",
+    "test_from_rest_it_finds_the_motion_at_irregular_stamps[ekf-body on SO(3)]",
+    "test_from_rest_it_finds_the_motion_at_irregular_stamps[intrinsic-ball and beam]",
+    "test_compiled_c_does_the_same[ekf-body on SO(3)]",
+    "test_compiled_c_does_the_same[geodesic-ball and beam]",
+)
 
 ROWS, RATE = 240, 100.0
 GAP = slice(120, 150)

@@ -29,6 +29,12 @@ LONG = (
     "test_geodesic_deviation[sphere]",
 )
 """Cases of the long suite: a cheaper one of the same test is in the short one."""
+EXHAUSTIVE = (
+    "test_geodesic_is_found[triple pendulum]",
+    "test_geodesic_is_found[double pendulum, absolute]",
+    "test_geodesic_is_found[numeric sphere]",
+    "test_geodesic_is_found[numeric hyperbolic]",
+)
 
 POINTWISE = 1e-11
 GEODESIC = 1e-9

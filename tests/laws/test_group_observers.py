@@ -32,7 +32,14 @@ LONG = (
     "test_error_in_a_parallel_frame_obeys_the_linear_law_at_any_speed[intrinsic-SO(3)]",
     "test_error_in_a_parallel_frame_obeys_the_linear_law_at_any_speed[intrinsic2-SO(3)]",
 )
-EXHAUSTIVE = ("SU(5)", "robot, planar base", "robot, ball joint x joints")
+EXHAUSTIVE = (
+    "SU(5)",
+    "robot, planar base",
+    "robot, ball joint x joints",
+    "robot, joints",
+    "robot, SE(3) x joints",
+    "SE(3) x joints",
+)
 
 ALPHA, BETA = 1.2, 0.9
 

@@ -43,6 +43,12 @@ LONG = (
     "test_error_in_a_parallel_frame_obeys_the_linear_law_at_any_speed[intrinsic2-sphere]",
     "test_what_the_linear_law_leaves_out_is_of_first_order_in_the_error[intrinsic]",
 )
+EXHAUSTIVE = (
+    "test_error_in_a_parallel_frame_obeys_the_linear_law_at_any_speed[geodesic-double pendulum]",
+    "test_error_in_a_parallel_frame_obeys_the_linear_law_at_any_speed[intrinsic2-ball and beam]",
+    "test_error_in_a_parallel_frame_obeys_the_linear_law_at_any_speed[geodesic, converged-ball and beam]",
+    "test_error_in_a_parallel_frame_obeys_the_linear_law_at_any_speed[geodesic, converged-double pendulum]",
+)
 
 ALPHA, BETA = 1.2, 0.9
 A = np.array([[-ALPHA, 1.0], [-BETA, 0.0]])

@@ -8,18 +8,22 @@ import os
 import sys
 
 import pytest
-from page_runs import WITH_COMMANDS, WITH_LONG_BLOCKS, over, run, run_program
+from page_runs import WITH_COMMANDS, WITH_LONG_BLOCKS, run, run_program
 
 pytestmark = pytest.mark.long
 MAIN = ("README.md", "check.md", "fmu.md")
-EVERYWHERE = [
-    pytest.param(page, marks=() if page.name in MAIN else pytest.mark.exhaustive, id=page.name)
-    for page in WITH_COMMANDS
-]
-everywhere = pytest.mark.parametrize("page", EVERYWHERE)
+GRIDS = ("metrics.md", "spaces.md")
+"""Pages whose long blocks compute for minutes."""
 
 
-@over(WITH_LONG_BLOCKS)
+def marked(pages, in_long):
+    return [pytest.param(page, marks=() if in_long(page) else pytest.mark.exhaustive, id=page.name) for page in pages]
+
+
+everywhere = pytest.mark.parametrize("page", marked(WITH_COMMANDS, lambda page: page.name in MAIN))
+
+
+@pytest.mark.parametrize("page", marked(WITH_LONG_BLOCKS, lambda page: page.name not in GRIDS))
 def test_a_page_runs_with_its_long_blocks_too(page, tmp_path, home):
     run(page, tmp_path, home, os.defpath, "--long")
 
