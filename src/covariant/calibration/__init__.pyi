@@ -47,6 +47,7 @@ from ._robot_fit import RobotFit as RobotFit, fit_robot as fit_robot
 from ._robot_misfit import robot_misfit as robot_misfit
 from ._robot_torques import motor_inputs as motor_inputs
 from ._sensor import outliers as outliers
+from ._sensor_motion import Beside as Beside
 from ._speeds import usual_speeds as usual_speeds
 from ._stored_observer import stored_observer as stored_observer
 from ._suggest import Suggestion as Suggestion, suggest_noise as suggest_noise

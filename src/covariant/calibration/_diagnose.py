@@ -4,7 +4,7 @@ The model's accelerations along the smoothed log are compared with the measured 
 log is in the units, order and signs of the model, and whether every column was measured at its stamps.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
@@ -38,7 +38,9 @@ from covariant.calibration._finding import Diagnosis, Finding
 from covariant.calibration._missing_torques import missing_torques
 from covariant.calibration._readings import readings
 from covariant.calibration._residual import Residual, residual
+from covariant.calibration._sensor_checks import sensor_checks
 from covariant.calibration._sensor_findings import sensor_findings, standstill
+from covariant.calibration._sensor_motion import Beside
 from covariant.calibration._smooth import Smooth, held_inputs, smooth
 from covariant.calibration._twin import twin
 from covariant.models import ModelFile
@@ -74,6 +76,8 @@ WEIGHTS = (
         "unit of",
         "swapped",
         "sign of",
+        "axes of",
+        "sensor",
         "zero of",
         "model",
         "friction",
@@ -83,7 +87,7 @@ WEIGHTS = (
         "row shift",
     ),
     *("scale of", "inputs between"),
-    *("uncertainty", "noise", "ticks", "repeated", "outliers", "a position"),
+    *("uncertainty", "noise", "ticks", "repeated", "outliers", "a position", "bias of"),
 )
 """How findings begin, in the order of what they invalidate: a wrong unit or order makes all numbers below it wrong."""
 
@@ -94,6 +98,7 @@ def diagnose(
     quantum: float | tuple[float, ...] | None = None,
     first_row: int = 1,
     every: int = 1,
+    sensors: Sequence[Beside] = (),
 ) -> Diagnosis:
     """Compare a log with a model, and report what is wrong with the log, or with the model file for it.
 
@@ -106,6 +111,8 @@ def diagnose(
             has it.
         first_row: Row of the file, counted from 1, at which the record begins; messages count from it.
         every: The record has each `every`-th row of the file.
+        sensors: Sensors beside the positions with their readings in the rows of the record, which are judged by what
+            the positions predict of them; of a machine that is not in coordinates they are not.
 
     Returns:
         The findings, sorted by what they invalidate: those first that make others meaningless. A log that fits has none
@@ -121,7 +128,7 @@ def diagnose(
         >>> diagnose(load("oscillator"), Record(t, np.zeros((1000, 1)), y[:, None])).findings
         ()
     """
-    findings, checks = _findings(file, record, quantum, _sensor.Rows(np.asarray(record.t), first_row, every))
+    findings, checks = _findings(file, record, quantum, _sensor.Rows(np.asarray(record.t), first_row, every), sensors)
     return Diagnosis(tuple(sorted(findings, key=_weight)), checks)
 
 
@@ -132,7 +139,11 @@ def _weight(finding: Finding) -> tuple[bool, int]:
 
 
 def _findings(
-    file: ModelFile, record: Record, quantum: float | tuple[float, ...] | None, rows: _sensor.Rows
+    file: ModelFile,
+    record: Record,
+    quantum: float | tuple[float, ...] | None,
+    rows: _sensor.Rows,
+    sensors: Sequence[Beside],
 ) -> tuple[list[Finding], tuple[str, ...]]:
     """All findings, unsorted, and the names of the checks."""
     findings = [*_sensor.stamps(rows.t), *_sensor.missing_cells(np.asarray(record.y))]
@@ -161,11 +172,15 @@ def _findings(
     noise = np.maximum(np.nan_to_num(readings(record._replace(y=y), case.model.circles).std), ticks)
     forward = set_forward(rows.t, unwrap(y, case.model.circles), noise, rows)
     findings += [*forward, *still, *outliers, *repeated, *changes]
+    # In another unit of time the readings have other rates too: they are judged once it is right.
+    sensors = () if any(each.what == "unit of time" for each in changes) else sensors
+    checks += ("sensors beside the positions",) if sensors else ()
     best = best_window(case)
     if best is None or not best[1].told.any():
         return [
             *findings,
             *_sensors(case, quantum),
+            *sensor_checks(case, rows.t, sensors),
             standstill(case.record, case.model.circles, case.names, case.ticks),
         ], checks
     checks += (
@@ -184,7 +199,8 @@ def _findings(
     # Readings of a column that is rows late are those of a sensor only in their own rows.
     moved = _with_rows_moved(case, corrected.rows + np.array([_rows_late(shifted, name) for name in case.names.q]))
     unexplained = [] if shifted or inputs else _unexplained(case, corrected.left, best[0])
-    return [*findings, *_sensors(moved, quantum), *delays, *shifted, *inputs, *unexplained], checks
+    beside = sensor_checks(case, rows.t, sensors, corrected.delay - corrected.delay.min())
+    return [*findings, *_sensors(moved, quantum), *beside, *delays, *shifted, *inputs, *unexplained], checks
 
 
 def _delays(case: Case, half: float) -> tuple[list[Finding], Corrected]:

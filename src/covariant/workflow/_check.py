@@ -9,6 +9,7 @@ from covariant.models import Overrides
 from covariant.workflow._inputs import ColumnNames, Job, load
 from covariant.workflow._progress import Progress, silent
 from covariant.workflow._result import AbstractResult
+from covariant.workflow._sensors import beside
 
 
 def check(
@@ -23,6 +24,9 @@ def check(
     progress: Progress = silent,
 ) -> "CheckResult":
     """Compare a log with a model: clock, units, order and signs of columns, delays, ticks, noise, outliers, gaps.
+
+    Each sensor of the model file that the log has is compared with what the positions predict of it: sign, axes, unit,
+    delay, bias and noise.
 
     Args:
         model: A mechanical model, in any of the forms that `estimate` takes.
@@ -63,7 +67,8 @@ def check(
         loaded = load(job._replace(log=record), score=False, why="logs are compared with")
     # The quantum is that of the model file: loading removes it where positions are not such ticks.
     quantum = models.load(model, overrides).quantum
-    diagnosis = diagnose(loaded.file, loaded.log.record, quantum, loaded.log.first_row, loaded.log.every)
+    sensors = beside(loaded.file, loaded.sensors, loaded.readings)
+    diagnosis = diagnose(loaded.file, loaded.log.record, quantum, loaded.log.first_row, loaded.log.every, sensors)
     diagnosis = diagnosis._replace(findings=(*clock, *diagnosis.findings))
     return CheckResult(job.model_name, job.log_name, len(loaded.log.record.t), loaded.rate, diagnosis)
 

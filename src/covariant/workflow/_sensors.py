@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from covariant import logs, observers
+from covariant.calibration import Beside
 from covariant.geometry.lie import SO3
 from covariant.models import MechanicalSystem, ModelFile, Motion, acceleration, input_count
 from covariant.observers import Instant, Sensor
@@ -151,6 +152,29 @@ def readings(parts: Sequence[FileSensor], source: Any, log: logs.Log) -> tuple[F
         for part, each in zip(parts, read, strict=True)
     ]
     return np.concatenate(filled, axis=1), note
+
+
+def beside(
+    file: ModelFile, parts: Sequence[FileSensor], values: Float[np.ndarray, "T K"] | None
+) -> tuple[Beside, ...]:
+    """The sensors of a model file with their readings in a log, to be compared with the positions.
+
+    Args:
+        file: The model file.
+        parts: Its sensors.
+        values: Readings (T, K) of all of them; None without.
+
+    Returns:
+        A sensor and its readings for each.
+    """
+    if values is None or not parts:
+        return ()
+    split = np.split(values, np.cumsum([part.sensor.count for part in parts])[:-1], axis=1)
+    return tuple(
+        Beside(part.sensor, table["kind"], part.columns.measured, table, part.unit, part.delay, each)
+        for part, each in zip(parts, split, strict=True)
+        for table in (file.sensors[part.sensor.name],)
+    )
 
 
 def reading_delays(observer: Any, delay: Any, parts: Sequence[FileSensor], y: np.ndarray) -> Any:
