@@ -36,7 +36,10 @@ UNITS = {
 }
 """Units to try for readings in SI units."""
 VECTORS = ("gyro", "accelerometer", "point", "pose")
-WITH_AXES = ("gyro", "accelerometer", "pose")
+WITH_AXES = ("gyro", "accelerometer")
+"""Kinds whose three numbers are in axes that the table states; those of a pose turn its attitude only."""
+OTHER_ORDER = {"quaternion_wxyz": "quaternion_xyzw", "quaternion_xyzw": "quaternion_wxyz"}
+"""Attitudes that are taken for one another."""
 
 
 def sensor_checks(
@@ -135,11 +138,11 @@ def _turned(seen: Pair, beside: Beside) -> Finding | None:
     """The finding on axes that are turned by a smaller angle."""
     if beside.kind not in VECTORS:
         return None
-    offset = beside.kind != "accelerometer"
-    matrix, known = best_rotation(seen, offset)
+    # Always with a free offset: against gravity a bias looks like a turn.
+    matrix, known = best_rotation(seen, True)
     half = len(seen.t) // 2
     parts = [
-        best_rotation(seen._replace(used=seen.used & each), offset)[0]
+        best_rotation(seen._replace(used=seen.used & each), True)[0]
         for each in (np.arange(len(seen.t)) < half, np.arange(len(seen.t)) >= half)
         if (seen.used & each).sum() > 3
     ]
@@ -158,19 +161,41 @@ def _turned(seen: Pair, beside: Beside) -> Finding | None:
 def _turned_pose(seen: Pair, beside: Beside) -> Finding | None:
     """The finding on the attitude of a pose, whose twelve numbers are a position and a rotation."""
     predicted, read = (each[seen.used][:, 3:].reshape(-1, 3, 3) for each in (seen.predicted, seen.read))
-    u, s, vt = np.linalg.svd(np.einsum("kij,kil->jl", predicted, read) / len(read))
-    turn = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
-    # The singular values are all 1 where one turn explains all attitudes.
-    if s.sum() / 3 < 1 - UNEXPLAINED / 2:
+    turn, explained = _common_turn(predicted, read)
+    if explained > 1 - UNEXPLAINED / 2 and _degrees(turn) < np.rad2deg(TURNED):
+        return None
+    other = OTHER_ORDER.get(str(beside.table.get("attitude")))
+    if other is not None:
+        again, share = _common_turn(predicted, _reordered(read, other))
+        if share > 1 - UNEXPLAINED / 2 and _degrees(again) < np.rad2deg(TURNED):
+            evidence = f"its attitudes are {_degrees(turn):.3g}° off, and {_degrees(again):.2g}° in the order of {other}"
+            line = f'[sensors.{beside.sensor.name}] attitude = "{other}"'
+            return Finding("axes of a sensor", beside.sensor.name, evidence, line, True, {"attitude": other})
+    if explained < 1 - UNEXPLAINED / 2:
         evidence = "no turn of its axes explains its attitudes"
         line = f"look at attitude, columns and link of [sensors.{beside.sensor.name}]"
         return Finding("sensor", beside.sensor.name, evidence, line, True, {})
-    if _degrees(turn) < np.rad2deg(TURNED):
-        return None
     evidence = f"its attitude is turned by {_degrees(turn):.3g}° against the link"
     # turn: from the axes that are read to those that the model file states.
     line = f"[sensors.{beside.sensor.name}] {_axes_line(beside, turn.T)}"
     return Finding("axes of a sensor", beside.sensor.name, evidence, line, True, {"matrix": turn.T.tolist()})
+
+
+def _common_turn(predicted: np.ndarray, read: np.ndarray) -> tuple[np.ndarray, float]:
+    """The rotation (3, 3) T with `read = predicted T`, and how much of the attitudes it explains, at most 1."""
+    u, s, vt = np.linalg.svd(np.einsum("kij,kil->jl", predicted, read) / len(read))
+    # The singular values are all 1 where one turn explains all attitudes.
+    return u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt, float(s.sum() / 3)
+
+
+def _reordered(read: np.ndarray, other: str) -> np.ndarray:
+    """Attitudes (K, 3, 3) whose quaternions are in another order than they were read in."""
+    from scipy.spatial.transform import Rotation
+
+    last = Rotation.from_matrix(read).as_quat()  # x, y, z, w
+    # Cells w x y z that are x y z w: the first three are the vector. The other way round the first is the scalar.
+    cells = np.roll(last, 1, axis=1) if other == "quaternion_xyzw" else np.roll(last, -1, axis=1)
+    return Rotation.from_quat(cells).as_matrix()
 
 
 def _scaled(beside: Beside, verdict: Verdict, off: np.ndarray, after: str, numbers: dict[str, Any]) -> Finding:
@@ -182,12 +207,14 @@ def _scaled(beside: Beside, verdict: Verdict, off: np.ndarray, after: str, numbe
         evidence, line = f"{after} with {alone} reversed", f"{where} {_units_line(beside, scale)}"
         return Finding("sign of a sensor", name, evidence, line, True, numbers)
     values = ", ".join(f"{value:.4g} ± {std:.2g}" for value, std in zip(scale[off], verdict.scale_std[off], strict=True))
-    evidence = f"{which} reads {values if beside.kind not in VECTORS else values.split(', ')[0]} times what the "
-    evidence += f"positions say; {after} with that scale"
-    line = f"{where} {_units_line(beside, scale)}"
-    if beside.kind in ("encoder", "tachometer"):
+    evidence = f"{which}: readings are {values if beside.kind not in VECTORS else values.split(', ')[0]} times what "
+    evidence += f"the positions say; {after} with that scale"
+    units = _units_line(beside, scale)
+    line = f"{where} {units}"
+    if beside.kind in ("encoder", "tachometer") and not any(letter.isalpha() for letter in units.split("=")[1]):
+        # A scale of no unit is a gear.
         stated = np.broadcast_to(np.asarray(beside.table.get("reduction", 1.0), float), len(scale))
-        line += f", or reduction = {_number_or_list(stated * scale)}"
+        line = f"{where} reduction = {_number_or_list(stated * scale)}, or {units}"
     return Finding("unit of a sensor", name, evidence, line, True, numbers)
 
 
@@ -262,6 +289,9 @@ def _undetermined(seen: Pair, beside: Beside) -> str:
 
 def _units_line(beside: Beside, scale: np.ndarray) -> str:
     """The units that readings are in, which the table takes for others by a scale (k,)."""
+    if beside.kind == "pose":
+        name = _unit(float(1 / scale[0]), "m")
+        return f"has its position in m: {', '.join(beside.columns[:3])} are in units of {name}"
     texts = beside.table.get("units", ())
     texts = [texts] if isinstance(texts, str) else list(texts)
     now = (texts * len(scale) if len(texts) == 1 else texts) or ["1"] * len(scale)
@@ -318,4 +348,5 @@ def _listed(names: Sequence[str], which: np.ndarray) -> str:
 
 
 def _percent(share: float) -> str:
-    return f"{100 * share:.3g} %"
+    # Readings in another unit or of the other sign are farther off than no prediction at all.
+    return f"{100 * share:.3g} %" if share < 1 else "all"
