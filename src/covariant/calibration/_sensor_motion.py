@@ -28,6 +28,10 @@ CLEAR = 25.0
 """Ratio of the variance of a signal to that of its noise from which it is judged: it leaves a scale 4 % wrong."""
 SAMPLES = 40
 """Number of points at which the derivatives of an output are averaged."""
+PIECE = 256
+"""Points at which an output is computed at once."""
+ROUNDING = 1e-12
+"""Ratio to the largest variance up to which one is zero but for rounding."""
 FEWEST_ROWS = 60
 """Least number of readings, and of grid points, that are judged."""
 
@@ -70,7 +74,8 @@ class Pair(NamedTuple):
         predicted: Predicted readings (K, k), without a bias.
         read: Measured readings (K, k), each at the time at which it was true according to the model file.
         used: Which times (K,) have full windows.
-        predicted_noise: Standard deviation (k,) of `predicted`, from that of the positions.
+        predicted_noise: Standard deviation (k,) of `read - predicted` of a right sensor: from the noise of the positions
+            and that which the table of the sensor states.
         read_noise: Standard deviation (k,) of `read`.
         noise: Standard deviation (k,) of one reading, before it is smoothed; NaN for few.
         half: Half width of the windows [s].
@@ -119,20 +124,19 @@ def pair(case: Case, t: Float[np.ndarray, "T"], beside: Beside, late: Any = 0.0)
     if len(spacings) < readings.shape[1]:
         return None
     least, best = FEWEST * float(max(spacings)), None
-    output = _output(beside.sensor)
+    output = _Output.of(beside.sensor)
     for half in (w * case.file.reference_half for w in WIDER):
         wide = max(half, least)
         if not long_enough(case, wide):
             break
-        log = smooth(
-            acting(case), wide, case.model.circles, late + np.asarray(case.file.delay, float), case.ticks
-        )
-        found = _at(log, output, readings, at, beside)
+        stated = late + np.asarray(case.file.delay, float)
+        log = smooth(acting(case), wide, case.model.circles, stated, case.ticks)
+        found, never = _at(log, output, readings, at, beside)
         if found.used.sum() < FEWEST_ROWS:
             break
         if best is None or found.shown.sum() > best.shown.sum():
             best = found
-        if best.shown.all():
+        if (best.shown | never).all():
             break
     return best
 
@@ -149,33 +153,58 @@ def _without_outliers(beside: Beside, t: np.ndarray) -> np.ndarray:
     return np.where(wrong, np.nan, readings)
 
 
-def _output(sensor: Sensor) -> Callable[..., Any]:
-    """Output of a sensor of q, v, a, u and t, without its slow states."""
-    none = jnp.zeros(0 if sensor.slow is None else len(sensor.slow.names))
+class _Output(NamedTuple):
+    """Output of a sensor of q, v, a, u and t, without its slow states, and its derivatives in q, v and a."""
 
-    def output(q, v, a, u, t):
-        return sensor.h(Instant(q, v, lambda: a, u, t), none)
+    values: Callable[..., Any]
+    slopes: Callable[..., Any]
 
-    return output
+    @classmethod
+    def of(cls, sensor: Sensor) -> "_Output":
+        none = jnp.zeros(0 if sensor.slow is None else len(sensor.slow.names))
+
+        def output(q, v, a, u, t):
+            return sensor.h(Instant(q, v, lambda: a, u, t), none)
+
+        return cls(jax.jit(jax.vmap(output)), jax.jit(jax.vmap(jax.jacfwd(output, (0, 1, 2)))))
+
+    def along(self, log: Smooth, size: int) -> np.ndarray:
+        """Values (K, k) along a smoothed log, computed in pieces of one size, so that they are compiled once."""
+        count = len(log.t)
+        rows = np.minimum(np.arange(-(-count // size) * size), count - 1)
+        arrays = [np.asarray(each)[rows] for each in (log.q, log.v, log.a, log.u, log.t)]
+        pieces = zip(*(each.reshape(-1, size, *each.shape[1:]) for each in arrays), strict=True)
+        return np.concatenate([np.asarray(self.values(*map(jnp.asarray, piece))) for piece in pieces])[:count]
+
+    def at(self, log: Smooth, points: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Derivatives (P, k, n) in q, v and a at some points."""
+        slopes = self.slopes(*(jnp.asarray(np.asarray(each)[points]) for each in (log.q, log.v, log.a, log.u, log.t)))
+        return tuple(np.asarray(each) for each in slopes)
 
 
-def _at(log: Smooth, output: Callable[..., Any], readings: np.ndarray, at: np.ndarray, beside: Beside) -> Pair:
-    """The pair at one width of the windows."""
+def _at(
+    log: Smooth, output: _Output, readings: np.ndarray, at: np.ndarray, beside: Beside
+) -> tuple[Pair, Bool[np.ndarray, "k"]]:
+    """The pair at one width of the windows, and which numbers no motion changes there."""
     order = DERIVATIVE.get(beside.kind, 0)
-    arrays = tuple(jnp.asarray(each) for each in (log.q, log.v, log.a, log.u, log.t))
-    predicted = np.asarray(jax.jit(jax.vmap(output))(*arrays))
+    predicted = output.along(log, PIECE)
+    read, used, noise = _smoothed(log, readings, at, order)
+    spacing, mean = float(np.median(np.diff(at))), _gain(log.half, float(np.median(np.diff(at))), 0)
     points = np.flatnonzero(log.used)
-    points = points[np.linspace(0, len(points) - 1, min(SAMPLES, len(points))).astype(int)] if len(points) else points
-    slopes = jax.jit(jax.vmap(jax.jacfwd(output, (0, 1, 2))))(*(each[points] for each in arrays))
-    spacing = float(np.median(np.diff(at)))
+    if not len(points):
+        points = np.arange(len(log.t))
+    slopes = output.at(log, points[np.linspace(0, len(points) - 1, SAMPLES).astype(int)])
     variance = np.zeros(predicted.shape[1])
     for derivative, slope in enumerate(slopes):
         std = _gain(log.half, spacing, derivative) * log.noise
-        variance += np.mean(np.sum((np.asarray(slope) * std) ** 2, axis=2), axis=0) if len(points) else 0.0
-    read, used, noise = _smoothed(log, readings, at, order)
+        variance += np.mean(np.sum((slope * std) ** 2, axis=2), axis=0)
+    stated = np.sqrt(np.diag(np.asarray(beside.sensor.cov)))
+    if len(stated) < len(variance):  # of a pose: three numbers of its rotation for nine
+        stated = np.append(stated[:3], np.full(len(variance) - 3, stated[3:].max()))
+    never = variance <= ROUNDING * variance.max(initial=0.0)
     # A mean over a window: of a filter of a number of its own kind the gain is that of a fitted value.
-    read_noise = np.nan_to_num(noise) * _gain(log.half, spacing, 0)
-    return Pair(log.t, predicted, read, used, np.sqrt(variance), read_noise, noise, log.half)
+    whole = np.sqrt(variance + (mean * stated) ** 2)
+    return Pair(log.t, predicted, read, used, whole, np.nan_to_num(noise) * mean, noise, log.half), never
 
 
 def _smoothed(
