@@ -23,6 +23,7 @@ from covariant.models import Overrides
 from covariant.observers import AbstractObserver
 from covariant.scoring import rmse
 from covariant.signals import Result, Run
+from covariant.workflow._determined import Determined, determined
 from covariant.workflow._inputs import (
     ColumnNames,
     Job,
@@ -121,7 +122,7 @@ def estimate(
         raise ValueError(
             f"{job.log_name}: the estimate left the finite numbers; lower the gains or check model and units"
         )
-    return EstimateResult(job, loaded, observer, notes, outcome, engine)
+    return EstimateResult(job, loaded, observer, notes, outcome, engine, determined(chosen, loaded, outcome))
 
 
 @dataclass(frozen=True, repr=False)
@@ -135,6 +136,7 @@ class EstimateResult(AbstractEstimates):
         design: Sentences on gains and noise.
         outcome: The run of the observer, with its score where there is a reference.
         asked_engine: The engine that was asked for.
+        determined: How well the log determines what is estimated along with the motion, such as biases and forces.
 
     Example:
         >>> import covariant
@@ -154,6 +156,7 @@ class EstimateResult(AbstractEstimates):
     design: tuple[str, ...]
     outcome: Outcome
     asked_engine: EngineName
+    determined: tuple[Determined, ...] = ()
 
     @property
     def run(self) -> Run:
@@ -266,6 +269,11 @@ class EstimateResult(AbstractEstimates):
                 name: {"readings": each.readings, "refused": each.refused, "nis": rounded(np.array([each.nis]))[0]}
                 for name, each in self.sensors.items()
             }
+        if self.determined:
+            result["determined"] = [
+                {"name": each.name, "ratio": rounded(np.array([each.ratio]))[0], **_stds(each)}
+                for each in self.determined
+            ]
         if reference is not None and logged is not None:
             both = reference.scored & np.isfinite(logged).all(1)
             result["difference_to_logged_velocity"] = rounded(rmse(outcome.velocity[both], logged[both]))
@@ -308,6 +316,7 @@ class EstimateResult(AbstractEstimates):
                 for name, each in self.sensors.items()
             ),
         ]
+        lines += [str(each) for each in self.determined]
         if "logged_velocity_rmse" in result:
             speeds = with_units(result["logged_velocity_rmse"], sought_units(self.loaded.file))
             lines.append(f"the same for the velocity in the log: {speeds}")
@@ -320,7 +329,16 @@ class EstimateResult(AbstractEstimates):
         curves = report_curves({self.observer_name: self.outcome})
         notes = (*self.design, *error_lines(self.summary, self.loaded))
         title = f"{what} of {self.job.title}"
-        return estimate_report(title, self.loaded, curves, notes, headline=self.headline, warnings=self.warnings)
+        rows = tuple(
+            {"estimated along": each.name, "std without the log": each.first, "std": each.last}
+            for each in self.determined
+        )
+        return estimate_report(title, self.loaded, curves, notes, rows, self.headline, self.warnings)
+
+
+def _stds(each: Determined) -> dict[str, float | None]:
+    first, last = rounded(np.array([each.first, each.last]))
+    return {"std_without_log": first, "std": last}
 
 
 def _check_arguments(observer: str | None, alpha: float | None, beta: float | None) -> None:
