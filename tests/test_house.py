@@ -46,14 +46,13 @@ OPTIONAL = (
 )
 
 PUBLIC = {
-    "calibration": "ESTIMATORS FITTED STATE_ESTIMATORS Candidate Combinations DataSheet Diagnosis Draft Excitation "
-    "ExcitationPlan ExpectedErrors Finding Fit FourierMotion Gains HeldOut JointLimits NoiseLevels PredictionErrors "
-    "RobotFit Sensing Suggestion Trial Tuning Windows bias contracting_gain design_excitation diagnose draft "
-    "errors_ahead estimators filter_bandwidth fit fit_robot gains "
-    "gated given_noise growth held_out_logs horizon jerk_bound joint_noise losses mended_clock "
-    "misfit motor_inputs observer_gains outliers predict_errors predict_sampled_errors prediction_errors "
-    "relations robot_misfit rows_ahead split stored_observer suggest_noise tune tuned_estimators "
-    "tuned_state_estimators usual_speeds window_length windows with_gains",
+    "calibration": "ESTIMATORS FITTED STATE_ESTIMATORS Beside Candidate Combinations DataSheet Diagnosis Draft "
+    "Excitation ExcitationPlan ExpectedErrors Finding Fit FourierMotion Gains HeldOut JointLimits NoiseLevels "
+    "PredictionErrors RobotFit Sensing Suggestion Trial Tuning Windows bias contracting_gain design_excitation "
+    "diagnose draft errors_ahead estimators filter_bandwidth fit fit_robot gains gated given_noise growth "
+    "held_out_logs horizon jerk_bound joint_noise losses mended_clock misfit motor_inputs observer_gains outliers "
+    "predict_errors predict_sampled_errors prediction_errors relations robot_misfit rows_ahead split stored_observer "
+    "suggest_noise tune tuned_estimators tuned_state_estimators usual_speeds window_length windows with_gains",
     "certificates": "ASSUMED CHECKERS CascadeCertificate Checked CheckerName Claim Constants ContractionCertificate "
     "Corners Decay Document Evidence Followed Growth Hypothesis MetricDesign Observability Projection Sampled "
     "StateMetric Statement ErrorSystem TradeOff Trajectories Verdict at_corners bending cascade certify check "
@@ -121,10 +120,10 @@ PUBLIC = {
     "simulation": "Backstepping PiecewiseInputs Reference PositionSensor follow hold lissajous logged_inputs no_input "
     "observe sense set_point simulate simulate_piecewise stamps",
     "workflow": "AbstractResult AbstractTable AuditResult CertificateCheckResult CertifyResult CheckResult "
-    "CompareForceResult CompareResult EstimateResult ExcitationResult ExportResult FitResult InitResult MetricResult "
-    "MisfitError ModelResult Progress ReproduceResult SimulateResult SmoothResult TuneResult audit_observer certify "
-    "check check_certificate check_model_output check_output compare compare_force describe_model design_excitation "
-    "design_metric estimate export fit init reproduce_paper simulate smooth tune",
+    "CompareForceResult CompareResult Determinacy EstimateResult ExcitationResult ExportResult FitResult InitResult "
+    "MetricResult MisfitError ModelResult Progress ReproduceResult SimulateResult SmoothResult TuneResult "
+    "audit_observer certify check check_certificate check_model_output check_output compare compare_force "
+    "describe_model design_excitation design_metric estimate export fit init reproduce_paper simulate smooth tune",
 }
 
 

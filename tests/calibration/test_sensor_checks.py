@@ -161,7 +161,7 @@ def test_axes_of_a_gyro(tmp_path):
     case, _ = case_without_outliers(file, Record(t, np.zeros((len(t), 2)), y))
 
     def judged(readings, axes=None):
-        sensor = observers.gyro(file.model.space, "lower", 0.01, axes=axes, name="imu")
+        sensor = observers.gyro(case.model.space, "lower", 0.01, axes=axes, name="imu")
         table = {} if axes is None else {"axes": axes}
         return sensor_checks(case, t, [Beside(sensor, "gyro", tuple(SPINS), table, "rad/s", 0.0, readings)])
 

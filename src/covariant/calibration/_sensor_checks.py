@@ -42,9 +42,7 @@ OTHER_ORDER = {"quaternion_wxyz": "quaternion_xyzw", "quaternion_xyzw": "quatern
 """Attitudes that are taken for one another."""
 
 
-def sensor_checks(
-    case: Case, t: Float[np.ndarray, "T"], sensors: Sequence[Beside], late: Any = 0.0
-) -> list[Finding]:
+def sensor_checks(case: Case, t: Float[np.ndarray, "T"], sensors: Sequence[Beside], late: Any = 0.0) -> list[Finding]:
     """Judge each sensor beside the positions by what the positions predict of it.
 
     Args:
@@ -168,7 +166,9 @@ def _turned_pose(seen: Pair, beside: Beside) -> Finding | None:
     if other is not None:
         again, share = _common_turn(predicted, _reordered(read, other))
         if share > 1 - UNEXPLAINED / 2 and _degrees(again) < np.rad2deg(TURNED):
-            evidence = f"its attitudes are {_degrees(turn):.3g}° off, and {_degrees(again):.2g}° in the order of {other}"
+            evidence = (
+                f"its attitudes are {_degrees(turn):.3g}° off, and {_degrees(again):.2g}° in the order of {other}"
+            )
             line = f'[sensors.{beside.sensor.name}] attitude = "{other}"'
             return Finding("axes of a sensor", beside.sensor.name, evidence, line, True, {"attitude": other})
     if explained < 1 - UNEXPLAINED / 2:
@@ -206,7 +206,9 @@ def _scaled(beside: Beside, verdict: Verdict, off: np.ndarray, after: str, numbe
         alone = "all signs" if off.all() and len(off) > 1 else f"the sign of {which}"
         evidence, line = f"{after} with {alone} reversed", f"{where} {_units_line(beside, scale)}"
         return Finding("sign of a sensor", name, evidence, line, True, numbers)
-    values = ", ".join(f"{value:.4g} ± {std:.2g}" for value, std in zip(scale[off], verdict.scale_std[off], strict=True))
+    values = ", ".join(
+        f"{value:.4g} ± {std:.2g}" for value, std in zip(scale[off], verdict.scale_std[off], strict=True)
+    )
     evidence = f"{which}: readings are {values if beside.kind not in VECTORS else values.split(', ')[0]} times what "
     evidence += f"the positions say; {after} with that scale"
     units = _units_line(beside, scale)
@@ -297,8 +299,7 @@ def _units_line(beside: Beside, scale: np.ndarray) -> str:
     now = (texts * len(scale) if len(texts) == 1 else texts) or ["1"] * len(scale)
     factors = np.array([unit_factor(text) for text in now[: len(scale)]]) / scale
     written = [
-        text if s == 1 and texts else _unit(f, beside.unit)
-        for f, s, text in zip(factors, scale, now, strict=False)
+        text if s == 1 and texts else _unit(f, beside.unit) for f, s, text in zip(factors, scale, now, strict=False)
     ]
     return f'units = "{written[0]}"' if len(set(written)) == 1 else f"units = {written}".replace("'", '"')
 

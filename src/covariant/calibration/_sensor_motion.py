@@ -74,8 +74,8 @@ class Pair(NamedTuple):
         predicted: Predicted readings (K, k), without a bias.
         read: Measured readings (K, k), each at the time at which it was true according to the model file.
         used: Which times (K,) have full windows.
-        predicted_noise: Standard deviation (k,) of `read - predicted` of a right sensor: from the noise of the positions
-            and that which the table of the sensor states.
+        predicted_noise: Standard deviation (k,) of `read - predicted` of a right sensor: from the noise of the
+            positions, and that which the table of the sensor states.
         read_noise: Standard deviation (k,) of `read`.
         noise: Standard deviation (k,) of one reading, before it is smoothed; NaN for few.
         half: Half width of the windows [s].

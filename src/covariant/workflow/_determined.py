@@ -3,6 +3,7 @@
 from typing import Any, NamedTuple
 
 import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
@@ -82,13 +83,15 @@ def determined(observer: Any, loaded: Loaded, outcome: Outcome) -> tuple[Determi
     proportional = np.concatenate([np.full(len(group.names), group.values is not None) for group in groups])
     first = np.where(proportional, std[0] * np.sqrt(free / np.maximum(initial, 1e-300)), np.sqrt(free))
     units = [_unit(name, loaded) for name in filter_.slow_names]
-    found = [Determined(*each) for each in zip(filter_.slow_names, first.tolist(), std[-1].tolist(), units, strict=True)]
+    found = [
+        Determined(*each) for each in zip(filter_.slow_names, first.tolist(), std[-1].tolist(), units, strict=True)
+    ]
     unclear = np.flatnonzero([each.ratio > DETERMINED for each in found])
     if len(unclear) < 2:
         return tuple(found)
     record = loaded.record_for(filter_)
     n = loaded.file.dimension
-    cov = np.asarray(_last_covariance(filter_, *(np.asarray(part, float) for part in record[:3])))[2 * n :, 2 * n :]
+    cov = np.asarray(_last_covariance(filter_, *(jnp.asarray(part, float) for part in record[:3])))[2 * n :, 2 * n :]
     return (*found, *_directions([found[i] for i in unclear], cov[np.ix_(unclear, unclear)], free[unclear]))
 
 

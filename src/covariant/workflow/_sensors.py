@@ -154,9 +154,7 @@ def readings(parts: Sequence[FileSensor], source: Any, log: logs.Log) -> tuple[F
     return np.concatenate(filled, axis=1), note
 
 
-def beside(
-    file: ModelFile, parts: Sequence[FileSensor], values: Float[np.ndarray, "T K"] | None
-) -> tuple[Beside, ...]:
+def beside(file: ModelFile, parts: Sequence[FileSensor], values: Float[np.ndarray, "T K"] | None) -> tuple[Beside, ...]:
     """The sensors of a model file with their readings in a log, to be compared with the positions.
 
     Args:
