@@ -9,7 +9,7 @@ from ._check import CheckResult as CheckResult, check as check
 from ._compare import CompareResult as CompareResult, compare as compare
 from ._compare_force import CompareForceResult as CompareForceResult, compare_force as compare_force
 from ._describe import ModelResult as ModelResult, describe_model as describe_model
-from ._determined import Determined as Determined
+from ._determined import Determinacy as Determinacy
 from ._estimate import EstimateResult as EstimateResult, estimate as estimate
 from ._excitation import ExcitationResult as ExcitationResult, design_excitation as design_excitation
 from ._export import ExportResult as ExportResult, export as export

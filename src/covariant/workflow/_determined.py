@@ -3,12 +3,12 @@
 from typing import Any, NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from covariant.observers import IntrinsicKalman, Slow
-from covariant.observers._protocol import Rows, scan
 from covariant.workflow._inputs import Loaded
 from covariant.workflow._outcome import Outcome, known
 
@@ -20,7 +20,7 @@ LARGE = 0.3
 """Components of a direction that are named, as a fraction of its largest one."""
 
 
-class Determined(NamedTuple):
+class Determinacy(NamedTuple):
     """How well a log determines a slow state, or a combination of several.
 
     Attributes:
@@ -31,10 +31,10 @@ class Determined(NamedTuple):
         unit: Unit of both; "" where it is not known, or has none; of a combination "of their std".
 
     Example:
-        >>> from covariant.workflow import Determined
-        >>> print(Determined("imu_bias2", 0.1, 0.003, "rad/s"))
+        >>> from covariant.workflow import Determinacy
+        >>> print(Determinacy("imu_bias2", 0.1, 0.003, "rad/s"))
         imu_bias2: determined to 0.003 rad/s (0.1 rad/s without the log)
-        >>> print(Determined("imu_bias1", 0.1, 0.0999, "rad/s"))
+        >>> print(Determinacy("imu_bias1", 0.1, 0.0999, "rad/s"))
         imu_bias1: not determined (nothing in the log shows it)
     """
 
@@ -56,7 +56,7 @@ class Determined(NamedTuple):
         return f"{self.name}: {how} to {last} ({first} without the log)"
 
 
-def determined(observer: Any, loaded: Loaded, outcome: Outcome) -> tuple[Determined, ...]:
+def determined(observer: Any, loaded: Loaded, outcome: Outcome) -> tuple[Determinacy, ...]:
     """How well a log determines the slow states of a filter.
 
     The covariance at the end is compared with that of the same states without any measurement: their first covariance,
@@ -84,7 +84,7 @@ def determined(observer: Any, loaded: Loaded, outcome: Outcome) -> tuple[Determi
     first = np.where(proportional, std[0] * np.sqrt(free / np.maximum(initial, 1e-300)), np.sqrt(free))
     units = [_unit(name, loaded) for name in filter_.slow_names]
     found = [
-        Determined(*each) for each in zip(filter_.slow_names, first.tolist(), std[-1].tolist(), units, strict=True)
+        Determinacy(*each) for each in zip(filter_.slow_names, first.tolist(), std[-1].tolist(), units, strict=True)
     ]
     unclear = np.flatnonzero([each.ratio > DETERMINED for each in found])
     if len(unclear) < 2:
@@ -114,10 +114,13 @@ def _unit(name: str, loaded: Loaded) -> str:
 @eqx.filter_jit
 def _last_covariance(observer: IntrinsicKalman, t: Array, u: Array, y: Array) -> Float[Array, "N N"]:
     """Covariance (N, N) of the error of a filter after the last row."""
-    return observer.cov(scan(observer, observer.init(y[0], t[0]), Rows.of(t, u, y))[0])
+    # An input is held from its stamp on, so that a step uses that of the row before.
+    rows = u[:-1], y[1:], jnp.diff(t)
+    state, _ = jax.lax.scan(lambda now, row: (observer.step(now, *row)[0], None), observer.init(y[0], t[0]), rows)
+    return observer.cov(state)
 
 
-def _directions(states: list[Determined], cov: np.ndarray, free: np.ndarray) -> list[Determined]:
+def _directions(states: list[Determinacy], cov: np.ndarray, free: np.ndarray) -> list[Determinacy]:
     """Directions of several states together that are determined much better, or worse, than each of them."""
     size = np.sqrt(free)
     variances, vectors = np.linalg.eigh(cov / np.outer(size, size))
@@ -129,7 +132,7 @@ def _directions(states: list[Determined], cov: np.ndarray, free: np.ndarray) -> 
             continue
         sign = np.sign(named[0][1])
         text = " ".join(_term(name, sign * c, first=k == 0) for k, (name, c) in enumerate(named))
-        found.append(Determined(text, 1.0, float(np.sqrt(max(variance, 0.0))), "of their std"))
+        found.append(Determinacy(text, 1.0, float(np.sqrt(max(variance, 0.0))), "of their std"))
     return found
 
 

@@ -23,7 +23,7 @@ from covariant.models import Overrides
 from covariant.observers import AbstractObserver
 from covariant.scoring import rmse
 from covariant.signals import Result, Run
-from covariant.workflow._determined import Determined, determined
+from covariant.workflow._determined import Determinacy, determined
 from covariant.workflow._inputs import (
     ColumnNames,
     Job,
@@ -156,7 +156,7 @@ class EstimateResult(AbstractEstimates):
     design: tuple[str, ...]
     outcome: Outcome
     asked_engine: EngineName
-    determined: tuple[Determined, ...] = ()
+    determined: tuple[Determinacy, ...] = ()
 
     @property
     def run(self) -> Run:
@@ -336,7 +336,7 @@ class EstimateResult(AbstractEstimates):
         return estimate_report(title, self.loaded, curves, notes, rows, self.headline, self.warnings)
 
 
-def _stds(each: Determined) -> dict[str, float | None]:
+def _stds(each: Determinacy) -> dict[str, float | None]:
     first, last = rounded(np.array([each.first, each.last]))
     return {"std_without_log": first, "std": last}
 
