@@ -412,15 +412,15 @@ TWO_LINKS = {"viscous": (0.0, 0.0), "coulomb": (0.0, 0.0), "asymmetry": (0.0, 0.
 @pytest.mark.parametrize(
     ("unknown", "what", "line"),
     [
-        ({"viscous": (0.3, 0.06), "coulomb": (0.2, 0.08)}, "friction", "friction"),
-        ({"armature": (0.01, 0.004)}, "rotor inertia", "armature"),
+        pytest.param({"viscous": (0.3, 0.06), "coulomb": (0.2, 0.08)}, "friction", "friction", marks=pytest.mark.long),
+        pytest.param({"armature": (0.01, 0.004)}, "rotor inertia", "armature", marks=pytest.mark.long),
         (
             {"viscous": (0.3, 0.06), "armature": (0.01, 0.004)},
             "friction and rotor inertia",
             "friction,armature",
         ),
-        ({"armature": (0.01, 0.0)}, "rotor inertia", "armature.shoulder"),
-        ({"load": 0.3}, "", ""),
+        pytest.param({"armature": (0.01, 0.0)}, "rotor inertia", "armature.shoulder", marks=pytest.mark.long),
+        pytest.param({"load": 0.3}, "", "", marks=pytest.mark.long),
     ],
 )
 def test_friction_and_rotors_that_a_robot_lacks_are_named(unknown, what, line):

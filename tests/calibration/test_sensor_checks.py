@@ -149,6 +149,7 @@ def test_what_stands_still_is_not_judged(chain):
     assert all("sensor" not in each[0] for each in wrong(path, still))
 
 
+@pytest.mark.long
 def test_axes_of_a_gyro(tmp_path):
     """On a plane only the turn that takes the axis of rotation to the one that is read is known."""
     path = tmp_path / "model.toml"
