@@ -297,7 +297,7 @@ REFUSED = [
     (lambda: Slow((), jnp.zeros(0), ONE, ONE, offset=wrong_shape), "names must be different names"),
     (lambda: Slow(("a",), jnp.zeros(2), ONE, ONE, offset=wrong_shape), "first must be 1 finite numbers"),
     (lambda: Slow(("a",), jnp.zeros(1), jnp.eye(2), ONE, offset=wrong_shape), r"first_cov must be a matrix \(1, 1\)"),
-    (lambda: Slow(("a",), jnp.zeros(1), ONE, ONE), "give a force, a model or an offset"),
+    (lambda: kalman(CHAIN, 2, Slow(("a",), jnp.zeros(1), ONE, ONE)), "give a force, a model or an offset .* states a$"),
     (lambda: kalman(CHAIN, 2, sensor_bias((0.1,))), r"offset of the slow states bias1 must have shape \(2,\)"),
     (lambda: kalman(CHAIN, 2, external_force(jnp.eye(3))), "force of the slow states external_force1, external_force2"),
     (lambda: kalman(CHAIN, 2, *(external_force(jnp.eye(2)),) * 2), "two slow states are called 'external_force1'"),

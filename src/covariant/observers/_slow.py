@@ -255,7 +255,8 @@ class SlowStates(NamedTuple):
                 raise ValueError(f"{whose}: slow must be one Slow or several, such as sensor_bias(0.01); got {group!r}")
             if group.force is None and group.model is None and group.offset is None:
                 raise ValueError(
-                    f"{whose}: give {', '.join(group.names)} a force, a model or an offset that depends on it"
+                    f"{whose}: give a force, a model or an offset that depends on the slow states "
+                    f"{', '.join(group.names)}"
                 )
         self.check_names(whose)
         if sum(group.model is not None for group in self.groups) > 1:
