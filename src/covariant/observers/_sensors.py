@@ -97,8 +97,8 @@ class Sensor(Functional):
         >>> kalman = observers.IntrinsicKalman(models.oscillator(), 1e-3, 1e-2, 1.0, sensors=speed, substeps=1)
         >>> y = np.array([[1.0, np.nan], [np.nan, -0.1]])  # the position once, then its rate of change
         >>> run = observers.run(kalman, Record(np.array([0.0, 0.1]), np.zeros((2, 1)), y))
-        >>> run.estimate[1].round(2).tolist(), run.info.sensors.innovation[1].round(3).tolist()
-        ([1.0, -0.1], [-0.0])
+        >>> run.estimate[1].round(2).tolist(), run.info.sensors.used[1].tolist()
+        ([0.99, -0.1], [True])
     """
 
     name: str = eqx.field(static=True)
