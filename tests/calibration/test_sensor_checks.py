@@ -137,6 +137,7 @@ def test_the_stated_delay_counts(chain, tmp_path):
     assert float(early[0][2].split("=")[1]) == pytest.approx(0.0, abs=1e-3)
 
 
+@pytest.mark.long
 def test_what_stands_still_is_not_judged(chain):
     """A rate that does not change shows neither its sign nor its unit."""
     path, frame = chain

@@ -171,6 +171,7 @@ def shaken_body(rows=1500):
     return body, np.asarray(true.v), np.asarray(q), read
 
 
+@pytest.mark.long
 def test_a_gyro_lowers_the_error_to_a_third_and_its_offset_is_found():
     """At a quarter of the rate each reading counts four times as long, so that much the same is found."""
     body, v, q, read = shaken_body()

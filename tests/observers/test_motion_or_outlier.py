@@ -31,6 +31,7 @@ LONG = (
     "test_a_gate_leaves_a_late_joint_alone",
 )
 """Cases of the long suite: a cheaper one of the same test is in the short one."""
+EXHAUSTIVE = ("test_a_gate_takes_the_impacts_of_a_tossed_cube_for_motion[IntrinsicKalman]",)
 
 NOISE = 1e-3
 ROD, CHAIN = pendulum_chain((1.0,), (0.5,)), pendulum_chain((1.0, 0.7), (0.5, 0.4))

@@ -29,6 +29,11 @@ from covariant.observers import EKF, UKF, IntrinsicKalman, JointKalman, _smoothe
 from covariant.observers._smoother import Step, backward_map, smoothed as smoothed_arrays
 from covariant.signals import Record, Result
 
+EXHAUSTIVE = (
+    "test_on_curved_spaces_it_is_consistent_and_better_than_the_filter[body on SO(3)-8]",
+    "test_on_curved_spaces_it_is_consistent_and_better_than_the_filter[double pendulum-8]",
+)
+
 # Where everything is linear: the smoother is the least-squares solution over all rows.
 
 MASS = np.array([[2.0, 0.5], [0.5, 1.0]])

@@ -12,7 +12,7 @@ from page_runs import WITH_COMMANDS, WITH_LONG_BLOCKS, run, run_program
 
 pytestmark = pytest.mark.long
 MAIN = ("README.md", "check.md", "fmu.md")
-GRIDS = ("metrics.md", "spaces.md")
+HEAVY = ("forces.md", "groups.md", "metrics.md", "spaces.md")
 """Pages whose long blocks compute for minutes."""
 
 
@@ -23,7 +23,7 @@ def marked(pages, in_long):
 everywhere = pytest.mark.parametrize("page", marked(WITH_COMMANDS, lambda page: page.name in MAIN))
 
 
-@pytest.mark.parametrize("page", marked(WITH_LONG_BLOCKS, lambda page: page.name not in GRIDS))
+@pytest.mark.parametrize("page", marked(WITH_LONG_BLOCKS, lambda page: page.name not in HEAVY))
 def test_a_page_runs_with_its_long_blocks_too(page, tmp_path, home):
     run(page, tmp_path, home, os.defpath, "--long")
 

@@ -156,10 +156,10 @@ def test_what_was_measured_is_smoothed_with_them(chain):
     np.testing.assert_allclose(summary["filter"]["velocity_rmse"], same, rtol=1e-4)
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_a_gyro_and_a_late_camera_on_a_robot(tmp_path):
     path = written(tmp_path, ROBOT)
-    log = covariant.simulate(path, duration=2.0, rate=100.0, q0=[0.6, -0.4], amplitude=0.3, noise=1e-3)
+    log = covariant.simulate(path, duration=2.0, rate=100.0, q0=[0.6, -0.4], amplitude=[0.3, 0.3], noise=1e-3)
     named = {"observer": "intrinsic-kalman", "columns": {"truth": list(log.truth_columns)}}
     result = covariant.estimate(path, pandas.DataFrame(log.columns), engine="c", **named)
     without = covariant.estimate(

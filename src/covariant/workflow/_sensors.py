@@ -191,7 +191,7 @@ def reading_delays(observer: Any, delay: Any, parts: Sequence[FileSensor], y: np
         return delay
     late = [np.full(part.sensor.count, part.delay) for part in parts]
     size = len(y) - sum(map(len, late))
-    return np.concatenate([np.broadcast_to(delay, size), *late])
+    return np.concatenate([np.broadcast_to(delay, size), *late]).tolist()
 
 
 class SensorCount(NamedTuple):
