@@ -11,6 +11,7 @@ from covariant.calibration import observer_gains, tuned_estimators
 from covariant.engine import EngineName
 from covariant.models import Overrides
 from covariant.observers import AbstractObserver
+from covariant.workflow._comparison import AbstractComparison
 from covariant.workflow._inputs import (
     ColumnNames,
     Job,
@@ -24,10 +25,8 @@ from covariant.workflow._inputs import (
     with_sensor_delays,
 )
 from covariant.workflow._outcome import Outcome, drive, engine_is_notable, report_curves, rounded, summary, with_units
-from covariant.workflow._outputs import check_output, write_table
 from covariant.workflow._pages import estimate_report, write_report
 from covariant.workflow._progress import Progress, silent
-from covariant.workflow._result import AbstractTable
 from covariant.workflow._states import state_design_note, tuned_states
 from covariant.workflow._trial import Ahead, ahead, trial_part
 
@@ -82,7 +81,7 @@ def compare(
 
 
 @dataclass(frozen=True, repr=False)
-class CompareResult(AbstractTable):
+class CompareResult(AbstractComparison):
     """Estimators ranked on a log, best first.
 
     Attributes:
@@ -104,8 +103,6 @@ class CompareResult(AbstractTable):
         True
     """
 
-    job: Job
-    loaded: Loaded
     design: str
     outcomes: dict[str, Outcome]
     asked_engine: EngineName
@@ -136,23 +133,6 @@ class CompareResult(AbstractTable):
             return {}
         errors = np.array([self.predicted.errors[name] for name in self.ranking])
         return {f"predicted{i + 1}_rmse": column for i, column in enumerate(errors.T)}
-
-    def save(self, path: str | Path, overwrite: bool = True) -> Path:
-        """Write the ranking as a table; a number that an estimator does not have is left empty.
-
-        Args:
-            path: The table to write (.csv).
-            overwrite: Whether a file that exists may be replaced, other than the log that was read.
-
-        Returns:
-            The path.
-
-        Raises:
-            ValueError: For another suffix, a folder that does not exist, or the path of the log that was read.
-        """
-        path = Path(path)
-        check_output(path, ".csv", log=self.job.log, overwrite=overwrite)
-        return write_table(path, self.columns)
 
     @property
     def summary(self) -> dict[str, Any]:
