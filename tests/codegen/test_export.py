@@ -116,6 +116,12 @@ def case(name: str) -> Case:
         case "kalman":
             filter_ = observers.IntrinsicKalman(pendulum, one, 1e-4 * one, one, substeps=1)
             return Case(with_open_numbers(filter_, ("*[!v]",)), swing(0.0, 0.5))
+        case "sensors":  # which are not read at the start
+            speed = observers.tachometer([0], 0.1, bias_std=0.1, name="speed")
+            beam = models.ball_and_beam()
+            filter_ = observers.IntrinsicKalman(beam, one, 1e-4 * one, one, sensors=speed, substeps=1)
+            read = np.where(K > 0, 0.05 * np.cos(K / 4), np.nan)
+            return Case(with_open_numbers(filter_, ("*",)), np.column_stack([swing(0.3, 0.1), read]), 1)
         case "exact":  # a fixed budget for its geodesics, behind a gate
             exact = observers.Geodesic(models.ball_and_beam(), 4.0, 8.0, Budget(1, 2), substeps=1)
             gated = observers.Gated(exact, exact.model, jnp.asarray(1e-3), jnp.array([1.0, 1.0]))
@@ -162,6 +168,7 @@ CASES = (
     "pendulum_float",
     "tables",
     "kalman",
+    "sensors",
     "exact",
     "top",
     "ship",
@@ -291,7 +298,7 @@ def test_a_wrong_sign_fails_the_self_test(exported, tmp_path):
     assert "WRONG" in done.stdout
 
 
-@pytest.mark.parametrize("name", ["pendulum", "smoothed", "top"])
+@pytest.mark.parametrize("name", ["pendulum", "smoothed", "sensors", "top"])
 def test_its_vectors_are_what_the_observer_does_in_jax(name, exported):
     graphs, expected = exported(name).program, exported(name).vectors
     chosen = exported(name).case
@@ -471,6 +478,15 @@ def test_numbers_of_one_name_and_value_are_one_and_others_are_told_apart():
 def test_an_observer_of_another_model_has_no_numbers_of_the_family():
     with pytest.raises(ValueError, match=r"not one of family\.file\.model"):
         of_family(observers.Intrinsic(models.ball_and_beam(), 1.0, 1.0), family())
+
+
+def test_the_header_says_what_a_measurement_holds(exported):
+    header = (exported("sensors").folder / "sensors.h").read_text(encoding="utf-8")
+    assert (
+        "#define SENSORS_MEASUREMENTS 3 /* numbers of a measurement: 2 of the configuration, then 1 of speed */"
+        in header
+    )
+    assert "where the configuration in y is not all\n * finite" in header
 
 
 @pytest.mark.parametrize("name", ["for", "virtual", "2nd", "a-b"])

@@ -189,9 +189,9 @@ def _compiled(files: dict[str, bytes], name: str) -> bytes:
 
 def _variables(program: Program, y: np.ndarray) -> Iterator[UnitVariable]:
     """The variables in the order of their numbers in C."""
-    yield UnitVariable(
-        "y", "input", program.y, tuple(np.ravel(y).tolist()), "measured configuration; NaN where missing"
-    )
+    beside = "".join(f", then {count} of {name}" for name, count in program.sensors)
+    about = f"measured configuration{beside}; NaN where missing"
+    yield UnitVariable("y", "input", program.y, tuple(np.ravel(y).tolist()), about)
     if program.u:
         yield UnitVariable("u", "input", (program.u,), (0.0,) * program.u, "input of the model, held over a step")
     for key, value in program.numbers.items():

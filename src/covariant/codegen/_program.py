@@ -1,5 +1,6 @@
 """An observer as graphs of scalars, with its numbers as arguments, from which code is written."""
 
+import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from fnmatch import fnmatchcase
@@ -83,6 +84,7 @@ class Program(NamedTuple):
         u: Number of inputs.
         real: Type of the numbers, "double" or "float".
         told_as: The info with the shapes and types that it has in JAX.
+        sensors: Name of each sensor beside the configuration, and how many numbers it has in a measurement.
 
     Example:
         >>> import numpy as np
@@ -106,6 +108,12 @@ class Program(NamedTuple):
     u: int
     real: Real
     told_as: Any
+    sensors: tuple[tuple[str, int], ...] = ()
+
+    @property
+    def configuration(self) -> int:
+        """How many of the numbers of a measurement, the first, are the configuration."""
+        return math.prod(self.y) - sum(count for _, count in self.sensors)
 
     @property
     def reported(self) -> list[Leaf]:
@@ -251,6 +259,7 @@ class TracedProgram(NamedTuple):
     real: Real
     told_as: Any
     estimated_as: Any
+    sensors: tuple[tuple[str, int], ...] = ()
 
     def lower(self, loops: bool = False) -> Program:
         """The graphs of the observer.
@@ -270,7 +279,7 @@ class TracedProgram(NamedTuple):
         used = _used(lowered, self.given)
         numbers = {leaf.name: value for leaf, value in zip(self.given, self.values, strict=True) if leaf.name in used}
         structure = (self.state, self.info, self.x, self.y, self.u, self.real, self.told_as)
-        return Program(*lowered, numbers, self.given, self.values, *structure)
+        return Program(*lowered, numbers, self.given, self.values, *structure, self.sensors)
 
 
 def program(
@@ -386,6 +395,7 @@ def trace_program(
         real,
         structures["info"],
         structures["estimate"],
+        tuple((sensor.name, sensor.count) for sensor in getattr(first, "sensors", ())),
     )
 
 

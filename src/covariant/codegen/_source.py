@@ -164,15 +164,19 @@ def _header(program: Program, name: str, about: str) -> str:
     upper = name.upper()
     codes = ",\n".join(f"    {upper}_{result.name} = {int(result)}" for result in Result)
     y = int(np.prod(program.y))
-    shape = " x ".join(map(str, program.y))
+    held = f"numbers of a measurement, {' x '.join(map(str, program.y))} by rows"
+    started = "y"
+    if program.sensors:
+        parts = [("the configuration", program.configuration), *program.sensors]
+        held = f"numbers of a measurement: {', then '.join(f'{count} of {of}' for of, count in parts)}"
+        started = "the configuration in y"
     parameters = [Leaf(key, np.shape(value)) for key, value in program.numbers.items()]
     parts = [
         f"/* {about}\n *\n * Written by covariant {_version()}. {SENTENCE}\n */",
         f"#ifndef {upper}_H\n#define {upper}_H\n",
         '#ifdef __cplusplus\nextern "C" {\n#endif\n',
         f"typedef {program.real} {name}_real;\n",
-        f"#define {upper}_MEASUREMENTS {y} /* numbers of a measurement, {shape} by rows */\n"
-        f"#define {upper}_INPUTS {program.u}\n",
+        f"#define {upper}_MEASUREMENTS {y} /* {held} */\n#define {upper}_INPUTS {program.u}\n",
         f"/* Outcome of a step; a larger one is worse. */\nenum {{\n{codes}\n}};\n",
         _structure(
             "params", name, "Numbers that may be changed at any time, between two steps.", _members(parameters, name)
@@ -185,8 +189,8 @@ def _header(program: Program, name: str, about: str) -> str:
         ),
         _structure("output", name, "An estimate.", _members([*program.x, *program.told], name)),
         f"extern const {name}_params {name}_default;\n",
-        f"/* Start at rest at the measurement y, at the time t [s]. Returns {upper}_OK or, where y is not all finite,\n"
-        f" * {upper}_NOT_FINITE, and then leaves the state as it was. */\n"
+        f"/* Start at rest at the measurement y, at the time t [s]. Returns {upper}_OK or, where {started} is not all\n"
+        f" * finite, {upper}_NOT_FINITE, and then leaves the state as it was. */\n"
         f"int {name}_init({name}_state *state, const {name}_params *params, const {name}_real *y, {name}_real t);\n",
         "/* Advance by dt [s] under the input u, held over the step, then correct by the measurement y.\n"
         " *\n"
@@ -286,7 +290,7 @@ def _source(program: Program, name: str, about: str, functions: dict[str, CText]
         *(text.text for text in functions.values()),
         f"int {name}_init({name}_state *state, const {name}_params *params, const {name}_real *y, {name}_real t)\n{{\n"
         f"    int i;\n"
-        f"    for (i = 0; i < {upper}_MEASUREMENTS; ++i) {{\n"
+        f"    for (i = 0; i < {program.configuration if program.sensors else f'{upper}_MEASUREMENTS'}; ++i) {{\n"
         # y − y is 0 for finite y and NaN for all others, without a function of <math.h>.
         f"        if (!(y[i] - y[i] == 0))\n            return {upper}_NOT_FINITE;\n    }}\n"
         f"    {name}_core_init(params, y, t, state);\n"

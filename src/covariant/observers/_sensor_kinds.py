@@ -7,7 +7,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 
 from covariant._typing import Numbers, Vector
 from covariant.geometry import AbstractSpace
@@ -25,11 +25,11 @@ class _Components(eqx.Module):
     """Some entries of the configuration or of the velocity, times a reduction each, plus the bias."""
 
     field: str = eqx.field(static=True)
-    places: Int[Array, "k"]
+    places: tuple[int, ...] = eqx.field(static=True)
     reduction: Float[Array, "k"]
 
     def __call__(self, now: Instant, s: SlowVector) -> Vector:
-        value = getattr(now, self.field)[self.places]
+        value = getattr(now, self.field)[jnp.array(self.places)]
         return _biased(self.reduction.astype(value.dtype) * value, s)
 
 
@@ -349,7 +349,7 @@ def _components(
     factors, periods = (as_numbers(whose, *each, k) for each in (("reduction", reduction), ("period", period)))
     if not factors.all() or (periods < 0).any():
         raise ValueError(f"{whose}: reduction must not be zero, nor period negative; got {reduction} and {period}")
-    h = _Components(field, jnp.asarray(indices), jnp.asarray(factors))
+    h = _Components(field, tuple(indices), jnp.asarray(factors))
     turns = tuple(periods.tolist()) if periods.any() else None
     return _sensor(whose, name, h, _stds(whose, "std", std, k), bias, turns)
 
