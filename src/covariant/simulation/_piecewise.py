@@ -10,7 +10,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from covariant._integrate import compiled
 from covariant._typing import Number
@@ -48,18 +48,21 @@ class PiecewiseInputs(eqx.Module):
     transient: Float[NumpyArray, "J m"]
     decay: Number = 0.0
 
-    def at(self, interval: int, t: Number) -> Float[NumpyArray, "m"]:
-        """Inputs at a time in one of the intervals.
+    def at(
+        self, interval: int | Int[NumpyArray, "*k"], t: Number | Float[NumpyArray, "*k"]
+    ) -> Float[NumpyArray, "*k m"]:
+        """Inputs at times in some of the intervals.
 
         Args:
-            interval: Index of the interval, from 0.
-            t: Time [s].
+            interval: Index of an interval, from 0, or several (*k).
+            t: Time [s], or as many (*k).
 
         Returns:
-            The inputs (m,).
+            The inputs (*k, m).
         """
         value, rate, transient = (part[interval] for part in (self.value, self.rate, self.transient))
-        return np.asarray(_acting(self.begin[interval], value, rate, transient, self.decay, t))
+        begin, time = (np.asarray(each)[..., None] for each in (self.begin[interval], t))
+        return np.asarray(_acting(begin, value, rate, transient, self.decay, time))
 
 
 def logged_inputs(

@@ -91,6 +91,7 @@ class SimulateResult(AbstractTable):
         record: The `Record`: stamps, inputs, measurements and the true state x, in SI units.
         truth_columns: The columns of the true velocities, or of the states of a state-space model.
         si_columns, si_units: The columns in SI units and radians, and these units.
+        sensors: Sensors of the model file, whose columns are among these.
 
     Example:
         >>> import covariant
@@ -108,6 +109,7 @@ class SimulateResult(AbstractTable):
     truth_columns: tuple[str, ...]
     si_columns: dict[str, np.ndarray]
     si_units: dict[str, str]
+    sensors: tuple[Any, ...] = ()
 
     @property
     def columns(self) -> dict[str, np.ndarray]:
@@ -164,6 +166,7 @@ class SimulateResult(AbstractTable):
         units = {name: names.unit_of(field, i) for field, each in fields.items() for i, name in enumerate(each)}
         units |= {f"true_{name}": unit for name, unit in units.items()}
         units |= {name: names.unit_of("truth", i) for i, name in enumerate(self.truth_columns)}
+        units |= {name: unit for part in self.sensors for name, unit in part.units.items()}
         return {name: unit for name, unit in units.items() if name in self.si_columns}
 
     def _in_units(self, messages: bool) -> dict[str, np.ndarray]:

@@ -18,7 +18,7 @@ from covariant.workflow._inputs import numbered, sought_columns
 from covariant.workflow._outcome import force_units
 from covariant.workflow._progress import Progress
 from covariant.workflow._scenario import FORCE, Scenario
-from covariant.workflow._sensors import file_sensors, sensed
+from covariant.workflow._sensors import FileSensor, file_sensors, sensed
 
 DIGITS = 12
 """Decimals of a time [s] in a log: times that agree in all of them are one, however they were computed."""
@@ -31,7 +31,16 @@ FIRST_PUSH, BETWEEN_PUSHES, PUSH_LENGTH = 1.0, 2.0, 1.0
 
 def simulated_log(
     model: Any, overrides: Overrides, scenario: Scenario, progress: Progress
-) -> tuple[str, bool, logs.Columns, Record, tuple[str, ...], dict[str, np.ndarray], dict[str, str]]:
+) -> tuple[
+    str,
+    bool,
+    logs.Columns,
+    Record,
+    tuple[str, ...],
+    dict[str, np.ndarray],
+    dict[str, str],
+    tuple[FileSensor, ...],
+]:
     """Simulate a model and its sensors.
 
     Args:
@@ -75,16 +84,18 @@ def simulated_log(
     for i, (part, row) in enumerate(zip(beside, of_sensors, strict=True)):
         then = jax.tree.map(lambda leaf, row=row: leaf[row], everything.x)
         # What acts until then: an input that jumps at a stamp is read before it acts.
-        inputs = np.stack([acting.at(max(j - 1, 0), float(acting.begin[j])) for j in row.tolist()])
+        inputs = acting.at(np.maximum(row - 1, 0), acting.begin[row])
         columns |= part.to_columns(sensed(machine, part, then, inputs, acting.begin[row], (scenario.seed, i)))
     columns |= {f"true_{key}": column for key, column in (configuration | hidden).items()}
     names = tuple(f"true_{key}" for key in hidden)
-    units = _units(file, layout, tuple(hidden))
+    units = _units(file, layout, tuple(hidden)) | {
+        name: unit for part in beside for name, unit in part.si_units.items()
+    }
     if force is not None:
         forces = [f"true_{key}" for key in numbered(FORCE, file.dimension)]
         columns |= dict(zip(forces, np.asarray(jax.vmap(force)(jnp.asarray(t))).T, strict=True))
         units |= dict(zip(forces, force_units(file), strict=True))
-    return name, file.mechanical, layout, record, names, columns, units
+    return name, file.mechanical, layout, record, names, columns, units, beside
 
 
 def _sensor(name: str, file: ModelFile, scenario: Scenario) -> PositionSensor:
