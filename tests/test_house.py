@@ -102,7 +102,8 @@ PUBLIC = {
     "MechanicalState Noise PassiveGains PassiveShip Riccati Salcudean SalcudeanState SavitzkyGolay Slow StateEKF "
     "StateEKFInfo Judged Sample StateEKFState UKFState Velocity WindowState checked chooses_substeps continuous "
     "craft_observer external_force noise_step AbstractForceObserver ForceState InverseDynamics MomentumObserver "
-    "observed_forces Instant Sensor SensorInfo accelerometer encoder gyro point_sensor pose_sensor tachometer "
+    "observed_forces AbstractWrapper Instant Sensor SensorInfo accelerometer encoder gyro point_sensor pose_sensor "
+    "tachometer "
     "Damped DampedInfo DampedState damping_margin "
     "lyapunov_gains lyapunov_rate needed_substeps notch_gains printed_rate run second_order sensor_bias smooth "
     "uncertain_parameters with_fixed_substeps wrench",

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from covariant.models import Lagrangian
-from covariant.observers import EKF, IntrinsicKalman, JointKalman, noise_step
+from covariant.observers import EKF, IntrinsicKalman, JointKalman, noise_step, tachometer
 from covariant.signals import Record
 
 ROWS, STEP = 1000, 0.02
@@ -90,6 +90,7 @@ def test_a_number_is_scaled():
         (JointKalman(5.0, 0.1, 0.01), "JointKalman has no such noise"),
         (IntrinsicKalman(masses(), lambda q: jnp.eye(2), 1e-4, 1.0), "not functions"),
         (IntrinsicKalman(masses(), 1.0, 1e-6, 1.0, (), (0.01, 0.01)), "count ticks"),
+        (IntrinsicKalman(masses(), 1.0, 1e-6, 1.0, sensors=tachometer([0], 0.1)), "sensors beside the positions"),
     ],
 )
 def test_what_has_no_such_noise_is_refused(observer, words):

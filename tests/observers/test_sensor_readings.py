@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 
 from covariant import models, observers
-from covariant.engine import Stream
+from covariant.engine import KernelForm, Stream
+from covariant.engine._kernel import _KernelKey
 from covariant.geometry.lie import SO3
 from covariant.models import GroupSystem, Lagrangian, acceleration, robots
-from covariant.observers import Delayed, Instant, IntrinsicKalman, Sensor, run, smooth
+from covariant.observers import Delayed, FixedLag, Instant, IntrinsicKalman, Sensor, run, smooth
 from covariant.signals import Record, Result
 
 LONG = (
@@ -288,6 +289,16 @@ def test_compiled_c_and_a_stream_compute_the_same():
         np.testing.assert_allclose(rows, whole.estimate, rtol=0, atol=1e-12)
 
 
+def test_a_filter_with_sensors_is_prepared_for_c_once(arms):
+    """Every ready sensor has a hash: otherwise each run would trace the filter again."""
+    model, _, axes = arms["fixed"]
+    few = (observers.encoder([0], 0.1), observers.tachometer([1], 0.1, bias_std=0.1))
+    kalman = IntrinsicKalman(model, 1e-2, 1e-4, 1.0, sensors=(*few, *on_the_tip(model, axes)), substeps=1)
+    form = KernelForm((2 + kalman._sensors.size,), 2)
+    hash(_KernelKey(kalman, form))
+    hash(_KernelKey(Delayed(FixedLag(kalman, 2), 0.01, 100.0), form))
+
+
 def test_sensors_of_other_rates_and_late_ones_give_what_all_give_in_order():
     """Positions at 25 Hz, a gyro at 100 Hz, positions by a camera that come 40 ms late: in any order the same."""
     model = masses()
@@ -321,6 +332,29 @@ def test_sensors_of_other_rates_and_late_ones_give_what_all_give_in_order():
     used = np.asarray(in_order.info.sensors.used)
     assert used[1:, 0].all()
     assert used[:, 1].tolist() == (np.isfinite(late[:, 3])).tolist()
+
+
+def test_a_sensor_that_is_late_leaves_the_start_where_the_positions_are():
+    """In motion: the first positions are of the first stamp, however late the sensor is, and nothing is too late."""
+    model = Lagrangian(lambda q: jnp.eye(1), lambda q: 0.0 * q[0])
+    late = Sensor("late", lambda now, s: now.q, 1e-8)
+    noises = 1e-6, 1e-8, 100.0
+    kalman = IntrinsicKalman(model, *noises, sensors=late, substeps=1)
+    t = STEP * np.arange(20)
+    y = np.stack([5.0 * t, 5.0 * (t - 0.05)], axis=1)
+    done = run(Delayed(kalman, [0.0, 0.05], rate=1 / STEP), Record(t, np.zeros((20, 1)), y))
+    assert (np.asarray(done.info.result) == Result.OK).all()
+    np.testing.assert_allclose(done.estimate[1:, 1], 5.0, rtol=0.01)
+    # Until it reads what was true after the start it corrects nothing.
+    assert done.info.sensors.used[:, 0].tolist() == [False] * 5 + [True] * 15
+
+
+def test_with_a_lag_sensors_smooth_as_in_the_batch():
+    log, kalman = mixed_log(), fused()
+    stream = run(FixedLag(kalman, lag=6), log)
+    batch = smooth(kalman, log, lag=6).run
+    np.testing.assert_allclose(stream.estimate[6:], batch.estimate[:-6], rtol=0, atol=1e-11)
+    np.testing.assert_allclose(stream.info.slow_std[6:], batch.info.slow_std[:-6], rtol=1e-9)
 
 
 def test_a_gyro_on_a_body_in_space_halves_the_error_and_shows_its_bias():

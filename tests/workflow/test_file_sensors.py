@@ -84,6 +84,8 @@ def test_a_simulated_log_has_their_columns_in_their_units(chain):
     off = np.deg2rad(frame["rate 1"]) - frame["true_v1"]
     assert 0.0 < abs(off.mean()) < 1.0  # the bias
     assert 0.008 < off.std() < 0.012
+    units = covariant.simulate(path, duration=0.1, rate=100.0).units
+    assert (units["rate 1"], units["motor"], units["q1"]) == ("deg/s", "rad", "rad")
     assert np.abs(frame["motor"] - 20.0 * frame["true_q2"]).max() < 6e-3
 
 
@@ -154,6 +156,30 @@ def test_what_was_measured_is_smoothed_with_them(chain):
     assert (np.array(summary["velocity_rmse"]) < 0.9 * np.array(summary["filter"]["velocity_rmse"])).all()
     same = covariant.estimate(path, frame, **named).outcome.score.rmse
     np.testing.assert_allclose(summary["filter"]["velocity_rmse"], same, rtol=1e-4)
+
+
+def test_a_smoother_refuses_a_sensor_that_is_late(chain):
+    path, _, frame = chain
+    late = {"sensors.motor.delay": 0.02}
+    with pytest.raises(ValueError, match=r"late \(sensors.motor.delay = 0.02\).* --set sensors.motor.delay=0$"):
+        covariant.smooth(path, frame, overrides=late)
+    covariant.smooth(path, frame, overrides=late, observer="joint-kalman")  # which uses no sensor
+
+
+def test_forces_are_compared_with_sensors_too(tmp_path):
+    text = CHAIN.replace("[1.0, 0.6]", "[1.0]").replace("[0.5, 0.4]", "[0.5]").replace("[0.05, 0.02]", "[0.05]")
+    text = text.replace('["q1", "q2"]', '["q1"]') + "external_force_std = 0.2\nexternal_force_time = 0.3\n"
+    rate = '[sensors.rate]\nkind = "tachometer"\nof = ["q1"]\ncolumns = ["w"]\nstd = 0.01\nbias = 0.1\n'
+    path = written(tmp_path, text + rate)
+    log = covariant.simulate(path, duration=6.0, rate=50.0, q0=[0.5], noise=2e-3, push=[0.5])
+    frame, force = pandas.DataFrame(log.columns), log.force_columns
+    with_rate, without = (
+        covariant.workflow.compare_force(each, frame, force) for each in (path, written(tmp_path, text, "plain.toml"))
+    )
+    assert with_rate.columns["external_force1_rmse"][0] < 0.9 * without.columns["external_force1_rmse"][0]
+    # At the end of a log nothing but its last moments tells of a force that is forgotten: the bias alone is named.
+    estimated = covariant.estimate(path, frame, observer="intrinsic-kalman")
+    assert [each.name for each in estimated.determined] == ["rate_bias"]
 
 
 @pytest.mark.exhaustive

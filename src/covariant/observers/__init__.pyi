@@ -50,6 +50,7 @@ from ._protocol import (
     AbstractFlowObserver as AbstractFlowObserver,
     AbstractMechanicalObserver as AbstractMechanicalObserver,
     AbstractObserver as AbstractObserver,
+    AbstractWrapper as AbstractWrapper,
     Info as Info,
     MechanicalState as MechanicalState,
     SampledState as SampledState,

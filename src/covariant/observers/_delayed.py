@@ -24,8 +24,8 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Inexact
 
 from covariant._typing import Number, Scalar, Vector
-from covariant.observers._protocol import AbstractObserver, LastInput
-from covariant.observers._sensors import Sensor, Sensors
+from covariant.observers._protocol import AbstractObserver, AbstractWrapper, LastInput
+from covariant.observers._sensors import Sensors
 from covariant.signals import Result
 
 SAME_TIME = 1e-6
@@ -68,7 +68,7 @@ class DelayedState(NamedTuple):
     last_input: LastInput = None
 
 
-class Delayed(AbstractObserver):
+class Delayed(AbstractWrapper):
     """Any observer, for sensors whose readings are late.
 
     Between two readings the mean of the inputs over that time acts. Where samples come faster than `rate`, the buffers
@@ -144,7 +144,9 @@ class Delayed(AbstractObserver):
             )
         now = self.observer.init(y, t)
         real = jnp.real(y).dtype
-        longest = jnp.max(self.delay).astype(real)
+        # The configuration starts the estimate, at the time at which the latest of it was true: not sensors beside it.
+        of_configuration = self.delay if len(self.delay) == 1 else self.observer.configuration(self.delay)
+        longest = jnp.max(of_configuration).astype(real)
         t = jnp.asarray(t, real)
         last_input = getattr(now, "last_input", None)
         rows, stamps = self.waiting, self.length + 2
@@ -159,20 +161,6 @@ class Delayed(AbstractObserver):
             jnp.zeros((stamps, 0 if last_input is None else last_input.shape[0]), real),
             last_input,
         )
-
-    def admitted(self, y: Inexact[Array, "*n"]) -> Inexact[Array, "*n"]:
-        return self.observer.admitted(y)
-
-    def largest(self, y: Inexact[Array, "*n"] | np.ndarray) -> np.ndarray:
-        return self.observer.largest(y)
-
-    def configuration(self, y: Any) -> Any:
-        return self.observer.configuration(y)
-
-    @property
-    def sensors(self) -> tuple[Sensor, ...]:
-        """The sensors of the inner observer."""
-        return getattr(self.observer, "sensors", ())
 
     def estimate(self, state: DelayedState) -> Any:
         return self.observer.estimate(state.now)
@@ -305,7 +293,9 @@ class Delayed(AbstractObserver):
             same_time = (distance <= SAME_TIME) & (distance == jnp.min(distance, initial=jnp.inf))
             completes = jnp.any(same_time)
             too_old = (at > jnp.minimum(state.age_of_known, state.stamp[0])) & ~completes
-            too_late = too_late | (too_old & jnp.any(jnp.isfinite(part)))
+            # What was true before the start tells nothing, and is not late: nothing has left the buffer yet.
+            lost = too_old & (jnp.isfinite(state.stamp[0]) | (sample_age > 0))
+            too_late = too_late | (lost & jnp.any(jnp.isfinite(part)))
             fill = _with_axes(same_time, readings) & jnp.isfinite(part)[None]
             readings, current = jnp.where(fill, part[None], readings), current | (same_time[:, None] & in_group[None])
             at = jnp.where(completes | too_old, jnp.inf, at)

@@ -13,13 +13,12 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float, Inexact
 
 from covariant._typing import Matrix, Number, Scalar
 from covariant.models import MechanicalSystem
 from covariant.observers._gated_filter import AbstractGatedFilter
-from covariant.observers._protocol import AbstractObserver, LastInput
+from covariant.observers._protocol import AbstractObserver, AbstractWrapper, LastInput
 from covariant.observers._smoother import (
     Backward,
     Smoothing,
@@ -29,7 +28,7 @@ from covariant.observers._smoother import (
     smoothed_state,
 )
 
-OF_NOW = ("gate", "last_input", "readings")
+OF_NOW = ("gate", "last_input", "readings", "sensor_gates")
 """Fields of the state of a filter that only its next step needs: the buffers do not hold them."""
 
 
@@ -101,7 +100,7 @@ class FixedLagWindow(NamedTuple):
     std: Float[Array, "L1 N"]
 
 
-class FixedLag(AbstractObserver):
+class FixedLag(AbstractWrapper):
     """A filter whose estimates come some samples later, and know these samples.
 
     `estimate` is of the time `state.t[0]`, `lag` samples before the last one: what `smooth` with this lag returns for
@@ -168,12 +167,6 @@ class FixedLag(AbstractObserver):
         oldest = _without(first, OF_NOW)
         past, steps = jax.tree.map(lambda a: jnp.broadcast_to(a, (self.lag, *jnp.shape(a))), (oldest, nothing))
         return FixedLagState(_without(first, ("last_input",)), oldest, times, past, steps, last_input)
-
-    def admitted(self, y: Inexact[Array, "*n"]) -> Inexact[Array, "*n"]:
-        return self.observer.admitted(y)
-
-    def largest(self, y: Inexact[Array, "*n"] | np.ndarray) -> np.ndarray:
-        return self.observer.largest(y)
 
     def estimate(self, state: FixedLagState) -> Any:
         """Smoothed estimate of the sample `lag` before the last one.

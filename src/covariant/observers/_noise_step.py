@@ -89,7 +89,7 @@ def noise_step(observer: AbstractObserver, record: Record) -> NoiseStep:
     for all rows at once.
 
     Args:
-        observer: An `IntrinsicKalman`, `EKF` or `UKF`, without ticks and without slow states of the sensor.
+        observer: An `IntrinsicKalman`, `EKF` or `UKF`, without ticks, slow states of the sensor, and further sensors.
         record: A log.
 
     Returns:
@@ -118,6 +118,8 @@ def noise_step(observer: AbstractObserver, record: Record) -> NoiseStep:
         observer.quantum is not None or any(each.offset is not None for each in observer.slow)
     ):
         raise ValueError("noise_step: the noise of encoders that count ticks, or have an offset, is not estimated")
+    if getattr(observer, "sensors", ()):
+        raise ValueError("noise_step: the noise of sensors beside the positions is not estimated; leave them out")
     t, u, y, _ = checked(observer, record)
     process, measurement = (jnp.asarray(each) for each in (observer.process_cov, observer.measurement_cov))
     parts = _parts(process)

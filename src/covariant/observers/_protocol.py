@@ -328,6 +328,38 @@ class AbstractObserver(Functional):
         """
 
 
+class AbstractWrapper(AbstractObserver):
+    """An observer built of another one, of which it takes the same measurements.
+
+    Attributes:
+        observer: The inner observer.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant import models, observers
+        >>> kalman = observers.IntrinsicKalman(models.oscillator(), 1e-3, 1e-4, 1.0)
+        >>> late = observers.FixedLag(kalman, lag=3)
+        >>> isinstance(late, observers.AbstractWrapper), late.sensors, late.configuration(jnp.ones(1)).tolist()
+        (True, (), [1.0])
+    """
+
+    observer: eqx.AbstractVar[Any]
+
+    def admitted(self, y: Inexact[Array, "*n"]) -> Inexact[Array, "*n"]:
+        return self.observer.admitted(y)
+
+    def largest(self, y: Inexact[Array, "*n"] | np.ndarray) -> np.ndarray:
+        return self.observer.largest(y)
+
+    def configuration(self, y: Any) -> Any:
+        return self.observer.configuration(y)
+
+    @property
+    def sensors(self) -> tuple[Any, ...]:
+        """The sensors of the inner observer beside the configuration; empty for one without."""
+        return getattr(self.observer, "sensors", ())
+
+
 class AbstractFlowObserver(AbstractObserver):
     """An observer that is defined by a differential equation, `flow`, besides its sampled form.
 

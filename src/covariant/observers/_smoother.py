@@ -27,7 +27,6 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float, Inexact
 
 from covariant._linalg import (
@@ -40,7 +39,7 @@ from covariant._linalg import (
 )
 from covariant._typing import Code, Flag, Matrix, Number, Scalar, Vector
 from covariant.observers._gated_filter import AbstractGatedFilter
-from covariant.observers._protocol import AbstractObserver, Rows, checked, kept, scan
+from covariant.observers._protocol import AbstractObserver, AbstractWrapper, Rows, checked, kept, scan
 from covariant.signals import Record, Result, Run
 
 FARTHEST = 1e3
@@ -128,22 +127,13 @@ class Smoothing(NamedTuple):
     root: Matrix
 
 
-class Recorder(AbstractObserver):
+class Recorder(AbstractWrapper):
     """A filter whose estimates are its states, and whose infos say what each step did to the error."""
 
     observer: AbstractGatedFilter
 
     def init(self, y: Inexact[Array, "*n"], t: Number = 0.0) -> Any:
         return self.observer.init(y, t)
-
-    def admitted(self, y: Inexact[Array, "*n"]) -> Inexact[Array, "*n"]:
-        return self.observer.admitted(y)
-
-    def largest(self, y: Inexact[Array, "*n"] | np.ndarray) -> np.ndarray:
-        return self.observer.largest(y)
-
-    def configuration(self, y: Any) -> Any:
-        return self.observer.configuration(y)
 
     def predict(self, state: Any, u: Float[Array, "m"], dt: Scalar) -> Any:
         return self.observer.predict(state, u, dt)

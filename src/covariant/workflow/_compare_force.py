@@ -3,7 +3,6 @@
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -15,14 +14,13 @@ from jaxtyping import Array, Float
 from covariant import models
 from covariant.calibration import tuned_estimators
 from covariant.models import Overrides
-from covariant.observers import AbstractObserver, IntrinsicKalman, KalmanState, Slow, run
+from covariant.observers import AbstractWrapper, IntrinsicKalman, KalmanState, Slow, run
 from covariant.scoring import rmse, scored_window
+from covariant.workflow._comparison import AbstractComparison
 from covariant.workflow._force_rivals import rivals
-from covariant.workflow._inputs import ColumnNames, Job, Loaded, column_names, load, log_sheet, numbered
+from covariant.workflow._inputs import ColumnNames, Job, Loaded, column_names, load, log_sheet, numbered, refuse_delays
 from covariant.workflow._outcome import force_units, mean_nis, rounded
-from covariant.workflow._outputs import check_output, write_table
 from covariant.workflow._progress import Progress, silent
-from covariant.workflow._result import AbstractTable
 
 WITHIN = 1.96
 """Standard deviations of a normal distribution to both sides of its mean that hold 95 % of it."""
@@ -86,7 +84,7 @@ def compare_force(
     true = np.asarray(loaded.log.truth)
     scored = scored_window(np.asarray(loaded.record.t)) & np.isfinite(true).all(axis=1)
     progress("estimating with intrinsic-kalman")
-    by = {name: _filtered(filter_, loaded) for name, filter_ in _filters(loaded).items()}
+    by = {name: _filtered(filter_, loaded) for name, filter_ in _filters(job, loaded).items()}
     progress("estimating with rivals")
     for rival in rivals(loaded.model, loaded.record, log_sheet(loaded), loaded.rate, true, scored):
         by[rival.name] = ForceEstimate(rival.force, None, np.nan, rival.design)
@@ -110,7 +108,7 @@ class ForceEstimate(NamedTuple):
 
 
 @dataclass(frozen=True, repr=False)
-class CompareForceResult(AbstractTable):
+class CompareForceResult(AbstractComparison):
     """External forces by several estimators, with their errors.
 
     Attributes:
@@ -132,8 +130,6 @@ class CompareForceResult(AbstractTable):
         ['estimator', 'external_force1_rmse', 'within_band', 'nis']
     """
 
-    job: Job
-    loaded: Loaded
     names: tuple[str, ...]
     true: np.ndarray
     scored: np.ndarray
@@ -202,23 +198,6 @@ class CompareForceResult(AbstractTable):
         designs = [f"{name}: {each.design}" for name, each in self.estimates.items()]
         return "\n".join([f"{self.job.log_name}, errors of the external force", "", table(rows), *designs])
 
-    def save(self, path: str | Path, overwrite: bool = True) -> Path:
-        """Write the table; a number that an estimator does not have is left empty.
-
-        Args:
-            path: The table to write (.csv).
-            overwrite: Whether a file that exists may be replaced, other than the log that was read.
-
-        Returns:
-            The path.
-
-        Raises:
-            ValueError: For another suffix, a folder that does not exist, or the path of the log that was read.
-        """
-        path = Path(path)
-        check_output(path, ".csv", log=self.job.log, overwrite=overwrite)
-        return write_table(path, self.columns)
-
     def _errors(self, estimate: ForceEstimate) -> np.ndarray:
         return rmse(estimate.force[self.scored], self.true[self.scored])
 
@@ -229,30 +208,30 @@ class CompareForceResult(AbstractTable):
         return float(np.mean(off <= WITHIN * estimate.std[self.scored]))
 
 
-class _Force(AbstractObserver):
+class _Force(AbstractWrapper):
     """A filter whose estimate is the force (n,) of some of its slow states, followed by its standard deviations."""
 
-    filter: IntrinsicKalman
+    observer: IntrinsicKalman
     scored: tuple[bool, ...] = eqx.field(static=True)
 
     def init(self, y: Array, t: Any = 0.0) -> KalmanState:
-        return self.filter.init(y, t)
+        return self.observer.init(y, t)
 
     def predict(self, state: KalmanState, u: Array, dt: Array) -> KalmanState:
-        return self.filter.predict(state, u, dt)
+        return self.observer.predict(state, u, dt)
 
     def correct(self, state: KalmanState, u: Array, y: Array) -> tuple[KalmanState, Any]:
-        return self.filter.correct(state, u, y)
+        return self.observer.correct(state, u, y)
 
     def innovation(self, state: KalmanState, u: Array, y: Array) -> Array:
-        return self.filter.innovation(state, u, y)
+        return self.observer.innovation(state, u, y)
 
     def estimate(self, state: KalmanState) -> Float[Array, "two_n"]:
-        groups = self.filter.slow
+        groups = self.observer.slow
         ends = np.cumsum([len(group.names) for group in groups])
 
         def force(s):
-            parts = jnp.split(s, ends[:-1].tolist())
+            parts = jnp.split(s, ends.tolist())[:-1]  # what comes after is of the sensors
             together = zip(groups, parts, self.scored, strict=True)
             return sum(
                 (group.force(state.q, state.v, part) for group, part, counts in together if counts and group.force),
@@ -279,11 +258,6 @@ def _check(job: Job, loaded: Loaded, names: tuple[str, ...]) -> None:
         )
     if loaded.log.truth is None:
         raise ValueError(f"{job.log_name} has no column of true forces; a Record has none, give a table with them")
-    if np.any(file.delay):
-        raise ValueError(
-            f"{job.model_name}: forces are not compared on positions that are read late (measurement.delay = "
-            f"{file.delay}); shift them to when they were true, and give --set measurement.delay=0"
-        )
     if file.external_force is None and file.external_force_std is None and not file.wrenches:
         raise ValueError(
             f"{job.model_name} has the filter estimate no force; give --set uncertainty.external_force_std=NUMBER "
@@ -292,12 +266,13 @@ def _check(job: Job, loaded: Loaded, names: tuple[str, ...]) -> None:
         )
 
 
-def _filters(loaded: Loaded) -> dict[str, _Force]:
+def _filters(job: Job, loaded: Loaded) -> dict[str, _Force]:
     """The filter with forces that are forgotten, where the model file has such, and with forces that walk."""
     tuned = tuned_estimators(
         loaded.model, loaded.file.dimension, log_sheet(loaded), loaded.rate, names=("intrinsic-kalman",)
     )
     kalman: Any = tuned["intrinsic-kalman"]
+    refuse_delays(job, loaded, kalman, "forces are not compared on what is read late")
     linked = {f"{axis}_{name}" for name in loaded.file.wrenches for axis in ("fx", "fy", "fz", "tx", "ty", "tz")}
     # Beside forces on links, an external force is what the model does not know of the joints.
     scored = tuple(set(group.names) <= linked if linked else group.force is not None for group in kalman.slow)
@@ -314,8 +289,8 @@ def _walking(group: Slow) -> Slow:
 
 
 def _filtered(filter_: _Force, loaded: Loaded) -> ForceEstimate:
-    done = jax.tree.map(np.asarray, run(filter_, loaded.record, ("result", "nis")))
+    done = jax.tree.map(np.asarray, run(filter_, loaded.record_for(filter_), ("result", "nis")))
     force, std = np.split(done.estimate, 2, axis=1)
-    forgotten = any(group.time is not None for group in filter_.filter.slow)
+    forgotten = any(group.time is not None for group in filter_.observer.slow)
     design = "noise and forces of the model file" + ("" if forgotten else ", as random walks of the same density")
     return ForceEstimate(force, std, mean_nis(done.info, loaded), design)

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from covariant.observers import IntrinsicKalman, Slow
+from covariant.observers import IntrinsicKalman
 from covariant.workflow._inputs import Loaded
 from covariant.workflow._outcome import Outcome, known
 
@@ -16,6 +16,7 @@ DETERMINED = 0.5
 """Standard deviation at the end of a log, over the one without any measurement, below which a state is determined."""
 UNDETERMINED = 0.9
 """The same from which it is not determined at all."""
+COVARIANCES = "first_cov", "walk_cov"
 LARGE = 0.3
 """Components of a direction that are named, as a fraction of its largest one."""
 
@@ -60,8 +61,9 @@ def determined(observer: Any, loaded: Loaded, outcome: Outcome) -> tuple[Determi
     """How well a log determines the slow states of a filter.
 
     The covariance at the end is compared with that of the same states without any measurement: their first covariance,
-    with what a random walk adds to it. Of states that are not determined alone, the directions of the covariance are
-    looked at, in units of the latter: a sum may be known where its parts are not.
+    with what a random walk adds to it. States that are forgotten are left out: at the end of a log nothing but its last
+    moments tells of them. Of states that are not determined alone, the directions of the covariance are looked at, in
+    units of the latter: a sum may be known where its parts are not.
 
     Args:
         observer: The filter, maybe behind a delay.
@@ -69,8 +71,8 @@ def determined(observer: Any, loaded: Loaded, outcome: Outcome) -> tuple[Determi
         outcome: The run of the filter.
 
     Returns:
-        The slow states, in their order, and then directions of several that are not determined; nothing for an observer
-        without slow states.
+        The slow states that are not forgotten, in their order, and then directions of several that are not determined;
+        nothing for an observer without any.
     """
     filter_ = getattr(observer, "observer", observer)  # behind a delay
     std = known(outcome.run.info, "slow_std")
@@ -78,30 +80,24 @@ def determined(observer: Any, loaded: Loaded, outcome: Outcome) -> tuple[Determi
         return ()
     t = np.asarray(outcome.run.t)
     groups = (*filter_.slow, *(sensor.slow for sensor in filter_.sensors if sensor.slow is not None))
-    initial, free = (np.concatenate([_without(group, time) for group in groups]) for time in (0.0, t[-1] - t[0]))
+    stay = np.concatenate([np.full(len(group.names), group.time is None) for group in groups])
+    if not stay.any():
+        return ()
+    lasted = t[-1] - t[0]
+    initial, walk = (np.concatenate([np.diag(np.asarray(getattr(g, of))) for g in groups]) for of in COVARIANCES)
+    free = initial + walk * lasted
     # Reported values may be functions of the states, as of parameters: what time adds is in proportion.
     proportional = np.concatenate([np.full(len(group.names), group.values is not None) for group in groups])
     first = np.where(proportional, std[0] * np.sqrt(free / np.maximum(initial, 1e-300)), np.sqrt(free))
-    units = [_unit(name, loaded) for name in filter_.slow_names]
-    found = [
-        Determinacy(*each) for each in zip(filter_.slow_names, first.tolist(), std[-1].tolist(), units, strict=True)
-    ]
-    unclear = np.flatnonzero([each.ratio > DETERMINED for each in found])
-    if len(unclear) < 2:
+    each = zip(filter_.slow_names, first.tolist(), std[-1].tolist(), stay, strict=True)
+    found = [Determinacy(name, prior, last, _unit(name, loaded)) for name, prior, last, stays in each if stays]
+    vague = [i for i, each in enumerate(found) if each.ratio > DETERMINED]
+    if len(vague) < 2:
         return tuple(found)
     record = loaded.record_for(filter_)
-    n = loaded.file.dimension
+    n, unclear = loaded.file.dimension, np.flatnonzero(stay)[vague]
     cov = np.asarray(_last_covariance(filter_, *(jnp.asarray(part, float) for part in record[:3])))[2 * n :, 2 * n :]
-    return (*found, *_directions([found[i] for i in unclear], cov[np.ix_(unclear, unclear)], free[unclear]))
-
-
-def _without(group: Slow, time: float) -> Float[np.ndarray, "k"]:
-    """Variances (k,) of slow states after some time [s] without a measurement."""
-    first, walk = np.diag(np.asarray(group.first_cov)), np.diag(np.asarray(group.walk_cov))
-    if group.time is None:
-        return first + walk * time
-    in_the_long_run = walk * float(group.time) / 2
-    return in_the_long_run + (first - in_the_long_run) * np.exp(-2 * time / float(group.time))
+    return (*found, *_directions([found[i] for i in vague], cov[np.ix_(unclear, unclear)], free[unclear]))
 
 
 def _unit(name: str, loaded: Loaded) -> str:

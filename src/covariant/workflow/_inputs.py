@@ -248,6 +248,31 @@ def with_sensor_delays(observers: Mapping[str, AbstractObserver], loaded: Loaded
     return wrapped
 
 
+def refuse_delays(job: Job, loaded: Loaded, observer: AbstractObserver, why: str) -> None:
+    """Refuse a log whose positions, or readings of the sensors of an observer, are late.
+
+    Args:
+        job: The model and the log, for the message.
+        loaded: Both as they were read.
+        observer: The observer that is to run over it.
+        why: What cannot be done with such a log, for the message.
+
+    Raises:
+        ValueError: One is late; the message names it and what to do.
+    """
+    delays = {"measurement.delay": loaded.file.delay}
+    if getattr(observer, "sensors", ()):
+        delays |= {f"sensors.{part.sensor.name}.delay": part.delay for part in loaded.sensors}
+    late = {key: delay for key, delay in delays.items() if np.any(delay)}
+    if late:
+        named = ", ".join(f"{key} = {delay}" for key, delay in late.items())
+        settings = " ".join(f"--set {key}=0" for key in late)
+        raise ValueError(
+            f"{job.model_name}: {why} ({named}); shift the positions, or what the sensors read, in the log to when "
+            f"they were true, and give {settings}"
+        )
+
+
 def _delay_note(file: models.ModelFile) -> str:
     """A sentence that says how late positions are, where they are."""
     delays = np.atleast_1d(np.asarray(file.delay, float))

@@ -34,13 +34,22 @@ class FileSensor(NamedTuple):
     unit: str
 
     def to_columns(self, readings: Float[np.ndarray, "T k"]) -> dict[str, np.ndarray]:
-        """Columns of a log, in their units, from readings (T, k) in SI units and radians."""
+        """Columns of readings (T, k), in SI units and radians."""
         if self.columns.q:
-            factors = [logs.unit_factor(self.columns.unit_of("q", i) or "1") for i in range(len(self.columns.q))]
-            return {name: values / f for name, values, f in zip(self.columns.q, readings.T, factors, strict=True)}
+            return dict(zip(self.columns.q, readings.T, strict=True))
         poses = np.tile(np.eye(4), (len(readings), 1, 1))
         poses[:, :3, 3], poses[:, :3, :3] = readings[:, :3], readings[:, 3:].reshape(-1, 3, 3)
         return logs.to_columns(self.columns, poses)
+
+    @property
+    def units(self) -> dict[str, str | None]:
+        """Units of the columns in a log, None where they are in SI units."""
+        return {name: self.columns.unit_of("q", i) for i, name in enumerate(self.columns.q)}
+
+    @property
+    def si_units(self) -> dict[str, str]:
+        """SI units of the columns, as far as they are known; an attitude has none."""
+        return {name: self.unit for name in self.columns.q + self.columns.position if self.unit}
 
 
 def file_sensors(file: ModelFile) -> tuple[FileSensor, ...]:
@@ -219,16 +228,16 @@ def sensor_counts(parts: Sequence[FileSensor], readings: np.ndarray, info: Any) 
     Returns:
         The counts by the name of the sensor.
     """
-    innovation, std, used = (np.asarray(field) for field in info)
+    innovation, std, used = (np.asarray(field)[1:] for field in info)
     found, at, i = {}, 0, 0
     for part in parts:
         k, n = part.sensor.count, len(part.sensor.cov)
-        there = np.isfinite(readings[1:, at : at + k]).any(axis=1)
-        taken, size = used[1:, i : i + n], (innovation / std)[1:, i : i + n]
-        whole = np.isfinite(readings[1:, at : at + k]).all(axis=1)
-        refused = whole & ~taken.all(axis=1)
-        nis = float(np.mean(size[taken] ** 2)) if taken.any() else float("nan")
-        found[part.sensor.name] = SensorCount(int(there.sum()), int(refused.sum()), nis)
+        there = np.isfinite(readings[1:, at : at + k])
+        off, size, taken = (each[:, i : i + n] for each in (innovation, std, used))
+        # What was true before the start, of a sensor that is late, was compared with nothing.
+        refused = there.all(axis=1) & ((off != 0) & ~taken).any(axis=1)
+        nis = float(np.mean((off[taken] / size[taken]) ** 2)) if taken.any() else float("nan")
+        found[part.sensor.name] = SensorCount(int(there.any(axis=1).sum()), int(refused.sum()), nis)
         at, i = at + k, i + n
     return found
 

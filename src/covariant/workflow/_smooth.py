@@ -17,6 +17,7 @@ from covariant.workflow._inputs import (
     Job,
     load,
     numbered,
+    refuse_delays,
     sought_columns,
     sought_units,
 )
@@ -88,12 +89,7 @@ def smooth(
     loaded = load(job, score)
     name = observer or next(name for name in SMOOTHED if name in estimators(loaded.model))
     chosen, notes = choose_observer(job, loaded, name)
-    if np.any(loaded.file.delay):
-        raise ValueError(
-            f"{job.model_name}: a smoother does not make up for readings that are late (measurement.delay = "
-            f"{loaded.file.delay}); shift the positions of the log to when they were true, and give "
-            "--set measurement.delay=0"
-        )
+    refuse_delays(job, loaded, chosen, "a smoother does not make up for readings that are late")
     rows = None if lag is None else lag_rows(np.asarray(loaded.record.t), lag)
     progress(f"smoothing with {name}")
     smoothed = jax.block_until_ready(smooth_record(chosen, loaded.record_for(chosen), rows, KEPT))
