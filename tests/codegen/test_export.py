@@ -18,6 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+import covariant
 from covariant import metrics, models, observers
 from covariant.certificates import audit
 from covariant.cli import main
@@ -205,7 +206,7 @@ def exported(tmp_path_factory):
         if name == "tables":  # the same observer, for less memory
             graphs = made("kalman").program
         else:
-            graphs = program(chosen.recipe, chosen.measured[0], chosen.inputs, chosen.real)
+            graphs = program(chosen.recipe, chosen.measured[0], chosen.inputs, chosen.real, alone=name == "sensors")
         patch.setattr(_data_sheet, "COMPILERS", ())  # the command is asked for sizes once, below
         texts = export_texts(graphs, name, f"The case */ {name}", chosen.measured, Facts(RATE, 1), chosen.flash)
         write_folder(texts, folder / name)
@@ -487,6 +488,92 @@ def test_the_header_says_what_a_measurement_holds(exported):
         in header
     )
     assert "where the configuration in y is not all\n * finite" in header
+
+
+ALONE = """#include "sensors.h"
+
+#include <math.h>
+#include <stdio.h>
+
+int main(void)
+{
+    const double start[3] = {0.3, 0.1, (double)NAN}, u[1] = {0.2};
+    const unsigned char only_q[3] = {0, 0, 1}, only_speed[3] = {1, 1, 0};
+    sensors_state whole, alone;
+    sensors_output expected, found;
+    double worst = 0.0;
+    int k, outcomes = 0;
+    sensors_init(&whole, &sensors_default, start, 0.0);
+    sensors_init(&alone, &sensors_default, start, 0.0);
+    for (k = 1; k < 200; ++k) {
+        const double y[3] = {0.3 + 0.05 * sin(0.1 * k), k == 77 ? (double)NAN : 0.1,
+                             0.05 * cos(0.1 * k) + (k % 50 == 9)};
+        const int of_q = k % 5 == 0;
+        const int a = sensors_step(&whole, &sensors_default, u, y, of_q ? only_q : only_speed, 0.004);
+        const int b = of_q ? sensors_step_configuration(&alone, &sensors_default, u, y, 0.004)
+                           : sensors_step_speed(&alone, &sensors_default, u, y + 2, 0.004);
+        outcomes += a != b;
+        sensors_estimate(&whole, &sensors_default, &expected);
+        sensors_estimate(&alone, &sensors_default, &found);
+        worst = fmax(worst, fabs(expected.v[0] - found.v[0]) + fabs(expected.slow[0] - found.slow[0]));
+    }
+    printf("%d %.3g %.3g", outcomes, worst, found.v[0]);
+    return 0;
+}
+"""
+
+
+@needs_compiler
+def test_a_step_by_one_sensor_alone_is_the_whole_step_without_the_rest(exported, tmp_path):
+    folder = exported("sensors").folder
+    (tmp_path / "main.c").write_text(ALONE)
+    ran(["cc", *FLAGS, f"-I{folder}", folder / "sensors.c", "main.c", "-lm", "-o", "alone"], tmp_path)
+    outcomes, worst, v = map(float, ran(["./alone"], tmp_path).split())
+    assert outcomes == 0
+    assert worst < 1e-12
+    assert abs(v) > 0
+    sheet = (folder / "DATASHEET.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| (all|configuration alone|speed alone) \| (\d+) \|$", sheet, re.MULTILINE)
+    work = {what: int(count) for what, count in rows}
+    assert work["speed alone"] < work["configuration alone"] < work["all"]
+
+
+def test_steps_by_sensor_are_written_only_where_they_are_asked_for_and_there_are_some(tmp_path):
+    assert not program(case("sensors").recipe, case("sensors").measured[0], 1).alone
+    with pytest.raises(ValueError, match="step_per_sensor is for a filter with sensors; intrinsic of oscillator has"):
+        covariant.export("oscillator", tmp_path / "c", rate=100.0, alpha=9.0, beta=20.0, step_per_sensor=True)
+    with pytest.raises(ValueError, match="for C, and a unit has one step"):
+        covariant.export("oscillator", tmp_path / "a.fmu", rate=100.0, alpha=9.0, beta=20.0, step_per_sensor=True)
+
+
+NOISE = {"measurement.std": 1e-3, "uncertainty.acceleration": 1.0}
+
+
+def test_an_export_with_a_lag_is_the_smoother_of_its_observer(tmp_path):
+    made = {"rate": 100.0, "overrides": NOISE, "audit": False, "observer": "intrinsic-kalman"}
+    late = covariant.export("oscillator", tmp_path / "late", lag=0.05, **made)
+    assert "Estimates are 0.05 s late." in late.about
+    buffers = {leaf.name: leaf.shape for leaf in late.program.state}
+    assert (5, 1) in buffers.values()
+    now = covariant.export("oscillator", tmp_path / "now", **made)
+    assert not any(leaf.shape[:1] == (5,) for leaf in now.program.state)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"observer": "intrinsic", "lag": 0.1}, "lag is for filters with a covariance: .*; intrinsic is none"),
+        ({"observer": "intrinsic-kalman", "lag": 0.001}, r"lag 0\.001 is less than half a sample of 0\.01 s"),
+        ({"observer": "intrinsic-kalman", "lag": -1.0}, "lag must be a positive number"),
+        (
+            {"observer": "intrinsic-kalman", "lag": 0.1, "overrides": NOISE | {"measurement.delay": 0.02}},
+            "not for late ones",
+        ),
+    ],
+)
+def test_a_lag_that_no_export_has_is_refused(options, message, tmp_path):
+    with pytest.raises(ValueError, match=message):
+        covariant.export("oscillator", tmp_path / "c", rate=100.0, audit=False, **({"overrides": NOISE} | options))
 
 
 @pytest.mark.parametrize("name", ["for", "virtual", "2nd", "a-b"])

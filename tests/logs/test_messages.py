@@ -5,6 +5,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import pandas
 import pytest
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
@@ -12,6 +13,7 @@ from mcap_ros2.writer import Writer as McapWriter
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
+import covariant
 from covariant import logs
 from covariant.logs import Columns, LogError
 
@@ -208,3 +210,70 @@ def test_memory_grows_by_what_is_kept(tmp_path):
     rows, grown = done.stdout.split()
     assert int(rows) == 30_000
     assert float(grown) < 12.0
+
+
+def with_imu(path: Path, t: np.ndarray, q: np.ndarray, t_imu: np.ndarray, spin: np.ndarray) -> Path:
+    """A rosbag2 of a joint and of an Imu whose stamps are others."""
+    types = STORE.types
+    vector = types["geometry_msgs/msg/Vector3"]
+    level, unknown = types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0), np.zeros(9)
+    with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        joints = writer.add_connection("/joint_states", STATE, typestore=STORE)
+        imu = writer.add_connection("/imu", "sensor_msgs/msg/Imu", typestore=STORE)
+        for stamp, angle in zip(t, q, strict=True):
+            ns = START + round(stamp * 1e9)
+            header = types["std_msgs/msg/Header"](types["builtin_interfaces/msg/Time"](*divmod(ns, 10**9)), "")
+            made = types[STATE](header, ["arm"], np.array([angle]), np.zeros(0), np.zeros(1))
+            writer.write(joints, ns, STORE.serialize_cdr(made, STATE))
+        for stamp, rate in zip(t_imu, spin, strict=True):
+            ns = START + round(stamp * 1e9)
+            header = types["std_msgs/msg/Header"](types["builtin_interfaces/msg/Time"](*divmod(ns, 10**9)), "")
+            push = vector(0.0, 0.0, 9.81)
+            made = types["sensor_msgs/msg/Imu"](header, level, unknown, vector(0.0, rate, 0.0), unknown, push, unknown)
+            writer.write(imu, ns, STORE.serialize_cdr(made, "sensor_msgs/msg/Imu"))
+    return path
+
+
+def test_stamps_of_a_sensor_beside_the_positions_are_rows_too(tmp_path):
+    t, fast = np.array([0.0, 0.1, 0.2, 0.3]), np.array([-0.05, 0.0, 0.04, 0.08, 0.12, 0.2, 0.25])
+    path = with_imu(tmp_path / "bag", t, 2.0 * t, fast, 3.0 + fast)
+    columns, rate = Columns(q=("arm",)), Columns(q=("/imu/wy",))
+    log = logs.read(path, columns, beside=("/imu/wy",))
+    rows = np.array([0.0, 0.04, 0.08, 0.1, 0.12, 0.2, 0.25, 0.3])
+    np.testing.assert_allclose(log.record.t, rows, rtol=0, atol=1e-12)
+    np.testing.assert_array_equal(log.record.y[:, 0], [0.0, np.nan, np.nan, 0.2, np.nan, 0.4, np.nan, 2.0 * t[3]])
+    read = logs.readings(path, rate, log)[:, 0]
+    np.testing.assert_allclose(read, [3.0, 3.04, 3.08, np.nan, 3.12, 3.2, 3.25, np.nan], rtol=1e-15)
+    part = logs.read(path, columns, start=0.09, until=0.22, beside=("/imu/wy",))
+    np.testing.assert_allclose(logs.readings(path, rate, part)[:, 0], [np.nan, 3.12, 3.2], rtol=1e-15)
+    assert len(logs.read(path, columns).record.t) == 4, "without sensors they are no rows"
+    assert logs.readings(path, Columns(q=("/gyro/wy",)), log) is None
+    assert {"wx", "wy", "wz", "ax", "ay", "az"} < set(logs.survey(path))
+
+
+def test_an_estimate_from_messages_of_a_sensor_is_that_from_the_table_of_them(tmp_path):
+    t, fast = np.arange(0.0, 2.0, 0.02), np.arange(0.0, 2.0, 0.005) + 0.001
+    q = 0.4 * np.cos(4.4 * t)
+    path = with_imu(tmp_path / "bag", t, q, fast, -0.4 * 4.4 * np.sin(4.4 * fast))
+    stamps = np.union1d(np.rint(t * 1e9), np.rint(fast * 1e9)).astype(int)
+    table = {
+        "t": stamps * 1e-9,
+        "arm/effort": np.zeros(len(stamps)),
+        "arm": np.full(len(stamps), np.nan),
+        "/imu/wy": np.full(len(stamps), np.nan),
+    }
+    table["arm"][np.searchsorted(stamps, np.rint(t * 1e9))] = q
+    table["/imu/wy"][np.searchsorted(stamps, np.rint(fast * 1e9))] = -0.4 * 4.4 * np.sin(4.4 * fast)
+    (tmp_path / "arm.toml").write_text(
+        'system = "pendulum_chain"\n[parameters]\nmass = [1.0]\nlength = [0.5]\n'
+        '[columns]\nq = ["arm"]\nu = ["arm/effort"]\n'
+        "[measurement]\nstd = 1e-3\n[uncertainty]\nacceleration = 1.0\n"
+        '[sensors.gyro]\nkind = "tachometer"\nof = ["arm"]\ncolumns = ["/imu/wy"]\nstd = 0.01\n'
+    )
+    by_bag, by_table = (
+        covariant.estimate(tmp_path / "arm.toml", log, observer="intrinsic-kalman", anyway=True)
+        for log in (path, pandas.DataFrame(table))
+    )
+    assert by_bag.sensors["gyro"].readings == len(fast)
+    np.testing.assert_allclose(by_bag.t, by_table.t, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(by_bag.outcome.velocity, by_table.outcome.velocity, rtol=0, atol=1e-6)

@@ -206,6 +206,14 @@ def export(
         Path | None, typer.Option(help="Metric on a grid for riccati, as `design metric` stores it (.zarr).")
     ] = None,
     fmi: Annotated[str | None, typer.Option(help="Version of FMI of a .fmu: 3.0, the default, or 2.0.")] = None,
+    lag: Annotated[
+        float | None,
+        typer.Option(help="Time [s] after which each estimate comes, from all samples up to then, of a filter."),
+    ] = None,
+    step_per_sensor: Annotated[
+        bool,
+        typer.Option("--step-per-sensor", help="Of a filter with sensors, a step for each of them alone as well."),
+    ] = False,
     audit: Annotated[bool, typer.Option("--audit/--no-audit", help="Measure the laws of the observer first.")] = True,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace files that are there.")] = False,
     override: Override = [],  # noqa: B006  typer copies it
@@ -227,6 +235,8 @@ def export(
             certificate=certificate,
             metric=metric,
             fmi=fmi,
+            lag=lag,
+            step_per_sensor=step_per_sensor,
             audit=audit,
             overwrite=overwrite,
             overrides=tuple(override),

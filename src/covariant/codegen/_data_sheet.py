@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from covariant.codegen._program import Program
-from covariant.codegen._source import Source
+from covariant.codegen._source import Source, step_of
 
 ARITHMETIC = ("add", "sub", "mul", "div", "neg", "abs", "min", "max", "sign", "sqrt")
 LOGIC = ("lt", "le", "eq", "and", "or", "not", "is_finite", "select", "either")
@@ -78,6 +78,11 @@ def data_sheet(program: Program, source: Source, about: str, facts: Facts) -> st
     lines = [f"# Data sheet of {source.name}", "", about, "", "## Work of a step", "", "The same in every step.", ""]
     lines += ["| operations | count |", "|---|---|"]
     lines += [f"| {label} | {count} |" for label, count in _counts(step.operations)]
+    if program.alone:
+        lines += ["", "## Work of a step by what was read", "", "| what was read | operations |", "|---|---|"]
+        lines.append(f"| all | {sum(step.operations.values())} |")
+        for part, _ in program.parts:
+            lines.append(f"| {part} alone | {sum(source.functions[step_of(part)].operations.values())} |")
     lines += ["", "## Memory", "", "| what | bytes |", "|---|---|"]
     lines += [f"| state | {state} |", f"| numbers that may be changed | {numbers * width} |"]
     lines.append(f"| numbers kept on the stack between parts of a step | {step.scratch * width} |")

@@ -21,6 +21,8 @@ DTYPES = {"double": np.float64, "float": np.float32}
 
 REPORTED = ("innovation", "distance", "nis", "velocity_std", "state_std", "slow", "slow_std")
 """Fields of an info that the code stores, beside the result code."""
+CONFIGURATION = "configuration"
+"""Name of the first part of a measurement of a filter with sensors."""
 
 
 class Recipe(NamedTuple):
@@ -85,6 +87,8 @@ class Program(NamedTuple):
         real: Type of the numbers, "double" or "float".
         told_as: The info with the shapes and types that it has in JAX.
         sensors: Name of each sensor beside the configuration, and how many numbers it has in a measurement.
+        alone: Graphs of `(numbers, state, u, part, dt) -> (state, info)` of a step in which only one part of the
+            measurement was read, `CONFIGURATION` or a sensor, with its name; empty where they were not asked for.
 
     Example:
         >>> import numpy as np
@@ -109,11 +113,13 @@ class Program(NamedTuple):
     real: Real
     told_as: Any
     sensors: tuple[tuple[str, int], ...] = ()
+    alone: tuple[tuple[str, Lowered], ...] = ()
 
     @property
-    def configuration(self) -> int:
-        """How many of the numbers of a measurement, the first, are the configuration."""
-        return math.prod(self.y) - sum(count for _, count in self.sensors)
+    def parts(self) -> tuple[tuple[str, int], ...]:
+        """Parts of a measurement by name, with their numbers: the configuration, and each sensor."""
+        rest = math.prod(self.y) - sum(count for _, count in self.sensors)
+        return ((CONFIGURATION, rest), *self.sensors)
 
     @property
     def reported(self) -> list[Leaf]:
@@ -260,6 +266,7 @@ class TracedProgram(NamedTuple):
     told_as: Any
     estimated_as: Any
     sensors: tuple[tuple[str, int], ...] = ()
+    alone: tuple[tuple[str, TracedFunction], ...] = ()
 
     def lower(self, loops: bool = False) -> Program:
         """The graphs of the observer.
@@ -276,10 +283,11 @@ class TracedProgram(NamedTuple):
             lower_traced(self.step, loops=loop_kinds),
             lower_traced(self.estimate, loops=loop_kinds),
         )
+        alone = tuple((name, lower_traced(step, loops=loop_kinds)) for name, step in self.alone)
         used = _used(lowered, self.given)
         numbers = {leaf.name: value for leaf, value in zip(self.given, self.values, strict=True) if leaf.name in used}
         structure = (self.state, self.info, self.x, self.y, self.u, self.real, self.told_as)
-        return Program(*lowered, numbers, self.given, self.values, *structure, self.sensors)
+        return Program(*lowered, numbers, self.given, self.values, *structure, self.sensors, alone)
 
 
 def program(
@@ -288,6 +296,7 @@ def program(
     inputs: int | None = None,
     real: Real = "double",
     loops: bool = False,
+    alone: bool = False,
 ) -> Program:
     """The graphs of an observer.
 
@@ -297,6 +306,7 @@ def program(
         inputs: Number of inputs m; by default that of the observer's model, or 0 where it has none.
         real: Type in which the graphs compute, "double" or "float".
         loops: Let a step take as long as its numbers ask for, as where friction decides the number of its substeps.
+        alone: Of a filter with sensors, add the steps in which only one of them, or the configuration, was read.
 
     Raises:
         LoweringError: A step has no graph of a fixed size, as where friction decides the number of its substeps
@@ -309,11 +319,11 @@ def program(
         >>> codegen.program(recipe, np.zeros(2), real="float").x
         (Leaf(name='q', shape=(2,), real=True), Leaf(name='v', shape=(2,), real=True))
     """
-    return trace_program(recipe, y, inputs, real).lower(loops)
+    return trace_program(recipe, y, inputs, real, alone).lower(loops)
 
 
 def trace_program(
-    recipe: Recipe, y: Array | np.ndarray, inputs: int | None = None, real: Real = "double"
+    recipe: Recipe, y: Array | np.ndarray, inputs: int | None = None, real: Real = "double", alone: bool = False
 ) -> TracedProgram:
     """An observer traced by JAX, which takes a part of the time that its graphs take.
 
@@ -322,6 +332,7 @@ def trace_program(
         y: A measured configuration, of which the shape counts.
         inputs: Number of inputs m; by default that of the observer's model, or 0 where it has none.
         real: Type in which the graphs compute, "double" or "float".
+        alone: Of a filter with sensors, add the steps in which only one of them, or the configuration, was read.
 
     Returns:
         The traced functions; `lower` writes their graphs.
@@ -380,6 +391,19 @@ def trace_program(
     acting = jax.ShapeDtypeStruct((u,), dtype)
     traced_step = trace(step, open_numbers, state, acting, measured, scalar)
     traced_estimate = trace(estimate, open_numbers, state)
+    sensors = tuple((sensor.name, sensor.count) for sensor in getattr(first, "sensors", ()))
+    alone_traced: list[tuple[str, TracedFunction]] = []
+    if alone and sensors:
+        at = 0
+        for name, count in ((CONFIGURATION, y.size - sum(k for _, k in sensors)), *sensors):
+
+            def step_alone(numbers, state, u, part, dt, at=at):
+                # What is not a number is a constant here, so that the graph loses all that is only for the rest.
+                return step(numbers, state, u, jnp.full(y.shape, jnp.nan, dtype).at[at : at + part.size].set(part), dt)
+
+            part = jax.ShapeDtypeStruct((count,), dtype)
+            alone_traced.append((name, trace(step_alone, open_numbers, state, acting, part, scalar)))
+            at += count
     leaves = tuple(Leaf(name, np.shape(recipe.numbers[name])) for name in sorted(recipe.numbers))  # as JAX orders them
     return TracedProgram(
         traced_init,
@@ -395,7 +419,8 @@ def trace_program(
         real,
         structures["info"],
         structures["estimate"],
-        tuple((sensor.name, sensor.count) for sensor in getattr(first, "sensors", ())),
+        sensors,
+        tuple(alone_traced),
     )
 
 

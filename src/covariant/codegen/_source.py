@@ -12,7 +12,7 @@ from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 
-from covariant.codegen._program import Leaf, Program, Real
+from covariant.codegen._program import CONFIGURATION, Leaf, Program, Real
 from covariant.lowering import C_KEYWORDS, CText, Lowered, Signature, c_function, c_helpers, c_number
 from covariant.signals import Result
 
@@ -113,7 +113,12 @@ def _estimated(source: Source, real: Real) -> float:
 
 
 def _written(program: Program, name: str, about: str, tables: Tables) -> Source:
-    core = {"init": _init(program, name), "step": _step(program, name), "estimate": _estimate(program, name)}
+    core = {"init": _init(program, name), "step": _step(program, name, program.step, math.prod(program.y))}
+    for part, count in program.parts if program.alone else ():
+        if step_of(part) in core:
+            raise ValueError(f"the steps by sensor need names that differ in C; {step_of(part)} is there twice")
+        core[step_of(part)] = _step(program, name, dict(program.alone)[part], count)
+    core["estimate"] = _estimate(program, name)
     functions = {
         key: c_function(graph, f"{name}_core_{key}", signature, program.real, f"{name}_", static=True, tables=tables)
         for key, (graph, signature) in core.items()
@@ -167,8 +172,8 @@ def _header(program: Program, name: str, about: str) -> str:
     held = f"numbers of a measurement, {' x '.join(map(str, program.y))} by rows"
     started = "y"
     if program.sensors:
-        parts = [("the configuration", program.configuration), *program.sensors]
-        held = f"numbers of a measurement: {', then '.join(f'{count} of {of}' for of, count in parts)}"
+        each = [f"{count} of {'the ' if of == CONFIGURATION else ''}{of}" for of, count in program.parts]
+        held = f"numbers of a measurement: {', then '.join(each)}"
         started = "the configuration in y"
     parameters = [Leaf(key, np.shape(value)) for key, value in program.numbers.items()]
     parts = [
@@ -199,12 +204,24 @@ def _header(program: Program, name: str, about: str) -> str:
         " * not positive leaves the state as it was; the outcome says so. */\n"
         f"int {name}_step({name}_state *state, const {name}_params *params, const {name}_real *u,\n"
         f"    const {name}_real *y, const unsigned char *missing, {name}_real dt);\n",
+        *_declared_alone(program, name),
         "/* The estimate of a state. */\n"
         f"void {name}_estimate(const {name}_state *state, const {name}_params *params, {name}_output *output);\n",
         "#ifdef __cplusplus\n}\n#endif\n",
         "#endif",
     ]
     return "\n".join(parts) + "\n"
+
+
+def _declared_alone(program: Program, name: str) -> list[str]:
+    """Declarations of the steps in which only one part of a measurement was read."""
+    return [
+        f"/* The same step where nothing but the {count} numbers of "
+        f"{'the ' if part == CONFIGURATION else ''}{part} were read, with less work. */\n"
+        f"int {name}_{step_of(part)}({name}_state *state, const {name}_params *params, const {name}_real *u,\n"
+        f"    const {name}_real *y, {name}_real dt);\n"
+        for part, count in (program.parts if program.alone else ())
+    ]
 
 
 def _last(leaf: Leaf) -> Leaf:
@@ -221,11 +238,20 @@ def _init(program: Program, name: str) -> tuple[Lowered, Signature]:
     return program.init, Signature(declared, ("params", "y", "t", "state"), tuple(inputs), tuple(outputs))
 
 
-def _step(program: Program, name: str) -> tuple[Lowered, Signature]:
+def step_of(part: str) -> str:
+    """Name of the step in which only one part of a measurement was read.
+
+    Args:
+        part: Name of the part, as `Program.parts` has it.
+    """
+    return f"step_{re.sub(r'[^A-Za-z0-9_]', '_', part)}"
+
+
+def _step(program: Program, name: str, step: Lowered, measured: int) -> tuple[Lowered, Signature]:
     state = [e for leaf in program.state for e in entries("state->", leaf)]
-    u, y = ([f"{n}[{i}]" for i in range(k)] for n, k in (("u", program.u), ("y", int(np.prod(program.y)))))
+    u, y = ([f"{n}[{i}]" for i in range(k)] for n, k in (("u", program.u), ("y", measured)))
     after = [e for leaf in program.state for e in entries("next->", leaf)]
-    lowered, _places, info = _only_reported(program)
+    lowered, info = _only_reported(program, step)
     slots = ["*result" if leaf.name == "result" else None for leaf in info]
     outputs = [*after]
     for leaf, result in zip(info, slots, strict=True):
@@ -240,8 +266,8 @@ def _step(program: Program, name: str) -> tuple[Lowered, Signature]:
     return lowered, Signature(declared, passed, inputs, tuple(outputs))
 
 
-def _only_reported(program: Program) -> tuple[Lowered, list[int], list[Leaf]]:
-    """The step without the results that nothing reads."""
+def _only_reported(program: Program, step: Lowered) -> tuple[Lowered, list[Leaf]]:
+    """A step without the results that nothing reads."""
     wanted = [*program.reported, *(leaf for leaf in program.info if leaf.name == "result")]
     count = sum(leaf.size for leaf in program.state)
     places, at, chosen = list(range(count)), count, []
@@ -250,9 +276,8 @@ def _only_reported(program: Program) -> tuple[Lowered, list[int], list[Leaf]]:
             places += range(at, at + leaf.size)
             chosen.append(leaf)
         at += leaf.size
-    lowered = program.step
-    graph, outputs = lowered.graph.pruned([lowered.outputs[i] for i in places])
-    return lowered._replace(graph=graph, outputs=tuple(outputs)), places, chosen
+    graph, outputs = step.graph.pruned([step.outputs[i] for i in places])
+    return step._replace(graph=graph, outputs=tuple(outputs)), chosen
 
 
 def _estimate(program: Program, name: str) -> tuple[Lowered, Signature]:
@@ -290,7 +315,7 @@ def _source(program: Program, name: str, about: str, functions: dict[str, CText]
         *(text.text for text in functions.values()),
         f"int {name}_init({name}_state *state, const {name}_params *params, const {name}_real *y, {name}_real t)\n{{\n"
         f"    int i;\n"
-        f"    for (i = 0; i < {program.configuration if program.sensors else f'{upper}_MEASUREMENTS'}; ++i) {{\n"
+        f"    for (i = 0; i < {program.parts[0][1] if program.sensors else f'{upper}_MEASUREMENTS'}; ++i) {{\n"
         # y − y is 0 for finite y and NaN for all others, without a function of <math.h>.
         f"        if (!(y[i] - y[i] == 0))\n            return {upper}_NOT_FINITE;\n    }}\n"
         f"    {name}_core_init(params, y, t, state);\n"
@@ -303,6 +328,15 @@ def _source(program: Program, name: str, about: str, functions: dict[str, CText]
         f"        seen[i] = missing != NULL && missing[i] ? ({name}_real)NAN : y[i];\n"
         f"    {name}_core_step(params, state, {acting}, seen, dt, &next, &result);\n"
         f"    *state = next;\n    return (int)result;\n}}\n",
+        *(
+            f"int {name}_{step_of(part)}({name}_state *state, const {name}_params *params, const {name}_real *u,\n"
+            f"    const {name}_real *y, {name}_real dt)\n{{\n"
+            f"{no_input}"
+            f"    {name}_state next;\n    {name}_real result;\n"
+            f"    {name}_core_{step_of(part)}(params, state, {acting}, y, dt, &next, &result);\n"
+            f"    *state = next;\n    return (int)result;\n}}\n"
+            for part, _ in (program.parts if program.alone else ())
+        ),
         f"void {name}_estimate(const {name}_state *state, const {name}_params *params, {name}_output *output)\n{{\n"
         f"    {name}_core_estimate(params, state, output);\n{copied}}}",
     ]

@@ -6,7 +6,7 @@ Messages are read one after another, and only the numbers of the wanted columns 
 import contextlib
 from array import array
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence, Set
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -22,6 +22,8 @@ LOOKED_AT = 500
 FIELDS = ("position", "velocity", "effort")
 """Fields of a JointState, each a list with a number for each joint, or empty."""
 POSITION, QUATERNION = ("px", "py", "pz"), ("qw", "qx", "qy", "qz")
+IMU = ("wx", "wy", "wz", "ax", "ay", "az")
+"""Angular velocity [rad/s] and acceleration without gravity's pull [m/s²] of an Imu message."""
 TWIST = ("vx", "vy", "vz", "wx", "wy", "wz")
 
 
@@ -57,11 +59,18 @@ def _odometry(message: Any) -> dict[str, float]:
     return _pose(message.pose.pose) | dict(zip(TWIST, parts, strict=True))
 
 
+def _imu(message: Any) -> dict[str, float]:
+    # An attitude, which many of these sensors do not know, is left out.
+    spin, push = message.angular_velocity, message.linear_acceleration
+    return dict(zip(IMU, (spin.x, spin.y, spin.z, push.x, push.y, push.z), strict=True))
+
+
 KINDS: dict[str, Callable[[Any], dict[str, float]]] = {
     "sensor_msgs/msg/JointState": joints,
     "geometry_msgs/msg/PoseStamped": lambda message: _pose(message.pose),
     "geometry_msgs/msg/PoseWithCovarianceStamped": lambda message: _pose(message.pose.pose),
     "nav_msgs/msg/Odometry": _odometry,
+    "sensor_msgs/msg/Imu": _imu,
 }
 """The messages that are read, and the numbers of each by their names."""
 
@@ -93,7 +102,7 @@ def bag_columns(path: Path) -> dict[str, bool]:
     return {name: first[place] == name != RECEIVED for name, place in places.items()}
 
 
-def read_bag(path: Path, wanted: Sequence[str], held: Sequence[str]) -> dict[str, Any]:
+def read_bag(path: Path, wanted: Sequence[str], held: Sequence[str], beside: Sequence[str] = ()) -> dict[str, Any]:
     """Read columns of a log of messages, with a row for each stamp of a topic that holds one of them.
 
     Rows before all columns have a number are left out.
@@ -103,6 +112,7 @@ def read_bag(path: Path, wanted: Sequence[str], held: Sequence[str]) -> dict[str
         wanted: Names of columns.
         held: Those of them that repeat their latest number where they have none at a stamp, as every column does in the
             first row; topics that hold only these make no rows.
+        beside: Further columns whose stamps are rows too, and which are not read; names that are not there make none.
 
     Returns:
         Columns (T,) by name; NaN where a topic has no message at a stamp. Stamps are Arrow durations [ns].
@@ -113,10 +123,13 @@ def read_bag(path: Path, wanted: Sequence[str], held: Sequence[str]) -> dict[str
     """
     with _messages(path) as (topics, messages):
         places = _places(_named(path, topics, messages()))
+        further = {places[name].topic for name in beside if name in places}
         places = {name: places[name] for name in wanted if name not in (HEADER, RECEIVED)}
-        read = {topic for topic in topics if topic in {place.topic for place in places.values()}}
-        series = _gather(path, messages(read), places, RECEIVED in wanted)
-    leading = {place.topic for name, place in places.items() if name not in held}
+        topics = {place.topic for place in places.values()} | further
+        if not topics:
+            return dict.fromkeys((HEADER, RECEIVED), pyarrow().array([], pyarrow().duration("ns")))
+        series = _gather(path, messages(topics), topics, places, RECEIVED in wanted)
+    leading = {place.topic for name, place in places.items() if name not in held} | further
     stamps = np.unique(np.concatenate([series[topic][0] for topic in leading]))
     columns = {name: _at(stamps, series[topic], name, name in held) for name, (topic, _) in places.items()}
     latest = {name: _latest(values) for name, values in columns.items()}
@@ -151,10 +164,13 @@ def _latest(values: np.ndarray) -> np.ndarray:
 
 
 def _gather(
-    path: Path, messages: Iterator[tuple[str, int, Any]], places: Mapping[str, _Place], received: bool
+    path: Path,
+    messages: Iterator[tuple[str, int, Any]],
+    topics: Set[str],
+    places: Mapping[str, _Place],
+    received: bool,
 ) -> dict[str, tuple[np.ndarray, dict[str, np.ndarray]]]:
     """Stamps [ns] and columns of each topic, in the order of the stamps."""
-    topics = {place.topic for place in places.values()}
     clocks = {topic: array("q") for topic in topics}
     cells = {topic: {name: array("d") for name, place in places.items() if place.topic == topic} for topic in topics}
     for topic, ns, message in messages:

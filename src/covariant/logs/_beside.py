@@ -17,6 +17,9 @@ from covariant.logs._unit_in_name import unit_in_name
 from covariant.logs._units import unit_factor
 from covariant.signals import Record
 
+NEAR = 1
+"""Difference [ns] of stamps that are the same: those of a log are seconds in double precision."""
+
 
 def readings(
     log: str | PathLike[str] | Record | Any, columns: Columns, of: Log, meant: Sequence[str] = ()
@@ -49,8 +52,7 @@ def readings(
     if isinstance(log, Record):
         return None
     name = source_name(log)
-    if isinstance(log, (str, PathLike)) and Path(log).exists() and kind(Path(log)) == "bag":
-        raise LogError(f"{name}: sensors beside the positions are read from tables, not from messages; convert the log")
+    messages = isinstance(log, (str, PathLike)) and Path(log).exists() and kind(Path(log)) == "bag"
     columns, table, _ = columns_and_table(name, log, columns, ("q", "position", *ATTITUDES))
     if not columns.measured:
         return None
@@ -66,6 +68,16 @@ def readings(
         values = numbers(where(name, column, unit), table.column(column), False)
         cells.append(values if unit is None else values * unit_factor(unit))
     y = from_cells(name, columns, np.column_stack(cells))
-    rows = slice(of.first_row - 1, None, of.every)
-    y = y[rows][: len(of.record.t)]
+    y = _at_stamps(y, table.column(columns.t), of) if messages else y[of.first_row - 1 :: of.every][: len(of.record.t)]
     return y if not bodies(columns) else np.concatenate([y[:, :3, 3], y[:, :3, :3].reshape(len(y), 9)], axis=1)
+
+
+def _at_stamps(y: np.ndarray, clock: Any, of: Log) -> np.ndarray:
+    """Readings at the stamps of a log, whose rows hold all stamps of the sensor; NaN in the others."""
+    stamps = np.asarray(clock.cast("int64"))
+    rows = np.rint(np.asarray(of.record.t) * 1e9).astype(np.int64) + (of.origin_ns or 0)
+    place = np.minimum(np.searchsorted(rows, stamps - NEAR), len(rows) - 1)
+    found = np.abs(rows[place] - stamps) <= NEAR
+    filled = np.full((len(rows), *y.shape[1:]), np.nan)
+    filled[place[found]] = y[found]
+    return filled

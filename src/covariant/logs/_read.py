@@ -38,6 +38,7 @@ def read(
     until: float | None = None,
     start: float | None = None,
     optional: Collection[str] = OPTIONAL,
+    beside: Sequence[str] = (),
 ) -> Log:
     """Read a log; an empty cell or `nan` is a missing measurement, and an error in t and u.
 
@@ -60,6 +61,8 @@ def read(
         until: Last time [s] since the first row that is read.
         start: First time [s] since the first row that is read. The whole log must be valid even so.
         optional: Fields of `columns` that count as not named where the log has none of their columns.
+        beside: Columns of sensors beside the positions, which `readings` reads: of a log of messages their stamps are
+            rows too, without positions. In a table they are rows already.
 
     Returns:
         The rows that were asked for, in SI units and radians.
@@ -100,7 +103,7 @@ def read(
             raise LogError(f"{name}: units of t: {error}") from error
     if every < 1:
         raise LogError(f"{name}: every must be 1 or more rows; got {every}")
-    whole = _of_record(log, columns) if isinstance(log, Record) else _of_columns(name, log, columns, optional)
+    whole = _of_record(log, columns) if isinstance(log, Record) else _of_columns(name, log, columns, optional, beside)
     return _cut(name, whole, every, until, start)
 
 
@@ -143,9 +146,9 @@ def _names(names: str | Sequence[str]) -> tuple[str, ...]:
     return (names,) if isinstance(names, str) else tuple(names)
 
 
-def _of_columns(name: str, log: Any, columns: Columns, optional: Collection[str]) -> Log:
+def _of_columns(name: str, log: Any, columns: Columns, optional: Collection[str], beside: Sequence[str]) -> Log:
     """All rows of a log that has columns."""
-    columns, table, units = columns_and_table(name, log, columns, optional)
+    columns, table, units = columns_and_table(name, log, columns, optional, beside)
     for field in ("t", *MEASURED, "u", *OPTIONAL):
         # Dates and durations state their unit by their type.
         if field != "t" or not timed(table.column(columns.t)):
@@ -254,7 +257,7 @@ def survey(log: str | PathLike[str] | Any) -> dict[str, Float[np.ndarray, "T"]]:
         _, shown, load, _ = _opened(name, log)
         # A name of two columns denotes neither.
         alone = [column for column, count in Counter(shown).items() if column and count == 1]
-        table = with_points(pyarrow(), name, load(alone, ()))
+        table = with_points(pyarrow(), name, load(alone, (), ()))
     columns: dict[str, np.ndarray] = {}
     for name in alone:
         column = table.column(name)
@@ -278,7 +281,7 @@ def _checked(name: str, record: Record) -> Record:
 
 
 def columns_and_table(
-    name: str, log: Any, columns: Columns, optional: Collection[str]
+    name: str, log: Any, columns: Columns, optional: Collection[str], beside: Sequence[str] = ()
 ) -> tuple[Columns, Any, Mapping[str, str]]:
     """The columns without the optional ones that the log lacks, a table of them, and the units that the log states."""
     with _legible(name, log):
@@ -288,7 +291,7 @@ def columns_and_table(
         columns = columns._replace(**dict.fromkeys(absent, ()))
         wanted = list(dict.fromkeys((columns.t, *columns.measured, *columns.u, *columns.v, *columns.truth)))
         _find(name, wanted, names, shown)
-        return columns, with_points(pyarrow(), name, load(wanted, columns.u)), units
+        return columns, with_points(pyarrow(), name, load(wanted, columns.u, beside)), units
 
 
 @contextlib.contextmanager
@@ -317,13 +320,13 @@ def _opened(name: str, log: Any) -> LogSource:
     if ending == "bag":
         names = bag_columns(path)
         shown = [name for name, shortest in names.items() if shortest]
-        return LogSource(list(names), shown, lambda wanted, held: pyarrow().table(read_bag(path, wanted, held)))
+        return LogSource(list(names), shown, lambda *asked: pyarrow().table(read_bag(path, *asked)))
     if ending == ".parquet":
         with pyarrow().parquet.ParquetFile(path) as file:
             names = list(file.schema_arrow.names)
-            return LogSource(names, names, lambda wanted, held: _parquet(path, wanted))
+            return LogSource(names, names, lambda wanted, held, beside: _parquet(path, wanted))
     text = sheet(path)
-    return LogSource(text.header, text.header, lambda wanted, held: read_text(pyarrow(), path, text, wanted))
+    return LogSource(text.header, text.header, lambda wanted, held, beside: read_text(pyarrow(), path, text, wanted))
 
 
 def _parquet(path: Path, wanted: Sequence[str]) -> Any:

@@ -20,14 +20,15 @@ class LogSource(NamedTuple):
     Attributes:
         names: All names under which columns can be loaded.
         shown: One name for each column; a log of messages knows longer ones as well.
-        load: `load(wanted, held)`: the wanted columns as a table of Arrow. Columns that are `held` repeat the last
-            value where they are not logged with the others.
+        load: `load(wanted, held, beside)`: the wanted columns as a table of Arrow. Columns that are `held` repeat the
+            last value where they are not logged with the others. Of a log of messages, those `beside` them make rows of
+            their own as well.
         units: Units that the log itself states, by column.
     """
 
     names: Sequence[str]
     shown: Sequence[str]
-    load: Callable[[Sequence[str], Sequence[str]], Any]
+    load: Callable[[Sequence[str], Sequence[str], Sequence[str]], Any]
     units: Mapping[str, str] = MappingProxyType({})
 
 
@@ -82,7 +83,7 @@ def table_source(name: str, log: Any) -> LogSource:
     names = [str(column) for column in frame.columns]
     places = dict(zip(names, frame.columns, strict=True))
 
-    def load(wanted: Sequence[str], held: Sequence[str]) -> Any:
+    def load(wanted: Sequence[str], held: Sequence[str], beside: Sequence[str]) -> Any:
         return pyarrow().table({column: _arrow(name, column, frame[places[column]].to_arrow) for column in wanted})
 
     return LogSource(names, names, load)
@@ -118,7 +119,7 @@ def _dataset_source(name: str, log: Any) -> LogSource:
     columns = {key: variable for key, variable in lines.items() if variable.dims[0] == time}
     units = {key: str(variable.attrs["units"]) for key, variable in columns.items() if "units" in variable.attrs}
 
-    def load(wanted: Sequence[str], held: Sequence[str]) -> Any:
+    def load(wanted: Sequence[str], held: Sequence[str], beside: Sequence[str]) -> Any:
         return pyarrow().table(
             {key: _arrow(name, key, lambda v=columns[key]: pyarrow().array(np.asarray(v.values))) for key in wanted}
         )

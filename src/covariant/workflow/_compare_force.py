@@ -21,6 +21,7 @@ from covariant.workflow._force_rivals import rivals
 from covariant.workflow._inputs import ColumnNames, Job, Loaded, column_names, load, log_sheet, numbered, refuse_delays
 from covariant.workflow._outcome import force_units, mean_nis, rounded
 from covariant.workflow._progress import Progress, silent
+from covariant.workflow._pushes import force_names
 
 WITHIN = 1.96
 """Standard deviations of a normal distribution to both sides of its mean that hold 95 % of it."""
@@ -273,9 +274,8 @@ def _filters(job: Job, loaded: Loaded) -> dict[str, _Force]:
     )
     kalman: Any = tuned["intrinsic-kalman"]
     refuse_delays(job, loaded, kalman, "forces are not compared on what is read late")
-    linked = {f"{axis}_{name}" for name in loaded.file.wrenches for axis in ("fx", "fy", "fz", "tx", "ty", "tz")}
-    # Beside forces on links, an external force is what the model does not know of the joints.
-    scored = tuple(set(group.names) <= linked if linked else group.force is not None for group in kalman.slow)
+    names = force_names(loaded.file, kalman.slow_names)
+    scored = tuple(set(group.names) <= set(names) for group in kalman.slow)
     filters = {}
     if any(group.time is not None for group in kalman.slow):
         filters["intrinsic-kalman, forgotten"] = _Force(kalman, scored)

@@ -50,6 +50,7 @@ from covariant.workflow._outcome import (
 from covariant.workflow._outputs import check_output
 from covariant.workflow._pages import AbstractEstimates, estimate_report
 from covariant.workflow._progress import Progress, silent
+from covariant.workflow._pushes import Pushes, pushes
 from covariant.workflow._sensors import SensorCount, sensor_counts
 from covariant.workflow._states import state_design_note, tuned_states
 from covariant.workflow._unexplained import unexplained
@@ -190,6 +191,11 @@ class EstimateResult(AbstractEstimates):
         return {} if info is None or readings is None else sensor_counts(self.loaded.sensors, readings, info)
 
     @property
+    def pushes(self) -> Pushes | None:
+        """Rows in which something pushes; None of an observer that estimates no force."""
+        return pushes(self.loaded.file, self.outcome)
+
+    @property
     def columns(self) -> dict[str, np.ndarray]:
         return self._columns(numbered("q", self.loaded.file.dimension), sought_columns(self.loaded.file))
 
@@ -205,7 +211,8 @@ class EstimateResult(AbstractEstimates):
         """The columns: t, the configuration as the log has it, the velocities, and what else is estimated.
 
         An observer that knows how accurate it is adds standard deviations, v1_std…; one that estimates more than the
-        motion adds that, as external_force1… and external_force1_std….
+        motion adds that, as external_force1… and external_force1_std…, and one that estimates forces adds whether
+        something pushes, 1 or 0.
         """
         file, outcome = self.loaded.file, self.outcome
         x, info = outcome.run.estimate, outcome.run.info
@@ -223,7 +230,7 @@ class EstimateResult(AbstractEstimates):
             for suffix, each in (("", values), ("_std", std)):
                 if each is not None and each.size:
                     table |= {f"{name}{suffix}": column for name, column in zip(names, each.T, strict=True)}
-        return table
+        return table if self.pushes is None else table | {"pushed": self.pushes.rows.astype(float)}
 
     def save(self, path: str | Path, overwrite: bool = True) -> Path:
         """Write the table to a log.
@@ -269,6 +276,9 @@ class EstimateResult(AbstractEstimates):
                 name: {"readings": each.readings, "refused": each.refused, "nis": rounded(np.array([each.nis]))[0]}
                 for name, each in self.sensors.items()
             }
+        if self.pushes is not None:
+            result["pushes"] = len(self.pushes.starts)
+            result["share_of_rows_pushed"] = rounded(np.array([np.mean(self.pushes.rows)]))[0]
         if self.determined:
             result["determined"] = [
                 {"name": each.name, "ratio": rounded(np.array([each.ratio]))[0], **_stds(each)}
@@ -316,6 +326,7 @@ class EstimateResult(AbstractEstimates):
                 for name, each in self.sensors.items()
             ),
         ]
+        lines += [] if self.pushes is None else [str(self.pushes)]
         lines += [str(each) for each in self.determined]
         if "logged_velocity_rmse" in result:
             speeds = with_units(result["logged_velocity_rmse"], sought_units(self.loaded.file))

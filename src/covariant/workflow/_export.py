@@ -30,7 +30,15 @@ from covariant.codegen import (
 )
 from covariant.lowering import LoweringError
 from covariant.models import Family, MechanicalSystem, ModelFile, Overrides
-from covariant.observers import REGISTRY, AbstractObserver, Delayed, chooses_substeps, with_fixed_substeps
+from covariant.observers import (
+    REGISTRY,
+    SMOOTHED,
+    AbstractObserver,
+    Delayed,
+    FixedLag,
+    chooses_substeps,
+    with_fixed_substeps,
+)
 from covariant.workflow._arguments import above_zero, gain_pair
 from covariant.workflow._export_states import state_observer, with_fixed_steps
 from covariant.workflow._exported import Exported
@@ -66,6 +74,8 @@ def export(
     certificate: str | Path | None = None,
     metric: str | Path | None = None,
     fmi: str | None = None,
+    lag: float | None = None,
+    step_per_sensor: bool = False,
     audit: bool = True,
     overwrite: bool = False,
     overrides: Overrides = (),
@@ -87,6 +97,10 @@ def export(
         certificate: A saved certificate of this observer, for the data sheet.
         metric: A metric on a grid for the observer riccati, as `design_metric` stores it.
         fmi: Version of FMI of a unit, "3.0" (the default) or "2.0".
+        lag: Estimate each time this much later [s], from all samples up to then, as `smooth` with this lag does; of a
+            filter with a covariance. None (default) for estimates of the present.
+        step_per_sensor: Of a filter with sensors, write a step for each of them and for the configuration as well,
+            for samples in which nothing else was read: less work, more code.
         audit: Whether the laws of the observer are measured first; violated ones are a warning.
         overwrite: Whether files that exist are replaced.
         overrides: Values that replace those of the model file.
@@ -111,7 +125,7 @@ def export(
     limit = math.inf if flash is None else above_zero("flash", flash)
     above_zero("rate", rate)
     gains = gain_pair(alpha, beta)
-    _check(unit, real, fmi, flash, certificate)
+    _check(unit, real, fmi, flash, certificate, step_per_sensor)
     label = models.spec_name(model)
     progress("reading the model")
     family = _family(model, overrides, parameters)
@@ -130,8 +144,12 @@ def export(
     parts = file_sensors(file) if file.mechanical else ()
     delay = reading_delays(fixed, file.delay, parts, exported.measured[0])
     delayed = Delayed(fixed, delay, rate) if informed and np.any(delay) else fixed
+    if step_per_sensor and not getattr(fixed, "sensors", ()):
+        raise ValueError(f"step_per_sensor is for a filter with sensors; {exported.name} of {label} has none")
+    if lag is not None:
+        delayed, description = _late(delayed, exported.name, lag, rate), f"{description} Estimates are {lag:g} s late."
     progress(f"writing {prefix}")
-    written = _program(label, delayed, family, file, parameters, real, exported.measured[0], unit)
+    written = _program(label, delayed, family, file, parameters, real, exported.measured[0], unit, step_per_sensor)
     warnings = [line for line in (_broken_laws(exported.observer) if audit else "",) if line]
     if unit:
         version: Any = fmi or VERSIONS[0]
@@ -209,7 +227,9 @@ class ExportResult(AbstractResult):
         return f"{self.about}\n{how}"
 
 
-def _check(unit: bool, real: str, fmi: str | None, flash: float | int | None, certificate: str | Path | None) -> None:
+def _check(
+    unit: bool, real: str, fmi: str | None, flash: float | int | None, certificate: str | Path | None, alone: bool
+) -> None:
     """What needs the arguments alone."""
     if real not in REALS:
         raise ValueError(f"real must be one of {', '.join(REALS)}; got {real!r}")
@@ -219,6 +239,8 @@ def _check(unit: bool, real: str, fmi: str | None, flash: float | int | None, ce
         raise ValueError(f"fmi must be one of {', '.join(VERSIONS)}; got {fmi!r}")
     if unit and flash is not None:
         raise ValueError("flash is for a microcontroller, and a unit is not for one; leave it out")
+    if unit and alone:
+        raise ValueError("step_per_sensor is for C, and a unit has one step for all; leave it out")
     if unit and certificate is not None:
         raise ValueError("certificate is for the data sheet, which a unit does not have; leave it out")
 
@@ -257,6 +279,18 @@ def _mechanical(
     return Exported(kind, tuned, f"Designed {designed}." if by_gains else "Tuned from its data sheet.", measured)
 
 
+def _late(observer: AbstractObserver, name: str, lag: float, rate: float) -> FixedLag:
+    """The observer with estimates that are some samples late."""
+    samples = above_zero("lag", lag) * rate
+    if round(samples) < 1:
+        raise ValueError(f"lag {lag:g} is less than half a sample of {1 / rate:g} s; leave it out")
+    if isinstance(observer, Delayed):
+        raise ValueError("lag is for positions that are read in time, not for late ones (measurement.delay)")
+    if name not in SMOOTHED:
+        raise ValueError(f"lag is for filters with a covariance: {', '.join(SMOOTHED)}; {name} is none")
+    return FixedLag(observer, round(samples))
+
+
 def _program(
     name: str,
     observer: AbstractObserver,
@@ -266,19 +300,20 @@ def _program(
     real: str,
     y: np.ndarray,
     loops: bool,
+    alone: bool,
 ) -> Program:
     """The graphs of the observer, with the numbers of the model file open or, where there are none, its arrays."""
     recipe = of_family(observer, family) if family is not None else _recipe(observer, parameters)
     # None: as many as the model has, which a log of free flight does not name.
     inputs, closed = len(file.columns.u) or None, parameters is not None and not parameters
     try:
-        return program(recipe, y, inputs, real, loops)  # pyright: ignore[reportArgumentType]
+        return program(recipe, y, inputs, real, loops, alone)  # pyright: ignore[reportArgumentType]
     except LoweringError as error:
         if closed:
             raise ValueError(f"{name}: no code can be written: {error}") from error
     try:
         # The function from numbers to model may be no graph of scalars while the model is: then its arrays are open.
-        return program(_usual(observer), y, inputs, real, loops)  # pyright: ignore[reportArgumentType]
+        return program(_usual(observer), y, inputs, real, loops, alone)  # pyright: ignore[reportArgumentType]
     except LoweringError as error:
         remedy = "" if "table" in str(error) else "; try without numbers that may be changed (--parameters none)"
         raise ValueError(f"{name}: no code can be written: {error}{remedy}") from error

@@ -166,7 +166,9 @@ def load(job: Job, score: bool = True, why: str = "") -> Loaded:
     file = file._replace(columns=columns)
     # Columns that the model file names may be absent from this log; those that the caller names may not.
     optional = [field for field in logs.OPTIONAL if not named.get(field)]
-    log = _with_zero_inputs(file, logs.read(job.log, columns, job.every, job.until, job.start, optional))
+    parts = file_sensors(file)
+    beside = [name for part in parts for name in part.columns.measured]
+    log = _with_zero_inputs(file, logs.read(job.log, columns, job.every, job.until, job.start, optional, beside))
     if not job.anyway:
         _refuse_misfit(job, file, log.record)
     record = acting_inputs(lag_inputs(log.record, file.input_lag), file.input_between, file.input_delay)
@@ -187,7 +189,6 @@ def load(job: Job, score: bool = True, why: str = "") -> Loaded:
         needed = columns if isinstance(job.log, Record) else columns._replace(u=(), v=())
         full = log if whole else logs.read(job.log, needed)
         reference = ReferenceVelocity(*_slopes(file, log, full), scoring.scored_window(t))
-    parts = file_sensors(file)
     read, lacking = readings(parts, job.log, log) if parts else (None, "")
     note += _delay_note(file) + lacking
     # The median interval, so that a gap does not change the rate; with sensors that of the rows with positions.
