@@ -55,12 +55,13 @@ PUBLIC = {
     "suggest_noise tune tuned_estimators tuned_state_estimators usual_speeds window_length windows with_gains",
     "certificates": "ASSUMED CHECKERS CascadeCertificate Checked CheckerName Claim Constants ContractionCertificate "
     "Corners Decay Document Evidence Followed Growth Hypothesis MetricDesign Observability Projection Sampled "
-    "StateMetric Statement ErrorSystem TradeOff Trajectories Verdict at_corners bending cascade certify check "
-    "check_sample common_metric conditioning contraction contraction_matrix contraction_rate crossed_metric decay "
+    "StateMetric Statement ErrorSystem ReducedOrderDesign TradeOff Trajectories Verdict at_corners bending cascade "
+    "certify check check_sample common_metric conditioning contraction contraction_matrix contraction_rate "
+    "crossed_metric decay "
     "detectability_rate error_bounds error_matrix falsify feedthrough follow_estimates force_bounds "
     "generalised_jacobian in_coordinates in_frame log_norm lower_distance lyapunov noise_disturbance observability "
-    "observer_gain optimal_lyapunov parse projection rate_of rates_along steady_distance error_system tangent_metric "
-    "tracking trade_off trajectories upper_distance virtual",
+    "observer_gain optimal_lyapunov parse projection rate_of rates_along reduced_order steady_distance error_system "
+    "tangent_metric tracking trade_off trajectories upper_distance virtual",
     "certificates.audit": "LAWS Audit Law audit",
     "codegen": "ROWS Facts Leaf Program Recipe Source TracedProgram Unit Vectors closed_loop export_texts fmu "
     "observer_system of_family plant program trace_program vectors with_open_numbers write_fmu write_folder "
@@ -104,7 +105,7 @@ PUBLIC = {
     "craft_observer external_force noise_step AbstractForceObserver ForceState InverseDynamics MomentumObserver "
     "observed_forces AbstractWrapper Instant Sensor SensorInfo accelerometer encoder gyro point_sensor pose_sensor "
     "tachometer "
-    "Damped DampedInfo DampedState damping_margin "
+    "Damped DampedInfo DampedState ReducedOrder ReducedOrderState damping_margin "
     "lyapunov_gains lyapunov_rate needed_substeps notch_gains printed_rate run second_order sensor_bias smooth "
     "uncertain_parameters with_fixed_substeps wrench",
     "papers.jouffroy_fossen": "COMPASS COUNTEREXAMPLES CROSS DURATION GAPS GNSS K1 K2 KD KP LAMBDA PRINTED_K2 RATE "

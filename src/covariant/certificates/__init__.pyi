@@ -47,6 +47,7 @@ from ._observability import (
     detectability_rate as detectability_rate,
     observability as observability,
 )
+from ._reduced_order import ReducedOrderDesign as ReducedOrderDesign, reduced_order as reduced_order
 from ._sample import Sampled as Sampled, check_sample as check_sample
 from ._simulated import (
     Followed as Followed,

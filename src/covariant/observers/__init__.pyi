@@ -58,6 +58,7 @@ from ._protocol import (
     continuous as continuous,
     run as run,
 )
+from ._reduced_order import ReducedOrder as ReducedOrder, ReducedOrderState as ReducedOrderState
 from ._registry import REGISTRY as REGISTRY, Entry as Entry
 from ._riccati import (
     Estimate as Estimate,

@@ -1,0 +1,212 @@
+"""Reduced-order observers: what is proved of them is what they do, from any distance, and what cannot be is said."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from covariant import Record, models, observers
+from covariant.certificates import _reduced_order, reduced_order
+from covariant.observers import Contracting, ReducedOrder
+from covariant.signals import Result
+
+BOXES = {
+    "lorenz": (1.0, {}),
+    "duffing": (1.0, {"inputs": [(-1.0, 1.0)]}),
+    "van_der_pol": (1.0, {}),
+    "bioreactor": (1e-6, {"inputs": [(0.0, 1e-4)]}),
+    "unknown_frequency": (0.1, {"box": [(0.1, 1.0), (1.0, 1.5), (0.5, 1.5)]}),
+}
+"""Models, the rates that are proved, and bounds where they are not those of the model."""
+FAR = 1e3
+LONG = (
+    "bioreactor",
+    "van_der_pol",
+    "test_the_full_observer_contracts_in_the_box[duffing]",
+    "test_a_rate_that_is_too_high_is_not_proved",
+    "test_the_velocity_of_a_pendulum_is_found_from_any_distance",
+)
+
+
+@pytest.fixture(scope="module")
+def designed():
+    made = {}
+
+    def design(name):
+        if name not in made:
+            rate, bounds = BOXES[name]
+            made[name] = reduced_order(getattr(models, name)(), rate, **bounds)
+        return made[name]
+
+    return design
+
+
+@pytest.mark.parametrize("name", BOXES)
+def test_it_is_proved_for_shipped_models(name, designed):
+    design = designed(name)
+    assert design.statement.proved, str(design.statement)
+    assert design.everywhere
+    assert np.linalg.eigvalsh(design.metric).min() > 0
+
+
+@pytest.mark.parametrize("name", BOXES)
+def test_squared_distances_shrink_as_proved_from_far_outside_the_box(name, designed):
+    """Along motions that stay in the box, in continuous time, against the formula of the observer itself."""
+    design, (rate, bounds) = designed(name), BOXES[name]
+    model, y, z = design.model, jnp.array(design.measured), jnp.array(design.unmeasured)
+    box = np.asarray(bounds.get("box", model.box), float)
+    inputs = np.asarray(bounds.get("inputs", np.zeros((model.inputs, 2))), float).reshape(-1, 2)
+    random = np.random.default_rng(0)
+    gain, metric = jnp.asarray(design.injection), jnp.asarray(design.metric)
+
+    def shrinking(x, off, u):
+        """Rate of change of the squared distance, over it."""
+
+        def w_dot(part):
+            f = model.f(jnp.zeros(()), x.at[z].set(part), u)
+            return f[z] - gain @ f[y]
+
+        apart = w_dot(x[z] + off) - w_dot(x[z])
+        return 2 * off @ metric @ apart / (off @ metric @ off)
+
+    x = random.uniform(box[:, 0], box[:, 1], (2000, len(box)))
+    off = FAR * random.normal(size=(2000, len(z))) * (box[np.asarray(z), 1] - box[np.asarray(z), 0])
+    u = random.uniform(inputs[:, 0], inputs[:, 1], (2000, len(inputs)))
+    rates = np.asarray(jax.vmap(shrinking)(*map(jnp.asarray, (x, off, u))))
+    assert rates.max() < -rate * (1 - 1e-9)
+
+
+def test_the_observer_of_the_design_finds_the_states_from_far_away(designed):
+    design, dt = designed("lorenz"), 0.002
+    lorenz = design.model
+
+    def step(x, _):
+        k1 = lorenz.f(0.0, x, jnp.zeros(0))
+        k2 = lorenz.f(0.0, x + dt / 2 * k1, jnp.zeros(0))
+        k3 = lorenz.f(0.0, x + dt / 2 * k2, jnp.zeros(0))
+        k4 = lorenz.f(0.0, x + dt * k3, jnp.zeros(0))
+        return x + dt / 6 * (k1 + 2 * k2 + 2 * k3 + k4), x
+
+    x = np.asarray(jax.lax.scan(step, jnp.array([1.0, 2.0, 20.0]), None, 6001)[1])
+    observer = ReducedOrder(lorenz, design.direction, start=jnp.array([0.0, 5e3, -5e3]))
+    record = Record(dt * np.arange(6001), np.zeros((6001, 0)), x[:, :1])
+    error = np.asarray(observers.run(observer, record).estimate) - x
+    size = np.sqrt(np.einsum("ti,ij,tj->t", error[:, 1:], design.metric, error[:, 1:]))
+    # Of the distance half of the rate of its square; the sampling is fine enough to leave it at that.
+    assert (size[1:] <= size[:-1] * np.exp(-0.5 * dt) + 1e-6).all()
+    assert size[-1] < 1e-4
+    assert np.abs(error[:, 0]).max() < 1e-12, "what is measured is taken as it is"
+
+
+def test_missing_outputs_correct_nothing_and_angles_are_wrapped():
+    pendulum = models.StateSpace(
+        lambda t, x, u: jnp.stack([x[1], -jnp.sin(x[0])]), lambda t, x, u: x[:1], coordinates=("q", "v"), circles=(0,)
+    )
+    observer = ReducedOrder(pendulum, [[1.0], [3.0]], start=[3.1, 0.0])
+    state = observer.predict(observer.init(jnp.array([3.1])), jnp.zeros(0), jnp.asarray(0.01))
+    unseen, info = observer.correct(state, jnp.zeros(0), jnp.array([jnp.nan]))
+    assert (unseen.x == state.x).all()
+    assert info.result == int(Result.COASTED)
+    seen, _ = observer.correct(state, jnp.zeros(0), jnp.array([-3.1]))
+    turn = 2 * np.pi - 6.2
+    np.testing.assert_allclose(seen.x - state.x, [turn, 3 * turn], atol=2e-3)
+    assert float(seen.x[1] - state.x[1]) == pytest.approx(3 * float(seen.x[0] - state.x[0]))
+
+
+@pytest.mark.parametrize("name", ["lorenz", "duffing"])
+def test_the_full_observer_contracts_in_the_box(name):
+    rate, bounds = BOXES[name]
+    design = reduced_order(getattr(models, name)(), rate, full=True, **bounds)
+    assert design.full.proved
+    assert design.gain > 0
+    model = design.model
+    observer = Contracting(model, jnp.asarray(design.gain * design.direction), jnp.zeros(len(model.coordinates)))
+    weights = design.weights
+    shear = np.eye(len(model.coordinates))
+    shear[np.ix_(design.unmeasured, design.measured)] = -design.injection
+    block = np.zeros_like(shear)
+    block[np.ix_(design.measured, design.measured)] = np.diag(weights)
+    block[np.ix_(design.unmeasured, design.unmeasured)] = design.metric
+    metric = shear.T @ block @ shear
+    box = np.asarray(model.box, float)
+    random = np.random.default_rng(2)
+
+    def growth(x, u):
+        slope = jax.jacfwd(lambda x: observer.virtual(jnp.zeros(()), x, u, jnp.zeros(len(model.outputs))))(x)
+        form = metric @ slope
+        return jnp.linalg.eigvalsh(-(form + form.T) - rate / 2 * metric)[0]
+
+    x = jnp.asarray(random.uniform(box[:, 0], box[:, 1], (500, len(box))))
+    u = jnp.asarray(random.uniform(-1, 1, (500, model.inputs)))
+    assert np.asarray(jax.vmap(growth)(x, u)).min() > 0
+
+
+def test_a_state_that_shows_nothing_is_named():
+    design = reduced_order(models.unknown_frequency(), 0.1)
+    assert design.statement.verdict == "fails"
+    assert design.injection is None
+    text = str(design.statement)
+    assert "x1 = 0" in text
+    assert "x3: 1" in text
+    with pytest.raises(ValueError, match="there is no reduced-order observer"):
+        _ = design.direction
+
+
+def test_a_wrong_injection_is_not_proved(monkeypatch, designed):
+    """With the sign of L, or the rows of the outputs, mutated nothing holds."""
+    design = designed("unknown_frequency")
+    monkeypatch.setattr(_reduced_order, "_solved", lambda *_: (-design.injection, design.metric))
+    rate, bounds = BOXES["unknown_frequency"]
+    with pytest.raises(ValueError, match="after 8 counterexamples there is still one"):
+        reduced_order(design.model, rate, **bounds)
+
+
+def test_a_rate_that_is_too_high_is_not_proved(monkeypatch, designed):
+    design = designed("lorenz")
+    monkeypatch.setattr(_reduced_order, "_solved", lambda *_: (design.injection, design.metric))
+    with pytest.raises(ValueError, match="after 8 counterexamples there is still one"):
+        reduced_order(design.model, 30.0)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"rate": 0.0}, "rate must be a positive number"),
+        ({"box": [(0.0, 1.0)]}, "box must have bounds for each of 2 states"),
+        ({"box": [(1.0, 0.0), (0.0, 1.0)]}, "bounds must be finite, the lower one first"),
+        ({"inputs": [(0.0, 1.0)] * 2}, "inputs must have bounds for each of 1; got 2"),
+        ({"h": lambda t, x, u: x[:1] ** 3}, "outputs must be some of the states"),
+        ({"h": lambda t, x, u: x[:1] + x[1:]}, "each output must be a state of its own"),
+        ({"h": lambda t, x, u: x}, "all states are measured"),
+        ({"f": lambda t, x, u: jnp.stack([x[1], jnp.sin(t) * x[1]])}, "depends on time"),
+    ],
+)
+def test_what_has_no_such_design_is_refused(change, words):
+    duffing, rate = models.duffing(), change.pop("rate", 1.0)
+    functions = {key: change.pop(key) for key in ("f", "h") if key in change}
+    if functions:
+        duffing = models.StateSpace(
+            **{"f": duffing.f, "h": duffing.h} | functions,
+            coordinates=("q", "v"),
+            inputs=1,
+            box=((-2.0, 2.0), (-2.0, 2.0)),
+        )
+    with pytest.raises(ValueError, match=words):
+        reduced_order(duffing, rate, **change)
+
+
+def test_an_observer_that_does_not_fit_its_model_is_refused():
+    duffing = models.duffing()
+    with pytest.raises(ValueError, match="start has 3 entries"):
+        ReducedOrder(duffing, jnp.ones((2, 1)), jnp.zeros(3))
+    with pytest.raises(ValueError, match="direction must have a row for each of 2 states"):
+        ReducedOrder(duffing, jnp.ones((1, 2)), jnp.zeros(2))
+    with pytest.raises(ValueError, match="finite"):
+        ReducedOrder(duffing, jnp.full((2, 1), jnp.nan), jnp.zeros(2))
+
+
+def test_the_velocity_of_a_pendulum_is_found_from_any_distance():
+    arm = models.state_space(models.pendulum_chain(mass=[1.0], length=[0.5]))
+    design = reduced_order(arm, 2.0, box=[(-3.2, 3.2), (-5.0, 5.0)], inputs=[(-5.0, 5.0)])
+    assert design.statement.proved
+    assert design.everywhere, "one joint has no forces of its velocity"
