@@ -22,6 +22,7 @@ from covariant.proofs._file import MOST_BYTES, MOST_VALUES
 
 LONG = ("test_a_value_that_is_none_is_refused_by_its_key[100 000 claims]",)
 """Cases of the long suite: a cheaper one of the same test is in the short one."""
+EXHAUSTIVE = ("test_files_changed_at_random_are_read_or_refused",)
 
 SHIPPED = Path(__file__).parents[2] / "examples/certificates"
 BEAM = (SHIPPED / "ball_and_beam.json").read_text(encoding="utf-8")

@@ -13,7 +13,9 @@ from generators import KINDS, System, contradiction, draw, is_defined, seen_from
 
 LONG = ("test_units_do_not_matter_to_the_verdict[kink]",)
 """Cases of the long suite: a cheaper one of the same test, or of the same law, is in the short one."""
-EXHAUSTIVE = ("test_no_proof_is_contradicted[kink]",)
+EXHAUSTIVE = tuple(
+    f"test_no_proof_is_contradicted[{kind}]" for kind in ("kink", "noise", "injectivity", "definedness", "bounds")
+)
 
 COUNT = int(os.environ.get("COVARIANT_ATTACKS", "12"))
 ALLOWED = 1.01

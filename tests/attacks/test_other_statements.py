@@ -121,7 +121,7 @@ def test_what_is_observable_has_an_observer_that_converges():
     holds_in_one_of(COUNT, verdicts)
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_decay_says_of_linear_flows_what_exponentials_of_matrices_say():
     verdicts = []
     for seed in range(COUNT):

@@ -71,6 +71,10 @@ EXHAUSTIVE = (
     "test_no_stream_spoils_an_observer[intrinsic, second order]",
     "test_no_stream_spoils_an_observer[geodesic]",
     "test_no_stream_spoils_an_observer[craft]",
+    "test_no_stream_spoils_an_observer[group]",
+    "test_no_stream_spoils_an_observer[passive ship]",
+    "test_no_stream_spoils_an_observer[riccati]",
+    "test_no_stream_spoils_an_observer[salcudean]",
 )
 
 ROWS = 400

@@ -1,6 +1,6 @@
 """The pages with what takes long on them, without a compiler, and without a cache; the demo likewise.
 
-What computes, and whether it is kept, is decided in one place each: pages with the main commands show it in the long
+What computes, and whether it is kept, is decided in one place each: a page with the main commands shows it in the long
 suite, all others in the exhaustive one.
 """
 
@@ -11,8 +11,7 @@ import pytest
 from page_runs import WITH_COMMANDS, WITH_LONG_BLOCKS, run, run_program
 
 pytestmark = pytest.mark.long
-MAIN = ("README.md", "check.md", "fmu.md")
-HEAVY = ("forces.md", "groups.md", "metrics.md", "spaces.md")
+HEAVY = ("forces.md", "groups.md", "metrics.md", "robots.md", "sensors.md", "spaces.md")
 """Pages whose long blocks compute for minutes."""
 
 
@@ -20,20 +19,17 @@ def marked(pages, in_long):
     return [pytest.param(page, marks=() if in_long(page) else pytest.mark.exhaustive, id=page.name) for page in pages]
 
 
-everywhere = pytest.mark.parametrize("page", marked(WITH_COMMANDS, lambda page: page.name in MAIN))
-
-
 @pytest.mark.parametrize("page", marked(WITH_LONG_BLOCKS, lambda page: page.name not in HEAVY))
 def test_a_page_runs_with_its_long_blocks_too(page, tmp_path, home):
     run(page, tmp_path, home, os.defpath, "--long")
 
 
-@everywhere
+@pytest.mark.parametrize("page", marked(WITH_COMMANDS, lambda page: page.name == "README.md"))
 def test_a_page_runs_without_a_compiler(page, tmp_path, home, without_compiler):
     run(page, tmp_path, home, without_compiler)
 
 
-@everywhere
+@pytest.mark.parametrize("page", marked(WITH_COMMANDS, lambda page: page.name == "check.md"))
 def test_a_page_runs_without_a_cache(page, tmp_path, home):
     run(page, tmp_path, home, os.defpath, COVARIANT_CACHE="off")
 
