@@ -273,10 +273,11 @@ def _solved(
     """L and P in the units of the states, or None where the solver finds none."""
     m = len(split.unmeasured)
     size = max(float(np.linalg.norm(s[:m], 2)) for s in slopes)
+    f, h = np.stack([s[:m] for s in slopes]), np.stack([s[m:] for s in slopes])
     found = None
     for margin in MARGINS:
         try:
-            found = observer_gain([s[:m] for s in slopes], [s[m:] for s in slopes], rate + margin * size, effort=effort)
+            found = observer_gain(f, h, rate + margin * size, effort=effort)
             break
         except ValueError:
             continue
@@ -402,11 +403,12 @@ def _with_gain(
     k, weights = _least_gain(
         [tuple(map(np.asarray, blocks(jnp.asarray(point)))) for point in points], split, metric, rate
     )
+    proof = prove(matrix(k, weights), whole, boxes=boxes)
     for _ in range(RAISES):
-        proof = prove(matrix(k, weights), whole, boxes=boxes)
         if proof.verdict == "holds":
             break
         k *= 2
+        proof = prove(matrix(k, weights), whole, boxes=boxes)
     premises = (
         Hypothesis("f - k [I; L] (y - h) contracts in diag(p, P)", "proved", proof.verdict),
         Hypothesis("the motion and the estimate stay in the box", "assumed"),

@@ -74,5 +74,5 @@ def pushes(file: ModelFile, outcome: Outcome) -> Pushes | None:
         return None
     at = [outcome.slow_names.index(name) for name in names]
     limit = float(norm.isf(FALSE_ALARM / (2 * len(at))))
-    rows = (np.abs(slow[:, at]) > limit * std[:, at]).any(axis=1)
+    rows = np.asarray(np.any(np.abs(slow[:, at]) > limit * std[:, at], axis=1))
     return Pushes(names, rows, np.flatnonzero(rows & ~np.concatenate([[False], rows[:-1]])))
