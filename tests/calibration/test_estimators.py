@@ -33,6 +33,7 @@ from covariant.observers import (
     Gated,
     Geodesic,
     HighGain,
+    ImplicitGeodesic,
     Intrinsic,
     IntrinsicKalman,
     JointKalman,
@@ -180,7 +181,13 @@ def test_all_estimators_come_from_one_data_sheet():
     estimators = ungated(tuned_estimators(model, 1, SHEET, RATE))
     chosen = observer_gains(SHEET, RATE)
     assert chosen == gains(1e-3, RATE, 2.0, 0.01, SHEET.damping)
-    for name, kind in (("intrinsic", Intrinsic), ("intrinsic2", Intrinsic), ("geodesic", Geodesic), ("copy", Copy)):
+    for name, kind in {
+        "intrinsic": Intrinsic,
+        "intrinsic2": Intrinsic,
+        "geodesic": Geodesic,
+        "implicit-geodesic": ImplicitGeodesic,
+        "copy": Copy,
+    }.items():
         assert isinstance(estimators[name], kind)
         assert (estimators[name].alpha, estimators[name].beta) == (chosen.alpha, chosen.beta)
     assert [estimators[name].order for name in ("intrinsic", "intrinsic2")] == [1, 2]
@@ -195,7 +202,7 @@ def test_all_estimators_come_from_one_data_sheet():
     np.testing.assert_allclose(kalman.initial_velocity_cov, np.eye(1), rtol=1e-12)
     assert eqx.tree_equal(estimators["filtered-derivative"], FilteredDerivative(filter_bandwidth(SHEET, RATE)))
     assert eqx.tree_equal(estimators["savitzky-golay"], SavitzkyGolay(window_length(SHEET, RATE), 2))
-    assert len(estimators) == 13
+    assert len(estimators) == 14
 
 
 def test_an_acceleration_new_at_each_sample_is_white_over_one():
@@ -223,7 +230,7 @@ def test_a_motion_that_makes_no_sense_is_named(field, number):
 def test_a_model_is_offered_the_estimators_that_fit_it():
     top, vehicle = heavy_top((0.1, 0.2, 0.6)), underwater_vehicle()
     assert estimators(FLAT) == tuple(tuned_estimators(FLAT, AXES, SHEET, RATE))
-    anywhere = ("intrinsic", "intrinsic2", "geodesic", "copy", "intrinsic-kalman", "ekf", "ukf")
+    anywhere = ("intrinsic", "intrinsic2", "geodesic", "implicit-geodesic", "copy", "intrinsic-kalman", "ekf", "ukf")
     assert estimators(top) == (*anywhere, "salcudean") == tuple(tuned_estimators(top, 3, SHEET, RATE))
     assert estimators(vehicle) == anywhere == tuple(tuned_estimators(vehicle, 6, SHEET, RATE))
     assert {*estimators(FLAT), *estimators(top)} == set(ESTIMATORS)
@@ -232,7 +239,7 @@ def test_a_model_is_offered_the_estimators_that_fit_it():
 def test_on_groups_all_have_the_same_gains_and_noise():
     top = heavy_top((0.1, 0.2, 0.6))
     chosen, made = observer_gains(SHEET, RATE), ungated(tuned_estimators(top, 3, SHEET, RATE))
-    for name in ("intrinsic", "intrinsic2", "geodesic", "copy"):
+    for name in ("intrinsic", "intrinsic2", "geodesic", "implicit-geodesic", "copy"):
         assert (made[name].alpha, made[name].beta) == (chosen.alpha, chosen.beta)
     mean = 0.3  # Salcudean's gains, of the mean principal inertia
     assert made["salcudean"].kv == pytest.approx(2 * mean * chosen.alpha)

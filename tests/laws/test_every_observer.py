@@ -25,6 +25,7 @@ from covariant.simulation import hold, simulate
 LONG = (
     "test_compiled_c_does_the_same[ekf-body on SO(3)]",
     "test_compiled_c_does_the_same[geodesic-ball and beam]",
+    "test_compiled_c_does_the_same[implicit-geodesic-ball and beam]",
     "test_compiled_c_does_the_same[intrinsic-kalman-ball and beam]",
     "test_compiled_c_does_the_same[joint-kalman-ball and beam]",
     "test_compiled_c_does_the_same[savitzky-golay-ball and beam]",
@@ -33,7 +34,9 @@ LONG = (
     "test_from_rest_it_finds_the_motion_at_irregular_stamps[ekf-ball and beam]",
     "test_from_rest_it_finds_the_motion_at_irregular_stamps[ekf-body on SO(3)]",
     "test_from_rest_it_finds_the_motion_at_irregular_stamps[geodesic-ball and beam]",
+    "test_from_rest_it_finds_the_motion_at_irregular_stamps[implicit-geodesic-ball and beam]",
     "test_from_rest_it_finds_the_motion_at_irregular_stamps[geodesic-body on SO(3)]",
+    "test_from_rest_it_finds_the_motion_at_irregular_stamps[implicit-geodesic-body on SO(3)]",
     "test_from_rest_it_finds_the_motion_at_irregular_stamps[intrinsic-ball and beam]",
     "test_from_rest_it_finds_the_motion_at_irregular_stamps[intrinsic-body on SO(3)]",
     "test_from_rest_it_finds_the_motion_at_irregular_stamps[intrinsic-kalman-ball and beam]",
@@ -45,6 +48,7 @@ LONG = (
     "test_from_rest_it_finds_the_motion_at_irregular_stamps[ukf-ball and beam]",
     "test_from_rest_it_finds_the_motion_at_irregular_stamps[ukf-body on SO(3)]",
     "test_single_precision_stays_single[geodesic-ball and beam]",
+    "test_single_precision_stays_single[implicit-geodesic-ball and beam]",
     "test_single_precision_stays_single[intrinsic-kalman-body on SO(3)]",
     "test_compiled_c_does_the_same[copy-body on SO(3)]",
     "test_compiled_c_does_the_same[ekf-ball and beam]",
@@ -54,7 +58,9 @@ LONG = (
     "test_missing_measurements_are_coasted_and_said[ekf-ball and beam]",
     "test_missing_measurements_are_coasted_and_said[ekf-body on SO(3)]",
     "test_missing_measurements_are_coasted_and_said[geodesic-ball and beam]",
+    "test_missing_measurements_are_coasted_and_said[implicit-geodesic-ball and beam]",
     "test_missing_measurements_are_coasted_and_said[geodesic-body on SO(3)]",
+    "test_missing_measurements_are_coasted_and_said[implicit-geodesic-body on SO(3)]",
     "test_missing_measurements_are_coasted_and_said[intrinsic-body on SO(3)]",
     "test_missing_measurements_are_coasted_and_said[intrinsic-kalman-ball and beam]",
     "test_missing_measurements_are_coasted_and_said[intrinsic-kalman-body on SO(3)]",
@@ -65,16 +71,19 @@ LONG = (
     "test_missing_measurements_are_coasted_and_said[ukf-ball and beam]",
     "test_missing_measurements_are_coasted_and_said[ukf-body on SO(3)]",
     "test_single_precision_stays_single[geodesic-body on SO(3)]",
+    "test_single_precision_stays_single[implicit-geodesic-body on SO(3)]",
     "test_the_engine_of_jax_returns_arrays_of_numpy_too[body on SO(3)]",
 )
 """Cases of the long suite: a cheaper one of the same test is in the short one."""
 EXHAUSTIVE = (
     "test_from_rest_it_finds_the_motion_at_irregular_stamps[geodesic-body on SO(3)]",
+    "test_from_rest_it_finds_the_motion_at_irregular_stamps[implicit-geodesic-body on SO(3)]",
     "test_from_rest_it_finds_the_motion_at_irregular_stamps[ukf-body on SO(3)]",
     "test_from_rest_it_finds_the_motion_at_irregular_stamps[ekf-body on SO(3)]",
     "test_from_rest_it_finds_the_motion_at_irregular_stamps[intrinsic-ball and beam]",
     "test_compiled_c_does_the_same[ekf-body on SO(3)]",
     "test_compiled_c_does_the_same[geodesic-ball and beam]",
+    "test_compiled_c_does_the_same[implicit-geodesic-ball and beam]",
 )
 
 ROWS, RATE = 240, 100.0

@@ -10,7 +10,16 @@ import numpy as np
 import pytest
 
 from covariant.models import Lagrangian, ball_and_beam, pendulum_chain
-from covariant.observers import EKF, AbstractObserver, Copy, FilteredDerivative, Geodesic, Intrinsic, SavitzkyGolay
+from covariant.observers import (
+    EKF,
+    AbstractObserver,
+    Copy,
+    FilteredDerivative,
+    Geodesic,
+    ImplicitGeodesic,
+    Intrinsic,
+    SavitzkyGolay,
+)
 
 ROWS = 400
 
@@ -91,6 +100,7 @@ def _with_gains(kind: Callable[..., AbstractObserver]) -> Callable[[Lagrangian],
 MODEL_BASED = {
     "intrinsic": _with_gains(Intrinsic),
     "geodesic": _with_gains(Geodesic),
+    "implicit-geodesic": _with_gains(ImplicitGeodesic),
     "copy": _with_gains(Copy),
     "ekf": lambda model: EKF(model, jnp.array([[4.0]]), jnp.array([[1e-6]])),
 }

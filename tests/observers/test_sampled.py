@@ -10,7 +10,7 @@ from covariant import geometry
 from covariant._integrate import rk8
 from covariant.geometry import Budget
 from covariant.models import Lagrangian, pendulum_chain
-from covariant.observers import EKF, Copy, FilteredDerivative, Geodesic, Intrinsic, SavitzkyGolay, run
+from covariant.observers import EKF, Copy, FilteredDerivative, Geodesic, ImplicitGeodesic, Intrinsic, SavitzkyGolay, run
 from covariant.observers._protocol import outcome
 from covariant.observers._sampled import predict
 from covariant.signals import Record, Result
@@ -20,6 +20,7 @@ LONG = (
     "test_an_observer_on_the_truth_stays_there[geodesic]",
     "test_an_observer_on_the_truth_stays_there[intrinsic]",
     "test_fine_samples_follow_the_flow_to_first_order[Geodesic]",
+    "test_fine_samples_follow_the_flow_to_first_order[ImplicitGeodesic]",
     "test_fine_samples_follow_the_flow_to_first_order[Intrinsic]",
     "test_one_of_two_joints_may_be_missing[copy-both]",
     "test_one_of_two_joints_may_be_missing[ekf-both]",
@@ -218,7 +219,7 @@ CURVED = Lagrangian(
 )
 
 
-@pytest.mark.parametrize("kind", [Intrinsic, Geodesic, Copy])
+@pytest.mark.parametrize("kind", [Intrinsic, Geodesic, ImplicitGeodesic, Copy])
 def test_fine_samples_follow_the_flow_to_first_order(kind):
     """The error of the sampled observer against the integrated flow, both fed the same smooth measurement."""
     observer = kind(CURVED, 3.0, 4.0, substeps=1)

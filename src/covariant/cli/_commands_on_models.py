@@ -142,7 +142,10 @@ def audit(
     model: Model,
     observer: Annotated[
         str | None,
-        typer.Option(help="intrinsic, intrinsic2, geodesic or copy; intrinsic by default.", callback=known_observer),
+        typer.Option(
+            help="intrinsic, intrinsic2, geodesic, implicit-geodesic or copy; intrinsic by default.",
+            callback=known_observer,
+        ),
     ] = None,
     alpha: Annotated[float | None, typer.Option(help="Gain α [1/s]; √2 by default.")] = None,
     beta: Annotated[float | None, typer.Option(help="Gain β [1/s²]; 1 by default.")] = None,

@@ -19,6 +19,7 @@ from ._gate_memory import GateMemory as GateMemory, Judged as Judged, Sample as 
 from ._gated import Gated as Gated, GatedState as GatedState
 from ._geodesic import Geodesic as Geodesic, GeodesicInfo as GeodesicInfo, GeodesicState as GeodesicState
 from ._high_gain import HighGain as HighGain
+from ._implicit_geodesic import ImplicitGeodesic as ImplicitGeodesic
 from ._intrinsic import Intrinsic as Intrinsic, second_order as second_order
 from ._intrinsic_kalman import IntrinsicKalman as IntrinsicKalman, KalmanInfo as KalmanInfo, KalmanState as KalmanState
 from ._joint_kalman import JointInfo as JointInfo, JointKalman as JointKalman, JointState as JointState

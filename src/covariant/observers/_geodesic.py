@@ -80,13 +80,50 @@ class GeodesicInfo(NamedTuple):
     result: Code
 
 
-class _Correction(NamedTuple):
-    log: Vector  # velocity at the estimate that leads to the measurement in unit time
-    back: Vector  # and one at the measurement that leads to the estimate
-    drive: Vector
+class Path(NamedTuple):
+    """The geodesic between an estimate and a measurement, or the straight path in its place.
+
+    Attributes:
+        log: Velocity (n,) at the estimate that leads to the measurement in unit time.
+        back: Velocity (n,) at the measurement that leads to the estimate in unit time.
+        residual: Length in the metric by which the geodesic misses the estimate; infinite where there is none.
+        result: A `covariant.signals.Result` code.
+        exact: Whether it is a geodesic; otherwise it is the first-order error.
+        measured: Measured configuration, with the estimate's entries where the measurement is missing.
+    """
+
+    log: Vector
+    back: Vector
     residual: Scalar
     result: Code
-    exact: Flag  # whether it is along a geodesic, or the first-order error instead
+    exact: Flag
+    measured: Array
+
+
+def path_to(model: MechanicalSystem, q: Array, guess: Vector, y: Array, budget: Budget) -> Path:
+    """Path between an estimate and a measurement.
+
+    The search starts at the measurement, so that its geodesic is also the one along which vectors come from there.
+
+    Args:
+        model: Mechanical system.
+        q: Estimated configuration.
+        guess: First guess (n,) of the velocity at the measurement that leads to q.
+        y: Measurement, NaN where missing.
+        budget: Work spent on the search.
+
+    Returns:
+        The geodesic, or the straight path where the search finds none.
+    """
+    space = model.space
+    measured = space.manifold.measured(q, y)
+    shot = space.shoot(measured, q, guess, budget)
+    exact = (shot.result != Result.NOT_CONVERGED) & jnp.all(jnp.isfinite(shot.velocity))
+    straight = space.manifold.towards(q, y)
+    # A geodesic from q to q̂ arrives with −log_q̂(q).
+    log, back = jnp.where(exact, jnp.stack([-shot.arrival, shot.velocity]), jnp.stack([straight, -straight]))
+    residual = jnp.where(exact, shot.residual, jnp.inf)
+    return Path(log, back, residual, jnp.maximum(uniqueness(model, q, y), shot.result), exact, measured)
 
 
 class Geodesic(AbstractMechanicalObserver):
@@ -143,13 +180,13 @@ class Geodesic(AbstractMechanicalObserver):
 
     def flow(self, t: Scalar, state: GeodesicState, u: Float[Array, "m"], y: Array) -> GeodesicState:
         # A time derivative has no result to report: conjugate points are not counted.
-        error = self._correction(t, state, u, y, self.budget._replace(conjugate=False))
+        path, drive = self._correction(t, state, u, y, self.budget._replace(conjugate=False))
         # ξ = −log, hence plus α and plus β.
-        w = state.v + self.alpha * error.log
-        v_dot = error.drive + self.beta * error.log + friction(self.model, t, state.q, state.v, u)
+        w = state.v + self.alpha * path.log
+        v_dot = drive + self.beta * path.log + friction(self.model, t, state.q, state.v, u)
         v_dot = v_dot - self.model.space.connection(state.q, w, state.v)
         # This is only a warm start: it tracks the computed geodesic, and the estimate does not depend on how closely.
-        log_dot = 10 * self.alpha * (error.back - state.log)
+        log_dot = 10 * self.alpha * (path.back - state.log)
         return GeodesicState(w, v_dot, jnp.ones_like(state.t), log_dot, still(state.last_input), still(state.age))
 
     def predict(self, state: GeodesicState, u: Float[Array, "m"], dt: Scalar) -> GeodesicState:
@@ -157,44 +194,30 @@ class Geodesic(AbstractMechanicalObserver):
 
     def correct(self, state: GeodesicState, u: Float[Array, "m"], y: Array) -> tuple[GeodesicState, GeodesicInfo]:
         space, (q, v, t), waited = self.model.space, state[:3], time_since_measurement(state)
-        error = self._correction(t, state, u, y, self.budget)
-        missing = error.drive - source(self.model, t, q, u)  # acceleration missing in the prediction, which used S(q̂)
-        correction = sampled_correction(space, Motion(q, v), self.alpha, self.beta, waited, -error.log, missing)
+        path, drive = self._correction(t, state, u, y, self.budget)
+        missing = drive - source(self.model, t, q, u)  # acceleration missing in the prediction, which used S(q̂)
+        correction = sampled_correction(space, Motion(q, v), self.alpha, self.beta, waited, -path.log, missing)
         # Move along the geodesic by the fraction `part`, and transport the velocity with it.
-        corrected, displacement = v + correction.velocity, correction.part * error.log
+        corrected, displacement = v + correction.velocity, correction.part * path.log
         end = space.transport_along(q, displacement, corrected, self.budget)
-        new_q = jnp.where(error.exact, end.q, space.manifold.retract(q, displacement))
-        new_v = jnp.where(error.exact, end.w, corrected - space.connection(q, displacement, v))
-        innovation = self.innovation(state, u, y)
-        info = GeodesicInfo(
-            innovation,
-            space.norm(q, error.log),
-            error.residual,
-            outcome(new_q, new_v, y, step_result(correction, error.result)),
-        )
+        new_q = jnp.where(path.exact, end.q, space.manifold.retract(q, displacement))
+        new_v = jnp.where(path.exact, end.w, corrected - space.connection(q, displacement, v))
+        result = outcome(new_q, new_v, y, step_result(correction, path.result))
+        info = GeodesicInfo(self.innovation(state, u, y), space.norm(q, path.log), path.residual, result)
         # The same geodesic from the measurement, shortened: its initial velocity shrinks with its length.
-        log = (1 - correction.part) * error.back
+        log = (1 - correction.part) * path.back
         return state._replace(q=new_q, v=new_v, log=log, age=aged(self.model, state, y)), info
 
     def _correction(
         self, t: Scalar, state: GeodesicState, u: Float[Array, "m"], y: Array, budget: Budget
-    ) -> _Correction:
-        """The geodesic to the measurement, and the acceleration `T S(q) + R(ξ, v̂)v̂` computed from it.
-
-        The search starts at the measurement, so that its geodesic is the one along which S(q) comes to the estimate.
-        """
+    ) -> tuple[Path, Vector]:
+        """The geodesic to the measurement, and the acceleration `T S(q) + R(ξ, v̂)v̂` computed from it."""
         space, q, v = self.model.space, state.q, state.v
-        measured = space.manifold.measured(q, y)
-        shot = space.shoot(measured, q, state.log, budget)
-        exact = (shot.result != Result.NOT_CONVERGED) & jnp.all(jnp.isfinite(shot.velocity))
-        straight = space.manifold.towards(q, y)
-        # A geodesic from q to q̂ arrives with −log_q̂(q).
-        log, back = jnp.where(exact, jnp.stack([-shot.arrival, shot.velocity]), jnp.stack([straight, -straight]))
-        s = source(self.model, t, measured, u)
-        transported = space.transport_along(measured, shot.velocity, s, budget).w
+        path = path_to(self.model, q, state.log, y, budget)
+        s = source(self.model, t, path.measured, u)
+        transported = space.transport_along(path.measured, path.back, s, budget).w
         # From the measurement to the estimate the displacement is −straight, hence the plus sign of the transport.
-        drive = jnp.where(exact, transported, s + space.connection(q, straight, s))
+        straight = space.manifold.towards(q, y)
+        drive = jnp.where(path.exact, transported, s + space.connection(q, straight, s))
         # ξ = −log, so that R(ξ, v̂)v̂ is subtracted as R(log, v̂)v̂.
-        drive = drive - space.curvature(q, log, v, v) if self.curvature else drive
-        residual = jnp.where(exact, shot.residual, jnp.inf)
-        return _Correction(log, back, drive, residual, jnp.maximum(uniqueness(self.model, q, y), shot.result), exact)
+        return path, drive - space.curvature(q, path.log, v, v) if self.curvature else drive

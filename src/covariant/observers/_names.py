@@ -4,6 +4,7 @@ OBSERVER_NAMES = (
     "intrinsic",
     "intrinsic2",
     "geodesic",
+    "implicit-geodesic",
     "copy",
     "intrinsic-kalman",
     "ekf",

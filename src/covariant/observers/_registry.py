@@ -19,6 +19,7 @@ from covariant.observers._ekf import EKF
 from covariant.observers._filtered_derivative import FilteredDerivative
 from covariant.observers._geodesic import Geodesic
 from covariant.observers._high_gain import HighGain
+from covariant.observers._implicit_geodesic import ImplicitGeodesic
 from covariant.observers._intrinsic import Intrinsic
 from covariant.observers._intrinsic_kalman import IntrinsicKalman
 from covariant.observers._joint_kalman import JointKalman
@@ -176,6 +177,16 @@ REGISTRY = (
         when="large first errors, low gain, curved charts",
         source="Aghannan & Rouchon 2003, (2)",
         promises=("error law", "coordinate-free"),
+    ),
+    Entry(
+        name="implicit-geodesic",
+        observer=ImplicitGeodesic,
+        make=ImplicitGeodesic,
+        tuned_by="gains",
+        about="an implicit step along the geodesic to each sample, the model between; the same in all coordinates",
+        when="high gain at few samples, long gaps, errors of any size",
+        source="an addition; Rockafellar 1976 for the step",
+        promises=("coordinate-free",),
     ),
     Entry(
         name="copy",
