@@ -65,6 +65,7 @@ RELEVANT = {
     "observers/_intrinsic.py": "observers/test_sampled observers/test_group laws/test_observers",
     "observers/_geodesic.py": "observers/test_sampled observers/test_group laws/test_observers",
     "observers/_implicit_geodesic.py": "observers/test_implicit_geodesic",
+    "observers/_implicit_limits.py": "observers/test_implicit_limits",
     "observers/_salcudean.py": "observers/test_group calibration/test_estimators",
     "observers/_registry.py": "calibration/test_estimators laws/test_every_observer",
     "observers/_copy.py": "observers/test_sampled reference/test_aghannan_rouchon",

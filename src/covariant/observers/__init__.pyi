@@ -20,6 +20,16 @@ from ._gated import Gated as Gated, GatedState as GatedState
 from ._geodesic import Geodesic as Geodesic, GeodesicInfo as GeodesicInfo, GeodesicState as GeodesicState
 from ._high_gain import HighGain as HighGain
 from ._implicit_geodesic import ImplicitGeodesic as ImplicitGeodesic
+from ._implicit_limits import (
+    CurvedErrors as CurvedErrors,
+    Decay as Decay,
+    ImplicitGains as ImplicitGains,
+    PartLimits as PartLimits,
+    implicit_gains as implicit_gains,
+    longest_interval as longest_interval,
+    part_limits as part_limits,
+    proved_decay as proved_decay,
+)
 from ._intrinsic import Intrinsic as Intrinsic, second_order as second_order
 from ._intrinsic_kalman import IntrinsicKalman as IntrinsicKalman, KalmanInfo as KalmanInfo, KalmanState as KalmanState
 from ._joint_kalman import JointInfo as JointInfo, JointKalman as JointKalman, JointState as JointState
