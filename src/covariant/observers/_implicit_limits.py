@@ -12,7 +12,7 @@ each step for all θ with `(1 − θ)² ≤ m_h/m₀`: an interval [θ_min, 2 �
 The maximum is at a corner, since the quotient is convex in (k, f). At each corner m obeys a Riccati equation with
 constant coefficients, `m' = −((m + b)² + D)/2g`, with a solution in closed form. For F = 0, k₋ = k₊ = k and ρ = 0 the
 largest h is `(2/√k) atan(√k/σ)`, which is where the step with θ = 1 turns unstable: the bound is tight. With friction
-it is not, and friction does not lower θ_min.
+it is not: the range of f is one more thing that is not known, and may raise θ_min.
 
 On a curved space errors up to d are corrected to `ξ⁺ = J(θ)`, `w⁺ = Π(w + ∫₀^θ R(γ', J)(v̂ + σsγ') ds)`, where J is the
 Jacobi field along the geodesic γ from q̂ to y with J(0) = ξ and J(1) = 0. With sectional curvature ≤ κ and x = √κ d < π,
@@ -326,8 +326,12 @@ def proved_decay(
 
     tried = [decay(sigma * i / 40) for i in range(40)]
     best = max(range(40), key=lambda i: tried[i].rate)
-    around = sigma * np.array([max(best - 1, 0), min(best + 1, 39)]) / 40
-    refined = minimize_scalar(lambda rho: -decay(rho).rate, bounds=around, method="bounded", options={"xatol": 1e-9})
+    around = (1 - 1e-9) * sigma * np.array([max(best - 1, 0), best + 1]) / 40
+
+    def loss(rho: float) -> float:
+        return -max(decay(rho).rate, -1e9)  # finite, for the parabolas of the search
+
+    refined = minimize_scalar(loss, bounds=around, method="bounded", options={"xatol": 1e-9})
     return max(tried[best], decay(float(refined.x)))
 
 
@@ -416,7 +420,7 @@ def _correction(part: float, sigma: float, errors: CurvedErrors) -> tuple[float,
     x = math.sqrt(max(curvature, 0.0)) * d
     if not (0 <= part <= 1 and x < math.pi):
         raise ValueError(
-            f"proved_decay: on a curved space the part must be in [0, 1] and the distance below π/√κ; got {part} and {d}"
+            f"proved_decay: on a curved space the part must be in [0, 1] and the distance below π/√κ; got {part}, {d}"
         )
     if x < 1e-4:  # the series of what follows
         return 1 - part, riemann * d * (speed * part * (1 - part / 2) + sigma * d * part**2 * (0.5 - part / 3))
@@ -433,6 +437,6 @@ def _check(
     fine = np.isfinite(numbers).all() and h > 0 and 0 <= rate < sigma
     if not (fine and k_minus <= k_plus and friction[0] <= friction[1] <= 0):
         raise ValueError(
-            f"{whose}: needs finite numbers with h > 0, 0 ≤ rate < sigma, k_minus ≤ k_plus and friction (low, high) ≤ 0; "
+            f"{whose}: needs finite numbers, h > 0, 0 ≤ rate < sigma, k_minus ≤ k_plus and friction (low, high) ≤ 0; "
             f"got h = {h}, sigma = {sigma}, rate = {rate}, k = ({k_minus}, {k_plus}), friction = {friction}"
         )
