@@ -55,12 +55,12 @@ PUBLIC = {
     "suggest_noise tune tuned_estimators tuned_state_estimators usual_speeds window_length windows with_gains",
     "certificates": "ASSUMED CHECKERS CascadeCertificate Checked CheckerName Claim Constants ContractionCertificate "
     "Corners Decay Document Evidence Followed Growth Hypothesis MetricDesign Observability Projection Sampled "
-    "StateMetric Statement ErrorSystem ReducedOrderDesign TradeOff Trajectories Verdict at_corners bending cascade "
-    "certify check check_sample common_metric conditioning contraction contraction_matrix contraction_rate "
-    "crossed_metric decay "
-    "detectability_rate error_bounds error_matrix falsify feedthrough follow_estimates force_bounds "
-    "generalised_jacobian in_coordinates in_frame log_norm lower_distance lyapunov noise_disturbance observability "
-    "observer_gain optimal_lyapunov parse projection rate_of rates_along reduced_order steady_distance error_system "
+    "StateMetric Statement ErrorSystem ReducedOrderDesign TradeOff Trajectories Verdict at_corners bending "
+    "cascade certify check check_sample common_metric conditioning contraction contraction_matrix "
+    "contraction_rate crossed_metric decay detectability_rate error_bounds error_matrix falsify feedthrough "
+    "follow_estimates force_bounds generalised_jacobian in_coordinates in_frame log_norm lower_distance lyapunov "
+    "noise_disturbance observability observer_gain optimal_lyapunov parse projection rate_of rates_along "
+    "reduced_order steady_distance error_system Sampling correction sampled_system "
     "tangent_metric tracking trade_off trajectories upper_distance virtual",
     "certificates.audit": "LAWS Audit Law audit",
     "codegen": "ROWS Facts Leaf Program Recipe Source TracedProgram Unit Vectors closed_loop export_texts fmu "

@@ -11,7 +11,17 @@ import numpy as np
 import pytest
 
 from covariant import models
-from covariant.certificates import _certify, _check, _matrices, certify, check, check_sample, error_system, parse
+from covariant.certificates import (
+    _certify,
+    _check,
+    _check_sampled,
+    _matrices,
+    certify,
+    check,
+    check_sample,
+    error_system,
+    parse,
+)
 from covariant.certificates._check import follows
 from covariant.certificates._checked import judged
 from covariant.certificates._saved import observer_from, value_graph
@@ -395,7 +405,10 @@ def test_a_radius_beyond_what_is_proved_to_be_reached_is_refused(sectors, saved_
 # The check is small, and shares with the prover the description of an observer alone.
 
 
-@pytest.mark.parametrize("module", [_check, _matrices])
+CHECKS_OF_SAMPLES = ("SLACK", "sampled_jobs", "sampled_matrix", "slack_of")
+
+
+@pytest.mark.parametrize("module", [_check, _check_sampled, _matrices])
 def test_the_check_shares_with_the_prover_the_observer_alone(module):
     imported = set()
     for node in ast.walk(ast.parse(Path(module.__file__).read_text(encoding="utf-8"))):
@@ -405,17 +418,21 @@ def test_the_check_shares_with_the_prover_the_observer_alone(module):
             imported |= {f"{node.module}.{alias.name}" for alias in node.names}
     own = {name for name in imported if name.startswith("covariant")}
     allowed = {
+        *(f"covariant.certificates._check_sampled.{name}" for name in CHECKS_OF_SAMPLES),
         "covariant.certificates._document.Document",
         "covariant.certificates._document.parse",
         "covariant.certificates._intrinsic.Intrinsics",
         "covariant.certificates._intrinsic.check_unique",
         "covariant.certificates._intrinsic.configuration_shape",
-        "covariant.certificates._intrinsic.error_system",
+        "covariant.certificates._intrinsic.friction_of",
         "covariant.certificates._matrices",
         "covariant.certificates._saved.observer_from",
+        "covariant.certificates._saved.system_of",
         "covariant.certificates._saved.value_graph",
         "covariant.certificates._error_system.ErrorSystem",
+        "covariant.certificates._error_system.corrections",
         "covariant.certificates._error_system.values",
+        "covariant.models.MechanicalSystem",
         "covariant.models.applied_force",
         "covariant.models.input_count",
     }

@@ -27,12 +27,12 @@ from ._distance import (
     lower_distance as lower_distance,
     upper_distance as upper_distance,
 )
-from ._document import Document as Document, parse as parse
+from ._document import Document as Document, Sampling as Sampling, parse as parse
 from ._error_system import ErrorSystem as ErrorSystem
 from ._falsify import falsify as falsify
 from ._figures import Projection as Projection, TradeOff as TradeOff, projection as projection, trade_off as trade_off
 from ._force_bounds import force_bounds as force_bounds
-from ._inequalities import contraction as contraction
+from ._inequalities import contraction as contraction, correction as correction
 from ._intrinsic import error_system as error_system
 from ._lmi import MetricDesign as MetricDesign, common_metric as common_metric, observer_gain as observer_gain
 from ._marine_cascade import crossed_metric as crossed_metric, feedthrough as feedthrough, tracking as tracking
@@ -49,6 +49,7 @@ from ._observability import (
 )
 from ._reduced_order import ReducedOrderDesign as ReducedOrderDesign, reduced_order as reduced_order
 from ._sample import Sampled as Sampled, check_sample as check_sample
+from ._sampled_step import sampled_system as sampled_system
 from ._simulated import (
     Followed as Followed,
     Trajectories as Trajectories,

@@ -15,3 +15,18 @@ ASSUMED = (
     "and contraction of Lipschitz flows",
 )
 """The lines that `covariant certify --check` prints last."""
+ASSUMED_WITH_SAMPLES = (
+    "the true motion solves the model, with the input that the observer is given, and keeps to the region of "
+    "positions, and to the bounds of velocities and inputs",
+    "measurements are exact, of all coordinates unless they are lost, and come at the stated times, which are known "
+    "exactly",
+    "predictions solve the model exactly: errors of the Runge–Kutta steps are not covered",
+    "corrections are those of first order in the missing acceleration: the division by 1 + square/18, and a restart "
+    "where square > (π/2)², are not covered",
+    "coordinates that the model calls circles are periodic",
+    *ASSUMED[5:8],
+    "trusted are JAX's tracing, the reading of its jaxprs and the description of the observer, which prover and "
+    "checker share, IEEE doubles in NumPy, + − × ÷ √ and products of matrices, and what is argued on paper: that the "
+    "two inequalities compose, and contraction of Lipschitz maps",
+)
+"""The same for observers with sampled measurements."""

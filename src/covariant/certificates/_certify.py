@@ -12,7 +12,6 @@ below 2D/λ. An estimate within ε stays so where 2D/λ < ε.
 Source: Aghannan & Rouchon 2003, Theorems 1 and 2, and Fig. 2; Lohmiller & Slotine 1998, section 3.7 for D.
 """
 
-import dataclasses
 import functools
 import itertools
 import math
@@ -31,18 +30,21 @@ from covariant.certificates._checked import judged
 from covariant.certificates._claims import Claim, disturbance_length, disturbance_sizes, read_bounds
 from covariant.certificates._contraction_certificate import ContractionCertificate
 from covariant.certificates._contraction_statement import Contraction, contraction_statement
-from covariant.certificates._document import Document
+from covariant.certificates._document import Document, Sampling
+from covariant.certificates._effort import Effort
 from covariant.certificates._error_system import ErrorSystem
 from covariant.certificates._force_bounds import force_bounds, force_reads_time, force_slopes
 from covariant.certificates._inequalities import contraction, disturbance_bound, squared_widths, width_bound
 from covariant.certificates._intrinsic import Intrinsics, check_unique, error_system
+from covariant.certificates._joint_bounds import joint_bounds
 from covariant.certificates._noise import steady_distance
+from covariant.certificates._sampled_claims import check_sampling, sampled_claims
 from covariant.certificates._saved import observer_document
 from covariant.certificates._tangent_metric import TwoByTwo, check_q, error_matrix, optimal_lyapunov, rate_of
 from covariant.geometry.lie import SO2, SO3
 from covariant.lowering import Lowered, lower, numbers
 from covariant.models import MechanicalSystem, input_count
-from covariant.proofs import MOST_BOXES, Box, Form, Proof, check_box, prove
+from covariant.proofs import MOST_BOXES, Box, check_box
 
 Bounds = tuple[ArrayLike, ArrayLike]
 CheckerName = Literal["auto", "all", "off"]
@@ -67,6 +69,8 @@ def certify(
     q: Numbers | None = None,
     noise: ArrayLike = 0.0,
     disturbance: ArrayLike = 0.0,
+    interval: tuple[float, float] | None = None,
+    lost: int = 0,
     recipe: dict[str, Any] | None = None,
     boxes: int = MOST_BOXES,
     seconds: float | None = None,
@@ -86,12 +90,18 @@ def certify(
             rotations need no bounds.
         input: bound of each input, a number or (m,), or a pair of bounds.
         times: first and last time [s] of the statement; needed where the force depends on time.
-        rate: λ [1/s] to prove, of squared lengths; by default half of the rate that Q allows at q̂ = q.
+        rate: λ [1/s] to prove, of squared lengths; by default half of the rate that Q allows at q̂ = q, and with
+            `interval` a tenth of that of the gains.
         q: matrix (2, 2) of the metric; by default the best conditioned one for two thirds of the rate of the gains.
         noise: bound of the error of each measured position [unit], a number or (n,), in coordinates or as `log(q⁻¹ y)`
             in the body frame. Bounds of matrix entries that `position` gives on a group then apply to the measured
             ones.
         disturbance: bound of each component of an unmodelled force, a number or (n,).
+        interval: shortest and longest time [s] between two samples: the statement is then about the observer that
+            predicts between samples and corrects at each of them, in a metric that is searched (with clarabel). It
+            covers systems in coordinates whose force depends on the input alone, and no noise or disturbance. Without
+            it the observer runs in continuous time.
+        lost: with `interval`, the largest number of samples that may be lost in a row.
         recipe: where the model comes from, as from `models.recipe`; needed to save the certificate.
         boxes: largest number of boxes for all proofs together, which is the same effort on every machine.
         seconds: an additional limit of time [s] for each proof, which starts when its matrix has been written as a
@@ -113,11 +123,26 @@ def certify(
     if checker not in CHECKERS:
         raise ValueError(f"certify: checker must be one of {', '.join(CHECKERS)}; got {checker!r}")
     start = time.monotonic()
-    matrix, target = _metric_and_rate(observer, q, rate)
-    system, assumed = error_system(observer, matrix), _assumed(observer, velocity, error, noise, disturbance)
-    domain, bounds = _domain(observer, system, assumed, _region(observer.model, position, input, times))
-    effort = _Effort(domain, boxes, seconds, processes, progress)
-    claims = [Claim("contraction", effort.prove("contraction", contraction(system, target)))]
+    matrix, target = _metric_and_rate(observer, q, rate, sampled=interval is not None)
+    assumed = _assumed(observer, velocity, error, noise, disturbance)
+    sampling = (
+        None if interval is None else check_sampling(observer, interval, lost, q, assumed.noise, assumed.disturbance)
+    )
+    region = _region(observer.model, position, input, times)
+    effort = Effort(Box((), (), np.zeros(0), np.zeros(0)), boxes, seconds, processes, progress)
+    if sampling is None:
+        system = error_system(observer, matrix)
+        domain, bounds = _domain(observer, system, assumed, region)
+        effort.domain = domain
+        claims = [Claim("contraction", effort.prove("contraction", contraction(system, target)))]
+        corrections = []
+    else:
+        bounds = sampled_given(region.true, *region[1:], len(assumed.velocity))
+        place = functools.partial(_sampled_domain, observer.model, assumed, region, sampling)
+        matrix, sampling, system, domain, (first, *corrections) = sampled_claims(
+            observer, sampling, target, matrix, place, effort
+        )
+        claims = [first]
     radius = 0.0
     if claims[0].proof.verdict == "holds":
         limits = limits_of(domain, assumed.velocity, assumed.noise)
@@ -128,8 +153,9 @@ def certify(
             claims.append(
                 Claim("disturbance", effort.prove("noise", disturbance_bound(system, sizes, square)), 0, square)
             )
+        claims += corrections
         radius = _radius(claims, limits, steady_distance(target, disturbance_length(bounds, claims)))
-    facts = Contraction(target, radius, observer, matrix, domain, assumed.velocity, bounds, claims, recipe)
+    facts = Contraction(target, radius, observer, matrix, domain, assumed.velocity, bounds, claims, recipe, sampling)
     statement = contraction_statement(facts, "proved")
     elapsed, check_start = time.monotonic() - start, time.monotonic()
     if checker != "off" and statement.verdict == "holds":
@@ -150,12 +176,15 @@ def certify(
         bounds,
         tuple(claims),
         recipe,
+        sampling=sampling,
         verified=True,
         checker_seconds=time.monotonic() - check_start,
     )
 
 
-def _metric_and_rate(observer: Intrinsics, q: Numbers | None, rate: float | None) -> tuple[TwoByTwo, float]:
+def _metric_and_rate(
+    observer: Intrinsics, q: Numbers | None, rate: float | None, sampled: bool
+) -> tuple[TwoByTwo, float]:
     """The matrix Q and the rate to prove, as given or by default."""
     alpha, beta = float(observer.alpha), float(observer.beta)
     for name, gain in (("alpha", alpha), ("beta", beta)):
@@ -163,7 +192,8 @@ def _metric_and_rate(observer: Intrinsics, q: Numbers | None, rate: float | None
             raise ValueError(f"certify: {name} of the observer must be a finite number; got {gain:g}")
     best = -2 * float(np.linalg.eigvals(error_matrix(alpha, beta)).real.max())
     matrix = optimal_lyapunov(alpha, beta, best * 2 / 3) if q is None else check_q("certify", q)
-    target = rate_of(alpha, beta, matrix) / 2 if rate is None else float(rate)
+    default = best / 10 if sampled else rate_of(alpha, beta, matrix) / 2
+    target = default if rate is None else float(rate)
     if not (math.isfinite(target) and target > 0):
         raise ValueError(f"certify: the rate must be a positive number; got {target:g}")
     return matrix, target
@@ -192,35 +222,7 @@ def _assumed(
     return assumed
 
 
-@dataclasses.dataclass
-class _Effort:
-    """Proofs over one region, which share a number of boxes."""
-
-    domain: Box
-    boxes: int
-    seconds: float | None
-    processes: int
-    progress: Callable[[str, float, int], None] | None
-
-    def report(self, what: str, share: float, boxes: int) -> None:
-        if self.progress is not None:
-            self.progress(what, share, boxes)
-
-    def prove(self, what: str, matrix: Form) -> Proof:
-        """Prove that a matrix is positive definite, with the boxes that are left."""
-        proof = prove(
-            matrix,
-            self.domain,
-            boxes=self.boxes,
-            seconds=self.seconds,
-            processes=self.processes,
-            progress=functools.partial(self.report, what),
-        )
-        self.boxes = max(self.boxes - proof.boxes, 0)
-        return proof
-
-
-def _reach(system: ErrorSystem, limits: np.ndarray, effort: _Effort) -> Iterator[Claim]:
+def _reach(system: ErrorSystem, limits: np.ndarray, effort: Effort) -> Iterator[Claim]:
     """Claims on how far a curve of unit length changes each position error and each velocity."""
     sampled = sampled_widths(system, effort.domain)
     for row, limit in enumerate(limits.tolist()):
@@ -260,6 +262,7 @@ def _stated(facts: Contraction, system: ErrorSystem) -> Resolved:
         facts.domain.high,
         tuple(claim.stated for claim in facts.claims),
         {},
+        facts.sampling,
     )
     return Resolved(document, facts.observer, system)
 
@@ -326,11 +329,26 @@ def _domain(
         "disturbance": disturbance.tolist(),
         "slopes": slopes.tolist(),
     }
-    return _widened(system, assumed, true if model.manifold.commuting else None, force), bounds
+    return _widened(system, assumed, true if model.manifold.commuting else None, lambda speed: force), bounds
 
 
-def _widened(system: ErrorSystem, assumed: _Assumed, true: Box | None, force: np.ndarray) -> Box:
-    """The box of estimates within the error of the true positions, of their velocities, of errors and of forces."""
+def _sampled_domain(
+    model: MechanicalSystem, assumed: _Assumed, region: _Region, sampling: Sampling, system: ErrorSystem
+) -> Box:
+    """The box of the variables of a sampled system."""
+
+    def rest(speed):
+        joints = joint_bounds(model, region.inputs, speed)
+        return np.concatenate([joints.force, joints.total, joints.slopes, [[0.0], [sampling.oldest]]], axis=1)
+
+    return _widened(system, assumed, region.true, rest)
+
+
+def _widened(system: ErrorSystem, assumed: _Assumed, true: Box | None, rest: Callable[[np.ndarray], np.ndarray]) -> Box:
+    """The box of estimates within the error of the true positions, of their velocities, of errors and of forces.
+
+    `rest` gives the bounds (2, k) of the variables that follow the error, for a bound of the velocities.
+    """
     velocity, error, noise, _ = assumed
     # Rounded outward: the region has to contain every estimate within the error.
     low = np.zeros(0) if true is None else _sum(true.low, -error, -1)
@@ -338,6 +356,7 @@ def _widened(system: ErrorSystem, assumed: _Assumed, true: Box | None, force: np
 
     def box(excess):
         speed = _sum(velocity, excess, 1)
+        force = rest(speed)
         return Box(
             system.names,
             system.units,
@@ -422,7 +441,8 @@ def limits_of(domain: Box, velocity, noise) -> Float[np.ndarray, "two_n"]:
         The largest position errors, then the largest velocities beyond their bound, that stay within the region (2n,).
     """
     n = len(velocity)
-    start = len(domain.low) - 3 * n
+    # On a group there are no coordinates before the velocities.
+    start = n * (len(domain.low) > 3 * n)
     speed, error = slice(start, start + n), slice(start + n, start + 2 * n)
     most = np.minimum(domain.high, -domain.low)
     # Rounded down: a limit may not exceed the exact difference.

@@ -18,15 +18,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from covariant.certificates import _matrices as matrices
+from covariant.certificates._check_sampled import SLACK, sampled_jobs, sampled_matrix, slack_of
 from covariant.certificates._document import Document, parse
 from covariant.certificates._error_system import ErrorSystem
-from covariant.certificates._intrinsic import Intrinsics, check_unique, configuration_shape, error_system
-from covariant.certificates._saved import observer_from, value_graph
+from covariant.certificates._intrinsic import Intrinsics, check_unique, configuration_shape
+from covariant.certificates._saved import observer_from, system_of, value_graph
 from covariant.models import input_count
 from covariant.proofs.checker import ROUND, TaylorEnclosure, leaves, show_definite
 
-SLACK = 2.0**-20
-"""Relative margin by which forces may exceed their bounds, so that bounds that are attained can be shown quickly."""
 DEPTH, DEEPEST, SHARE = 24, 200, 1024
 """How often a leaf may be halved; how often the box of inputs may be; number of leaves in a job of one process."""
 
@@ -139,7 +138,7 @@ def follows(document: Document, model: Any = None) -> Resolved:
     try:
         with np.errstate(all="ignore"):
             observer, q = observer_from(document, model)
-            resolved = Resolved(document, observer, error_system(observer, q))
+            resolved = Resolved(document, observer, system_of(observer, q, document.sampling))
             _complete(resolved)
             # The comparison that takes longest comes last.
             expected = value_graph(resolved.about)
@@ -159,6 +158,12 @@ def _complete(resolved: Resolved) -> None:
     (document, observer, system), n = resolved, len(resolved.document.velocity)
     model, low, high, claims = observer.model, document.low, document.high, document.claims
     _need(len(system.names) == len(low), f"box: the model has {len(system.names)} variables; the box bounds {len(low)}")
+    names = system.names
+    if document.sampling is not None:
+        covered = low[-1] <= 0 and document.sampling.oldest <= high[-1]
+        _need(covered, f"box: it must hold the ages from 0 to {document.sampling.oldest:.6g} s of measurements")
+        # What follows is about positions, velocities, errors and forces; further forces and the age come after them.
+        names, low, high = names[: 4 * n], low[: 4 * n], high[: 4 * n]
     m, places = input_count(model, n), math.prod(configuration_shape(model, n))
     for key, expected in (("positions", places), ("inputs", m)):
         columns = getattr(document.given, key).shape[1]
@@ -178,7 +183,7 @@ def _complete(resolved: Resolved) -> None:
     widths = [radius * math.sqrt(claim.square) * (1 + ROUND) for claim in claims[1 : 1 + 2 * n]]
     # In the order of the box. The measurement is fixed, so that position and error move together: the first n rows.
     reach = [*widths[: len(start[0])], *widths[n:], *widths[:n]]
-    for name, a, b, c, d, r in zip(system.names[:-n], low[:-n], high[:-n], *truth, reach, strict=True):
+    for name, a, b, c, d, r in zip(names[:-n], low[:-n], high[:-n], *truth, reach, strict=True):
         # `fsum` rounds the exact sum once, which keeps its sign.
         fits = c <= d and math.fsum([a, r, -c]) <= 0 and math.fsum([d, r, -b]) <= 0
         excess = f"{name} may be {r:.6g} outside of {c:.6g} to {d:.6g}"
@@ -213,8 +218,9 @@ def sizes(document: Document) -> np.ndarray:
 def _jobs(document: Document) -> Iterator[tuple]:
     """Everything to be shown, with its boxes: the bounds of the force, definedness, and the leaves of the claims."""
     region, n = _force_box(document), len(document.velocity)
-    for what in ("the bound of the force", "the definedness of the force"):
-        yield what, *region[:, None]
+    if document.sampling is None:
+        for what in ("the bound of the force", "the definedness of the force"):
+            yield what, *region[:, None]
     if document.given.noise.any():
         pinned = np.concatenate([region, np.zeros((2, n))], axis=1)
         for what in ("the bound of the force's slopes", "the smoothness of the force"):
@@ -225,8 +231,9 @@ def _jobs(document: Document) -> Iterator[tuple]:
         "the definedness of the observer, without jumps,",
         *np.concatenate([[document.low, document.high], pins], axis=1)[:, None],
     )
+    yield from sampled_jobs(document, pins)
     for index, claim in enumerate(document.claims):
-        boxes = leaves(document.low, document.high, claim.levels, f"claim {index}")
+        boxes = leaves(*document.bounds(claim), claim.levels, f"claim {index}")
         for k in range(0, len(boxes[0]), SHARE):
             yield index, *(side[k : k + SHARE] for side in boxes)
 
@@ -251,14 +258,17 @@ def _matrix(resolved: Resolved, what: int | str) -> TaylorEnclosure:
             "contraction": lambda: matrices.contraction(system, document.rate),
             "reach": lambda: matrices.width_bound(system, claim.row, claim.square),
             "disturbance": lambda: matrices.disturbance(system, sizes(document), claim.square),
+            "correction": lambda: matrices.correction(system),
         }[claim.kind]()
-        slack = np.where(np.arange(len(low)) < len(low) - n, 0.0, _slack(low, high))
-        return TaylorEnclosure(matrix, low, high, slack)
+        slack = np.where(_forces(document), slack_of(low, high), 0.0)
+        return TaylorEnclosure(matrix, *document.bounds(claim), slack)
+    if document.sampling is not None and what != "the definedness of the observer, without jumps,":
+        return sampled_matrix(document, system, model, what)
     unmoved = np.concatenate([region, np.zeros((2, n))], axis=1)
     pinned = np.concatenate([[low, high], np.zeros((2, 2 * n + 1))], axis=1)
     force, slopes = matrices.force(model, shape), matrices.slopes(model, shape, n)
     # Forces are shown within the box and half the slack, claims for forces within all of it: the rest covers rounding.
-    slack, unknown, steep = _slack(low, high)[-n:] / 2, document.given.disturbance, document.given.slopes.ravel()
+    slack, unknown, steep = slack_of(low, high)[-n:] / 2, document.given.disturbance, document.given.slopes.ravel()
     claimed, allowed = (low[-n:] + unknown - slack, high[-n:] - unknown + slack), steep * (1 + SLACK) + 1e-200
     function, box, watch = {
         "the bound of the force": (matrices.within(force, *claimed), region, ""),
@@ -271,9 +281,11 @@ def _matrix(resolved: Resolved, what: int | str) -> TaylorEnclosure:
     return TaylorEnclosure(function, least, largest, np.zeros(len(least)), watch)
 
 
-def _slack(low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    # The last term serves bounds that are zero.
-    return SLACK * np.maximum(abs(low), abs(high)) + 1e-200
+def _forces(document: Document) -> np.ndarray:
+    """Which variables (d,) of the box are forces, or slopes of friction."""
+    n, d = len(document.velocity), len(document.low)
+    place = np.arange(d)
+    return place >= d - n if document.sampling is None else (3 * n <= place) & (place < 6 * n)
 
 
 class Judge:

@@ -18,9 +18,11 @@ class Claim(NamedTuple):
         kind: "contraction": squared lengths decrease at the rate of the certificate. "reach": a curve of length ℓ
             changes the entry `row` of (error, velocity) by less than `ℓ √square`, which bounds the half width of the
             tube in that entry. "disturbance": errors of measurement and force, relative to their sizes and within the
-            unit ball, add at most `√square` in length to the flow.
+            unit ball, add at most `√square` in length to the flow. "correction": the correction after `row` lost
+            samples lengthens no curve.
         proof: the tree of boxes over which the inequality was shown.
-        row: for "reach", the index of the entry of (error, velocity), from 0 to 2n − 1.
+        row: for "reach", the index of the entry of (error, velocity), from 0 to 2n − 1; for "correction", the number of
+            samples lost before it.
         square: for "reach" and "disturbance", the square of the bound.
         limit: for "reach", the largest half width that stays within the region, in the unit of the entry.
 
@@ -65,9 +67,14 @@ def stated_claims(document: Document, domain: Box) -> tuple[Claim, ...]:
         One claim for each in the file, in the same order. Its proof is only stated, not verified.
     """
     return tuple(
-        Claim(claim.kind, Proof.stated(domain, from_letters(claim.levels)), claim.row, claim.square, claim.limit)
-        for claim in document.claims
+        Claim(claim.kind, Proof.stated(bounds, from_letters(claim.levels)), claim.row, claim.square, claim.limit)
+        for claim, bounds in ((claim, _box_of(document, claim, domain)) for claim in document.claims)
     )
+
+
+def _box_of(document: Document, claim: Stated, domain: Box) -> Box:
+    low, high = document.bounds(claim)
+    return domain._replace(low=low, high=high)
 
 
 def disturbance_sizes(given: dict[str, Any]) -> Float[np.ndarray, "two_n"]:

@@ -9,7 +9,7 @@ from jaxtyping import Float
 from covariant.certificates._check import follows
 from covariant.certificates._claims import Claim, disturbance_length
 from covariant.certificates._contraction_statement import Contraction, contraction_statement
-from covariant.certificates._document import FORMAT, parse, write
+from covariant.certificates._document import FORMAT, Sampling, parse, write
 from covariant.certificates._error_system import ErrorSystem
 from covariant.certificates._intrinsic import Intrinsics
 from covariant.certificates._noise import steady_distance
@@ -38,6 +38,7 @@ class ContractionCertificate(NamedTuple):
         verified: whether it was proved in this process. A certificate that was read from a file is only as trustworthy
             as the file, until `covariant certify --check` has verified it.
         checker_seconds: time [s] that the checker spent on it in this process.
+        sampling: when measurements come, and the metric between them; None for an observer in continuous time.
 
     Example:
         >>> import numpy as np
@@ -65,6 +66,7 @@ class ContractionCertificate(NamedTuple):
     recipe: dict[str, Any] | None
     verified: bool = False
     checker_seconds: float = 0.0
+    sampling: Sampling | None = None
 
     @property
     def decay(self) -> float:
@@ -107,10 +109,17 @@ class ContractionCertificate(NamedTuple):
 
     @property
     def kinds(self) -> tuple[str, ...]:
-        """The kind of each variable of the domain: "estimate", "velocity" (estimated), "error" or "force"."""
+        """The kind of each variable of the domain.
+
+        Returns:
+            "estimate", "velocity" (estimated), "error" or "force" for each; with samples also "joint force", "friction
+            slope" and "age".
+        """
         n = len(self.velocity)
         roles = ("estimate", "velocity", "error", "force")
         parts = roles if len(self.domain.low) == 4 * n else roles[1:]
+        if self.sampling is not None:
+            return (*(role for role in (*roles, "joint force", "friction slope") for _ in range(n)), "age")
         return tuple(role for role in parts for _ in range(n))
 
     @property
@@ -146,6 +155,7 @@ class ContractionCertificate(NamedTuple):
             "claims": [claim.document() for claim in self.claims],
             "graph": value_graph(self.error_system),
         }
+        content |= {} if self.sampling is None else {"sampling": self.sampling.document()}
         return content | {"digest": digest(content)}
 
     def save(self, path: str | Path) -> Path:
@@ -196,4 +206,5 @@ class ContractionCertificate(NamedTuple):
             facts.given,
             tuple(facts.claims),
             facts.recipe,
+            sampling=facts.sampling,
         )

@@ -7,9 +7,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from covariant.certificates._assumed import ASSUMED
+from covariant.certificates._assumed import ASSUMED, ASSUMED_WITH_SAMPLES
 from covariant.certificates._claims import Claim, disturbance_length, plain_bounds, stated_claims
-from covariant.certificates._document import Document
+from covariant.certificates._document import Document, Sampling
 from covariant.certificates._error_system import ErrorSystem
 from covariant.certificates._intrinsic import Intrinsics
 from covariant.certificates._noise import steady_distance
@@ -24,7 +24,7 @@ class Contraction(NamedTuple):
     """All that a statement about an intrinsic observer is derived from.
 
     Attributes:
-        rate, radius, observer, q, domain, velocity, given, claims, recipe: as in `ContractionCertificate`.
+        rate, radius, observer, q, domain, velocity, given, claims, recipe, sampling: as in `ContractionCertificate`.
     """
 
     rate: float
@@ -36,6 +36,7 @@ class Contraction(NamedTuple):
     given: dict[str, Any]
     claims: Sequence[Claim]
     recipe: dict[str, Any] | None
+    sampling: Sampling | None = None
 
     @classmethod
     def stated(cls, document: Document, observer: Intrinsics, about: ErrorSystem) -> "Contraction":
@@ -57,7 +58,14 @@ class Contraction(NamedTuple):
             plain_bounds(document.given),
             stated_claims(document, domain),
             document.recipe,
+            document.sampling,
         )
+
+    @property
+    def first_velocity(self) -> int:
+        """Index of the first velocity in the domain, after the coordinates, which on a group are none."""
+        n = len(self.velocity)
+        return n * (len(self.domain.names) > 3 * n)
 
     @property
     def steady(self) -> float:
@@ -76,7 +84,7 @@ def contraction_statement(of: Contraction, evidence: Evidence, checker: Hypothes
     Returns:
         The statement, with the rate λ [1/s] of squared lengths as margin.
     """
-    hypotheses = (*_hypotheses(of, evidence), *(() if checker is None else (checker,)), *_assumed())
+    hypotheses = (*_hypotheses(of, evidence), *(() if checker is None else (checker,)), *_assumed(of))
     counterexample = next((c.proof.counterexample for c in of.claims if c.proof.counterexample is not None), None)
     point = () if counterexample is None else tuple(counterexample.mean(axis=0).tolist())
     draft = Statement("", (), hypotheses, of.rate, str(of.domain), point)
@@ -99,6 +107,8 @@ def _converges(facts: Contraction) -> str:
         if any(facts.given[key]):
             conditions.append(f"{label} up to {', '.join(f'{bound:.4g}' for bound in facts.given[key])}")
     end = f" to {facts.steady:.4g} or less" if facts.steady else ""
+    if facts.sampling is not None:
+        conditions.append(_samples(facts.sampling))
     return (
         f"estimates within {_down(facts.radius)} of a solution with velocities up to {speeds} stay so, and their "
         f"distance falls at {_down(facts.rate / 2)} 1/s or faster{end}"
@@ -106,36 +116,54 @@ def _converges(facts: Contraction) -> str:
     )
 
 
+def _samples(sampling: Sampling) -> str:
+    """When measurements come, in words."""
+    shortest, longest = (_exact(h) for h in sampling.interval)
+    every = f"samples {shortest} s apart" if shortest == longest else f"samples {shortest} to {longest} s apart"
+    return f"{every}, of which at most {sampling.lost} in a row are lost"
+
+
 def _hypotheses(facts: Contraction, evidence: Evidence) -> Iterator[Hypothesis]:
-    n, names = len(facts.velocity), facts.domain.names
+    n, names, start = len(facts.velocity), facts.domain.names, facts.first_velocity
+    between = "" if facts.sampling is None else " between samples"
     for claim in facts.claims:
         proof, reach = claim.proof, facts.radius * math.sqrt(claim.square)
         if claim.kind == "contraction":
             text, margin = (
-                f"squared lengths shrink at {_exact(facts.rate)} 1/s or faster everywhere in the domain",
+                f"squared lengths shrink at {_exact(facts.rate)} 1/s or faster{between} everywhere in the domain",
                 None,
             )
         elif claim.kind == "reach":
             # Errors of the position come first, then the velocities.
-            name = names[len(names) - 2 * n + claim.row] if claim.row < n else names[len(names) - 4 * n + claim.row]
+            name = names[start + n + claim.row] if claim.row < n else names[start - n + claim.row]
             text = f"a curve of the length of the radius reaches less than {claim.limit:.4g} far in {name}"
             margin = claim.limit - reach if facts.radius else None
+        elif claim.kind == "correction" and facts.sampling is not None:
+            first, last = (_exact(h) for h in facts.sampling.ages[claim.row])
+            text = f"the correction by a measurement that is {first} to {last} s old lengthens no curve"
+            margin = None
         else:
             text, margin = "noise and unknown forces add no more to the flow than the radius allows", None
         yield Hypothesis(text, evidence, proof.verdict, margin, proof.reason)
     if all(claim.proof.verdict == "holds" for claim in facts.claims):
         yield _radius(facts, evidence)
-    yield Hypothesis("over these positions, inputs and times the force stays within the bounds of the domain", evidence)
+    forces = (
+        "over these positions, inputs and times the force stays within the bounds of the domain"
+        if facts.sampling is None
+        else "over these inputs and velocities, forces and the slopes of friction stay within the bounds of the domain"
+    )
+    yield Hypothesis(forces, evidence)
     yield Hypothesis(
         "the errors are below half a turn, so that the shortest path to the measurement is unique", evidence
     )
+    described = "flow" if facts.sampling is None else "prediction and correction"
     yield Hypothesis(
-        f"the observer is {type(facts.observer).__name__} itself, whose flow is the one described", evidence
+        f"the observer is {type(facts.observer).__name__} itself, whose {described} is the one described", evidence
     )
 
 
-def _assumed() -> Iterator[Hypothesis]:
-    for line in ASSUMED:
+def _assumed(facts: Contraction) -> Iterator[Hypothesis]:
+    for line in ASSUMED if facts.sampling is None else ASSUMED_WITH_SAMPLES:
         yield Hypothesis(line, "assumed")
 
 
@@ -159,10 +187,14 @@ def _description(facts: Contraction) -> Iterator[str]:
     alpha, beta = (_exact(fields.pop(name)) for name in ("alpha", "beta"))
     options = "".join(f", {name} = {value}" for name, value in fields.items())
     yield f"model: {'one that was given as an object' if facts.recipe is None else recipe_text(facts.recipe)}"
-    yield f"observer: {kind} in the frame of {frame}, alpha = {alpha} 1/s, beta = {beta} 1/s²{options}; continuous time"
-    yield f"metric: Q = {_rows(facts.q)}"
+    yield f"observer: {kind} in the frame of {frame}, alpha = {alpha} 1/s, beta = {beta} 1/s²{options}; {_time(facts)}"
+    yield from _metric(facts)
     if facts.radius:
-        yield f"rate λ = {_down(facts.rate)} 1/s of squared lengths, radius ε = {_down(facts.radius)} in this metric"
+        right_after = "" if facts.sampling is None else " right after a measurement"
+        yield (
+            f"rate λ = {_down(facts.rate)} 1/s of squared lengths, radius ε = {_down(facts.radius)} in this metric"
+            f"{right_after}"
+        )
     positions = facts.given["positions"]
     if model.manifold.commuting:
         ends = zip(positions["low"], positions["high"], strict=True)
@@ -170,9 +202,12 @@ def _description(facts: Contraction) -> Iterator[str]:
         yield "true positions: " + ", ".join(_between(name, *pair, unit_of.get(name, "")) for name, pair in named)
     else:
         yield f"true positions: entries of the matrices from {_list(positions['low'])} to {_list(positions['high'])}"
-    speeds, errors = facts.domain.names[-3 * n : -2 * n], facts.domain.names[-2 * n : -n]
+    start = facts.first_velocity
+    speeds, errors = facts.domain.names[start : start + n], facts.domain.names[start + n : start + 2 * n]
     yield "true velocities up to: " + _up_to(speeds, facts.velocity, unit_of)
-    yield "errors of the estimated position up to: " + _up_to(errors, facts.domain.high[-2 * n : -n], unit_of)
+    yield "errors of the estimated position up to: " + _up_to(
+        errors, facts.domain.high[start + n : start + 2 * n], unit_of
+    )
     inputs = facts.given["inputs"]
     pairs = enumerate(zip(inputs["low"], inputs["high"], strict=True), start=1)
     yield f"inputs: {', '.join(_between(f'u{i}', *pair, '') for i, pair in pairs) or 'none'}"
@@ -183,6 +218,23 @@ def _description(facts: Contraction) -> Iterator[str]:
     yield f"errors of the measured position up to: {_list(facts.given['noise'])}"
     yield f"unknown forces up to: {_list(facts.given['disturbance'])}"
     yield f"domain of the proofs: {facts.domain}"
+
+
+def _time(facts: Contraction) -> str:
+    if facts.sampling is None:
+        return "continuous time"
+    substeps = facts.sampling.substeps
+    count = "as many Runge–Kutta steps as it chooses" if substeps is None else f"{substeps} Runge–Kutta steps"
+    return f"predictions in {count} between {_samples(facts.sampling)}"
+
+
+def _metric(facts: Contraction) -> Iterator[str]:
+    if facts.sampling is None:
+        yield f"metric: Q = {_rows(facts.q)}"
+        return
+    terms = [_rows(facts.q), *(f"{_rows(r)} τ^{k}" for k, r in enumerate(facts.sampling.slopes, start=1))]
+    sheared = ", in a frame that is sheared with τ" if facts.sampling.shear else ""
+    yield f"metric: R(τ) = {' + '.join(terms)} at the age τ of the last measurement{sheared}"
 
 
 def _between(name: str, low: float, high: float, unit: str) -> str:

@@ -35,10 +35,17 @@ OBSERVERS: dict[str, dict[str, Any]] = {
     "geodesic": {"curvature": bool},
 }
 """The fields of each kind of observer beside the gains, with their possible values."""
+MOST_LOST = 1000
+"""Largest number of lost samples that a file may state."""
 FRAMES = ("coordinates", "body")
 """Frames of the vectors. In the "body" frame the configuration is not a variable of the region."""
-Kind = Literal["contraction", "reach", "disturbance"]
-NUMBERS: dict[Kind, list[str]] = {"contraction": [], "reach": ["row", "square", "limit"], "disturbance": ["square"]}
+Kind = Literal["contraction", "reach", "disturbance", "correction"]
+NUMBERS: dict[Kind, list[str]] = {
+    "contraction": [],
+    "reach": ["row", "square", "limit"],
+    "disturbance": ["square"],
+    "correction": ["row"],
+}
 """The numbers of each kind of claim, beside its tree of boxes."""
 
 
@@ -66,9 +73,9 @@ class Stated(NamedTuple):
     """A claim as stated in a file.
 
     Attributes:
-        kind: "contraction", "reach" of a `row` by `square` up to `limit`, or "disturbance" of `square`.
+        kind: "contraction", "reach" of a `row` by `square` up to `limit`, "disturbance" of `square`, or "correction".
         levels: its tree of boxes, one string for each level.
-        row: index of the entry of (error, velocity), for "reach".
+        row: index of the entry of (error, velocity), for "reach"; number of samples lost, for "correction".
         square: square of the bound, for "reach" and "disturbance".
         limit: largest half width that is allowed, for "reach".
     """
@@ -83,6 +90,53 @@ class Stated(NamedTuple):
     def open(self) -> bool:
         """Whether some of its boxes are undecided."""
         return any("?" in level for level in self.levels)
+
+
+class Sampling(NamedTuple):
+    """When measurements come, and the metric between them.
+
+    Attributes:
+        interval: shortest and longest time (2,) between two samples [s].
+        lost: largest number of samples lost in a row.
+        slopes: R_1, R_2, … (k, 2, 2) of the metric; R_0 is the matrix Q of the certificate.
+        shear: whether the frame of the metric is sheared with the age of the measurement.
+        substeps: number of Runge–Kutta steps between two samples; None where the observer chooses it.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant.certificates import Sampling
+        >>> sampling = Sampling(np.array([0.009, 0.011]), lost=1)
+        >>> sampling.ages.round(3).tolist(), round(sampling.oldest, 3)
+        ([[0.009, 0.011], [0.018, 0.022]], 0.022)
+    """
+
+    interval: Float[np.ndarray, "2"]
+    lost: int = 0
+    slopes: Float[np.ndarray, "k 2 2"] = np.zeros((0, 2, 2))
+    shear: bool = False
+    substeps: int | None = None
+
+    @property
+    def ages(self) -> Float[np.ndarray, "p 2"]:
+        """Least and largest age (p + 1, 2) [s] of a measurement, for each number of samples lost before it."""
+        counts = np.arange(1.0, self.lost + 2)[:, None]
+        # Rounded outward, since a product may round inward; that by 1 is exact.
+        return np.where(counts > 1, np.nextafter(counts * self.interval, [0.0, np.inf]), self.interval)
+
+    @property
+    def oldest(self) -> float:
+        """Largest age of a measurement [s]."""
+        return float(self.ages[-1, 1])
+
+    def document(self) -> dict[str, Any]:
+        """Convert to data for the file."""
+        return {
+            "interval": self.interval.tolist(),
+            "lost": self.lost,
+            "slopes": self.slopes.tolist(),
+            "shear": self.shear,
+            "substeps": self.substeps or 0,
+        }
 
 
 class Document(NamedTuple):
@@ -100,6 +154,7 @@ class Document(NamedTuple):
         low, high: the box (d,) of all claims.
         claims: the claims, "contraction" first.
         graph: {"nodes": rows, "outputs": integers}, a graph of scalars in which every node follows its arguments.
+        sampling: when measurements come, and the metric between them; None for an observer in continuous time.
 
     Example:
         >>> import numpy as np
@@ -122,11 +177,37 @@ class Document(NamedTuple):
     high: Float[np.ndarray, "d"]
     claims: tuple[Stated, ...]
     graph: dict[str, list]
+    sampling: Sampling | None = None
 
     @property
     def open(self) -> bool:
         """Whether any claim has undecided boxes."""
         return any(claim.open for claim in self.claims)
+
+    def bounds(self, claim: Stated) -> tuple[Float[np.ndarray, "d"], Float[np.ndarray, "d"]]:
+        """Bounds (d,) of the box of one claim, which is the whole box, or that of the ages of a correction.
+
+        Args:
+            claim: the claim.
+        """
+        return claim_bounds(self.sampling, claim.kind, claim.row, self.low, self.high)
+
+
+def claim_bounds(
+    sampling: Sampling | None, kind: Kind, row: int, low: np.ndarray, high: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the bounds (d,) of the box of one claim.
+
+    Args:
+        sampling: when measurements come; None in continuous time.
+        kind: kind of the claim.
+        row: its row, for a correction the number of samples lost.
+        low, high: the whole box (d,), whose last variable is the age where measurements are sampled.
+    """
+    if sampling is None or kind != "correction":
+        return low, high
+    first, last = sampling.ages[row]
+    return np.append(low[:-1], first), np.append(high[:-1], last)
 
 
 def parse(path: str | Path, content: bytes | None = None) -> Document:
@@ -154,16 +235,25 @@ def parse(path: str | Path, content: bytes | None = None) -> Document:
     top = parse_file(path, read_file(path) if content is None else content)
     top.need(isinstance(top.value, dict) and "format" in top.value, "a certificate with a format")
     top.at("format").need(top.value["format"] == FORMAT, f"{FORMAT!r}; this version reads no other")
-    fields = top.record(KEYS)
+    sampled = "sampling" in top.value
+    fields = top.record([*KEYS, "sampling"] if sampled else KEYS)
     expected = digest(top.value)
     message = f"{expected} for what the file says; it was changed since it was saved"
     fields["digest"].need(fields["digest"].value == expected, message)
     observer, velocity = _observer(fields["observer"]), fields["velocity"].vector(1, MOST_PARTS, least=0.0)
     fields["velocity"].need((velocity > 0).all(), "positive numbers")
     n = len(velocity)
-    variables = n * (4 if observer["frame"] == "coordinates" else 3)
+    sampling = _sampling(fields["sampling"]) if sampled else None
+    fields["observer"].need(not sampled or observer["frame"] == "coordinates", "one in coordinates, with sampling")
+    variables = 6 * n + 1 if sampled else n * (4 if observer["frame"] == "coordinates" else 3)
+    fields["velocity"].need(
+        variables <= len(LETTERS), f"fewer velocities: there are letters for {len(LETTERS)} variables"
+    )
     low, high = fields["box"].pair(variables, variables)
-    claims = _claims(fields["claims"], n, variables)
+    claims = _claims(fields["claims"], n, variables, sampling)
+    given = _given(fields["given"], n)
+    disturbed = given.noise.any() or given.disturbance.any()
+    fields["given"].need(not (sampled and disturbed), "without noise and disturbance, which sampling does not cover")
     return Document(
         top.file,
         _recipe(fields["recipe"]),
@@ -172,11 +262,12 @@ def parse(path: str | Path, content: bytes | None = None) -> Document:
         fields["rate"].positive(),
         _radius(fields["radius"], any(claim.open for claim in claims)),
         velocity,
-        _given(fields["given"], n),
+        given,
         low,
         high,
         claims,
         saved_graph(fields["graph"]),
+        sampling,
     )
 
 
@@ -272,26 +363,46 @@ def _given(field: Field, n: int) -> Given:
     return Given(fields["positions"].pair(1, 400), fields["inputs"].pair(0, 100), times, noise, disturbance, slopes)
 
 
-def _claims(field: Field, n: int, variables: int) -> tuple[Stated, ...]:
-    """Contraction, then "reach" for each of the 2n rows, then "disturbance", if there is noise or disturbance."""
-    rows = field.rows(1, 2 * n + 2)
-    claims = [_claim(row, k, n, variables) for k, row in enumerate(rows)]
+def _sampling(field: Field) -> Sampling:
+    fields = field.record(["interval", "lost", "slopes", "shear", "substeps"])
+    interval = fields["interval"].vector(2, 2)
+    fields["interval"].need(0 < interval[0] <= interval[1], "two positive times, the shorter one first")
+    slopes = np.array([[row.vector(2, 2) for row in slope.rows(2, 2)] for slope in fields["slopes"].rows(0, 8)])
+    slopes = slopes.reshape(-1, 2, 2)
+    fields["slopes"].need((slopes == np.swapaxes(slopes, 1, 2)).all(), "symmetric matrices (2, 2)")
+    lost, shear = fields["lost"].whole(0, MOST_LOST), fields["shear"].one_of((True, False))
+    return Sampling(interval, lost, slopes, shear, fields["substeps"].whole(0, 10_000) or None)
+
+
+def _claims(field: Field, n: int, variables: int, sampling: Sampling | None) -> tuple[Stated, ...]:
+    """Contraction, then "reach" for each of the 2n rows, then "disturbance", if there is noise or disturbance.
+
+    With sampling, "correction" follows "reach" for each number of lost samples.
+    """
+    count = 1 if sampling is None else sampling.lost + 1
+    rows = field.rows(1, 2 * n + 1 + count)
+    last: Kind = "disturbance" if sampling is None else "correction"
+    claims = [_claim(row, k, n, variables, last) for k, row in enumerate(rows)]
     if sum(len(level) for claim in claims for level in claim.levels) > MOST_LETTERS:
         raise ValueError(
             f"{field.file}: the levels of {field.key} hold more than {MOST_LETTERS} letters; ask for the file as it "
             "was saved, or certify again"
         )
-    complete = len(rows) > 2 * n or (len(rows) == 1 and claims[0].open)
-    field.need(complete, f"contraction, and reach of rows 0 to {2 * n - 1}")
+    needed = 2 * n + 1 + (0 if sampling is None else count)
+    corrections = "" if sampling is None else f", and correction after 0 to {count - 1} lost samples"
+    complete = len(rows) >= needed or (len(rows) == 1 and claims[0].open)
+    field.need(complete, f"contraction, and reach of rows 0 to {2 * n - 1}{corrections}")
     return tuple(claims)
 
 
-def _claim(field: Field, k: int, n: int, variables: int) -> Stated:
+def _claim(field: Field, k: int, n: int, variables: int, last: Kind) -> Stated:
     field.need(isinstance(field.value, dict) and "kind" in field.value, "an object with the kind of the claim")
-    kind: Kind = "contraction" if k == 0 else "reach" if k <= 2 * n else "disturbance"
+    kind: Kind = "contraction" if k == 0 else "reach" if k <= 2 * n else last
     field.at("kind").one_of((kind,))
     fields = field.record(["kind", *NUMBERS[kind], "levels"])
     numbers: dict[str, Any] = {key: fields[key].positive() for key in NUMBERS[kind] if key != "row"}
     if kind == "reach":
         numbers["row"] = fields["row"].whole(k - 1, k - 1)
+    if kind == "correction":
+        numbers["row"] = fields["row"].whole(k - 1 - 2 * n, k - 1 - 2 * n)
     return Stated(kind, saved_levels(fields["levels"], variables), **numbers)

@@ -27,6 +27,9 @@ class Point(NamedTuple):
             for intrinsic observers only.
         noise_jacobian: `() -> (n, n)`: change of the position error by an error of the measurement; for intrinsic
             observers only.
+        corrected: `x (2n,) -> x (2n,)`: the correction by a measurement, which is held constant; for observers with
+            samples only, as is `after`.
+        after: the metric on states right after a correction.
     """
 
     flow: Callable[[Scalar, Vector], Array]
@@ -34,6 +37,15 @@ class Point(NamedTuple):
     x: Vector
     error_jacobian: Callable[[], Matrix] = _empty
     noise_jacobian: Callable[[], Matrix] = _empty
+    corrected: Callable[[Vector], Array] | None = None
+    after: StateMetric | None = None
+
+    @property
+    def sampled(self) -> tuple[Callable[[Vector], Array], StateMetric]:
+        """The correction, and the metric after it, of an observer with samples."""
+        assert self.corrected is not None
+        assert self.after is not None
+        return self.corrected, self.after
 
 
 class ErrorSystem(NamedTuple):
@@ -46,6 +58,7 @@ class ErrorSystem(NamedTuple):
         at: `z (d,) -> Point`: flow, metric and state at a point z of the box.
         at_rest: the same with a constant measurement, where `at` lets one change with time; None where it does not.
             Each instant is then the first instant at another z. Nothing else may depend on time.
+        has_samples: whether measurements are sampled, so that points have a correction.
 
     Example:
         >>> import numpy as np
@@ -60,6 +73,7 @@ class ErrorSystem(NamedTuple):
     units: tuple[str, ...]
     at: Callable[[Vector], Point]
     at_rest: Callable[[Vector], Point] | None = None
+    has_samples: bool = False
 
 
 def entries_read(function, *arguments: Array) -> set[int]:
@@ -120,5 +134,25 @@ def values(error_system: ErrorSystem) -> Callable[[Scalar, Vector, Vector], tupl
         metric = point.metric
         parts = point.flow(t, x), metric.coframe(t, x), metric.frame(t, x), metric.gram(t, x)
         return *parts, point.error_jacobian(), point.noise_jacobian()
+
+    return at
+
+
+def corrections(error_system: ErrorSystem) -> Callable[[Scalar, Vector, Vector], tuple[Array, ...]]:
+    """Collect the functions from which, with their derivatives, claims about the correction are made.
+
+    Args:
+        error_system: the system, with samples.
+
+    Returns:
+        `(t, x, z) -> (C x, Θ_0(C x), N_0(C x), Θ_h⁻¹, N_h)`, for the correction C by a measurement of age h.
+    """
+
+    def at(t, x, z):
+        point = error_system.at(z)
+        corrected, after = point.sampled
+        before, new = point.metric, corrected(x)
+        now = jnp.zeros_like(t)
+        return new, after.coframe(now, new), after.gram(now, new), before.frame(t, x), before.gram(t, x)
 
     return at

@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 from covariant._linalg import solve
 from covariant._typing import Vector
 from covariant.certificates._contraction import contraction_matrix, lengths
-from covariant.certificates._error_system import ErrorSystem, values
+from covariant.certificates._error_system import ErrorSystem, corrections, values
 from covariant.proofs import Form, as_form, derivative_form
 
 
@@ -57,6 +57,26 @@ def length_change(
         The form that proofs need: a graph whose derivatives are its own.
     """
 
+    def whole(coframe, gram, change, jacobian):
+        return formula(coframe, gram, lengths(gram, change, jacobian))
+
+    return in_frame_along(error_system, whole, numbers)
+
+
+def in_frame_along(
+    error_system: ErrorSystem, formula: Callable[[Array, Array, Array, Array], Array], numbers: Callable
+) -> Form:
+    """Build the form of a formula of Θ, N, Ṅ and `F_Θ = (Θ̇ + Θ ∂f/∂x)Θ⁻¹`, with rates of change along the flow.
+
+    Args:
+        error_system: the system.
+        formula: `(Θ, N, Ṅ, F_Θ) -> matrix`.
+        numbers: the same matrix as a function of z, computed by derivatives of JAX.
+
+    Returns:
+        The form that proofs need: a graph whose derivatives are its own.
+    """
+
     def parts(derivatives, nodes, count):
         flow, coframe, frame, gram, *_ = nodes
         state = range(1, count + 1)
@@ -72,7 +92,7 @@ def length_change(
         )
 
     def whole(coframe, frame, gram, image, turn, change):
-        return formula(coframe, gram, lengths(gram, change, turn @ frame + coframe @ image))
+        return formula(coframe, gram, change, turn @ frame + coframe @ image)
 
     return derivative_form(values(error_system), lambda z: error_system.at(z).x, parts, whole, numbers)
 
@@ -148,3 +168,48 @@ def disturbance_bound(error_system: ErrorSystem, sizes: Float[np.ndarray, "two_n
         return formula(point.metric.coframe(t, point.x), point.metric.gram(t, point.x), point.noise_jacobian(), change)
 
     return derivative_form(values(error_system), lambda z: error_system.at(z).x, parts, formula, numbers)
+
+
+def correction(error_system: ErrorSystem) -> Form:
+    """Build the matrix `N_h − JᵀN_0J`, with J the Jacobian of the correction by a measurement of age h in the frames.
+
+    It is positive definite where the correction shortens all curves, from the metric M_h before it to M_0 after it.
+
+    The inequality is one for Lipschitz corrections too: −JᵀN_0J is concave in J, so that it holds for the means of
+    Jacobians by which chords change, as in `derivative_form`.
+
+    Args:
+        error_system: the system, as from `sampled_system`.
+
+    Returns:
+        The matrix (2n, 2n) as a function of z.
+    """
+    return at_correction(error_system, lambda before, after, jacobian: before - jacobian.T @ after @ jacobian)
+
+
+def at_correction(error_system: ErrorSystem, formula: Callable[[Array, Array, Array], Array]) -> Form:
+    """Build the form of a formula of N_h before a correction C, of N_0 after it, and of J.
+
+    In the frames J = Θ_0(C x) (∂C/∂x) Θ_h(x)⁻¹, while the measurement is held constant.
+
+    Args:
+        error_system: the system, as from `sampled_system`.
+        formula: `(N_h, N_0, J) -> matrix`.
+
+    Returns:
+        The form that proofs need: a graph whose derivatives are its own.
+    """
+
+    def parts(derivatives, nodes, count):
+        new, coframe, after, frame, before = nodes
+        return coframe, after, derivatives.each(new, range(1, 1 + count)), frame, before
+
+    def whole(coframe, after, slope, frame, before):
+        return formula(before, after, coframe @ slope @ frame)
+
+    def numbers(z):
+        point = error_system.at(z)
+        _, coframe, after, frame, before = corrections(error_system)(jnp.zeros((), z.dtype), point.x, z)
+        return whole(coframe, after, jax.jacfwd(point.sampled[0])(point.x), frame, before)
+
+    return derivative_form(corrections(error_system), lambda z: error_system.at(z).x, parts, whole, numbers)

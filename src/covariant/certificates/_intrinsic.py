@@ -8,6 +8,7 @@ symmetry is refused.
 
 import functools
 import math
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -53,7 +54,7 @@ def error_system(observer: Intrinsics, q: TwoByTwo) -> ErrorSystem:
             f"certificates are about the flows of Intrinsic and Geodesic themselves; got {type(observer).__name__}, "
             "whose flow may be another one"
         )
-    _need_steady_friction(observer.model)
+    need_steady_friction(observer.model)
     space = observer.model.space
     if space.manifold.commuting:
         return _in_coordinates(observer, q)
@@ -77,10 +78,10 @@ def configuration_shape(model: MechanicalSystem, n: int) -> tuple[int, ...]:
 
 def _in_coordinates(observer: Intrinsics, q: TwoByTwo) -> ErrorSystem:
     model = observer.model
-    n = _dimension(model)
-    driven = MechanicalSystem(model.space, None, None, functools.partial(_friction, model))
+    n = dimension(model)
+    driven = MechanicalSystem(model.space, None, None, functools.partial(friction_of, model))
     # Force and potential are left out: the force is a variable of the box, which enters as the input.
-    bare = _with_model(observer, driven)
+    bare = with_model(observer, driven)
     metric = tangent_metric(model.space, q)
 
     def at(z):
@@ -148,7 +149,7 @@ def _in_the_body(observer: Intrinsic, q: TwoByTwo) -> ErrorSystem:
             at = manifold.origin(z.dtype)
             xi = -correction if observer.order == 1 else second_order(space, at, -correction)
             source = space.raise_(at, force)
-            resistance_vector = space.raise_(at, _friction(model, at, v))
+            resistance_vector = space.raise_(at, friction_of(model, at, v))
             drive = observer.bend(at, source - space.connection(at, xi, source), xi, v)
             w, v_dot = observer.rates(at, v, xi, drive + resistance_vector)
             return jnp.concatenate([manifold.local_rate(origin, theta, w), v_dot])
@@ -174,28 +175,55 @@ def _in_the_body(observer: Intrinsic, q: TwoByTwo) -> ErrorSystem:
     )
 
 
-def _with_model(observer, model):
+def with_model(observer: Any, model: MechanicalSystem) -> Any:
+    """Return an observer of the same kind, with the same fields, for another model.
+
+    Args:
+        observer: the observer.
+        model: the other model.
+    """
     fields = {name: getattr(observer, name) for name in type(observer).__dataclass_fields__}
     return type(observer)(**(fields | {"model": model}))
 
 
-def _dimension(model: MechanicalSystem) -> int:
+def dimension(model: MechanicalSystem) -> int:
+    """Return the number of coordinates of a model, which must have names.
+
+    Args:
+        model: the mechanical system.
+
+    Raises:
+        ValueError: they have none.
+    """
     if not model.coordinates:
         raise ValueError("the model must name its coordinates, so that a region can; give Lagrangian(coordinates=...)")
     return len(model.coordinates)
 
 
-def _friction(model: MechanicalSystem, q: Array, v: Vector) -> Vector:
-    """The dissipation of a model in which it depends on neither time nor input."""
+def friction_of(model: MechanicalSystem, q: Array, v: Vector) -> Vector:
+    """Evaluate the dissipation (n,) of a model in which it depends on neither time nor input.
+
+    Args:
+        model: the mechanical system.
+        q: configuration.
+        v: velocity (n,).
+    """
     n = v.shape[0]
     return resistance(model, jnp.zeros((), v.dtype), q, v, jnp.zeros(input_count(model, n), v.dtype))
 
 
-def _need_steady_friction(model: MechanicalSystem) -> None:
-    """Raise `ValueError` where the dissipation depends on time or input: these are not variables of a region."""
+def need_steady_friction(model: MechanicalSystem) -> None:
+    """Check that the dissipation depends on neither time nor input, which are no variables of a region.
+
+    Args:
+        model: the mechanical system.
+
+    Raises:
+        ValueError: it depends on one of them.
+    """
     if not model.dissipation_is_driven:
         return
-    q = jnp.zeros(_dimension(model)) if model.manifold.commuting else model.manifold.origin()
+    q = jnp.zeros(dimension(model)) if model.manifold.commuting else model.manifold.origin()
     v = model.manifold.zero(q)
     u = jnp.zeros(input_count(model, v.size))
     read = entries_read(functools.partial(resistance, model), jnp.zeros(()), q, v, u)
@@ -212,7 +240,7 @@ def _need_symmetry(model: MechanicalSystem) -> None:
     """Raise `ValueError` where friction or inertia depend on the estimated configuration."""
     origin = model.manifold.origin()
     entries, rest = origin.size, model.manifold.zero(origin)
-    read = entries_read(functools.partial(_friction, model), origin, rest)
+    read = entries_read(functools.partial(friction_of, model), origin, rest)
     indices = [np.unravel_index(k, origin.shape) for k in range(entries) if k in read]
     labels = ["g" + "".join(str(i + 1) for i in index) for index in indices]
     if labels:

@@ -11,7 +11,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from covariant.certificates._error_system import ErrorSystem, values
+from covariant.certificates._error_system import ErrorSystem, corrections, values
+from covariant.certificates._intrinsic import friction_of
 from covariant.models import applied_force
 from covariant.proofs.checker import plain
 
@@ -91,6 +92,27 @@ def disturbance(about: ErrorSystem, sizes: np.ndarray, square: float) -> Matrix:
     return matrix
 
 
+def correction(about: ErrorSystem) -> Matrix:
+    """Build `N_h − JᵀN_0J`, with J the Jacobian of the correction between the frames before and after it.
+
+    Args:
+        about: the observer and its metric.
+
+    Returns:
+        A function z (d,) -> (2n, 2n).
+    """
+
+    def matrix(z):
+        point, t = about.at(z), jnp.zeros(())
+        corrected, after = point.sampled
+        corrected = plain(corrected)
+        slope, new = jax.jacfwd(lambda y: (corrected(y),) * 2, has_aux=True)(point.x)
+        jacobian = after.coframe(t, new) @ slope @ point.metric.frame(t, point.x)
+        return point.metric.gram(t, point.x) - jacobian.T @ after.gram(t, new) @ jacobian
+
+    return matrix
+
+
 def everything(about: ErrorSystem) -> Matrix:
     """Collect everything that the claims are computed from.
 
@@ -107,6 +129,63 @@ def everything(about: ErrorSystem) -> Matrix:
         return jnp.concatenate([part.ravel() for part in values(about)(t[0], about.at(z).x + zeros, z)])
 
     return parts
+
+
+def all_corrections(about: ErrorSystem) -> Matrix:
+    """Collect everything that the claims on corrections are computed from, as `everything` does.
+
+    Args:
+        about: the observer and its metric.
+
+    Returns:
+        A function of z (d,) and 2n + 1 zeros, which are added to time and state.
+    """
+
+    def parts(y):
+        z, t, zeros = jnp.split(y, (len(about.names), len(about.names) + 1))
+        return jnp.concatenate([part.ravel() for part in corrections(about)(t[0], about.at(z).x + zeros, z)])
+
+    return parts
+
+
+def input_force(model: Any, n: int) -> Matrix:
+    """Build the force of the input alone.
+
+    Args:
+        model: a mechanical system whose force depends on the input alone.
+        n: number of velocities.
+
+    Returns:
+        A function of the input (m,) -> (n,).
+    """
+    return lambda u: model.force(jnp.zeros(()), jnp.zeros(n), u)
+
+
+def friction(model: Any, n: int) -> Matrix:
+    """Build the friction.
+
+    Args:
+        model: a mechanical system whose friction depends on the velocity alone.
+        n: number of velocities.
+
+    Returns:
+        A function of the velocity (n,) -> (n,).
+    """
+    return lambda v: friction_of(model, jnp.zeros(n), v)
+
+
+def friction_slopes(model: Any, n: int) -> Matrix:
+    """Build −∂f_i/∂v_i of the friction f.
+
+    Args:
+        model: a mechanical system whose friction depends on the velocity alone, in each joint on its own.
+        n: number of velocities.
+
+    Returns:
+        A function of the velocity (n,) -> (n,).
+    """
+    # Entry i depends on velocity i alone, so that the sum over a column is the entry of the diagonal.
+    return lambda v: -jax.jvp(plain(friction(model, n)), (v,), (jnp.ones_like(v),))[1]
 
 
 def force(model: Any, shape: tuple[int, ...]) -> Matrix:

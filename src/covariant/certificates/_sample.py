@@ -10,7 +10,7 @@ from covariant._optional import load_optional
 from covariant.certificates._check import follows, sizes
 from covariant.certificates._document import Document, Stated, parse
 from covariant.certificates._error_system import ErrorSystem
-from covariant.certificates._inequalities import contraction, disturbance_bound, width_bound
+from covariant.certificates._inequalities import contraction, correction, disturbance_bound, width_bound
 from covariant.proofs import BITS, MOST_DERIVED, BallMatrix, Form
 from covariant.proofs.checker import leaves
 
@@ -62,8 +62,8 @@ def check_sample(source: str | Path | Document, count: int = 20, seed: int = 0, 
     start = time.monotonic()
     flint = load_optional("flint", use="checking in balls needs python-flint, imported as", extra="balls")
     document = source if isinstance(source, Document) else parse(source)
-    system, claims, low, high = follows(document, model).about, document.claims, document.low, document.high
-    boxes = [leaves(low, high, claim.levels, f"claims[{index}]") for index, claim in enumerate(claims)]
+    system, claims = follows(document, model).about, document.claims
+    boxes = [leaves(*document.bounds(claim), claim.levels, f"claims[{index}]") for index, claim in enumerate(claims)]
     ends = np.cumsum([len(low) for low, _ in boxes])
     rng = np.random.default_rng(seed)
     # Without repetition, and over all claims together, so that each leaf is drawn with the same probability.
@@ -74,7 +74,7 @@ def check_sample(source: str | Path | Document, count: int = 20, seed: int = 0, 
             chosen = drawn[(drawn < ends[index]) & (drawn >= ends[index] - len(boxes[index][0]))]
             if not len(chosen):
                 continue
-            form = BallMatrix(flint, _form(claim, system, document), low, high)
+            form = BallMatrix(flint, _form(claim, system, document), *document.bounds(claim))
             for k in chosen - (ends[index] - len(boxes[index][0])):
                 leaf = boxes[index][0][k], boxes[index][1][k]
                 piece = _part(*leaf, rng) if form.reads > MOST_DERIVED else leaf
@@ -93,4 +93,6 @@ def _form(claim: Stated, system: ErrorSystem, document: Document) -> Form:
         return contraction(system, document.rate)
     if claim.kind == "reach":
         return width_bound(system, claim.row, claim.square)
+    if claim.kind == "correction":
+        return correction(system)
     return disturbance_bound(system, sizes(document), claim.square)

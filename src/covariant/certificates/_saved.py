@@ -9,9 +9,10 @@ import numpy as np
 from jaxtyping import Float
 
 from covariant import models
-from covariant.certificates._document import OBSERVERS, Document
-from covariant.certificates._error_system import ErrorSystem, values
-from covariant.certificates._intrinsic import Intrinsics
+from covariant.certificates._document import OBSERVERS, Document, Sampling
+from covariant.certificates._error_system import ErrorSystem, corrections, values
+from covariant.certificates._intrinsic import Intrinsics, error_system
+from covariant.certificates._sampled_step import sampled_system
 from covariant.lowering import lower
 from covariant.models import MechanicalSystem
 from covariant.observers import Geodesic, Intrinsic
@@ -73,7 +74,28 @@ def observer_from(document: Document, model: Any = None) -> tuple[Intrinsics, Fl
     if actual != frame:
         described = f"a model in {actual}" if actual else f"a {type(system).__name__}"
         raise ValueError(f"observer.frame {frame!r} needs a mechanical system in it; the recipe makes {described}")
+    if document.sampling is not None:
+        fields["substeps"] = document.sampling.substeps
     return KINDS[kind](system, **fields), document.q
+
+
+def system_of(observer: Intrinsics, q: Float[np.ndarray, "2 2"], sampling: Sampling | None) -> ErrorSystem:
+    """Describe an observer and its metric as functions of a box, in continuous time or with samples.
+
+    Args:
+        observer: the observer.
+        q: the matrix Q (2, 2) of the metric.
+        sampling: when measurements come; None for continuous time.
+
+    Raises:
+        TypeError: another kind of observer.
+        ValueError: a space, a force or a friction that is not covered.
+    """
+    if sampling is None:
+        return error_system(observer, q)
+    if not isinstance(observer, Intrinsic):
+        raise TypeError(f"sampling is covered for Intrinsic alone; got {type(observer).__name__}")
+    return sampled_system(observer, q, sampling)
 
 
 def frame_of(model: MechanicalSystem) -> str:
@@ -92,9 +114,15 @@ def value_graph(about: ErrorSystem) -> dict[str, list]:
         about: observer and metric as functions of a box.
 
     Returns:
-        The graph. Its inputs are time, state and the variables of the box; its outputs are the entries of `values`.
+        The graph. Its inputs are time, state and the variables of the box; its outputs are the entries of `values`,
+        and of `corrections` where measurements are sampled.
     """
     d = len(about.names)
     states = jax.eval_shape(lambda z: about.at(z).x, jnp.zeros(d)).shape[0]
-    lowered = lower(values(about), jnp.zeros(()), jnp.zeros(states), jnp.zeros(d), real=True)
+    sampled = about.has_samples
+
+    def everything(t, x, z):
+        return (*values(about)(t, x, z), *(corrections(about)(t, x, z) if sampled else ()))
+
+    lowered = lower(everything, jnp.zeros(()), jnp.zeros(states), jnp.zeros(d), real=True)
     return graph_rows(lowered)

@@ -289,6 +289,11 @@ def certify(
     disturbance: Annotated[
         str | None, typer.Option(help="Bound of the force that the model does not know: one number or one each.")
     ] = None,
+    interval: Annotated[
+        str | None,
+        typer.Option(help="Shortest and longest time between samples [s], by commas; continuous time without it."),
+    ] = None,
+    lost: Annotated[int, typer.Option(help="With --interval, how many samples in a row may be lost.", min=0)] = 0,
     boxes: Annotated[
         int, typer.Option(help="Effort: boxes that may be evaluated, the same on every machine.")
     ] = 200_000,
@@ -327,6 +332,8 @@ def certify(
         raise SystemExit(0 if checked.verified else 1)
     check_output(out, ".json")
     check_output(figure, *FIGURES)
+    if figure is not None and interval is not None:
+        raise ValueError("--figure is for certificates in continuous time; leave --interval out")
     with progress_bar(json) as progress:
         result = workflow.certify(
             model,
@@ -343,6 +350,8 @@ def certify(
             q=number_list("q", q),
             noise=number_list("noise", noise) or 0.0,
             disturbance=number_list("disturbance", disturbance) or 0.0,
+            interval=number_list("interval", interval),
+            lost=lost,
             boxes=boxes,
             seconds=seconds,
             processes=processes or os.cpu_count() or 1,

@@ -27,7 +27,7 @@ from covariant.observers._protocol import (
     time_since_measurement,
     uniqueness,
 )
-from covariant.observers._sampled import predicted, sampled_correction, step_result
+from covariant.observers._sampled import acceleration_gain, predicted, sampled_correction, sampled_gains, step_result
 
 
 class Intrinsic(AbstractMechanicalObserver):
@@ -90,7 +90,7 @@ class Intrinsic(AbstractMechanicalObserver):
 
     def flow(self, t: Scalar, state: SampledState, u: Float[Array, "m"], y: Array) -> SampledState:
         q, v, _, last_input, age = state
-        xi, drive = self._correction(t, q, v, u, y)
+        xi, drive = self.measured_error(t, q, v, u, y)
         w, v_dot = self.rates(q, v, xi, drive + friction(self.model, t, q, v, u))
         return SampledState(w, v_dot, jnp.ones_like(state.t), still(last_input), still(age))
 
@@ -128,19 +128,64 @@ class Intrinsic(AbstractMechanicalObserver):
 
     def correct(self, state: SampledState, u: Float[Array, "m"], y: Array) -> tuple[SampledState, Info]:
         (q, v, t), waited = state[:3], time_since_measurement(state)
-        xi, drive = self._correction(t, q, v, u, y)
+        xi, drive = self.measured_error(t, q, v, u, y)
         missing = drive - source(self.model, t, q, u)  # acceleration missing in the prediction, which used S(q̂)
         correction = sampled_correction(self.model.space, Motion(q, v), self.alpha, self.beta, waited, xi, missing)
-        displacement = -correction.part * xi
-        new_q = self.model.manifold.retract(q, displacement)
-        # v̂ keeps its direction along the displacement to first order: parallel transport from q̂ to the new q̂.
-        new_v = v - self.model.space.connection(q, displacement, v) + correction.velocity
+        new_q, new_v = self.moved(q, v, -correction.part * xi, correction.velocity)
         result = outcome(new_q, new_v, y, step_result(correction, uniqueness(self.model, q, y)))
         info = Info(self.innovation(state, u, y), self.model.space.norm(q, xi), result)
         return state._replace(q=new_q, v=new_v, age=aged(self.model, state, y)), info
 
-    def _correction(self, t: Scalar, q: Array, v: Vector, u: Float[Array, "m"], y: Array) -> tuple[Vector, Vector]:
-        """The error ξ at q̂, and the acceleration `T S(q) + R(ξ, v̂)v̂` computed from the measurement."""
+    def moved(self, q: Array, v: Vector, displacement: Vector, velocity: Vector) -> Motion:
+        """Displace an estimate, and change its velocity.
+
+        Args:
+            q: Estimated configuration.
+            v: Estimated velocity (n,).
+            displacement: Displacement (n,) of the configuration, in the frame.
+            velocity: Change (n,) of the velocity.
+
+        Returns:
+            The new motion.
+        """
+        # v̂ keeps its direction along the displacement to first order: parallel transport from q̂ to the new q̂.
+        carried = v - self.model.space.connection(q, displacement, v)
+        return Motion(self.model.manifold.retract(q, displacement), carried + velocity)
+
+    def smooth_correction(self, t: Scalar, q: Array, v: Vector, u: Float[Array, "m"], y: Array, age: Scalar) -> Motion:
+        """Correct an estimate as `correct` does to first order in the missing acceleration, without a restart.
+
+        `correct` divides the missing acceleration by `1 + square/18`, which is not differentiable where the error is 0.
+
+        Args:
+            t: Time [s].
+            q: Predicted configuration.
+            v: Predicted velocity (n,).
+            u: Input (m,).
+            y: Measurement.
+            age: Time since the last measurement [s], positive.
+
+        Returns:
+            The corrected motion.
+        """
+        xi, drive = self.measured_error(t, q, v, u, y)
+        k1, k2 = sampled_gains(self.alpha, self.beta, age)
+        missing = drive - source(self.model, t, q, u)
+        return self.moved(q, v, -k1 * xi, acceleration_gain(k1, k2, age) * missing - k2 * xi)
+
+    def measured_error(self, t: Scalar, q: Array, v: Vector, u: Float[Array, "m"], y: Array) -> tuple[Vector, Vector]:
+        """Compute the error, and the acceleration that the measurement gives.
+
+        Args:
+            t: Time [s].
+            q: Estimated configuration.
+            v: Estimated velocity (n,).
+            u: Input (m,).
+            y: Measurement.
+
+        Returns:
+            The error ξ (n,) at q̂, and the acceleration `T S(q) + R(ξ, v̂)v̂` (n,) without friction.
+        """
         # The innovation leads from q̂ to q, the error of the paper from q to q̂.
         e = -self.model.manifold.towards(q, y)
         measured = self.model.manifold.measured(q, y)

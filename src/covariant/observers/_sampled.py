@@ -208,6 +208,21 @@ def sampled_gains(alpha: Number, beta: Number, dt: Number) -> tuple[Scalar, Scal
     return jnp.where(dt > 0, -jnp.expm1(-alpha * positive_dt), 0.0), jnp.where(dt > 0, k2, 0.0)
 
 
+def acceleration_gain(k1: Scalar, k2: Scalar, dt: Number) -> Scalar:
+    """Gain `κ = ½(1 + ab) dt − k2 dt²/6` of the acceleration that is missing in a prediction, to first order in N.
+
+    Args:
+        k1: Position gain, as from `sampled_gains`.
+        k2: Velocity gain [1/s].
+        dt: Time since the last measurement [s].
+
+    Returns:
+        κ [s].
+    """
+    # ½(1 + ab) dt, since k1 = 1 − ab.
+    return dt * (1 - k1 / 2) - k2 * dt * dt / 6
+
+
 class Correction(NamedTuple):
     """Correction by one sample.
 
@@ -248,8 +263,7 @@ def sampled_correction(
     rounding = float(jnp.finfo(xi.dtype).eps) ** 0.5 * dt * space.norm(*motion)
     restarted = gap > LONGEST_GAP * size + rounding
     square = gap / jnp.where(size > 0, size, 1.0)
-    # ½(1 + ab) dt, since k1 = 1 − ab.
-    kappa = dt * (1 - k1 / 2) - k2 * dt * dt / 6
+    kappa = acceleration_gain(k1, k2, dt)
     velocity = kappa / (1 + square / 18) * missing - k2 * xi  # for large |N| dt² it grows as x coth x does
     return Correction(jnp.where(restarted, 1.0, k1), jnp.where(restarted, 0.0, velocity), restarted)
 

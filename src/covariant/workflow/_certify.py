@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from covariant import certificates, models
 from covariant.calibration import observer_gains
-from covariant.certificates import ASSUMED, Checked, CheckerName, Claim, ContractionCertificate, Document
+from covariant.certificates import Checked, CheckerName, Claim, ContractionCertificate, Document
 from covariant.models import MechanicalSystem, ModelFile, Overrides, input_count
 from covariant.observers import Geodesic, Intrinsic
 from covariant.proofs import MOST_BOXES, read_file
@@ -30,6 +30,7 @@ OBSERVERS = {"intrinsic": Intrinsic, "geodesic": Geodesic}
 VERDICTS = {"holds": "proved", "fails": "wrong", "undecided": "not decided"}
 """What people call the verdicts."""
 _KINDS = {"estimate": "estimate of", "velocity": "estimated velocity", "error": "position error", "force": "force"}
+_KINDS |= {"joint force": "force with friction", "friction slope": "slope of the friction", "age": "of a measurement"}
 
 
 def certify(
@@ -48,6 +49,8 @@ def certify(
     q: Sequence[float | int] | None = None,
     noise: Amounts = 0.0,
     disturbance: Amounts = 0.0,
+    interval: Sequence[float] | None = None,
+    lost: int = 0,
     boxes: int = MOST_BOXES,
     seconds: float | None = None,
     processes: int = 1,
@@ -72,6 +75,9 @@ def certify(
         q: Entries a, c, b of the metric Q = [[a, c], [c, b]]; by default the best conditioned one.
         noise: Bound of the error of each measured position [unit].
         disturbance: Bound of the force that the model does not know.
+        interval: Shortest and longest time between two samples [s], for a statement about the observer with sampled
+            measurements; without it the observer runs in continuous time.
+        lost: With `interval`, how many samples in a row may be lost.
         boxes: Effort: boxes that may be evaluated, the same on every machine.
         seconds: A limit of time [s] besides, for each of the proofs.
         processes: Processes to prove with; with several, a script needs the `if __name__ == "__main__"` guard.
@@ -119,6 +125,8 @@ def certify(
         "q": _metric(q),
         "noise": amounts("noise", noise, names),
         "disturbance": amounts("disturbance", disturbance, names),
+        "interval": None if interval is None else tuple(interval),
+        "lost": lost,
         "boxes": int(above_zero("boxes", boxes)),
         "seconds": None if seconds is None else above_zero("seconds", seconds),
         "processes": int(above_zero("processes", processes)),
@@ -267,9 +275,15 @@ class CertifyResult(AbstractResult):
         return self.certificate.save(path)
 
     def plot(self, path: str | Path | None = None) -> "Figure":
-        """Draw region, tube, distances and gains; also written (.png, .pdf, .svg) where a path is given."""
+        """Draw region, tube, distances and gains; also written (.png, .pdf, .svg) where a path is given.
+
+        Raises:
+            ValueError: For a certificate about sampled measurements.
+        """
         from covariant.report import certificate_figure, save_figure
 
+        if self.certificate.sampling is not None:
+            raise ValueError("figures are of certificates in continuous time; this one is about sampled measurements")
         if path is not None:
             check_output(Path(path), *FIGURES)
         figure = certificate_figure(self.certificate)
@@ -353,7 +367,8 @@ class CertificateCheckResult(AbstractResult):
     def summary(self) -> dict[str, Any]:
         if self.checked is None:
             return {"verified": False, "reason": self.note}
-        details = {"model": self.model, "balls": self.balls, "assumed": list(ASSUMED)}
+        assumed = [each.text for each in self.checked.statement.hypotheses if each.evidence == "assumed"]
+        details = {"model": self.model, "balls": self.balls, "assumed": assumed}
         return {"verified": True, **self.checked._asdict(), "statement": self.checked.statement.document(), **details}
 
     def __str__(self) -> str:

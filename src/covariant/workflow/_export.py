@@ -407,12 +407,19 @@ def _certified(path: Path, model: Any, overrides: Overrides, exported: Exported)
             f"{path}: the certificate is for alpha = {saved[0]:g}, beta = {saved[1]:g}; the observer has {gains[0]:g}, "
             f"{gains[1]:g}; give these as alpha and beta"
         )
+    time = "in continuous time" if document.sampling is None else "with sampled measurements"
+    substeps = None if document.sampling is None else document.sampling.substeps
+    if substeps is not None and substeps != getattr(observer, "substeps", None):
+        raise ValueError(
+            f"{path}: the certificate is for {substeps} Runge–Kutta steps between samples; the observer has "
+            f"{getattr(observer, 'substeps', None)}"
+        )
     attribute = document.recipe.get("attribute")  # code that is trusted: the exported model was just built with it
     checked = certificates.check(document, model=attribute)
     return "\n".join(
         [
             f"All {checked.leaves} leaves of `{path.name}` were verified when this was written. It is about the "
-            "observer in continuous time, with the default numbers:",
+            f"observer {time}, with the default numbers:",
             "",
             *(f"    {line}" for line in str(checked.statement).splitlines()),
         ]

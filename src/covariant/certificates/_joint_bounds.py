@@ -1,0 +1,75 @@
+"""Bounds of the forces in joints, and of the slopes of friction, by interval arithmetic, for the sampled step."""
+
+import functools
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from covariant.certificates._intrinsic import friction_of
+from covariant.lowering import enclose, expand, lower
+from covariant.models import MechanicalSystem
+from covariant.proofs import Box, check_box, show_conditions
+
+
+class JointBounds(NamedTuple):
+    """Least and largest values of what acts in the joints.
+
+    Attributes:
+        force: generalised force (2, n) of the input.
+        total: its sum with the friction (2, n).
+        slopes: −∂f_i/∂v_i (2, n) of the friction f, which are not negative where it opposes the motion.
+    """
+
+    force: Float[np.ndarray, "2 n"]
+    total: Float[np.ndarray, "2 n"]
+    slopes: Float[np.ndarray, "2 n"]
+
+
+def joint_bounds(
+    model: MechanicalSystem, inputs: Float[np.ndarray, "2 m"], speed: Float[np.ndarray, "n"]
+) -> JointBounds:
+    """Bound input forces, friction, and the slopes of the friction.
+
+    Args:
+        model: a mechanical system that `sampled_system` covers.
+        inputs: least and largest inputs (2, m).
+        speed: bounds (n,) of the velocities.
+
+    Returns:
+        The bounds, rounded outward.
+
+    Raises:
+        ValueError: a force has no bound or is not defined everywhere, or the friction jumps.
+    """
+    n, m = len(speed), inputs.shape[1]
+    q = jnp.zeros(n)
+    force = lower(lambda u: model.force(jnp.zeros(()), q, u), jnp.zeros(m), real=True)
+    friction = lower(functools.partial(friction_of, model, q), q, real=True)
+    acting = check_box(Box(tuple(f"u{i + 1}" for i in range(m)), ("",) * m, inputs[0], inputs[1]))
+    moving = Box(tuple(f"v_{name}" for name in model.coordinates), ("",) * n, -speed, speed)
+    assert force.conditions is not None
+    assert friction.conditions is not None
+    # A force that jumps is covered, since it is only bounded; a slope of the friction is one of a continuous function.
+    defined = tuple(c for c in force.conditions.conditions if c.kind in ("true", "finite"))
+    _need(
+        "the force of the model is not defined", show_conditions(force.conditions._replace(conditions=defined), acting)
+    )
+    _need("the friction of the model jumps, or is not defined", show_conditions(friction.conditions, moving))
+    acted = enclose(force._replace(conditions=None), acting.low[None], acting.high[None])
+    rubbed = enclose(expand(friction._replace(conditions=None), range(n), 1), moving.low[None], moving.high[None])
+    both = np.concatenate([acted.low, acted.high])
+    total = both + np.stack([rubbed.low[0, :n], rubbed.high[0, :n]])
+    # The derivatives are listed velocity by velocity; those of friction i by velocity i are on the diagonal.
+    diagonal = n + np.arange(n) * (n + 1)
+    slopes = np.stack([0.0 - rubbed.high[0, diagonal], 0.0 - rubbed.low[0, diagonal]])
+    bounds = JointBounds(both, np.nextafter(total, [[-np.inf], [np.inf]]), slopes)
+    if not all(np.isfinite(each).all() for each in bounds):
+        raise ValueError("the force, the friction or its slope has no bound over the velocities; make them smaller")
+    return bounds
+
+
+def _need(what: str, reason: str) -> None:
+    if reason:
+        raise ValueError(f"{what} everywhere in the region: {reason}")

@@ -1,0 +1,159 @@
+"""The claims of a certificate of the sampled step, with a metric that is searched, and again where a proof fails."""
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from covariant._typing import Numbers
+from covariant.certificates._claims import Claim
+from covariant.certificates._document import MOST_LOST, Kind, Sampling, claim_bounds
+from covariant.certificates._effort import Effort
+from covariant.certificates._error_system import ErrorSystem
+from covariant.certificates._inequalities import contraction, correction
+from covariant.certificates._intrinsic import Intrinsics
+from covariant.certificates._sampled_metric import SampledMetric
+from covariant.certificates._sampled_step import sampled_system
+from covariant.certificates._tangent_metric import TwoByTwo
+from covariant.observers import Intrinsic
+from covariant.proofs import LETTERS, Box
+
+SEARCHES = 4
+"""How often the metric is searched again with the counter-examples of a proof."""
+ENOUGH = 0.5
+"""Margin of a metric without shear, as a fraction of the rate, below which one with shear is tried as well."""
+
+
+def check_sampling(
+    observer: Intrinsics,
+    interval: tuple[float, float],
+    lost: int,
+    q: Numbers | None,
+    noise: Float[np.ndarray, "n"],
+    disturbance: Float[np.ndarray, "n"],
+) -> Sampling:
+    """Check the arguments of `certify` that concern samples.
+
+    Args:
+        observer: the observer.
+        interval: shortest and longest time [s] between two samples.
+        lost: number of samples that may be lost in a row.
+        q, noise, disturbance: further arguments, which are not covered together with samples.
+
+    Returns:
+        The samples, without a metric yet.
+
+    Raises:
+        ValueError: naming what is wrong.
+        TypeError: another kind of observer.
+    """
+    if type(observer) is not Intrinsic:
+        raise TypeError(f"certify: interval is for Intrinsic alone; got {type(observer).__name__}")
+    try:
+        shortest, longest = (float(h) for h in interval)
+    except (TypeError, ValueError):
+        raise ValueError(f"certify: interval needs two times [s]; got {interval!r}") from None
+    if not 0 < shortest <= longest < math.inf:
+        raise ValueError(
+            f"certify: interval must be positive times [s], the shorter one first; got {shortest:g} and {longest:g}"
+        )
+    if not 0 <= lost <= MOST_LOST:
+        raise ValueError(f"certify: lost must be from 0 to {MOST_LOST}; got {lost}")
+    if q is not None:
+        raise ValueError("certify: with interval the metric is searched; leave q out")
+    if noise.any() or disturbance.any():
+        raise ValueError("certify: with interval, noise and disturbance are not covered; leave them out")
+    most = (len(LETTERS) - 1) // 6
+    if len(noise) > most:
+        raise ValueError(f"certify: with interval at most {most} coordinates are covered; got {len(noise)}")
+    return Sampling(np.array([shortest, longest]), lost, np.zeros((0, 2, 2)), False, observer.substeps)
+
+
+def sampled_given(true: Box, inputs: Float[np.ndarray, "2 m"], times: tuple[float, float], n: int) -> dict[str, Any]:
+    """Return the bounds of a certificate, as plain data, without noise and disturbance.
+
+    Args:
+        true: box of the true positions.
+        inputs: least and largest inputs (2, m).
+        times: first and last time [s].
+        n: number of velocities.
+    """
+    none = [0.0] * n
+    return {
+        "positions": {"low": true.low.tolist(), "high": true.high.tolist()},
+        "inputs": {"low": inputs[0].tolist(), "high": inputs[1].tolist()},
+        "times": list(times),
+        "noise": none,
+        "disturbance": none,
+        "slopes": [none] * n,
+    }
+
+
+def sampled_claims(
+    observer: Intrinsics,
+    sampling: Sampling,
+    rate: float,
+    q: TwoByTwo,
+    domain_of: Callable[[ErrorSystem], Box],
+    effort: Effort,
+) -> tuple[TwoByTwo, Sampling, ErrorSystem, Box, list[Claim]]:
+    """Search a metric, and prove that flow and correction contract it.
+
+    Args:
+        observer: the observer.
+        sampling: the samples.
+        rate: rate λ [1/s] of squared lengths.
+        q: matrix (2, 2) of the metric of the continuous observer, for a first region.
+        domain_of: the box of a system, whose metric relates errors of position and velocity.
+        effort: the effort; its region is set here.
+
+    Returns:
+        R_0, the samples with the rest of the metric, system and region, and the claims "contraction" and "correction".
+    """
+    domain = domain_of(sampled_system(observer, q, sampling))
+    effort.report("searching the metric", 0.0, 0)
+    search = SampledMetric(observer, sampling, rate)
+    metric = search.solve(domain)
+    if metric.margin < ENOUGH * rate:
+        sheared = SampledMetric(observer, sampling._replace(shear=True), rate)
+        other = sheared.solve(domain)
+        if other.margin > metric.margin:
+            search, metric = sheared, other
+    # How errors of position and velocity compare depends on the metric, and the region on that: a second time.
+    domain = domain_of(sampled_system(observer, metric.q, search.sampling._replace(slopes=metric.slopes)))
+    effort.domain = domain
+    for search_again in (*[True] * SEARCHES, False):
+        metric = search.solve(domain)
+        sampling = search.sampling._replace(slopes=metric.slopes)
+        system = sampled_system(observer, metric.q, sampling)
+        claims = _prove(system, sampling, rate, effort)
+        wrong = _counterexamples(claims)
+        if not (wrong and search_again) or metric.margin <= 0:
+            return metric.q, sampling, system, domain, claims
+        search.add(wrong)
+    raise AssertionError
+
+
+def _counterexamples(claims: Sequence[Claim]) -> list[tuple[Kind, np.ndarray]]:
+    """Kind and point (d,) of the claims that were refuted."""
+    wrong: list[tuple[Kind, np.ndarray]] = []
+    for claim in claims:
+        if claim.proof.counterexample is not None:
+            wrong.append((claim.kind, claim.proof.counterexample.mean(axis=0)))
+    return wrong
+
+
+def _prove(system: ErrorSystem, sampling: Sampling, rate: float, effort: Effort) -> list[Claim]:
+    """The claims on flow and correction; after one that does not hold the others are not tried."""
+    claims = [Claim("contraction", effort.prove("contraction", contraction(system, rate)))]
+    for lost in range(sampling.lost + 1):
+        if claims[-1].proof.verdict != "holds":
+            break
+        low, high = claim_bounds(sampling, "correction", lost, effort.domain.low, effort.domain.high)
+        proof = effort.prove(
+            f"correction after {lost} lost", correction(system), effort.domain._replace(low=low, high=high)
+        )
+        claims.append(Claim("correction", proof, lost))
+    return claims

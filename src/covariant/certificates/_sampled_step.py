@@ -1,0 +1,187 @@
+"""An intrinsic observer with sampled measurements on a region, as a system of proofs.
+
+Between samples the estimate follows the model; at a sample it is corrected. Lengths are measured by a metric that
+depends on the age τ of the last measurement,
+
+    M_τ = Θᵀ N_τ Θ,   N_τ = ½ R(τ) ⊗ g,   R(τ) = Σ_j R_j τ^j,
+
+with Θ the coframe (ξ, ζ) of the continuous observer. With `shear`, ζ is replaced by `ζ + τ K₀ξ`, `K₀ = R(·, v)v − ∇S`
+of the model without input. Two inequalities together make each predict–correct step shrink lengths by `e^(−μh)`:
+
+    (P)  −(FᵀN_τ + Ṅ_τ + ∂N_τ/∂τ + N_τF) − 2μN_τ > 0        for the flow of the model, at all ages
+    (C)  DC_hᵀ M_0(C_h x) DC_h < M_h(x)                      for the correction C_h by a measurement of age h
+
+(P) is the inequality `contraction` of a flow that is the model's, with a metric that changes with time. In it the sum w
+of input force and friction, and the slopes −d of the friction, are variables of the box: any force and any friction
+within these bounds is covered, and neither its steepness nor the input between samples matters. A sample that is lost
+makes the next one older, and the gains know its age.
+
+Source: the argument is that of Theorem 1 of Aghannan & Rouchon 2003, for the composition of both maps.
+"""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from covariant.certificates._contraction import StateMetric
+from covariant.certificates._document import Sampling
+from covariant.certificates._error_system import ErrorSystem, Point, entries_read
+from covariant.certificates._intrinsic import Intrinsics, dimension, friction_of, need_steady_friction, with_model
+from covariant.certificates._tangent_metric import TwoByTwo
+from covariant.lowering import expand, lower
+from covariant.models import MechanicalSystem, acceleration, input_count, source
+from covariant.observers import Intrinsic
+
+
+def sampled_system(observer: Intrinsics, q: TwoByTwo, sampling: Sampling) -> ErrorSystem:
+    """Describe an intrinsic observer with sampled measurements on a region, for `contraction` and `correction`.
+
+    Args:
+        observer: an `Intrinsic` in coordinates, no subclass.
+        q: matrix R_0 (2, 2) of the metric right after a measurement.
+        sampling: the samples and the metric between them.
+
+    Returns:
+        The flow between samples, the metric, and the correction, as functions of estimate, position error, input force,
+        joint force, slopes of the friction, and age of the measurement.
+
+    Raises:
+        TypeError: another kind of observer.
+        ValueError: a space, a force or a friction that is not covered.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant import models, observers
+        >>> from covariant.certificates import Sampling, sampled_system
+        >>> sampling = Sampling(np.array([0.01, 0.01]))
+        >>> sampled_system(observers.Intrinsic(models.oscillator(), 2.0, 2.0), np.eye(2), sampling).names
+        ('q', 'v_q', 'e_q', 'f_q', 'w_q', 'd_q', 'age')
+    """
+    if type(observer) is not Intrinsic:
+        raise TypeError(
+            f"certificates of the sampled step are about Intrinsic itself; got {type(observer).__name__}, whose step "
+            "may be another one"
+        )
+    model = observer.model
+    if not model.manifold.commuting:
+        raise ValueError("a certificate of the sampled step needs coordinates; systems on groups are not covered")
+    n = dimension(model)
+    need_steady_friction(model)
+    _check_forces(model, n)
+    # Force and friction are variables of the box, of which the sum enters as the input.
+    bare = with_model(observer, MechanicalSystem(model.space, model.potential, None, None))
+
+    def at(z, running=1.0):
+        place, velocity, error, force, total, drag, age = jnp.split(z, [k * n for k in range(1, 7)])
+
+        def flow(t, x):
+            # The joint force as a function of the velocity, with any slope that the friction has within its bounds.
+            return jnp.concatenate(
+                [x[n:], acceleration(bare.model, t, x[:n], x[n:], total - drag * (x[n:] - velocity))]
+            )
+
+        def corrected(x):
+            t = jnp.zeros((), z.dtype)
+            return jnp.concatenate(bare.smooth_correction(t, x[:n], x[n:], force, place - error, age[0]))
+
+        x = jnp.concatenate([place, velocity])
+        metric = aged_metric(bare.model, q, sampling, age[0], running)
+        return Point(
+            flow,
+            metric,
+            x,
+            lambda: metric.frame(jnp.zeros((), z.dtype), x),
+            lambda: -jnp.eye(n, dtype=z.dtype),
+            corrected,
+            aged_metric(bare.model, q, sampling, jnp.zeros((), z.dtype), running),
+        )
+
+    names, units = model.coordinates, model.units or ("",) * n
+    rates = tuple(f"{unit}/s" if unit else "" for unit in units)
+    prefixes = ("", "v_", "e_", "f_", "w_", "d_")
+    return ErrorSystem(
+        (*(f"{prefix}{name}" for prefix in prefixes for name in names), "age"),
+        (*units, *rates, *units, *("",) * (3 * n), "s"),
+        at,
+        # Each instant is the first one of the box at another age.
+        functools.partial(at, running=0.0),
+        has_samples=True,
+    )
+
+
+def aged_metric(
+    model: MechanicalSystem, q: Array | TwoByTwo, sampling: Sampling, age: Array, running: float = 1.0
+) -> StateMetric:
+    """Build the metric M_τ of an age that grows with time.
+
+    Args:
+        model: the mechanical system, in coordinates, whose force is its input.
+        q: matrix R_0 (2, 2).
+        sampling: R_1, R_2, … and whether the coframe is sheared.
+        age: age [s] at t = 0.
+        running: 0 for an age that does not grow.
+
+    Returns:
+        The metric on states (2n,).
+    """
+    space = model.space
+
+    def turn(t, x):
+        """The lower left block of the coframe: Γ(v), and the shear."""
+        position, v = jnp.split(x, 2)
+        columns = jnp.eye(position.shape[0], dtype=x.dtype)
+        block = jax.vmap(lambda a: space.connection(position, v, a), out_axes=1)(columns)
+        if not sampling.shear:
+            return block
+        return block + (age + running * t) * jax.vmap(lambda a: _stiffness(model, position, v, a), out_axes=1)(columns)
+
+    def coframe(t, x, sign=1.0):
+        lower_left = jnp.asarray([[0.0, 0.0], [1.0, 0.0]], x.dtype)
+        # [[I, 0], [turn, I]], whose inverse has −turn: hence the sign.
+        return jnp.eye(x.shape[0], dtype=x.dtype) + sign * jnp.kron(lower_left, turn(t, x))
+
+    def gram(t, x):
+        tau = age + running * t
+        r = jnp.asarray(q, x.dtype)
+        for power, slope in enumerate(sampling.slopes, start=1):
+            r = r + jnp.asarray(slope, x.dtype) * tau**power
+        return jnp.kron(r / 2, space(jnp.split(x, 2)[0]))
+
+    return StateMetric(coframe, lambda t, x: coframe(t, x, -1.0), gram)
+
+
+def _stiffness(model: MechanicalSystem, q: Array, v: Array, a: Array) -> Array:
+    """`K₀a = R(a, v)v − ∇_a S` of the model without input. Any other field would do: it is a choice of metric."""
+    nothing = jnp.zeros_like(v)
+
+    def free(at):
+        return source(model, jnp.zeros((), at.dtype), at, nothing)
+
+    value, change = jax.jvp(free, (q,), (a,))
+    return model.space.curvature(q, a, v, v) - change - model.space.connection(q, a, value)
+
+
+def _check_forces(model: MechanicalSystem, n: int) -> None:
+    """Raise `ValueError` unless the force depends on the input alone, and the friction of a joint on its velocity."""
+    q, v, u = jnp.zeros(n), jnp.zeros(n), jnp.zeros(input_count(model, n))
+    read = entries_read(model.force, jnp.zeros(()), q, u)
+    reads = ["time"] * (0 in read) + [model.coordinates[i] for i in range(n) if 1 + i in read]
+    if reads:
+        raise ValueError(
+            f"the force of this model depends on {', '.join(reads)}; a certificate of the sampled step covers forces "
+            "of the input alone"
+        )
+    if any(i < n for i in entries_read(functools.partial(friction_of, model), q, v)):
+        raise ValueError(
+            "the friction of this model depends on the position; a certificate of the sampled step covers friction of "
+            "the velocity alone"
+        )
+    expansion = expand(lower(functools.partial(friction_of, model, q), v), range(n), 1)
+    slopes = expansion.nodes()[1].reshape(n, n)
+    if any(not expansion.graph.is_zero(int(slopes[i, j])) for i in range(n) for j in range(n) if i != j):
+        raise ValueError(
+            "the friction of this model couples joints; a certificate of the sampled step covers friction that acts in "
+            "each joint by its own velocity"
+        )

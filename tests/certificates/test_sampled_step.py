@@ -1,0 +1,518 @@
+"""The sampled step contracts where its certificate says so, and nothing else is proved or accepted."""
+
+import dataclasses
+import json
+from fractions import Fraction
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from covariant import models
+from covariant.certificates import (
+    ContractionCertificate,
+    Sampling,
+    _check,
+    _matrices,
+    certify,
+    check,
+    check_sample,
+    contraction,
+    correction,
+    falsify,
+    sampled_system,
+)
+from covariant.certificates._check import Judge, Resolved, follows
+from covariant.certificates._document import parse
+from covariant.certificates._inequalities import at_correction, in_frame_along
+from covariant.certificates._saved import value_graph
+from covariant.lowering import numbers
+from covariant.observers import Geodesic, Intrinsic
+from covariant.proofs import digest, prove
+from covariant.proofs.checker import leaves
+
+LONG = (
+    "test_falsification_runs_find_nothing_in_what_is_proved",
+    "test_lost_samples_are_covered",
+    "test_prover_and_checker_form_the_same_matrices[True]",
+    "test_the_checker_accepts_what_is_proved_at_once",
+    "test_a_forged_file_is_refused_with_the_reason[gain]",
+    "test_a_forged_file_is_refused_with_the_reason[metric after the measurement]",
+    "test_a_forged_file_is_refused_with_the_reason[no shear]",
+    "test_a_forged_file_is_refused_with_the_reason[rate]",
+    "test_a_forged_file_is_refused_with_the_reason[slope of the metric]",
+    "test_every_mutant_dies_in_prover_and_checker[a metric without its slopes]",
+    "test_every_mutant_dies_in_prover_and_checker[gains of a faster observer]",
+    "test_every_mutant_dies_in_prover_and_checker[gains of another age]",
+    "test_every_mutant_dies_in_prover_and_checker[half the gain]",
+)
+"""Cases of the long suite."""
+RECIPE = {"system": "pendulum_chain", "parameters": {"mass": [1.0], "length": [0.5]}}
+BOUNDS = {"position": (-3.0, 3.0), "velocity": 4.0, "error": 0.1, "input": 0.5}
+
+
+def swing() -> models.MechanicalSystem:
+    system = models.from_recipe(RECIPE)
+    assert isinstance(system, models.MechanicalSystem)
+    return system
+
+
+def pendulum(alpha=10.0, beta=50.0, substeps=4, **options):
+    return Intrinsic(swing(), alpha, beta, substeps=substeps, **options)
+
+
+@pytest.fixture(scope="module")
+def proved():
+    """The certificate of a pendulum with samples 5 to 50 ms apart."""
+    return certify(pendulum(), **BOUNDS, interval=(0.005, 0.05), recipe=RECIPE, checker="off")
+
+
+@pytest.fixture(scope="module")
+def saved(proved, tmp_path_factory):
+    return proved.save(tmp_path_factory.mktemp("sampled") / "certificate.json")
+
+
+# The formulas, against differences of the step that runs.
+
+SHEARED = Sampling(
+    np.array([0.002, 0.004]), 1, np.array([[[-1.0, -0.2], [-0.2, 0.02]], [[-3.0, 0.5], [0.5, 0.01]]]), True
+)
+Q = np.array([[0.2, -0.016], [-0.016, 0.005]])
+
+
+def two_links(**options):
+    """A machine whose metric depends on its configuration, with friction."""
+    arm = models.pendulum_chain(mass=(0.6, 0.5), length=(0.3, 0.2), viscous=(0.02, 0.03), coulomb=(0.01, 0.02))
+    return Intrinsic(arm, 20.0, 200.0, substeps=16, **options)
+
+
+def points(system, count, seed=0, age=0.003):
+    """Random points of a system of two links, with forces that differ, and errors of any size."""
+    z = np.random.default_rng(seed).uniform(-1.0, 1.0, size=(count, len(system.names)))
+    z[:, 4:6] *= 1e-6  # errors so small that the factor of the step that runs is 1
+    z[:, -1] = age
+    return z
+
+
+@pytest.mark.parametrize("options", [{}, {"order": 2}, {"coefficients": "estimated"}, {"curvature": False}], ids=str)
+def test_the_correction_is_that_of_the_step_that_runs(options):
+    observer = two_links(**options)
+    system, n = sampled_system(observer, Q, SHEARED), 2
+    bare = dataclasses.replace(observer, model=models.MechanicalSystem(observer.model.space, observer.model.potential))
+    correct = jax.jit(lambda z: system.at(z).sampled[0](system.at(z).x))
+
+    @jax.jit
+    def runs(z):
+        q, v, e, force = z[:2], z[2:4], z[4:6], z[6:8]
+        state = bare.init(q)._replace(q=q, v=v, age=z[-1])
+        new = bare.correct(state, force, q - e)[0]
+        return jnp.concatenate([new.q, new.v])
+
+    for z in points(system, 20):
+        z[4:6] *= 1e4  # 0.01 rad
+        change = np.asarray(runs(jnp.asarray(z))) - z[: 2 * n]
+        difference = np.abs(np.asarray(correct(jnp.asarray(z))) - z[: 2 * n] - change).max()
+        # The factor 1/(1 + |N| h²/18) is what differs, and the acceleration is a small part of the correction.
+        assert difference < 1e-4 * np.abs(change).max()
+
+
+def test_the_jacobians_in_the_frames_are_those_of_differences_of_the_step():
+    """F and J give the change of (ξ, ζ) over a predict–correct step, as differences of the shipped step do."""
+    observer, h, n = two_links(), 0.003, 2
+    model = observer.model
+    system = sampled_system(observer, Q, SHEARED._replace(shear=False))
+    rng = np.random.default_rng(1)
+    force = jnp.asarray(rng.uniform(-0.1, 0.1, n))
+    truth = jnp.asarray([0.4, -0.7, 0.8, -0.5])
+
+    def predicted(x, tau):
+        state = observer.init(x[:n])._replace(q=x[:n], v=x[n:])
+        after = observer.predict(state, force, jnp.asarray(tau))
+        return jnp.concatenate([after.q, after.v])
+
+    y = predicted(truth, h)[:n]
+
+    def step(x):
+        state = observer.init(x[:n])._replace(q=x[:n], v=x[n:])
+        new, _ = observer.correct(observer.predict(state, force, jnp.asarray(h)), force, y)
+        return jnp.concatenate([new.q, new.v])
+
+    # The step that runs, by central differences, in the frames before and after it.
+    step, predict = jax.jit(step), jax.jit(predicted)
+    width = 1e-5
+    columns = [(step(truth + width * e) - step(truth - width * e)) / (2 * width) for e in np.eye(2 * n)]
+    coframe = jax.jit(lambda x: system.at(jnp.zeros(13)).metric.coframe(jnp.zeros(()), x))
+    shipped = np.asarray(coframe(step(truth)) @ np.stack(columns, 1) @ np.linalg.inv(coframe(truth)))
+
+    # The transition of F along the truth, by small steps of the midpoint rule, then J.
+    graph = in_frame_along(system, lambda coframe, gram, change, jacobian: jacobian, lambda z: z).graph(jnp.zeros(13))
+    friction = jax.jit(lambda v: model.dissipation(truth[:n], v))
+    slope = jax.jit(jax.jacfwd(lambda v: model.dissipation(truth[:n], v)))
+
+    def point(x, tau):
+        v = x[n:]
+        drag = -np.diag(np.asarray(slope(v)))
+        return np.concatenate([x, np.zeros(n), force, np.asarray(force + friction(v)), drag, [tau]])
+
+    transition, steps = np.eye(2 * n), 60
+    for k in range(steps):
+        middle = (k + 0.5) * h / steps
+        f = numbers(graph.entries, point(np.asarray(predict(truth, middle)), middle)).reshape(2 * n, 2 * n)
+        half = h / steps / 2 * f
+        transition = np.linalg.solve(np.eye(2 * n) - half, (np.eye(2 * n) + half) @ transition)
+    jacobian = at_correction(system, lambda before, after, factor: factor).graph(jnp.ones(13))
+    at_end = np.asarray(predict(truth, h))
+    final = numbers(jacobian.entries, point(at_end, h)).reshape(2 * n, 2 * n) @ transition
+    # Columns of ξ and ζ have different units: each is compared with its own size.
+    assert (np.abs(final - shipped).max(0) < 1e-4 * np.abs(shipped).max(0)).all()
+
+
+@pytest.mark.parametrize("shear", [False, True])
+def test_prover_and_checker_form_the_same_matrices(shear):
+    system = sampled_system(two_links(), Q, SHEARED._replace(shear=shear))
+    z = points(system, 1)[0]
+    z[4:6] *= 1e4
+    for form, checked in (
+        (contraction(system, 2.0), _matrices.contraction(system, 2.0)),
+        (correction(system), _matrices.correction(system)),
+    ):
+        value, reference = numbers(form.graph(jnp.asarray(z)).entries, z), np.asarray(checked(jnp.asarray(z)))
+        assert np.abs(value.reshape(4, 4) - reference).max() < 1e-9 * np.abs(reference).max()
+
+
+def test_ages_cover_every_multiple_of_the_interval():
+    sampling = Sampling(np.array([0.0019, 0.0021]), 2)
+    for count, (first, last) in enumerate(sampling.ages.tolist(), start=1):
+        assert Fraction(first) <= count * Fraction(0.0019)
+        assert Fraction(last) >= count * Fraction(0.0021)
+    assert sampling.ages[0].tolist() == [0.0019, 0.0021]
+
+
+# What is proved.
+
+
+def test_a_pendulum_is_proved_for_any_interval_from_5_to_50_ms(proved, saved):
+    assert proved.statement.proved, proved.statement
+    assert proved.boxes < 1000
+    assert proved.radius > 1e-3
+    text = str(proved.statement)
+    for part in ("samples 0.005 to 0.05 s apart", "4 Runge–Kutta steps", "R(τ)", "lengthens no curve", "not covered"):
+        assert part in text
+    checked = check(saved)
+    assert checked.statement.proved
+    assert checked.statement.about == proved.statement.about
+    loaded = ContractionCertificate.load(saved)
+    assert loaded.statement.short == "holds (claimed)"
+    assert loaded.half_widths.tolist() == proved.half_widths.tolist()
+    assert loaded.kinds[-3:] == ("joint force", "friction slope", "age")
+    pytest.importorskip("flint")
+    assert check_sample(saved, 5).leaves == 5
+
+
+def test_the_checker_accepts_what_is_proved_at_once(proved):
+    again = certify(pendulum(), **BOUNDS, interval=(0.005, 0.05), recipe=RECIPE, checker="all")
+    assert again.statement.proved
+    assert any("accepts all" in h.text for h in again.statement.hypotheses)
+    assert again.radius == proved.radius
+
+
+def test_where_simulation_grows_nothing_is_proved():
+    """At intervals beyond 0.25 s the pendulum's sampled errors grow."""
+    result = certify(pendulum(), **BOUNDS, interval=(0.3, 0.3), rate=0.01, checker="off", boxes=20_000)
+    assert result.statement.verdict != "holds"
+    assert result.radius == 0.0
+
+
+def runs(observer, interval, lost, start, error, steps, rng, limit):
+    """Distances of a run of the shipped step from the truth, in the metric of a certificate, after each sample."""
+    n = len(start) // 2
+    fine = dataclasses.replace(observer, substeps=64)
+
+    @jax.jit
+    def advance(x, u, dt):
+        state = fine.init(x[:n])._replace(q=x[:n], v=x[n:])
+        new = fine.predict(state, u, dt)
+        return jnp.concatenate([new.q, new.v])
+
+    step = jax.jit(observer.step)
+    x, estimate = jnp.asarray(start), jnp.asarray(start + error)
+    state = observer.init(estimate[:n])._replace(q=estimate[:n], v=estimate[n:], age=jnp.zeros(()))
+    history, missed = [], 0
+    for _ in range(steps):
+        dt, u = jnp.asarray(rng.uniform(*interval)), jnp.asarray(rng.uniform(-0.5, 0.5, size=n))
+        x = advance(x, u, dt)
+        missing = missed < lost and rng.uniform() < 0.5
+        missed = missed + 1 if missing else 0
+        state, _ = step(state, u, jnp.full(n, jnp.nan) if missing else x[:n], dt)
+        if bool((jnp.abs(x) > limit).any()):
+            break
+        history.append((float(dt), bool(missing), np.asarray(x), np.concatenate([state.q, state.v])))
+    return history
+
+
+def lengths(certificate, history):
+    """Lengths of the segments from truth to estimate after each measurement, and the time since the start."""
+    metric = jax.jit(
+        lambda x: certificate.error_system.at(jnp.zeros(len(certificate.domain.low))).metric(jnp.zeros(()), x)
+    )
+    time, result = 0.0, []
+    for dt, missing, x, estimate in history:
+        time += dt
+        if not missing:
+            # The segment is no geodesic, but close to one at these distances.
+            result.append(
+                (time, float(np.sqrt((estimate - x) @ np.asarray(metric((x + estimate) / 2)) @ (estimate - x))))
+            )
+    return result
+
+
+def test_falsification_runs_find_nothing_in_what_is_proved(proved):
+    rng = np.random.default_rng(3)
+    tried = 0
+    for _ in range(40):
+        start = np.array([rng.uniform(-2.5, 2.5), rng.uniform(-3.0, 3.0)])
+        direction = rng.normal(size=2)
+        metric = np.asarray(proved.error_system.at(jnp.zeros(7)).metric(jnp.zeros(()), jnp.asarray(start)))
+        error = 0.9 * proved.radius * direction / np.sqrt(direction @ metric @ direction)
+        history = runs(proved.observer, (0.005, 0.05), 0, start, error, 25, rng, np.array([3.0, 4.0]))
+        for time, length in lengths(proved, history):
+            tried += 1
+            assert length <= 0.9 * proved.radius * np.exp(-proved.decay * time) * 1.001
+    assert tried > 300
+    found = falsify(proved.error_system, proved.domain, proved.rate, attempts=4000, starts=16)
+    assert found.verdict == "holds"
+
+
+def test_lost_samples_are_covered(tmp_path):
+    observer = pendulum()
+    result = certify(observer, **BOUNDS, interval=(0.018, 0.02), lost=1, recipe=RECIPE, checker="off")
+    assert result.statement.verdict == "holds", result.statement
+    assert [claim.kind for claim in result.claims] == ["contraction", "reach", "reach", "correction", "correction"]
+    path = result.save(tmp_path / "lost.json")
+    assert check(path).statement.proved
+    rng = np.random.default_rng(4)
+    for _ in range(10):
+        history = runs(
+            observer, (0.018, 0.02), 1, np.array([0.5, 1.0]), np.array([0.005, 0.02]), 30, rng, np.array([3.0, 4.0])
+        )
+        measured = lengths(result, history)
+        assert measured[-1][1] <= measured[0][1] * np.exp(-result.decay * (measured[-1][0] - measured[0][0]))
+
+
+# What is not right is neither proved nor accepted.
+
+
+def put(*path_and_value):
+    *path, last, value = path_and_value
+
+    def change(document):
+        target = document
+        for key in path:
+            target = target[key]
+        target[last] = value(target[last]) if callable(value) else value
+
+    return change
+
+
+def forged(path, folder, change):
+    """The certificate changed, with its digest and its graph."""
+    document, made = json.loads(path.read_text(encoding="utf-8")), folder / "forged.json"
+    change(document)
+    made.write_text(json.dumps(document | {"digest": digest(document)}), encoding="utf-8")
+    try:
+        read = parse(made)
+        assert read.sampling is not None
+        observer = pendulum(read.observer["alpha"], read.observer["beta"])
+        document["graph"] = value_graph(sampled_system(observer, read.q, read.sampling))
+    except (AssertionError, ValueError):
+        return made
+    made.write_text(json.dumps(document | {"digest": digest(document)}), encoding="utf-8")
+    return made
+
+
+FORGERIES = {
+    "longer interval": (put("sampling", "interval", 1, 0.06), "it must hold the ages"),
+    "longer interval and box": (
+        lambda d: (put("sampling", "interval", 1, 0.25)(d), put("box", "high", 6, 0.25)(d)),
+        "claims.* is not shown to hold where",
+    ),
+    "shorter interval": (put("sampling", "interval", 0, 0.0), "two positive times"),
+    "one more lost": (put("sampling", "lost", 1), "correction after 0 to 1"),
+    "no box of ages": (put("box", "high", 6, 0.04), "it must hold the ages"),
+    "rate": (put("rate", 9.0), r"claims\[0\] is not shown"),
+    "slope of the metric": (put("sampling", "slopes", 0, [[0.0, 0.0], [0.0, 0.0]]), r"claims\[\d\] is not shown"),
+    "no slopes": (put("sampling", "slopes", []), r"claims\[\d\] is not shown"),
+    "not symmetric": (put("sampling", "slopes", 0, 0, 1, 1.0), "symmetric matrices"),
+    "no shear": (put("sampling", "shear", False), r"claims\[\d\] is not shown"),
+    "metric after the measurement": (put("q", 1, 1, lambda b: 3 * b), r"claims\[\d\] is not shown"),
+    "gain": (put("observer", "beta", 500.0), r"claims\[\d\] is not shown"),
+    "input": (put("given", "inputs", "high", 0, 0.6), "the bound of the input's force is not shown"),
+    "force box": (put("box", "high", 4, 0.4), "the bound of the joint force is not shown"),
+    "slopes of friction": (
+        lambda d: (put("box", "low", 5, 0.1)(d), put("box", "high", 5, 0.2)(d)),
+        "the bound of the friction's slopes is not shown",
+    ),
+    "noise": (put("given", "noise", 0, 0.01), "which sampling does not cover"),
+    "radius": (put("radius", lambda r: 1.01 * r), "may reach|which its box"),
+    "without sampling": (lambda d: d.pop("sampling"), "box"),
+    "substeps": (put("sampling", "substeps", -1), "a whole number"),
+    "another key": (put("sampling", "delay", 0.0), "is not known"),
+}
+
+
+@pytest.mark.parametrize("name", FORGERIES)
+def test_a_forged_file_is_refused_with_the_reason(saved, tmp_path, monkeypatch, name):
+    monkeypatch.setattr(_check, "DEPTH", 3)
+    change, reason = FORGERIES[name]
+    with pytest.raises(ValueError, match=reason):
+        check(forged(saved, tmp_path, change))
+
+
+def test_substeps_are_part_of_the_file_and_of_what_it_states(saved, tmp_path):
+    """Other substeps are another statement, which the digest protects; their errors are not covered by any."""
+    document = json.loads(saved.read_text(encoding="utf-8"))
+    document["sampling"]["substeps"] = 1
+    (tmp_path / "other.json").write_text(json.dumps(document), encoding="utf-8")
+    with pytest.raises(ValueError, match="it was changed since it was saved"):
+        check(tmp_path / "other.json")
+
+
+def shown(certificate, system, kind):
+    """Whether prover and checker accept a claim for a mutated system, with the trees of the certificate."""
+    claim = next(c for c in certificate.claims if c.kind == kind)
+    form = contraction(system, certificate.rate) if kind == "contraction" else correction(system)
+    verdict = prove(form, claim.proof.box, boxes=2000).verdict
+    document = follows(parse_of(certificate)).document
+    judge = Judge(Resolved(document, certificate.observer, system))
+    index = next(i for i, c in enumerate(document.claims) if c.kind == kind)
+    try:
+        judge((index, *leaves(*document.bounds(document.claims[index]), document.claims[index].levels, "it")))
+    except ValueError:
+        return verdict, "refused"
+    return verdict, "accepted"
+
+
+def parse_of(certificate):
+    return parse("proof.json", json.dumps(certificate.document()).encode())
+
+
+def mutated(observer, certificate, **changes):
+    return sampled_system(observer, certificate.q, certificate.sampling._replace(**changes))
+
+
+MUTANTS = {
+    "a metric that does not change with the age": (
+        "contraction",
+        lambda o, c: mutated(o, c, slopes=-c.sampling.slopes),
+    ),
+    "a metric without its slopes": ("contraction", lambda o, c: mutated(o, c, slopes=0 * c.sampling.slopes)),
+    "no shear": ("correction", lambda o, c: mutated(o, c, shear=False)),
+    "half the gain": ("correction", lambda o, c: mutated(pendulum(10.0, 5.0), c)),
+    "gains of a slow observer": ("correction", lambda o, c: mutated(pendulum(1.0, 0.5), c)),
+    "gains of a faster observer": ("correction", lambda o, c: mutated(pendulum(60.0, 1800.0), c)),
+    "the sign of the correction": ("correction", "sign"),
+    "gains of another age": ("correction", "age"),
+    "no missing acceleration": ("correction", "missing"),
+}
+
+
+@pytest.mark.parametrize("name", MUTANTS)
+def test_every_mutant_dies_in_prover_and_checker(proved, monkeypatch, name):
+    monkeypatch.setattr(_check, "DEPTH", 3)
+    kind, change = MUTANTS[name]
+    if not isinstance(change, str):
+        assert_dies(proved, change(proved.observer, proved), kind)
+        return
+    right = Intrinsic.smooth_correction
+
+    def wrong(self, t, q, v, u, y, age):
+        match change:
+            case "sign":
+                return right(self, t, q, v, u, 2 * q - y, age)
+            case "age":
+                return right(self, t, q, v, u, y, age / 8)
+            case _:
+                new = right(self, t, q, v, u, y, age)
+                # The velocity without κ · missing: as for a model without forces.
+                free = dataclasses.replace(self, model=models.MechanicalSystem(self.model.space, None))
+                return new._replace(v=right(free, t, q, v, 0 * u, y, age).v)
+
+    monkeypatch.setattr(Intrinsic, "smooth_correction", wrong)
+    assert_dies(proved, sampled_system(proved.observer, proved.q, proved.sampling), kind)
+
+
+def assert_dies(certificate, system, kind):
+    verdict, answer = shown(certificate, system, kind)
+    assert verdict != "holds"
+    assert answer == "refused"
+
+
+def test_the_right_system_is_accepted_by_the_same_test(proved):
+    for kind in ("contraction", "correction"):
+        assert shown(proved, proved.error_system, kind) == ("holds", "accepted")
+
+
+# What is not covered is refused by name.
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"interval": (0.0, 0.1)}, "positive times"),
+        ({"interval": (0.2, 0.1)}, "shorter one first"),
+        ({"interval": 0.1}, "needs two times"),
+        ({"lost": -1}, "lost must be"),
+        ({"q": np.eye(2)}, "leave q out"),
+        ({"noise": 0.01}, "not covered"),
+        ({"disturbance": 0.01}, "not covered"),
+    ],
+    ids=str,
+)
+def test_arguments_that_do_not_fit_are_refused(change, message):
+    with pytest.raises(ValueError, match=message):
+        certify(pendulum(), **(BOUNDS | {"interval": (0.01, 0.02)} | change))
+
+
+def test_models_that_are_not_covered_are_refused():
+    space = swing().space
+
+    def described(**functions):
+        model = models.MechanicalSystem(space, coordinates=("q",), **functions)
+        return sampled_system(Intrinsic(model, 1.0, 1.0), Q, SHEARED)
+
+    with pytest.raises(ValueError, match="force of this model depends on time"):
+        described(force=lambda t, q, u: u * t)
+    with pytest.raises(ValueError, match="force of this model depends on q"):
+        described(force=lambda t, q, u: u * q)
+    with pytest.raises(ValueError, match="depends on the position"):
+        described(dissipation=lambda q, v: -v * q**2)
+    with pytest.raises(ValueError, match="depends on time"):
+        described(dissipation=lambda t, q, v, u: -v * t)
+    arm = models.MechanicalSystem(
+        models.pendulum_chain().space, dissipation=lambda q, v: -v[::-1], coordinates=("a", "b")
+    )
+    with pytest.raises(ValueError, match="couples joints"):
+        sampled_system(Intrinsic(arm, 1.0, 1.0), Q, SHEARED)
+    with pytest.raises(ValueError, match="needs coordinates"):
+        sampled_system(Intrinsic(models.heavy_top(), 1.0, 1.0), Q, SHEARED)
+    with pytest.raises(TypeError, match="Intrinsic itself"):
+        sampled_system(Geodesic(swing(), 1.0, 1.0), Q, SHEARED)
+
+
+@pytest.mark.exhaustive
+def test_a_double_pendulum_with_dry_friction_is_proved_at_500_hz():
+    double = models.load("dfki_double_pendulum").model
+    assert isinstance(double, models.MechanicalSystem)
+    result = certify(
+        Intrinsic(double, 60.0, 1800.0, substeps=4),
+        position=(-np.pi, np.pi),
+        velocity=2.0,
+        error=0.02,
+        input=0.5,
+        interval=(0.0019, 0.0021),
+        rate=4.0,
+        boxes=2_000_000,
+        checker="off",
+    )
+    assert result.statement.verdict == "holds", result.statement
