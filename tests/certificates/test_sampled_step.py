@@ -40,6 +40,8 @@ LONG = (
     "test_a_forged_file_is_refused_with_the_reason[gain]",
     "test_a_forged_file_is_refused_with_the_reason[metric after the measurement]",
     "test_a_forged_file_is_refused_with_the_reason[no shear]",
+    "test_a_forged_file_is_refused_with_the_reason[length of the error]",
+    "test_a_forged_file_is_refused_with_the_reason[longer interval and box]",
     "test_a_forged_file_is_refused_with_the_reason[rate]",
     "test_a_forged_file_is_refused_with_the_reason[slope of the metric]",
     "test_every_mutant_dies_in_prover_and_checker[a metric without its slopes]",
@@ -288,7 +290,8 @@ def test_lost_samples_are_covered(tmp_path):
     observer = pendulum()
     result = certify(observer, **BOUNDS, interval=(0.018, 0.02), lost=1, recipe=RECIPE, checker="off")
     assert result.statement.verdict == "holds", result.statement
-    assert [claim.kind for claim in result.claims] == ["contraction", "reach", "reach", "correction", "correction"]
+    kinds = [claim.kind for claim in result.claims]
+    assert kinds == ["contraction", "reach", "reach", "correction", "correction", "missing"]
     path = result.save(tmp_path / "lost.json")
     assert check(path).statement.proved
     rng = np.random.default_rng(4)
@@ -298,6 +301,33 @@ def test_lost_samples_are_covered(tmp_path):
         )
         measured = lengths(result, history)
         assert measured[-1][1] <= measured[0][1] * np.exp(-result.decay * (measured[-1][0] - measured[0][0]))
+
+
+def test_the_factor_that_runs_takes_no_more_than_is_subtracted(proved):
+    """At random points the step that runs differs from the one that is proved by less than its bound."""
+    claim, h = proved.claims[-1], proved.sampling.oldest
+    rng = np.random.default_rng(5)
+    observer, loss = proved.observer, proved.rate / 2 - proved.decay
+    assert 0 < loss < proved.rate / 2
+
+    @jax.jit
+    def both(q, v, y, u):
+        state = observer.init(q)._replace(q=q, v=v, age=jnp.asarray(h))
+        new, info = observer.correct(state, u, y)
+        smooth = observer.smooth_correction(jnp.zeros(()), q, v, u, y, jnp.asarray(h))
+        return new.v - smooth.v, info.result, observer.missing_acceleration(jnp.zeros(()), q, v, u, y)
+
+    worst = 0.0
+    for _ in range(300):
+        q, v, e, u = (jnp.asarray(rng.uniform(-b, b, 1)) for b in (3.0, 4.0, 0.1, 0.5))
+        difference, result, (xi, missing) = both(q, v, q - e, u)
+        assert int(result) == 0
+        assert float(jnp.abs(missing)[0]) <= np.sqrt(claim.square) * float(jnp.abs(xi)[0])
+        # |e| ≤ limit · r in the metric, whose square root on this pendulum is l √m = 0.5.
+        r = 0.5 * float(jnp.abs(e)[0]) / claim.limit
+        length = np.sqrt(proved.q[1, 1] / 2) * 0.5 * float(jnp.abs(difference)[0])
+        worst = max(worst, length / (loss * h * r))
+    assert 0.1 < worst < 1
 
 
 # What is not right is neither proved nor accepted.
@@ -338,7 +368,7 @@ FORGERIES = {
         "claims.* is not shown to hold where",
     ),
     "shorter interval": (put("sampling", "interval", 0, 0.0), "two positive times"),
-    "one more lost": (put("sampling", "lost", 1), "correction after 0 to 1"),
+    "one more lost": (put("sampling", "lost", 1), "must be one of .correction"),
     "no box of ages": (put("box", "high", 6, 0.04), "it must hold the ages"),
     "rate": (put("rate", 9.0), r"claims\[0\] is not shown"),
     "slope of the metric": (put("sampling", "slopes", 0, [[0.0, 0.0], [0.0, 0.0]]), r"claims\[\d\] is not shown"),
@@ -357,6 +387,10 @@ FORGERIES = {
     "radius": (put("radius", lambda r: 1.01 * r), "may reach|which its box"),
     "without sampling": (lambda d: d.pop("sampling"), "box"),
     "substeps": (put("sampling", "substeps", -1), "a whole number"),
+    "stiffness": (put("claims", 4, "square", lambda s: s / 4), r"claims\[4\] is not shown"),
+    "length of the error": (put("claims", 4, "limit", lambda s: s / 4), r"claims\[4\] is not shown"),
+    "too stiff for the factor": (put("claims", 4, "square", lambda s: 100 * s), "nothing is left of"),
+    "no stiffness": (lambda d: d["claims"].pop(), "and what they lack"),
     "another key": (put("sampling", "delay", 0.0), "is not known"),
 }
 

@@ -193,6 +193,10 @@ def _complete(resolved: Resolved) -> None:
     for row, (claim, r, available) in enumerate(zip(claims[1 : 1 + 2 * n], widths, limits, strict=True)):
         what = f"claims[{row + 1}].limit: row {row} reaches {r:.6g}, may reach {claim.limit:.6g}"
         _need(r <= claim.limit <= available, f"{what}, and has {available:.6g} of room")
+    if document.sampling is not None:
+        loss = document.loss
+        slower = f"{loss.rate:.6g} 1/s by the factor of the correction, up to {loss.restart:.6g} of a restart"
+        _need(loss.allowed(document.rate), f"rate: nothing is left of {document.rate / 2:.6g} 1/s, less {slower}")
     if disturbed:
         count = np.count_nonzero(sizes(document))
         # The steady distance 2D/λ: the box of scaled errors lies in the ball of radius √count, so D² = count · square.
@@ -259,6 +263,7 @@ def _matrix(resolved: Resolved, what: int | str) -> TaylorEnclosure:
             "reach": lambda: matrices.width_bound(system, claim.row, claim.square),
             "disturbance": lambda: matrices.disturbance(system, sizes(document), claim.square),
             "correction": lambda: matrices.correction(system),
+            "missing": lambda: matrices.missing(system, claim.square, claim.limit, document.unit_reach),
         }[claim.kind]()
         slack = np.where(_forces(document), slack_of(low, high), 0.0)
         return TaylorEnclosure(matrix, *document.bounds(claim), slack)

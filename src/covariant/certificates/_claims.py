@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from covariant.certificates._document import NUMBERS, Document, Given, Kind, Stated
+from covariant.certificates._document import NUMBERS, Document, Given, Kind, Loss, Sampling, Stated
 from covariant.proofs import Box, Proof, from_letters, to_letters
 
 
@@ -19,12 +19,14 @@ class Claim(NamedTuple):
             changes the entry `row` of (error, velocity) by less than `ℓ √square`, which bounds the half width of the
             tube in that entry. "disturbance": errors of measurement and force, relative to their sizes and within the
             unit ball, add at most `√square` in length to the flow. "correction": the correction after `row` lost
-            samples lengthens no curve.
+            samples lengthens no curve. "missing": the acceleration that a prediction lacks is less than `√square` times
+            the position error, whose length is at most `limit` times that of a curve.
         proof: the tree of boxes over which the inequality was shown.
         row: for "reach", the index of the entry of (error, velocity), from 0 to 2n − 1; for "correction", the number of
             samples lost before it.
-        square: for "reach" and "disturbance", the square of the bound.
-        limit: for "reach", the largest half width that stays within the region, in the unit of the entry.
+        square: for "reach", "disturbance" and "missing", the square of the bound.
+        limit: for "reach", the largest half width that stays within the region, in the unit of the entry; for
+            "missing", the bound of the length of the position error for a curve of unit length.
 
     Example:
         >>> import jax.numpy as jnp
@@ -75,6 +77,19 @@ def stated_claims(document: Document, domain: Box) -> tuple[Claim, ...]:
 def _box_of(document: Document, claim: Stated, domain: Box) -> Box:
     low, high = document.bounds(claim)
     return domain._replace(low=low, high=high)
+
+
+def loss_of(sampling: Sampling | None, q: Float[np.ndarray, "2 2"], rate: float, claims: Sequence[Claim]) -> Loss:
+    """Compute what the factor of the correction that runs takes from the rate.
+
+    Args:
+        sampling: when measurements come; None in continuous time.
+        q: the matrix R_0 (2, 2).
+        rate: rate λ of squared lengths [1/s].
+        claims: the claims; without one of the kind "missing" nothing is known, and nothing subtracted.
+    """
+    bounds = [(claim.square, claim.limit) for claim in claims if claim.kind == "missing"]
+    return Loss(0.0, 0.0) if sampling is None or not bounds else Loss.of(sampling, q, rate, *bounds[0])
 
 
 def disturbance_sizes(given: dict[str, Any]) -> Float[np.ndarray, "two_n"]:

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from covariant.certificates._check import follows
-from covariant.certificates._claims import Claim, disturbance_length
+from covariant.certificates._claims import Claim, disturbance_length, loss_of
 from covariant.certificates._contraction_statement import Contraction, contraction_statement
 from covariant.certificates._document import FORMAT, Sampling, parse, write
 from covariant.certificates._error_system import ErrorSystem
@@ -70,8 +70,12 @@ class ContractionCertificate(NamedTuple):
 
     @property
     def decay(self) -> float:
-        """Decay rate μ = λ/2 [1/s]: distances decrease as `e^(−μt)`."""
-        return self.rate / 2
+        """Decay rate μ [1/s]: distances decrease as `e^(−μt)`.
+
+        Returns:
+            λ/2, and with sampled measurements less what the factor of the correction takes.
+        """
+        return self.rate / 2 - loss_of(self.sampling, self.q, self.rate, self.claims).rate
 
     @property
     def steady(self) -> float:

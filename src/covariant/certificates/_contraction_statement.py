@@ -7,9 +7,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from covariant.certificates._assumed import ASSUMED, ASSUMED_WITH_SAMPLES
-from covariant.certificates._claims import Claim, disturbance_length, plain_bounds, stated_claims
-from covariant.certificates._document import Document, Sampling
+from covariant.certificates._assumed import ASSUMED, ASSUMED_WITH_SAMPLES, SMOOTH_FACTOR
+from covariant.certificates._claims import Claim, disturbance_length, loss_of, plain_bounds, stated_claims
+from covariant.certificates._document import Document, Loss, Sampling
 from covariant.certificates._error_system import ErrorSystem
 from covariant.certificates._intrinsic import Intrinsics
 from covariant.certificates._noise import steady_distance
@@ -62,6 +62,16 @@ class Contraction(NamedTuple):
         )
 
     @property
+    def loss(self) -> Loss:
+        """What the factor of the correction that runs takes from the rate."""
+        return loss_of(self.sampling, self.q, self.rate, self.claims)
+
+    @property
+    def decay(self) -> float:
+        """Rate [1/s] at which distances decrease."""
+        return self.rate / 2 - self.loss.rate
+
+    @property
     def first_velocity(self) -> int:
         """Index of the first velocity in the domain, after the coordinates, which on a group are none."""
         n = len(self.velocity)
@@ -111,7 +121,7 @@ def _converges(facts: Contraction) -> str:
         conditions.append(_samples(facts.sampling))
     return (
         f"estimates within {_down(facts.radius)} of a solution with velocities up to {speeds} stay so, and their "
-        f"distance falls at {_down(facts.rate / 2)} 1/s or faster{end}"
+        f"distance falls at {_down(facts.decay)} 1/s or faster{end}"
         + (f", under {' and '.join(conditions)}" if conditions else "")
     )
 
@@ -142,11 +152,15 @@ def _hypotheses(facts: Contraction, evidence: Evidence) -> Iterator[Hypothesis]:
             first, last = (_exact(h) for h in facts.sampling.ages[claim.row])
             text = f"the correction by a measurement that is {first} to {last} s old lengthens no curve"
             margin = None
+        elif claim.kind == "missing":
+            text, margin = "the acceleration that a prediction lacks, and the position error, keep their bounds", None
         else:
             text, margin = "noise and unknown forces add no more to the flow than the radius allows", None
         yield Hypothesis(text, evidence, proof.verdict, margin, proof.reason)
     if all(claim.proof.verdict == "holds" for claim in facts.claims):
         yield _radius(facts, evidence)
+        if any(claim.kind == "missing" for claim in facts.claims):
+            yield _factor(facts, evidence)
     forces = (
         "over these positions, inputs and times the force stays within the bounds of the domain"
         if facts.sampling is None
@@ -163,8 +177,22 @@ def _hypotheses(facts: Contraction, evidence: Evidence) -> Iterator[Hypothesis]:
 
 
 def _assumed(facts: Contraction) -> Iterator[Hypothesis]:
-    for line in ASSUMED if facts.sampling is None else ASSUMED_WITH_SAMPLES:
-        yield Hypothesis(line, "assumed")
+    yield from (Hypothesis(line, "assumed") for line in (ASSUMED if facts.sampling is None else ASSUMED_WITH_SAMPLES))
+    if facts.sampling is not None and not any(claim.kind == "missing" for claim in facts.claims):
+        yield Hypothesis(SMOOTH_FACTOR, "assumed")
+
+
+def _factor(facts: Contraction, evidence: Evidence) -> Hypothesis:
+    """That the correction that runs, with its factor, is close to the one that is proved, and never restarts."""
+    loss = facts.loss
+    text = "the factor 1/(1 + s/18) of the correction that runs leaves a positive rate, and no sample restarts it"
+    if loss.allowed(facts.rate):
+        return Hypothesis(f"{text}: it takes {loss.rate:.2g} 1/s", evidence, margin=facts.decay)
+    reason = (
+        f"the factor takes up to {loss.rate:.4g} 1/s of {facts.rate / 2:.4g} 1/s, and s is up to {loss.restart:.4g} of "
+        "where a sample restarts the estimate; make the interval shorter"
+    )
+    return Hypothesis(text, evidence, "undecided", None, reason)
 
 
 def _radius(facts: Contraction, evidence: Evidence) -> Hypothesis:
@@ -190,9 +218,10 @@ def _description(facts: Contraction) -> Iterator[str]:
     yield f"observer: {kind} in the frame of {frame}, alpha = {alpha} 1/s, beta = {beta} 1/s²{options}; {_time(facts)}"
     yield from _metric(facts)
     if facts.radius:
+        rate = facts.rate if facts.sampling is None else 2 * facts.decay
         right_after = "" if facts.sampling is None else " right after a measurement"
         yield (
-            f"rate λ = {_down(facts.rate)} 1/s of squared lengths, radius ε = {_down(facts.radius)} in this metric"
+            f"rate λ = {_down(rate)} 1/s of squared lengths, radius ε = {_down(facts.radius)} in this metric"
             f"{right_after}"
         )
     positions = facts.given["positions"]

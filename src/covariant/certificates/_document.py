@@ -4,6 +4,7 @@ Nothing in a file is trusted: whether its numbers make a proof is decided by `ch
 """
 
 import json
+import math
 import re
 from fractions import Fraction
 from pathlib import Path
@@ -39,12 +40,13 @@ MOST_LOST = 1000
 """Largest number of lost samples that a file may state."""
 FRAMES = ("coordinates", "body")
 """Frames of the vectors. In the "body" frame the configuration is not a variable of the region."""
-Kind = Literal["contraction", "reach", "disturbance", "correction"]
+Kind = Literal["contraction", "reach", "disturbance", "correction", "missing"]
 NUMBERS: dict[Kind, list[str]] = {
     "contraction": [],
     "reach": ["row", "square", "limit"],
     "disturbance": ["square"],
     "correction": ["row"],
+    "missing": ["square", "limit"],
 }
 """The numbers of each kind of claim, beside its tree of boxes."""
 
@@ -73,7 +75,8 @@ class Stated(NamedTuple):
     """A claim as stated in a file.
 
     Attributes:
-        kind: "contraction", "reach" of a `row` by `square` up to `limit`, "disturbance" of `square`, or "correction".
+        kind: "contraction", "reach" of a `row` by `square` up to `limit`, "disturbance" of `square`, "correction", or
+            "missing" of `square` and `limit`.
         levels: its tree of boxes, one string for each level.
         row: index of the entry of (error, velocity), for "reach"; number of samples lost, for "correction".
         square: square of the bound, for "reach" and "disturbance".
@@ -139,6 +142,63 @@ class Sampling(NamedTuple):
         }
 
 
+class Loss(NamedTuple):
+    """What the correction that runs loses against the one of first order in the missing acceleration.
+
+    It divides the missing acceleration by 1 + s/18, s = |missing| h²/|ξ|, and restarts where s exceeds (π/2)².
+
+    Attributes:
+        rate: largest loss of the decay rate [1/s] of distances.
+        restart: largest s, as a fraction of that of a restart.
+
+    Example:
+        >>> from covariant.certificates._document import Loss
+        >>> Loss(0.1, 0.2).allowed(1.0), Loss(0.6, 0.2).allowed(1.0), Loss(0.1, 1.0).allowed(1.0)
+        (True, False, False)
+    """
+
+    rate: float
+    restart: float
+
+    @classmethod
+    def of(cls, sampling: Sampling, q: Float[np.ndarray, "2 2"], rate: float, square: float, limit: float) -> "Loss":
+        """Compute the loss from the claim "missing".
+
+        With |missing| ≤ N|ξ|, N² = `square`, and |ξ| ≤ `limit` r for a tube of radius r, s is at most S = Nh². A step
+        changes the velocity by κ s/(18 + s) |missing| less, with κ ≤ h, which has at most the length `h D r`,
+        D = S/(18 + S) N `limit` 2 √(½ R_0[1, 1]); the 2 bounds how much longer a vector may be at the new position.
+        From `e^(−μh) + hD ≤ e^(−(μ − D e^(μh))h)` the loss is D e^(μh), at the oldest age.
+
+        Args:
+            sampling: when measurements come.
+            q: R_0 (2, 2).
+            rate: rate λ = 2μ of squared lengths [1/s].
+            square, limit: numbers of the claim.
+        """
+        stiffness, oldest = math.sqrt(square), sampling.oldest
+        s = stiffness * oldest**2
+        change = s / (18 + s) * stiffness * limit * 2 * math.sqrt(q[1, 1] / 2)
+        # The factors cover rounding, also that of (π/2)² in the step that runs.
+        return cls(change * math.exp(rate / 2 * oldest) * (1 + 1e-9), s / (math.pi / 2) ** 2 * (1 + 1e-6))
+
+    def allowed(self, rate: float) -> bool:
+        """Whether a rate λ [1/s] is left, and nothing restarts.
+
+        Args:
+            rate: rate of squared lengths.
+        """
+        return self.rate < rate / 2 and self.restart < 1
+
+
+def unit_reach(squares: list[float]) -> Float[np.ndarray, "n"]:
+    """Bounds (n,) of each position error for a curve of unit length.
+
+    Args:
+        squares: squares of the claims on reach (2n), positions first.
+    """
+    return np.sqrt(np.array(squares[: len(squares) // 2])) * (1 + 1e-12)
+
+
 class Document(NamedTuple):
     """The content of a certificate file, with checked types and sizes.
 
@@ -184,6 +244,20 @@ class Document(NamedTuple):
         """Whether any claim has undecided boxes."""
         return any(claim.open for claim in self.claims)
 
+    @property
+    def unit_reach(self) -> Float[np.ndarray, "n"]:
+        """Bounds (n,) of each position error, for a curve of unit length, as the claims on reach state them."""
+        squares = [claim.square for claim in self.claims if claim.kind == "reach"]
+        return unit_reach(squares)
+
+    @property
+    def loss(self) -> "Loss":
+        """What the factor of the correction that runs takes from the rate; nothing where no claim bounds it."""
+        claims = [claim for claim in self.claims if claim.kind == "missing"]
+        if self.sampling is None or not claims:
+            return Loss(0.0, 0.0)
+        return Loss.of(self.sampling, self.q, self.rate, claims[0].square, claims[0].limit)
+
     def bounds(self, claim: Stated) -> tuple[Float[np.ndarray, "d"], Float[np.ndarray, "d"]]:
         """Bounds (d,) of the box of one claim, which is the whole box, or that of the ages of a correction.
 
@@ -204,7 +278,7 @@ def claim_bounds(
         row: its row, for a correction the number of samples lost.
         low, high: the whole box (d,), whose last variable is the age where measurements are sampled.
     """
-    if sampling is None or kind != "correction":
+    if sampling is None or kind not in ("correction", "missing"):
         return low, high
     first, last = sampling.ages[row]
     return np.append(low[:-1], first), np.append(high[:-1], last)
@@ -250,7 +324,7 @@ def parse(path: str | Path, content: bytes | None = None) -> Document:
         variables <= len(LETTERS), f"fewer velocities: there are letters for {len(LETTERS)} variables"
     )
     low, high = fields["box"].pair(variables, variables)
-    claims = _claims(fields["claims"], n, variables, sampling)
+    claims = _claims(fields["claims"], n, variables, sampling, observer.get("order") == 1)
     given = _given(fields["given"], n)
     disturbed = given.noise.any() or given.disturbance.any()
     fields["given"].need(not (sampled and disturbed), "without noise and disturbance, which sampling does not cover")
@@ -374,30 +448,33 @@ def _sampling(field: Field) -> Sampling:
     return Sampling(interval, lost, slopes, shear, fields["substeps"].whole(0, 10_000) or None)
 
 
-def _claims(field: Field, n: int, variables: int, sampling: Sampling | None) -> tuple[Stated, ...]:
+def _claims(field: Field, n: int, variables: int, sampling: Sampling | None, first_order: bool) -> tuple[Stated, ...]:
     """Contraction, then "reach" for each of the 2n rows, then "disturbance", if there is noise or disturbance.
 
-    With sampling, "correction" follows "reach" for each number of lost samples.
+    With sampling, "correction" follows "reach" for each number of lost samples, and "missing" where errors are those of
+    first order.
     """
-    count = 1 if sampling is None else sampling.lost + 1
-    rows = field.rows(1, 2 * n + 1 + count)
-    last: Kind = "disturbance" if sampling is None else "correction"
+    last: list[Kind] = ["disturbance"]
+    if sampling is not None:
+        corrections: list[Kind] = ["correction"] * (sampling.lost + 1)
+        last = [*corrections, "missing"] if first_order else corrections
+    rows = field.rows(1, 2 * n + 1 + len(last))
     claims = [_claim(row, k, n, variables, last) for k, row in enumerate(rows)]
     if sum(len(level) for claim in claims for level in claim.levels) > MOST_LETTERS:
         raise ValueError(
             f"{field.file}: the levels of {field.key} hold more than {MOST_LETTERS} letters; ask for the file as it "
             "was saved, or certify again"
         )
-    needed = 2 * n + 1 + (0 if sampling is None else count)
-    corrections = "" if sampling is None else f", and correction after 0 to {count - 1} lost samples"
+    needed = 2 * n + 1 + (0 if sampling is None else len(last))
+    more = "" if sampling is None else f", and correction after 0 to {sampling.lost} lost samples, and what they lack"
     complete = len(rows) >= needed or (len(rows) == 1 and claims[0].open)
-    field.need(complete, f"contraction, and reach of rows 0 to {2 * n - 1}{corrections}")
+    field.need(complete, f"contraction, and reach of rows 0 to {2 * n - 1}{more}")
     return tuple(claims)
 
 
-def _claim(field: Field, k: int, n: int, variables: int, last: Kind) -> Stated:
+def _claim(field: Field, k: int, n: int, variables: int, last: list[Kind]) -> Stated:
     field.need(isinstance(field.value, dict) and "kind" in field.value, "an object with the kind of the claim")
-    kind: Kind = "contraction" if k == 0 else "reach" if k <= 2 * n else last
+    kind: Kind = "contraction" if k == 0 else "reach" if k <= 2 * n else last[k - 2 * n - 1]
     field.at("kind").one_of((kind,))
     fields = field.record(["kind", *NUMBERS[kind], "levels"])
     numbers: dict[str, Any] = {key: fields[key].positive() for key in NUMBERS[kind] if key != "row"}

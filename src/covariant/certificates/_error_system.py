@@ -30,6 +30,8 @@ class Point(NamedTuple):
         corrected: `x (2n,) -> x (2n,)`: the correction by a measurement, which is held constant; for observers with
             samples only, as is `after`.
         after: the metric on states right after a correction.
+        missing: `x (2n,) -> (n,)`: the acceleration that a prediction lacks, of observers with samples.
+        configuration: `q (n,) -> (n, n)`: the metric on configurations, of observers with samples.
     """
 
     flow: Callable[[Scalar, Vector], Array]
@@ -39,6 +41,8 @@ class Point(NamedTuple):
     noise_jacobian: Callable[[], Matrix] = _empty
     corrected: Callable[[Vector], Array] | None = None
     after: StateMetric | None = None
+    missing: Callable[[Vector], Array] = lambda x: x
+    configuration: Callable[[Vector], Array] = lambda q: q
 
     @property
     def sampled(self) -> tuple[Callable[[Vector], Array], StateMetric]:
@@ -145,7 +149,8 @@ def corrections(error_system: ErrorSystem) -> Callable[[Scalar, Vector, Vector],
         error_system: the system, with samples.
 
     Returns:
-        `(t, x, z) -> (C x, Θ_0(C x), N_0(C x), Θ_h⁻¹, N_h)`, for the correction C by a measurement of age h.
+        `(t, x, z) -> (C x, Θ_0(C x), N_0(C x), Θ_h⁻¹, N_h, missing acceleration, g(q), g(y))`, for the correction C by
+        a measurement y of age h.
     """
 
     def at(t, x, z):
@@ -153,6 +158,10 @@ def corrections(error_system: ErrorSystem) -> Callable[[Scalar, Vector, Vector],
         corrected, after = point.sampled
         before, new = point.metric, corrected(x)
         now = jnp.zeros_like(t)
-        return new, after.coframe(now, new), after.gram(now, new), before.frame(t, x), before.gram(t, x)
+        frames = after.coframe(now, new), after.gram(now, new), before.frame(t, x), before.gram(t, x)
+        n = x.shape[0] // 2
+        # The variables begin with the estimated position, its velocity, and the error of the position.
+        measured = z[:n] - z[2 * n : 3 * n]
+        return new, *frames, point.missing(x), point.configuration(x[:n]), point.configuration(measured)
 
     return at

@@ -201,7 +201,7 @@ def at_correction(error_system: ErrorSystem, formula: Callable[[Array, Array, Ar
     """
 
     def parts(derivatives, nodes, count):
-        new, coframe, after, frame, before = nodes
+        new, coframe, after, frame, before, *_ = nodes
         return coframe, after, derivatives.each(new, range(1, 1 + count)), frame, before
 
     def whole(coframe, after, slope, frame, before):
@@ -209,7 +209,44 @@ def at_correction(error_system: ErrorSystem, formula: Callable[[Array, Array, Ar
 
     def numbers(z):
         point = error_system.at(z)
-        _, coframe, after, frame, before = corrections(error_system)(jnp.zeros((), z.dtype), point.x, z)
+        _, coframe, after, frame, before, *_ = corrections(error_system)(jnp.zeros((), z.dtype), point.x, z)
         return whole(coframe, after, jax.jacfwd(point.sampled[0])(point.x), frame, before)
+
+    return derivative_form(corrections(error_system), lambda z: error_system.at(z).x, parts, whole, numbers)
+
+
+def missing_bound(error_system: ErrorSystem, square: float, limit: float, reach: Float[np.ndarray, "n"]) -> Form:
+    """Build the matrix of what bounds the acceleration that a prediction lacks, in three blocks (n, n).
+
+    With D the derivative of the missing acceleration by the position error e, at a constant estimate, the blocks are
+    `square g(q) − Dᵀg(q)D`, `4 g(q) − g(q − e)` and `limit²/n I − W g(q) W`, W = diag(reach). Where they are positive
+    definite, the missing acceleration is shorter than `√square |e|`, lengths of vectors at most double over an error,
+    and a curve of length ℓ, which changes e by at most `ℓ reach`, makes |e| at most `ℓ limit`.
+
+    Args:
+        error_system: the system, as from `sampled_system`.
+        square: square of the bound [1/s⁴] of the missing acceleration.
+        limit: bound of |e| for a curve of unit length.
+        reach: bounds (n,) of each position error for a curve of unit length.
+
+    Returns:
+        The matrix (3n, 3n) as a function of z.
+    """
+    n = len(reach)
+
+    def parts(derivatives, nodes, count):
+        *_, missing, here, there = nodes
+        return derivatives.each(missing, range(1 + count + 2 * n, 1 + count + 3 * n)), here, there
+
+    def whole(slope, here, there):
+        weighted = here * jnp.asarray(np.outer(reach, reach))
+        blocks = square * here - slope.T @ here @ slope, 4 * here - there, limit**2 / n * jnp.eye(n) - weighted
+        return jax.scipy.linalg.block_diag(*blocks)
+
+    def numbers(z):
+        x = error_system.at(z).x
+        *_, here, there = corrections(error_system)(jnp.zeros((), z.dtype), x, z)
+        slope = jax.jacfwd(lambda z: error_system.at(z).missing(x))(z)[:, 2 * n : 3 * n]
+        return whole(slope, here, there)
 
     return derivative_form(corrections(error_system), lambda z: error_system.at(z).x, parts, whole, numbers)

@@ -131,6 +131,35 @@ def everything(about: ErrorSystem) -> Matrix:
     return parts
 
 
+def missing(about: ErrorSystem, square: float, limit: float, reach: np.ndarray) -> Matrix:
+    """Build the three blocks that bound the missing acceleration.
+
+    Args:
+        about: the observer and its metric.
+        square: square of the bound [1/s⁴] of the missing acceleration.
+        limit: bound of the length of the position error, for a curve of unit length.
+        reach: bounds (n,) of the position errors, for a curve of unit length.
+
+    Returns:
+        A function z (d,) -> (3n, 3n).
+    """
+    n = len(reach)
+
+    def matrix(z):
+        point, q, e = about.at(z), z[:n], z[2 * n : 3 * n]
+
+        def lacking(e):
+            return about.at(jnp.concatenate([z[: 2 * n], e, z[3 * n :]])).missing(point.x)
+
+        g, slope = point.configuration(q), jax.jacfwd(plain(lacking))(e)
+        ratio, doubled = square * g - slope.T @ g @ slope, 4 * g - point.configuration(q - e)
+        size = limit**2 / n * jnp.eye(n) - g * np.outer(reach, reach)
+        rows = [[ratio, 0 * g, 0 * g], [0 * g, doubled, 0 * g], [0 * g, 0 * g, size]]
+        return jnp.concatenate([jnp.concatenate(row, axis=1) for row in rows])
+
+    return matrix
+
+
 def all_corrections(about: ErrorSystem) -> Matrix:
     """Collect everything that the claims on corrections are computed from, as `everything` does.
 

@@ -10,7 +10,7 @@ from covariant._optional import load_optional
 from covariant.certificates._check import follows, sizes
 from covariant.certificates._document import Document, Stated, parse
 from covariant.certificates._error_system import ErrorSystem
-from covariant.certificates._inequalities import contraction, correction, disturbance_bound, width_bound
+from covariant.certificates._inequalities import contraction, correction, disturbance_bound, missing_bound, width_bound
 from covariant.proofs import BITS, MOST_DERIVED, BallMatrix, Form
 from covariant.proofs.checker import leaves
 
@@ -95,4 +95,6 @@ def _form(claim: Stated, system: ErrorSystem, document: Document) -> Form:
         return width_bound(system, claim.row, claim.square)
     if claim.kind == "correction":
         return correction(system)
+    if claim.kind == "missing":
+        return missing_bound(system, claim.square, claim.limit, document.unit_reach)
     return disturbance_bound(system, sizes(document), claim.square)

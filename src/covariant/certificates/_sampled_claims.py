@@ -4,24 +4,30 @@ import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
 from covariant._typing import Numbers
 from covariant.certificates._claims import Claim
-from covariant.certificates._document import MOST_LOST, Kind, Sampling, claim_bounds
+from covariant.certificates._document import MOST_LOST, Kind, Sampling, claim_bounds, unit_reach
 from covariant.certificates._effort import Effort
 from covariant.certificates._error_system import ErrorSystem
-from covariant.certificates._inequalities import contraction, correction
+from covariant.certificates._inequalities import contraction, correction, missing_bound
 from covariant.certificates._intrinsic import Intrinsics
-from covariant.certificates._sampled_metric import SampledMetric
+from covariant.certificates._sampled_metric import SampledMetric, random_points
 from covariant.certificates._sampled_step import sampled_system
 from covariant.certificates._tangent_metric import TwoByTwo
+from covariant.lowering import numbers
 from covariant.observers import Intrinsic
 from covariant.proofs import LETTERS, Box
 
 SEARCHES = 4
 """How often the metric is searched again with the counter-examples of a proof."""
+WIDER, TINY = 1.3, 1e-12
+"""Factor of margin on sampled squares, so that they can be proved quickly, and a square for what is zero."""
+POINTS = 2000
+"""Number of points at which they are sampled."""
 ENOUGH = 0.5
 """Margin of a metric without shear, as a fraction of the rate, below which one with shear is tried as well."""
 
@@ -157,3 +163,36 @@ def _prove(system: ErrorSystem, sampling: Sampling, rate: float, effort: Effort)
         )
         claims.append(Claim("correction", proof, lost))
     return claims
+
+
+def missing_claim(system: ErrorSystem, sampling: Sampling, claims: Sequence[Claim], effort: Effort) -> Claim:
+    """Prove a bound of the acceleration that a prediction lacks, and of the position error.
+
+    Args:
+        system: the system.
+        sampling: the samples.
+        claims: the other claims, of which those on reach are used.
+        effort: the effort.
+    """
+    low, high = claim_bounds(sampling, "missing", 0, effort.domain.low, effort.domain.high)
+    domain = effort.domain._replace(low=low, high=high)
+    reach = unit_reach([claim.square for claim in claims if claim.kind == "reach"])
+    n = len(reach)
+    # With square = 1 and limit = 0 the first block is g − DᵀgD, and the last −WgW.
+    graph = missing_bound(system, 1.0, 0.0, reach).graph(jnp.asarray(high)).entries
+    blocks = np.asarray(numbers(graph, random_points(np.random.default_rng(0), domain, POINTS)))
+    blocks = blocks.reshape(-1, 3 * n, 3 * n)
+    weighted = -blocks[:, 2 * n :, 2 * n :]
+    metric = weighted / np.outer(reach, reach)
+    inner = np.linalg.inv(np.linalg.cholesky(metric))
+    ratio = inner @ (metric - blocks[:, :n, :n]) @ np.swapaxes(inner, 1, 2)
+    square, length = (float(np.linalg.eigvalsh(each)[:, -1].max()) for each in (ratio, weighted))
+    square, limit = WIDER * max(square, TINY), math.sqrt(WIDER * n * length)
+    what = "what predictions lack"
+    proof = effort.prove(what, missing_bound(system, square, limit, reach), domain)
+    for _ in range(SEARCHES):  # where a point is worse than all that were sampled
+        if proof.counterexample is None:
+            break
+        square, limit = 2 * square, 2 * limit
+        proof = effort.prove(what, missing_bound(system, square, limit, reach), domain)
+    return Claim("missing", proof, 0, square, limit)

@@ -121,7 +121,7 @@ class SampledMetric:
             ImportError: the solver clarabel is missing.
         """
         rng = np.random.default_rng(0)  # fixed, so that equal regions have equal metrics
-        flow, step = self._flow_points(_drawn(rng, domain, POINTS)), self._step_points(self._aged(rng, domain, POINTS))
+        flow, step = self._both(rng, domain, POINTS)
         for kind, z in self.wrong:
             if kind == "contraction":
                 flow = flow.joined(self._flow_points(z[None]))
@@ -133,7 +133,10 @@ class SampledMetric:
             if solution is None:
                 return Found(self.root @ self.root, np.zeros((DEGREE, 2, 2)), -np.inf)
             x = solution
-            more = self._flow_points(_drawn(rng, domain, TRIED)), self._step_points(self._aged(rng, domain, TRIED))
+            more = (
+                self._flow_points(random_points(rng, domain, TRIED)),
+                self._step_points(self._aged(rng, domain, TRIED)),
+            )
             least = [np.linalg.eigvalsh(self._form(x, points))[:, 0] for points in more]
             margin = min(float(values.min()) for values in least)
             if x[-1] <= 0 or margin > SHARE * x[-1]:
@@ -146,9 +149,13 @@ class SampledMetric:
         r = [(each + each.T) / 2 for each in r]
         return Found(r[0], np.array(r[1:]), margin)
 
+    def _both(self, rng: np.random.Generator, domain: Box, count: int) -> tuple[_Points, _Points]:
+        """Both inequalities at random points."""
+        return self._flow_points(random_points(rng, domain, count)), self._step_points(self._aged(rng, domain, count))
+
     def _aged(self, rng: np.random.Generator, domain: Box, count: int) -> np.ndarray:
         """Random points of the domain at ages of a correction."""
-        z, ages = _drawn(rng, domain, count), self.sampling.ages
+        z, ages = random_points(rng, domain, count), self.sampling.ages
         share = rng.uniform(size=count)
         share[::2] = np.round(share[::2])
         low, high = ages[rng.integers(len(ages), size=count)].T
@@ -206,8 +213,14 @@ class SampledMetric:
         return minimise(-np.eye(d)[-1], forms)
 
 
-def _drawn(rng: np.random.Generator, domain: Box, count: int) -> np.ndarray:
-    """Random points of a box, every second one a corner."""
+def random_points(rng: np.random.Generator, domain: Box, count: int) -> Float[np.ndarray, "count d"]:
+    """Draw points of a box, every second one a corner.
+
+    Args:
+        rng: the source of random numbers.
+        domain: the box.
+        count: number of points.
+    """
     share = rng.uniform(size=(count, len(domain.low)))
     share[::2] = np.round(share[::2])
     return domain.low + share * (domain.high - domain.low)

@@ -86,6 +86,10 @@ def sampled_system(observer: Intrinsics, q: TwoByTwo, sampling: Sampling) -> Err
             t = jnp.zeros((), z.dtype)
             return jnp.concatenate(bare.smooth_correction(t, x[:n], x[n:], force, place - error, age[0]))
 
+        def missing(x):
+            t = jnp.zeros((), z.dtype)
+            return bare.missing_acceleration(t, x[:n], x[n:], force, place - error)[1]
+
         x = jnp.concatenate([place, velocity])
         metric = aged_metric(bare.model, q, sampling, age[0], running)
         return Point(
@@ -96,6 +100,8 @@ def sampled_system(observer: Intrinsics, q: TwoByTwo, sampling: Sampling) -> Err
             lambda: -jnp.eye(n, dtype=z.dtype),
             corrected,
             aged_metric(bare.model, q, sampling, jnp.zeros((), z.dtype), running),
+            missing,
+            model.space,
         )
 
     names, units = model.coordinates, model.units or ("",) * n

@@ -128,13 +128,30 @@ class Intrinsic(AbstractMechanicalObserver):
 
     def correct(self, state: SampledState, u: Float[Array, "m"], y: Array) -> tuple[SampledState, Info]:
         (q, v, t), waited = state[:3], time_since_measurement(state)
-        xi, drive = self.measured_error(t, q, v, u, y)
-        missing = drive - source(self.model, t, q, u)  # acceleration missing in the prediction, which used S(q̂)
+        xi, missing = self.missing_acceleration(t, q, v, u, y)
         correction = sampled_correction(self.model.space, Motion(q, v), self.alpha, self.beta, waited, xi, missing)
         new_q, new_v = self.moved(q, v, -correction.part * xi, correction.velocity)
         result = outcome(new_q, new_v, y, step_result(correction, uniqueness(self.model, q, y)))
         info = Info(self.innovation(state, u, y), self.model.space.norm(q, xi), result)
         return state._replace(q=new_q, v=new_v, age=aged(self.model, state, y)), info
+
+    def missing_acceleration(
+        self, t: Scalar, q: Array, v: Vector, u: Float[Array, "m"], y: Array
+    ) -> tuple[Vector, Vector]:
+        """Compute the error, and the acceleration that a prediction lacks, since it uses S at the estimate.
+
+        Args:
+            t: Time [s].
+            q: Estimated configuration.
+            v: Estimated velocity (n,).
+            u: Input (m,).
+            y: Measurement.
+
+        Returns:
+            The error ξ (n,) at q̂, and the acceleration (n,), to first order −Nξ with N = ∇S − R(·, v̂)v̂.
+        """
+        xi, drive = self.measured_error(t, q, v, u, y)
+        return xi, drive - source(self.model, t, q, u)
 
     def moved(self, q: Array, v: Vector, displacement: Vector, velocity: Vector) -> Motion:
         """Displace an estimate, and change its velocity.
@@ -168,9 +185,8 @@ class Intrinsic(AbstractMechanicalObserver):
         Returns:
             The corrected motion.
         """
-        xi, drive = self.measured_error(t, q, v, u, y)
+        xi, missing = self.missing_acceleration(t, q, v, u, y)
         k1, k2 = sampled_gains(self.alpha, self.beta, age)
-        missing = drive - source(self.model, t, q, u)
         return self.moved(q, v, -k1 * xi, acceleration_gain(k1, k2, age) * missing - k2 * xi)
 
     def measured_error(self, t: Scalar, q: Array, v: Vector, u: Float[Array, "m"], y: Array) -> tuple[Vector, Vector]:
