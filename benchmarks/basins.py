@@ -6,7 +6,8 @@ and 2 rad/s. It converges if the error is below .01 rad, m, rad/s and m/s after 
 multiple, in steps of √2 up to 128, up to which all converge.
 
 The gains are α = 2ω, β = ω², as for figure 4, with ω a multiple of the case's slowest. The Kalman filter is told the
-noise for which its bandwidth is ω in the end. The samples are exact, and all observers know the model.
+noise for which its bandwidth is ω in the end, and a first velocity error of 2. The samples are exact, and all observers
+know the model. A star marks a basin with holes, where larger errors converge too.
 
 Run `python benchmarks/basins.py` from the repository's root, with the name of one case or none.
 """
@@ -131,7 +132,7 @@ def basin(errors: np.ndarray) -> str:
     """Largest scale up to which all errors are small."""
     fine = np.isfinite(errors) & (errors < 0.01)
     held = int(np.argmin(fine)) if not fine.all() else len(fine)
-    more = " (and some larger)" if fine[held:].any() else ""
+    more = "*" if fine[held:].any() else ""
     return ("none" if held == 0 else f"{SCALES[held - 1]:.3g}" + (" or more" if held == len(fine) else "")) + more
 
 

@@ -22,9 +22,9 @@ from ._high_gain import HighGain as HighGain
 from ._implicit_geodesic import ImplicitGeodesic as ImplicitGeodesic
 from ._implicit_limits import (
     CurvedErrors as CurvedErrors,
-    Decay as Decay,
     ImplicitGains as ImplicitGains,
     PartLimits as PartLimits,
+    ProvedDecay as ProvedDecay,
     implicit_gains as implicit_gains,
     longest_interval as longest_interval,
     part_limits as part_limits,

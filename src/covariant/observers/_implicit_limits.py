@@ -28,7 +28,6 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import minimize_scalar
 
 
 class CurvedErrors(NamedTuple):
@@ -74,7 +73,7 @@ class PartLimits(NamedTuple):
     after: float
 
 
-class Decay(NamedTuple):
+class ProvedDecay(NamedTuple):
     """Rate at which an error is proved to fall, with the metric that proves it.
 
     Attributes:
@@ -284,7 +283,7 @@ def proved_decay(
     k_plus: float,
     friction: tuple[float, float] = (0.0, 0.0),
     curved: CurvedErrors | None = None,
-) -> Decay:
+) -> ProvedDecay:
     """Rate at which the error is proved to fall from sample to sample.
 
     Args:
@@ -317,16 +316,18 @@ def proved_decay(
     _check("proved_decay", sigma, k_minus, k_plus, 0.0, friction, h)
     left, added = (abs(1 - part), 0.0) if curved is None else _correction(part, sigma, curved)
 
-    def decay(rho: float) -> Decay:
+    def decay(rho: float) -> ProvedDecay:
         weight = _weight(sigma, rho, (k_minus, k_plus), friction)
         if h >= weight.longest():
-            return Decay(-math.inf, math.nan, math.nan)
+            return ProvedDecay(-math.inf, math.nan, math.nan)
         before, after = _best(weight, h, sigma, lambda m0, m: 1 / _growth(m0, m, left, added))
-        return Decay(rho - math.log(_growth(before, after, left, added)) / (2 * h), before, after)
+        return ProvedDecay(rho - math.log(_growth(before, after, left, added)) / (2 * h), before, after)
 
     tried = [decay(sigma * i / 40) for i in range(40)]
     best = max(range(40), key=lambda i: tried[i].rate)
     around = (1 - 1e-9) * sigma * np.array([max(best - 1, 0), best + 1]) / 40
+
+    from scipy.optimize import minimize_scalar
 
     def loss(rho: float) -> float:
         return -max(decay(rho).rate, -1e9)  # finite, for the parabolas of the search
@@ -391,6 +392,8 @@ def _fastest(h: float, sigma: float, k_minus: float, k_plus: float, friction: tu
 
 def _best(weight: _Weight, h: float, sigma: float, merit) -> tuple[float, float]:
     """Weights m₀ and m_h of the largest merit, which has one maximum in log m₀."""
+    from scipy.optimize import minimize_scalar
+
     scale = math.log(sigma**2 + max(abs(corner.a) for corner in weight.corners))
 
     def loss(x: float) -> float:
