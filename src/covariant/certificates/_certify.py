@@ -118,8 +118,10 @@ def certify(
 
     Raises:
         ValueError: an argument without its bound, an error up to which a logarithm is not unique, friction or force
-            that are not covered, a `q` that is not symmetric positive definite, or another word for `checker`.
+            that are not covered, a `q` that is not symmetric positive definite, or another word for `checker`; with
+            `interval`, two times that are not positive and in order, `q`, noise or a disturbance.
         TypeError: another kind of observer.
+        ImportError: with `interval`, the solver clarabel is missing.
     """
     if checker not in CHECKERS:
         raise ValueError(f"certify: checker must be one of {', '.join(CHECKERS)}; got {checker!r}")
@@ -161,7 +163,7 @@ def certify(
             and observer.order == 1
             and len(corrections) > sampling.lost
         ):
-            claims.append(missing_claim(system, sampling, claims, effort))
+            claims.append(missing_claim(system, sampling, matrix, target, claims, effort))
         radius = _radius(claims, limits, steady_distance(target, disturbance_length(bounds, claims)))
     facts = Contraction(target, radius, observer, matrix, domain, assumed.velocity, bounds, claims, recipe, sampling)
     statement = contraction_statement(facts, "proved")

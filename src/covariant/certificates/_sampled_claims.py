@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from covariant._typing import Numbers
 from covariant.certificates._claims import Claim
-from covariant.certificates._document import MOST_LOST, Kind, Sampling, claim_bounds, unit_reach
+from covariant.certificates._document import MOST_LOST, Kind, Loss, Sampling, claim_bounds, unit_reach
 from covariant.certificates._effort import Effort
 from covariant.certificates._error_system import ErrorSystem
 from covariant.certificates._inequalities import contraction, correction, missing_bound
@@ -24,8 +24,10 @@ from covariant.proofs import LETTERS, Box
 
 SEARCHES = 4
 """How often the metric is searched again with the counter-examples of a proof."""
-WIDER, TINY = 1.3, 1e-12
-"""Factor of margin on sampled squares, so that they can be proved quickly, and a square for what is zero."""
+WIDER, TINY = (64.0, 16.0, 4.0, 2.0, 1.3), 1e-12
+"""Factors of margin on sampled squares, so that they can be proved quickly, and a square for what is zero."""
+LITTLE = 0.02
+"""Fraction of the rate that a wider bound may take."""
 POINTS = 2000
 """Number of points at which they are sampled."""
 ENOUGH = 0.5
@@ -165,12 +167,16 @@ def _prove(system: ErrorSystem, sampling: Sampling, rate: float, effort: Effort)
     return claims
 
 
-def missing_claim(system: ErrorSystem, sampling: Sampling, claims: Sequence[Claim], effort: Effort) -> Claim:
+def missing_claim(
+    system: ErrorSystem, sampling: Sampling, q: TwoByTwo, rate: float, claims: Sequence[Claim], effort: Effort
+) -> Claim:
     """Prove a bound of the acceleration that a prediction lacks, and of the position error.
 
     Args:
         system: the system.
         sampling: the samples.
+        q: R_0 (2, 2).
+        rate: rate λ of squared lengths [1/s].
         claims: the other claims, of which those on reach are used.
         effort: the effort.
     """
@@ -187,7 +193,11 @@ def missing_claim(system: ErrorSystem, sampling: Sampling, claims: Sequence[Clai
     inner = np.linalg.inv(np.linalg.cholesky(metric))
     ratio = inner @ (metric - blocks[:, :n, :n]) @ np.swapaxes(inner, 1, 2)
     square, length = (float(np.linalg.eigvalsh(each)[:, -1].max()) for each in (ratio, weighted))
-    square, limit = WIDER * max(square, TINY), math.sqrt(WIDER * n * length)
+    limit = math.sqrt(WIDER[-1] * n * length)
+    squares = [factor * max(square, TINY) for factor in WIDER]
+    # The widest bound that takes little of the rate needs the fewest boxes.
+    affordable = [each for each in squares if Loss.of(sampling, q, rate, each, limit).rate < LITTLE * rate / 2]
+    square = affordable[0] if affordable else squares[-1]
     what = "what predictions lack"
     proof = effort.prove(what, missing_bound(system, square, limit, reach), domain)
     for _ in range(SEARCHES):  # where a point is worse than all that were sampled
