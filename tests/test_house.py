@@ -105,7 +105,7 @@ PUBLIC = {
     "craft_observer external_force noise_step AbstractForceObserver ForceState InverseDynamics MomentumObserver "
     "observed_forces AbstractWrapper Instant Sensor SensorInfo accelerometer encoder gyro point_sensor pose_sensor "
     "tachometer Damped DampedInfo DampedState ReducedOrder ReducedOrderState damping_margin ImplicitGeodesic "
-    "CurvedErrors Decay ImplicitGains PartLimits implicit_gains longest_interval part_limits proved_decay "
+    "CurvedErrors ImplicitGains PartLimits implicit_gains longest_interval part_limits proved_decay "
     "ProvedDecay "
     "lyapunov_gains lyapunov_rate needed_substeps notch_gains printed_rate run second_order sensor_bias smooth "
     "uncertain_parameters with_fixed_substeps wrench",
