@@ -1,6 +1,7 @@
 """The sampled step contracts where its certificate says so, and nothing else is proved or accepted."""
 
 import dataclasses
+import functools
 import json
 from fractions import Fraction
 
@@ -226,18 +227,26 @@ def test_where_simulation_grows_nothing_is_proved():
     assert result.radius == 0.0
 
 
-def runs(observer, interval, lost, start, error, steps, rng, limit):
-    """Distances of a run of the shipped step from the truth, in the metric of a certificate, after each sample."""
-    n = len(start) // 2
+@functools.cache
+def compiled(substeps):
+    """The true motion, and the step that runs."""
+    observer = pendulum(substeps=substeps)
     fine = dataclasses.replace(observer, substeps=64)
 
     @jax.jit
     def advance(x, u, dt):
+        n = x.shape[0] // 2
         state = fine.init(x[:n])._replace(q=x[:n], v=x[n:])
         new = fine.predict(state, u, dt)
         return jnp.concatenate([new.q, new.v])
 
-    step = jax.jit(observer.step)
+    return advance, jax.jit(observer.step)
+
+
+def runs(observer, interval, lost, start, error, steps, rng, limit):
+    """States of a run of the pendulum's step and of the truth after each sample, with stamps and what was lost."""
+    n = len(start) // 2
+    advance, step = compiled(observer.substeps)
     x, estimate = jnp.asarray(start), jnp.asarray(start + error)
     state = observer.init(estimate[:n])._replace(q=estimate[:n], v=estimate[n:], age=jnp.zeros(()))
     history, missed = [], 0
@@ -253,11 +262,14 @@ def runs(observer, interval, lost, start, error, steps, rng, limit):
     return history
 
 
-def lengths(certificate, history):
+def metric_of(certificate):
+    """The metric M_0 as a function of the state."""
+    nowhere = jnp.zeros(len(certificate.domain.low))
+    return jax.jit(lambda x: certificate.error_system.at(nowhere).metric(jnp.zeros(()), x))
+
+
+def lengths(certificate, history, metric):
     """Lengths of the segments from truth to estimate after each measurement, and the time since the start."""
-    metric = jax.jit(
-        lambda x: certificate.error_system.at(jnp.zeros(len(certificate.domain.low))).metric(jnp.zeros(()), x)
-    )
     time, result = 0.0, []
     for dt, missing, x, estimate in history:
         time += dt
@@ -270,15 +282,14 @@ def lengths(certificate, history):
 
 
 def test_falsification_runs_find_nothing_in_what_is_proved(proved):
-    rng = np.random.default_rng(3)
+    rng, metric = np.random.default_rng(3), metric_of(proved)
     tried = 0
     for _ in range(40):
         start = np.array([rng.uniform(-2.5, 2.5), rng.uniform(-3.0, 3.0)])
         direction = rng.normal(size=2)
-        metric = np.asarray(proved.error_system.at(jnp.zeros(7)).metric(jnp.zeros(()), jnp.asarray(start)))
-        error = 0.9 * proved.radius * direction / np.sqrt(direction @ metric @ direction)
+        error = 0.9 * proved.radius * direction / np.sqrt(direction @ np.asarray(metric(start)) @ direction)
         history = runs(proved.observer, (0.005, 0.05), 0, start, error, 25, rng, np.array([3.0, 4.0]))
-        for time, length in lengths(proved, history):
+        for time, length in lengths(proved, history, metric):
             tried += 1
             assert length <= 0.9 * proved.radius * np.exp(-proved.decay * time) * 1.001
     assert tried > 300
@@ -294,12 +305,12 @@ def test_lost_samples_are_covered(tmp_path):
     assert kinds == ["contraction", "reach", "reach", "correction", "correction", "missing"]
     path = result.save(tmp_path / "lost.json")
     assert check(path).statement.proved
-    rng = np.random.default_rng(4)
+    rng, metric = np.random.default_rng(4), metric_of(result)
     for _ in range(10):
         history = runs(
             observer, (0.018, 0.02), 1, np.array([0.5, 1.0]), np.array([0.005, 0.02]), 30, rng, np.array([3.0, 4.0])
         )
-        measured = lengths(result, history)
+        measured = lengths(result, history, metric)
         assert measured[-1][1] <= measured[0][1] * np.exp(-result.decay * (measured[-1][0] - measured[0][0]))
 
 
@@ -397,7 +408,7 @@ FORGERIES = {
 
 @pytest.mark.parametrize("name", FORGERIES)
 def test_a_forged_file_is_refused_with_the_reason(saved, tmp_path, monkeypatch, name):
-    monkeypatch.setattr(_check, "DEPTH", 3)
+    monkeypatch.setattr(_check, "DEPTH", 1)
     change, reason = FORGERIES[name]
     with pytest.raises(ValueError, match=reason):
         check(forged(saved, tmp_path, change))
@@ -453,7 +464,7 @@ MUTANTS = {
 
 @pytest.mark.parametrize("name", MUTANTS)
 def test_every_mutant_dies_in_prover_and_checker(proved, monkeypatch, name):
-    monkeypatch.setattr(_check, "DEPTH", 3)
+    monkeypatch.setattr(_check, "DEPTH", 1)
     kind, change = MUTANTS[name]
     if not isinstance(change, str):
         assert_dies(proved, change(proved.observer, proved), kind)
