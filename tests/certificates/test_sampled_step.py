@@ -36,6 +36,7 @@ from covariant.proofs.checker import leaves
 LONG = (
     "test_falsification_runs_find_nothing_in_what_is_proved",
     "test_lost_samples_are_covered",
+    "test_lengths_change_between_samples_as_the_matrix_says[True]",
     "test_prover_and_checker_form_the_same_matrices[True]",
     "test_the_checker_accepts_what_is_proved_at_once",
     "test_a_forged_file_is_refused_with_the_reason[gain]",
@@ -169,6 +170,34 @@ def test_the_jacobians_in_the_frames_are_those_of_differences_of_the_step():
     final = numbers(jacobian.entries, point(at_end, h)).reshape(2 * n, 2 * n) @ transition
     # Columns of ξ and ζ have different units: each is compared with its own size.
     assert (np.abs(final - shipped).max(0) < 1e-4 * np.abs(shipped).max(0)).all()
+
+
+@pytest.mark.parametrize("shear", [False, True])
+def test_lengths_change_between_samples_as_the_matrix_says(shear):
+    """The rate of change of a squared length in M_τ along the prediction that runs, by differences."""
+    observer, n, age = two_links(), 2, 0.003
+    system, model = sampled_system(observer, Q, SHEARED._replace(shear=shear)), observer.model
+    rng = np.random.default_rng(2)
+    x, force, direction = jnp.asarray([0.4, -0.7, 0.8, -0.5]), jnp.asarray([0.05, -0.02]), rng.normal(size=2 * n)
+    friction, v = lambda v: model.dissipation(x[:n], v), x[n:]
+    slopes = -np.diag(np.asarray(jax.jacfwd(friction)(v)))
+    z = np.concatenate([x, np.zeros(n), force, np.asarray(force + friction(v)), slopes, [age]])
+    metric = system.at(jnp.asarray(z)).metric
+
+    def predicted(x, tau):
+        after = observer.predict(observer.init(x[:n])._replace(q=x[:n], v=x[n:]), force, tau)
+        return jnp.concatenate([after.q, after.v])
+
+    @jax.jit
+    def squared(tau):
+        moved, delta = jax.jvp(lambda x: predicted(x, tau), (x,), (jnp.asarray(direction),))
+        return delta @ metric(tau, moved) @ delta
+
+    width = 1e-4
+    change = float(squared(jnp.asarray(width)) - squared(jnp.asarray(-width))) / (2 * width)
+    in_frame = np.asarray(metric.coframe(jnp.zeros(()), x)) @ direction
+    matrix = numbers(contraction(system, 0.0).graph(jnp.asarray(z)).entries, z).reshape(2 * n, 2 * n)
+    assert abs(change + in_frame @ matrix @ in_frame) < 1e-4 * abs(change)
 
 
 @pytest.mark.parametrize("shear", [False, True])
