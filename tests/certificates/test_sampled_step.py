@@ -191,7 +191,9 @@ def test_lengths_change_between_samples_as_the_matrix_says(shear):
     @jax.jit
     def squared(tau):
         moved, delta = jax.jvp(lambda x: predicted(x, tau), (x,), (jnp.asarray(direction),))
-        return delta @ metric(tau, moved) @ delta
+        # The metric of the later age, not that of a later time: the two must be the same.
+        later = system.at(jnp.asarray(z).at[-1].add(tau)).metric
+        return delta @ later(jnp.zeros(()), moved) @ delta
 
     width = 1e-4
     change = float(squared(jnp.asarray(width)) - squared(jnp.asarray(-width))) / (2 * width)
