@@ -38,13 +38,12 @@ from covariant.certificates._inequalities import contraction, disturbance_bound,
 from covariant.certificates._intrinsic import Intrinsics, check_unique, error_system
 from covariant.certificates._joint_bounds import joint_bounds
 from covariant.certificates._noise import steady_distance
-from covariant.certificates._sampled_claims import check_sampling, missing_claim, sampled_claims, sampled_given
+from covariant.certificates._sampled_claims import check_sampling, missing_claims, sampled_claims, sampled_given
 from covariant.certificates._saved import observer_document
 from covariant.certificates._tangent_metric import TwoByTwo, check_q, error_matrix, optimal_lyapunov, rate_of
 from covariant.geometry.lie import SO2, SO3
 from covariant.lowering import Lowered, lower, numbers
 from covariant.models import MechanicalSystem, input_count
-from covariant.observers import Intrinsic
 from covariant.proofs import MOST_BOXES, Box, check_box
 
 Bounds = tuple[ArrayLike, ArrayLike]
@@ -157,13 +156,8 @@ def certify(
                 Claim("disturbance", effort.prove("noise", disturbance_bound(system, sizes, square)), 0, square)
             )
         claims += corrections
-        if (
-            sampling is not None
-            and isinstance(observer, Intrinsic)
-            and observer.order == 1
-            and len(corrections) > sampling.lost
-        ):
-            claims.append(missing_claim(system, sampling, matrix, target, claims, effort))
+        if sampling is not None and len(corrections) > sampling.lost:
+            claims += missing_claims(observer, system, sampling, matrix, target, claims, effort)
         radius = _radius(claims, limits, steady_distance(target, disturbance_length(bounds, claims)))
     facts = Contraction(target, radius, observer, matrix, domain, assumed.velocity, bounds, claims, recipe, sampling)
     statement = contraction_statement(facts, "proved")

@@ -167,19 +167,31 @@ def _prove(system: ErrorSystem, sampling: Sampling, rate: float, effort: Effort)
     return claims
 
 
-def missing_claim(
-    system: ErrorSystem, sampling: Sampling, q: TwoByTwo, rate: float, claims: Sequence[Claim], effort: Effort
-) -> Claim:
+def missing_claims(
+    observer: Intrinsics,
+    system: ErrorSystem,
+    sampling: Sampling,
+    q: TwoByTwo,
+    rate: float,
+    claims: Sequence[Claim],
+    effort: Effort,
+) -> list[Claim]:
     """Prove a bound of the acceleration that a prediction lacks, and of the position error.
 
     Args:
+        observer: the observer.
         system: the system.
         sampling: the samples.
         q: R_0 (2, 2).
         rate: rate λ of squared lengths [1/s].
         claims: the other claims, of which those on reach are used.
         effort: the effort.
+
+    Returns:
+        One claim, or none for errors of second order, whose lengths it does not concern.
     """
+    if isinstance(observer, Intrinsic) and observer.order != 1:
+        return []
     low, high = claim_bounds(sampling, "missing", 0, effort.domain.low, effort.domain.high)
     domain = effort.domain._replace(low=low, high=high)
     reach = unit_reach([claim.square for claim in claims if claim.kind == "reach"])
@@ -205,4 +217,4 @@ def missing_claim(
             break
         square, limit = 2 * square, 2 * limit
         proof = effort.prove(what, missing_bound(system, square, limit, reach), domain)
-    return Claim("missing", proof, 0, square, limit)
+    return [Claim("missing", proof, 0, square, limit)]
