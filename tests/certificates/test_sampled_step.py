@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+import covariant
 from covariant import models
 from covariant.certificates import (
     ContractionCertificate,
@@ -592,3 +593,24 @@ def test_a_double_pendulum_with_dry_friction_is_proved_at_500_hz():
         checker="off",
     )
     assert result.statement.verdict == "holds", result.statement
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"rate": 1000.0}, r"samples 0\.005 to 0\.05 s apart, and at 1000 Hz they are 0\.001 s apart"),
+        ({"rate": 100.0}, r"for 4 Runge–Kutta steps in each sample; what is written takes 1"),
+        ({"rate": 100.0, "alpha": 11.0}, r"alpha = 10, beta = 50; the observer has 11, 50"),
+    ],
+)
+def test_an_export_at_another_rate_or_with_other_numbers_refuses_it(options, words, saved, tmp_path):
+    """The file is of an observer with four steps a sample; at 100 Hz one is enough for the code."""
+    model = tmp_path / "pendulum.toml"
+    model.write_text('system = "pendulum_chain"\n[parameters]\nmass = [1.0]\nlength = [0.5]\n')
+    content = json.loads(saved.read_text(encoding="utf-8"))
+    content["recipe"] = models.recipe(str(model))
+    content.pop("digest")
+    (tmp_path / "file.json").write_text(json.dumps(content | {"digest": digest(content)}))
+    gains = {"alpha": 10.0, "beta": 50.0} | options
+    with pytest.raises(ValueError, match=words):
+        covariant.export(model, tmp_path / "c", certificate=tmp_path / "file.json", audit=False, **gains)

@@ -136,9 +136,9 @@ def export(
         exported = state_observer(label, file, observer, gains, rate, certificate, metric)
     prefix = name or _identifier(file.name)
     description = f"{exported.name} observer of {file.name}. {exported.design}"
-    proved = "" if certificate is None else _certified(Path(certificate), model, overrides, exported)
     # A simulator asks a unit for steps of any length; firmware has one step length, and must do the same work in each.
     fixed = exported.observer if unit else _of_fixed_length(exported, rate, file)
+    proved = "" if certificate is None else _certified(Path(certificate), model, overrides, exported, fixed, rate)
     informed = any(entry.name == exported.name and entry.knows_model for entry in REGISTRY)
     # Only an observer with a model can predict from the time of a late reading to the present.
     parts = file_sensors(file) if file.mechanical else ()
@@ -392,7 +392,9 @@ def _measured(model: MechanicalSystem, n: int) -> np.ndarray:
     return np.stack([np.asarray(manifold.retract(manifold.origin(), jnp.asarray(s))) for s in swing])
 
 
-def _certified(path: Path, model: Any, overrides: Overrides, exported: Exported) -> str:
+def _certified(
+    path: Path, model: Any, overrides: Overrides, exported: Exported, fixed: AbstractObserver, rate: float
+) -> str:
     """Lines on what a saved certificate says of this observer; raises `ValueError` where it is of another."""
     document, name = certificates.parse(path), models.spec_name(model)
     observer, kind = exported.observer, exported.name
@@ -407,13 +409,21 @@ def _certified(path: Path, model: Any, overrides: Overrides, exported: Exported)
             f"{path}: the certificate is for alpha = {saved[0]:g}, beta = {saved[1]:g}; the observer has {gains[0]:g}, "
             f"{gains[1]:g}; give these as alpha and beta"
         )
-    time = "in continuous time" if document.sampling is None else "with sampled measurements"
-    substeps = None if document.sampling is None else document.sampling.substeps
-    if substeps is not None and substeps != getattr(observer, "substeps", None):
-        raise ValueError(
-            f"{path}: the certificate is for {substeps} Runge–Kutta steps between samples; the observer has "
-            f"{getattr(observer, 'substeps', None)}"
-        )
+    sampling = document.sampling
+    time = "in continuous time" if sampling is None else "with sampled measurements"
+    if sampling is not None:
+        shortest, longest = sampling.interval.tolist()
+        if not shortest <= 1 / rate <= longest:
+            raise ValueError(
+                f"{path}: the certificate is for samples {shortest:g} to {longest:g} s apart, and at {rate:g} Hz they "
+                f"are {1 / rate:g} s apart"
+            )
+        steps = getattr(fixed, "substeps", None)
+        if sampling.substeps not in (None, steps):
+            raise ValueError(
+                f"{path}: the certificate is for {sampling.substeps} Runge–Kutta steps in each sample; what is written "
+                f"takes {steps}"
+            )
     attribute = document.recipe.get("attribute")  # code that is trusted: the exported model was just built with it
     checked = certificates.check(document, model=attribute)
     return "\n".join(
