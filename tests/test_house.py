@@ -124,9 +124,10 @@ PUBLIC = {
     "observe sense set_point simulate simulate_piecewise stamps",
     "workflow": "AbstractResult AbstractTable AuditResult CertificateCheckResult CertifyResult CheckResult "
     "CompareForceResult CompareResult Determinacy EstimateResult ExcitationResult ExportResult FitResult InitResult "
-    "MetricResult MisfitError ModelResult Progress Pushes ReproduceResult SimulateResult SmoothResult TuneResult "
-    "audit_observer certify check check_certificate check_model_output check_output compare compare_force "
-    "describe_model design_excitation design_metric estimate export fit init reproduce_paper simulate smooth tune",
+    "MetricResult MisfitError ModelResult Progress Pushes ReducedOrderResult ReproduceResult SimulateResult "
+    "SmoothResult TuneResult audit_observer certify check check_certificate check_model_output check_output "
+    "compare compare_force describe_model design_excitation design_metric design_reduced_order estimate export "
+    "fit init reproduce_paper simulate smooth tune",
 }
 
 

@@ -1,5 +1,8 @@
 """Reduced-order observers: what is proved of them is what they do, from any distance, and what cannot be is said."""
 
+import json
+import sys
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -7,8 +10,10 @@ import pytest
 
 from covariant import Record, models, observers
 from covariant.certificates import _reduced_order, reduced_order
+from covariant.cli import main
 from covariant.observers import Contracting, ReducedOrder
 from covariant.signals import Result
+from covariant.workflow import design_reduced_order
 
 BOXES = {
     "lorenz": (1.0, {}),
@@ -210,3 +215,18 @@ def test_the_velocity_of_a_pendulum_is_found_from_any_distance():
     design = reduced_order(arm, 2.0, box=[(-3.2, 3.2), (-5.0, 5.0)], inputs=[(-5.0, 5.0)])
     assert design.statement.proved
     assert design.everywhere, "one joint has no forces of its velocity"
+
+
+def test_the_command_prints_what_is_proved(monkeypatch, capsys):
+    words = ("design", "reduced-order", "duffing", "--rate", "1", "--inputs", "u1=-1:1", "--json")
+    monkeypatch.setattr(sys, "argv", ["covariant", *words])
+    with pytest.raises(SystemExit) as left:
+        main()
+    assert left.value.code == 0
+    printed = json.loads(capsys.readouterr().out)
+    assert printed["statement"]["verdict"] == "holds"
+    assert (printed["measured"], printed["unmeasured"]) == (["q"], ["q_dot"])
+    with pytest.raises(ValueError, match="inputs: there is no input 'u2'"):
+        design_reduced_order("duffing", rate=1.0, inputs={"u2": (0.0, 1.0)})
+    with pytest.raises(ValueError, match="on a group"):
+        design_reduced_order("heavy_top", rate=1.0)

@@ -198,12 +198,17 @@ class _Split(NamedTuple):
         if not rest:
             raise ValueError("reduced_order: all states are measured; there is nothing to estimate")
         names = ("t", *model.coordinates, *(f"u{i + 1}" for i in range(model.inputs)))
-        units = ("s", *(model.units or ("",) * n), *("",) * model.inputs)
+        units = ("s", *("" if unit == "1" else unit for unit in model.units or ("",) * n), *("",) * model.inputs)
         return cls(model, tuple(at), rest, names, units, bounds[:, 0], bounds[:, 1])
 
     @property
     def n(self) -> int:
         return len(self.measured) + len(self.unmeasured)
+
+    @property
+    def motion(self) -> str:
+        """The box of true motions, in words."""
+        return f"true motions: {Box(self.names[1:], self.units[1:], self.low[1:], self.high[1:])}"
 
     @property
     def scales(self) -> tuple[np.ndarray, np.ndarray]:
@@ -300,7 +305,7 @@ def _statement(
         Hypothesis(f"the motion stays in the box; estimates may be {where}", "assumed"),
         Hypothesis("the output is known at all times, and without noise", "assumed"),
     )
-    about = (f"L = {injection.tolist()}", f"P = {metric.tolist()}", f"w = z - Ly, {_named(split)}")
+    about = (f"L = {injection.tolist()}", f"P = {metric.tolist()}", f"w = z - Ly, {_named(split)}", split.motion)
     return Statement(claim, about, hypotheses, rate, str(proof.box.free))
 
 
@@ -346,7 +351,11 @@ def _impossible(
         f"{at}, along ({along})",
     )
     claim = f"squared distances of some reduced-order observer with a constant metric shrink at {rate:g} 1/s"
-    about = (_named(split), "along that direction the outputs do not change, and it grows at its margin [1/s]")
+    about = (
+        _named(split),
+        "along that direction the outputs do not change, and it grows at its margin [1/s]",
+        split.motion,
+    )
     statement = Statement(
         claim, about, (reason,), value, str(split.domain(split.used()).free), tuple(point[1:].tolist())
     )

@@ -1,4 +1,4 @@
-"""The commands that design something: a metric, or a motion, and their options."""
+"""The commands that design something: a metric, an injection, or a motion, and their options."""
 
 import sys
 from pathlib import Path
@@ -16,7 +16,7 @@ from covariant.workflow import check_output
 design = typer.Typer(
     no_args_is_help=True,
     rich_markup_mode=None,
-    help="Design what an observer needs: a metric, or a motion that shows numbers of a robot.",
+    help="Design what an observer needs: a metric, an injection, or a motion that shows numbers of a robot.",
 )
 
 
@@ -144,3 +144,30 @@ def excitation(
             progress=progress,
         )
     show(result, json, out, figure=figure, overwrite=overwrite)
+
+
+@design.command()
+def reduced_order(
+    model: Model,
+    rate: Annotated[float, typer.Option(help="Rate [1/s] at which squared distances decrease.")],
+    region: Annotated[
+        str | None,
+        typer.Option("--region", "--box", help="Ends of the states, as x1=0:1; those not named are the model's own."),
+    ] = None,
+    inputs: Annotated[str | None, typer.Option(help="Ends of the inputs, as u1=-1:1; zero by default.")] = None,
+    full: Annotated[bool, typer.Option("--full", help="Find a gain of the full observer as well.")] = False,
+    override: Override = [],  # noqa: B006  typer copies it
+    json: Json = False,
+) -> None:
+    """Design an observer of the states that are not measured, and prove that it converges from any distance."""
+    with progress_bar(json) as progress:
+        result = workflow.design_reduced_order(
+            model,
+            rate=rate,
+            region=interval_map("region", region),
+            inputs=interval_map("inputs", inputs),
+            full=full,
+            overrides=tuple(override),
+            progress=progress,
+        )
+    show(result, json)

@@ -97,7 +97,7 @@ def design_metric(
     name = models.spec_name(model)
     progress("reading the model")
     file = models.load(model, overrides)
-    system = _system(name, file)
+    system = system_in_coordinates(name, file)
     axes = _grid(name, system, grid, region)
     u = None if input is None else jnp.asarray(numbers("input", input, numbered("u", system.inputs)))
     equation = _equation(system, axes, rate, window, process_cov, measurement_cov, u)
@@ -210,8 +210,16 @@ def _check_rates(rate: float, window: float | None, process_cov: Amounts | None)
         above_zero("window", window)
 
 
-def _system(name: str, file: ModelFile) -> StateSpace:
-    """The model as a state-space model with names of its states."""
+def system_in_coordinates(name: str, file: ModelFile) -> StateSpace:
+    """The model as a state-space model with names of its states.
+
+    Args:
+        name: Name of the model, for messages.
+        file: The model.
+
+    Raises:
+        ValueError: For a model on a group, or without names of its states.
+    """
     if not file.model.manifold.commuting:
         raise ValueError(
             f"{name} is on a group, and metrics are designed in coordinates; give a StateSpace or a Lagrangian, or use "
@@ -223,7 +231,17 @@ def _system(name: str, file: ModelFile) -> StateSpace:
     return model
 
 
-def _grid(name: str, model: StateSpace, grid: int | Sequence[int], region: Region | None) -> Grid:
+def box_of(name: str, model: StateSpace, region: Region | None) -> dict[str, tuple[float, float]]:
+    """Ends of all states by name: those of a region, or the model's own.
+
+    Args:
+        name: Name of the model, for messages.
+        model: The model, with names of its states.
+        region: Ends of some states by name.
+
+    Raises:
+        ValueError: For a state that has no ends, or ends that are none.
+    """
     # The box is empty where the model has none, so its length is not checked.
     defaults = {
         each: (float(low), float(high)) for each, (low, high) in zip(model.coordinates, model.box, strict=False)
@@ -235,6 +253,11 @@ def _grid(name: str, model: StateSpace, grid: int | Sequence[int], region: Regio
         raise ValueError(
             f"region lacks {', '.join(missing)}, and {name} has no box of its own; give the ends of all: {example}"
         )
+    return ends
+
+
+def _grid(name: str, model: StateSpace, grid: int | Sequence[int], region: Region | None) -> Grid:
+    ends = box_of(name, model, region)
     units = model.units or ("",) * len(model.coordinates)
     low, high = zip(*(ends[each] for each in model.coordinates), strict=True)
     return Grid(model.coordinates, units, low, high, _counts(grid, model.coordinates))
