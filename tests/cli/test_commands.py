@@ -265,7 +265,7 @@ def test_given_gains_replace_the_designed_ones():
 def test_compare_ranks_all_estimators():
     result = command("compare", "model.toml", "log.csv", "--truth", "true_v1", "-o", "table.csv")
     names = [row["estimator"] for row in result["ranking"]]
-    assert len(names) == len(set(names)) == 13
+    assert len(names) == len(set(names)) == 14
     errors = [row["velocity_rmse"][0] for row in result["ranking"]]
     assert errors == sorted(errors)
     model_free = {"filtered-derivative", "pll", "high-gain", "levant", "savitzky-golay", "joint-kalman"}
