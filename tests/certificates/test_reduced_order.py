@@ -28,9 +28,10 @@ LONG = (
     "bioreactor",
     "van_der_pol",
     "test_the_full_observer_contracts_in_the_box[duffing]",
-    "test_a_rate_that_is_too_high_is_not_proved",
+    "test_a_wrong_injection_is_not_proved",
     "test_the_velocity_of_a_pendulum_is_found_from_any_distance",
 )
+EXHAUSTIVE = ("test_a_rate_that_is_too_high_is_not_proved",)
 
 
 @pytest.fixture(scope="module")

@@ -30,6 +30,8 @@ from covariant.observers._smoother import Step, backward_map, smoothed as smooth
 from covariant.signals import Record, Result
 
 EXHAUSTIVE = (
+    "test_a_start_and_a_model_that_are_certain_leave_one_motion[intrinsic-kalman]",
+    "test_blocks_make_no_difference[True-None]",
     "test_on_curved_spaces_it_is_consistent_and_better_than_the_filter[body on SO(3)-8]",
     "test_on_curved_spaces_it_is_consistent_and_better_than_the_filter[double pendulum-8]",
 )
