@@ -16,6 +16,7 @@ from covariant.simulation import simulate
 
 LONG = ("test_its_torques_are_those_of_mujoco[panda-panda_link7]",)
 """Cases of the long suite: a cheaper one of the same test, or of the same law, is in the short one."""
+EXHAUSTIVE = ("test_a_model_file_names_forces_and_every_engine_estimates_them",)
 
 STEP, ROWS = 0.01, 600
 STAMPS = STEP * np.arange(ROWS)
@@ -117,9 +118,10 @@ def test_a_model_file_names_forces_and_every_engine_estimates_them(tmp_path):
     model.write_text(MODEL)
     log = covariant.simulate(model, duration=1.0, rate=100.0, amplitude=[0.5, 0.2], noise=1e-4).record
     c, jaxs = (covariant.estimate(model, log, observer="intrinsic-kalman", engine=e).columns for e in ("c", "jax"))
-    assert list(c)[-8:] == [
+    assert list(c)[-9:] == [
         *("fx_tip", "fz_tip", "external_force1", "external_force2"),
         *(f"{name}_std" for name in ("fx_tip", "fz_tip", "external_force1", "external_force2")),
+        "pushed",
     ]
     for name, column in c.items():
         np.testing.assert_allclose(column, jaxs[name], atol=1e-9)
