@@ -1,9 +1,9 @@
 """Rows of a log in which something pushes, by the forces that a filter estimates."""
 
+from statistics import NormalDist
 from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import norm
 
 from covariant.models import ModelFile
 from covariant.workflow._outcome import Outcome, known
@@ -73,6 +73,6 @@ def pushes(file: ModelFile, outcome: Outcome) -> Pushes | None:
     if slow is None or std is None or not names:
         return None
     at = [outcome.slow_names.index(name) for name in names]
-    limit = float(norm.isf(FALSE_ALARM / (2 * len(at))))
+    limit = NormalDist().inv_cdf(1 - FALSE_ALARM / (2 * len(at)))
     rows = np.asarray(np.any(np.abs(slow[:, at]) > limit * std[:, at], axis=1))
     return Pushes(names, rows, np.flatnonzero(rows & ~np.concatenate([[False], rows[:-1]])))
