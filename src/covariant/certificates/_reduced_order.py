@@ -32,9 +32,9 @@ from jaxtyping import Array, Float
 from covariant._typing import Vector
 from covariant.certificates._lmi import observer_gain
 from covariant.certificates._statement import Hypothesis, Statement
-from covariant.lowering import enclose, lower
+from covariant.lowering import Lowered, enclose, lower
 from covariant.models import StateSpace
-from covariant.proofs import MOST_BOXES, Box, Proof, prove
+from covariant.proofs import MOST_BOXES, Box, Form, Proof, derivative_form, prove
 
 CORNERS = 10
 """Most variables of which all corners of the box are tried; of more, and beside them, states at random."""
@@ -137,11 +137,9 @@ def reduced_order(
     if not (math.isfinite(rate) and rate > 0):
         raise ValueError(f"reduced_order: rate must be a positive number; got {rate}")
     split = _Split.of(model, box, inputs)
+    # What the inequality depends on, and whether f is defined and without jumps, has the values as its source.
     used = split.used()
-    if 0 in used:
-        raise ValueError("reduced_order: the model depends on time; give a system that does not")
-    free = set(range(1, 1 + split.n)) - {1 + i for i in split.measured}
-    everywhere, domain = not used & free, split.domain(used)
+    everywhere, domain = used.isdisjoint(split.unmeasured), split.domain(used)
     points = _starts(domain)
     for _ in range(ROUNDS):
         slopes = [split.slopes(point) for point in points]
@@ -149,7 +147,7 @@ def reduced_order(
         if found is None:
             return _impossible(split, points, slopes, rate)
         injection, metric = found
-        proof = prove(split.form(injection, metric, rate), domain, boxes=boxes)
+        proof = prove(split.inequality(injection, metric, rate), domain, boxes=boxes)
         if proof.verdict != "fails" or proof.counterexample is None:
             break
         points = [*points, proof.counterexample.mean(axis=0)]
@@ -161,7 +159,7 @@ def reduced_order(
 
 
 class _Split(NamedTuple):
-    """A model with its states in two parts, and the variables of a proof: time, states, inputs."""
+    """A model with its states in two parts, and the variables of a proof: states and inputs."""
 
     model: StateSpace
     measured: tuple[int, ...]
@@ -182,23 +180,23 @@ class _Split(NamedTuple):
         given = np.zeros((model.inputs, 2)) if inputs is None else np.asarray(inputs, float).reshape(-1, 2)
         if given.shape != (model.inputs, 2):
             raise ValueError(f"reduced_order: inputs must have bounds for each of {model.inputs}; got {given.shape[0]}")
-        bounds = np.concatenate([np.zeros((1, 2)), sides, given])
+        bounds = np.concatenate([sides, given])
         if not np.isfinite(bounds).all() or (bounds[:, 0] > bounds[:, 1]).any():
             raise ValueError("reduced_order: bounds must be finite, the lower one first")
-        middle = jnp.asarray(sides.mean(axis=1))
-        u = jnp.asarray(given.mean(axis=1))
-        h = lower(lambda z: jax.jacfwd(lambda x: model.h(z[0], x, z[1 + n :]))(z[1 : 1 + n]), _joined(middle, u))
-        if _inputs_of(h):
-            raise ValueError("reduced_order: the outputs must be some of the states, and they are functions of them")
-        rows = np.asarray(model.jacobians(jnp.zeros(()), middle, u)[1])
-        at = [int(np.flatnonzero(row)[0]) if np.count_nonzero(row) == 1 else -1 for row in rows]
-        if -1 in at or len(set(at)) < len(at) or not (rows[np.arange(len(at)), at] == 1).all():
+        x, u = jnp.asarray(sides.mean(axis=1)), jnp.asarray(given.mean(axis=1))
+        outputs = lower(model.h, jnp.zeros(()), x, u)
+        read = [outputs.graph.nodes[i] for i in outputs.outputs]
+        # Inputs of the graph are the time, the states, and the inputs of the model.
+        at = [int(node.value) - 1 if node.op == "input" and node.value is not None else -1 for node in read]
+        if not all(0 <= i < n for i in at) or len(set(at)) < len(at):
             raise ValueError("reduced_order: each output must be a state of its own; change the coordinates")
+        if 0 in _inputs_of(lower(model.f, jnp.zeros(()), x, u)):
+            raise ValueError("reduced_order: the model depends on time; give a system that does not")
         rest = tuple(i for i in range(n) if i not in at)
         if not rest:
             raise ValueError("reduced_order: all states are measured; there is nothing to estimate")
-        names = ("t", *model.coordinates, *(f"u{i + 1}" for i in range(model.inputs)))
-        units = ("s", *("" if unit == "1" else unit for unit in model.units or ("",) * n), *("",) * model.inputs)
+        names = (*model.coordinates, *(f"u{i + 1}" for i in range(model.inputs)))
+        units = (*("" if unit == "1" else unit for unit in model.units or ("",) * n), *("",) * model.inputs)
         return cls(model, tuple(at), rest, names, units, bounds[:, 0], bounds[:, 1])
 
     @property
@@ -208,42 +206,57 @@ class _Split(NamedTuple):
     @property
     def motion(self) -> str:
         """The box of true motions, in words."""
-        return f"true motions: {Box(self.names[1:], self.units[1:], self.low[1:], self.high[1:])}"
+        return f"true motions: {Box(self.names, self.units, self.low, self.high)}"
 
     @property
     def scales(self) -> tuple[np.ndarray, np.ndarray]:
         """Half widths of the box of measured and unmeasured states, in which the solver works."""
-        half = (self.high - self.low)[1 : 1 + self.n] / 2
+        half = (self.high - self.low)[: self.n] / 2
         half = np.where(half > 0, half, 1.0)
         return half[list(self.measured)], half[list(self.unmeasured)]
 
-    def columns(self, z: Vector) -> Array:
-        """Derivative (n, n − p) of f in the states that are not measured."""
-        x, u = z[1 : 1 + self.n], z[1 + self.n :]
-        at = jnp.array(self.unmeasured)
-        return jax.jacfwd(lambda part: self.model.f(z[0], x.at[at].set(part), u))(x[at])
+    def jacobian(self, z: Vector) -> Array:
+        """Derivative (n, n) of f in the states, by JAX, for searches and for samples."""
+        return jax.jacfwd(lambda x: self.model.f(jnp.zeros(()), x, z[self.n :]))(z[: self.n])
 
     def slopes(self, point: np.ndarray) -> np.ndarray:
-        """The same (n, n − p) at a point, rows of unmeasured states first, in the units of `scales`."""
+        """Derivative (n, n − p) of f in the states that are not measured, their rows first, in units of `scales`."""
         y, z = self.scales
-        slope = np.asarray(self.columns(jnp.asarray(point)))
+        slope = np.asarray(self.jacobian(jnp.asarray(point)))[:, list(self.unmeasured)]
         ordered = slope[[*self.unmeasured, *self.measured]]
         return ordered * z[None, :] / np.concatenate([z, y])[:, None]
 
-    def form(self, injection: np.ndarray, metric: np.ndarray, rate: float) -> Callable[[Array], Array]:
-        """The matrix of the inequality as a function of the variables."""
+    def form(self, formula: Callable[[Array], Array], columns: Sequence[int]) -> Form:
+        """The form of a formula of the derivative of f in some states, by its graph: JAX does not see jumps."""
+
+        def values(t, x, z):
+            return (self.model.f(t, x, z[self.n :]),)
+
+        def parts(derivatives, nodes, count):
+            return (derivatives.each(nodes[0], [1 + i for i in columns]),)
+
+        def numbers(z):
+            return formula(self.jacobian(z)[:, jnp.array(columns)])
+
+        return derivative_form(values, lambda z: z[: self.n], parts, formula, numbers)
+
+    def inequality(self, injection: np.ndarray, metric: np.ndarray, rate: float) -> Form:
+        """The inequality for L and P."""
         gain, p = jnp.asarray(injection), jnp.asarray(metric)
 
-        def matrix(z):
-            slope = self.columns(z)
+        def matrix(slope):
             product = p @ (slope[jnp.array(self.unmeasured)] - gain @ slope[jnp.array(self.measured)])
             return -(product + product.T) - rate * p
 
-        return matrix
+        return self.form(matrix, self.unmeasured)
 
     def used(self) -> set[int]:
-        """Which variables the inequality depends on."""
-        return _inputs_of(lower(self.columns, jnp.asarray((self.low + self.high) / 2)))
+        """Which variables the derivatives in unmeasured states depend on, or whether f is defined and does not jump."""
+        formed = self.form(lambda slope: slope, self.unmeasured).graph(jnp.asarray((self.low + self.high) / 2))
+        noted = formed.conditions
+        needed = noted.graph.pruned([condition.node for condition in noted.conditions])[0].nodes
+        in_conditions = {int(node.value) for node in needed if node.op == "input" and node.value is not None}
+        return {i for i in _inputs_of(formed.entries) | in_conditions if i < len(self.low)}
 
     def domain(self, used: set[int]) -> Box:
         """The box of these variables; the others, on which nothing depends, are fixed at their middle."""
@@ -251,12 +264,9 @@ class _Split(NamedTuple):
         return Box(self.names, self.units, np.where(chosen, self.low, middle), np.where(chosen, self.high, middle))
 
 
-def _joined(x: Array, u: Array) -> Array:
-    return jnp.concatenate([jnp.zeros(1), x, u])
-
-
-def _inputs_of(lowered) -> set[int]:
-    return {node.value for node in lowered.graph.pruned(lowered.outputs)[0].nodes if node.op == "input"}
+def _inputs_of(lowered: Lowered) -> set[int]:
+    nodes = lowered.graph.pruned(lowered.outputs)[0].nodes
+    return {int(node.value) for node in nodes if node.op == "input" and node.value is not None}
 
 
 def _starts(domain: Box) -> list[np.ndarray]:
@@ -310,7 +320,7 @@ def _statement(
 
 
 def _named(split: _Split) -> str:
-    y, z = (", ".join(split.names[1 + i] for i in part) for part in (split.measured, split.unmeasured))
+    y, z = (", ".join(split.names[i] for i in part) for part in (split.measured, split.unmeasured))
     return f"y = ({y}), z = ({z})"
 
 
@@ -338,10 +348,8 @@ def _impossible(
     value, point, direction = best
     direction = direction * split.scales[1]
     direction = direction / direction[np.argmax(np.abs(direction))]
-    at = ", ".join(f"{name} = {x:.4g}" for name, x in zip(split.names[1:], point[1:].tolist(), strict=True))
-    along = ", ".join(
-        f"{split.names[1 + i]}: {x:.3g}" for i, x in zip(split.unmeasured, direction.tolist(), strict=True)
-    )
+    at = ", ".join(f"{name} = {x:.4g}" for name, x in zip(split.names, point.tolist(), strict=True))
+    along = ", ".join(f"{split.names[i]}: {x:.3g}" for i, x in zip(split.unmeasured, direction.tolist(), strict=True))
     exact = _is_exact(split, point, direction, value)
     reason = Hypothesis(
         "f contracts the vectors that do not change the outputs",
@@ -356,9 +364,7 @@ def _impossible(
         "along that direction the outputs do not change, and it grows at its margin [1/s]",
         split.motion,
     )
-    statement = Statement(
-        claim, about, (reason,), value, str(split.domain(split.used()).free), tuple(point[1:].tolist())
-    )
+    statement = Statement(claim, about, (reason,), value, str(split.domain(split.used()).free), tuple(point.tolist()))
     return ReducedOrderDesign(split.model, split.measured, split.unmeasured, None, None, False, statement)
 
 
@@ -366,11 +372,12 @@ def _is_exact(split: _Split, point: np.ndarray, direction: np.ndarray, value: fl
     """Whether outward-rounded arithmetic shows the direction to be unseen and an eigenvector, without any error."""
     along = jnp.asarray(direction)
 
-    def residual(z):
-        moved = split.columns(z) @ along
+    def residual(slope):
+        moved = slope @ along
         return jnp.concatenate([moved[jnp.array(split.measured)], moved[jnp.array(split.unmeasured)] - value * along])
 
-    found = enclose(lower(residual, jnp.asarray(point)), point[None], point[None], "numpy")
+    formed = split.form(residual, split.unmeasured).graph(jnp.asarray(point))
+    found = enclose(formed.entries, point[None], point[None], "numpy")
     return bool((found.low == 0).all() and (found.high == 0).all())
 
 
@@ -384,10 +391,8 @@ def _with_gain(
     whole = Box(split.names, split.units, split.low, split.high)
     y, z = list(split.measured), list(split.unmeasured)
 
-    def blocks(point):
-        """Derivatives of f in (y, w)."""
-        x, u = point[1 : 1 + split.n], point[1 + split.n :]
-        slope = jax.jacfwd(lambda x: split.model.f(point[0], x, u))(x)
+    def blocks(slope):
+        """Derivatives of f in (y, w), from that in the states."""
         s, p = slope[jnp.array(y)], slope[jnp.array(z)]
         shear = jnp.asarray(injection)
         of_y, of_z = s[:, jnp.array(y)] + s[:, jnp.array(z)] @ shear, s[:, jnp.array(z)]
@@ -397,8 +402,8 @@ def _with_gain(
     def matrix(k, weights):
         weight = jnp.diag(jnp.asarray(weights))
 
-        def form(point):
-            a, b, c, d = blocks(point)
+        def whole_matrix(slope):
+            a, b, c, d = blocks(slope)
             upper = weight @ (k * jnp.eye(len(y)) - a)
             cross = -(weight @ b) - c.T @ jnp.asarray(metric)
             lower_ = -jnp.asarray(metric) @ d
@@ -406,11 +411,11 @@ def _with_gain(
             two = jnp.concatenate([cross.T, lower_ + lower_.T - rate * jnp.asarray(metric)], axis=1)
             return jnp.concatenate([one, two])
 
-        return form
+        return split.form(whole_matrix, range(split.n))
 
     points = [*points, *np.random.default_rng(1).uniform(split.low, split.high, (TRIED, len(split.low)))]
     k, weights = _least_gain(
-        [tuple(map(np.asarray, blocks(jnp.asarray(point)))) for point in points], split, metric, rate
+        [tuple(map(np.asarray, blocks(split.jacobian(jnp.asarray(point))))) for point in points], split, metric, rate
     )
     proof = prove(matrix(k, weights), whole, boxes=boxes)
     for _ in range(RAISES):
