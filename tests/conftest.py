@@ -2,6 +2,7 @@
 
 import ctypes
 import gc
+import json
 import os
 import shutil
 import tempfile
@@ -46,8 +47,13 @@ jax.config.update("jax_numpy_dtype_promotion", "strict")
 hypothesis.settings.register_profile("laws", derandomize=True, deadline=None, database=None, max_examples=60)
 hypothesis.settings.load_profile("laws")
 
-SUITES = ("long", "exhaustive")
-"""Marks that a file may give its cases by a list of their names, in capitals."""
+SUITES = {"long": 4.0, "exhaustive": 14.0}
+"""Marks that a file may give its cases by a list of their names, in capitals, and that a test has which takes more than
+these seconds of a core."""
+SECONDS = json.loads(Path(__file__).with_name("seconds.json").read_text(encoding="utf-8"))
+"""What each test takes, in seconds of a core, where it is 2 or more: `python tools/test_seconds.py` measures it."""
+EVERY_RUN = ("tests/pages/", "tests/test_house.py", "tests/test_contributing.py")
+"""Where tests take as long as they take: what a user runs is tried each time."""
 REPOSITORY = Path(__file__).parents[1]
 
 
@@ -58,8 +64,8 @@ def pytest_unconfigure():
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config, items):
-    """Mark as long, or exhaustive, what a file says in `LONG` or `EXHAUSTIVE`: a case as `test[parameters]`, or
-    parameters of any test of the file.
+    """Mark as long, or exhaustive, what takes the seconds of it, and what a file says in `LONG` or `EXHAUSTIVE`: a case
+    as `test[parameters]`, or parameters of any test of the file.
 
     Of several parameters, joined by dashes as tests show them, a name may be one or some that follow each other.
     """
@@ -68,7 +74,10 @@ def pytest_collection_modifyitems(config, items):
         unused |= {(module.__name__, name) for suite in SUITES for name in getattr(module, suite.upper(), ())}
     for item in items:
         parameters = f"-{item.callspec.id}-" if hasattr(item, "callspec") else ""
-        for suite in SUITES:
+        seconds = 0.0 if item.nodeid.startswith(EVERY_RUN) else SECONDS.get(item.nodeid, 0.0)
+        for suite, least in SUITES.items():
+            if seconds > least:
+                item.add_marker(getattr(pytest.mark, suite))
             listed = getattr(item.module, suite.upper(), ())
             names = [name for name in listed if name == item.name or f"-{name}-" in parameters]
             if names:

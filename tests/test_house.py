@@ -122,12 +122,12 @@ PUBLIC = {
     "save_figure table write_article write_audit write_html write_png write_report",
     "simulation": "Backstepping PiecewiseInputs Reference PositionSensor follow hold lissajous logged_inputs no_input "
     "observe sense set_point simulate simulate_piecewise stamps",
-    "workflow": "AbstractResult AbstractTable AuditResult CertificateCheckResult CertifyResult CheckResult "
-    "CompareForceResult CompareResult Determinacy EstimateResult ExcitationResult ExportResult FitResult InitResult "
-    "MetricResult MisfitError ModelResult Progress Pushes ReducedOrderResult ReproduceResult SimulateResult "
-    "SmoothResult TuneResult audit_observer certify check check_certificate check_model_output check_output "
-    "compare compare_force describe_model design_excitation design_metric design_reduced_order estimate export "
-    "fit init reproduce_paper simulate smooth tune",
+    "workflow": "AbstractResult AbstractTable AuditResult CertificateCheckResult CertifyResult CheckResult CiteResult "
+    "CompareForceResult CompareResult Determinacy DoctorResult EstimateResult ExcitationResult ExportResult FitResult "
+    "InitResult MetricResult MisfitError ModelResult Progress Pushes ReducedOrderResult ReproduceResult SimulateResult "
+    "SmoothResult TuneResult audit_observer certify check check_certificate check_model_output check_output cite "
+    "compare compare_force describe_model design_excitation design_metric design_reduced_order doctor estimate "
+    "export fit init reproduce_paper simulate smooth tune",
 }
 
 

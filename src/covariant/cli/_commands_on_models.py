@@ -123,6 +123,27 @@ def show_model(
 
 
 @on_models.command()
+def cite(
+    model: Model,
+    observer: Observer = None,
+    out: Annotated[Path | None, typer.Option("--out", "-o", help="Write the BibTeX entries here (.bib).")] = None,
+    override: Override = [],  # noqa: B006  typer copies it
+    json: Json = False,
+) -> None:
+    """Say which works an observer and the numbers of a model are from, with BibTeX entries."""
+    check_output(out, ".bib")
+    show(workflow.cite(model, observer=observer, overrides=tuple(override)), json, out)
+
+
+@on_models.command()
+def doctor(json: Json = False) -> None:
+    """Examine the installation: versions, extras, compiler, cache, threads, devices; exit code 1 on a problem."""
+    result = workflow.doctor()
+    show(result, json)
+    raise SystemExit(1 if result.problems else 0)
+
+
+@on_models.command()
 def reproduce(
     paper: Annotated[str, typer.Argument(help=f"One of: {', '.join(PAPERS)}.", callback=known_paper)],
     out: Annotated[Path | None, typer.Option("--out", "-o", help="Write the paper's figure here (.png).")] = None,

@@ -153,9 +153,9 @@ REGISTRY = (
         observer=Intrinsic,
         make=Intrinsic,
         tuned_by="gains",
-        about="explicit, errors to first order; on a group the observer of Maithripala, Berg & Dayawansa 2004",
+        about="explicit, errors to first order",
         when="the default: cheap, locally the full error law",
-        source="Aghannan & Rouchon 2003, (5)",
+        source="Aghannan & Rouchon 2003, (5); on a group Maithripala, Berg & Dayawansa 2004, (17)",
         promises=("error law",),
     ),
     Entry(
@@ -165,7 +165,7 @@ REGISTRY = (
         tuned_by="gains",
         about="`Intrinsic(order=2)`: the same with ξ = e − ½B(e, e)",
         when="larger errors at little cost",
-        source="an addition to (5)",
+        source="an addition to Aghannan & Rouchon 2003, (5)",
         promises=("error law",),
     ),
     Entry(

@@ -6,10 +6,12 @@ from ._certify import (
     check_certificate as check_certificate,
 )
 from ._check import CheckResult as CheckResult, check as check
+from ._cite import CiteResult as CiteResult, cite as cite
 from ._compare import CompareResult as CompareResult, compare as compare
 from ._compare_force import CompareForceResult as CompareForceResult, compare_force as compare_force
 from ._describe import ModelResult as ModelResult, describe_model as describe_model
 from ._determined import Determinacy as Determinacy
+from ._doctor import DoctorResult as DoctorResult, doctor as doctor
 from ._estimate import EstimateResult as EstimateResult, estimate as estimate
 from ._excitation import ExcitationResult as ExcitationResult, design_excitation as design_excitation
 from ._export import ExportResult as ExportResult, export as export

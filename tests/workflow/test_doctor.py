@@ -1,0 +1,79 @@
+"""What an installation consists of, and what in it is wrong."""
+
+import json
+from importlib import metadata
+
+import jax
+import pytest
+from typer.testing import CliRunner
+
+from covariant import workflow
+from covariant.cli._app import app
+from covariant.workflow import _doctor
+
+
+def problem(name):
+    return next(part.problem for part in workflow.doctor().parts if part.name == name)
+
+
+def test_every_package_and_extra_that_is_stated_is_listed():
+    parts = {part.name: part.found for part in workflow.doctor().parts}
+    assert parts["jax"] == metadata.version("jax")
+    provided = set(metadata.metadata("covariant").get_all("Provides-Extra"))
+    listed = {name.removeprefix("extra ") for name in parts if name.startswith("extra ")}
+    assert listed == provided - {"all", "dev", "docs"}
+
+
+def test_a_version_that_was_not_tried_is_a_problem(monkeypatch):
+    version = metadata.version
+    monkeypatch.setattr(metadata, "version", lambda name: "0.10.2" if name == "jax" else version(name))
+    assert "tried with" in problem("jax")
+    assert "jax" in problem("jax")
+    monkeypatch.setattr(_doctor, "_version", lambda name: None if name == "scipy" else version(name))
+    assert problem("scipy").startswith("pip install 'scipy")
+
+
+def test_a_compiler_that_does_not_work_is_a_problem(monkeypatch, tmp_path):
+    assert problem("compiler of C") == ""
+    broken = tmp_path / "cc"
+    broken.write_text("#!/bin/sh\necho no such thing >&2\nexit 1\n")
+    broken.chmod(0o755)
+    monkeypatch.setattr(_doctor, "compiler", lambda: None)
+    assert "install one" in problem("compiler of C")
+
+    def fails(*arguments):
+        raise OSError(f"{broken} does not compile a source of C: no such thing")
+
+    monkeypatch.setattr(_doctor, "compiler", lambda: str(broken))
+    monkeypatch.setattr(_doctor, "compiled", fails)
+    assert "no such thing" in problem("compiler of C")
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "part"),
+    [
+        ("COVARIANT_CACHE", "off", "cache folder"),
+        ("OPENBLAS_NUM_THREADS", "4", "threads"),
+    ],
+)
+def test_settings_that_make_it_slow_are_problems(monkeypatch, name, value, part):
+    assert problem(part) == ""
+    monkeypatch.setenv(name, value)
+    assert name in problem(part)
+
+
+def test_single_precision_is_a_problem(monkeypatch):
+    assert problem("JAX computes on") == ""
+    with jax.enable_x64(False):
+        assert "double precision is off" in problem("JAX computes on")
+
+
+def test_the_command_exits_with_1_where_something_is_wrong(monkeypatch):
+    fine = CliRunner().invoke(app, ["doctor", "--json"])
+    assert fine.exit_code == 0
+    assert json.loads(fine.stdout)["covariant"] == {"found": metadata.version("covariant"), "problem": None}
+    monkeypatch.setenv("COVARIANT_CACHE", "off")
+    wrong = CliRunner().invoke(app, ["doctor"])
+    assert wrong.exit_code == 1
+    assert "1 of " in wrong.stdout
+    assert "set COVARIANT_CACHE to a folder" in wrong.stdout
