@@ -34,11 +34,10 @@ env: .venv/dev
 demo: .venv/ready
 	$(BIN)/python gallery/demo.py --out demo
 
-# Every law on its smallest members, every command, every page: some 25 minutes on two cores.
+# Every law on its smallest members, every command, nearly every page: some 15 minutes on two cores.
 test: format lint types tests
 
-# Everything else: larger members of the laws, statistics, searches at random, papers, recorded logs, the gallery. As
-# much again.
+# Statistics, searches at random, papers, recorded logs, pages with what takes long, the gallery. As much again.
 test-all: long gallery
 
 format: env
@@ -56,7 +55,7 @@ tests: env
 long: env
 	$(BIN)/pytest $(PARALLEL) -m "long and not exhaustive"
 
-# Many trials of what the long suite tries a few times, and every page without a compiler and without a cache. An hour.
+# Larger members of the laws, many trials, and every page without a compiler and without a cache. Two hours.
 exhaustive: env
 	$(BIN)/pytest $(PARALLEL) -m exhaustive
 

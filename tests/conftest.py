@@ -47,13 +47,15 @@ jax.config.update("jax_numpy_dtype_promotion", "strict")
 hypothesis.settings.register_profile("laws", derandomize=True, deadline=None, database=None, max_examples=60)
 hypothesis.settings.load_profile("laws")
 
-SUITES = {"long": 4.0, "exhaustive": 14.0}
+SUITES = {"long": 3.0, "exhaustive": 9.0}
 """Marks that a file may give its cases by a list of their names, in capitals, and that a test has which takes more than
 these seconds of a core."""
 SECONDS = json.loads(Path(__file__).with_name("seconds.json").read_text(encoding="utf-8"))
 """What each test takes, in seconds of a core, where it is 2 or more: `python tools/test_seconds.py` measures it."""
 EVERY_RUN = ("tests/pages/", "tests/test_house.py", "tests/test_contributing.py")
 """Where tests take as long as they take: what a user runs is tried each time."""
+LARGER = tuple(f"tests/{room}/" for room in "geometry laws lowering metrics models proofs simulation".split())
+"""Where a long test adds a larger member to a law: it is exhaustive, since a smaller member is tried each time."""
 REPOSITORY = Path(__file__).parents[1]
 
 
@@ -83,6 +85,8 @@ def pytest_collection_modifyitems(config, items):
             if names:
                 item.add_marker(getattr(pytest.mark, suite))
             unused -= {(item.module.__name__, name) for name in names}
+        if item.nodeid.startswith(LARGER) and item.get_closest_marker("long"):
+            item.add_marker(pytest.mark.exhaustive)
     items.sort(key=lambda item: "/pages/" not in item.nodeid)  # what takes longest comes first, or a worker idles
     if unused and not any("::" in argument for argument in config.args):
         raise pytest.UsageError(f"LONG or EXHAUSTIVE names parameters that no test has: {sorted(unused)}")

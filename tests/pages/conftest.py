@@ -22,7 +22,7 @@ def without_compiler(tmp_path_factory) -> str:
     return str(folder)
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def home(tmp_path_factory) -> Path:
-    """The home of a new user, with an empty cache."""
+    """The home of a new user, with an empty cache, who reads the pages one after the other, the README first."""
     return tmp_path_factory.mktemp("home")
