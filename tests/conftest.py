@@ -54,9 +54,8 @@ SECONDS = json.loads(Path(__file__).with_name("seconds.json").read_text(encoding
 """What each test takes, in seconds of a core, where it is 2 or more: `python tools/test_seconds.py` measures it."""
 EVERY_RUN = ("tests/pages/", "tests/test_house.py", "tests/test_contributing.py")
 """Where tests take as long as they take: what a user runs is tried each time."""
-LARGER = tuple(
-    f"tests/{room}/" for room in ["geometry", "laws", "lowering", "metrics", "models", "proofs", "simulation"]
-)
+ROOMS_OF_LAWS = ("geometry", "laws", "lowering", "metrics", "models", "proofs", "simulation")
+LARGER = tuple(f"tests/{room}/" for room in ROOMS_OF_LAWS)
 """Where a long test adds a larger member to a law: it is exhaustive, since a smaller member is tried each time."""
 REPOSITORY = Path(__file__).parents[1]
 
