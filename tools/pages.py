@@ -52,13 +52,14 @@ def errata_sections(paper: str) -> str:
 
 def _erratum(entry: errata.Erratum) -> str:
     lines = (
-        f"### Misprint in {entry.where}",
-        f"As printed:\n\n    {entry.printed}",
-        f"Corrected:\n\n    {entry.corrected}",
-        f"What is wrong: {entry.reason}. What it does: {entry.effect}.",
-        f"Shown by `{entry.shown_by}`.",
+        f"### Misprint in {entry.where}\n",
+        f"- *as printed:* `{entry.printed}`",
+        f"- *corrected:* `{entry.corrected}`",
+        f"- *what is wrong:* {entry.reason}",
+        f"- *what it does:* {entry.effect}",
+        f"- *shown by* `{entry.shown_by}`",
     )
-    return "\n\n".join(lines)
+    return "\n".join(lines)
 
 
 def benchmarks_table() -> str:
@@ -76,7 +77,9 @@ def _about(path: Path) -> str:
 def _pages_with(script: str) -> str:
     pages = [page for page in sorted(DOCS.glob("*.md")) if page.stem != "benchmarks"]
     found = [page for page in pages if f"benchmarks/{script}" in page.read_text(encoding="utf-8")]
-    return ", ".join(f"[{page.stem}]({page.name})" for page in found) or ("`make bench`" if script.startswith("test_") else f"`python benchmarks/{script}`")
+    return ", ".join(f"[{page.stem}]({page.name})" for page in found) or (
+        "`make bench`" if script.startswith("test_") else f"`python benchmarks/{script}`"
+    )
 
 
 def llms_text() -> str:

@@ -1,4 +1,4 @@
-"""What the site has beside the pages in `docs`: the README, the scripts of the gallery, and the docstrings of every room.
+"""What the site has beside the pages in `docs`: the README, the scripts of the gallery, the docstrings of every room.
 
 `mkdocs.yml` names this file as a hook; `make docs` builds the site.
 """
@@ -16,11 +16,13 @@ PACKAGE = ROOT / "src" / "covariant"
 GALLERY = ROOT / "gallery"
 IMAGES = ROOT / "docs" / "images"
 WITHOUT_PAGE = ("cli", "papers")
+LATER = "---\nsearch:\n  boost: 0.5\n---\n\n"
+"""Head of a page that the search lists behind those that explain."""
 
 
 def front_page(readme: str) -> str:
     """The README with its links as seen from within `docs`."""
-    return re.sub(r"\]\(docs/", "](", readme)
+    return re.sub(r"\]\(docs/", "](", readme).replace("[docs/", "[")
 
 
 class Script(NamedTuple):
@@ -38,7 +40,8 @@ class Script(NamedTuple):
 
     @property
     def name(self) -> str:
-        return _subject(self.path).replace("_", " ").capitalize()
+        words = _subject(self.path).replace("_", " ").capitalize()
+        return words.replace(" imu", " IMU").replace(" panda", " Panda")
 
 
 def _subject(path: Path) -> str:
@@ -62,7 +65,11 @@ def _script(path: Path) -> Script:
 def _figure(path: Path) -> Path | None:
     """The figure that is in `docs`, or else the one that the script has drawn here."""
     subject = _subject(path)
-    places = IMAGES / f"{subject}.png", IMAGES / f"{subject.removeprefix('demo_')}.png", GALLERY / f"out/{path.stem}.png"
+    places = (
+        IMAGES / f"{subject}.png",
+        IMAGES / f"{subject.removeprefix('demo_')}.png",
+        GALLERY / f"out/{path.stem}.png",
+    )
     return next((place for place in places if place.exists()), None)
 
 
@@ -71,7 +78,8 @@ def gallery_page(script: Script) -> str:
     picture = f"![{script.title}]({_picture(script)})\n\n" if script.figure else ""
     run = f"`python gallery/{script.path.name}`, in a checkout, runs this script"
     run += " and draws its figure.\n" if script.figure else ".\n"
-    return f"# {script.title}\n\n{script.text}\n\n{picture}{run}\n```python\n{script.source}```\n"
+    source = f"## Source {{ data-search-exclude }}\n\n```python\n{script.source}```\n"  # found by words, not by names
+    return f"{LATER}# {script.title}\n\n{script.text}\n\n{picture}{run}\n{source}"
 
 
 def _picture(script: Script) -> str:
@@ -83,7 +91,9 @@ def _picture(script: Script) -> str:
 def gallery_index(scripts: list[Script]) -> str:
     """The page that lists the scripts."""
     lines = [f"- [{script.name}]({Path(script.page).name}): {script.title}" for script in scripts]
-    return "# Gallery\n\nShort scripts that each teach one topic, with the figures that they draw.\n\n" + "\n".join(lines)
+    return "# Gallery\n\nShort scripts that each teach one topic, with the figures that they draw.\n\n" + "\n".join(
+        lines
+    )
 
 
 def rooms() -> dict[str, list[str]]:
@@ -108,7 +118,7 @@ def names(path: Path) -> list[str]:
 def reference(room: str, listed: list[str]) -> str:
     """The page of one room."""
     options = "    options:\n      members:\n" + "".join(f"        - {name}\n" for name in listed) if listed else ""
-    return f"# covariant.{room}\n\n::: covariant.{room}\n{options}"
+    return f"{LATER}# covariant.{room}\n\n::: covariant.{room}\n{options}"
 
 
 def on_config(config: MkDocsConfig) -> None:
