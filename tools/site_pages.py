@@ -145,3 +145,8 @@ def on_files(files: Files, config: MkDocsConfig) -> None:
         files.append(File.generated(config, name, content=content))
     for figure in {script.figure for script in scripts if script.figure and script.figure.parent != IMAGES}:
         files.append(File.generated(config, f"gallery/out/{figure.name}", abs_src_path=str(figure)))
+
+
+def on_page_content(html: str, **_: object) -> str:
+    """Let every figure open on its own, which a small screen needs."""
+    return re.sub(r'<img [^>]*?src="([^"]+)"[^>]*>', r'<a href="\1">\g<0></a>', html)

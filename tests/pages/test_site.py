@@ -68,7 +68,7 @@ def test_links_lead_to_pages_of_the_site(site):
         if path.name == "404.html":
             continue
         for address in re.findall(r'<a\b[^>]*?\bhref="([^"#]+)', path.read_text(encoding="utf-8")):
-            if not re.match(r"\w+:", address):
+            if not re.match(r"\w+:", address):  # figures are links, too
                 file = urljoin(f"/{path.relative_to(site)}", address)
                 assert (site / file.lstrip("/")).exists(), f"{path.relative_to(site)} leads to {address}"
 
