@@ -95,13 +95,16 @@ geomstats: .venv-geomstats/ready
 	.venv-geomstats/bin/python -m pip install --quiet --disable-pip-version-check -c .venv-geomstats/constraints.txt -e . pytest geomstats==2.8.0 autograd==1.9.1 numpy==2.3.5
 	@touch $@
 
-# The site, in the folder site. Its generators are not needed for anything else: they are installed when first asked for.
+# The site, in the folder site: open site/index.html. Its generators read the source and import none of it, so that they
+# are all that is installed for it.
 docs: .venv/docs
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build
 	$(BIN)/python tools/browser_page.py site/browser-demo.html
 
-.venv/docs: .venv/dev
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[docs]'
+.venv/docs: pyproject.toml constraints.txt
+	test -x $(BIN)/python || $(PYTHON) -m venv .venv
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt \
+		$$($(BIN)/python -c 'import tomllib; print(*tomllib.load(open("pyproject.toml", "rb"))["project"]["optional-dependencies"]["docs"])')
 	@touch $@
 
 # The wheel in empty environments, with no extras, some and all, without development tools; the demo runs in the last.

@@ -1,17 +1,20 @@
-"""The parts of the pages that are written from the code: the table of observers and the picture of the house.
+"""The parts of the pages that are written from the code: tables, misprints, the picture of the house, and `llms.txt`.
 
     python tools/pages.py
 
 writes them into `docs`, and the tests fail where they are not up to date.
 """
 
+import ast
 import re
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 from house import drawing
 
 from covariant.observers import REGISTRY, Entry
+from covariant.papers import errata
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
@@ -26,6 +29,8 @@ NUMBERS = {
     "jerk": "jerk",
     "state noise": "covariances, first estimate",
 }
+PAPERS = ("aghannan-rouchon", "maithripala", "sanfelice-praly", "jouffroy-fossen")
+"""Papers with a page of their own, whose file has the paper's name."""
 
 
 def observers_table(entries: tuple[Entry, ...] = REGISTRY) -> str:
@@ -40,19 +45,97 @@ def _row(entry: Entry) -> str:
     return f"| `{entry.name}` | `{entry.observer.__name__}` | {' | '.join(cells)} |"
 
 
+def errata_sections(paper: str) -> str:
+    """The misprints of a paper, each with both formulas, what is wrong, its effect and its test."""
+    return "\n\n".join(map(_erratum, errata.of(paper)))
+
+
+def _erratum(entry: errata.Erratum) -> str:
+    lines = (
+        f"### Misprint in {entry.where}\n",
+        f"- *as printed:* `{entry.printed}`",
+        f"- *corrected:* `{entry.corrected}`",
+        f"- *what is wrong:* {entry.reason}",
+        f"- *what it does:* {entry.effect}",
+        f"- *shown by* `{entry.shown_by}`",
+    )
+    return "\n".join(lines)
+
+
+def benchmarks_table() -> str:
+    """Every script in `benchmarks` with the first sentence of its docstring, and the pages with its numbers."""
+    scripts = [(path, docstring) for path in sorted((ROOT / "benchmarks").glob("*.py")) if (docstring := _about(path))]
+    rows = [f"| `{path.name}` | {_sentence(text)} | {_pages_with(path.name)} |" for path, text in scripts]
+    return "\n".join(["| script | what it measures | numbers |", "|---|---|---|", *rows])
+
+
+def _about(path: Path) -> str:
+    """Docstring of a script; empty for one that others only import."""
+    return "" if path.stem in ("conftest", "moments") else ast.get_docstring(ast.parse(path.read_text("utf-8"))) or ""
+
+
+def _pages_with(script: str) -> str:
+    pages = [page for page in sorted(DOCS.glob("*.md")) if page.stem != "benchmarks"]
+    found = [page for page in pages if f"benchmarks/{script}" in page.read_text(encoding="utf-8")]
+    return ", ".join(f"[{page.stem}]({page.name})" for page in found) or (
+        "`make bench`" if script.startswith("test_") else f"`python benchmarks/{script}`"
+    )
+
+
+def llms_text() -> str:
+    """`llms.txt`: what the library is, and every page of the site with one line."""
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    pages = [DOCS / name for name in navigation() if name != "index.md"]
+    lines = [f"- [{_title(page)}](docs/{page.name}): {_opening(page)}" for page in pages]
+    return "\n".join(["# covariant", "", f"> {_paragraph(readme)}", "", "## Pages", "", *lines, ""])
+
+
+def navigation() -> list[str]:
+    """Names of the pages in the order in which the site has them."""
+    text = (ROOT / "mkdocs.yml").read_text(encoding="utf-8").split("\nnav:")[-1]
+    return re.findall(r"^ *- (?:.*: )?([\w-]+\.md)", text, re.MULTILINE)
+
+
+def _title(page: Path) -> str:
+    return page.read_text(encoding="utf-8").partition("\n")[0].removeprefix("# ")
+
+
+def _opening(page: Path) -> str:
+    return _sentence(_paragraph(page.read_text(encoding="utf-8")))
+
+
+def _paragraph(text: str) -> str:
+    """First paragraph of a page behind its title, as one line without links."""
+    prose = next(part for part in text.split("\n\n")[1:] if re.match(r"[\w`*\[]", part))
+    return re.sub(r"\[(.+?)\]\(.+?\)", r"\1", " ".join(prose.split()))
+
+
+def _sentence(text: str) -> str:
+    """First sentence of a text, in one line and without its full stop."""
+    return re.split(r"(?<=[^.\d][.?])\s", " ".join(text.split()))[0].removesuffix(".")
+
+
 def with_table(page: str, name: str, table: str) -> str:
     """The page with what stands between `<!-- name -->` and `<!-- end -->` replaced."""
     begin, end = f"<!-- {name}: written by tools/pages.py -->", "<!-- end -->"
     return re.sub(f"{begin}.*?{end}", lambda _: f"{begin}\n\n{table}\n\n{end}", page, flags=re.DOTALL)
 
 
-def _observers_page() -> str:
-    return with_table((DOCS / "observers.md").read_text(encoding="utf-8"), "observers", observers_table())
+def _page(path: Path, name: str, table: Callable[[], str]) -> str:
+    return with_table(path.read_text(encoding="utf-8"), name, table())
 
+
+PARTS: dict[str, tuple[str, Callable[[], str]]] = {
+    "observers.md": ("observers", observers_table),
+    "benchmarks.md": ("benchmarks", benchmarks_table),
+    **{f"{paper}.md": ("errata", partial(errata_sections, paper)) for paper in PAPERS},
+}
+"""Pages with a part that is written from the code: the part's name, and what makes its text."""
 
 WRITTEN: dict[Path, Callable[[], str]] = {
-    DOCS / "observers.md": _observers_page,
+    **{DOCS / name: partial(_page, DOCS / name, *part) for name, part in PARTS.items()},
     DOCS / "images" / "house.svg": lambda: drawing(ROOT / "src" / "covariant"),
+    ROOT / "llms.txt": llms_text,
 }
 """Every file that is written from the code, with what makes the text it should have."""
 

@@ -1,4 +1,4 @@
-"""What the site has beside the pages in `docs`: the README as its front page, and a page of docstrings for every room.
+"""What the site has beside the pages in `docs`: the README, the scripts of the gallery, the docstrings of every room.
 
 `mkdocs.yml` names this file as a hook; `make docs` builds the site.
 """
@@ -6,18 +6,94 @@
 import ast
 import re
 from pathlib import Path
+from typing import NamedTuple
 
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "src" / "covariant"
+GALLERY = ROOT / "gallery"
+IMAGES = ROOT / "docs" / "images"
 WITHOUT_PAGE = ("cli", "papers")
+LATER = "---\nsearch:\n  boost: 0.5\n---\n\n"
+"""Head of a page that the search lists behind those that explain."""
 
 
 def front_page(readme: str) -> str:
     """The README with its links as seen from within `docs`."""
-    return re.sub(r"\]\(docs/", "](", readme)
+    return re.sub(r"\]\(docs/", "](", readme).replace("[docs/", "[")
+
+
+class Script(NamedTuple):
+    """A script of the gallery: its page, its title and text from its docstring, its source, and its figure if any."""
+
+    path: Path
+    title: str
+    text: str
+    source: str
+    figure: Path | None
+
+    @property
+    def page(self) -> str:
+        return f"gallery/{self.path.stem}.md"
+
+    @property
+    def name(self) -> str:
+        words = _subject(self.path).replace("_", " ").capitalize()
+        return words.replace(" imu", " IMU").replace(" panda", " Panda")
+
+
+def _subject(path: Path) -> str:
+    """Name of a script without its number."""
+    return re.sub(r"^\d+_", "", path.stem)
+
+
+def gallery() -> list[Script]:
+    """The numbered scripts of the gallery and the demos, in order."""
+    return [_script(path) for path in [*sorted(GALLERY.glob("[0-9]*.py")), *sorted(GALLERY.glob("demo*.py"))]]
+
+
+def _script(path: Path) -> Script:
+    source = path.read_text(encoding="utf-8")
+    tree = ast.parse(source)
+    title, _, text = (ast.get_docstring(tree) or path.stem).partition("\n")
+    lines = source.splitlines(keepends=True)[tree.body[0].end_lineno :]  # behind the docstring, which the page shows
+    return Script(path, title.removesuffix("."), text.strip(), "".join(lines).strip() + "\n", _figure(path))
+
+
+def _figure(path: Path) -> Path | None:
+    """The figure that is in `docs`, or else the one that the script has drawn here."""
+    subject = _subject(path)
+    places = (
+        IMAGES / f"{subject}.png",
+        IMAGES / f"{subject.removeprefix('demo_')}.png",
+        GALLERY / f"out/{path.stem}.png",
+    )
+    return next((place for place in places if place.exists()), None)
+
+
+def gallery_page(script: Script) -> str:
+    """The page of one script: what it shows, its figure, and its source."""
+    picture = f"![{script.title}]({_picture(script)})\n\n" if script.figure else ""
+    run = f"`python gallery/{script.path.name}`, in a checkout, runs this script"
+    run += " and draws its figure.\n" if script.figure else ".\n"
+    source = f"## Source {{ data-search-exclude }}\n\n```python\n{script.source}```\n"  # found by words, not by names
+    return f"{LATER}# {script.title}\n\n{script.text}\n\n{picture}{run}\n{source}"
+
+
+def _picture(script: Script) -> str:
+    """Link to the figure, from a page of the gallery."""
+    assert script.figure is not None
+    return f"../images/{script.figure.name}" if script.figure.parent == IMAGES else f"out/{script.figure.name}"
+
+
+def gallery_index(scripts: list[Script]) -> str:
+    """The page that lists the scripts."""
+    lines = [f"- [{script.name}]({Path(script.page).name}): {script.title}" for script in scripts]
+    return "# Gallery\n\nShort scripts that each teach one topic, with the figures that they draw.\n\n" + "\n".join(
+        lines
+    )
 
 
 def rooms() -> dict[str, list[str]]:
@@ -42,16 +118,35 @@ def names(path: Path) -> list[str]:
 def reference(room: str, listed: list[str]) -> str:
     """The page of one room."""
     options = "    options:\n      members:\n" + "".join(f"        - {name}\n" for name in listed) if listed else ""
-    return f"# covariant.{room}\n\n::: covariant.{room}\n{options}"
+    return f"{LATER}# covariant.{room}\n\n::: covariant.{room}\n{options}"
 
 
 def on_config(config: MkDocsConfig) -> None:
+    """Put gallery and reference into the navigation, before and behind the notation."""
     assert config.nav is not None
-    config.nav.append({"Reference": [{f"covariant.{room}": f"reference/{room}.md"} for room in rooms()]})
+    place = next(k for k, entry in enumerate(config.nav) if "Notation" in entry)
+    pages = [{script.name: script.page} for script in gallery()]
+    config.nav.insert(place + 1, {"API reference": [{f"covariant.{room}": f"reference/{room}.md"} for room in rooms()]})
+    config.nav.insert(place, {"Gallery": [{"All scripts": "gallery/index.md"}, *pages]})
 
 
 def on_files(files: Files, config: MkDocsConfig) -> None:
-    text = {"index.md": front_page((ROOT / "README.md").read_text(encoding="utf-8"))}
+    """Add the pages that are not in `docs`, and the figures drawn here that they show."""
+    scripts = gallery()
+    llms = (ROOT / "llms.txt").read_text(encoding="utf-8")
+    text = {
+        "index.md": front_page((ROOT / "README.md").read_text(encoding="utf-8")),
+        "llms.txt": re.sub(r"\]\(docs/(.+?)\.md\)", r"](\1.html)", llms),
+        "gallery/index.md": gallery_index(scripts),
+    }
+    text |= {script.page: gallery_page(script) for script in scripts}
     text |= {f"reference/{room}.md": reference(room, listed) for room, listed in rooms().items()}
     for name, content in text.items():
         files.append(File.generated(config, name, content=content))
+    for figure in {script.figure for script in scripts if script.figure and script.figure.parent != IMAGES}:
+        files.append(File.generated(config, f"gallery/out/{figure.name}", abs_src_path=str(figure)))
+
+
+def on_page_content(html: str, **_: object) -> str:
+    """Let every figure open on its own, which a small screen needs."""
+    return re.sub(r'<img [^>]*?src="([^"]+)"[^>]*>', r'<a href="\1">\g<0></a>', html)

@@ -323,7 +323,7 @@ def test_a_torque_that_nobody_told_is_found_and_leaves_no_bias():
         biases.append(abs(np.mean(logs.read(name, READ).truth[late] - log.truth[late])))
     assert biases[1] < 0.1 * biases[0]
     assert Path("without.csv").read_text().splitlines()[0] == "t,q1,v1,v1_std"
-    assert Path("with.csv").read_text().splitlines()[0] == "t,q1,v1,v1_std,external_force1,external_force1_std"
+    assert Path("with.csv").read_text().splitlines()[0] == "t,q1,v1,v1_std,external_force1,external_force1_std,pushed"
     force = logs.read("with.csv", logs.Columns(q=("external_force1", "external_force1_std"))).record.y
     assert force[late, 0].mean() == pytest.approx(0.2, rel=0.1)
     assert np.all(force[late, 1] > 0)

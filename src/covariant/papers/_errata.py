@@ -1,4 +1,4 @@
-"""Wrong printed equations, as counter-examples that demonstrably fail.
+"""Wrong printed equations, as counter-examples that demonstrably fail; `errata.ERRATA` lists all of them.
 
 Sources: Aghannan & Rouchon 2003, equation (14): all four curvature terms have the sign opposite to their own (5).
 Maithripala, Berg & Dayawansa 2004, equations (8), (18), (19), (21), (44), (45) and the definition of S below (30).
@@ -12,6 +12,7 @@ from covariant._typing import Element, Number, Scalar, Vector
 from covariant.geometry.lie import SO3
 from covariant.models import GroupSystem, Motion, friction, source
 from covariant.observers import AbstractFlowObserver, Info, MechanicalState, SampledState
+from covariant.papers.errata import ERRATA
 
 CONTINUOUS = "the printed observer is a counter-example in continuous time only"
 """Why it makes no steps."""
@@ -71,14 +72,7 @@ class PrintedBallAndBeam(AbstractFlowObserver):
         raise NotImplementedError(CONTINUOUS)
 
 
-SLIPS = {
-    "curvature sign": "(18): the curvature term has the sign of the other convention",
-    "curvature count": "(8): parts of the curvature are counted twice",
-    "transport": "(19): the connection's arguments are exchanged",
-    "alpha": "(21): the bracket lacks its factor α",
-    "logarithm": "(44), (45): not the logarithm of g⁻¹g̃",
-    "source": "below (30): S without the inverse inertia",
-}
+SLIPS = {entry.slip: f"{entry.where}: {entry.reason}" for entry in ERRATA if entry.slip}
 """Misprints of Maithripala, Berg & Dayawansa 2004, each with its equation."""
 
 
