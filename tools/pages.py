@@ -1,4 +1,4 @@
-"""The parts of the pages that are written from the code: the table of observers and the picture of the house.
+"""What is written into the pages: the table of observers, the picture of the house, what other projects' suites found.
 
     python tools/pages.py
 
@@ -10,6 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from house import drawing
+from peers.page import page as peers_page
 
 from covariant.observers import REGISTRY, Entry
 
@@ -52,9 +53,10 @@ def _observers_page() -> str:
 
 WRITTEN: dict[Path, Callable[[], str]] = {
     DOCS / "observers.md": _observers_page,
+    DOCS / "peers.md": peers_page,
     DOCS / "images" / "house.svg": lambda: drawing(ROOT / "src" / "covariant"),
 }
-"""Every file that is written from the code, with what makes the text it should have."""
+"""Every file that is written, from the code or from results, with what makes the text it should have."""
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""geomstats' own tests of Riemannian metrics, unmodified, on metrics of this library: `make geomstats`.
+"""geomstats' own tests of Riemannian metrics, unmodified, on metrics of this library.
 
 Its `RiemannianMetricTestCase` asks of a metric what is true of every one: distances, geodesics there and back, parallel
 transport, symmetries of the curvature, and that all of it takes batches. The metrics are those of closed forms and of
@@ -11,12 +11,14 @@ Source: Miolane et al. 2020, Geomstats, Journal of Machine Learning Research 21(
 
 import inspect
 import sys
+from importlib.metadata import version
 
 import geomstats.backend as gs
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from found import Found, words
 from geomstats.geometry.base import VectorSpace
 from geomstats.geometry.euclidean import Euclidean
 from geomstats.geometry.poincare_ball import PoincareBall
@@ -183,26 +185,57 @@ LACKING = ("curvature_derivative", "injectivity_radius", "parallel_transport")
 """What geomstats does not have for its own spaces, and so cannot compare."""
 
 
+TABLES = "they compare with tables of expected numbers, which are not part of the package"
+ABSENT = "geomstats does not have these for its own spaces"
+
+
 class Selection:
-    """Leaves out the tests that need a table of expected numbers, and comparisons with what is `LACKING`."""
+    """Leaves out the tests that need a table of expected numbers, and comparisons with what is `LACKING`; counts."""
+
+    def __init__(self, found: Found):
+        self.found, self.counts = found, {}
 
     @pytest.hookimpl(trylast=True)
     def pytest_collection_modifyitems(self, config, items):
-        asked = [
-            item
-            for item in items
-            if set(inspect.signature(item.function).parameters) <= {"self", *SIZES}
-            and not (item.cls.__name__ == "TestComparison" and any(name in item.name for name in LACKING))
-        ]
-        config.hook.pytest_deselected(items=[item for item in items if item not in asked])
-        items[:] = asked
+        tables = [i for i in items if not set(inspect.signature(i.function).parameters) <= {"self", *SIZES}]
+        absent = [i for i in items if i.cls.__name__ == "TestComparison" and any(name in i.name for name in LACKING)]
+        for name, left, why in (("tests with tables", tables, TABLES), ("comparisons", absent, ABSENT)):
+            self.found.left_out(name, len(left), why)
+        out = {*tables, *absent}
+        config.hook.pytest_deselected(items=[*out])
+        items[:] = [item for item in items if item not in out]
+
+    def pytest_runtest_logreport(self, report):
+        """Count a case where it ran, or where it failed before it ran."""
+        if report.when != "call" and report.outcome != "failed":
+            return
+        where, name = report.nodeid.split("::")[-2:]
+        labels = name.partition("[")[2].rstrip("]").split("-")
+        [space] = {*SPACES, *PAIRS} & {*labels}
+        kind = "robots" if space in ROBOTS else "comparison" if where == "TestComparison" else "spaces"
+        ran, passed = self.counts.get((kind, space), (0, 0))
+        self.counts[kind, space] = ran + 1, passed + (report.outcome == "passed")
+        self.found.case(f"{where}.{name}", report.outcome == "passed")
+
+
+ROBOTS = ("scara", "panda")
 
 
 def main() -> int:
-    """Run all of them; the exit code."""
+    """Run all of them."""
     jax.config.update("jax_enable_x64", True)
+    given = words()
+    found = Found(f"geomstats {version('geomstats')}")
     options = ["-q", "-p", "no:cacheprovider", "-c", "/dev/null", "--rootdir", ".", "-o", "markers=random\nvec"]
-    return pytest.main([*options, *sys.argv[1:], __file__], plugins=[Selection()])
+    selection = Selection(found)
+    code = pytest.main([*options, __file__], plugins=[selection])
+    rows = [(kind, space, ran, passed) for (kind, space), (ran, passed) in sorted(selection.counts.items())]
+    found.table("Tests of Riemannian metrics", ("kind", "space", "cases", "passed"), rows)
+    for kind, least in (("spaces", 70), ("robots", 40)):
+        count = sum(row[2] for row in rows if row[0] == kind)
+        found.case(f"at least {least} cases on {kind}: {count} ran", count >= least)
+    found.write(given.out)
+    return code
 
 
 if __name__ == "__main__":
