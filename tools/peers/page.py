@@ -38,26 +38,26 @@ def table(head: list[str], rows: list[list[str]]) -> str:
 def summary(results: dict[str, dict]) -> str:
     """One row for each suite."""
     rows = []
-    for name, found in results.items():
-        counts = [found.get(key, "–") for key in ("version", "cases", "passed")]
-        deviations = len(found["deviations"]) if "deviations" in found else "–"
-        cells = [f"[{name}](#{name})", *counts, deviations, found.get("seconds", "–"), found["date"]]
+    for name, outcome in results.items():
+        counts = [outcome.get(key, "–") for key in ("version", "cases", "passed")]
+        deviations = len(outcome["deviations"]) if "deviations" in outcome else "–"
+        cells = [f"[{name}](#{name})", *counts, deviations, outcome.get("seconds", "–"), outcome["date"]]
         rows.append([str(cell) for cell in cells])
     return table(["suite", "versions", "cases", "passed", "deviations", "seconds", "date"], rows)
 
 
-def section(name: str, found: dict) -> str:
-    """What one suite found."""
+def section(name: str, outcome: dict) -> str:
+    """The results of one suite."""
     parts = [f"## {name}", ABOUT[name]]
-    if "failed" in found:
-        parts.append(f"It did not finish: {found['failed']}.")
-    parts += [f"pip does not install `{what}`: {said}" for what, said in found.get("unavailable", {}).items()]
-    if left := found.get("left_out"):
+    if "failed" in outcome:
+        parts.append(f"It did not finish: {outcome['failed']}.")
+    parts += [f"pip does not install `{what}`: {said}" for what, said in outcome.get("unavailable", {}).items()]
+    if left := outcome.get("left_out"):
         parts.append("\n".join(f"- left out, {part['what']}: {part['count']}; {part['reason']}" for part in left))
-    if off := found.get("deviations"):
+    if off := outcome.get("deviations"):
         rows = [[part["case"], part["reason"] or "not explained"] for part in off]
         parts.append(table(["deviation", "reason"], rows))
-    for part in found.get("tables", []):
+    for part in outcome.get("tables", []):
         parts += [f"**{part['title']}**", table(part["head"], part["rows"])]
         parts += [part["note"]] if part["note"] else []
     return "\n\n".join(parts)

@@ -1,7 +1,7 @@
 """Run other projects' suites and oracles on this library: `make peers`, or `python tools/peers/run.py NAME …`.
 
 Each suite is a file of this folder and runs in its own environment, `.venv-peers-NAME`, which is made when it is first
-asked for: the versions named here, in front of the packages of `.venv`. What a suite found is written to
+asked for: the versions named here, in front of the packages of `.venv`. The results of a suite are written to
 `docs/peers.json`, where results of suites that were not asked for stay. The page `docs/peers.md` is written from that
 file alone, here and by `python tools/pages.py`.
 
@@ -115,18 +115,18 @@ def sought(environment: Path, package: str) -> str:
 
 
 def ran(name: str, again: bool) -> dict:
-    """Run one suite: what it found, or why it did not run."""
+    """Run one suite: its results, or why it did not run."""
     suite, folder = SUITES[name], ROOT / f".venv-peers-{name}"
     second = ROOT / f".venv-peers-{re.split('[=<>]', suite.beside[0])[0]}" if suite.beside else None
     if again:
         for made in filter(None, (folder, second)):
             shutil.rmtree(made, ignore_errors=True)
     project = re.split(r"[=\[]", suite.packages[0])[0]
-    found = {"name": name, "project": project, "date": time.strftime("%Y-%m-%d")}
+    outcome = {"name": name, "project": project, "date": time.strftime("%Y-%m-%d")}
     try:
         install(folder, list(suite.packages), suite.unpinned)
     except UnavailableError as reason:
-        return found | {"unavailable": {project: str(reason)}}
+        return outcome | {"unavailable": {project: str(reason)}}
     unavailable, words = {}, []
     if suite.seeks and (said := sought(folder, suite.seeks)):
         unavailable[suite.seeks] = said
@@ -137,42 +137,42 @@ def ran(name: str, again: bool) -> dict:
         except UnavailableError as reason:
             unavailable[suite.beside[0]] = str(reason)
     with tempfile.TemporaryDirectory() as scratch:
-        out, start = Path(scratch, "found.json"), time.monotonic()
+        out, start = Path(scratch, "outcome.json"), time.monotonic()
         environment = {**os.environ, **THREADS, "PYTHONPATH": str(ROOT / "src"), **dict(suite.environment)}
         words = [HERE / f"suite_{name}.py", "--out", str(out), *words]
         done = subprocess.run([python(folder), *words], cwd=ROOT, env=environment, check=False)
         if not out.exists():
-            return found | {"unavailable": unavailable, "failed": f"the suite ended with code {done.returncode}"}
-        found |= json.loads(out.read_text())
-    return found | {"unavailable": unavailable, "seconds": round(time.monotonic() - start)}
+            return outcome | {"unavailable": unavailable, "failed": f"the suite ended with code {done.returncode}"}
+        outcome |= json.loads(out.read_text())
+    return outcome | {"unavailable": unavailable, "seconds": round(time.monotonic() - start)}
 
 
-def line(found: dict) -> str:
+def line(outcome: dict) -> str:
     """The line of a suite: name, version, cases, passed, deviations, seconds."""
-    if "cases" not in found:
-        return f"{found['name']} did not run: {found.get('failed') or found['unavailable']}"
+    if "cases" not in outcome:
+        return f"{outcome['name']} did not run: {outcome.get('failed') or outcome['unavailable']}"
     keys = ("name", "version", "cases", "passed", "deviations", "seconds")
-    return " ".join(str(len(found[k]) if k == "deviations" else found[k]) for k in keys)
+    return " ".join(str(len(outcome[k]) if k == "deviations" else outcome[k]) for k in keys)
 
 
 def main() -> int:
-    """Run suites and write what they found; the exit code is 1 where one has a case that fails without a reason."""
+    """Run suites and write their results; the exit code is 1 where one has a case that fails without a reason."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("names", nargs="*", metavar="NAME", help=", ".join(SUITES))
     parser.add_argument("--again", action="store_true", help="make the environments anew")
     parser.add_argument("--install", action="store_true", help="only make the environments")
-    given = parser.parse_args()
-    if unknown := set(given.names) - set(SUITES):
+    arguments = parser.parse_args()
+    if unknown := set(arguments.names) - set(SUITES):
         parser.error(f"no suite is called {', '.join(unknown)}; there are {', '.join(SUITES)}")
     bad = False
-    for name in given.names or SUITES:
-        found = ran(name, given.again)
-        print(line(found), flush=True)
-        kept = json.loads(RESULTS.read_text()) if RESULTS.exists() else {}
-        kept[name] = found
-        ordered = {key: kept[key] for key in SUITES if key in kept}
+    for name in arguments.names or SUITES:
+        outcome = ran(name, arguments.again)
+        print(line(outcome), flush=True)
+        results = json.loads(RESULTS.read_text()) if RESULTS.exists() else {}
+        results[name] = outcome
+        ordered = {key: results[key] for key in SUITES if key in results}
         RESULTS.write_text(json.dumps(ordered, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
-        bad |= "cases" not in found or any(not each["reason"] for each in found["deviations"])
+        bad |= "cases" not in outcome or any(not each["reason"] for each in outcome["deviations"])
     RESULTS.with_suffix(".md").write_text(page(), encoding="utf-8")
     return int(bad)
 

@@ -64,12 +64,12 @@ class Exact(NamedTuple):
         """The element, rounded to double precision."""
         return np.array([[int(v) / ONE for v in row] for row in self.values["exp"]])
 
-    def error(self, name: str, found: np.ndarray, dtype: type) -> float:
+    def error(self, name: str, outcome: np.ndarray, dtype: type) -> float:
         """Error of a result in units of rounding, relative to the exact one, or absolute where that is zero."""
-        if not np.all(np.isfinite(found)):
+        if not np.all(np.isfinite(outcome)):
             return float("nan")
         right = self.values[name]
-        apart = np.array([fixed(v) for v in np.ravel(found)], object) - np.ravel(right)
+        apart = np.array([fixed(v) for v in np.ravel(outcome)], object) - np.ravel(right)
         size = norm(np.ravel(right)) or 1.0
         return norm(apart) / size / float(np.finfo(dtype).eps)
 

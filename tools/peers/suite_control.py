@@ -10,7 +10,7 @@ import control
 import jax
 import jax.numpy as jnp
 import numpy as np
-from found import Found, words
+from outcome import Outcome, command_line
 
 from covariant import codegen, models
 from covariant.observers import Intrinsic
@@ -53,8 +53,8 @@ def aircraft():
 
 def main() -> None:
     """The plants are equal, so are the loops, and the loop reaches its target."""
-    given = words()
-    found = Found(f"control {control.__version__}")
+    arguments = command_line()
+    outcome = Outcome(f"control {control.__version__}")
     model = aircraft()
     states = models.state_space(model)
     plant = control.nlsys(
@@ -67,12 +67,12 @@ def main() -> None:
         np.abs(plant.dynamics(0.0, x, u) - mine.dynamics(0.0, x, u)).max()
         for x, u in zip(rng.normal(size=(50, 6)), HOVER + rng.normal(size=(50, 2)), strict=True)
     ]
-    found.close("equations of motion at 50 states", float(max(apart)), 1e-11)
+    outcome.close("equations of motion at 50 states", float(max(apart)), 1e-11)
     theirs, ours = (control.linearize(system, np.zeros(6), HOVER) for system in (plant, mine))
-    found.close("A of control.linearize", float(np.abs(theirs.A - ours.A).max()), 1e-5)
-    found.close("B of control.linearize", float(np.abs(theirs.B - ours.B).max()), 1e-5)
+    outcome.close("A of control.linearize", float(np.abs(theirs.A - ours.A).max()), 1e-5)
+    outcome.close("B of control.linearize", float(np.abs(theirs.B - ours.B).max()), 1e-5)
     a, _ = states.jacobians(jnp.zeros(()), jnp.zeros(6), jnp.asarray(HOVER))
-    found.close("A by differentiation beside control.linearize", float(np.abs(theirs.A - a).max()), 1e-5)
+    outcome.close("A by differentiation beside control.linearize", float(np.abs(theirs.A - a).max()), 1e-5)
 
     gain, _, _ = control.lqr(theirs.A, theirs.B, np.diag([100, 10, 180, 1, 1, 5]), np.diag([10, 1]))
     observer = Intrinsic(model, 12.0, 60.0)
@@ -103,11 +103,11 @@ def main() -> None:
         states, observer, jnp.asarray(START), first, jnp.asarray(STAMPS),
         controller=lambda t, y, estimate: jnp.asarray(HOVER) - jnp.asarray(gain) @ (estimate - jnp.asarray(TARGET)),
     )  # fmt: skip
-    found.close("states of the loop beside the simulation here", float(np.abs(x - own).max()), 1e-6)
+    outcome.close("states of the loop beside the simulation here", float(np.abs(x - own).max()), 1e-6)
     estimated = np.asarray(jax.vmap(observer.estimate)(state))
-    found.close("estimates of the loop beside the simulation here", float(np.abs(estimate - estimated).max()), 1e-6)
-    found.close("distance to the target after 10 s", float(np.abs(x[-1] - TARGET).max()), 0.02)
-    found.close("error of the estimate after 10 s", float(np.abs(x[-1] - estimate[-1]).max()), 1e-6)
+    outcome.close("estimates of the loop beside the simulation here", float(np.abs(estimate - estimated).max()), 1e-6)
+    outcome.close("distance to the target after 10 s", float(np.abs(x[-1] - TARGET).max()), 0.02)
+    outcome.close("error of the estimate after 10 s", float(np.abs(x[-1] - estimate[-1]).max()), 1e-6)
 
     c_matrix = np.eye(3, 6)
     kalman, _, _ = control.lqe(theirs.A, np.eye(6, 3, -3), c_matrix, np.eye(3), 1e-4 * np.eye(3))
@@ -123,8 +123,8 @@ def main() -> None:
         for who, p, e in (("`Intrinsic` here", x, estimate), ("`control.lqe`, linear", y, other))
     ]  # fmt: skip
     head = ("estimator", "RMS velocity error, first 2 s", "RMS velocity error, after 2 s", "distance to the target")
-    found.table("The loop with either estimator", head, rows, "SI units; the same plant and feedback, exact samples.")
-    found.write(given.out)
+    outcome.table("The loop with either estimator", head, rows, "SI units; the same plant and feedback, exact samples.")
+    outcome.write(arguments.out)
 
 
 if __name__ == "__main__":

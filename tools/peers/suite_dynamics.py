@@ -6,7 +6,7 @@ import tempfile
 from importlib.metadata import version
 from pathlib import Path
 
-from found import Found, words
+from outcome import Outcome, command_line
 
 sys.path.append(str(Path(__file__).parents[1]))
 import compare_robots as robots_beside
@@ -43,25 +43,25 @@ def differences(text: str, python: str | None) -> dict[str, dict[str, float]]:
 
 def main() -> None:
     """Every robot, and a few trees, beside both engines."""
-    given = words()
+    arguments = command_line()
     names = f"MuJoCo {version('mujoco')}"
-    if given.beside:
-        asked = [given.beside, "-c", "import pinocchio; print(pinocchio.__version__)"]
+    if arguments.beside:
+        asked = [arguments.beside, "-c", "import pinocchio; print(pinocchio.__version__)"]
         names += f", Pinocchio {subprocess.run(asked, check=True, capture_output=True, text=True).stdout.strip()}"
-    found, rows = Found(names), []
+    outcome, rows = Outcome(names), []
     texts = {name: robots.located(name).read_text(encoding="utf-8") for name in robots.ROBOTS}
     texts |= {f"tree {seed}": robots_beside.tree(seed) for seed in range(TREES)}
     for name, text in texts.items():
-        for engine, apart in differences(robots_beside.plain(text), given.beside).items():
+        for engine, apart in differences(robots_beside.plain(text), arguments.beside).items():
             for kind, value in apart.items():
-                found.close(f"{KINDS[kind]} of {name} beside {engine}", value, robots_beside.TOLERANCE)
+                outcome.close(f"{KINDS[kind]} of {name} beside {engine}", value, robots_beside.TOLERANCE)
             rows.append((name, engine, *(f"{apart[kind]:.1e}" for kind in KINDS)))
     note = (
         f"At {STATES} random states of each, relative to the largest number of its kind. Friction is taken out, of "
         "which the engines have other models, and a planar joint is given to them as three of one axis."
     )
-    found.table("Largest differences", ("robot", "engine", *KINDS.values()), rows, note)
-    found.write(given.out)
+    outcome.table("Largest differences", ("robot", "engine", *KINDS.values()), rows, note)
+    outcome.write(arguments.out)
 
 
 if __name__ == "__main__":

@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter, MerweScaledSigmaPoints, UnscentedKalmanFilter
-from found import Found, words
+from outcome import Outcome, command_line
 
 from covariant import models, observers
 from covariant.signals import Record
@@ -188,8 +188,8 @@ QUANTITIES = ("estimate", "covariance", "innovation", "normalised innovation squ
 
 def main() -> None:
     """Every filter on every model that it takes."""
-    given = words()
-    found = Found(f"filterpy {version('filterpy')}")
+    arguments = command_line()
+    outcome = Outcome(f"filterpy {version('filterpy')}")
     rows = []
     for case in CASES:
         record = log(case)
@@ -199,14 +199,14 @@ def main() -> None:
             apart = []
             for name, a, b in zip(QUANTITIES, mine, other, strict=True):
                 apart.append(float(np.max(np.abs(a - b)) / np.max(np.abs(b))))
-                found.close(f"{name} of {kind}, {case.name}", apart[-1], 1e-9)
+                outcome.close(f"{name} of {kind}, {case.name}", apart[-1], 1e-9)
             rows.append((case.name, kind, *(f"{a:.1e}" for a in apart), f"{1e6 * fast:.1f}", f"{1e6 * slow:.0f}"))
     head = ("model", "filter", *QUANTITIES, "covariant [µs a row]", "FilterPy [µs a row]")
     note = (
         "Times are processor time: here of a compiled scan, without compiling it; FilterPy's with the model in NumPy."
     )
-    found.table("Largest differences, relative to the largest value", head, rows, note)
-    found.write(given.out)
+    outcome.table("Largest differences, relative to the largest value", head, rows, note)
+    outcome.write(arguments.out)
 
 
 if __name__ == "__main__":

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from fmpy import simulate_fmu
 from fmpy.validation import validate_fmu
-from found import Found, words
+from outcome import Outcome, command_line
 
 from covariant import codegen, models, observers
 
@@ -26,8 +26,8 @@ def cases():
 
 def main() -> None:
     """Both observers as units of both versions."""
-    given = words()
-    found = Found(f"fmpy {version('fmpy')}")
+    arguments = command_line()
+    outcome = Outcome(f"fmpy {version('fmpy')}")
     t = np.arange(ROWS + 1) / RATE
     y = np.stack([0.3 * np.sin(3 * t), 0.2 * np.cos(4 * t)], axis=1)
     u = np.stack([0.1 * np.cos(5 * t), 0.05 * np.sin(2 * t)], axis=1)
@@ -40,14 +40,14 @@ def main() -> None:
                 path = Path(folder, "arm.fmu")
                 codegen.write_fmu(codegen.fmu(program, "arm", f"{name} of a double pendulum.", RATE, y[0], fmi), path)
                 problems = validate_fmu(str(path))
-                found.case(f"no problem in {name}, FMI {fmi}: {len(problems)} found", not problems)
+                outcome.case(f"no problem in {name}, FMI {fmi}: {len(problems)} of them", not problems)
                 simulated = by_fmpy(path, fmi, t, y, u)
             apart = np.abs(simulated[1:] - expected).max()
-            found.close(f"simulation of {name}, FMI {fmi}", float(apart), 1e-9)
+            outcome.close(f"simulation of {name}, FMI {fmi}", float(apart), 1e-9)
             rows.append((name, fmi, len(problems), f"{apart:.1e}"))
     head = ("observer", "FMI", "problems that FMPy finds", "largest difference to Python")
-    found.table("Units", head, rows, f"{ROWS} steps at {RATE:g} Hz, of positions and velocities in rad and rad/s.")
-    found.write(given.out)
+    outcome.table("Units", head, rows, f"{ROWS} steps at {RATE:g} Hz, of positions and velocities in rad and rad/s.")
+    outcome.write(arguments.out)
 
 
 def in_python(observer, t, y, u) -> np.ndarray:

@@ -18,7 +18,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from found import Found, words
 from geomstats.geometry.base import VectorSpace
 from geomstats.geometry.euclidean import Euclidean
 from geomstats.geometry.poincare_ball import PoincareBall
@@ -27,6 +26,7 @@ from geomstats.test_cases.geometry.riemannian_metric import (
     RiemannianMetricComparisonTestCase,
     RiemannianMetricTestCase,
 )
+from outcome import Outcome, command_line
 
 from covariant import geometry, models
 from covariant.geometry import Budget
@@ -58,8 +58,8 @@ class Chart(VectorSpace):
         return gs.eye(self.dim)
 
     def _random(self, count):
-        found = self.size * gs.random.uniform(-1, 1, (count, self.dim)) / np.sqrt(self.dim)
-        return found if count > 1 else found[0]
+        outcome = self.size * gs.random.uniform(-1, 1, (count, self.dim)) / np.sqrt(self.dim)
+        return outcome if count > 1 else outcome[0]
 
 
 class Adapter(RiemannianMetric):
@@ -130,8 +130,8 @@ def batched(f):
     return call
 
 
-def robot(name, **given):
-    return models.robots.load(name, **given).space
+def robot(name, **arguments):
+    return models.robots.load(name, **arguments).space
 
 
 SPACES = {
@@ -192,15 +192,15 @@ ABSENT = "geomstats does not have these for its own spaces"
 class Selection:
     """Leaves out the tests that need a table of expected numbers, and comparisons with what is `LACKING`; counts."""
 
-    def __init__(self, found: Found):
-        self.found, self.counts = found, {}
+    def __init__(self, outcome: Outcome):
+        self.outcome, self.counts = outcome, {}
 
     @pytest.hookimpl(trylast=True)
     def pytest_collection_modifyitems(self, config, items):
         tables = [i for i in items if not set(inspect.signature(i.function).parameters) <= {"self", *SIZES}]
         absent = [i for i in items if i.cls.__name__ == "TestComparison" and any(name in i.name for name in LACKING)]
         for name, left, why in (("tests with tables", tables, TABLES), ("comparisons", absent, ABSENT)):
-            self.found.left_out(name, len(left), why)
+            self.outcome.left_out(name, len(left), why)
         out = {*tables, *absent}
         config.hook.pytest_deselected(items=[*out])
         items[:] = [item for item in items if item not in out]
@@ -215,7 +215,7 @@ class Selection:
         kind = "robots" if space in ROBOTS else "comparison" if where == "TestComparison" else "spaces"
         ran, passed = self.counts.get((kind, space), (0, 0))
         self.counts[kind, space] = ran + 1, passed + (report.outcome == "passed")
-        self.found.case(f"{where}.{name}", report.outcome == "passed")
+        self.outcome.case(f"{where}.{name}", report.outcome == "passed")
 
 
 ROBOTS = ("scara", "panda")
@@ -224,17 +224,17 @@ ROBOTS = ("scara", "panda")
 def main() -> int:
     """Run all of them."""
     jax.config.update("jax_enable_x64", True)
-    given = words()
-    found = Found(f"geomstats {version('geomstats')}")
+    arguments = command_line()
+    outcome = Outcome(f"geomstats {version('geomstats')}")
     options = ["-q", "-p", "no:cacheprovider", "-c", "/dev/null", "--rootdir", ".", "-o", "markers=random\nvec"]
-    selection = Selection(found)
+    selection = Selection(outcome)
     code = pytest.main([*options, __file__], plugins=[selection])
     rows = [(kind, space, ran, passed) for (kind, space), (ran, passed) in sorted(selection.counts.items())]
-    found.table("Tests of Riemannian metrics", ("kind", "space", "cases", "passed"), rows)
+    outcome.table("Tests of Riemannian metrics", ("kind", "space", "cases", "passed"), rows)
     for kind, least in (("spaces", 70), ("robots", 40)):
         count = sum(row[2] for row in rows if row[0] == kind)
-        found.case(f"at least {least} cases on {kind}: {count} ran", count >= least)
-    found.write(given.out)
+        outcome.case(f"at least {least} cases on {kind}: {count} ran", count >= least)
+    outcome.write(arguments.out)
     return code
 
 

@@ -18,7 +18,7 @@ import jax
 import jax.numpy as jnp
 import jaxlie
 import numpy as np
-from found import Found, words
+from outcome import Outcome, command_line
 from sixty_digits import exact
 
 from covariant.geometry import lie
@@ -160,7 +160,7 @@ def times(a, x):
 def laws(p: Batched):
     """The laws of both projects, by name.
 
-    Each is a function `(a, b, c, x, y, w, q) -> (found, expected)` of elements a, b, c, twists x, y, small twists w and
+    Each is a function `(a, b, c, x, y, w, q) -> (value, expected)` of elements a, b, c, twists x, y, small twists w and
     points q, K of each. Those whose name begins with `∂` hold to second order in w.
     """
     exp, log, mul, inv, act, hat, one = p.exp, p.log, p.compose, p.inverse, p.act, p.hat, p.one
@@ -294,7 +294,7 @@ def violations(p: Batched, dtype, angles) -> dict[str, float]:
     return {name: float(np.max(np.abs(np.subtract(*pair, dtype=float)))) for name, pair in pairs.items()}
 
 
-def ask_laws(found: Found) -> None:
+def ask_laws(outcome: Outcome) -> None:
     """All laws, on all groups of both libraries, in both precisions, at common angles and near no rotation."""
     rows = []
     places = {
@@ -305,29 +305,29 @@ def ask_laws(found: Found) -> None:
         both = [Batched(kind(name)) for kind in (Ours, Jaxlie)]
         for dtype in REAL:
             for place, angles in places.items():
-                kept = []
+                shares = []
                 for p in both:
                     allowed = 1e-8 if dtype is np.float64 else 2e-5
                     worst = violations(p, dtype, angles)
                     bounds = {law: max(allowed, SQUARED) if law[0] == "∂" else allowed for law in worst}
-                    kept.append((sum(worst[law] <= bounds[law] for law in worst), len(worst)))
-                    kept.append(
+                    shares.append((sum(worst[law] <= bounds[law] for law in worst), len(worst)))
+                    shares.append(
                         max(worst, key=lambda law: np.inf if np.isnan(worst[law]) else worst[law] / bounds[law])
                     )
-                    kept.append(worst[kept[-1]])
+                    shares.append(worst[shares[-1]])
                     if p is both[0]:
                         for law, value in worst.items():
-                            found.close(f"{law}, {name}, {np.dtype(dtype).name}, {place}", value, bounds[law])
-                rows.append((name, np.dtype(dtype).name, place, kept))
+                            outcome.close(f"{law}, {name}, {np.dtype(dtype).name}, {place}", value, bounds[law])
+                rows.append((name, np.dtype(dtype).name, place, shares))
     shown = [
         (
             name,
             real,
             place,
-            *(f"{a} of {b}" for a, b in (kept[0], kept[3])),
-            *(f"{kept[i]:.0e} ({kept[i - 1]})" for i in (2, 5)),
+            *(f"{a} of {b}" for a, b in (shares[0], shares[3])),
+            *(f"{shares[i]:.0e} ({shares[i - 1]})" for i in (2, 5)),
         )
-        for name, real, place, kept in rows
+        for name, real, place, shares in rows
     ]
     head = (
         "group",
@@ -338,7 +338,7 @@ def ask_laws(found: Found) -> None:
         "covariant: worst",
         "jaxlie: worst",
     )
-    found.table("Laws of Lie groups", head, shown, LAWS_NOTE)
+    outcome.table("Laws of Lie groups", head, shown, LAWS_NOTE)
 
 
 LAWS_NOTE = (
@@ -355,7 +355,7 @@ PINOCCHIO = """
 import sys
 import numpy as np, pinocchio as pin
 twists, elements, out = sys.argv[1:]
-x, g, found = np.load(twists), np.load(elements), {}
+x, g, outcome = np.load(twists), np.load(elements), {}
 for name in ("SO3", "SE3"):
     rows = {key: [] for key in ("exp", "log", "right_jacobian", "right_jacobian_inverse", "adjoint")}
     for t, m in zip(x[name], g[name]):
@@ -367,20 +367,20 @@ for name in ("SO3", "SE3"):
             made = r.homogeneous, pin.log6(pin.SE3(m)).vector, pin.Jexp6(t), pin.Jlog6(r), r.action
         for key, value in zip(rows, made):
             rows[key].append(value)
-    found.update({f"{name} {key}": np.array(value) for key, value in rows.items()})
-np.savez(out, version=pin.__version__, **found)
+    outcome.update({f"{name} {key}": np.array(value) for key, value in rows.items()})
+np.savez(out, version=pin.__version__, **outcome)
 """
 
 
 def by_pinocchio(python: str, twists: dict, elements: dict) -> dict:
     """What Pinocchio returns for twists and elements of SO3 and SE3."""
     with tempfile.TemporaryDirectory() as folder:
-        paths = [Path(folder, name) for name in ("twists.npz", "elements.npz", "found.npz")]
+        paths = [Path(folder, name) for name in ("twists.npz", "elements.npz", "outcome.npz")]
         np.savez(paths[0], **twists)
         np.savez(paths[1], **elements)
         subprocess.run([python, "-c", PINOCCHIO, *map(str, paths)], check=True)
-        with np.load(paths[2]) as found:
-            return dict(found)
+        with np.load(paths[2]) as outcome:
+            return dict(outcome)
 
 
 OPERATIONS = ("exp", "log", "right_jacobian", "right_jacobian_inverse", "adjoint")
@@ -413,7 +413,7 @@ def values(p, dtype, x, g) -> dict[str, np.ndarray]:
     return {key: np.asarray(jax.jit(jax.vmap(f))(at.astype(dtype))) for key, (f, at) in functions.items()}
 
 
-def compare_values(found: Found, beside: str | None) -> str:
+def compare_values(outcome: Outcome, beside: str | None) -> str:
     """Values beside those of the others, and of 60 digits; the version of Pinocchio."""
     rows, all_trials, all_exact = [], {n: trials(n) for n in NAMES}, {}
     for name in NAMES:
@@ -444,18 +444,18 @@ def compare_values(found: Found, beside: str | None) -> str:
                 a, b = (made[w, dtype][key][common] for w in ("Ours", who))
                 apart = float(np.max(np.abs(a - b)) / np.max(np.abs(a)))
                 bound = 2e3 * float(np.finfo(dtype).eps)
-                found.close(f"{key} of {name} beside {who}, {np.dtype(dtype).name}", apart, bound)
+                outcome.close(f"{key} of {name} beside {who}, {np.dtype(dtype).name}", apart, bound)
         for key in OPERATIONS:
             for dtype in REAL:
                 ours = float(np.max(errors["Ours", dtype, key]))
-                found.close(f"{key} of {name} beside 60 digits, {np.dtype(dtype).name} [units of rounding]", ours, 40)
+                outcome.close(f"{key} of {name} beside 60 digits, {np.dtype(dtype).name} [units of rounding]", ours, 40)
             for region in REGIONS:
                 here = np.array([r == region for r in regions])
                 cells = [
                     shown(errors[(*column, key)][here].max()) if (*column, key) in errors else "–" for column in COLUMNS
                 ]
                 rows.append((name, LABELS[key], region, *cells))
-    found.table("Digits", ("group", "function", "angle [rad]", *COLUMN_NAMES), rows, DIGITS_NOTE)
+    outcome.table("Digits", ("group", "function", "angle [rad]", *COLUMN_NAMES), rows, DIGITS_NOTE)
     return str(theirs["version"]) if theirs else ""
 
 
@@ -480,12 +480,12 @@ def shown(error: float) -> str:
 
 def main() -> None:
     """All of it."""
-    given = words()
-    found = Found("")
-    ask_laws(found)
-    other = compare_values(found, given.beside)
-    found.version = f"jaxlie {version('jaxlie')}" + (f", Pinocchio {other}" if other else "")
-    found.write(given.out)
+    arguments = command_line()
+    outcome = Outcome("")
+    ask_laws(outcome)
+    other = compare_values(outcome, arguments.beside)
+    outcome.version = f"jaxlie {version('jaxlie')}" + (f", Pinocchio {other}" if other else "")
+    outcome.write(arguments.out)
 
 
 if __name__ == "__main__":

@@ -17,7 +17,7 @@ from pathlib import Path
 import jax
 import jax.numpy as jnp
 import numpy as np
-from found import Found, words
+from outcome import Outcome, command_line
 
 sys.path += [str(Path(__file__).parents[2] / "benchmarks"), str(Path(__file__).parents[1])]
 import compare_robots
@@ -58,14 +58,14 @@ with contextlib.redirect_stdout(sys.stderr):
     stacked = tau.T.ravel()
     explained = W @ np.array(list(standard.values()))
     W_e, names = eliminate_non_dynaffect(W, standard, tol_e=1e-6)
-    W_b, _, base, found, right = double_QR(stacked, W_e, names, standard)[:5]
+    W_b, _, base, outcome, right = double_QR(stacked, W_e, names, standard)[:5]
 size = float(np.abs(stacked).max())
 print(json.dumps({
     "version": version("figaroh"),
     "count": len(base),
     "regressor": float(np.abs(explained - stacked).max()) / size,
-    "residual": float(np.abs(W_b @ np.asarray(found, float) - stacked).max()) / size,
-    "base": float(np.abs(np.asarray(found, float) - np.asarray(right, float)).max()),
+    "residual": float(np.abs(W_b @ np.asarray(outcome, float) - stacked).max()) / size,
+    "base": float(np.abs(np.asarray(outcome, float) - np.asarray(right, float)).max()),
 }))
 """
 
@@ -88,7 +88,7 @@ def torques_of(name: str, folder: Path) -> tuple[Path, Path]:
     return urdf, samples
 
 
-def by_figaroh(python: str, found: Found) -> str:
+def by_figaroh(python: str, outcome: Outcome) -> str:
     """Base parameters of robots, and the version of FIGAROH."""
     rows, last = [], ""
     for name in ROBOTS:
@@ -97,17 +97,17 @@ def by_figaroh(python: str, found: Found) -> str:
             asked = [python, "-c", FIGAROH, *map(str, paths)]
             done = subprocess.run(asked, capture_output=True, text=True, check=False)
         if done.returncode:
-            found.case(f"FIGAROH runs on {name}: {done.stderr.strip().splitlines()[-1]}", False)
+            outcome.case(f"FIGAROH runs on {name}: {done.stderr.strip().splitlines()[-1]}", False)
             continue
         said = json.loads(done.stdout.strip().splitlines()[-1])
         last = said["version"]
-        found.close(f"torques of {name} beside FIGAROH's regressor", said["regressor"], 1e-9)
+        outcome.close(f"torques of {name} beside FIGAROH's regressor", said["regressor"], 1e-9)
         # FIGAROH rounds base parameters to six decimals, and its reference to five.
-        found.close(f"torques of {name} that base parameters leave unexplained", said["residual"], 1e-5)
-        found.close(f"base parameters of {name} [SI units]", said["base"], 1e-4)
+        outcome.close(f"torques of {name} that base parameters leave unexplained", said["residual"], 1e-5)
+        outcome.close(f"base parameters of {name} [SI units]", said["base"], 1e-4)
         rows.append((name, said["count"], *(f"{said[key]:.1e}" for key in ("regressor", "residual", "base"))))
     head = ("robot", "base parameters", "torques: difference", "left unexplained", "parameters: difference [SI]")
-    found.table(
+    outcome.table(
         "FIGAROH on torques of this library", head, rows, f"{ROWS} random states; torques relative to the largest."
     )
     return last
@@ -116,8 +116,8 @@ def by_figaroh(python: str, found: Found) -> str:
 def main() -> None:
     """Both, on logs that they share."""
     jax.config.update("jax_enable_x64", True)
-    given = words()
-    found = Found(f"mujoco.sysid {version('mujoco')}")
+    arguments = command_line()
+    outcome = Outcome(f"mujoco.sysid {version('mujoco')}")
     record = servo.in_mujoco(*TRUTH, SECONDS)
     fit, spent = servo.fitted(record, "armature,friction.viscous,friction.coulomb")
     rows = [("true", *(f"{value:.5g}" for value in TRUTH), "")]
@@ -125,21 +125,21 @@ def main() -> None:
     try:
         numbers, seconds = servo.by_sysid(record)
     except ImportError as reason:
-        found.left_out("mujoco.sysid", 3, f"it cannot be imported: {reason}")
+        outcome.left_out("mujoco.sysid", 3, f"it cannot be imported: {reason}")
     else:
         rows.append(("`mujoco.sysid`", *(f"{value:.5g}" for value in numbers), f"{seconds:.1f}"))
         for name, ours, theirs, truth in zip(
             ("rotor", "damping", "dry friction"), fit.values, numbers, TRUTH, strict=True
         ):
-            found.close(f"{name} beside mujoco.sysid, relative", abs(float(ours) - float(theirs)) / truth, 0.01)
-            found.close(f"{name} beside the true one, relative", abs(float(ours) - truth) / truth, 0.01)
+            outcome.close(f"{name} beside mujoco.sysid, relative", abs(float(ours) - float(theirs)) / truth, 0.01)
+            outcome.close(f"{name} beside the true one, relative", abs(float(ours) - truth) / truth, 0.01)
     head = ("", "rotor [kg m²]", "damping [N m s/rad]", "dry friction [N m]", "processor time [s]")
-    found.table(
+    outcome.table(
         f"A servo, {SECONDS:g} s at 1 kHz", head, rows, "The log is simulated by MuJoCo, with noise of 0.1 mrad."
     )
-    if given.beside and (other := by_figaroh(given.beside, found)):
-        found.version += f", FIGAROH {other}"
-    found.write(given.out)
+    if arguments.beside and (other := by_figaroh(arguments.beside, outcome)):
+        outcome.version += f", FIGAROH {other}"
+    outcome.write(arguments.out)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""What a suite finds: cases that pass, deviations with their reason, and tables, as a file that the runner reads."""
+"""The outcome of a suite: cases that pass, deviations with their reason, and tables, as a file for the runner."""
 
 import argparse
 import json
@@ -7,23 +7,23 @@ from pathlib import Path
 from typing import NamedTuple
 
 
-class Words(NamedTuple):
-    """The words of a suite's command line: the file to write, and the interpreter of a second environment."""
+class CommandLine(NamedTuple):
+    """The command line of a suite: the file to write, and the interpreter of a second environment."""
 
     out: Path
     beside: str | None
 
 
-def words() -> Words:
-    """The words that a suite was started with."""
+def command_line() -> CommandLine:
+    """The arguments that the suite was started with."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--beside", help="a Python interpreter with the packages of the second environment")
-    given = parser.parse_args()
-    return Words(given.out, given.beside)
+    arguments = parser.parse_args()
+    return CommandLine(arguments.out, arguments.beside)
 
 
-class Found:
+class Outcome:
     """Collects the results of one suite.
 
     Attributes:
@@ -39,7 +39,7 @@ class Found:
         self._tables: list[dict[str, object]] = []
 
     def case(self, name: str, passed: bool, reason: str = "") -> None:
-        """Count a case; one that does not pass is a deviation, an unexplained one where no reason is given."""
+        """Count a case; one that does not pass is a deviation, an unexplained one where no reason is arguments."""
         self.cases += 1
         self.passed += bool(passed)
         if not passed:
@@ -62,7 +62,7 @@ class Found:
 
     def write(self, path: Path) -> None:
         """Write everything to a file, as JSON."""
-        found = {
+        outcome = {
             "version": self.version,
             "cases": self.cases,
             "passed": self.passed,
@@ -70,4 +70,4 @@ class Found:
             "left_out": self._left_out,
             "tables": self._tables,
         }
-        path.write_text(json.dumps(found), encoding="utf-8")
+        path.write_text(json.dumps(outcome), encoding="utf-8")
