@@ -16,7 +16,7 @@ QUICK := tests/laws/test_every_observer.py tests/calibration/test_estimators.py 
 # A process that dies ends the run, which would else wait for its tests for ever.
 PARALLEL := -n 2 --dist loadfile --no-loadscope-reorder --max-worker-restart 0
 
-.PHONY: env demo test test-all long exhaustive matrix matrix-short quick format lint types tests gallery bench firmware mutants geomstats docs wheel-check lock clean
+.PHONY: env demo test test-all long exhaustive matrix matrix-short quick format lint types tests gallery bench firmware mutants peers docs wheel-check lock clean
 
 env: .venv/dev
 
@@ -85,15 +85,10 @@ firmware: env
 mutants: env
 	$(BIN)/python tools/mutants.py --seed 1 --count 200 --out mutants.json
 
-# The tests that geomstats has for Riemannian metrics, on metrics of this library; six minutes. It needs an older NumPy.
-geomstats: .venv-geomstats/ready
-	GEOMSTATS_BACKEND=autograd .venv-geomstats/bin/python tools/geomstats_cases.py
-
-.venv-geomstats/ready: pyproject.toml constraints.txt
-	$(PYTHON) -m venv .venv-geomstats
-	grep -v '^numpy==' constraints.txt > .venv-geomstats/constraints.txt
-	.venv-geomstats/bin/python -m pip install --quiet --disable-pip-version-check -c .venv-geomstats/constraints.txt -e . pytest geomstats==2.8.0 autograd==1.9.1 numpy==2.3.5
-	@touch $@
+# Suites and programs of other projects on this library, each in an environment of its own; writes docs/peers.md. Some
+# of them: make peers SUITES="lie filterpy".
+peers: env
+	$(BIN)/python tools/peers/run.py $(SUITES)
 
 # The site, in the folder site: open site/index.html. Its generators read the source and import none of it, so that they
 # are all that is installed for it.
@@ -118,4 +113,4 @@ lock:
 	rm -rf .venv-lock
 
 clean:
-	rm -rf .venv .venv-3.* .venv-geomstats demo build dist site mutants.json
+	rm -rf .venv .venv-3.* .venv-peers-* demo build dist site mutants.json

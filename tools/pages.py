@@ -1,4 +1,4 @@
-"""The parts of the pages that are written from the code: tables, misprints, the picture of the house, and `llms.txt`.
+"""The parts of the pages that are written from code and results: tables, misprints, the house, `llms.txt`.
 
     python tools/pages.py
 
@@ -12,6 +12,7 @@ from functools import partial
 from pathlib import Path
 
 from house import drawing
+from peers.page import page as peers_page
 
 from covariant.observers import REGISTRY, Entry
 from covariant.papers import errata
@@ -134,10 +135,11 @@ PARTS: dict[str, tuple[str, Callable[[], str]]] = {
 
 WRITTEN: dict[Path, Callable[[], str]] = {
     **{DOCS / name: partial(_page, DOCS / name, *part) for name, part in PARTS.items()},
+    DOCS / "peers.md": peers_page,
     DOCS / "images" / "house.svg": lambda: drawing(ROOT / "src" / "covariant"),
     ROOT / "llms.txt": llms_text,
 }
-"""Every file that is written from the code, with what makes the text it should have."""
+"""Every file that is written, from the code or from results, with what makes the text it should have."""
 
 
 if __name__ == "__main__":

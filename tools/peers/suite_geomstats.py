@@ -1,4 +1,4 @@
-"""geomstats' own tests of Riemannian metrics, unmodified, on metrics of this library: `make geomstats`.
+"""geomstats' own tests of Riemannian metrics, unmodified, on metrics of this library.
 
 Its `RiemannianMetricTestCase` asks of a metric what is true of every one: distances, geodesics there and back, parallel
 transport, symmetries of the curvature, and that all of it takes batches. The metrics are those of closed forms and of
@@ -11,6 +11,7 @@ Source: Miolane et al. 2020, Geomstats, Journal of Machine Learning Research 21(
 
 import inspect
 import sys
+from importlib.metadata import version
 
 import geomstats.backend as gs
 import jax
@@ -25,6 +26,7 @@ from geomstats.test_cases.geometry.riemannian_metric import (
     RiemannianMetricComparisonTestCase,
     RiemannianMetricTestCase,
 )
+from outcome import Outcome, command_line
 
 from covariant import geometry, models
 from covariant.geometry import Budget
@@ -56,8 +58,8 @@ class Chart(VectorSpace):
         return gs.eye(self.dim)
 
     def _random(self, count):
-        found = self.size * gs.random.uniform(-1, 1, (count, self.dim)) / np.sqrt(self.dim)
-        return found if count > 1 else found[0]
+        outcome = self.size * gs.random.uniform(-1, 1, (count, self.dim)) / np.sqrt(self.dim)
+        return outcome if count > 1 else outcome[0]
 
 
 class Adapter(RiemannianMetric):
@@ -128,8 +130,8 @@ def batched(f):
     return call
 
 
-def robot(name, **given):
-    return models.robots.load(name, **given).space
+def robot(name, **arguments):
+    return models.robots.load(name, **arguments).space
 
 
 SPACES = {
@@ -183,26 +185,57 @@ LACKING = ("curvature_derivative", "injectivity_radius", "parallel_transport")
 """What geomstats does not have for its own spaces, and so cannot compare."""
 
 
+TABLES = "they compare with tables of expected numbers, which are not part of the package"
+ABSENT = "geomstats does not have these for its own spaces"
+
+
 class Selection:
-    """Leaves out the tests that need a table of expected numbers, and comparisons with what is `LACKING`."""
+    """Leaves out the tests that need a table of expected numbers, and comparisons with what is `LACKING`; counts."""
+
+    def __init__(self, outcome: Outcome):
+        self.outcome, self.counts = outcome, {}
 
     @pytest.hookimpl(trylast=True)
     def pytest_collection_modifyitems(self, config, items):
-        asked = [
-            item
-            for item in items
-            if set(inspect.signature(item.function).parameters) <= {"self", *SIZES}
-            and not (item.cls.__name__ == "TestComparison" and any(name in item.name for name in LACKING))
-        ]
-        config.hook.pytest_deselected(items=[item for item in items if item not in asked])
-        items[:] = asked
+        tables = [i for i in items if not set(inspect.signature(i.function).parameters) <= {"self", *SIZES}]
+        absent = [i for i in items if i.cls.__name__ == "TestComparison" and any(name in i.name for name in LACKING)]
+        for name, left, why in (("tests with tables", tables, TABLES), ("comparisons", absent, ABSENT)):
+            self.outcome.left_out(name, len(left), why)
+        out = {*tables, *absent}
+        config.hook.pytest_deselected(items=[*out])
+        items[:] = [item for item in items if item not in out]
+
+    def pytest_runtest_logreport(self, report):
+        """Count a case where it ran, or where it failed before it ran."""
+        if report.when != "call" and report.outcome != "failed":
+            return
+        where, name = report.nodeid.split("::")[-2:]
+        labels = name.partition("[")[2].rstrip("]").split("-")
+        [space] = {*SPACES, *PAIRS} & {*labels}
+        kind = "robots" if space in ROBOTS else "comparison" if where == "TestComparison" else "spaces"
+        ran, passed = self.counts.get((kind, space), (0, 0))
+        self.counts[kind, space] = ran + 1, passed + (report.outcome == "passed")
+        self.outcome.case(f"{where}.{name}", report.outcome == "passed")
+
+
+ROBOTS = ("scara", "panda")
 
 
 def main() -> int:
-    """Run all of them; the exit code."""
+    """Run all of them."""
     jax.config.update("jax_enable_x64", True)
+    arguments = command_line()
+    outcome = Outcome(f"geomstats {version('geomstats')}")
     options = ["-q", "-p", "no:cacheprovider", "-c", "/dev/null", "--rootdir", ".", "-o", "markers=random\nvec"]
-    return pytest.main([*options, *sys.argv[1:], __file__], plugins=[Selection()])
+    selection = Selection(outcome)
+    code = pytest.main([*options, __file__], plugins=[selection])
+    rows = [(kind, space, ran, passed) for (kind, space), (ran, passed) in sorted(selection.counts.items())]
+    outcome.table("Tests of Riemannian metrics", ("kind", "space", "cases", "passed"), rows)
+    for kind, least in (("spaces", 70), ("robots", 40)):
+        count = sum(row[2] for row in rows if row[0] == kind)
+        outcome.case(f"at least {least} cases on {kind}: {count} ran", count >= least)
+    outcome.write(arguments.out)
+    return code
 
 
 if __name__ == "__main__":

@@ -1,0 +1,69 @@
+"""The page of other projects' suites, `docs/peers.md`, written from `docs/peers.json` alone."""
+
+import json
+from pathlib import Path
+
+RESULTS = Path(__file__).parents[2] / "docs" / "peers.json"
+
+HEAD = """# Other projects' suites
+
+<!-- Written by tools/pages.py from peers.json; `make peers` writes both. -->
+
+`make peers` runs test suites and programs of other projects on this library, each in its own environment, and writes
+this page. A *case* is one test of the other project, or one number that is compared with a stated bound. A *deviation*
+is a case that does not pass; each is listed with its reason. Times are of the machine that wrote the page, and depend
+on what else it did.
+"""
+
+ABOUT = {
+    "geomstats": "geomstats' own tests of Riemannian metrics, unmodified, on metrics of this library: closed forms, "
+    "a SCARA and three joints of a Panda. Hyperbolic and Euclidean space are also compared with geomstats' own.",
+    "lie": "The laws that the public tests of jaxlie and manif state, asked of the groups here through one interface, "
+    "and of jaxlie for comparison; then values beside jaxlie, Pinocchio and arithmetic of 60 digits.",
+    "filterpy": "FilterPy's extended and unscented Kalman filter on the same models and logs as those here. The models "
+    "are written again in NumPy for it.",
+    "fmi": "FMPy validates exported units of both versions of FMI, and its simulation is compared with Python.",
+    "control": "python-control's vertical take-off aircraft, with an observer of this library in its loop.",
+    "sysid": "MuJoCo's system identification beside `covariant fit` on one log; FIGAROH on torques of this library.",
+    "dynamics": "Every included robot, and random trees, beside MuJoCo and Pinocchio (`tools/compare_robots.py`).",
+}
+"""What each suite is, by its name."""
+
+
+def table(head: list[str], rows: list[list[str]]) -> str:
+    """A table in Markdown."""
+    return "\n".join("| " + " | ".join(row) + " |" for row in [head, ["---"] * len(head), *rows])
+
+
+def summary(results: dict[str, dict]) -> str:
+    """One row for each suite."""
+    rows = []
+    for name, outcome in results.items():
+        counts = [outcome.get(key, "–") for key in ("version", "cases", "passed")]
+        deviations = len(outcome["deviations"]) if "deviations" in outcome else "–"
+        cells = [f"[{name}](#{name})", *counts, deviations, outcome.get("seconds", "–"), outcome["date"]]
+        rows.append([str(cell) for cell in cells])
+    return table(["suite", "versions", "cases", "passed", "deviations", "seconds", "date"], rows)
+
+
+def section(name: str, outcome: dict) -> str:
+    """The results of one suite."""
+    parts = [f"## {name}", ABOUT[name]]
+    if "failed" in outcome:
+        parts.append(f"It did not finish: {outcome['failed']}.")
+    parts += [f"pip does not install `{what}`: {said}" for what, said in outcome.get("unavailable", {}).items()]
+    if left := outcome.get("left_out"):
+        parts.append("\n".join(f"- left out, {part['what']}: {part['count']}; {part['reason']}" for part in left))
+    if off := outcome.get("deviations"):
+        rows = [[part["case"], part["reason"] or "not explained"] for part in off]
+        parts.append(table(["deviation", "reason"], rows))
+    for part in outcome.get("tables", []):
+        parts += [f"**{part['title']}**", table(part["head"], part["rows"])]
+        parts += [part["note"]] if part["note"] else []
+    return "\n\n".join(parts)
+
+
+def page() -> str:
+    """The whole page."""
+    results = json.loads(RESULTS.read_text(encoding="utf-8"))
+    return "\n\n".join([HEAD.rstrip(), summary(results), *(section(*item) for item in results.items())]) + "\n"
