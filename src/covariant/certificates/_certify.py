@@ -12,6 +12,7 @@ below 2D/λ. An estimate within ε stays so where 2D/λ < ε.
 Source: Aghannan & Rouchon 2003, Theorems 1 and 2, and Fig. 2; Lohmiller & Slotine 1998, section 3.7 for D.
 """
 
+import contextlib
 import functools
 import itertools
 import math
@@ -30,13 +31,13 @@ from covariant.certificates._checked import judged
 from covariant.certificates._claims import Claim, disturbance_length, disturbance_sizes, read_bounds
 from covariant.certificates._contraction_certificate import ContractionCertificate
 from covariant.certificates._contraction_statement import Contraction, contraction_statement
-from covariant.certificates._document import Document, Sampling
+from covariant.certificates._document import Document, Sampling, first_velocity
 from covariant.certificates._effort import Effort
 from covariant.certificates._error_system import ErrorSystem
 from covariant.certificates._force_bounds import force_bounds, force_reads_time, force_slopes
 from covariant.certificates._inequalities import contraction, disturbance_bound, squared_widths, width_bound
 from covariant.certificates._intrinsic import Intrinsics, check_unique, error_system
-from covariant.certificates._joint_bounds import joint_bounds
+from covariant.certificates._joint_bounds import friction_bounds, has_dry_friction, joint_bounds
 from covariant.certificates._noise import steady_distance
 from covariant.certificates._sampled_claims import check_sampling, missing_claims, sampled_claims, sampled_given
 from covariant.certificates._saved import observer_document
@@ -133,11 +134,8 @@ def certify(
     region = _region(observer.model, position, input, times)
     effort = Effort(Box((), (), np.zeros(0), np.zeros(0)), boxes, seconds, processes, progress)
     if sampling is None:
-        system = error_system(observer, matrix)
-        domain, bounds = _domain(observer, system, assumed, region)
-        effort.domain = domain
-        claims = [Claim("contraction", effort.prove("contraction", contraction(system, target)))]
-        corrections = []
+        system, domain, bounds, first = _in_continuous_time(observer, matrix, target, assumed, region, effort)
+        claims, corrections = [first], []
     else:
         bounds = sampled_given(region.true, *region[1:], len(assumed.velocity))
         place = functools.partial(_sampled_domain, observer.model, assumed, region, sampling)
@@ -311,10 +309,33 @@ def _region(
     return _Region(check_box(true), _inputs(model, inputs, n), _times(model, n, times))
 
 
+def _in_continuous_time(
+    observer: Intrinsics, matrix: TwoByTwo, target: float, assumed: _Assumed, region: _Region, effort: Effort
+) -> tuple[ErrorSystem, Box, dict[str, Any], Claim]:
+    """System, domain, given bounds, and the claim that the flow contracts.
+
+    Dry friction is first bounded, with its slopes, independently of the velocity; where that does not suffice, it is a
+    function of the velocity.
+    """
+    model = observer.model
+    if has_dry_friction(model, assumed.velocity):
+        # An error is that of friction without bounds over the region. The function of the velocity may still do.
+        with contextlib.suppress(ValueError):
+            system = error_system(observer, matrix, joint_friction=True)
+            effort.domain, bounds = _domain(observer, system, assumed, region, joint_friction=True)
+            proof = effort.prove("contraction", contraction(system, target))
+            # A friction that refutes the claim may be another one than that of the model.
+            if proof.verdict != "fails":
+                return system, effort.domain, bounds, Claim("contraction", proof)
+    system = error_system(observer, matrix)
+    effort.domain, bounds = _domain(observer, system, assumed, region)
+    return system, effort.domain, bounds, Claim("contraction", effort.prove("contraction", contraction(system, target)))
+
+
 def _domain(
-    observer: Intrinsics, system: ErrorSystem, assumed: _Assumed, region: _Region
+    observer: Intrinsics, system: ErrorSystem, assumed: _Assumed, region: _Region, joint_friction: bool = False
 ) -> tuple[Box, dict[str, Any]]:
-    """The box of estimate, error and force, and the quantities from which the bounds of the force follow."""
+    """The box of estimate, error and force, perhaps friction, and what the bounds of the force follow from."""
     model, true, n = observer.model, region.true, len(assumed.velocity)
     noise, disturbance, inputs, times = assumed.noise, assumed.disturbance, region.inputs, region.times
     measured = true
@@ -333,7 +354,11 @@ def _domain(
         "disturbance": disturbance.tolist(),
         "slopes": slopes.tolist(),
     }
-    return _widened(system, assumed, true if model.manifold.commuting else None, lambda speed: force), bounds
+
+    def rest(speed):
+        return np.concatenate([force, *(friction_bounds(model, speed) if joint_friction else ())], axis=1)
+
+    return _widened(system, assumed, true if model.manifold.commuting else None, rest), bounds
 
 
 def _sampled_domain(
@@ -445,8 +470,7 @@ def limits_of(domain: Box, velocity, noise) -> Float[np.ndarray, "two_n"]:
         The largest position errors, then the largest velocities beyond their bound, that stay within the region (2n,).
     """
     n = len(velocity)
-    # On a group there are no coordinates before the velocities.
-    start = n * (len(domain.low) > 3 * n)
+    start = first_velocity(n, len(domain.low))
     speed, error = slice(start, start + n), slice(start + n, start + 2 * n)
     most = np.minimum(domain.high, -domain.low)
     # Rounded down: a limit may not exceed the exact difference.

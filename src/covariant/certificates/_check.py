@@ -18,7 +18,15 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from covariant.certificates import _matrices as matrices
-from covariant.certificates._check_sampled import SLACK, sampled_jobs, sampled_matrix, slack_of
+from covariant.certificates._check_sampled import (
+    FRICTION_JOBS,
+    SLACK,
+    friction_jobs,
+    friction_matrix,
+    sampled_jobs,
+    sampled_matrix,
+    slack_of,
+)
 from covariant.certificates._document import Document, parse
 from covariant.certificates._error_system import ErrorSystem
 from covariant.certificates._intrinsic import Intrinsics, check_unique, configuration_shape
@@ -138,7 +146,7 @@ def follows(document: Document, model: Any = None) -> Resolved:
     try:
         with np.errstate(all="ignore"):
             observer, q = observer_from(document, model)
-            resolved = Resolved(document, observer, system_of(observer, q, document.sampling))
+            resolved = Resolved(document, observer, system_of(observer, q, document.sampling, document.joint_friction))
             _complete(resolved)
             # The comparison that takes longest comes last.
             expected = value_graph(resolved.about)
@@ -162,8 +170,8 @@ def _complete(resolved: Resolved) -> None:
     if document.sampling is not None:
         covered = low[-1] <= 0 and document.sampling.oldest <= high[-1]
         _need(covered, f"box: it must hold the ages from 0 to {document.sampling.oldest:.6g} s of measurements")
-        # What follows is about positions, velocities, errors and forces; further forces and the age come after them.
-        names, low, high = names[: 4 * n], low[: 4 * n], high[: 4 * n]
+    # What follows is about positions, velocities, errors and forces; further forces and the age come after them.
+    names, low, high = (part[: document.forces.stop] for part in (names, low, high))
     m, places = input_count(model, n), math.prod(configuration_shape(model, n))
     for key, expected in (("positions", places), ("inputs", m)):
         columns = getattr(document.given, key).shape[1]
@@ -235,6 +243,8 @@ def _jobs(document: Document) -> Iterator[tuple]:
         "the definedness of the observer, without jumps,",
         *np.concatenate([[document.low, document.high], pins], axis=1)[:, None],
     )
+    if document.joint_friction:
+        yield from friction_jobs(document)
     yield from sampled_jobs(document, pins)
     for index, claim in enumerate(document.claims):
         boxes = leaves(*document.bounds(claim), claim.levels, f"claim {index}")
@@ -267,14 +277,17 @@ def _matrix(resolved: Resolved, what: int | str) -> TaylorEnclosure:
         }[claim.kind]()
         slack = np.where(_forces(document), slack_of(low, high), 0.0)
         return TaylorEnclosure(matrix, *document.bounds(claim), slack)
+    if what in FRICTION_JOBS:
+        return friction_matrix(document, model, what)
     if document.sampling is not None and what != "the definedness of the observer, without jumps,":
         return sampled_matrix(document, system, model, what)
     unmoved = np.concatenate([region, np.zeros((2, n))], axis=1)
     pinned = np.concatenate([[low, high], np.zeros((2, 2 * n + 1))], axis=1)
     force, slopes = matrices.force(model, shape), matrices.slopes(model, shape, n)
     # Forces are shown within the box and half the slack, claims for forces within all of it: the rest covers rounding.
-    slack, unknown, steep = slack_of(low, high)[-n:] / 2, document.given.disturbance, document.given.slopes.ravel()
-    claimed, allowed = (low[-n:] + unknown - slack, high[-n:] - unknown + slack), steep * (1 + SLACK) + 1e-200
+    force_at, unknown, steep = document.forces, document.given.disturbance, document.given.slopes.ravel()
+    slack, allowed = slack_of(low, high)[force_at] / 2, steep * (1 + SLACK) + 1e-200
+    claimed = low[force_at] + unknown - slack, high[force_at] - unknown + slack
     function, box, watch = {
         "the bound of the force": (matrices.within(force, *claimed), region, ""),
         "the definedness of the force": (force, region, "defined"),
@@ -288,9 +301,8 @@ def _matrix(resolved: Resolved, what: int | str) -> TaylorEnclosure:
 
 def _forces(document: Document) -> np.ndarray:
     """Which variables (d,) of the box are forces, or slopes of friction."""
-    n, d = len(document.velocity), len(document.low)
-    place = np.arange(d)
-    return place >= d - n if document.sampling is None else (3 * n <= place) & (place < 6 * n)
+    place = np.arange(len(document.low))
+    return (document.forces.start <= place) & (place < 6 * len(document.velocity))
 
 
 class Judge:

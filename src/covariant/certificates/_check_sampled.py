@@ -1,4 +1,7 @@
-"""What a certificate of the sampled step needs besides its claims: bounds of forces and friction, and definedness."""
+"""What a certificate of the sampled step needs besides its claims: bounds of forces and friction, and definedness.
+
+The bounds of friction serve certificates in continuous time too, where friction and its slopes are variables.
+"""
 
 from collections.abc import Iterator
 from typing import Any, Literal
@@ -13,6 +16,46 @@ from covariant.proofs.checker import TaylorEnclosure
 
 SLACK = 2.0**-20
 """Relative margin by which forces may exceed their bounds, so that bounds that are attained can be shown quickly."""
+
+FRICTION_JOBS = "the bound of the friction", "the bound of the friction's slopes", "the smoothness of the friction"
+"""What is to be shown where friction and its slopes are variables; with samples their sum with the force is bounded."""
+
+
+def friction_jobs(document: Document) -> Iterator[tuple]:
+    """List what is to be shown where friction and its slopes are variables in continuous time, with its boxes.
+
+    Args:
+        document: the parsed file.
+    """
+    for what in FRICTION_JOBS:
+        yield what, *_speeds(document)[:, None]
+
+
+def friction_matrix(document: Document, model: MechanicalSystem, what: str) -> TaylorEnclosure:
+    """Build the matrix of one of `FRICTION_JOBS`, which is to be shown positive definite.
+
+    Args:
+        document: the parsed file.
+        model: the mechanical system.
+        what: name of the job.
+    """
+    n, speeds = len(document.velocity), _speeds(document)
+    friction, watch = matrices.friction(model, n), ""
+    if what == FRICTION_JOBS[0]:
+        function = _within(document, friction, 4)
+    elif what == FRICTION_JOBS[1]:
+        function = _within(document, matrices.friction_slopes(model, n), 5)
+    else:
+        function, watch = friction, "smooth"
+    return TaylorEnclosure(function, *speeds, np.zeros(n), watch)
+
+
+def _within(document: Document, function: Any, k: int) -> Any:
+    """That a function stays within the bounds, with half the slack, of the k-th n variables of the box."""
+    part = slice(k * len(document.velocity), (k + 1) * len(document.velocity))
+    low, high = document.low[part], document.high[part]
+    slack = slack_of(low, high) / 2
+    return matrices.within(function, low - slack, high + slack)
 
 
 def sampled_jobs(document: Document, pins: np.ndarray) -> Iterator[tuple]:
@@ -29,8 +72,8 @@ def sampled_jobs(document: Document, pins: np.ndarray) -> Iterator[tuple]:
     yield "the bound of the input's force", *inputs[:, None]
     yield "the definedness of the input's force", *inputs[:, None]
     yield "the bound of the joint force", *both[:, None]
-    yield "the bound of the friction's slopes", *speeds[:, None]
-    yield "the smoothness of the friction", *speeds[:, None]
+    for what in FRICTION_JOBS[1:]:
+        yield what, *speeds[:, None]
     for claim in document.claims:
         if claim.kind == "correction":
             ends = np.concatenate([np.array(document.bounds(claim)), pins], axis=1)
@@ -53,28 +96,20 @@ def sampled_matrix(document: Document, system: ErrorSystem, model: MechanicalSys
         what: name of the job.
     """
     n = len(document.velocity)
-    low, high, inputs, speeds = document.low, document.high, document.given.inputs, _speeds(document)
+    inputs, speeds = document.given.inputs, _speeds(document)
     if what.startswith("the definedness of the correction"):
         claim = next(c for c in document.claims if c.kind == "correction" and f"after {c.row} lost" in what)
         ends = np.concatenate([np.array(document.bounds(claim)), np.zeros((2, 2 * n + 1))], axis=1)
         return TaylorEnclosure(matrices.all_corrections(system), ends[0], ends[1], np.zeros(ends.shape[1]), "smooth")
-    slack = slack_of(low, high) / 2
-
-    def within(function, k):
-        part = slice(k * n, (k + 1) * n)
-        return matrices.within(function, low[part] - slack[part], high[part] + slack[part])
-
     force, friction = matrices.input_force(model, n), matrices.friction(model, n)
     kinds: dict[str, tuple[Any, np.ndarray, Literal["", "defined", "smooth"]]] = {
-        "the bound of the input's force": (within(force, 3), inputs, ""),
+        "the bound of the input's force": (_within(document, force, 3), inputs, ""),
         "the definedness of the input's force": (force, inputs, "defined"),
         "the bound of the joint force": (
-            within(lambda y: force(y[:-n]) + friction(y[-n:]), 4),
+            _within(document, lambda y: force(y[:-n]) + friction(y[-n:]), 4),
             np.concatenate([inputs, speeds], axis=1),
             "",
         ),
-        "the bound of the friction's slopes": (within(matrices.friction_slopes(model, n), 5), speeds, ""),
-        "the smoothness of the friction": (friction, speeds, "smooth"),
     }
     function, box, watch = kinds[what]
     return TaylorEnclosure(function, box[0], box[1], np.zeros(box.shape[1]), watch)

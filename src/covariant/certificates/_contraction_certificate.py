@@ -117,11 +117,11 @@ class ContractionCertificate(NamedTuple):
 
         Returns:
             "estimate", "velocity" (estimated), "error" or "force" for each; with samples also "joint force", "friction
-            slope" and "age".
+            slope" and "age"; where friction is a variable too, "friction" and "friction slope".
         """
         n = len(self.velocity)
         roles = ("estimate", "velocity", "error", "force")
-        parts = roles if len(self.domain.low) == 4 * n else roles[1:]
+        parts = {3 * n: roles[1:], 4 * n: roles}.get(len(self.domain.low), (*roles, "friction", "friction slope"))
         if self.sampling is not None:
             return (*(role for role in (*roles, "joint force", "friction slope") for _ in range(n)), "age")
         return tuple(role for role in parts for _ in range(n))

@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from covariant.certificates._assumed import ASSUMED, ASSUMED_WITH_SAMPLES, SMOOTH_FACTOR
 from covariant.certificates._claims import Claim, disturbance_length, loss_of, plain_bounds, stated_claims
-from covariant.certificates._document import Document, Loss, Sampling
+from covariant.certificates._document import Document, Loss, Sampling, first_velocity
 from covariant.certificates._error_system import ErrorSystem
 from covariant.certificates._intrinsic import Intrinsics
 from covariant.certificates._noise import steady_distance
@@ -74,8 +74,7 @@ class Contraction(NamedTuple):
     @property
     def first_velocity(self) -> int:
         """Index of the first velocity in the domain, after the coordinates, which on a group are none."""
-        n = len(self.velocity)
-        return n * (len(self.domain.names) > 3 * n)
+        return first_velocity(len(self.velocity), len(self.domain.names))
 
     @property
     def steady(self) -> float:
@@ -161,12 +160,17 @@ def _hypotheses(facts: Contraction, evidence: Evidence) -> Iterator[Hypothesis]:
         yield _radius(facts, evidence)
         if any(claim.kind == "missing" for claim in facts.claims):
             yield _factor(facts, evidence)
-    forces = (
-        "over these positions, inputs and times the force stays within the bounds of the domain"
-        if facts.sampling is None
-        else "over these inputs and velocities, forces and the slopes of friction stay within the bounds of the domain"
-    )
-    yield Hypothesis(forces, evidence)
+    if facts.sampling is None:
+        yield Hypothesis(
+            "over these positions, inputs and times the force stays within the bounds of the domain", evidence
+        )
+    if len(facts.domain.names) > 4 * n:
+        acting = "forces" if facts.sampling is not None else "friction"
+        yield Hypothesis(
+            f"over these {'inputs and ' if facts.sampling is not None else ''}velocities, {acting} and the slopes of "
+            "friction stay within the bounds of the domain",
+            evidence,
+        )
     yield Hypothesis(
         "the errors are below half a turn, so that the shortest path to the measurement is unique", evidence
     )

@@ -199,6 +199,16 @@ def unit_reach(squares: list[float]) -> Float[np.ndarray, "n"]:
     return np.sqrt(np.array(squares[: len(squares) // 2])) * (1 + 1e-12)
 
 
+def first_velocity(n: int, count: int) -> int:
+    """Index of the first velocity among the variables of a region; its errors and forces follow the n velocities.
+
+    Args:
+        n: number of velocities.
+        count: number of variables. There are 3n on a group, where coordinates are no variables, and else more.
+    """
+    return n * (count > 3 * n)
+
+
 class Document(NamedTuple):
     """The content of a certificate file, with checked types and sizes.
 
@@ -238,6 +248,18 @@ class Document(NamedTuple):
     claims: tuple[Stated, ...]
     graph: dict[str, list]
     sampling: Sampling | None = None
+
+    @property
+    def joint_friction(self) -> bool:
+        """Whether friction and its slopes are variables of the box, in continuous time."""
+        return self.sampling is None and len(self.low) == 6 * len(self.velocity)
+
+    @property
+    def forces(self) -> slice:
+        """Places of the force in the box."""
+        n = len(self.velocity)
+        start = first_velocity(n, len(self.low)) + 2 * n
+        return slice(start, start + n)
 
     @property
     def open(self) -> bool:
@@ -319,11 +341,14 @@ def parse(path: str | Path, content: bytes | None = None) -> Document:
     n = len(velocity)
     sampling = _sampling(fields["sampling"]) if sampled else None
     fields["observer"].need(not sampled or observer["frame"] == "coordinates", "one in coordinates, with sampling")
-    variables = 6 * n + 1 if sampled else n * (4 if observer["frame"] == "coordinates" else 3)
+    counts = [6 * n + 1] if sampled else [4 * n, 6 * n] if observer["frame"] == "coordinates" else [3 * n]
+    # Without sampling friction and its slopes may be variables too, which their number says.
+    low, high = fields["box"].pair(counts[0], counts[-1])
+    variables = len(low)
+    fields["box"].need(variables in counts, f"bounds of {' or '.join(map(str, counts))} variables")
     fields["velocity"].need(
         variables <= len(LETTERS), f"fewer velocities: there are letters for {len(LETTERS)} variables"
     )
-    low, high = fields["box"].pair(variables, variables)
     claims = _claims(fields["claims"], n, variables, sampling, observer.get("order") == 1)
     given = _given(fields["given"], n)
     disturbed = given.noise.any() or given.disturbance.any()

@@ -57,7 +57,8 @@ class ErrorSystem(NamedTuple):
 
     Attributes:
         names: names of the variables (d). For an intrinsic observer these are, n each, the estimated position (not on a
-            group) and velocity, the error of the position, and the force on the system.
+            group) and velocity, the error of the position, and the force on the system; where friction is a variable
+            too, also friction and its slopes.
         units: their units.
         at: `z (d,) -> Point`: flow, metric and state at a point z of the box.
         at_rest: the same with a constant measurement, where `at` lets one change with time; None where it does not.

@@ -10,6 +10,7 @@ from jaxtyping import Array, Float
 from covariant._linalg import solve
 from covariant._typing import Vector
 from covariant.certificates._contraction import contraction_matrix, lengths
+from covariant.certificates._document import first_velocity
 from covariant.certificates._error_system import ErrorSystem, corrections, values
 from covariant.proofs import Form, as_form, derivative_form
 
@@ -152,10 +153,10 @@ def disturbance_bound(error_system: ErrorSystem, sizes: Float[np.ndarray, "two_n
     n = len(sizes) // 2
 
     def parts(derivatives, nodes, count):
-        # The inputs of the graph are time, state and z, whose last 2n entries are error and force.
-        last = 1 + count + len(error_system.names)
+        # The inputs of the graph are time, state and z, in which error and force follow the velocities.
+        start = 1 + count + first_velocity(n, len(error_system.names)) + n
         flow, coframe, _, gram, _, noise = nodes
-        return coframe, gram, noise, derivatives.each(flow, range(last - 2 * n, last))
+        return coframe, gram, noise, derivatives.each(flow, range(start, start + 2 * n))
 
     def formula(coframe, gram, noise, change):
         # The metric is given by Θ and N, M = ΘᵀNΘ, hence the coframe before the columns of B.
@@ -164,7 +165,8 @@ def disturbance_bound(error_system: ErrorSystem, sizes: Float[np.ndarray, "two_n
 
     def numbers(z):
         point, t = error_system.at(z), jnp.zeros((), z.dtype)
-        change = jax.jacfwd(lambda z: error_system.at(z).flow(t, point.x))(z)[:, -2 * n :]
+        start = first_velocity(n, len(error_system.names)) + n
+        change = jax.jacfwd(lambda z: error_system.at(z).flow(t, point.x))(z)[:, start : start + 2 * n]
         return formula(point.metric.coframe(t, point.x), point.metric.gram(t, point.x), point.noise_jacobian(), change)
 
     return derivative_form(values(error_system), lambda z: error_system.at(z).x, parts, formula, numbers)

@@ -4,6 +4,9 @@ The variables are the estimate, the error of its position, and the force on the 
 `S = g⁻¹ f` at the measured position is a known function of the force f, whatever the input, potential and time that
 cause it. On a group the estimated configuration does not enter either, by symmetry; a model whose friction breaks this
 symmetry is refused.
+
+Friction in joints may be two further variables for each joint, its force and its slope, in place of the function. Every
+flow with a friction within these bounds is then covered, so that no box has to resolve how steep it is near rest.
 """
 
 import functools
@@ -26,15 +29,17 @@ from covariant.observers import Geodesic, Intrinsic, second_order
 Intrinsics = Intrinsic | Geodesic
 
 
-def error_system(observer: Intrinsics, q: TwoByTwo) -> ErrorSystem:
+def error_system(observer: Intrinsics, q: TwoByTwo, joint_friction: bool = False) -> ErrorSystem:
     """Describe an intrinsic observer on any region, with a metric on states, for `contraction`, `prove` and `falsify`.
 
     Args:
         observer: an `Intrinsic` or a `Geodesic` (in coordinates), no subclass.
         q: matrix Q (2, 2) that makes the metric on states from that of the model, as from `lyapunov`.
+        joint_friction: whether friction and its slopes are variables too, independent of the velocity. It then has to
+            act in each joint by its own velocity, in coordinates.
 
     Returns:
-        Flow and metric as functions of estimate, error and force.
+        Flow and metric as functions of estimate, error and force, and with `joint_friction` of friction and its slopes.
 
     Raises:
         TypeError: another kind of observer.
@@ -57,7 +62,9 @@ def error_system(observer: Intrinsics, q: TwoByTwo) -> ErrorSystem:
     need_steady_friction(observer.model)
     space = observer.model.space
     if space.manifold.commuting:
-        return _in_coordinates(observer, q)
+        return _in_coordinates(observer, q, joint_friction)
+    if joint_friction:
+        raise ValueError("friction as variables of its own needs coordinates")
     if space.homogeneous and isinstance(observer, Intrinsic):
         return _in_the_body(observer, q)
     raise ValueError(
@@ -76,17 +83,26 @@ def configuration_shape(model: MechanicalSystem, n: int) -> tuple[int, ...]:
     return (n,) if model.manifold.commuting else jax.eval_shape(model.manifold.origin).shape
 
 
-def _in_coordinates(observer: Intrinsics, q: TwoByTwo) -> ErrorSystem:
+def _in_coordinates(observer: Intrinsics, q: TwoByTwo, joint_friction: bool) -> ErrorSystem:
     model = observer.model
     n = dimension(model)
-    driven = MechanicalSystem(model.space, None, None, functools.partial(friction_of, model))
-    # Force and potential are left out: the force is a variable of the box, which enters as the input.
-    bare = with_model(observer, driven)
+    if joint_friction:
+        need_joint_friction(model)
     metric = tangent_metric(model.space, q)
 
     def at(z):
-        place, velocity, error, force = jnp.split(z, 4)
+        place, velocity, error, force, *joints = jnp.split(z, 6 if joint_friction else 4)
         measured = place - error
+
+        def friction(place, v):
+            if not joint_friction:
+                return friction_of(model, place, v)
+            # Its value at this velocity, with any slope that it has within its bounds.
+            value, drag = joints
+            return value - drag * (v - velocity)
+
+        # Force and potential are left out: the force is a variable of the box, which enters as the input.
+        bare = with_model(observer, MechanicalSystem(model.space, None, None, friction))
 
         def flow(t, x):
             state = bare.init(x[:n])._replace(q=x[:n], v=x[n:], t=t)
@@ -106,9 +122,10 @@ def _in_coordinates(observer: Intrinsics, q: TwoByTwo) -> ErrorSystem:
     names = model.coordinates
     units = model.units or ("",) * n
     rates = tuple(f"{unit}/s" if unit else "" for unit in units)
+    prefixes = ("", "v_", "e_", "f_", "r_", "d_")[: 6 if joint_friction else 4]
     return ErrorSystem(
-        (*names, *(f"v_{k}" for k in names), *(f"e_{k}" for k in names), *(f"f_{k}" for k in names)),
-        (*units, *rates, *units, *("",) * n),
+        tuple(f"{prefix}{name}" for prefix in prefixes for name in names),
+        (*units, *rates, *units, *("",) * (n * (len(prefixes) - 3))),
         at,
     )
 
@@ -233,6 +250,30 @@ def need_steady_friction(model: MechanicalSystem) -> None:
         raise ValueError(
             f"the dissipation of this model depends on {', '.join(dependences)}; only friction of position and "
             "velocity is covered by a proof"
+        )
+
+
+def need_joint_friction(model: MechanicalSystem) -> None:
+    """Check that friction acts in each joint by its own velocity.
+
+    Args:
+        model: the mechanical system, in coordinates, with friction of position and velocity.
+
+    Raises:
+        ValueError: it depends on the position, or couples joints.
+    """
+    n = dimension(model)
+    q, v = jnp.zeros(n), jnp.zeros(n)
+    if any(i < n for i in entries_read(functools.partial(friction_of, model), q, v)):
+        raise ValueError(
+            "the friction of this model depends on the position; covered here is friction of the velocity alone"
+        )
+    expansion = expand(lower(functools.partial(friction_of, model, q), v), range(n), 1)
+    slopes = expansion.nodes()[1].reshape(n, n)
+    if any(not expansion.graph.is_zero(int(slopes[i, j])) for i in range(n) for j in range(n) if i != j):
+        raise ValueError(
+            "the friction of this model couples joints; covered here is friction that acts in each joint by its own "
+            "velocity"
         )
 
 

@@ -1,13 +1,14 @@
-"""Bounds of the forces in joints, and of the slopes of friction, by interval arithmetic, for the sampled step."""
+"""Bounds of the forces in joints, and of the slopes of friction, by interval arithmetic."""
 
 import functools
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from covariant.certificates._intrinsic import friction_of
+from covariant.certificates._intrinsic import friction_of, need_joint_friction
 from covariant.lowering import enclose, expand, lower
 from covariant.models import MechanicalSystem
 from covariant.proofs import Box, check_box, show_conditions
@@ -46,28 +47,75 @@ def joint_bounds(
     n, m = len(speed), inputs.shape[1]
     q = jnp.zeros(n)
     force = lower(lambda u: model.force(jnp.zeros(()), q, u), jnp.zeros(m), real=True)
-    friction = lower(functools.partial(friction_of, model, q), q, real=True)
     acting = check_box(Box(tuple(f"u{i + 1}" for i in range(m)), ("",) * m, inputs[0], inputs[1]))
-    moving = Box(tuple(f"v_{name}" for name in model.coordinates), ("",) * n, -speed, speed)
     assert force.conditions is not None
-    assert friction.conditions is not None
-    # A force that jumps is covered, since it is only bounded; a slope of the friction is one of a continuous function.
+    # A force that jumps is covered, since it is only bounded.
     defined = tuple(c for c in force.conditions.conditions if c.kind in ("true", "finite"))
     _need(
         "the force of the model is not defined", show_conditions(force.conditions._replace(conditions=defined), acting)
     )
-    _need("the friction of the model jumps, or is not defined", show_conditions(friction.conditions, moving))
     acted = enclose(force._replace(conditions=None), acting.low[None], acting.high[None])
-    rubbed = enclose(expand(friction._replace(conditions=None), range(n), 1), moving.low[None], moving.high[None])
     both = np.concatenate([acted.low, acted.high])
-    total = both + np.stack([rubbed.low[0, :n], rubbed.high[0, :n]])
-    # The derivatives are listed velocity by velocity; those of friction i by velocity i are on the diagonal.
-    diagonal = n + np.arange(n) * (n + 1)
-    slopes = np.stack([0.0 - rubbed.high[0, diagonal], 0.0 - rubbed.low[0, diagonal]])
-    bounds = JointBounds(both, np.nextafter(total, [[-np.inf], [np.inf]]), slopes)
+    friction, slopes = friction_bounds(model, speed)
+    bounds = JointBounds(both, np.nextafter(both + friction, [[-np.inf], [np.inf]]), slopes)
     if not all(np.isfinite(each).all() for each in bounds):
         raise ValueError("the force, the friction or its slope has no bound over the velocities; make them smaller")
     return bounds
+
+
+def friction_bounds(
+    model: MechanicalSystem, speed: Float[np.ndarray, "n"]
+) -> tuple[Float[np.ndarray, "2 n"], Float[np.ndarray, "2 n"]]:
+    """Bound friction that acts in each joint by its own velocity, and its slopes.
+
+    Args:
+        model: a mechanical system, as `need_joint_friction` accepts it.
+        speed: bounds (n,) of the velocities.
+
+    Returns:
+        Least and largest friction f (2, n), and the same of −∂f_i/∂v_i (2, n), rounded outward; perhaps infinite.
+
+    Raises:
+        ValueError: the friction jumps, or is not defined everywhere.
+    """
+    n = len(speed)
+    friction = lower(functools.partial(friction_of, model, jnp.zeros(n)), jnp.zeros(n), real=True)
+    moving = Box(tuple(f"v_{name}" for name in model.coordinates), ("",) * n, -speed, speed)
+    assert friction.conditions is not None
+    # A slope of the friction is one of a continuous function.
+    _need("the friction of the model jumps, or is not defined", show_conditions(friction.conditions, moving))
+    rubbed = enclose(expand(friction._replace(conditions=None), range(n), 1), moving.low[None], moving.high[None])
+    # The derivatives are listed velocity by velocity; those of friction i by velocity i are on the diagonal.
+    diagonal = n + np.arange(n) * (n + 1)
+    slopes = np.stack([0.0 - rubbed.high[0, diagonal], 0.0 - rubbed.low[0, diagonal]])
+    return np.concatenate([rubbed.low[:, :n], rubbed.high[:, :n]]), slopes
+
+
+def has_dry_friction(model: MechanicalSystem, speed: Float[np.ndarray, "n"]) -> bool:
+    """Test whether friction of joints is steep near rest, so that a box of velocities says little about its slope.
+
+    Args:
+        model: the mechanical system, with friction of position and velocity.
+        speed: bounds (n,) of the velocities.
+
+    Returns:
+        Whether friction acts in each joint by its own velocity, and within a tenth of the bound of a velocity its slope
+        falls by half.
+    """
+    if not model.manifold.commuting:
+        return False
+    try:
+        need_joint_friction(model)
+    except ValueError:
+        return False
+    n = len(speed)
+
+    def slopes(v):
+        return jax.jvp(functools.partial(friction_of, model, jnp.zeros(n)), (v,), (jnp.ones(n),))[1]
+
+    # Nothing is proved by this, so that derivatives of JAX suffice.
+    at_rest, moving = (-np.asarray(slopes(jnp.asarray(v))) for v in (np.zeros(n), speed / 10))
+    return bool((at_rest > 2 * moving).any())
 
 
 def _need(what: str, reason: str) -> None:

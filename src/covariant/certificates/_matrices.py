@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from covariant.certificates._document import first_velocity
 from covariant.certificates._error_system import ErrorSystem, corrections, values
 from covariant.certificates._intrinsic import friction_of
 from covariant.models import applied_force
@@ -84,8 +85,10 @@ def disturbance(about: ErrorSystem, sizes: np.ndarray, square: float) -> Matrix:
     def matrix(z):
         point, t = about.at(z), jnp.zeros(())
         slope = jax.jacfwd(plain(lambda at: about.at(at).flow(t, point.x)))(z)
-        # The last 2n variables are error and force; an error of the measurement acts through the position error.
-        b = jnp.concatenate([slope[:, -2 * n : -n] @ point.noise_jacobian(), slope[:, -n:]], axis=1) * sizes[None]
+        # Error and force follow the velocities; an error of the measurement acts through the position error.
+        start = first_velocity(n, len(about.names)) + n
+        of_error, of_force = slope[:, start : start + n], slope[:, start + n : start + 2 * n]
+        b = jnp.concatenate([of_error @ point.noise_jacobian(), of_force], axis=1) * sizes[None]
         b = point.metric.coframe(t, point.x) @ b
         return square * jnp.eye(2 * n) - b.T @ point.metric.gram(t, point.x) @ b
 

@@ -28,9 +28,14 @@ from jaxtyping import Array
 from covariant.certificates._contraction import StateMetric
 from covariant.certificates._document import Sampling
 from covariant.certificates._error_system import ErrorSystem, Point, entries_read
-from covariant.certificates._intrinsic import Intrinsics, dimension, friction_of, need_steady_friction, with_model
+from covariant.certificates._intrinsic import (
+    Intrinsics,
+    dimension,
+    need_joint_friction,
+    need_steady_friction,
+    with_model,
+)
 from covariant.certificates._tangent_metric import TwoByTwo
-from covariant.lowering import expand, lower
 from covariant.models import MechanicalSystem, acceleration, input_count, source
 from covariant.observers import Intrinsic
 
@@ -171,7 +176,7 @@ def _stiffness(model: MechanicalSystem, q: Array, v: Array, a: Array) -> Array:
 
 def _check_forces(model: MechanicalSystem, n: int) -> None:
     """Raise `ValueError` unless the force depends on the input alone, and the friction of a joint on its velocity."""
-    q, v, u = jnp.zeros(n), jnp.zeros(n), jnp.zeros(input_count(model, n))
+    q, u = jnp.zeros(n), jnp.zeros(input_count(model, n))
     read = entries_read(model.force, jnp.zeros(()), q, u)
     reads = ["time"] * (0 in read) + [model.coordinates[i] for i in range(n) if 1 + i in read]
     if reads:
@@ -179,15 +184,4 @@ def _check_forces(model: MechanicalSystem, n: int) -> None:
             f"the force of this model depends on {', '.join(reads)}; a certificate of the sampled step covers forces "
             "of the input alone"
         )
-    if any(i < n for i in entries_read(functools.partial(friction_of, model), q, v)):
-        raise ValueError(
-            "the friction of this model depends on the position; a certificate of the sampled step covers friction of "
-            "the velocity alone"
-        )
-    expansion = expand(lower(functools.partial(friction_of, model, q), v), range(n), 1)
-    slopes = expansion.nodes()[1].reshape(n, n)
-    if any(not expansion.graph.is_zero(int(slopes[i, j])) for i in range(n) for j in range(n) if i != j):
-        raise ValueError(
-            "the friction of this model couples joints; a certificate of the sampled step covers friction that acts in "
-            "each joint by its own velocity"
-        )
+    need_joint_friction(model)

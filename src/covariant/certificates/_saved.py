@@ -79,20 +79,23 @@ def observer_from(document: Document, model: Any = None) -> tuple[Intrinsics, Fl
     return KINDS[kind](system, **fields), document.q
 
 
-def system_of(observer: Intrinsics, q: Float[np.ndarray, "2 2"], sampling: Sampling | None) -> ErrorSystem:
+def system_of(
+    observer: Intrinsics, q: Float[np.ndarray, "2 2"], sampling: Sampling | None, joint_friction: bool = False
+) -> ErrorSystem:
     """Describe an observer and its metric as functions of a box, in continuous time or with samples.
 
     Args:
         observer: the observer.
         q: the matrix Q (2, 2) of the metric.
         sampling: when measurements come; None for continuous time.
+        joint_friction: whether friction and its slopes are variables in continuous time.
 
     Raises:
         TypeError: another kind of observer.
         ValueError: a space, a force or a friction that is not covered.
     """
     if sampling is None:
-        return error_system(observer, q)
+        return error_system(observer, q, joint_friction)
     if not isinstance(observer, Intrinsic):
         raise TypeError(f"sampling is covered for Intrinsic alone; got {type(observer).__name__}")
     return sampled_system(observer, q, sampling)

@@ -579,7 +579,7 @@ def kinked(a: Interval, b: Interval, x: Interval, y: Interval) -> Interval:
 
 
 def stumpff(k: Interval, x: Interval) -> Interval:
-    """Interval of Stumpff's function c_k(x), NaN where x may be negative.
+    """Interval of Stumpff's function c_k(x), NaN where x may be below −1.
 
     Args:
         k: Order, a number as an interval.

@@ -26,6 +26,8 @@ TERMS = 24
 """Number of terms of the series: the remainder is below 10⁻³⁶ of the first term, for x up to π²."""
 FALLS_UNTIL = 9.869
 """A number slightly below π²."""
+LEAST = -1.0
+"""The least argument that is bounded."""
 
 
 def stumpff(k: int, x: ArrayLike) -> jax.Array:
@@ -100,10 +102,10 @@ def values(k: Any, x: Any) -> Any:
 
     Args:
         k: Order.
-        x: Numbers (...), ≥ 0; negative ones count as 0.
+        x: Numbers (...) from `LEAST` on; lower ones count as `LEAST`.
     """
     x = np.asarray(x, float)
-    series = _horner(coefficients(int(k)), np.clip(x, 0.0, FALLS_UNTIL), -1.0)
+    series = _horner(coefficients(int(k)), np.clip(x, LEAST, FALLS_UNTIL), -1.0)
     safe = np.maximum(x, FALLS_UNTIL)
     theta = np.sqrt(safe)
     # c_{k+2}(x) = (1/k! − c_k(x))/x, upwards from the cosine or from sin θ/θ.
@@ -125,7 +127,8 @@ def coefficients(k: int) -> list[float]:
 def bounds(series: Sequence[Any], low: Any, high: Any) -> tuple[Any, Any]:
     """Bounds of Stumpff's function c_k on intervals.
 
-    c_k decreases until π², and is nowhere beyond ±1/k!. The relative error of the sum is at most 3·TERMS·u of the sum
+    c_k decreases until π², from before 0 on, and is nowhere beyond ±1/k! for x ≥ 0. Squares are not negative, but their
+    enclosures may reach below 0, hence arguments from `LEAST` on. The relative error of the sum is at most 3·TERMS·u of the sum
     of the absolute terms (N. J. Higham, Accuracy and Stability of Numerical Algorithms, 2002, section 5.1); the last
     term is added for those left out.
 
@@ -135,18 +138,19 @@ def bounds(series: Sequence[Any], low: Any, high: Any) -> tuple[Any, Any]:
         high: Upper bounds of x (B,).
 
     Returns:
-        Lower and upper bounds (B,), NaN where x may be negative.
+        Lower and upper bounds (B,), NaN where x may be below `LEAST`, or negative and beyond π² as well.
     """
     most = series[0] * (1 + 4 * U)
-    inside = (low >= 0) & (high <= FALLS_UNTIL)
+    inside = (low >= LEAST) & (high <= FALLS_UNTIL)
     # c_k decreases: its lower bound is at the upper end of x.
     x = np.where(inside, np.stack([high, low]), 0.0)
-    value, size = _horner(series, x, -1.0), _horner(series, x, 1.0)
+    value, size = _horner(series, x, -1.0), _horner(series, np.maximum(x, -x), 1.0)
     # Horner's rule rounds twice a term and the coefficients once; `size` sums the absolute values of all terms.
     off = (4 * TERMS * U + 1e-30) * size
     # |c_k(x)| ≤ c_k(0) = 1/k! for all x ≥ 0: c_k averages cosines.
-    lowest, highest = np.maximum(value[0] - off[0], -most), np.minimum(value[1] + off[1], most)
     known = low >= 0
+    lowest, highest = np.maximum(value[0] - off[0], -most), value[1] + off[1]
+    highest = np.where(known, np.minimum(highest, most), highest)
     return (
         np.where(inside, lowest, np.where(known, -most, np.nan)),
         np.where(inside, highest, np.where(known, most, np.nan)),

@@ -30,7 +30,12 @@ OBSERVERS = {"intrinsic": Intrinsic, "geodesic": Geodesic}
 VERDICTS = {"holds": "proved", "fails": "wrong", "undecided": "not decided"}
 """What people call the verdicts."""
 _KINDS = {"estimate": "estimate of", "velocity": "estimated velocity", "error": "position error", "force": "force"}
-_KINDS |= {"joint force": "force with friction", "friction slope": "slope of the friction", "age": "measurement of"}
+_KINDS |= {
+    "friction": "friction",
+    "joint force": "force with friction",
+    "friction slope": "slope of the friction",
+    "age": "measurement of",
+}
 
 
 def certify(
