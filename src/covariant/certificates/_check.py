@@ -19,7 +19,7 @@ import numpy as np
 
 from covariant.certificates import _matrices as matrices
 from covariant.certificates._check_sampled import SLACK, sampled_jobs, sampled_matrix, slack_of
-from covariant.certificates._document import Document, parse
+from covariant.certificates._document import Document, first_velocity, parse
 from covariant.certificates._error_system import ErrorSystem
 from covariant.certificates._intrinsic import Intrinsics, check_unique, configuration_shape
 from covariant.certificates._saved import observer_from, system_of, value_graph
@@ -163,7 +163,13 @@ def _complete(resolved: Resolved) -> None:
         covered = low[-1] <= 0 and document.sampling.oldest <= high[-1]
         _need(covered, f"box: it must hold the ages from 0 to {document.sampling.oldest:.6g} s of measurements")
         # What follows is about positions, velocities, errors and forces; further forces and the age come after them.
-        names, low, high = names[: 4 * n], low[: 4 * n], high[: 4 * n]
+        entries = first_velocity(len(low), n, sampled=True)
+        part = slice(0, entries + 3 * n)
+        if not model.manifold.commuting:
+            covered = (low[:entries] <= -1).all() and (1 <= high[:entries]).all()
+            _need(covered, "box: it must hold all entries of rotations, from -1 to 1")
+            part = slice(entries, part.stop)
+        names, low, high = names[part], low[part], high[part]
     m, places = input_count(model, n), math.prod(configuration_shape(model, n))
     for key, expected in (("positions", places), ("inputs", m)):
         columns = getattr(document.given, key).shape[1]
@@ -290,7 +296,8 @@ def _forces(document: Document) -> np.ndarray:
     """Which variables (d,) of the box are forces, or slopes of friction."""
     n, d = len(document.velocity), len(document.low)
     place = np.arange(d)
-    return place >= d - n if document.sampling is None else (3 * n <= place) & (place < 6 * n)
+    # With samples the last three of the groups of n variables, before the age.
+    return place >= d - n if document.sampling is None else (d - 3 * n - 1 <= place) & (place < d - 1)
 
 
 class Judge:

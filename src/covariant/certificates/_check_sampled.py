@@ -6,7 +6,7 @@ from typing import Any, Literal
 import numpy as np
 
 from covariant.certificates import _matrices as matrices
-from covariant.certificates._document import Document
+from covariant.certificates._document import Document, first_velocity
 from covariant.certificates._error_system import ErrorSystem
 from covariant.models import MechanicalSystem
 from covariant.proofs.checker import TaylorEnclosure
@@ -40,7 +40,8 @@ def sampled_jobs(document: Document, pins: np.ndarray) -> Iterator[tuple]:
 def _speeds(document: Document) -> np.ndarray:
     """Bounds (2, n) of the estimated velocity."""
     n = len(document.velocity)
-    return np.stack([document.low[n : 2 * n], document.high[n : 2 * n]])
+    start = first_velocity(len(document.low), n, sampled=True)
+    return np.stack([document.low[start : start + n], document.high[start : start + n]])
 
 
 def sampled_matrix(document: Document, system: ErrorSystem, model: MechanicalSystem, what: str) -> TaylorEnclosure:
@@ -61,7 +62,9 @@ def sampled_matrix(document: Document, system: ErrorSystem, model: MechanicalSys
     slack = slack_of(low, high) / 2
 
     def within(function, k):
-        part = slice(k * n, (k + 1) * n)
+        # The k-th of the groups of n variables that follow the configuration.
+        first = first_velocity(len(low), n, sampled=True) + (k - 1) * n
+        part = slice(first, first + n)
         return matrices.within(function, low[part] - slack[part], high[part] + slack[part])
 
     force, friction = matrices.input_force(model, n), matrices.friction(model, n)

@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from covariant.certificates._assumed import ASSUMED, ASSUMED_WITH_SAMPLES, SMOOTH_FACTOR
 from covariant.certificates._claims import Claim, disturbance_length, loss_of, plain_bounds, stated_claims
-from covariant.certificates._document import Document, Loss, Sampling
+from covariant.certificates._document import Document, Loss, Sampling, first_velocity
 from covariant.certificates._error_system import ErrorSystem
 from covariant.certificates._intrinsic import Intrinsics
 from covariant.certificates._noise import steady_distance
@@ -74,8 +74,7 @@ class Contraction(NamedTuple):
     @property
     def first_velocity(self) -> int:
         """Index of the first velocity in the domain, after the coordinates, which on a group are none."""
-        n = len(self.velocity)
-        return n * (len(self.domain.names) > 3 * n)
+        return first_velocity(len(self.domain.names), len(self.velocity), self.sampling is not None)
 
     @property
     def steady(self) -> float:

@@ -10,8 +10,9 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 
 from covariant._files import write_atomically
 from covariant.proofs import (
@@ -130,6 +131,19 @@ class Sampling(NamedTuple):
     def oldest(self) -> float:
         """Largest age of a measurement [s]."""
         return float(self.ages[-1, 1])
+
+    def at(self, q: Any, age: Any) -> Array:
+        """The matrix R(τ) (2, 2) of the metric at an age τ.
+
+        Args:
+            q: R_0 (2, 2).
+            age: age of the measurement [s], which may be traced.
+        """
+        age = jnp.asarray(age)
+        r = jnp.asarray(q, age.dtype)
+        for power, slope in enumerate(self.slopes, start=1):
+            r = r + jnp.asarray(slope, age.dtype) * age**power
+        return r
 
     def document(self) -> dict[str, Any]:
         """Convert to data for the file."""
@@ -267,6 +281,17 @@ class Document(NamedTuple):
         return claim_bounds(self.sampling, claim.kind, claim.row, self.low, self.high)
 
 
+def first_velocity(variables: int, n: int, sampled: bool) -> int:
+    """Return the place of the first velocity in the box, behind the variables of the configuration.
+
+    Args:
+        variables: number of variables of the box.
+        n: number of velocities.
+        sampled: whether measurements are sampled.
+    """
+    return variables - (5 * n + 1 if sampled else 3 * n)
+
+
 def claim_bounds(
     sampling: Sampling | None, kind: Kind, row: int, low: np.ndarray, high: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -318,12 +343,15 @@ def parse(path: str | Path, content: bytes | None = None) -> Document:
     fields["velocity"].need((velocity > 0).all(), "positive numbers")
     n = len(velocity)
     sampling = _sampling(fields["sampling"]) if sampled else None
-    fields["observer"].need(not sampled or observer["frame"] == "coordinates", "one in coordinates, with sampling")
-    variables = 6 * n + 1 if sampled else n * (4 if observer["frame"] == "coordinates" else 3)
+    in_coordinates = observer["frame"] == "coordinates"
+    variables = 6 * n + 1 if sampled else n * (4 if in_coordinates else 3)
     fields["velocity"].need(
         variables <= len(LETTERS), f"fewer velocities: there are letters for {len(LETTERS)} variables"
     )
-    low, high = fields["box"].pair(variables, variables)
+    # On rotations those entries of the matrix are variables that the potential reads.
+    fewest, most = (5 * n + 1, len(LETTERS)) if sampled and not in_coordinates else (variables, variables)
+    low, high = fields["box"].pair(fewest, most)
+    variables = len(low)
     claims = _claims(fields["claims"], n, variables, sampling, observer.get("order") == 1)
     given = _given(fields["given"], n)
     disturbed = given.noise.any() or given.disturbance.any()

@@ -236,7 +236,7 @@ def missing_bound(error_system: ErrorSystem, square: float, limit: float, reach:
 
     def parts(derivatives, nodes, count):
         *_, missing, here, there = nodes
-        return derivatives.each(missing, range(1 + count + 2 * n, 1 + count + 3 * n)), here, there
+        return derivatives.each(missing, [1 + count + k for k in error_system.errors(n)]), here, there
 
     def whole(slope, here, there):
         weighted = here * jnp.asarray(np.outer(reach, reach))
@@ -246,7 +246,7 @@ def missing_bound(error_system: ErrorSystem, square: float, limit: float, reach:
     def numbers(z):
         x = error_system.at(z).x
         *_, here, there = corrections(error_system)(jnp.zeros((), z.dtype), x, z)
-        slope = jax.jacfwd(lambda z: error_system.at(z).missing(x))(z)[:, 2 * n : 3 * n]
+        slope = jax.jacfwd(lambda z: error_system.at(z).missing(x))(z)[:, np.array(error_system.errors(n))]
         return whole(slope, here, there)
 
     return derivative_form(corrections(error_system), lambda z: error_system.at(z).x, parts, whole, numbers)

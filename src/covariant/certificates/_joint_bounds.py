@@ -44,11 +44,13 @@ def joint_bounds(
         ValueError: a force has no bound or is not defined everywhere, or the friction jumps.
     """
     n, m = len(speed), inputs.shape[1]
-    q = jnp.zeros(n)
+    # Neither depends on the configuration.
+    q = jnp.zeros(n) if model.manifold.commuting else model.manifold.origin()
     force = lower(lambda u: model.force(jnp.zeros(()), q, u), jnp.zeros(m), real=True)
-    friction = lower(functools.partial(friction_of, model, q), q, real=True)
+    friction = lower(functools.partial(friction_of, model, q), jnp.zeros(n), real=True)
     acting = check_box(Box(tuple(f"u{i + 1}" for i in range(m)), ("",) * m, inputs[0], inputs[1]))
-    moving = Box(tuple(f"v_{name}" for name in model.coordinates), ("",) * n, -speed, speed)
+    speeds = model.velocities or tuple(f"v_{name}" for name in model.coordinates)
+    moving = Box(speeds, ("",) * n, -speed, speed)
     assert force.conditions is not None
     assert friction.conditions is not None
     # A force that jumps is covered, since it is only bounded; a slope of the friction is one of a continuous function.

@@ -146,13 +146,14 @@ def missing(about: ErrorSystem, square: float, limit: float, reach: np.ndarray) 
     n = len(reach)
 
     def matrix(z):
-        point, q, e = about.at(z), z[:n], z[2 * n : 3 * n]
+        point, places = about.at(z), about.errors(n)
+        before, e, behind = jnp.split(z, (places.start, places.stop))
 
         def lacking(e):
-            return about.at(jnp.concatenate([z[: 2 * n], e, z[3 * n :]])).missing(point.x)
+            return about.at(jnp.concatenate([before, e, behind])).missing(point.x)
 
-        g, slope = point.configuration(q), jax.jacfwd(plain(lacking))(e)
-        ratio, doubled = square * g - slope.T @ g @ slope, 4 * g - point.configuration(q - e)
+        (g, there), slope = point.inertias(point.x), jax.jacfwd(plain(lacking))(e)
+        ratio, doubled = square * g - slope.T @ g @ slope, 4 * g - there
         size = limit**2 / n * jnp.eye(n) - g * np.outer(reach, reach)
         rows = [[ratio, 0 * g, 0 * g], [0 * g, doubled, 0 * g], [0 * g, 0 * g, size]]
         return jnp.concatenate([jnp.concatenate(row, axis=1) for row in rows])
@@ -177,6 +178,10 @@ def all_corrections(about: ErrorSystem) -> Matrix:
     return parts
 
 
+def _anywhere(model: Any, n: int) -> Any:
+    return jnp.zeros(n) if model.manifold.commuting else model.manifold.origin()
+
+
 def input_force(model: Any, n: int) -> Matrix:
     """Build the force of the input alone.
 
@@ -187,7 +192,7 @@ def input_force(model: Any, n: int) -> Matrix:
     Returns:
         A function of the input (m,) -> (n,).
     """
-    return lambda u: model.force(jnp.zeros(()), jnp.zeros(n), u)
+    return lambda u: model.force(jnp.zeros(()), _anywhere(model, n), u)
 
 
 def friction(model: Any, n: int) -> Matrix:
@@ -200,7 +205,7 @@ def friction(model: Any, n: int) -> Matrix:
     Returns:
         A function of the velocity (n,) -> (n,).
     """
-    return lambda v: friction_of(model, jnp.zeros(n), v)
+    return lambda v: friction_of(model, _anywhere(model, n), v)
 
 
 def friction_slopes(model: Any, n: int) -> Matrix:

@@ -73,6 +73,7 @@ def check_sampling(
         raise ValueError("certify: with interval the metric is searched; leave q out")
     if noise.any() or disturbance.any():
         raise ValueError("certify: with interval, noise and disturbance are not covered; leave them out")
+    # Six variables a coordinate and the age; on rotations up to nine entries and five variables a velocity.
     most = (len(LETTERS) - 1) // 6
     if len(noise) > most:
         raise ValueError(f"certify: with interval at most {most} coordinates are covered; got {len(noise)}")

@@ -28,6 +28,7 @@ from jaxtyping import Array
 from covariant.certificates._contraction import StateMetric
 from covariant.certificates._document import Sampling
 from covariant.certificates._error_system import ErrorSystem, Point, entries_read
+from covariant.certificates._sampled_body import body_point, body_variables
 from covariant.certificates._intrinsic import Intrinsics, dimension, friction_of, need_steady_friction, with_model
 from covariant.certificates._tangent_metric import TwoByTwo
 from covariant.lowering import expand, lower
@@ -39,7 +40,7 @@ def sampled_system(observer: Intrinsics, q: TwoByTwo, sampling: Sampling) -> Err
     """Describe an intrinsic observer with sampled measurements on a region, for `contraction` and `correction`.
 
     Args:
-        observer: an `Intrinsic` in coordinates, no subclass.
+        observer: an `Intrinsic` in coordinates or on rotations, no subclass.
         q: matrix R_0 (2, 2) of the metric right after a measurement.
         sampling: the samples and the metric between them.
 
@@ -65,13 +66,18 @@ def sampled_system(observer: Intrinsics, q: TwoByTwo, sampling: Sampling) -> Err
             "may be another one"
         )
     model = observer.model
-    if not model.manifold.commuting:
-        raise ValueError("a certificate of the sampled step needs coordinates; systems on groups are not covered")
-    n = dimension(model)
-    need_steady_friction(model)
-    _check_forces(model, n)
     # Force and friction are variables of the box, of which the sum enters as the input.
     bare = with_model(observer, MechanicalSystem(model.space, model.potential, None, None))
+    need_steady_friction(model)
+    if not model.manifold.commuting:
+        variables = body_variables(model)
+        _check_forces(model, len(model.velocities))
+        in_body = body_point(observer, bare, variables, q, sampling)
+        return ErrorSystem(
+            variables.names, variables.units, in_body, functools.partial(in_body, running=0.0), has_samples=True
+        )
+    n = dimension(model)
+    _check_forces(model, n)
 
     def at(z, running=1.0):
         place, velocity, error, force, total, drag, age = jnp.split(z, [k * n for k in range(1, 7)])
@@ -101,7 +107,7 @@ def sampled_system(observer: Intrinsics, q: TwoByTwo, sampling: Sampling) -> Err
             corrected,
             aged_metric(bare.model, q, sampling, jnp.zeros((), z.dtype), running),
             missing,
-            model.space,
+            lambda x: (model.space(x[:n]), model.space(place - error)),
         )
 
     names, units = model.coordinates, model.units or ("",) * n
@@ -149,11 +155,7 @@ def aged_metric(
         return jnp.eye(x.shape[0], dtype=x.dtype) + sign * jnp.kron(lower_left, turn(t, x))
 
     def gram(t, x):
-        tau = age + running * t
-        r = jnp.asarray(q, x.dtype)
-        for power, slope in enumerate(sampling.slopes, start=1):
-            r = r + jnp.asarray(slope, x.dtype) * tau**power
-        return jnp.kron(r / 2, space(jnp.split(x, 2)[0]))
+        return jnp.kron(sampling.at(q, age + running * t) / 2, space(jnp.split(x, 2)[0]))
 
     return StateMetric(coframe, lambda t, x: coframe(t, x, -1.0), gram)
 
@@ -171,15 +173,17 @@ def _stiffness(model: MechanicalSystem, q: Array, v: Array, a: Array) -> Array:
 
 def _check_forces(model: MechanicalSystem, n: int) -> None:
     """Raise `ValueError` unless the force depends on the input alone, and the friction of a joint on its velocity."""
-    q, v, u = jnp.zeros(n), jnp.zeros(n), jnp.zeros(input_count(model, n))
+    q = jnp.zeros(n) if model.manifold.commuting else model.manifold.origin()
+    v, u = jnp.zeros(n), jnp.zeros(input_count(model, n))
     read = entries_read(model.force, jnp.zeros(()), q, u)
-    reads = ["time"] * (0 in read) + [model.coordinates[i] for i in range(n) if 1 + i in read]
+    names = model.coordinates or [f"entry {i + 1} of the configuration" for i in range(q.size)]
+    reads = ["time"] * (0 in read) + [name for i, name in enumerate(names) if 1 + i in read]
     if reads:
         raise ValueError(
             f"the force of this model depends on {', '.join(reads)}; a certificate of the sampled step covers forces "
             "of the input alone"
         )
-    if any(i < n for i in entries_read(functools.partial(friction_of, model), q, v)):
+    if any(i < q.size for i in entries_read(functools.partial(friction_of, model), q, v)):
         raise ValueError(
             "the friction of this model depends on the position; a certificate of the sampled step covers friction of "
             "the velocity alone"
