@@ -27,7 +27,14 @@ from jaxtyping import ArrayLike, Float
 from covariant._typing import Numbers
 from covariant.certificates._check import Resolved
 from covariant.certificates._checked import judged
-from covariant.certificates._claims import Claim, disturbance_length, disturbance_sizes, read_bounds
+from covariant.certificates._claims import (
+    Claim,
+    claimed_drift,
+    disturbance_length,
+    disturbance_sizes,
+    loss_of,
+    read_bounds,
+)
 from covariant.certificates._contraction_certificate import ContractionCertificate
 from covariant.certificates._contraction_statement import Contraction, contraction_statement
 from covariant.certificates._document import Document, Sampling, first_velocity
@@ -38,7 +45,13 @@ from covariant.certificates._inequalities import contraction, disturbance_bound,
 from covariant.certificates._intrinsic import Intrinsics, check_unique, error_system
 from covariant.certificates._joint_bounds import joint_bounds
 from covariant.certificates._noise import steady_distance
-from covariant.certificates._sampled_claims import check_sampling, missing_claims, sampled_claims, sampled_given
+from covariant.certificates._sampled_claims import (
+    check_sampling,
+    missing_claims,
+    prediction_claims,
+    sampled_claims,
+    sampled_given,
+)
 from covariant.certificates._saved import observer_document
 from covariant.certificates._tangent_metric import TwoByTwo, check_q, error_matrix, optimal_lyapunov, rate_of
 from covariant.geometry.lie import SO2, SO3
@@ -158,7 +171,10 @@ def certify(
         claims += corrections
         if sampling is not None and len(corrections) > sampling.lost:
             claims += missing_claims(observer, system, sampling, matrix, target, claims, effort)
-        radius = _radius(claims, limits, steady_distance(target, disturbance_length(bounds, claims)))
+            allowed = _radius(claims, limits, 0.0)
+            claims += prediction_claims(observer, sampling, matrix, target, claims, allowed, effort)
+        drift = claimed_drift(sampling, target, loss_of(sampling, matrix, target, claims), claims)
+        radius = _radius(claims, limits, steady_distance(target, disturbance_length(bounds, claims)) + drift)
     facts = Contraction(target, radius, observer, matrix, domain, assumed.velocity, bounds, claims, recipe, sampling)
     statement = contraction_statement(facts, "proved")
     elapsed, check_start = time.monotonic() - start, time.monotonic()

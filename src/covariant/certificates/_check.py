@@ -22,6 +22,8 @@ from covariant.certificates._check_sampled import SLACK, sampled_jobs, sampled_m
 from covariant.certificates._document import Document, first_velocity, parse
 from covariant.certificates._error_system import ErrorSystem
 from covariant.certificates._intrinsic import Intrinsics, check_unique, configuration_shape
+from covariant.certificates._prediction import Prediction, defect_matrix
+from covariant.certificates._sampled_step import sampled_prediction
 from covariant.certificates._saved import observer_from, system_of, value_graph
 from covariant.models import input_count
 from covariant.proofs.checker import ROUND, TaylorEnclosure, leaves, show_definite
@@ -166,7 +168,7 @@ def _complete(resolved: Resolved) -> None:
         entries = first_velocity(len(low), n, sampled=True)
         part = slice(0, entries + 3 * n)
         if not model.manifold.commuting:
-            covered = (low[:entries] <= -1).all() and (1 <= high[:entries]).all()
+            covered = (low[:entries] <= -1).all() and (high[:entries] >= 1).all()
             _need(covered, "box: it must hold all entries of rotations, from -1 to 1")
             part = slice(entries, part.stop)
         names, low, high = names[part], low[part], high[part]
@@ -203,6 +205,8 @@ def _complete(resolved: Resolved) -> None:
         loss = document.loss
         slower = f"{loss.rate:.6g} 1/s by the factor of the correction, up to {loss.restart:.6g} of a restart"
         _need(loss.allowed(document.rate), f"rate: nothing is left of {document.rate / 2:.6g} 1/s, less {slower}")
+        away = f"{document.drift:.6g} away, and the radius is {radius:.6g}"
+        _need(document.drift < radius, f"sampling.substeps: errors of {document.sampling.substeps} steps lead {away}")
     if disturbed:
         count = np.count_nonzero(sizes(document))
         # The steady distance 2D/λ: the box of scaled errors lies in the ball of radius √count, so D² = count · square.
@@ -270,7 +274,12 @@ def _matrix(resolved: Resolved, what: int | str) -> TaylorEnclosure:
             "disturbance": lambda: matrices.disturbance(system, sizes(document), claim.square),
             "correction": lambda: matrices.correction(system),
             "missing": lambda: matrices.missing(system, claim.square, claim.limit, document.unit_reach),
+            "prediction": lambda: defect_matrix(prediction_in(resolved), claim.square),
         }[claim.kind]()
+        if claim.kind == "prediction":
+            low, high = document.bounds(claim)
+            force = np.arange(len(low)) >= len(low) - n - 3
+            return TaylorEnclosure(matrix, low, high, np.where(force, slack_of(low, high), 0.0) * (low < high))
         slack = np.where(_forces(document), slack_of(low, high), 0.0)
         return TaylorEnclosure(matrix, *document.bounds(claim), slack)
     if document.sampling is not None and what != "the definedness of the observer, without jumps,":
@@ -290,6 +299,17 @@ def _matrix(resolved: Resolved, what: int | str) -> TaylorEnclosure:
     }[what]
     least, largest = box
     return TaylorEnclosure(function, least, largest, np.zeros(len(least)), watch)
+
+
+def prediction_in(resolved: Resolved) -> Prediction:
+    """Describe the Runge–Kutta steps of an observer with samples.
+
+    Args:
+        resolved: the document, with its observer.
+    """
+    document = resolved.document
+    assert document.sampling is not None
+    return sampled_prediction(resolved.observer, document.q, document.sampling)
 
 
 def _forces(document: Document) -> np.ndarray:

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from covariant.certificates._check import follows
-from covariant.certificates._claims import Claim, disturbance_length, loss_of
+from covariant.certificates._claims import Claim, claimed_drift, disturbance_length, loss_of
 from covariant.certificates._contraction_statement import Contraction, contraction_statement
 from covariant.certificates._document import FORMAT, Sampling, first_velocity, parse, write
 from covariant.certificates._error_system import ErrorSystem
@@ -82,8 +82,15 @@ class ContractionCertificate(NamedTuple):
 
     @property
     def steady(self) -> float:
-        """The final distance under the noise and disturbance of the certificate, at most `2D/λ`; 0 without them."""
-        return steady_distance(self.rate, disturbance_length(self.given, self.claims))
+        """The final distance, at most.
+
+        Returns:
+            `2D/λ` under the noise and disturbance of the certificate; with sampled measurements the distance to which
+            errors of the prediction's Runge–Kutta steps lead, where a claim bounds them; 0 without all of these.
+        """
+        loss = loss_of(self.sampling, self.q, self.rate, self.claims)
+        drift = claimed_drift(self.sampling, self.rate, loss, self.claims)
+        return steady_distance(self.rate, disturbance_length(self.given, self.claims)) + drift
 
     @property
     def boxes(self) -> int:

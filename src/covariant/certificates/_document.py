@@ -39,15 +39,18 @@ OBSERVERS: dict[str, dict[str, Any]] = {
 """The fields of each kind of observer beside the gains, with their possible values."""
 MOST_LOST = 1000
 """Largest number of lost samples that a file may state."""
+STEPS = ("step", "inner_step")
+"""Names of the further variables of the claim "prediction": two lengths of a step."""
 FRAMES = ("coordinates", "body")
 """Frames of the vectors. In the "body" frame the configuration is not a variable of the region."""
-Kind = Literal["contraction", "reach", "disturbance", "correction", "missing"]
+Kind = Literal["contraction", "reach", "disturbance", "correction", "missing", "prediction"]
 NUMBERS: dict[Kind, list[str]] = {
     "contraction": [],
     "reach": ["row", "square", "limit"],
     "disturbance": ["square"],
     "correction": ["row"],
     "missing": ["square", "limit"],
+    "prediction": ["square"],
 }
 """The numbers of each kind of claim, beside its tree of boxes."""
 
@@ -132,6 +135,12 @@ class Sampling(NamedTuple):
         """Largest age of a measurement [s]."""
         return float(self.ages[-1, 1])
 
+    @property
+    def longest_step(self) -> float:
+        """Length of the longest Runge–Kutta step [s], rounded up; only where their number is known."""
+        assert self.substeps is not None
+        return float(np.nextafter(self.interval[1] / self.substeps, np.inf))
+
     def at(self, q: Any, age: Any) -> Array:
         """The matrix R(τ) (2, 2) of the metric at an age τ.
 
@@ -204,6 +213,30 @@ class Loss(NamedTuple):
         return self.rate < rate / 2 and self.restart < 1
 
 
+def drift_of(sampling: Sampling, rate: float, loss: Loss, square: float) -> float:
+    """Compute the distance to which the errors of Runge–Kutta steps alone may lead, from the claim "prediction".
+
+    A prediction over h in steps of length σ is off by at most ē = h σ⁴ √square/5, see `_prediction`, which a correction
+    lengthens by no more than the factor 1 + h loss. Distances obey `r ← e^(−μh) r + ē (1 + h loss)` with the rate μ
+    that the correction leaves, and come to rest below ē (1 + h loss)/(1 − e^(−μh)), which is largest for the longest h.
+
+    Args:
+        sampling: when measurements come, with a number of steps.
+        rate: rate λ of squared lengths [1/s].
+        loss: what the correction takes of the rate; less than λ/2.
+        square: square of the claim.
+
+    Returns:
+        The distance, in the metric right after a measurement; infinite where no rate is left.
+    """
+    longest, left = float(sampling.interval[1]), rate / 2 - loss.rate
+    if not left > 0:
+        return math.inf
+    error = longest * sampling.longest_step**4 * math.sqrt(square) / 5
+    # The factor covers the roundings.
+    return error * (1 + longest * loss.rate) / -math.expm1(-left * longest) * (1 + 1e-9)
+
+
 def unit_reach(squares: list[float]) -> Float[np.ndarray, "n"]:
     """Bounds (n,) of each position error for a curve of unit length.
 
@@ -272,13 +305,21 @@ class Document(NamedTuple):
             return Loss(0.0, 0.0)
         return Loss.of(self.sampling, self.q, self.rate, claims[0].square, claims[0].limit)
 
+    @property
+    def drift(self) -> float:
+        """The distance to which errors of Runge–Kutta steps alone may lead; 0 where no claim bounds them."""
+        squares = [claim.square for claim in self.claims if claim.kind == "prediction"]
+        if self.sampling is None or not squares:
+            return 0.0
+        return drift_of(self.sampling, self.rate, self.loss, squares[0])
+
     def bounds(self, claim: Stated) -> tuple[Float[np.ndarray, "d"], Float[np.ndarray, "d"]]:
         """Bounds (d,) of the box of one claim, which is the whole box, or that of the ages of a correction.
 
         Args:
             claim: the claim.
         """
-        return claim_bounds(self.sampling, claim.kind, claim.row, self.low, self.high)
+        return claim_bounds(self.sampling, claim.kind, claim.row, self.low, self.high, len(self.velocity))
 
 
 def first_velocity(variables: int, n: int, sampled: bool) -> int:
@@ -292,8 +333,31 @@ def first_velocity(variables: int, n: int, sampled: bool) -> int:
     return variables - (5 * n + 1 if sampled else 3 * n)
 
 
+def prediction_places(variables: int, n: int) -> list[int]:
+    """Return the places in the box of configuration, velocity, force of the input and age.
+
+    Args:
+        variables: number of variables of the box, of a system with samples.
+        n: number of velocities.
+    """
+    count = first_velocity(variables, n, sampled=True)
+    return [*range(count + n), *range(count + 2 * n, count + 3 * n), variables - 1]
+
+
+def prediction_box(sampling: Sampling, n: int, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the bounds of the variables of the claim "prediction".
+
+    Args:
+        sampling: the samples, with a number of steps.
+        n: number of velocities.
+        low, high: bounds (d,) of the whole box.
+    """
+    places, longest = prediction_places(len(low), n), sampling.longest_step
+    return np.append(low[places], [0.0, 0.0]), np.append(high[places], [longest, longest])
+
+
 def claim_bounds(
-    sampling: Sampling | None, kind: Kind, row: int, low: np.ndarray, high: np.ndarray
+    sampling: Sampling | None, kind: Kind, row: int, low: np.ndarray, high: np.ndarray, n: int = 0
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the bounds (d,) of the box of one claim.
 
@@ -302,7 +366,10 @@ def claim_bounds(
         kind: kind of the claim.
         row: its row, for a correction the number of samples lost.
         low, high: the whole box (d,), whose last variable is the age where measurements are sampled.
+        n: number of velocities; needed for "prediction" alone.
     """
+    if sampling is not None and kind == "prediction":
+        return prediction_box(sampling, n, low, high)
     if sampling is None or kind not in ("correction", "missing"):
         return low, high
     first, last = sampling.ages[row]
@@ -486,14 +553,17 @@ def _claims(field: Field, n: int, variables: int, sampling: Sampling | None, fir
     if sampling is not None:
         corrections: list[Kind] = ["correction"] * (sampling.lost + 1)
         last = [*corrections, "missing"] if first_order else corrections
-    rows = field.rows(1, 2 * n + 1 + len(last))
+    # Errors of predictions are bounded by a last claim, or the statement lists them as not covered.
+    optional: list[Kind] = [] if sampling is None or sampling.substeps is None else ["prediction"]
+    rows, first = field.rows(1, 2 * n + 1 + len(last) + len(optional)), len(last)
+    last = [*last, *optional]
     claims = [_claim(row, k, n, variables, last) for k, row in enumerate(rows)]
     if sum(len(level) for claim in claims for level in claim.levels) > MOST_LETTERS:
         raise ValueError(
             f"{field.file}: the levels of {field.key} hold more than {MOST_LETTERS} letters; ask for the file as it "
             "was saved, or certify again"
         )
-    needed = 2 * n + 1 + (0 if sampling is None else len(last))
+    needed = 2 * n + 1 + (0 if sampling is None else first)
     more = "" if sampling is None else f", and correction after 0 to {sampling.lost} lost samples, and what they lack"
     complete = len(rows) >= needed or (len(rows) == 1 and claims[0].open)
     field.need(complete, f"contraction, and reach of rows 0 to {2 * n - 1}{more}")
@@ -510,4 +580,6 @@ def _claim(field: Field, k: int, n: int, variables: int, last: list[Kind]) -> St
         numbers["row"] = fields["row"].whole(k - 1, k - 1)
     if kind == "correction":
         numbers["row"] = fields["row"].whole(k - 1 - 2 * n, k - 1 - 2 * n)
+    # Instead of errors, joint forces and slopes, a prediction has two lengths of its steps.
+    variables = variables - 3 * n + 2 if kind == "prediction" else variables
     return Stated(kind, saved_levels(fields["levels"], variables), **numbers)

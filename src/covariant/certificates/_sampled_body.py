@@ -129,7 +129,7 @@ def body_point(
             return jnp.concatenate([moved, bare.smoothly_moved(origin, v, xi, lacking(x), age).v])
 
         x = jnp.concatenate([jnp.zeros(n, z.dtype), velocity])
-        metric = _aged(model, q, sampling, g, inertia, age, running)
+        metric = body_metric(model, q, sampling, g, age, running)
 
         def error_jacobian():
             rates = _each(functools.partial(manifold.local_rate, origin, error), n, z.dtype)
@@ -144,7 +144,7 @@ def body_point(
             lambda: -_each(functools.partial(manifold.local_rate, origin, -error), n, z.dtype),
             corrected,
             # After the correction the estimate is elsewhere; without an age there is no shear, which would read it.
-            _aged(model, q, sampling._replace(shear=False), g, inertia, still, running),
+            body_metric(model, q, sampling._replace(shear=False), g, still, running),
             lacking,
             lambda x: (jnp.asarray(inertia, z.dtype), jnp.asarray(inertia, z.dtype)),
         )
@@ -164,16 +164,31 @@ def _each(linear: Callable[[Vector], Array], n: int, dtype) -> Array:
     return jax.vmap(linear, out_axes=1)(jnp.eye(n, dtype=dtype))
 
 
-def _aged(
-    model: MechanicalSystem,
-    q: TwoByTwo,
-    sampling: Sampling,
-    g: Array,
-    inertia: np.ndarray,
-    age: Scalar,
-    running: float,
+def body_matrix(model: MechanicalSystem, variables: BodyVariables, entries: Vector) -> Array:
+    """Build the matrix of an estimate from the entries that are variables.
+
+    Args:
+        model: the mechanical system.
+        variables: the variables of the box.
+        entries: the entries.
+    """
+    return _matrix(variables.entries, entries, model.manifold.origin().shape)
+
+
+def body_metric(
+    model: MechanicalSystem, q: TwoByTwo, sampling: Sampling, g: Array, age: Scalar, running: float = 0.0
 ) -> StateMetric:
-    """The metric M_τ, in the chart around the estimate g."""
+    """Build the metric M_τ of an age, in the chart around a configuration.
+
+    Args:
+        model: the mechanical system, without force and friction.
+        q: matrix R_0 (2, 2).
+        sampling: R_1, R_2, … and whether the coframe is sheared.
+        g: the configuration (N, N).
+        age: age [s] at t = 0.
+        running: 0 for an age that does not grow.
+    """
+    inertia = np.array(model.space(model.manifold.origin()))
     space, manifold = model.space, model.manifold
     origin, n = manifold.origin(), len(inertia)
 

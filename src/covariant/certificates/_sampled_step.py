@@ -28,8 +28,9 @@ from jaxtyping import Array
 from covariant.certificates._contraction import StateMetric
 from covariant.certificates._document import Sampling
 from covariant.certificates._error_system import ErrorSystem, Point, entries_read
-from covariant.certificates._sampled_body import body_point, body_variables
 from covariant.certificates._intrinsic import Intrinsics, dimension, friction_of, need_steady_friction, with_model
+from covariant.certificates._prediction import Prediction, prediction_of
+from covariant.certificates._sampled_body import body_matrix, body_metric, body_point, body_variables
 from covariant.certificates._tangent_metric import TwoByTwo
 from covariant.lowering import expand, lower
 from covariant.models import MechanicalSystem, acceleration, input_count, source
@@ -121,6 +122,28 @@ def sampled_system(observer: Intrinsics, q: TwoByTwo, sampling: Sampling) -> Err
         functools.partial(at, running=0.0),
         has_samples=True,
     )
+
+
+def sampled_prediction(observer: Intrinsics, q: TwoByTwo, sampling: Sampling) -> Prediction:
+    """Describe the Runge–Kutta steps between samples, for `defect_bound`.
+
+    Args:
+        observer: an observer that `sampled_system` covers.
+        q: matrix R_0 (2, 2).
+        sampling: the samples and the metric between them.
+    """
+    model, system = observer.model, sampled_system(observer, q, sampling)
+    n = len(model.coordinates or model.velocities)
+    free = MechanicalSystem(model.space, model.potential, None, None)
+    rubbed = MechanicalSystem(model.space, model.potential, None, functools.partial(friction_of, model))
+    if model.manifold.commuting:
+        return prediction_of(
+            rubbed, n, system.names, system.units, lambda q0, age: aged_metric(free, q, sampling, age), lambda p: p
+        )
+    variables = body_variables(model)
+    metric = functools.partial(body_metric, free, q, sampling)
+    configuration = functools.partial(body_matrix, model, variables)
+    return prediction_of(rubbed, n, system.names, system.units, metric, configuration)
 
 
 def aged_metric(

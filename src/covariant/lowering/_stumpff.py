@@ -125,9 +125,10 @@ def coefficients(k: int) -> list[float]:
 def bounds(series: Sequence[Any], low: Any, high: Any) -> tuple[Any, Any]:
     """Bounds of Stumpff's function c_k on intervals.
 
-    c_k decreases until π², and is nowhere beyond ±1/k!. The relative error of the sum is at most 3·TERMS·u of the sum
-    of the absolute terms (N. J. Higham, Accuracy and Stability of Numerical Algorithms, 2002, section 5.1); the last
-    term is added for those left out.
+    c_k decreases until π², also below 0, where all terms of its series are positive; from 0 on it is nowhere beyond
+    ±1/k!. Where polynomials bound a square, it may be slightly negative: the series is used from −1 on. The relative
+    error of the sum is at most 3·TERMS·u of the sum of the absolute terms (N. J. Higham, Accuracy and Stability of
+    Numerical Algorithms, 2002, section 5.1); the last term is added for those left out.
 
     Args:
         series: The `coefficients` of c_k.
@@ -135,18 +136,19 @@ def bounds(series: Sequence[Any], low: Any, high: Any) -> tuple[Any, Any]:
         high: Upper bounds of x (B,).
 
     Returns:
-        Lower and upper bounds (B,), NaN where x may be negative.
+        Lower and upper bounds (B,), NaN where x may be below −1, or both negative and beyond π².
     """
     most = series[0] * (1 + 4 * U)
-    inside = (low >= 0) & (high <= FALLS_UNTIL)
+    inside = (low >= -1) & (high <= FALLS_UNTIL)
     # c_k decreases: its lower bound is at the upper end of x.
     x = np.where(inside, np.stack([high, low]), 0.0)
-    value, size = _horner(series, x, -1.0), _horner(series, x, 1.0)
+    value, size = _horner(series, x, -1.0), _horner(series, abs(x), 1.0)
     # Horner's rule rounds twice a term and the coefficients once; `size` sums the absolute values of all terms.
     off = (4 * TERMS * U + 1e-30) * size
     # |c_k(x)| ≤ c_k(0) = 1/k! for all x ≥ 0: c_k averages cosines.
-    lowest, highest = np.maximum(value[0] - off[0], -most), np.minimum(value[1] + off[1], most)
     known = low >= 0
+    lowest = np.maximum(value[0] - off[0], -most)
+    highest = np.where(known, np.minimum(value[1] + off[1], most), value[1] + off[1])
     return (
         np.where(inside, lowest, np.where(known, -most, np.nan)),
         np.where(inside, highest, np.where(known, most, np.nan)),
