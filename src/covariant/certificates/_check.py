@@ -18,11 +18,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from covariant.certificates import _matrices as matrices
-from covariant.certificates._check_sampled import SLACK, sampled_jobs, sampled_matrix, slack_of
+from covariant.certificates._check_sampled import PREDICTED, SLACK, sampled_jobs, sampled_matrix, slack_of
 from covariant.certificates._document import Document, first_velocity, parse
 from covariant.certificates._error_system import ErrorSystem
 from covariant.certificates._intrinsic import Intrinsics, check_unique, configuration_shape
-from covariant.certificates._prediction import Prediction, defect_matrix
+from covariant.certificates._prediction import Prediction, defect_matrix, step_values
 from covariant.certificates._sampled_step import sampled_prediction
 from covariant.certificates._saved import observer_from, system_of, value_graph
 from covariant.models import input_count
@@ -282,6 +282,9 @@ def _matrix(resolved: Resolved, what: int | str) -> TaylorEnclosure:
             return TaylorEnclosure(matrix, low, high, np.where(force, slack_of(low, high), 0.0) * (low < high))
         slack = np.where(_forces(document), slack_of(low, high), 0.0)
         return TaylorEnclosure(matrix, *document.bounds(claim), slack)
+    if what == PREDICTED:
+        ends = document.bounds(next(claim for claim in document.claims if claim.kind == "prediction"))
+        return TaylorEnclosure(step_values(prediction_in(resolved)), *ends, np.zeros(len(ends[0])), "smooth")
     if document.sampling is not None and what != "the definedness of the observer, without jumps,":
         return sampled_matrix(document, system, model, what)
     unmoved = np.concatenate([region, np.zeros((2, n))], axis=1)

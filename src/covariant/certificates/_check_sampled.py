@@ -11,6 +11,7 @@ from covariant.certificates._error_system import ErrorSystem
 from covariant.models import MechanicalSystem
 from covariant.proofs.checker import TaylorEnclosure
 
+PREDICTED = "the definedness of predictions, without jumps,"
 SLACK = 2.0**-20
 """Relative margin by which forces may exceed their bounds, so that bounds that are attained can be shown quickly."""
 
@@ -32,6 +33,8 @@ def sampled_jobs(document: Document, pins: np.ndarray) -> Iterator[tuple]:
     yield "the bound of the friction's slopes", *speeds[:, None]
     yield "the smoothness of the friction", *speeds[:, None]
     for claim in document.claims:
+        if claim.kind == "prediction":
+            yield PREDICTED, *np.array(document.bounds(claim))[:, None]
         if claim.kind == "correction":
             ends = np.concatenate([np.array(document.bounds(claim)), pins], axis=1)
             yield f"the definedness of the correction after {claim.row} lost, without jumps,", *ends[:, None]

@@ -188,7 +188,7 @@ def body_metric(
         age: age [s] at t = 0.
         running: 0 for an age that does not grow.
     """
-    inertia = np.array(model.space(model.manifold.origin()))
+    inertia = model.space(model.manifold.origin())
     space, manifold = model.space, model.manifold
     origin, n = manifold.origin(), len(inertia)
 
