@@ -28,8 +28,10 @@ SEARCHES = 4
 """How often the metric is searched again with the counter-examples of a proof."""
 WIDER, TINY = (64.0, 16.0, 4.0, 2.0, 1.3), 1e-12
 """Factors of margin on sampled squares, so that they can be proved quickly, and a square for what is zero."""
+MUCH_WIDER = (1e6, 1e5, 1e4, 1e3, 250.0)
+"""The same for errors of Runge–Kutta steps, which often are many times as small as matters."""
 LITTLE = 0.02
-"""Fraction of the rate that a wider bound may take."""
+"""Fraction of the rate that a wider bound may take; its square is that of the radius for errors of predictions."""
 PREDICTION_BOXES = 20_000
 """Largest number of boxes for the errors of Runge–Kutta steps."""
 POINTS = 2000
@@ -208,10 +210,10 @@ def prediction_claims(
     loss = loss_of(sampling, q, rate, claims)
     drift = functools.partial(drift_of, sampling, rate, loss)
     least = _sampled_square(defect_bound(prediction, 1.0), points)
-    squares = [factor * max(least, TINY) for factor in WIDER]
+    squares = [factor * max(least, TINY) for factor in (*MUCH_WIDER, *WIDER)]
     if drift(squares[-1]) < radius:
-        affordable = [each for each in squares if drift(each) < LITTLE * radius]
-        square = affordable[0] if affordable else squares[-1]
+        # The widest bound that moves the estimate little within the tube needs the fewest boxes.
+        square = next((each for each in squares if drift(each) < LITTLE**2 * radius), squares[-1])
         proof = _proved_within(effort, defect_bound(prediction, square), domain)
         return [Claim("prediction", proof, 0, square)] if proof.verdict == "holds" else []
     # The defect itself, at the end of the longest step.
