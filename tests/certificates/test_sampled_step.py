@@ -29,12 +29,14 @@ from covariant.certificates._check import Judge, Resolved, follows
 from covariant.certificates._document import parse
 from covariant.certificates._inequalities import at_correction, in_frame_along
 from covariant.certificates._saved import value_graph
+from covariant.geometry import lie
 from covariant.lowering import numbers
 from covariant.observers import Geodesic, Intrinsic
 from covariant.proofs import digest, prove
 from covariant.proofs.checker import leaves
 
 LONG = (
+    "test_a_forged_file_is_refused_with_the_reason[errors of the steps]",
     "test_a_forged_file_is_refused_with_the_reason[stiffness]",
     "test_a_forged_file_is_refused_with_the_reason[no slopes]",
     "test_a_forged_file_is_refused_with_the_reason[slopes of friction]",
@@ -242,8 +244,9 @@ def test_a_pendulum_is_proved_for_any_interval_from_5_to_50_ms(proved, saved):
     assert proved.boxes < 1000
     assert proved.radius > 1e-3
     text = str(proved.statement)
-    for part in ("samples 0.005 to 0.05 s apart", "4 Runge–Kutta steps", "R(τ)", "lengthens no curve", "not covered"):
+    for part in ("samples 0.005 to 0.05 s apart", "4 Runge–Kutta steps", "R(τ)", "lengthens no curve"):
         assert part in text
+    assert "not covered" not in text
     checked = check(saved)
     assert checked.statement.proved
     assert checked.statement.about == proved.statement.about
@@ -344,7 +347,7 @@ def test_lost_samples_are_covered(tmp_path):
     result = certify(observer, **BOUNDS, interval=(0.018, 0.02), lost=1, recipe=RECIPE, checker="off")
     assert result.statement.verdict == "holds", result.statement
     kinds = [claim.kind for claim in result.claims]
-    assert kinds == ["contraction", "reach", "reach", "correction", "correction", "missing"]
+    assert kinds == ["contraction", "reach", "reach", "correction", "correction", "missing", "prediction"]
     path = result.save(tmp_path / "lost.json")
     assert check(path).statement.proved
     rng, metric = np.random.default_rng(4), metric_of(result)
@@ -358,7 +361,7 @@ def test_lost_samples_are_covered(tmp_path):
 
 def test_the_factor_that_runs_takes_no_more_than_is_subtracted(proved):
     """At random points the step that runs differs from the one that is proved by less than its bound."""
-    claim, h = proved.claims[-1], proved.sampling.oldest
+    claim, h = next(c for c in proved.claims if c.kind == "missing"), proved.sampling.oldest
     rng = np.random.default_rng(5)
     observer, loss = proved.observer, proved.rate / 2 - proved.decay
     assert 0 < loss < proved.rate / 2
@@ -443,7 +446,13 @@ FORGERIES = {
     "stiffness": (put("claims", 4, "square", lambda s: s / 4), r"claims\[4\] is not shown"),
     "length of the error": (put("claims", 4, "limit", lambda s: s / 4), r"claims\[4\] is not shown"),
     "too stiff for the factor": (put("claims", 4, "square", lambda s: 100 * s), "nothing is left of"),
-    "no stiffness": (lambda d: d["claims"].pop(), "and what they lack"),
+    "no stiffness": (lambda d: d["claims"].__delitem__(slice(4, None)), "and what they lack"),
+    "errors of the steps": (put("claims", 5, "square", lambda s: s / 100), r"claims\[5\] is not shown"),
+    "too small a tube for the steps": (put("radius", 1e-6), "errors of 4 steps lead"),
+    "too few steps": (
+        lambda d: (put("radius", 1e-5)(d), put("sampling", "substeps", 2)(d)),
+        "errors of 2 steps lead",
+    ),
     "another key": (put("sampling", "delay", 0.0), "is not known"),
 }
 
@@ -457,13 +466,32 @@ def test_a_forged_file_is_refused_with_the_reason(saved, tmp_path, monkeypatch, 
         check(forged(saved, tmp_path, change))
 
 
-def test_substeps_are_part_of_the_file_and_of_what_it_states(saved, tmp_path):
-    """Other substeps are another statement, which the digest protects; their errors are not covered by any."""
-    document = json.loads(saved.read_text(encoding="utf-8"))
-    document["sampling"]["substeps"] = 1
-    (tmp_path / "other.json").write_text(json.dumps(document), encoding="utf-8")
-    with pytest.raises(ValueError, match="it was changed since it was saved"):
-        check(tmp_path / "other.json")
+def test_errors_of_steps_without_a_claim_are_assumed_to_be_zero(saved, tmp_path):
+    text = str(ContractionCertificate.load(forged(saved, tmp_path, lambda d: d["claims"].pop())).statement)
+    assert "assumed: predictions solve the model exactly" in text
+
+
+def test_predictions_are_off_by_no_more_than_is_stated(proved):
+    """Against many more steps, in the metric at the age of the longest interval."""
+    claim, sampling = proved.claims[-1], proved.sampling
+    assert claim.kind == "prediction"
+    h = sampling.oldest
+    bound = h * (h / 4) ** 4 * np.sqrt(claim.square) / 5
+    assert bound < proved.steady < 0.02 * proved.radius
+
+    @jax.jit
+    def error(x, u):
+        ends = []
+        for count in (4, 256):
+            observer = pendulum(substeps=count)
+            state = observer.predict(observer.init(x[:1])._replace(q=x[:1], v=x[1:]), u, jnp.asarray(h))
+            ends.append(jnp.concatenate([state.q, state.v]))
+        metric = proved.error_system.at(jnp.zeros(7).at[-1].set(h)).metric(jnp.zeros(()), ends[1])
+        return jnp.sqrt((ends[0] - ends[1]) @ metric @ (ends[0] - ends[1]))
+
+    rng = np.random.default_rng(6)
+    worst = max(float(error(jnp.asarray(rng.uniform(-1, 1, 2) * [3.0, 4.0]), jnp.full(1, 0.5))) for _ in range(200))
+    assert 1e-3 * bound < worst < bound
 
 
 def shown(certificate, system, kind):
@@ -582,8 +610,9 @@ def test_models_that_are_not_covered_are_refused():
     )
     with pytest.raises(ValueError, match="couples joints"):
         sampled_system(Intrinsic(arm, 1.0, 1.0), Q, SHEARED)
-    with pytest.raises(ValueError, match="needs coordinates"):
-        sampled_system(Intrinsic(models.heavy_top(), 1.0, 1.0), Q, SHEARED)
+    vehicle = models.GroupSystem(lie.SE3, jnp.eye(6))
+    with pytest.raises(ValueError, match="needs coordinates or rotations"):
+        sampled_system(Intrinsic(vehicle, 1.0, 1.0), Q, SHEARED)
     with pytest.raises(TypeError, match="Intrinsic itself"):
         sampled_system(Geodesic(swing(), 1.0, 1.0), Q, SHEARED)
 

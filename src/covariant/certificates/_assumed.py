@@ -20,7 +20,6 @@ ASSUMED_WITH_SAMPLES = (
     "positions, and to the bounds of velocities and inputs",
     "measurements are exact, of all coordinates unless they are lost, and come at the stated times, which are known "
     "exactly",
-    "predictions solve the model exactly: errors of the Runge–Kutta steps are not covered",
     "coordinates that the model calls circles are periodic",
     *ASSUMED[5:8],
     "trusted are JAX's tracing, the reading of its jaxprs and the description of the observer, which prover and "
@@ -28,6 +27,8 @@ ASSUMED_WITH_SAMPLES = (
     "two inequalities compose, and contraction of Lipschitz maps",
 )
 """The same for observers with sampled measurements."""
+PREDICTIONS = "predictions solve the model exactly: errors of the Runge–Kutta steps are not covered"
+"""One more where the claim "prediction" does not bound them."""
 SMOOTH_FACTOR = (
     "corrections are those of first order in the missing acceleration: the division by 1 + s/18, and a restart where "
     "s > (π/2)², are not covered for errors of second order"

@@ -28,7 +28,14 @@ from jaxtyping import ArrayLike, Float
 from covariant._typing import Numbers
 from covariant.certificates._check import Resolved
 from covariant.certificates._checked import judged
-from covariant.certificates._claims import Claim, disturbance_length, disturbance_sizes, read_bounds
+from covariant.certificates._claims import (
+    Claim,
+    claimed_drift,
+    disturbance_length,
+    disturbance_sizes,
+    loss_of,
+    read_bounds,
+)
 from covariant.certificates._contraction_certificate import ContractionCertificate
 from covariant.certificates._contraction_statement import Contraction, contraction_statement
 from covariant.certificates._document import Document, Sampling, first_velocity
@@ -39,7 +46,13 @@ from covariant.certificates._inequalities import contraction, disturbance_bound,
 from covariant.certificates._intrinsic import Intrinsics, check_unique, error_system
 from covariant.certificates._joint_bounds import friction_bounds, has_dry_friction, joint_bounds
 from covariant.certificates._noise import steady_distance
-from covariant.certificates._sampled_claims import check_sampling, missing_claims, sampled_claims, sampled_given
+from covariant.certificates._sampled_claims import (
+    check_sampling,
+    missing_claims,
+    prediction_claims,
+    sampled_claims,
+    sampled_given,
+)
 from covariant.certificates._saved import observer_document
 from covariant.certificates._tangent_metric import TwoByTwo, check_q, error_matrix, optimal_lyapunov, rate_of
 from covariant.geometry.lie import SO2, SO3
@@ -145,7 +158,7 @@ def certify(
         claims = [first]
     radius = 0.0
     if claims[0].proof.verdict == "holds":
-        limits = limits_of(domain, assumed.velocity, assumed.noise)
+        limits = limits_of(domain, assumed.velocity, assumed.noise, sampled=sampling is not None)
         claims += _reach(system, limits, effort)
         sizes = disturbance_sizes(bounds)
         if sizes.any():
@@ -156,7 +169,10 @@ def certify(
         claims += corrections
         if sampling is not None and len(corrections) > sampling.lost:
             claims += missing_claims(observer, system, sampling, matrix, target, claims, effort)
-        radius = _radius(claims, limits, steady_distance(target, disturbance_length(bounds, claims)))
+            allowed = _radius(claims, limits, 0.0)
+            claims += prediction_claims(observer, sampling, matrix, target, claims, allowed, effort)
+        drift = claimed_drift(sampling, target, loss_of(sampling, matrix, target, claims), claims)
+        radius = _radius(claims, limits, steady_distance(target, disturbance_length(bounds, claims)) + drift)
     facts = Contraction(target, radius, observer, matrix, domain, assumed.velocity, bounds, claims, recipe, sampling)
     statement = contraction_statement(facts, "proved")
     elapsed, check_start = time.monotonic() - start, time.monotonic()
@@ -354,11 +370,12 @@ def _domain(
         "disturbance": disturbance.tolist(),
         "slopes": slopes.tolist(),
     }
+    estimates = _around(true, assumed.error) if model.manifold.commuting else np.zeros((2, 0))
 
     def rest(speed):
         return np.concatenate([force, *(friction_bounds(model, speed) if joint_friction else ())], axis=1)
 
-    return _widened(system, assumed, true if model.manifold.commuting else None, rest), bounds
+    return _widened(system, assumed, estimates, rest), bounds
 
 
 def _sampled_domain(
@@ -370,18 +387,30 @@ def _sampled_domain(
         joints = joint_bounds(model, region.inputs, speed)
         return np.concatenate([joints.force, joints.total, joints.slopes, [[0.0], [sampling.oldest]]], axis=1)
 
-    return _widened(system, assumed, region.true, rest)
+    if model.manifold.commuting:
+        estimates = _around(region.true, assumed.error)
+    else:  # entries of rotations are at most 1, wherever true motion and estimate are
+        ones = np.ones(first_velocity(len(system.names), len(assumed.velocity), sampled=True))
+        estimates = np.stack([-ones, ones])
+    return _widened(system, assumed, estimates, rest)
 
 
-def _widened(system: ErrorSystem, assumed: _Assumed, true: Box | None, rest: Callable[[np.ndarray], np.ndarray]) -> Box:
-    """The box of estimates within the error of the true positions, of their velocities, of errors and of forces.
+def _around(true: Box, error: np.ndarray) -> np.ndarray:
+    """Bounds (2, n) of estimates within the error of the true positions, in coordinates."""
+    # Rounded outward: the region has to contain every estimate within the error.
+    return np.stack([_sum(true.low, -error, -1), _sum(true.high, error, 1)])
 
-    `rest` gives the bounds (2, k) of the variables that follow the error, for a bound of the velocities.
+
+def _widened(
+    system: ErrorSystem, assumed: _Assumed, estimates: np.ndarray, rest: Callable[[np.ndarray], np.ndarray]
+) -> Box:
+    """The box of estimates, of their velocities, of errors and of forces.
+
+    `estimates` are bounds (2, p) of the variables of the configuration. `rest` gives the bounds (2, k) of the variables
+    that follow the error, for a bound of the velocities.
     """
     velocity, error, noise, _ = assumed
-    # Rounded outward: the region has to contain every estimate within the error.
-    low = np.zeros(0) if true is None else _sum(true.low, -error, -1)
-    high = np.zeros(0) if true is None else _sum(true.high, error, 1)
+    low, high = estimates
 
     def box(excess):
         speed = _sum(velocity, excess, 1)
@@ -456,7 +485,7 @@ def _times(model: MechanicalSystem, n: int, times: tuple[float, float] | None) -
     return first, last
 
 
-def limits_of(domain: Box, velocity, noise) -> Float[np.ndarray, "two_n"]:
+def limits_of(domain: Box, velocity, noise, sampled: bool = False) -> Float[np.ndarray, "two_n"]:
     """Compute how far errors and velocities may go within the region.
 
     Position errors are measured from the measured position, so the noise is subtracted.
@@ -465,12 +494,13 @@ def limits_of(domain: Box, velocity, noise) -> Float[np.ndarray, "two_n"]:
         domain: the box of estimate, error and force.
         velocity: bounds (n,) of the true velocities.
         noise: bounds (n,) of the errors of measured positions.
+        sampled: whether measurements are sampled, so that the box has further variables.
 
     Returns:
         The largest position errors, then the largest velocities beyond their bound, that stay within the region (2n,).
     """
     n = len(velocity)
-    start = first_velocity(n, len(domain.low))
+    start = first_velocity(len(domain.low), n, sampled)
     speed, error = slice(start, start + n), slice(start + n, start + 2 * n)
     most = np.minimum(domain.high, -domain.low)
     # Rounded down: a limit may not exceed the exact difference.

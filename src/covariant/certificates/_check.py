@@ -20,6 +20,7 @@ import numpy as np
 from covariant.certificates import _matrices as matrices
 from covariant.certificates._check_sampled import (
     FRICTION_JOBS,
+    PREDICTED,
     SLACK,
     friction_jobs,
     friction_matrix,
@@ -27,9 +28,11 @@ from covariant.certificates._check_sampled import (
     sampled_matrix,
     slack_of,
 )
-from covariant.certificates._document import Document, parse
+from covariant.certificates._document import Document, first_velocity, parse
 from covariant.certificates._error_system import ErrorSystem
 from covariant.certificates._intrinsic import Intrinsics, check_unique, configuration_shape
+from covariant.certificates._prediction import Prediction, defect_matrix, step_values
+from covariant.certificates._sampled_step import sampled_prediction
 from covariant.certificates._saved import observer_from, system_of, value_graph
 from covariant.models import input_count
 from covariant.proofs.checker import ROUND, TaylorEnclosure, leaves, show_definite
@@ -171,7 +174,13 @@ def _complete(resolved: Resolved) -> None:
         covered = low[-1] <= 0 and document.sampling.oldest <= high[-1]
         _need(covered, f"box: it must hold the ages from 0 to {document.sampling.oldest:.6g} s of measurements")
     # What follows is about positions, velocities, errors and forces; further forces and the age come after them.
-    names, low, high = (part[: document.forces.stop] for part in (names, low, high))
+    part = slice(0, document.forces.stop)
+    if document.sampling is not None and not model.manifold.commuting:
+        entries = first_velocity(len(low), n, sampled=True)
+        covered = (low[:entries] <= -1).all() and (high[:entries] >= 1).all()
+        _need(covered, "box: it must hold all entries of rotations, from -1 to 1")
+        part = slice(entries, part.stop)
+    names, low, high = names[part], low[part], high[part]
     m, places = input_count(model, n), math.prod(configuration_shape(model, n))
     for key, expected in (("positions", places), ("inputs", m)):
         columns = getattr(document.given, key).shape[1]
@@ -205,6 +214,8 @@ def _complete(resolved: Resolved) -> None:
         loss = document.loss
         slower = f"{loss.rate:.6g} 1/s by the factor of the correction, up to {loss.restart:.6g} of a restart"
         _need(loss.allowed(document.rate), f"rate: nothing is left of {document.rate / 2:.6g} 1/s, less {slower}")
+        away = f"{document.drift:.6g} away, and the radius is {radius:.6g}"
+        _need(document.drift < radius, f"sampling.substeps: errors of {document.sampling.substeps} steps lead {away}")
     if disturbed:
         count = np.count_nonzero(sizes(document))
         # The steady distance 2D/λ: the box of scaled errors lies in the ball of radius √count, so D² = count · square.
@@ -274,11 +285,19 @@ def _matrix(resolved: Resolved, what: int | str) -> TaylorEnclosure:
             "disturbance": lambda: matrices.disturbance(system, sizes(document), claim.square),
             "correction": lambda: matrices.correction(system),
             "missing": lambda: matrices.missing(system, claim.square, claim.limit, document.unit_reach),
+            "prediction": lambda: defect_matrix(prediction_in(resolved), claim.square),
         }[claim.kind]()
+        if claim.kind == "prediction":
+            low, high = document.bounds(claim)
+            force = np.arange(len(low)) >= len(low) - n - 3
+            return TaylorEnclosure(matrix, low, high, np.where(force, slack_of(low, high), 0.0) * (low < high))
         slack = np.where(_forces(document), slack_of(low, high), 0.0)
         return TaylorEnclosure(matrix, *document.bounds(claim), slack)
     if what in FRICTION_JOBS:
         return friction_matrix(document, model, what)
+    if what == PREDICTED:
+        ends = document.bounds(next(claim for claim in document.claims if claim.kind == "prediction"))
+        return TaylorEnclosure(step_values(prediction_in(resolved)), *ends, np.zeros(len(ends[0])), "smooth")
     if document.sampling is not None and what != "the definedness of the observer, without jumps,":
         return sampled_matrix(document, system, model, what)
     unmoved = np.concatenate([region, np.zeros((2, n))], axis=1)
@@ -299,10 +318,22 @@ def _matrix(resolved: Resolved, what: int | str) -> TaylorEnclosure:
     return TaylorEnclosure(function, least, largest, np.zeros(len(least)), watch)
 
 
+def prediction_in(resolved: Resolved) -> Prediction:
+    """Describe the Runge–Kutta steps of an observer with samples.
+
+    Args:
+        resolved: the document, with its observer.
+    """
+    document = resolved.document
+    assert document.sampling is not None
+    return sampled_prediction(resolved.observer, document.q, document.sampling)
+
+
 def _forces(document: Document) -> np.ndarray:
     """Which variables (d,) of the box are forces, or slopes of friction."""
-    place = np.arange(len(document.low))
-    return (document.forces.start <= place) & (place < 6 * len(document.velocity))
+    # All that follows the errors, but for the age.
+    place, sampled = np.arange(len(document.low)), document.sampling is not None
+    return (document.forces.start <= place) & (place < len(document.low) - sampled)
 
 
 class Judge:

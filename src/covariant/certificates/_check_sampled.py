@@ -9,11 +9,12 @@ from typing import Any, Literal
 import numpy as np
 
 from covariant.certificates import _matrices as matrices
-from covariant.certificates._document import Document
+from covariant.certificates._document import Document, first_velocity
 from covariant.certificates._error_system import ErrorSystem
 from covariant.models import MechanicalSystem
 from covariant.proofs.checker import TaylorEnclosure
 
+PREDICTED = "the definedness of predictions, without jumps,"
 SLACK = 2.0**-20
 """Relative margin by which forces may exceed their bounds, so that bounds that are attained can be shown quickly."""
 
@@ -75,6 +76,8 @@ def sampled_jobs(document: Document, pins: np.ndarray) -> Iterator[tuple]:
     for what in FRICTION_JOBS[1:]:
         yield what, *speeds[:, None]
     for claim in document.claims:
+        if claim.kind == "prediction":
+            yield PREDICTED, *np.array(document.bounds(claim))[:, None]
         if claim.kind == "correction":
             ends = np.concatenate([np.array(document.bounds(claim)), pins], axis=1)
             yield f"the definedness of the correction after {claim.row} lost, without jumps,", *ends[:, None]
@@ -83,7 +86,8 @@ def sampled_jobs(document: Document, pins: np.ndarray) -> Iterator[tuple]:
 def _speeds(document: Document) -> np.ndarray:
     """Bounds (2, n) of the estimated velocity."""
     n = len(document.velocity)
-    return np.stack([document.low[n : 2 * n], document.high[n : 2 * n]])
+    start = first_velocity(len(document.low), n, sampled=True)
+    return np.stack([document.low[start : start + n], document.high[start : start + n]])
 
 
 def sampled_matrix(document: Document, system: ErrorSystem, model: MechanicalSystem, what: str) -> TaylorEnclosure:

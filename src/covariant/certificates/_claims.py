@@ -7,7 +7,18 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from covariant.certificates._document import NUMBERS, Document, Given, Kind, Loss, Sampling, Stated
+from covariant.certificates._document import (
+    NUMBERS,
+    STEPS,
+    Document,
+    Given,
+    Kind,
+    Loss,
+    Sampling,
+    Stated,
+    drift_of,
+    prediction_places,
+)
 from covariant.proofs import Box, Proof, from_letters, to_letters
 
 
@@ -19,12 +30,13 @@ class Claim(NamedTuple):
             changes the entry `row` of (error, velocity) by less than `ℓ √square`, which bounds the half width of the
             tube in that entry. "disturbance": errors of measurement and force, relative to their sizes and within the
             unit ball, add at most `√square` in length to the flow. "correction": the correction after `row` lost
-            samples lengthens no curve. "missing": the acceleration that a prediction lacks is less than `√square` times
-            the position error, whose length is at most `limit` times that of a curve.
+            samples lengthens no curve. "prediction": the fourth derivative of the defect of Runge–Kutta steps, over
+            4!, is shorter than `√square`. "missing": the acceleration that a prediction lacks is less than `√square`
+            times the position error, whose length is at most `limit` times that of a curve.
         proof: the tree of boxes over which the inequality was shown.
         row: for "reach", the index of the entry of (error, velocity), from 0 to 2n − 1; for "correction", the number of
             samples lost before it.
-        square: for "reach", "disturbance" and "missing", the square of the bound.
+        square: for "reach", "disturbance", "prediction" and "missing", the square of the bound.
         limit: for "reach", the largest half width that stays within the region, in the unit of the entry; for
             "missing", the bound of the length of the position error for a curve of unit length.
 
@@ -76,6 +88,10 @@ def stated_claims(document: Document, domain: Box) -> tuple[Claim, ...]:
 
 def _box_of(document: Document, claim: Stated, domain: Box) -> Box:
     low, high = document.bounds(claim)
+    if claim.kind == "prediction":
+        places = prediction_places(len(domain.low), len(document.velocity))
+        names, units = (tuple(each[k] for k in places) for each in (domain.names, domain.units))
+        return Box((*names, *STEPS), (*units, "s", "s"), low, high)
     return domain._replace(low=low, high=high)
 
 
@@ -90,6 +106,19 @@ def loss_of(sampling: Sampling | None, q: Float[np.ndarray, "2 2"], rate: float,
     """
     bounds = [(claim.square, claim.limit) for claim in claims if claim.kind == "missing"]
     return Loss(0.0, 0.0) if sampling is None or not bounds else Loss.of(sampling, q, rate, *bounds[0])
+
+
+def claimed_drift(sampling: Sampling | None, rate: float, loss: Loss, claims: Sequence[Claim]) -> float:
+    """Compute the distance to which errors of Runge–Kutta steps alone may lead.
+
+    Args:
+        sampling: when measurements come; None in continuous time.
+        rate: rate λ of squared lengths [1/s].
+        loss: what the correction takes of the rate.
+        claims: the claims; without one of the kind "prediction" nothing is known, and the distance is taken as 0.
+    """
+    squares = [claim.square for claim in claims if claim.kind == "prediction"]
+    return 0.0 if sampling is None or not squares else drift_of(sampling, rate, loss, squares[0])
 
 
 def disturbance_sizes(given: dict[str, Any]) -> Float[np.ndarray, "two_n"]:

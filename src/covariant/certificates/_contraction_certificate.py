@@ -7,9 +7,9 @@ import numpy as np
 from jaxtyping import Float
 
 from covariant.certificates._check import follows
-from covariant.certificates._claims import Claim, disturbance_length, loss_of
+from covariant.certificates._claims import Claim, claimed_drift, disturbance_length, loss_of
 from covariant.certificates._contraction_statement import Contraction, contraction_statement
-from covariant.certificates._document import FORMAT, Sampling, parse, write
+from covariant.certificates._document import FORMAT, Sampling, first_velocity, parse, write
 from covariant.certificates._error_system import ErrorSystem
 from covariant.certificates._intrinsic import Intrinsics
 from covariant.certificates._noise import steady_distance
@@ -17,6 +17,9 @@ from covariant.certificates._saved import observer_document, value_graph
 from covariant.certificates._statement import Statement
 from covariant.certificates._tangent_metric import TwoByTwo
 from covariant.proofs import Box, digest
+
+SAMPLED_ROLES = ("joint force", "friction slope")
+"""Kinds of variables that a box has with samples only, beside the age."""
 
 
 class ContractionCertificate(NamedTuple):
@@ -79,8 +82,15 @@ class ContractionCertificate(NamedTuple):
 
     @property
     def steady(self) -> float:
-        """The final distance under the noise and disturbance of the certificate, at most `2D/λ`; 0 without them."""
-        return steady_distance(self.rate, disturbance_length(self.given, self.claims))
+        """The final distance, at most.
+
+        Returns:
+            `2D/λ` under the noise and disturbance of the certificate; with sampled measurements the distance to which
+            errors of the prediction's Runge–Kutta steps lead, where a claim bounds them; 0 without all of these.
+        """
+        loss = loss_of(self.sampling, self.q, self.rate, self.claims)
+        drift = claimed_drift(self.sampling, self.rate, loss, self.claims)
+        return steady_distance(self.rate, disturbance_length(self.given, self.claims)) + drift
 
     @property
     def boxes(self) -> int:
@@ -123,7 +133,8 @@ class ContractionCertificate(NamedTuple):
         roles = ("estimate", "velocity", "error", "force")
         parts = {3 * n: roles[1:], 4 * n: roles}.get(len(self.domain.low), (*roles, "friction", "friction slope"))
         if self.sampling is not None:
-            return (*(role for role in (*roles, "joint force", "friction slope") for _ in range(n)), "age")
+            estimate = ("estimate",) * first_velocity(len(self.domain.low), n, sampled=True)
+            return (*estimate, *(role for role in (*roles[1:], *SAMPLED_ROLES) for _ in range(n)), "age")
         return tuple(role for role in parts for _ in range(n))
 
     @property

@@ -7,8 +7,15 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from covariant.certificates._assumed import ASSUMED, ASSUMED_WITH_SAMPLES, SMOOTH_FACTOR
-from covariant.certificates._claims import Claim, disturbance_length, loss_of, plain_bounds, stated_claims
+from covariant.certificates._assumed import ASSUMED, ASSUMED_WITH_SAMPLES, PREDICTIONS, SMOOTH_FACTOR
+from covariant.certificates._claims import (
+    Claim,
+    claimed_drift,
+    disturbance_length,
+    loss_of,
+    plain_bounds,
+    stated_claims,
+)
 from covariant.certificates._document import Document, Loss, Sampling, first_velocity
 from covariant.certificates._error_system import ErrorSystem
 from covariant.certificates._intrinsic import Intrinsics
@@ -74,12 +81,17 @@ class Contraction(NamedTuple):
     @property
     def first_velocity(self) -> int:
         """Index of the first velocity in the domain, after the coordinates, which on a group are none."""
-        return first_velocity(len(self.velocity), len(self.domain.names))
+        return first_velocity(len(self.domain.names), len(self.velocity), self.sampling is not None)
 
     @property
     def steady(self) -> float:
         """The distance to which noise and disturbance alone may lead."""
-        return steady_distance(self.rate, disturbance_length(self.given, self.claims))
+        return steady_distance(self.rate, disturbance_length(self.given, self.claims)) + self.drift
+
+    @property
+    def drift(self) -> float:
+        """The distance to which errors of Runge–Kutta steps alone may lead; 0 where no claim bounds them."""
+        return claimed_drift(self.sampling, self.rate, self.loss, self.claims)
 
 
 def contraction_statement(of: Contraction, evidence: Evidence, checker: Hypothesis | None = None) -> Statement:
@@ -151,6 +163,8 @@ def _hypotheses(facts: Contraction, evidence: Evidence) -> Iterator[Hypothesis]:
             first, last = (_exact(h) for h in facts.sampling.ages[claim.row])
             text = f"the correction by a measurement that is {first} to {last} s old lengthens no curve"
             margin = None
+        elif claim.kind == "prediction":
+            text, margin = "the defect of the Runge–Kutta steps of a prediction keeps its bound", None
         elif claim.kind == "missing":
             text, margin = "the acceleration that a prediction lacks, and the position error, keep their bounds", None
         else:
@@ -160,11 +174,13 @@ def _hypotheses(facts: Contraction, evidence: Evidence) -> Iterator[Hypothesis]:
         yield _radius(facts, evidence)
         if any(claim.kind == "missing" for claim in facts.claims):
             yield _factor(facts, evidence)
+        if any(claim.kind == "prediction" for claim in facts.claims):
+            yield _steps(facts, evidence)
     if facts.sampling is None:
         yield Hypothesis(
             "over these positions, inputs and times the force stays within the bounds of the domain", evidence
         )
-    if len(facts.domain.names) > 4 * n:
+    if facts.sampling is not None or len(facts.domain.names) > 4 * n:
         acting = "forces" if facts.sampling is not None else "friction"
         yield Hypothesis(
             f"over these {'inputs and ' if facts.sampling is not None else ''}velocities, {acting} and the slopes of "
@@ -182,8 +198,10 @@ def _hypotheses(facts: Contraction, evidence: Evidence) -> Iterator[Hypothesis]:
 
 def _assumed(facts: Contraction) -> Iterator[Hypothesis]:
     yield from (Hypothesis(line, "assumed") for line in (ASSUMED if facts.sampling is None else ASSUMED_WITH_SAMPLES))
-    if facts.sampling is not None and not any(claim.kind == "missing" for claim in facts.claims):
-        yield Hypothesis(SMOOTH_FACTOR, "assumed")
+    if facts.sampling is not None:
+        kinds = {claim.kind for claim in facts.claims}
+        more = (("prediction", PREDICTIONS), ("missing", SMOOTH_FACTOR))
+        yield from (Hypothesis(line, "assumed") for kind, line in more if kind not in kinds)
 
 
 def _factor(facts: Contraction, evidence: Evidence) -> Hypothesis:
@@ -196,6 +214,17 @@ def _factor(facts: Contraction, evidence: Evidence) -> Hypothesis:
         f"the factor takes up to {loss.rate:.4g} 1/s of {facts.rate / 2:.4g} 1/s, and s is up to {loss.restart:.4g} of "
         "where a sample restarts the estimate; make the interval shorter"
     )
+    return Hypothesis(text, evidence, "undecided", None, reason)
+
+
+def _steps(facts: Contraction, evidence: Evidence) -> Hypothesis:
+    """That the errors of the Runge–Kutta steps alone do not lead out of the tube."""
+    text = "the errors of the Runge–Kutta steps of predictions do not lead out of the tube"
+    if facts.drift < facts.radius:
+        return Hypothesis(
+            f"{text}: alone they lead at most {facts.drift:.2g} away", evidence, margin=facts.radius - facts.drift
+        )
+    reason = f"alone they may lead {facts.drift:.4g} away, out of the tube; use more substeps or a shorter interval"
     return Hypothesis(text, evidence, "undecided", None, reason)
 
 

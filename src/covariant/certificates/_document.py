@@ -10,8 +10,9 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 
 from covariant._files import write_atomically
 from covariant.proofs import (
@@ -38,15 +39,18 @@ OBSERVERS: dict[str, dict[str, Any]] = {
 """The fields of each kind of observer beside the gains, with their possible values."""
 MOST_LOST = 1000
 """Largest number of lost samples that a file may state."""
+STEPS = ("step", "inner_step")
+"""Names of the further variables of the claim "prediction": two lengths of a step."""
 FRAMES = ("coordinates", "body")
 """Frames of the vectors. In the "body" frame the configuration is not a variable of the region."""
-Kind = Literal["contraction", "reach", "disturbance", "correction", "missing"]
+Kind = Literal["contraction", "reach", "disturbance", "correction", "missing", "prediction"]
 NUMBERS: dict[Kind, list[str]] = {
     "contraction": [],
     "reach": ["row", "square", "limit"],
     "disturbance": ["square"],
     "correction": ["row"],
     "missing": ["square", "limit"],
+    "prediction": ["square"],
 }
 """The numbers of each kind of claim, beside its tree of boxes."""
 
@@ -131,6 +135,25 @@ class Sampling(NamedTuple):
         """Largest age of a measurement [s]."""
         return float(self.ages[-1, 1])
 
+    @property
+    def longest_step(self) -> float:
+        """Length of the longest Runge–Kutta step [s], rounded up; only where their number is known."""
+        assert self.substeps is not None
+        return float(np.nextafter(self.interval[1] / self.substeps, np.inf))
+
+    def at(self, q: Any, age: Any) -> Array:
+        """The matrix R(τ) (2, 2) of the metric at an age τ.
+
+        Args:
+            q: R_0 (2, 2).
+            age: age of the measurement [s], which may be traced.
+        """
+        age = jnp.asarray(age)
+        r = jnp.asarray(q, age.dtype)
+        for power, slope in enumerate(self.slopes, start=1):
+            r = r + jnp.asarray(slope, age.dtype) * age**power
+        return r
+
     def document(self) -> dict[str, Any]:
         """Convert to data for the file."""
         return {
@@ -190,6 +213,30 @@ class Loss(NamedTuple):
         return self.rate < rate / 2 and self.restart < 1
 
 
+def drift_of(sampling: Sampling, rate: float, loss: Loss, square: float) -> float:
+    """Compute the distance to which the errors of Runge–Kutta steps alone may lead, from the claim "prediction".
+
+    A prediction over h in steps of length σ is off by at most ē = h σ⁴ √square/5, see `_prediction`, which a correction
+    lengthens by no more than the factor 1 + h loss. Distances obey `r ← e^(−μh) r + ē (1 + h loss)` with the rate μ
+    that the correction leaves, and come to rest below ē (1 + h loss)/(1 − e^(−μh)), which is largest for the longest h.
+
+    Args:
+        sampling: when measurements come, with a number of steps.
+        rate: rate λ of squared lengths [1/s].
+        loss: what the correction takes of the rate; less than λ/2.
+        square: square of the claim.
+
+    Returns:
+        The distance, in the metric right after a measurement; infinite where no rate is left.
+    """
+    longest, left = float(sampling.interval[1]), rate / 2 - loss.rate
+    if not left > 0:
+        return math.inf
+    error = longest * sampling.longest_step**4 * math.sqrt(square) / 5
+    # The factor covers the roundings.
+    return error * (1 + longest * loss.rate) / -math.expm1(-left * longest) * (1 + 1e-9)
+
+
 def unit_reach(squares: list[float]) -> Float[np.ndarray, "n"]:
     """Bounds (n,) of each position error for a curve of unit length.
 
@@ -197,16 +244,6 @@ def unit_reach(squares: list[float]) -> Float[np.ndarray, "n"]:
         squares: squares of the claims on reach (2n), positions first.
     """
     return np.sqrt(np.array(squares[: len(squares) // 2])) * (1 + 1e-12)
-
-
-def first_velocity(n: int, count: int) -> int:
-    """Index of the first velocity among the variables of a region; its errors and forces follow the n velocities.
-
-    Args:
-        n: number of velocities.
-        count: number of variables. There are 3n on a group, where coordinates are no variables, and else more.
-    """
-    return n * (count > 3 * n)
 
 
 class Document(NamedTuple):
@@ -258,7 +295,7 @@ class Document(NamedTuple):
     def forces(self) -> slice:
         """Places of the force in the box."""
         n = len(self.velocity)
-        start = first_velocity(n, len(self.low)) + 2 * n
+        start = first_velocity(len(self.low), n, self.sampling is not None) + 2 * n
         return slice(start, start + n)
 
     @property
@@ -280,17 +317,60 @@ class Document(NamedTuple):
             return Loss(0.0, 0.0)
         return Loss.of(self.sampling, self.q, self.rate, claims[0].square, claims[0].limit)
 
+    @property
+    def drift(self) -> float:
+        """The distance to which errors of Runge–Kutta steps alone may lead; 0 where no claim bounds them."""
+        squares = [claim.square for claim in self.claims if claim.kind == "prediction"]
+        if self.sampling is None or not squares:
+            return 0.0
+        return drift_of(self.sampling, self.rate, self.loss, squares[0])
+
     def bounds(self, claim: Stated) -> tuple[Float[np.ndarray, "d"], Float[np.ndarray, "d"]]:
         """Bounds (d,) of the box of one claim, which is the whole box, or that of the ages of a correction.
 
         Args:
             claim: the claim.
         """
-        return claim_bounds(self.sampling, claim.kind, claim.row, self.low, self.high)
+        return claim_bounds(self.sampling, claim.kind, claim.row, self.low, self.high, len(self.velocity))
+
+
+def first_velocity(variables: int, n: int, sampled: bool = False) -> int:
+    """Return the place of the first velocity in the box, behind the variables of the configuration.
+
+    Args:
+        variables: number of variables of the box.
+        n: number of velocities.
+        sampled: whether measurements are sampled.
+    """
+    # Without samples the coordinates are variables, but not on a group: velocities, errors and forces are 3n.
+    return variables - (5 * n + 1) if sampled else n * (variables > 3 * n)
+
+
+def prediction_places(variables: int, n: int) -> list[int]:
+    """Return the places in the box of configuration, velocity, force of the input and age.
+
+    Args:
+        variables: number of variables of the box, of a system with samples.
+        n: number of velocities.
+    """
+    count = first_velocity(variables, n, sampled=True)
+    return [*range(count + n), *range(count + 2 * n, count + 3 * n), variables - 1]
+
+
+def prediction_box(sampling: Sampling, n: int, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the bounds of the variables of the claim "prediction".
+
+    Args:
+        sampling: the samples, with a number of steps.
+        n: number of velocities.
+        low, high: bounds (d,) of the whole box.
+    """
+    places, longest = prediction_places(len(low), n), sampling.longest_step
+    return np.append(low[places], [0.0, 0.0]), np.append(high[places], [longest, longest])
 
 
 def claim_bounds(
-    sampling: Sampling | None, kind: Kind, row: int, low: np.ndarray, high: np.ndarray
+    sampling: Sampling | None, kind: Kind, row: int, low: np.ndarray, high: np.ndarray, n: int = 0
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the bounds (d,) of the box of one claim.
 
@@ -299,7 +379,10 @@ def claim_bounds(
         kind: kind of the claim.
         row: its row, for a correction the number of samples lost.
         low, high: the whole box (d,), whose last variable is the age where measurements are sampled.
+        n: number of velocities; needed for "prediction" alone.
     """
+    if sampling is not None and kind == "prediction":
+        return prediction_box(sampling, n, low, high)
     if sampling is None or kind not in ("correction", "missing"):
         return low, high
     first, last = sampling.ages[row]
@@ -340,9 +423,14 @@ def parse(path: str | Path, content: bytes | None = None) -> Document:
     fields["velocity"].need((velocity > 0).all(), "positive numbers")
     n = len(velocity)
     sampling = _sampling(fields["sampling"]) if sampled else None
-    fields["observer"].need(not sampled or observer["frame"] == "coordinates", "one in coordinates, with sampling")
-    counts = [6 * n + 1] if sampled else [4 * n, 6 * n] if observer["frame"] == "coordinates" else [3 * n]
-    # Without sampling friction and its slopes may be variables too, which their number says.
+    in_coordinates = observer["frame"] == "coordinates"
+    if sampled:  # on rotations those entries of the matrix are variables that the potential reads
+        counts = [6 * n + 1] if in_coordinates else list(range(5 * n + 1, len(LETTERS) + 1))
+    else:  # in coordinates friction and its slopes may be variables too, which their number says
+        counts = [4 * n, 6 * n] if in_coordinates else [3 * n]
+    fields["velocity"].need(
+        bool(counts) and counts[0] <= len(LETTERS), f"fewer velocities: there are letters for {len(LETTERS)} variables"
+    )
     low, high = fields["box"].pair(counts[0], counts[-1])
     variables = len(low)
     fields["box"].need(variables in counts, f"bounds of {' or '.join(map(str, counts))} variables")
@@ -483,14 +571,17 @@ def _claims(field: Field, n: int, variables: int, sampling: Sampling | None, fir
     if sampling is not None:
         corrections: list[Kind] = ["correction"] * (sampling.lost + 1)
         last = [*corrections, "missing"] if first_order else corrections
-    rows = field.rows(1, 2 * n + 1 + len(last))
+    # Errors of predictions are bounded by a last claim, or the statement lists them as not covered.
+    optional: list[Kind] = [] if sampling is None or sampling.substeps is None else ["prediction"]
+    rows, first = field.rows(1, 2 * n + 1 + len(last) + len(optional)), len(last)
+    last = [*last, *optional]
     claims = [_claim(row, k, n, variables, last) for k, row in enumerate(rows)]
     if sum(len(level) for claim in claims for level in claim.levels) > MOST_LETTERS:
         raise ValueError(
             f"{field.file}: the levels of {field.key} hold more than {MOST_LETTERS} letters; ask for the file as it "
             "was saved, or certify again"
         )
-    needed = 2 * n + 1 + (0 if sampling is None else len(last))
+    needed = 2 * n + 1 + (0 if sampling is None else first)
     more = "" if sampling is None else f", and correction after 0 to {sampling.lost} lost samples, and what they lack"
     complete = len(rows) >= needed or (len(rows) == 1 and claims[0].open)
     field.need(complete, f"contraction, and reach of rows 0 to {2 * n - 1}{more}")
@@ -507,4 +598,6 @@ def _claim(field: Field, k: int, n: int, variables: int, last: list[Kind]) -> St
         numbers["row"] = fields["row"].whole(k - 1, k - 1)
     if kind == "correction":
         numbers["row"] = fields["row"].whole(k - 1 - 2 * n, k - 1 - 2 * n)
+    # Instead of errors, joint forces and slopes, a prediction has two lengths of its steps.
+    variables = variables - 3 * n + 2 if kind == "prediction" else variables
     return Stated(kind, saved_levels(fields["levels"], variables), **numbers)

@@ -31,7 +31,8 @@ class Point(NamedTuple):
             samples only, as is `after`.
         after: the metric on states right after a correction.
         missing: `x (2n,) -> (n,)`: the acceleration that a prediction lacks, of observers with samples.
-        configuration: `q (n,) -> (n, n)`: the metric on configurations, of observers with samples.
+        inertias: `x (2n,) -> (n, n), (n, n)`: the metric at the estimated and at the measured configuration, of
+            observers with samples.
     """
 
     flow: Callable[[Scalar, Vector], Array]
@@ -42,7 +43,7 @@ class Point(NamedTuple):
     corrected: Callable[[Vector], Array] | None = None
     after: StateMetric | None = None
     missing: Callable[[Vector], Array] = lambda x: x
-    configuration: Callable[[Vector], Array] = lambda q: q
+    inertias: Callable[[Vector], tuple[Array, Array]] = lambda x: (x, x)
 
     @property
     def sampled(self) -> tuple[Callable[[Vector], Array], StateMetric]:
@@ -79,6 +80,16 @@ class ErrorSystem(NamedTuple):
     at: Callable[[Vector], Point]
     at_rest: Callable[[Vector], Point] | None = None
     has_samples: bool = False
+
+    def errors(self, n: int) -> range:
+        """Places of the position errors among the variables of a system with samples.
+
+        Args:
+            n: number of velocities.
+        """
+        # Behind them are three kinds of forces and slopes, and the age.
+        first = len(self.names) - 4 * n - 1
+        return range(first, first + n)
 
 
 def entries_read(function, *arguments: Array) -> set[int]:
@@ -160,9 +171,6 @@ def corrections(error_system: ErrorSystem) -> Callable[[Scalar, Vector, Vector],
         before, new = point.metric, corrected(x)
         now = jnp.zeros_like(t)
         frames = after.coframe(now, new), after.gram(now, new), before.frame(t, x), before.gram(t, x)
-        n = x.shape[0] // 2
-        # The variables begin with the estimated position, its velocity, and the error of the position.
-        measured = z[:n] - z[2 * n : 3 * n]
-        return new, *frames, point.missing(x), point.configuration(x[:n]), point.configuration(measured)
+        return new, *frames, point.missing(x), *point.inertias(x)
 
     return at

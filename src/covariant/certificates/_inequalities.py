@@ -154,7 +154,7 @@ def disturbance_bound(error_system: ErrorSystem, sizes: Float[np.ndarray, "two_n
 
     def parts(derivatives, nodes, count):
         # The inputs of the graph are time, state and z, in which error and force follow the velocities.
-        start = 1 + count + first_velocity(n, len(error_system.names)) + n
+        start = 1 + count + first_velocity(len(error_system.names), n) + n
         flow, coframe, _, gram, _, noise = nodes
         return coframe, gram, noise, derivatives.each(flow, range(start, start + 2 * n))
 
@@ -165,7 +165,7 @@ def disturbance_bound(error_system: ErrorSystem, sizes: Float[np.ndarray, "two_n
 
     def numbers(z):
         point, t = error_system.at(z), jnp.zeros((), z.dtype)
-        start = first_velocity(n, len(error_system.names)) + n
+        start = first_velocity(len(error_system.names), n) + n
         change = jax.jacfwd(lambda z: error_system.at(z).flow(t, point.x))(z)[:, start : start + 2 * n]
         return formula(point.metric.coframe(t, point.x), point.metric.gram(t, point.x), point.noise_jacobian(), change)
 
@@ -238,7 +238,7 @@ def missing_bound(error_system: ErrorSystem, square: float, limit: float, reach:
 
     def parts(derivatives, nodes, count):
         *_, missing, here, there = nodes
-        return derivatives.each(missing, range(1 + count + 2 * n, 1 + count + 3 * n)), here, there
+        return derivatives.each(missing, [1 + count + k for k in error_system.errors(n)]), here, there
 
     def whole(slope, here, there):
         weighted = here * jnp.asarray(np.outer(reach, reach))
@@ -248,7 +248,7 @@ def missing_bound(error_system: ErrorSystem, square: float, limit: float, reach:
     def numbers(z):
         x = error_system.at(z).x
         *_, here, there = corrections(error_system)(jnp.zeros((), z.dtype), x, z)
-        slope = jax.jacfwd(lambda z: error_system.at(z).missing(x))(z)[:, 2 * n : 3 * n]
+        slope = jax.jacfwd(lambda z: error_system.at(z).missing(x))(z)[:, np.array(error_system.errors(n))]
         return whole(slope, here, there)
 
     return derivative_form(corrections(error_system), lambda z: error_system.at(z).x, parts, whole, numbers)

@@ -253,22 +253,31 @@ def need_steady_friction(model: MechanicalSystem) -> None:
         )
 
 
-def need_joint_friction(model: MechanicalSystem) -> None:
-    """Check that friction acts in each joint by its own velocity.
+def any_configuration(model: MechanicalSystem) -> Array:
+    """Return a configuration, for what does not depend on it.
 
     Args:
-        model: the mechanical system, in coordinates, with friction of position and velocity.
+        model: the mechanical system.
+    """
+    return jnp.zeros(dimension(model)) if model.manifold.commuting else model.manifold.origin()
+
+
+def need_joint_friction(model: MechanicalSystem) -> None:
+    """Check that friction acts in each joint, or about each axis of a body, by its own velocity.
+
+    Args:
+        model: the mechanical system, with friction of position and velocity.
 
     Raises:
-        ValueError: it depends on the position, or couples joints.
+        ValueError: it depends on the position, or couples velocities.
     """
-    n = dimension(model)
-    q, v = jnp.zeros(n), jnp.zeros(n)
-    if any(i < n for i in entries_read(functools.partial(friction_of, model), q, v)):
+    n, q = dimension(model), any_configuration(model)
+    friction = functools.partial(friction_of, model)
+    if any(i < q.size for i in entries_read(friction, q, jnp.zeros(n))):
         raise ValueError(
             "the friction of this model depends on the position; covered here is friction of the velocity alone"
         )
-    expansion = expand(lower(functools.partial(friction_of, model, q), v), range(n), 1)
+    expansion = expand(lower(functools.partial(friction, q), jnp.zeros(n)), range(n), 1)
     slopes = expansion.nodes()[1].reshape(n, n)
     if any(not expansion.graph.is_zero(int(slopes[i, j])) for i in range(n) for j in range(n) if i != j):
         raise ValueError(

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from covariant.certificates._intrinsic import friction_of, need_joint_friction
+from covariant.certificates._intrinsic import any_configuration, friction_of, need_joint_friction
 from covariant.lowering import enclose, expand, lower
 from covariant.models import MechanicalSystem
 from covariant.proofs import Box, check_box, show_conditions
@@ -44,8 +44,7 @@ def joint_bounds(
     Raises:
         ValueError: a force has no bound or is not defined everywhere, or the friction jumps.
     """
-    n, m = len(speed), inputs.shape[1]
-    q = jnp.zeros(n)
+    m, q = inputs.shape[1], any_configuration(model)
     force = lower(lambda u: model.force(jnp.zeros(()), q, u), jnp.zeros(m), real=True)
     acting = check_box(Box(tuple(f"u{i + 1}" for i in range(m)), ("",) * m, inputs[0], inputs[1]))
     assert force.conditions is not None
@@ -79,8 +78,8 @@ def friction_bounds(
         ValueError: the friction jumps, or is not defined everywhere.
     """
     n = len(speed)
-    friction = lower(functools.partial(friction_of, model, jnp.zeros(n)), jnp.zeros(n), real=True)
-    moving = Box(tuple(f"v_{name}" for name in model.coordinates), ("",) * n, -speed, speed)
+    friction = lower(functools.partial(friction_of, model, any_configuration(model)), jnp.zeros(n), real=True)
+    moving = Box(model.velocities or tuple(f"v_{name}" for name in model.coordinates), ("",) * n, -speed, speed)
     assert friction.conditions is not None
     # A slope of the friction is one of a continuous function.
     _need("the friction of the model jumps, or is not defined", show_conditions(friction.conditions, moving))

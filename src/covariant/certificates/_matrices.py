@@ -86,7 +86,7 @@ def disturbance(about: ErrorSystem, sizes: np.ndarray, square: float) -> Matrix:
         point, t = about.at(z), jnp.zeros(())
         slope = jax.jacfwd(plain(lambda at: about.at(at).flow(t, point.x)))(z)
         # Error and force follow the velocities; an error of the measurement acts through the position error.
-        start = first_velocity(n, len(about.names)) + n
+        start = first_velocity(len(about.names), n) + n
         of_error, of_force = slope[:, start : start + n], slope[:, start + n : start + 2 * n]
         b = jnp.concatenate([of_error @ point.noise_jacobian(), of_force], axis=1) * sizes[None]
         b = point.metric.coframe(t, point.x) @ b
@@ -149,13 +149,14 @@ def missing(about: ErrorSystem, square: float, limit: float, reach: np.ndarray) 
     n = len(reach)
 
     def matrix(z):
-        point, q, e = about.at(z), z[:n], z[2 * n : 3 * n]
+        point, places = about.at(z), about.errors(n)
+        before, e, behind = jnp.split(z, (places.start, places.stop))
 
         def lacking(e):
-            return about.at(jnp.concatenate([z[: 2 * n], e, z[3 * n :]])).missing(point.x)
+            return about.at(jnp.concatenate([before, e, behind])).missing(point.x)
 
-        g, slope = point.configuration(q), jax.jacfwd(plain(lacking))(e)
-        ratio, doubled = square * g - slope.T @ g @ slope, 4 * g - point.configuration(q - e)
+        (g, there), slope = point.inertias(point.x), jax.jacfwd(plain(lacking))(e)
+        ratio, doubled = square * g - slope.T @ g @ slope, 4 * g - there
         size = limit**2 / n * jnp.eye(n) - g * np.outer(reach, reach)
         rows = [[ratio, 0 * g, 0 * g], [0 * g, doubled, 0 * g], [0 * g, 0 * g, size]]
         return jnp.concatenate([jnp.concatenate(row, axis=1) for row in rows])
@@ -180,6 +181,10 @@ def all_corrections(about: ErrorSystem) -> Matrix:
     return parts
 
 
+def _anywhere(model: Any, n: int) -> Any:
+    return jnp.zeros(n) if model.manifold.commuting else model.manifold.origin()
+
+
 def input_force(model: Any, n: int) -> Matrix:
     """Build the force of the input alone.
 
@@ -190,7 +195,7 @@ def input_force(model: Any, n: int) -> Matrix:
     Returns:
         A function of the input (m,) -> (n,).
     """
-    return lambda u: model.force(jnp.zeros(()), jnp.zeros(n), u)
+    return lambda u: model.force(jnp.zeros(()), _anywhere(model, n), u)
 
 
 def friction(model: Any, n: int) -> Matrix:
@@ -203,7 +208,7 @@ def friction(model: Any, n: int) -> Matrix:
     Returns:
         A function of the velocity (n,) -> (n,).
     """
-    return lambda v: friction_of(model, jnp.zeros(n), v)
+    return lambda v: friction_of(model, _anywhere(model, n), v)
 
 
 def friction_slopes(model: Any, n: int) -> Matrix:

@@ -11,6 +11,9 @@ from covariant.certificates._check import follows, sizes
 from covariant.certificates._document import Document, Stated, parse
 from covariant.certificates._error_system import ErrorSystem
 from covariant.certificates._inequalities import contraction, correction, disturbance_bound, missing_bound, width_bound
+from covariant.certificates._intrinsic import Intrinsics
+from covariant.certificates._prediction import defect_bound
+from covariant.certificates._sampled_step import sampled_prediction
 from covariant.proofs import BITS, MOST_DERIVED, BallMatrix, Form
 from covariant.proofs.checker import leaves
 
@@ -62,7 +65,8 @@ def check_sample(source: str | Path | Document, count: int = 20, seed: int = 0, 
     start = time.monotonic()
     flint = load_optional("flint", use="checking in balls needs python-flint, imported as", extra="balls")
     document = source if isinstance(source, Document) else parse(source)
-    system, claims = follows(document, model).about, document.claims
+    resolved, claims = follows(document, model), document.claims
+    system = resolved.about
     boxes = [leaves(*document.bounds(claim), claim.levels, f"claims[{index}]") for index, claim in enumerate(claims)]
     ends = np.cumsum([len(low) for low, _ in boxes])
     rng = np.random.default_rng(seed)
@@ -74,7 +78,7 @@ def check_sample(source: str | Path | Document, count: int = 20, seed: int = 0, 
             chosen = drawn[(drawn < ends[index]) & (drawn >= ends[index] - len(boxes[index][0]))]
             if not len(chosen):
                 continue
-            form = BallMatrix(flint, _form(claim, system, document), *document.bounds(claim))
+            form = BallMatrix(flint, _form(claim, resolved.observer, system, document), *document.bounds(claim))
             for k in chosen - (ends[index] - len(boxes[index][0])):
                 leaf = boxes[index][0][k], boxes[index][1][k]
                 piece = _part(*leaf, rng) if form.reads > MOST_DERIVED else leaf
@@ -88,13 +92,16 @@ def _part(low: np.ndarray, high: np.ndarray, rng: np.random.Generator) -> tuple[
     return start, np.minimum(start + (high - low) / PART, high)
 
 
-def _form(claim: Stated, system: ErrorSystem, document: Document) -> Form:
+def _form(claim: Stated, observer: Intrinsics, system: ErrorSystem, document: Document) -> Form:
     if claim.kind == "contraction":
         return contraction(system, document.rate)
     if claim.kind == "reach":
         return width_bound(system, claim.row, claim.square)
     if claim.kind == "correction":
         return correction(system)
+    if claim.kind == "prediction":
+        assert document.sampling is not None
+        return defect_bound(sampled_prediction(observer, document.q, document.sampling), claim.square)
     if claim.kind == "missing":
         return missing_bound(system, claim.square, claim.limit, document.unit_reach)
     return disturbance_bound(system, sizes(document), claim.square)

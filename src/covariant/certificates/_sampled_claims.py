@@ -1,5 +1,6 @@
 """The claims of a certificate of the sampled step, with a metric that is searched, and again where a proof fails."""
 
+import functools
 import math
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -9,25 +10,30 @@ import numpy as np
 from jaxtyping import Float
 
 from covariant._typing import Numbers
-from covariant.certificates._claims import Claim
-from covariant.certificates._document import MOST_LOST, Kind, Loss, Sampling, claim_bounds, unit_reach
+from covariant.certificates._claims import Claim, loss_of
+from covariant.certificates._document import MOST_LOST, Kind, Loss, Sampling, claim_bounds, drift_of, unit_reach
 from covariant.certificates._effort import Effort
 from covariant.certificates._error_system import ErrorSystem
 from covariant.certificates._inequalities import contraction, correction, missing_bound
 from covariant.certificates._intrinsic import Intrinsics
+from covariant.certificates._prediction import defect_bound
 from covariant.certificates._sampled_metric import SampledMetric, random_points
-from covariant.certificates._sampled_step import sampled_system
+from covariant.certificates._sampled_step import sampled_prediction, sampled_system
 from covariant.certificates._tangent_metric import TwoByTwo
 from covariant.lowering import numbers
 from covariant.observers import Intrinsic
-from covariant.proofs import LETTERS, Box
+from covariant.proofs import LETTERS, Box, Form, Proof
 
 SEARCHES = 4
 """How often the metric is searched again with the counter-examples of a proof."""
 WIDER, TINY = (64.0, 16.0, 4.0, 2.0, 1.3), 1e-12
 """Factors of margin on sampled squares, so that they can be proved quickly, and a square for what is zero."""
+MUCH_WIDER = (1e6, 1e5, 1e4, 1e3, 250.0)
+"""The same for errors of Runge–Kutta steps, which often are many times as small as matters."""
 LITTLE = 0.02
-"""Fraction of the rate that a wider bound may take."""
+"""Fraction of the rate that a wider bound may take; its square is that of the radius for errors of predictions."""
+PREDICTION_BOXES = 20_000
+"""Largest number of boxes for the errors of Runge–Kutta steps."""
 POINTS = 2000
 """Number of points at which they are sampled."""
 ENOUGH = 0.5
@@ -73,6 +79,7 @@ def check_sampling(
         raise ValueError("certify: with interval the metric is searched; leave q out")
     if noise.any() or disturbance.any():
         raise ValueError("certify: with interval, noise and disturbance are not covered; leave them out")
+    # Six variables a coordinate and the age; on rotations up to nine entries and five variables a velocity.
     most = (len(LETTERS) - 1) // 6
     if len(noise) > most:
         raise ValueError(f"certify: with interval at most {most} coordinates are covered; got {len(noise)}")
@@ -165,6 +172,74 @@ def _prove(system: ErrorSystem, sampling: Sampling, rate: float, effort: Effort)
         )
         claims.append(Claim("correction", proof, lost))
     return claims
+
+
+def prediction_claims(
+    observer: Intrinsics,
+    sampling: Sampling,
+    q: TwoByTwo,
+    rate: float,
+    claims: Sequence[Claim],
+    radius: float,
+    effort: Effort,
+) -> list[Claim]:
+    """Prove a bound of the errors of the Runge–Kutta steps of predictions.
+
+    Args:
+        observer: the observer.
+        sampling: the samples.
+        q: R_0 (2, 2).
+        rate: rate λ of squared lengths [1/s].
+        claims: the other claims.
+        radius: radius of the tube that they allow.
+        effort: the effort.
+
+    Returns:
+        One claim. None where the number of steps is not fixed, where the model is not smooth, and where the bound is
+        too wide or not proved although the errors themselves are small at all points tried: they are then assumed.
+    """
+    if sampling.substeps is None or not radius > 0:
+        return []
+    prediction = sampled_prediction(observer, q, sampling)
+    if not prediction.has_series:
+        return []
+    n = prediction.size // 2
+    low, high = claim_bounds(sampling, "prediction", 0, effort.domain.low, effort.domain.high, n)
+    domain = Box(prediction.names, prediction.units, low, high)
+    points = random_points(np.random.default_rng(0), domain, POINTS)
+    loss = loss_of(sampling, q, rate, claims)
+    drift = functools.partial(drift_of, sampling, rate, loss)
+    least = _sampled_square(defect_bound(prediction, 1.0), points)
+    squares = [factor * max(least, TINY) for factor in (*MUCH_WIDER, *WIDER)]
+    if drift(squares[-1]) < radius:
+        # The widest bound that moves the estimate little within the tube needs the fewest boxes.
+        square = next((each for each in squares if drift(each) < LITTLE**2 * radius), squares[-1])
+        proof = _proved_within(effort, defect_bound(prediction, square), domain)
+        return [Claim("prediction", proof, 0, square)] if proof.verdict == "holds" else []
+    # The defect itself, at the end of the longest step.
+    points[:, -2:] = sampling.longest_step
+    size = _sampled_square(defect_bound(prediction, 1.0, 0), points) / sampling.longest_step**8
+    if drift(size) < radius:
+        return []
+    return [Claim("prediction", _proved_within(effort, defect_bound(prediction, squares[-1]), domain), 0, squares[-1])]
+
+
+def _sampled_square(bound: Form, points: np.ndarray) -> float:
+    """The largest squared length of the vector of a matrix [[1, vᵀN], [Nv, N]] at some points."""
+    entries = np.asarray(numbers(bound.graph(jnp.asarray(points[0])).entries, points))
+    size = math.isqrt(entries.size // len(points))
+    matrices = entries.reshape(-1, size, size)
+    pulled = matrices[:, 1:, :1]
+    return float((pulled * np.linalg.solve(matrices[:, 1:, 1:], pulled)).sum((1, 2)).max())
+
+
+def _proved_within(effort: Effort, bound: Form, domain: Box) -> Proof:
+    """A proof with a part of the boxes that are left, so that one that is too hard takes no more."""
+    left = effort.boxes
+    effort.boxes = min(left, PREDICTION_BOXES)
+    proof = effort.prove("predictions", bound, domain)
+    effort.boxes = max(left - proof.boxes, 0)
+    return proof
 
 
 def missing_claims(

@@ -81,7 +81,7 @@ class SampledMetric:
 
     def __init__(self, observer: Intrinsics, sampling: Sampling, rate: float):
         self.sampling, self.rate = sampling._replace(slopes=np.zeros((0, 2, 2))), rate
-        self.n = n = len(observer.model.coordinates)
+        self.n = n = len(observer.model.coordinates or observer.model.velocities)
         # With R = 2I, N consists of two blocks g, whatever the age.
         system = sampled_system(observer, 2 * np.eye(2), self.sampling)
         start = jnp.zeros(len(system.names)).at[-1].set(sampling.oldest)

@@ -30,11 +30,14 @@ from covariant.certificates._document import Sampling
 from covariant.certificates._error_system import ErrorSystem, Point, entries_read
 from covariant.certificates._intrinsic import (
     Intrinsics,
+    any_configuration,
     dimension,
     need_joint_friction,
     need_steady_friction,
     with_model,
 )
+from covariant.certificates._prediction import Prediction, prediction_of
+from covariant.certificates._sampled_body import body_matrix, body_metric, body_point, body_variables
 from covariant.certificates._tangent_metric import TwoByTwo
 from covariant.models import MechanicalSystem, acceleration, input_count, source
 from covariant.observers import Intrinsic
@@ -44,7 +47,7 @@ def sampled_system(observer: Intrinsics, q: TwoByTwo, sampling: Sampling) -> Err
     """Describe an intrinsic observer with sampled measurements on a region, for `contraction` and `correction`.
 
     Args:
-        observer: an `Intrinsic` in coordinates, no subclass.
+        observer: an `Intrinsic` in coordinates or on rotations, no subclass.
         q: matrix R_0 (2, 2) of the metric right after a measurement.
         sampling: the samples and the metric between them.
 
@@ -70,13 +73,18 @@ def sampled_system(observer: Intrinsics, q: TwoByTwo, sampling: Sampling) -> Err
             "may be another one"
         )
     model = observer.model
-    if not model.manifold.commuting:
-        raise ValueError("a certificate of the sampled step needs coordinates; systems on groups are not covered")
-    n = dimension(model)
-    need_steady_friction(model)
-    _check_forces(model, n)
     # Force and friction are variables of the box, of which the sum enters as the input.
     bare = with_model(observer, MechanicalSystem(model.space, model.potential, None, None))
+    need_steady_friction(model)
+    if not model.manifold.commuting:
+        variables = body_variables(model)
+        _check_forces(model, len(model.velocities))
+        in_body = body_point(observer, bare, variables, q, sampling)
+        return ErrorSystem(
+            variables.names, variables.units, in_body, functools.partial(in_body, running=0.0), has_samples=True
+        )
+    n = dimension(model)
+    _check_forces(model, n)
 
     def at(z, running=1.0):
         place, velocity, error, force, total, drag, age = jnp.split(z, [k * n for k in range(1, 7)])
@@ -106,7 +114,7 @@ def sampled_system(observer: Intrinsics, q: TwoByTwo, sampling: Sampling) -> Err
             corrected,
             aged_metric(bare.model, q, sampling, jnp.zeros((), z.dtype), running),
             missing,
-            model.space,
+            lambda x: (model.space(x[:n]), model.space(place - error)),
         )
 
     names, units = model.coordinates, model.units or ("",) * n
@@ -120,6 +128,28 @@ def sampled_system(observer: Intrinsics, q: TwoByTwo, sampling: Sampling) -> Err
         functools.partial(at, running=0.0),
         has_samples=True,
     )
+
+
+def sampled_prediction(observer: Intrinsics, q: TwoByTwo, sampling: Sampling) -> Prediction:
+    """Describe the Runge–Kutta steps between samples, for `defect_bound`.
+
+    Args:
+        observer: an observer that `sampled_system` covers.
+        q: matrix R_0 (2, 2).
+        sampling: the samples and the metric between them.
+    """
+    model, system = observer.model, sampled_system(observer, q, sampling)
+    n = len(model.coordinates or model.velocities)
+    free = MechanicalSystem(model.space, model.potential, None, None)
+    rubbed = MechanicalSystem(model.space, model.potential, None, functools.partial(friction_of, model))
+    if model.manifold.commuting:
+        return prediction_of(
+            rubbed, n, system.names, system.units, lambda q0, age: aged_metric(free, q, sampling, age), lambda p: p
+        )
+    variables = body_variables(model)
+    metric = functools.partial(body_metric, free, q, sampling)
+    configuration = functools.partial(body_matrix, model, variables)
+    return prediction_of(rubbed, n, system.names, system.units, metric, configuration)
 
 
 def aged_metric(
@@ -154,11 +184,7 @@ def aged_metric(
         return jnp.eye(x.shape[0], dtype=x.dtype) + sign * jnp.kron(lower_left, turn(t, x))
 
     def gram(t, x):
-        tau = age + running * t
-        r = jnp.asarray(q, x.dtype)
-        for power, slope in enumerate(sampling.slopes, start=1):
-            r = r + jnp.asarray(slope, x.dtype) * tau**power
-        return jnp.kron(r / 2, space(jnp.split(x, 2)[0]))
+        return jnp.kron(sampling.at(q, age + running * t) / 2, space(jnp.split(x, 2)[0]))
 
     return StateMetric(coframe, lambda t, x: coframe(t, x, -1.0), gram)
 
@@ -176,9 +202,10 @@ def _stiffness(model: MechanicalSystem, q: Array, v: Array, a: Array) -> Array:
 
 def _check_forces(model: MechanicalSystem, n: int) -> None:
     """Raise `ValueError` unless the force depends on the input alone, and the friction of a joint on its velocity."""
-    q, u = jnp.zeros(n), jnp.zeros(input_count(model, n))
+    q, u = any_configuration(model), jnp.zeros(input_count(model, n))
     read = entries_read(model.force, jnp.zeros(()), q, u)
-    reads = ["time"] * (0 in read) + [model.coordinates[i] for i in range(n) if 1 + i in read]
+    names = model.coordinates or [f"entry {i + 1} of the configuration" for i in range(q.size)]
+    reads = ["time"] * (0 in read) + [name for i, name in enumerate(names) if 1 + i in read]
     if reads:
         raise ValueError(
             f"the force of this model depends on {', '.join(reads)}; a certificate of the sampled step covers forces "

@@ -185,9 +185,34 @@ class Intrinsic(AbstractMechanicalObserver):
         Returns:
             The corrected motion.
         """
-        xi, missing = self.missing_acceleration(t, q, v, u, y)
-        k1, k2 = sampled_gains(self.alpha, self.beta, age)
+        return self.smoothly_moved(q, v, *self.missing_acceleration(t, q, v, u, y), age)
+
+    def smoothly_moved(self, q: Array, v: Vector, xi: Vector, missing: Vector, age: Scalar) -> Motion:
+        """Correct an estimate by a known error, as `smooth_correction` does.
+
+        Args:
+            q: Predicted configuration.
+            v: Predicted velocity (n,).
+            xi: Error ξ (n,) at q.
+            missing: Acceleration (n,) that the prediction lacks.
+            age: Time since the last measurement [s], positive.
+
+        Returns:
+            The corrected motion.
+        """
+        k1, k2 = self.sample_gains(age)
         return self.moved(q, v, -k1 * xi, acceleration_gain(k1, k2, age) * missing - k2 * xi)
+
+    def sample_gains(self, age: Scalar) -> tuple[Scalar, Scalar]:
+        """Compute the gains of a measurement.
+
+        Args:
+            age: Time since the last measurement [s].
+
+        Returns:
+            The gain of the position [1], and that of the velocity [1/s].
+        """
+        return sampled_gains(self.alpha, self.beta, age)
 
     def measured_error(self, t: Scalar, q: Array, v: Vector, u: Float[Array, "m"], y: Array) -> tuple[Vector, Vector]:
         """Compute the error, and the acceleration that the measurement gives.
@@ -205,11 +230,27 @@ class Intrinsic(AbstractMechanicalObserver):
         # The innovation leads from q̂ to q, the error of the paper from q to q̂.
         e = -self.model.manifold.towards(q, y)
         measured = self.model.manifold.measured(q, y)
-        at = measured if self.coefficients == "measured" else q
         xi = e if self.order == 1 else second_order(self.model.space, q, e)
+        return xi, self.measured_acceleration(t, q, v, u, measured, xi)
+
+    def measured_acceleration(self, t: Scalar, q: Array, v: Vector, u: Float[Array, "m"], measured: Array, xi: Vector):
+        """Compute the acceleration that a measurement without gaps gives, for a known error.
+
+        Args:
+            t: Time [s].
+            q: Estimated configuration.
+            v: Estimated velocity (n,).
+            u: Input (m,).
+            measured: Measured configuration.
+            xi: Error ξ (n,) at q̂.
+
+        Returns:
+            The acceleration `T S(q) + R(ξ, v̂)v̂` (n,) without friction.
+        """
+        at = measured if self.coefficients == "measured" else q
         s = source(self.model, t, measured, u)
         # ξ leads from the measurement to the estimate: transport along it subtracts B(ξ, S), (5).
-        return xi, self.bend(at, s - self.model.space.connection(at, xi, s), xi, v)
+        return self.bend(at, s - self.model.space.connection(at, xi, s), xi, v)
 
 
 def second_order(space: AbstractSpace, q: Any, e: Vector) -> Vector:
