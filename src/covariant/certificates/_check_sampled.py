@@ -60,16 +60,17 @@ def sampled_matrix(document: Document, system: ErrorSystem, model: MechanicalSys
         return TaylorEnclosure(matrices.all_corrections(system), ends[0], ends[1], np.zeros(ends.shape[1]), "smooth")
     slack = slack_of(low, high) / 2
 
-    def within(function, k):
+    def within(function, k, unknown=0.0):
         part = slice(k * n, (k + 1) * n)
-        return matrices.within(function, low[part] - slack[part], high[part] + slack[part])
+        return matrices.within(function, low[part] + unknown - slack[part], high[part] - unknown + slack[part])
 
     force, friction = matrices.input_force(model, n), matrices.friction(model, n)
     kinds: dict[str, tuple[Any, np.ndarray, Literal["", "defined", "smooth"]]] = {
         "the bound of the input's force": (within(force, 3), inputs, ""),
         "the definedness of the input's force": (force, inputs, "defined"),
         "the bound of the joint force": (
-            within(lambda y: force(y[:-n]) + friction(y[-n:]), 4),
+            # A force that the model lacks may be added to both.
+            within(lambda y: force(y[:-n]) + friction(y[-n:]), 4, document.given.disturbance),
             np.concatenate([inputs, speeds], axis=1),
             "",
         ),

@@ -7,12 +7,11 @@ import numpy as np
 from jaxtyping import Float
 
 from covariant.certificates._check import follows
-from covariant.certificates._claims import Claim, disturbance_length, loss_of
+from covariant.certificates._claims import Claim, loss_of, steady_of
 from covariant.certificates._contraction_statement import Contraction, contraction_statement
 from covariant.certificates._document import FORMAT, Sampling, parse, write
 from covariant.certificates._error_system import ErrorSystem
 from covariant.certificates._intrinsic import Intrinsics
-from covariant.certificates._noise import steady_distance
 from covariant.certificates._saved import observer_document, value_graph
 from covariant.certificates._statement import Statement
 from covariant.certificates._tangent_metric import TwoByTwo
@@ -79,8 +78,11 @@ class ContractionCertificate(NamedTuple):
 
     @property
     def steady(self) -> float:
-        """The final distance under the noise and disturbance of the certificate, at most `2D/λ`; 0 without them."""
-        return steady_distance(self.rate, disturbance_length(self.given, self.claims))
+        """The final distance under the noise and disturbance of the certificate, at most `2D/λ`; 0 without them.
+
+        With sampled measurements it is the fixed point of the recursion that `bound` runs.
+        """
+        return steady_of(self.sampling, self.q, self.rate, self.given, self.claims)
 
     @property
     def boxes(self) -> int:

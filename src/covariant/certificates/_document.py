@@ -40,15 +40,16 @@ MOST_LOST = 1000
 """Largest number of lost samples that a file may state."""
 FRAMES = ("coordinates", "body")
 """Frames of the vectors. In the "body" frame the configuration is not a variable of the region."""
-Kind = Literal["contraction", "reach", "disturbance", "correction", "missing"]
+Kind = Literal["contraction", "reach", "disturbance", "correction", "missing", "start"]
 NUMBERS: dict[Kind, list[str]] = {
     "contraction": [],
     "reach": ["row", "square", "limit"],
     "disturbance": ["square"],
     "correction": ["row"],
     "missing": ["square", "limit"],
+    "start": ["square"],
 }
-"""The numbers of each kind of claim, beside its tree of boxes."""
+"""The numbers of each kind of claim, beside its tree of boxes; a correction with noise has `squares` as well."""
 
 
 class Given(NamedTuple):
@@ -75,12 +76,13 @@ class Stated(NamedTuple):
     """A claim as stated in a file.
 
     Attributes:
-        kind: "contraction", "reach" of a `row` by `square` up to `limit`, "disturbance" of `square`, "correction", or
-            "missing" of `square` and `limit`.
+        kind: "contraction", "reach" of a `row` by `square` up to `limit`, "disturbance" of `square`, "correction",
+            "missing" of `square` and `limit`, or "start" of `square`.
         levels: its tree of boxes, one string for each level.
         row: index of the entry of (error, velocity), for "reach"; number of samples lost, for "correction".
         square: square of the bound, for "reach" and "disturbance".
         limit: largest half width that is allowed, for "reach".
+        squares: for "correction" with noise, what the error of each measured position adds to a squared length.
     """
 
     kind: Kind
@@ -88,6 +90,7 @@ class Stated(NamedTuple):
     row: int = 0
     square: float = 0.0
     limit: float = 0.0
+    squares: tuple[float, ...] = ()
 
     @property
     def open(self) -> bool:
@@ -150,6 +153,7 @@ class Loss(NamedTuple):
     Attributes:
         rate: largest loss of the decay rate [1/s] of distances.
         restart: largest s, as a fraction of that of a restart.
+        change: D [1/s], see `of`.
 
     Example:
         >>> from covariant.certificates._document import Loss
@@ -159,6 +163,7 @@ class Loss(NamedTuple):
 
     rate: float
     restart: float
+    change: float = 0.0
 
     @classmethod
     def of(cls, sampling: Sampling, q: Float[np.ndarray, "2 2"], rate: float, square: float, limit: float) -> "Loss":
@@ -179,7 +184,8 @@ class Loss(NamedTuple):
         s = stiffness * oldest**2
         change = s / (18 + s) * stiffness * limit * 2 * math.sqrt(q[1, 1] / 2)
         # The factors cover rounding, also that of (π/2)² in the step that runs.
-        return cls(change * math.exp(rate / 2 * oldest) * (1 + 1e-9), s / (math.pi / 2) ** 2 * (1 + 1e-6))
+        loss = change * math.exp(rate / 2 * oldest) * (1 + 1e-9)
+        return cls(loss, s / (math.pi / 2) ** 2 * (1 + 1e-6), change * (1 + 1e-9))
 
     def allowed(self, rate: float) -> bool:
         """Whether a rate λ [1/s] is left, and nothing restarts.
@@ -245,10 +251,14 @@ class Document(NamedTuple):
         return any(claim.open for claim in self.claims)
 
     @property
+    def reach_squares(self) -> Float[np.ndarray, "two_n"]:
+        """Squares (2n,) of the claims on reach, positions first."""
+        return np.array([claim.square for claim in self.claims if claim.kind == "reach"])
+
+    @property
     def unit_reach(self) -> Float[np.ndarray, "n"]:
         """Bounds (n,) of each position error, for a curve of unit length, as the claims on reach state them."""
-        squares = [claim.square for claim in self.claims if claim.kind == "reach"]
-        return unit_reach(squares)
+        return unit_reach(self.reach_squares.tolist())
 
     @property
     def loss(self) -> "Loss":
@@ -324,10 +334,8 @@ def parse(path: str | Path, content: bytes | None = None) -> Document:
         variables <= len(LETTERS), f"fewer velocities: there are letters for {len(LETTERS)} variables"
     )
     low, high = fields["box"].pair(variables, variables)
-    claims = _claims(fields["claims"], n, variables, sampling, observer.get("order") == 1)
     given = _given(fields["given"], n)
-    disturbed = given.noise.any() or given.disturbance.any()
-    fields["given"].need(not (sampled and disturbed), "without noise and disturbance, which sampling does not cover")
+    claims = _claims(fields["claims"], n, variables, _last_kinds(observer, sampling, given), given)
     return Document(
         top.file,
         _recipe(fields["recipe"]),
@@ -448,38 +456,52 @@ def _sampling(field: Field) -> Sampling:
     return Sampling(interval, lost, slopes, shear, fields["substeps"].whole(0, 10_000) or None)
 
 
-def _claims(field: Field, n: int, variables: int, sampling: Sampling | None, first_order: bool) -> tuple[Stated, ...]:
-    """Contraction, then "reach" for each of the 2n rows, then "disturbance", if there is noise or disturbance.
+def _last_kinds(observer: dict[str, Any], sampling: Sampling | None, given: Given) -> list[Kind]:
+    """The claims that follow those on reach: "disturbance", if there is a disturbance, or noise in continuous time.
 
-    With sampling, "correction" follows "reach" for each number of lost samples, and "missing" where errors are those of
-    first order.
+    With sampling, "correction" follows for each number of lost samples, and "missing" where errors are those of first
+    order.
     """
-    last: list[Kind] = ["disturbance"]
-    if sampling is not None:
-        corrections: list[Kind] = ["correction"] * (sampling.lost + 1)
-        last = [*corrections, "missing"] if first_order else corrections
-    rows = field.rows(1, 2 * n + 1 + len(last))
-    claims = [_claim(row, k, n, variables, last) for k, row in enumerate(rows)]
+    if sampling is None:
+        return ["disturbance"] if given.noise.any() or given.disturbance.any() else []
+    last: list[Kind] = ["disturbance"] if given.disturbance.any() else []
+    last += ["correction"] * (sampling.lost + 1)
+    return [*last, "missing"] if observer.get("order") == 1 else last
+
+
+def _claims(field: Field, n: int, variables: int, last: list[Kind], given: Given) -> tuple[Stated, ...]:
+    """Contraction, then "reach" for each of the 2n rows, then those of `last`, then possibly "start"."""
+    first: list[Kind] = ["contraction", *["reach"] * (2 * n)]
+    order: list[Kind] = [*first, *last, "start"]
+    rows = field.rows(1, len(order))
+    errors = np.count_nonzero(given.noise)
+    claims = [_claim(row, k, n, variables, order, errors) for k, row in enumerate(rows)]
     if sum(len(level) for claim in claims for level in claim.levels) > MOST_LETTERS:
         raise ValueError(
             f"{field.file}: the levels of {field.key} hold more than {MOST_LETTERS} letters; ask for the file as it "
             "was saved, or certify again"
         )
-    needed = 2 * n + 1 + (0 if sampling is None else len(last))
-    more = "" if sampling is None else f", and correction after 0 to {sampling.lost} lost samples, and what they lack"
-    complete = len(rows) >= needed or (len(rows) == 1 and claims[0].open)
+    samples = last.count("correction")
+    more = f", and correction after 0 to {samples - 1} lost samples, and what they lack" if samples else ""
+    complete = len(rows) >= len(order) - 1 or (len(rows) == 1 and claims[0].open)
     field.need(complete, f"contraction, and reach of rows 0 to {2 * n - 1}{more}")
     return tuple(claims)
 
 
-def _claim(field: Field, k: int, n: int, variables: int, last: list[Kind]) -> Stated:
+def _claim(field: Field, k: int, n: int, variables: int, order: list[Kind], errors: int) -> Stated:
     field.need(isinstance(field.value, dict) and "kind" in field.value, "an object with the kind of the claim")
-    kind: Kind = "contraction" if k == 0 else "reach" if k <= 2 * n else last[k - 2 * n - 1]
+    kind = order[k]
     field.at("kind").one_of((kind,))
-    fields = field.record(["kind", *NUMBERS[kind], "levels"])
+    noisy = kind == "correction" and errors > 0
+    fields = field.record(["kind", *NUMBERS[kind], *(["squares"] if noisy else []), "levels"])
     numbers: dict[str, Any] = {key: fields[key].positive() for key in NUMBERS[kind] if key != "row"}
     if kind == "reach":
         numbers["row"] = fields["row"].whole(k - 1, k - 1)
     if kind == "correction":
-        numbers["row"] = fields["row"].whole(k - 1 - 2 * n, k - 1 - 2 * n)
+        lost = k - order.index("correction")
+        numbers["row"] = fields["row"].whole(lost, lost)
+    if noisy:
+        squares = fields["squares"].vector(errors, errors, least=0.0)
+        fields["squares"].need((squares > 0).all(), "positive numbers")
+        numbers["squares"] = tuple(squares.tolist())
     return Stated(kind, saved_levels(fields["levels"], variables), **numbers)

@@ -18,7 +18,7 @@ class JointBounds(NamedTuple):
 
     Attributes:
         force: generalised force (2, n) of the input.
-        total: its sum with the friction (2, n).
+        total: its sum with the friction and an unknown force (2, n).
         slopes: −∂f_i/∂v_i (2, n) of the friction f, which are not negative where it opposes the motion.
     """
 
@@ -28,7 +28,10 @@ class JointBounds(NamedTuple):
 
 
 def joint_bounds(
-    model: MechanicalSystem, inputs: Float[np.ndarray, "2 m"], speed: Float[np.ndarray, "n"]
+    model: MechanicalSystem,
+    inputs: Float[np.ndarray, "2 m"],
+    speed: Float[np.ndarray, "n"],
+    unknown: Float[np.ndarray, "n"],
 ) -> JointBounds:
     """Bound input forces, friction, and the slopes of the friction.
 
@@ -36,6 +39,7 @@ def joint_bounds(
         model: a mechanical system that `sampled_system` covers.
         inputs: least and largest inputs (2, m).
         speed: bounds (n,) of the velocities.
+        unknown: bounds (n,) of a force that the model lacks.
 
     Returns:
         The bounds, rounded outward.
@@ -64,7 +68,10 @@ def joint_bounds(
     # The derivatives are listed velocity by velocity; those of friction i by velocity i are on the diagonal.
     diagonal = n + np.arange(n) * (n + 1)
     slopes = np.stack([0.0 - rubbed.high[0, diagonal], 0.0 - rubbed.low[0, diagonal]])
-    bounds = JointBounds(both, np.nextafter(total, [[-np.inf], [np.inf]]), slopes)
+    outward = [[-np.inf], [np.inf]]
+    total = np.nextafter(total, outward)
+    total = np.where(unknown > 0, np.nextafter(total + [[-1.0], [1.0]] * unknown, outward), total)
+    bounds = JointBounds(both, total, slopes)
     if not all(np.isfinite(each).all() for each in bounds):
         raise ValueError("the force, the friction or its slope has no bound over the velocities; make them smaller")
     return bounds
