@@ -16,8 +16,8 @@ ASSUMED = (
 )
 """The lines that `covariant certify --check` prints last."""
 ASSUMED_WITH_SAMPLES = (
-    "the true motion solves the model, with the input that the observer is given and up to the stated unknown force, and "
-    "keeps to the region of positions, and to the bounds of velocities and inputs",
+    "the true motion solves the model, with the input that the observer is given and up to the stated unknown force, "
+    "and keeps to the region of positions, and to the bounds of velocities and inputs",
     "measurements are exact up to the stated bound of the noise, of all coordinates unless they are lost, and come at "
     "the stated times, which are known exactly",
     "predictions solve the model exactly: errors of the Runge–Kutta steps are not covered",

@@ -12,7 +12,9 @@ from covariant.certificates._contraction_statement import Contraction, contracti
 from covariant.certificates._document import FORMAT, Sampling, parse, write
 from covariant.certificates._error_system import ErrorSystem
 from covariant.certificates._intrinsic import Intrinsics
+from covariant.certificates._sampled_bound import SampledBound, sampled_bound
 from covariant.certificates._saved import observer_document, value_graph
+from covariant.certificates._start import Start, start_of
 from covariant.certificates._statement import Statement
 from covariant.certificates._tangent_metric import TwoByTwo
 from covariant.proofs import Box, digest
@@ -112,6 +114,37 @@ class ContractionCertificate(NamedTuple):
         if self.statement.verdict != "holds":
             raise ValueError("no tube, since nothing is proved on the region")
         return self.radius * np.sqrt([claim.square for claim in self.claims if claim.kind == "reach"])
+
+    @property
+    def start(self) -> Start | None:
+        """The initial errors that the radius covers, in the units of the model.
+
+        Returns:
+            Errors in positions and velocities; None where nothing is proved, or on a group.
+        """
+        factors = [claim.square for claim in self.claims if claim.kind == "start"]
+        if self.statement.verdict != "holds" or not factors:
+            return None
+        squares = [claim.square for claim in self.claims if claim.kind == "reach"]
+        return start_of(self.radius, self.domain, squares, factors[0])
+
+    def bound(self) -> SampledBound:
+        """Build what bounds the error of the estimate beside every sample, for an observer with sampled measurements.
+
+        Returns:
+            The recursion of the certificate as pure functions, `init`, `within` and `step`.
+
+        Raises:
+            ValueError: nothing is proved, or the certificate is one in continuous time.
+        """
+        if self.sampling is None:
+            raise ValueError(
+                "bounds beside every sample need certify(..., interval=...); this one is in continuous time"
+            )
+        if self.statement.verdict != "holds":
+            raise ValueError("no bound beside every sample, since nothing is proved on the region")
+        proved = self.sampling, self.q, self.rate, self.radius, self.given, self.claims, self.domain, self.velocity
+        return sampled_bound(*proved, self.observer.model.circles)
 
     @property
     def kinds(self) -> tuple[str, ...]:

@@ -13,6 +13,7 @@ from covariant.certificates._document import Document, Loss, Sampling
 from covariant.certificates._error_system import ErrorSystem
 from covariant.certificates._intrinsic import Intrinsics
 from covariant.certificates._saved import observer_document
+from covariant.certificates._start import start_of
 from covariant.certificates._statement import Evidence, Hypothesis, Statement
 from covariant.certificates._tangent_metric import TwoByTwo
 from covariant.models import recipe_text
@@ -227,6 +228,11 @@ def _description(facts: Contraction) -> Iterator[str]:
             f"rate λ = {_down(rate)} 1/s of squared lengths, radius ε = {_down(facts.radius)} in this metric"
             f"{right_after}"
         )
+    factors = [claim.square for claim in facts.claims if claim.kind == "start"]
+    if facts.radius and factors:
+        squares = [claim.square for claim in facts.claims if claim.kind == "reach"]
+        start = start_of(facts.radius, facts.domain, squares, factors[0])
+        yield f"errors of a start that are within ε, all at once: {start}"
     positions = facts.given["positions"]
     if model.manifold.commuting:
         ends = zip(positions["low"], positions["high"], strict=True)

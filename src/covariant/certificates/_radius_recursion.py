@@ -1,14 +1,19 @@
 """How far an estimate may be off from sample to sample, under errors of measurement and unknown forces: a recursion.
 
-Let r be the distance after a measurement. Between samples lengths shrink at the rate μ and an unknown force adds at most
-W to them in a second, so that at the age h of the measurement the distance is at most
+Let r be the distance after a measurement. Between samples lengths shrink at the rate μ and an unknown force adds at
+most W to them in a second, so that at the age h of the measurement the distance is at most
 
     a = e^(−μh) r + (1 − e^(−μh)) W/μ
 
 The correction by a measurement with an error then leads to at most `√(a² + G) + hD(a + β)`: G is proved with the
-correction, as the sum of the squares of Γ, and the last term is what the factor 1/(1 + s/18) of the correction that runs
-changes, see `Loss`. There |ξ| is at most `limit (a + β)`: a position error within `reach a` is at most `limit a` long,
-and so the errors b of the measurement are at most `limit β` long, with β² the mean of (b_i/reach_i)².
+correction, as the sum of the diagonal of Γ, and the last term is what the factor 1/(1 + s/18) of the correction that
+runs changes, see `Loss`. There |ξ| is at most `limit (a + β)`: a position error within `reach a` is at most `limit a`
+long, and so the errors b of the measurement are at most `limit β` long, with β² the mean of (b_i/reach_i)².
+
+Why G adds: truth x and estimate are joined by a curve γ(s), 0 ≤ s ≤ 1, of constant speed a. The curve C(γ(s); q + s b),
+with q the true position, joins x, a fixed point of the exact correction, with the new estimate. Its speed is
+`|J γ' + B b|`, whose square is at most `a² + Σ Γ_i b_i²` where `[J B]ᵀM_0[J B] ≤ diag(M_h, Γ)`. Likewise for W: along
+solutions under the force `u + (1 − s) w` speeds obey `|γ'|' ≤ −μ|γ'| + |B w|`.
 
 Source: Lohmiller & Slotine 1998, section 3.7, for W; G is an S-procedure on the linear map of a variation and an error.
 """

@@ -1,4 +1,4 @@
-"""The claim on a start: how long errors of the estimate are in the metric, so that a box of them is within the radius."""
+"""The claim on a start: how long errors of the estimate are in the metric, so that the radius covers a box of them."""
 
 import dataclasses
 import math
@@ -21,6 +21,8 @@ MARGIN = 1.05
 """Factor of margin on the sampled factor, so that it can be proved quickly."""
 POINTS, TRIES = 2000, 4
 """Number of points at which it is sampled, and of tries where one of the box is worse."""
+ROUND = 1e-8
+"""Relative margin that covers rounding."""
 BOXES = 20_000
 """Largest number of boxes for it; a certificate without it is one as well."""
 
@@ -40,7 +42,7 @@ class Start(NamedTuple):
         >>> from covariant.certificates import Start
         >>> start = Start(("q", "v_q"), ("rad", "rad/s"), *np.array([[0.01, 0.1], [0.02, 0.2], [0.03, 0.3]]))
         >>> str(start)
-        'q 0.57° (1.1° alone, never more than 1.8°), v_q 0.1 rad/s (0.2 alone, never more than 0.3)'
+        'q 0.572° (1.14° alone, never more than 1.72°), v_q 0.1 rad/s (0.2 rad/s alone, never more than 0.3 rad/s)'
     """
 
     names: tuple[str, ...]
@@ -49,28 +51,28 @@ class Start(NamedTuple):
     alone: Float[np.ndarray, "two_n"]
     farthest: Float[np.ndarray, "two_n"]
 
+    @property
+    def lines(self) -> tuple[str, ...]:
+        """One line on each entry, angles in degrees; what is covered is rounded down."""
+        return tuple(_line(*entry) for entry in zip(*self, strict=True))
+
     def __str__(self) -> str:
-        return ", ".join(_entry(*entry) for entry in zip(*self, strict=True))
+        return ", ".join(self.lines)
 
 
-def _entry(name: str, unit: str, *errors: float) -> str:
-    """One line on one entry, an angle in degrees."""
-    first, alone, most = (math.degrees(e) if unit == "rad" else e for e in errors)
-    sign = "°" if unit == "rad" else ""
-    shown = f"{down(first)}{sign}" if sign or not unit else f"{down(first)} {unit}"
-    return f"{name} {shown} ({down(alone)}{sign} alone, never more than {-down(-most)}{sign})"
+def _line(name: str, unit: str, *errors: float) -> str:
+    together, alone, farthest = (math.degrees(error) if unit == "rad" else error for error in errors)
+    sign = "°" if unit == "rad" else f" {unit}".rstrip()
+    return f"{name} {_down(together)}{sign} ({_down(alone)}{sign} alone, never more than {-_down(-farthest):g}{sign})"
 
 
-def down(value: float) -> float:
-    """Round a number to two digits, towards −∞.
-
-    Args:
-        value: the number.
-    """
+def _down(value: float) -> float:
+    """A number of three digits that is not larger."""
     if not value or not math.isfinite(value):
         return value
-    scale = 10.0 ** (math.floor(math.log10(abs(value))) - 1)
-    return float(f"{math.floor(value / scale * (1 - math.copysign(1e-12, value))) * scale:.2g}")
+    digits = 2 - math.floor(math.log10(abs(value)))
+    # Of a value that has three digits already, rounding must not take one.
+    return round(math.floor(value * 10.0**digits * (1 - math.copysign(1e-13, value)) + 1e-9) / 10.0**digits, digits)
 
 
 def start_of(radius: float, domain: Box, squares: Sequence[float], square: float) -> Start:
@@ -84,14 +86,13 @@ def start_of(radius: float, domain: Box, squares: Sequence[float], square: float
     """
     # An error δ is √(square Σ δ_i²/s_i) long or shorter, with squares s; each of 2n entries has an equal share here.
     farthest = radius * np.sqrt(np.array(squares))
-    alone = farthest / math.sqrt(square) * (1 - 1e-12)
+    # Rounded down, so that a bound that begins with them is within the radius in spite of rounding.
+    alone = farthest / math.sqrt(square) * (1 - ROUND)
     count = len(squares)
-    return Start(domain.names[:count], domain.units[:count], alone / math.sqrt(count) * (1 - 1e-12), alone, farthest)
+    return Start(domain.names[:count], domain.units[:count], alone / math.sqrt(count), alone, farthest)
 
 
-def start_claim(
-    model: MechanicalSystem, system: ErrorSystem, claims: Sequence[Claim], effort: Effort
-) -> list[Claim]:
+def start_claim(model: MechanicalSystem, system: ErrorSystem, claims: Sequence[Claim], effort: Effort) -> list[Claim]:
     """Prove how long errors are at most, in coordinates.
 
     Args:
