@@ -229,7 +229,7 @@ def test_prover_and_checker_form_the_same_matrices(shear):
     ):
         value, reference = numbers(form.graph(jnp.asarray(z)).entries, z), np.asarray(checked(jnp.asarray(z)))
         assert np.abs(value.reshape(reference.shape) - reference).max() < 1e-9 * np.abs(reference).max()
-        assert np.abs(value.reshape(reference.shape) - np.asarray(form.value(jnp.asarray(z)))).max() < 1e-9
+        assert np.abs(value.reshape(reference.shape) - np.asarray(form(jnp.asarray(z)))).max() < 1e-9
 
 
 def test_ages_cover_every_multiple_of_the_interval():

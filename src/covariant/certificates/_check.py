@@ -172,7 +172,7 @@ def _complete(resolved: Resolved) -> None:
     check_unique(observer, np.maximum(high, -low)[-2 * n : -n])
     noise, disturbance = document.given.noise, [claim for claim in claims if claim.kind == "disturbance"]
     sloped = noise.any() and document.sampling is None
-    _need(sloped or not document.given.slopes.any(), "given.slopes: they must be 0 where no noise moves the force")
+    _need(sloped or not document.given.slopes.any(), "given.slopes: they must be 0 where there is no noise")
     started = any(claim.kind == "start" for claim in claims)
     _need(model.manifold.commuting or not started, "claims: one about a start is for coordinates")
 

@@ -457,13 +457,13 @@ def _sampling(field: Field) -> Sampling:
 
 
 def _last_kinds(observer: dict[str, Any], sampling: Sampling | None, given: Given) -> list[Kind]:
-    """The claims that follow those on reach: "disturbance", if there is a disturbance, or noise in continuous time.
+    """The claims that follow those on reach: in continuous time possibly "disturbance"; whether it must be is checked.
 
-    With sampling, "correction" follows for each number of lost samples, and "missing" where errors are those of first
-    order.
+    With sampling, "disturbance" if there is any, "correction" for each number of lost samples, and "missing" where
+    errors are those of first order.
     """
     if sampling is None:
-        return ["disturbance"] if given.noise.any() or given.disturbance.any() else []
+        return ["disturbance"]
     last: list[Kind] = ["disturbance"] if given.disturbance.any() else []
     last += ["correction"] * (sampling.lost + 1)
     return [*last, "missing"] if observer.get("order") == 1 else last
@@ -472,20 +472,27 @@ def _last_kinds(observer: dict[str, Any], sampling: Sampling | None, given: Give
 def _claims(field: Field, n: int, variables: int, last: list[Kind], given: Given) -> tuple[Stated, ...]:
     """Contraction, then "reach" for each of the 2n rows, then those of `last`, then possibly "start"."""
     first: list[Kind] = ["contraction", *["reach"] * (2 * n)]
+    rows, samples = field.rows(1, len(first) + len(last) + 1), last.count("correction")
+    needed = len(first) + (len(last) if samples else 0)
+    if not samples and rows[len(first) :] and _is_start(rows[len(first)]):
+        last = []
     order: list[Kind] = [*first, *last, "start"]
-    rows = field.rows(1, len(order))
-    errors = np.count_nonzero(given.noise)
+    rows[-1].need(len(rows) <= len(order), "the last claim")
+    errors = int(np.count_nonzero(given.noise))
     claims = [_claim(row, k, n, variables, order, errors) for k, row in enumerate(rows)]
     if sum(len(level) for claim in claims for level in claim.levels) > MOST_LETTERS:
         raise ValueError(
             f"{field.file}: the levels of {field.key} hold more than {MOST_LETTERS} letters; ask for the file as it "
             "was saved, or certify again"
         )
-    samples = last.count("correction")
     more = f", and correction after 0 to {samples - 1} lost samples, and what they lack" if samples else ""
-    complete = len(rows) >= len(order) - 1 or (len(rows) == 1 and claims[0].open)
+    complete = len(rows) >= needed or (len(rows) == 1 and claims[0].open)
     field.need(complete, f"contraction, and reach of rows 0 to {2 * n - 1}{more}")
     return tuple(claims)
+
+
+def _is_start(field: Field) -> bool:
+    return isinstance(field.value, dict) and field.value.get("kind") == "start"
 
 
 def _claim(field: Field, k: int, n: int, variables: int, order: list[Kind], errors: int) -> Stated:
