@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from covariant import models
+from covariant import lowering, models
 from covariant.certificates import ContractionCertificate, Premise, SampledBound, _check, certify, check
 from covariant.certificates._radius_recursion import Recursion
 from covariant.observers import Intrinsic
@@ -219,6 +219,18 @@ def test_lost_samples_choose_the_errors_that_belong_to_their_age():
     state, late = bound.step(state, *rest, jnp.zeros(1), 0.011)
     assert float(late.radius) == pytest.approx(3e-5 + 0.022 * twice.change * twice.error, rel=1e-6)
     assert float(bound.step(state, *rest, jnp.zeros(1), 0.011)[1].radius) < 3.6e-5  # 4.2e-5 with the other G
+
+
+def test_a_bound_is_lowered_to_c_with_the_same_numbers():
+    bound = bound_of()
+    arguments = bound.init(0.01), jnp.array([0.1, 1.0]), jnp.array([0.2]), jnp.array([0.1])
+    graph = lowering.lower(bound.step, *arguments, jnp.asarray(0.011))
+    for dt in (0.011, 0.02):
+        by_graph = lowering.numbers(graph, *arguments, jnp.asarray(dt))
+        by_jax = bound.step(*arguments, dt)
+        for mine, other in zip(jax.tree.leaves(by_graph), jax.tree.leaves(by_jax), strict=True):
+            assert np.allclose(mine, other, rtol=1e-14)
+    assert "void beside(const double *x, double *y)" in lowering.c_function(graph, "beside").text
 
 
 # What is proved, by prover and checker.

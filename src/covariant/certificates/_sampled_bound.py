@@ -69,12 +69,13 @@ class BoundState(NamedTuple):
     Attributes:
         radius: proved distance right after the last measurement, in the metric; infinite where nothing is known.
         age: time since that measurement [s].
-        premise: `Premise` as an integer: 0, or the first one that failed.
+        premise: `Premise` as a number: 0, or the first one that failed. All of a state are real numbers, as those that
+            `lowering` reads have to be.
     """
 
     radius: Scalar
     age: Scalar
-    premise: Code
+    premise: Scalar
 
 
 class BoundInfo(NamedTuple):
@@ -149,7 +150,7 @@ class SampledBound(eqx.Module):
         """
         start = jnp.asarray(radius, float)
         known = (start >= 0) & (start <= self.radius)
-        premise = jnp.where(known, 0, int(Premise.START)).astype(jnp.int32)
+        premise = jnp.where(known, 0.0, float(Premise.START))
         return BoundState(jnp.where(known, start, jnp.inf), jnp.zeros(()), premise)
 
     def within(self, position: ArrayLike, velocity: ArrayLike) -> BoundState:
@@ -204,12 +205,12 @@ class SampledBound(eqx.Module):
         premise = jnp.zeros((), jnp.int32)
         for code, holds in reversed(conditions):
             premise = jnp.where(holds, premise, int(code))
-        premise = jnp.where(state.premise > 0, state.premise, premise).astype(jnp.int32)
+        premise = jnp.where(state.premise > 0, state.premise.astype(jnp.int32), premise)
         known = premise == 0
         radius, position, velocity = (jnp.where(known, each, jnp.inf) for each in (radius, position, velocity))
         # After a measurement the radius is that of age 0; without one the last radius and its age go on.
         kept = jnp.where(measured, radius, jnp.where(known, state.radius, jnp.inf))
-        new = BoundState(kept, jnp.where(measured, 0.0, age), premise)
+        new = BoundState(kept, jnp.where(measured, 0.0, age), premise.astype(kept.dtype))
         return new, BoundInfo(radius, position, velocity, premise)
 
     def _predicted(self, radius: Scalar, age: Scalar) -> Scalar:
@@ -228,7 +229,7 @@ class SampledBound(eqx.Module):
         low, high = self.positions
         circle = jnp.asarray(self.circles)
         middle = (low + high) / 2
-        turned = jnp.where(circle, middle + jnp.remainder(q - middle + TURN / 2, TURN) - TURN / 2, q)
+        turned = jnp.where(circle, q - TURN * jnp.floor((q - middle) / TURN + 0.5), q)
         around = circle & (high - low >= TURN)
         return around | (low <= turned - error) & (turned + error <= high)
 
