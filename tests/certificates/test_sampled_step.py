@@ -27,7 +27,7 @@ from covariant.certificates import (
 )
 from covariant.certificates._check import Judge, Resolved, follows
 from covariant.certificates._document import parse
-from covariant.certificates._inequalities import at_correction, in_frame_along
+from covariant.certificates._inequalities import at_correction, in_frame_along, joint_force_bound, start_bound
 from covariant.certificates._saved import value_graph
 from covariant.geometry import lie
 from covariant.lowering import numbers
@@ -220,12 +220,18 @@ def test_prover_and_checker_form_the_same_matrices(shear):
     system = sampled_system(two_links(), Q, SHEARED._replace(shear=shear))
     z = points(system, 1)[0]
     z[4:6] *= 1e4
+    # The first encoder is exact: Γ has one entry, for the second.
+    noise, squares, force, reach = np.array([0.0, 1e-3]), (2e-6,), np.array([0.1, 0.3]), np.array([1.0, 2.0, 3.0, 4.0])
     for form, checked in (
         (contraction(system, 2.0), _matrices.contraction(system, 2.0)),
         (correction(system), _matrices.correction(system)),
+        (correction(system, noise, squares), _matrices.correction(system, noise, squares)),
+        (joint_force_bound(system, force, 3.0), _matrices.joint_force(system, force, 3.0)),
+        (start_bound(system, reach, 2.0), _matrices.start(system, reach, 2.0)),
     ):
         value, reference = numbers(form.graph(jnp.asarray(z)).entries, z), np.asarray(checked(jnp.asarray(z)))
-        assert np.abs(value.reshape(4, 4) - reference).max() < 1e-9 * np.abs(reference).max()
+        assert np.abs(value.reshape(reference.shape) - reference).max() < 1e-9 * np.abs(reference).max()
+        assert np.abs(value.reshape(reference.shape) - np.asarray(form(jnp.asarray(z)))).max() < 1e-9
 
 
 def test_ages_cover_every_multiple_of_the_interval():
@@ -347,7 +353,7 @@ def test_lost_samples_are_covered(tmp_path):
     result = certify(observer, **BOUNDS, interval=(0.018, 0.02), lost=1, recipe=RECIPE, checker="off")
     assert result.statement.verdict == "holds", result.statement
     kinds = [claim.kind for claim in result.claims]
-    assert kinds == ["contraction", "reach", "reach", "correction", "correction", "missing", "prediction"]
+    assert kinds == ["contraction", "reach", "reach", "correction", "correction", "missing", "prediction", "start"]
     path = result.save(tmp_path / "lost.json")
     assert check(path).statement.proved
     rng, metric = np.random.default_rng(4), metric_of(result)
@@ -439,14 +445,16 @@ FORGERIES = {
         lambda d: (put("box", "low", 5, 0.1)(d), put("box", "high", 5, 0.2)(d)),
         "the bound of the friction's slopes is not shown",
     ),
-    "noise": (put("given", "noise", 0, 0.01), "which sampling does not cover"),
+    "noise": (put("given", "noise", 0, 0.01), "squares"),
+    "disturbance": (put("given", "disturbance", 0, 0.01), "must be one of .disturbance"),
+    "start": (put("claims", 5, "square", lambda s: s / 4), r"claims\[5\] is not shown"),
     "radius": (put("radius", lambda r: 1.01 * r), "may reach|which its box"),
     "without sampling": (lambda d: d.pop("sampling"), "box"),
     "substeps": (put("sampling", "substeps", -1), "a whole number"),
     "stiffness": (put("claims", 4, "square", lambda s: s / 4), r"claims\[4\] is not shown"),
     "length of the error": (put("claims", 4, "limit", lambda s: s / 4), r"claims\[4\] is not shown"),
     "too stiff for the factor": (put("claims", 4, "square", lambda s: 100 * s), "nothing is left of"),
-    "no stiffness": (lambda d: d["claims"].__delitem__(slice(4, None)), "and what they lack"),
+    "no stiffness": (lambda d: d["claims"].pop(4), "must be one of .missing"),
     "errors of the steps": (put("claims", 5, "square", lambda s: s / 100), r"claims\[5\] is not shown"),
     "too small a tube for the steps": (put("radius", 1e-6), "errors of 4 steps lead"),
     "too few steps": (
@@ -580,8 +588,7 @@ def test_the_right_system_is_accepted_by_the_same_test(proved):
         ({"interval": 0.1}, "needs two times"),
         ({"lost": -1}, "lost must be"),
         ({"q": np.eye(2)}, "leave q out"),
-        ({"noise": 0.01}, "not covered"),
-        ({"disturbance": 0.01}, "not covered"),
+        ({"noise": 0.2}, "noise must be below"),
     ],
     ids=str,
 )

@@ -34,6 +34,7 @@ from ._figures import Projection as Projection, TradeOff as TradeOff, projection
 from ._force_bounds import force_bounds as force_bounds
 from ._inequalities import contraction as contraction, correction as correction
 from ._intrinsic import error_system as error_system
+from ._largest import Attempt as Attempt, Largest as Largest, largest as largest
 from ._lmi import MetricDesign as MetricDesign, common_metric as common_metric, observer_gain as observer_gain
 from ._marine_cascade import crossed_metric as crossed_metric, feedthrough as feedthrough, tracking as tracking
 from ._noise import (
@@ -49,6 +50,12 @@ from ._observability import (
 )
 from ._reduced_order import ReducedOrderDesign as ReducedOrderDesign, reduced_order as reduced_order
 from ._sample import Sampled as Sampled, check_sample as check_sample
+from ._sampled_bound import (
+    BoundInfo as BoundInfo,
+    BoundState as BoundState,
+    Premise as Premise,
+    SampledBound as SampledBound,
+)
 from ._sampled_step import sampled_system as sampled_system
 from ._simulated import (
     Followed as Followed,
@@ -56,6 +63,7 @@ from ._simulated import (
     follow_estimates as follow_estimates,
     trajectories as trajectories,
 )
+from ._start import Start as Start
 from ._statement import (
     Evidence as Evidence,
     Hypothesis as Hypothesis,

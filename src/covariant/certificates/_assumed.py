@@ -16,10 +16,10 @@ ASSUMED = (
 )
 """The lines that `covariant certify --check` prints last."""
 ASSUMED_WITH_SAMPLES = (
-    "the true motion solves the model, with the input that the observer is given, and keeps to the region of "
-    "positions, and to the bounds of velocities and inputs",
-    "measurements are exact, of all coordinates unless they are lost, and come at the stated times, which are known "
-    "exactly",
+    "the true motion solves the model, with the input that the observer is given and up to the stated unknown force, "
+    "and keeps to the region of positions, and to the bounds of velocities and inputs",
+    "measurements are exact up to the stated bound of the noise, of all coordinates unless they are lost, and come at "
+    "the stated times, which are known exactly",
     "coordinates that the model calls circles are periodic",
     *ASSUMED[5:8],
     "trusted are JAX's tracing, the reading of its jaxprs and the description of the observer, which prover and "

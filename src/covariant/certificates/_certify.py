@@ -28,14 +28,7 @@ from jaxtyping import ArrayLike, Float
 from covariant._typing import Numbers
 from covariant.certificates._check import Resolved
 from covariant.certificates._checked import judged
-from covariant.certificates._claims import (
-    Claim,
-    claimed_drift,
-    disturbance_length,
-    disturbance_sizes,
-    loss_of,
-    read_bounds,
-)
+from covariant.certificates._claims import Claim, disturbance_sizes, read_bounds, steady_of
 from covariant.certificates._contraction_certificate import ContractionCertificate
 from covariant.certificates._contraction_statement import Contraction, contraction_statement
 from covariant.certificates._document import Document, Sampling, first_velocity
@@ -45,15 +38,16 @@ from covariant.certificates._force_bounds import force_bounds, force_reads_time,
 from covariant.certificates._inequalities import contraction, disturbance_bound, squared_widths, width_bound
 from covariant.certificates._intrinsic import Intrinsics, check_unique, error_system
 from covariant.certificates._joint_bounds import friction_bounds, has_dry_friction, joint_bounds
-from covariant.certificates._noise import steady_distance
 from covariant.certificates._sampled_claims import (
     check_sampling,
+    force_claim,
     missing_claims,
     prediction_claims,
     sampled_claims,
     sampled_given,
 )
 from covariant.certificates._saved import observer_document
+from covariant.certificates._start import start_claim
 from covariant.certificates._tangent_metric import TwoByTwo, check_q, error_matrix, optimal_lyapunov, rate_of
 from covariant.geometry.lie import SO2, SO3
 from covariant.lowering import Lowered, lower, numbers
@@ -104,8 +98,9 @@ def certify(
             rotations need no bounds.
         input: bound of each input, a number or (m,), or a pair of bounds.
         times: first and last time [s] of the statement; needed where the force depends on time.
-        rate: λ [1/s] to prove, of squared lengths; by default half of the rate that Q allows at q̂ = q, and with
-            `interval` a tenth of that of the gains.
+        rate: λ [1/s] to prove, of squared lengths; by default half of the rate that Q allows at q̂ = q, with
+            `interval` a tenth of that of the gains, and with noise as well one to six tenths, whichever leaves the
+            smallest bound of the velocity error.
         q: matrix (2, 2) of the metric; by default the best conditioned one for two thirds of the rate of the gains.
         noise: bound of the error of each measured position [unit], a number or (n,), in coordinates or as `log(q⁻¹ y)`
             in the body frame. Bounds of matrix entries that `position` gives on a group then apply to the measured
@@ -113,8 +108,8 @@ def certify(
         disturbance: bound of each component of an unmodelled force, a number or (n,).
         interval: shortest and longest time [s] between two samples: the statement is then about the observer that
             predicts between samples and corrects at each of them, in a metric that is searched (with clarabel). It
-            covers systems in coordinates whose force depends on the input alone, and no noise or disturbance. Without
-            it the observer runs in continuous time.
+            covers systems in coordinates whose force depends on the input alone. Without it the observer runs in
+            continuous time.
         lost: with `interval`, the largest number of samples that may be lost in a row.
         recipe: where the model comes from, as from `models.recipe`; needed to save the certificate.
         boxes: largest number of boxes for all proofs together, which is the same effort on every machine.
@@ -132,28 +127,34 @@ def certify(
     Raises:
         ValueError: an argument without its bound, an error up to which a logarithm is not unique, friction or force
             that are not covered, a `q` that is not symmetric positive definite, or another word for `checker`; with
-            `interval`, two times that are not positive and in order, `q`, noise or a disturbance.
+            `interval`, two times that are not positive and in order, or `q`.
         TypeError: another kind of observer.
         ImportError: with `interval`, the solver clarabel is missing.
     """
     if checker not in CHECKERS:
         raise ValueError(f"certify: checker must be one of {', '.join(CHECKERS)}; got {checker!r}")
     start = time.monotonic()
-    matrix, target = _metric_and_rate(observer, q, rate, sampled=interval is not None)
     assumed = _assumed(observer, velocity, error, noise, disturbance)
-    sampling = (
-        None if interval is None else check_sampling(observer, interval, lost, q, assumed.noise, assumed.disturbance)
-    )
+    matrix, target, *slower = _metric_and_rates(observer, q, rate, interval is not None, bool(assumed.noise.any()))
+    sampling = None if interval is None else check_sampling(observer, interval, lost, q, len(assumed.velocity))
+    if (
+        sampling is not None
+        and (assumed.noise.any() or assumed.disturbance.any())
+        and not observer.model.manifold.commuting
+    ):
+        raise ValueError(
+            "certify: with interval, noise and disturbance are covered in coordinates only; leave them out"
+        )
     region = _region(observer.model, position, input, times)
     effort = Effort(Box((), (), np.zeros(0), np.zeros(0)), boxes, seconds, processes, progress)
     if sampling is None:
         system, domain, bounds, first = _in_continuous_time(observer, matrix, target, assumed, region, effort)
         claims, corrections = [first], []
     else:
-        bounds = sampled_given(region.true, *region[1:], len(assumed.velocity))
+        bounds = sampled_given(region.true, *region[1:], assumed.noise, assumed.disturbance)
         place = functools.partial(_sampled_domain, observer.model, assumed, region, sampling)
-        matrix, sampling, system, domain, (first, *corrections) = sampled_claims(
-            observer, sampling, target, matrix, place, effort
+        target, matrix, sampling, system, domain, (first, *corrections) = sampled_claims(
+            observer, sampling, [target, *slower], matrix, assumed.noise, place, effort
         )
         claims = [first]
     radius = 0.0
@@ -161,7 +162,9 @@ def certify(
         limits = limits_of(domain, assumed.velocity, assumed.noise, sampled=sampling is not None)
         claims += _reach(system, limits, effort)
         sizes = disturbance_sizes(bounds)
-        if sizes.any():
+        if sampling is not None and assumed.disturbance.any():
+            claims.append(force_claim(system, assumed.disturbance, effort))
+        elif sampling is None and sizes.any():
             square = SLACK * _sampled_disturbance(system, domain, sizes)
             claims.append(
                 Claim("disturbance", effort.prove("noise", disturbance_bound(system, sizes, square)), 0, square)
@@ -171,8 +174,8 @@ def certify(
             claims += missing_claims(observer, system, sampling, matrix, target, claims, effort)
             allowed = _radius(claims, limits, 0.0)
             claims += prediction_claims(observer, sampling, matrix, target, claims, allowed, effort)
-        drift = claimed_drift(sampling, target, loss_of(sampling, matrix, target, claims), claims)
-        radius = _radius(claims, limits, steady_distance(target, disturbance_length(bounds, claims)) + drift)
+        claims += start_claim(observer.model, system, claims, effort)
+        radius = _radius(claims, limits, steady_of(sampling, matrix, target, bounds, claims))
     facts = Contraction(target, radius, observer, matrix, domain, assumed.velocity, bounds, claims, recipe, sampling)
     statement = contraction_statement(facts, "proved")
     elapsed, check_start = time.monotonic() - start, time.monotonic()
@@ -200,10 +203,10 @@ def certify(
     )
 
 
-def _metric_and_rate(
-    observer: Intrinsics, q: Numbers | None, rate: float | None, sampled: bool
-) -> tuple[TwoByTwo, float]:
-    """The matrix Q and the rate to prove, as given or by default."""
+def _metric_and_rates(
+    observer: Intrinsics, q: Numbers | None, rate: float | None, sampled: bool, noisy: bool
+) -> tuple[TwoByTwo, *tuple[float, ...]]:
+    """The matrix Q and the rate to prove, as given or by default; with samples and noise several rates to try."""
     alpha, beta = float(observer.alpha), float(observer.beta)
     for name, gain in (("alpha", alpha), ("beta", beta)):
         if not math.isfinite(gain):
@@ -214,7 +217,8 @@ def _metric_and_rate(
     target = default if rate is None else float(rate)
     if not (math.isfinite(target) and target > 0):
         raise ValueError(f"certify: the rate must be a positive number; got {target:g}")
-    return matrix, target
+    # Fast rates forget noise sooner, and leave fewer metrics to choose from: in between is the smallest bound.
+    return matrix, target, *((2 * target, 4 * target, 6 * target) if sampled and noisy and rate is None else ())
 
 
 class _Assumed(NamedTuple):
@@ -384,7 +388,7 @@ def _sampled_domain(
     """The box of the variables of a sampled system."""
 
     def rest(speed):
-        joints = joint_bounds(model, region.inputs, speed)
+        joints = joint_bounds(model, region.inputs, speed, assumed.disturbance)
         return np.concatenate([joints.force, joints.total, joints.slopes, [[0.0], [sampling.oldest]]], axis=1)
 
     if model.manifold.commuting:

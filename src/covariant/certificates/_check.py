@@ -32,6 +32,7 @@ from covariant.certificates._document import Document, first_velocity, parse
 from covariant.certificates._error_system import ErrorSystem
 from covariant.certificates._intrinsic import Intrinsics, check_unique, configuration_shape
 from covariant.certificates._prediction import Prediction, defect_matrix, step_values
+from covariant.certificates._radius_recursion import UNDISTURBED, Recursion
 from covariant.certificates._sampled_step import sampled_prediction
 from covariant.certificates._saved import observer_from, system_of, value_graph
 from covariant.models import input_count
@@ -186,14 +187,18 @@ def _complete(resolved: Resolved) -> None:
         columns = getattr(document.given, key).shape[1]
         _need(columns == expected, f"given.{key}: the model has {expected}; bounds are there of {columns}")
     check_unique(observer, np.maximum(high, -low)[-2 * n : -n])
-    noise, disturbed = document.given.noise, any(claim.kind == "disturbance" for claim in claims)
-    _need(noise.any() or not document.given.slopes.any(), "given.slopes: they must be 0 where there is no noise")
+    noise, disturbance = document.given.noise, [claim for claim in claims if claim.kind == "disturbance"]
+    sloped = noise.any() and document.sampling is None
+    _need(sloped or not document.given.slopes.any(), "given.slopes: they must be 0 where there is no noise")
+    started = any(claim.kind == "start" for claim in claims)
+    _need(model.manifold.commuting or not started, "claims: one about a start is for coordinates")
 
     # By assumption solutions are in `truth`; a curve of length `radius` leads no farther than `away` from them.
     if document.open:
         return
     speed, radius = document.velocity, document.radius
-    _need(disturbed == bool(sizes(document).any()), "claims: one about a disturbance must be there, if there is any")
+    acts = sizes(document).any() if document.sampling is None else document.given.disturbance.any()
+    _need(bool(disturbance) == bool(acts), "claims: one about a disturbance must be there, if there is any")
     # The error is measured from the measured position, so it exceeds that from the true one by up to the noise.
     start = document.given.positions[:, : places * model.manifold.commuting]
     truth = [np.concatenate([p, v, b]) for p, v, b in zip(start, (-speed, speed), (-noise, noise), strict=True)]
@@ -214,12 +219,17 @@ def _complete(resolved: Resolved) -> None:
         loss = document.loss
         slower = f"{loss.rate:.6g} 1/s by the factor of the correction, up to {loss.restart:.6g} of a restart"
         _need(loss.allowed(document.rate), f"rate: nothing is left of {document.rate / 2:.6g} 1/s, less {slower}")
-        away = f"{document.drift:.6g} away, and the radius is {radius:.6g}"
-        _need(document.drift < radius, f"sampling.substeps: errors of {document.sampling.substeps} steps lead {away}")
-    if disturbed:
+        steps = Recursion.of(document.sampling, document.q, document.rate, UNDISTURBED, claims)
+        away = f"{steps.steady:.6g} away, and the radius is {radius:.6g}"
+        _need(steps.steady < radius, f"sampling.substeps: errors of {document.sampling.substeps} steps lead {away}")
+        bounds = {"noise": noise, "disturbance": document.given.disturbance}
+        recursion = Recursion.of(document.sampling, document.q, document.rate, bounds, claims)
+        kept = not recursion.disturbed or recursion.keeps(radius)
+        _need(kept, f"radius: noise and disturbance lead out of {radius:.6g}, to {recursion.largest(radius):.6g}")
+    elif disturbance:
         count = np.count_nonzero(sizes(document))
         # The steady distance 2D/λ: the box of scaled errors lies in the ball of radius √count, so D² = count · square.
-        steady = 2 * math.sqrt(count * claims[-1].square) / document.rate * (1 + ROUND)
+        steady = 2 * math.sqrt(count * disturbance[0].square) / document.rate * (1 + ROUND)
         _need(steady < radius, f"radius: noise alone leads {steady:.6g} away, and the radius is {radius:.6g}")
 
 
@@ -244,7 +254,7 @@ def _jobs(document: Document) -> Iterator[tuple]:
     if document.sampling is None:
         for what in ("the bound of the force", "the definedness of the force"):
             yield what, *region[:, None]
-    if document.given.noise.any():
+    if document.given.noise.any() and document.sampling is None:
         pinned = np.concatenate([region, np.zeros((2, n))], axis=1)
         for what in ("the bound of the force's slopes", "the smoothness of the force"):
             yield what, *pinned[:, None]
@@ -282,8 +292,15 @@ def _matrix(resolved: Resolved, what: int | str) -> TaylorEnclosure:
         matrix = {
             "contraction": lambda: matrices.contraction(system, document.rate),
             "reach": lambda: matrices.width_bound(system, claim.row, claim.square),
-            "disturbance": lambda: matrices.disturbance(system, sizes(document), claim.square),
-            "correction": lambda: matrices.correction(system),
+            "disturbance": lambda: (
+                matrices.disturbance(system, sizes(document), claim.square)
+                if document.sampling is None
+                else matrices.joint_force(system, document.given.disturbance, claim.square)
+            ),
+            "correction": lambda: matrices.correction(
+                system, document.given.noise if claim.squares else None, claim.squares
+            ),
+            "start": lambda: matrices.start(system, document.reach_squares, claim.square),
             "missing": lambda: matrices.missing(system, claim.square, claim.limit, document.unit_reach),
             "prediction": lambda: defect_matrix(prediction_in(resolved), claim.square),
         }[claim.kind]()

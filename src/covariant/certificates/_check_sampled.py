@@ -41,22 +41,27 @@ def friction_matrix(document: Document, model: MechanicalSystem, what: str) -> T
         what: name of the job.
     """
     n, speeds = len(document.velocity), _speeds(document)
-    friction, watch = matrices.friction(model, n), ""
+    watch: Literal["", "smooth"] = ""
+    friction = matrices.friction(model, n)
     if what == FRICTION_JOBS[0]:
         function = _within(document, friction, 4)
     elif what == FRICTION_JOBS[1]:
         function = _within(document, matrices.friction_slopes(model, n), 5)
     else:
         function, watch = friction, "smooth"
-    return TaylorEnclosure(function, *speeds, np.zeros(n), watch)
+    return TaylorEnclosure(function, speeds[0], speeds[1], np.zeros(n), watch)
 
 
-def _within(document: Document, function: Any, k: int) -> Any:
-    """That a function stays within the bounds, with half the slack, of the k-th n variables of the box."""
-    part = slice(k * len(document.velocity), (k + 1) * len(document.velocity))
-    low, high = document.low[part], document.high[part]
+def _within(document: Document, function: Any, k: int, unknown: Any = 0.0) -> Any:
+    """That a function stays within the bounds, with half the slack and less `unknown`, of n variables of the box.
+
+    They are the k-th group of n variables, the velocities being the first.
+    """
+    n = len(document.velocity)
+    start = first_velocity(len(document.low), n, document.sampling is not None) + (k - 1) * n
+    low, high = document.low[start : start + n], document.high[start : start + n]
     slack = slack_of(low, high) / 2
-    return matrices.within(function, low - slack, high + slack)
+    return matrices.within(function, low + unknown - slack, high - unknown + slack)
 
 
 def sampled_jobs(document: Document, pins: np.ndarray) -> Iterator[tuple]:
@@ -86,7 +91,7 @@ def sampled_jobs(document: Document, pins: np.ndarray) -> Iterator[tuple]:
 def _speeds(document: Document) -> np.ndarray:
     """Bounds (2, n) of the estimated velocity."""
     n = len(document.velocity)
-    start = first_velocity(len(document.low), n, sampled=True)
+    start = first_velocity(len(document.low), n, document.sampling is not None)
     return np.stack([document.low[start : start + n], document.high[start : start + n]])
 
 
@@ -110,7 +115,8 @@ def sampled_matrix(document: Document, system: ErrorSystem, model: MechanicalSys
         "the bound of the input's force": (_within(document, force, 3), inputs, ""),
         "the definedness of the input's force": (force, inputs, "defined"),
         "the bound of the joint force": (
-            _within(document, lambda y: force(y[:-n]) + friction(y[-n:]), 4),
+            # A force that the model lacks may be added to both.
+            _within(document, lambda y: force(y[:-n]) + friction(y[-n:]), 4, document.given.disturbance),
             np.concatenate([inputs, speeds], axis=1),
             "",
         ),

@@ -16,9 +16,10 @@ from covariant.certificates._document import (
     Loss,
     Sampling,
     Stated,
-    drift_of,
     prediction_places,
 )
+from covariant.certificates._noise import steady_distance
+from covariant.certificates._radius_recursion import UNDISTURBED, Recursion
 from covariant.proofs import Box, Proof, from_letters, to_letters
 
 
@@ -30,15 +31,18 @@ class Claim(NamedTuple):
             changes the entry `row` of (error, velocity) by less than `ℓ √square`, which bounds the half width of the
             tube in that entry. "disturbance": errors of measurement and force, relative to their sizes and within the
             unit ball, add at most `√square` in length to the flow. "correction": the correction after `row` lost
-            samples lengthens no curve. "prediction": the fourth derivative of the defect of Runge–Kutta steps, over
-            4!, is shorter than `√square`. "missing": the acceleration that a prediction lacks is less than `√square`
-            times the position error, whose length is at most `limit` times that of a curve.
+            samples lengthens no curve, or with noise adds at most the sum of `squares` to its squared length.
+            "prediction": the fourth derivative of the defect of Runge–Kutta steps, over 4!, is shorter than `√square`.
+            "start": an error with components δ is at most `√(square Σ δ_i²/s_i)` long, with the squares s of the claims
+            on reach. "missing": the acceleration that a prediction lacks is less than `√square` times the position
+            error, whose length is at most `limit` times that of a curve.
         proof: the tree of boxes over which the inequality was shown.
         row: for "reach", the index of the entry of (error, velocity), from 0 to 2n − 1; for "correction", the number of
             samples lost before it.
-        square: for "reach", "disturbance", "prediction" and "missing", the square of the bound.
+        square: for "reach", "disturbance", "prediction" and "missing", the square of the bound; for "start" a factor.
         limit: for "reach", the largest half width that stays within the region, in the unit of the entry; for
             "missing", the bound of the length of the position error for a curve of unit length.
+        squares: for "correction" with noise, what each measured position adds to a squared length.
 
     Example:
         >>> import jax.numpy as jnp
@@ -54,11 +58,12 @@ class Claim(NamedTuple):
     row: int = 0
     square: float = 0.0
     limit: float = 0.0
+    squares: tuple[float, ...] = ()
 
     @property
     def stated(self) -> Stated:
         """The claim in the form in which a file states it."""
-        return Stated(self.kind, tuple(to_letters(self.proof.levels)), self.row, self.square, self.limit)
+        return Stated(self.kind, tuple(to_letters(self.proof.levels)), self.row, self.square, self.limit, self.squares)
 
     def document(self) -> dict[str, Any]:
         """Convert the claim to data for the file.
@@ -66,7 +71,8 @@ class Claim(NamedTuple):
         Returns:
             Its kind, the numbers that belong to this kind, and its tree of boxes with one string for each level.
         """
-        numbers = {key: getattr(self, key) for key in NUMBERS[self.kind]}
+        numbers: dict[str, Any] = {key: getattr(self, key) for key in NUMBERS[self.kind]}
+        numbers |= {"squares": list(self.squares)} if self.squares else {}
         return {"kind": self.kind, **numbers, "levels": to_letters(self.proof.levels)}
 
 
@@ -81,7 +87,14 @@ def stated_claims(document: Document, domain: Box) -> tuple[Claim, ...]:
         One claim for each in the file, in the same order. Its proof is only stated, not verified.
     """
     return tuple(
-        Claim(claim.kind, Proof.stated(bounds, from_letters(claim.levels)), claim.row, claim.square, claim.limit)
+        Claim(
+            claim.kind,
+            Proof.stated(bounds, from_letters(claim.levels)),
+            claim.row,
+            claim.square,
+            claim.limit,
+            claim.squares,
+        )
         for claim, bounds in ((claim, _box_of(document, claim, domain)) for claim in document.claims)
     )
 
@@ -108,17 +121,43 @@ def loss_of(sampling: Sampling | None, q: Float[np.ndarray, "2 2"], rate: float,
     return Loss(0.0, 0.0) if sampling is None or not bounds else Loss.of(sampling, q, rate, *bounds[0])
 
 
-def claimed_drift(sampling: Sampling | None, rate: float, loss: Loss, claims: Sequence[Claim]) -> float:
+def claimed_drift(sampling: Sampling | None, q: Float[np.ndarray, "2 2"], rate: float, claims: Sequence[Any]) -> float:
     """Compute the distance to which errors of Runge–Kutta steps alone may lead.
 
     Args:
         sampling: when measurements come; None in continuous time.
+        q: the matrix R_0 (2, 2).
         rate: rate λ of squared lengths [1/s].
-        loss: what the correction takes of the rate.
         claims: the claims; without one of the kind "prediction" nothing is known, and the distance is taken as 0.
     """
-    squares = [claim.square for claim in claims if claim.kind == "prediction"]
-    return 0.0 if sampling is None or not squares else drift_of(sampling, rate, loss, squares[0])
+    return 0.0 if sampling is None else Recursion.of(sampling, q, rate, UNDISTURBED, claims).steady
+
+
+def steady_of(
+    sampling: Sampling | None,
+    q: Float[np.ndarray, "2 2"],
+    rate: float,
+    given: dict[str, Any],
+    claims: Sequence[Claim],
+) -> float:
+    """Compute the distance to which noise, disturbance and errors of predictions alone may lead.
+
+    Args:
+        sampling: when measurements come; None in continuous time.
+        q: the matrix Q (2, 2), with samples R_0.
+        rate: rate λ of squared lengths [1/s].
+        given: the bounds of a certificate.
+        claims: its claims.
+
+    Returns:
+        The distance, in the metric; 0 without all of these, ∞ where it is not proved.
+    """
+    if sampling is None:
+        return steady_distance(rate, disturbance_length(given, claims))
+    disturbed = any(given["noise"]) or any(given["disturbance"])
+    if disturbed and sum(claim.kind == "correction" for claim in claims) <= sampling.lost:
+        return math.inf
+    return Recursion.of(sampling, q, rate, given, claims).steady
 
 
 def disturbance_sizes(given: dict[str, Any]) -> Float[np.ndarray, "two_n"]:

@@ -7,13 +7,14 @@ import numpy as np
 from jaxtyping import Float
 
 from covariant.certificates._check import follows
-from covariant.certificates._claims import Claim, claimed_drift, disturbance_length, loss_of
+from covariant.certificates._claims import Claim, loss_of, steady_of
 from covariant.certificates._contraction_statement import Contraction, contraction_statement
 from covariant.certificates._document import FORMAT, Sampling, first_velocity, parse, write
 from covariant.certificates._error_system import ErrorSystem
 from covariant.certificates._intrinsic import Intrinsics
-from covariant.certificates._noise import steady_distance
+from covariant.certificates._sampled_bound import SampledBound, sampled_bound
 from covariant.certificates._saved import observer_document, value_graph
+from covariant.certificates._start import Start, start_of
 from covariant.certificates._statement import Statement
 from covariant.certificates._tangent_metric import TwoByTwo
 from covariant.proofs import Box, digest
@@ -85,12 +86,11 @@ class ContractionCertificate(NamedTuple):
         """The final distance, at most.
 
         Returns:
-            `2D/λ` under the noise and disturbance of the certificate; with sampled measurements the distance to which
-            errors of the prediction's Runge–Kutta steps lead, where a claim bounds them; 0 without all of these.
+            `2D/λ` under the noise and disturbance of the certificate; with sampled measurements the fixed point of the
+            recursion that `bound` runs, under these and the errors of the prediction's Runge–Kutta steps, where a claim
+            bounds them; 0 without all of these.
         """
-        loss = loss_of(self.sampling, self.q, self.rate, self.claims)
-        drift = claimed_drift(self.sampling, self.rate, loss, self.claims)
-        return steady_distance(self.rate, disturbance_length(self.given, self.claims)) + drift
+        return steady_of(self.sampling, self.q, self.rate, self.given, self.claims)
 
     @property
     def boxes(self) -> int:
@@ -120,6 +120,37 @@ class ContractionCertificate(NamedTuple):
         if self.statement.verdict != "holds":
             raise ValueError("no tube, since nothing is proved on the region")
         return self.radius * np.sqrt([claim.square for claim in self.claims if claim.kind == "reach"])
+
+    @property
+    def start(self) -> Start | None:
+        """The initial errors that the radius covers, in the units of the model.
+
+        Returns:
+            Errors in positions and velocities; None where nothing is proved, or on a group.
+        """
+        factors = [claim.square for claim in self.claims if claim.kind == "start"]
+        if self.statement.verdict != "holds" or not factors:
+            return None
+        squares = [claim.square for claim in self.claims if claim.kind == "reach"]
+        return start_of(self.radius, self.domain, squares, factors[0])
+
+    def bound(self) -> SampledBound:
+        """Build what bounds the error of the estimate beside every sample, for an observer with sampled measurements.
+
+        Returns:
+            The recursion of the certificate as pure functions, `init`, `within` and `step`.
+
+        Raises:
+            ValueError: nothing is proved, or the certificate is one in continuous time.
+        """
+        if self.sampling is None:
+            raise ValueError(
+                "bounds beside every sample need certify(..., interval=...); this one is in continuous time"
+            )
+        if self.statement.verdict != "holds":
+            raise ValueError("no bound beside every sample, since nothing is proved on the region")
+        proved = self.sampling, self.q, self.rate, self.radius, self.given, self.claims, self.domain, self.velocity
+        return sampled_bound(*proved, self.observer.model.circles)
 
     @property
     def kinds(self) -> tuple[str, ...]:

@@ -8,19 +8,12 @@ import numpy as np
 from jaxtyping import Float
 
 from covariant.certificates._assumed import ASSUMED, ASSUMED_WITH_SAMPLES, PREDICTIONS, SMOOTH_FACTOR
-from covariant.certificates._claims import (
-    Claim,
-    claimed_drift,
-    disturbance_length,
-    loss_of,
-    plain_bounds,
-    stated_claims,
-)
+from covariant.certificates._claims import Claim, claimed_drift, loss_of, plain_bounds, stated_claims, steady_of
 from covariant.certificates._document import Document, Loss, Sampling, first_velocity
 from covariant.certificates._error_system import ErrorSystem
 from covariant.certificates._intrinsic import Intrinsics
-from covariant.certificates._noise import steady_distance
 from covariant.certificates._saved import observer_document
+from covariant.certificates._start import start_of
 from covariant.certificates._statement import Evidence, Hypothesis, Statement
 from covariant.certificates._tangent_metric import TwoByTwo
 from covariant.models import recipe_text
@@ -86,12 +79,12 @@ class Contraction(NamedTuple):
     @property
     def steady(self) -> float:
         """The distance to which noise and disturbance alone may lead."""
-        return steady_distance(self.rate, disturbance_length(self.given, self.claims)) + self.drift
+        return steady_of(self.sampling, self.q, self.rate, self.given, self.claims)
 
     @property
     def drift(self) -> float:
         """The distance to which errors of Runge–Kutta steps alone may lead; 0 where no claim bounds them."""
-        return claimed_drift(self.sampling, self.rate, self.loss, self.claims)
+        return claimed_drift(self.sampling, self.q, self.rate, self.claims)
 
 
 def contraction_statement(of: Contraction, evidence: Evidence, checker: Hypothesis | None = None) -> Statement:
@@ -162,9 +155,13 @@ def _hypotheses(facts: Contraction, evidence: Evidence) -> Iterator[Hypothesis]:
         elif claim.kind == "correction" and facts.sampling is not None:
             first, last = (_exact(h) for h in facts.sampling.ages[claim.row])
             text = f"the correction by a measurement that is {first} to {last} s old lengthens no curve"
+            if claim.squares:
+                text += f", and its error adds at most {_up(math.fsum(claim.squares))} to a squared length"
             margin = None
         elif claim.kind == "prediction":
             text, margin = "the defect of the Runge–Kutta steps of a prediction keeps its bound", None
+        elif claim.kind == "start":
+            text, margin = "errors within the bounds of a start are no longer than the radius", None
         elif claim.kind == "missing":
             text, margin = "the acceleration that a prediction lacks, and the position error, keep their bounds", None
         else:
@@ -257,6 +254,11 @@ def _description(facts: Contraction) -> Iterator[str]:
             f"rate λ = {_down(rate)} 1/s of squared lengths, radius ε = {_down(facts.radius)} in this metric"
             f"{right_after}"
         )
+    factors = [claim.square for claim in facts.claims if claim.kind == "start"]
+    if facts.radius and factors:
+        squares = [claim.square for claim in facts.claims if claim.kind == "reach"]
+        start = start_of(facts.radius, facts.domain, squares, factors[0])
+        yield f"errors of a start that are within ε, all at once: {start}"
     positions = facts.given["positions"]
     if model.manifold.commuting:
         ends = zip(positions["low"], positions["high"], strict=True)
@@ -318,6 +320,15 @@ def _list(values: Sequence[Any]) -> str:
 def _exact(value: float) -> str:
     """The shortest text that is this number."""
     return repr(float(value)).removesuffix(".0")
+
+
+def _up(value: float) -> str:
+    """A positive number of four digits that is no smaller."""
+    text = f"{value:.4g}"
+    if float(text) >= value:
+        return text
+    last = math.floor(math.log10(abs(value))) - 3
+    return f"{float(text) + 10.0**last:.4g}"
 
 
 def _down(value: float) -> str:

@@ -43,7 +43,7 @@ STEPS = ("step", "inner_step")
 """Names of the further variables of the claim "prediction": two lengths of a step."""
 FRAMES = ("coordinates", "body")
 """Frames of the vectors. In the "body" frame the configuration is not a variable of the region."""
-Kind = Literal["contraction", "reach", "disturbance", "correction", "missing", "prediction"]
+Kind = Literal["contraction", "reach", "disturbance", "correction", "missing", "prediction", "start"]
 NUMBERS: dict[Kind, list[str]] = {
     "contraction": [],
     "reach": ["row", "square", "limit"],
@@ -51,8 +51,9 @@ NUMBERS: dict[Kind, list[str]] = {
     "correction": ["row"],
     "missing": ["square", "limit"],
     "prediction": ["square"],
+    "start": ["square"],
 }
-"""The numbers of each kind of claim, beside its tree of boxes."""
+"""The numbers of each kind of claim, beside its tree of boxes; a correction with noise has `squares` as well."""
 
 
 class Given(NamedTuple):
@@ -79,12 +80,13 @@ class Stated(NamedTuple):
     """A claim as stated in a file.
 
     Attributes:
-        kind: "contraction", "reach" of a `row` by `square` up to `limit`, "disturbance" of `square`, "correction", or
-            "missing" of `square` and `limit`.
+        kind: "contraction", "reach" of a `row` by `square` up to `limit`, "disturbance" of `square`, "correction",
+            "missing" of `square` and `limit`, or "start" of `square`.
         levels: its tree of boxes, one string for each level.
         row: index of the entry of (error, velocity), for "reach"; number of samples lost, for "correction".
         square: square of the bound, for "reach" and "disturbance".
         limit: largest half width that is allowed, for "reach".
+        squares: for "correction" with noise, what the error of each measured position adds to a squared length.
     """
 
     kind: Kind
@@ -92,6 +94,7 @@ class Stated(NamedTuple):
     row: int = 0
     square: float = 0.0
     limit: float = 0.0
+    squares: tuple[float, ...] = ()
 
     @property
     def open(self) -> bool:
@@ -173,6 +176,7 @@ class Loss(NamedTuple):
     Attributes:
         rate: largest loss of the decay rate [1/s] of distances.
         restart: largest s, as a fraction of that of a restart.
+        change: D [1/s], see `of`.
 
     Example:
         >>> from covariant.certificates._document import Loss
@@ -182,6 +186,7 @@ class Loss(NamedTuple):
 
     rate: float
     restart: float
+    change: float = 0.0
 
     @classmethod
     def of(cls, sampling: Sampling, q: Float[np.ndarray, "2 2"], rate: float, square: float, limit: float) -> "Loss":
@@ -202,7 +207,8 @@ class Loss(NamedTuple):
         s = stiffness * oldest**2
         change = s / (18 + s) * stiffness * limit * 2 * math.sqrt(q[1, 1] / 2)
         # The factors cover rounding, also that of (π/2)² in the step that runs.
-        return cls(change * math.exp(rate / 2 * oldest) * (1 + 1e-9), s / (math.pi / 2) ** 2 * (1 + 1e-6))
+        loss = change * math.exp(rate / 2 * oldest) * (1 + 1e-9)
+        return cls(loss, s / (math.pi / 2) ** 2 * (1 + 1e-6), change * (1 + 1e-9))
 
     def allowed(self, rate: float) -> bool:
         """Whether a rate λ [1/s] is left, and nothing restarts.
@@ -211,30 +217,6 @@ class Loss(NamedTuple):
             rate: rate of squared lengths.
         """
         return self.rate < rate / 2 and self.restart < 1
-
-
-def drift_of(sampling: Sampling, rate: float, loss: Loss, square: float) -> float:
-    """Compute the distance to which the errors of Runge–Kutta steps alone may lead, from the claim "prediction".
-
-    A prediction over h in steps of length σ is off by at most ē = h σ⁴ √square/5, see `_prediction`, which a correction
-    lengthens by no more than the factor 1 + h loss. Distances obey `r ← e^(−μh) r + ē (1 + h loss)` with the rate μ
-    that the correction leaves, and come to rest below ē (1 + h loss)/(1 − e^(−μh)), which is largest for the longest h.
-
-    Args:
-        sampling: when measurements come, with a number of steps.
-        rate: rate λ of squared lengths [1/s].
-        loss: what the correction takes of the rate; less than λ/2.
-        square: square of the claim.
-
-    Returns:
-        The distance, in the metric right after a measurement; infinite where no rate is left.
-    """
-    longest, left = float(sampling.interval[1]), rate / 2 - loss.rate
-    if not left > 0:
-        return math.inf
-    error = longest * sampling.longest_step**4 * math.sqrt(square) / 5
-    # The factor covers the roundings.
-    return error * (1 + longest * loss.rate) / -math.expm1(-left * longest) * (1 + 1e-9)
 
 
 def unit_reach(squares: list[float]) -> Float[np.ndarray, "n"]:
@@ -304,10 +286,14 @@ class Document(NamedTuple):
         return any(claim.open for claim in self.claims)
 
     @property
+    def reach_squares(self) -> Float[np.ndarray, "two_n"]:
+        """Squares (2n,) of the claims on reach, positions first."""
+        return np.array([claim.square for claim in self.claims if claim.kind == "reach"])
+
+    @property
     def unit_reach(self) -> Float[np.ndarray, "n"]:
         """Bounds (n,) of each position error, for a curve of unit length, as the claims on reach state them."""
-        squares = [claim.square for claim in self.claims if claim.kind == "reach"]
-        return unit_reach(squares)
+        return unit_reach(self.reach_squares.tolist())
 
     @property
     def loss(self) -> "Loss":
@@ -316,14 +302,6 @@ class Document(NamedTuple):
         if self.sampling is None or not claims:
             return Loss(0.0, 0.0)
         return Loss.of(self.sampling, self.q, self.rate, claims[0].square, claims[0].limit)
-
-    @property
-    def drift(self) -> float:
-        """The distance to which errors of Runge–Kutta steps alone may lead; 0 where no claim bounds them."""
-        squares = [claim.square for claim in self.claims if claim.kind == "prediction"]
-        if self.sampling is None or not squares:
-            return 0.0
-        return drift_of(self.sampling, self.rate, self.loss, squares[0])
 
     def bounds(self, claim: Stated) -> tuple[Float[np.ndarray, "d"], Float[np.ndarray, "d"]]:
         """Bounds (d,) of the box of one claim, which is the whole box, or that of the ages of a correction.
@@ -437,10 +415,8 @@ def parse(path: str | Path, content: bytes | None = None) -> Document:
     fields["velocity"].need(
         variables <= len(LETTERS), f"fewer velocities: there are letters for {len(LETTERS)} variables"
     )
-    claims = _claims(fields["claims"], n, variables, sampling, observer.get("order") == 1)
     given = _given(fields["given"], n)
-    disturbed = given.noise.any() or given.disturbance.any()
-    fields["given"].need(not (sampled and disturbed), "without noise and disturbance, which sampling does not cover")
+    claims = _claims(fields["claims"], n, variables, _last_kinds(observer, sampling, given), given)
     return Document(
         top.file,
         _recipe(fields["recipe"]),
@@ -561,43 +537,67 @@ def _sampling(field: Field) -> Sampling:
     return Sampling(interval, lost, slopes, shear, fields["substeps"].whole(0, 10_000) or None)
 
 
-def _claims(field: Field, n: int, variables: int, sampling: Sampling | None, first_order: bool) -> tuple[Stated, ...]:
-    """Contraction, then "reach" for each of the 2n rows, then "disturbance", if there is noise or disturbance.
+def _last_kinds(observer: dict[str, Any], sampling: Sampling | None, given: Given) -> tuple[list[Kind], list[Kind]]:
+    """The claims that follow those on reach, and those that may follow then.
 
-    With sampling, "correction" follows "reach" for each number of lost samples, and "missing" where errors are those of
-    first order.
+    In continuous time "disturbance" may; whether it must is checked. With sampling, "disturbance" follows if there is
+    any, "correction" for each number of lost samples, and "missing" where errors are those of first order. Errors of
+    predictions are bounded by "prediction", or the statement lists them as not covered.
     """
-    last: list[Kind] = ["disturbance"]
-    if sampling is not None:
-        corrections: list[Kind] = ["correction"] * (sampling.lost + 1)
-        last = [*corrections, "missing"] if first_order else corrections
-    # Errors of predictions are bounded by a last claim, or the statement lists them as not covered.
-    optional: list[Kind] = [] if sampling is None or sampling.substeps is None else ["prediction"]
-    rows, first = field.rows(1, 2 * n + 1 + len(last) + len(optional)), len(last)
-    last = [*last, *optional]
-    claims = [_claim(row, k, n, variables, last) for k, row in enumerate(rows)]
+    if sampling is None:
+        return [], ["disturbance", "start"]
+    force: list[Kind] = ["disturbance"] if given.disturbance.any() else []
+    correction: list[Kind] = ["correction"]
+    lacking: list[Kind] = ["missing"] if observer.get("order") == 1 else []
+    predicted: list[Kind] = [] if sampling.substeps is None else ["prediction"]
+    return [*force, *correction * (sampling.lost + 1), *lacking], [*predicted, "start"]
+
+
+def _claims(
+    field: Field, n: int, variables: int, last: tuple[list[Kind], list[Kind]], given: Given
+) -> tuple[Stated, ...]:
+    """Contraction, then "reach" for each of the 2n rows, then those of `_last_kinds`."""
+    required, optional = last
+    reach: list[Kind] = ["reach"]
+    first: list[Kind] = ["contraction", *reach * (2 * n)]
+    rows, needed = field.rows(1, len(first) + len(required) + len(optional)), len(first) + len(required)
+    found: list[Kind] = [kind for kind in optional if any(_states(row, kind) for row in rows[needed:])]
+    order: list[Kind] = [*first, *required, *found]
+    rows[-1].need(len(rows) <= len(order), "the last claim")
+    errors = int(np.count_nonzero(given.noise))
+    claims = [_claim(row, k, n, variables, order, errors) for k, row in enumerate(rows)]
     if sum(len(level) for claim in claims for level in claim.levels) > MOST_LETTERS:
         raise ValueError(
             f"{field.file}: the levels of {field.key} hold more than {MOST_LETTERS} letters; ask for the file as it "
             "was saved, or certify again"
         )
-    needed = 2 * n + 1 + (0 if sampling is None else first)
-    more = "" if sampling is None else f", and correction after 0 to {sampling.lost} lost samples, and what they lack"
+    samples = required.count("correction")
+    more = f", and correction after 0 to {samples - 1} lost samples, and what they lack" if samples else ""
     complete = len(rows) >= needed or (len(rows) == 1 and claims[0].open)
     field.need(complete, f"contraction, and reach of rows 0 to {2 * n - 1}{more}")
     return tuple(claims)
 
 
-def _claim(field: Field, k: int, n: int, variables: int, last: list[Kind]) -> Stated:
+def _states(field: Field, kind: Kind) -> bool:
+    return isinstance(field.value, dict) and field.value.get("kind") == kind
+
+
+def _claim(field: Field, k: int, n: int, variables: int, order: list[Kind], errors: int) -> Stated:
     field.need(isinstance(field.value, dict) and "kind" in field.value, "an object with the kind of the claim")
-    kind: Kind = "contraction" if k == 0 else "reach" if k <= 2 * n else last[k - 2 * n - 1]
+    kind = order[k]
     field.at("kind").one_of((kind,))
-    fields = field.record(["kind", *NUMBERS[kind], "levels"])
+    noisy = kind == "correction" and errors > 0
+    fields = field.record(["kind", *NUMBERS[kind], *(["squares"] if noisy else []), "levels"])
     numbers: dict[str, Any] = {key: fields[key].positive() for key in NUMBERS[kind] if key != "row"}
     if kind == "reach":
         numbers["row"] = fields["row"].whole(k - 1, k - 1)
     if kind == "correction":
-        numbers["row"] = fields["row"].whole(k - 1 - 2 * n, k - 1 - 2 * n)
+        lost = k - order.index("correction")
+        numbers["row"] = fields["row"].whole(lost, lost)
     # Instead of errors, joint forces and slopes, a prediction has two lengths of its steps.
     variables = variables - 3 * n + 2 if kind == "prediction" else variables
+    if noisy:
+        squares = fields["squares"].vector(errors, errors, least=0.0)
+        fields["squares"].need((squares > 0).all(), "positive numbers")
+        numbers["squares"] = tuple(squares.tolist())
     return Stated(kind, saved_levels(fields["levels"], variables), **numbers)

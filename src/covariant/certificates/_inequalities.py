@@ -1,6 +1,6 @@
 """The inequalities to be proved of a system: symmetric matrices that must be positive definite on its region."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import jax
 import jax.numpy as jnp
@@ -172,21 +172,36 @@ def disturbance_bound(error_system: ErrorSystem, sizes: Float[np.ndarray, "two_n
     return derivative_form(values(error_system), lambda z: error_system.at(z).x, parts, formula, numbers)
 
 
-def correction(error_system: ErrorSystem) -> Form:
+def correction(
+    error_system: ErrorSystem, noise: Float[np.ndarray, "n"] | None = None, squares: Sequence[float] = ()
+) -> Form:
     """Build the matrix `N_h − JᵀN_0J`, with J the Jacobian of the correction by a measurement of age h in the frames.
 
     It is positive definite where the correction shortens all curves, from the metric M_h before it to M_0 after it.
+    With measurement errors it is `diag(N_h, Γ) − [J B]ᵀN_0[J B]`: where it is positive definite, a curve of length ℓ
+    between the truth and an estimate has at most the length `√(ℓ² + ΣΓ)` after a correction by an erroneous
+    measurement.
 
     The inequality is one for Lipschitz corrections too: −JᵀN_0J is concave in J, so that it holds for the means of
     Jacobians by which chords change, as in `derivative_form`.
 
     Args:
         error_system: the system, as from `sampled_system`.
+        noise: bounds (n,) of the errors of the measured positions, which scale the columns of B; None without errors.
+        squares: diagonal of Γ, one for each bound that is not zero.
 
     Returns:
-        The matrix (2n, 2n) as a function of z.
+        The matrix (2n + len(squares), the same) as a function of z.
     """
-    return at_correction(error_system, lambda before, after, jacobian: before - jacobian.T @ after @ jacobian)
+    if noise is None:
+        return at_correction(error_system, lambda before, after, jacobian: before - jacobian.T @ after @ jacobian)
+    columns, scale = np.flatnonzero(noise), jnp.asarray(noise[noise != 0])
+
+    def formula(before, after, jacobian, errors):
+        both = jnp.concatenate([jacobian, errors[:, columns] * scale[None]], axis=1)
+        return jax.scipy.linalg.block_diag(before, jnp.diag(jnp.asarray(squares))) - both.T @ after @ both
+
+    return at_noisy_correction(error_system, formula)
 
 
 def at_correction(error_system: ErrorSystem, formula: Callable[[Array, Array, Array], Array]) -> Form:
@@ -215,6 +230,92 @@ def at_correction(error_system: ErrorSystem, formula: Callable[[Array, Array, Ar
         return whole(coframe, after, jax.jacfwd(point.sampled[0])(point.x), frame, before)
 
     return derivative_form(corrections(error_system), lambda z: error_system.at(z).x, parts, whole, numbers)
+
+
+def at_noisy_correction(error_system: ErrorSystem, formula: Callable[[Array, Array, Array, Array], Array]) -> Form:
+    """Build the form of a formula of N_h, N_0, J, as in `at_correction`, and of `B = Θ_0(C x) ∂C/∂y`.
+
+    Args:
+        error_system: the system, as from `sampled_system`.
+        formula: `(N_h, N_0, J, B) -> matrix`, where B (2n, n) is the change by an error of the measurement.
+
+    Returns:
+        The form that proofs need: a graph whose derivatives are its own.
+    """
+
+    def parts(derivatives, nodes, count):
+        new, coframe, after, frame, before, *_ = nodes
+        n = count // 2
+        # The measurement is the estimated position less its error, both of which are variables in z.
+        errors = derivatives.each(new, range(1 + count + 2 * n, 1 + count + 3 * n))
+        return coframe, after, derivatives.each(new, range(1, 1 + count)), errors, frame, before
+
+    def whole(coframe, after, slope, errors, frame, before):
+        return formula(before, after, coframe @ slope @ frame, -coframe @ errors)
+
+    def numbers(z):
+        x = error_system.at(z).x
+        n = x.shape[0] // 2
+        _, coframe, after, frame, before, *_ = corrections(error_system)(jnp.zeros((), z.dtype), x, z)
+        slope = jax.jacfwd(error_system.at(z).sampled[0])(x)
+        errors = jax.jacfwd(lambda z: error_system.at(z).sampled[0](x))(z)[:, 2 * n : 3 * n]
+        return whole(coframe, after, slope, errors, frame, before)
+
+    return derivative_form(corrections(error_system), lambda z: error_system.at(z).x, parts, whole, numbers)
+
+
+def joint_force_bound(error_system: ErrorSystem, sizes: Float[np.ndarray, "n"], square: float) -> Form:
+    """Build the matrix `square I − BᵀMB`, with B the Jacobian of the flow between samples in the joint force.
+
+    Args:
+        error_system: the system, as from `sampled_system`.
+        sizes: factors (n,) of the columns of B: the largest unknown force of each joint.
+        square: square of the bound of the length of what a force within the unit ball of these factors adds to the
+            flow.
+
+    Returns:
+        The matrix (n, n) as a function of z.
+    """
+    n = len(sizes)
+
+    def parts(derivatives, nodes, count):
+        flow, coframe, _, gram, *_ = nodes
+        # The joint force follows estimate, velocity, position error and input force in z.
+        return coframe, gram, derivatives.each(flow, range(1 + count + 4 * n, 1 + count + 5 * n))
+
+    def formula(coframe, gram, change):
+        b = coframe @ (change * jnp.asarray(sizes)[None])
+        return square * jnp.eye(n) - b.T @ gram @ b
+
+    def numbers(z):
+        point, t = error_system.at(z), jnp.zeros((), z.dtype)
+        change = jax.jacfwd(lambda z: error_system.at(z).flow(t, point.x))(z)[:, 4 * n : 5 * n]
+        return formula(point.metric.coframe(t, point.x), point.metric.gram(t, point.x), change)
+
+    return derivative_form(values(error_system), lambda z: error_system.at(z).x, parts, formula, numbers)
+
+
+def start_bound(error_system: ErrorSystem, squares: Float[np.ndarray, "two_n"], square: float) -> Form:
+    """Build the matrix `square diag(1/squares) − M`, with M the metric in coordinates, right after a measurement.
+
+    Where it is positive definite everywhere, an error with the components δ_i is at most `√(square Σ δ_i²/squares_i)`
+    long.
+
+    Args:
+        error_system: the system, in coordinates.
+        squares: squares (2n,) of the claims on reach.
+        square: the factor.
+
+    Returns:
+        The matrix (2n, 2n) as a function of z.
+    """
+
+    def matrix(z):
+        point, t = error_system.at(z), jnp.zeros((), z.dtype)
+        metric = point.metric if point.after is None else point.after
+        return square * jnp.diag(1 / jnp.asarray(squares)) - metric(t, point.x)
+
+    return as_form(matrix)
 
 
 def missing_bound(error_system: ErrorSystem, square: float, limit: float, reach: Float[np.ndarray, "n"]) -> Form:

@@ -19,7 +19,7 @@ class JointBounds(NamedTuple):
 
     Attributes:
         force: generalised force (2, n) of the input.
-        total: its sum with the friction (2, n).
+        total: its sum with the friction and an unknown force (2, n).
         slopes: −∂f_i/∂v_i (2, n) of the friction f, which are not negative where it opposes the motion.
     """
 
@@ -29,7 +29,10 @@ class JointBounds(NamedTuple):
 
 
 def joint_bounds(
-    model: MechanicalSystem, inputs: Float[np.ndarray, "2 m"], speed: Float[np.ndarray, "n"]
+    model: MechanicalSystem,
+    inputs: Float[np.ndarray, "2 m"],
+    speed: Float[np.ndarray, "n"],
+    unknown: Float[np.ndarray, "n"],
 ) -> JointBounds:
     """Bound input forces, friction, and the slopes of the friction.
 
@@ -37,6 +40,7 @@ def joint_bounds(
         model: a mechanical system that `sampled_system` covers.
         inputs: least and largest inputs (2, m).
         speed: bounds (n,) of the velocities.
+        unknown: bounds (n,) of a force that the model lacks.
 
     Returns:
         The bounds, rounded outward.
@@ -56,7 +60,10 @@ def joint_bounds(
     acted = enclose(force._replace(conditions=None), acting.low[None], acting.high[None])
     both = np.concatenate([acted.low, acted.high])
     friction, slopes = friction_bounds(model, speed)
-    bounds = JointBounds(both, np.nextafter(both + friction, [[-np.inf], [np.inf]]), slopes)
+    outward = [[-np.inf], [np.inf]]
+    total = np.nextafter(both + friction, outward)
+    total = np.where(unknown > 0, np.nextafter(total + [[-1.0], [1.0]] * unknown, outward), total)
+    bounds = JointBounds(both, total, slopes)
     if not all(np.isfinite(each).all() for each in bounds):
         raise ValueError("the force, the friction or its slope has no bound over the velocities; make them smaller")
     return bounds

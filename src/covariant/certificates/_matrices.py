@@ -95,14 +95,18 @@ def disturbance(about: ErrorSystem, sizes: np.ndarray, square: float) -> Matrix:
     return matrix
 
 
-def correction(about: ErrorSystem) -> Matrix:
+def correction(about: ErrorSystem, noise: np.ndarray | None = None, squares: tuple[float, ...] = ()) -> Matrix:
     """Build `N_h − JᵀN_0J`, with J the Jacobian of the correction between the frames before and after it.
+
+    With measurement errors it is `diag(N_h, Γ) − [J B]ᵀN_0[J B]`, with B that of the correction in the measurement.
 
     Args:
         about: the observer and its metric.
+        noise: bounds (n,) of the measurement errors; None without.
+        squares: diagonal of Γ, one for each bound that is not zero.
 
     Returns:
-        A function z (d,) -> (2n, 2n).
+        A function z (d,) -> (2n + k, 2n + k) for k squares.
     """
 
     def matrix(z):
@@ -110,8 +114,62 @@ def correction(about: ErrorSystem) -> Matrix:
         corrected, after = point.sampled
         corrected = plain(corrected)
         slope, new = jax.jacfwd(lambda y: (corrected(y),) * 2, has_aux=True)(point.x)
-        jacobian = after.coframe(t, new) @ slope @ point.metric.frame(t, point.x)
-        return point.metric.gram(t, point.x) - jacobian.T @ after.gram(t, new) @ jacobian
+        coframe, gram, before = after.coframe(t, new), after.gram(t, new), point.metric.gram(t, point.x)
+        jacobian = coframe @ slope @ point.metric.frame(t, point.x)
+        if noise is None:
+            return before - jacobian.T @ gram @ jacobian
+        n = len(noise)
+        # An error of the measurement is one of the position error, with the other sign.
+        moved = plain(lambda e: about.at(jnp.concatenate([z[: 2 * n], e, z[3 * n :]])).sampled[0](point.x))
+        # A product with a matrix of constants selects the columns of joints with an error, and scales them.
+        selected = np.diag(-noise)[:, noise != 0]
+        errors = coframe @ jax.jacfwd(moved)(z[2 * n : 3 * n]) @ selected
+        cross = -jacobian.T @ gram @ errors
+        rows = [before - jacobian.T @ gram @ jacobian, cross], [cross.T, np.diag(squares) - errors.T @ gram @ errors]
+        return jnp.concatenate([jnp.concatenate(row, axis=1) for row in rows])
+
+    return matrix
+
+
+def joint_force(about: ErrorSystem, sizes: np.ndarray, square: float) -> Matrix:
+    """Build `square I − BᵀMB`, where B is the scaled Jacobian of the flow between samples in the joint force.
+
+    Args:
+        about: the observer and its metric.
+        sizes: factors (n,) of the columns of B.
+        square: square of the bound.
+
+    Returns:
+        A function z (d,) -> (n, n).
+    """
+    n = len(sizes)
+
+    def matrix(z):
+        point, t = about.at(z), jnp.zeros(())
+        pushed = plain(lambda w: about.at(jnp.concatenate([z[: 4 * n], w, z[5 * n :]])).flow(t, point.x))
+        b = point.metric.coframe(t, point.x) @ (jax.jacfwd(pushed)(z[4 * n : 5 * n]) * sizes[None])
+        return square * jnp.eye(n) - b.T @ point.metric.gram(t, point.x) @ b
+
+    return matrix
+
+
+def start(about: ErrorSystem, squares: np.ndarray, square: float) -> Matrix:
+    """Build `square diag(1/squares) − M`, with M the metric in coordinates right after a measurement.
+
+    Args:
+        about: the observer and its metric.
+        squares: squares (2n,) of the claims on reach.
+        square: the factor.
+
+    Returns:
+        A function z (d,) -> (2n, 2n).
+    """
+
+    def matrix(z):
+        point, t = about.at(z), jnp.zeros(())
+        metric = point.metric if point.after is None else point.after
+        theta = metric.coframe(t, point.x)
+        return np.diag(square / squares) - theta.T @ metric.gram(t, point.x) @ theta
 
     return matrix
 

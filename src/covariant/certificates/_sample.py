@@ -10,7 +10,15 @@ from covariant._optional import load_optional
 from covariant.certificates._check import follows, sizes
 from covariant.certificates._document import Document, Stated, parse
 from covariant.certificates._error_system import ErrorSystem
-from covariant.certificates._inequalities import contraction, correction, disturbance_bound, missing_bound, width_bound
+from covariant.certificates._inequalities import (
+    contraction,
+    correction,
+    disturbance_bound,
+    joint_force_bound,
+    missing_bound,
+    start_bound,
+    width_bound,
+)
 from covariant.certificates._intrinsic import Intrinsics
 from covariant.certificates._prediction import defect_bound
 from covariant.certificates._sampled_step import sampled_prediction
@@ -98,10 +106,14 @@ def _form(claim: Stated, observer: Intrinsics, system: ErrorSystem, document: Do
     if claim.kind == "reach":
         return width_bound(system, claim.row, claim.square)
     if claim.kind == "correction":
-        return correction(system)
+        return correction(system, document.given.noise if claim.squares else None, claim.squares)
     if claim.kind == "prediction":
         assert document.sampling is not None
         return defect_bound(sampled_prediction(observer, document.q, document.sampling), claim.square)
+    if claim.kind == "start":
+        return start_bound(system, document.reach_squares, claim.square)
+    if claim.kind == "disturbance" and document.sampling is not None:
+        return joint_force_bound(system, document.given.disturbance, claim.square)
     if claim.kind == "missing":
         return missing_bound(system, claim.square, claim.limit, document.unit_reach)
     return disturbance_bound(system, sizes(document), claim.square)

@@ -16,6 +16,7 @@ from the undisplaced one, since the body velocity of `exp(k₁ξ₀) exp(θ) exp
 """
 
 import functools
+from typing import Any
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -124,7 +125,8 @@ def body_point(
             theta, v = jnp.split(x, 2)
             first, xi = deviation(jnp.zeros_like(theta)), deviation(theta)
             k1, _ = observer.sample_gains(age)
-            turned = manifold.adjoint(manifold.exp(k1 * first), theta)
+            group: Any = manifold
+            turned = group.adjoint(group.exp(k1 * first), theta)
             moved = turned - manifold.frame_velocity(origin, -k1 * first, k1 * (xi - first))
             return jnp.concatenate([moved, bare.smoothly_moved(origin, v, xi, lacking(x), age).v])
 

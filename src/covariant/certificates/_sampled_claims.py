@@ -1,6 +1,5 @@
 """The claims of a certificate of the sampled step, with a metric that is searched, and again where a proof fails."""
 
-import functools
 import math
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -10,14 +9,15 @@ import numpy as np
 from jaxtyping import Float
 
 from covariant._typing import Numbers
-from covariant.certificates._claims import Claim, loss_of
-from covariant.certificates._document import MOST_LOST, Kind, Loss, Sampling, claim_bounds, drift_of, unit_reach
+from covariant.certificates._claims import Claim
+from covariant.certificates._document import MOST_LOST, Kind, Loss, Sampling, Stated, claim_bounds, unit_reach
 from covariant.certificates._effort import Effort
 from covariant.certificates._error_system import ErrorSystem
-from covariant.certificates._inequalities import contraction, correction, missing_bound
+from covariant.certificates._inequalities import contraction, correction, joint_force_bound, missing_bound
 from covariant.certificates._intrinsic import Intrinsics
 from covariant.certificates._prediction import defect_bound
-from covariant.certificates._sampled_metric import SampledMetric, random_points
+from covariant.certificates._radius_recursion import UNDISTURBED, Recursion
+from covariant.certificates._sampled_metric import Found, SampledMetric, random_points
 from covariant.certificates._sampled_step import sampled_prediction, sampled_system
 from covariant.certificates._tangent_metric import TwoByTwo
 from covariant.lowering import numbers
@@ -45,8 +45,7 @@ def check_sampling(
     interval: tuple[float, float],
     lost: int,
     q: Numbers | None,
-    noise: Float[np.ndarray, "n"],
-    disturbance: Float[np.ndarray, "n"],
+    n: int,
 ) -> Sampling:
     """Check the arguments of `certify` that concern samples.
 
@@ -54,7 +53,8 @@ def check_sampling(
         observer: the observer.
         interval: shortest and longest time [s] between two samples.
         lost: number of samples that may be lost in a row.
-        q, noise, disturbance: further arguments, which are not covered together with samples.
+        q: the metric, which is searched and must not be given.
+        n: number of velocities.
 
     Returns:
         The samples, without a metric yet.
@@ -77,65 +77,68 @@ def check_sampling(
         raise ValueError(f"certify: lost must be from 0 to {MOST_LOST}; got {lost}")
     if q is not None:
         raise ValueError("certify: with interval the metric is searched; leave q out")
-    if noise.any() or disturbance.any():
-        raise ValueError("certify: with interval, noise and disturbance are not covered; leave them out")
     # Six variables a coordinate and the age; on rotations up to nine entries and five variables a velocity.
     most = (len(LETTERS) - 1) // 6
-    if len(noise) > most:
-        raise ValueError(f"certify: with interval at most {most} coordinates are covered; got {len(noise)}")
+    if n > most:
+        raise ValueError(f"certify: with interval at most {most} coordinates are covered; got {n}")
     return Sampling(np.array([shortest, longest]), lost, np.zeros((0, 2, 2)), False, observer.substeps)
 
 
-def sampled_given(true: Box, inputs: Float[np.ndarray, "2 m"], times: tuple[float, float], n: int) -> dict[str, Any]:
-    """Return the bounds of a certificate, as plain data, without noise and disturbance.
+def sampled_given(
+    true: Box,
+    inputs: Float[np.ndarray, "2 m"],
+    times: tuple[float, float],
+    noise: Float[np.ndarray, "n"],
+    disturbance: Float[np.ndarray, "n"],
+) -> dict[str, Any]:
+    """Return the bounds of a certificate, as plain data.
 
     Args:
         true: box of the true positions.
         inputs: least and largest inputs (2, m).
         times: first and last time [s].
-        n: number of velocities.
+        noise: bounds (n,) of the errors of measured positions.
+        disturbance: bounds (n,) of a force that the model lacks.
     """
-    none = [0.0] * n
+    # The force depends on the input alone, so that no error of the position changes it.
     return {
         "positions": {"low": true.low.tolist(), "high": true.high.tolist()},
         "inputs": {"low": inputs[0].tolist(), "high": inputs[1].tolist()},
         "times": list(times),
-        "noise": none,
-        "disturbance": none,
-        "slopes": [none] * n,
+        "noise": noise.tolist(),
+        "disturbance": disturbance.tolist(),
+        "slopes": [[0.0] * len(noise)] * len(noise),
     }
 
 
 def sampled_claims(
     observer: Intrinsics,
     sampling: Sampling,
-    rate: float,
+    rates: Sequence[float],
     q: TwoByTwo,
+    noise: Float[np.ndarray, "n"],
     domain_of: Callable[[ErrorSystem], Box],
     effort: Effort,
-) -> tuple[TwoByTwo, Sampling, ErrorSystem, Box, list[Claim]]:
+) -> tuple[float, TwoByTwo, Sampling, ErrorSystem, Box, list[Claim]]:
     """Search a metric, and prove that flow and correction contract it.
 
     Args:
         observer: the observer.
         sampling: the samples.
-        rate: rate λ [1/s] of squared lengths.
+        rates: rates λ [1/s] of squared lengths; with noise the one with the smallest bound of the velocity is taken.
         q: matrix (2, 2) of the metric of the continuous observer, for a first region.
+        noise: bounds (n,) of the errors of the measured positions.
         domain_of: the box of a system, whose metric relates errors of position and velocity.
         effort: the effort; its region is set here.
 
     Returns:
-        R_0, the samples with the rest of the metric, system and region, and the claims "contraction" and "correction".
+        The rate, R_0, the samples with the rest of the metric, system and region, and the claims "contraction" and
+        "correction".
     """
     domain = domain_of(sampled_system(observer, q, sampling))
     effort.report("searching the metric", 0.0, 0)
-    search = SampledMetric(observer, sampling, rate)
-    metric = search.solve(domain)
-    if metric.margin < ENOUGH * rate:
-        sheared = SampledMetric(observer, sampling._replace(shear=True), rate)
-        other = sheared.solve(domain)
-        if other.margin > metric.margin:
-            search, metric = sheared, other
+    search, metric = _search(observer, sampling, rates, noise, domain)
+    rate = search.rate
     # How errors of position and velocity compare depends on the metric, and the region on that: a second time.
     domain = domain_of(sampled_system(observer, metric.q, search.sampling._replace(slopes=metric.slopes)))
     effort.domain = domain
@@ -143,12 +146,35 @@ def sampled_claims(
         metric = search.solve(domain)
         sampling = search.sampling._replace(slopes=metric.slopes)
         system = sampled_system(observer, metric.q, sampling)
-        claims = _prove(system, sampling, rate, effort)
+        claims = _prove(system, sampling, rate, effort, noise, metric.squares)
         wrong = _counterexamples(claims)
         if not (wrong and search_again) or metric.margin <= 0:
-            return metric.q, sampling, system, domain, claims
+            return rate, metric.q, sampling, system, domain, claims
         search.add(wrong)
     raise AssertionError
+
+
+def _search(
+    observer: Intrinsics, sampling: Sampling, rates: Sequence[float], noise: Float[np.ndarray, "n"], domain: Box
+) -> tuple[SampledMetric, Found]:
+    """The metric with the largest margin, or with noise the smallest bound, without or with shear."""
+    search = SampledMetric(observer, sampling, rates[0], noise)
+    if not noise.any():
+        metric = search.solve(domain)
+        if metric.margin < ENOUGH * search.rate:
+            sheared = SampledMetric(observer, sampling._replace(shear=True), search.rate, noise)
+            other = sheared.solve(domain)
+            if other.margin > metric.margin:
+                return sheared, other
+        return search, metric
+    best, metric = search, Found(q=np.eye(2), slopes=np.zeros((0, 2, 2)), margin=-np.inf)
+    for each in (search, SampledMetric(observer, sampling._replace(shear=True), rates[0], noise)):
+        for rate in rates:
+            other = each.at_rate(rate)
+            found = other.solve(domain)
+            if metric.margin <= 0 or (found.margin > 0 and found.velocity < metric.velocity):
+                best, metric = other, found
+    return best, metric
 
 
 def _counterexamples(claims: Sequence[Claim]) -> list[tuple[Kind, np.ndarray]]:
@@ -160,17 +186,33 @@ def _counterexamples(claims: Sequence[Claim]) -> list[tuple[Kind, np.ndarray]]:
     return wrong
 
 
-def _prove(system: ErrorSystem, sampling: Sampling, rate: float, effort: Effort) -> list[Claim]:
+def _prove(
+    system: ErrorSystem,
+    sampling: Sampling,
+    rate: float,
+    effort: Effort,
+    noise: Float[np.ndarray, "n"],
+    squares: Sequence[Float[np.ndarray, "k"]],
+) -> list[Claim]:
     """The claims on flow and correction; after one that does not hold the others are not tried."""
     claims = [Claim("contraction", effort.prove("contraction", contraction(system, rate)))]
     for lost in range(sampling.lost + 1):
         if claims[-1].proof.verdict != "holds":
             break
         low, high = claim_bounds(sampling, "correction", lost, effort.domain.low, effort.domain.high)
-        proof = effort.prove(
-            f"correction after {lost} lost", correction(system), effort.domain._replace(low=low, high=high)
-        )
-        claims.append(Claim("correction", proof, lost))
+        what, domain = f"correction after {lost} lost", effort.domain._replace(low=low, high=high)
+        added = np.asarray(squares[lost]) if noise.any() else np.zeros(0)
+
+        def proved(added, what=what, domain=domain):
+            return effort.prove(what, correction(system, noise if len(added) else None, added.tolist()), domain)
+
+        proof = proved(added)
+        for _ in range(SEARCHES - 1):
+            if proof.counterexample is None or not len(added):
+                break
+            added = 1.2 * added  # where a point is worse than all that were sampled
+            proof = proved(added)
+        claims.append(Claim("correction", proof, lost, squares=tuple(added.tolist())))
     return claims
 
 
@@ -207,8 +249,11 @@ def prediction_claims(
     low, high = claim_bounds(sampling, "prediction", 0, effort.domain.low, effort.domain.high, n)
     domain = Box(prediction.names, prediction.units, low, high)
     points = random_points(np.random.default_rng(0), domain, POINTS)
-    loss = loss_of(sampling, q, rate, claims)
-    drift = functools.partial(drift_of, sampling, rate, loss)
+
+    def drift(square: float) -> float:
+        stated = Stated("prediction", (), square=square)
+        return Recursion.of(sampling, q, rate, UNDISTURBED, [*claims, stated]).steady
+
     least = _sampled_square(defect_bound(prediction, 1.0), points)
     squares = [factor * max(least, TINY) for factor in (*MUCH_WIDER, *WIDER)]
     if drift(squares[-1]) < radius:
@@ -240,6 +285,32 @@ def _proved_within(effort: Effort, bound: Form, domain: Box) -> Proof:
     proof = effort.prove("predictions", bound, domain)
     effort.boxes = max(left - proof.boxes, 0)
     return proof
+
+
+def force_claim(system: ErrorSystem, disturbance: Float[np.ndarray, "n"], effort: Effort) -> Claim:
+    """Prove a bound of what an unknown force adds to the flow between samples.
+
+    Args:
+        system: the system.
+        disturbance: bounds (n,) of the force.
+        effort: the effort.
+
+    Returns:
+        The claim "disturbance".
+    """
+    rng = np.random.default_rng(0)
+    graph = joint_force_bound(system, disturbance, 0.0).graph(jnp.asarray(effort.domain.high)).entries
+    n = len(disturbance)
+    values = np.asarray(numbers(graph, random_points(rng, effort.domain, POINTS))).reshape(-1, n, n)
+    # With square = 0 the matrix is −BᵀMB.
+    square = WIDER[-1] * -float(np.linalg.eigvalsh(values).min())
+    proof = effort.prove("unknown forces", joint_force_bound(system, disturbance, square))
+    for _ in range(SEARCHES):
+        if proof.counterexample is None:
+            break
+        square *= 2
+        proof = effort.prove("unknown forces", joint_force_bound(system, disturbance, square))
+    return Claim("disturbance", proof, 0, square)
 
 
 def missing_claims(

@@ -32,6 +32,7 @@ from covariant.certificates._intrinsic import (
     Intrinsics,
     any_configuration,
     dimension,
+    friction_of,
     need_joint_friction,
     need_steady_friction,
     with_model,

@@ -332,6 +332,14 @@ def certify(
         Checker,
         typer.Option(help="Give what is proved to the checker: for as long as the proof took, all, or not."),
     ] = "auto",
+    find: Annotated[
+        str | None,
+        typer.Option(
+            help="Search the largest that is proved, beginning with what is given: error (a multiple of it), rate, or "
+            "interval (its longest time)."
+        ),
+    ] = None,
+    runs: Annotated[int, typer.Option(help="With --find, how many certificates are tried at most.", min=1)] = 10,
     out: Annotated[Path | None, typer.Option("--out", "-o", help="Write the certificate here (.json).")] = None,
     figure: Annotated[Path | None, typer.Option(help="Draw region, tube, distances and gains here (.png).")] = None,
     check: Annotated[Path | None, typer.Option("--check", help="Verify this saved certificate instead.")] = None,
@@ -385,6 +393,8 @@ def certify(
             seconds=seconds,
             processes=processes or os.cpu_count() or 1,
             checker=checker,
+            find=find,
+            runs=runs,
             overrides=tuple(override),
             progress=progress,
         )

@@ -2,7 +2,7 @@
 
 import math
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from covariant import certificates, models
 from covariant.calibration import observer_gains
-from covariant.certificates import Checked, CheckerName, Claim, ContractionCertificate, Document
+from covariant.certificates import Attempt, Checked, CheckerName, Claim, ContractionCertificate, Document, Start
 from covariant.models import MechanicalSystem, ModelFile, Overrides, input_count
 from covariant.observers import Geodesic, Intrinsic
 from covariant.proofs import MOST_BOXES, read_file
@@ -27,6 +27,14 @@ if TYPE_CHECKING:
 
 OBSERVERS = {"intrinsic": Intrinsic, "geodesic": Geodesic}
 """The observers that there are certificates for."""
+FIND = {
+    "error": "multiple of the errors",
+    "rate": "rate λ [1/s]",
+    "interval": "longest time between samples [s]",
+}
+"""What `find` may name, and what is varied then."""
+RUNS = 10
+"""Largest number of certificates that a search tries, by default."""
 VERDICTS = {"holds": "proved", "fails": "wrong", "undecided": "not decided"}
 """What people call the verdicts."""
 _KINDS = {"estimate": "estimate of", "velocity": "estimated velocity", "error": "position error", "force": "force"}
@@ -60,6 +68,8 @@ def certify(
     seconds: float | None = None,
     processes: int = 1,
     checker: CheckerName = "auto",
+    find: str | None = None,
+    runs: int = RUNS,
     overrides: Overrides = (),
     progress: Progress = silent,
 ) -> "CertifyResult":
@@ -88,6 +98,10 @@ def certify(
         processes: Processes to prove with; with several, a script needs the `if __name__ == "__main__"` guard.
         checker: "auto" gives what was proved to the checker for as long as the proof took, or ten seconds; "all" until
             it is through; "off" not at all. What it does not accept is not proved.
+        find: Searches the largest value that is proved, each attempt with at most `boxes` boxes, beginning with the one
+            given: "error" multiplies all bounds of the error, and with them grows the radius; "rate" varies `rate`;
+            "interval" the longest time between two samples.
+        runs: With `find`, how many certificates are tried at most.
         overrides: Values that replace those of the model file.
         progress: Called with the current proof and the fraction of its region that is decided.
 
@@ -138,13 +152,52 @@ def certify(
         "checker": checker,
     }
     recipe = models.recipe(name, overrides) if isinstance(model, str | os.PathLike) else None
-    certificate = certificates.certify(
-        OBSERVERS[observer](system, *gains),
-        recipe=recipe,
-        progress=lambda what, share, count: progress(f"proving {what}, {count} boxes", share),
-        **settings,
-    )
-    return CertifyResult(name, certificate, design)
+
+    def prove(**changes: Any) -> ContractionCertificate:
+        return certificates.certify(
+            OBSERVERS[observer](system, *gains),
+            recipe=recipe,
+            progress=lambda what, share, count: progress(f"proving {what}, {count} boxes", share),
+            **(settings | changes),
+        )
+
+    if find is None:
+        return CertifyResult(name, prove(), design)
+    certificate, attempts = _largest(find, settings, prove, runs)
+    return CertifyResult(name, certificate, design, FIND[find], attempts)
+
+
+def _largest(
+    find: str, settings: dict[str, Any], prove: Callable[..., ContractionCertificate], runs: int
+) -> tuple[ContractionCertificate, tuple[Attempt, ...]]:
+    """The certificate of the largest value of a setting that is proved, and the attempts."""
+    if find not in FIND:
+        raise ValueError(f"find: choose one of {', '.join(FIND)}; got {find!r}")
+    if find != "error" and settings[find] is None:
+        raise ValueError(f"find: give {find}, with which the search for the largest begins")
+    error, interval = settings["error"], settings["interval"]
+    first, least = 1.0, 0.0
+    if find == "rate":
+        first = settings["rate"]
+    if find == "interval":
+        least, first = (float(h) for h in interval)
+
+    def changed(value: float) -> dict[str, Any]:
+        match find:
+            case "error":
+                return {"error": value * np.asarray(error)}
+            case "rate":
+                return {"rate": value}
+            case _:
+                return {"interval": (least, value)}
+
+    # The checker examines what is returned, and none of the attempts before it.
+    found = certificates.largest(lambda value: prove(**changed(value), checker="off"), first, least=least, runs=runs)
+    certificate = found.certificate
+    assert certificate is not None
+    if settings["checker"] != "off" and found.value is not None:
+        certificate = prove(**changed(found.value))
+    return certificate, found.attempts
 
 
 @dataclass(frozen=True, repr=False)
@@ -155,6 +208,8 @@ class CertifyResult(AbstractResult):
         model_name: The model, by its path or name.
         certificate: The statement with its proofs.
         design: A sentence on where the gains come from.
+        varied: With `find`, what was varied.
+        attempts: With `find`, each value that was tried, with its verdict.
 
     Example:
         >>> import covariant
@@ -167,6 +222,8 @@ class CertifyResult(AbstractResult):
     model_name: str
     certificate: ContractionCertificate
     design: str
+    varied: str = ""
+    attempts: tuple[Attempt, ...] = ()
 
     @property
     def holds(self) -> bool:
@@ -208,6 +265,8 @@ class CertifyResult(AbstractResult):
             "radius": cert.radius,
             "steady": cert.steady if math.isfinite(cert.steady) else None,
             "half_widths": cert.half_widths.tolist() if self.holds else None,
+            "start": None if cert.start is None else _start(cert.start),
+            "attempts": [attempt._asdict() for attempt in self.attempts],
             "velocity": cert.velocity.tolist(),
             "domain": {name: [low, high] for name, low, high in ends},
             "boxes": cert.boxes,
@@ -225,6 +284,8 @@ class CertifyResult(AbstractResult):
             "",
             self.design,
             *(self._tube() if self.holds else ["no tube is proved"]),
+            *([f"tried for the largest {self.varied}:"] if self.attempts else []),
+            *(f"  {attempt}" for attempt in self.attempts),
             "the domain of the proofs:",
         ]
         for kind, name, unit, low, high in zip(
@@ -255,7 +316,17 @@ class CertifyResult(AbstractResult):
         names, units, n = cert.domain.names, cert.domain.units, len(cert.velocity)
         rates = [f"{unit}/s" if unit and not unit.endswith("/s") else unit for unit in units[:n]]
         turns = [unit.removesuffix("/s") for unit in units[:n]]
+        start = cert.start
+        covered = (
+            []
+            if start is None
+            else [
+                "every start is covered whose errors are, all at once, within",
+                *(f"  {line}" for line in start.lines),
+            ]
+        )
         return [
+            *covered,
             f"tube of the radius ε = {cert.radius:.4g}: every estimate in it stays within",
             *(
                 f"  {w:.4g} {unit} of {what} {name}{_in_degrees(w, unit)}"
@@ -452,6 +523,12 @@ def _metric(entries: Sequence[float | int] | None) -> Float[np.ndarray, "2 2"] |
     if not (a > 0 and a * b > c * c):  # Sylvester's criterion
         raise ValueError(f"q: [[a, c], [c, b]] must be positive definite, a > 0 and ab > c²; got {a:g}, {c:g}, {b:g}")
     return np.array([[a, c], [c, b]])
+
+
+def _start(start: Start) -> dict[str, dict[str, float]]:
+    """The errors of a start by name, in radians and metres."""
+    rows = zip(start.names, start.together.tolist(), start.alone.tolist(), start.farthest.tolist(), strict=True)
+    return {name: {"together": a, "alone": b, "farthest": c} for name, a, b, c in rows}
 
 
 def _undecided(certificate: ContractionCertificate) -> list[Claim]:
