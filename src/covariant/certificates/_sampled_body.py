@@ -16,9 +16,8 @@ from the undisplaced one, since the body velocity of `exp(k₁ξ₀) exp(θ) exp
 """
 
 import functools
-from typing import Any
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
