@@ -2,10 +2,12 @@
 
 import functools
 import hashlib
+import importlib.util
 import os
 import platform
 import shutil
 import subprocess
+import sys
 import tempfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -54,6 +56,17 @@ The warning that is disabled concerns vectors as arguments of functions that oth
 def compiler() -> str | None:
     """Path of the compiler that the environment variable CC names, or of `cc`; None where there is none."""
     return shutil.which(os.environ.get("CC") or "cc")
+
+
+def compiler_command() -> list[str] | None:
+    """Command of `compiler` or, where there is none, of the package ziglang; None where there is neither."""
+    path = compiler()
+    return [path] if path else zig()
+
+
+def zig() -> list[str] | None:
+    """Command of the C compiler in the package ziglang; None where it is not installed."""
+    return [sys.executable, "-m", "ziglang", "cc"] if importlib.util.find_spec("ziglang") else None
 
 
 def compiled(source: str, flags: Sequence[str], load: Callable[[str], Library]) -> Library:

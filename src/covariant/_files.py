@@ -1,11 +1,13 @@
 """Atomic writing of files: a path holds the old file or the new one, and leftovers of killed writers are removed."""
 
 import contextlib
+import io
 import os
 import re
 import shutil
 import uuid
-from collections.abc import Callable, Iterator
+import zipfile
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import BinaryIO, Literal
 
@@ -13,6 +15,9 @@ try:
     import fcntl
 except ImportError:  # Windows: files cannot be locked there, and so nothing is removed
     fcntl = None
+
+BEGINNING = (1980, 1, 1, 0, 0, 0)
+"""The date of all files in archives, so that equal files are equal archives."""
 
 
 def write_atomically(path: str | os.PathLike[str], write: Callable[[BinaryIO], object]) -> Path:
@@ -44,6 +49,31 @@ def write_atomically(path: str | os.PathLike[str], write: Callable[[BinaryIO], o
             os.fsync(file.fileno())
         os.replace(fresh, path)
     return path
+
+
+def zipped(files: Mapping[str, bytes]) -> bytes:
+    """A zip archive of files, the same bytes for the same files.
+
+    Args:
+        files: Contents by their path in the archive.
+
+    Returns:
+        The archive.
+
+    Example:
+        >>> import io, zipfile
+        >>> from covariant._files import zipped
+        >>> zipfile.ZipFile(io.BytesIO(zipped({"a/b.txt": b"done"}))).read("a/b.txt")
+        b'done'
+    """
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, content in files.items():
+            entry = zipfile.ZipInfo(name, BEGINNING)
+            # Permissions of a file that anybody may read: without them, some programs make files unpack unreadable.
+            entry.compress_type, entry.external_attr = zipfile.ZIP_DEFLATED, 0o644 << 16
+            archive.writestr(entry, content)
+    return buffer.getvalue()
 
 
 @contextlib.contextmanager

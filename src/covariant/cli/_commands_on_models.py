@@ -217,6 +217,12 @@ def export(
         bool,
         typer.Option("--step-per-sensor", help="Of a filter with sensors, a step for each of them alone as well."),
     ] = False,
+    python: Annotated[
+        bool, typer.Option("--python", help="Write a Python package beside the C, with a wheel; it needs NumPy alone.")
+    ] = False,
+    wasm: Annotated[
+        bool, typer.Option("--wasm", help="Compile it to WebAssembly as well, with a script for pages and Node.")
+    ] = False,
     audit: Annotated[bool, typer.Option("--audit/--no-audit", help="Measure the laws of the observer first.")] = True,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace files that are there.")] = False,
     override: Override = [],  # noqa: B006  typer copies it
@@ -240,6 +246,8 @@ def export(
             fmi=fmi,
             lag=lag,
             step_per_sensor=step_per_sensor,
+            python=python,
+            wasm=wasm,
             audit=audit,
             overwrite=overwrite,
             overrides=tuple(override),

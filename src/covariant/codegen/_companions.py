@@ -33,7 +33,7 @@ def companions(program: Program, name: str, about: str) -> dict[str, str]:
         f"{name}.hpp": _CPP,
         "README.md": _README,
     }
-    return {file: _filled(text, replacements) for file, text in templates.items()}
+    return {file: filled(text, replacements) for file, text in templates.items()}
 
 
 def _count(program: Program) -> int:
@@ -43,7 +43,13 @@ def _count(program: Program) -> int:
     return count
 
 
-def _filled(text: str, replacements: Mapping[str, str]) -> str:
+def filled(text: str, replacements: Mapping[str, str]) -> str:
+    """A template with its placeholders replaced, in order.
+
+    Args:
+        text: The template.
+        replacements: Replacements by placeholder, such as `@NAME@`.
+    """
     for placeholder, replacement in replacements.items():
         text = text.replace(placeholder, replacement)
     return text

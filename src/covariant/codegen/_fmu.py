@@ -7,13 +7,11 @@ Source: Modelica Association 2022, Functional Mock-up Interface Specification 3.
 """
 
 import hashlib
-import io
 import platform
 import shutil
 import subprocess
 import tempfile
 import uuid
-import zipfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Literal, NamedTuple
@@ -21,7 +19,7 @@ from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
-from covariant._files import write_atomically
+from covariant._files import write_atomically, zipped
 from covariant.codegen._fmu_c import unit_source
 from covariant.codegen._program import Program
 from covariant.codegen._source import write_source
@@ -37,8 +35,6 @@ PLACES = {
     ("2.0", "Darwin", "x86_64"): "darwin64",
 }
 """Folders of binaries, by version, system and machine."""
-BEGINNING = (1980, 1, 1, 0, 0, 0)
-"""The date of all files, so that equal units are equal files."""
 
 
 class UnitVariable(NamedTuple):
@@ -164,14 +160,7 @@ def write_fmu(unit: Unit, path: Path, overwrite: bool = False) -> None:
         raise ValueError(f"{path}: there is one already; name a new one, or replace a file by --overwrite")
     if not path.resolve().parent.is_dir():
         raise ValueError(f"{path}: there is no folder {path.resolve().parent}; make it first")
-    buffer = io.BytesIO()
-    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
-        for name, content in unit.files.items():
-            entry = zipfile.ZipInfo(name, BEGINNING)
-            # The upper half of a ZIP entry's external attributes is the Unix mode: without it files unpack unreadable.
-            entry.compress_type, entry.external_attr = zipfile.ZIP_DEFLATED, 0o644 << 16
-            archive.writestr(entry, content)
-    write_atomically(path, lambda file: file.write(buffer.getvalue()))
+    write_atomically(path, lambda file: file.write(zipped(unit.files)))
 
 
 def _compiled(files: dict[str, bytes], name: str) -> bytes:

@@ -13,11 +13,17 @@ from covariant.codegen._data_sheet import Facts, data_sheet
 from covariant.codegen._program import Program
 from covariant.codegen._self_test import write_test
 from covariant.codegen._source import write_source
-from covariant.codegen._vectors import vectors
+from covariant.codegen._vectors import Vectors, vectors
 
 
 def export_texts(
-    program: Program, name: str, about: str, measured: np.ndarray, facts: Facts, flash: int | float = math.inf
+    program: Program,
+    name: str,
+    about: str,
+    measured: np.ndarray,
+    facts: Facts,
+    flash: int | float = math.inf,
+    run: Vectors | None = None,
 ) -> dict[str, str]:
     """All files of an export: header, source, self-test, data sheet, build files and a README.
 
@@ -30,6 +36,7 @@ def export_texts(
         measured: Measurements (ROWS + 1, *n) of the self-test, the first of which starts it.
         facts: Further facts on the data sheet.
         flash: Limit [bytes] of code and constants, as for `write_source`; by default there is none.
+        run: The run that the self-test follows; by default it is computed from the measurements.
 
     Returns:
         The texts by their path in the folder of the export.
@@ -53,17 +60,17 @@ def export_texts(
     return {
         f"{name}.h": source.header,
         f"{name}.c": source.source,
-        f"test/{name}_test.c": write_test(program, name, vectors(program, measured, facts.rate)),
+        f"test/{name}_test.c": write_test(program, name, run or vectors(program, measured, facts.rate)),
         "DATASHEET.md": data_sheet(program, source, about, facts),
         **companions(program, name, about),
     }
 
 
-def write_folder(texts: Mapping[str, str], folder: Path, overwrite: bool = False) -> list[Path]:
+def write_folder(files: Mapping[str, str | bytes], folder: Path, overwrite: bool = False) -> list[Path]:
     """Write files into a folder. A new folder appears with all of its files or not at all.
 
     Args:
-        texts: Texts by their path in the folder.
+        files: Texts and other contents by their path in the folder.
         folder: The folder, which is created where it is not there; its parent must exist.
         overwrite: Replace files of a folder that is not empty, one by one; others stay. By default it is refused.
 
@@ -88,15 +95,16 @@ def write_folder(texts: Mapping[str, str], folder: Path, overwrite: bool = False
         raise ValueError(f"{folder}: the folder is not empty; name a new one, or replace its files by --overwrite")
     if not folder.resolve().parent.is_dir():
         raise ValueError(f"{folder}: there is no folder {folder.resolve().parent}; make it first")
+    contents = {path: file.encode() if isinstance(file, str) else file for path, file in files.items()}
     if folder.exists():
-        for path, text in texts.items():
-            (folder / path).parent.mkdir(exist_ok=True)
-            write_atomically(folder / path, lambda file, text=text: file.write(text.encode()))
+        for path, content in contents.items():
+            (folder / path).parent.mkdir(parents=True, exist_ok=True)
+            write_atomically(folder / path, lambda file, content=content: file.write(content))
     else:
         with temporary(folder, Path.mkdir) as fresh:
-            for path, text in texts.items():
-                (fresh / path).parent.mkdir(exist_ok=True)
-                (fresh / path).write_bytes(text.encode())
+            for path, content in contents.items():
+                (fresh / path).parent.mkdir(parents=True, exist_ok=True)
+                (fresh / path).write_bytes(content)
             # A rename is atomic: nobody sees the folder with a part of its files.
             os.rename(fresh, folder)
-    return [folder / path for path in texts]
+    return [folder / path for path in files]

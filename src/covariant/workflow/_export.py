@@ -1,4 +1,4 @@
-"""`export`: an observer as C for microcontrollers and controllers, or as a unit (.fmu) for simulators."""
+"""`export`: an observer as C for microcontrollers, as a Python package, as WebAssembly, or as a unit (.fmu)."""
 
 import math
 import os
@@ -24,6 +24,9 @@ from covariant.codegen import (
     fmu,
     of_family,
     program,
+    python_files,
+    vectors,
+    wasm_files,
     with_open_numbers,
     write_fmu,
     write_folder,
@@ -53,6 +56,7 @@ STORED = ("low", "high", "spacing", "factors")
 """Arrays of a metric on a grid, a table that the code looks up."""
 REALS = ("double", "float")
 VERSIONS = ("3.0", "2.0")
+NO_COMPILER = "there is no C compiler; set CC, install cc, or pip install ziglang"
 CENTRE, SWING = 0.7, 0.2
 """Where positions of the self-test are, and how far they swing, in units of the coordinates; circles start at π."""
 AUDITED = 6
@@ -76,6 +80,8 @@ def export(
     fmi: str | None = None,
     lag: float | None = None,
     step_per_sensor: bool = False,
+    python: bool = False,
+    wasm: bool = False,
     audit: bool = True,
     overwrite: bool = False,
     overrides: Overrides = (),
@@ -101,6 +107,8 @@ def export(
             filter with a covariance. None (default) for estimates of the present.
         step_per_sensor: Of a filter with sensors, write a step for each of them and for the configuration as well,
             for samples in which nothing else was read: less work, more code.
+        python: Whether a Python package that needs NumPy alone is written beside the C, and a wheel of it.
+        wasm: Whether the observer is compiled to WebAssembly as well, with a script for pages and Node.
         audit: Whether the laws of the observer are measured first; violated ones are a warning.
         overwrite: Whether files that exist are replaced.
         overrides: Values that replace those of the model file.
@@ -125,7 +133,7 @@ def export(
     limit = math.inf if flash is None else above_zero("flash", flash)
     above_zero("rate", rate)
     gains = gain_pair(alpha, beta)
-    _check(unit, real, fmi, flash, certificate, step_per_sensor)
+    _check(unit, real, fmi, flash, certificate, step_per_sensor, python, wasm)
     label = models.spec_name(model)
     progress("reading the model")
     family = _family(model, overrides, parameters)
@@ -160,9 +168,13 @@ def export(
         files = [out]
     else:
         facts = Facts(rate, getattr(fixed, "substeps", None), proved, "".join(warnings))
-        files = write_folder(
-            export_texts(written, prefix, description, exported.measured, facts, limit), out, overwrite
-        )
+        run = vectors(written, exported.measured, rate)
+        texts = export_texts(written, prefix, description, exported.measured, facts, limit, run)
+        more = python_files(written, texts, prefix, description, rate) if python else {}
+        if python and not any(path.endswith(".whl") for path in more):
+            warnings.append(f"the Python package holds sources and no library: {NO_COMPILER}")
+        more |= wasm_files(written, texts, prefix, description, rate, run) if wasm else {}
+        files = write_folder({**texts, **more}, out, overwrite)
     return ExportResult(label, exported.name, description, exported.design, out, tuple(files), written, tuple(warnings))
 
 
@@ -228,7 +240,14 @@ class ExportResult(AbstractResult):
 
 
 def _check(
-    unit: bool, real: str, fmi: str | None, flash: float | int | None, certificate: str | Path | None, alone: bool
+    unit: bool,
+    real: str,
+    fmi: str | None,
+    flash: float | int | None,
+    certificate: str | Path | None,
+    alone: bool,
+    python: bool,
+    wasm: bool,
 ) -> None:
     """What needs the arguments alone."""
     if real not in REALS:
@@ -241,6 +260,10 @@ def _check(
         raise ValueError("flash is for a microcontroller, and a unit is not for one; leave it out")
     if unit and alone:
         raise ValueError("step_per_sensor is for C, and a unit has one step for all; leave it out")
+    if unit and (python or wasm):
+        raise ValueError(
+            f"{'python' if python else 'wasm'} is for a folder, and a unit is one file; name a folder by -o"
+        )
     if unit and certificate is not None:
         raise ValueError("certificate is for the data sheet, which a unit does not have; leave it out")
 

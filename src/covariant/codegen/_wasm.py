@@ -1,0 +1,135 @@
+"""An exported observer as WebAssembly, with a script that a page or Node loads."""
+
+import base64
+import json
+import math
+import re
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from covariant._compile import zig
+from covariant.codegen._companions import filled
+from covariant.codegen._program import Leaf, Program
+from covariant.codegen._source import SENTENCE
+from covariant.codegen._vectors import Vectors
+from covariant.codegen._wasm_module import CALLS, SCRIPT, SELF_TEST
+from covariant.signals import Result
+
+FLAGS = (
+    "--target=wasm32-wasi",
+    "-std=c99",
+    "-O2",
+    "-fno-math-errno",
+    "-ffp-contract=off",
+    "-nostartfiles",
+    "-Wl,--no-entry",
+    "-Wl,--strip-all",
+)
+"""Flags of the compiler: a module without a start, which imports nothing."""
+ARRAYS = {"double": "Float64Array", "float": "Float32Array"}
+REMEDY = "install the packages clang, lld and wasi-libc of the system, or the extra wasm: pip install 'covariant[wasm]'"
+
+
+def wasm_files(
+    program: Program, texts: Mapping[str, str], name: str, about: str, rate: float, run: Vectors
+) -> dict[str, bytes]:
+    """An exported observer as WebAssembly, a script around it that holds it as well, and a self-test for Node.
+
+    Args:
+        program: The observer as graphs.
+        texts: Its header and source, as `export_texts` writes them.
+        name: Prefix of all names in C, and name of the script's object.
+        about: A line that says what the observer is.
+        rate: Sampling rate [Hz] that it is made for.
+        run: The run that the self-test follows.
+
+    Returns:
+        Contents by their path in the folder of the export.
+
+    Raises:
+        ValueError: No compiler for WebAssembly is installed, or it refuses the sources; the message has its words.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant import codegen, observers
+        >>> recipe = codegen.with_open_numbers(observers.FilteredDerivative(20.0))
+        >>> program = codegen.program(recipe, np.zeros(1))
+        >>> source = codegen.write_source(program, "speed", "A filtered derivative.")
+        >>> texts = {"speed.h": source.header, "speed.c": source.source}
+        >>> run = codegen.vectors(program, np.zeros((codegen.ROWS + 1, 1)), 100.0)
+        >>> try:
+        ...     files = list(codegen.wasm_files(program, texts, "speed", "A filtered derivative.", 100.0, run))
+        ... except ValueError:  # no compiler
+        ...     files = ["speed.wasm", "speed.js", "speed_wasm.c", "test/speed_test.js"]
+        >>> files
+        ['speed.wasm', 'speed.js', 'speed_wasm.c', 'test/speed_test.js']
+    """
+    words = {"@NAME@": name, "@UPPER@": name.upper(), "@SENTENCE@": SENTENCE}
+    calls = filled(CALLS, words)
+    binary = _compiled({f"{name}.h": texts[f"{name}.h"], f"{name}.c": texts[f"{name}.c"], "calls.c": calls}, name)
+    script = filled(SCRIPT, words | _replacements(program, about, rate) | {"@WASM@": base64.b64encode(binary).decode()})
+    return {
+        f"{name}.wasm": binary,
+        f"{name}.js": script.encode(),
+        f"{name}_wasm.c": calls.encode(),
+        f"test/{name}_test.js": filled(SELF_TEST, words | _rows(run)).encode(),
+    }
+
+
+def _compiled(files: Mapping[str, str], name: str) -> bytes:
+    """The module, by the first compiler that makes one."""
+    clang, packaged = shutil.which("clang"), zig()
+    commands = ([[clang]] if clang else []) + ([packaged] if packaged else [])
+    if not commands:
+        raise ValueError(f"no compiler for WebAssembly is installed; {REMEDY}")
+    messages = []
+    with tempfile.TemporaryDirectory() as folder:
+        for path, text in files.items():
+            (Path(folder) / path).write_text(text, encoding="utf-8")
+        for command in commands:
+            words = [*command, *FLAGS, f"{name}.c", "calls.c", "-lm", "-o", "made.wasm"]
+            done = subprocess.run(words, cwd=folder, capture_output=True, text=True, check=False)
+            if done.returncode == 0:
+                return (Path(folder) / "made.wasm").read_bytes()
+            messages.append(f"{' '.join(command)}: {done.stderr.strip()[:200]}")
+    raise ValueError(f"no WebAssembly could be compiled; {REMEDY}\n" + "\n".join(messages))
+
+
+def _replacements(program: Program, about: str, rate: float) -> dict[str, str]:
+    return {
+        "@ABOUT@": about,
+        "@WITH_U@": ", u" if program.u else "",
+        "@FIRST@": program.x[-1].name,
+        "@RATE@": repr(float(rate)),
+        "@MEASUREMENTS@": str(math.prod(program.y)),
+        "@INPUTS@": str(program.u),
+        "@RESULTS@": json.dumps([result.name for result in Result]),
+        "@MESSAGES@": json.dumps([result.message for result in Result], ensure_ascii=False),
+        "@PARAMS@": _sizes([Leaf(key, np.shape(value)) for key, value in program.numbers.items()]),
+        "@STATE@": _sizes([*program.state, *(leaf._replace(name=f"last_{leaf.name}") for leaf in program.reported)]),
+        "@OUTPUT@": _sizes([*program.x, *program.told]),
+        "@ARRAY@": ARRAYS[program.real],
+    }
+
+
+def _sizes(leaves: Sequence[Leaf]) -> str:
+    return json.dumps([[leaf.name, leaf.size] for leaf in leaves if leaf.size])
+
+
+def _rows(run: Vectors) -> dict[str, str]:
+    tables = {
+        "@START@": run.start,
+        "@STEPS@": run.dt,
+        "@INPUT_ROWS@": run.u,
+        "@MEASURED@": np.where(run.missing, np.nan, run.y),
+        "@EXPECTED@": run.expected,
+        "@ALLOWED@": run.allowed,
+        "@OUTCOMES@": run.result,
+    }
+    # Python writes NaN and Infinity as JavaScript does; a line for each row.
+    return {key: re.sub(r"\], \[", "],\n    [", json.dumps(table.tolist())) for key, table in tables.items()}
