@@ -99,6 +99,7 @@ geomstats: .venv-geomstats/ready
 # The site, in the folder site. Its generators are not needed for anything else: they are installed when first asked for.
 docs: .venv/docs
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build
+	$(BIN)/python tools/browser_page.py site/browser-demo.html
 
 .venv/docs: .venv/dev
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[docs]'

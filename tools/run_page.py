@@ -33,7 +33,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 RUN = ("bash", "python", "toml", "text")
-PARTS = ("c", "cpp", "cmake", "diff", "xml")
+PARTS = ("c", "cpp", "cmake", "diff", "js", "xml")
 """Languages of blocks that are parts of larger programs."""
 TOLERANCE = 0.05
 """Largest relative difference of a printed number from the one on the page."""

@@ -27,10 +27,11 @@ FLAGS = (
     "-fno-math-errno",
     "-ffp-contract=off",
     "-nostartfiles",
+    "-mexec-model=reactor",
     "-Wl,--no-entry",
     "-Wl,--strip-all",
 )
-"""Flags of the compiler: a module without a start, which imports nothing."""
+"""Flags of the compiler: a module without `main`, which imports nothing."""
 ARRAYS = {"double": "Float64Array", "float": "Float32Array"}
 REMEDY = "install the packages clang, lld and wasi-libc of the system, or the extra wasm: pip install 'covariant[wasm]'"
 

@@ -45,16 +45,12 @@ SCRIPT = """/* @ABOUT@
  *
  * @SENTENCE@
  *
- * In a page, also one that is opened as a file:
+ * In a page, after a script with src="@NAME@.js", also in one that is opened as a file:
  *
- *     <script src="@NAME@.js"></script>
- *     <script>
- *     @NAME@.load().then(({ Observer }) => {
- *         const observer = new Observer();
- *         const code = observer.step(y, dt@WITH_U@);   // NaN in y marks what was not measured; 0 is ok
- *         observer.estimate().@FIRST@;
- *     });
- *     </script>
+ *     const { Observer } = await @NAME@.load();
+ *     const observer = new Observer();
+ *     const code = observer.step(y, dt@WITH_U@);   // NaN in y marks what was not measured; 0 is ok
+ *     observer.estimate().@FIRST@;
  *
  * In Node: const @NAME@ = require("./@NAME@.js"). Sizes are numbers of arrays row by row.
  */
@@ -109,6 +105,7 @@ async function load() {
             const all = new @ARRAY@(calls.memory.buffer, calls.place(), ends[4]);
             this.#calls = calls;
             this.#all = all;
+            calls._initialize?.(); // which some compilers write
             calls.reset();
             this.params = Object.freeze(views(all.subarray(0, ends[0]), PARAMS));
             this.state = Object.freeze(views(all.subarray(ends[0], ends[1]), STATE));

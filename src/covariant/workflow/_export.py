@@ -157,7 +157,8 @@ def export(
     if lag is not None:
         delayed, description = _late(delayed, exported.name, lag, rate), f"{description} Estimates are {lag:g} s late."
     progress(f"writing {prefix}")
-    written = _program(label, delayed, family, file, parameters, real, exported.measured[0], unit, step_per_sensor)
+    opened = family if informed else None  # the others have no number of the model
+    written = _program(label, delayed, opened, file, parameters, real, exported.measured[0], unit, step_per_sensor)
     warnings = [line for line in (_broken_laws(exported.observer) if audit else "",) if line]
     if unit:
         version: Any = fmi or VERSIONS[0]

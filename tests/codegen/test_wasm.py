@@ -1,0 +1,160 @@
+"""An export as WebAssembly does what its C does, in Node, and says what is missing to make it."""
+
+import functools
+import importlib
+import json
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import browser_page
+import numpy as np
+import pytest
+from run_page import blocks
+
+import covariant
+from covariant import _compile, observers
+from covariant.codegen import _wasm, program, with_open_numbers
+
+ROOT = Path(__file__).parents[2]
+MODEL = str(ROOT / "examples" / "demo_double_pendulum.toml")
+ROWS, RATE = 400, 500.0
+needs_compiler = pytest.mark.skipif(shutil.which("cc") is None, reason="there is no C compiler, `cc`")
+
+
+@functools.cache
+def compiles() -> bool:
+    try:
+        return bool(_wasm._compiled({"a.c": "int a;", "calls.c": "#include <math.h>\nint b;"}, "a"))
+    except ValueError:
+        return False
+
+
+@pytest.fixture
+def wasm():
+    """Skips where WebAssembly cannot be made or run."""
+    if shutil.which("node") is None or not compiles():
+        pytest.skip("there is no compiler for WebAssembly, or no node")
+
+
+def node(script: str, folder: Path) -> str:
+    done = subprocess.run(["node", "-e", script], cwd=folder, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+@pytest.mark.long
+@needs_compiler
+@pytest.mark.parametrize("real", ["double", "float"])
+def test_it_does_in_node_what_its_c_does(wasm, real, tmp_path, monkeypatch):
+    """Along a run with missing measurements, irregular steps and inputs; and its self-test passes."""
+    folder, name = tmp_path / "arm", f"arm_{real}"
+    options = {"real": real, "name": name, "audit": False, "python": True, "wasm": True}
+    covariant.export(MODEL, folder, rate=RATE, **options)
+    said = subprocess.run(["node", f"test/{name}_test.js"], cwd=folder, capture_output=True, text=True)
+    assert said.stdout.startswith(f"{name}: ok, 40 steps, largest deviation 0."), said.stdout + said.stderr
+    monkeypatch.syspath_prepend(folder / "python")
+    made = importlib.import_module(name)
+    t = np.cumsum(np.random.default_rng(0).uniform(0.5, 1.5, ROWS)) / RATE
+    y = np.stack([0.5 * np.sin(3 * t), 0.3 * np.cos(5 * t)], axis=1)
+    y[100] = y[200, 1] = np.nan
+    u = 0.1 * np.sin(np.stack([t, 2 * t], axis=1))
+    expected = made.run(t, y, u, params={"mass": [0.6, 0.55]})
+    rows = json.dumps([t.tolist(), y.tolist(), u.tolist()]).replace("NaN", "null")
+    (folder / "rows.json").write_text(rows)
+    (folder / "made.json").write_text(node(_RUN.replace("@NAME@", name), folder))
+    estimates, codes = json.loads((folder / "made.json").read_text())
+    tolerance = {"double": 1e-12, "float": 2e-4}[real]
+    np.testing.assert_allclose(np.array(estimates)[:, :2], expected.q[1:], rtol=0, atol=tolerance)
+    np.testing.assert_allclose(np.array(estimates)[:, 2:], expected.v[1:], rtol=0, atol=tolerance)
+    assert codes == expected.result[1:].tolist()
+    if real == "double":
+        (use,) = (b for b in blocks((ROOT / "docs" / "browser.md").read_text(encoding="utf-8")) if b.language == "js")
+        assert node(use.text.replace("./arm.js", f"./{name}.js"), folder) == "COASTED 2\n"
+
+
+_RUN = """
+const { load } = require("./@NAME@.js");
+const [t, y, u] = JSON.parse(require("fs").readFileSync("rows.json"));
+const number = (value) => (value === null ? NaN : value);
+load().then(({ Observer }) => {
+    const observer = new Observer({ mass: [0.6, 0.55] }), other = new Observer();
+    observer.start(y[0], t[0]);
+    const estimates = [], codes = [];
+    let snapshot = null;
+    for (let k = 1; k < t.length; ++k) {
+        codes.push(observer.step(y[k].map(number), t[k] - t[k - 1], u[k - 1]));
+        other.step([1, 1], 0.002); // has a memory of its own
+        const { q, v } = observer.estimate();
+        if (snapshot !== null) snapshot.step(y[k].map(number), t[k] - t[k - 1], u[k - 1]);
+        if (k === 150) snapshot = observer.copy();
+        estimates.push([...q, ...v]);
+    }
+    if (String(snapshot.estimate().v) !== String(observer.estimate().v)) throw new Error("the snapshot differs");
+    for (const wrong of [() => observer.step([1], 0.1), () => new Observer({ weight: 1 }), () => new Observer({ mass: 1 })]) {
+        try { wrong(); } catch (error) { if (error instanceof RangeError) continue; }
+        throw new Error("nothing was refused");
+    }
+    console.log(JSON.stringify([estimates, codes]));
+});
+"""
+
+
+@pytest.mark.long
+def test_the_page_of_the_site_is_one_small_file_whose_observers_run(wasm, tmp_path):
+    """Its bench, without what draws, follows the pendulum."""
+    page = browser_page.page()
+    assert len(page.encode()) < 250_000
+    assert not re.search(r"<\w+[^>]*(src|href)=|https?://|@import|url\(|fetch\(", page)
+    *exported, main = re.findall(r"<script>\n(.*?)</script>", page, re.DOTALL)
+    assert len(exported) == 3
+    (tmp_path / "bench.js").write_text(
+        "\n".join(
+            [*(f"{{ const module = undefined; {text} }}" for text in exported), main[: main.index("const colour")]]
+        )
+        + _BENCH
+    )
+    errors = json.loads(node("require('./bench.js')", tmp_path))
+    assert max(errors["intrinsic"], errors["ekf"]) < 0.3, "rad/s, with a mass that is off by 10 %"
+    assert errors["derivative"] > max(errors["intrinsic"], errors["ekf"])
+
+
+_BENCH = """
+(async () => {
+    const kinds = {};
+    for (const name of NAMES) kinds[name] = (await globalThis[name].load()).Observer;
+    for (const [id, , , , , first] of SLIDERS) values[id] = first;
+    const bench = new Bench(kinds);
+    for (let k = 0; k < 8; ++k) bench.advance(1);
+    console.log(JSON.stringify(Object.fromEntries(NAMES.map((name) => [name, errors(bench.window(), name)[0]]))));
+})();
+"""
+
+
+def test_without_a_compiler_one_line_says_what_to_install(tmp_path, monkeypatch):
+    monkeypatch.setattr(_wasm.shutil, "which", lambda name: None)
+    monkeypatch.setattr(_wasm, "zig", lambda: None)
+    graphs = program(with_open_numbers(observers.FilteredDerivative(20.0)), np.zeros(1))
+    run = covariant.codegen.vectors(graphs, np.zeros((41, 1)), 100.0)
+    texts = {"speed.h": "", "speed.c": ""}
+    message = (
+        r"^no compiler for WebAssembly is installed; install the packages clang, lld and wasi-libc of the system, or "
+        r"the extra wasm: pip install 'covariant\[wasm\]'$"
+    )
+    with pytest.raises(ValueError, match=message):
+        covariant.codegen.wasm_files(graphs, texts, "speed", "A test.", 100.0, run)
+    assert _compile.zig() is None or "ziglang" in _compile.zig()
+    with pytest.raises(ValueError, match="wasm is for a folder, and a unit is one file"):
+        covariant.export("oscillator", tmp_path / "a.fmu", rate=100.0, wasm=True)
+
+
+def test_a_compiler_that_knows_no_webassembly_is_quoted(monkeypatch, tmp_path):
+    """As clang without wasi-libc."""
+    clang = tmp_path / "clang"
+    clang.write_text("#!/bin/sh\necho 'no such header' >&2\nexit 1\n")
+    clang.chmod(0o755)
+    monkeypatch.setattr(_wasm.shutil, "which", lambda name: str(clang))
+    monkeypatch.setattr(_wasm, "zig", lambda: None)
+    with pytest.raises(ValueError, match=r"no WebAssembly could be compiled; install (.|\n)*clang: no such header"):
+        _wasm._compiled({"a.c": "", "calls.c": ""}, "a")
