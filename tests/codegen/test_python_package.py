@@ -135,17 +135,16 @@ def test_samples_are_those_of_the_log_and_of_a_stream(package):
     assert np.isnan(stepped.estimate().q).all()
     assert stepped.step([np.nan, 0.0], 0.1) is made.Result.COASTED
     assert stepped.start(record.y[0], record.t[0]) is made.Result.OK
-    x = stream.step(record.t[0], record.y[0], record.u[0])
+    x, snapshot = stream.step(record.t[0], record.y[0], record.u[0]), stepped
     for k in range(1, ROWS):
         result = stepped.step(record.y[k], record.t[k] - record.t[k - 1], record.u[k - 1])
         x = stream.step(record.t[k], record.y[k], record.u[k - 1])
         assert result == run.result[k] == stream.result
-        snapshot = stepped.copy() if k == 30 else snapshot if k > 30 else None
+        snapshot = stepped.copy() if k == 30 else snapshot
     estimate = stepped.estimate()
     np.testing.assert_array_equal(np.concatenate(estimate), np.concatenate([run.q[-1], run.v[-1]]))
     np.testing.assert_allclose(np.concatenate(estimate), x, rtol=0, atol=1e-12)
     np.testing.assert_array_equal(stepped.state["last_innovation"], run.innovation[-1])
-    assert snapshot is not None
     np.testing.assert_array_equal(snapshot.estimate().v, run.v[30])
     # Numbers that are wrong are codes and never exceptions; they leave the estimate.
     before = stepped.estimate()
@@ -292,4 +291,5 @@ def test_a_wheel_records_its_files_and_equal_exports_are_equal_wheels(package):
     with zipfile.ZipFile(wheel) as packed:
         (record,) = (name for name in packed.namelist() if name.endswith("RECORD"))
         assert [line.partition(",")[0] for line in packed.read(record).decode().splitlines()] == packed.namelist()
-        assert wheel.stem.endswith(re.search(rb"Tag: (.*)", packed.read(record.replace("RECORD", "WHEEL")))[1].decode())
+        (tag,) = re.findall(rb"Tag: (.*)", packed.read(record.replace("RECORD", "WHEEL")))
+        assert wheel.stem.endswith(tag.decode())

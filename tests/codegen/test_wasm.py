@@ -14,7 +14,7 @@ import pytest
 from run_page import blocks
 
 import covariant
-from covariant import _compile, observers
+from covariant import observers
 from covariant.codegen import _wasm, program, with_open_numbers
 
 ROOT = Path(__file__).parents[2]
@@ -92,7 +92,8 @@ load().then(({ Observer }) => {
         estimates.push([...q, ...v]);
     }
     if (String(snapshot.estimate().v) !== String(observer.estimate().v)) throw new Error("the snapshot differs");
-    for (const wrong of [() => observer.step([1], 0.1), () => new Observer({ weight: 1 }), () => new Observer({ mass: 1 })]) {
+    const wrongs = [() => observer.step([1], 0.1), () => new Observer({ weight: 1 }), () => new Observer({ mass: 1 })];
+    for (const wrong of wrongs) {
         try { wrong(); } catch (error) { if (error instanceof RangeError) continue; }
         throw new Error("nothing was refused");
     }
@@ -144,7 +145,6 @@ def test_without_a_compiler_one_line_says_what_to_install(tmp_path, monkeypatch)
     )
     with pytest.raises(ValueError, match=message):
         covariant.codegen.wasm_files(graphs, texts, "speed", "A test.", 100.0, run)
-    assert _compile.zig() is None or "ziglang" in _compile.zig()
     with pytest.raises(ValueError, match="wasm is for a folder, and a unit is one file"):
         covariant.export("oscillator", tmp_path / "a.fmu", rate=100.0, wasm=True)
 

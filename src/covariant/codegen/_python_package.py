@@ -21,6 +21,7 @@ from covariant._compile import compiler_command
 from covariant._files import zipped
 from covariant.codegen._companions import filled
 from covariant.codegen._program import DTYPES, Leaf, Program
+from covariant.codegen._python_checks import CHECKS
 from covariant.codegen._python_module import MAIN, MODULE, ROWS_IN_C
 from covariant.codegen._source import SENTENCE
 from covariant.signals import Result
@@ -66,7 +67,7 @@ def python_files(program: Program, texts: Mapping[str, str], name: str, about: s
     version = f"1.0.0+x{token[:8]}"  # another export is another version, so that installing it replaces the former
     replacements = _replacements(program, name, about, rate, token[:32], version)
     package = {
-        "__init__.py": filled(MODULE, replacements).encode(),
+        "__init__.py": filled(MODULE + CHECKS, replacements).encode(),
         "__main__.py": filled(MAIN, replacements).encode(),
         f"{name}.h": texts[f"{name}.h"].encode(),
         f"{name}.c": texts[f"{name}.c"].encode(),
