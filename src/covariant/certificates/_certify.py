@@ -130,7 +130,7 @@ def certify(
     sampling = (
         None if interval is None else check_sampling(observer, interval, lost, q, assumed.noise, assumed.disturbance)
     )
-    region = _region(observer.model, position, input, times)
+    region = region_of(observer.model, position, input, times)
     effort = Effort(Box((), (), np.zeros(0), np.zeros(0)), boxes, seconds, processes, progress)
     if sampling is None:
         system = error_system(observer, matrix)
@@ -216,8 +216,8 @@ def _assumed(
     observer: Intrinsics, velocity: ArrayLike, error: ArrayLike, noise: ArrayLike, disturbance: ArrayLike
 ) -> _Assumed:
     n = len(observer.model.coordinates or observer.model.velocities)
-    speeds, errors = _positive("velocity", velocity, n), _positive("error", error, n)
-    assumed = _Assumed(speeds, errors, _amount("noise", noise, n), _amount("disturbance", disturbance, n))
+    speeds, errors = positive("velocity", velocity, n), positive("error", error, n)
+    assumed = _Assumed(speeds, errors, amount("noise", noise, n), amount("disturbance", disturbance, n))
     if not (assumed.noise < errors).all():
         raise ValueError(
             f"certify: noise must be below the error {errors.tolist()}, which includes it; got {assumed.noise.tolist()}"
@@ -271,7 +271,7 @@ def _stated(facts: Contraction, system: ErrorSystem) -> Resolved:
     return Resolved(document, facts.observer, system)
 
 
-def _positive(name: str, value: ArrayLike, n: int) -> Float[np.ndarray, "n"]:
+def positive(name: str, value: ArrayLike, n: int) -> Float[np.ndarray, "n"]:
     bounds = _amounts(name, value, n)
     if not (np.isfinite(bounds).all() and (bounds > 0).all()):
         raise ValueError(
@@ -281,7 +281,7 @@ def _positive(name: str, value: ArrayLike, n: int) -> Float[np.ndarray, "n"]:
     return bounds
 
 
-def _amount(name: str, value: ArrayLike, n: int) -> Float[np.ndarray, "n"]:
+def amount(name: str, value: ArrayLike, n: int) -> Float[np.ndarray, "n"]:
     bounds = _amounts(name, value, n)
     if not (np.isfinite(bounds).all() and (bounds >= 0).all()):
         raise ValueError(f"certify: {name} must be a finite bound, zero or more; got {bounds.tolist()}")
@@ -303,7 +303,7 @@ class _Region(NamedTuple):
     times: tuple[float, float]
 
 
-def _region(
+def region_of(
     model: MechanicalSystem, position: Bounds | None, inputs: Bounds | ArrayLike, times: tuple[float, float] | None
 ) -> _Region:
     n = len(model.coordinates or model.velocities)

@@ -19,6 +19,11 @@ from ._gate_memory import GateMemory as GateMemory, Judged as Judged, Sample as 
 from ._gated import Gated as Gated, GatedState as GatedState
 from ._geodesic import Geodesic as Geodesic, GeodesicInfo as GeodesicInfo, GeodesicState as GeodesicState
 from ._high_gain import HighGain as HighGain
+from ._implicit_distances import (
+    DistanceBounds as DistanceBounds,
+    DistanceDecay as DistanceDecay,
+    distance_decay as distance_decay,
+)
 from ._implicit_geodesic import ImplicitGeodesic as ImplicitGeodesic
 from ._implicit_limits import (
     CurvedErrors as CurvedErrors,
