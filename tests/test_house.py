@@ -60,7 +60,8 @@ PUBLIC = {
     "contraction_rate crossed_metric decay detectability_rate error_bounds error_matrix falsify feedthrough "
     "follow_estimates force_bounds generalised_jacobian in_coordinates in_frame log_norm lower_distance lyapunov "
     "noise_disturbance observability observer_gain optimal_lyapunov parse projection rate_of rates_along "
-    "reduced_order steady_distance error_system Sampling correction sampled_system DistanceCertificate certify_distance "
+    "reduced_order steady_distance error_system Sampling correction sampled_system DistanceCertificate "
+    "certify_distance "
     "tangent_metric tracking trade_off trajectories upper_distance virtual",
     "certificates.audit": "LAWS Audit Law audit",
     "codegen": "ROWS Facts Leaf Program Recipe Source TracedProgram Unit Vectors closed_loop export_texts fmu "

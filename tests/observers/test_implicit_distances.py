@@ -12,6 +12,8 @@ import pytest
 from covariant.observers import DistanceBounds, distance_decay, part_limits
 from covariant.observers._implicit_distances import contracted
 
+LONG = ("test_no_correction_increases_a_distance_up_to_the_bound[sphere]", "test_the_decay_is_consistent")
+
 
 class Surface:
     """Metric diag(1, f(r)²) on the plane of (r, θ), with f and its first derivative, and its curvature."""
@@ -50,7 +52,8 @@ class Surface:
 
         @np.errstate(all="ignore")
         def miss(z):
-            return np.concatenate(self.flow(sigma, m, *start, z[..., :2], z[..., 2:])[:2], -1) - np.concatenate(end, -1)
+            q, v = start
+            return np.concatenate(self.flow(sigma, m, q, v, z[..., :2], z[..., 2:])[:2], -1) - np.concatenate(end, -1)
 
         z, f, e = guess, miss(guess), 1e-6
         for _ in range(12):

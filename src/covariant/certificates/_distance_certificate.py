@@ -4,14 +4,15 @@
 positions, from the graphs of metric and force and their derivatives:
 
 - the sectional curvature of the plane of both coordinates, and the covariant Hessian −∇S within bounds;
-- a constant metric g_* ≤ g, with which lengths bound coordinates, and so where curves stay;
-- the largest determinant of g, from which positions have one shortest geodesic up to `π/√(κμ)`, μ = √(det g/det g_*): a
-  shortest loop of length 2i encloses an area of at most μ(2i)²/4π (isoperimetry in g_*), and a curvature of at least π
-  (Gauss and Bonnet), so that κμi²/π ≥ π (Klingenberg).
+- the lengths of the coordinates' differentials, with which lengths of curves bound where they stay;
+- a constant metric g_* ≤ g, and the largest determinant of g, from which positions have one shortest geodesic up to
+  `π/√(κμ)`, μ = √(det g/det g_*): a shortest loop of length 2i encloses an area of at most μ(2i)²/4π (isoperimetry in
+  g_*), and a curvature of at least π (Gauss and Bonnet), so that κμi²/π ≥ π (Klingenberg).
 
 Source: an addition; do Carmo 1992, Riemannian Geometry, chapter 13, for Klingenberg's lemma.
 """
 
+import functools
 import itertools
 import math
 from collections.abc import Callable, Iterator
@@ -38,7 +39,7 @@ ASSUMED_OF_DISTANCES = (
     "the true motion solves the model, with the input that the observer is given, and keeps to the bounds of "
     "velocities and inputs, and away from the border of the region as stated",
     "measurements are exact, of all coordinates, unwrapped, and come at the stated interval",
-    "predictions, geodesics and transport are computed exactly, and the geodesic to the measurement is the shortest one",
+    "predictions, geodesics and transport are computed exactly, and the geodesic to the measurement is the shortest",
     "coordinates that the model calls circles are periodic",
     "the connection of the model's space is that of its metric, which `covariant audit` measures",
     "the code of the model is read as exact functions of real numbers, with its constants as they were computed",
@@ -134,19 +135,15 @@ def certify_distance(
     _need_no_friction(model)
     region = region_of(model, position, input, None)
     speeds, errors = positive("velocity", velocity, 2), amount("error", error, 2)
-    known = _Model.of(
-        model, Box(region.true.names, region.true.units, region.true.low, region.true.high), region.inputs
-    )
-    found = _bounds(known, speeds, errors, boxes)
+    known = _Model.of(model, region.true._replace(units=model.units or ("", "")), region.inputs)
+    found = _proved_bounds(known, speeds, errors, boxes)
     bounds = found.bounds if velocity_error is None else found.bounds._replace(velocity_error=float(velocity_error))
     alpha, beta = float(observer.alpha), float(observer.beta)
     part = alpha * interval / (1 + alpha * interval)
     decay = distance_decay(interval, part, beta / alpha, bounds)
-    # A curve of this length in g_* changes a coordinate by no more.
-    border = (0.0 if math.isnan(decay.reach) else decay.reach) * np.sqrt(np.diag(np.linalg.inv(found.least)))
-    border *= 1 + 1e-12
+    # A curve changes a coordinate by no more than its length times that of the coordinate's differential.
+    border = (0.0 if math.isnan(decay.reach) else decay.reach) * np.sqrt(found.widest) * (1 + 1e-12)
     circles = np.array([i in model.manifold.circles for i in range(2)])
-    single = bool((border[circles] < math.pi).all())
     border = np.where(circles & (region.true.high - region.true.low >= 2 * math.pi), 0.0, border)
     fits = bool((2 * border < region.true.high - region.true.low).all())
     gains = Hypothesis(
@@ -157,8 +154,7 @@ def certify_distance(
         "" if decay.rate > 0 else "another α or β, or a shorter interval, may do; else smaller bounds",
     )
     room = Hypothesis("the region has positions so far from its border", "proved", "holds" if fits else "undecided")
-    turns = Hypothesis("errors of circles stay below half a turn", "proved", "holds" if single else "undecided")
-    hypotheses = (*found.hypotheses, gains, *([room] if border.any() else []), *([turns] if circles.any() else []))
+    hypotheses = (*found.hypotheses, gains, *([room] if border.any() else []))
     names = ", ".join(
         f"{name} {width:.4g} {unit}".rstrip()
         for name, unit, width in zip(known.domain.names, known.domain.units, border, strict=True)
@@ -172,11 +168,12 @@ def certify_distance(
         f"inputs from {region.inputs[0].tolist()} to {region.inputs[1].tolist()}",
         f"first errors of the position up to {errors.tolist()}, {bounds.error:.6g} in the metric; of the velocity "
         f"{bounds.velocity_error:.6g} in the metric",
-        f"metric: m|ξ|² + |w|², w = ζ − σξ, m = {decay.before:.6g} after a sample and {decay.after:.6g} before the next",
+        f"metric: m|ξ|² + |w|², w = ζ − σξ, m = {decay.before:.6g} after a sample and {decay.after:.6g} before the "
+        "next",
         f"radius {decay.radius:.6g} in it; positions within {decay.reach:.6g} of the true ones, speeds up to "
         f"{decay.fastest:.6g}, λ = {decay.turning:.4g} < π",
-        f"proved bounds: curvature {_pair(bounds.curvature)}, −∇S {_pair(bounds.stiffness)} 1/s², one shortest geodesic "
-        f"up to {bounds.injectivity:.4g}",
+        f"proved bounds: curvature {_pair(bounds.curvature)}, −∇S {_pair(bounds.stiffness)} 1/s², one shortest "
+        f"geodesic, and errors of circles below half a turn, up to {bounds.injectivity:.4g}",
     )
     claim = (
         "the distance of an estimate from the truth falls from sample to sample, whatever the motion between these "
@@ -202,7 +199,7 @@ def _need_no_friction(model: MechanicalSystem) -> None:
 
 
 class _Model(NamedTuple):
-    """A model on a box of positions and inputs, as `derivative_form` needs it."""
+    """A model on a box of positions (`domain`) and inputs (`whole`), as `derivative_form` needs it."""
 
     model: MechanicalSystem
     domain: Box
@@ -234,8 +231,9 @@ class _Model(NamedTuple):
         def numbers(z):
             t, q = jnp.zeros(()), z[:2]
             slope = jax.jacfwd(self.model.space)
-            force = lambda q: applied_force(self.model, t, q, z[2:])
-            return formula(self.model.space(q), slope(q), jax.jacfwd(slope)(q), force(q), jax.jacfwd(force)(q))
+            slope_of_force = jax.jacfwd(functools.partial(applied_force, self.model), 1)
+            force = applied_force(self.model, t, q, z[2:])
+            return formula(self.model.space(q), slope(q), jax.jacfwd(slope)(q), force, slope_of_force(t, q, z[2:]))
 
         return derivative_form(values, lambda z: z[:2], parts, formula, numbers)
 
@@ -264,21 +262,27 @@ def _curvature(g, dg, ddg) -> Array:
 
 
 class _Found(NamedTuple):
+    """Proved bounds, and the largest squares (2,) of the lengths of the coordinates' differentials."""
+
     bounds: DistanceBounds
-    least: np.ndarray
+    widest: np.ndarray
     hypotheses: tuple[Hypothesis, ...]
     proofs: dict[str, Proof]
 
 
-def _bounds(known: _Model, speeds: np.ndarray, errors: np.ndarray, boxes: int) -> _Found:
+def _proved_bounds(known: _Model, speeds: np.ndarray, errors: np.ndarray, boxes: int) -> _Found:
     """Guess bounds at points, and prove them."""
     points, space = known.points(), known.model.space
     metrics = np.asarray(jax.vmap(space)(points[:, :2]))
     least = _constant_below(metrics)
     signs = np.array([[1.0, 1.0], [1.0, -1.0]])
-    guess = lambda values: float(np.max(values)) * (1 + MARGIN)
+
+    def guess(values) -> float:
+        return float(np.max(values)) * (1 + MARGIN)
+
     speed2, error2 = (guess(np.einsum("kij,si,sj->ks", metrics, c, c)) for c in (signs * speeds, signs * errors))
     top = guess(np.linalg.det(metrics))
+    widest = np.linalg.inv(metrics).max(axis=0).diagonal() * (1 + MARGIN)
 
     def det_of(g):
         return g[0, 0] * g[1, 1] - g[0, 1] * g[1, 0]
@@ -309,13 +313,16 @@ def _bounds(known: _Model, speeds: np.ndarray, errors: np.ndarray, boxes: int) -
     def on_metric(formula):
         return known.form(lambda g, dg, ddg, f, df: formula(g))
 
-    def symmetric(g, dg, ddg, f, df, scale):
+    def symmetric(g, dg, ddg, f, df):
         h = _stiffness(g, dg, ddg, f, df)
-        return scale * ((h + h.T) / 2 / det_of(g))
+        return (h + h.T) / 2 / det_of(g)
 
     claims = {
         "the metric is at least a constant one": on_metric(lambda g: g - least),
         "its determinant is bounded": on_metric(lambda g: jnp.array([[top]]) - det_of(g)),
+        "the change of a coordinate along a curve is bounded": on_metric(
+            lambda g: jnp.diag(widest * det_of(g) - jnp.diag(_adjugate(g)))
+        ),
         "the true speed is bounded": on_metric(lambda g: _below(g, speed2, signs * speeds)),
         "the first distance from the measurement is bounded": on_metric(lambda g: _below(g, error2, signs * errors)),
         "the curvature is bounded below": known.form(
@@ -326,8 +333,8 @@ def _bounds(known: _Model, speeds: np.ndarray, errors: np.ndarray, boxes: int) -
         )
         if high > 0
         else known.form(lambda g, dg, ddg, f, df: -_curvature(g, dg, ddg)[None, None]),
-        "−∇S is bounded below": known.form(lambda *jets: symmetric(*jets, 1.0) - soft * jets[0]),
-        "−∇S is bounded above": known.form(lambda *jets: hard * jets[0] + symmetric(*jets, -1.0)),
+        "−∇S is bounded below": known.form(lambda g, dg, ddg, f, df: symmetric(g, dg, ddg, f, df) - soft * g),
+        "−∇S is bounded above": known.form(lambda g, dg, ddg, f, df: hard * g - symmetric(g, dg, ddg, f, df)),
         "what of the force has no potential is bounded": known.form(
             lambda g, dg, ddg, f, df: _swirl(_stiffness(g, dg, ddg, f, df) / det_of(g), swirl, det_of(g))
         ),
@@ -339,6 +346,9 @@ def _bounds(known: _Model, speeds: np.ndarray, errors: np.ndarray, boxes: int) -
     }
     ratio = math.sqrt(top / np.linalg.det(least))
     injectivity = math.pi / math.sqrt(high * ratio) * (1 - 1e-9) if high > 0 else math.inf
+    # Errors of circles have to stay below half a turn, so that they are not wrapped.
+    half_turns = [math.pi / math.sqrt(widest[i]) * (1 - 1e-9) for i in known.model.manifold.circles]
+    injectivity = min([injectivity, *half_turns])
     bounds = DistanceBounds(
         math.sqrt(speed2) * (1 + 1e-12),
         math.sqrt(error2) * (1 + 1e-12),
@@ -348,7 +358,7 @@ def _bounds(known: _Model, speeds: np.ndarray, errors: np.ndarray, boxes: int) -
         None,
         injectivity,
     )
-    return _Found(bounds, least, tuple(_hypotheses(proofs)), proofs)
+    return _Found(bounds, widest, tuple(_hypotheses(proofs)), proofs)
 
 
 def _hypotheses(proofs: dict[str, Proof]) -> Iterator[Hypothesis]:

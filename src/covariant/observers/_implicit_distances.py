@@ -10,10 +10,10 @@ velocities, and a correction moves the estimate along the horizontal lift of the
 
 Let c be a curve that attains D, and contract it towards q along geodesics, by the part θ. It becomes a curve from γ(θ)
 to q, no longer than j L, j = sin((1 − θ)x)/sin x, x = √κ R (Rauch; 1 − θ for κ ≤ 0), R = D/√m ≥ L. Both ways round the
-strip between them, v̂ arrives with a difference of at most the integral of |R(a, b)v| over the strip, |v| ≤ V + σ(j + θ)R
-there. The strip is at most ϑ times the area between a plane curve of length L and its chord (unroll the cone of
-geodesics over c), `ϑ = 2(cos((1 − θ)x) − cos x)/(x sin x)`, or θ(2 − θ) for κ ≤ 0, and that area is at most L²/2π, the
-half-disc (Dido). With weights m₀ after the correction and m_h before it, therefore,
+strip between them, v̂ arrives with a difference of at most the integral of |R(a, b)v| over the strip, where |v| is at
+most V + σ(j + θ)R. The strip is at most ϑ times the area between a plane curve of length L and its chord (unroll the
+cone of geodesics over c), `ϑ = 2(cos((1 − θ)x) − cos x)/(x sin x)`, or θ(2 − θ) for κ ≤ 0, and that area is at most
+L²/2π, the half-disc (Dido). With weights m₀ after the correction and m_h before it, therefore,
 
     D⁺² ≤ m₀j²L² + (|P_c v̂ − v| + ϑΛL²/2π)²,   Λ = r(V + σ(j + θ)R),
 
