@@ -287,14 +287,14 @@ def _proved_bounds(known: _Model, speeds: np.ndarray, errors: np.ndarray, boxes:
     def det_of(g):
         return g[0, 0] * g[1, 1] - g[0, 1] * g[1, 0]
 
-    def curvature(g, dg, ddg, f, df):
-        return _curvature(g, dg, ddg)[None, None] / det_of(g) ** 2
+    def bending(g, dg, ddg, f, df):
+        return _curvature(g, dg, ddg)[None, None]
 
-    bends = np.asarray(jax.vmap(known.form(curvature).numbers)(points))
+    formed = known.form(bending).graph(points[0]).entries
+    flat = formed.graph.is_zero(formed.outputs[0])
+    bends = np.asarray(jax.vmap(known.form(bending).numbers)(points))[:, 0, 0] / np.linalg.det(metrics) ** 2
     spread = MARGIN * max(np.abs(bends).max(), 1e-6)
-    low, high = float(bends.min() - spread), float(bends.max() + spread)
-    if np.abs(bends).max() < 1e-9:
-        low, high = -1e-6, 1e-6
+    low, high = (0.0, 0.0) if flat else (float(bends.min() - spread), float(bends.max() + spread))
     # A curvature that is never above zero is not bounded above zero for want of a margin.
     high = 0.0 if bends.max() < -spread else high
 
@@ -326,13 +326,11 @@ def _proved_bounds(known: _Model, speeds: np.ndarray, errors: np.ndarray, boxes:
         "the true speed is bounded": on_metric(lambda g: _below(g, speed2, signs * speeds)),
         "the first distance from the measurement is bounded": on_metric(lambda g: _below(g, error2, signs * errors)),
         "the curvature is bounded below": known.form(
-            lambda g, dg, ddg, f, df: _curvature(g, dg, ddg)[None, None] - low * det_of(g) ** 2
+            lambda g, dg, ddg, f, df: bending(g, dg, ddg, f, df) - low * det_of(g) ** 2
         ),
         "the curvature is bounded above": known.form(
-            lambda g, dg, ddg, f, df: high * det_of(g) ** 2 - _curvature(g, dg, ddg)[None, None]
-        )
-        if high > 0
-        else known.form(lambda g, dg, ddg, f, df: -_curvature(g, dg, ddg)[None, None]),
+            lambda g, dg, ddg, f, df: high * det_of(g) ** 2 - bending(g, dg, ddg, f, df)
+        ),
         "−∇S is bounded below": known.form(lambda g, dg, ddg, f, df: symmetric(g, dg, ddg, f, df) - soft * g),
         "−∇S is bounded above": known.form(lambda g, dg, ddg, f, df: hard * g - symmetric(g, dg, ddg, f, df)),
         "what of the force has no potential is bounded": known.form(
@@ -342,7 +340,7 @@ def _proved_bounds(known: _Model, speeds: np.ndarray, errors: np.ndarray, boxes:
     proofs = {
         text: prove(form, known.whole, boxes=boxes)
         for text, form in claims.items()
-        if errors.any() or "first distance" not in text
+        if not ((flat and "curvature" in text) or (not errors.any() and "first distance" in text))
     }
     ratio = math.sqrt(top / np.linalg.det(least))
     injectivity = math.pi / math.sqrt(high * ratio) * (1 - 1e-9) if high > 0 else math.inf
@@ -358,7 +356,8 @@ def _proved_bounds(known: _Model, speeds: np.ndarray, errors: np.ndarray, boxes:
         None,
         injectivity,
     )
-    return _Found(bounds, widest, tuple(_hypotheses(proofs)), proofs)
+    no_curvature = (Hypothesis("the curvature is zero as a formula", "proved"),) if flat else ()
+    return _Found(bounds, widest, (*no_curvature, *_hypotheses(proofs)), proofs)
 
 
 def _hypotheses(proofs: dict[str, Proof]) -> Iterator[Hypothesis]:
