@@ -107,7 +107,7 @@ PUBLIC = {
     "observed_forces AbstractWrapper Instant Sensor SensorInfo accelerometer encoder gyro point_sensor pose_sensor "
     "tachometer Damped DampedInfo DampedState ReducedOrder ReducedOrderState damping_margin ImplicitGeodesic "
     "CurvedErrors DistanceBounds DistanceDecay ImplicitGains PartLimits distance_decay implicit_gains "
-    "longest_interval part_limits proved_decay ProvedDecay "
+    "longest_interval part_limits proved_decay ProvedDecay ContinuousGains least_gain "
     "lyapunov_gains lyapunov_rate needed_substeps notch_gains printed_rate run second_order sensor_bias smooth "
     "uncertain_parameters with_fixed_substeps wrench",
     "papers.jouffroy_fossen": "COMPASS COUNTEREXAMPLES CROSS DURATION GAPS GNSS K1 K2 KD KP LAMBDA PRINTED_K2 RATE "

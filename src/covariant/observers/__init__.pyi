@@ -38,6 +38,7 @@ from ._implicit_limits import (
 from ._intrinsic import Intrinsic as Intrinsic, second_order as second_order
 from ._intrinsic_kalman import IntrinsicKalman as IntrinsicKalman, KalmanInfo as KalmanInfo, KalmanState as KalmanState
 from ._joint_kalman import JointInfo as JointInfo, JointKalman as JointKalman, JointState as JointState
+from ._least_gain import ContinuousGains as ContinuousGains, least_gain as least_gain
 from ._levant import Levant as Levant
 from ._model_free import AbstractLinearFilter as AbstractLinearFilter, FilterInfo as FilterInfo
 from ._momentum import (
