@@ -61,7 +61,7 @@ PUBLIC = {
     "follow_estimates force_bounds generalised_jacobian in_coordinates in_frame log_norm lower_distance lyapunov "
     "noise_disturbance observability observer_gain optimal_lyapunov parse projection rate_of rates_along "
     "reduced_order steady_distance error_system Sampling correction sampled_system "
-    "Attempt BoundInfo BoundState Largest Premise SampledBound Start largest "
+    "Attempt BoundInfo BoundState DistanceCertificate Largest Premise SampledBound Start certify_distance largest "
     "tangent_metric tracking trade_off trajectories upper_distance virtual",
     "certificates.audit": "LAWS Audit Law audit",
     "codegen": "ROWS Facts Leaf Program Recipe Source TracedProgram Unit Vectors closed_loop export_texts fmu "
@@ -106,8 +106,8 @@ PUBLIC = {
     "craft_observer external_force noise_step AbstractForceObserver ForceState InverseDynamics MomentumObserver "
     "observed_forces AbstractWrapper Instant Sensor SensorInfo accelerometer encoder gyro point_sensor pose_sensor "
     "tachometer Damped DampedInfo DampedState ReducedOrder ReducedOrderState damping_margin ImplicitGeodesic "
-    "CurvedErrors ImplicitGains PartLimits implicit_gains longest_interval part_limits proved_decay "
-    "ProvedDecay "
+    "CurvedErrors DistanceBounds DistanceDecay ImplicitGains PartLimits distance_decay implicit_gains "
+    "longest_interval part_limits proved_decay ProvedDecay ContinuousGains least_gain "
     "lyapunov_gains lyapunov_rate needed_substeps notch_gains printed_rate run second_order sensor_bias smooth "
     "uncertain_parameters with_fixed_substeps wrench",
     "papers.jouffroy_fossen": "COMPASS COUNTEREXAMPLES CROSS DURATION GAPS GNSS K1 K2 KD KP LAMBDA PRINTED_K2 RATE "

@@ -23,7 +23,7 @@ from covariant.observers import (
     part_limits,
     proved_decay,
 )
-from covariant.observers._implicit_limits import _weight
+from covariant.observers._implicit_limits import weight_of
 
 LONG = (
     "test_a_correction_follows_the_jacobi_field[sphere]",
@@ -44,7 +44,7 @@ def test_the_weight_obeys_its_differential_equation():
     for _ in range(25):
         sigma, share = rng.uniform(0.5, 8.0), rng.uniform(0.0, 0.9)
         k, f = np.sort(rng.uniform(-20.0, 20.0, 2)), np.sort(-rng.uniform(0.0, 3.0, 2)) * rng.integers(2)
-        weight = _weight(sigma, share * sigma, k.tolist(), f.tolist())
+        weight = weight_of(sigma, share * sigma, k.tolist(), f.tolist())
         m0, h = math.exp(rng.uniform(-1.0, 6.0)), 0.3 * min(weight.longest(), 1.0)
         grid_k, grid_f = np.meshgrid(np.linspace(k[0], k[1], 31), np.linspace(f[0], f[1], 31))
 

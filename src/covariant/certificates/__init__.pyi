@@ -27,6 +27,7 @@ from ._distance import (
     lower_distance as lower_distance,
     upper_distance as upper_distance,
 )
+from ._distance_certificate import DistanceCertificate as DistanceCertificate, certify_distance as certify_distance
 from ._document import Document as Document, Sampling as Sampling, parse as parse
 from ._error_system import ErrorSystem as ErrorSystem
 from ._falsify import falsify as falsify

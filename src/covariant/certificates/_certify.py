@@ -145,7 +145,7 @@ def certify(
         raise ValueError(
             "certify: with interval, noise and disturbance are covered in coordinates only; leave them out"
         )
-    region = _region(observer.model, position, input, times)
+    region = region_of(observer.model, position, input, times)
     effort = Effort(Box((), (), np.zeros(0), np.zeros(0)), boxes, seconds, processes, progress)
     if sampling is None:
         system, domain, bounds, first = _in_continuous_time(observer, matrix, target, assumed, region, effort)
@@ -234,8 +234,8 @@ def _assumed(
     observer: Intrinsics, velocity: ArrayLike, error: ArrayLike, noise: ArrayLike, disturbance: ArrayLike
 ) -> _Assumed:
     n = len(observer.model.coordinates or observer.model.velocities)
-    speeds, errors = _positive("velocity", velocity, n), _positive("error", error, n)
-    assumed = _Assumed(speeds, errors, _amount("noise", noise, n), _amount("disturbance", disturbance, n))
+    speeds, errors = positive("velocity", velocity, n), positive("error", error, n)
+    assumed = _Assumed(speeds, errors, amount("noise", noise, n), amount("disturbance", disturbance, n))
     if not (assumed.noise < errors).all():
         raise ValueError(
             f"certify: noise must be below the error {errors.tolist()}, which includes it; got {assumed.noise.tolist()}"
@@ -289,7 +289,7 @@ def _stated(facts: Contraction, system: ErrorSystem) -> Resolved:
     return Resolved(document, facts.observer, system)
 
 
-def _positive(name: str, value: ArrayLike, n: int) -> Float[np.ndarray, "n"]:
+def positive(name: str, value: ArrayLike, n: int) -> Float[np.ndarray, "n"]:
     bounds = _amounts(name, value, n)
     if not (np.isfinite(bounds).all() and (bounds > 0).all()):
         raise ValueError(
@@ -299,7 +299,7 @@ def _positive(name: str, value: ArrayLike, n: int) -> Float[np.ndarray, "n"]:
     return bounds
 
 
-def _amount(name: str, value: ArrayLike, n: int) -> Float[np.ndarray, "n"]:
+def amount(name: str, value: ArrayLike, n: int) -> Float[np.ndarray, "n"]:
     bounds = _amounts(name, value, n)
     if not (np.isfinite(bounds).all() and (bounds >= 0).all()):
         raise ValueError(f"certify: {name} must be a finite bound, zero or more; got {bounds.tolist()}")
@@ -321,7 +321,7 @@ class _Region(NamedTuple):
     times: tuple[float, float]
 
 
-def _region(
+def region_of(
     model: MechanicalSystem, position: Bounds | None, inputs: Bounds | ArrayLike, times: tuple[float, float] | None
 ) -> _Region:
     n = len(model.coordinates or model.velocities)

@@ -19,6 +19,11 @@ from ._gate_memory import GateMemory as GateMemory, Judged as Judged, Sample as 
 from ._gated import Gated as Gated, GatedState as GatedState
 from ._geodesic import Geodesic as Geodesic, GeodesicInfo as GeodesicInfo, GeodesicState as GeodesicState
 from ._high_gain import HighGain as HighGain
+from ._implicit_distances import (
+    DistanceBounds as DistanceBounds,
+    DistanceDecay as DistanceDecay,
+    distance_decay as distance_decay,
+)
 from ._implicit_geodesic import ImplicitGeodesic as ImplicitGeodesic
 from ._implicit_limits import (
     CurvedErrors as CurvedErrors,
@@ -33,6 +38,7 @@ from ._implicit_limits import (
 from ._intrinsic import Intrinsic as Intrinsic, second_order as second_order
 from ._intrinsic_kalman import IntrinsicKalman as IntrinsicKalman, KalmanInfo as KalmanInfo, KalmanState as KalmanState
 from ._joint_kalman import JointInfo as JointInfo, JointKalman as JointKalman, JointState as JointState
+from ._least_gain import ContinuousGains as ContinuousGains, least_gain as least_gain
 from ._levant import Levant as Levant
 from ._model_free import AbstractLinearFilter as AbstractLinearFilter, FilterInfo as FilterInfo
 from ._momentum import (

@@ -175,7 +175,15 @@ class _Weight(NamedTuple):
         return 0.0
 
 
-def _weight(sigma: float, rate: float, k: Sequence[float], f: Sequence[float]) -> _Weight:
+def weight_of(sigma: float, rate: float, k: Sequence[float], f: Sequence[float] = (0.0, 0.0)) -> _Weight:
+    """The weight m of |ξ|² between samples.
+
+    Args:
+        sigma: Ratio σ of the gains [1/s].
+        rate: Rate ρ [1/s], 0 ≤ ρ < σ.
+        k: Bounds of the spectrum of K [1/s²].
+        f: Bounds of the derivative of the friction in the velocity [1/s].
+    """
     corners = []
     for stiffness in set(k):
         for slope in set(f):
@@ -222,8 +230,8 @@ def longest_interval(
         >>> longest_interval(sigma=4.0, k_minus=0.0, k_plus=0.0)
         0.5
     """
-    _check("longest_interval", sigma, k_minus, k_plus, rate, friction)
-    return _weight(sigma, rate, (k_minus, k_plus), friction).longest()
+    check_limits("longest_interval", sigma, k_minus, k_plus, rate, friction)
+    return weight_of(sigma, rate, (k_minus, k_plus), friction).longest()
 
 
 def part_limits(
@@ -263,8 +271,8 @@ def part_limits(
         >>> round(limits.before * limits.after, 4), round(limits.least, 6)
         (256.0, 0.333333)
     """
-    _check("part_limits", sigma, k_minus, k_plus, rate, friction, h)
-    weight = _weight(sigma, rate, (k_minus, k_plus), friction)
+    check_limits("part_limits", sigma, k_minus, k_plus, rate, friction, h)
+    weight = weight_of(sigma, rate, (k_minus, k_plus), friction)
     if h >= weight.longest():
         raise ValueError(
             f"part_limits: h must be below {weight.longest():.4g} s at this σ and rate; got {h} s. Sample faster, or "
@@ -313,11 +321,11 @@ def proved_decay(
         >>> 0 < bent.rate < flat.rate
         True
     """
-    _check("proved_decay", sigma, k_minus, k_plus, 0.0, friction, h)
+    check_limits("proved_decay", sigma, k_minus, k_plus, 0.0, friction, h)
     left, added = (abs(1 - part), 0.0) if curved is None else _correction(part, sigma, curved)
 
     def decay(rho: float) -> ProvedDecay:
-        weight = _weight(sigma, rho, (k_minus, k_plus), friction)
+        weight = weight_of(sigma, rho, (k_minus, k_plus), friction)
         if h >= weight.longest():
             return ProvedDecay(-math.inf, math.nan, math.nan)
         before, after = _best(weight, h, sigma, lambda m0, m: 1 / _growth(m0, m, left, added))
@@ -370,7 +378,7 @@ def implicit_gains(
         >>> round(proved_decay(0.05, gains.part, 6.0, -9.81, 9.81).rate, 4)
         0.5
     """
-    _check("implicit_gains", sigma, k_minus, k_plus, 0.0 if rate is None else rate, friction, h)
+    check_limits("implicit_gains", sigma, k_minus, k_plus, 0.0 if rate is None else rate, friction, h)
     longest = longest_interval(sigma, k_minus, k_plus, 0.0, friction)
     if rate is None and h < longest:
         rate = _fastest(h, sigma, k_minus, k_plus, friction) / 2
@@ -433,9 +441,10 @@ def _correction(part: float, sigma: float, errors: CurvedErrors) -> tuple[float,
     return math.sin(rest) / sine, riemann * d * (speed * first + sigma * d * second)
 
 
-def _check(
+def check_limits(
     whose: str, sigma: float, k_minus: float, k_plus: float, rate: float, friction: tuple[float, float], h: float = 1.0
 ) -> None:
+    """Raise `ValueError` in the name of a function where its numbers are out of range."""
     numbers = (sigma, k_minus, k_plus, rate, *friction, h)
     fine = np.isfinite(numbers).all() and h > 0 and 0 <= rate < sigma
     if not (fine and k_minus <= k_plus and friction[0] <= friction[1] <= 0):
