@@ -80,8 +80,8 @@ ERRATA: tuple[Erratum, ...] = (
         "ζ̃' = … + R(ζ̃, ζ_e)ζ̃ − βζ_e",
         "ζ̃' = … − R(ζ̃, ζ_e)ζ̃ − βζ_e",
         "with the curvature of (5), which is that of this library, the term enters with a minus",
-        "an elongated top still converges, since its curvature is positive; with (8) as printed too, a tumbling disc is "
-        "off by 1.4 rad/s after 10 s, where the corrected observer is off by .061",
+        "an elongated top still converges, since its curvature is positive; with (8) as printed too, a tumbling disc "
+        "is off by 1.4 rad/s after 10 s, where the corrected observer is off by .061",
         _GROUPS,
         "curvature sign",
     ),
