@@ -19,7 +19,7 @@ LONG = (
 ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / "docs" / "extending.md").read_text(encoding="utf-8")
 COPIED = (
-    *("src", "tools", "docs", "pyproject.toml"),
+    *("src", "tools", "docs", "benchmarks", "pyproject.toml", "mkdocs.yml", "README.md"),
     *("tests/conftest.py", "tests/test_house.py", "tests/laws", "tests/geometry"),
 )
 
