@@ -38,6 +38,15 @@ def test_plant_and_observer_interconnected_follow_the_librarys_own(control):
     np.testing.assert_allclose(response.outputs[1], state.x[:, 1], atol=1e-6)
 
 
+def test_a_mechanical_system_is_a_plant(control):
+    """Its parameters are a dictionary, which has no hash."""
+    plant = codegen.plant(state_space(models.ball_and_beam()))
+    rate = plant.dynamics(0.0, np.array([0.5, 0.2, 0.1, -0.3]), np.array([0.7]))
+    # r'' = r θ'² − g sin θ and (1 + r²) θ'' = u − 2 r r' θ' − g r cos θ, with unit numbers.
+    expected = [0.1, -0.3, 0.5 * 0.09 - np.sin(0.2), (0.7 + 2 * 0.5 * 0.1 * 0.3 - 0.5 * np.cos(0.2)) / 1.25]
+    np.testing.assert_allclose(rate, expected, rtol=1e-12)
+
+
 @pytest.mark.long
 def test_closed_loop_is_the_librarys_own(control):
     ship = marine.cybership()

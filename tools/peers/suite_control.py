@@ -44,7 +44,7 @@ def aircraft():
         lambda q: jnp.diag(jnp.array([MASS, MASS, MOMENT])),
         lambda q: MASS * GRAVITY * q[1],
         thrust,
-        lambda q, v: DRAG * v * jnp.array([1.0, 1.0, 0.0]),
+        lambda q, v: -DRAG * v * jnp.array([1.0, 1.0, 0.0]),
         coordinates=NAMES,
         units=("m", "m", "rad"),
         inputs=2,

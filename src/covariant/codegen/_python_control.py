@@ -37,8 +37,9 @@ def plant(model: StateSpace, name: str = "plant") -> Any:
         ...     assert codegen.plant(model).state_labels == ["q", "v"]
     """
     return _system(
-        jax.jit(model.f),
-        jax.jit(model.h),
+        # Functions around those of the model: a model whose parameters are a dictionary has no hash.
+        jax.jit(lambda t, x, u: model.f(t, x, u)),
+        jax.jit(lambda t, x, u: model.h(t, x, u)),
         inputs=_inputs(model.inputs),
         outputs=list(model.outputs),
         states=list(model.coordinates),
