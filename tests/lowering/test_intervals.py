@@ -244,7 +244,12 @@ def test_stumpff_functions_are_bounded(k):
     """c_k(x) = Σ (−x)ʲ / (2j + k)!, at points, over intervals, and beyond π² where the bounds are those of all x."""
     rng = np.random.default_rng(BATCH)
     count = BATCH // 10  # a value takes long
-    ends = [rng.uniform(0, 10, count), 10 ** rng.uniform(-300, 2, count), rng.uniform(9.86, 9.88, count), rng.uniform(-1, 0, count)]
+    ends = [
+        rng.uniform(0, 10, count),
+        10 ** rng.uniform(-300, 2, count),
+        rng.uniform(9.86, 9.88, count),
+        rng.uniform(-1, 0, count),
+    ]
     x = np.concatenate([*ends, [0.0, math.pi**2, 9.869, math.nextafter(9.869, 10), 1.0, 5e-324]])
     widths = [0.0, 1e-9, 0.3]
     for width in widths:
