@@ -29,8 +29,10 @@ def sampled_jobs(document: Document, pins: np.ndarray) -> Iterator[tuple]:
     both = np.concatenate([inputs, speeds], axis=1)
     yield "the bound of the input's force", *inputs[:, None]
     yield "the definedness of the input's force", *inputs[:, None]
-    yield "the bound of the joint force", *both[:, None]
-    yield "the bound of the friction's slopes", *speeds[:, None]
+    # Joint by joint: where all are shown together, the boxes that each of them needs multiply.
+    for joint in range(1, len(document.velocity) + 1):
+        yield f"the bound of the joint force {joint}", *both[:, None]
+        yield f"the bound of the friction's slope {joint}", *speeds[:, None]
     yield "the smoothness of the friction", *speeds[:, None]
     for claim in document.claims:
         if claim.kind == "prediction":
@@ -64,22 +66,31 @@ def sampled_matrix(document: Document, system: ErrorSystem, model: MechanicalSys
         return TaylorEnclosure(matrices.all_corrections(system), ends[0], ends[1], np.zeros(ends.shape[1]), "smooth")
     slack = slack_of(low, high) / 2
 
-    def within(function, k):
+    joint = int(what.rpartition(" ")[2]) - 1 if what[-1].isdigit() else 0
+
+    def within(function, k, chosen=slice(None)):
         # The k-th of the groups of n variables that follow the configuration.
         first = first_velocity(len(low), n, sampled=True) + (k - 1) * n
         part = slice(first, first + n)
-        return matrices.within(function, low[part] - slack[part], high[part] + slack[part])
+        least, most = (low[part] - slack[part])[chosen], (high[part] + slack[part])[chosen]
+        return matrices.within(lambda y: function(y)[chosen], least, most)
+
+    one = slice(joint, joint + 1)
 
     force, friction = matrices.input_force(model, n), matrices.friction(model, n)
     kinds: dict[str, tuple[Any, np.ndarray, Literal["", "defined", "smooth"]]] = {
         "the bound of the input's force": (within(force, 3), inputs, ""),
         "the definedness of the input's force": (force, inputs, "defined"),
-        "the bound of the joint force": (
-            within(lambda y: force(y[:-n]) + friction(y[-n:]), 4),
+        f"the bound of the joint force {joint + 1}": (
+            within(lambda y: force(y[:-n]) + friction(y[-n:]), 4, one),
             np.concatenate([inputs, speeds], axis=1),
             "",
         ),
-        "the bound of the friction's slopes": (within(matrices.friction_slopes(model, n), 5), speeds, ""),
+        f"the bound of the friction's slope {joint + 1}": (
+            within(matrices.friction_slopes(model, n), 5, one),
+            speeds,
+            "",
+        ),
         "the smoothness of the friction": (friction, speeds, "smooth"),
     }
     function, box, watch = kinds[what]
