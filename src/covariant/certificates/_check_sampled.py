@@ -52,16 +52,17 @@ def friction_matrix(document: Document, model: MechanicalSystem, what: str) -> T
     return TaylorEnclosure(function, speeds[0], speeds[1], np.zeros(n), watch)
 
 
-def _within(document: Document, function: Any, k: int, unknown: Any = 0.0) -> Any:
+def _within(document: Document, function: Any, k: int, unknown: Any = 0.0, chosen: slice = slice(None)) -> Any:
     """That a function stays within the bounds, with half the slack and less `unknown`, of n variables of the box.
 
-    They are the k-th group of n variables, the velocities being the first.
+    They are the k-th group of n variables, the velocities being the first, or those `chosen` of it.
     """
     n = len(document.velocity)
     start = first_velocity(len(document.low), n, document.sampling is not None) + (k - 1) * n
     low, high = document.low[start : start + n], document.high[start : start + n]
     slack = slack_of(low, high) / 2
-    return matrices.within(function, low + unknown - slack, high - unknown + slack)
+    least, most = (low + unknown - slack)[chosen], (high - unknown + slack)[chosen]
+    return matrices.within(lambda y: function(y)[chosen], least, most)
 
 
 def sampled_jobs(document: Document, pins: np.ndarray) -> Iterator[tuple]:
@@ -77,9 +78,11 @@ def sampled_jobs(document: Document, pins: np.ndarray) -> Iterator[tuple]:
     both = np.concatenate([inputs, speeds], axis=1)
     yield "the bound of the input's force", *inputs[:, None]
     yield "the definedness of the input's force", *inputs[:, None]
-    yield "the bound of the joint force", *both[:, None]
-    for what in FRICTION_JOBS[1:]:
-        yield what, *speeds[:, None]
+    # Joint by joint: where all are shown together, the boxes that each of them needs multiply.
+    for joint in range(1, len(document.velocity) + 1):
+        yield f"the bound of the joint force {joint}", *both[:, None]
+        yield f"the bound of the friction's slope {joint}", *speeds[:, None]
+    yield FRICTION_JOBS[2], *speeds[:, None]
     for claim in document.claims:
         if claim.kind == "prediction":
             yield PREDICTED, *np.array(document.bounds(claim))[:, None]
@@ -110,14 +113,21 @@ def sampled_matrix(document: Document, system: ErrorSystem, model: MechanicalSys
         claim = next(c for c in document.claims if c.kind == "correction" and f"after {c.row} lost" in what)
         ends = np.concatenate([np.array(document.bounds(claim)), np.zeros((2, 2 * n + 1))], axis=1)
         return TaylorEnclosure(matrices.all_corrections(system), ends[0], ends[1], np.zeros(ends.shape[1]), "smooth")
+    joint = int(what.rpartition(" ")[2]) - 1 if what[-1].isdigit() else 0
+    one = slice(joint, joint + 1)
     force, friction = matrices.input_force(model, n), matrices.friction(model, n)
     kinds: dict[str, tuple[Any, np.ndarray, Literal["", "defined", "smooth"]]] = {
         "the bound of the input's force": (_within(document, force, 3), inputs, ""),
         "the definedness of the input's force": (force, inputs, "defined"),
-        "the bound of the joint force": (
+        f"the bound of the joint force {joint + 1}": (
             # A force that the model lacks may be added to both.
-            _within(document, lambda y: force(y[:-n]) + friction(y[-n:]), 4, document.given.disturbance),
+            _within(document, lambda y: force(y[:-n]) + friction(y[-n:]), 4, document.given.disturbance, one),
             np.concatenate([inputs, speeds], axis=1),
+            "",
+        ),
+        f"the bound of the friction's slope {joint + 1}": (
+            _within(document, matrices.friction_slopes(model, n), 5, chosen=one),
+            speeds,
             "",
         ),
     }
