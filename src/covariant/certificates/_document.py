@@ -464,9 +464,9 @@ def _last_kinds(observer: dict[str, Any], sampling: Sampling | None, given: Give
     """
     if sampling is None:
         return ["disturbance"]
-    last: list[Kind] = ["disturbance"] if given.disturbance.any() else []
-    last += ["correction"] * (sampling.lost + 1)
-    return [*last, "missing"] if observer.get("order") == 1 else last
+    disturbance: list[Kind] = ["disturbance"] if given.disturbance.any() else []
+    corrections: list[Kind] = ["correction"] * (sampling.lost + 1)
+    return [*disturbance, *corrections, "missing"] if observer.get("order") == 1 else [*disturbance, *corrections]
 
 
 def _claims(field: Field, n: int, variables: int, last: list[Kind], given: Given) -> tuple[Stated, ...]:

@@ -116,10 +116,11 @@ def start_claim(model: MechanicalSystem, system: ErrorSystem, claims: Sequence[C
     metric = -values.reshape(-1, len(squares), len(squares)) * np.outer(scale, scale)
     square = MARGIN * float(np.linalg.eigvalsh(metric)[:, -1].max())
     little = dataclasses.replace(effort, boxes=min(effort.boxes, BOXES))
+    proof = little.prove("a start", start_bound(system, squares, square))
     for _ in range(TRIES):
-        proof = little.prove("a start", start_bound(system, squares, square))
         if proof.counterexample is None:
             break
         square *= MARGIN**2
+        proof = little.prove("a start", start_bound(system, squares, square))
     effort.boxes -= min(effort.boxes, BOXES) - little.boxes
     return [Claim("start", proof, 0, square)] if proof.verdict == "holds" else []
