@@ -1,6 +1,7 @@
 """The search for the largest number that is proved, and what start a certificate covers."""
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -24,7 +25,9 @@ def proved_up_to(limit, calls, refuse=math.inf):
         statement = Statement("it contracts", (), (Hypothesis("it contracts", "proved", verdict),), value)
         domain = box(v=(-1.0, 1.0), e=(-0.1, 0.1), f=(0.0, 0.0))
         given = {"noise": [0.0], "disturbance": [0.0], "slopes": [[0.0]]}
-        return ContractionCertificate(statement, value, 0.1, None, np.eye(2), None, domain, np.ones(1), given, (), None)
+        nothing: Any = None
+        start = statement, value, 0.1, nothing, np.eye(2), nothing
+        return ContractionCertificate(*start, domain, np.ones(1), given, (), None)
 
     return prove
 
@@ -33,6 +36,9 @@ def proved_up_to(limit, calls, refuse=math.inf):
 def test_one_step_beyond_the_largest_was_not_proved(limit):
     calls = []
     found = largest(proved_up_to(limit, calls), 1.0, runs=30)
+    assert found.value is not None
+    assert found.refused is not None
+    assert found.certificate is not None
     assert found.value <= limit < found.refused <= 1.05 * found.value
     assert found.certificate.rate == found.value
     assert [attempt.value for attempt in found.attempts] == calls
@@ -48,6 +54,7 @@ def test_a_search_ends_after_its_runs_and_at_the_least_value():
     nothing = largest(proved_up_to(0.1, calls := []), 1.0, least=0.3, runs=30)
     assert nothing.value is None
     assert calls == [1.0, 0.5, 0.3]
+    assert nothing.certificate is not None
     assert nothing.certificate.statement.verdict == "undecided"
 
 
@@ -90,6 +97,7 @@ def test_the_verb_returns_the_certificate_of_the_largest_error_with_all_attempts
     text = str(result)
     assert "tried for the largest multiple of the errors:\n  1: holds, 4 boxes\n  2: holds" in text
     start = result.certificate.start
+    assert start is not None
     assert f"  {start.lines[0]}" in text
     assert "errors of a start that are within ε, all at once: q 0.0" in text
     assert result.summary["start"]["q"]["farthest"] == pytest.approx(0.2)
@@ -105,6 +113,7 @@ def test_the_longest_interval_of_a_pendulum_is_found():
     assert result.holds
     proved = [attempt.value for attempt in result.attempts if attempt.verdict == "holds"]
     others = [attempt.value for attempt in result.attempts if attempt.verdict != "holds"]
+    assert result.certificate.sampling is not None
     assert result.certificate.sampling.interval[1] == max(proved)
     assert max(proved) < min(others)
     # Simulated errors grow from a quarter of a second on.

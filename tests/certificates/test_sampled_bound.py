@@ -48,12 +48,12 @@ def plain_pendulum():
 class Log(NamedTuple):
     """What an observer saw and estimated in several runs (runs, steps, …), with the true states."""
 
-    truth: np.ndarray
-    estimate: np.ndarray
-    u: np.ndarray
-    y: np.ndarray
-    dt: np.ndarray
-    off: np.ndarray
+    truth: jax.Array
+    estimate: jax.Array
+    u: jax.Array
+    y: jax.Array
+    dt: jax.Array
+    off: jax.Array
 
 
 @functools.partial(jax.jit, static_argnums=(1, 2))

@@ -38,6 +38,7 @@ from covariant.certificates._force_bounds import force_bounds, force_reads_time,
 from covariant.certificates._inequalities import contraction, disturbance_bound, squared_widths, width_bound
 from covariant.certificates._intrinsic import Intrinsics, check_unique, error_system
 from covariant.certificates._joint_bounds import friction_bounds, has_dry_friction, joint_bounds
+from covariant.certificates._rates import metric_and_rates
 from covariant.certificates._sampled_claims import (
     check_sampling,
     force_claim,
@@ -47,8 +48,8 @@ from covariant.certificates._sampled_claims import (
     sampled_given,
 )
 from covariant.certificates._saved import observer_document
+from covariant.certificates._tangent_metric import TwoByTwo
 from covariant.certificates._start import start_claim
-from covariant.certificates._tangent_metric import TwoByTwo, check_q, error_matrix, optimal_lyapunov, rate_of
 from covariant.geometry.lie import SO2, SO3
 from covariant.lowering import Lowered, lower, numbers
 from covariant.models import MechanicalSystem, input_count
@@ -135,7 +136,7 @@ def certify(
         raise ValueError(f"certify: checker must be one of {', '.join(CHECKERS)}; got {checker!r}")
     start = time.monotonic()
     assumed = _assumed(observer, velocity, error, noise, disturbance)
-    matrix, target, *slower = _metric_and_rates(observer, q, rate, interval is not None, bool(assumed.noise.any()))
+    matrix, target, *slower = metric_and_rates(observer, q, rate, interval is not None, bool(assumed.noise.any()))
     sampling = None if interval is None else check_sampling(observer, interval, lost, q, len(assumed.velocity))
     if (
         sampling is not None
@@ -201,24 +202,6 @@ def certify(
         verified=True,
         checker_seconds=time.monotonic() - check_start,
     )
-
-
-def _metric_and_rates(
-    observer: Intrinsics, q: Numbers | None, rate: float | None, sampled: bool, noisy: bool
-) -> tuple[TwoByTwo, *tuple[float, ...]]:
-    """The matrix Q and the rate to prove, as given or by default; with samples and noise several rates to try."""
-    alpha, beta = float(observer.alpha), float(observer.beta)
-    for name, gain in (("alpha", alpha), ("beta", beta)):
-        if not math.isfinite(gain):
-            raise ValueError(f"certify: {name} of the observer must be a finite number; got {gain:g}")
-    best = -2 * float(np.linalg.eigvals(error_matrix(alpha, beta)).real.max())
-    matrix = optimal_lyapunov(alpha, beta, best * 2 / 3) if q is None else check_q("certify", q)
-    default = best / 10 if sampled else rate_of(alpha, beta, matrix) / 2
-    target = default if rate is None else float(rate)
-    if not (math.isfinite(target) and target > 0):
-        raise ValueError(f"certify: the rate must be a positive number; got {target:g}")
-    # Fast rates forget noise sooner, and leave fewer metrics to choose from: in between is the smallest bound.
-    return matrix, target, *((2 * target, 4 * target, 6 * target) if sampled and noisy and rate is None else ())
 
 
 class _Assumed(NamedTuple):

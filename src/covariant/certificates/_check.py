@@ -24,6 +24,8 @@ from covariant.certificates._check_sampled import (
     SLACK,
     friction_jobs,
     friction_matrix,
+    need_sampled_rate_and_radius,
+    sampled_claim_matrices,
     sampled_jobs,
     sampled_matrix,
     slack_of,
@@ -32,7 +34,6 @@ from covariant.certificates._document import Document, first_velocity, parse
 from covariant.certificates._error_system import ErrorSystem
 from covariant.certificates._intrinsic import Intrinsics, check_unique, configuration_shape
 from covariant.certificates._prediction import Prediction, defect_matrix, step_values
-from covariant.certificates._radius_recursion import UNDISTURBED, Recursion
 from covariant.certificates._sampled_step import sampled_prediction
 from covariant.certificates._saved import observer_from, system_of, value_graph
 from covariant.models import input_count
@@ -216,16 +217,7 @@ def _complete(resolved: Resolved) -> None:
         what = f"claims[{row + 1}].limit: row {row} reaches {r:.6g}, may reach {claim.limit:.6g}"
         _need(r <= claim.limit <= available, f"{what}, and has {available:.6g} of room")
     if document.sampling is not None:
-        loss = document.loss
-        slower = f"{loss.rate:.6g} 1/s by the factor of the correction, up to {loss.restart:.6g} of a restart"
-        _need(loss.allowed(document.rate), f"rate: nothing is left of {document.rate / 2:.6g} 1/s, less {slower}")
-        steps = Recursion.of(document.sampling, document.q, document.rate, UNDISTURBED, claims)
-        away = f"{steps.steady:.6g} away, and the radius is {radius:.6g}"
-        _need(steps.steady < radius, f"sampling.substeps: errors of {document.sampling.substeps} steps lead {away}")
-        bounds = {"noise": noise, "disturbance": document.given.disturbance}
-        recursion = Recursion.of(document.sampling, document.q, document.rate, bounds, claims)
-        kept = not recursion.disturbed or recursion.keeps(radius)
-        _need(kept, f"radius: noise and disturbance lead out of {radius:.6g}, to {recursion.largest(radius):.6g}")
+        need_sampled_rate_and_radius(document)
     elif disturbance:
         count = np.count_nonzero(sizes(document))
         # The steady distance 2D/λ: the box of scaled errors lies in the ball of radius √count, so D² = count · square.
@@ -292,24 +284,16 @@ def _matrix(resolved: Resolved, what: int | str) -> TaylorEnclosure:
         matrix = {
             "contraction": lambda: matrices.contraction(system, document.rate),
             "reach": lambda: matrices.width_bound(system, claim.row, claim.square),
-            "disturbance": lambda: (
-                matrices.disturbance(system, sizes(document), claim.square)
-                if document.sampling is None
-                else matrices.joint_force(system, document.given.disturbance, claim.square)
-            ),
-            "correction": lambda: matrices.correction(
-                system, document.given.noise if claim.squares else None, claim.squares
-            ),
+            "disturbance": lambda: matrices.disturbance(system, sizes(document), claim.square),
             "start": lambda: matrices.start(system, document.reach_squares, claim.square),
-            "missing": lambda: matrices.missing(system, claim.square, claim.limit, document.unit_reach),
-            "prediction": lambda: defect_matrix(prediction_in(resolved), claim.square),
-        }[claim.kind]()
+        } | sampled_claim_matrices(document, system, claim)
         if claim.kind == "prediction":
             low, high = document.bounds(claim)
             force = np.arange(len(low)) >= len(low) - n - 3
-            return TaylorEnclosure(matrix, low, high, np.where(force, slack_of(low, high), 0.0) * (low < high))
+            slack = np.where(force, slack_of(low, high), 0.0) * (low < high)
+            return TaylorEnclosure(defect_matrix(prediction_in(resolved), claim.square), low, high, slack)
         slack = np.where(_forces(document), slack_of(low, high), 0.0)
-        return TaylorEnclosure(matrix, *document.bounds(claim), slack)
+        return TaylorEnclosure(matrix[claim.kind](), *document.bounds(claim), slack)
     if what in FRICTION_JOBS:
         return friction_matrix(document, model, what)
     if what == PREDICTED:

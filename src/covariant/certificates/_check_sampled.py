@@ -3,14 +3,15 @@
 The bounds of friction serve certificates in continuous time too, where friction and its slopes are variables.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any, Literal
 
 import numpy as np
 
 from covariant.certificates import _matrices as matrices
-from covariant.certificates._document import Document, first_velocity
+from covariant.certificates._document import Document, Stated, first_velocity
 from covariant.certificates._error_system import ErrorSystem
+from covariant.certificates._radius_recursion import UNDISTURBED, Recursion
 from covariant.models import MechanicalSystem
 from covariant.proofs.checker import TaylorEnclosure
 
@@ -133,6 +134,52 @@ def sampled_matrix(document: Document, system: ErrorSystem, model: MechanicalSys
     }
     function, box, watch = kinds[what]
     return TaylorEnclosure(function, box[0], box[1], np.zeros(box.shape[1]), watch)
+
+
+def sampled_claim_matrices(
+    document: Document, system: ErrorSystem, claim: Stated
+) -> dict[str, Callable[[], matrices.Matrix]]:
+    """Build the matrices of the claims that are others with samples, by kind.
+
+    Args:
+        document: the parsed file.
+        system: observer and metric as functions of a box.
+        claim: the claim.
+    """
+    if document.sampling is None:
+        return {}
+    given = document.given
+    return {
+        "disturbance": lambda: matrices.joint_force(system, given.disturbance, claim.square),
+        "correction": lambda: matrices.correction(system, given.noise if claim.squares else None, claim.squares),
+        "missing": lambda: matrices.missing(system, claim.square, claim.limit, document.unit_reach),
+    }
+
+
+def need_sampled_rate_and_radius(document: Document) -> None:
+    """Check that a rate is left, and that noise and unknown forces do not lead out of the radius.
+
+    Args:
+        document: the parsed file, all of whose claims are there.
+
+    Raises:
+        ValueError: saying what is wrong.
+    """
+    assert document.sampling is not None
+    rate, radius, loss, given = document.rate, document.radius, document.loss, document.given
+    if not loss.allowed(rate):
+        slower = f"{loss.rate:.6g} 1/s by the factor of the correction, up to {loss.restart:.6g} of a restart"
+        raise ValueError(f"rate: nothing is left of {rate / 2:.6g} 1/s, less {slower}")
+    steps = Recursion.of(document.sampling, document.q, rate, UNDISTURBED, document.claims).steady
+    if not steps < radius:
+        count = document.sampling.substeps
+        away = f"errors of {count} steps lead {steps:.6g} away, and the radius is {radius:.6g}"
+        raise ValueError(f"sampling.substeps: {away}")
+    bounds = {"noise": given.noise, "disturbance": given.disturbance}
+    recursion = Recursion.of(document.sampling, document.q, rate, bounds, document.claims)
+    if recursion.disturbed and not recursion.keeps(radius):
+        farthest = recursion.largest(radius)
+        raise ValueError(f"radius: noise and disturbance lead out of {radius:.6g}, to {farthest:.6g}")
 
 
 def slack_of(low: np.ndarray, high: np.ndarray) -> np.ndarray:

@@ -192,7 +192,7 @@ class SampledBound(eqx.Module):
         aged = jnp.where(measured, known_age, (dt >= 0) & (age <= self.recursion.ages[-1, 1]))
         position, velocity = jnp.split(radius * jnp.asarray(self.reach) * (1 + ROUND), 2)
         q, v = jnp.split(x, 2)
-        conditions = (
+        conditions: tuple[tuple[Premise, Any], ...] = (
             (Premise.START, jnp.isfinite(state.radius)),
             (Premise.AGE, aged),
             # The recursion grows between samples at most to the larger of the distances before and after.

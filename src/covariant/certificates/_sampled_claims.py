@@ -202,16 +202,12 @@ def _prove(
         low, high = claim_bounds(sampling, "correction", lost, effort.domain.low, effort.domain.high)
         what, domain = f"correction after {lost} lost", effort.domain._replace(low=low, high=high)
         added = np.asarray(squares[lost]) if noise.any() else np.zeros(0)
-
-        def proved(added, what=what, domain=domain):
-            return effort.prove(what, correction(system, noise if len(added) else None, added.tolist()), domain)
-
-        proof = proved(added)
-        for _ in range(SEARCHES - 1):
+        proof = effort.prove(what, correction(system, noise if len(added) else None, added.tolist()), domain)
+        for _ in range(SEARCHES):  # where a point is worse than all that were sampled
             if proof.counterexample is None or not len(added):
                 break
-            added = 1.2 * added  # where a point is worse than all that were sampled
-            proof = proved(added)
+            added = 1.2 * added
+            proof = effort.prove(what, correction(system, noise, added.tolist()), domain)
         claims.append(Claim("correction", proof, lost, squares=tuple(added.tolist())))
     return claims
 

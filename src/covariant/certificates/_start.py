@@ -117,7 +117,7 @@ def start_claim(model: MechanicalSystem, system: ErrorSystem, claims: Sequence[C
     square = MARGIN * float(np.linalg.eigvalsh(metric)[:, -1].max())
     little = dataclasses.replace(effort, boxes=min(effort.boxes, BOXES))
     proof = little.prove("a start", start_bound(system, squares, square))
-    for _ in range(TRIES - 1):
+    for _ in range(TRIES):
         if proof.counterexample is None:
             break
         square *= MARGIN**2

@@ -2,7 +2,7 @@
 
 import math
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,6 +17,7 @@ from covariant.models import MechanicalSystem, ModelFile, Overrides, input_count
 from covariant.observers import Geodesic, Intrinsic
 from covariant.proofs import MOST_BOXES, read_file
 from covariant.workflow._arguments import Amounts, Region, above_zero, amounts, bounds, gain_pair, numbers
+from covariant.workflow._find import FIND, RUNS, largest_proved
 from covariant.workflow._inputs import data_sheet, numbered
 from covariant.workflow._outputs import FIGURES, check_output
 from covariant.workflow._progress import Progress, silent
@@ -27,14 +28,6 @@ if TYPE_CHECKING:
 
 OBSERVERS = {"intrinsic": Intrinsic, "geodesic": Geodesic}
 """The observers that there are certificates for."""
-FIND = {
-    "error": "multiple of the errors",
-    "rate": "rate λ [1/s]",
-    "interval": "longest time between samples [s]",
-}
-"""What `find` may name, and what is varied then."""
-RUNS = 10
-"""Largest number of certificates that a search tries, by default."""
 VERDICTS = {"holds": "proved", "fails": "wrong", "undecided": "not decided"}
 """What people call the verdicts."""
 _KINDS = {"estimate": "estimate of", "velocity": "estimated velocity", "error": "position error", "force": "force"}
@@ -163,41 +156,8 @@ def certify(
 
     if find is None:
         return CertifyResult(name, prove(), design)
-    certificate, attempts = _largest(find, settings, prove, runs)
+    certificate, attempts = largest_proved(find, settings, prove, runs)
     return CertifyResult(name, certificate, design, FIND[find], attempts)
-
-
-def _largest(
-    find: str, settings: dict[str, Any], prove: Callable[..., ContractionCertificate], runs: int
-) -> tuple[ContractionCertificate, tuple[Attempt, ...]]:
-    """The certificate of the largest value of a setting that is proved, and the attempts."""
-    if find not in FIND:
-        raise ValueError(f"find: choose one of {', '.join(FIND)}; got {find!r}")
-    if find != "error" and settings[find] is None:
-        raise ValueError(f"find: give {find}, with which the search for the largest begins")
-    error, interval = settings["error"], settings["interval"]
-    first, least = 1.0, 0.0
-    if find == "rate":
-        first = settings["rate"]
-    if find == "interval":
-        least, first = (float(h) for h in interval)
-
-    def changed(value: float) -> dict[str, Any]:
-        match find:
-            case "error":
-                return {"error": value * np.asarray(error)}
-            case "rate":
-                return {"rate": value}
-            case _:
-                return {"interval": (least, value)}
-
-    # The checker examines what is returned, and none of the attempts before it.
-    found = certificates.largest(lambda value: prove(**changed(value), checker="off"), first, least=least, runs=runs)
-    certificate = found.certificate
-    assert certificate is not None
-    if settings["checker"] != "off" and found.value is not None:
-        certificate = prove(**changed(found.value))
-    return certificate, found.attempts
 
 
 @dataclass(frozen=True, repr=False)
