@@ -48,8 +48,8 @@ from covariant.certificates._sampled_claims import (
     sampled_given,
 )
 from covariant.certificates._saved import observer_document
-from covariant.certificates._tangent_metric import TwoByTwo
 from covariant.certificates._start import start_claim
+from covariant.certificates._tangent_metric import TwoByTwo
 from covariant.geometry.lie import SO2, SO3
 from covariant.lowering import Lowered, lower, numbers
 from covariant.models import MechanicalSystem, input_count
