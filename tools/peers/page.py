@@ -24,7 +24,7 @@ ABOUT = {
     "are written again in NumPy for it.",
     "fmi": "FMPy validates exported units of both versions of FMI, and its simulation is compared with Python.",
     "control": "python-control's vertical take-off aircraft, with an observer of this library in its loop.",
-    "sysid": "MuJoCo's system identification beside `covariant fit` on one log; FIGAROH on torques of this library.",
+    "sysid": "MuJoCo's system identification beside `covariant fit`, on one log of a servo.",
     "dynamics": "Every included robot, and random trees, beside MuJoCo and Pinocchio (`tools/compare_robots.py`).",
 }
 """What each suite is, by its name."""

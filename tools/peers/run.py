@@ -37,7 +37,7 @@ class Suite(NamedTuple):
         unpinned: Packages whose version in constraints.txt does not apply.
         beside: Requirements of a second environment, for a package that needs another NumPy than this library.
         environment: Environment variables of the run.
-        seeks: A package that is asked for and that is left out where pip does not find it.
+        seeks: A package that would be compared with, were it to be had: what pip answers is on the page.
     """
 
     packages: tuple[str, ...]
@@ -57,7 +57,7 @@ SUITES = {
     "filterpy": Suite(("filterpy==2.0.0",)),
     "fmi": Suite(("fmpy",)),
     "control": Suite(("control",)),
-    "sysid": Suite(("mujoco[sysid]",), beside=("figaroh==1.0.2",)),
+    "sysid": Suite(("mujoco[sysid]",), seeks="figaroh==1.0.2"),
     "dynamics": Suite(("mujoco",), beside=("pin==4.1.0",)),
 }
 """Every suite by its name, which is that of its file `suite_NAME.py` in this folder."""
@@ -109,8 +109,8 @@ def answer(text: str) -> str:
 
 
 def sought(environment: Path, package: str) -> str:
-    """What pip answers when it is asked for a package, or nothing where it is installed."""
-    done = pip(environment, "--no-deps", package)
+    """What pip answers when it is asked for a package, or nothing where it would install it."""
+    done = pip(environment, "--dry-run", package)
     return answer(done.stderr) if done.returncode else ""
 
 
