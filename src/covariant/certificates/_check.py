@@ -171,7 +171,8 @@ def _complete(resolved: Resolved) -> None:
         covered = low[-1] <= 0 and document.sampling.oldest <= high[-1]
         _need(covered, f"box: it must hold the ages from 0 to {document.sampling.oldest:.6g} s of measurements")
     # What follows is about positions, velocities, errors and forces; further forces and the age come after them.
-    names, low, high = (part[: document.forces.stop] for part in (names, low, high))
+    end = document.forces.stop
+    names, low, high = names[:end], low[:end], high[:end]
     m, places = input_count(model, n), math.prod(configuration_shape(model, n))
     for key, expected in (("positions", places), ("inputs", m)):
         columns = getattr(document.given, key).shape[1]

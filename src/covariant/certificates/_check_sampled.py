@@ -47,7 +47,7 @@ def friction_matrix(document: Document, model: MechanicalSystem, what: str) -> T
         function = _within(document, matrices.friction_slopes(model, n), 5)
     else:
         function, watch = friction, "smooth"
-    return TaylorEnclosure(function, *speeds, np.zeros(n), watch)
+    return TaylorEnclosure(function, speeds[0], speeds[1], np.zeros(n), watch)
 
 
 def _within(document: Document, function: Any, k: int) -> Any:
