@@ -129,8 +129,8 @@ def bounds(series: Sequence[Any], low: Any, high: Any) -> tuple[Any, Any]:
 
     c_k decreases until π², from before 0 on, and is nowhere beyond ±1/k! for x ≥ 0. Squares are not negative, but their
     enclosures may reach below 0, hence arguments from `LEAST` on. The relative error of the sum is at most 3·TERMS·u of
-    the sum of the absolute terms (N. J. Higham, Accuracy and Stability of Numerical Algorithms, 2002, section 5.1); the last
-    term is added for those left out.
+    the sum of the absolute terms (N. J. Higham, Accuracy and Stability of Numerical Algorithms, 2002, section 5.1); the
+    last term is added for those left out.
 
     Args:
         series: The `coefficients` of c_k.
