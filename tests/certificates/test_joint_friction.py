@@ -13,7 +13,7 @@ from covariant.certificates import _certify, _check, certify, check, error_syste
 from covariant.certificates._inequalities import contraction
 from covariant.certificates._joint_bounds import friction_bounds, has_dry_friction
 from covariant.lowering import numbers
-from covariant.models import Lagrangian
+from covariant.models import Lagrangian, MechanicalSystem
 from covariant.observers import Intrinsic
 from covariant.proofs import digest
 
@@ -28,9 +28,15 @@ def two_links(**friction):
     return models.pendulum_chain(mass=(0.6, 0.4), length=(0.3, 0.2), inertia=(0.05, 0.02), **friction)
 
 
+def pendulum():
+    model = models.from_recipe(DRY)
+    assert isinstance(model, MechanicalSystem)
+    return Intrinsic(model, 10.0, 50.0)
+
+
 @pytest.fixture(scope="module")
 def proved():
-    observer = Intrinsic(models.from_recipe(DRY), 10.0, 50.0)
+    observer = pendulum()
     return certify(observer, velocity=2.0, error=0.05, position=(-3.0, 3.0), input=0.1, q=Q, rate=1.0, recipe=DRY)
 
 
@@ -97,7 +103,7 @@ def test_friction_without_bounds_is_a_function_of_the_velocity(monkeypatch):
         raise ValueError("no bound")
 
     monkeypatch.setattr(_certify, "friction_bounds", unbounded)
-    observer = Intrinsic(models.from_recipe(DRY), 10.0, 50.0)
+    observer = pendulum()
     found = certify(
         observer, velocity=2.0, error=0.05, position=(-3.0, 3.0), input=0.1, q=Q, rate=1.0, boxes=200, checker="off"
     )
@@ -109,7 +115,7 @@ def test_friction_that_is_none_of_the_model_refutes_nothing(monkeypatch):
     """Slopes of any sign refute contraction; those of the model do not."""
     wide = np.array([[-1.0], [1.0]]), np.array([[-100.0], [100.0]])
     monkeypatch.setattr(_certify, "friction_bounds", lambda model, speed: wide)
-    observer = Intrinsic(models.from_recipe(DRY), 10.0, 50.0)
+    observer = pendulum()
     found = certify(
         observer, velocity=2.0, error=0.05, position=(-3.0, 3.0), input=0.1, q=Q, rate=1.0, boxes=200, checker="off"
     )

@@ -2,6 +2,8 @@
 
 import functools
 import math
+import tomllib
+from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
@@ -223,6 +225,26 @@ def test_a_heavy_top_is_proved_for_all_attitudes():
     found = certify(Intrinsic(model, 10.0, 50.0), velocity=0.5, error=0.03, input=0.1, rate=2.0)
     assert found.statement.verdict == "holds"
     assert found.domain.high[-3] == pytest.approx(1.1)  # moment plus torque
+
+
+@pytest.mark.long
+def test_a_vehicle_of_twelve_states_is_proved_for_all_attitudes():
+    file = tomllib.loads((Path(__file__).parents[2] / "examples/underwater_vehicle.toml").read_text(encoding="utf-8"))
+    low, high = -np.ones((4, 4)), np.ones((4, 4))
+    low[:3, 3], high[:3, 3] = -10.0, 10.0
+    low[3] = high[3] = [0.0, 0.0, 0.0, 1.0]
+    found = certify(
+        Intrinsic(models.underwater_vehicle(**file["parameters"]), 10.0, 50.0),
+        velocity=0.3,
+        error=0.005,
+        position=(low, high),
+        input=[20.0, 20.0, 20.0, 2.0, 2.0, 2.0],
+        rate=2.0,
+        boxes=100,
+        checker="off",
+    )
+    assert found.statement.proved
+    assert found.boxes == 13
 
 
 def test_a_certificate_needs_its_bounds():

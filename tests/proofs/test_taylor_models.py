@@ -15,8 +15,9 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from covariant.geometry import lie
-from covariant.lowering import stumpff
+from covariant.lowering import lower, stumpff
 from covariant.proofs import checker
+from covariant.proofs._models import polynomials
 from covariant.proofs.checker import TaylorEnclosure, show_definite
 from covariant.proofs.checker._definite import definite
 from covariant.proofs.checker._taylor import UndecidedError, number
@@ -407,3 +408,14 @@ def test_what_is_not_defined_blames_what_widens_it():
     )
     found = huge(*around)[0, 0]
     assert found.middle - found.away < 0
+
+
+def test_functions_of_a_squared_angle_are_bounded_around_zero():
+    """The polynomial of a square reaches below 0, where Stumpff's functions are defined too."""
+    for k in range(5):
+        lowered = lower(lambda z, k=k: stumpff(k, z @ z)[None], jnp.zeros(3))
+        found = polynomials(lowered, np.full((1, 3), -0.1), np.full((1, 3), 0.1), np.arange(3))
+        assert np.isfinite(found.rest).all()
+        away = np.abs(found.terms).sum(0) + found.rest
+        for square in (0.0, 0.01, 0.03):
+            assert abs(float(stumpff(k, square)) - found.centre[0, 0]) <= away[0, 0]
