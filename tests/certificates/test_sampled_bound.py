@@ -128,6 +128,7 @@ def worst(bound, log):
     return float(np.asarray(errors).max())
 
 
+@pytest.mark.long
 def test_the_bound_holds_in_simulation_and_mutants_of_it_do_not():
     """3000 samples with the largest errors of measurement and force."""
     log = simulated("switching", 150, 20)
