@@ -118,7 +118,7 @@ PUBLIC = {
     "proofs": "BITS LETTERS MOST_BOXES MOST_DERIVED MOST_LETTERS OPEN PROVED BallMatrix Box Field Form Proof as_form "
     "blocks box check_box derivative_form digest from_letters graph_rows leaves parse_file prove prove_at_corners "
     "read_file saved_graph saved_levels show_conditions to_letters",
-    "proofs.checker": "ROUND TaylorEnclosure halves leaves plain show_definite",
+    "proofs.checker": "ROUND TaylorEnclosure halves leaves plain series show_definite",
     "report": "PALETTE EstimateReport audit_figure certificate_figure draw_audit draw_certificate figure new_figure "
     "save_figure table write_article write_audit write_html write_png write_report",
     "simulation": "Backstepping PiecewiseInputs Reference PositionSensor follow hold lissajous logged_inputs no_input "

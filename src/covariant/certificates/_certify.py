@@ -109,8 +109,8 @@ def certify(
         disturbance: bound of each component of an unmodelled force, a number or (n,).
         interval: shortest and longest time [s] between two samples: the statement is then about the observer that
             predicts between samples and corrects at each of them, in a metric that is searched (with clarabel). It
-            covers systems in coordinates whose force depends on the input alone. Without it the observer runs in
-            continuous time.
+            covers systems in coordinates and on rotations whose force depends on the input alone, on rotations without
+            noise and disturbance. Without it the observer runs in continuous time.
         lost: with `interval`, the largest number of samples that may be lost in a row.
         recipe: where the model comes from, as from `models.recipe`; needed to save the certificate.
         boxes: largest number of boxes for all proofs together, which is the same effort on every machine.
