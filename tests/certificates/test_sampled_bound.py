@@ -21,7 +21,7 @@ BOUNDS = {"position": (-3.0, 3.0), "velocity": 4.0, "error": 0.1, "input": 0.5}
 NOISE, FORCE, INTERVAL = 2e-4, 0.01, (0.01, 0.012)
 REGION = (np.array([[-3.0], [3.0]]), np.array([4.0]), np.array([[-0.5], [0.5]]))
 # What is proved of the pendulum, see `test_what_is_proved_is_what_the_short_tests_use`.
-PROVED = Recursion(2.0, 1.3457e-3, (1.7525e-10,), 2.7368e-2, 2.3757e-5, np.array([INTERVAL]))
+PROVED = Recursion(2.0, 1.3457e-3, (1.7525e-10,), 2.7368e-2, 0.0, 2.3757e-5, np.array([INTERVAL]))
 QUIET = PROVED._replace(force=0.0)
 REACH, START, RADIUS = np.sqrt([70.873, 2441.9]), 3.6172 / np.array([70.873, 2441.9]), 0.01185
 
@@ -271,7 +271,7 @@ def given(key, value):
 def test_what_is_proved_is_what_the_short_tests_use(proved, tmp_path, monkeypatch):
     assert proved.statement.proved, proved.statement
     kinds = [claim.kind for claim in proved.claims]
-    assert kinds == ["contraction", "reach", "reach", "disturbance", "correction", "missing", "start"]
+    assert kinds == ["contraction", "reach", "reach", "disturbance", "correction", "missing", "prediction", "start"]
     bound = proved.bound()
     for mine, used in zip(bound.recursion, PROVED, strict=True):
         assert np.allclose(mine, used, rtol=0.05)
