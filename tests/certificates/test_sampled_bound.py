@@ -21,7 +21,7 @@ BOUNDS = {"position": (-3.0, 3.0), "velocity": 4.0, "error": 0.1, "input": 0.5}
 NOISE, FORCE, INTERVAL = 2e-4, 0.01, (0.01, 0.012)
 REGION = (np.array([[-3.0], [3.0]]), np.array([4.0]), np.array([[-0.5], [0.5]]))
 # What is proved of the pendulum, see `test_what_is_proved_is_what_the_short_tests_use`.
-PROVED = Recursion(2.0, 1.3457e-3, (1.7525e-10,), 2.7368e-2, 0.0, 2.3757e-5, np.array([INTERVAL]))
+PROVED = Recursion(2.0, 1.3457e-3, (1.7525e-10,), 2.7368e-2, 2.8971e-10, 2.3757e-5, np.array([INTERVAL]))
 QUIET = PROVED._replace(force=0.0)
 REACH, START, RADIUS = np.sqrt([70.873, 2441.9]), 3.6172 / np.array([70.873, 2441.9]), 0.01185
 
@@ -289,7 +289,7 @@ def test_what_is_proved_is_what_the_short_tests_use(proved, tmp_path, monkeypatc
     for change, message in (
         (scaled(4, "squares", 0.5), r"claims\[4\] is not shown"),
         (scaled(3, "square", 0.5), r"claims\[3\] is not shown"),
-        (scaled(6, "square", 0.5), r"claims\[6\] is not shown"),
+        (scaled(7, "square", 0.5), r"claims\[7\] is not shown"),
         (lambda d: d["claims"][4].pop("squares"), "squares"),
         (lambda d: d["claims"].pop(3), "must be one of .disturbance"),
         (given("noise", 0.0), "squares"),
