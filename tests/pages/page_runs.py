@@ -31,10 +31,6 @@ def runs(block: Block) -> bool:
 EXECUTED = [page for page in PAGES if runnable(page)]
 WITH_COMMANDS = [page for page in EXECUTED if any(block.language == "bash" for block in runnable(page))]
 WITH_LONG_BLOCKS = [page for page in EXECUTED if any(block.long for block in runnable(page))]
-HEAVY = tuple(f"{page}.md" for page in ["certificates", "forces", "groups", "metrics", "robots", "sensors", "spaces", "tuning"])
-"""Pages whose long blocks compute for minutes."""
-WHOLE = [page for page in WITH_LONG_BLOCKS if page.name not in HEAVY]
-"""Pages that the long suite runs with their long blocks."""
 
 
 def over(pages: list[Path]) -> pytest.MarkDecorator:

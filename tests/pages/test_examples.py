@@ -1,19 +1,18 @@
 """Every command and every Python example of the README and the pages runs as it stands, in the place of a user.
 
-The first page begins with an empty cache folder, as that of a new user is. Pages that the long suite runs with their
-long blocks are not run without them here, but for the README.
+The first page begins with an empty cache folder, as that of a new user is.
 """
 
 import os
 import re
 
-from page_runs import EXECUTED, PAGES, WHOLE, needs_checkout, over, run
+from page_runs import EXECUTED, PAGES, needs_checkout, over, run
 from run_page import PARTS, blocks
 
 each_page = over(EXECUTED)
 
 
-@over([page for page in EXECUTED if page not in WHOLE or page.name == "README.md"])
+@each_page
 def test_a_page_runs_from_an_empty_folder(page, tmp_path, home):
     run(page, tmp_path, home, os.defpath)
 
