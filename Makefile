@@ -90,16 +90,14 @@ mutants: env
 peers: env
 	$(BIN)/python tools/peers/run.py $(SUITES)
 
-# The site, in the folder site: open site/index.html. Its generators read the source and import none of it, so that they
-# are all that is installed for it.
+# The site, in the folder site: open site/index.html. With it comes a page on which exported observers run.
 docs: .venv/docs
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build
 	$(BIN)/python tools/browser_page.py site/browser-demo.html
 
 .venv/docs: pyproject.toml constraints.txt
 	test -x $(BIN)/python || $(PYTHON) -m venv .venv
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt \
-		$$($(BIN)/python -c 'import tomllib; print(*tomllib.load(open("pyproject.toml", "rb"))["project"]["optional-dependencies"]["docs"])')
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[docs]'
 	@touch $@
 
 # The wheel in empty environments, with no extras, some and all, without development tools; the demo runs in the last.
