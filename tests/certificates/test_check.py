@@ -258,7 +258,8 @@ def test_a_radius_that_noise_alone_reaches_is_refused(noisy, tmp_path):
     """As a number it is the very distance at which noise keeps them, which may be off by its rounding."""
     document = parse(noisy)
     assert check(noisy).radius == document.radius
-    steady = 2 * math.sqrt(2 * document.claims[-1].square) / document.rate
+    square = next(claim.square for claim in document.claims if claim.kind == "disturbance")
+    steady = 2 * math.sqrt(2 * square) / document.rate
     assert check(forged(noisy, tmp_path, put("radius", 1.001 * steady))).radius < document.radius
     with pytest.raises(ValueError, match=r"radius: noise alone leads .* away"):
         check(forged(noisy, tmp_path, put("radius", steady)))
@@ -319,14 +320,14 @@ def shortest_leaving(q):
 def test_no_geodesic_as_long_as_the_radius_leaves_a_region_that_is_not_convex(sectors, saved_sectors):
     assert sectors.statement.verdict == "holds"
     assert sectors.radius < shortest_leaving(sectors.q)
-    for claim in sectors.claims[1:]:
+    for claim in (claim for claim in sectors.claims if claim.kind == "reach"):
         assert sectors.radius * math.sqrt(claim.square) <= claim.limit
     assert check(saved_sectors, model=polar).radius == sectors.radius
 
 
 def test_a_prover_that_forgets_the_border_would_be_seen(sectors, tmp_path, monkeypatch):
     honest = _certify.limits_of
-    monkeypatch.setattr(_certify, "limits_of", lambda *given: 10 * honest(*given))
+    monkeypatch.setattr(_certify, "limits_of", lambda *given, **kw: 10 * honest(*given, **kw))
     caught = sector()
     assert (caught.statement.verdict, caught.radius) == ("undecided", 0.0)
     assert "which its box" in caught.statement.claim
@@ -363,7 +364,9 @@ def test_a_leaf_that_takes_long_does_not_keep_anybody_waiting():
 
 
 def test_what_the_checker_refuses_has_no_radius_in_its_text(monkeypatch):
-    monkeypatch.setattr(_certify, "limits_of", lambda *given, honest=_certify.limits_of: 10 * honest(*given))
+    monkeypatch.setattr(
+        _certify, "limits_of", lambda *given, honest=_certify.limits_of, **kw: 10 * honest(*given, **kw)
+    )
     refused = sector().statement
     assert refused.verdict == "undecided"
     assert "ε" not in str(refused)
@@ -390,7 +393,7 @@ def test_reaches_that_no_sampled_point_had_are_found_by_their_counterexamples(se
 def test_a_radius_beyond_what_is_proved_to_be_reached_is_refused(sectors, saved_sectors, tmp_path, more, mended):
     def longer(document):
         document["radius"] *= more
-        for claim in document["claims"][1:]:
+        for claim in (claim for claim in document["claims"] if claim["kind"] == "reach"):
             claim["limit"] *= more if mended == "limit" else 1
             claim["square"] /= more**2 if mended == "square" else 1
 
@@ -405,7 +408,18 @@ def test_a_radius_beyond_what_is_proved_to_be_reached_is_refused(sectors, saved_
 # The check is small, and shares with the prover the description of an observer alone.
 
 
-CHECKS_OF_SAMPLES = ("SLACK", "sampled_jobs", "sampled_matrix", "slack_of")
+CHECKS_OF_SAMPLES = (
+    "FRICTION_JOBS",
+    "PREDICTED",
+    "SLACK",
+    "friction_jobs",
+    "friction_matrix",
+    "need_sampled_rate_and_radius",
+    "sampled_claim_matrices",
+    "sampled_jobs",
+    "sampled_matrix",
+    "slack_of",
+)
 
 
 @pytest.mark.parametrize("module", [_check, _check_sampled, _matrices])
@@ -420,12 +434,22 @@ def test_the_check_shares_with_the_prover_the_observer_alone(module):
     allowed = {
         *(f"covariant.certificates._check_sampled.{name}" for name in CHECKS_OF_SAMPLES),
         "covariant.certificates._document.Document",
+        "covariant.certificates._document.Stated",
+        "covariant.certificates._document.first_velocity",
         "covariant.certificates._document.parse",
         "covariant.certificates._intrinsic.Intrinsics",
         "covariant.certificates._intrinsic.check_unique",
         "covariant.certificates._intrinsic.configuration_shape",
         "covariant.certificates._intrinsic.friction_of",
         "covariant.certificates._matrices",
+        # Of predictions the description of the steps; the checker's matrix is formed by series of its own.
+        "covariant.certificates._prediction.Prediction",
+        "covariant.certificates._prediction.defect_matrix",
+        "covariant.certificates._prediction.step_values",
+        "covariant.certificates._sampled_step.sampled_prediction",
+        # The argument on paper that composes claims, as numbers.
+        "covariant.certificates._radius_recursion.Recursion",
+        "covariant.certificates._radius_recursion.UNDISTURBED",
         "covariant.certificates._saved.observer_from",
         "covariant.certificates._saved.system_of",
         "covariant.certificates._saved.value_graph",
