@@ -9,36 +9,36 @@ from typer.testing import CliRunner
 from covariant import workflow
 from covariant.cli._app import app
 from covariant.observers import REGISTRY
-from covariant.workflow._references import REFERENCES, references_in
+from covariant.workflow._references import WORKS, works_in
 
 
 @pytest.mark.parametrize("entry", REGISTRY, ids=lambda entry: entry.name)
 def test_every_work_that_a_source_names_is_listed(entry):
     years = re.findall(r"\b(?:19|20)\d\d\b", entry.source)
-    assert [str(reference.year) for reference in references_in(entry.source)] == years
+    assert [str(work.year) for work in works_in(entry.source)] == years
     assert years or entry.source == "common practice"
 
 
 def test_every_listed_work_is_named_by_a_source_or_is_one_of_the_four_papers():
-    named = {reference.key for entry in REGISTRY for reference in references_in(entry.source)}
-    assert {reference.key for reference in REFERENCES} - named <= {"jouffroy2004"}
-    assert len({reference.key for reference in REFERENCES}) == len(REFERENCES)
+    named = {work.key for entry in REGISTRY for work in works_in(entry.source)}
+    assert {work.key for work in WORKS} - named <= {"jouffroy2004"}
+    assert len({work.key for work in WORKS}) == len(WORKS)
 
 
-@pytest.mark.parametrize("reference", REFERENCES, ids=lambda reference: reference.key)
-def test_an_entry_has_the_fields_of_its_kind_and_balanced_braces(reference):
-    entry = reference.bibtex
+@pytest.mark.parametrize("work", WORKS, ids=lambda work: work.key)
+def test_an_entry_has_the_fields_of_its_kind_and_balanced_braces(work):
+    entry = work.bibtex
     kind = re.match(r"@(\w+)\{", entry)[1]
     needed = {"article": "journal", "inproceedings": "booktitle", "book": "publisher", "misc": "eprint"}[kind]
     assert {"author", "title", "year", needed} <= set(re.findall(r"^  (\w+) =", entry, re.MULTILINE))
     assert entry.count("{") == entry.count("}")
-    assert reference.label in str(reference)
+    assert work.label in str(work)
 
 
 def test_the_observer_that_would_run_and_the_numbers_of_the_model_are_cited():
     cited = workflow.cite("examples/dfki_double_pendulum.toml")
     assert cited.observer_name == "intrinsic"
-    assert [reference.label for reference in cited.references][:1] == ["Aghannan & Rouchon 2003"]
+    assert [work.label for work in cited.works][:1] == ["Aghannan & Rouchon 2003"]
     assert cited.numbers == ("DFKI RIC double_pendulum, design_A.0/model_2.0",)
     with pytest.raises(ValueError, match="riccati does not fit examples/dfki_double_pendulum"):
         workflow.cite("examples/dfki_double_pendulum.toml", observer="riccati")

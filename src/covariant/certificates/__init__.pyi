@@ -28,7 +28,7 @@ from ._distance import (
     upper_distance as upper_distance,
 )
 from ._distance_certificate import DistanceCertificate as DistanceCertificate, certify_distance as certify_distance
-from ._document import Document as Document, Sampling as Sampling, parse as parse
+from ._document import Document as Document, parse as parse
 from ._error_system import ErrorSystem as ErrorSystem
 from ._falsify import falsify as falsify
 from ._figures import Projection as Projection, TradeOff as TradeOff, projection as projection, trade_off as trade_off
@@ -58,6 +58,7 @@ from ._sampled_bound import (
     SampledBound as SampledBound,
 )
 from ._sampled_step import sampled_system as sampled_system
+from ._sampling import Sampling as Sampling
 from ._simulated import (
     Followed as Followed,
     Trajectories as Trajectories,

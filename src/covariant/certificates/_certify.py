@@ -14,7 +14,6 @@ Source: Aghannan & Rouchon 2003, Theorems 1 and 2, and Fig. 2; Lohmiller & Sloti
 
 import contextlib
 import functools
-import itertools
 import math
 import time
 import typing
@@ -31,14 +30,15 @@ from covariant.certificates._checked import judged
 from covariant.certificates._claims import Claim, disturbance_sizes, read_bounds, steady_of
 from covariant.certificates._contraction_certificate import ContractionCertificate
 from covariant.certificates._contraction_statement import Contraction, contraction_statement
-from covariant.certificates._document import Document, Sampling, first_velocity
+from covariant.certificates._document import Document, first_velocity
 from covariant.certificates._effort import Effort
 from covariant.certificates._error_system import ErrorSystem
-from covariant.certificates._force_bounds import force_bounds, force_reads_time, force_slopes
+from covariant.certificates._force_bounds import force_bounds, force_slopes
 from covariant.certificates._inequalities import contraction, disturbance_bound, squared_widths, width_bound
 from covariant.certificates._intrinsic import Intrinsics, check_unique, error_system
 from covariant.certificates._joint_bounds import friction_bounds, has_dry_friction, joint_bounds
 from covariant.certificates._rates import metric_and_rates
+from covariant.certificates._region import Bounds, Region, amount, positive, region_of
 from covariant.certificates._sampled_claims import (
     check_sampling,
     force_claim,
@@ -47,15 +47,14 @@ from covariant.certificates._sampled_claims import (
     sampled_claims,
     sampled_given,
 )
+from covariant.certificates._sampling import Sampling
 from covariant.certificates._saved import observer_document
 from covariant.certificates._start import start_claim
 from covariant.certificates._tangent_metric import TwoByTwo
-from covariant.geometry.lie import SO2, SO3
 from covariant.lowering import Lowered, lower, numbers
-from covariant.models import MechanicalSystem, input_count
+from covariant.models import MechanicalSystem
 from covariant.proofs import MOST_BOXES, Box, check_box
 
-Bounds = tuple[ArrayLike, ArrayLike]
 CheckerName = Literal["auto", "all", "off"]
 CHECKERS = typing.get_args(CheckerName)
 PATIENCE = 10.0
@@ -272,48 +271,8 @@ def _stated(facts: Contraction, system: ErrorSystem) -> Resolved:
     return Resolved(document, facts.observer, system)
 
 
-def positive(name: str, value: ArrayLike, n: int) -> Float[np.ndarray, "n"]:
-    bounds = _amounts(name, value, n)
-    if not (np.isfinite(bounds).all() and (bounds > 0).all()):
-        raise ValueError(
-            f"certify: {name} must be a positive, finite bound; got {bounds.tolist()}. No contraction holds at all "
-            "speeds and errors, so there is no certificate without such a bound"
-        )
-    return bounds
-
-
-def amount(name: str, value: ArrayLike, n: int) -> Float[np.ndarray, "n"]:
-    bounds = _amounts(name, value, n)
-    if not (np.isfinite(bounds).all() and (bounds >= 0).all()):
-        raise ValueError(f"certify: {name} must be a finite bound, zero or more; got {bounds.tolist()}")
-    return bounds
-
-
-def _amounts(name: str, value: ArrayLike, n: int) -> Float[np.ndarray, "n"]:
-    amounts = np.broadcast_to(np.asarray(value, float), (n,)) if np.ndim(value) == 0 else np.asarray(value, float)
-    if amounts.shape != (n,):
-        raise ValueError(f"certify: {name} needs one number, or {n} of them; got {amounts.size}")
-    return amounts.copy()
-
-
-class _Region(NamedTuple):
-    """Where the system is: the box of true positions, the bounds (2, m) of inputs, and first and last time [s]."""
-
-    true: Box
-    inputs: Float[np.ndarray, "2 m"]
-    times: tuple[float, float]
-
-
-def region_of(
-    model: MechanicalSystem, position: Bounds | None, inputs: Bounds | ArrayLike, times: tuple[float, float] | None
-) -> _Region:
-    n = len(model.coordinates or model.velocities)
-    true = _coordinates(model, position, n) if model.manifold.commuting else _elements(model, position)
-    return _Region(check_box(true), _inputs(model, inputs, n), _times(model, n, times))
-
-
 def _in_continuous_time(
-    observer: Intrinsics, matrix: TwoByTwo, target: float, assumed: _Assumed, region: _Region, effort: Effort
+    observer: Intrinsics, matrix: TwoByTwo, target: float, assumed: _Assumed, region: Region, effort: Effort
 ) -> tuple[ErrorSystem, Box, dict[str, Any], Claim]:
     """System, domain, given bounds, and the claim that the flow contracts.
 
@@ -336,7 +295,7 @@ def _in_continuous_time(
 
 
 def _domain(
-    observer: Intrinsics, system: ErrorSystem, assumed: _Assumed, region: _Region, joint_friction: bool = False
+    observer: Intrinsics, system: ErrorSystem, assumed: _Assumed, region: Region, joint_friction: bool = False
 ) -> tuple[Box, dict[str, Any]]:
     """The box of estimate, error and force, perhaps friction, and what the bounds of the force follow from."""
     model, true, n = observer.model, region.true, len(assumed.velocity)
@@ -366,7 +325,7 @@ def _domain(
 
 
 def _sampled_domain(
-    model: MechanicalSystem, assumed: _Assumed, region: _Region, sampling: Sampling, system: ErrorSystem
+    model: MechanicalSystem, assumed: _Assumed, region: Region, sampling: Sampling, system: ErrorSystem
 ) -> Box:
     """The box of the variables of a sampled system."""
 
@@ -417,59 +376,6 @@ def _widened(
         # The radius is the least (error − noise)/width of a position; times its width it is how far a velocity goes.
         excess = 1.1 * roots[len(velocity) :] * ((error - noise) / roots[: len(velocity)]).min()
     return check_box(box(excess))
-
-
-def _coordinates(model: MechanicalSystem, position: Bounds | None, n: int) -> Box:
-    if position is None:
-        raise ValueError(f"certify: position needs bounds of {', '.join(model.coordinates)}")
-    low, high = (np.broadcast_to(np.asarray(side, float), (n,)).copy() for side in position)
-    return Box(model.coordinates, model.units, low, high)
-
-
-def _elements(model: MechanicalSystem, position: Bounds | None) -> Box:
-    order = model.manifold.origin().shape[0]
-    names = tuple(f"g{i + 1}{j + 1}" for i, j in itertools.product(range(order), repeat=2))
-    if position is None:
-        if model.manifold not in (SO2, SO3):
-            raise ValueError("certify: on this group position needs bounds of the entries of its matrices (N, N)")
-        position = (-np.ones((order, order)), np.ones((order, order)))
-    low, high = (np.broadcast_to(np.asarray(side, float), (order, order)).ravel().copy() for side in position)
-    return Box(names, ("",) * len(names), low, high)
-
-
-def _inputs(model, bounds, n: int) -> Float[np.ndarray, "2 m"]:
-    m = input_count(model, n)
-    sides = bounds if isinstance(bounds, tuple) else (-np.asarray(bounds, float), np.asarray(bounds, float))
-    if len(sides) != 2:
-        raise ValueError(
-            f"certify: input as a tuple is a pair of bounds, lower and upper; got {len(sides)} entries; "
-            "write a list for one bound of each input"
-        )
-    try:
-        stacked = np.stack([np.broadcast_to(np.asarray(side, float), (m,)) for side in sides])
-    except ValueError:
-        raise ValueError(f"certify: input needs one bound, or {m} of them; got {np.size(sides[0])}") from None
-    if not (np.isfinite(stacked).all() and (stacked[0] <= stacked[1]).all()):
-        raise ValueError(f"certify: input must have finite bounds; got {stacked.tolist()}")
-    return stacked
-
-
-def _times(model: MechanicalSystem, n: int, times: tuple[float, float] | None) -> tuple[float, float]:
-    """First and last time; where the force does not depend on it, any one instant stands for all."""
-    if times is None:
-        if force_reads_time(model, n):
-            raise ValueError(
-                "certify: the force of this model depends on time; give times=(first, last) [s], between which the "
-                "statement is to hold"
-            )
-        return 0.0, 0.0
-    try:
-        first, last = (float(t) for t in times)
-    except (TypeError, ValueError):
-        raise ValueError(f"certify: times needs two instants; got {times!r}") from None
-    if not (math.isfinite(first) and math.isfinite(last) and first <= last):
-        raise ValueError(f"certify: times must be finite, the earlier one first; got {first:g} and {last:g}")
-    return first, last
 
 
 def limits_of(domain: Box, velocity, noise, sampled: bool = False) -> Float[np.ndarray, "two_n"]:

@@ -17,24 +17,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from covariant.certificates import _matrices as matrices
-from covariant.certificates._check_sampled import (
-    FRICTION_JOBS,
-    PREDICTED,
-    SLACK,
-    friction_jobs,
-    friction_matrix,
-    need_sampled_rate_and_radius,
-    sampled_claim_matrices,
-    sampled_jobs,
-    sampled_matrix,
-    slack_of,
-)
-from covariant.certificates._document import Document, first_velocity, parse
+from covariant.certificates import _check_sampled as sampled, _matrices as matrices
+from covariant.certificates._document import Document, parse
 from covariant.certificates._error_system import ErrorSystem
 from covariant.certificates._intrinsic import Intrinsics, check_unique, configuration_shape
-from covariant.certificates._prediction import Prediction, defect_matrix, step_values
-from covariant.certificates._sampled_step import sampled_prediction
 from covariant.certificates._saved import observer_from, system_of, value_graph
 from covariant.models import input_count
 from covariant.proofs.checker import ROUND, TaylorEnclosure, leaves, show_definite
@@ -172,16 +158,8 @@ def _complete(resolved: Resolved) -> None:
     model, low, high, claims = observer.model, document.low, document.high, document.claims
     _need(len(system.names) == len(low), f"box: the model has {len(system.names)} variables; the box bounds {len(low)}")
     names = system.names
-    if document.sampling is not None:
-        covered = low[-1] <= 0 and document.sampling.oldest <= high[-1]
-        _need(covered, f"box: it must hold the ages from 0 to {document.sampling.oldest:.6g} s of measurements")
     # What follows is about positions, velocities, errors and forces; further forces and the age come after them.
-    part = slice(0, document.forces.stop)
-    if document.sampling is not None and not model.manifold.commuting:
-        entries = first_velocity(len(low), n, sampled=True)
-        covered = (low[:entries] <= -1).all() and (high[:entries] >= 1).all()
-        _need(covered, "box: it must hold all entries of rotations, from -1 to 1")
-        part = slice(entries, part.stop)
+    part = sampled.need_sampled_box(document, model.manifold.commuting)
     names, low, high = names[part], low[part], high[part]
     m, places = input_count(model, n), math.prod(configuration_shape(model, n))
     for key, expected in (("positions", places), ("inputs", m)):
@@ -217,7 +195,7 @@ def _complete(resolved: Resolved) -> None:
         what = f"claims[{row + 1}].limit: row {row} reaches {r:.6g}, may reach {claim.limit:.6g}"
         _need(r <= claim.limit <= available, f"{what}, and has {available:.6g} of room")
     if document.sampling is not None:
-        need_sampled_rate_and_radius(document)
+        sampled.need_sampled_rate_and_radius(document)
     elif disturbance:
         count = np.count_nonzero(sizes(document))
         # The steady distance 2D/λ: the box of scaled errors lies in the ball of radius √count, so D² = count · square.
@@ -236,7 +214,7 @@ def sizes(document: Document) -> np.ndarray:
     """
     given = document.given
     # The slopes that are shown may exceed the stated ones by the slack.
-    steepest = given.slopes * (1 + SLACK)
+    steepest = given.slopes * (1 + sampled.SLACK)
     return np.concatenate([given.noise, (given.disturbance + steepest @ given.noise) * (1 + ROUND)])
 
 
@@ -257,8 +235,8 @@ def _jobs(document: Document) -> Iterator[tuple]:
         *np.concatenate([[document.low, document.high], pins], axis=1)[:, None],
     )
     if document.joint_friction:
-        yield from friction_jobs(document)
-    yield from sampled_jobs(document, pins)
+        yield from sampled.friction_jobs(document)
+    yield from sampled.sampled_jobs(document, pins)
     for index, claim in enumerate(document.claims):
         boxes = leaves(*document.bounds(claim), claim.levels, f"claim {index}")
         for k in range(0, len(boxes[0]), SHARE):
@@ -286,27 +264,23 @@ def _matrix(resolved: Resolved, what: int | str) -> TaylorEnclosure:
             "reach": lambda: matrices.width_bound(system, claim.row, claim.square),
             "disturbance": lambda: matrices.disturbance(system, sizes(document), claim.square),
             "start": lambda: matrices.start(system, document.reach_squares, claim.square),
-        } | sampled_claim_matrices(document, system, claim)
+        } | sampled.sampled_claim_matrices(document, system, claim)
         if claim.kind == "prediction":
-            low, high = document.bounds(claim)
-            force = np.arange(len(low)) >= len(low) - n - 3
-            slack = np.where(force, slack_of(low, high), 0.0) * (low < high)
-            return TaylorEnclosure(defect_matrix(prediction_in(resolved), claim.square), low, high, slack)
-        slack = np.where(_forces(document), slack_of(low, high), 0.0)
+            return sampled.prediction_matrix(document, resolved.observer, claim)
+        slack = np.where(_forces(document), sampled.slack_of(low, high), 0.0)
         return TaylorEnclosure(matrix[claim.kind](), *document.bounds(claim), slack)
-    if what in FRICTION_JOBS:
-        return friction_matrix(document, model, what)
-    if what == PREDICTED:
-        ends = document.bounds(next(claim for claim in document.claims if claim.kind == "prediction"))
-        return TaylorEnclosure(step_values(prediction_in(resolved)), *ends, np.zeros(len(ends[0])), "smooth")
+    if what in sampled.FRICTION_JOBS:
+        return sampled.friction_matrix(document, model, what)
+    if what == sampled.PREDICTED:
+        return sampled.predicted_values(document, resolved.observer)
     if document.sampling is not None and what != "the definedness of the observer, without jumps,":
-        return sampled_matrix(document, system, model, what)
+        return sampled.sampled_matrix(document, system, model, what)
     unmoved = np.concatenate([region, np.zeros((2, n))], axis=1)
     pinned = np.concatenate([[low, high], np.zeros((2, 2 * n + 1))], axis=1)
     force, slopes = matrices.force(model, shape), matrices.slopes(model, shape, n)
     # Forces are shown within the box and half the slack, claims for forces within all of it: the rest covers rounding.
     force_at, unknown, steep = document.forces, document.given.disturbance, document.given.slopes.ravel()
-    slack, allowed = slack_of(low, high)[force_at] / 2, steep * (1 + SLACK) + 1e-200
+    slack, allowed = sampled.slack_of(low, high)[force_at] / 2, steep * (1 + sampled.SLACK) + 1e-200
     claimed = low[force_at] + unknown - slack, high[force_at] - unknown + slack
     function, box, watch = {
         "the bound of the force": (matrices.within(force, *claimed), region, ""),
@@ -317,17 +291,6 @@ def _matrix(resolved: Resolved, what: int | str) -> TaylorEnclosure:
     }[what]
     least, largest = box
     return TaylorEnclosure(function, least, largest, np.zeros(len(least)), watch)
-
-
-def prediction_in(resolved: Resolved) -> Prediction:
-    """Describe the Runge–Kutta steps of an observer with samples.
-
-    Args:
-        resolved: the document, with its observer.
-    """
-    document = resolved.document
-    assert document.sampling is not None
-    return sampled_prediction(resolved.observer, document.q, document.sampling)
 
 
 def _forces(document: Document) -> np.ndarray:

@@ -11,7 +11,9 @@ import numpy as np
 from covariant.certificates import _matrices as matrices
 from covariant.certificates._document import Document, Stated, first_velocity
 from covariant.certificates._error_system import ErrorSystem
+from covariant.certificates._prediction import Prediction, defect_matrix, step_values
 from covariant.certificates._radius_recursion import UNDISTURBED, Recursion
+from covariant.certificates._sampled_step import sampled_prediction
 from covariant.models import MechanicalSystem
 from covariant.proofs.checker import TaylorEnclosure
 
@@ -134,6 +136,69 @@ def sampled_matrix(document: Document, system: ErrorSystem, model: MechanicalSys
     }
     function, box, watch = kinds[what]
     return TaylorEnclosure(function, box[0], box[1], np.zeros(box.shape[1]), watch)
+
+
+def prediction_of_steps(document: Document, observer: Any) -> Prediction:
+    """Describe the Runge–Kutta steps of an observer with samples.
+
+    Args:
+        document: the parsed file.
+        observer: its observer.
+    """
+    assert document.sampling is not None
+    return sampled_prediction(observer, document.q, document.sampling)
+
+
+def prediction_matrix(document: Document, observer: Any, claim: Stated) -> TaylorEnclosure:
+    """Build the matrix of the claim "prediction".
+
+    Args:
+        document: the parsed file.
+        observer: its observer.
+        claim: the claim.
+    """
+    low, high = document.bounds(claim)
+    force = np.arange(len(low)) >= len(low) - len(document.velocity) - 3
+    slack = np.where(force, slack_of(low, high), 0.0) * (low < high)
+    return TaylorEnclosure(defect_matrix(prediction_of_steps(document, observer), claim.square), low, high, slack)
+
+
+def predicted_values(document: Document, observer: Any) -> TaylorEnclosure:
+    """Build what is to be defined and smooth of a prediction.
+
+    Args:
+        document: the parsed file.
+        observer: its observer.
+    """
+    low, high = document.bounds(next(claim for claim in document.claims if claim.kind == "prediction"))
+    return TaylorEnclosure(
+        step_values(prediction_of_steps(document, observer)), low, high, np.zeros(len(low)), "smooth"
+    )
+
+
+def need_sampled_box(document: Document, in_coordinates: bool) -> slice:
+    """Check that the box holds all ages, and on rotations all entries of their matrices.
+
+    Args:
+        document: the parsed file.
+        in_coordinates: whether the configuration has coordinates.
+
+    Returns:
+        The part of the variables that has velocities, errors and forces, in coordinates also the positions.
+
+    Raises:
+        ValueError: saying what is wrong.
+    """
+    low, high, stop = document.low, document.high, document.forces.stop
+    if document.sampling is None:
+        return slice(0, stop)
+    oldest = document.sampling.oldest
+    if not (low[-1] <= 0 and oldest <= high[-1]):
+        raise ValueError(f"box: it must hold the ages from 0 to {oldest:.6g} s of measurements")
+    entries = 0 if in_coordinates else first_velocity(len(low), len(document.velocity), sampled=True)
+    if not ((low[:entries] <= -1).all() and (high[:entries] >= 1).all()):
+        raise ValueError("box: it must hold all entries of rotations, from -1 to 1")
+    return slice(entries, stop)
 
 
 def sampled_claim_matrices(

@@ -7,19 +7,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from covariant.certificates._document import (
-    NUMBERS,
-    STEPS,
-    Document,
-    Given,
-    Kind,
-    Loss,
-    Sampling,
-    Stated,
-    prediction_places,
-)
+from covariant.certificates._document import NUMBERS, STEPS, Document, Given, Kind, Stated, prediction_places
 from covariant.certificates._noise import steady_distance
 from covariant.certificates._radius_recursion import UNDISTURBED, Recursion
+from covariant.certificates._sampling import Loss, Sampling
 from covariant.proofs import Box, Proof, from_letters, to_letters
 
 

@@ -9,10 +9,11 @@ from jaxtyping import Float
 from covariant.certificates._check import follows
 from covariant.certificates._claims import Claim, loss_of, steady_of
 from covariant.certificates._contraction_statement import Contraction, contraction_statement
-from covariant.certificates._document import FORMAT, Sampling, first_velocity, parse, write
+from covariant.certificates._document import FORMAT, first_velocity, parse, write
 from covariant.certificates._error_system import ErrorSystem
 from covariant.certificates._intrinsic import Intrinsics
 from covariant.certificates._sampled_bound import SampledBound, sampled_bound
+from covariant.certificates._sampling import Sampling
 from covariant.certificates._saved import observer_document, value_graph
 from covariant.certificates._start import Start, start_of
 from covariant.certificates._statement import Statement

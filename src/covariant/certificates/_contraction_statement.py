@@ -9,9 +9,10 @@ from jaxtyping import Float
 
 from covariant.certificates._assumed import ASSUMED, ASSUMED_WITH_SAMPLES, PREDICTIONS, SMOOTH_FACTOR
 from covariant.certificates._claims import Claim, claimed_drift, loss_of, plain_bounds, stated_claims, steady_of
-from covariant.certificates._document import Document, Loss, Sampling, first_velocity
+from covariant.certificates._document import Document, first_velocity
 from covariant.certificates._error_system import ErrorSystem
 from covariant.certificates._intrinsic import Intrinsics
+from covariant.certificates._sampling import Loss, Sampling
 from covariant.certificates._saved import observer_document
 from covariant.certificates._start import start_of
 from covariant.certificates._statement import Evidence, Hypothesis, Statement

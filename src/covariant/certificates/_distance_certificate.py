@@ -23,8 +23,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
-from covariant.certificates._certify import Bounds, amount, positive, region_of
 from covariant.certificates._intrinsic import dimension
+from covariant.certificates._region import Bounds, amount, positive, region_of
 from covariant.certificates._statement import Hypothesis, Statement
 from covariant.lowering import lower
 from covariant.models import MechanicalSystem, applied_force, recipe_text, resistance

@@ -26,7 +26,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from covariant.certificates._document import Loss, Sampling, unit_reach
+from covariant.certificates._sampling import Loss, Sampling, unit_reach
 from covariant.certificates._tangent_metric import TwoByTwo
 
 UNDISTURBED: dict[str, Any] = {"noise": [0.0], "disturbance": [0.0]}

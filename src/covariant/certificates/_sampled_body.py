@@ -26,8 +26,8 @@ from jaxtyping import Array
 
 from covariant._typing import Scalar, Vector
 from covariant.certificates._contraction import StateMetric
-from covariant.certificates._document import Sampling
 from covariant.certificates._error_system import Point, entries_read
+from covariant.certificates._sampling import Sampling
 from covariant.certificates._tangent_metric import TwoByTwo
 from covariant.geometry import differential
 from covariant.geometry.lie import SO2, SO3

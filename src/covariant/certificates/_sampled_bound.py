@@ -17,8 +17,8 @@ from jaxtyping import Array, ArrayLike, Float
 
 from covariant._typing import Code, Number, Scalar, Vector
 from covariant.certificates._claims import Claim
-from covariant.certificates._document import Sampling
 from covariant.certificates._radius_recursion import Recursion
+from covariant.certificates._sampling import Sampling
 from covariant.certificates._tangent_metric import TwoByTwo
 from covariant.proofs import Box
 
@@ -71,6 +71,12 @@ class BoundState(NamedTuple):
         age: time since that measurement [s].
         premise: `Premise` as a number: 0, or the first one that failed. All of a state are real numbers, as those that
             `lowering` reads have to be.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant.certificates import BoundState
+        >>> BoundState(jnp.array(0.02), jnp.zeros(()), jnp.zeros(())).radius.item()
+        0.02
     """
 
     radius: Scalar
@@ -86,6 +92,14 @@ class BoundInfo(NamedTuple):
         position: bound (n,) of the error of each position [unit].
         velocity: bound (n,) of the error of each velocity [unit/s].
         premise: `Premise` as an integer; the bounds are infinite unless it is 0.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant.certificates import BoundInfo, Premise
+        >>> unknown = jnp.array([jnp.inf])
+        >>> info = BoundInfo(unknown[0], unknown, unknown, jnp.array(2))
+        >>> Premise(int(info.premise)).name
+        'AGE'
     """
 
     radius: Scalar

@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from covariant._typing import Numbers
 from covariant.certificates._claims import Claim
-from covariant.certificates._document import MOST_LOST, Kind, Loss, Sampling, Stated, claim_bounds, unit_reach
+from covariant.certificates._document import MOST_LOST, Kind, Stated, claim_bounds
 from covariant.certificates._effort import Effort
 from covariant.certificates._error_system import ErrorSystem
 from covariant.certificates._inequalities import contraction, correction, joint_force_bound, missing_bound
@@ -19,6 +19,7 @@ from covariant.certificates._prediction import defect_bound
 from covariant.certificates._radius_recursion import UNDISTURBED, Recursion
 from covariant.certificates._sampled_metric import Found, SampledMetric, random_points
 from covariant.certificates._sampled_step import sampled_prediction, sampled_system
+from covariant.certificates._sampling import Loss, Sampling, unit_reach
 from covariant.certificates._tangent_metric import TwoByTwo
 from covariant.lowering import numbers
 from covariant.observers import Intrinsic

@@ -13,11 +13,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from covariant.certificates._document import Kind, Sampling
+from covariant.certificates._document import Kind
 from covariant.certificates._inequalities import at_correction, at_noisy_correction, in_frame_along
 from covariant.certificates._intrinsic import Intrinsics
 from covariant.certificates._lmi import minimise
 from covariant.certificates._sampled_step import sampled_system
+from covariant.certificates._sampling import Sampling
 from covariant.certificates._tangent_metric import TwoByTwo, error_matrix, optimal_lyapunov
 from covariant.lowering import Lowered, numbers
 from covariant.proofs import Box

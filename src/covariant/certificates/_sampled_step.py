@@ -26,7 +26,6 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from covariant.certificates._contraction import StateMetric
-from covariant.certificates._document import Sampling
 from covariant.certificates._error_system import ErrorSystem, Point, entries_read
 from covariant.certificates._intrinsic import (
     Intrinsics,
@@ -39,6 +38,7 @@ from covariant.certificates._intrinsic import (
 )
 from covariant.certificates._prediction import Prediction, prediction_of
 from covariant.certificates._sampled_body import body_matrix, body_metric, body_point, body_variables
+from covariant.certificates._sampling import Sampling
 from covariant.certificates._tangent_metric import TwoByTwo
 from covariant.models import MechanicalSystem, acceleration, input_count, source
 from covariant.observers import Intrinsic

@@ -9,10 +9,11 @@ import numpy as np
 from jaxtyping import Float
 
 from covariant import models
-from covariant.certificates._document import OBSERVERS, Document, Sampling
+from covariant.certificates._document import OBSERVERS, Document
 from covariant.certificates._error_system import ErrorSystem, corrections, values
 from covariant.certificates._intrinsic import Intrinsics, error_system
 from covariant.certificates._sampled_step import sampled_system
+from covariant.certificates._sampling import Sampling
 from covariant.lowering import lower
 from covariant.models import MechanicalSystem
 from covariant.observers import Geodesic, Intrinsic

@@ -13,7 +13,7 @@ from covariant.calibration import estimators
 from covariant.models import Overrides, Parameter
 from covariant.observers import REGISTRY
 from covariant.workflow._outputs import check_output
-from covariant.workflow._references import Reference, references_in
+from covariant.workflow._references import Work, works_in
 from covariant.workflow._result import AbstractResult
 
 
@@ -48,7 +48,7 @@ def cite(model: Any, *, observer: str | None = None, overrides: Overrides = ()) 
     source = next(entry.source for entry in REGISTRY if entry.name == observer)
     leaves = jax.tree.leaves(system, is_leaf=lambda leaf: isinstance(leaf, Parameter))
     numbers = dict.fromkeys(leaf.source for leaf in leaves if isinstance(leaf, Parameter))
-    return CiteResult(name, observer, source, tuple(references_in(source)), tuple(numbers))
+    return CiteResult(name, observer, source, tuple(works_in(source)), tuple(numbers))
 
 
 @dataclass(frozen=True, repr=False)
@@ -59,20 +59,20 @@ class CiteResult(AbstractResult):
         model_name: The model, by its path or name.
         observer_name: Name of the observer.
         source: Where the observer is from, with the equations, in words.
-        references: The works that `source` names.
+        works: The works that `source` names.
         numbers: Where the numbers of the model are from, in words, each once.
 
     Example:
         >>> from covariant import workflow
         >>> cited = workflow.cite("lorenz", observer="riccati")
-        >>> [reference.label for reference in cited.references], cited.numbers
+        >>> [work.label for work in cited.works], cited.numbers
         (['Sanfelice & Praly 2015'], ('Lorenz 1963, section 7',))
     """
 
     model_name: str
     observer_name: str
     source: str
-    references: tuple[Reference, ...]
+    works: tuple[Work, ...]
     numbers: tuple[str, ...]
 
     @property
@@ -82,11 +82,11 @@ class CiteResult(AbstractResult):
             f"@software{{covariant,\n  author = {{The covariant developers}},\n"
             f"  title = {{covariant: intrinsic and contracting observers}},\n  version = {{{version('covariant')}}}\n}}"
         )
-        return "\n\n".join([*(reference.bibtex for reference in self.references), own])
+        return "\n\n".join([*(work.bibtex for work in self.works), own])
 
     @property
     def headline(self) -> str:
-        works = "; ".join(reference.label for reference in self.references) or self.source
+        works = "; ".join(work.label for work in self.works) or self.source
         return f"{self.observer_name} on {self.model_name}: {works}"
 
     @property
@@ -95,14 +95,14 @@ class CiteResult(AbstractResult):
             "model": self.model_name,
             "observer": self.observer_name,
             "source": self.source,
-            "references": [str(reference) for reference in self.references],
+            "works": [str(work) for work in self.works],
             "numbers": list(self.numbers),
             "bibtex": self.bibtex,
         }
 
     def __str__(self) -> str:
         lines = [f"Observer {self.observer_name}: {self.source}"]
-        lines += [f"  {reference}" for reference in self.references]
+        lines += [f"  {work}" for work in self.works]
         if self.numbers:
             lines.append(f"Numbers of {self.model_name}: {'; '.join(self.numbers)}")
         return "\n".join([*lines, "", self.bibtex])

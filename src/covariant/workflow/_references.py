@@ -8,7 +8,7 @@ ENTRY_KINDS = {"journal": "article", "booktitle": "inproceedings", "publisher": 
 
 
 @dataclass(frozen=True)
-class Reference:
+class Work:
     """A published work.
 
     Attributes:
@@ -57,32 +57,32 @@ TAC = "IEEE Transactions on Automatic Control"
 CDC = "IEEE Conference on Decision and Control"
 AES = "IEEE Transactions on Aerospace and Electronic Systems"
 
-REFERENCES = (
-    Reference(
+WORKS = (
+    Work(
         ("Aghannan, Nasradine", "Rouchon, Pierre"),
         2003,
         "An intrinsic observer for a class of Lagrangian systems",
         {"journal": TAC, "volume": "48", "number": "6", "pages": "936--945", "doi": "10.1109/TAC.2003.812778"},
     ),
-    Reference(
+    Work(
         ("Maithripala, D. H. S.", "Berg, Jordan M.", "Dayawansa, W. P."),
         2004,
         "An intrinsic observer for a class of simple mechanical systems on a Lie group",
         {"booktitle": "American Control Conference"},
     ),
-    Reference(
+    Work(
         ("Sanfelice, Ricardo G.", "Praly, Laurent"),
         2015,
         "Solution of a Riccati equation for the design of an observer contracting a Riemannian distance",
         {"booktitle": CDC},
     ),
-    Reference(
+    Work(
         ("Jouffroy, Jérôme", "Fossen, Thor I."),
         2004,
         "On the combination of nonlinear contracting observers and UGES controllers for output feedback",
         {"booktitle": CDC},
     ),
-    Reference(
+    Work(
         ("Rockafellar, R. Tyrrell",),
         1976,
         "Monotone operators and the proximal point algorithm",
@@ -94,14 +94,14 @@ REFERENCES = (
             "doi": "10.1137/0314056",
         },
     ),
-    Reference(
+    Work(
         ("Ge, Yixiao", "van Goor, Pieter", "Mahony, Robert"),
         2025,
         "The geometry of extended Kalman filters on manifolds with affine connection",
         {"eprint": "2506.05728", "archiveprefix": "arXiv"},
     ),
-    Reference(("Gelb, Arthur",), 1974, "Applied optimal estimation", {"publisher": "MIT Press"}),
-    Reference(
+    Work(("Gelb, Arthur",), 1974, "Applied optimal estimation", {"publisher": "MIT Press"}),
+    Work(
         ("Lefferts, E. J.", "Markley, F. L.", "Shuster, M. D."),
         1982,
         "Kalman filtering for spacecraft attitude estimation",
@@ -113,13 +113,13 @@ REFERENCES = (
             "doi": "10.2514/3.56190",
         },
     ),
-    Reference(
+    Work(
         ("Barrau, Axel", "Bonnabel, Silvère"),
         2017,
         "The invariant extended Kalman filter as a stable observer",
         {"journal": TAC, "volume": "62", "number": "4", "pages": "1797--1812", "doi": "10.1109/TAC.2016.2594085"},
     ),
-    Reference(
+    Work(
         ("Julier, Simon J.", "Uhlmann, Jeffrey K."),
         2004,
         "Unscented filtering and nonlinear estimation",
@@ -131,26 +131,26 @@ REFERENCES = (
             "doi": "10.1109/JPROC.2003.823141",
         },
     ),
-    Reference(
+    Work(
         ("Brossard, Martin", "Barrau, Axel", "Bonnabel, Silvère"),
         2020,
         "A code for unscented Kalman filtering on manifolds (UKF-M)",
         {"booktitle": "IEEE International Conference on Robotics and Automation"},
     ),
-    Reference(("Gardner, Floyd M.",), 2005, "Phaselock techniques", {"publisher": "Wiley", "edition": "3"}),
-    Reference(
+    Work(("Gardner, Floyd M.",), 2005, "Phaselock techniques", {"publisher": "Wiley", "edition": "3"}),
+    Work(
         ("Kalata, Paul R.",),
         1984,
         "The tracking index: a generalized parameter for α-β and α-β-γ target trackers",
         {"journal": AES, "volume": "20", "number": "2", "pages": "174--182"},
     ),
-    Reference(
+    Work(
         ("Vasiljevic, Luma K.", "Khalil, Hassan K."),
         2008,
         "Error bounds in differentiation of noisy signals by high-gain observers",
         {"journal": "Systems & Control Letters", "volume": "57", "number": "10", "pages": "856--862"},
     ),
-    Reference(
+    Work(
         ("Khalil, Hassan K.", "Praly, Laurent"),
         2014,
         "High-gain observers in nonlinear feedback control",
@@ -161,37 +161,37 @@ REFERENCES = (
             "pages": "993--1015",
         },
     ),
-    Reference(
+    Work(
         ("Levant, Arie",),
         2003,
         "Higher-order sliding modes, differentiation and output-feedback control",
         {"journal": "International Journal of Control", "volume": "76", "number": "9--10", "pages": "924--941"},
     ),
-    Reference(
+    Work(
         ("Koch, Stefan", "Reichhartinger, Markus", "Horn, Martin", "Fridman, Leonid"),
         2020,
         "Discrete-time implementation of homogeneous differentiators",
         {"journal": TAC, "volume": "65", "number": "2", "pages": "757--762"},
     ),
-    Reference(
+    Work(
         ("Savitzky, Abraham", "Golay, Marcel J. E."),
         1964,
         "Smoothing and differentiation of data by simplified least squares procedures",
         {"journal": "Analytical Chemistry", "volume": "36", "number": "8", "pages": "1627--1639"},
     ),
-    Reference(
+    Work(
         ("Singer, Robert A.",),
         1970,
         "Estimating optimal tracking filter performance for manned maneuvering targets",
         {"journal": AES, "volume": "6", "number": "4", "pages": "473--483"},
     ),
-    Reference(
+    Work(
         ("Bar-Shalom, Yaakov", "Li, X. Rong", "Kirubarajan, Thiagalingam"),
         2001,
         "Estimation with applications to tracking and navigation",
         {"publisher": "Wiley"},
     ),
-    Reference(
+    Work(
         ("Salcudean, S.",),
         1991,
         "A globally convergent angular velocity observer for rigid body motion",
@@ -201,7 +201,7 @@ REFERENCES = (
 """Every work that `source` of an observer in the registry names."""
 
 
-def references_in(text: str) -> list[Reference]:
+def works_in(text: str) -> list[Work]:
     """The works that a text names by their labels.
 
     Args:
@@ -210,5 +210,5 @@ def references_in(text: str) -> list[Reference]:
     Returns:
         The works, in the order of the text.
     """
-    named = [(text.find(reference.label), reference) for reference in REFERENCES]
-    return [reference for place, reference in sorted(named, key=lambda pair: pair[0]) if place >= 0]
+    named = [(text.find(work.label), work) for work in WORKS]
+    return [work for place, work in sorted(named, key=lambda pair: pair[0]) if place >= 0]
