@@ -47,11 +47,11 @@ jax.config.update("jax_numpy_dtype_promotion", "strict")
 hypothesis.settings.register_profile("laws", derandomize=True, deadline=None, database=None, max_examples=60)
 hypothesis.settings.load_profile("laws")
 
-SUITES = {"long": 3.0, "exhaustive": 9.0}
+SUITES = {"long": 1.5, "exhaustive": 6.0}
 """Marks that a file may give its cases by a list of their names, in capitals, and that a test has which takes more than
 these seconds of a core."""
 SECONDS = json.loads(Path(__file__).with_name("seconds.json").read_text(encoding="utf-8"))
-"""What each test takes, in seconds of a core, where it is 2 or more: `python tools/test_seconds.py` measures it."""
+"""What each test takes, in seconds of a core, where it is 1 or more: `python tools/test_seconds.py` measures it."""
 EVERY_RUN = ("tests/pages/", "tests/test_house.py", "tests/test_contributing.py")
 """Where tests take as long as they take: what a user runs is tried each time."""
 ROOMS_OF_LAWS = ("geometry", "laws", "lowering", "metrics", "models", "proofs", "simulation")

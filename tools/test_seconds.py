@@ -21,7 +21,7 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 TABLE = ROOT / "tests" / "seconds.json"
-LEAST = 2.0
+LEAST = 1.0
 """Seconds below which a test is not listed."""
 LINES = "COVARIANT_TEST_SECONDS"
 """Environment variable with the file to which the tests write their seconds, for the processes that run them."""
