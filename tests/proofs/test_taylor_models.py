@@ -366,7 +366,7 @@ def test_what_is_not_decided_or_not_known_is_refused_by_name():
 
 
 # One primitive, and the reader of jaxprs: names and parameters of the equations, and no bound of any.
-SHARED = "STUMPFF Branch Call ClosedJaxpr JaxprEquation LoweringError Scan While equations needed"
+SHARED = "STUMPFF Branch Call ClosedJaxpr JaxprEquation LoweringError Scan While equations needed stumpff"
 
 
 @pytest.mark.parametrize("file", sorted(FOLDER.glob("*.py")), ids=lambda file: file.stem)

@@ -23,6 +23,8 @@ POINTS, TRIES = 2000, 4
 """Number of points at which it is sampled, and of tries where one of the box is worse."""
 ROUND = 1e-8
 """Relative margin that covers rounding."""
+LEAST = 1e-290
+"""Smallest size of a number that is printed with digits."""
 BOXES = 20_000
 """Largest number of boxes for it; a certificate without it is one as well."""
 
@@ -70,6 +72,8 @@ def _down(value: float) -> float:
     """A number of three digits that is not larger."""
     if not value or not math.isfinite(value):
         return value
+    if abs(value) < LEAST:
+        return min(value, 0.0)
     digits = 2 - math.floor(math.log10(abs(value)))
     # Of a value that has three digits already, rounding must not take one.
     return round(math.floor(value * 10.0**digits * (1 - math.copysign(1e-13, value)) + 1e-9) / 10.0**digits, digits)
