@@ -271,7 +271,8 @@ def need_joint_friction(model: MechanicalSystem) -> None:
     Raises:
         ValueError: it depends on the position, or couples velocities.
     """
-    n, q = dimension(model), any_configuration(model)
+    n = dimension(model) if model.manifold.commuting else len(model.velocities)
+    q = any_configuration(model)
     friction = functools.partial(friction_of, model)
     if any(i < q.size for i in entries_read(friction, q, jnp.zeros(n))):
         raise ValueError(
