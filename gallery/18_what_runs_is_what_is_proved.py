@@ -32,12 +32,12 @@ def proved(shortest: float, longest: float, lost: int = 0) -> float:
     certificate = certificates.certify(
         OBSERVER, **BOUNDS, rate=4.0, interval=(shortest, longest), lost=lost, checker="off", boxes=20_000
     )
-    rate = certificate.decay if certificate.statement.verdict == "holds" else 0.0
+    rate = float(certificate.decay) if certificate.statement.verdict == "holds" else 0.0
     print(f"{1e3 * shortest:g} to {1e3 * longest:g} ms, {lost} lost: ", end="")
     print(
         f"{certificate.statement.verdict}, {rate:.3g} 1/s, {certificate.boxes} boxes, steady {certificate.steady:.2g}"
     )
-    return certificate
+    return rate
 
 
 @jax.jit
