@@ -62,6 +62,22 @@ def test_settings_that_make_it_slow_are_problems(monkeypatch, name, value, part)
     assert name in problem(part)
 
 
+def test_a_cache_that_cannot_be_written_is_not_called_off(monkeypatch, tmp_path):
+    (tmp_path / "file").touch()
+    place = str(tmp_path / "file" / "cache")
+    monkeypatch.setenv("COVARIANT_CACHE", place)
+    (part,) = (part for part in workflow.doctor().parts if part.name == "cache folder")
+    assert place in part.found
+    assert part.problem
+
+
+def test_a_compiler_that_cc_names_and_that_is_not_there_is_named(monkeypatch):
+    monkeypatch.setattr(_doctor, "compiler", lambda: None)
+    monkeypatch.setenv("CC", "no-such-cc")
+    (part,) = (part for part in workflow.doctor().parts if part.name == "compiler of C")
+    assert "CC=no-such-cc" in part.found
+
+
 def test_single_precision_is_a_problem(monkeypatch):
     assert problem("JAX computes on") == ""
     with jax.enable_x64(False):

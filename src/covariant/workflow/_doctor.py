@@ -147,7 +147,8 @@ def _compiler() -> Part:
     """The compiler of C, and whether it makes a library that runs."""
     name, path = "compiler of C", compiler()
     if path is None:
-        return Part(name, "none", "observers run in JAX, which takes longer; install one, or set CC to its name")
+        found = f"none: CC={os.environ['CC']} is not there" if os.environ.get("CC") else "none"
+        return Part(name, found, "observers run in JAX, which takes longer; install one, or set CC to its name")
     import ctypes
 
     try:
@@ -162,7 +163,10 @@ def _cache() -> Part:
     """The folder in which compiled programs are kept."""
     name, folder = "cache folder", cache_folder()
     if folder is None:
-        reason = "COVARIANT_CACHE is off" if os.environ.get("COVARIANT_CACHE") else "the folder cannot be written"
+        chosen = os.environ.get("COVARIANT_CACHE")
+        reason = (
+            f"COVARIANT_CACHE={chosen} is off, or no folder that can be written" if chosen else "no home to write to"
+        )
         return Part(name, f"none: {reason}", "every process compiles anew; set COVARIANT_CACHE to a folder")
     files = [file.stat().st_size for file in folder.glob("*") if file.is_file()]
     return Part(name, f"{folder}, {len(files)} files, {sum(files) / 1e6:.0f} MB")
