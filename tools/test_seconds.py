@@ -1,7 +1,7 @@
 """Measure how many seconds of a core each test takes, and keep those that take some in `tests/seconds.json`.
 
-The suite of a test follows from it, by the seconds in `SUITES` of `tests/conftest.py`. They are those of the processors,
-so that a machine that is busy measures the same as one that is not.
+The suite of a test follows from it, by the seconds in `SUITES` of `tests/conftest.py`. They are those of the
+processors, so that a machine that is busy measures the same as one that is not.
 
     python tools/test_seconds.py                         # every test; hours
     python tools/test_seconds.py tests/codegen           # those of a folder, or of what else pytest understands
