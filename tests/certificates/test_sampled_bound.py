@@ -211,7 +211,7 @@ def test_a_tube_that_is_left_and_a_part_of_a_measurement_are_premises():
 
 
 def test_lost_samples_choose_the_errors_that_belong_to_their_age():
-    twice = PROVED._replace(force=0.0, noise=(1e-10, 9e-10), ages=np.array([[0.01, 0.012], [0.02, 0.024]]))
+    twice = PROVED._replace(force=0.0, steps=0.0, noise=(1e-10, 9e-10), ages=np.array([[0.01, 0.012], [0.02, 0.024]]))
     bound = bound_of(twice)
     rest = jnp.zeros(2), jnp.zeros(1)
     state, lost = bound.step(bound.init(0.0), *rest, jnp.full(1, jnp.nan), 0.011)

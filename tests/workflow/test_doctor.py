@@ -25,8 +25,8 @@ def test_every_package_and_extra_that_is_stated_is_listed():
 
 
 def test_a_version_that_was_not_tried_is_a_problem(monkeypatch):
-    version = metadata.version
-    monkeypatch.setattr(metadata, "version", lambda name: "0.10.2" if name == "jax" else version(name))
+    version = _doctor._version
+    monkeypatch.setattr(_doctor, "_version", lambda name: "0.10.2" if name == "jax" else version(name))
     assert "tried with" in problem("jax")
     assert "jax" in problem("jax")
     monkeypatch.setattr(_doctor, "_version", lambda name: None if name == "scipy" else version(name))

@@ -105,7 +105,7 @@ def has_dry_friction(model: MechanicalSystem, speed: Float[np.ndarray, "n"]) -> 
 
     Returns:
         Whether friction acts in each joint by its own velocity, and within a tenth of the bound of a velocity its slope
-        falls by half.
+        falls by half. A jump counts as a slope here; `friction_bounds` refuses it.
     """
     if not model.manifold.commuting:
         return False
