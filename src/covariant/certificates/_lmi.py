@@ -227,12 +227,15 @@ def _solved(f: np.ndarray, h: np.ndarray, rate: float, effort: float) -> tuple[n
     return m, np.linalg.solve(m, y), float(conditioning)
 
 
-def minimise(cost: Float[np.ndarray, "d"], forms: list[AffineMatrix]) -> Float[np.ndarray, "d"] | None:
+def minimise(
+    cost: Float[np.ndarray, "d"], forms: list[AffineMatrix], tolerance: float = 1e-8
+) -> Float[np.ndarray, "d"] | None:
     """Minimise a linear cost over unknowns for which all affine forms are positive semidefinite.
 
     Args:
         cost: vector c (d,) of the cost `c @ x`.
         forms: symmetric matrices, affine in the unknowns.
+        tolerance: of the solver, for residuals and for the gap of the cost.
 
     Returns:
         The unknowns x (d,), or None where there are none.
@@ -253,6 +256,7 @@ def minimise(cost: Float[np.ndarray, "d"], forms: list[AffineMatrix]) -> Float[n
         cones.append(clarabel.PSDTriangleConeT(len(at_zero)))
     settings = clarabel.DefaultSettings()
     settings.verbose = False
+    settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = tolerance
     solver = clarabel.DefaultSolver(
         sparse.csc_matrix((d, d)),
         cost,

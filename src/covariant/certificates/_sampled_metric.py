@@ -31,6 +31,8 @@ TRIED = 4096
 """Number of points among which the worst ones are looked for."""
 SHARE = 0.5
 """Part of the margin at the points of the programme that is enough at all points tried."""
+ACCURACY = 1e-6
+"""Tolerance of the solver. What it finds is tried at further points, and several hundred matrices stall a finer one."""
 LEAST = 1e-3
 """Least eigenvalue of R_0, where the largest is 1."""
 FASTER, MORE = 0.1, 1.05
@@ -162,8 +164,10 @@ class SampledMetric:
         x, margin = np.zeros(0), -np.inf
         for _ in range(ROUNDS):
             solution = self._solved(flow, step)
-            if solution is None:
+            if solution is None and not len(x):
                 return Found(self.root @ self.root, np.zeros((DEGREE, 2, 2)), -np.inf)
+            if solution is None:
+                break  # the solver stalls on some points; what was found on fewer of them remains
             x = solution
             more = (
                 self._flow_points(random_points(rng, domain, TRIED)),
@@ -299,10 +303,10 @@ class SampledMetric:
             forms += [lambda x: _matrix(x, 0) - np.outer(unit, unit), lambda x: np.diag([x[-1], 1 - x[-1]])]
             cost = np.zeros(d)
             cost[FIRST_SQUARE:-1] = 1.0
-            return minimise(cost, forms)
+            return minimise(cost, forms, ACCURACY)
         # The scale is free: the largest eigenvalue of R_0 is at most that of the continuous observer's metric.
         forms += [lambda x: np.eye(2) - _matrix(x, 0), lambda x: _matrix(x, 0) - LEAST * np.eye(2)]
-        return minimise(-np.eye(d)[-1], forms)
+        return minimise(-np.eye(d)[-1], forms, ACCURACY)
 
 
 def random_points(rng: np.random.Generator, domain: Box, count: int) -> Float[np.ndarray, "count d"]:
