@@ -201,8 +201,8 @@ def test_no_run_of_the_c_that_is_exported_is_farther_off_than_what_is_proved(nam
 @pytest.mark.parametrize("change", ["gains", "longer intervals", "late samples", "a start outside"])
 def test_what_is_not_proved_is_found_false(change, made):
     """The same search finds what is wrong, where something is."""
-    certificate = made.certificate
-    observer, options = certificate.observer, dict[str, Any]()
+    certificate, observer = made.certificate, made.certificate.observer
+    options: dict[str, Any] = {}
     match change:
         case "gains":
             observer = dataclasses.replace(observer, alpha=1.0, beta=0.5)

@@ -206,5 +206,5 @@ def test_a_heavy_top_is_proved_at_100_hz(tmp_path):
         checker="off",
     )
     assert result.statement.proved, result.statement
-    assert result.claims[-1].kind == "prediction"
+    assert [claim.kind for claim in result.claims[-2:]] == ["prediction", "start"]
     assert check(result.save(tmp_path / "top.json")).statement.proved
