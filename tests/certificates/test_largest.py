@@ -96,6 +96,7 @@ def test_the_verb_returns_the_certificate_of_the_largest_error_with_all_attempts
     assert result.certificate.domain.high[2] == 0.2
     text = str(result)
     assert "tried for the largest multiple of the errors:\n  1: holds, 4 boxes\n  2: holds" in text
+    assert "all of them are proved, and larger ones were not tried: give more runs" in text
     start = result.certificate.start
     assert start is not None
     assert f"  {start.lines[0]}" in text

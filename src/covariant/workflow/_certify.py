@@ -246,6 +246,7 @@ class CertifyResult(AbstractResult):
             *(self._tube() if self.holds else ["no tube is proved"]),
             *([f"tried for the largest {self.varied}:"] if self.attempts else []),
             *(f"  {attempt}" for attempt in self.attempts),
+            *(["  all of them are proved, and larger ones were not tried: give more runs"] if self._unlimited else []),
             "the domain of the proofs:",
         ]
         for kind, name, unit, low, high in zip(
@@ -269,6 +270,11 @@ class CertifyResult(AbstractResult):
         if self.wrong:
             lines.append("no certificate is written of a statement that is wrong")
         return "\n".join(lines)
+
+    @property
+    def _unlimited(self) -> bool:
+        """Whether a search ended before it met a value that is not proved."""
+        return bool(self.attempts) and all(attempt.verdict == "holds" for attempt in self.attempts)
 
     def _tube(self) -> list[str]:
         """Lines on the half widths of the tube."""
