@@ -1,7 +1,7 @@
 """What is certified on the same box by linear matrix inequalities of Lipschitz and polytopic observers, and here.
 
 Run `python benchmarks/certified.py` from the repository's root. Each design is to make squared distances shrink at a
-rate, for all states in the box of the model: a constant gain K by the Lipschitz constant of what is not linear (Raghavan
+rate, for all states in the box of the model: a gain K by the Lipschitz constant of what is not linear (Raghavan
 and Hedrick 1994), one by the corners of the interval in which each entry of the Jacobian stays (Zemouche and Boutayeb
 2013), and the observers of `certificates.reduced_order`. Lipschitz constant and intervals are those of a grid of
 states, which favours the first two: theirs are no proofs. Prints the table of docs/contracting.md.
