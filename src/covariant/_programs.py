@@ -14,6 +14,8 @@ from pathlib import Path
 
 from platformdirs import user_cache_path
 
+OFF = ("off", "0", "no")
+"""Values of `COVARIANT_CACHE` with which nothing is stored."""
 FATAL = "3"
 """Lowest severity of the compiler's messages that are printed; errors in compilation raise exceptions as well."""
 WORTH_KEEPING = "0.1"
@@ -48,7 +50,7 @@ def cache_folder() -> Path | None:
         The folder; None where `COVARIANT_CACHE` is off or the folder cannot be written.
     """
     chosen = os.environ.get("COVARIANT_CACHE", "")
-    if chosen.lower() in ("off", "0", "no"):
+    if chosen.lower() in OFF:
         return None
     try:
         folder = (Path(chosen).expanduser() if chosen else user_cache_path("covariant", appauthor=False)) / _processor()

@@ -12,8 +12,12 @@ from covariant.cli._app import app
 from covariant.workflow import _doctor
 
 
+def part_of(name):
+    return next(part for part in workflow.doctor().parts if part.name == name)
+
+
 def problem(name):
-    return next(part.problem for part in workflow.doctor().parts if part.name == name)
+    return part_of(name).problem
 
 
 def test_every_package_and_extra_that_is_stated_is_listed():
@@ -38,8 +42,6 @@ def test_a_compiler_that_does_not_work_is_a_problem(monkeypatch, tmp_path):
     broken = tmp_path / "cc"
     broken.write_text("#!/bin/sh\necho no such thing >&2\nexit 1\n")
     broken.chmod(0o755)
-    monkeypatch.setattr(_doctor, "compiler", lambda: None)
-    assert "install one" in problem("compiler of C")
 
     def fails(*arguments):
         raise OSError(f"{broken} does not compile a source of C: no such thing")
@@ -56,10 +58,18 @@ def test_a_compiler_that_does_not_work_is_a_problem(monkeypatch, tmp_path):
         ("OPENBLAS_NUM_THREADS", "4", "threads"),
     ],
 )
-def test_settings_that_make_it_slow_are_problems(monkeypatch, name, value, part):
-    assert problem(part) == ""
+def test_what_makes_it_slow_is_advised_against_and_no_problem(monkeypatch, name, value, part):
+    assert part_of(part).advice == ""
     monkeypatch.setenv(name, value)
-    assert name in problem(part)
+    assert name in part_of(part).advice
+    assert part_of(part).problem == ""
+
+
+def test_without_a_compiler_nothing_is_wrong(monkeypatch):
+    monkeypatch.setattr(_doctor, "compiler", lambda: None)
+    monkeypatch.delenv("CC", raising=False)
+    assert "install one" in part_of("compiler of C").advice
+    assert problem("compiler of C") == ""
 
 
 def test_a_cache_that_cannot_be_written_is_not_called_off(monkeypatch, tmp_path):
@@ -76,6 +86,7 @@ def test_a_compiler_that_cc_names_and_that_is_not_there_is_named(monkeypatch):
     monkeypatch.setenv("CC", "no-such-cc")
     (part,) = (part for part in workflow.doctor().parts if part.name == "compiler of C")
     assert "CC=no-such-cc" in part.found
+    assert "install one" in part.problem
 
 
 def test_single_precision_is_a_problem(monkeypatch):
@@ -87,9 +98,16 @@ def test_single_precision_is_a_problem(monkeypatch):
 def test_the_command_exits_with_1_where_something_is_wrong(monkeypatch):
     fine = CliRunner().invoke(app, ["doctor", "--json"])
     assert fine.exit_code == 0
-    assert json.loads(fine.stdout)["covariant"] == {"found": metadata.version("covariant"), "problem": None}
+    assert json.loads(fine.stdout)["covariant"] == {
+        "found": metadata.version("covariant"),
+        "problem": None,
+        "advice": None,
+    }
     monkeypatch.setenv("COVARIANT_CACHE", "off")
+    slow = CliRunner().invoke(app, ["doctor"])
+    assert slow.exit_code == 0
+    assert "advice: every process compiles anew; set COVARIANT_CACHE to a folder" in slow.stdout
+    monkeypatch.setattr(_doctor, "_version", lambda name: None)
     wrong = CliRunner().invoke(app, ["doctor"])
     assert wrong.exit_code == 1
-    assert "1 of " in wrong.stdout
-    assert "set COVARIANT_CACHE to a folder" in wrong.stdout
+    assert "problem: pip install 'scipy" in wrong.stdout

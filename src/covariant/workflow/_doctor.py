@@ -1,4 +1,4 @@
-"""`doctor`: what an installation consists of, and what in it makes this library slow, wrong or unable to run."""
+"""`doctor`: what an installation consists of, what in it is wrong, and what makes this library slow."""
 
 import os
 import platform
@@ -8,7 +8,7 @@ from importlib import metadata
 from typing import Any
 
 from covariant._compile import EXACT, compiled, compiler
-from covariant._programs import cache_folder
+from covariant._programs import OFF, cache_folder
 from covariant.workflow._result import AbstractResult
 
 
@@ -20,18 +20,20 @@ class Part:
         name: What it is, such as "compiler of C".
         found: What was found.
         problem: What is wrong with it and what to do; empty where nothing is.
+        advice: What would make this library faster, which runs without it; empty where nothing would.
     """
 
     name: str
     found: str
     problem: str = ""
+    advice: str = ""
 
 
 def doctor() -> "DoctorResult":
     """Examine the installation: versions, optional packages, compiler, cache folder, threads and devices.
 
     Returns:
-        What was found, and what is wrong with it.
+        What was found, what is wrong with it, and what makes it slow.
 
     Example:
         >>> from covariant import workflow
@@ -82,14 +84,18 @@ class DoctorResult(AbstractResult):
 
     @property
     def summary(self) -> dict[str, Any]:
-        return {part.name: {"found": part.found, "problem": part.problem or None} for part in self.parts}
+        return {
+            part.name: {"found": part.found, "problem": part.problem or None, "advice": part.advice or None}
+            for part in self.parts
+        }
 
     def __str__(self) -> str:
         width = max(len(part.name) for part in self.parts)
         lines = []
         for part in self.parts:
             lines.append(f"{part.name:<{width}}  {part.found}")
-            lines += [f"{'':<{width}}  problem: {part.problem}"] * bool(part.problem)
+            told = (("problem", part.problem), ("advice", part.advice))
+            lines += [f"{'':<{width}}  {kind}: {text}" for kind, text in told if text]
         return "\n".join([*lines, "", f"{self.headline[0].upper()}{self.headline[1:]}."])
 
 
@@ -147,8 +153,9 @@ def _compiler() -> Part:
     """The compiler of C, and whether it makes a library that runs."""
     name, path = "compiler of C", compiler()
     if path is None:
-        found = f"none: CC={os.environ['CC']} is not there" if os.environ.get("CC") else "none"
-        return Part(name, found, "observers run in JAX, which takes longer; install one, or set CC to its name")
+        advice = "observers run in JAX, which takes longer; install one, or set CC to its name"
+        named = os.environ.get("CC")
+        return Part(name, f"none: CC={named} is not there", advice) if named else Part(name, "none", advice=advice)
     import ctypes
 
     try:
@@ -163,11 +170,14 @@ def _cache() -> Part:
     """The folder in which compiled programs are kept."""
     name, folder = "cache folder", cache_folder()
     if folder is None:
-        chosen = os.environ.get("COVARIANT_CACHE")
-        reason = (
-            f"COVARIANT_CACHE={chosen} is off, or no folder that can be written" if chosen else "no home to write to"
+        chosen, advice = (
+            os.environ.get("COVARIANT_CACHE"),
+            "every process compiles anew; set COVARIANT_CACHE to a folder",
         )
-        return Part(name, f"none: {reason}", "every process compiles anew; set COVARIANT_CACHE to a folder")
+        if chosen and chosen.lower() in OFF:
+            return Part(name, f"none: COVARIANT_CACHE={chosen}", advice=advice)
+        reason = f"COVARIANT_CACHE={chosen} cannot be written" if chosen else "no home to write to"
+        return Part(name, f"none: {reason}", advice)
     files = [file.stat().st_size for file in folder.glob("*") if file.is_file()]
     return Part(name, f"{folder}, {len(files)} files, {sum(files) / 1e6:.0f} MB")
 
@@ -177,7 +187,7 @@ def _threads() -> Part:
     found = f"{os.cpu_count()} processors, OPENBLAS_NUM_THREADS={os.environ.get('OPENBLAS_NUM_THREADS', 'not set')}"
     alone = os.environ.get("OPENBLAS_NUM_THREADS") == "1"
     advice = "a threaded BLAS slows small matrices down; set OPENBLAS_NUM_THREADS=1 before Python is started"
-    return Part("threads", found, "" if alone else advice)
+    return Part("threads", found, advice="" if alone else advice)
 
 
 def _device() -> Part:
