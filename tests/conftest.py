@@ -47,7 +47,7 @@ jax.config.update("jax_numpy_dtype_promotion", "strict")
 hypothesis.settings.register_profile("laws", derandomize=True, deadline=None, database=None, max_examples=60)
 hypothesis.settings.load_profile("laws")
 
-SUITES = {"long": 1.5, "exhaustive": 6.0}
+SUITES = {"long": 1.5, "exhaustive": 4.0}
 """Marks that a file may give its cases by a list of their names, in capitals, and that a test has which takes more than
 these seconds of a core."""
 SECONDS = json.loads(Path(__file__).with_name("seconds.json").read_text(encoding="utf-8"))
