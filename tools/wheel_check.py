@@ -47,7 +47,7 @@ def python(after: str, engine: str = "") -> tuple[str, ...]:
 def on_files(log: str, velocities: str) -> tuple[tuple[str, ...], ...]:
     """The commands that write a log and read it."""
     return (
-        ("covariant", "simulate", "oscillator", "-o", log, "--q0", "1", "--noise", "1e-4", "--seconds", "4"),
+        ("covariant", "simulate", "oscillator", "-o", log, "--q0", "1", "--noise", "1e-4", "--duration", "4"),
         ("covariant", "estimate", "oscillator", log, *GAINS, "-o", velocities),
     )
 

@@ -386,10 +386,10 @@ def by_pinocchio(python: str, twists: dict, elements: dict) -> dict:
 OPERATIONS = ("exp", "log", "right_jacobian", "right_jacobian_inverse", "adjoint")
 REGIONS = {
     "0": [0.0],
-    "1e-12 … 1e-6": np.geomspace(1e-12, 1e-6, 7),
-    "1e-5 … 0.1": np.geomspace(1e-5, 0.1, 9),
+    "10⁻¹² … 10⁻⁶": np.geomspace(1e-12, 1e-6, 7),
+    "10⁻⁵ … 0.1": np.geomspace(1e-5, 0.1, 9),
     "0.2 … 3": np.linspace(0.2, 3.0, 9),
-    "π − 1e-3 … π − 1e-7": np.pi - np.geomspace(1e-3, 1e-7, 5),
+    "π − 10⁻³ … π − 10⁻⁷": np.pi - np.geomspace(1e-3, 1e-7, 5),
 }
 """Angles of rotation [rad]."""
 
@@ -458,7 +458,7 @@ def compare_values(outcome: Outcome, beside: str | None) -> str:
                 cells = [
                     shown(errors[(*column, key)][here].max()) if (*column, key) in errors else "–" for column in COLUMNS
                 ]
-                rows.append((name, LABELS[key], region, *cells))
+                rows.append((name, LABELS[key], region.replace(" ", "\N{NO-BREAK SPACE}"), *cells))
     worst = [
         (name, shown(largest[c][0]), largest[c][1])
         for c, name in zip(COLUMNS, COLUMN_NAMES, strict=True)
