@@ -90,10 +90,12 @@ mutants: env
 peers: env
 	$(BIN)/python tools/peers/run.py $(SUITES)
 
-# The site, in the folder site: open site/index.html. With it comes a page on which exported observers run.
+# The site, in the folder site: open site/index.html. With it comes a page on which exported observers run. Links and
+# places that are not there are errors, and so is whatever a page loads from elsewhere.
 docs: .venv/docs
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build
 	$(BIN)/python tools/browser_page.py site/browser-demo.html
+	$(BIN)/python tools/check_site.py site
 
 .venv/docs: pyproject.toml constraints.txt
 	test -x $(BIN)/python || $(PYTHON) -m venv .venv

@@ -147,6 +147,13 @@ def on_files(files: Files, config: MkDocsConfig) -> None:
         files.append(File.generated(config, f"gallery/out/{figure.name}", abs_src_path=str(figure)))
 
 
+def _unbroken(code: str) -> str:
+    """Code whose words with hyphens stay whole, those apart that are longer than a narrow column."""
+    return re.sub(r"(?<!\S)[^\s-]{0,20}(?:-[^\s-]{0,20}){1,3}(?=\s|$)", r'<span class="whole">\g<0></span>', code)
+
+
 def on_page_content(html: str, **_: object) -> str:
-    """Let every figure open on its own, which a small screen needs."""
+    """Let every figure open on its own, which a small screen needs, and break no option or name at its hyphens."""
+    inline = r"(?<!</span>)(?<!<pre>)<code>([^<]+)</code>"
+    html = re.sub(inline, lambda code: f"<code>{_unbroken(code[1])}</code>", html)
     return re.sub(r'<img [^>]*?src="([^"]+)"[^>]*>', r'<a href="\1">\g<0></a>', html)

@@ -52,6 +52,10 @@ The warning that is disabled concerns vectors as arguments of functions that oth
 """
 
 
+NO_COMPILER = "there is no C compiler; set CC, install cc, or pip install ziglang"
+"""What is said where `compiler_command` is None."""
+
+
 @functools.cache
 def compiler() -> str | None:
     """Path of the compiler that the environment variable CC names, or of `cc`; None where there is none."""

@@ -15,9 +15,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from covariant import models, observers
+from covariant import _compile, models, observers
 from covariant.cli import main
-from covariant.codegen import _fmu, fmu, of_family, program, write_fmu
+from covariant.codegen import _fmu, fmu, of_family, program, with_open_numbers, write_fmu
 
 LONG = (
     "test_a_simulator_takes_it[3.0]",
@@ -267,8 +267,19 @@ def test_equal_units_are_equal_files_and_a_file_that_is_there_stays(tmp_path, pa
         write_fmu(units()["2.0"], tmp_path / "no" / "again.fmu")
 
 
+@needs_compiler
+def test_the_binary_is_made_by_the_compiler_that_cc_names(monkeypatch):
+    monkeypatch.setattr(_compile, "compiler", lambda: "false")
+    made = program(with_open_numbers(observers.FilteredDerivative(20.0)), np.zeros(1))
+    with pytest.raises(OSError, match="false does not compile the unit"):
+        fmu(made, "speed", "", 100.0, np.zeros(1))
+    monkeypatch.setattr(_compile, "compiler", lambda: None)  # as on a machine with the package ziglang alone
+    monkeypatch.setattr(_compile, "zig", lambda: ["cc"])
+    assert "binaries/x86_64-linux/speed.so" in fmu(made, "speed", "", 100.0, np.zeros(1)).files
+
+
 def test_without_a_compiler_the_command_writes_sources_and_says_so(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(_fmu.shutil, "which", lambda name: None)
+    monkeypatch.setattr(_fmu, "compiler_command", lambda: None)
     words = ["export", str(MODEL), "--rate", "500", "--no-audit", "--json"]
 
     def told(*more: str) -> tuple[int, str, str]:

@@ -279,6 +279,9 @@ def test_the_command_writes_a_package_and_warns_where_there_is_no_compiler(tmp_p
     names = {path.relative_to(tmp_path / "c").as_posix() for path in result.files if "python" in path.parts}
     files = ("__init__.py", "__main__.py", "oscillator.c", "oscillator.h", "oscillator_rows.c")
     assert names == {f"python/oscillator/{file}" for file in files}
+    readme = (tmp_path / "c" / "README.md").read_text(encoding="utf-8")
+    assert "| `python/oscillator` | a Python package that needs NumPy alone" in readme
+    assert ".wasm" not in readme
     with pytest.raises(ValueError, match="python is for a folder"):
         covariant.export("oscillator", tmp_path / "c.fmu", python=True, **options)
     with pytest.raises(ValueError, match="'lambda' is a word or a module of Python; name the export otherwise"):

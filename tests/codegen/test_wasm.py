@@ -52,6 +52,9 @@ def test_it_does_in_node_what_its_c_does(wasm, real, tmp_path, monkeypatch):
     folder, name = tmp_path / "arm", f"arm_{real}"
     options = {"real": real, "name": name, "audit": False, "python": True, "wasm": True}
     covariant.export(MODEL, folder, rate=RATE, **options)
+    readme = (folder / "README.md").read_text(encoding="utf-8")
+    assert f"`python/{name}`" in readme
+    assert f"`node test/{name}_test.js`" in readme
     said = subprocess.run(["node", f"test/{name}_test.js"], cwd=folder, capture_output=True, text=True)
     assert said.stdout.startswith(f"{name}: ok, 40 steps, largest deviation 0."), said.stdout + said.stderr
     monkeypatch.syspath_prepend(folder / "python")

@@ -43,6 +43,10 @@ def summary(results: dict[str, dict]) -> str:
         deviations = len(outcome["deviations"]) if "deviations" in outcome else "–"
         cells = [f"[{name}](#{name})", *counts, deviations, outcome.get("seconds", "–"), outcome["date"]]
         rows.append([str(cell) for cell in cells])
+    totals = [sum(outcome.get(key, 0) for outcome in results.values()) for key in ("cases", "passed")]
+    off = sum(len(outcome.get("deviations", ())) for outcome in results.values())
+    seconds = sum(outcome.get("seconds", 0) for outcome in results.values())
+    rows.append(["all", "", *map(str, totals), str(off), str(seconds), ""])
     return table(["suite", "versions", "cases", "passed", "deviations", "seconds", "date"], rows)
 
 
@@ -51,7 +55,10 @@ def section(name: str, outcome: dict) -> str:
     parts = [f"## {name}", ABOUT[name]]
     if "failed" in outcome:
         parts.append(f"It did not finish: {outcome['failed']}.")
-    parts += [f"pip does not install `{what}`: {said}" for what, said in outcome.get("unavailable", {}).items()]
+    parts += [
+        f"pip does not install `{what}`, which would be compared as well: {said}"
+        for what, said in outcome.get("unavailable", {}).items()
+    ]
     if left := outcome.get("left_out"):
         parts.append("\n".join(f"- left out, {part['what']}: {part['count']}; {part['reason']}" for part in left))
     if off := outcome.get("deviations"):

@@ -105,7 +105,8 @@ def pip(folder: Path, *words: str) -> subprocess.CompletedProcess:
 def answer(text: str) -> str:
     """What pip says, in one line without names of hosts and folders."""
     lines = [line for line in text.splitlines() if line.startswith("ERROR") or "requires" in line]
-    return re.sub(r"\S*://\S+|/\S{8,}", "…", " ".join(lines[-2:]) or text[-300:])
+    said = (lines[-1] if lines else text[-300:]).removeprefix("ERROR: ")
+    return re.sub(r"\S*://\S+|/\S{8,}", "…", said).rstrip(".") + "."
 
 
 def sought(environment: Path, package: str) -> str:

@@ -198,7 +198,8 @@ class Selection:
     @pytest.hookimpl(trylast=True)
     def pytest_collection_modifyitems(self, config, items):
         tables = [i for i in items if not set(inspect.signature(i.function).parameters) <= {"self", *SIZES}]
-        absent = [i for i in items if i.cls.__name__ == "TestComparison" and any(name in i.name for name in LACKING)]
+        others = [i for i in items if i not in tables]
+        absent = [i for i in others if i.cls.__name__ == "TestComparison" and any(name in i.name for name in LACKING)]
         for name, left, why in (("tests with tables", tables, TABLES), ("comparisons", absent, ABSENT)):
             self.outcome.left_out(name, len(left), why)
         out = {*tables, *absent}

@@ -386,10 +386,10 @@ def by_pinocchio(python: str, twists: dict, elements: dict) -> dict:
 OPERATIONS = ("exp", "log", "right_jacobian", "right_jacobian_inverse", "adjoint")
 REGIONS = {
     "0": [0.0],
-    "1e-12 … 1e-6": np.geomspace(1e-12, 1e-6, 7),
-    "1e-5 … 0.1": np.geomspace(1e-5, 0.1, 9),
+    "10⁻¹² … 10⁻⁶": np.geomspace(1e-12, 1e-6, 7),
+    "10⁻⁵ … 0.1": np.geomspace(1e-5, 0.1, 9),
     "0.2 … 3": np.linspace(0.2, 3.0, 9),
-    "π − 1e-3 … π − 1e-7": np.pi - np.geomspace(1e-3, 1e-7, 5),
+    "π − 10⁻³ … π − 10⁻⁷": np.pi - np.geomspace(1e-3, 1e-7, 5),
 }
 """Angles of rotation [rad]."""
 
@@ -415,7 +415,7 @@ def values(p, dtype, x, g) -> dict[str, np.ndarray]:
 
 def compare_values(outcome: Outcome, beside: str | None) -> str:
     """Values beside those of the others, and of 60 digits; the version of Pinocchio."""
-    rows, all_trials, all_exact = [], {n: trials(n) for n in NAMES}, {}
+    rows, all_trials, all_exact, largest = [], {n: trials(n) for n in NAMES}, {}, {}
     for name in NAMES:
         all_exact[name] = [exact(name, row) for row in all_trials[name][1]]
     elements = {n: np.array([each.element() for each in all_exact[n]]) for n in NAMES}
@@ -436,6 +436,10 @@ def compare_values(outcome: Outcome, beside: str | None) -> str:
             for (who, dtype), value in made.items()
             for key in OPERATIONS
         }
+        for (*column, key), several in errors.items():
+            k = int(np.argmax(several))
+            place = f"{LABELS[key]} of {name}, {regions[k]} rad"
+            largest[tuple(column)] = max(largest.get(tuple(column), (0.0, "")), (float(several[k]), place))
         common = np.array([region == "0.2 … 3" for region in regions])
         for who, dtype in made:
             if who == "Ours":
@@ -454,7 +458,13 @@ def compare_values(outcome: Outcome, beside: str | None) -> str:
                 cells = [
                     shown(errors[(*column, key)][here].max()) if (*column, key) in errors else "–" for column in COLUMNS
                 ]
-                rows.append((name, LABELS[key], region, *cells))
+                rows.append((name, LABELS[key], region.replace(" ", "\N{NO-BREAK SPACE}"), *cells))
+    worst = [
+        (name, shown(largest[c][0]), largest[c][1])
+        for c, name in zip(COLUMNS, COLUMN_NAMES, strict=True)
+        if c in largest
+    ]
+    outcome.table("The largest error of each", ("library, precision", "error", "where"), worst, LARGEST_NOTE)
     outcome.table("Digits", ("group", "function", "angle [rad]", *COLUMN_NAMES), rows, DIGITS_NOTE)
     return str(theirs["version"]) if theirs else ""
 
@@ -464,6 +474,10 @@ COLUMNS = tuple((who, np.float64) for who in ("Ours", "Jaxlie", "Pinocchio")) + 
 )
 COLUMN_NAMES = ("covariant, double", "jaxlie, double", "Pinocchio, double", "covariant, single", "jaxlie, single")
 LABELS = {"exp": "exp", "log": "log", "right_jacobian": "J_r", "right_jacobian_inverse": "J_r⁻¹", "adjoint": "Ad"}
+LARGEST_NOTE = (
+    "In units of rounding, over all groups, functions and angles of the next table: at 1 the last digit of a number is "
+    "in doubt, at 1e+12 four of sixteen digits are left."
+)
 DIGITS_NOTE = (
     "The largest error in the Frobenius norm, relative to the result, in units of rounding of the precision (2.2e-16 "
     "and 1.2e-7), beside arithmetic of 60 digits; the translations are of order one. The elements given to log and Ad "

@@ -6,18 +6,22 @@ from covariant.codegen._program import Program
 from covariant.codegen._source import SENTENCE, field
 
 
-def companions(program: Program, name: str, about: str) -> dict[str, str]:
+def companions(program: Program, name: str, about: str, python: bool, wasm: bool) -> dict[str, str]:
     """The files beside an exported observer: CMake, Arduino, a class in C++ and a README.
 
     Args:
         program: The observer as graphs.
         name: Prefix of all names in C.
         about: A line that says what the observer is, for comments and texts.
+        python: Whether the README lists the files of `python_files`.
+        wasm: Whether it lists those of `wasm_files`.
 
     Returns:
         The texts by file name. The self-test is in a separate folder, which Arduino does not compile.
     """
     replacements = {
+        "@PYTHON@": _PYTHON if python else "",  # before the name, which is in it
+        "@WASM@": _WASM if wasm else "",
         "@NAME@": name,
         "@UPPER@": name.upper(),
         "@ABOUT@": about,
@@ -150,6 +154,15 @@ private:
 #endif
 """
 
+_PYTHON = """| `python/@NAME@` | a Python package that needs NumPy alone; put `python` on the path |
+| `python/@NAME@-….whl` | the package as a wheel for this platform, if a C compiler was found |
+"""
+
+_WASM = """| `@NAME@.wasm`, `@NAME@_wasm.c` | the observer as WebAssembly, and the C of its calls |
+| `@NAME@.js` | a script for web pages and Node that holds it |
+| `test/@NAME@_test.js` | its self-test: `node test/@NAME@_test.js` |
+"""
+
 _README = """# @NAME@
 
 @ABOUT@
@@ -163,7 +176,7 @@ _README = """# @NAME@
 | `test/@NAME@_test.c` | a self-test against test vectors, with a `main` of its own |
 | `CMakeLists.txt`, `library.properties` | for CMake, with `find_package(@NAME@)`, and for Arduino |
 | `DATASHEET.md` | what it costs, and what it was made from |
-
+@PYTHON@@WASM@
 ## Use
 
 Call `@NAME@_init` with the first measurement, then `@NAME@_step` at each sample with the time since the one before.

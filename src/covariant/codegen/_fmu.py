@@ -8,17 +8,17 @@ Source: Modelica Association 2022, Functional Mock-up Interface Specification 3.
 
 import hashlib
 import platform
-import shutil
 import subprocess
 import tempfile
 import uuid
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Literal, NamedTuple
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
+from covariant._compile import NO_COMPILER, compiler_command
 from covariant._files import write_atomically, zipped
 from covariant.codegen._fmu_c import unit_source
 from covariant.codegen._program import Program
@@ -74,8 +74,8 @@ class Unit(NamedTuple):
 
     Example:
         >>> from covariant.codegen import Unit
-        >>> Unit({"modelDescription.xml": b"<fmiModelDescription/>"}, "there is no C compiler `cc`").without_binary
-        'there is no C compiler `cc`'
+        >>> Unit({"modelDescription.xml": b"<fmiModelDescription/>"}, "there is no C compiler").without_binary
+        'there is no C compiler'
     """
 
     files: dict[str, bytes]
@@ -85,7 +85,8 @@ class Unit(NamedTuple):
 def fmu(program: Program, name: str, about: str, rate: float, y: np.ndarray, version: Version = "3.0") -> Unit:
     """An observer as a unit for co-simulation, whose inputs are the measurement `y` and the input `u`.
 
-    Its parameters, the open numbers, are tunable. The binary is compiled by `cc` for the machine at hand.
+    Its parameters, the open numbers, are tunable. The binary is compiled for the machine at hand, by the compiler
+    that CC names, `cc`, or that of the package ziglang.
 
     Args:
         program: The observer as graphs.
@@ -131,10 +132,11 @@ def fmu(program: Program, name: str, about: str, rate: float, y: np.ndarray, ver
     place = PLACES.get((version, platform.system(), platform.machine()))
     if place is None:
         return Unit(files, f"FMI {version} names no binary of {platform.system()} on {platform.machine()}")
-    if shutil.which("cc") is None:
-        return Unit(files, "there is no C compiler `cc`")
+    command = compiler_command()
+    if command is None:
+        return Unit(files, NO_COMPILER)
     suffix = "dylib" if platform.system() == "Darwin" else "so"
-    return Unit(files | {f"binaries/{place}/{name}.{suffix}": _compiled(files, name)}, "")
+    return Unit(files | {f"binaries/{place}/{name}.{suffix}": _compiled(command, files, name)}, "")
 
 
 def write_fmu(unit: Unit, path: Path, overwrite: bool = False) -> None:
@@ -163,16 +165,16 @@ def write_fmu(unit: Unit, path: Path, overwrite: bool = False) -> None:
     write_atomically(path, lambda file: file.write(zipped(unit.files)))
 
 
-def _compiled(files: dict[str, bytes], name: str) -> bytes:
+def _compiled(command: Sequence[str], files: dict[str, bytes], name: str) -> bytes:
     with tempfile.TemporaryDirectory() as folder:
         for path, content in files.items():
             (Path(folder) / path).parent.mkdir(exist_ok=True)
             (Path(folder) / path).write_bytes(content)
         sources = [f"sources/{name}.c", f"sources/{name}_fmu.c"]
-        command = ["cc", *FLAGS, *sources, "-lm", "-o", "made"]
-        run = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+        words = [*command, *FLAGS, *sources, "-lm", "-o", "made"]
+        run = subprocess.run(words, cwd=folder, capture_output=True, text=True, check=False)
         if run.returncode:
-            raise OSError(f"cc does not compile the unit: {run.stderr.strip()[:200]}")
+            raise OSError(f"{' '.join(command)} does not compile the unit: {run.stderr.strip()[:200]}")
         return (Path(folder) / "made").read_bytes()
 
 

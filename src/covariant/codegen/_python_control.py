@@ -173,7 +173,7 @@ def _inputs(count: int) -> list[str]:
 
 
 def _system(update, output, **named) -> Any:
-    package = load_optional("control", use="such a system needs python-", extra="control")
+    package = load_optional("control", use="such a system needs the package", extra="control")
 
     def numpy(function):
         return lambda t, x, u, params: np.asarray(function(jnp.asarray(t, float), jnp.asarray(x), jnp.asarray(u)))

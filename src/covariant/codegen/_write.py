@@ -24,6 +24,8 @@ def export_texts(
     facts: Facts,
     flash: int | float = math.inf,
     run: Vectors | None = None,
+    python: bool = False,
+    wasm: bool = False,
 ) -> dict[str, str]:
     """All files of an export: header, source, self-test, data sheet, build files and a README.
 
@@ -37,6 +39,7 @@ def export_texts(
         facts: Further facts on the data sheet.
         flash: Limit [bytes] of code and constants, as for `write_source`; by default there is none.
         run: The run that the self-test follows; by default it is computed from the measurements.
+        python, wasm: Whether the README lists the files of `python_files`, of `wasm_files`; by default it does not.
 
     Returns:
         The texts by their path in the folder of the export.
@@ -62,7 +65,7 @@ def export_texts(
         f"{name}.c": source.source,
         f"test/{name}_test.c": write_test(program, name, run or vectors(program, measured, facts.rate)),
         "DATASHEET.md": data_sheet(program, source, about, facts),
-        **companions(program, name, about),
+        **companions(program, name, about, python, wasm),
     }
 
 

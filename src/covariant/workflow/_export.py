@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from covariant import certificates, models
+from covariant._compile import NO_COMPILER
 from covariant.calibration import ESTIMATORS, estimators, observer_gains, tuned_estimators, with_gains
 from covariant.certificates import audit
 from covariant.codegen import (
@@ -56,7 +57,6 @@ STORED = ("low", "high", "spacing", "factors")
 """Arrays of a metric on a grid, a table that the code looks up."""
 REALS = ("double", "float")
 VERSIONS = ("3.0", "2.0")
-NO_COMPILER = "there is no C compiler; set CC, install cc, or pip install ziglang"
 CENTRE, SWING = 0.7, 0.2
 """Where positions of the self-test are, and how far they swing, in units of the coordinates; circles start at π."""
 AUDITED = 6
@@ -170,7 +170,7 @@ def export(
     else:
         facts = Facts(rate, getattr(fixed, "substeps", None), proved, "".join(warnings))
         run = vectors(written, exported.measured, rate)
-        texts = export_texts(written, prefix, description, exported.measured, facts, limit, run)
+        texts = export_texts(written, prefix, description, exported.measured, facts, limit, run, python, wasm)
         more = python_files(written, texts, prefix, description, rate) if python else {}
         if python and not any(path.endswith(".whl") for path in more):
             warnings.append(f"the Python package holds sources and no library: {NO_COMPILER}")
