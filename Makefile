@@ -34,7 +34,7 @@ env: .venv/dev
 demo: .venv/ready
 	$(BIN)/python gallery/demo.py --out demo
 
-# Every law on its smallest members, every command, nearly every page: some 15 minutes on two cores.
+# Every law on its smallest members, every command, nearly every page: some 20 minutes on two cores.
 test: format lint types tests
 
 # Statistics, searches at random, papers, recorded logs, pages with what takes long, the gallery. As much again.
