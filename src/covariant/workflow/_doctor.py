@@ -38,8 +38,8 @@ def doctor() -> "DoctorResult":
     Example:
         >>> from covariant import workflow
         >>> examined = workflow.doctor()
-        >>> [part.name for part in examined.parts][:3]
-        ['covariant', 'Python', 'jax']
+        >>> [part.name for part in examined.parts][:2]
+        ['covariant', 'Python']
     """
     return DoctorResult(
         (
