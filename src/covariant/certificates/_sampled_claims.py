@@ -21,7 +21,7 @@ from covariant.certificates._sampled_metric import Found, SampledMetric, random_
 from covariant.certificates._sampled_step import sampled_prediction, sampled_system
 from covariant.certificates._sampling import Loss, Sampling, unit_reach
 from covariant.certificates._tangent_metric import TwoByTwo
-from covariant.lowering import numbers
+from covariant.lowering import Lowered, numbers
 from covariant.observers import Intrinsic
 from covariant.proofs import LETTERS, Box, Form, Proof
 
@@ -33,8 +33,9 @@ MUCH_WIDER = (1e6, 1e5, 1e4, 1e3, 250.0)
 """The same for errors of Runge–Kutta steps, which often are many times as small as matters."""
 LITTLE = 0.02
 """Fraction of the rate that a wider bound may take; its square is that of the radius for errors of predictions."""
-PREDICTION_BOXES = 20_000
-"""Largest number of boxes for the errors of Runge–Kutta steps."""
+PREDICTION_WORK = 4_000_000
+"""Largest number of boxes for the errors of Runge–Kutta steps, times the operations of their matrix: some hundred for a
+pendulum, and thirty thousand for a heavy top."""
 POINTS = 2000
 """Number of points at which they are sampled."""
 ENOUGH = 0.5
@@ -251,34 +252,37 @@ def prediction_claims(
         stated = Stated("prediction", (), square=square)
         return Recursion.of(sampling, q, rate, UNDISTURBED, [*claims, stated]).steady
 
-    least = _sampled_square(defect_bound(prediction, 1.0), points)
+    unit = defect_bound(prediction, 1.0).graph(jnp.asarray(points[0])).entries
+    boxes = PREDICTION_WORK // len(unit.graph.nodes)
+    least = _sampled_square(unit, points)
     squares = [factor * max(least, TINY) for factor in (*MUCH_WIDER, *WIDER)]
     if drift(squares[-1]) < radius:
         # The widest bound that moves the estimate little within the tube needs the fewest boxes.
         square = next((each for each in squares if drift(each) < LITTLE**2 * radius), squares[-1])
-        proof = _proved_within(effort, defect_bound(prediction, square), domain)
+        proof = _proved_within(effort, defect_bound(prediction, square), domain, boxes)
         return [Claim("prediction", proof, 0, square)] if proof.verdict == "holds" else []
     # The defect itself, at the end of the longest step.
     points[:, -2:] = sampling.longest_step
-    size = _sampled_square(defect_bound(prediction, 1.0, 0), points) / sampling.longest_step**8
-    if drift(size) < radius:
+    whole = defect_bound(prediction, 1.0, 0).graph(jnp.asarray(points[0])).entries
+    if drift(_sampled_square(whole, points) / sampling.longest_step**8) < radius:
         return []
-    return [Claim("prediction", _proved_within(effort, defect_bound(prediction, squares[-1]), domain), 0, squares[-1])]
+    proof = _proved_within(effort, defect_bound(prediction, squares[-1]), domain, boxes)
+    return [Claim("prediction", proof, 0, squares[-1])]
 
 
-def _sampled_square(bound: Form, points: np.ndarray) -> float:
+def _sampled_square(matrix: Lowered, points: np.ndarray) -> float:
     """The largest squared length of the vector of a matrix [[1, vᵀN], [Nv, N]] at some points."""
-    entries = np.asarray(numbers(bound.graph(jnp.asarray(points[0])).entries, points))
+    entries = np.asarray(numbers(matrix, points))
     size = math.isqrt(entries.size // len(points))
     matrices = entries.reshape(-1, size, size)
     pulled = matrices[:, 1:, :1]
     return float((pulled * np.linalg.solve(matrices[:, 1:, 1:], pulled)).sum((1, 2)).max())
 
 
-def _proved_within(effort: Effort, bound: Form, domain: Box) -> Proof:
+def _proved_within(effort: Effort, bound: Form, domain: Box, boxes: int) -> Proof:
     """A proof with a part of the boxes that are left, so that one that is too hard takes no more."""
     left = effort.boxes
-    effort.boxes = min(left, PREDICTION_BOXES)
+    effort.boxes = min(left, boxes)
     proof = effort.prove("predictions", bound, domain)
     effort.boxes = max(left - proof.boxes, 0)
     return proof
