@@ -278,6 +278,16 @@ def test_where_simulation_grows_nothing_is_proved():
     assert result.radius == 0.0
 
 
+@pytest.mark.long
+def test_a_factor_that_takes_the_whole_rate_is_named_and_no_steps_are_tried():
+    result = certify(pendulum(), **BOUNDS, interval=(0.1, 0.1), rate=0.3, checker="off", boxes=5000)
+    assert result.statement.verdict == "undecided"
+    (reason,) = (h.place for h in result.statement.hypotheses if h.verdict != "holds")
+    assert str(reason).startswith("the factor takes up to 0.1")
+    assert "make the interval shorter" in str(reason)
+    assert "prediction" not in [claim.kind for claim in result.claims]
+
+
 @functools.cache
 def compiled(substeps):
     """The true motion, and the step that runs."""

@@ -235,10 +235,13 @@ def prediction_claims(
         effort: the effort.
 
     Returns:
-        One claim. None where the number of steps is not fixed, where the model is not smooth, and where the bound is
-        too wide or not proved although the errors themselves are small at all points tried: they are then assumed.
+        One claim. None where the number of steps is not fixed, where the model is not smooth, where the division by
+        `1 + s/18` takes all of the rate, so that nothing holds, and where the bound is too wide or not proved although
+        the errors themselves are small at all points tried: they are then assumed.
     """
-    if sampling.substeps is None or not radius > 0:
+    missing = next(claim for claim in claims if claim.kind == "missing")
+    left = Loss.of(sampling, q, rate, missing.square, missing.limit).allowed(rate)
+    if sampling.substeps is None or not radius > 0 or not left:
         return []
     prediction = sampled_prediction(observer, q, sampling)
     if not prediction.has_series:
