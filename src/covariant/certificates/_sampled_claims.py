@@ -31,8 +31,9 @@ WIDER, TINY = (64.0, 16.0, 4.0, 2.0, 1.3), 1e-12
 """Factors of margin on sampled squares, so that they can be proved quickly, and a square for what is zero."""
 MUCH_WIDER = (1e6, 1e5, 1e4, 1e3, 250.0)
 """The same for errors of Runge–Kutta steps, which often are many times as small as matters."""
-LITTLE = 0.02
-"""Fraction of the rate that a wider bound may take; its square is that of the radius for errors of predictions."""
+LITTLE, PART = 0.02, 0.25
+"""Fraction of the rate that a wider bound may take, and where that is too little. The square of the first is the fraction
+of the radius for errors of predictions."""
 PREDICTION_WORK = 4_000_000
 """Largest number of boxes for the errors of Runge–Kutta steps, times the operations of their matrix: some hundred for a
 pendulum, and thirty thousand for a heavy top."""
@@ -357,8 +358,9 @@ def missing_claims(
     square, length = (float(np.linalg.eigvalsh(each)[:, -1].max()) for each in (ratio, weighted))
     limit = math.sqrt(WIDER[-1] * n * length)
     squares = [factor * max(square, TINY) for factor in WIDER]
-    # The widest bound that takes little of the rate needs the fewest boxes.
-    affordable = [each for each in squares if Loss.of(sampling, q, rate, each, limit).rate < LITTLE * rate / 2]
+    # The widest bound that takes little of the rate needs the fewest boxes; where none does, one that takes a part.
+    shares = [Loss.of(sampling, q, rate, each, limit).rate / (rate / 2) for each in squares]
+    affordable = [each for part in (LITTLE, PART) for each, share in zip(squares, shares, strict=True) if share < part]
     square = affordable[0] if affordable else squares[-1]
     what = "what predictions lack"
     proof = effort.prove(what, missing_bound(system, square, limit, reach), domain)
