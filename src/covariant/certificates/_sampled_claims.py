@@ -32,8 +32,8 @@ WIDER, TINY = (64.0, 16.0, 4.0, 2.0, 1.3), 1e-12
 MUCH_WIDER = (1e6, 1e5, 1e4, 1e3, 250.0)
 """The same for errors of Runge–Kutta steps, which often are many times as small as matters."""
 LITTLE, PART = 0.02, 0.25
-"""Fraction of the rate that a wider bound may take, and where that is too little. The square of the first is the fraction
-of the radius for errors of predictions."""
+"""Fraction of the rate that a wider bound may take, and where that is too little. The square of the first is that of
+the radius for errors of predictions."""
 PREDICTION_WORK = 4_000_000
 """Largest number of boxes for the errors of Runge–Kutta steps, times the operations of their matrix: some hundred for a
 pendulum, and thirty thousand for a heavy top."""
