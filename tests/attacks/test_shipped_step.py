@@ -112,7 +112,7 @@ def length(certificate, x, estimate):
 
 
 def logs(certificate, interval=INTERVAL, lost=1, seed=0, share=INSIDE):
-    """Runs from everywhere in the region, with intervals, inputs and losses at their bounds half of the time."""
+    """Runs from everywhere in the region, half of them with all intervals and inputs at their bounds."""
     rng, observer = np.random.default_rng(seed), certificate.observer
     truth_model = dataclasses.replace(observer, substeps=24)
     x = rng.uniform(-1, 1, size=(RUNS, 2)) * [2.9, 3.9]
