@@ -14,8 +14,9 @@ from covariant._integrate import rk4
 from covariant._linalg import solve
 from covariant.geometry import Budget, christoffel, curvature, hyperbolic, sphere
 from covariant.geometry.lie import SE3, SO3
-from covariant.lowering import LoweringError, expand, lower, numbers, pairs
+from covariant.lowering import LoweringError, expand, lower, numbers, operations, pairs
 from covariant.lowering._constants import padded, part_at, updated_at
+from covariant.lowering._jaxpr import MOST_UNROLLED
 from covariant.observers import Geodesic, Intrinsic, with_fixed_substeps
 
 LONG = (
@@ -321,3 +322,33 @@ def test_known_numbers_are_padded_and_cut_as_by_jax(shape):
         np.testing.assert_array_equal(part_at({"slice_sizes": sizes}, value, *at), expected)
         expected = np.asarray(jax.lax.dynamic_update_slice_p.bind(value, -np.ones(sizes), *at))
         np.testing.assert_array_equal(updated_at({}, value, -np.ones(sizes), *at), expected)
+
+
+@pytest.mark.parametrize(("rows", "looped"), [(np.eye(6), False), (np.arange(36.0).reshape(6, 6) + 2.5, True)])
+def test_a_scan_over_known_rows_is_unrolled_where_that_saves_work(rows, looped):
+    """Of rows with zeros and ones, as the links of a robot, each turn keeps what its own row asks for."""
+
+    def turn(x, row):
+        return jnp.sin(sum(k * jnp.roll(x, k) * row for k in range(40))), None
+
+    def swept(x):
+        return jax.lax.scan(turn, x, jnp.asarray(rows))[0]
+
+    x = np.random.default_rng(0).normal(size=6)
+    long, unrolled = (lower(swept, x, loops=loops) for loops in ("long", "unrolled"))
+    assert looped == any(node.op == "loop" for node in long.graph.nodes)
+    np.testing.assert_allclose(numbers(long, x), numbers(unrolled, x), rtol=1e-9)
+    assert operations(long.graph.nodes) <= operations(unrolled.graph.nodes) / MOST_UNROLLED
+    # Of turns that were tried and not taken, nothing is left.
+    assert len(long.graph.nodes) == len(long.graph.pruned(long.outputs)[0].nodes)
+
+
+def test_a_graph_is_rolled_back_to_a_mark():
+    graph = lowering.Graph()
+    x = graph.input(0)
+    sine, mark = graph.apply("sin", x), graph.mark()
+    for _ in range(2):
+        more = graph.apply("cos", graph.apply("add", sine, graph.constant(2.0)))
+        graph.rollback(mark)
+    assert (len(graph.nodes), graph.apply("sin", x)) == (2, sine)
+    assert graph.apply("cos", graph.apply("add", sine, graph.constant(2.0))) == more

@@ -368,12 +368,6 @@ def operations(model) -> int:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(("name", "lock", "most"), [("panda", {}, 6400), ("quadruped", {"floating_base": 0.0}, 11_500)])
-def test_operations_of_an_observer_of_a_robot(name, lock, most):
-    assert operations(robots.load(name, lock=lock)) <= most
-
-
-@pytest.mark.long
 @pytest.mark.parametrize(("joints", "most"), [(12, 11_500), (20, 27_000)])
 def test_operations_of_an_observer_of_a_long_arm(folder, joints, most):
     """Of links that are symmetric about their axes, in one chain, with axes in turn along the arm and across."""

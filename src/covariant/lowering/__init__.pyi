@@ -33,6 +33,7 @@ from ._jaxpr import (
     substitute as substitute,
     trace as trace,
 )
+from ._loops import operations as operations
 from ._lowered import Conditions as Conditions, Lowered as Lowered, LoweringError as LoweringError
 from ._peephole import simplified as simplified
 from ._read import NUMBERS as NUMBERS, Domain as Domain, evaluate as evaluate, numbers as numbers

@@ -21,7 +21,7 @@ from covariant.lowering._c_operations import (
     of_truth,
 )
 from covariant.lowering._graph import TRUTHS, Graph
-from covariant.lowering._loops import Repetition
+from covariant.lowering._loops import NO_OPERATIONS, Repetition
 from covariant.lowering._lowered import Lowered
 
 LONGEST_EXPRESSION = 60
@@ -119,7 +119,7 @@ class Writer:
         texts = [number_array(name, table.numbers, self.words) for table, name in self.tables.items()]
         texts += [text for loop in self.loops.values() for text in loop.texts]
         texts += self._functions(arrays)
-        operations = Counter(node.op for node in self.graph.nodes if node.op not in _NO_OPERATIONS)
+        operations = Counter(node.op for node in self.graph.nodes if node.op not in NO_OPERATIONS)
         used = frozenset(h for i in range(len(self.graph.nodes)) for h in self._helpers(i))
         scratch = sum(counts.values())
         for loop in self.loops.values():
@@ -352,7 +352,6 @@ def _loop(loop: Repetition, name: str, words: Words, most_statements: int, write
     return _LoopText(name, (*(text.text for text in texts.values()), driver), helpers, operations, scratch)
 
 
-_NO_OPERATIONS = ("input", "constant", "loop", "part")
 _TOGETHER = ("sin", "cos", "part")
 _SIMPLE = {"add", "sub", "mul", "neg", "abs", *TRUTHS}
 """Operations that are written into the expression that uses them."""

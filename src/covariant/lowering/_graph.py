@@ -362,6 +362,16 @@ class Graph:
             self.nodes.append(node)
         return self._known[key]
 
+    def mark(self) -> int:
+        """Return the state of a graph without conditions, for `rollback`."""
+        return len(self.nodes)
+
+    def rollback(self, mark: int) -> None:
+        """Remove the nodes that were added since `mark`."""
+        while len(self.nodes) > mark:
+            self.nodes.pop()
+            self._known.popitem()  # each node has one key, in the order of the nodes
+
     def _is(self, op: str, node: int, first: int) -> bool:
         """Whether a node is that operation on that first argument."""
         return self.nodes[node].op == op and self.nodes[node].arguments[0] == first

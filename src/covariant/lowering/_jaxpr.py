@@ -7,6 +7,7 @@ the arguments becomes a choice between all entries it may be, where these are fe
 
 import functools
 import itertools
+import math
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -31,7 +32,7 @@ from covariant.lowering._jax_forms import (
     expanded,
     need_pure,
 )
-from covariant.lowering._loops import Turn, loop_of
+from covariant.lowering._loops import Turn, loop_of, operations
 from covariant.lowering._lowered import Conditions, Lowered, LoweringError
 from covariant.lowering._primitives import NOT_ON_INTEGERS, RULES
 
@@ -41,6 +42,11 @@ MOST_ITERATIONS = 100_000
 """Largest number of iterations of a loop that is unrolled; a longer one is refused."""
 LONG = 400
 """Operations of a turn from which a loop of known length is not unrolled."""
+MOST_UNROLLED = 0.8
+"""Share of the operations of a loop that its turns may have for the loop to be unrolled. A loop is shorter to write and
+to compile, so that it stays where little is saved."""
+UNBOUNDED = 1 << 62
+"""More operations than any turn has."""
 Loops = Literal["unrolled", "long", "any"]
 
 
@@ -267,21 +273,57 @@ class _Interpreter:
     def scan(self, scan: Scan, values: list[Value]) -> list[Value]:
         ends = scan.fixed, scan.fixed + scan.carried
         fixed, carry, over = values[: ends[0]], values[ends[0] : ends[1]], values[ends[1] :]
-        of_rows = scan.body.results[scan.carried :]
-        if self.loops != "unrolled" and not of_rows and scan.length > 1:
-            outputs = self.counted(scan, fixed, carry, over)
-            if outputs is not None:
-                return outputs
+        if self.loops == "unrolled" or scan.body.results[scan.carried :] or scan.length < 2:
+            unrolled = self.unrolled(scan, fixed, carry, over)
+            assert unrolled is not None
+            return unrolled
+        if any(not isinstance(value, Scalars) for value in over):
+            # Turns over known rows, as the links of a robot, may differ in zeros and ones, which a loop cannot use.
+            mark = self.graph.mark()
+            unrolled = self.unrolled(scan, fixed, carry, over, MOST_UNROLLED * self.operations_of_turn(scan, fixed))
+            if unrolled is not None:
+                return unrolled
+            self.graph.rollback(mark)
+        looped = self.counted(scan, fixed, carry, over)
+        if looped is None:
+            looped = self.unrolled(scan, fixed, carry, over)
+            assert looped is not None
+        return looped
+
+    def unrolled(
+        self, scan: Scan, fixed: list[Value], carry: list[Value], over: list[Value], most: float = np.inf
+    ) -> list[Value] | None:
+        """A scan turn by turn, or None where turns have more than `most` operations on average."""
         # A reversed scan visits the last row first and still stacks its results in the order of the rows.
         order = range(scan.length)[:: -1 if scan.reverse else 1]
         collected: dict[int, list[Value]] = {}
-        for i in order:
+        begin = len(self.graph.nodes)
+        for turn, i in enumerate(order, 1):
             outputs = self.run(scan.body, [*fixed, *carry, *(_take(value, i) for value in over)])
             carry, collected[i] = outputs[: scan.carried], outputs[scan.carried :]
+            # The first turn is often the shortest, as it starts from zeros.
+            if turn > 1 and operations(self.graph.nodes[begin:]) > turn * most:
+                return None
         rows = [collected[i] for i in sorted(collected)]
-        empty = [np.zeros((0, *aval.shape)) for aval in of_rows]
+        empty = [np.zeros((0, *aval.shape)) for aval in scan.body.results[scan.carried :]]
         stacked = [self.write.stack(list(column)) for column in zip(*rows, strict=True)] if rows else empty
         return [*carry, *stacked]
+
+    def operations_of_turn(self, scan: Scan, fixed: list[Value]) -> int:
+        """Operations of a turn of a scan of which only known fixed numbers are known, as in a loop."""
+        graph, position = Graph(), itertools.count()
+
+        def unknown(shape: tuple[int, ...]) -> Scalars:
+            ids = [graph.input(next(position)) for _ in range(math.prod(shape))]
+            return Scalars(np.array(ids, int).reshape(shape))
+
+        shapes = [atom.aval.shape for atom in scan.body.jaxpr.invars]
+        values = [value if not isinstance(value, Scalars) else unknown(value.ids.shape) for value in fixed]
+        try:
+            _Interpreter(graph, self.loops).run(scan.body, [*values, *map(unknown, shapes[scan.fixed :])])
+        except LoweringError:  # a turn needs a number that only unrolled turns know
+            return UNBOUNDED
+        return operations(graph.nodes)
 
     def counted(
         self, scan: Scan, fixed: list[Value], carry: list[Value], over: list[Value] | None = None

@@ -15,6 +15,8 @@ from covariant.lowering._arrays import Scalars, Value, nodes_of
 from covariant.lowering._graph import Graph, Node
 from covariant.lowering._lowered import Lowered
 
+NO_OPERATIONS = ("input", "constant", "loop", "part")
+"""Nodes that compute nothing by themselves."""
 Turn = Callable[[Graph, list[Value]], tuple[list[Value], Value | None]]
 
 
@@ -142,7 +144,7 @@ def loop_of(
         return Lowered(small, ((len(order),),), tuple(roots), result, jax.tree.structure(0))
 
     body = cut([ends[k] for k in places])
-    if _size(body) < least:
+    if operations(body.graph.nodes) < least:
         return None
     stop = None if going is None else cut(_flat(inner, [going]))
     loop = Repetition(body, stop, count, len(used))
@@ -151,10 +153,20 @@ def loop_of(
     return _filled([parts.get(k, start) for k, start in enumerate(starts)], carry, changes)
 
 
-def _size(lowered: Lowered) -> int:
-    """Operations of a graph, with those of a turn of each loop in it."""
-    inner = (node.value for node in lowered.graph.nodes if isinstance(node.value, Repetition))
-    return len(lowered.graph.nodes) + sum(_size(loop.body) for loop in inner)
+def operations(nodes: Sequence[Node]) -> int:
+    """Count the operations of a list of nodes, with those of all turns of its loops.
+
+    Args:
+        nodes: Nodes of a graph. A loop whose length the arguments decide counts as one turn.
+    """
+    total = 0
+    for node in nodes:
+        if isinstance(node.value, Repetition):
+            turns = 1 if node.value.turns is None else node.value.turns
+            total += turns * sum(operations(each.graph.nodes) for each in node.value.graphs)
+        else:
+            total += node.op not in NO_OPERATIONS
+    return total
 
 
 def _flat(graph: Graph, values: Sequence[Value]) -> list[int]:
