@@ -14,7 +14,7 @@ QUICK := tests/laws/test_every_observer.py tests/calibration/test_estimators.py 
 	tests/test_house.py tests/pages/test_links.py
 
 # A process that dies ends the run, which would else wait for its tests for ever.
-PARALLEL := -n 2 --dist loadfile --no-loadscope-reorder --max-worker-restart 0
+PARALLEL := -n 2 --dist loadgroup --no-loadscope-reorder --max-worker-restart 0
 
 .PHONY: env demo test test-all long exhaustive matrix matrix-short quick format lint types tests gallery bench firmware mutants peers docs wheel-check lock clean
 
@@ -50,14 +50,14 @@ types: env
 	$(BIN)/basedpyright
 
 tests: env
-	$(BIN)/pytest $(PARALLEL) -m "not long and not exhaustive"
+	$(BIN)/pytest $(PARALLEL) -m "not long"
 
 long: env
-	$(BIN)/pytest $(PARALLEL) -m "long and not exhaustive"
+	$(BIN)/pytest $(PARALLEL) -m long
 
 # Larger members of the laws, many trials, and every page without a compiler and without a cache. Two hours.
 exhaustive: env
-	$(BIN)/pytest $(PARALLEL) -m exhaustive
+	$(BIN)/pytest $(PARALLEL) --exhaustive -m exhaustive
 
 # On Python 3.12 and 3.13 as well, where they are here, with the newest packages; .venv has the oldest.
 matrix: test
@@ -113,4 +113,4 @@ lock:
 	rm -rf .venv-lock
 
 clean:
-	rm -rf .venv .venv-3.* .venv-peers-* demo build dist site mutants.json
+	rm -rf .venv .venv-3.* .venv-peers-* .cache demo build dist site mutants.json

@@ -1,20 +1,17 @@
 """Strict numerics for every test, the recorded logs, and the spaces over which the laws of geometry are checked."""
 
-import ctypes
 import gc
-import json
 import os
-import shutil
-import tempfile
+from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
-CONTROLS = "PYTEST_XDIST_WORKER" not in os.environ
-if CONTROLS:  # the workers inherit it: one cache for the whole run, empty at first as a new user's is
-    os.environ["COVARIANT_CACHE"] = tempfile.mkdtemp(prefix="covariant-tests-")
+REPOSITORY = Path(__file__).parents[1]
+# As a user's cache, it is kept between runs; `make clean` empties it.
+os.environ.setdefault("COVARIANT_CACHE", str(REPOSITORY / ".cache"))
 
 import covariant  # before JAX, which then stores its programs in the cache folder
 
@@ -47,61 +44,138 @@ jax.config.update("jax_numpy_dtype_promotion", "strict")
 hypothesis.settings.register_profile("laws", derandomize=True, deadline=None, database=None, max_examples=60)
 hypothesis.settings.load_profile("laws")
 
-SUITES = {"long": 1.5, "exhaustive": 4.0}
-"""Marks that a file may give its cases by a list of their names, in capitals, and that a test has which takes more than
-these seconds of a core."""
-SECONDS = json.loads(Path(__file__).with_name("seconds.json").read_text(encoding="utf-8"))
-"""What each test takes, in seconds of a core, where it is 1 or more: `python tools/test_seconds.py` measures it."""
-EVERY_RUN = ("tests/pages/", "tests/test_house.py", "tests/test_contributing.py")
-"""Where tests take as long as they take: what a user runs is tried each time."""
-ROOMS_OF_LAWS = ("geometry", "laws", "lowering", "metrics", "models", "proofs", "simulation")
-LARGER = tuple(f"tests/{room}/" for room in ROOMS_OF_LAWS)
-"""Where a long test adds a larger member to a law: it is exhaustive, since a smaller member is tried each time."""
-REPOSITORY = Path(__file__).parents[1]
+MOST_MAPPINGS = 40_000
+"""Mappings of memory from which compiled programs are released; Linux allows 65 530."""
+SHARE = 4.0
+"""Seconds of a core from which a test is named after a run: a short one of these should be `long`."""
 
 
-def pytest_unconfigure():
-    if CONTROLS:
-        shutil.rmtree(os.environ["COVARIANT_CACHE"], ignore_errors=True)
+def pytest_addoption(parser):
+    parser.addoption("--exhaustive", action="store_true", help="run larger members and more trials of long tests, too")
+    parser.addoption("--alone", action="store_true", help="measure each test with all programs that it needs")
 
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config, items):
-    """Mark as long, or exhaustive, what takes the seconds of it, and what a file says in `LONG` or `EXHAUSTIVE`: a case
-    as `test[parameters]`, or parameters of any test of the file.
+    """Read the marks `long` and `exhaustive`, and make each file a group that one process runs.
 
-    Of several parameters, joined by dashes as tests show them, a name may be one or some that follow each other.
+    With arguments, a mark is for the cases of these names, as tests show them, or of these parameters: of several,
+    joined by dashes, one or some that follow each other.
     """
-    unused = set()
-    for module in {item.module for item in items}:
-        unused |= {(module.__name__, name) for suite in SUITES for name in getattr(module, suite.upper(), ())}
+    asked, used = set(), set()
+    cases = {(item.location[0], item.originalname, item.callspec.id) for item in items if hasattr(item, "callspec")}
     for item in items:
-        parameters = f"-{item.callspec.id}-" if hasattr(item, "callspec") else ""
-        seconds = 0.0 if item.nodeid.startswith(EVERY_RUN) else SECONDS.get(item.nodeid, 0.0)
-        for suite, least in SUITES.items():
-            if seconds > least:
-                item.add_marker(getattr(pytest.mark, suite))
-            listed = getattr(item.module, suite.upper(), ())
-            names = [name for name in listed if name == item.name or f"-{name}-" in parameters]
-            if names:
-                item.add_marker(getattr(pytest.mark, suite))
-            unused -= {(item.module.__name__, name) for name in names}
-        if item.nodeid.startswith(LARGER) and item.get_closest_marker("long"):
-            item.add_marker(pytest.mark.exhaustive)
-    items.sort(key=lambda item: "/pages/" not in item.nodeid)  # what takes longest comes first, or a worker idles
-    if unused and not any("::" in argument for argument in config.args):
-        raise pytest.UsageError(f"LONG or EXHAUSTIVE names parameters that no test has: {sorted(unused)}")
+        for suite in ("long", "exhaustive"):
+            for mark in list(item.iter_markers(suite)):
+                places = {(item.location[0], item.originalname, name) for name in mark.args}
+                fits = {place for place in places if _is_case(item.callspec.id, place[2], place in cases)}
+                asked, used = asked | places, used | fits
+                if places and not fits:
+                    item.own_markers.remove(mark)
+        if item.get_closest_marker("exhaustive"):
+            item.add_marker("long")
+        if not item.get_closest_marker("xdist_group"):
+            item.add_marker(pytest.mark.xdist_group(item.location[0]))
+    if asked - used and not any("::" in argument for argument in config.args):
+        raise pytest.UsageError(f"marks name parameters that no test has: {sorted(asked - used)}")
+    more = [item for item in items if item.get_closest_marker("exhaustive") and not config.option.exhaustive]
+    if more:
+        config.hook.pytest_deselected(items=more)
+    # What takes longest comes first, or a worker idles at the end.
+    items[:] = sorted((item for item in items if item not in more), key=lambda item: "/pages/" not in item.nodeid)
+
+
+def _is_case(case: str, name: str, whole: bool) -> bool:
+    return case == name if whole else f"-{name}-" in f"-{case}-"
+
+
+def pytest_collection_finish():
+    """Of what was imported and collected nothing is garbage, so that the collector need not look at it again."""
+    gc.collect()
+    gc.freeze()
+    gc.set_threshold(100_000, 20, 50)
+
+
+class Clock:
+    """Seconds of a core that each test takes, with the fixtures that it shares with others: who is first pays for all.
+
+    With `--alone`, a test finds no compiled programs of the tests before it either.
+    """
+
+    def __init__(self, alone: bool):
+        self.alone = alone
+        self.fixtures: dict[int, float] = {}  # by identity of their definitions, which live as long as the session
+        self.began = self.shared = 0.0
+
+    @staticmethod
+    def now() -> float:
+        return sum(os.times()[:4])
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_runtest_protocol(self, item, nextitem):
+        if self.alone:
+            jax.clear_caches()
+        self.began, self.shared = self.now(), 0.0
+        return (yield)
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_fixture_setup(self, fixturedef, request):
+        began = self.now()
+        result = yield
+        if fixturedef.scope != "function":
+            self.fixtures[id(fixturedef)] = self.now() - began
+            self.shared += self.fixtures[id(fixturedef)]
+        return result
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_runtest_makereport(self, item, call):
+        if call.when == "teardown":
+            used = {id(each) for defs in item._fixtureinfo.name2fixturedefs.values() for each in defs}
+            own = self.now() - self.began - self.shared
+            needs = own + sum(self.fixtures.get(each, 0.0) for each in used)
+            item.user_properties.append(("seconds", (own + self.shared, needs)))
+        return (yield)
+
+
+class Summary:
+    """After a run, the seconds of a core of the files and tests that take most."""
+
+    def __init__(self):
+        self.files: Counter[str] = Counter()
+        self.tests: dict[str, float] = {}
+
+    def pytest_runtest_logreport(self, report):
+        seconds = dict(report.user_properties).get("seconds")
+        if report.when == "teardown" and seconds:
+            self.files[report.nodeid.partition("::")[0]] += seconds[0]
+            self.tests[report.nodeid.partition("@tests/")[0]] = seconds[1]
+
+    def pytest_terminal_summary(self, terminalreporter):
+        over = sorted((-seconds, test) for test, seconds in self.tests.items() if seconds > SHARE)
+        terminalreporter.section(f"{self.files.total():.0f} seconds of a core")
+        for file, seconds in self.files.most_common(12):
+            terminalreporter.line(f"{seconds:7.1f}  {file}")
+        if over:
+            terminalreporter.line(f"with all that they need, more than {SHARE:g} each:")
+        for seconds, test in over[:40]:
+            terminalreporter.line(f"{-seconds:7.1f}  {test}")
+
+
+def pytest_configure(config):
+    config.pluginmanager.register(Clock(config.option.alone))
+    if not hasattr(config, "workerinput"):
+        config.pluginmanager.register(Summary())
 
 
 @pytest.fixture(scope="module", autouse=True)
 def release_memory():
-    """Release compiled programs after each file: they hold memory, and mappings, of which Linux allows 65 530."""
+    """Release compiled programs where they hold many mappings of memory. Others, such as the operations of JAX on small
+    arrays, are used again by the files that follow."""
     yield
-    jax.clear_caches()
-    gc.collect()
-    trim = getattr(ctypes.CDLL(None), "malloc_trim", None) if os.name == "posix" else None
-    if trim is not None:  # glibc keeps what was freed, a gigabyte after some files
-        trim(0)
+    mappings = Path("/proc/self/maps")
+    if not mappings.exists() or mappings.read_bytes().count(b"\n") > MOST_MAPPINGS:
+        jax.clear_caches()
+        gc.collect()
 
 
 @pytest.fixture(scope="session")
@@ -219,11 +293,11 @@ def spaces() -> dict[str, Space]:
 
 
 FEW = ("sphere, curved chart", "small 3-sphere", "numeric hyperbolic", "ball and beam", "double pendulum, absolute")
-"""Spaces that add little to the others; with the triple pendulum, the largest, they are for long runs."""
+"""Spaces that add little to the others; with the triple pendulum, the largest, they are exhaustive."""
 
 
 def members(names) -> list:
-    return [pytest.param(n, marks=pytest.mark.long) if n in (*FEW, "triple pendulum") else n for n in names]
+    return [pytest.param(n, marks=pytest.mark.exhaustive) if n in (*FEW, "triple pendulum") else n for n in names]
 
 
 @pytest.fixture(scope="session", params=members([*closed_forms(), *numerical_spaces()]))

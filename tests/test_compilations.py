@@ -18,9 +18,6 @@ from covariant.models._source import system
 from covariant.models._systems import SYSTEMS
 from covariant.observers import EKF, Copy, FilteredDerivative, Geodesic, Intrinsic, run
 
-LONG = ("test_a_model_is_made_inside_a_compiled_function[robot]",)
-"""Cases of the long suite: a cheaper one of the same test, or of the same law, is in the short one."""
-
 FACTORIES = {name: system(name) for name in SYSTEMS} | {
     name: getattr(marine, name) for name in ("cybership", "odin", "odin_on_group", "supply_vessel")
 }
@@ -77,6 +74,7 @@ def static_part(model):
     return eqx.partition(model, eqx.is_array)[1]
 
 
+@pytest.mark.long("robot")
 @pytest.mark.parametrize("name", FACTORIES)
 def test_a_model_is_made_inside_a_compiled_function(name):
     outside = eqx.filter(FACTORIES[name](), eqx.is_array)
@@ -119,7 +117,7 @@ OBSERVERS = {
 }
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 @pytest.mark.parametrize(("system", "first", "other"), [(beam, 9.81, 9.6), (top, 0.1, 0.15)], ids=["chart", "group"])
 def test_other_parameters_and_gains_compile_nothing(count, system, first, other):
     t = np.linspace(0.0, 0.1, 11)
@@ -149,6 +147,7 @@ def test_the_observer_in_continuous_time_compiles_once(count):
     assert count.programs == before
 
 
+@pytest.mark.long
 def test_state_space_systems_compile_once(count):
     t = np.linspace(0.0, 0.1, 5)
     for damping in (1.0, 1.0, 1.1):
@@ -158,6 +157,7 @@ def test_state_space_systems_compile_once(count):
     assert count.programs == before
 
 
+@pytest.mark.long
 def test_a_second_model_of_ones_own_compiles_nothing(count):
     """As the page on models says: functions of a module, and their numbers in a `Parametric`."""
     for mass in (1.0, 2.0):

@@ -9,13 +9,6 @@ from pathlib import Path
 
 import pytest
 
-LONG = (
-    "test_an_observer_in_one_file_and_one_entry_is_run_and_compared",
-    "test_it_is_put_to_the_laws_and_a_law_to_every_observer",
-    "test_a_space_is_put_to_the_laws_of_geodesics",
-)
-"""Cases of the long suite: a cheaper one of the same test, or of the same law, is in the short one."""
-
 ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / "docs" / "extending.md").read_text(encoding="utf-8")
 COPIED = (
@@ -69,6 +62,7 @@ def python(house: Path, *arguments: str) -> str:
     return done.stdout
 
 
+@pytest.mark.long
 def test_an_observer_in_one_file_and_one_entry_is_run_and_compared(house):
     """On the log of a model that was added in one file and one line."""
     script = """
@@ -108,6 +102,7 @@ print("RUN", run(made["tracker"], record).estimate.shape)
     assert "RUN (301, 2)" in said
 
 
+@pytest.mark.long
 def test_it_is_put_to_the_laws_and_a_law_to_every_observer(house):
     laws = "tests/laws/test_every_observer.py"
     done = python(house, "-m", "pytest", "-q", "-p", "no:xdist", "--no-header", "-rA", laws, "-k", "tracker and beam")
@@ -136,6 +131,7 @@ def test_a_space_is_put_to_the_laws_at_a_point(house):
     }
 
 
+@pytest.mark.long
 def test_a_space_is_put_to_the_laws_of_geodesics(house):
     assert laws_of_geometry(house, "hills and (there_and_back or geodesic_is_found)") >= {
         "test_transport_there_and_back_is_the_identity",

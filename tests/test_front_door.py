@@ -80,6 +80,7 @@ print(float(jax.jit(lambda x: jnp.sin(x) @ jnp.cos(x))(jnp.ones(5))), jax.config
 """
 
 
+@pytest.mark.long
 def test_programs_are_kept_and_loaded_without_a_word(tmp_path):
     first = python(COMPILES, COVARIANT_CACHE=str(tmp_path))
     kept = sorted(tmp_path.rglob("*-cache"))

@@ -77,6 +77,7 @@ def test_integrators_are_differentiable(rule):
     np.testing.assert_allclose(jax.jit(jax.jacrev(end))(jnp.array(0.7)), -2.0 * np.exp(-0.7), rtol=1e-7)
 
 
+@pytest.mark.long("06")
 @pytest.mark.parametrize("tolerance", [1e-6, 1e-10])
 def test_solve_reaches_its_tolerance(exact, tolerance):
     """At uneven stamps, the first of them the start; errors may add up to a hundred times the tolerance of a step."""
@@ -126,6 +127,7 @@ def test_stages_fit_their_nodes_and_integrate_polynomials():
         assert b @ c ** (k - 1) == pytest.approx(1 / k, abs=1e-14)
 
 
+@pytest.mark.long
 def test_solve_goes_back_in_time_and_is_differentiable(exact):
     times = jnp.array([START + DURATION, 1.0, START])
     there = jax.tree.map(lambda a, b: jnp.reshape(a, jnp.shape(b)), {"position": exact[:2], "speed": exact[2]}, STATE)
@@ -138,6 +140,7 @@ def test_solve_goes_back_in_time_and_is_differentiable(exact):
     np.testing.assert_allclose(jax.jit(jax.jacfwd(end))(jnp.array(0.7)), -2.0 * np.exp(-0.7), rtol=1e-9)
 
 
+@pytest.mark.long
 def test_steps_end_where_a_condition_or_a_border_says():
     """A falling stone: after the first step below half its height, and where it meets the ground, each in a batch."""
 
@@ -171,6 +174,7 @@ def test_a_single_precision_solution_stays_single_and_may_be_one_number():
     np.testing.assert_allclose(run, np.exp(-times), rtol=1e-4)
 
 
+@pytest.mark.long
 def test_nothing_finite_is_made_of_a_slope_that_is_not():
     run = jax.jit(lambda x: solve(lambda t, x: x * jnp.nan, x, jnp.array([0.0, 1.0])))(jnp.ones(2))
     assert np.all(np.isinf(run[1]))

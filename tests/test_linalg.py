@@ -20,16 +20,6 @@ from covariant._linalg import (
 )
 from covariant.lowering import lower, numbers
 
-LONG = (
-    "test_factors_multiply_to_the_matrix[20]",
-    "test_half_of_an_elimination_is_done_when_it_is_lowered[side by side-21]",
-    "test_loops_take_the_steps_that_are_written_out[float-23]",
-    "test_loops_take_the_steps_that_are_written_out[float32-23]",
-    "test_solve_has_the_derivatives_that_differences_show[loops]",
-    "test_solve_has_the_derivatives_that_differences_show[matrix]",
-)
-"""Cases of the long suite: a cheaper one of the same test is in the short one."""
-
 SIZES = (*range(1, 8), WHOLE + 1, 2 * BLOCK, 2 * BLOCK + 1)
 BATCH = 16
 
@@ -49,6 +39,7 @@ def test_solve_is_that_of_lapack(n, columns):
     np.testing.assert_allclose(jax.jit(jax.vmap(solve))(a, b), expected, rtol=0, atol=1e-12)
 
 
+@pytest.mark.long("side by side-20", "side by side-21")
 @pytest.mark.parametrize("n", SIZES)
 @pytest.mark.parametrize("batched", [False, True], ids=["alone", "side by side"])
 def test_half_of_an_elimination_is_done_when_it_is_lowered(n, batched):
@@ -83,6 +74,7 @@ def test_solve_is_the_same_alone_and_side_by_side(n):
     np.testing.assert_allclose(jax.vmap(solve, (None, 0))(jnp.asarray(a[3]), b)[3], alone, rtol=1e-12)
 
 
+@pytest.mark.long("23")
 @pytest.mark.parametrize("n", [1, 2, BLOCK, BLOCK + 1, 23])
 @pytest.mark.parametrize("real", [float, np.float32])
 def test_loops_take_the_steps_that_are_written_out(n, real, monkeypatch):
@@ -95,6 +87,8 @@ def test_loops_take_the_steps_that_are_written_out(n, real, monkeypatch):
     np.testing.assert_allclose(*found, rtol=0, atol=20 * np.finfo(real).eps * np.abs(found[0]).max())
 
 
+@pytest.mark.exhaustive("loops")
+@pytest.mark.long("matrix")
 @pytest.mark.parametrize(("n", "columns"), [(1, ()), (2, (2,)), (WHOLE + 1, ())], ids=["number", "matrix", "loops"])
 def test_solve_has_the_derivatives_that_differences_show(n, columns):
     """First and second, forward and reverse, along symmetric changes of the matrix."""
@@ -123,6 +117,7 @@ def test_solve_keeps_single_precision():
     np.testing.assert_allclose(solve(a, b), np.linalg.solve(a, b), rtol=1e-5)
 
 
+@pytest.mark.exhaustive("20")
 @pytest.mark.parametrize("n", SIZES)
 def test_factors_multiply_to_the_matrix(n):
     a = positive(n)[0]

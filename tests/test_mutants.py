@@ -13,9 +13,6 @@ import mutations
 import pytest
 from mutations import ROOMS, ROOT, SOURCE, draw, mutants_of
 
-LONG = ("test_a_mutant_is_another_program_and_differs_in_one_place",)
-"""Cases of the long suite: a cheaper one of the same test, or of the same law, is in the short one."""
-
 
 @functools.cache
 def drawn():
@@ -31,6 +28,7 @@ def equal_at_the_front(a: list[str], b: list[str]) -> int:
     return next((k for k, (x, y) in enumerate(zip(a, b, strict=False)) if x != y), min(len(a), len(b)))
 
 
+@pytest.mark.exhaustive
 def test_a_mutant_is_another_program_and_differs_in_one_place():
     for mutant in drawn()[::3]:
         source = (SOURCE / mutant.file).read_bytes()
@@ -94,7 +92,7 @@ def test_what_is_taken_to_be_equivalent_is_a_mutant_of_the_source():
         assert len(reason) > 40
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_a_wrong_sign_is_killed_where_a_test_sees_it_and_survives_where_none_does():
     sign = "return ConstantCurvature(1.0 / radius**2)"
     other = "return _found(q + p, q - p)"

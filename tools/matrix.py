@@ -19,11 +19,11 @@ ROOT = Path(__file__).parents[1]
 VERSIONS = ("3.12", "3.13")
 INSTALL = ("-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--upgrade", "-e", ".[dev]")
 ALL = (
-    "pytest -n 2 --dist loadfile --no-loadscope-reorder --max-worker-restart 0 -m 'not long and not exhaustive'",
+    "pytest -n 2 --dist loadgroup --no-loadscope-reorder --max-worker-restart 0 -m 'not long'",
     "python gallery/run_all.py",
 )
 SHORT = (
-    "pytest -n 2 --dist loadfile tests/lowering/test_jax_forms.py tests/lowering/test_lowering.py",
+    "pytest -n 2 --dist loadgroup tests/lowering/test_jax_forms.py tests/lowering/test_lowering.py",
     "covariant certify --check examples/certificates/ball_and_beam.json",
     "pytest tests/pages/test_examples.py -k README.md",
     "python gallery/demo.py --out {environment}/demo",

@@ -18,8 +18,8 @@ OFF = ("off", "0", "no")
 """Values of `COVARIANT_CACHE` with which nothing is stored."""
 FATAL = "3"
 """Lowest severity of the compiler's messages that are printed; errors in compilation raise exceptions as well."""
-WORTH_KEEPING = "0.1"
-"""Shortest compilation time [s] of a program that is stored."""
+WORTH_KEEPING = "0"
+"""Shortest compilation time [s] of a program that is stored: also many short ones add up to seconds."""
 UNUSED = 180 * 24 * 3600.0
 """Time [s] without use after which a program is evicted: each version of a library leaves some behind."""
 

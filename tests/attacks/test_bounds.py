@@ -80,6 +80,7 @@ UNUSUAL = {
 }
 
 
+@pytest.mark.long("one position")
 @pytest.mark.parametrize("name", UNUSUAL)
 def test_unusual_bounds_are_meant_as_they_are_written(name):
     assert verdict(OBSERVER, **(USUAL | UNUSUAL[name])) == "holds"
@@ -139,6 +140,7 @@ def test_a_velocity_a_hair_beyond_its_bound_is_in_the_region():
         assert verdict(line(law), velocity=1.0, error=error, position=(-1, 1), input=1.0) != "holds"
 
 
+@pytest.mark.long("one place alone")
 @pytest.mark.parametrize(
     "entries",
     [

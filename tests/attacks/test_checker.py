@@ -15,13 +15,6 @@ from covariant.geometry import lie
 from covariant.observers import Intrinsic
 from covariant.proofs import _prove
 
-LONG = (
-    "test_the_checker_sees_for_itself[a step]",
-    "test_kinks_that_brake_are_proved_and_checked[one-sided]",
-    "test_the_checker_sees_for_itself[a step at the border]",
-)
-"""Cases of the long suite: a cheaper one of the same test is in the short one."""
-
 RECIPE = {"attribute": "somebody:s", "parameters": {}}
 
 
@@ -100,6 +93,8 @@ FALSE = {
 }
 
 
+@pytest.mark.exhaustive("a step")
+@pytest.mark.long("a step at the border")
 @pytest.mark.parametrize("name", FALSE)
 def test_the_checker_sees_for_itself(harmless, monkeypatch, name):
     dissipation, reason = FALSE[name]
@@ -138,12 +133,14 @@ KINKS = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", KINKS)
 def test_kinks_that_brake_are_proved_and_checked(tmp_path, name):
     model = line(KINKS[name])
     assert check(certified(model).save(tmp_path / "kink.json"), model=model).leaves
 
 
+@pytest.mark.exhaustive
 def test_noise_and_its_slopes_are_checked(tmp_path, monkeypatch):
     """A certificate for a soft spring says nothing about a stiff one, though the force stays within the same bounds."""
     soft = line(lambda q, v: -v, potential=lambda q: 2 * q[0] ** 2)
@@ -164,6 +161,7 @@ def test_noise_and_its_slopes_are_checked(tmp_path, monkeypatch):
         shown_as(path, jumping, monkeypatch)
 
 
+@pytest.mark.exhaustive
 def test_a_rotation_that_jumps_at_the_estimate_is_refused_by_prover_and_checker(tmp_path, monkeypatch):
     """In the chart about the estimate the jump is at a variable that is held fixed."""
 
@@ -184,6 +182,7 @@ def test_a_rotation_that_jumps_at_the_estimate_is_refused_by_prover_and_checker(
         check(careless.save(tmp_path / "careless.json"), model=wheel(step))
 
 
+@pytest.mark.long("circle")
 @pytest.mark.parametrize("kind", ["rotation", "circle"])
 def test_errors_of_half_a_turn_are_refused_by_the_checker_too(tmp_path, monkeypatch, kind):
     honest = _certify.check_unique

@@ -254,6 +254,7 @@ def safe_root(xp, x, v):
     return xp.where(v > 0, xp.sqrt(xp.where(v > 0, v, 1.0)), 0.0)
 
 
+@pytest.mark.long
 def test_the_safe_way_to_choose_is_proved_away_from_the_kink_alone():
     law = lambda xp, x, v: -v - safe_root(xp, x, v + 3)  # noqa: E731
     assert verdict(line(law), **Case(law).bounds()) == "holds"

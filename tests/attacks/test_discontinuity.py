@@ -281,6 +281,7 @@ BENIGN = {
 }
 
 
+@pytest.mark.long("honest rule")
 @pytest.mark.parametrize("name", BENIGN)
 def test_what_does_not_jump_in_the_region_is_proved(name):
     assert verdict(line(BENIGN[name]), **Case(BENIGN[name]).bounds()) == "holds"

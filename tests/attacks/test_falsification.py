@@ -11,11 +11,6 @@ import pytest
 
 from covariant.certificates import ContractionCertificate, falsify
 
-LONG = (
-    "heavy_top",
-    "test_no_point_is_slower_than_what_is_certified[dfki_double_pendulum]",
-)
-
 FOLDER = Path(__file__).parents[2] / "examples/certificates"
 COUNT = int(os.environ.get("COVARIANT_ATTACKS", "12"))
 POINTS, STARTS = 2_000 * COUNT, 8 * COUNT
@@ -23,6 +18,8 @@ MARGINS = {"ball_and_beam": 1.01, "heavy_top": 1.01, "dfki_double_pendulum": 1.0
 """The slowest point that is found is so many times as fast as what is certified, at least."""
 
 
+@pytest.mark.exhaustive("dfki_double_pendulum")
+@pytest.mark.long
 @pytest.mark.parametrize("name", MARGINS)
 def test_no_point_is_slower_than_what_is_certified(name):
     certificate = ContractionCertificate.load(FOLDER / f"{name}.json")
@@ -34,6 +31,7 @@ def test_no_point_is_slower_than_what_is_certified(name):
     print(f"{name}: {found.margin:.6g} 1/s at the slowest of {POINTS} points and {STARTS} descents")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["ball_and_beam", "heavy_top"])
 def test_a_faster_claim_would_be_found_false(name):
     """On a region that is twelve times the certified one the certified rate is not kept, and that is found."""

@@ -20,10 +20,6 @@ from covariant.models import _systems
 from covariant.proofs import digest
 from covariant.proofs._file import MOST_BYTES, MOST_VALUES
 
-LONG = ("test_a_value_that_is_none_is_refused_by_its_key[100 000 claims]",)
-"""Cases of the long suite: a cheaper one of the same test is in the short one."""
-EXHAUSTIVE = ("test_files_changed_at_random_are_read_or_refused",)
-
 SHIPPED = Path(__file__).parents[2] / "examples/certificates"
 BEAM = (SHIPPED / "ball_and_beam.json").read_text(encoding="utf-8")
 TOP = (SHIPPED / "heavy_top.json").read_text(encoding="utf-8")
@@ -172,6 +168,7 @@ def runs(folder: Path) -> dict:
     return {"attribute": "os:system", "parameters": {"command": f"touch {folder / 'marker'}"}}
 
 
+@pytest.mark.long
 def test_a_file_does_not_run_a_program(tmp_path):
     path = forged(lambda document: document.update(recipe=runs(tmp_path)), tmp_path)
     both(path, "recipe: the model is 'os:system', code that a recipe does not run")
@@ -541,6 +538,7 @@ NAMED = {
 }
 
 
+@pytest.mark.exhaustive("100 000 claims")
 @pytest.mark.parametrize("name", NAMED)
 def test_a_value_that_is_none_is_refused_by_its_key(name, tmp_path):
     change, key = NAMED[name]
@@ -806,7 +804,7 @@ WAYS = [swapped, swapped, swapped, systems, tokens, inserted, flipped]
 COUNT = int(os.environ.get("COVARIANT_FUZZ", "300"))
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_files_changed_at_random_are_read_or_refused(tmp_path, monkeypatch):
     """`parse`, and the making of the model where that succeeds; COVARIANT_FUZZ=10000 tries as many."""
     monkeypatch.chdir(tmp_path)

@@ -11,12 +11,6 @@ import numpy as np
 import pytest
 from generators import KINDS, System, contradiction, draw, is_defined, seen_from_the_border
 
-LONG = ("test_units_do_not_matter_to_the_verdict[kink]",)
-"""Cases of the long suite: a cheaper one of the same test, or of the same law, is in the short one."""
-EXHAUSTIVE = tuple(
-    f"test_no_proof_is_contradicted[{kind}]" for kind in ("kink", "noise", "injectivity", "definedness", "bounds")
-)
-
 COUNT = int(os.environ.get("COVARIANT_ATTACKS", "12"))
 ALLOWED = 1.01
 """How much simulated distances may exceed a bound, for the integration."""
@@ -63,7 +57,7 @@ def signals(system: System, seed: int, steps: int = 500, count: int = 192) -> di
     return found
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("kind", KINDS)
 def test_no_proof_is_contradicted(kind):
     harmless, proved, both = 0, 0, 0
@@ -78,6 +72,7 @@ def test_no_proof_is_contradicted(kind):
     assert tally.harmless_proved >= SHARE.get(kind, 0.5) * tally.harmless, tally
 
 
+@pytest.mark.exhaustive("kink")
 @pytest.mark.parametrize("kind", ["kink", "discontinuity", "definedness"])
 def test_units_do_not_matter_to_the_verdict(kind):
     """The same systems with lengths and times in other units."""
@@ -116,7 +111,7 @@ def in_units(system: System, length: float, second: float) -> System:
     )
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_simulations_would_notice():
     """Of systems that are meant to be harmful many are: their friction, had it been proved, would be contradicted."""
     for kind in ("discontinuity", "kink", "place"):

@@ -54,6 +54,8 @@ def test_errors_of_half_a_turn_are_never_proved_on_a_circle(error):
     assert verdict(observer, velocity=1.0, error=error, position=(-3, 3), input=1.0) != "holds"
 
 
+@pytest.mark.exhaustive("0.3")
+@pytest.mark.long
 @pytest.mark.parametrize("error", [0.3, 3.0])
 def test_smaller_errors_are_proved(error):
     for observer, bounds in ((wheel(damped), {}), (line(damped, circles=(0,)), {"position": (-3, 3)})):
@@ -90,6 +92,7 @@ def test_corners_beyond_half_a_turn_are_never_proved(group, error):
     assert on(group, error) != "holds"
 
 
+@pytest.mark.exhaustive
 def test_a_product_of_small_errors_is_proved():
     assert on(lie.Product((lie.SO2, lie.SO2)), 0.3) == "holds"
 

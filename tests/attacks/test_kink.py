@@ -90,6 +90,7 @@ BRAKING = {
 }
 
 
+@pytest.mark.long("quadratic")
 @pytest.mark.parametrize("name", BRAKING)
 def test_friction_that_brakes_on_both_sides_is_proved(name):
     case = Case(BRAKING[name], speed=1e-9, size=1e-3)
@@ -97,6 +98,7 @@ def test_friction_that_brakes_on_both_sides_is_proved(name):
     assert verdict(line(case.law), **case.bounds()) == "holds"
 
 
+@pytest.mark.long
 def test_friction_that_brakes_on_both_sides_is_proved_on_a_group():
     case = on_any_circle(Case(lambda xp, g, v: -v * xp.abs(v), size=1e-3))
     assert falsehood(case, on_group=True) < 1.01

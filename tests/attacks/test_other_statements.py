@@ -94,7 +94,7 @@ def test_a_cascade_that_holds_is_stable(proved):
     holds_in_one_of(COUNT, verdicts)
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_what_is_observable_has_an_observer_that_converges():
     """With a large gain along P⁻¹ dh, as inequality (2) promises; near each of the points, by eigenvalues."""
     verdicts = []
@@ -147,6 +147,7 @@ def test_decay_says_of_linear_flows_what_exponentials_of_matrices_say():
     holds_in_one_of(COUNT, verdicts)
 
 
+@pytest.mark.exhaustive("none")
 @pytest.mark.long
 @pytest.mark.parametrize("kink", KINKS)
 def test_a_matrix_that_holds_at_corners_is_definite_between_them(kink):

@@ -11,12 +11,6 @@ from covariant.certificates import error_system
 from covariant.geometry import lie
 from covariant.observers import Intrinsic
 
-LONG = (
-    "test_the_flow_that_is_proved_is_the_one_that_runs[SO2]",
-    "test_the_flow_that_is_proved_is_the_one_that_runs[SO3]",
-)
-"""Cases of the long suite: a cheaper one of the same test is in the short one."""
-
 TURNED = {
     "driven when turned over": Case(lambda xp, g, v: -v + 50 * (1 - g[0, 0]) ** 2 * v, place=3.0, speed=0.3, held=True),
     "driven on one side": Case(lambda xp, g, v: -v + 30 * (1 - g[0, 0]) * v, place=2.0, speed=0.3, held=True),
@@ -109,6 +103,7 @@ def test_inertia_that_depends_on_the_velocity_is_never_proved():
     assert found != "holds"
 
 
+@pytest.mark.long("place")
 @pytest.mark.parametrize(
     "force",
     [
@@ -128,6 +123,7 @@ def test_potentials_may_depend_on_place():
     assert verdict(observer, velocity=1.0, error=0.3, input=1.0) == "holds"
 
 
+@pytest.mark.long
 def test_friction_without_the_place_is_proved():
     for law in (lambda xp, g, v: -v, lambda xp, g, v: -2 * v * xp.abs(v), lambda xp, g, v: -v + 0 * g[0, 0]):
         assert verdict(wheel(law), velocity=1.0, error=0.3, input=1.0) == "holds"
@@ -151,6 +147,7 @@ def test_friction_that_drives_at_some_place_is_never_proved(name):
     assert verdict(line(case.law), **case.bounds()) != "holds"
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize(
     ("group", "options"),
     [

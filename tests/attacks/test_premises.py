@@ -107,6 +107,7 @@ def test_what_is_left_out_of_a_proof_must_stay_finite(name):
     assert "stay below 1e+150" in found.statement.claim or "not shown to be defined" in found.statement.claim
 
 
+@pytest.mark.long("a product with nought")
 @pytest.mark.parametrize("name", ["a product with nought", "is it finite", "a cosh"])
 def test_where_it_does_stay_finite_it_is_proved(name):
     found = certify(rubbed(OVERFLOWS[name]), **WIDE | {"position": (-0.1, 0.1)})
@@ -136,6 +137,7 @@ def test_a_force_that_depends_on_time_needs_times(force):
         certify(pushed(force), **REGION)
 
 
+@pytest.mark.long
 def test_with_times_it_is_certified_over_them_and_without_time_none_are_needed():
     timed = certify(pushed(lambda t, q, u: u + jnp.sin(t)), times=(0.0, 2.0), **REGION)
     assert timed.statement.verdict == "holds"
@@ -335,6 +337,8 @@ def test_the_sentence_says_that_states_were_sampled():
     assert found.verdict.endswith("as sampled at 1 states between (0, 0) and (0, 0)")
 
 
+@pytest.mark.exhaustive("saddle")
+@pytest.mark.long("mixed")
 @pytest.mark.parametrize(
     ("h", "evidence", "hidden"),
     [
@@ -360,6 +364,7 @@ def test_independent_outputs_are_proved_between_the_points_or_said_to_be_sampled
 STILL = (lambda t, x: -x, in_coordinates(lambda t, x: jnp.eye(1)))
 
 
+@pytest.mark.long("t5")
 @pytest.mark.parametrize(
     ("x0", "x1", "t", "what"),
     [
@@ -393,6 +398,8 @@ EXPANDING = {
 }
 
 
+@pytest.mark.exhaustive("a distance without a lower bound")
+@pytest.mark.long
 @pytest.mark.parametrize("name", EXPANDING)
 def test_decay_does_not_hold_for_want_of_a_lower_bound(name):
     flow, form, x0, x1 = EXPANDING[name]
@@ -400,6 +407,7 @@ def test_decay_does_not_hold_for_want_of_a_lower_bound(name):
     assert found.statement.verdict == "undecided"
 
 
+@pytest.mark.exhaustive
 def test_decay_needs_a_metric_and_is_not_refuted_by_rounding():
     pairs = jnp.zeros((1, 2)), jnp.ones((1, 2)), jnp.linspace(0.0, 1.0, 3)
     with pytest.raises(ValueError, match="the metric is not positive definite along pair 1"):

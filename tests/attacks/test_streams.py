@@ -45,38 +45,6 @@ from covariant.observers import (
 from covariant.signals import Result
 from covariant.simulation import hold, simulate
 
-LONG = (
-    "intrinsic kalman, body",
-    "group, riemannian",
-    "test_no_stream_spoils_an_observer[craft]",
-    "test_no_stream_spoils_an_observer[ekf]",
-    "test_no_stream_spoils_an_observer[geodesic]",
-    "test_no_stream_spoils_an_observer[group]",
-    "test_no_stream_spoils_an_observer[intrinsic kalman]",
-    "test_no_stream_spoils_an_observer[intrinsic, second order]",
-    "test_no_stream_spoils_an_observer[intrinsic]",
-    "test_no_stream_spoils_an_observer[invariant ekf]",
-    "test_no_stream_spoils_an_observer[joint kalman]",
-    "test_no_stream_spoils_an_observer[passive ship]",
-    "test_no_stream_spoils_an_observer[riccati]",
-    "test_no_stream_spoils_an_observer[salcudean]",
-    "test_no_stream_spoils_an_observer[ukf]",
-    "test_no_stream_spoils_an_observer[copy]",
-    "test_no_stream_spoils_an_observer[information ekf]",
-)
-EXHAUSTIVE = (
-    "test_no_stream_spoils_an_observer[intrinsic kalman, body]",
-    "test_no_stream_spoils_an_observer[invariant ekf]",
-    "test_no_stream_spoils_an_observer[group, riemannian]",
-    "test_no_stream_spoils_an_observer[intrinsic, second order]",
-    "test_no_stream_spoils_an_observer[geodesic]",
-    "test_no_stream_spoils_an_observer[craft]",
-    "test_no_stream_spoils_an_observer[group]",
-    "test_no_stream_spoils_an_observer[passive ship]",
-    "test_no_stream_spoils_an_observer[riccati]",
-    "test_no_stream_spoils_an_observer[salcudean]",
-)
-
 ROWS = 400
 FAULTY = slice(40, 70)
 """Rows in which faults are drawn; those after are sound, and long enough to recover in."""
@@ -221,6 +189,24 @@ FAULTS = st.lists(
 )
 
 
+@pytest.mark.exhaustive(
+    "copy",
+    "craft",
+    "ekf",
+    "geodesic",
+    "group",
+    "group, riemannian",
+    "information ekf",
+    "intrinsic",
+    "intrinsic kalman",
+    "intrinsic kalman, body",
+    "intrinsic, second order",
+    "invariant ekf",
+    "passive ship",
+    "riccati",
+    "salcudean",
+)
+@pytest.mark.long("joint kalman", "ukf")
 @pytest.mark.parametrize("name", WATCHED)
 def test_no_stream_spoils_an_observer(name):
     """Finite throughout, each fault said in its row, and after the last one the estimate of the sound stream again."""
@@ -283,6 +269,7 @@ def test_a_step_that_is_none_is_refused_whatever_else_arrives(dt):
     assert all(np.isfinite(np.asarray(part)).all() for part in info)
 
 
+@pytest.mark.long
 def test_a_repeated_stamp_changes_nothing_and_is_said():
     ekf = EKF(ONE, jnp.eye(1), jnp.eye(1))  # which could take a measurement in without moving on
     for observer in (WATCHER, ekf):
@@ -302,6 +289,7 @@ def test_infinite_measurements_are_missing_ones():
         assert info.result == Result.COASTED
 
 
+@pytest.mark.exhaustive
 def test_on_a_group_one_entry_that_is_not_finite_makes_the_whole_missing():
     watched = loop("group")
     none, one = watched.stream.y.copy(), watched.stream.y.copy()
@@ -328,6 +316,7 @@ def test_streams_may_be_mapped_and_stay_single():
     np.testing.assert_array_equal(states.t, [2.1, 2.0, 2.0, 2.0])
 
 
+@pytest.mark.long
 def test_a_step_lowers_to_scalars_with_its_guard():
     u, start = jnp.array([0.3, 0.1]), moving()
     observer = Intrinsic(ONE, 4.0, 4.0, substeps=1)

@@ -55,6 +55,8 @@ def found(make) -> str:
         return "refused"
 
 
+@pytest.mark.exhaustive("true")
+@pytest.mark.long("false")
 @pytest.mark.parametrize("name", LAWS)
 def test_units_of_length_and_time_do_not_matter(name):
     law, wanted = LAWS[name]
@@ -78,6 +80,7 @@ def on_a_wheel(law, gram: float):
     return certify(Intrinsic(model, ALPHA, BETA), velocity=1.0, error=0.5, input=gram, rate=RATE, q=q, **EFFORT)
 
 
+@pytest.mark.exhaustive("true")
 @pytest.mark.parametrize("name", LAWS)
 def test_units_of_mass_do_not_matter(name):
     law, wanted = LAWS[name]

@@ -13,6 +13,7 @@ MOST_ALARMS, MOST_MISSED = 0.01, 0.05
 long, exhaustive = pytest.mark.long, pytest.mark.exhaustive
 
 
+@pytest.mark.exhaustive("1")
 @pytest.mark.parametrize("seed", [0, 1, 2, 8, 11, 20, 25, 31, 36, 56])
 def test_a_log_without_faults_is_not_called_wrong(seed):
     """Those that had been called wrong, with coarse encoders and inputs that jump, are among them."""
@@ -28,6 +29,7 @@ def test_a_fault_is_named(kind):
     assert named(found, fault), found
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("logs", [pytest.param(20, marks=long), pytest.param(100, marks=exhaustive)])
 def test_false_alarms_are_rare(logs):
     wrong = []
@@ -40,6 +42,7 @@ def test_false_alarms_are_rare(logs):
     assert len(wrong) <= MOST_ALARMS * logs, wrong
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("each", [pytest.param(1, marks=long), pytest.param(6, marks=exhaustive)])
 def test_most_faults_are_named(each):
     missed = []

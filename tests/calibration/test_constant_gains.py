@@ -48,6 +48,7 @@ def test_the_sampled_design_is_the_stationary_kalman_filter(std, density, rate):
     assert errors[0] <= errors[1] < 1.001 * errors[0]
 
 
+@pytest.mark.long
 def test_the_gain_of_the_error_filter_is_that_of_the_stationary_design():
     """Of a free mass both are the same Kalman filter."""
     mass = oscillator(stiffness=1e-9)
@@ -118,6 +119,7 @@ def test_a_force_without_a_time_is_a_random_walk():
     np.testing.assert_array_equal(forgotten(jnp.asarray(0.0), 1.0), (1.0, 1.0, 0.0))
 
 
+@pytest.mark.long
 def test_the_reference_run_predicts_as_well_as_its_motion_allows():
     done = run(Intrinsic(oscillator(), 8.0, 30.0), RECORD)
     motion = oscillator().motion(done.estimate)
@@ -152,6 +154,7 @@ def plainly_smoothed(system, noise, start):
     return np.array(smooth)
 
 
+@pytest.mark.long
 def test_the_smoother_of_errors_is_that_of_rauch_tung_and_striebel():
     rng, count = np.random.default_rng(0), 60
     present, fresh, dt = rng.random((count, 2)) < 0.8, np.isin(np.arange(count), (0, 25)), np.full(count, 0.1)

@@ -18,9 +18,6 @@ from covariant.models import load
 from covariant.signals import Record
 from covariant.simulation import PositionSensor, sense, simulate, stamps
 
-LONG = ("test_a_log_that_fits_has_no_findings[0]",)
-"""Cases of the long suite: a cheaper one of the same test, or of the same law, is in the short one."""
-
 SPACING = 2e-3
 QUANTUM = 1.5339807878856412e-3
 
@@ -68,6 +65,7 @@ def whats(done):
     return [finding.what for finding in done.findings if finding.wrong]
 
 
+@pytest.mark.long("0")
 @pytest.mark.parametrize("seed", range(4))
 def test_a_log_that_fits_has_no_findings(pendulum, exact, seed):
     record = exact(*np.random.default_rng(seed).uniform(-2, 2, 4))
@@ -154,6 +152,7 @@ def test_after_a_change_columns_and_units_are_those_that_it_asks_for():
     assert names.line("u", [-1.0, 1.0]) == '[units] u = ["N m", "N"]'
 
 
+@pytest.mark.long("0.03")
 @pytest.mark.parametrize(("joint", "time"), [(0, SPACING), (1, SPACING), (1, 30e-3)])
 def test_a_late_joint_is_found_to_half_a_millisecond(pendulum, clean, joint, time):
     (found,) = diagnose(pendulum, one_late(clean, joint, time)).findings
@@ -199,6 +198,7 @@ def test_two_faults_are_found_one_after_the_other(pendulum, clean):
     assert whats(done) == ["unit of time", "delay", "scale of an input"]
 
 
+@pytest.mark.long
 def test_ticks_are_found_and_told_only_where_the_file_does_not_know_them(pendulum, exact):
     record = exact(0.5, -0.8, 1.0, 2.0)
     record = record._replace(y=sense(PositionSensor(500.0, quantum=QUANTUM), record.y))
@@ -229,6 +229,7 @@ def test_outliers_beside_each_other_are_told_from_what_is_between_them(apart, si
     np.testing.assert_array_equal(outliers(t, y, (0,))[0], wrong)
 
 
+@pytest.mark.long
 def test_outliers_are_found_and_what_is_left_is_compared(pendulum, clean):
     random = np.random.default_rng(0)
     y, bad = clean.y.copy(), random.random(clean.y.shape) < 0.05
@@ -241,6 +242,7 @@ def test_outliers_are_found_and_what_is_left_is_compared(pendulum, clean):
     assert whats(diagnose(pendulum, turned)) == ["sign of a position", "outliers", "outliers"]
 
 
+@pytest.mark.long
 def test_gaps_jitter_and_missing_cells_are_notes(pendulum, exact):
     t = exact(0.5, -0.8, 1.0, 2.0).t
     kept = np.ones(len(t), bool)
@@ -270,6 +272,7 @@ def test_nothing_is_told_of_a_machine_that_stands_still(pendulum, clean):
     assert misfit(pendulum, Record(*(array[:20] for array in clean[:3]))) is None
 
 
+@pytest.mark.long
 def test_a_model_of_another_machine_is_refused(clean):
     other = load("examples/demo_double_pendulum.toml", ("parameters.gravity=0.5", "parameters.com=[0.01, 0.01]"))
     found = misfit(other, clean)
@@ -315,6 +318,7 @@ def real(data_folder, name):
     return file, logs.read(data_folder / folder / f"{name}.csv", file.columns).record
 
 
+@pytest.mark.long("A0_sysid_00")
 @pytest.mark.data
 @pytest.mark.parametrize("name", REAL)
 def test_recorded_logs_fit_their_models(data_folder, name):
@@ -333,6 +337,7 @@ def test_a_row_late_is_found_in_a_recorded_log(data_folder, name, joint):
     assert abs(found.numbers["delay"] - 2e-3) < 1e-3  # joint 1 of that log seems to be late already
 
 
+@pytest.mark.long
 @pytest.mark.data
 def test_faults_of_a_recorded_log_are_found(data_folder):
     file, record = real(data_folder, "dircol")
@@ -367,6 +372,7 @@ def test_a_log_in_which_nothing_moves_is_said_to_be_one(pendulum, clean):
     assert ("a position does not move", "q2", False) in [(f.what, f.where, f.wrong) for f in one.findings]
 
 
+@pytest.mark.long
 def test_readings_that_repeat_are_told_from_ticks(pendulum, clean):
     """A sensor that is read at 125 Hz into a log of 500 Hz."""
     held = clean._replace(y=clean.y[np.arange(len(clean.t)) // 4 * 4])
@@ -412,6 +418,7 @@ TWO_LINKS = {"viscous": (0.0, 0.0), "coulomb": (0.0, 0.0), "asymmetry": (0.0, 0.
 repeated = pytest.mark.exhaustive
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize(
     ("unknown", "what", "line"),
     [
@@ -453,6 +460,7 @@ def test_a_wrong_centre_of_mass_is_not_called_a_rotor(pendulum, clean):
     assert not {each.what for each in found.findings} & {"friction", "rotor inertia", "friction and rotor inertia"}
 
 
+@pytest.mark.long
 def test_what_a_model_lacks_is_named_before_an_estimate_and_for_chains():
     fault = with_fault("unknown rotor", 1)
     (found,) = (each for each in diagnose(fault.file, fault.record).findings if each.wrong)

@@ -43,16 +43,6 @@ from covariant.observers import (
 )
 from covariant.signals import Record
 
-LONG = (
-    "test_on_a_trial_filters_are_the_best_of_their_kind[0.0001-False]",
-    "test_on_a_trial_filters_are_the_best_of_their_kind[0.0001-True]",
-    "test_on_a_trial_filters_are_the_best_of_their_kind[0.01-False]",
-    "test_on_a_trial_filters_are_the_best_of_their_kind[0.01-True]",
-    "test_on_a_trial_loops_have_their_best_number[False]",
-    "test_the_predicted_errors_are_those_of_a_simulation[0.4]",
-)
-"""Cases of the long suite: a cheaper one of the same test is in the short one."""
-
 AXES = 8
 FLAT = Lagrangian(geometry.Euclidean(), lambda q: 0.0 * q[0])
 """A free point in eight dimensions: as many double integrators, watched by one observer."""
@@ -63,6 +53,7 @@ def watched(alpha, beta, t, y):
     return np.asarray(run(Intrinsic(FLAT, jnp.array(alpha), jnp.array(beta), substeps=1), record).estimate)
 
 
+@pytest.mark.long("0.4")
 @pytest.mark.parametrize("damping", [0.4, math.sqrt(0.5), 1.5])
 def test_the_predicted_errors_are_those_of_a_simulation(damping):
     rate, std, acceleration, time = 1000.0, 1e-3, 1.0, 0.005
@@ -271,6 +262,8 @@ def trial_error(observer, part: Trial) -> float:
     return float(np.sqrt(relative.mean()))
 
 
+@pytest.mark.exhaustive("0.0001-False")
+@pytest.mark.long
 @pytest.mark.parametrize("missing", [False, True])
 @pytest.mark.parametrize("noise", [1e-4, 1e-2])
 def test_on_a_trial_filters_are_the_best_of_their_kind(noise, missing):
@@ -289,6 +282,7 @@ def test_on_a_trial_filters_are_the_best_of_their_kind(noise, missing):
         assert best <= 1.02 * trial_error(FilteredDerivative(other), part)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("missing", [False, True])
 def test_on_a_trial_loops_have_their_best_number(missing):
     """Searched by their weights or by a run; here all are run in earnest, with more of it and with less."""

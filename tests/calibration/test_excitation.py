@@ -62,6 +62,7 @@ def test_a_fourier_motion_has_the_derivatives_that_it_says():
     assert resting_basis(4).shape == (8, 6)
 
 
+@pytest.mark.exhaustive
 def test_limits_are_kept_on_a_grid_ten_times_finer(robot, found):
     t = np.linspace(0, 1 / PLAN.frequency, 10 * 2000 * PLAN.harmonics)
     q, v, a = found.motion.at(t)
@@ -73,6 +74,7 @@ def test_limits_are_kept_on_a_grid_ten_times_finer(robot, found):
     np.testing.assert_allclose([v[[0, -1]], a[[0, -1]]], 0, atol=1e-9)
 
 
+@pytest.mark.exhaustive
 def test_the_torques_make_another_programs_arm_move_so(robot, found):
     """The closed form of the two links, which shares no line with the robot."""
     q, v, a = found.motion.at(np.linspace(0, 5, 200))
@@ -91,6 +93,7 @@ def test_errors_are_smaller_than_those_of_one_sine_a_joint(found):
     assert found.expected.condition < found.expected_reference.condition
 
 
+@pytest.mark.exhaustive
 def test_the_gradient_is_that_of_finite_differences(robot):
     problem = _Problem.of(robot, LIMITS, SENSING, PLAN, HALF)
     evaluate = _compiled(problem)
@@ -107,6 +110,7 @@ def test_the_gradient_is_that_of_finite_differences(robot):
     np.testing.assert_allclose(problem.coordinates(problem.motion(x)), x, atol=1e-12)
 
 
+@pytest.mark.exhaustive
 def test_the_bounds_of_the_search_are_not_below_the_largest_values(robot):
     problem = _Problem.of(robot, LIMITS, SENSING, PLAN, HALF)
     x = problem.start(problem.places()[0], 0)

@@ -16,9 +16,6 @@ from covariant.observers import Intrinsic, run
 from covariant.signals import Record
 from covariant.simulation import hold, simulate
 
-LONG = ("test_outliers_and_missing_samples_hardly_move_a_fit",)
-"""Cases of the long suite: a cheaper one of the same test, or of the same law, is in the short one."""
-
 MASS, COM, INERTIA, VISCOUS, GRAVITY = 0.7, 0.4, 0.05, 0.08, 9.81
 NOISE = 1e-3
 PENDULUM = f"""
@@ -81,7 +78,7 @@ def fits(tmp_path_factory):
     return [fit(open_numbers, windows([record], [v], 0.25)) for record, v in swung(True, 40)]
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_intervals_of_95_percent_cover_the_truth(fits):
     values, errors = (np.array([getattr(f, name) for f in fits]) for name in ("values", "standard_errors"))
     covered = np.mean(np.abs(values - [MASS, INERTIA, VISCOUS]) < 1.96 * errors, axis=0)
@@ -90,6 +87,7 @@ def test_intervals_of_95_percent_cover_the_truth(fits):
     np.testing.assert_allclose(np.median(errors, axis=0), np.std(values, axis=0), rtol=0.35)
 
 
+@pytest.mark.exhaustive
 def test_outliers_and_missing_samples_hardly_move_a_fit(fits, tmp_path):
     [(record, _)] = swung(True)
     rng = np.random.default_rng(3)
@@ -102,7 +100,7 @@ def test_outliers_and_missing_samples_hardly_move_a_fit(fits, tmp_path):
     assert np.all(np.abs(found.values - [MASS, INERTIA, VISCOUS]) < 4 * fits[0].standard_errors)
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_gravity_of_the_wrong_sign_is_seen(fits, tmp_path):
     [(record, v)] = swung(True)
     training, held_out = split([record], [v], 0.25)
@@ -115,7 +113,7 @@ def test_gravity_of_the_wrong_sign_is_seen(fits, tmp_path):
     assert not np.allclose(found.values[0], MASS, rtol=0.2)
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_a_pendulum_that_nothing_drives_shows_its_frequency_only(tmp_path):
     [(record, v)] = swung(False, viscous=0.0, seconds=6.0)
     open_numbers = family(tmp_path, "mass", "com", "inertia", overrides=["parameters.viscous=[0.0]"])
@@ -131,6 +129,7 @@ def test_a_pendulum_that_nothing_drives_shows_its_frequency_only(tmp_path):
     assert np.abs(found.undetermined @ moved).max() < 0.02, "no number moves along what the log does not show"
 
 
+@pytest.mark.exhaustive
 def test_what_cannot_be_told_apart_is_named(tmp_path):
     [(record, v)] = swung(True)
     text = PENDULUM.replace(f"inertia = [{1.3 * INERTIA}]", 'inertia = [0.2]\ninertia_about = "joint"')
@@ -158,7 +157,7 @@ quantum = 1e-3
 """
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_an_observer_with_the_fitted_model_is_as_good_as_with_the_true_one(tmp_path):
     """A double pendulum, with masses and inertias 30 % too large, fitted on one log and judged on another."""
     (tmp_path / "model.toml").write_text(DOUBLE)
@@ -192,7 +191,7 @@ def test_an_observer_with_the_fitted_model_is_as_good_as_with_the_true_one(tmp_p
     assert np.all(np.abs(found.values - [0.6, 0.4, 0.005, 0.0026]) < 5 * found.standard_errors + 0.01 * found.values)
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_what_vanishes_on_the_way_is_not_called_determined(tmp_path):
     """There is neither lag nor dry friction: the search makes both small, with errors many times as large."""
     t = np.arange(800) * 0.01

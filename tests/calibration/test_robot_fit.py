@@ -37,6 +37,7 @@ def fitted(truth: Truth, names: list[str], seconds: float = 12.0, **noise):
     return fit_robot(models.robot_family("double_pendulum", names), [Record(t, u[0], y[0])], HALF)
 
 
+@pytest.mark.exhaustive
 def test_the_arm_of_these_tests_is_the_robot():
     """The closed form against the sweeps along the tree, with everything that is fitted."""
     truth = Truth(stribeck=(0.1, 0.05), load=0.2, constants=(1.1, 0.9))
@@ -62,6 +63,7 @@ def plain():
     return fitted(Truth(), ["friction", "armature"])
 
 
+@pytest.mark.exhaustive
 def test_friction_and_rotors_are_the_true_ones_within_their_standard_errors(plain):
     truth = expected(Truth(), "friction", "armature")
     assert plain.determined.all()
@@ -131,6 +133,7 @@ def test_intervals_of_95_percent_cover_the_truth():
     np.testing.assert_allclose(np.median(errors, axis=0), np.std(values, axis=0), rtol=0.35)
 
 
+@pytest.mark.exhaustive
 def test_a_joint_that_rests_shows_nothing_of_its_friction():
     """The elbow stands still, whatever torque acts there."""
     t, u, y = swing(1, Truth(armature=(0.0, 1e9)), 12.0)
@@ -145,7 +148,7 @@ def test_only_what_has_become_zero_is_rounded_to_it():
     assert _rounded(values, first, np.array([1.0, 1.0, 1e12])).tolist() == [0.0, 0.0, 0.05]
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_what_only_a_combination_shows_is_not_determined_by_itself():
     """Torque constants, friction, rotors and inertias have a common factor."""
     t, u, y = swing(1, Truth(), 8.0)
@@ -170,6 +173,7 @@ def test_a_number_is_determined_where_zero_and_a_tenth_of_its_usual_size_are_tol
     assert not _told_from_zero(-values, errors, np.full(4, 1.0))[2]
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("names", [["friction"], ["armature", "payload"], ["friction", "torque_constants"]])
 @pytest.mark.parametrize("truth", [Truth(), Truth(coulomb=(0.6, 0.15), viscous=(1.0, 0.3), armature=(0.3, 0.1))])
 def test_a_log_in_degrees_is_named_whatever_the_friction_and_the_rotors_are(names, truth):
@@ -208,6 +212,7 @@ def test_a_joint_may_stick_by_the_friction_of_its_file(tmp_path):
     assert models.robot_family(slippery, ["armature"], law).resting == (0.0, 0.05)
 
 
+@pytest.mark.exhaustive
 def test_a_load_and_an_offset_have_a_mirrored_solution():
     """The load on the other side of its link, and the elbow turned by twice the angle of the first moment: the same."""
     mass, x, z, offset = 0.2, 0.05, -0.2, 0.1

@@ -112,6 +112,7 @@ FAULTS = {
 }
 
 
+@pytest.mark.exhaustive("all signs")
 @pytest.mark.parametrize("fault", FAULTS)
 def test_one_fault_is_one_finding_with_its_setting(chain, fault):
     path, frame = chain
@@ -125,6 +126,7 @@ def test_right_sensors_have_no_findings(chain):
     assert covariant.check(*chain).findings == ()
 
 
+@pytest.mark.long
 def test_the_stated_delay_counts(chain, tmp_path):
     path, frame = chain
     text = CHAIN.replace("std = 1e-2", "std = 1e-2\ndelay = 0.03")
@@ -137,7 +139,7 @@ def test_the_stated_delay_counts(chain, tmp_path):
     assert float(early[0][2].split("=")[1]) == pytest.approx(0.0, abs=1e-3)
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_what_stands_still_is_not_judged(chain):
     """A rate that does not change shows neither its sign nor its unit."""
     path, frame = chain
@@ -150,7 +152,7 @@ def test_what_stands_still_is_not_judged(chain):
     assert all("sensor" not in each[0] for each in wrong(path, still))
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_axes_of_a_gyro(tmp_path):
     """On a plane only the turn that takes the axis of rotation to the one that is read is known."""
     path = tmp_path / "model.toml"
@@ -181,7 +183,7 @@ def test_axes_of_a_gyro(tmp_path):
     assert [each.wrong for each in judged(turned, axes)] == [False]
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_faults_of_sensors_in_space(tmp_path):
     path, frame = simulated(tmp_path, ROBOT + CAMERA, 200.0)
     assert wrong(path, frame) == []
@@ -198,6 +200,7 @@ def test_faults_of_sensors_in_space(tmp_path):
         assert line in found[0][2]
 
 
+@pytest.mark.exhaustive("0", "1")
 @pytest.mark.long
 @pytest.mark.parametrize("seed", range(10))
 def test_there_are_no_false_alarms(seed, tmp_path):

@@ -10,6 +10,7 @@ servo = runpy.run_path(str(Path(__file__).parents[2] / "benchmarks" / "servo.py"
 Servo = servo["Servo"]
 
 
+@pytest.mark.exhaustive
 def test_the_servo_of_the_benchmark_is_the_robot_of_its_file(tmp_path):
     """The closed form in NumPy against the robot that is fitted."""
     import jax
@@ -27,7 +28,7 @@ def test_the_servo_of_the_benchmark_is_the_robot_of_its_file(tmp_path):
     np.testing.assert_allclose(ours, truth.acceleration(v, u), rtol=1e-9)
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_a_fit_of_asymmetric_and_sticking_friction_predicts_as_the_true_numbers_do():
     record, v = servo["logged"](Servo(), 60.0)
     result, _ = servo["fitted"](record, "friction,friction.stribeck,armature")

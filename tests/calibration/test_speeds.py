@@ -32,6 +32,7 @@ def test_a_log_that_mostly_stands_still_has_the_speed_of_its_motion():
     assert usual_speeds(pendulum_chain(), record(y)) == pytest.approx((5.0, 0.0), rel=0.01)
 
 
+@pytest.mark.long
 def test_a_body_turns_by_its_own_axes():
     g = np.stack([np.asarray(SO3.exp(jnp.array([0.0, 0.0, 2.0 * t]))) for t in T[:20]])
     g[7] = np.nan

@@ -73,6 +73,7 @@ def beam(tmp_path):
     return load(str(path))
 
 
+@pytest.mark.exhaustive
 def test_coordinates_of_different_units_have_ticks_of_their_own(beam):
     rough = np.stack([0.1 * np.sin(3 * T), 0.4 * np.cos(2 * T)], axis=1)
     ticks = np.array([1e-4, 5e-3])

@@ -34,6 +34,7 @@ def by_hand(q):
     return (0.1**2 * np.eye(2) + inverse @ np.diag(TORQUES**2) @ inverse) / 50.0
 
 
+@pytest.mark.exhaustive
 def test_a_model_file_is_the_same_as_a_function_by_hand(log):
     loaded = load(Job("pendulum_chain", log, FILE))
     tuned: dict[str, Any] = tuned_estimators(
@@ -44,6 +45,7 @@ def test_a_model_file_is_the_same_as_a_function_by_hand(log):
             np.testing.assert_allclose(filter_.process_cov(jnp.array(q)), by_hand(jnp.array(q)), rtol=1e-9)
 
 
+@pytest.mark.exhaustive
 def test_on_a_mass_it_is_an_acceleration():
     """σ on a mass of 2 kg is σ/2 of acceleration, and adds to it by squares, correlated over the same time."""
     mass = models.Lagrangian(lambda q: 2.0 * jnp.eye(1), coordinates=("x",), units=("m",))
@@ -59,6 +61,7 @@ def test_on_a_mass_it_is_an_acceleration():
     np.testing.assert_allclose(ours.info.velocity_std, theirs.info.velocity_std, rtol=1e-9)
 
 
+@pytest.mark.exhaustive
 def test_filters_with_constant_noise_say_that_they_do_not_use_it(log):
     result = covariant.estimate("pendulum_chain", log, observer="ekf", overrides=FILE, engine="jax")
     assert "It does not use the torque of [uncertainty]; intrinsic-kalman and ukf do." in str(result)

@@ -11,12 +11,6 @@ from covariant.observers import Intrinsic, IntrinsicKalman, external_force, run
 from covariant.signals import Record
 from covariant.simulation import hold, simulate
 
-LONG = (
-    "test_what_is_held_out_confirms_it",
-    "test_with_a_metric_that_is_too_large_the_filter_is_as_good_as_one_without_a_model",
-)
-"""Cases of the long suite: a cheaper one of the same test, or of the same law, is in the short one."""
-
 RATE, STD, ACCELERATION = 100.0, 1e-3, 0.3
 STIFFNESS = 20.0
 
@@ -60,7 +54,7 @@ def tuned(log):
     return tune(MODEL, [record._replace(y=y)], [v])
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_noise_and_gains_are_those_of_the_simulation_in_spite_of_outliers_and_gaps(tuned):
     assert float(tuned.noise.acceleration) == pytest.approx(ACCELERATION, rel=0.1)
     np.testing.assert_allclose(tuned.noise.measurement, STD, rtol=0.1)
@@ -70,6 +64,7 @@ def test_noise_and_gains_are_those_of_the_simulation_in_spite_of_outliers_and_ga
     assert tuned.damping == pytest.approx(0.5**0.5, rel=0.25)
 
 
+@pytest.mark.exhaustive
 def test_what_is_held_out_confirms_it(tuned):
     assert tuned.after.nis == pytest.approx(1.0, abs=0.15)
     assert np.abs(tuned.after.correlation).max() < 0.1
@@ -79,6 +74,7 @@ def test_what_is_held_out_confirms_it(tuned):
     assert max(tuned.after.relative) < tuned.model_free[1]
 
 
+@pytest.mark.exhaustive
 def test_with_a_metric_that_is_too_large_the_filter_is_as_good_as_one_without_a_model(log):
     """A missing force is found, and makes up for it; the innovations of constant gains tell of it."""
     record, v = log
@@ -88,7 +84,7 @@ def test_with_a_metric_that_is_too_large_the_filter_is_as_good_as_one_without_a_
     assert found.after.relative[1] < 1.02 * found.model_free[1]
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("time", [np.inf, 0.4])
 def test_the_filter_of_the_errors_is_the_kalman_filter(log, time):
     """On a linear system exactly, whatever observer the errors are those of; with a force that is not known too."""
@@ -125,7 +121,7 @@ def pushed():
     return Record(t, np.zeros((len(t), 1)), (q + STD * rng.normal(size=len(t)))[:, None]), v[:, None]
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_size_and_time_of_a_force_that_is_forgotten_are_those_of_the_simulation(pushed):
     record, v = pushed
     sheet = DataSheet(STD, 1.0, external_force_std=0.05, external_force_time=5.0)
@@ -137,7 +133,7 @@ def test_size_and_time_of_a_force_that_is_forgotten_are_those_of_the_simulation(
     assert found.after.likelihood > found.before.likelihood
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_gains_of_the_model_file_that_are_as_good_as_any_are_kept_and_worse_ones_are_not(log):
     record, v = log
     best = gains(STD, RATE, ACCELERATION / np.sqrt(2), 1.0)
@@ -162,7 +158,7 @@ def test_a_log_that_is_too_short_is_refused(log):
         tune(MODEL, [short], [v[:150]])
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_under_a_force_that_lasts_gains_are_nearly_those_with_the_least_velocity_error():
     """Predictions would favour gains that are too fast: the push is in all of them, to the side of the lag."""
     t, rng = np.arange(0, 60.0, 0.05), np.random.default_rng(5)

@@ -22,17 +22,6 @@ from covariant.observers import (
 from covariant.papers._errata import SLIPS, PrintedBallAndBeam, PrintedGroup
 from covariant.proofs import box
 
-LONG = (
-    "test_each_slip_of_the_printed_group_observer[curvature count]",
-    "test_each_slip_of_the_printed_group_observer[curvature sign]",
-    "test_each_slip_of_the_printed_group_observer[logarithm]",
-    "test_each_slip_of_the_printed_group_observer[none]",
-    "test_each_slip_of_the_printed_group_observer[source]",
-    "test_each_slip_of_the_printed_group_observer[transport]",
-    "test_what_is_found_beside_the_deviations",
-)
-"""Cases of the long suite: a cheaper one of the same test is in the short one."""
-
 ALPHA, BETA = 1.2, 0.9
 FLOW = ("plant", "error", "lyapunov")
 GEOMETRY = ("metric", "torsion", "transport", "curvature")
@@ -131,7 +120,7 @@ def top() -> Audit:
     return audit(Intrinsic(TOP, ALPHA, BETA))
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_an_intrinsic_observer_keeps_every_law(beam):
     assert beam.passed
     assert tuple(law.name for law in beam.rows) == LAWS
@@ -140,6 +129,7 @@ def test_an_intrinsic_observer_keeps_every_law(beam):
     assert row(beam, "curvature").deviation < 1e-9
 
 
+@pytest.mark.exhaustive
 def test_what_is_found_beside_the_deviations(beam):
     """The curvature −1/(1 + r²)² of the ball and beam, the rate of the gains, and both orders."""
     low, high = (float(text) for text in row(beam, "curvature").detail.split()[-3::2])
@@ -156,6 +146,7 @@ def solved_by_hand():
     return np.array([[a, -0.5], [-0.5, (a + ALPHA / 2) / BETA]])
 
 
+@pytest.mark.exhaustive
 def test_the_table_says_what_the_rows_say(beam):
     lines = str(beam).splitlines()
     assert lines[0] == "Intrinsic, α = 1.2 1/s, β = 0.9 1/s²: passed: 9 laws hold"
@@ -165,7 +156,7 @@ def test_the_table_says_what_the_rows_say(beam):
     assert all(law.source and law.reason for law in beam.rows)
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_a_group_observer_keeps_every_law(top):
     assert top.passed
     skipped = [law for law in top.rows if law.verdict == "skipped"]
@@ -178,6 +169,7 @@ def test_a_group_observer_keeps_every_law(top):
     assert str(top).splitlines()[0] == "Intrinsic, α = 1.2 1/s, β = 0.9 1/s²: passed: 8 laws hold, 1 skipped"
 
 
+@pytest.mark.exhaustive
 def test_the_exact_observer_is_the_same_in_another_chart():
     """A damped oscillator, known in closed form in its own coordinate and numerically in the other."""
     model = Lagrangian(
@@ -188,6 +180,7 @@ def test_the_exact_observer_is_the_same_in_another_chart():
     assert law.deviation < 1e-8
 
 
+@pytest.mark.exhaustive
 def test_the_exact_observer_keeps_the_error_law():
     assert audit(Geodesic(SPHERE, ALPHA, BETA), domain=CAP, laws=FLOW).passed
 
@@ -209,12 +202,14 @@ def test_a_mistake_in_the_equations_breaks_the_error_law(mistake):
     assert "worst at (" in row(found, "error").remark
 
 
+@pytest.mark.exhaustive
 def test_coefficients_at_the_wrong_point_depend_on_the_chart():
     found = audit(Spoiled(SPHERE, only("Γ(q) for Γ(q̂)", MISTAKES)), domain=CAP, laws=("invariance",))
     assert found.broken == ("invariance",)
     assert "of order 1.0" in found.rows[0].detail
 
 
+@pytest.mark.long
 def test_without_the_curvature_term_the_observer_is_not_the_exact_one_to_first_order():
     found = audit(Intrinsic(SPHERE, ALPHA, BETA, curvature=False), domain=CAP, laws=(*FLOW, "approximation"))
     assert found.broken == ("error", "lyapunov", "approximation")
@@ -228,6 +223,7 @@ def test_a_deviation_that_is_not_a_number_breaks_the_law():
     assert sum(row(found, "error").point[2:]) > 0
 
 
+@pytest.mark.long("")
 @pytest.mark.parametrize("sign", [1, -1])
 def test_the_printed_ball_and_beam(sign):
     """Equation (14) as printed breaks the law; with the sign of (5) it keeps it."""
@@ -236,6 +232,8 @@ def test_the_printed_ball_and_beam(sign):
     assert "no model" in row(found, "invariance").reason
 
 
+@pytest.mark.exhaustive("alpha", "none", "source")
+@pytest.mark.long
 @pytest.mark.parametrize("slip", ["none", *SLIPS])
 def test_each_slip_of_the_printed_group_observer(slip):
     """Their α is half of ours. A wrong source leaves the error law alone, but not the plant."""
@@ -245,6 +243,7 @@ def test_each_slip_of_the_printed_group_observer(slip):
     assert found.broken == broken
 
 
+@pytest.mark.long("metric")
 @pytest.mark.parametrize("mistake", GEOMETRY)
 def test_each_law_of_the_geometry_sees_its_own_mistake(mistake):
     bent = eqx.tree_at(lambda m: m.metric, SPHERE, Bent(only(mistake, GEOMETRY)))
@@ -253,6 +252,7 @@ def test_each_law_of_the_geometry_sees_its_own_mistake(mistake):
     assert found.broken == ((mistake, "curvature") if mistake == "transport" else (mistake,))
 
 
+@pytest.mark.exhaustive
 def test_the_states_are_those_asked_for(beam):
     found = audit(
         Intrinsic(BEAM, ALPHA, BETA), domain=box(theta=(0.3, 0.4)), speed=0.5, seed=3, laws=("plant", "error")
@@ -294,6 +294,7 @@ def test_what_cannot_be_audited_is_refused(observer, options, message):
         audit(observer, **options)
 
 
+@pytest.mark.long
 def test_a_second_audit_traces_nothing_again():
     calls = []
 

@@ -222,6 +222,7 @@ def test_printed_condition_is_that_of_the_matrix_in_79():
         assert c.printed == bool(np.linalg.eigvalsh(m)[0] > 0)
 
 
+@pytest.mark.exhaustive
 def test_printed_verdict_depends_on_units_and_the_weighted_one_does_not():
     units = (("m", "rad/s"), ("m", "rad/s"))
     found = built(gain=0.2, units=units)

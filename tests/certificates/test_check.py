@@ -29,21 +29,6 @@ from covariant.geometry import lie
 from covariant.observers import Intrinsic
 from covariant.proofs import digest
 
-LONG = (
-    "test_a_forger_who_mends_the_digest_is_refused_with_the_reason[Q]",
-    "test_a_forger_who_mends_the_digest_is_refused_with_the_reason[box beyond the metric]",
-    "test_a_forger_who_mends_the_digest_is_refused_with_the_reason[box enlarged]",
-    "test_a_forger_who_mends_the_digest_is_refused_with_the_reason[gain]",
-    "test_a_forger_who_mends_the_digest_is_refused_with_the_reason[leaves joined]",
-    "test_a_forger_who_mends_the_digest_is_refused_with_the_reason[rate]",
-    "test_a_radius_beyond_what_is_proved_to_be_reached_is_refused[square-1.000001]",
-    "test_a_radius_beyond_what_is_proved_to_be_reached_is_refused[square-1.5]",
-    "test_a_radius_beyond_what_is_proved_to_be_reached_is_refused[square-100.0]",
-    "test_a_forger_who_mends_the_digest_is_refused_with_the_reason[square]",
-)
-"""Cases of the long suite: a cheaper one of the same test is in the short one."""
-EXHAUSTIVE = ("test_a_forger_who_mends_the_digest_is_refused_with_the_reason[box enlarged]",)
-
 
 @pytest.fixture(scope="module")
 def saved(tmp_path_factory):
@@ -78,6 +63,7 @@ def forged(path, folder, change, anew=False):
     return made
 
 
+@pytest.mark.exhaustive
 def test_a_certificate_is_found_right_from_the_file_alone(saved, tmp_path):
     path = shutil.copy(saved, tmp_path / "sent.json")
     seen = []
@@ -89,7 +75,7 @@ def test_a_certificate_is_found_right_from_the_file_alone(saved, tmp_path):
     assert seen[-1][0] == seen[-1][1]
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_processes_find_the_same(saved):
     assert check(saved, processes=2).leaves == check(saved).leaves
 
@@ -99,6 +85,7 @@ def wheel():
     return models.GroupSystem(lie.SO2, np.eye(1), lambda g: g[0, 1])
 
 
+@pytest.mark.exhaustive
 def test_a_group_is_checked(tmp_path):
     recipe = {"attribute": f"{__name__}:wheel"}
     found = certify(Intrinsic(wheel(), 10.0, 50.0), velocity=0.5, error=0.1, input=0.1, recipe=recipe)
@@ -112,6 +99,7 @@ def test_a_group_is_checked(tmp_path):
             check(forged(path, tmp_path, bound(side, len(found.domain.low) - 2, value)), model=wheel())
 
 
+@pytest.mark.exhaustive
 def test_every_altered_character_is_refused(saved, tmp_path):
     text = saved.read_text(encoding="utf-8")
     whole = json.loads(text)
@@ -183,6 +171,8 @@ FORGERIES = {
 """What reads well, and is not true; files that do not read well are in `tests/attacks/test_files.py`."""
 
 
+@pytest.mark.exhaustive("box beyond the metric", "box enlarged", "rate")
+@pytest.mark.long("Q", "gain", "leaves joined", "square")
 @pytest.mark.parametrize("name", FORGERIES)
 def test_a_forger_who_mends_the_digest_is_refused_with_the_reason(saved, tmp_path, monkeypatch, name):
     change, reason = FORGERIES[name]
@@ -192,7 +182,7 @@ def test_a_forger_who_mends_the_digest_is_refused_with_the_reason(saved, tmp_pat
         check(forged(saved, tmp_path, change))
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_the_curvature_is_needed(beam, tmp_path):
     assert check(beam).leaves >= 5
     off = forged(beam, tmp_path, put("observer", "curvature", False))
@@ -200,6 +190,7 @@ def test_the_curvature_is_needed(beam, tmp_path):
         check(off)
 
 
+@pytest.mark.exhaustive
 def test_the_sign_as_printed_is_refused(beam, tmp_path, monkeypatch):
     right = Intrinsic.bend
     monkeypatch.setattr(Intrinsic, "bend", lambda self, at, drive, *given: 2 * drive - right(self, at, drive, *given))
@@ -209,6 +200,7 @@ def test_the_sign_as_printed_is_refused(beam, tmp_path, monkeypatch):
         check(forged(beam, tmp_path, lambda document: None, anew=True))
 
 
+@pytest.mark.long
 def test_balls_find_the_same(saved, tmp_path):
     pytest.importorskip("flint")
     found = check_sample(saved, 12, seed=4)
@@ -218,6 +210,7 @@ def test_balls_find_the_same(saved, tmp_path):
         check_sample(made, found.total)
 
 
+@pytest.mark.long
 def test_forces_may_leave_their_box_by_as_much_as_may_be_missing_there(saved):
     """On either side: which of the bounds is the larger one depends on the force."""
     statement = follows(parse(saved))
@@ -244,6 +237,7 @@ def noisy(tmp_path_factory):
     return found.save(tmp_path_factory.mktemp("noisy") / "certificate.json")
 
 
+@pytest.mark.exhaustive
 def test_what_noise_adds_is_no_more_than_its_bounds_and_the_slope_say(noisy):
     given = json.loads(noisy.read_text(encoding="utf-8"))["given"]
     true = [1e-3, 2e-3 + given["slopes"][0][0] * 1e-3]
@@ -254,6 +248,7 @@ def test_what_noise_adds_is_no_more_than_its_bounds_and_the_slope_say(noisy):
     np.testing.assert_allclose(_check.sizes(parse(noisy)), true, rtol=1e-11)
 
 
+@pytest.mark.exhaustive
 def test_a_radius_that_noise_alone_reaches_is_refused(noisy, tmp_path):
     """As a number it is the very distance at which noise keeps them, which may be off by its rounding."""
     document = parse(noisy)
@@ -317,6 +312,7 @@ def shortest_leaving(q):
     return math.sqrt((q[0, 0] - q[0, 1] ** 2 / q[1, 1]) / 2) * abs(b - a)[leaves].min()
 
 
+@pytest.mark.exhaustive
 def test_no_geodesic_as_long_as_the_radius_leaves_a_region_that_is_not_convex(sectors, saved_sectors):
     assert sectors.statement.verdict == "holds"
     assert sectors.radius < shortest_leaving(sectors.q)
@@ -325,6 +321,7 @@ def test_no_geodesic_as_long_as_the_radius_leaves_a_region_that_is_not_convex(se
     assert check(saved_sectors, model=polar).radius == sectors.radius
 
 
+@pytest.mark.exhaustive
 def test_a_prover_that_forgets_the_border_would_be_seen(sectors, tmp_path, monkeypatch):
     honest = _certify.limits_of
     monkeypatch.setattr(_certify, "limits_of", lambda *given, **kw: 10 * honest(*given, **kw))
@@ -338,6 +335,7 @@ def test_a_prover_that_forgets_the_border_would_be_seen(sectors, tmp_path, monke
         check(careless.save(tmp_path / "careless.json"), model=polar)
 
 
+@pytest.mark.exhaustive
 def test_the_statement_says_how_far_the_checker_came(sectors, monkeypatch):
     assert "accepts all" in str(sectors.statement.hypotheses)
     assert "the checker" not in str(sector(checker="off").statement.hypotheses)
@@ -350,6 +348,7 @@ def test_the_statement_says_how_far_the_checker_came(sectors, monkeypatch):
         sector(checker="on")
 
 
+@pytest.mark.long
 def test_a_leaf_that_takes_long_does_not_keep_anybody_waiting():
     """Steep friction over a wide box is one leaf for the prover, and thousands of boxes for the checker.
 
@@ -377,6 +376,7 @@ def test_what_the_checker_refuses_has_no_radius_in_its_text(monkeypatch):
     assert "ε" not in str(refused)
 
 
+@pytest.mark.exhaustive
 def test_a_prover_that_takes_reaches_for_shorter_than_they_are_proves_nothing(monkeypatch):
     honest = _certify.squared_widths
     monkeypatch.setattr(_certify, "squared_widths", lambda about, state: honest(about, state) / 4)
@@ -385,6 +385,7 @@ def test_a_prover_that_takes_reaches_for_shorter_than_they_are_proves_nothing(mo
     assert (found.statement.verdict, found.radius) == ("fails", 0.0)
 
 
+@pytest.mark.exhaustive
 def test_reaches_that_no_sampled_point_had_are_found_by_their_counterexamples(sectors, monkeypatch):
     honest = _certify.sampled_widths
     monkeypatch.setattr(_certify, "sampled_widths", lambda about, domain: honest(about, domain) / 4)
@@ -393,6 +394,7 @@ def test_reaches_that_no_sampled_point_had_are_found_by_their_counterexamples(se
     assert found.radius == pytest.approx(sectors.radius, rel=0.05)
 
 
+@pytest.mark.exhaustive("square")
 @pytest.mark.parametrize("more", [1 + 1e-6, 1.5, 100.0])
 @pytest.mark.parametrize("mended", ["nothing", "limit", "square"])
 def test_a_radius_beyond_what_is_proved_to_be_reached_is_refused(sectors, saved_sectors, tmp_path, more, mended):

@@ -40,9 +40,6 @@ from covariant.geometry import distance, hyperbolic
 from covariant.observers import Intrinsic
 from covariant.proofs import Box
 
-LONG = ("test_both_conditions_of_contraction_are_one[0]",)
-"""Cases of the long suite: a cheaper one of the same test, or of the same law, is in the short one."""
-
 ALPHA, BETA = math.sqrt(2), 0.5
 PAPER = lyapunov(ALPHA, BETA)
 ZERO = jnp.zeros(())
@@ -61,6 +58,7 @@ def theta(t, x):
     return jnp.array([[2.0, 0.3], [0.0, 1.0]]) * jnp.exp(0.2 * t) + 0.1 * jnp.outer(jnp.cos(x), jnp.array([1.0, 0.0]))
 
 
+@pytest.mark.long("0")
 @pytest.mark.parametrize("seed", range(3))
 def test_both_conditions_of_contraction_are_one(seed):
     t, x = jnp.asarray(0.3 * seed), jax.random.normal(jax.random.key(seed), (2,))
@@ -220,15 +218,17 @@ def at_the_measurement(seed, speed):
     return jnp.asarray(z)
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_ball_and_beam_contracts_at_the_rate_of_the_paper_whatever_the_velocity():
     np.testing.assert_allclose(paper_laws()(at_the_measurement(1, 50.0))[0], 0.3852220515, atol=1e-6)
 
 
+@pytest.mark.exhaustive
 def test_the_squared_length_falls_at_half_the_paper_s_printed_rate():
     assert np.abs(paper_laws()(at_the_measurement(2, 3.0))[1]).max() < 1e-10
 
 
+@pytest.mark.exhaustive
 def test_on_a_group_the_same_law_holds():
     about = error_system(Intrinsic(models.heavy_top(), 10.0, 50.0), lyapunov(10.0, 50.0))
     z = np.random.default_rng(3).uniform(-1, 1, (50, 9)) * np.array([5, 5, 5, 0, 0, 0, 2, 2, 2])
@@ -236,6 +236,7 @@ def test_on_a_group_the_same_law_holds():
     np.testing.assert_allclose(rates, rate_of(10.0, 50.0, lyapunov(10.0, 50.0)), rtol=1e-6)
 
 
+@pytest.mark.long
 def test_distances_are_bracketed_by_the_closed_form():
     space = hyperbolic()
     metric = in_coordinates(lambda t, x: space(x))
@@ -273,7 +274,7 @@ def test_tiny_distances_are_compared_to_what_solutions_are_computed_to():
     assert measured(4 * last, 4 * last).statement.verdict == "fails"
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_theorem_two_measured():
     """Pairs of estimates of one trajectory of the ball and beam: no distance falls more slowly than certified."""
     model = models.ball_and_beam()
@@ -331,6 +332,7 @@ def region(scale):
     return Box(paper_observer().names, paper_observer().units, -high, high)
 
 
+@pytest.mark.exhaustive
 def test_a_counter_example_is_returned_with_its_point():
     found = falsify(paper_observer(), region(1.0), 0.1, attempts=4000)
     assert (found.verdict, found.evidence) == ("fails", "sampled")
@@ -342,6 +344,7 @@ def test_a_counter_example_is_returned_with_its_point():
     assert falsify(paper_observer(), region(0.03), 0.1, attempts=4000).verdict == "holds"
 
 
+@pytest.mark.long
 def test_the_middle_of_a_region_is_looked_at_first():
     """There, at rest, vanishes what does; it is never drawn."""
     found = falsify(paper_observer(), region(1.0), 0.1, attempts=1, starts=0)

@@ -15,8 +15,6 @@ from covariant.observers import ImplicitGeodesic
 from covariant.proofs import box
 
 BEAM = np.array([-2.5, -4.0]), np.array([2.5, 4.0])
-LONG = ("test_the_ball_and_beam_is_proved", "test_curvature_and_stiffness_are_those_of_the_geometry[pendulum]")
-EXHAUSTIVE = ("test_the_double_pendulum_is_proved_and_its_estimates_keep_to_it",)
 FLAT = Lagrangian(lambda q: jnp.diag(jnp.array([1.0, 4.0])), lambda q: q[0] ** 2, coordinates=("x", "y"), inputs=2)
 
 
@@ -25,6 +23,8 @@ def with_part(model, part, sigma, interval):
     return ImplicitGeodesic(model, alpha, sigma * alpha)
 
 
+@pytest.mark.exhaustive("beam")
+@pytest.mark.long
 @pytest.mark.parametrize("model", [models.ball_and_beam(), models.pendulum_chain()], ids=["beam", "pendulum"])
 def test_curvature_and_stiffness_are_those_of_the_geometry(model):
     """The formulas from derivatives of the metric, against the space, and −∇S against differences of S."""
@@ -43,6 +43,7 @@ def test_curvature_and_stiffness_are_those_of_the_geometry(model):
     np.testing.assert_allclose(stiff, -model.space(q) @ jnp.stack(columns, 1), rtol=1e-9, atol=1e-9)
 
 
+@pytest.mark.exhaustive
 def test_a_flat_space_has_no_turning():
     """K is 0 and 2 1/s²; a certificate follows, and none for samples that are too far apart."""
     bounds = {"position": (-1e3, 1e3), "velocity": 1.0, "error": 5.0}
@@ -66,6 +67,7 @@ def test_what_is_not_covered_is_refused():
         certify_distance(observers.Intrinsic(FLAT, 1.0, 1.0), **bounds)  # pyright: ignore[reportArgumentType]
 
 
+@pytest.mark.exhaustive
 def test_the_ball_and_beam_is_proved():
     observer = with_part(models.ball_and_beam(), 0.95, 20.0, 0.01)
     certificate = certify_distance(observer, interval=0.01, position=BEAM, velocity=0.25, error=0.25)
@@ -77,6 +79,7 @@ def test_the_ball_and_beam_is_proved():
     assert refused.statement.verdict == "undecided"
 
 
+@pytest.mark.exhaustive
 def test_the_double_pendulum_is_proved_and_its_estimates_keep_to_it():
     """Both joints at 8 rad/s, errors of .3 rad in each, velocities unknown, 500 Hz; `√m_h d ≤ D` is simulated."""
     model, h, sigma = models.pendulum_chain(), 0.002, 60.0

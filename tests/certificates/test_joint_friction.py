@@ -40,6 +40,7 @@ def proved():
     return certify(observer, velocity=2.0, error=0.05, position=(-3.0, 3.0), input=0.1, q=Q, rate=1.0, recipe=DRY)
 
 
+@pytest.mark.long
 def test_the_matrix_is_that_of_friction_as_a_function_where_value_and_slope_are_its_own():
     model = two_links(viscous=(0.01, 0.02), coulomb=(0.09, 0.05))
     observer, rng = Intrinsic(model, 60.0, 1800.0), np.random.default_rng(0)
@@ -91,6 +92,7 @@ def test_dry_friction_is_recognised(friction, dry):
     assert has_dry_friction(model, np.ones(2)) == dry
 
 
+@pytest.mark.exhaustive
 def test_a_pendulum_with_dry_friction_needs_few_boxes(proved):
     assert proved.statement.proved
     assert proved.kinds[-2:] == ("friction", "friction slope")
@@ -111,6 +113,7 @@ def test_friction_without_bounds_is_a_function_of_the_velocity(monkeypatch):
     assert found.statement.verdict != "fails"
 
 
+@pytest.mark.long
 def test_friction_that_is_none_of_the_model_refutes_nothing(monkeypatch):
     """Slopes of any sign refute contraction; those of the model do not."""
     wide = np.array([[-1.0], [1.0]]), np.array([[-100.0], [100.0]])
@@ -146,6 +149,8 @@ FORGERIES = {
 }
 
 
+@pytest.mark.exhaustive("friction", "rate")
+@pytest.mark.long("coulomb", "least slope", "slope")
 @pytest.mark.parametrize("name", FORGERIES)
 def test_a_forged_file_is_refused(proved, tmp_path, monkeypatch, name):
     change, reason = FORGERIES[name]
@@ -158,6 +163,7 @@ def test_a_forged_file_is_refused(proved, tmp_path, monkeypatch, name):
         check(tmp_path / "forged.json")
 
 
+@pytest.mark.exhaustive
 def test_its_file_is_checked_and_read(proved, tmp_path):
     path = proved.save(tmp_path / "proved.json")
     assert check(path).statement.proved

@@ -125,6 +125,7 @@ def to_x(z):
     return jnp.stack([z[0] - 0.1 * b**3, b])
 
 
+@pytest.mark.long
 def test_bending_and_rate_are_the_same_in_any_coordinates():
     def f(x):
         return jnp.stack([x[1] - x[0], -jnp.sin(x[0]) - x[1]])
@@ -167,6 +168,7 @@ def oscillator():
     return observability(OSCILLATOR, analytic_metric(1.0), GRID)
 
 
+@pytest.mark.exhaustive
 def test_the_oscillators_observer_is_local_only(oscillator):
     assert oscillator.verdict.startswith("local only")
     assert oscillator.condition_1.verdict == "holds"
@@ -192,6 +194,7 @@ def geodesic(x, v):
     return jnp.concatenate([path, end[None]])
 
 
+@pytest.mark.exhaustive
 def test_its_witness_is_a_geodesic_on_which_the_output_turns_back(oscillator):
     metric = analytic_metric(1.0)
     first, middle, last = (jnp.asarray(x) for x in oscillator.witness)
@@ -211,6 +214,7 @@ def test_its_witness_is_a_geodesic_on_which_the_output_turns_back(oscillator):
     assert (np.diff(away)[-15:] < 0).all()
 
 
+@pytest.mark.exhaustive
 def test_with_several_outputs_no_bending_decides_nothing():
     model = StateSpace(lambda t, x, u: -x, lambda t, x, u: x[:2], coordinates=("a", "b", "c"))
     found = observability(model, eye, np.random.default_rng(1).uniform(-1, 1, (5, 3)))
@@ -220,6 +224,7 @@ def test_with_several_outputs_no_bending_decides_nothing():
     assert observability(bent, eye, np.array([[0.1, 0.2, 0.3]])).condition_2.verdict == "fails"
 
 
+@pytest.mark.exhaustive
 def test_a_wanted_rate_is_asked_for():
     points = GRID[:3]
     found = observability(OSCILLATOR, analytic_metric(1.0), points, rate=1.1).condition_1

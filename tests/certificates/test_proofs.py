@@ -33,12 +33,6 @@ from covariant.observers import Intrinsic
 from covariant.papers._errata import PrintedBallAndBeam
 from covariant.proofs import Box, _judge, _prove, box, prove
 
-LONG = (
-    "test_the_tube_on_the_hyperbolic_plane_shrinks_with_the_speed[4.0]",
-    "test_flows_that_do_not_contract_are_not_proved[cubic]",
-)
-"""Cases of the long suite: a cheaper one of the same test is in the short one."""
-
 ALPHA, BETA = math.sqrt(2), 0.5
 PAPER = lyapunov(ALPHA, BETA)
 ZERO = jnp.zeros(())
@@ -89,6 +83,7 @@ def flat(t, x):
     return jnp.eye(x.shape[0])
 
 
+@pytest.mark.long("cubic")
 @pytest.mark.parametrize(
     ("flow", "metric", "state"),
     [
@@ -133,6 +128,7 @@ def ball_and_beam_region(velocity, error=0.005, force=0.1):
     return about, Box(about.names, about.units, -high, high)
 
 
+@pytest.mark.exhaustive
 def test_the_observer_of_the_paper_is_proved_and_its_spoiled_forms_are_not():
     about, region = ball_and_beam_region(1.0)
     found = prove(contraction(about, 0.2), region)
@@ -162,6 +158,7 @@ def test_the_printed_ball_and_beam_is_rejected_and_the_corrected_one_proved(sign
     assert prove(matrix, region).verdict == verdict
 
 
+@pytest.mark.exhaustive("4.0")
 @pytest.mark.parametrize("speed", [0.5, 1.0, 2.0, 4.0, 8.0, 16.0])
 def test_the_tube_on_the_hyperbolic_plane_shrinks_with_the_speed(speed):
     """Strict contraction ends at |ξ| |v̂| = 0.130; 0.08 is proved, and no point in the proved set breaks it."""
@@ -200,6 +197,7 @@ def double_pendulum_certificate(unit: float = 1.0, second: float = 1.0) -> Contr
     )
 
 
+@pytest.mark.exhaustive
 def test_a_double_pendulum_with_friction_is_proved():
     found = double_pendulum_certificate()
     assert found.statement.verdict == "holds"
@@ -208,6 +206,7 @@ def test_a_double_pendulum_with_friction_is_proved():
     assert found.decay == 2.0
 
 
+@pytest.mark.exhaustive
 def test_a_certificate_does_not_depend_on_units():
     """Grams for kilograms and milliseconds for seconds: the same tree of boxes, and the rate in the new unit."""
     usual, other = double_pendulum_certificate(), double_pendulum_certificate(1e-3, 1e-3)
@@ -220,6 +219,7 @@ def test_a_certificate_does_not_depend_on_units():
         assert two.limit == pytest.approx(one.limit * (1e-3 if one.row >= 2 and one.kind == "reach" else 1.0), rel=1e-6)
 
 
+@pytest.mark.exhaustive
 def test_a_heavy_top_is_proved_for_all_attitudes():
     model = models.heavy_top()
     found = certify(Intrinsic(model, 10.0, 50.0), velocity=0.5, error=0.03, input=0.1, rate=2.0)
@@ -227,7 +227,7 @@ def test_a_heavy_top_is_proved_for_all_attitudes():
     assert found.domain.high[-3] == pytest.approx(1.1)  # moment plus torque
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_a_vehicle_of_twelve_states_is_proved_for_all_attitudes():
     file = tomllib.loads((Path(__file__).parents[2] / "examples/underwater_vehicle.toml").read_text(encoding="utf-8"))
     low, high = -np.ones((4, 4)), np.ones((4, 4))
@@ -268,6 +268,7 @@ def test_a_certificate_needs_its_bounds():
         certify(observer, velocity=1.0, error=0.01, position=(-0.1, 0.1), q=lyapunov(ALPHA, BETA, 2.0))
 
 
+@pytest.mark.exhaustive
 def test_worker_processes_find_the_same_tree(monkeypatch):
     about, region = ball_and_beam_region(1.5, 0.01, 0.2)
     alone = prove(contraction(about, 0.2), region)
@@ -332,6 +333,7 @@ def test_open_boxes_and_progress_are_told():
     assert (np.abs(found.open[:, :, 0]).min(axis=1) < 1e-3).all()
 
 
+@pytest.mark.exhaustive
 def test_the_default_metric_is_for_two_thirds_of_the_rate():
     found = certify(
         Intrinsic(models.ball_and_beam(), 4.0, 8.0), velocity=0.3, error=0.01, position=(-0.1, 0.1), input=0.1

@@ -24,14 +24,6 @@ BOXES = {
 }
 """Models, the rates that are proved, and bounds where they are not those of the model."""
 FAR = 1e3
-LONG = (
-    "bioreactor",
-    "van_der_pol",
-    "test_the_full_observer_contracts_in_the_box[duffing]",
-    "test_a_wrong_injection_is_not_proved",
-    "test_the_velocity_of_a_pendulum_is_found_in_the_box",
-)
-EXHAUSTIVE = ("test_a_rate_that_is_too_high_is_not_proved",)
 
 
 @pytest.fixture(scope="module")
@@ -47,6 +39,7 @@ def designed():
     return design
 
 
+@pytest.mark.long("bioreactor", "duffing", "lorenz", "van_der_pol")
 @pytest.mark.parametrize("name", BOXES)
 def test_it_is_proved_for_shipped_models(name, designed):
     design = designed(name)
@@ -55,6 +48,7 @@ def test_it_is_proved_for_shipped_models(name, designed):
     assert np.linalg.eigvalsh(design.metric).min() > 0
 
 
+@pytest.mark.long("bioreactor", "van_der_pol")
 @pytest.mark.parametrize("name", BOXES)
 def test_squared_distances_shrink_as_proved_from_far_outside_the_box(name, designed):
     """Along motions that stay in the box, in continuous time, against the formula of the observer itself."""
@@ -119,6 +113,7 @@ def test_missing_outputs_correct_nothing_and_angles_are_wrapped():
     assert float(seen.x[1] - state.x[1]) == pytest.approx(3 * float(seen.x[0] - state.x[0]))
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("name", ["lorenz", "duffing"])
 def test_the_full_observer_contracts_in_the_box(name):
     rate, bounds = BOXES[name]
@@ -158,6 +153,7 @@ def test_a_state_that_shows_nothing_is_named():
         _ = design.direction
 
 
+@pytest.mark.exhaustive
 def test_a_wrong_injection_is_not_proved(monkeypatch, designed):
     """With the sign of L, or the rows of the outputs, mutated nothing holds."""
     design = designed("unknown_frequency")
@@ -167,6 +163,7 @@ def test_a_wrong_injection_is_not_proved(monkeypatch, designed):
         reduced_order(design.model, rate, **bounds)
 
 
+@pytest.mark.exhaustive
 def test_a_rate_that_is_too_high_is_not_proved(monkeypatch, designed):
     design = designed("lorenz")
     monkeypatch.setattr(_reduced_order, "_solved", lambda *_: (design.injection, design.metric))
@@ -212,6 +209,7 @@ def test_an_observer_that_does_not_fit_its_model_is_refused():
         ReducedOrder(duffing, jnp.full((2, 1), jnp.nan), jnp.zeros(2))
 
 
+@pytest.mark.exhaustive
 def test_the_velocity_of_a_pendulum_is_found_in_the_box():
     arm = models.state_space(models.pendulum_chain(mass=[1.0], length=[0.5]))
     design = reduced_order(arm, 2.0, box=[(-3.2, 3.2), (-5.0, 5.0)], inputs=[(-5.0, 5.0)])
@@ -235,6 +233,7 @@ def test_the_command_prints_what_is_proved(monkeypatch, capsys):
         design_reduced_order("heavy_top", rate=1.0)
 
 
+@pytest.mark.long("where")
 @pytest.mark.parametrize(
     "jump", [jnp.sign, jnp.floor, lambda v: jnp.where(v > 0.3, 1.0, 0.0)], ids=["sign", "floor", "where"]
 )

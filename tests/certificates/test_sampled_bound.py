@@ -128,7 +128,7 @@ def worst(bound, log):
     return float(np.asarray(errors).max())
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_the_bound_holds_in_simulation_and_mutants_of_it_do_not():
     """3000 samples with the largest errors of measurement and force."""
     log = simulated("switching", 150, 20)
@@ -157,6 +157,7 @@ def test_the_steady_radius_is_where_the_recursion_ends():
     assert 0.8 * steady < radius < steady
 
 
+@pytest.mark.long("{}")
 @pytest.mark.parametrize(
     ("change", "premise"),
     [

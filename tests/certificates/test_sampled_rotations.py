@@ -15,17 +15,6 @@ from covariant.lowering import numbers
 from covariant.observers import Intrinsic
 from covariant.proofs.checker import series
 
-LONG = (
-    "test_the_correction_changes_curves_as_its_jacobian_says[options2]",
-    "test_the_correction_changes_curves_as_its_jacobian_says[options1]",
-    "test_the_correction_changes_curves_as_its_jacobian_says[options0]",
-    "test_predictions_change_curves_as_their_jacobian_says",
-    "test_lengths_change_between_samples_as_the_matrix_says",
-    "test_prover_and_checker_form_the_same_matrices",
-    "test_the_defect_of_a_step_on_rotations_is_what_remains_of_its_series",
-)
-"""Cases of the long suite."""
-EXHAUSTIVE = ("test_a_heavy_top_is_proved_at_100_hz",)
 H = 0.03
 Q = np.array([[0.5, -0.04], [-0.04, 0.02]])
 SAMPLING = Sampling(np.array([H, H]), 0, np.array([[[-1.0, 0.2], [0.2, 0.02]]]))
@@ -75,6 +64,8 @@ def predicted(g, v, tau):
     return state.q, state.v
 
 
+@pytest.mark.exhaustive("options0", "options1")
+@pytest.mark.long
 @pytest.mark.parametrize("options", [{}, {"order": 2}, {"curvature": False}])
 def test_the_correction_changes_curves_as_its_jacobian_says(options):
     observer = top(**options)
@@ -91,6 +82,7 @@ def test_the_correction_changes_curves_as_its_jacobian_says(options):
     assert (np.abs(jacobian - shipped).max(0) < 1e-8 * np.abs(shipped).max(0)).all()
 
 
+@pytest.mark.exhaustive
 def test_predictions_change_curves_as_their_jacobian_says():
     predict = jax.jit(predicted)
     shipped = differences(lambda g, v: predicted(g, v, jnp.asarray(H)), START, SPEED)
@@ -108,6 +100,7 @@ def test_predictions_change_curves_as_their_jacobian_says():
     assert (np.abs(transition - shipped).max(0) < 1e-6 * np.abs(shipped).max(0)).all()
 
 
+@pytest.mark.exhaustive
 def test_lengths_change_between_samples_as_the_matrix_says():
     """With the shear, the rate of change of a squared length in M_τ along the prediction that runs."""
     system, direction = sampled_system(top(), Q, SAMPLING._replace(shear=True)), jnp.asarray(RNG.normal(size=6))
@@ -137,6 +130,7 @@ def test_lengths_change_between_samples_as_the_matrix_says():
     assert abs(change + theta @ matrix @ theta) < 1e-5 * abs(change)
 
 
+@pytest.mark.exhaustive
 def test_prover_and_checker_form_the_same_matrices():
     system, z = sampled_system(top(), Q, SAMPLING._replace(shear=True)), point(START, SPEED, ERROR)
     reach = np.array([1.0, 2.0, 3.0])
@@ -154,6 +148,7 @@ def vectors(prediction, z, order):
     return lambda z: numbers(graph, np.asarray(z)).reshape(prediction.size + 1, -1)[1:, 0]
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize(
     "observer", [Intrinsic(models.pendulum_chain(mass=(1.0,), length=(0.5,)), 10.0, 50.0, substeps=1)]
 )
@@ -161,6 +156,7 @@ def test_the_defect_of_a_step_is_what_remains_of_its_series(observer):
     check_defect(observer, jnp.array([0.7, 1.5, 0.2, 0.01]))
 
 
+@pytest.mark.exhaustive
 def test_the_defect_of_a_step_on_rotations_is_what_remains_of_its_series():
     check_defect(top(), jnp.concatenate([START[2], SPEED, TORQUE, jnp.array([0.01])]))
 
@@ -191,6 +187,7 @@ def test_series_refuse_kinks():
         series(jnp.abs, 2)(jnp.array(0.5))
 
 
+@pytest.mark.exhaustive
 def test_a_heavy_top_is_proved_at_100_hz(tmp_path):
     recipe = {"system": "heavy_top", "parameters": {"viscous": 0.01}}
     model = models.from_recipe(recipe)

@@ -35,36 +35,6 @@ from covariant.observers import Geodesic, Intrinsic
 from covariant.proofs import digest, prove
 from covariant.proofs.checker import leaves
 
-LONG = (
-    "test_a_forged_file_is_refused_with_the_reason[errors of the steps]",
-    "test_a_forged_file_is_refused_with_the_reason[stiffness]",
-    "test_a_forged_file_is_refused_with_the_reason[no slopes]",
-    "test_a_forged_file_is_refused_with_the_reason[slopes of friction]",
-    "test_a_forged_file_is_refused_with_the_reason[force box]",
-    "test_every_mutant_dies_in_prover_and_checker[no missing acceleration]",
-    "test_every_mutant_dies_in_prover_and_checker[gains of a slow observer]",
-    "test_every_mutant_dies_in_prover_and_checker[a metric that does not change with the age]",
-    "test_every_mutant_dies_in_prover_and_checker[no shear]",
-    "test_prover_and_checker_form_the_same_matrices[False]",
-    "test_falsification_runs_find_nothing_in_what_is_proved",
-    "test_lost_samples_are_covered",
-    "test_lengths_change_between_samples_as_the_matrix_says[True]",
-    "test_prover_and_checker_form_the_same_matrices[True]",
-    "test_the_checker_accepts_what_is_proved_at_once",
-    "test_a_forged_file_is_refused_with_the_reason[gain]",
-    "test_a_forged_file_is_refused_with_the_reason[metric after the measurement]",
-    "test_a_forged_file_is_refused_with_the_reason[no shear]",
-    "test_a_forged_file_is_refused_with_the_reason[length of the error]",
-    "test_a_forged_file_is_refused_with_the_reason[longer interval and box]",
-    "test_a_forged_file_is_refused_with_the_reason[rate]",
-    "test_a_forged_file_is_refused_with_the_reason[slope of the metric]",
-    "test_every_mutant_dies_in_prover_and_checker[a metric without its slopes]",
-    "test_every_mutant_dies_in_prover_and_checker[gains of a faster observer]",
-    "test_every_mutant_dies_in_prover_and_checker[gains of another age]",
-    "test_every_mutant_dies_in_prover_and_checker[half the gain]",
-)
-"""Cases of the long suite."""
-EXHAUSTIVE = ("test_lost_samples_are_covered",)
 RECIPE = {"system": "pendulum_chain", "parameters": {"mass": [1.0], "length": [0.5]}}
 BOUNDS = {"position": (-3.0, 3.0), "velocity": 4.0, "error": 0.1, "input": 0.5}
 
@@ -112,6 +82,8 @@ def points(system, count, seed=0, age=0.003):
     return z
 
 
+@pytest.mark.exhaustive("{'coefficients': 'estimated'}", "{'order': 2}", "{}")
+@pytest.mark.long
 @pytest.mark.parametrize("options", [{}, {"order": 2}, {"coefficients": "estimated"}, {"curvature": False}], ids=str)
 def test_the_correction_is_that_of_the_step_that_runs(options):
     observer = two_links(**options)
@@ -134,6 +106,7 @@ def test_the_correction_is_that_of_the_step_that_runs(options):
         assert difference < 1e-4 * np.abs(change).max()
 
 
+@pytest.mark.exhaustive
 def test_the_jacobians_in_the_frames_are_those_of_differences_of_the_step():
     """F and J give the change of (ξ, ζ) over a predict–correct step, as differences of the shipped step do."""
     observer, h, n = two_links(), 0.003, 2
@@ -185,6 +158,8 @@ def test_the_jacobians_in_the_frames_are_those_of_differences_of_the_step():
     assert (np.abs(final - shipped).max(0) < 1e-4 * np.abs(shipped).max(0)).all()
 
 
+@pytest.mark.exhaustive("True")
+@pytest.mark.long
 @pytest.mark.parametrize("shear", [False, True])
 def test_lengths_change_between_samples_as_the_matrix_says(shear):
     """The rate of change of a squared length in M_τ along the prediction that runs, by differences."""
@@ -215,6 +190,7 @@ def test_lengths_change_between_samples_as_the_matrix_says(shear):
     assert abs(change + in_frame @ matrix @ in_frame) < 1e-4 * abs(change)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("shear", [False, True])
 def test_prover_and_checker_form_the_same_matrices(shear):
     system = sampled_system(two_links(), Q, SHEARED._replace(shear=shear))
@@ -245,6 +221,7 @@ def test_ages_cover_every_multiple_of_the_interval():
 # What is proved.
 
 
+@pytest.mark.exhaustive
 def test_a_pendulum_is_proved_for_any_interval_from_5_to_50_ms(proved, saved):
     assert proved.statement.proved, proved.statement
     assert proved.boxes < 1000
@@ -264,6 +241,7 @@ def test_a_pendulum_is_proved_for_any_interval_from_5_to_50_ms(proved, saved):
     assert check_sample(saved, 5).leaves == 5
 
 
+@pytest.mark.exhaustive
 def test_the_checker_accepts_what_is_proved_at_once(proved):
     again = certify(pendulum(), **BOUNDS, interval=(0.005, 0.05), recipe=RECIPE, checker="all")
     assert again.statement.proved
@@ -271,6 +249,7 @@ def test_the_checker_accepts_what_is_proved_at_once(proved):
     assert again.radius == proved.radius
 
 
+@pytest.mark.exhaustive
 def test_where_simulation_grows_nothing_is_proved():
     """At intervals beyond 0.25 s the pendulum's sampled errors grow."""
     result = certify(pendulum(), **BOUNDS, interval=(0.3, 0.3), rate=0.01, checker="off", boxes=20_000)
@@ -342,6 +321,7 @@ def lengths(certificate, history, metric):
     return result
 
 
+@pytest.mark.exhaustive
 def test_falsification_runs_find_nothing_in_what_is_proved(proved):
     rng, metric = np.random.default_rng(3), metric_of(proved)
     tried = 0
@@ -358,6 +338,7 @@ def test_falsification_runs_find_nothing_in_what_is_proved(proved):
     assert found.verdict == "holds"
 
 
+@pytest.mark.exhaustive
 def test_lost_samples_are_covered(tmp_path):
     observer = pendulum()
     result = certify(observer, **BOUNDS, interval=(0.018, 0.02), lost=1, recipe=RECIPE, checker="off")
@@ -375,6 +356,7 @@ def test_lost_samples_are_covered(tmp_path):
         assert measured[-1][1] <= measured[0][1] * np.exp(-result.decay * (measured[-1][0] - measured[0][0]))
 
 
+@pytest.mark.exhaustive
 def test_the_factor_that_runs_takes_no_more_than_is_subtracted(proved):
     """At random points the step that runs differs from the one that is proved by less than its bound."""
     claim, h = next(c for c in proved.claims if c.kind == "missing"), proved.sampling.oldest
@@ -475,6 +457,24 @@ FORGERIES = {
 }
 
 
+@pytest.mark.exhaustive(
+    "errors of the steps",
+    "force box",
+    "gain",
+    "input",
+    "length of the error",
+    "longer interval",
+    "longer interval and box",
+    "metric after the measurement",
+    "no box of ages",
+    "no slopes",
+    "rate",
+    "slope of the metric",
+    "slopes of friction",
+    "start",
+    "stiffness",
+)
+@pytest.mark.long("no shear", "radius", "too few steps", "too small a tube for the steps", "too stiff for the factor")
 @pytest.mark.parametrize("name", FORGERIES)
 def test_a_forged_file_is_refused_with_the_reason(saved, tmp_path, monkeypatch, name):
     change, reason = FORGERIES[name]
@@ -484,6 +484,7 @@ def test_a_forged_file_is_refused_with_the_reason(saved, tmp_path, monkeypatch, 
         check(forged(saved, tmp_path, change))
 
 
+@pytest.mark.exhaustive
 def test_errors_of_steps_without_a_claim_are_assumed_to_be_zero(saved, tmp_path):
     text = str(ContractionCertificate.load(forged(saved, tmp_path, lambda d: d["claims"].pop(5))).statement)
     assert "assumed: predictions solve the model exactly" in text
@@ -550,6 +551,7 @@ MUTANTS = {
 }
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("name", MUTANTS)
 def test_every_mutant_dies_in_prover_and_checker(proved, monkeypatch, name):
     monkeypatch.setattr(_check, "DEPTH", 1)
@@ -581,6 +583,7 @@ def assert_dies(certificate, system, kind):
     assert answer == "refused"
 
 
+@pytest.mark.exhaustive
 def test_the_right_system_is_accepted_by_the_same_test(proved):
     for kind in ("contraction", "correction"):
         assert shown(proved, proved.error_system, kind) == ("holds", "accepted")

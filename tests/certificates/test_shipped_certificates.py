@@ -13,13 +13,6 @@ from covariant.proofs import PROVED, leaves
 from covariant.proofs._enclosure import Expansions
 from covariant.proofs._judge import judge
 
-LONG = (
-    "scara",
-    "ur5e_three_joints",
-    "test_some_leaves_are_looked_at_in_balls[dfki_double_pendulum]",
-    "test_a_small_one_is_verified_whole",
-)
-
 FOLDER = Path(__file__).parents[2] / "examples/certificates"
 
 
@@ -29,22 +22,26 @@ def loaded(name: str) -> ContractionCertificate:
     return ContractionCertificate.load(FOLDER / f"{name}.json")
 
 
+@pytest.mark.exhaustive
 def test_a_small_one_is_verified_whole():
     assert check(FOLDER / "ball_and_beam.json").rate == 0.1
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["heavy_top", "dfki_double_pendulum"])
 def test_some_leaves_are_looked_at_in_balls(name):
     pytest.importorskip("flint")
     assert check_sample(FOLDER / f"{name}.json", 4).leaves == 4
 
 
+@pytest.mark.long("scara", "ur5e_three_joints")
 @pytest.mark.parametrize("name", ["heavy_top", "dfki_double_pendulum", "scara", "ur5e_three_joints"])
 def test_large_ones_are_as_they_were_written(name):
     """Their leaves take longer (`covariant certify --check`); here their form and digest, and that no leaf is open."""
     assert not parse(FOLDER / f"{name}.json").open
 
 
+@pytest.mark.exhaustive("scara", "ur5e_three_joints")
 @pytest.mark.parametrize("name", ["ball_and_beam", "heavy_top", "dfki_double_pendulum", "scara", "ur5e_three_joints"])
 def test_a_certificate_is_read_as_it_was_written(name):
     document = json.loads((FOLDER / f"{name}.json").read_text(encoding="utf-8"))
@@ -61,7 +58,7 @@ def test_a_certificate_that_was_changed_is_not_read(tmp_path):
         ContractionCertificate.load(tmp_path / "changed.json")
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 @pytest.mark.parametrize(("name", "slowest"), [("heavy_top", 7.0), ("dfki_double_pendulum", 25.0)])
 def test_estimates_from_the_border_of_the_ball_converge_as_certified(name, slowest):
     certificate = loaded(name)
@@ -76,7 +73,7 @@ def test_estimates_from_the_border_of_the_ball_converge_as_certified(name, slowe
     assert not seen._replace(bound=faster).holds
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_leaves_of_a_robot_are_proved_by_the_prover_again():
     """By its Taylor models, on some of the leaves; and where shoulder and lift are does not enter."""
     certificate = loaded("scara")

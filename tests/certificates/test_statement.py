@@ -46,6 +46,7 @@ def test_the_verdict_is_that_of_the_weakest_hypothesis(hypotheses, verdict, evid
         )
 
 
+@pytest.mark.exhaustive
 def test_any_hypothesis_that_is_taken_back_takes_the_verdict_back():
     """For a statement that holds: one hypothesis after the other is left open, or refuted."""
     found = certify(
@@ -81,6 +82,7 @@ def saved(tmp_path_factory):
     return path, result, settings
 
 
+@pytest.mark.exhaustive
 def test_the_text_of_a_check_has_all_numbers_of_the_claim(saved):
     path, result, settings = saved
     text = str(covariant.workflow.check_certificate(path))
@@ -94,6 +96,7 @@ def test_the_text_of_a_check_has_all_numbers_of_the_claim(saved):
         assert hypothesis.text in text
 
 
+@pytest.mark.exhaustive
 def test_the_claim_can_be_repeated_from_its_text_alone(saved):
     """The radius that is printed is proved again from the numbers that are printed, and never more than was proved."""
     path, result, _ = saved
@@ -117,6 +120,7 @@ def test_prints_never_claim_more_than_is_proved():
         assert value * (1 - 2e-3) < float(down(value)) <= value
 
 
+@pytest.mark.exhaustive
 def test_it_is_the_same_in_print_and_in_json_and_in_the_file_of_an_export(saved, tmp_path):
     path, result, _ = saved
     checked = covariant.workflow.check_certificate(path)
@@ -133,11 +137,13 @@ def test_it_is_the_same_in_print_and_in_json_and_in_the_file_of_an_export(saved,
         assert line in sheet
 
 
+@pytest.mark.exhaustive
 def test_what_was_only_read_is_claimed(saved):
     found = certificates.ContractionCertificate.load(saved[0])
     assert (found.statement.verdict, found.statement.evidence, found.statement.proved) == ("holds", "claimed", False)
 
 
+@pytest.mark.exhaustive
 def test_a_file_that_claims_more_is_not_copied_into_a_data_sheet(saved, tmp_path):
     path, *_ = saved
     document = json.loads(path.read_text(encoding="utf-8"))

@@ -29,6 +29,7 @@ def run(monkeypatch, capsys):
     return run
 
 
+@pytest.mark.exhaustive
 def test_a_sound_observer_passes_and_is_drawn(run, folder):
     code, out, _ = run(
         "oscillator", "--alpha", "2", "--beta", "3", "--points", "8", "--box", "q=1:2", "-o", "page.html"
@@ -46,6 +47,7 @@ def test_a_sound_observer_passes_and_is_drawn(run, folder):
     assert "http" not in page.replace("http-equiv", "")
 
 
+@pytest.mark.exhaustive
 def test_a_broken_law_is_exit_code_1(run, folder):
     """An observer that carries nothing along, in the chart r = exp(q) of the oscillator."""
     chart = ("--set", 'parameters.chart="r"')

@@ -282,6 +282,7 @@ def test_the_log_is_never_written_over(folder, monkeypatch, capsys, command):
     assert (folder / "log.csv").read_text() == GOOD
 
 
+@pytest.mark.long
 def test_a_motion_that_escapes_is_not_written(folder, monkeypatch, capsys):
     arguments = ("simulate", "model.toml", "-o", "out/l.csv", "--duration", "0.02", "--v0", "1e300")
     assert "the motion leaves the finite numbers" in refused(monkeypatch, capsys, *arguments)

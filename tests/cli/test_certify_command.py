@@ -16,9 +16,6 @@ from covariant.cli import main
 from covariant.observers import Intrinsic
 from covariant.proofs import digest
 
-LONG = ("test_a_model_of_ones_own_is_given_by_who_checks[2]",)
-"""Cases of the long suite: a cheaper one of the same test, or of the same law, is in the short one."""
-
 PENDULUM = """
 system = "pendulum_chain"
 [parameters]
@@ -85,6 +82,7 @@ def unproved(verdict: str):
     return stand_in, asked
 
 
+@pytest.mark.exhaustive
 def test_a_proof_says_how_fast_from_how_far_and_where(proved):
     assert (proved["verdict"], proved["evidence"], proved["observer"]) == ("holds", "proved", "Intrinsic")
     assert (proved["alpha"], proved["beta"], proved["velocity"]) == (10.0, 50.0, [2.0])
@@ -221,6 +219,7 @@ def leaves_with(monkeypatch, *arguments):
     return left.value.code or 0
 
 
+@pytest.mark.exhaustive
 def test_a_saved_certificate_is_verified_and_an_altered_one_refused(proved, folder, capsys, monkeypatch):
     saved = folder / "checked.json"
     shutil.copy(folder / "proved.json", saved)
@@ -247,6 +246,8 @@ def pendulum(mass, length):
 """
 
 
+@pytest.mark.exhaustive("2")
+@pytest.mark.long
 @pytest.mark.parametrize("processes", ["1", "2"])
 def test_a_model_of_ones_own_is_given_by_who_checks(processes, proved, folder, capsys, monkeypatch):
     (folder / "mine.py").write_text(MINE)
@@ -277,6 +278,7 @@ tide = models.Lagrangian(
 """
 
 
+@pytest.mark.long
 def test_a_force_that_depends_on_time_is_proved_between_two_times(capsys, monkeypatch, folder):
     (folder / "tidal.py").write_text(TIDE)
     monkeypatch.syspath_prepend(str(folder))

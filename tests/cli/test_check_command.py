@@ -59,6 +59,7 @@ def inside(folder, monkeypatch):
     monkeypatch.chdir(folder)
 
 
+@pytest.mark.exhaustive
 def test_a_log_that_fits_is_told_to(capsys):
     assert run("check", "model.toml", "log.csv") == 0
     text = capsys.readouterr().out
@@ -78,6 +79,7 @@ def test_what_is_wrong_is_printed_with_the_remedy(capsys):
     assert result["findings"][0]["numbers"]["unexplained_after"] < 0.01
 
 
+@pytest.mark.long
 def test_estimate_and_compare_refuse_such_a_log_unless_told_to_go_on(capsys):
     for name in ("estimate", "compare"):
         assert run(name, "model.toml", "ms.csv") == 1

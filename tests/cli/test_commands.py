@@ -18,13 +18,6 @@ from covariant.observers import EKF, run
 from covariant.workflow._inputs import _in_ticks
 from covariant.workflow._outcome import KEPT
 
-LONG = (
-    "test_people_are_told_why_compiled_c_did_not_do_the_work[arguments1]",
-    "test_a_report_is_drawn_whichever_engine_did_the_work[jax]",
-    "test_a_torque_that_nobody_told_is_found_and_leaves_no_bias",
-)
-"""Cases of the long suite: a cheaper one of the same test is in the short one."""
-
 MODEL = """
 system = "pendulum_chain"
 [parameters]
@@ -92,6 +85,7 @@ def test_simulate_repeats_by_seed():
     assert Path("other.csv").read_bytes() != Path("log.csv").read_bytes()
 
 
+@pytest.mark.long
 def test_estimate_prints_what_it_found(estimated):
     assert estimated["rows"] == 801
     assert estimated["scored_against"] == "true velocity"
@@ -100,7 +94,7 @@ def test_estimate_prints_what_it_found(estimated):
     assert estimated["velocity_rmse"][0] < 0.05
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_a_filter_that_knows_how_accurate_it_is_writes_that_too():
     """The standard deviation is that of the errors, in the order of magnitude; a log in no ticks is told as noise."""
     command("estimate", "model.toml", "log.csv", "--observer", "intrinsic-kalman", "-o", "std.csv")
@@ -209,6 +203,7 @@ def test_logged_velocities_are_compared_with_and_never_used(estimated):
     assert Path("with_v.csv").read_bytes() == Path("v.csv").read_bytes()
 
 
+@pytest.mark.long
 @pytest.mark.skipif(shutil.which("cc") is None, reason="there is no C compiler, `cc`")
 def test_the_engine_that_is_asked_for_does_the_work_and_is_named(estimated):
     result = command("estimate", "model.toml", "log.csv", "--truth", "true_v1", "-o", "jax.csv", "--engine", "jax")
@@ -238,6 +233,7 @@ def test_people_get_the_same_in_words(capsys, monkeypatch, estimated):
     assert "engine" not in out
 
 
+@pytest.mark.exhaustive("arguments1")
 @pytest.mark.parametrize("arguments", [("estimate",), ("compare", "--truth", "true_v1")])
 def test_people_are_told_why_compiled_c_did_not_do_the_work(arguments, capsys, monkeypatch):
     monkeypatch.setattr("covariant.engine._choice.missing", lambda: "there is no C compiler here")
@@ -249,6 +245,7 @@ def test_people_are_told_why_compiled_c_did_not_do_the_work(arguments, capsys, m
     assert line.endswith(": jax: there is no C compiler here")
 
 
+@pytest.mark.long("jax")
 @pytest.mark.parametrize("engine", ["c", "jax"])
 def test_a_report_is_drawn_whichever_engine_did_the_work(engine):
     if engine == "c" and shutil.which("cc") is None:
@@ -262,6 +259,7 @@ def test_given_gains_replace_the_designed_ones():
     assert "alpha = 2" in low["design"]
 
 
+@pytest.mark.exhaustive
 def test_compare_ranks_all_estimators():
     result = command("compare", "model.toml", "log.csv", "--truth", "true_v1", "-o", "table.csv")
     names = [row["estimator"] for row in result["ranking"]]
@@ -280,7 +278,7 @@ def test_compare_ranks_all_estimators():
     assert [float(row[2]) for row in table[1:]] == pytest.approx(errors, rel=1e-5)
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_a_late_sensor_is_simulated_and_estimated_from():
     """At the same stamps, a reading is what it was two samples before; told so, the estimate is hardly worse."""
     late = ("--set", "measurement.delay=0.01")
@@ -310,6 +308,7 @@ def test_without_being_asked_nothing_is_scored(monkeypatch, capsys):
     assert "innovation RMS: " in printed
 
 
+@pytest.mark.exhaustive
 def test_a_torque_that_nobody_told_is_found_and_leaves_no_bias():
     """The torque in the log lacks 0.2 N m of what acts: a bias of the velocity, and none where it is estimated."""
     log = logs.read("log.csv", logs.Columns(q=("angle",), u=("torque",), truth=("true_v1",)))
@@ -330,7 +329,7 @@ def test_a_torque_that_nobody_told_is_found_and_leaves_no_bias():
     assert "intrinsic-kalman does" in command(*arguments[:3], "--set", "uncertainty.external_force=0.2")["design"]
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_an_encoder_that_is_off_and_a_payload_are_found():
     """The angle in the log is off by .05 rad, and the model's mass by half; both are told of in the model file."""
     log = logs.read("log.csv", logs.Columns(q=("angle",), u=("torque",), truth=("true_v1",)))
@@ -363,6 +362,7 @@ def test_an_encoder_that_is_off_and_a_payload_are_found():
     assert "does not estimate the bias of [measurement] and the parameters of [uncertainty]" in design
 
 
+@pytest.mark.exhaustive
 def test_a_run_keeps_what_is_asked_for():
     """What a long log takes in memory: a few numbers a row, and none for what no output shows."""
     model = load("model.toml").model

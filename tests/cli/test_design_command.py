@@ -63,6 +63,7 @@ def made(folder):
         return command("design", "metric", "unknown_frequency", *SHAPE, "--rate", "8", "-o", "paper.zarr")
 
 
+@pytest.mark.exhaustive
 def test_the_summary_is_that_of_the_store(made):
     store = metrics.open_grid("paper.zarr", complete=True)
     low, high = np.quantile(np.linalg.eigvalsh(store["metric"].values), [0, 1])
@@ -91,14 +92,14 @@ def test_a_finished_store_is_summed_up_again_for_a_person(made, capsys, monkeypa
     assert error_bound == f"largest error bound {made['error_bound']:.2g}"
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_the_rate_may_come_from_gramians(made):
     done = command("design", "metric", "unknown_frequency", *SHAPE, "--window", "30", "-o", "window.zarr")
     assert 0.1 < done["rate"] < 1
     assert metrics.open_grid("window.zarr").attrs["provenance"]["equation"]["rate"] == done["rate"]
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_options_reach_the_equation_of_a_mechanical_model(made):
     arguments = ("--box", "q=-1:1,q_dot=-2:2", "--grid", "4,5", "--process-cov", "1e-3,0.5", "--measurement-cov", "0.1")
     more = ("--domain", "q_dot=-2.5:2.5", "--input", "0.3", "--start", "2", "--tolerance", "1e-6")
@@ -119,7 +120,7 @@ def test_options_reach_the_equation_of_a_mechanical_model(made):
     assert store.attrs["provenance"]["u"] == [0.3]
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_results_without_a_metric_are_told_in_words(capsys, monkeypatch):
     """At rest the frequency cannot be told, and a point outside the domain has no metric."""
     box = ("--box", "x1=0:1,x2=0:1.5", "--domain", "x3=0.7:2")
@@ -160,6 +161,7 @@ def interrupted(monkeypatch, capsys, blocks: int, *arguments: str) -> str:
     return error
 
 
+@pytest.mark.exhaustive
 def test_a_stopped_run_goes_on_where_it_stopped(made, monkeypatch, capsys):
     arguments = ("unknown_frequency", *SHAPE, "--rate", "8", "--workers", "1", "-o", "again.zarr")
     line = interrupted(monkeypatch, capsys, 3, *arguments)
@@ -248,6 +250,7 @@ def test_the_store_of_another_equation_is_left_alone(made, capsys, monkeypatch):
     assert "paper.zarr holds another map: provenance.equation.rate is 8.0 there and 9.0 here" in message
 
 
+@pytest.mark.long
 def test_what_is_set_is_part_of_what_a_store_is_of(capsys, monkeypatch):
     spring = ("oscillator", "--box", "q=-1:1,q_dot=-2:2", "--grid", "4,5", "--rate", "1", "-o", "set.zarr")
     assert "after 0 of 20 points" in interrupted(monkeypatch, capsys, 0, *spring, "--set", "parameters.stiffness=2.0")

@@ -61,7 +61,7 @@ def refused(code: int, *arguments: str) -> str:
     return said[-1]
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_fit_writes_a_model_file_that_keeps_its_comments():
     result = command("fit", "model.toml", "log.csv", "--parameters", "length,mass", "-o", "calibrated.toml")
     length, mass = result["parameters"]
@@ -76,7 +76,7 @@ def test_fit_writes_a_model_file_that_keeps_its_comments():
     assert models.load("calibrated.toml").model.parameters["length"].value[0] == pytest.approx(length["after"])
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_a_fit_that_is_worse_on_what_it_has_not_seen_is_not_written():
     arguments = ("fit", "model.toml", "log.csv", "wrong.csv", "--parameters", "length", "-o", "no.toml", *FIRST)
     assert "wrong.csv: the model leaves" in refused(1, *arguments)

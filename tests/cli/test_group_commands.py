@@ -59,6 +59,7 @@ def job(log, *overrides: str) -> Job:
     return Job(TOP, Path(log), overrides, 1, None, {})
 
 
+@pytest.mark.exhaustive
 def test_simulate_writes_attitude_inputs_and_truth():
     q, true_q = column("log.csv", *WXYZ), column("log.csv", *(f"true_{name}" for name in WXYZ))
     lost = np.isnan(q).all(axis=1)
@@ -81,13 +82,14 @@ def test_the_truth_of_a_simulation_turns_the_body():
     np.testing.assert_allclose((q[:-1].inv() * q[1:]).as_rotvec(), middle, atol=2e-5)
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_what_is_simulated_is_estimated(estimated):
     assert estimated["observer"] == "intrinsic"
     assert estimated["scored_against"] == "true velocity"
     assert max(estimated["velocity_rmse"]) < 0.03
 
 
+@pytest.mark.exhaustive
 def test_machines_get_the_documented_keys(estimated):
     assert list(estimated) == [
         *("model", "log", "observer", "rows", "engine", "scored_against", "design"),
@@ -106,6 +108,7 @@ def test_the_estimate_has_the_columns_of_the_log_and_the_names_of_the_model(esti
     assert np.abs(np.abs(np.einsum("ki,ki->k", q, true_q)) - 1)[200:].max() < 1e-5
 
 
+@pytest.mark.exhaustive
 @pytest.mark.skipif(shutil.which("cc") is None, reason="there is no C compiler, `cc`")
 def test_the_report_through_c_is_that_through_jax(estimated):
     done = command("estimate", TOP, "log.csv", "--truth", TRUTH, "--engine", "c", "--report", "through_c.html")
@@ -154,7 +157,7 @@ def test_without_a_truth_the_attitudes_themselves_are_the_reference():
     np.testing.assert_allclose(some.reference.v, loaded.reference.v[:401:4], atol=1e-12)
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_compare_ranks_what_fits(monkeypatch):
     quick = ("intrinsic", "salcudean")  # the others take a minute to compile; `design` tests that all are lined up
 
@@ -171,7 +174,7 @@ def test_compare_ranks_what_fits(monkeypatch):
     assert [row[1] for row in table[1:]] == names
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_a_vehicle_is_simulated_and_estimated():
     command(
         *("simulate", VEHICLE, "-o", "pose.parquet", "--duration", "6", "--rate", "50", "--noise", "5e-3"),

@@ -51,7 +51,7 @@ def folder(tmp_path, monkeypatch):
     return tmp_path
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_commands_chain_in_the_units_and_formats_of_the_model_file(folder):
     """What `simulate` writes `estimate` reads, though the log has no column of the optional velocities."""
     short = ("--duration", "2", "--rate", "100", "--noise", "1e-4", "--amplitude", "1")

@@ -11,7 +11,7 @@ from covariant.cli import main
 from covariant.models import robots
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_a_robot_is_shown_with_its_tree_and_its_geometry():
     shown = command("model", "double_pendulum", "--samples", "50")
     assert (shown["robot"], shown["coordinates"]) == ("double_pendulum", ["shoulder", "elbow"])
@@ -34,7 +34,7 @@ def test_what_is_refused_is_one_line(tmp_path, capsys, monkeypatch):
     assert "unknown type 'hinge'" in capsys.readouterr().err
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_the_tree_is_drawn(capsys, monkeypatch):
     monkeypatch.setattr(sys, "argv", ["covariant", "model", "double_pendulum", "--samples", "1"])
     with pytest.raises(SystemExit) as left:

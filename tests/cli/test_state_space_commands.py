@@ -12,15 +12,13 @@ from covariant import logs
 from covariant.models import load
 from covariant.simulation import hold, simulate
 
-LONG = ("test_estimate_writes_states_and_how_certain_they_are[c]",)
-"""Cases of the long suite: a cheaper one of the same test, or of the same law, is in the short one."""
-
 
 @pytest.fixture(autouse=True)
 def folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
 
 
+@pytest.mark.exhaustive
 def test_simulate_writes_outputs_inputs_and_the_true_state():
     done = command(
         *("simulate", "duffing", "-o", "log.csv", "--duration", "2", "--rate", "100", "--noise", "1e-2"),
@@ -72,6 +70,8 @@ def log(simulated):
     return "log.csv"
 
 
+@pytest.mark.exhaustive("c")
+@pytest.mark.long
 @pytest.mark.parametrize("engine", ["c", "jax"])
 def test_estimate_writes_states_and_how_certain_they_are(log, engine):
     if engine == "c" and shutil.which("cc") is None:
@@ -93,7 +93,7 @@ def test_estimate_writes_states_and_how_certain_they_are(log, engine):
     assert np.sqrt(np.mean(off**2)) < 2.0
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_compare_ranks_by_the_states_or_by_the_outputs(log):
     with_truth = command("compare", "model.toml", log, "-o", "table.csv", *TRUTH)
     names = {row["estimator"] for row in with_truth["ranking"]}

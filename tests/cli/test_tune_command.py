@@ -45,6 +45,7 @@ def inside(folder, monkeypatch):
     monkeypatch.chdir(folder)
 
 
+@pytest.mark.exhaustive
 def test_runs_by_both_engines_are_the_same():
     loaded = aligned(Job("model.toml", Path("log.csv"))).loaded
     some = [Intrinsic(loaded.model, a, a**2) for a in (5.0, 10.0, 20.0)]
@@ -57,7 +58,7 @@ def test_runs_by_both_engines_are_the_same():
     assert by["c"].description == "c" or shutil.which("cc") is None
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_the_file_that_is_written_has_the_noise_of_the_log_and_its_comments():
     result = command("tune", "model.toml", "log.csv", "-o", "tuned.toml", "--engine", "c")
     assert result["engine"] == "c" or shutil.which("cc") is None

@@ -41,30 +41,6 @@ from covariant.geometry import Budget, Interpolated
 from covariant.lowering import _places
 from covariant.models import robots
 
-LONG = (
-    "tables",
-    "scara",
-    "late",
-    "exact",
-    "thirty",
-    "test_it_compiles_without_a_warning_and_passes_its_own_test[top]",
-    "test_a_metric_on_a_fine_grid_is_a_table_of_its_numbers",
-    "test_bad_options_are_named[words7-kB of flash, with loops over tables too, and may take 2; give it]",
-    "test_it_compiles_without_a_warning_and_passes_its_own_test[duffing]",
-    "test_it_compiles_without_a_warning_and_passes_its_own_test[frequency]",
-    "test_it_compiles_without_a_warning_and_passes_its_own_test[kalman]",
-    "test_it_compiles_without_a_warning_and_passes_its_own_test[pendulum]",
-    "test_it_compiles_without_a_warning_and_passes_its_own_test[pendulum_float]",
-    "test_it_compiles_without_a_warning_and_passes_its_own_test[ship]",
-    "test_its_vectors_are_what_the_observer_does_in_jax[top]",
-    "test_sanitizers_find_nothing[top]",
-)
-EXHAUSTIVE = (
-    "test_it_compiles_without_a_warning_and_passes_its_own_test[tables]",
-    "test_it_compiles_without_a_warning_and_passes_its_own_test[scara]",
-    "test_it_compiles_without_a_warning_and_passes_its_own_test[thirty]",
-)
-
 ROOT = Path(__file__).parents[2]
 FLAGS = ["-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Wdouble-promotion", "-Werror"]
 RATE = 250.0
@@ -223,6 +199,8 @@ def ran(command: list, folder: Path) -> str:
     return done.stdout
 
 
+@pytest.mark.exhaustive("exact", "kalman", "late", "scara", "sensors", "smoothed", "tables", "thirty")
+@pytest.mark.long("duffing", "frequency", "pendulum", "pendulum_float", "ship", "top")
 @each
 @needs_compiler
 def test_it_compiles_without_a_warning_and_passes_its_own_test(name, exported):
@@ -234,6 +212,8 @@ def test_it_compiles_without_a_warning_and_passes_its_own_test(name, exported):
         assert f"{name}: ok, {ROWS} steps" in ran(["./self_test"], folder)
 
 
+@pytest.mark.exhaustive("tables")
+@pytest.mark.long("top")
 @needs_compiler
 @pytest.mark.parametrize("name", ["pendulum", "top", "tables"])
 def test_sanitizers_find_nothing(name, exported):
@@ -243,6 +223,7 @@ def test_sanitizers_find_nothing(name, exported):
     ran(["./sanitized"], folder)
 
 
+@pytest.mark.exhaustive
 def test_memory_that_straight_code_does_not_fit_into_gets_tables(exported):
     straight, tables = (exported(name).folder / f"{name}.c" for name in ("kalman", "tables"))
     assert "_run(" not in straight.read_text()
@@ -274,6 +255,7 @@ def test_estimated_memory_counts_entries_of_tables_and_not_their_digits_or_names
     np.testing.assert_allclose(sizes, sizes[0], rtol=0.03)
 
 
+@pytest.mark.long("thirty")
 @pytest.mark.parametrize("name", ["pendulum_float", "kalman", "top", "thirty", "frequency"])
 @pytest.mark.skipif(shutil.which("arm-none-eabi-gcc") is None, reason="there is no compiler for the microcontroller")
 def test_code_takes_no_more_memory_than_estimated(name, exported, monkeypatch):
@@ -299,6 +281,8 @@ def test_a_wrong_sign_fails_the_self_test(exported, tmp_path):
     assert "WRONG" in done.stdout
 
 
+@pytest.mark.exhaustive("sensors", "smoothed", "top")
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["pendulum", "smoothed", "sensors", "top"])
 def test_its_vectors_are_what_the_observer_does_in_jax(name, exported):
     graphs, expected = exported(name).program, exported(name).vectors
@@ -481,6 +465,7 @@ def test_an_observer_of_another_model_has_no_numbers_of_the_family():
         of_family(observers.Intrinsic(models.ball_and_beam(), 1.0, 1.0), family())
 
 
+@pytest.mark.exhaustive
 def test_the_header_says_what_a_measurement_holds(exported):
     header = (exported("sensors").folder / "sensors.h").read_text(encoding="utf-8")
     assert (
@@ -538,6 +523,7 @@ def test_a_step_by_one_sensor_alone_is_the_whole_step_without_the_rest(exported,
     assert work["speed alone"] < work["configuration alone"] < work["all"]
 
 
+@pytest.mark.exhaustive
 def test_steps_by_sensor_are_written_only_where_they_are_asked_for_and_there_are_some(tmp_path):
     assert not program(case("sensors").recipe, case("sensors").measured[0], 1).alone
     with pytest.raises(ValueError, match="step_per_sensor is for a filter with sensors; intrinsic of oscillator has"):
@@ -549,6 +535,7 @@ def test_steps_by_sensor_are_written_only_where_they_are_asked_for_and_there_are
 NOISE = {"measurement.std": 1e-3, "uncertainty.acceleration": 1.0}
 
 
+@pytest.mark.exhaustive
 def test_an_export_with_a_lag_is_the_smoother_of_its_observer(tmp_path):
     made = {"rate": 100.0, "overrides": NOISE, "audit": False, "observer": "intrinsic-kalman"}
     late = covariant.export("oscillator", tmp_path / "late", lag=0.05, **made)
@@ -612,6 +599,7 @@ def commands_of_the_page() -> list[str]:
     return re.findall(r"```bash\ncovariant export (.*?)\n```", (ROOT / "docs" / "firmware.md").read_text())
 
 
+@pytest.mark.exhaustive
 @needs_compiler
 def test_the_command_of_the_page_writes_what_passes_its_test(tmp_path, monkeypatch, capsys):
     line, *_ = commands_of_the_page()
@@ -630,6 +618,7 @@ def test_the_command_of_the_page_writes_what_passes_its_test(tmp_path, monkeypat
     assert command(monkeypatch, capsys, *options)[0] == 2, "the folder is not empty"
 
 
+@pytest.mark.exhaustive
 def test_what_is_proved_and_what_is_broken_is_told(tmp_path, monkeypatch, capsys):
     """The data sheet quotes a certificate of this observer only, and a broken law is a warning."""
     proved = ROOT / "examples" / "certificates" / "ball_and_beam.json"
@@ -647,6 +636,7 @@ def test_what_is_proved_and_what_is_broken_is_told(tmp_path, monkeypatch, capsys
     assert "is for alpha = 1.41421, beta = 0.5" in told
 
 
+@pytest.mark.exhaustive("words7")
 @pytest.mark.parametrize(
     ("words", "said"),
     [
@@ -678,7 +668,7 @@ def test_a_unit_for_simulators_has_no_flash(tmp_path, monkeypatch, capsys):
 STATES = tuple(shlex.split(next(line for line in commands_of_the_page() if line.startswith("unknown_frequency")))[:-2])
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 @needs_compiler
 def test_observers_of_state_space_models_are_written_too(tmp_path, monkeypatch, capsys):
     grid = metrics.Grid(["x1", "x2", "x3"], ["m", "m/s", "1/s^2"], (0, 1, 0.5), (1, 1.5, 1.5), (4, 4, 4))
@@ -694,6 +684,7 @@ def test_observers_of_state_space_models_are_written_too(tmp_path, monkeypatch, 
     assert "look-ups in tables | 384" in (tmp_path / "table" / "DATASHEET.md").read_text()
 
 
+@pytest.mark.exhaustive
 @needs_compiler
 def test_a_metric_on_a_fine_grid_is_a_table_of_its_numbers(tmp_path, monkeypatch, capsys):
     """The page on metrics exports a grid of 33³ points, whose table is eight times as long."""
@@ -709,6 +700,7 @@ def test_a_metric_on_a_fine_grid_is_a_table_of_its_numbers(tmp_path, monkeypatch
     ran(["./self_test"], tmp_path / "c")
 
 
+@pytest.mark.exhaustive
 def test_a_table_that_no_program_should_hold_is_refused_by_its_size(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(_places, "MOST_ENTRIES", 1000)
     grid = metrics.Grid(["x1", "x2", "x3"], ["m", "m/s", "1/s^2"], (0, 1, 0.5), (1, 1.5, 1.5), (5, 5, 5))

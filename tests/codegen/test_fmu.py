@@ -19,13 +19,6 @@ from covariant import _compile, models, observers
 from covariant.cli import main
 from covariant.codegen import _fmu, fmu, of_family, program, with_open_numbers, write_fmu
 
-LONG = (
-    "test_a_simulator_takes_it[3.0]",
-    "test_the_binary_does_what_the_observer_does_in_python[3.0]",
-    "test_the_description_names_what_is_in_the_unit[3.0]",
-)
-"""Cases of the long suite: a cheaper one of the same test, or of the same law, is in the short one."""
-
 ROOT = Path(__file__).parents[2]
 MODEL = ROOT / "examples" / "demo_double_pendulum.toml"
 RATE, ROWS = 250.0, 40
@@ -96,6 +89,7 @@ def expected() -> np.ndarray:
     return np.array(rows)
 
 
+@pytest.mark.long("3.0")
 @pytest.mark.parametrize("version", ["3.0", "2.0"])
 def test_the_description_names_what_is_in_the_unit(version, paths):
     with zipfile.ZipFile(paths[version]) as packed:
@@ -196,6 +190,7 @@ class Driven:
         return self.does("DoStep", ctypes.c_double(t), ctypes.c_double(h), True, *more)
 
 
+@pytest.mark.exhaustive
 @needs_compiler
 @pytest.mark.parametrize("version", ["3.0", "2.0"])
 def test_the_binary_does_what_the_observer_does_in_python(version, paths, tmp_path):
@@ -224,6 +219,7 @@ def test_the_binary_does_what_the_observer_does_in_python(version, paths, tmp_pa
     getattr(unit.library, unit.prefix + "FreeInstance")(unit.instance)
 
 
+@pytest.mark.exhaustive("3.0")
 @needs_compiler
 @pytest.mark.parametrize("version", ["3.0", "2.0"])
 def test_a_simulator_takes_it(version, paths):
@@ -278,6 +274,7 @@ def test_the_binary_is_made_by_the_compiler_that_cc_names(monkeypatch):
     assert "binaries/x86_64-linux/speed.so" in fmu(made, "speed", "", 100.0, np.zeros(1)).files
 
 
+@pytest.mark.long
 def test_without_a_compiler_the_command_writes_sources_and_says_so(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(_fmu, "compiler_command", lambda: None)
     words = ["export", str(MODEL), "--rate", "500", "--no-audit", "--json"]

@@ -15,7 +15,7 @@ def control():
     return pytest.importorskip("control", reason="python-control is an optional package")
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_plant_and_observer_interconnected_follow_the_librarys_own(control):
     model = models.StateSpace(
         lambda t, x, u: jnp.stack([x[1], u[0] - jnp.sin(x[0])]), lambda t, x, u: x[:1], coordinates=("q", "v"), inputs=1
@@ -47,7 +47,7 @@ def test_a_mechanical_system_is_a_plant(control):
     np.testing.assert_allclose(rate, expected, rtol=1e-12)
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_closed_loop_is_the_librarys_own(control):
     ship = marine.cybership()
     model = state_space(ship)
@@ -66,7 +66,7 @@ def test_closed_loop_is_the_librarys_own(control):
     assert list(response.output_labels)[-3:] == ["u1", "u2", "u3"]
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_linearisation_is_the_models_own(control):
     model = marine.Station(marine.supply_vessel()).model()
     linear = control.linearize(codegen.plant(model), np.zeros(6), np.zeros(3))

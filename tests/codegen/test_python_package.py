@@ -23,17 +23,6 @@ from covariant.codegen import program, python_files, with_open_numbers, write_fo
 from covariant.engine import Stream, run_log
 from covariant.signals import Record, Result
 
-LONG = (
-    "test_a_wheel_installs_without_an_index",
-    "test_a_log_is_what_the_library_makes_of_it[pendulum]",
-    "test_a_log_is_what_the_library_makes_of_it[top]",
-    "test_a_log_is_what_the_library_makes_of_it[single]",
-    "test_the_command_writes_a_package_and_warns_where_there_is_no_compiler",
-)
-EXHAUSTIVE = (
-    "test_a_log_is_what_the_library_makes_of_it[kalman]",
-    "test_a_log_is_what_the_library_makes_of_it[sensors]",
-)
 RATE, ROWS = 250.0, 60
 needs_compiler = pytest.mark.skipif(shutil.which("cc") is None, reason="there is no C compiler, `cc`")
 
@@ -95,6 +84,8 @@ def log(y: np.ndarray, inputs: int) -> Record:
     return Record(t, u, measured)
 
 
+@pytest.mark.exhaustive("kalman", "sensors", "top")
+@pytest.mark.long("pendulum", "single")
 @needs_compiler
 @pytest.mark.parametrize("name", ["pendulum", "top", "slope", "kalman", "sensors", "single"])
 def test_a_log_is_what_the_library_makes_of_it(name, package):
@@ -126,6 +117,7 @@ def test_a_log_in_compiled_c_is_the_same(package):
     np.testing.assert_allclose(np.hstack([run.q, run.v]), expected.estimate, rtol=0, atol=1e-12)
 
 
+@pytest.mark.long
 @needs_compiler
 def test_samples_are_those_of_the_log_and_of_a_stream(package):
     chosen, y, _ = observer("pendulum")
@@ -254,6 +246,7 @@ def test_a_library_that_is_missing_or_of_another_export_is_built_by_the_package(
     assert "is of another export; build it by" in ran("-c", ends).stderr
 
 
+@pytest.mark.long
 @needs_compiler
 def test_a_wheel_installs_without_an_index(package, tmp_path):
     (wheel,) = Path(package("slope").__file__ or "").parents[1].glob("*.whl")
@@ -267,6 +260,7 @@ def test_a_wheel_installs_without_an_index(package, tmp_path):
     assert done.stdout.startswith(str(target))
 
 
+@pytest.mark.long
 def test_the_command_writes_a_package_and_warns_where_there_is_no_compiler(tmp_path, monkeypatch):
     options = {"rate": 500.0, "alpha": 20.0, "beta": 200.0, "audit": False}
     monkeypatch.setattr(_compile, "compiler", lambda: None)

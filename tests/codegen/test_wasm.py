@@ -105,7 +105,7 @@ load().then(({ Observer }) => {
 """
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_the_page_of_the_site_is_one_small_file_whose_observers_run(wasm, tmp_path):
     """Its bench, without what draws, follows the pendulum."""
     page = browser_page.page()

@@ -16,18 +16,6 @@ from covariant.engine import Stream, run_log
 from covariant.engine._backends import backend
 from covariant.signals import Record, Result
 
-LONG = (
-    "test_a_log_with_angles_of_too_many_turns[jax]",
-    "test_a_step_by_either_engine_is_the_same[ekf]",
-    "test_a_step_by_either_engine_is_the_same[gated]",
-    "test_a_step_by_either_engine_is_the_same[on a group]",
-)
-"""Cases of the long suite: a cheaper one of the same test, or of the same law, is in the short one."""
-EXHAUSTIVE = (
-    "test_a_step_by_either_engine_is_the_same[gated]",
-    "test_a_step_by_either_engine_is_the_same[on a group]",
-)
-
 pytestmark = pytest.mark.skipif(shutil.which("cc") is None, reason="there is no C compiler, `cc`")
 SPECIAL = (math.nan, math.inf, -math.inf, 5e-324, -1e-323, 1e-310, -0.0, 0.0, 3e9, 7e9, 1e22, -1e22, 1e154, -1.7e308)
 RESOLVED = 1e6
@@ -71,6 +59,7 @@ def samples(draw):
     return draw(st.lists(st.tuples(places, st.lists(doubles, min_size=3, max_size=3), steps), min_size=1, max_size=4))
 
 
+@pytest.mark.exhaustive("ekf", "gated", "on a group")
 @pytest.mark.parametrize("name", ["gated", "ekf", "pll", "on a group"])
 @settings(max_examples=150)
 @given(log=samples())
@@ -102,6 +91,8 @@ def test_a_step_by_either_engine_is_the_same(name, log):
         np.testing.assert_allclose(both[0].x, both[1].x, rtol=1e-6, atol=1e-9 + 1e-12 * largest)
 
 
+@pytest.mark.exhaustive("7000000000.0-jax")
+@pytest.mark.long("7000000000.0")
 @pytest.mark.parametrize("engine", ["c", "jax"])
 @pytest.mark.parametrize("far", [7e9, -1e22, 1e308, math.inf])
 def test_an_angle_of_too_many_turns_is_missing_and_spoils_nothing(engine, far):
@@ -116,6 +107,7 @@ def test_an_angle_of_too_many_turns_is_missing_and_spoils_nothing(engine, far):
         assert np.abs(x[:2] - y).max() < 0.1
 
 
+@pytest.mark.exhaustive("jax")
 @pytest.mark.parametrize("engine", ["c", "jax"])
 def test_a_log_with_angles_of_too_many_turns(engine):
     observer, y = cases()["gated"]
@@ -142,6 +134,7 @@ def test_an_angle_of_many_turns_is_followed():
     np.testing.assert_allclose(in_c.x[:2], y, atol=1e-6)
 
 
+@pytest.mark.exhaustive("False-0.01")
 @pytest.mark.parametrize("dt", [0.01, 5e-324])
 @pytest.mark.parametrize("jitted", [False, True])
 def test_a_step_in_time_may_be_a_number_of_pythons_own(jitted, dt):

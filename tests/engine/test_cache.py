@@ -13,9 +13,6 @@ from covariant.engine import _cache
 from covariant.engine._cache import cached_text
 from covariant.lowering import LoweringError
 
-LONG = ("test_an_observer_without_a_graph_is_tried_once",)
-"""Cases of the long suite: a cheaper one of the same test, or of the same law, is in the short one."""
-
 PROCESS = """
 import sys
 import jax.numpy as jnp
@@ -65,6 +62,7 @@ assert len(written) == {count}
 """
 
 
+@pytest.mark.exhaustive
 def test_a_second_process_writes_nothing_and_finds_the_same_to_the_bit(tmp_path):
     """Of a model of the library and of one of a user's own functions, for logs and for streams."""
     first = python(RUN.format(count=3 * 4), tmp_path)
@@ -97,6 +95,7 @@ show(own(2.0), 5.0, 8.0)
 """
 
 
+@pytest.mark.long
 def test_whatever_changes_an_observer_changes_its_key(tmp_path):
     """A number of a function, a gain, a setting, and a method of the library that a script replaces."""
     first, again, *others = python(CHANGES, tmp_path).split()
@@ -114,6 +113,7 @@ print(run_log(Intrinsic(own(2.0), 5.0, 8.0), record)[1])
 """
 
 
+@pytest.mark.exhaustive
 def test_an_observer_without_a_graph_is_tried_once(tmp_path):
     assert python(REFUSED, tmp_path) == "lowered\njax: no graph\n"
     assert python(REFUSED, tmp_path) == "jax: no graph\n"

@@ -18,13 +18,6 @@ from covariant.engine._kernel import _prepared, prepared
 from covariant.observers import run
 from covariant.signals import Record, Result
 
-LONG = (
-    "test_a_log_in_single_precision_is_taken_in_double[jax]",
-    "test_no_sample_raises_and_each_fault_is_counted[jax]",
-    "test_runs_in_lanes_are_those_of_jax_each",
-)
-"""Cases of the long suite: a cheaper one of the same test, or of the same law, is in the short one."""
-
 RATE = 250.0
 needs_compiler = pytest.mark.skipif(shutil.which("cc") is None, reason="there is no C compiler, `cc`")
 
@@ -51,7 +44,7 @@ def record() -> Record:
     return Record(t, 0.1 * np.sin(np.stack([t, 2 * t], axis=1)), y)
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 @needs_compiler
 def test_a_log_through_c_is_that_through_jax():
     through_c, name = run_log(gated(), record(), engine="c")
@@ -76,7 +69,7 @@ def same(through_c, through_jax):
             np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-9)
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 @needs_compiler
 def test_many_logs_and_many_gains_are_each_that_through_jax():
     logs = parts((150, 600, 320))
@@ -106,6 +99,7 @@ def before_a_wall(array: np.ndarray) -> np.ndarray:
     return copy
 
 
+@pytest.mark.exhaustive
 @needs_compiler
 def test_runs_in_lanes_are_those_of_jax_each(monkeypatch):
     """Of different lengths and numbers of substeps, more than the lanes; one that is lost stays alone with it."""
@@ -123,6 +117,7 @@ def test_runs_in_lanes_are_those_of_jax_each(monkeypatch):
     assert [Result.NOT_FINITE in each for each in results] == [k == 5 for k in range(10)]
 
 
+@pytest.mark.long
 @needs_compiler
 def test_the_engine_is_chosen_by_one_rule_and_says_why(monkeypatch, tmp_path):
     observer, form = observers.Intrinsic(pendulum(), 10.0, 100.0), KernelForm((2,), 2)
@@ -144,6 +139,7 @@ def test_the_engine_is_chosen_by_one_rule_and_says_why(monkeypatch, tmp_path):
     assert chosen(math.inf, "c") == "jax: there is no C compiler"
 
 
+@pytest.mark.exhaustive
 @needs_compiler
 def test_an_equal_observer_is_compiled_once():
     made = [prepared(observers.Intrinsic(pendulum(), a, 100.0), KernelForm((2,), 2)).kernel for a in (10.0, 10.0, 11.0)]
@@ -158,7 +154,7 @@ def test_an_equal_observer_is_compiled_once():
     same(found, [run(rest[-1], parts((100,))[0], ("result",))])
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 @needs_compiler
 def test_another_gain_compiles_nothing_and_another_model_something():
     """One call after another, as in a loop over gains."""
@@ -194,6 +190,7 @@ def test_runs_that_do_not_belong_together_are_refused():
             run_logs(*given)
 
 
+@pytest.mark.exhaustive("jax")
 @pytest.mark.parametrize("engine", ["c", "jax"])
 def test_a_log_in_single_precision_is_taken_in_double(engine):
     """The type of a result depends neither on the engine nor on what is kept."""
@@ -225,6 +222,7 @@ def stream(request) -> Stream:
     return stream
 
 
+@pytest.mark.exhaustive("c")
 @pytest.mark.long
 def test_a_stream_does_what_the_loop_by_hand_does(stream):
     observer, (t, u, y, _) = stream.observer, record()
@@ -241,6 +239,7 @@ def test_a_stream_does_what_the_loop_by_hand_does(stream):
     assert stream.health.results["outlier"] >= 1
 
 
+@pytest.mark.long("jax")
 def test_no_sample_raises_and_each_fault_is_counted(stream):
     (t, u, y, _), k = record(), 0
     for k in range(40):

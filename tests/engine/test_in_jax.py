@@ -43,6 +43,7 @@ def same(found, expected, rtol=1e-11):
         np.testing.assert_allclose(ours, theirs, rtol=rtol, atol=100 * rtol)
 
 
+@pytest.mark.long
 def test_a_batch_of_any_length_is_that_of_jax():
     motion, u = states(1003)
     expected = jax.jit(jax.vmap(rates))(motion, u)
@@ -54,6 +55,7 @@ def test_a_batch_of_any_length_is_that_of_jax():
     same(jax.jit(pendulum())(*one[:2]), one[2])
 
 
+@pytest.mark.exhaustive
 def test_axes_that_do_not_belong_together_are_each_mapped():
     motion, u = jax.tree.map(lambda a: a[:12], states(1003))
     both = [

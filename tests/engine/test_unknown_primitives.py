@@ -29,6 +29,7 @@ def observer(sine) -> observers.StateEKF:
     return observers.StateEKF(model, 1e-2 * jnp.eye(2), 1e-4 * jnp.eye(1), jnp.zeros(2), jnp.eye(2))
 
 
+@pytest.mark.exhaustive
 def test_the_automatic_engine_goes_on_with_jax_and_says_which_primitive_it_was():
     t = np.arange(200) / 100.0
     record = Record(t, np.zeros((200, 0)), np.sin(t)[:, None])

@@ -27,29 +27,6 @@ from covariant.geometry import (
 from covariant.observers import second_order
 from covariant.signals import Result
 
-LONG = (
-    "uneven, SE(2) x coordinates",
-    "robot, joints",
-    "robot, SE(3) x joints",
-    "test_geodesics_are_found_again[uneven, SO(3), by its energy]",
-    "test_the_curvature_has_its_symmetries[arm, SE(3) x joints]",
-    "test_the_curvature_has_its_symmetries[uneven, SO(3), by its energy]",
-    "test_a_momentum_that_is_carried_keeps_its_work_on_a_common_motion[uneven, SO(3), by its energy]",
-    "test_local_undoes_the_retraction[uneven, SO(3), by its energy]",
-    "test_the_connection_has_the_frames_torsion[arm, SE(3) x joints]",
-    "test_the_retraction_starts_along_the_frame[arm, SE(3) x joints]",
-    "test_the_retraction_starts_along_the_frame[uneven, SO(3), by its energy]",
-    "test_transport_is_an_isometry[arm, SE(3) x joints]",
-    "test_transport_is_an_isometry[uneven, SO(3), by its energy]",
-    "test_what_is_missing_of_a_product_is_missing_of_its_factor[0]",
-)
-EXHAUSTIVE = (
-    "robot, planar base",
-    "robot, ball joint x joints",
-    "robot, SE(3) x joints",
-    "uneven, SE(2) x coordinates",
-)
-
 BUDGET = Budget(steps=12)
 
 
@@ -127,22 +104,26 @@ def close(found: Any, expected: Any, tolerance: float = 1e-11):
 # Manifolds
 
 
+@pytest.mark.exhaustive("arm, SE(3) x joints", "uneven, SE(2) x coordinates", "uneven, SO(3), by its energy")
 def test_the_retraction_starts_along_the_frame(at):
     slope = jax.jvp(lambda t: at.manifold.retract(at.x, t * at.a), (jnp.zeros(()),), (jnp.ones(()),))[1]
     close(slope, at.manifold.tangent(at.x, at.a))
     close(at.manifold.components(at.x, slope), at.a)
 
 
+@pytest.mark.exhaustive("arm, SE(3) x joints", "uneven, SE(2) x coordinates", "uneven, SO(3), by its energy")
 def test_local_undoes_the_retraction(at):
     close(at.manifold.local(at.x, at.manifold.retract(at.x, at.a)), at.a)
 
 
+@pytest.mark.exhaustive("uneven, SE(2) x coordinates")
 def test_the_velocity_of_a_curve_is_that_of_its_array(at):
     y, rate = jax.jvp(lambda s: at.manifold.retract(at.x, s), (at.a,), (at.b,))
     close(at.manifold.frame_velocity(at.x, at.a, at.b), at.manifold.components(y, rate))
     close(at.manifold.local_rate(at.x, at.a, at.manifold.frame_velocity(at.x, at.a, at.b)), at.b)
 
 
+@pytest.mark.exhaustive("uneven, SE(2) x coordinates")
 def test_the_bracket_is_that_of_the_frames_fields(at):
     def along(one, two):
         return jax.jvp(lambda y: at.manifold.tangent(y, two), (at.x,), (at.manifold.tangent(at.x, one),))[1]
@@ -150,6 +131,7 @@ def test_the_bracket_is_that_of_the_frames_fields(at):
     close(at.manifold.bracket(at.x, at.a, at.b), at.manifold.components(at.x, along(at.a, at.b) - along(at.b, at.a)))
 
 
+@pytest.mark.exhaustive("uneven, SE(2) x coordinates")
 def test_how_a_retraction_bends_is_the_change_of_its_velocity(at):
     """`Q(a, a)`, by differences of the velocity along `t ↦ retract(x, t a)`."""
 
@@ -161,6 +143,7 @@ def test_how_a_retraction_bends_is_the_change_of_its_velocity(at):
     close(at.manifold.retraction_acceleration(at.x, at.a), change, 1e-7)
 
 
+@pytest.mark.exhaustive("uneven, SE(2) x coordinates", "uneven, SO(3), by its energy")
 def test_a_momentum_that_is_carried_keeps_its_work_on_a_common_motion(at):
     """Of the velocities that a motion of the whole space, seen from both ends, has there."""
     y = at.manifold.retract(at.x, at.a)
@@ -170,6 +153,7 @@ def test_a_momentum_that_is_carried_keeps_its_work_on_a_common_motion(at):
         close(moved, at.b)
 
 
+@pytest.mark.exhaustive("0")
 @pytest.mark.parametrize("n", [0, 3, 9, 10])
 def test_what_is_missing_of_a_product_is_missing_of_its_factor(n):
     """The pose as a whole, a coordinate alone."""
@@ -223,6 +207,13 @@ def both(request, bent):
     return sample(request.param), *bent(request.param)
 
 
+@pytest.mark.exhaustive(
+    "robot, SE(3) x joints",
+    "robot, ball joint x joints",
+    "robot, joints",
+    "robot, planar base",
+    "uneven, SE(2) x coordinates",
+)
 def test_lowering_is_symmetric_and_raising_undoes_it(both):
     at, _, _ = both
 
@@ -243,11 +234,27 @@ def test_an_energy_is_the_metric_of_its_matrix():
     close(at.space(at.x), uneven(3)(at.x))
 
 
+@pytest.mark.exhaustive(
+    "arm, SE(3) x joints",
+    "robot, SE(3) x joints",
+    "robot, ball joint x joints",
+    "robot, joints",
+    "robot, planar base",
+    "uneven, SE(2) x coordinates",
+)
 def test_the_connection_has_the_frames_torsion(both):
     at, b, _ = both
     close(b(at.x, at.a, at.b) - b(at.x, at.b, at.a), at.manifold.bracket(at.x, at.a, at.b))
 
 
+@pytest.mark.exhaustive(
+    "arm, SE(3) x joints",
+    "robot, SE(3) x joints",
+    "robot, ball joint x joints",
+    "robot, joints",
+    "robot, planar base",
+    "uneven, SE(2) x coordinates",
+)
 def test_the_connection_is_metric(both):
     at, b, _ = both
 
@@ -259,6 +266,13 @@ def test_the_connection_is_metric(both):
     close(*changes(at.x, at.a, at.b, at.c, b(at.x, at.a, at.b), b(at.x, at.a, at.c)))
 
 
+@pytest.mark.exhaustive(
+    "robot, SE(3) x joints",
+    "robot, ball joint x joints",
+    "robot, joints",
+    "robot, planar base",
+    "uneven, SE(2) x coordinates",
+)
 def test_free_motion_is_hamels(both):
     """`M B(v, v) = (∂_v M)v − ½∂<v, v> − ad*_v M v`, as the momentum's equation has it."""
     at, b, _ = both
@@ -272,6 +286,15 @@ def test_free_motion_is_hamels(both):
     close(*forces(at.x, at.a, b(at.x, at.a, at.a)))
 
 
+@pytest.mark.exhaustive(
+    "arm, SE(3) x joints",
+    "robot, SE(3) x joints",
+    "robot, ball joint x joints",
+    "robot, joints",
+    "robot, planar base",
+    "uneven, SE(2) x coordinates",
+    "uneven, SO(3), by its energy",
+)
 def test_the_curvature_has_its_symmetries(both):
     at, _, curvature = both
     abcd = np.stack([at.a, at.b, at.c, at.d])
@@ -297,6 +320,7 @@ def carried(name):
     return w, jax.jit(lambda x: at.space.transport_along(x, 0.5 * at.a, w, BUDGET))(at.x)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("name", SPACES)
 def test_transport_is_an_isometry(name):
     at, (w, end) = sample(name), carried(name)
@@ -305,6 +329,7 @@ def test_transport_is_an_isometry(name):
     close(end.velocity, 0.5 * end.w[0], 1e-9)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("name", SOUGHT)
 def test_geodesics_are_found_again(name):
     at, (_, end) = sample(name), carried(name)
@@ -372,7 +397,7 @@ class Apart(AbstractManifold):
         return y
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_the_error_to_second_order_counts_how_the_retraction_bends():
     """`e − ½(B + Q)(e, e)` approaches −log_q̂ q one order faster than e; without Q it does not."""
     space = Metric(uneven(3), manifold=Apart())

@@ -9,9 +9,6 @@ from hypothesis import given, settings, strategies as st
 from covariant import geometry
 from covariant.geometry import Interpolated
 
-LONG = ("test_distance_on_a_parabola",)
-"""Cases of the long suite: a cheaper one of the same test, or of the same law, is in the short one."""
-
 LOW, HIGH = np.array([0.0, 1.0, 0.5]), np.array([1.0, 1.5, 1.5])
 """The grid of section III of Sanfelice & Praly 2015."""
 
@@ -93,6 +90,7 @@ def test_symmetric_positive_definite_between_any_points_in_any_units(seed, decad
     np.testing.assert_allclose(p / (units[:, None] * units), same, rtol=0, atol=1e-9 * np.abs(same).max())
 
 
+@pytest.mark.exhaustive
 def test_third_order_in_the_spacing():
     x = np.random.default_rng(2).uniform(LOW, HIGH, (3000, 3))
     counts = np.array([9, 17, 33])
@@ -102,6 +100,7 @@ def test_third_order_in_the_spacing():
     assert errors[-1] < 1e-5
 
 
+@pytest.mark.exhaustive
 def test_gradient_is_that_of_the_values_and_continuous_across_cells(field):
     rng = np.random.default_rng(3)
     gradient = jax.jit(jax.vmap(jax.jacfwd(field)))
@@ -116,6 +115,7 @@ def test_gradient_is_that_of_the_values_and_continuous_across_cells(field):
         np.testing.assert_allclose(gradient(border - hair), gradient(border + hair), rtol=0, atol=1e-7)
 
 
+@pytest.mark.exhaustive
 def test_nan_outside_and_near_points_without_a_metric_only():
     axes = axes_of(LOW, HIGH, (9, 9, 9))
     values = oscillator_metric(grid_points(axes))
@@ -135,6 +135,7 @@ def test_nan_outside_and_near_points_without_a_metric_only():
         assert np.isnan(field(jnp.array([strange, 1.2, 1.0]))).all()
 
 
+@pytest.mark.exhaustive
 def test_single_precision(field):
     axes = tuple(axis.astype(np.float32) for axis in axes_of(LOW, HIGH, (9, 9, 9)))
     single = Interpolated(axes, oscillator_metric(grid_points(axes)).astype(np.float32))
@@ -149,6 +150,7 @@ def test_single_precision(field):
     assert np.isfinite(at(single, grid_points(axes).reshape(-1, 3))).all()
 
 
+@pytest.mark.exhaustive
 def test_christoffel_symbols_of_a_sphere():
     sphere, axes = geometry.sphere(), axes_of((-1, -1), (1, 1), (65, 65))
     field = Interpolated(axes, np.asarray(jax.vmap(jax.vmap(sphere))(grid_points(axes))))
@@ -158,6 +160,7 @@ def test_christoffel_symbols_of_a_sphere():
     np.testing.assert_allclose(found, exact, rtol=0, atol=5e-3)
 
 
+@pytest.mark.exhaustive
 def test_distance_on_a_parabola():
     """The metric 1 + x² is that of the arc length of y = x²/2."""
     (axis,) = axes = axes_of([-1], [1], [65])

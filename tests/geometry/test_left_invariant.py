@@ -16,24 +16,6 @@ from covariant import geometry
 from covariant.geometry import lie
 from covariant.signals import Result
 
-LONG = (
-    "SU3",
-    "SE2",
-    "test_the_frame_alone_gives_the_same_geometry[SE3]",
-    "test_the_frame_alone_gives_the_same_geometry[SO3 x SO2]",
-    "test_the_group_logarithm_is_not_the_riemannian_one[2.0-0.0672-36.0-0.0479-29.57]",
-    "test_connection_is_koszuls[SE3]",
-    "test_curvature_is_its_definition[SE3]",
-    "test_energy_is_conserved[SE3]",
-    "test_euler_angles_have_the_same_geometry",
-    "test_exponential_coordinates_have_the_same_geometry[SO3]",
-)
-EXHAUSTIVE = (
-    "test_exponential_coordinates_have_the_same_geometry[SE2]",
-    "test_the_frame_alone_gives_the_same_geometry[SU3]",
-    "test_the_frame_alone_gives_the_same_geometry[SO3 x SO2]",
-)
-
 GROUPS = {
     "SO3": lie.SO3,
     "SE2": lie.SE2,
@@ -109,11 +91,13 @@ def koszul(space):
     return np.einsum("sijm,smk->sijk", lower, np.linalg.inv(space.inertia))
 
 
+@pytest.mark.exhaustive("SE2", "SE3", "SU3")
 def test_connection_is_koszuls(space):
     expected = np.einsum("sijk,si,sj->sk", koszul(space), space.x, space.y)
     close(space.b(space.x, space.y), expected)
 
 
+@pytest.mark.exhaustive("SE2", "SE3", "SU3")
 def test_connection_is_metric(space):
     x, y, z = space.x, space.y, space.z
     mine, theirs = space.inner(space.b(x, y), z), space.inner(y, space.b(x, z))
@@ -123,12 +107,14 @@ def test_connection_is_metric(space):
     assert (np.abs(mine + theirs) / size).max() < 1e-14
 
 
+@pytest.mark.exhaustive("SE2", "SU3")
 def test_connection_has_no_torsion(space):
     forth, back = space.b(space.x, space.y), space.b(space.y, space.x)
     size = np.linalg.norm(forth, axis=1) + np.linalg.norm(back, axis=1)
     assert (np.abs(forth - back - space.bracket(space.x, space.y)).max(axis=1) / size).max() < 1e-14
 
 
+@pytest.mark.exhaustive("SE2", "SE3", "SU3")
 def test_curvature_is_its_definition(space):
     b, c = koszul(space), space.constants
     r = np.einsum("sjkm,siml->sijkl", b, b)
@@ -136,6 +122,7 @@ def test_curvature_is_its_definition(space):
     close(space.r(space.x, space.y, space.z), np.einsum("sijkl,si,sj,sk->sl", r, space.x, space.y, space.z))
 
 
+@pytest.mark.exhaustive("SE2", "SE3", "SU3")
 def test_curvature_has_its_symmetries(space):
     x, y, z, w = space.x, space.y, space.z, space.w
     r = space.r(x, y, z)
@@ -145,6 +132,7 @@ def test_curvature_has_its_symmetries(space):
     close(r + space.r(y, z, x) + space.r(z, x, y), 0 * r, 1e-12 * np.abs(r).max())
 
 
+@pytest.mark.exhaustive("SE2", "SU3")
 def test_second_bianchi_identity(space):
     """`(∇_w R)(x, y)z = B(w, R(x, y)z) − R(B(w, x), y)z − R(x, B(w, y))z − R(x, y)B(w, z)`, summed over w, x, y."""
 
@@ -157,11 +145,13 @@ def test_second_bianchi_identity(space):
     close(sum(terms), 0 * x, 1e-12 * np.abs(terms).max())
 
 
+@pytest.mark.exhaustive("SE2", "SU3")
 def test_a_connection_is_its_force_raised(space):
     force = together(space.group, lie.LeftInvariant.connection_force)(space.inertia, space.x, space.y)
     close(np.einsum("kij,kj->ki", np.linalg.inv(space.inertia), force), space.b(space.x, space.y), 1e-12)
 
 
+@pytest.mark.exhaustive
 def test_the_frame_alone_gives_the_same_geometry(space):
     """What automatic derivatives make of the inertia matrix in the body's frame, where it happens to be constant."""
 
@@ -176,6 +166,7 @@ def test_the_frame_alone_gives_the_same_geometry(space):
     close(found, space.r(space.x, space.y, space.z), 1e-11)
 
 
+@pytest.mark.exhaustive("SU3")
 @pytest.mark.parametrize(("name", "scale"), [("SO3", 1.0), ("SO3", 2.5), ("SU3", 1.0)])
 def test_a_metric_that_is_invariant_on_both_sides(name, scale):
     space = make_space(name)
@@ -209,6 +200,7 @@ def euler_rates(q):
     return jnp.stack([jnp.stack([-sp, zero, one]), jnp.stack([cp * sr, cr, zero]), jnp.stack([cp * cr, -sr, zero])])
 
 
+@pytest.mark.exhaustive
 def test_euler_angles_have_the_same_geometry():
     """The kinetic energy of a body, known by its matrix alone, and the group: connection and curvature in the body."""
     rng = np.random.default_rng(2)
@@ -228,6 +220,7 @@ def test_euler_angles_have_the_same_geometry():
         close(mine, theirs, 1e-9)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("name", ["SO3", "SE2"])
 def test_exponential_coordinates_have_the_same_geometry(name):
     """The metric's matrix in the coordinates s of `exp(s)`, and the group, seen in the body at `exp(s)`."""
@@ -298,11 +291,13 @@ def inner(inertia, x, y):
     return np.einsum("k...i,kij,k...j->k...", x, inertia, y)
 
 
+@pytest.mark.exhaustive
 def test_energy_is_conserved(flights):
     end, start = (inner(flights.inertia, v, v) for v in (flights.end.velocity, flights.velocity))
     close(end, start, 1e-10)
 
 
+@pytest.mark.exhaustive("SE3")
 def test_momentum_in_space_is_conserved(flights):
     body = np.einsum("kij,kj->ki", flights.inertia, flights.end.velocity)
     space = jax.vmap(lambda g, mu: flights.group.coadjoint_action(flights.group.inverse(g), mu))(flights.end.q, body)
@@ -318,7 +313,7 @@ def test_velocity_is_carried_along(flights):
     close(flights.end.w[:, 0], flights.end.velocity, 1e-10)
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_shooting_undoes_exp(fly, shoot):
     flights = make_flights(fly, "SO3")
     shot = shoot(flights.inertia, flights.end.q)
@@ -327,6 +322,7 @@ def test_shooting_undoes_exp(fly, shoot):
     close(shot.arrival, flights.end.velocity, 1e-9)
 
 
+@pytest.mark.exhaustive
 def test_distance_is_symmetric(fly, shoot):
     """The way back from g is a left translation of the way to g⁻¹; it starts with the arrival reversed."""
     flights = make_flights(fly, "SO3")
@@ -339,6 +335,7 @@ def test_distance_is_symmetric(fly, shoot):
     close(back.velocity, -flights.end.velocity, 1e-9)
 
 
+@pytest.mark.exhaustive
 def test_se3_with_one_mass_is_a_product(fly, shoot):
     """With I = diag(M, M, M, I_b) positions and attitudes go their own ways: the logarithm at the identity of (R, b) is
     (b, that of SO(3)), and the gradient of half the squared distance, the arrival, is (Rᵀb, that of SO(3))."""
@@ -376,6 +373,7 @@ def sphere_points(count):
     return np.stack([radius * np.cos(angle), radius * np.sin(angle), z], axis=1)
 
 
+@pytest.mark.exhaustive("2.0")
 @pytest.mark.parametrize(
     ("angle", "longest", "widest", "middle_length", "middle_angle"),
     [(1.0, 0.0160, 17.7, 0.0121, 15.36), (2.0, 0.0672, 36.0, 0.0479, 29.57)],
@@ -422,6 +420,7 @@ def test_norm_has_a_derivative_at_zero():
     close(metric.norm(jnp.eye(3), jnp.array([0.0, 2.0, 0.0])), np.sqrt(8.0), 1e-15)
 
 
+@pytest.mark.exhaustive
 def test_float32_stays_float32():
     vector, matrix = (jax.ShapeDtypeStruct(shape, np.float32) for shape in ((3,), (3, 3)))
 

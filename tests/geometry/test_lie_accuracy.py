@@ -17,25 +17,6 @@ from mpmath import mp, mpf
 from covariant.geometry import lie
 from covariant.geometry.lie._coefficients import angle_over_half_sine, inverse_jacobian_coefficient, stumpff
 
-LONG = (
-    "SU3",
-    "test_exponential_and_jacobians_are_exact_to_rounding[('SE3', <class 'numpy.float64'>)-exp]",
-    "test_exponential_and_jacobians_are_exact_to_rounding[('SU2', <class 'numpy.float32'>)-exp]",
-    "test_exponential_and_jacobians_are_exact_to_rounding[('SU3', <class 'numpy.float32'>)-exp]",
-    "test_exponential_and_jacobians_are_exact_to_rounding[('SU3', <class 'numpy.float64'>)-exp]",
-    "test_exponential_and_jacobians_are_exact_to_rounding[('SE2', <class 'numpy.float32'>)-exp]",
-    "test_exponential_and_jacobians_are_exact_to_rounding[('SE2', <class 'numpy.float64'>)-exp]",
-    "test_exponential_and_jacobians_are_exact_to_rounding[('SE3', <class 'numpy.float32'>)-exp]",
-    "test_exponential_and_jacobians_are_exact_to_rounding[('SE3', <class 'numpy.float64'>)-derivative]",
-    "test_exponential_and_jacobians_are_exact_to_rounding[('SL2', <class 'numpy.float32'>)-exp]",
-    "test_exponential_and_jacobians_are_exact_to_rounding[('SL2', <class 'numpy.float64'>)-exp]",
-    "test_exponential_and_jacobians_are_exact_to_rounding[('SO3', <class 'numpy.float64'>)-exp]",
-    "test_exponential_and_jacobians_are_exact_to_rounding[('SU2', <class 'numpy.float32'>)-derivative]",
-    "test_exponential_and_jacobians_are_exact_to_rounding[('SU2', <class 'numpy.float64'>)-exp]",
-    "test_exponential_and_jacobians_are_exact_to_rounding[('SU3', <class 'numpy.float32'>)-derivative]",
-    "test_exponential_and_jacobians_are_exact_to_rounding[('SU3', <class 'numpy.float64'>)-derivative]",
-)
-
 TINY = 1e-6
 EDGES = np.concatenate([[edge - TINY, edge + TINY] for edge in np.sqrt([1, 6, 12])])
 ANGLES = np.concatenate([[0, 1e-12, 1e-8, 1e-4, 1e-2, 0.5], EDGES, [np.pi - TINY, np.pi, 4, 5, 6]])
@@ -208,6 +189,33 @@ def trial(request) -> Trial:
     )
 
 
+@pytest.mark.exhaustive(
+    "('SE2', <class 'numpy.float32'>)-derivative",
+    "('SE2', <class 'numpy.float32'>)-exp",
+    "('SE2', <class 'numpy.float64'>)-derivative",
+    "('SE2', <class 'numpy.float64'>)-exp",
+    "('SE3', <class 'numpy.float32'>)-derivative",
+    "('SE3', <class 'numpy.float32'>)-exp",
+    "('SE3', <class 'numpy.float64'>)-derivative",
+    "('SE3', <class 'numpy.float64'>)-exp",
+    "('SE3', <class 'numpy.float64'>)-right_jacobian",
+    "('SL2', <class 'numpy.float32'>)-derivative",
+    "('SL2', <class 'numpy.float32'>)-exp",
+    "('SL2', <class 'numpy.float64'>)-derivative",
+    "('SL2', <class 'numpy.float64'>)-exp",
+    "('SO3', <class 'numpy.float64'>)-exp",
+    "('SU2', <class 'numpy.float32'>)-derivative",
+    "('SU2', <class 'numpy.float32'>)-exp",
+    "('SU2', <class 'numpy.float32'>)-right_jacobian",
+    "('SU2', <class 'numpy.float64'>)-derivative",
+    "('SU2', <class 'numpy.float64'>)-exp",
+    "('SU3', <class 'numpy.float32'>)-derivative",
+    "('SU3', <class 'numpy.float32'>)-exp",
+    "('SU3', <class 'numpy.float32'>)-right_jacobian",
+    "('SU3', <class 'numpy.float64'>)-derivative",
+    "('SU3', <class 'numpy.float64'>)-exp",
+    "('SU3', <class 'numpy.float64'>)-right_jacobian",
+)
 @pytest.mark.parametrize("operation", OPERATIONS[:-1])
 def test_exponential_and_jacobians_are_exact_to_rounding(trial, operation):
     assert errors(trial, operation).max() < 8
@@ -218,6 +226,7 @@ def test_inverse_jacobian_is_exact_to_its_condition(trial):
     assert (errors(trial, "right_jacobian_inverse") / trial.condition).max() < 4
 
 
+@pytest.mark.exhaustive("SU3")
 @pytest.mark.parametrize(("group", "n"), [(lie.SU(3), 8), (lie.MatrixGroup(SL2), 3)], ids=["SU3", "SL2"])
 def test_exponential_of_large_vectors_keeps_its_digits(group, n):
     """Rounding grows with the norm, and with nothing else, on both sides of every doubling."""
@@ -248,6 +257,7 @@ def size_of_terms(k, x, order):
     return exact_stumpff(k, x) if k >= 3 else mpf(1)
 
 
+@pytest.mark.exhaustive("2")
 @pytest.mark.parametrize("dtype", PRECISIONS)
 @pytest.mark.parametrize("order", [0, 1, 2])
 def test_stumpff_and_two_derivatives(order, dtype):

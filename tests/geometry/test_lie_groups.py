@@ -15,16 +15,6 @@ from hypothesis import strategies as st
 
 from covariant.geometry import lie
 
-LONG = (
-    "SU3",
-    "test_law[SL2-derivative of log]",
-    "test_log_is_backward_stable_everywhere[('SU3', <class 'numpy.float64'>)]",
-    "test_a_logarithm_is_traceless_also_where_the_angles_add_up_to_two_turns[1]",
-    "test_log_has_a_gradient[SU2]",
-    "test_log_is_unique_but_for_the_cut_locus[('SU3', <class 'numpy.float64'>)]",
-    "test_log_of_an_exact_half_turn_is_along_its_axis[axis0]",
-)
-
 SL2 = [[[1.0, 0.0], [0.0, -1.0]], [[0.0, 1.0], [0.0, 0.0]], [[0.0, 0.0], [1.0, 0.0]]]
 TURNS = np.array(
     [[[0, 0, 0], [0, 0, -1], [0, 1, 0]], [[0, 0, 1], [0, 0, 0], [-1, 0, 0]], [[0, -1, 0], [1, 0, 0], [0, 0, 0]]]
@@ -148,12 +138,14 @@ def sampled(request) -> tuple[Together, Sample]:
     return group, Sample(x, y, z, mu, *(np.asarray(group.exp(0.4 * seed)) for seed in seeds))
 
 
+@pytest.mark.exhaustive("SL2-between", "SL2-derivative of log", "SL2-no defect", "SU3")
 @pytest.mark.parametrize("law", LAWS.values(), ids=LAWS)
 def test_law(sampled, law):
     mine, theirs = map(np.asarray, law(*sampled))
     close(mine, np.broadcast_to(theirs, mine.shape))
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("name", ["SO3", "SU2"])
 def test_log_has_a_gradient(name):
     """Backwards too, however the logarithm is found."""
@@ -167,6 +159,7 @@ def test_log_has_a_gradient(name):
     close(*jax.jit(both)(x, y, mu))
 
 
+@pytest.mark.exhaustive("SU3")
 def test_act_is_an_action(sampled):
     group, s = sampled
     if group.group is GROUPS["SO3 x SO2"]:
@@ -190,6 +183,7 @@ def test_a_product_comes_apart():
     np.testing.assert_array_equal(group.join(group.blocks(group.exp(x))), group.exp(x))
 
 
+@pytest.mark.exhaustive("SU3")
 @pytest.mark.parametrize("name", GROUPS)
 def test_float32_stays_float32(name):
     group = GROUPS[name]
@@ -288,10 +282,19 @@ def largest(a):
     return np.abs(a).reshape(len(a), -1).max(axis=1)
 
 
+@pytest.mark.exhaustive(
+    "('SE2', <class 'numpy.float64'>)",
+    "('SE3', <class 'numpy.float32'>)",
+    "('SE3', <class 'numpy.float64'>)",
+    "('SO3 x SO2', <class 'numpy.float64'>)",
+    "('SU3', <class 'numpy.float32'>)",
+    "('SU3', <class 'numpy.float64'>)",
+)
 def test_log_is_backward_stable_everywhere(logs):
     assert (largest(logs.again - logs.g) / np.maximum(1, largest(logs.g))).max() <= 16 * logs.eps
 
 
+@pytest.mark.exhaustive("('SU3', <class 'numpy.float64'>)")
 def test_log_is_unique_but_for_the_cut_locus(request, logs):
     """Within the square root of rounding of half a turn (a whole one in SU(n)) it is called so, and not farther off."""
     name = request.node.callspec.params["logs"][0]
@@ -312,6 +315,7 @@ def test_log_is_unique_but_for_the_cut_locus(request, logs):
     assert logs.unique[gap > 10 * logs.eps**0.5].all()
 
 
+@pytest.mark.exhaustive
 def test_log_of_a_matrix_group_is_backward_stable_where_it_is_unique():
     group, (x, g) = GROUPS["SO3 from its basis"], seam("SO3")
     again, unique = jax.jit(jax.vmap(lambda g: (group.exp(group.log(g)), group.unique_log(g))))(g)
@@ -320,6 +324,7 @@ def test_log_of_a_matrix_group_is_backward_stable_where_it_is_unique():
     assert unique[np.abs(np.linalg.norm(x, axis=1) - np.pi) > 10 * eps**0.5].all()
 
 
+@pytest.mark.exhaustive("axis0")
 @pytest.mark.parametrize("axis", AXES)
 def test_log_of_an_exact_half_turn_is_along_its_axis(axis):
     """Built from the axis alone, so that not even the antisymmetric part's sign is left."""
@@ -332,6 +337,7 @@ def test_log_of_an_exact_half_turn_is_along_its_axis(axis):
     assert not lie.SO3.unique_log(g)
 
 
+@pytest.mark.exhaustive
 def test_log_is_the_shortest():
     """Where the eigenvalues' principal angles add up to a whole turn, SU(3) still finds a traceless logarithm."""
     group = lie.SU(3)
@@ -340,6 +346,7 @@ def test_log_is_the_shortest():
     close(group.hat(x), np.diag(1j * (angles - [2 * np.pi, 0, 0])), 1e-14)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("sign", [1, -1])
 def test_a_logarithm_is_traceless_also_where_the_angles_add_up_to_two_turns(sign):
     group = lie.SU(5)
@@ -358,6 +365,7 @@ def round_trip():
     return {group: jax.jit(lambda x, group=group: group.log(group.exp(x))) for group in (lie.SO3, lie.SE3)}
 
 
+@pytest.mark.exhaustive
 @hypothesis.given(omega=vectors, v=vectors, scale=st.sampled_from([1e-9, 1e-3, 1.0, 1e3]))
 def test_log_undoes_exp_below_half_a_turn(round_trip, omega, v, scale):
     omega, v = np.array(omega), scale * np.array(v)
@@ -369,6 +377,7 @@ def test_log_undoes_exp_below_half_a_turn(round_trip, omega, v, scale):
 # Membership
 
 
+@pytest.mark.exhaustive("SL2", "SU3")
 @pytest.mark.parametrize("name", ["SO2", "SO3", "SE2", "SE3", "SU3", "SO3 x SO2", "SL2"])
 def test_what_is_no_element_is_refused(name):
     group = GROUPS[name]
@@ -395,6 +404,7 @@ def test_what_a_product_leaves_between_its_blocks_is_zero():
     assert not group.contains(group.identity().at[0, 4].set(1e-3), 1e-6)
 
 
+@pytest.mark.exhaustive
 def test_half_turns_have_two_logarithms():
     half = jnp.diag(jnp.array([-1.0, -1.0, 1.0]))
     assert not lie.SO2.unique_log(half[:2, :2])
@@ -460,6 +470,7 @@ def test_basis_of_su_is_gell_manns(n):
     close(basis, -basis.conj().swapaxes(1, 2), 0)
 
 
+@pytest.mark.exhaustive
 def test_a_group_from_the_basis_of_so3_is_so3():
     general = GROUPS["SO3 from its basis"]
     x, y = np.random.default_rng(7).normal(size=(2, 3))
@@ -473,6 +484,7 @@ def test_a_group_from_the_basis_of_so3_is_so3():
         close(mine, theirs, 1e-14)
 
 
+@pytest.mark.exhaustive
 def test_motions_of_the_plane_are_motions_of_space():
     plane, places = np.ix_([0, 1, 3], [0, 1, 3]), np.array([0, 1, 5])
     x, y = np.random.default_rng(8).normal(size=(2, 3))
@@ -521,6 +533,7 @@ def test_a_matrix_group_names_what_is_wrong(basis, structure, word):
         lie.MatrixGroup(basis, structure)
 
 
+@pytest.mark.exhaustive
 def test_a_basis_of_rounded_numbers_is_closed():
     basis = jax.vmap(lie.SU(3).hat)(jnp.eye(8, dtype=np.float32))
     assert lie.MatrixGroup(basis).dimension == 8

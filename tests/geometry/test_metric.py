@@ -8,13 +8,6 @@ import pytest
 from covariant import geometry
 from covariant.geometry import Budget
 
-LONG = (
-    "test_single_precision_agrees_with_double[oscillator in r]",
-    "test_single_precision_agrees_with_double[sphere]",
-    "test_single_precision_stays_single_between_points[oscillator in r-open]",
-)
-"""Cases of the long suite: a cheaper one of the same test is in the short one."""
-
 
 def stretched(q):
     return jnp.diag(jnp.stack([jnp.ones_like(q[0]), 1 + q[0] ** 2]))
@@ -23,6 +16,7 @@ def stretched(q):
 P, V, W = jnp.array([[0.3, 0.1], [0.2, -0.4], [0.5, 0.6]])
 
 
+@pytest.mark.exhaustive
 def test_plain_callable_is_a_metric():
     assert isinstance(geometry.as_space(stretched), geometry.Metric)
     for operation, arguments in (
@@ -81,6 +75,7 @@ def test_single_precision_stays_single(space):
     assert single_precision(at_a_point_and_along, n, 4) == {jnp.dtype(jnp.float32)}
 
 
+@pytest.mark.exhaustive("oscillator in r-open")
 @pytest.mark.parametrize("budget", [Budget(), Budget(newton=1, steps=4)], ids=["open", "fixed"])
 @pytest.mark.parametrize("name", ["sphere, curved chart", "torus", "sphere x hyperbolic", "oscillator in r"])
 def test_single_precision_stays_single_between_points(spaces, name, budget):
@@ -93,6 +88,7 @@ def test_single_precision_stays_single_between_points(spaces, name, budget):
     assert single_precision(between, n, 3) == {jnp.dtype(jnp.float32)}
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("name", ["sphere", "hyperbolic", "oscillator in r"])
 def test_single_precision_agrees_with_double(spaces, name):
     """To 1e-5, a hundred roundings of single precision; the search for a geodesic converges in either."""

@@ -12,18 +12,6 @@ from covariant.geometry.lie import SO3
 from covariant.models import ball_and_beam
 from covariant.signals import Result
 
-LONG = (
-    "reverse",
-    "test_conjugate_points_are_counted_with_multiplicity[2]",
-    "test_error_of_a_fixed_budget_falls_with_the_distance[budget0-3]",
-    "test_error_of_a_fixed_budget_falls_with_the_distance[budget1-6]",
-    "test_error_of_a_fixed_budget_falls_with_the_distance[budget2-5]",
-    "test_error_of_a_fixed_budget_falls_with_the_distance[budget3-3]",
-    "test_fixed_budget_reports_what_it_left",
-    "test_near_searches_gain_two_orders_a_correction_where_the_frame_is_no_chart",
-    "test_shooting_is_the_same_under_jit_and_vmap",
-)
-
 SPHERE = geometry.sphere()
 NUMERIC = Metric(SPHERE)
 BUDGET = Budget(steps=12)
@@ -46,12 +34,14 @@ def the_long_way(p, q):
 # Outcome
 
 
+@pytest.mark.exhaustive
 def test_short_geodesic_is_ok():
     shot = shoot(P, Q, jnp.zeros(2))
     assert shot.result == Result.OK
     close(shot.velocity, geometry.log(SPHERE, P, Q), 1e-12)
 
 
+@pytest.mark.exhaustive
 def test_far_target_is_found():
     """Too far for Newton's method from the first guess: nearly a half turn, which chart lines do not resemble."""
     p, q = jnp.array([[0.78, -0.01], [-0.97, 0.29]])
@@ -65,6 +55,7 @@ def test_useless_guess_does_no_harm():
     assert shoot(P, Q, jnp.array([jnp.nan, jnp.nan])).result == Result.OK
 
 
+@pytest.mark.exhaustive
 def test_target_outside_the_ball_is_not_converged():
     shot = shoot_hyperbolic(jnp.array([0.1, 0.2]), jnp.array([1.2, 0.1]))
     assert shot.result == Result.NOT_CONVERGED
@@ -82,6 +73,7 @@ def test_log_is_nan_where_not_converged():
     assert np.isnan(log).all()
 
 
+@pytest.mark.exhaustive
 def test_a_search_ends_where_newtons_method_has_converged(monkeypatch):
     """Each step doubles the digits: from the chart's straight line a handful are enough, and none are made beyond."""
     steps, newton_step = [], _geodesics.newton_step
@@ -142,6 +134,7 @@ def conjugates(metric, p, velocities):
     return jax.jit(count)(velocities).tolist()
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("n", [2, 3])
 def test_conjugate_points_are_counted_with_multiplicity(n):
     """On the n-sphere n − 1 at every half turn."""
@@ -152,6 +145,7 @@ def test_conjugate_points_are_counted_with_multiplicity(n):
     assert counts == [0, 0, 0, n - 1, n - 1, 2 * (n - 1)]
 
 
+@pytest.mark.exhaustive
 def test_negative_curvature_has_no_conjugate_points():
     velocities = jnp.array([[2.0, 1.5], [-3.0, 0.5], [0.1, -4.0], [0.0, 0.0]])
     assert conjugates(ball_and_beam().metric, P, velocities) == [0, 0, 0, 0]
@@ -160,7 +154,7 @@ def test_negative_curvature_has_no_conjugate_points():
 # Derivatives
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("mode", [jax.jacfwd, jax.jacrev], ids=["forward", "reverse"])
 def test_log_has_the_derivatives_of_the_closed_form(mode):
     """Through the implicit function theorem, exact where the search has converged."""
@@ -180,7 +174,7 @@ def test_log_has_the_derivative_that_differences_show():
     close(differences, slope, 1e-6)
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_log_has_second_derivatives_also_in_the_parameters_of_the_metric():
     """On the line with metric `exp(2kq)` the logarithm is `(exp(k(q − p)) − 1)/k`; forward over reverse."""
 
@@ -201,6 +195,7 @@ def test_log_has_second_derivatives_also_in_the_parameters_of_the_metric():
     close(hessian, known_hessian, 1e-9)
 
 
+@pytest.mark.exhaustive
 def test_shooting_is_the_same_under_jit_and_vmap():
     points = jnp.stack([P, P + 0.1, P + 0.2])
     alone = jnp.stack([shoot(p, Q, jnp.zeros(2)).velocity for p in points])
@@ -216,6 +211,7 @@ def slope(scales, errors):
     return np.polyfit(np.log(scales), np.log(errors), 1)[0]
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize(
     ("budget", "order"),
     [
@@ -236,6 +232,7 @@ def test_error_of_a_fixed_budget_falls_with_the_distance(budget, order):
     assert slope(scales, errors) == pytest.approx(order, abs=0.25)
 
 
+@pytest.mark.exhaustive
 def test_a_second_correction_by_the_expansion_gains_two_orders_more():
     budget, scales = Budget(2, 32, near=True), np.geomspace(0.02, 0.05, 4)
     targets = jnp.stack([P + s * (Q - P) for s in scales])
@@ -250,6 +247,7 @@ def test_near_ends_need_a_number_of_corrections():
         geometry.shoot(NUMERIC, P, Q, None, Budget(near=True))
 
 
+@pytest.mark.exhaustive
 def test_near_searches_gain_two_orders_a_correction_where_the_frame_is_no_chart():
     """A body of three different inertias: its connection is not symmetric, and its lines are not straight."""
     space = models.free_body(inertia=(0.9, 1.0, 1.6)).space
@@ -272,6 +270,7 @@ def test_near_searches_gain_two_orders_a_correction_where_the_frame_is_no_chart(
         assert (np.abs(shot.residual / errors - 1) < 2).all(), "the residual is the length that is missed"
 
 
+@pytest.mark.exhaustive
 def test_fixed_budget_is_static():
     """No loop of unknown length and no LAPACK: what the exporter asks for."""
     lowered = str(jax.make_jaxpr(lambda p, q: geometry.log(NUMERIC, p, q, Budget(newton=2, steps=4)))(P, Q))
@@ -279,6 +278,7 @@ def test_fixed_budget_is_static():
         assert primitive not in lowered
 
 
+@pytest.mark.exhaustive
 def test_fixed_budget_reports_what_it_left():
     budget, near = Budget(newton=1, steps=4), P + 0.3 * (Q - P)
 

@@ -14,32 +14,6 @@ from covariant.geometry import Budget, Metric
 from covariant.geometry._spaces import _NEAR
 from covariant.signals import Result
 
-LONG = (
-    "test_curvature_is_that_of_the_matrix[plane, curved chart]",
-    "test_curvature_is_that_of_the_matrix[sphere x hyperbolic]",
-    "test_exp_and_log_have_derivatives_at_zero[sphere x hyperbolic]",
-    "test_exp_is_that_of_the_quadric_on_both_sides_of_the_seam[-0.25-2]",
-    "test_exp_is_that_of_the_quadric_on_both_sides_of_the_seam[-1.0-3]",
-    "test_exp_is_that_of_the_quadric_on_both_sides_of_the_seam[1.0-2]",
-    "test_gradient_of_half_squared_distance_is_minus_log[sphere x hyperbolic]",
-    "test_log_is_that_of_the_quadric_on_both_sides_of_the_seam[-0.25-2]",
-    "test_log_is_that_of_the_quadric_on_both_sides_of_the_seam[-1.0-3]",
-    "test_log_is_that_of_the_quadric_on_both_sides_of_the_seam[1.0-2]",
-    "test_shooting_finds_the_closed_log[sphere]",
-    "test_transport_is_that_of_the_matrix[sphere x hyperbolic]",
-    "test_curvature_of_a_sphere[derived-metric0-1.0]",
-    "test_exp_and_log_have_derivatives_at_zero[hyperbolic]",
-    "test_exp_and_log_have_derivatives_at_zero[sphere]",
-    "test_exp_and_log_near_the_edge_of_the_ball[10.0]",
-    "test_geodesic_goes_on_round_the_sphere[0.5]",
-    "test_log_is_that_of_the_matrix[sphere x hyperbolic]",
-    "test_transport_between_points_is_along_the_geodesic[sphere x hyperbolic]",
-    "test_transport_is_that_of_the_matrix[hyperbolic]",
-    "test_transport_is_that_of_the_matrix[plane, curved chart]",
-    "test_transport_is_that_of_the_matrix[sphere]",
-)
-"""Cases of the long suite: a cheaper one of the same test is in the short one."""
-
 EXACT = 1e-10
 """What sixteen eighth-order steps leave of geodesics of order one."""
 
@@ -66,17 +40,22 @@ def test_christoffel_is_that_of_the_matrix(closed, derived):
     close(closed.christoffel(closed.p, closed.x, closed.y), derived.christoffel(closed.p, closed.x, closed.y))
 
 
+@pytest.mark.exhaustive("hyperbolic", "plane, curved chart", "small 3", "sphere x hyperbolic", "sphere, curved chart")
 def test_curvature_is_that_of_the_matrix(closed, derived):
     arguments = closed.p, closed.x, closed.y, closed.z
     close(closed.curvature(*arguments), derived.curvature(*arguments))
 
 
+@pytest.mark.exhaustive(
+    "hyperbolic", "plane, curved chart", "small 3", "sphere", "sphere x hyperbolic", "sphere, curved chart"
+)
 def test_transport_is_that_of_the_matrix(closed, derived):
     w = np.stack([closed.velocity, closed.x], 1)
     for mine, theirs in zip(*(space.fly(closed.p, closed.velocity, w) for space in (closed, derived)), strict=True):
         close(mine, theirs)
 
 
+@pytest.mark.exhaustive("plane, curved chart", "small 3", "sphere x hyperbolic", "sphere, curved chart")
 def test_log_is_that_of_the_matrix(closed, derived):
     """The derived geodesic with the closed form's velocity arrives, modulo the periods of a torus."""
     shot = closed.shoot(closed.p, closed.q)
@@ -85,6 +64,7 @@ def test_log_is_that_of_the_matrix(closed, derived):
     close(end.velocity, shot.arrival)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("name", ["sphere", "hyperbolic"])
 def test_shooting_finds_the_closed_log(spaces, name):
     closed, derived = spaces[name], spaces[f"numeric {name}"]
@@ -96,6 +76,7 @@ def test_shooting_finds_the_closed_log(spaces, name):
 # The one sign of curvature
 
 
+@pytest.mark.exhaustive("derived")
 @pytest.mark.parametrize(("metric", "k"), [(geometry.sphere(), 1.0), (geometry.sphere(2.0), 0.25)])
 @pytest.mark.parametrize("form", [lambda m: m, Metric], ids=["closed", "derived"])
 def test_curvature_of_a_sphere(metric, k, form):
@@ -167,6 +148,7 @@ def compare(mine, theirs, p, others, tolerance):
     jax.tree.map(lambda a, b: close(a, b, tolerance), *jax.jit(jax.vmap(both))(others))
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize(("k", "n"), CURVATURES)
 def test_exp_is_that_of_the_quadric_on_both_sides_of_the_seam(k, n):
     """Value and Jacobian; the series leaves out terms of 1e-16 and 1e-11 of them."""
@@ -182,6 +164,7 @@ def test_exp_is_that_of_the_quadric_on_both_sides_of_the_seam(k, n):
     compare(jax.jacfwd(mine, (0, 1)), jax.jacfwd(theirs, (0, 1)), *flights(k, n, LENGTHS), 1e-11)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize(("k", "n"), CURVATURES)
 def test_log_is_that_of_the_quadric_on_both_sides_of_the_seam(k, n):
     """Value and Jacobian; the quadric's own rounding, relative to the length 6e-3 of the seam, is 1e-14 and 1e-10."""
@@ -199,6 +182,7 @@ def test_log_is_that_of_the_quadric_on_both_sides_of_the_seam(k, n):
     compare(jax.jacrev(mine, (0, 1)), jax.jacfwd(theirs, (0, 1)), p, q[: len(LENGTHS)], 1e-10)
 
 
+@pytest.mark.exhaustive("hyperbolic", "small 3", "sphere", "sphere x hyperbolic", "sphere, curved chart")
 def test_exp_and_log_have_derivatives_at_zero(closed):
     """`D exp_p(0) = 1`, `D log_p(q) = 1` in q and −1 in p at q = p, where norms have no derivative."""
     metric, n = closed.metric, closed.p.shape[1]
@@ -215,6 +199,9 @@ def test_exp_and_log_have_derivatives_at_zero(closed):
         close(derivative, sign * np.eye(n), 1e-13)
 
 
+@pytest.mark.exhaustive(
+    "hyperbolic", "plane, curved chart", "small 3", "sphere", "sphere x hyperbolic", "sphere, curved chart"
+)
 def test_gradient_of_half_squared_distance_is_minus_log(closed):
     """Also where the points coincide and the distance has no derivative of its own."""
 
@@ -225,6 +212,7 @@ def test_gradient_of_half_squared_distance_is_minus_log(closed):
     close(*jax.jit(jax.vmap(both))(closed.p, closed.q), 1e-12)
 
 
+@pytest.mark.exhaustive("small 3", "sphere", "sphere x hyperbolic", "sphere, curved chart")
 def test_transport_between_points_is_along_the_geodesic(closed):
     metric = closed.metric
     shot = closed.shoot(closed.p, closed.q)
@@ -233,6 +221,7 @@ def test_transport_between_points_is_along_the_geodesic(closed):
     close(moved(closed.q, moved(closed.p, closed.x, closed.q), closed.p), closed.x, 1e-12)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize(
     "turn", [0.5, pytest.param(1.0, marks=pytest.mark.xfail(reason="transport by halves is 0/0 after a whole turn"))]
 )
@@ -253,6 +242,7 @@ def test_geodesic_goes_on_round_the_sphere(turn):
         close(mine, theirs)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("length", [10.0, 20.0])
 def test_exp_and_log_near_the_edge_of_the_ball(length):
     """The chart resolves the distance to the edge, `e^-length`, to 1e-16."""
@@ -287,6 +277,7 @@ def test_torus_goes_the_short_way_round():
     close(geometry.log(torus, p, q), [2 * np.pi - 6.0, 0.2], 1e-14)
 
 
+@pytest.mark.exhaustive
 def test_product_is_its_parts(spaces):
     whole, parts = spaces["sphere x hyperbolic"], (geometry.sphere(), geometry.hyperbolic())
     p, q = whole.p, whole.q

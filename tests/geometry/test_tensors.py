@@ -7,13 +7,6 @@ import pytest
 
 from covariant.geometry import Metric
 
-LONG = (
-    "test_curvature_is_the_contraction_of_the_tensor[3]",
-    "test_curvature_is_the_contraction_of_the_tensor[4]",
-    "test_christoffel_is_the_contraction_of_the_symbols[4]",
-)
-"""Cases of the long suite: a cheaper one of the same test is in the short one."""
-
 SAMPLES = 20
 
 
@@ -59,6 +52,7 @@ def sample(request):
     return *coefficients, *rng.normal(size=(4, SAMPLES, n))
 
 
+@pytest.mark.exhaustive
 def test_christoffel_is_the_contraction_of_the_symbols(sample):
     @jax.jit
     @jax.vmap
@@ -70,6 +64,7 @@ def test_christoffel_is_the_contraction_of_the_symbols(sample):
     np.testing.assert_allclose(directional, contracted, atol=1e-10)
 
 
+@pytest.mark.exhaustive
 def test_curvature_is_the_contraction_of_the_tensor(sample):
     @jax.jit
     @jax.vmap

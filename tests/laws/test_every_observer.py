@@ -22,70 +22,6 @@ from covariant.observers._protocol import _scan
 from covariant.signals import Record, Result, Run
 from covariant.simulation import hold, simulate
 
-LONG = (
-    "test_compiled_c_does_the_same[ekf-body on SO(3)]",
-    "test_compiled_c_does_the_same[geodesic-ball and beam]",
-    "test_compiled_c_does_the_same[implicit-geodesic-ball and beam]",
-    "test_compiled_c_does_the_same[intrinsic-kalman-ball and beam]",
-    "test_compiled_c_does_the_same[joint-kalman-ball and beam]",
-    "test_compiled_c_does_the_same[savitzky-golay-ball and beam]",
-    "test_compiled_c_does_the_same[ukf-ball and beam]",
-    "test_from_rest_it_finds_the_motion_at_irregular_stamps[copy-body on SO(3)]",
-    "test_from_rest_it_finds_the_motion_at_irregular_stamps[ekf-ball and beam]",
-    "test_from_rest_it_finds_the_motion_at_irregular_stamps[ekf-body on SO(3)]",
-    "test_from_rest_it_finds_the_motion_at_irregular_stamps[geodesic-ball and beam]",
-    "test_from_rest_it_finds_the_motion_at_irregular_stamps[implicit-geodesic-ball and beam]",
-    "test_from_rest_it_finds_the_motion_at_irregular_stamps[geodesic-body on SO(3)]",
-    "test_from_rest_it_finds_the_motion_at_irregular_stamps[implicit-geodesic-body on SO(3)]",
-    "test_from_rest_it_finds_the_motion_at_irregular_stamps[intrinsic-ball and beam]",
-    "test_from_rest_it_finds_the_motion_at_irregular_stamps[intrinsic-body on SO(3)]",
-    "test_from_rest_it_finds_the_motion_at_irregular_stamps[intrinsic-kalman-ball and beam]",
-    "test_from_rest_it_finds_the_motion_at_irregular_stamps[intrinsic-kalman-body on SO(3)]",
-    "test_from_rest_it_finds_the_motion_at_irregular_stamps[intrinsic2-ball and beam]",
-    "test_from_rest_it_finds_the_motion_at_irregular_stamps[intrinsic2-body on SO(3)]",
-    "test_from_rest_it_finds_the_motion_at_irregular_stamps[joint-kalman-ball and beam]",
-    "test_from_rest_it_finds_the_motion_at_irregular_stamps[salcudean-body on SO(3)]",
-    "test_from_rest_it_finds_the_motion_at_irregular_stamps[ukf-ball and beam]",
-    "test_from_rest_it_finds_the_motion_at_irregular_stamps[ukf-body on SO(3)]",
-    "test_single_precision_stays_single[geodesic-ball and beam]",
-    "test_single_precision_stays_single[implicit-geodesic-ball and beam]",
-    "test_single_precision_stays_single[intrinsic-kalman-body on SO(3)]",
-    "test_compiled_c_does_the_same[copy-body on SO(3)]",
-    "test_compiled_c_does_the_same[ekf-ball and beam]",
-    "test_compiled_c_does_the_same[intrinsic-body on SO(3)]",
-    "test_from_rest_it_finds_the_motion_at_irregular_stamps[copy-ball and beam]",
-    "test_missing_measurements_are_coasted_and_said[copy-body on SO(3)]",
-    "test_missing_measurements_are_coasted_and_said[ekf-ball and beam]",
-    "test_missing_measurements_are_coasted_and_said[ekf-body on SO(3)]",
-    "test_missing_measurements_are_coasted_and_said[geodesic-ball and beam]",
-    "test_missing_measurements_are_coasted_and_said[implicit-geodesic-ball and beam]",
-    "test_missing_measurements_are_coasted_and_said[geodesic-body on SO(3)]",
-    "test_missing_measurements_are_coasted_and_said[implicit-geodesic-body on SO(3)]",
-    "test_missing_measurements_are_coasted_and_said[intrinsic-body on SO(3)]",
-    "test_missing_measurements_are_coasted_and_said[intrinsic-kalman-ball and beam]",
-    "test_missing_measurements_are_coasted_and_said[intrinsic-kalman-body on SO(3)]",
-    "test_missing_measurements_are_coasted_and_said[intrinsic2-ball and beam]",
-    "test_missing_measurements_are_coasted_and_said[intrinsic2-body on SO(3)]",
-    "test_missing_measurements_are_coasted_and_said[joint-kalman-ball and beam]",
-    "test_missing_measurements_are_coasted_and_said[salcudean-body on SO(3)]",
-    "test_missing_measurements_are_coasted_and_said[ukf-ball and beam]",
-    "test_missing_measurements_are_coasted_and_said[ukf-body on SO(3)]",
-    "test_single_precision_stays_single[geodesic-body on SO(3)]",
-    "test_single_precision_stays_single[implicit-geodesic-body on SO(3)]",
-    "test_the_engine_of_jax_returns_arrays_of_numpy_too[body on SO(3)]",
-)
-"""Cases of the long suite: a cheaper one of the same test is in the short one."""
-EXHAUSTIVE = (
-    "test_from_rest_it_finds_the_motion_at_irregular_stamps[geodesic-body on SO(3)]",
-    "test_from_rest_it_finds_the_motion_at_irregular_stamps[implicit-geodesic-body on SO(3)]",
-    "test_from_rest_it_finds_the_motion_at_irregular_stamps[ukf-body on SO(3)]",
-    "test_from_rest_it_finds_the_motion_at_irregular_stamps[ekf-body on SO(3)]",
-    "test_from_rest_it_finds_the_motion_at_irregular_stamps[intrinsic-ball and beam]",
-    "test_compiled_c_does_the_same[ekf-body on SO(3)]",
-    "test_compiled_c_does_the_same[geodesic-ball and beam]",
-    "test_compiled_c_does_the_same[implicit-geodesic-ball and beam]",
-)
-
 ROWS, RATE = 240, 100.0
 GAP = slice(120, 150)
 SHEET = DataSheet(1e-2, 1.0, 0.01, motion_std=2.0, motion_time=0.3)
@@ -189,6 +125,9 @@ def allowed(entry) -> float:
     return 0.01 if entry.tuned_by in ("gains", "noise", "noise or ticks") else 0.15
 
 
+@pytest.mark.exhaustive(
+    "body on SO(3)", "copy", "ekf", "filtered", "geodesic", "intrinsic", "intrinsic2", "kalman", "ukf"
+)
 @each
 def test_from_rest_it_finds_the_motion_at_irregular_stamps(entry, name):
     v, _, codes = followed(entry, name, seen(name).y)
@@ -197,6 +136,7 @@ def test_from_rest_it_finds_the_motion_at_irregular_stamps(entry, name):
     assert set(codes) == {Result.OK}
 
 
+@pytest.mark.exhaustive("body on SO(3)", "ekf", "geodesic", "intrinsic", "intrinsic2", "kalman", "ukf")
 @each
 def test_missing_measurements_are_coasted_and_said(entry, name):
     v, innovation, codes = followed(entry, name, with_a_gap(name))
@@ -208,6 +148,7 @@ def test_missing_measurements_are_coasted_and_said(entry, name):
     assert relative_error(entry, name, v) < allowed(entry)
 
 
+@pytest.mark.exhaustive("body on SO(3)", "copy", "ekf", "geodesic", "intrinsic", "intrinsic2", "kalman", "ukf")
 @each
 def test_prediction_and_correction_make_the_step(entry, name):
     """And the innovation alone is that of the correction's info, where nothing is missing and where something is."""
@@ -234,6 +175,7 @@ def kinds(tree: Any) -> list:
     return [(a.shape, a.dtype, jax.typeof(a).weak_type) for a in jax.tree.leaves(tree)]
 
 
+@pytest.mark.exhaustive("body on SO(3)", "ekf", "geodesic", "intrinsic2", "kalman", "ukf")
 @each
 def test_a_loop_is_compiled_once_whatever_the_numbers_are(entry, name):
     """A state has the same form before and after a step, the first one included."""
@@ -248,6 +190,7 @@ def test_a_loop_is_compiled_once_whatever_the_numbers_are(entry, name):
     assert made == [made[0]] * 4
 
 
+@pytest.mark.exhaustive("ekf-body on SO(3)", "geodesic", "intrinsic-kalman")
 @each
 def test_single_precision_stays_single(entry, name):
     watched, (observer, _, _) = seen(name), loops(name)[entry.name]
@@ -284,6 +227,7 @@ def is_as_through_jax(done: Any, observer: AbstractObserver, record: Record, kee
     return all(type(a) is np.ndarray and (a.shape, a.dtype) == (b.shape, b.dtype) for a, b in pairs)
 
 
+@pytest.mark.exhaustive("body on SO(3)", "ekf", "geodesic", "golay", "intrinsic", "intrinsic2", "joint", "ukf")
 @pytest.mark.skipif(shutil.which("cc") is None, reason="there is no C compiler, `cc`")
 @pytest.mark.parametrize(("entry", "name"), IN_C, ids=[f"{entry.name}-{name}" for entry, name in IN_C])
 def test_compiled_c_does_the_same(entry, name):
@@ -300,6 +244,7 @@ def test_compiled_c_does_the_same(entry, name):
     np.testing.assert_array_equal(done.info.result[1:], codes)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("name", MODELS)
 def test_the_engine_of_jax_returns_arrays_of_numpy_too(name):
     """Of one observer on each model: the structure of the others is that of the loop itself."""

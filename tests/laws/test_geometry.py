@@ -7,34 +7,11 @@ largest number in sight; laws of geodesics to 1e-9, a little more than the numer
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 from covariant._integrate import rk8
 from covariant.geometry import Budget, christoffel, curvature, exp, gradient, inner
 from covariant.signals import Result
-
-LONG = (
-    "test_curvature_is_the_commutator_of_covariant_derivatives[numeric sphere]",
-    "test_geodesic_deviation[double pendulum]",
-    "test_geodesic_deviation[numeric sphere]",
-    "test_geodesic_is_found[double pendulum]",
-    "test_geodesic_is_found[numeric sphere]",
-    "test_geodesic_is_found[oscillator in r]",
-    "test_curvature_changes_sign_with_its_plane[double pendulum]",
-    "test_curvature_is_the_commutator_of_covariant_derivatives[double pendulum]",
-    "test_exp_of_log_arrives[double pendulum]",
-    "test_exp_of_log_arrives[numeric sphere]",
-    "test_exp_of_log_arrives[oscillator in r]",
-    "test_geodesic_deviation[oscillator in r]",
-    "test_geodesic_deviation[sphere x hyperbolic]",
-    "test_geodesic_deviation[sphere]",
-)
-"""Cases of the long suite: a cheaper one of the same test is in the short one."""
-EXHAUSTIVE = (
-    "test_geodesic_is_found[triple pendulum]",
-    "test_geodesic_is_found[double pendulum, absolute]",
-    "test_geodesic_is_found[numeric sphere]",
-    "test_geodesic_is_found[numeric hyperbolic]",
-)
 
 POINTWISE = 1e-11
 GEODESIC = 1e-9
@@ -76,6 +53,18 @@ def test_connection_is_metric(space):
     close(each(along_x, p, x, y, z), turned, POINTWISE)
 
 
+@pytest.mark.exhaustive(
+    "ball and beam",
+    "double pendulum",
+    "double pendulum, absolute",
+    "numeric hyperbolic",
+    "numeric sphere",
+    "plane, curved chart",
+    "small 3",
+    "sphere x hyperbolic",
+    "sphere, curved chart",
+    "triple pendulum",
+)
 def test_curvature_is_the_commutator_of_covariant_derivatives(space):
     """`R(x, y)w = ∇_x∇_y w − ∇_y∇_x w` for x, y constant, so that their bracket vanishes, and a field w that is not."""
 
@@ -97,11 +86,29 @@ def riemann(space, x, y, z, w):
     return space.inner(space.p, space.curvature(space.p, x, y, z), w)
 
 
+@pytest.mark.exhaustive(
+    "ball and beam",
+    "double pendulum",
+    "double pendulum, absolute",
+    "numeric hyperbolic",
+    "small 3",
+    "sphere, curved chart",
+    "triple pendulum",
+)
 def test_curvature_changes_sign_with_its_plane(space):
     x, y, z, w = space.x, space.y, space.z, space.w
     close(riemann(space, x, y, z, w), -riemann(space, y, x, z, w), POINTWISE)
 
 
+@pytest.mark.exhaustive(
+    "ball and beam",
+    "double pendulum",
+    "double pendulum, absolute",
+    "numeric hyperbolic",
+    "small 3",
+    "sphere, curved chart",
+    "triple pendulum",
+)
 def test_curvature_is_skew(space):
     x, y, z, w = space.x, space.y, space.z, space.w
     close(riemann(space, x, y, z, w), -riemann(space, x, y, w, z), POINTWISE)
@@ -130,6 +137,16 @@ def carried(space):
     return space.fly(space.p, space.velocity, bundle(space))
 
 
+@pytest.mark.exhaustive(
+    "ball and beam",
+    "double pendulum",
+    "double pendulum, absolute",
+    "numeric hyperbolic",
+    "small 3",
+    "sphere x hyperbolic",
+    "sphere, curved chart",
+    "triple pendulum",
+)
 def test_geodesic_moves_with_its_velocity(space):
     """By central differences of the time along the geodesic, of fourth order, good to 1e-9 at this step."""
     step = 2e-3
@@ -189,6 +206,21 @@ def test_transport_starts_with_zero_covariant_derivative(space):
     close(slope, -np.asarray(space.christoffel(space.p, space.velocity, space.x)), 1e-8)
 
 
+@pytest.mark.exhaustive(
+    "ball and beam",
+    "double pendulum",
+    "double pendulum, absolute",
+    "hyperbolic",
+    "numeric hyperbolic",
+    "numeric sphere",
+    "oscillator in r",
+    "plane, curved chart",
+    "small 3",
+    "sphere",
+    "sphere x hyperbolic",
+    "sphere, curved chart",
+    "triple pendulum",
+)
 def test_geodesic_deviation(space):
     """`D²J/dt² = −R(J, γ')γ'` for the field J by which neighbouring geodesics part, integrated beside the geodesic."""
     metric = space.metric
@@ -212,12 +244,34 @@ def test_geodesic_deviation(space):
 # Between two points
 
 
+@pytest.mark.exhaustive(
+    "ball and beam",
+    "double pendulum",
+    "double pendulum, absolute",
+    "numeric hyperbolic",
+    "numeric sphere",
+    "oscillator in r",
+    "small 3",
+    "sphere, curved chart",
+    "triple pendulum",
+)
 def test_geodesic_is_found(space):
     shot = space.shoot(space.p, space.q)
     np.testing.assert_array_equal(shot.result, Result.OK)
     assert shot.residual.max() < 1e-13
 
 
+@pytest.mark.exhaustive(
+    "ball and beam",
+    "double pendulum",
+    "double pendulum, absolute",
+    "numeric hyperbolic",
+    "numeric sphere",
+    "oscillator in r",
+    "small 3",
+    "sphere, curved chart",
+    "triple pendulum",
+)
 def test_exp_of_log_arrives(space):
     shot = space.shoot(space.p, space.q)
     end = space.fly(space.p, shot.velocity, bundle(space))
@@ -225,10 +279,32 @@ def test_exp_of_log_arrives(space):
     close(end.velocity, shot.arrival, GEODESIC)
 
 
+@pytest.mark.exhaustive(
+    "ball and beam",
+    "double pendulum",
+    "double pendulum, absolute",
+    "numeric hyperbolic",
+    "numeric sphere",
+    "oscillator in r",
+    "small 3",
+    "sphere, curved chart",
+    "triple pendulum",
+)
 def test_log_of_exp_returns(space):
     close(space.shoot(space.p, carried(space).q).velocity, space.velocity, GEODESIC)
 
 
+@pytest.mark.exhaustive(
+    "ball and beam",
+    "double pendulum",
+    "double pendulum, absolute",
+    "numeric hyperbolic",
+    "numeric sphere",
+    "oscillator in r",
+    "small 3",
+    "sphere, curved chart",
+    "triple pendulum",
+)
 def test_arrival_is_minus_the_log_back(space):
     close(space.shoot(space.p, space.q).arrival, -np.asarray(space.shoot(space.q, space.p).velocity), GEODESIC)
 

@@ -21,26 +21,6 @@ from covariant.observers import REGISTRY, Geodesic, GeodesicState, Intrinsic
 from covariant.papers._errata import SLIPS, PrintedGroup
 from covariant.simulation import observe
 
-LONG = (
-    "SU(3)",
-    "SE(3) x joints",
-    "geodesic-SE(3)",
-    "robot, joints",
-    "robot, SE(3) x joints",
-    "test_error_in_a_parallel_frame_obeys_the_linear_law_at_any_speed[geodesic-SO(3)]",
-    "test_error_in_a_parallel_frame_obeys_the_linear_law_at_any_speed[intrinsic-SE(3)]",
-    "test_error_in_a_parallel_frame_obeys_the_linear_law_at_any_speed[intrinsic-SO(3)]",
-    "test_error_in_a_parallel_frame_obeys_the_linear_law_at_any_speed[intrinsic2-SO(3)]",
-)
-EXHAUSTIVE = (
-    "SU(5)",
-    "robot, planar base",
-    "robot, ball joint x joints",
-    "robot, joints",
-    "robot, SE(3) x joints",
-    "SE(3) x joints",
-)
-
 ALPHA, BETA = 1.2, 0.9
 
 
@@ -168,6 +148,7 @@ CASES = [(o, s) for o in OBSERVERS for s in WHERE.get(o, ("SO(3)", "robot, joint
 CASES.remove(("intrinsic2", "robot, joints"))  # its error is of second order there as elsewhere; a minute to compile
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize(("observer", "name"), CASES)
 def test_error_in_a_parallel_frame_obeys_the_linear_law_at_any_speed(observer, name):
     """Law (10): ξ' = ζ − αξ, ζ' = −βξ along any trajectory, to first order in the error."""
@@ -176,7 +157,7 @@ def test_error_in_a_parallel_frame_obeys_the_linear_law_at_any_speed(observer, n
         assert worst(OBSERVERS[observer](model, ALPHA, BETA), model, speed) <= 1e-4, f"at speed {speed}"
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_the_exact_observer_on_the_arm_is_the_approximate_one_to_first_order():
     """So it obeys the linear law as that does: integrating it along a motion of the arm compiles for minutes."""
     model = system("SE(3) x joints")
@@ -204,14 +185,14 @@ def test_what_the_linear_law_leaves_out_is_of_first_order_in_the_error():
     assert np.log10(large / small) == pytest.approx(1.0, abs=0.1)
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 @pytest.mark.parametrize(("slip", "name"), [*((slip, "SO(3)") for slip in SLIPS), ("logarithm", "SE(3)")])
 def test_each_slip_of_the_print_breaks_the_linear_law(slip, name):
     model = system(name)
     assert worst(PrintedGroup(model, ALPHA / 2, BETA, (slip,)), model, 3.0) > 1e-2
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("name", ["SO(3)", "SE(3)"])
 def test_the_printed_observer_without_its_slips_keeps_the_law(name):
     model = system(name)
@@ -235,6 +216,7 @@ def rates_to_body(q, w):
     return jnp.stack([w[2] - e * w[0], b * f * w[0] + c * w[1], b * c * w[0] - f * w[1]])
 
 
+@pytest.mark.exhaustive
 def test_the_body_rates_of_euler_angles_are_right():
     q, w = jnp.array([0.3, -0.4, 0.5]), jnp.array([0.2, 0.7, -0.6])
     turned = from_euler(q).T @ jax.jvp(from_euler, (q,), (w,))[1]
@@ -266,7 +248,7 @@ def runge_kutta(slope, x, steps, h):
     return jnp.stack(path)
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_coordinates_and_group_are_one_observer():
     """The exact observer in Euler angles and on SO(3), away from pitch 90°, on an asymmetric heavy top."""
     model, budget = heavy_top((1.0, 2.0, 3.5), 2.0), Budget(newton=2, steps=12)
@@ -309,7 +291,7 @@ def observed(observer, model, start, state, t):
     return observe(model, observer, start, state, t, rtol=1e-9, atol=1e-12)
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_a_pitch_of_90_degrees_is_no_event():
     """The body pitches over at a constant rate, through 90°, where Euler angles have no rates."""
     model = free_body((1.0, 2.0, 3.5))
@@ -325,7 +307,7 @@ def test_a_pitch_of_90_degrees_is_no_event():
     assert np.abs(np.diff(np.log(distance))).max() < 0.5
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_both_errors_agree_to_first_order():
     """The right-hand sides with the group's and with the Riemannian logarithm differ by the square of the error."""
     model = heavy_top((1.0, 2.0, 3.5), 2.0)

@@ -28,28 +28,6 @@ from covariant.geometry import (
 from covariant.models import Lagrangian, acceleration, in_chart, source
 from covariant.observers import REGISTRY, Geodesic, Intrinsic, MechanicalState
 
-LONG = (
-    "double pendulum",
-    "ball and beam",
-    "2-2.0",
-    "test_error_in_a_parallel_frame_obeys_the_linear_law_at_any_speed[geodesic-hyperbolic plane]",
-    "test_error_in_a_parallel_frame_obeys_the_linear_law_at_any_speed[geodesic-sphere]",
-    "intrinsic, coefficients at the estimate-hyperbolic plane",
-    "test_error_in_a_parallel_frame_obeys_the_linear_law_at_any_speed[intrinsic, coefficients at the estimate-sphere]",
-    "test_error_in_a_parallel_frame_obeys_the_linear_law_at_any_speed[intrinsic-hyperbolic plane]",
-    "test_error_in_a_parallel_frame_obeys_the_linear_law_at_any_speed[intrinsic-sphere]",
-    "test_error_in_a_parallel_frame_obeys_the_linear_law_at_any_speed[geodesic, converged-hyperbolic plane]",
-    "test_error_in_a_parallel_frame_obeys_the_linear_law_at_any_speed[intrinsic2-hyperbolic plane]",
-    "test_error_in_a_parallel_frame_obeys_the_linear_law_at_any_speed[intrinsic2-sphere]",
-    "test_what_the_linear_law_leaves_out_is_of_first_order_in_the_error[intrinsic]",
-)
-EXHAUSTIVE = (
-    "test_error_in_a_parallel_frame_obeys_the_linear_law_at_any_speed[geodesic-double pendulum]",
-    "test_error_in_a_parallel_frame_obeys_the_linear_law_at_any_speed[intrinsic2-ball and beam]",
-    "test_error_in_a_parallel_frame_obeys_the_linear_law_at_any_speed[geodesic, converged-ball and beam]",
-    "test_error_in_a_parallel_frame_obeys_the_linear_law_at_any_speed[geodesic, converged-double pendulum]",
-)
-
 ALPHA, BETA = 1.2, 0.9
 A = np.array([[-ALPHA, 1.0], [-BETA, 0.0]])
 
@@ -182,6 +160,7 @@ def built():
     return {(o, s): make(SYSTEMS[s][0]) for o, make in OBSERVERS.items() for s in SYSTEMS}
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("name", SYSTEMS)
 @pytest.mark.parametrize("observer", OBSERVERS)
 def test_error_in_a_parallel_frame_obeys_the_linear_law_at_any_speed(built, observer, name):
@@ -190,12 +169,14 @@ def test_error_in_a_parallel_frame_obeys_the_linear_law_at_any_speed(built, obse
         assert worst(built[observer, name], name, speed) <= 1e-4, f"at speed {speed}"
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("observer", ["intrinsic", "geodesic"])
 def test_what_the_linear_law_leaves_out_is_of_first_order_in_the_error(built, observer):
     small, large = (worst(built[observer, "ball and beam"], "ball and beam", 3.0, size) for size in (1e-4, 1e-3))
     assert np.log10(large / small) == pytest.approx(1.0, abs=0.1)
 
 
+@pytest.mark.exhaustive("ball and beam", "curvature sign")
 @pytest.mark.parametrize("mistake", ["curvature sign", "Γ(q) for Γ(q̂)", "no source transport"])
 @pytest.mark.parametrize("name", ["hyperbolic plane", "ball and beam"])
 def test_each_mistake_breaks_the_linear_law(mistake, name):
@@ -203,6 +184,7 @@ def test_each_mistake_breaks_the_linear_law(mistake, name):
     assert worst(spoiled, name, 3.0) > 1e-2
 
 
+@pytest.mark.exhaustive
 def test_the_spoiled_observer_without_a_mistake_keeps_the_law():
     assert worst(Spoiled(SYSTEMS["ball and beam"][0], "none"), "ball and beam", 3.0) <= 1e-4
 
@@ -261,23 +243,24 @@ def chart_gap(make) -> float:
     return float(np.abs(mapped - direct).max())
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("name", promising("coordinate-free"))
 def test_a_coordinate_free_observer_is_the_same_in_all_coordinates(name):
     """As exactly as it solves for its geodesics, which by default is a fixed amount of work."""
     assert chart_gap(promising("coordinate-free")[name]) <= 5e-5
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_the_exact_observer_is_the_same_to_the_tolerance_of_the_integration():
     assert chart_gap(lambda m: Geodesic(m, ALPHA, BETA, Budget(steps=4))) <= 1e-8
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_the_approximate_observer_is_not():
     assert chart_gap(lambda m: Intrinsic(m, ALPHA, BETA)) > 1e-3
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize(("order", "slope"), [(1, 2.0), (2, 2.0)])
 def test_intrinsic_differs_from_geodesic_by_second_order(order, slope):
     """The second-order error ξ leaves a second-order rest too: the transport and curvature are still of first order."""
@@ -297,6 +280,7 @@ def test_intrinsic_differs_from_geodesic_by_second_order(order, slope):
     assert fitted == pytest.approx(slope, abs=0.05)
 
 
+@pytest.mark.exhaustive
 def test_the_second_order_error_is_of_third_order():
     """`e − ½Γ(q̂)(e, e)` approaches −log_q̂ q one order faster than e."""
     model = models.pendulum_chain((1.0, 0.7), (0.5, 0.4))
@@ -316,7 +300,7 @@ def test_the_second_order_error_is_of_third_order():
     assert slopes == pytest.approx([2.0, 3.0], abs=0.1)
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_closed_forms_and_shooting_give_the_same_observer():
     """`Pullback` knows its space's closed forms; the numerical metric of the same matrix must agree."""
     forward, inverse = shear(np.array([0.2, -0.1]), np.array([0.1, 0.2]))

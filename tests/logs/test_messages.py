@@ -17,9 +17,6 @@ import covariant
 from covariant import logs
 from covariant.logs import Columns, LogError
 
-LONG = ("test_memory_grows_by_what_is_kept",)
-"""Cases of the long suite: a cheaper one of the same test, or of the same law, is in the short one."""
-
 STORE = get_typestore(Stores.ROS2_HUMBLE)
 STATE, POSED = "sensor_msgs/msg/JointState", "geometry_msgs/msg/PoseStamped"
 START = 1_700_000_000_123_456_789
@@ -200,6 +197,7 @@ print(rows, peak() - before)
 """
 
 
+@pytest.mark.exhaustive
 def test_memory_grows_by_what_is_kept(tmp_path):
     """30 000 messages, 1.2 MB of stamps and numbers: less than what the messages themselves would take."""
     few, many = tmp_path / "few", tmp_path / "many"
@@ -251,6 +249,7 @@ def test_stamps_of_a_sensor_beside_the_positions_are_rows_too(tmp_path):
     assert {"wx", "wy", "wz", "ax", "ay", "az"} < set(logs.survey(path))
 
 
+@pytest.mark.exhaustive
 def test_an_estimate_from_messages_of_a_sensor_is_that_from_the_table_of_them(tmp_path):
     t, fast = np.arange(0.0, 2.0, 0.02), np.arange(0.0, 2.0, 0.005) + 0.001
     q = 0.4 * np.cos(4.4 * t)

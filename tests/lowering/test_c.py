@@ -383,6 +383,7 @@ def test_numbers_are_read_back_as_they_were(value):
         assert np.float32(c_number(value, "float")[:-1]) == np.float32(value)
 
 
+@pytest.mark.exhaustive
 def test_the_text_does_not_depend_on_the_order_of_sets():
     script = (
         "import sys; sys.path.insert(0, sys.argv[1])\n"
@@ -416,6 +417,7 @@ def test_a_signature_of_another_size_is_refused():
         c_function(lowered, "f", Signature("double *y", ("y",), ("x",), ("y[0]",)))
 
 
+@pytest.mark.exhaustive
 def test_a_loop_whose_length_the_arguments_decide_is_one_of_c(tmp_path):
     """Within another loop, and among values that other parts of the function use."""
     import jax

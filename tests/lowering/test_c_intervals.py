@@ -196,6 +196,7 @@ def test_without_a_compiler_numpy_does_the_work(monkeypatch):
         Library()
 
 
+@pytest.mark.exhaustive
 def test_a_process_without_subnormal_numbers_is_found_out():
     """A library linked with -ffast-math switches them off for all that the process does, NumPy included."""
     script = """

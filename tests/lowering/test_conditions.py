@@ -219,6 +219,7 @@ def build(graph, leaves, program):
     return nodes
 
 
+@pytest.mark.exhaustive
 @given(st.lists(st.tuples(st.sampled_from(BINARY + UNARY), st.integers(0, 99), st.integers(0, 99)), max_size=14))
 @settings(max_examples=400)
 def test_where_the_conditions_hold_nothing_was_lost_by_simplifying(program):

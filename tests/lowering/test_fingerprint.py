@@ -176,6 +176,7 @@ print([key(function) for functions in DIFFERENT.values() for function in functio
 """
 
 
+@pytest.mark.exhaustive
 def test_keys_are_those_of_another_process():
     script = PROCESS.format(folder=str(Path(__file__).parent))
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)

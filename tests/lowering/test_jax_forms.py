@@ -14,12 +14,6 @@ from jax.interpreters import mlir
 from covariant.lowering import LoweringError, While, equations, lower, numbers
 from covariant.lowering._jax_forms import REPLACED, Branch, Call, JaxprEquation, Parameters, Scan, expanded, needed
 
-LONG = (
-    "test_each_form_has_the_values_that_jax_gives_it[hyperbolic tangent's derivatives]",
-    "test_each_form_has_the_values_that_jax_gives_it[linearised scan]",
-)
-"""Cases of the long suite: a cheaper one of the same test, or of the same law, is in the short one."""
-
 POINTS = np.random.default_rng(4).normal(size=(4, 3)) * 0.8
 
 
@@ -81,6 +75,7 @@ FORMS = {
 }
 
 
+@pytest.mark.exhaustive("hyperbolic tangent's derivatives", "linearised scan", "linearised unstack")
 @pytest.mark.parametrize("name", FORMS)
 def test_each_form_has_the_values_that_jax_gives_it(name):
     lowered = lower(FORMS[name], jnp.zeros(3))

@@ -19,20 +19,6 @@ from covariant.lowering._constants import padded, part_at, updated_at
 from covariant.lowering._jaxpr import MOST_UNROLLED
 from covariant.observers import Geodesic, Intrinsic, with_fixed_substeps
 
-LONG = (
-    "logarithm of a rotation",
-    "pose",
-    "forward dynamics",
-    "geodesic flow",
-    "test_observers_are_lowered_whole[intrinsic flow]",
-    "test_observers_are_lowered_whole[intrinsic step]",
-    "test_observers_are_lowered_whole[step with default settings]",
-    "test_value_and_two_derivatives_are_those_of_jax[integration]",
-    "test_value_and_two_derivatives_are_those_of_jax[loop]",
-    "test_value_and_two_derivatives_are_those_of_jax[rotation]",
-    "test_observers_are_lowered_whole[group flow]",
-)
-
 PENDULUM = models.pendulum_chain((1.0, 0.7), (0.5, 0.4), viscous=(0.1, 0.2))
 TABLE = jnp.array([0.5, -1.0, 2.0, 0.3])
 
@@ -137,6 +123,17 @@ def with_derivatives(name):
     return lambda x: (f(x), jax.jacfwd(f)(x), jax.jacfwd(inner(f))(x))
 
 
+@pytest.mark.exhaustive(
+    "diagonals",
+    "forward dynamics",
+    "integration",
+    "logarithm of a rotation",
+    "loop",
+    "pose",
+    "rotation",
+    "sphere",
+    "written",
+)
 @pytest.mark.parametrize("name", FUNCTIONS)
 def test_value_and_two_derivatives_are_those_of_jax(name):
     function = with_derivatives(name)
@@ -193,6 +190,7 @@ def observers():
     }
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("name", observers())
 def test_observers_are_lowered_whole(name):
     function, *arguments = observers()[name]
@@ -203,7 +201,7 @@ def test_observers_are_lowered_whole(name):
         assert ours.dtype == theirs.dtype
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_substeps_that_friction_decides_are_fixed_beforehand():
     """By rubbing as on the given motions; otherwise their number depends on the state and has no graph."""
     rubbing = models.pendulum_chain((1.0,), (1.0,), viscous=(0.2,), coulomb=(3.0,))

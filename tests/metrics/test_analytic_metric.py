@@ -117,13 +117,14 @@ def two_passes(x, rate):
     return jnp.stack(ends)
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_one_pass_backward_gives_the_printed_metric_on_the_whole_grid():
     distances, result = one_pass(jnp.asarray(GRID), jnp.asarray(RATES))
     assert (result == Result.OK).all()
     assert distances.max() < 1e-8
 
 
+@pytest.mark.exhaustive
 def test_the_weighted_gramian_is_the_printed_metric_on_the_whole_grid():
     assert gramian_distance(jnp.asarray(GRID), jnp.asarray(RATES)).max() < 1e-8
 
@@ -144,6 +145,7 @@ def test_a_gramian_by_adaptive_quadrature_is_the_printed_metric():
         assert spd_distance(analytic_metric(rate)(jnp.asarray(X)), jnp.asarray(p)) < 1e-9
 
 
+@pytest.mark.exhaustive
 def test_two_passes_with_the_riccati_equation_and_with_radons_pair_give_the_printed_metric():
     assert two_passes(jnp.asarray(SOME), jnp.asarray(RATES)).max() < 1e-8
 
@@ -198,7 +200,7 @@ def by_hand(x, signs, q):
     return p, alpha
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_every_sign_of_the_equations_matters():
     x, q = jnp.array([0.25, 1.125, 1.25]), jnp.eye(3)
     right, *wrong = [by_hand(x, signs, q) for signs in mutations()]
@@ -233,7 +235,7 @@ def right(x, p):
     return right_side(MODEL, QUADRATIC, p, x)
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_equation_8_holds_along_the_motion():
     """Its left side by finite differences of `metric_at`, and by differentiating a window of fixed length."""
     x = jnp.asarray(SOME)
@@ -256,7 +258,7 @@ def test_equation_8_holds_along_the_motion():
     assert np.abs(slope).max() > 1e-2  # the metric does change along the motion
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_the_metric_of_equation_15_does_not_depend_on_how_it_was_started():
     x = jnp.asarray(GRID[::31])
 

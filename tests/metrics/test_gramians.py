@@ -8,16 +8,11 @@ import pytest
 from covariant import metrics, models
 from covariant.models import StateSpace
 
-LONG = (
-    "test_the_rate_gives_a_metric_that_observers_can_use",
-    "test_where_there_is_no_rate_it_says_so",
-)
-"""Cases of the long suite: a cheaper one of the same test, or of the same law, is in the short one."""
-
 OSCILLATOR = models.unknown_frequency()
 STATES = np.random.default_rng(0).uniform(*zip(*OSCILLATOR.box, strict=True), (16, 3))
 
 
+@pytest.mark.exhaustive
 def test_gramians_of_a_chain_are_moments():
     """For x1' = x2 the output told τ ago is x1 − τ x2."""
     chain = StateSpace(lambda t, x, u: jnp.stack([x[1], 0 * x[1]]), lambda t, x, u: x[:1], coordinates=("a", "b"))
@@ -27,6 +22,7 @@ def test_gramians_of_a_chain_are_moments():
     np.testing.assert_allclose(metrics.gramian(chain, jnp.array([0.3, -1.0]), 2.0), found[-1], rtol=1e-12)
 
 
+@pytest.mark.exhaustive
 def test_the_rate_goes_with_the_clock():
     """An oscillator three times as fast, seen with a clock three times as fast, is the same one."""
     fast = STATES * np.array([1.0, 3.0, 9.0])
@@ -35,6 +31,7 @@ def test_the_rate_goes_with_the_clock():
     assert 0.1 < slow < 1.0  # some half periods
 
 
+@pytest.mark.exhaustive
 def test_the_rate_gives_a_metric_that_observers_can_use():
     rate = metrics.rate_from_gramian(OSCILLATOR, jnp.asarray(STATES), 30.0)
     found = jax.jit(jax.vmap(lambda x: metrics.metric_at(OSCILLATOR, metrics.Equation(rate), x)))(jnp.asarray(STATES))
@@ -42,6 +39,7 @@ def test_the_rate_gives_a_metric_that_observers_can_use():
     assert np.asarray(found.reconstructibility).min() > 0.1
 
 
+@pytest.mark.exhaustive
 def test_where_there_is_no_rate_it_says_so():
     with pytest.raises(ValueError, match=r"\(0, 0, 1\) is not reconstructible from any past up to 30 s"):
         metrics.rate_from_gramian(OSCILLATOR, jnp.array([[0.5, 1.0, 1.0], [0.0, 0.0, 1.0]]), 30.0)

@@ -21,9 +21,6 @@ from hypothesis import given, settings, strategies as st
 
 from covariant.metrics import Grid, Variable, map_grid, open_grid
 
-LONG = ("test_a_killed_run_goes_on_where_it_was",)
-"""Cases of the long suite: a cheaper one of the same test, or of the same law, is in the short one."""
-
 GRID = Grid(("angle", "rate"), ("rad", "rad/s"), low=(-3.0, -5), high=(3.0, 5), counts=(11, 7))
 BLOCK = 9  # blocks of 3 x 3 points, which divide neither count
 SETTINGS: Any = {
@@ -100,7 +97,7 @@ def cluster():
         yield made.scheduler_address
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 @settings(max_examples=10)
 @given(counts=st.lists(st.integers(2, 6), min_size=1, max_size=3), block=st.integers(2, 30))
 def test_values_are_those_of_the_function_whatever_the_blocks(tmp_path_factory, counts, block):
@@ -173,6 +170,7 @@ def run_until_killed(path: str, blocks: int) -> None:
     map_grid(observables, GRID, path, block=BLOCK, on_progress=die, **SETTINGS)
 
 
+@pytest.mark.exhaustive
 def test_a_killed_run_goes_on_where_it_was(whole, tmp_path):
     path, seen = tmp_path / "map.zarr", []
     script = f"import test_grids; test_grids.run_until_killed({str(path)!r}, 4)"
@@ -357,6 +355,7 @@ def test_wrong_arguments_are_refused_before_anything_is_written(tmp_path, change
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.exhaustive
 def test_a_missing_package_is_named_with_the_line_that_installs_it(monkeypatch, tmp_path):
     monkeypatch.setitem(sys.modules, "zarr", None)
     with pytest.raises(

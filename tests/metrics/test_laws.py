@@ -15,22 +15,6 @@ from covariant.metrics import Equation, Solution, Window, metric_at, metric_thro
 from covariant.models import StateSpace
 from covariant.signals import Result
 
-LONG = (
-    "test_the_error_is_below_its_bound_and_that_below_the_tolerance[1e-05]",
-    "test_the_flow_contracts_the_distance_of_any_two_metrics[induction motor]",
-    "test_the_flow_contracts_the_distance_of_any_two_metrics[van der Pol]",
-    "test_it_is_approached_geometrically_in_the_number_of_windows[van der Pol]",
-    "test_the_equation_is_satisfied_along_the_motion[Lorenz]",
-    "test_the_equation_is_satisfied_along_the_motion[bioreactor]",
-    "test_the_equation_is_satisfied_along_the_motion[induction motor]",
-    "test_the_equation_is_satisfied_along_the_motion[unknown frequency]",
-    "test_the_equation_is_satisfied_along_the_motion[van der Pol]",
-    "test_the_error_bound_holds_what_the_unknown_past_can_change[unknown frequency]",
-    "test_the_error_is_below_its_bound_and_that_below_the_tolerance[0.01]",
-    "test_the_flow_contracts_the_distance_of_any_two_metrics[unknown frequency]",
-)
-"""Cases of the long suite: a cheaper one of the same test is in the short one."""
-
 TIME = jnp.zeros(())
 
 
@@ -295,7 +279,7 @@ def found(request) -> Found:
     return Found(case, all_at_once(case, groups), near, windows_before(earlier))
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_solutions_are_found_and_are_metrics(found):
     for name, answer in found.answers.items():
         assert (answer.solution.result == Result.OK).all(), name
@@ -304,6 +288,7 @@ def test_solutions_are_found_and_are_metrics(found):
         np.testing.assert_allclose(answer.metric, answer.metric.swapaxes(1, 2), rtol=1e-10)
 
 
+@pytest.mark.exhaustive
 def test_the_equation_is_satisfied_along_the_motion(found):
     """Ṗ by finite differences of solutions at states on the motion's tangent, against the terms of (8), whitened."""
     case, p = found.case, found.answers["itself"].metric
@@ -321,6 +306,7 @@ def test_the_equation_is_satisfied_along_the_motion(found):
         assert np.abs(half @ slope[k] @ half.T).max() > 5e-4 * scale  # or the law would say nothing of it
 
 
+@pytest.mark.exhaustive("Lorenz", "bioreactor", "induction motor", "unknown frequency", "van der Pol")
 def test_how_it_was_started_is_forgotten(found):
     itself = found.answers["itself"]
     for name in ("low start", "high start"):
@@ -330,6 +316,7 @@ def test_how_it_was_started_is_forgotten(found):
         ).all(), name
 
 
+@pytest.mark.exhaustive("Lorenz", "bioreactor", "induction motor", "unknown frequency", "van der Pol")
 def test_it_is_a_tensor(found):
     for name in ("cubic chart", "other units"):
         assert distances(found.answers["itself"].metric, found.answers[name].metric).max() < 3 * found.case.tolerance, (
@@ -357,6 +344,7 @@ def weigh(windows, starts):
     return jax.vmap(every)(windows)
 
 
+@pytest.mark.exhaustive("induction motor", "unknown frequency")
 def test_the_error_bound_holds_what_the_unknown_past_can_change(found):
     """From above for every start, and from below: some start is as wrong as half of it."""
     case, n = found.case, len(found.case.size)
@@ -393,6 +381,7 @@ def test_windows_compose(found):
             np.testing.assert_allclose(a, b, rtol=0, atol=1e-5 * np.abs(b).max())
 
 
+@pytest.mark.exhaustive("induction motor")
 def test_the_metric_is_a_fixed_point(found):
     """Lemma 4.3: the window maps the metric at its beginning to the metric at its end."""
     for k, earlier in enumerate(found.answers["earlier"].metric):
@@ -436,6 +425,7 @@ def fly(case, x, u, length, start):
     return passages(case.model, jnp.asarray(x), jnp.asarray(u), jnp.asarray(length), jnp.asarray(start), *noise)
 
 
+@pytest.mark.exhaustive("Lorenz", "induction motor", "unknown frequency", "van der Pol")
 def test_the_flow_contracts_the_distance_of_any_two_metrics(found):
     """Lemma 4.2 with its own constants at every instant: D' ≤ −q p D, q and p the least eigenvalues of Q and of both
     metrics, in coordinates in which Q is the identity."""
@@ -454,6 +444,7 @@ def test_the_flow_contracts_the_distance_of_any_two_metrics(found):
     assert (np.diff(np.log(d), axis=1) <= -0.9 * slower + 1e-6).all()
 
 
+@pytest.mark.exhaustive("van der Pol")
 @pytest.mark.parametrize("found", AT_REST, indirect=True)
 def test_it_is_approached_geometrically_in_the_number_of_windows(found):
     """Remark 4.5, at rest: each window takes away what the slowest pole of the stationary filter does."""
@@ -476,6 +467,7 @@ def test_it_is_approached_geometrically_in_the_number_of_windows(found):
     np.testing.assert_allclose(np.diff(late, axis=1), 2 * slowest.real * window, rtol=0.03)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("tolerance", [1e-2, 1e-5])
 def test_the_error_is_below_its_bound_and_that_below_the_tolerance(tolerance):
     """Each solution against one whose past is as long as nine digits need."""

@@ -32,7 +32,7 @@ def store(path):
     return metrics.open_grid(path, complete=True).load()
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_values_are_those_of_the_solver(store):
     index = np.random.default_rng(1).integers(0, GRID.shape, (20, 2))
     points = np.stack([axis[i] for axis, i in zip(GRID.axes, index.T, strict=True)], -1)
@@ -49,6 +49,7 @@ def test_values_are_those_of_the_solver(store):
         np.testing.assert_allclose(found, values, rtol=near, atol=near, err_msg=name)
 
 
+@pytest.mark.exhaustive
 def test_the_store_says_what_it_holds_and_where_it_comes_from(store):
     assert {name: store[name].dims[2:] for name in store} == {
         "metric": ("row", "column"),
@@ -72,6 +73,7 @@ def test_the_store_says_what_it_holds_and_where_it_comes_from(store):
     }
 
 
+@pytest.mark.exhaustive
 def test_a_summary_covers_the_whole_grid(path, store, monkeypatch):
     found, known = metric_summary(path), np.isfinite(store["metric"].values).all(axis=(-2, -1))
     eigenvalues = np.linalg.eigvalsh(store["metric"].values[known])
@@ -89,7 +91,7 @@ def test_a_summary_covers_the_whole_grid(path, store, monkeypatch):
     assert metric_summary(path) == found
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_the_field_of_a_store_has_its_values_at_the_points(path, store):
     field = metrics.load_metric(path)
     points = np.stack(np.meshgrid(*GRID.axes, indexing="ij"), -1)[4:]  # two spacings off those outside the domain
@@ -100,6 +102,7 @@ def test_the_field_of_a_store_has_its_values_at_the_points(path, store):
     np.testing.assert_allclose(field(between), exact, rtol=0.02)
 
 
+@pytest.mark.exhaustive
 def test_the_observer_of_a_store_has_its_field_its_noise_and_the_gain_of_its_equation(path):
     start = jnp.array([0.4, 0.1])
     observer = calibration.stored_observer(MODEL, path, start)

@@ -27,19 +27,6 @@ from covariant.observers import Estimate, Riccati
 from covariant.papers.sanfelice_praly import analytic_metric, quadrature
 from covariant.signals import Result
 
-LONG = (
-    "test_a_batch_is_the_loop[(15)]",
-    "test_high_gain_solves_equation_15_for_a_chain_and_puts_every_pole_at_its_rate[3]",
-    "test_high_gain_solves_equation_15_for_a_chain_and_puts_every_pole_at_its_rate[4]",
-    "test_where_there_is_no_metric_it_is_nan_and_says_why[(15)-at rest-14]",
-    "test_where_there_is_no_metric_it_is_nan_and_says_why[(8)-at rest-14]",
-    "test_a_batch_is_the_loop[(8)]",
-    "test_a_past_that_leaves_the_domain_starts_at_its_border[(15)]",
-    "test_where_there_is_no_metric_it_is_nan_and_says_why[(15)-outside-15]",
-    "test_where_there_is_no_metric_it_is_nan_and_says_why[(8)-outside-15]",
-)
-"""Cases of the long suite: a cheaper one of the same test is in the short one."""
-
 OSCILLATOR, OTHER = models.unknown_frequency(), models.van_der_pol()
 ZERO, NONE = jnp.zeros(()), jnp.zeros(0)
 BOX = (jnp.array([-2.0, -2.0, 0.1]), jnp.array([2.0, 2.0, 2.0]))
@@ -62,6 +49,7 @@ def answers(request):
     return equation, {name: jax.tree.map(lambda leaf, k=k: leaf[k], found) for k, name in enumerate(states)}
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize(
     ("name", "result"),
     [
@@ -77,6 +65,7 @@ def test_where_there_is_no_metric_it_is_nan_and_says_why(answers, name, result):
     assert answers[1]["good"].result == Result.OK
 
 
+@pytest.mark.exhaustive
 def test_a_past_that_leaves_the_domain_starts_at_its_border(answers):
     equation, all_found = answers
     found = all_found["leaves"]
@@ -86,6 +75,7 @@ def test_a_past_that_leaves_the_domain_starts_at_its_border(answers):
     assert jnp.abs(passage.x[0]).max() > 2.0 - 1e-5
 
 
+@pytest.mark.exhaustive
 def test_a_batch_is_the_loop(answers):
     equation, all_found = answers
     alone = metric_at(OSCILLATOR, equation, jnp.array([0.5, 1.2, 0.8]), domain=BOX, max_steps=500)
@@ -98,6 +88,7 @@ def test_a_batch_is_the_loop(answers):
     np.testing.assert_allclose(alone.reconstructibility, batched.reconstructibility, rtol=1e-5)
 
 
+@pytest.mark.exhaustive
 def test_a_solution_that_came_from_infinity_has_escaped():
     """Outside its limit cycle van der Pol's oscillator came from infinity in finite time."""
     at = jax.jit(jax.vmap(lambda x: metric_at(OTHER, Equation(process_cov=jnp.eye(2)), x, max_steps=500)))
@@ -107,6 +98,7 @@ def test_a_solution_that_came_from_infinity_has_escaped():
     assert 1.0 < found.horizon[0] < 1.5
 
 
+@pytest.mark.exhaustive
 def test_one_coordinate_that_came_from_infinity_is_enough():
     """a' = −a³ began at infinity half a second before a = 1; b stayed where it is, and both are seen."""
     model = StateSpace(lambda t, x, u: jnp.stack([-(x[0] ** 3), 0 * x[1]]), lambda t, x, u: x, coordinates=("a", "b"))
@@ -115,6 +107,7 @@ def test_one_coordinate_that_came_from_infinity_is_enough():
     assert found.horizon == pytest.approx(0.5, rel=1e-3)
 
 
+@pytest.mark.exhaustive
 def test_the_metric_before_a_window_is_one_unless_it_is_given():
     """A past so short that its start still counts; as a number it is that many times I."""
     x = jnp.array([0.5, 1.2, 0.8])
@@ -141,6 +134,7 @@ def two_modes(t, x, u):
 STABLE = StateSpace(two_modes, lambda t, x, u: x[:1], coordinates=("a", "b"))
 
 
+@pytest.mark.exhaustive
 def test_a_rate_that_is_too_small_does_not_settle():
     """The Gramian of a stable system needs λ above twice its fastest decay: 4; there it solves Lyapunov's equation."""
     at = jax.jit(jax.vmap(lambda rate: metric_at(STABLE, Equation(rate), jnp.zeros(2), max_steps=300), 0))
@@ -169,6 +163,7 @@ def test_an_equation_without_rate_and_noise_is_refused(arguments):
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.exhaustive
 def test_single_precision_stays_single():
     x = jnp.array([0.5, 1.2, 0.8], jnp.float32)
     for equation in (Equation(2.0), Equation(2.0, process_cov=jnp.eye(3))):
@@ -191,6 +186,7 @@ def positive(rng, n, spread):
     return (q * 10.0 ** rng.uniform(-spread, spread, n)) @ q.T
 
 
+@pytest.mark.exhaustive
 @given(sizes, seeds)
 def test_distance_is_symmetric_and_invariant_under_congruence(n, seed):
     rng = np.random.default_rng(seed)
@@ -230,6 +226,7 @@ def test_reconstructibility_is_one_for_independent_and_zero_for_unseen_direction
     assert np.isnan(at(jnp.full((2, 2), jnp.nan)))
 
 
+@pytest.mark.exhaustive
 def test_gramian_is_the_quadrature_and_the_flows_sensitivity():
     x, length = jnp.array([0.5, 1.2, 0.8]), 3.0
     found = gramian(OSCILLATOR, x, length)
@@ -260,6 +257,7 @@ def chain(n, extra=lambda x: 0.0 * x[0]):
     )
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("n", [2, 3, 4])
 def test_high_gain_solves_equation_15_for_a_chain_and_puts_every_pole_at_its_rate(n):
     model, rate, x = chain(n), 3.0, jnp.linspace(0.3, 1.0, n)

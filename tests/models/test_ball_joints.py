@@ -23,7 +23,7 @@ def arm():
     return robots.load(ARM)
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_a_ball_joint_moves_as_in_mujoco(arm):
     """Anchor beside the frame of the body, rotor, spring, damper, torques about axes of the body."""
     model = mujoco.MjModel.from_xml_string(TEXT)
@@ -50,7 +50,7 @@ def test_a_ball_joint_moves_as_in_mujoco(arm):
         np.testing.assert_allclose(pose[:3, 3], data.xpos[body], atol=1e-12)
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_one_ball_joint_alone_is_a_body_on_a_point(tmp_path):
     """The configuration is one attitude, and logs hold it as that of a satellite."""
     path, kinds = tmp_path / "top.urdf", []
@@ -74,6 +74,7 @@ def test_one_ball_joint_alone_is_a_body_on_a_point(tmp_path):
     assert float(top.potential(turn)) == pytest.approx(2 * 9.81 * float(turn[2] @ r), rel=1e-12)
 
 
+@pytest.mark.exhaustive
 def test_logs_hold_an_attitude_for_the_base_and_one_for_each_ball_joint(tmp_path):
     """Eight columns of quaternions, the base first; a number that fits no attitude is refused."""
     path = tmp_path / "flyer.toml"
@@ -91,7 +92,7 @@ def test_logs_hold_an_attitude_for_the_base_and_one_for_each_ball_joint(tmp_path
         load(str(path), ['columns.quaternion_wxyz=["a", "b", "c", "d"]'])
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_a_survey_turns_what_is_no_coordinate():
     space = Metric(lambda x: jnp.diag(jnp.stack([1.0, 1.0, 2 + x[0, 0]])), manifold=SO3)
     low, high = survey(MechanicalSystem(space), None, 50).conditioning

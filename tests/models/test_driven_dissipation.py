@@ -12,14 +12,6 @@ from covariant.geometry.lie import SE2
 from covariant.models import GroupSystem, Lagrangian, Motion, acceleration, friction, resistance
 from covariant.observers import EKF, Copy, Geodesic, Intrinsic, run
 
-LONG = (
-    "boat-intrinsic",
-    "test_observers_evaluate_it_at_the_estimate[pendulum-ekf]",
-    "test_observers_evaluate_it_at_the_estimate[pendulum-geodesic]",
-    "test_observers_evaluate_it_at_the_estimate[pendulum-intrinsic]",
-    "test_observers_evaluate_it_at_the_estimate[pendulum-copy]",
-)
-
 ZERO = jnp.zeros(())
 STAMPS = np.linspace(0.0, 6.0, 601)
 
@@ -94,7 +86,7 @@ def test_it_acts_as_written():
     assert float(acceleration(model, t, q, v, u)[0]) == pytest.approx(expected)
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_a_simulated_motion_is_that_of_a_plain_integration(motions):
     _, record = motions["pendulum"]
     h, x = 1e-3, np.array([0.4, 2.0])
@@ -121,6 +113,7 @@ OBSERVERS = {
 }
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize(("machine", "name"), [*(("pendulum", name) for name in OBSERVERS), ("boat", "intrinsic")])
 def test_observers_evaluate_it_at_the_estimate(motions, machine, name):
     """On a noise-free log the estimate meets the truth; without the dissipation it keeps an error."""
@@ -160,6 +153,7 @@ def test_any_other_number_of_arguments_is_refused():
         pendulum(lambda q, v, u: -v)
 
 
+@pytest.mark.exhaustive
 def test_the_laws_of_the_observer_hold():
     found = audit(Intrinsic(pendulum(), 4.0, 8.0), points=8)
     assert found.passed, str(found)
@@ -172,6 +166,7 @@ def test_no_proof_where_it_depends_on_time_or_input(make, named):
         certificates.error_system(observer, certificates.lyapunov(4.0, 8.0))
 
 
+@pytest.mark.exhaustive
 def test_friction_alone_is_proved_either_way():
     region = {
         "position": (np.array([-0.2]), np.array([0.2])),

@@ -13,16 +13,6 @@ from covariant.geometry.lie import SU
 from covariant.models import Motion, fluid
 from covariant.observers import Intrinsic
 
-LONG = (
-    "9",
-    "17",
-    "33",
-    "test_flows_of_a_single_wave_number_are_steady[stream0]",
-    "test_curvature_term_hardly_matters_on_stable_flows_or_at_high_gain",
-    "test_estimate_does_not_depend_on_labels",
-    "test_vorticity_tends_to_that_of_eulers_equation_at_second_order",
-)
-
 POINTS = 64
 X1, X2 = np.meshgrid(*2 * [2 * np.pi * np.arange(POINTS) / POINTS], indexing="ij")
 SMOOTH = np.cos(X1) + 0.7 * np.cos(X2 + 0.3) + 0.3 * np.cos(X1 + X2)
@@ -132,6 +122,7 @@ def test_commutator_of_the_basis_is_the_sine_bracket():
         assert np.abs(a @ b - b @ a + n / (2 * np.pi) * cross_sine(m, k, n) * total).max() < 1e-13
 
 
+@pytest.mark.exhaustive
 def test_bracket_tends_to_the_poisson_bracket_at_second_order():
     poisson = d(SMOOTH, 0) * d(OTHER, 1) - d(SMOOTH, 1) * d(OTHER, 0)
     sizes = (9, 17, 33)
@@ -151,6 +142,7 @@ def test_fields_and_velocities_are_inverse_to_each_other():
     assert relative(values(n, velocity(n, SMOOTH), POINTS), laplacian(SMOOTH)) < 1e-12
 
 
+@pytest.mark.exhaustive
 def test_derivative_of_the_logarithm_is_that_of_the_dense_group():
     n, rng = 5, np.random.default_rng(1)
     x, y, dx = jnp.asarray(rng.normal(size=(3, n**2 - 1)))
@@ -175,6 +167,7 @@ def test_bad_arguments_are_named():
 # The metric
 
 
+@pytest.mark.exhaustive
 def test_inertia_is_the_dense_one():
     n = 5
     inertia, one = fluid.Laplacian(n), jnp.eye(n**2 - 1)
@@ -192,6 +185,7 @@ def test_inertia_is_the_dense_one():
     assert relative(jax.vmap(inertia.solve)(matrix), one) < 1e-13
 
 
+@pytest.mark.exhaustive
 def test_energy_and_enstrophy_are_integrals_over_the_torus():
     n = 9
     v = jnp.asarray(np.random.default_rng(2).normal(size=n**2 - 1))
@@ -219,6 +213,7 @@ def test_casimirs_tend_to_integrals_of_powers_of_the_vorticity_at_second_order()
 # The motion
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("stream", [np.cos(X1) + np.cos(X2), np.cos(2 * X1 + X2) - 0.4 * np.sin(X1 - 2 * X2)])
 def test_flows_of_a_single_wave_number_are_steady(stream):
     n = 9
@@ -246,7 +241,7 @@ def kept(n, v, g, last):
     return eigenvalues, fluid.casimirs(n, v), fluid.casimirs(n, last), carried, found, system(n).group.defect(g)
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("n", [5, 9, 17, 33])
 def test_motion_keeps_casimirs_group_and_vorticity(n):
     v, moved = velocity(n, SMOOTH), smooth_path(n)
@@ -269,6 +264,7 @@ def test_energy_is_kept_at_fourth_order():
     assert order(steps, errors) > 3.8
 
 
+@pytest.mark.exhaustive
 def test_relabelled_particles_move_alike():
     n = 5
     h = system(n).group.exp(velocity(n, ROUGH))
@@ -299,6 +295,7 @@ def pseudo_spectral(vorticity, duration, steps=200):
     return np.fft.ifft2(w).real
 
 
+@pytest.mark.exhaustive
 def test_vorticity_tends_to_that_of_eulers_equation_at_second_order():
     start = np.asarray(values(9, velocity(9, SMOOTH), POINTS))
     exact = pseudo_spectral(start, 1.0)
@@ -351,7 +348,7 @@ def decay(errors, alpha, dt, between):
     return -np.polyfit(t[inside], np.log(length[inside]), 1)[0]
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("n", [5, 9, 17])
 def test_velocity_error_shrinks_at_the_slow_root(n):
     """s² + αs + 0.21α² has the roots −0.3α and −0.7α."""
@@ -361,7 +358,7 @@ def test_velocity_error_shrinks_at_the_slow_root(n):
     assert decay(errors, alpha, dt, (1e-6, 1e-3)) == pytest.approx(0.3 * alpha, rel=0.02)
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_curvature_term_takes_the_instability_of_the_flow_out_of_the_error():
     """A gain of a fifth of the vorticity: on an unstable flow only the observer with curvature keeps its rate."""
     n, alpha, dt = 9, 0.8, 0.02
@@ -370,6 +367,7 @@ def test_curvature_term_takes_the_instability_of_the_flow_out_of_the_error():
     assert without[0, -1] > 10 * without[0, 0]
 
 
+@pytest.mark.exhaustive
 def test_curvature_term_hardly_matters_on_stable_flows_or_at_high_gain():
     n, dt = 9, 0.02
     for stream, alpha in ((4 * np.cos(X1), 1.6), (UNSTABLE, 8.0)):
@@ -381,6 +379,7 @@ def test_curvature_term_hardly_matters_on_stable_flows_or_at_high_gain():
         assert 0.5 < ends[1] / ends[0] < 2
 
 
+@pytest.mark.exhaustive
 def test_estimate_does_not_depend_on_labels():
     n = 5
     h = system(n).group.exp(velocity(n, ROUGH))

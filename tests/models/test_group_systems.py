@@ -12,17 +12,6 @@ from covariant.geometry.lie import SE2, SE3, SO3
 from covariant.models import GroupSystem, Lagrangian, Motion, acceleration, advance, energy, friction, source
 from covariant.simulation import simulate
 
-LONG = (
-    "underwater vehicle",
-    "test_advancing_is_of_fourth_order_and_stays_on_the_group[hovercraft]",
-    "test_advancing_is_of_fourth_order_and_stays_on_the_group[satellite]",
-    "test_equations_of_motion_are_those_of_lagrange_in_coordinates[free body]",
-    "test_equations_of_motion_are_those_of_lagrange_in_coordinates[hovercraft]",
-    "test_equations_of_motion_are_those_of_lagrange_in_coordinates[satellite]",
-    "test_equations_of_motion_are_those_of_lagrange_in_coordinates[top]",
-    "test_power_of_the_forces_is_the_change_of_the_energy[hovercraft]",
-)
-
 SYSTEMS = {
     "top": models.heavy_top(),
     "asymmetric top": models.heavy_top((1.0, 2.0, 3.5), 2.0, axis=(0.3, 0.2, 1.0), viscous=0.1),
@@ -39,6 +28,7 @@ def state_of(system, seed=1):
     return system.group.exp(jnp.array(0.8 * random.normal(size=n))), jnp.array(random.normal(size=n))
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("name", SYSTEMS)
 def test_equations_of_motion_are_those_of_lagrange_in_coordinates(name):
     """Along g = g₀ exp(q) the Euler–Lagrange equations of the energy, with the forces as one-forms."""
@@ -71,6 +61,7 @@ def test_equations_of_motion_are_those_of_lagrange_in_coordinates(name):
     np.testing.assert_allclose(chart, direct, rtol=1e-9, atol=1e-9)
 
 
+@pytest.mark.exhaustive("hovercraft", "satellite", "top", "underwater vehicle")
 @pytest.mark.parametrize("name", SYSTEMS)
 def test_power_of_the_forces_is_the_change_of_the_energy(name):
     system = SYSTEMS[name]
@@ -101,6 +92,7 @@ def moved(system, g, v, duration, steps, rule_of_eight=False):
     return advance(system, jnp.zeros(()), Motion(g, v), u, duration, steps)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("name", ["top", "satellite", "hovercraft"])
 def test_advancing_is_of_fourth_order_and_stays_on_the_group(name):
     system = SYSTEMS[name]
@@ -113,7 +105,7 @@ def test_advancing_is_of_fourth_order_and_stays_on_the_group(name):
     assert max(float(system.group.defect(end.q)) for end in ends) < 1e-14
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_a_million_steps_leave_the_group_by_less_than_1e_12():
     """Rᵀ R = 1 without any projection; the free body's momentum in space keeps its length too."""
     system = models.free_body()
@@ -134,7 +126,7 @@ def free_motion(system, x0, t):
     return simulate(system, x0, t).x
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_satellite_keeps_its_momentum_whatever_its_wheels_do():
     system = SYSTEMS["satellite"]
     g, v = state_of(system)
@@ -144,7 +136,7 @@ def test_satellite_keeps_its_momentum_whatever_its_wheels_do():
     assert np.abs(np.asarray(x.v[-1] - x.v[0])).max() > 0.1
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_underwater_vehicle_rights_itself_and_hovers_when_neutral():
     system = models.underwater_vehicle(buoyancy=12.0 * 9.81)
     start = Motion(SE3.exp(jnp.array([0.0, 0.0, 0.0, 1.2, 0.4, 0.0])), jnp.zeros(6))
@@ -157,7 +149,7 @@ def test_underwater_vehicle_rights_itself_and_hovers_when_neutral():
     assert (np.diff(energies) < 1e-9).all()
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_hovercraft_goes_where_its_fans_push():
     system = models.hovercraft(drag=(0.0, 0.0, 0.0))
     x = eqx.filter_jit(simulate)(system, Motion(jnp.eye(3), jnp.zeros(3)), jnp.linspace(0.0, 2.0, 3), both_fans).x
@@ -196,6 +188,7 @@ def test_what_is_wrong_with_a_system_is_named(arguments, words):
         GroupSystem(SO3, **{"inertia": np.eye(3)} | arguments)
 
 
+@pytest.mark.exhaustive
 def test_a_system_works_in_float32():
     system = models.heavy_top()
     g, v = (jnp.asarray(a, jnp.float32) for a in state_of(system))
@@ -206,6 +199,7 @@ def test_a_system_works_in_float32():
     np.testing.assert_allclose(end.q, exact.q, atol=2e-6)
 
 
+@pytest.mark.exhaustive
 def test_the_energy_of_an_arm_is_that_of_its_bodies():
     """A box and two slender rods, whose points are followed one by one; a rod's mean square speed is Simpson's rule."""
     mass, inertia, links, lengths = 50.0, (6.0, 7.0, 5.0), (4.0, 3.0), (0.8, 0.6)

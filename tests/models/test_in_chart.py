@@ -10,11 +10,6 @@ from covariant.geometry.lie import SE2, SO3
 from covariant.models import GroupSystem, Lagrangian, Motion, chart_jacobian, chart_velocity, in_chart
 from covariant.models.marine import euler_rates, euler_rotation
 
-LONG = (
-    "body on SE(2)",
-    "test_it_accelerates_alike[body on SO(3)]",
-)
-
 INERTIA = jnp.diag(jnp.array([1.0, 2.0, 3.5]))
 DRAG = jnp.diag(jnp.array([0.3, 0.2, 0.5]))
 
@@ -46,6 +41,7 @@ CASES = {
 }
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("name", CASES)
 def test_it_accelerates_alike(name):
     model, chart, z = CASES[name]
@@ -86,7 +82,7 @@ def test_a_plain_lagrangian_keeps_its_inputs():
     assert in_chart(braked(SO3, 3), euler_rotation).inputs == 3
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_motion_of_the_body_is_the_same():
     """Half a second with drag, force and potential, to the integrator's tolerance."""
     body = braked(SO3, 3)

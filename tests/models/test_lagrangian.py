@@ -21,9 +21,6 @@ from covariant.models import (
     source,
 )
 
-LONG = ("test_single_precision_agrees_with_double[chain, absolute]",)
-"""Cases of the long suite: a cheaper one of the same test, or of the same law, is in the short one."""
-
 TIME = jnp.zeros(())
 
 
@@ -63,6 +60,7 @@ def motions(model):
     return q, v, rng.normal(size=(SAMPLES, n if model.inputs is None else model.inputs))
 
 
+@pytest.mark.exhaustive("chain, relative")
 def test_power_balance(model, motions):
     """`dE/dt = v·(force + dissipation)` along every motion, so energy is conserved where neither acts."""
 
@@ -82,6 +80,7 @@ def test_dissipation_never_adds_energy(model, motions):
     assert (jax.vmap(lambda q, v: v @ model.dissipation(q, v))(q, v) <= 0).all()
 
 
+@pytest.mark.exhaustive("chain, relative")
 def test_acceleration_is_source_friction_and_geodesic(model, motions):
     @jax.jit
     @jax.vmap
@@ -123,6 +122,7 @@ def test_single_precision_stays_single(model):
     assert {leaf.dtype for leaf in results} == {jnp.dtype(jnp.float32)}
 
 
+@pytest.mark.exhaustive("chain, absolute", "chain, relative", "double pendulum", "rough chain, relative")
 def test_single_precision_agrees_with_double(model, motions):
     """To 1e-4 of the largest: a thousand roundings."""
     forward = jax.jit(jax.vmap(lambda q, v, u: acceleration(model, jnp.zeros((), q.dtype), q, v, u)))
@@ -185,7 +185,7 @@ def test_inputs_that_are_no_force_are_refused_where_a_force_is_first_asked_for(i
         acceleration(model, TIME, jnp.zeros(2), jnp.zeros(2), jnp.zeros(inputs))
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_an_input_for_each_velocity_is_a_force_where_a_configuration_has_more_numbers():
     """A floating robot: its pose is sixteen numbers and six velocities."""
     space = robots.load("quadruped").space

@@ -34,6 +34,7 @@ def test_euler_rates_are_those_of_the_rotation():
     np.testing.assert_allclose(moved, marine.euler_rotation(ANGLES) @ SO3.hat(omega), atol=1e-14)
 
 
+@pytest.mark.exhaustive("3")
 @pytest.mark.parametrize("n", [3, 6])
 def test_coriolis_matrix_does_no_work_and_is_that_of_kirchhoff(n):
     random = np.random.default_rng(n)
@@ -55,7 +56,7 @@ def test_planar_coriolis_matrix_is_the_printed_one():
     np.testing.assert_allclose(ship.coriolis(nu), expected, atol=1e-12)  # Fossen 2011, equation (6.99)
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_odin_on_the_group_moves_as_in_euler_angles_with_coriolis():
     x0 = jnp.array([0.0, 0.0, 5.0, 0.4, -0.3, 1.0, 0.5, -0.2, 0.3, 0.2, 0.3, -0.4])
     t = jnp.linspace(0.0, 4.0, 9)
@@ -72,6 +73,7 @@ def test_odin_on_the_group_moves_as_in_euler_angles_with_coriolis():
     assert np.abs(without.x - angles.x).max() > 1e-3
 
 
+@pytest.mark.exhaustive
 def test_odin_without_drag_keeps_its_energy():
     craft = marine.odin(quadratic_drag=(0.0,) * 6)
     x0 = jnp.array([0.0, 0.0, 5.0, 0.5, 0.4, 0.0, 0.1, 0.2, 0.3, 0.0, 0.0, 0.0])
@@ -117,7 +119,7 @@ def turn(rudder):
     return x[quarter, 0] / 7.0, abs(x[half, 1]) / 7.0
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_tanker_keeps_a_straight_course_and_turns_to_the_side_of_its_rudder():
     ship = marine.manoeuvring_ship()
     t = jnp.linspace(0.0, 30.0, 31)
@@ -129,6 +131,7 @@ def test_tanker_keeps_a_straight_course_and_turns_to_the_side_of_its_rudder():
     assert starboard[-1, 2] > 0.1
 
 
+@pytest.mark.exhaustive
 def test_tanker_turns_as_the_towed_model_did():
     # Free-running model of 7 m, rudder 35°: advance 3.25 and tactical diameter 3.34 lengths (Yasukawa & Yoshimura 2015,
     # quoted from memory); a calculation by this method is expected to be some tenth off.
@@ -142,6 +145,7 @@ def test_tanker_refuses_an_unknown_derivative():
         marine.manoeuvring_ship(hull={"Yvw": 1.0})
 
 
+@pytest.mark.exhaustive
 def test_station_waves_have_the_asked_spread():
     waves = marine.Waves((0.8, 0.9, 1.0), (0.1, 0.2, 0.05), (0.5, 0.7, 0.02))
     station = marine.Station(marine.supply_vessel(), waves)
@@ -186,6 +190,7 @@ def test_bad_ships_are_refused_in_one_line(case):
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.exhaustive
 def test_a_ship_in_single_precision_stays_so():
     model = marine.Station(marine.supply_vessel(), marine.Waves((0.8,) * 3, (0.1,) * 3, (0.5,) * 3), 100.0).model()
     x = jnp.zeros(15, jnp.float32)
@@ -196,7 +201,7 @@ def test_a_ship_in_single_precision_stays_so():
     )
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_group_form_meets_a_pitch_of_ninety_degrees_without_notice():
     system = marine.odin_on_group()
     g = SE3.identity().at[:3, :3].set(marine.euler_rotation(jnp.array([0.0, np.pi / 2, 0.0])))

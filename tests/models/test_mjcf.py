@@ -60,7 +60,7 @@ def arm(folder):
     return robots.load(folder / "arm.xml")
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_an_arm_moves_as_in_mujoco(arm):
     """Anchors beside the axes, references, springs, gears, a servo, two joints of one body, a finger that follows."""
     model = mujoco.MjModel.from_xml_string(ARM)
@@ -93,6 +93,7 @@ def test_an_arm_moves_as_in_mujoco(arm):
         np.testing.assert_allclose(pose[:3, 3], data.xpos[body], atol=1e-12)
 
 
+@pytest.mark.exhaustive
 def test_units_and_limits_are_those_of_the_file(folder):
     bend = next(joint for joint in robots.read(folder / "arm.xml").joints if joint.name == "bend")
     np.testing.assert_allclose([bend.lower, bend.upper], np.deg2rad([-90, 120]))

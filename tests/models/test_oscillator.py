@@ -14,6 +14,7 @@ R, VR = jnp.exp(Q), jnp.exp(Q) * V
 TIME = jnp.zeros(())
 
 
+@pytest.mark.exhaustive
 def test_acceleration_is_the_same_in_both_charts():
     """`r̈ = r(q̈ + q̇²)`."""
     in_q = acceleration(oscillator("q", 2.0), TIME, Q, V, U)
@@ -26,6 +27,7 @@ def test_energy_is_the_same_in_both_charts():
     np.testing.assert_allclose(energy(oscillator("q", 2.0), Q, V), energy(oscillator("r", 2.0), R, VR), rtol=1e-14)
 
 
+@pytest.mark.exhaustive
 def test_motion_is_the_same_in_both_charts():
     times = jnp.linspace(0.0, 6.0, 25)
 
@@ -41,6 +43,7 @@ def test_motion_is_the_same_in_both_charts():
     np.testing.assert_allclose(motion(Q, V)[:, 0], expected, rtol=1e-8)
 
 
+@pytest.mark.exhaustive
 def test_geodesics_in_r_are_exponentials():
     target, metric = jnp.array([3.0]), oscillator("r").metric
     log = jax.jit(lambda p, q: geometry.log(metric, p, q))(R, target)

@@ -7,9 +7,6 @@ import pytest
 
 from covariant.models import acceleration, energy, pendulum_chain
 
-LONG = ("test_small_oscillation_has_the_frequency_of_a_pendulum[hanging--1]",)
-"""Cases of the long suite: a cheaper one of the same test, or of the same law, is in the short one."""
-
 TIME = jnp.zeros(())
 SAMPLES = 8
 TRIPLE = {"mass": (1.0, 0.5, 0.7), "length": (1.0, 0.8, 0.6), "com": (0.6, 0.4, 0.7), "inertia": (0.1, 0.05, 0.02)}
@@ -100,7 +97,7 @@ def euler_lagrange(kinetic, potential, forces):
 CHARTS = {"relative": jnp.cumsum, "absolute": lambda q: q}
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 @pytest.mark.parametrize(("zero", "sign"), [("hanging", -1.0), ("upright", 1.0)])
 @pytest.mark.parametrize("angles", CHARTS)
 def test_triple_pendulum_is_the_one_moved_by_hand(angles, zero, sign):
@@ -156,6 +153,7 @@ def single_acceleration(q, v=0.0, u=0.0, **settings):
     return float(acceleration(model, TIME, *(jnp.array([a]) for a in (q, v, u)))[0])
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize(("zero", "sign"), [("hanging", -1), ("upright", 1)])
 def test_small_oscillation_has_the_frequency_of_a_pendulum(zero, sign):
     """`ω² = m g c/(I + m c²)`, and the same number as a growth rate upright."""

@@ -20,6 +20,7 @@ def accelerations(model, seed: int = 0):
     return jax.vmap(lambda q, v, u: models.acceleration(model, ZERO, q, v, u))(q, v, u), q, v, u
 
 
+@pytest.mark.exhaustive
 def test_inertia_rotors_and_gravity_are_those_of_mujoco():
     """MuJoCo reads the URDF file that has the inertia, and is told the rotors and the gravity."""
     text = robots.urdf_with_inertias("double_pendulum", {"lower": HEAVY})
@@ -41,6 +42,7 @@ def test_inertia_rotors_and_gravity_are_those_of_mujoco():
         np.testing.assert_allclose(rate, data.qacc_smooth, rtol=1e-9, atol=1e-9)
 
 
+@pytest.mark.exhaustive
 def test_offsets_constants_and_friction_are_what_they_say():
     plain = robots.load("double_pendulum", friction={name: {} for name in NAMES})
     law = {"viscous": 0.1, "coulomb": 0.3, "asymmetry": -0.1, "stribeck": 0.2, "stribeck_velocity": 0.5}
@@ -79,6 +81,7 @@ def test_numbers_that_make_no_sense_are_named(numbers, message):
         robots.load("double_pendulum", **numbers)
 
 
+@pytest.mark.exhaustive
 def test_every_coordinate_of_an_inertia_is_a_body_that_exists():
     family = models.robot_family("double_pendulum", ["inertia.lower"])
     np.testing.assert_allclose(family.values(np.zeros(10)), family.first, atol=1e-15)
@@ -94,6 +97,7 @@ def test_every_coordinate_of_an_inertia_is_a_body_that_exists():
     np.testing.assert_allclose(linear[[0, 3, 5]], [0.4, 0.4 * -0.13, 0.0025 + 0.4 * 0.13**2], rtol=1e-12)
 
 
+@pytest.mark.exhaustive
 def test_a_family_makes_the_robot_of_its_numbers():
     """What a compiled function makes of the coordinates is the robot of the written file."""
     family = models.robot_family(
@@ -129,6 +133,7 @@ def test_names_of_a_robot_that_do_not_exist_are_told_in_one_line(names, message)
         models.robot_family("double_pendulum", names)
 
 
+@pytest.mark.exhaustive
 def test_only_robots_that_stand_are_fitted():
     with pytest.raises(ModelError, match="its base must stand still"):
         models.robot_family("quadruped", ["friction"])

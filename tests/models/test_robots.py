@@ -16,14 +16,6 @@ from covariant.geometry.lie import SE3
 from covariant.models import ModelError, Motion, acceleration, friction, load, robots
 from covariant.observers import Intrinsic
 
-LONG = (
-    "floating_arm",
-    "ball_arm",
-    "6",
-    "test_a_free_fall_keeps_the_momentum_that_weight_leaves",
-    "test_forward_dynamics_and_inertia_are_those_of_mujoco",
-)
-
 QUARTER = "1.5707963267948966"
 
 
@@ -98,6 +90,7 @@ def state(model, seed: int):
     return q, jnp.asarray(rng.normal(size=(6, model.manifold.zero(q).shape[0])))
 
 
+@pytest.mark.exhaustive
 def test_forward_dynamics_and_inertia_are_those_of_mujoco(arm):
     """MuJoCo reads the same file; its friction losses are constraints, so they are left out there."""
     theirs = mujoco.MjModel.from_xml_string(ARM.replace('friction="0.2"', ""))
@@ -132,7 +125,7 @@ def ball_arm():
     return robots.load(Path(__file__).with_name("ball_arm.xml"))
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("name", ["arm", "floating_arm", "ball_arm"])
 def test_sweeps_are_what_follows_from_the_metric(name, request):
     """Koszul's formula with differences of the inertia matrix; curvature with differences of the connection."""
@@ -177,6 +170,7 @@ def test_sweeps_are_what_follows_from_the_metric(name, request):
     np.testing.assert_allclose(curvature, expected, rtol=0, atol=1e-8 * np.abs(curvature).max())
 
 
+@pytest.mark.exhaustive
 def test_a_free_fall_keeps_the_momentum_that_weight_leaves(floating_arm):
     """In the air the weight of all links acts at the common centre: the base accelerates so that this one falls."""
     q, (v, u, *_) = state(floating_arm, 2)
@@ -200,6 +194,7 @@ def energies(model, q, v):
     return jnp.stack([model.space.inner(q, v, v), model.potential(q)])
 
 
+@pytest.mark.exhaustive
 def test_a_joint_that_follows_moves_with_the_other(folder, arm):
     """`roll = −0.5 bend + 0.2`: energies are those of the whole arm moving so."""
     follows = ARM.replace(
@@ -213,6 +208,7 @@ def test_a_joint_that_follows_moves_with_the_other(folder, arm):
     np.testing.assert_allclose(energies(coupled, q, v), energies(arm, *whole), rtol=1e-12)
 
 
+@pytest.mark.exhaustive
 def test_ten_turns_of_a_continuous_joint_are_none(arm):
     assert arm.manifold.circles == (0,)
     q, _ = state(arm, 3)
@@ -272,6 +268,7 @@ def test_names_that_the_robot_does_not_have_are_refused(folder):
         robots.load(folder / "arm.urdf", lock=dict.fromkeys(NAMES, 0.0))
 
 
+@pytest.mark.exhaustive
 def test_a_model_file_names_the_file_of_a_robot_beside_it(folder):
     """Every command takes the URDF file itself, or a model file that adds what is known of sensors and logs."""
     plain = load(str(folder / "arm.urdf"))
@@ -325,7 +322,7 @@ def test_motion_is_that_of_the_coordinates(arm):
 # The robots that come with the library
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_shipped_robots_move_as_in_mujoco():
     """The others, and more trees, are compared by `tools/compare_robots.py`, with Pinocchio too."""
     for name in ("panda", "quadruped"):
@@ -333,7 +330,7 @@ def test_shipped_robots_move_as_in_mujoco():
         assert found["MuJoCo"] < compare_robots.TOLERANCE
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("seed", [1, 6])
 def test_random_trees_move_as_in_mujoco(seed):
     """Of 16 joints on the ground and 15 in the air: branched, turning, sliding, following ones, and balls."""
@@ -343,6 +340,7 @@ def test_random_trees_move_as_in_mujoco(seed):
     assert compare_robots.compared(text, 5)["MuJoCo"] < compare_robots.TOLERANCE
 
 
+@pytest.mark.exhaustive
 def test_shipped_robots_are_found_by_their_names_and_say_where_their_numbers_are_from():
     for name in robots.ROBOTS:
         text = robots.located(name).read_text(encoding="utf-8")
@@ -367,7 +365,7 @@ def operations(model) -> int:
     return sum(node.op not in ("constant", "input") for node in nodes)
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 @pytest.mark.parametrize(("joints", "most"), [(12, 11_500), (20, 27_000)])
 def test_operations_of_an_observer_of_a_long_arm(folder, joints, most):
     """Of links that are symmetric about their axes, in one chain, with axes in turn along the arm and across."""
@@ -384,6 +382,7 @@ def test_operations_of_an_observer_of_a_long_arm(folder, joints, most):
     assert operations(robots.load(folder / "long.urdf")) <= most
 
 
+@pytest.mark.exhaustive
 def test_a_payload_moves_with_its_link_and_can_be_differentiated(folder, arm):
     """In the frame of the link, whatever it is welded to; energies are those of a mass point there."""
     load_ = (0.7, 0.1, -0.2, 0.3)
@@ -407,7 +406,7 @@ def test_a_payload_moves_with_its_link_and_can_be_differentiated(folder, arm):
 LINKS = ("wrist", "elbow", "base")
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_poses_and_jacobians_of_links(floating_arm):
     """The Jacobian gives the rate of the pose; the Coriolis matrix and its transpose that of the inertia matrix."""
     q, (v, *_) = state(floating_arm, 6)
@@ -430,6 +429,7 @@ def test_poses_and_jacobians_of_links(floating_arm):
         space.pose(q, "hand")
 
 
+@pytest.mark.exhaustive
 def test_a_floating_joint_carries_the_robot_and_nothing_stands_beside(tmp_path):
     """`floating=True` and a floating joint at the root are one and the same."""
     loose = '<link name="world"/><joint name="air" type="floating"><parent link="world"/><child link="base"/></joint>'
@@ -443,6 +443,7 @@ def test_a_floating_joint_carries_the_robot_and_nothing_stands_beside(tmp_path):
         robots.load(tmp_path / "b.urdf")
 
 
+@pytest.mark.exhaustive
 def test_dry_friction_is_left_out_where_it_is_compensated():
     t, q, v, u = jnp.array(0.0), jnp.zeros(4), jnp.array([0.5, -0.3, 0.1, 1.0]), jnp.zeros(4)
     with_it, without = (robots.load("scara", dry_friction=dry) for dry in (True, False))

@@ -13,14 +13,6 @@ from covariant.models import Lagrangian, StateSpace, energy, pendulum_chain, sta
 from covariant.observers import AbstractFlowObserver, MechanicalState
 from covariant.simulation import observe, simulate
 
-LONG = (
-    "test_jacobians_are_those_of_finite_differences[a Lagrangian]",
-    "test_jacobians_are_those_of_finite_differences[induction motor]",
-    "test_jacobians_are_those_of_finite_differences[induction motor, unknown load]",
-    "test_single_precision_stays_single[a Lagrangian]",
-)
-"""Cases of the long suite: a cheaper one of the same test is in the short one."""
-
 SYSTEMS = {
     "unknown frequency": models.unknown_frequency(),
     "van der Pol": models.van_der_pol(),
@@ -45,6 +37,7 @@ def inside(model, dtype=float):
 each_system = pytest.mark.parametrize("name", SYSTEMS)
 
 
+@pytest.mark.exhaustive("a Lagrangian", "induction motor", "induction motor, unknown load")
 @each_system
 def test_jacobians_are_those_of_finite_differences(name):
     model = SYSTEMS[name]
@@ -56,6 +49,7 @@ def test_jacobians_are_those_of_finite_differences(name):
         np.testing.assert_allclose(exact, np.stack(columns, axis=1), rtol=1e-6, atol=1e-8 * scale)
 
 
+@pytest.mark.exhaustive("a Lagrangian")
 @each_system
 def test_single_precision_stays_single(name):
     model = SYSTEMS[name]
@@ -130,6 +124,7 @@ def test_outputs_have_names_and_angles_wrap():
     np.testing.assert_allclose(error, [0.0, 6 - 2 * np.pi], rtol=1e-14)
 
 
+@pytest.mark.exhaustive
 def test_a_lagrangian_in_states_moves_as_it_does_itself():
     model, t = pendulum_chain(viscous=(0.1, 0.2), actuated=(1,)), jnp.linspace(0.0, 2.0, 9)
     twin, x0 = state_space(model), jnp.array([2.0, -1.0, 1.0, -3.0])
@@ -141,6 +136,7 @@ def test_a_lagrangian_in_states_moves_as_it_does_itself():
     assert state_space(Lagrangian(model.metric, model.potential, coordinates=("a", "b"), units=("m", "m"))).inputs == 2
 
 
+@pytest.mark.exhaustive
 def test_a_simulated_oscillator_is_the_closed_form_and_keeps_its_frequency():
     model, t = models.unknown_frequency(), jnp.linspace(0.0, 7.0, 29)
     record, w = simulate(model, jnp.array([0.5, 1.2, 0.81]), t), 0.9
@@ -151,6 +147,7 @@ def test_a_simulated_oscillator_is_the_closed_form_and_keeps_its_frequency():
     assert record.check() is record
 
 
+@pytest.mark.exhaustive
 def test_inputs_reach_the_outputs_at_their_own_time():
     """x' = −x + u, y = x + 2u + t with u = t: x = t − 1 + exp(−t)."""
     model = StateSpace(lambda t, x, u: u - x, lambda t, x, u: x + 2 * u + t, coordinates=("x",), inputs=1)
@@ -160,6 +157,7 @@ def test_inputs_reach_the_outputs_at_their_own_time():
     np.testing.assert_allclose(record.u[:, 0], t, rtol=0, atol=0)
 
 
+@pytest.mark.exhaustive
 def test_the_order_of_runge_and_kutta_is_seen_on_a_closed_form():
     model, x0 = models.unknown_frequency(), jnp.array([0.5, 1.2, 0.81])
     exact = simulate(model, x0, jnp.array([0.0, 2.0])).x[-1]
@@ -188,6 +186,7 @@ class Integral(AbstractFlowObserver):
         return MechanicalState(y, u, jnp.ones_like(t))
 
 
+@pytest.mark.exhaustive
 def test_an_observer_sees_the_output_and_the_input_of_the_instant():
     model, t = models.duffing(0.0, 4.0, 0.0), jnp.linspace(0.0, 4.0, 17)
     x0, push = jnp.array([0.5, 0.0]), lambda s, x: jnp.sin(s)[None]
@@ -203,6 +202,7 @@ def test_an_observer_sees_the_output_and_the_input_of_the_instant():
     np.testing.assert_array_equal(state.v, 0.0)
 
 
+@pytest.mark.exhaustive
 def test_limit_cycle_of_van_der_pol():
     """Amplitude 2.0086 and period 6.6633 for damping 1: the cycle closes, and a motion from inside ends on it."""
     model, period = models.van_der_pol(), 6.6633
@@ -230,6 +230,7 @@ def test_fixed_points_and_divergence_of_lorenz():
         assert np.sign(spectrum.real.max()) == sign
 
 
+@pytest.mark.exhaustive
 def test_energy_of_duffing_is_what_force_and_damping_leave():
     model = models.duffing(0.25, -1.0, 1.0)
     x, u = jnp.array([0.7, -1.1]), jnp.array([0.3])

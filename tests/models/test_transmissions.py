@@ -7,9 +7,6 @@ import pytest
 from covariant import models, workflow
 from covariant.models import acceleration, robots
 
-LONG = ("test_a_description_takes_torques_of_motors",)
-"""Cases of the long suite: a cheaper one of the same test, or of the same law, is in the short one."""
-
 INERTIA = '<inertia ixx="0.02" ixy="0" ixz="0" iyy="0.03" iyz="0" izz="0.025"/>'
 LINK = f'<inertial><origin xyz="0.1 0.05 -0.2"/><mass value="2"/>{INERTIA}</inertial>'
 JOINTS = "".join(
@@ -47,6 +44,7 @@ def test_a_rotor_behind_a_gear_is_an_inertia_of_its_joint(read):
     assert robot.ignored["transmission/actuator/limit"] == 1
 
 
+@pytest.mark.exhaustive
 def test_the_inertia_matrix_has_it_on_the_diagonal(read):
     geared, plain = (robots.assemble(read(text), lock={"tip": 0.0}) for text in (PLAIN + ROTOR, PLAIN))
     q = jnp.array([0.3, -0.7])
@@ -91,7 +89,7 @@ def load(read, tmp_path):
     return load
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_torques_of_motors_are_felt_behind_their_gears(load):
     """n times as large, the sign of the reduction included; what a rotor is felt as does not change."""
     at_joints, at_motors = load(EACH), load(EACH, motor_torques=True)
@@ -123,6 +121,7 @@ def test_the_report_says_that_reductions_were_used(read, tmp_path):
     assert not robot.ignored.get("transmission/actuator/mechanicalReduction")
 
 
+@pytest.mark.exhaustive
 def test_a_description_takes_torques_of_motors(read, tmp_path):
     read(EACH)
     said = {}
@@ -170,6 +169,7 @@ def test_parameters_of_another_type_are_one_clear_line(override, words, read, tm
         models.load(str(tmp_path / "geared.urdf"), (f"parameters.{override}",))
 
 
+@pytest.mark.exhaustive
 def test_a_payload_in_a_model_file_may_hold_whole_numbers(read, tmp_path):
     read(EACH)
     file = models.load(str(tmp_path / "geared.urdf"), ("parameters.payload={hand=[1, 0, 0.5, 0]}",))

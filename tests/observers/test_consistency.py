@@ -109,7 +109,7 @@ def bound(components: int) -> float:
     return 1.96 * (2 / components) ** 0.5
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("name", MODELS)
 def test_errors_are_as_large_as_the_filter_says(name):
     """Within the bounds that 95 of 100 consistent filters stay in, of χ² over all runs."""

@@ -22,9 +22,6 @@ from covariant.observers import (
 from covariant.signals import Record, Result
 from covariant.simulation import observe, simulate
 
-LONG = ("test_craft_observer_is_the_printed_one",)
-"""Cases of the long suite: a cheaper one of the same test, or of the same law, is in the short one."""
-
 ZERO = jnp.zeros(())
 
 
@@ -82,6 +79,7 @@ def test_a_sample_counts_for_the_time_since_the_one_before():
     assert np.abs(forgetful - truth)[-20:].max() > 3 * error
 
 
+@pytest.mark.long
 def test_missing_samples_are_coasted_and_gains_of_any_size_are_stable():
     model = mass_on_a_spring()
     observer = Contracting(model, jnp.array([[1e4], [1e4]]), jnp.array([0.3, 0.1]))
@@ -132,6 +130,7 @@ def station(**more):
     return marine.Station(marine.supply_vessel(mooring=np.diag([5e4, 5e4, 5e7])), **more)
 
 
+@pytest.mark.long
 def test_passive_observer_is_the_printed_one():
     """(43) and (44) in letters, at another heading than the estimated one."""
     plain = station()
@@ -178,6 +177,7 @@ def test_lyapunov_function_of_the_ship_falls_as_designed(own):
         np.testing.assert_allclose(fall / scale / scale[:, None], expected / scale / scale[:, None], atol=1e-9)
 
 
+@pytest.mark.exhaustive
 def test_conditions_of_contraction_are_those_of_lyapunov():
     """(55)–(60) in symbols: with P = ΘᵀΘ the generalised Jacobian's symmetric part is ½Θ⁻ᵀ(PF + FᵀP)Θ⁻¹, and with K2
     of (49) = (60) its off-diagonal blocks vanish."""
@@ -209,6 +209,7 @@ def test_conditions_of_contraction_are_those_of_lyapunov():
     assert sympy.simplify((printed + printed.T)[:n, n:] - 2 * turn) == sympy.zeros(n)
 
 
+@pytest.mark.exhaustive
 def test_passive_observer_converges_as_fast_as_its_lyapunov_function_says():
     plain = station()
     mass = np.asarray(plain.ship.mass)
@@ -226,6 +227,7 @@ def test_passive_observer_converges_as_fast_as_its_lyapunov_function_says():
     assert value[-1] < 1e-2 * value[0]
 
 
+@pytest.mark.long
 def test_a_thruster_that_lags_is_modelled_and_not_corrected():
     """The force at work follows the commanded one: no measurement of a position tells more of it."""
     lagging = station(thruster_time=5.0)
@@ -242,6 +244,7 @@ def test_a_thruster_that_lags_is_modelled_and_not_corrected():
     np.testing.assert_allclose(flow[:6], alone, rtol=1e-12)
 
 
+@pytest.mark.long
 def test_passive_observer_does_not_mind_whole_turns_and_needs_a_first_position():
     noisy = station(waves=marine.Waves((0.8,) * 3, (0.1,) * 3, (0.5, 0.5, 0.01)), bias_time=1000.0)
     observer = PassiveShip(noisy, notch_gains(noisy, (0.1, 0.1, 0.2)))
@@ -258,6 +261,7 @@ def test_passive_observer_does_not_mind_whole_turns_and_needs_a_first_position()
         observer.init(jnp.array([1.0, 2.0]))
 
 
+@pytest.mark.long
 def test_notch_holds_back_waves_and_follows_the_bias():
     """The frequency response of the estimated position: little at the wave frequency, all at rest."""
     noisy = marine.Station(
@@ -299,6 +303,7 @@ def test_bad_designs_are_refused_in_one_line(case):
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.long
 def test_craft_observer_is_the_printed_one():
     craft = marine.odin()
     k1, k2 = np.diag(np.arange(1.0, 7.0)), np.diag(np.arange(10.0, 16.0))

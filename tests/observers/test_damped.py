@@ -56,7 +56,9 @@ def by_hand(observer, q, v, u):
     return read(v), np.stack([read(axis) - read(rest) for axis in jnp.eye(len(v))], 1)
 
 
-@pytest.mark.parametrize("name", ["chart", "SO(3)", pytest.param("robot", marks=pytest.mark.long)])
+@pytest.mark.exhaustive("robot")
+@pytest.mark.long
+@pytest.mark.parametrize("name", ["chart", "SO(3)", "robot"])
 def test_a_sample_never_expands_and_is_the_damper_where_it_is_short(systems, name):
     """In |δv|² + δb²/γ, for random Γ, γ, dt and missing readings; and to first order in dt by hand."""
     model, q, sensors = systems[name]
@@ -114,6 +116,7 @@ def warped(z, a):
     return z + a * jnp.stack([jnp.sin(z[1]), jnp.cos(2 * z[0])])
 
 
+@pytest.mark.exhaustive
 def test_in_other_coordinates_it_is_the_same():
     """To rounding; a gain that is no tensor, such as a diagonal matrix in each chart, would show here."""
     model, chart, sensor = curved(), Parametric(warped, a=np.array(0.2)), oblique()
@@ -138,7 +141,8 @@ def test_in_other_coordinates_it_is_the_same():
     assert np.abs(two.v - sides[1][2][1]).max() > 0.1
 
 
-@pytest.mark.parametrize("gated", [False, pytest.param(True, marks=pytest.mark.long)])
+@pytest.mark.exhaustive
+@pytest.mark.parametrize("gated", [False, True])
 def test_without_a_reading_it_is_the_inner_observer(gated):
     """To the last bit; readings between two measured configurations are no gap."""
     model, rng = curved(), np.random.default_rng(3)
@@ -171,7 +175,7 @@ def shaken_body(rows=1500):
     return body, np.asarray(true.v), np.asarray(q), read
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_a_gyro_lowers_the_error_to_a_third_and_its_offset_is_found():
     """At a quarter of the rate each reading counts four times as long, so that much the same is found."""
     body, v, q, read = shaken_body()
@@ -199,6 +203,7 @@ def two_sensors():
     return Damped(Intrinsic(curved(), 4.0, 8.0, substeps=1), sensors, 3.0, [0.5, 0.0]), y
 
 
+@pytest.mark.exhaustive
 def test_compiled_c_computes_the_same():
     (observer, y), t = two_sensors(), STEP * np.arange(40)
     whole = run(observer, Record(t, np.zeros((40, 2)), y))
@@ -208,7 +213,7 @@ def test_compiled_c_computes_the_same():
     np.testing.assert_allclose(rows, whole.estimate, rtol=0, atol=1e-12)
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_late_readings_count_when_they_were_true():
     observer, y = two_sensors()
     late = np.vstack([y[:1], np.full((1, 4), np.nan), y[:-2]])

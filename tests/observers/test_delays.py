@@ -18,12 +18,6 @@ from covariant.simulation import hold, simulate
 from covariant.workflow import export
 from covariant.workflow._inputs import Job, Loaded, data_sheet, load, with_sensor_delays
 
-LONG = (
-    "test_every_reading_counts_at_the_time_at_which_it_was_true[delays0]",
-    "test_every_reading_counts_at_the_time_at_which_it_was_true[delays1]",
-)
-"""Cases of the long suite: a cheaper one of the same test is in the short one."""
-
 EXAMPLES = Path(__file__).parents[2] / "examples"
 CHAIN = pendulum_chain((0.6, 0.4), (0.3, 0.25), com=(0.16, 0.14), inertia=(0.005, 0.0026), viscous=(0.012, 0.008))
 FILTER = IntrinsicKalman(CHAIN, 0.1 * jnp.eye(2), 1e-8 * jnp.eye(2), 4.0 * jnp.eye(2), substeps=1)
@@ -97,6 +91,7 @@ def oracle(step, record, delays, k):
     return state
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("delays", [(0.0, 0.005), (0.003, 0.008)])
 def test_every_reading_counts_at_the_time_at_which_it_was_true(step, delays):
     record = swing(delays)
@@ -129,6 +124,7 @@ IN_LONG = (0.4, (0.4, 1.0))
 """Delays in rows that the long suite compiles: one for all, and one for each joint."""
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize(
     ("name", "rows"),
     [
@@ -162,7 +158,7 @@ def test_a_buffer_holds_what_waits_and_no_more():
     ]
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_a_sample_that_comes_after_later_ones_counts_as_in_order(step, late):
     delays = (0.0, 0.005)
     kalman = EKF(CHAIN, 0.1 * jnp.eye(2), 1e-8 * jnp.eye(2), substeps=1)
@@ -181,6 +177,7 @@ def test_a_sample_that_comes_after_later_ones_counts_as_in_order(step, late):
     assert late(observer, state, record.y[40], record.t[59] + 1.0)[1].result == Result.STEP_REFUSED
 
 
+@pytest.mark.exhaustive
 def test_too_short_a_buffer_says_what_it_leaves_out(step):
     delays = (0.0, 0.1)
     observer = delayed(FILTER, delays)  # twelve samples, and in a tenth of a second come twenty
@@ -188,6 +185,7 @@ def test_too_short_a_buffer_says_what_it_leaves_out(step):
     assert results.count(Result.TOO_LATE) > 30
 
 
+@pytest.mark.exhaustive
 def test_without_delay_it_is_the_observer_itself(pendulum, regular):
     observer = EKF(pendulum.model, 0.1 * jnp.eye(1), 1e-6 * jnp.eye(1))
     y = np.sin(regular)[:, None]
@@ -207,6 +205,7 @@ def test_an_angle_of_too_many_turns_is_missing_to_the_observer_inside_too(delay)
     assert info.result == Result.COASTED
 
 
+@pytest.mark.exhaustive
 def test_batches_and_full_turns():
     """Logs run side by side, one with its angles as they are and one with angles that jump by a turn."""
     t = 0.005 * np.arange(200)
@@ -229,7 +228,7 @@ def test_batches_and_full_turns():
     np.testing.assert_allclose(v[0], alone[0], rtol=0, atol=1e-12)
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_an_attitude_is_late_as_a_whole(step):
     """The observer runs behind by the delay; the model predicts from there to the stamp."""
     model: MechanicalSystem = free_body((1.0, 2.0, 3.5))
@@ -279,7 +278,7 @@ def velocity_error(loaded: Loaded, name: str, rows: np.ndarray, y: np.ndarray, d
     return float(np.linalg.norm(rmse(v[scored], truth[scored]) / np.sqrt(np.mean(truth[scored] ** 2, axis=0))))
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_the_free_pendulum_with_a_late_joint_and_jittered_stamps(data_folder):
     """The log at 1 kHz, of which every fifth row is read, or one near it; its second joint is five rows late."""
     loaded = recorded(data_folder, "multiarm_double.toml", "multiarm_pendulum/double.csv")
@@ -296,7 +295,7 @@ def test_the_free_pendulum_with_a_late_joint_and_jittered_stamps(data_folder):
     assert velocity_error(loaded, "intrinsic", jittered, behind, late) < 1.05 * told
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_the_driven_pendulum_with_a_late_joint(data_folder):
     """Its encoders tick, and its stamps jitter as they are."""
     loaded = recorded(data_folder, "dfki_double_pendulum.toml", "dfki_double_pendulum/A0_sysid_00.csv")
@@ -309,6 +308,7 @@ def test_the_driven_pendulum_with_a_late_joint(data_folder):
     assert velocity_error(loaded, "ekf", rows, behind, (0.0, 0.0)) > 2.4 * clean
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("delay", ["0.005", "[0.0, 0.005]"])
 def test_the_members_of_an_exported_state_have_names_of_their_own(tmp_path, delay):
     late = (f"measurement.delay={delay}",)

@@ -68,7 +68,7 @@ def kalman(force: float | None, **named) -> IntrinsicKalman:
     )
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_a_push_is_found_and_leaves_no_bias(pushed_swing):
     record, true = pushed_swing
     v, force, std = (np.asarray(a) for a in followed(kalman(1.0), jax.tree.map(jnp.asarray, record)))
@@ -82,7 +82,7 @@ def test_a_push_is_found_and_leaves_no_bias(pushed_swing):
     assert np.sqrt(np.mean(errors**2, axis=0)).max() < 3 * std[late].max()
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_without_it_the_push_is_a_bias(pushed_swing):
     record, true = pushed_swing
     late = record.t > 1.5
@@ -91,7 +91,7 @@ def test_without_it_the_push_is_a_bias(pushed_swing):
     assert np.abs((plain - true[late]).mean(axis=0)).max() > 20 * np.abs((with_it - true[late]).mean(axis=0)).max()
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_a_torque_on_a_body_is_found_in_the_body():
     """On SO(3) a force is a covector of the body's own axes."""
     body = GroupSystem(SO3, jnp.diag(jnp.array([1.0, 2.0, 3.5])))

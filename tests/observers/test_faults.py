@@ -20,17 +20,6 @@ from covariant.observers import Gated, run
 from covariant.signals import Record, Result, lag_inputs
 from covariant.simulation import hold, simulate
 
-LONG = (
-    "test_a_body_that_is_lost_is_said[intrinsic]",
-    "test_a_body_that_is_lost_is_said[salcudean]",
-    "test_after_a_hole_the_velocity_is_no_worse_than_that_of_the_model_alone[copy-dfki_double_pendulum]",
-    "test_after_a_hole_the_velocity_is_no_worse_than_that_of_the_model_alone[copy-multiarm_double]",
-    "test_after_a_hole_the_velocity_is_no_worse_than_that_of_the_model_alone[ekf-dfki_double_pendulum]",
-    "test_after_a_hole_the_velocity_is_no_worse_than_that_of_the_model_alone[ekf-multiarm_double]",
-    "test_after_a_hole_the_velocity_is_no_worse_than_that_of_the_model_alone[joint-kalman-multiarm_double]",
-)
-"""Cases of the long suite: a cheaper one of the same test is in the short one."""
-
 EXAMPLES = Path(__file__).parents[2] / "examples"
 LOGS = {
     "multiarm_double": ("multiarm_pendulum/double.csv", 5, 20.2),
@@ -134,7 +123,7 @@ def rms(a) -> float:
     return float(np.sqrt(np.mean(np.square(a))))
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 @pytest.mark.data
 def test_outliers_and_missing_measurements_cost_little(tried):
     """A filter without a model has nothing to bridge a missing measurement with."""
@@ -149,6 +138,7 @@ def test_outliers_and_missing_measurements_cost_little(tried):
     assert np.isin(code["clean"][:, first["clean"] :], [Result.OK, Result.OUTLIER]).all()
 
 
+@pytest.mark.long("copy", "ekf", "multiarm_double")
 @pytest.mark.data
 def test_after_a_hole_the_velocity_is_no_worse_than_that_of_the_model_alone(tried):
     """A position tells nothing of the velocity half an oscillation of the error later: at .4 s no linear correction,
@@ -166,6 +156,7 @@ def test_after_a_hole_the_velocity_is_no_worse_than_that_of_the_model_alone(trie
         assert rms(error[kind][:, settled]) < 1.2 * rms(error["clean"][:, first["clean"] :]), kind
 
 
+@pytest.mark.exhaustive("copy-multiarm_double", "kalman-dfki_double_pendulum")
 @pytest.mark.data
 def test_a_first_row_that_is_wrong_is_said(tried):
     """And the estimates that it spoils are, but for three rows at most, in which the wrong position is believed."""
@@ -182,6 +173,7 @@ SHEET = DataSheet(1e-3, 0.5, 0.02, 20.0, 0.5)
 RATE = 100.0
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("name", ["intrinsic", "salcudean"])
 def test_a_body_that_is_lost_is_said(name):
     """Gains that are too low for how fast it turns: the estimate falls behind by whole turns."""
@@ -198,7 +190,7 @@ def test_a_body_that_is_lost_is_said(name):
     assert ((np.asarray(found.info.result) == Result.OK) & (error > 2 * usual)).sum() < 10
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_a_gate_makes_the_step_of_the_observer_when_nothing_is_wrong():
     """Even from a state that is far off: what the observer's own error does is no fault of the measurement."""
     rng = np.random.default_rng(2)

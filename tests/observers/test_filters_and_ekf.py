@@ -13,6 +13,7 @@ RANDOM = np.random.default_rng(0)
 STAMPS = jnp.asarray(np.cumsum(np.concatenate([[0.0], RANDOM.uniform(1e-3, 4e-3, 300)])))
 
 
+@pytest.mark.long
 def test_ekf_is_the_textbook_filter_on_a_linear_system():
     stiffness, process, noise, dt = 4.0, 0.5, 1e-4, 0.01
     model = models.oscillator(stiffness=stiffness)

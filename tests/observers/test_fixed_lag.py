@@ -37,7 +37,8 @@ def of_a_pendulum() -> IntrinsicKalman:
 FILTERS = {"pendulum": of_a_pendulum, "no model": lambda: JointKalman(5.0, 0.1, 0.01, gate=Gate(patience=4))}
 
 
-@pytest.mark.parametrize("name", ["pendulum", pytest.param("no model", marks=pytest.mark.long)])
+@pytest.mark.exhaustive
+@pytest.mark.parametrize("name", ["pendulum", "no model"])
 def test_it_is_the_smoother_of_a_log_with_this_lag(name):
     observer = FILTERS[name]()
     expected, late = smooth(observer, log(), lag=LAG), FixedLag(observer, LAG)

@@ -12,15 +12,6 @@ from covariant.observers import EKF, Copy, Geodesic, Intrinsic, IntrinsicKalman
 from covariant.observers._sampled import LONGEST_GAP, sampled_correction
 from covariant.signals import Result
 
-LONG = (
-    "intrinsic-kalman",
-    "geodesic",
-    "test_after_a_long_gap_the_velocity_is_no_worse_than_the_model_alone[ekf]",
-    "test_after_a_long_gap_the_velocity_is_no_worse_than_the_model_alone[intrinsic]",
-    "test_a_short_gap_is_corrected[intrinsic]",
-    "test_after_a_long_gap_the_velocity_is_no_worse_than_the_model_alone[copy]",
-)
-
 ALPHA, BETA = 20.0, 200.0
 
 
@@ -151,6 +142,7 @@ def rms(a) -> float:
     return float(np.sqrt(np.mean(np.square(a))))
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("name", OBSERVERS)
 def test_after_a_long_gap_the_velocity_is_no_worse_than_the_model_alone(name, swings):
     found, model, codes, rest = gap_errors(OBSERVERS[name](BELIEVED), swings, 1.2)
@@ -161,6 +153,7 @@ def test_after_a_long_gap_the_velocity_is_no_worse_than_the_model_alone(name, sw
         assert (codes >= Result.RESTARTED).all()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["intrinsic", "geodesic", "intrinsic-kalman"])
 def test_a_short_gap_is_corrected(name, swings):
     found, model, _, _ = gap_errors(OBSERVERS[name](BELIEVED), swings, 0.1)

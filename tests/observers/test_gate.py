@@ -12,13 +12,6 @@ from covariant.models import Lagrangian, Motion, advance, free_body, oscillator,
 from covariant.observers import Copy, Gate, Gated, Intrinsic, IntrinsicKalman, run
 from covariant.signals import Record, Result
 
-LONG = (
-    "test_a_clean_log_is_never_refused",
-    "test_a_velocity_that_is_off_by_more_than_twice_the_usual_one_is_said[1.5-False]",
-    "test_noise_told_ten_times_too_small_does_not_shut_the_gate",
-)
-"""Cases of the long suite: a cheaper one of the same test, or of the same law, is in the short one."""
-
 NOISE = 1e-3
 ROWS = 500
 CHAIN = pendulum_chain((1.0, 0.7), (0.5, 0.4))
@@ -49,7 +42,7 @@ def codes(followed) -> np.ndarray:
     return np.asarray(followed.info.result)
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_one_outlier_in_a_hundred_costs_less_than_a_tenth(swing, follow):
     t, x, y = swing
     rng = np.random.default_rng(1)
@@ -62,6 +55,7 @@ def test_one_outlier_in_a_hundred_costs_less_than_a_tenth(swing, follow):
     assert velocity_error(follow(kalman(gate=None), t, spoiled), x) > 10 * velocity_error(clean, x)
 
 
+@pytest.mark.long
 def test_a_clean_log_is_never_refused(swing, follow):
     t, _, y = swing
     assert set(codes(follow(kalman(), t, y))) == {Result.OK}
@@ -78,7 +72,7 @@ def test_a_jump_that_stays_is_believed_after_a_while(swing, follow):
     assert (found[first + 30 :] == Result.OK).all()
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_many_joints_with_an_outlier_each_now_and_then_do_not_start_it_anew(swing, follow):
     """Patience is a joint's own: refusals of different joints in a row are no jump."""
     t, _, y = swing
@@ -89,6 +83,7 @@ def test_many_joints_with_an_outlier_each_now_and_then_do_not_start_it_anew(swin
     assert (found[199:229] == Result.OUTLIER).all()
 
 
+@pytest.mark.exhaustive
 def test_a_joint_that_is_missing_delays_the_new_start(swing, follow):
     t, _, y = swing
     moved = y.copy()
@@ -99,6 +94,7 @@ def test_a_joint_that_is_missing_delays_the_new_start(swing, follow):
     assert found[274] == Result.RESTARTED
 
 
+@pytest.mark.long
 def test_noise_told_ten_times_too_small_does_not_shut_the_gate(swing, follow):
     t, x, _ = swing
     y = x[:, :2] + 10 * NOISE * np.random.default_rng(2).normal(size=(ROWS, 2))
@@ -121,7 +117,7 @@ def test_what_is_measured_together():
     assert arm.measured_together(8) == ((0, 1, 2, 3, 4, 5), (6,), (7,))
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_an_attitude_is_refused_as_a_whole():
     body = free_body((1.0, 2.0, 3.5))
     observer = IntrinsicKalman(body, 1e-4, 1e-6, 1.0, substeps=1)
@@ -147,6 +143,7 @@ def test_gates_that_make_no_sense_are_refused(wrong, words):
         Gate(**wrong)
 
 
+@pytest.mark.long("1.5")
 @pytest.mark.parametrize(("speed", "astray"), [(1.5, False), (3.0, True)])
 def test_a_velocity_that_is_off_by_more_than_twice_the_usual_one_is_said(speed, astray):
     """Of a mass that moves on steadily, by gains so low that its velocity is hardly believed."""
@@ -159,6 +156,7 @@ def test_a_velocity_that_is_off_by_more_than_twice_the_usual_one_is_said(speed, 
     assert (found[:5] == Result.OK).all()
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("joints", [2, 3])
 def test_a_gate_does_not_do_the_work_of_its_observer_twice(joints):
     """Counted by the compiler: with few substeps the correction is a large part of a step."""
@@ -173,6 +171,7 @@ def test_a_gate_does_not_do_the_work_of_its_observer_twice(joints):
     assert operations(Gated(observer, chain, 1e-3, 5.0)) < operations(observer) + 330 * joints
 
 
+@pytest.mark.long("0.3")
 @pytest.mark.parametrize("size", [0.3, 5.0])
 def test_a_burst_of_outliers_does_not_open_the_gate_for_its_last_ones(size):
     t = 0.01 * np.arange(400)

@@ -14,23 +14,6 @@ from covariant.observers import EKF, Delayed, Geodesic, Intrinsic, Salcudean, ru
 from covariant.signals import Record, Result
 from covariant.simulation import simulate
 
-LONG = (
-    "test_a_log_or_a_stream_that_starts_with_no_rotation[c]",
-    "test_a_short_step_is_the_flow[group]",
-    "test_a_short_step_is_the_flow[riemannian]",
-    "test_observers_work_in_float32[invariant EKF]",
-    "test_observers_work_in_float32[riemannian]",
-    "test_observers_work_in_float32[salcudean]",
-    "test_velocity_is_found_from_rest[group]",
-    "test_a_later_measurement_that_is_no_rotation[group-[[2. 0. 0.]\\n [0. 2. 0.]\\n [0. 0. 2.]]]",
-    "test_a_later_measurement_that_is_no_rotation[late-[[2. 0. 0.]\\n [0. 2. 0.]\\n [0. 0. 2.]]]",
-    "test_observers_work_in_float32[group]",
-    "test_the_sign_of_a_quaternion_does_not_matter[group]",
-    "test_velocity_is_found_from_rest[riemannian]",
-    "test_where_no_geodesic_is_found_the_group_logarithm_stands_in",
-)
-"""Cases of the long suite: a cheaper one of the same test is in the short one."""
-
 BODY = free_body((1.0, 2.0, 3.5))
 OBSERVERS = {
     "group": Intrinsic(BODY, 4.0, 6.0, substeps=1),
@@ -58,6 +41,8 @@ def velocity_error(result, log):
     return np.linalg.norm(np.asarray(result.estimate.v - log.x.v), axis=1)
 
 
+@pytest.mark.exhaustive("group", "invariant EKF", "salcudean")
+@pytest.mark.long
 @pytest.mark.parametrize("name", OBSERVERS)
 def test_velocity_is_found_from_rest(runs, log, name):
     error = velocity_error(runs[name], log)
@@ -90,6 +75,7 @@ def test_a_start_half_a_turn_away_is_said_and_overcome(log, name):
     assert velocity_error(result, log)[-1] < 0.05
 
 
+@pytest.mark.exhaustive
 def test_where_no_geodesic_is_found_the_group_logarithm_stands_in(log):
     """A turn by almost π with a single Newton correction is beyond what the fixed budget finds."""
     observer = Geodesic(free_body((0.1, 2.0, 20.0)), 2.0, 3.0)
@@ -99,6 +85,7 @@ def test_where_no_geodesic_is_found_the_group_logarithm_stands_in(log):
     assert all(np.isfinite(np.asarray(part)).all() for part in new)
 
 
+@pytest.mark.long("group")
 @pytest.mark.parametrize("name", OBSERVERS)
 def test_the_sign_of_a_quaternion_does_not_matter(log, runs, name):
     flips = np.where(np.random.default_rng(0).random(len(log.t)) < 0.5, -1.3, 1.0)[:, None]
@@ -107,6 +94,8 @@ def test_the_sign_of_a_quaternion_does_not_matter(log, runs, name):
     np.testing.assert_allclose(result.estimate.v, runs[name].estimate.v, atol=1e-9)
 
 
+@pytest.mark.exhaustive("riemannian")
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["group", "riemannian", "salcudean"])
 def test_a_short_step_is_the_flow(name):
     """`step` tends to `flow` as dt does to 0, at first order in dt."""
@@ -126,6 +115,7 @@ def test_a_short_step_is_the_flow(name):
     assert np.log10(gaps[0] / gaps[1]) == pytest.approx(1.0, abs=0.15)
 
 
+@pytest.mark.long
 def test_with_equal_moments_of_inertia_the_exact_flow_has_a_closed_form():
     """Geodesics are then those of the group, and a body that turns at w sees a parallel v turn by −½ w × v."""
     alpha, beta, off, v = 2.0, 3.0, np.array([0.2, -0.1, 0.3]), np.array([0.5, -0.4, 0.7])
@@ -141,7 +131,7 @@ def test_an_observer_that_is_told_no_time_starts_at_zero(name):
     assert OBSERVERS[name].init(jnp.eye(3)).t == 0.0
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_what_a_step_leaves_of_the_error_leads_from_the_measurement_to_the_new_estimate():
     """It is what the next search starts from: the rest of the geodesic."""
     observer = OBSERVERS["riemannian"]
@@ -200,6 +190,7 @@ def textbook_mekf(log, process, measurement, velocity_std):
     return np.stack(estimates)
 
 
+@pytest.mark.long
 def test_invariant_ekf_on_rotations_is_the_multiplicative_ekf_of_the_textbook(log, runs):
     noise = 0.01 * jax.random.normal(jax.random.key(0), (len(log.t), 3))
     noisy = log._replace(y=jax.vmap(lambda g, e: g @ SO3.exp(e))(log.y, noise))
@@ -209,7 +200,7 @@ def test_invariant_ekf_on_rotations_is_the_multiplicative_ekf_of_the_textbook(lo
     assert np.abs(ours - textbook)[100:].max() < 0.05 * np.sqrt(np.mean(error**2))
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_pose_and_twist_on_se3():
     vehicle = underwater_vehicle()
     t = 0.05 * jnp.arange(120.0)
@@ -221,6 +212,7 @@ def test_pose_and_twist_on_se3():
     assert max(float(SE3.defect(g)) for g in result.estimate.q[::20]) < 1e-13
 
 
+@pytest.mark.exhaustive
 def test_friction_of_a_top_is_taken_at_the_estimate():
     top = heavy_top(viscous=0.05)
     t = 0.02 * jnp.arange(300.0)
@@ -243,6 +235,7 @@ def test_a_first_measurement_that_is_no_rotation_is_refused(name):
     assert "callback" not in start.lower(jnp.eye(3)).as_text()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("engine", ["c", "jax"])
 def test_a_log_or_a_stream_that_starts_with_no_rotation(log, engine):
     observer = OBSERVERS["group"]
@@ -258,6 +251,7 @@ def test_a_log_or_a_stream_that_starts_with_no_rotation(log, engine):
     np.testing.assert_allclose(found[1].q, wrong[1], atol=1e-12)
 
 
+@pytest.mark.exhaustive("04 1.0000e", "[[2. 0. 0.]\\n [0. 2. 0.]\\n [0. 0. 2.]]", "late")
 @pytest.mark.parametrize("wrong", [2 * np.eye(3), np.diag([1.0, 1.0, -1.0]), np.eye(3) + 1e-4], ids=str)
 @pytest.mark.parametrize("name", ["group", "late"])
 def test_a_later_measurement_that_is_no_rotation(name, wrong, log):
@@ -296,6 +290,7 @@ def test_salcudean_is_for_rotations_only():
         Salcudean(underwater_vehicle(), 1.0, 1.0)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("name", OBSERVERS)
 def test_observers_work_in_float32(log, runs, name):
     light = jax.tree.map(lambda a: jnp.asarray(a, jnp.float32) if eqx.is_array(a) else a, OBSERVERS[name])

@@ -12,8 +12,6 @@ import pytest
 from covariant.observers import DistanceBounds, distance_decay, part_limits
 from covariant.observers._implicit_distances import contracted
 
-LONG = ("test_no_correction_increases_a_distance_up_to_the_bound[sphere]", "test_the_decay_is_consistent")
-
 
 class Surface:
     """Metric diag(1, f(r)²) on the plane of (r, θ), with f and its first derivative, and its curvature."""
@@ -98,6 +96,7 @@ def pairs(surface, rng, count):
     return (there, v + vectors(q, 10 ** rng.uniform(-0.5, 0.7, count))), (q, v), speed
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("surface", [BEAM, SPHERE], ids=["ball and beam", "sphere"])
 def test_no_correction_increases_a_distance_up_to_the_bound(surface):
     """At the largest weight m₀ that the bound admits, for small and for whole corrections."""
@@ -171,6 +170,7 @@ def test_one_output_has_the_limits_of_lengths_at_any_distance():
     assert distance_decay(h, 0.98 * limits.least, sigma, far).rate == -math.inf
 
 
+@pytest.mark.long
 def test_the_decay_is_consistent():
     """Each of its conditions, from its own numbers; more error, speed or curvature never prove more."""
     bounds = DistanceBounds(1.0, 0.5, 1.0, (-1.0, 1.0), (-1.0, 0.2))

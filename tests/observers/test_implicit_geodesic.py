@@ -98,7 +98,7 @@ def gap_between_charts(plain, bent):
 BENT_ROUND = Lagrangian(Pullback(sphere(), unbend, bend), lambda z: ROUND.potential(unbend(z)))
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_samples_give_the_same_estimate_in_two_charts_of_the_sphere():
     plain, bent = (ImplicitGeodesic(model, ALPHA, BETA, substeps=20) for model in (ROUND, BENT_ROUND))
     assert gap_between_charts(plain, bent) < 1e-8
@@ -106,7 +106,7 @@ def test_samples_give_the_same_estimate_in_two_charts_of_the_sphere():
     assert gap_between_charts(plain, bent) > 1e-3
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_samples_give_the_same_estimate_in_two_charts_of_a_double_pendulum():
     model = pendulum_chain((1.0, 0.7), (0.5, 0.4))
     plain = Lagrangian(model.metric, model.potential, inputs=2)

@@ -25,12 +25,6 @@ from covariant.observers import (
 )
 from covariant.observers._implicit_limits import weight_of
 
-LONG = (
-    "test_a_correction_follows_the_jacobi_field[sphere]",
-    "test_a_correction_follows_the_jacobi_field[hyperbolic plane]",
-    "test_a_correction_follows_the_jacobi_field[SO(3)]",
-)
-
 UNIFORM = [(4.0, 1.0), (4.0, 5.0), (0.0, 3.0), (-4.0, 5.0), (-4.0, 1.0), (9.81, 6.0)]
 """k and σ."""
 
@@ -190,11 +184,12 @@ def check_a_pendulum(count):
         assert worst_share(2 - limits.least / 2, limits.before, count) > 1.01
 
 
+@pytest.mark.long
 def test_errors_of_a_pendulum_fall_as_proved_however_large():
     check_a_pendulum(5_000)
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_no_error_of_a_million_falls_more_slowly():
     check_a_pendulum(1_000_000)
 
@@ -258,6 +253,8 @@ SPACES = {
 }
 
 
+@pytest.mark.exhaustive("SO(3)", "hyperbolic plane")
+@pytest.mark.long
 @pytest.mark.parametrize("name", SPACES)
 def test_a_correction_follows_the_jacobi_field(name):
     """`ξ⁺ = J(θ)`, `w⁺ = Π(w + ∫₀^θ R(γ', J)(v̂ + σsγ') ds)`: on a curved space w does not stay as it is."""
@@ -342,7 +339,7 @@ ROUND = {
 }
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("name", ROUND)
 def test_no_error_on_a_curved_space_falls_more_slowly_than_proved(name):
     """At any distance, speed and part; without the terms of curvature, or with half of the least part, some do."""
@@ -384,7 +381,7 @@ def stiffness(model, q, v):
     return jax.vmap(one)(q, v)
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_no_error_of_a_double_pendulum_falls_more_slowly_than_proved():
     """Its curvature and K are bounded by samples, with a margin, at speeds that a motion from the others may reach."""
     model = Lagrangian(pendulum_chain().metric, pendulum_chain().potential, inputs=2)  # angles that do not wrap

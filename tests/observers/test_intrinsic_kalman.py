@@ -18,8 +18,6 @@ from covariant.models.marine import euler_rotation
 from covariant.observers import EKF, IntrinsicKalman
 from covariant.signals import Result
 
-LONG = ("SO(3)", "double pendulum")
-
 ROWS = 60
 INERTIA = jnp.diag(jnp.array([1.0, 2.0, 3.5]))
 FINE = Budget(newton=None, steps=12)
@@ -39,6 +37,7 @@ PROCESS = np.array([[2.0, 0.4], [0.4, 1.0]])
 MEASUREMENT = 1e-4 * np.array([[1.0, 0.6], [0.6, 2.0]])
 
 
+@pytest.mark.exhaustive
 def test_on_two_coupled_masses_it_is_the_kalman_filter(follow):
     """The EKF, itself checked against a textbook, with gaps of both coordinates, of one, of the other."""
     rng = np.random.default_rng(0)
@@ -54,6 +53,7 @@ def test_on_two_coupled_masses_it_is_the_kalman_filter(follow):
     np.testing.assert_allclose(cov, plain.state.cov, rtol=0, atol=1e-10)
 
 
+@pytest.mark.long
 def test_an_angle_starts_anew_where_it_is_uncertain_by_more_than_its_noise_explains():
     """A wheel whose velocity is known to 1 rad/s: after 0.4 s its angle is to 0.4 rad, after 0.6 s to 0.6 rad."""
     wheel = Lagrangian(lambda q: jnp.eye(1), lambda q: jnp.zeros(()), circles=(0,))
@@ -97,6 +97,7 @@ CASES = {
 }
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("name", CASES)
 def test_the_reset_is_the_derivative_of_the_exact_change_of_base_point(name):
     model, q, v = CASES[name]
@@ -131,7 +132,7 @@ def test_the_reset_is_the_derivative_of_the_exact_change_of_base_point(name):
 # The lottery of coordinates.
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_body_frame_and_euler_angles_predict_correct_and_reset_alike():
     body = GroupSystem(SO3, INERTIA)
     angles, rates = jnp.array([0.4, 0.5, -0.3]), jnp.array([1.0, -0.8, 1.2])
@@ -253,7 +254,7 @@ def intrinsic_kalman(model, noise):
     return isotropic(model, 0.5, noise, 3.0, gate=None, budget=Budget(newton=1, steps=3), substeps=2)
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("name", LOTTERIES)
 def test_ten_charts_make_no_difference(name):
     """Less than a hundredth of the error itself, at errors of a third of a radian and noise of a twentieth."""

@@ -68,6 +68,7 @@ def textbook(t, u, y):
         yield x, cov
 
 
+@pytest.mark.long
 def test_estimates_and_covariances_are_those_of_the_textbook(case, followed):
     for k, (x, cov) in enumerate(textbook(*case)):
         np.testing.assert_allclose(followed.x[k], x, rtol=0, atol=1e-9, err_msg=f"row {k + 2}")

@@ -13,9 +13,6 @@ from covariant.observers._levant import MARGIN
 from covariant.observers._tracking_loop import sampled
 from covariant.signals import Record, Result
 
-LONG = ("test_weights_are_the_response_to_an_impulse[joint kalman]",)
-"""Cases of the long suite: a cheaper one of the same test, or of the same law, is in the short one."""
-
 ROWS, RATE = 400, 200.0
 LINEAR = {
     "filtered derivative": FilteredDerivative(40.0, (0,)),
@@ -34,6 +31,7 @@ def states(observer, t, y):
     return np.split(np.asarray(run(observer, Record(t, np.zeros((len(t), 0)), y)).estimate), 2, axis=1)
 
 
+@pytest.mark.long("joint kalman")
 @pytest.mark.parametrize("name", LINEAR)
 def test_weights_are_the_response_to_an_impulse(name):
     """Long after the start, of which nothing is left; one coordinate is on a circle, and the impulse short of π."""

@@ -34,6 +34,7 @@ def swing(step, force, duration=2.0):
     return t, np.stack([np.where(t < 1.0, 1.0, -1.0), 0 * t], axis=1), q, v
 
 
+@pytest.mark.exhaustive
 def test_a_constant_force_appears_behind_a_first_order_lag():
     errors = []
     for step in (0.01, 0.005):
@@ -46,6 +47,7 @@ def test_a_constant_force_appears_behind_a_first_order_lag():
     np.testing.assert_allclose(errors[0] / errors[1], 4.0, rtol=0.15)  # the trapezoidal rule is of order 2
 
 
+@pytest.mark.long
 def test_a_force_that_changes_appears_behind_the_same_lag_at_uneven_stamps():
     t, u, q, v = swing(0.002, lambda s: jnp.asarray(PUSH) * jnp.sin(5 * s))
     rows = np.flatnonzero(np.random.default_rng(0).random(len(t)) < 0.7)
@@ -56,6 +58,7 @@ def test_a_force_that_changes_appears_behind_the_same_lag_at_uneven_stamps():
     np.testing.assert_allclose(force[late], expected[late], atol=6e-3 * np.abs(PUSH).max())
 
 
+@pytest.mark.exhaustive
 def test_a_body_on_a_group():
     body, torque = models.free_body((1.0, 2.0, 3.5)), jnp.array([0.3, -0.2, 0.5])
     t = np.arange(0.0, 1.5, 0.004)
@@ -65,6 +68,7 @@ def test_a_body_on_a_group():
     np.testing.assert_allclose(force, np.asarray(torque) * (1 - np.exp(-GAIN * t))[:, None], atol=1e-4)
 
 
+@pytest.mark.exhaustive
 def test_inverse_dynamics_of_a_constant_acceleration_and_of_a_swing():
     mass = models.oscillator(stiffness=0.0)
     t = np.array([0.0, 0.1, 0.15, 0.3, 0.3, 0.5])

@@ -19,20 +19,6 @@ from covariant.models import GroupSystem, Lagrangian, Motion, advance, pendulum_
 from covariant.observers import EKF, UKF, Gate, Gated, GateMemory, Intrinsic, IntrinsicKalman, JointKalman, run
 from covariant.signals import Record, Result
 
-LONG = (
-    "test_a_gate_takes_an_impact_for_motion[UKF]",
-    "test_a_gate_takes_an_impact_for_motion[EKF]",
-    "test_a_gate_takes_an_impact_for_motion[JointKalman]",
-    "test_a_gate_takes_the_impacts_of_a_tossed_cube_for_motion[EKF]",
-    "test_a_gate_takes_the_impacts_of_a_tossed_cube_for_motion[IntrinsicKalman]",
-    "test_a_burst_costs_no_more_than_the_same_rows_missing[EKF-3]",
-    "test_a_burst_costs_no_more_than_the_same_rows_missing[EKF-10]",
-    "test_a_burst_costs_no_more_than_the_same_rows_missing[IntrinsicKalman-3]",
-    "test_a_gate_leaves_a_late_joint_alone",
-)
-"""Cases of the long suite: a cheaper one of the same test is in the short one."""
-EXHAUSTIVE = ("test_a_gate_takes_the_impacts_of_a_tossed_cube_for_motion[IntrinsicKalman]",)
-
 NOISE = 1e-3
 ROD, CHAIN = pendulum_chain((1.0,), (0.5,)), pendulum_chain((1.0, 0.7), (0.5, 0.4))
 
@@ -104,6 +90,7 @@ def noisy(x: np.ndarray, seed: int = 0) -> np.ndarray:
     return x[:, :n] + NOISE * np.random.default_rng(seed).normal(size=(len(x), n))
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("kind", ["IntrinsicKalman", "Intrinsic", "EKF", "UKF", "JointKalman"])
 def test_a_gate_takes_an_impact_for_motion(kind):
     t, x = bounces()
@@ -118,6 +105,7 @@ def test_a_gate_takes_an_impact_for_motion(kind):
     assert error(estimates, v) < (1.12 if kind == "JointKalman" else 1.05) * error(free, v)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("kind", ["EKF", "IntrinsicKalman"])
 def test_a_gate_takes_the_impacts_of_a_tossed_cube_for_motion(kind):
     ratios = []
@@ -164,6 +152,7 @@ def cube_velocities(kind: str, gate: Gate | None, t, y) -> np.ndarray:
     return np.asarray(run(observer, Record(t, np.zeros((len(t), 0)), y)).estimate.v)
 
 
+@pytest.mark.exhaustive
 def test_a_gate_leaves_a_late_joint_alone():
     """One joint is read a row late, so that the model is off by as much as the joint moves in a row."""
     t, x = swing()
@@ -186,6 +175,8 @@ def test_a_start_at_full_speed_is_motion():
     assert np.abs(estimates[3, 2:] - v[3]).max() < 2.0
 
 
+@pytest.mark.exhaustive("IntrinsicKalman")
+@pytest.mark.long
 @pytest.mark.parametrize("length", [3, 10])
 @pytest.mark.parametrize("kind", ["EKF", "IntrinsicKalman"])
 def test_a_burst_costs_no_more_than_the_same_rows_missing(kind, length):
@@ -202,6 +193,7 @@ def test_a_burst_costs_no_more_than_the_same_rows_missing(kind, length):
     assert error(estimates, v) < 1.25 * error(followed(gated, t, y)[0], v)
 
 
+@pytest.mark.long("change0")
 @pytest.mark.parametrize(
     ("change", "moves"),
     [
@@ -238,6 +230,8 @@ def two_masses(hit: bool) -> tuple[Lagrangian, np.ndarray, np.ndarray, np.ndarra
     return masses, t, x, y
 
 
+@pytest.mark.exhaustive("IntrinsicKalman-True")
+@pytest.mark.long("True")
 @pytest.mark.parametrize("hit", [True, False])
 @pytest.mark.parametrize("kind", ["EKF", "UKF", "IntrinsicKalman", "JointKalman", "Intrinsic"])
 def test_a_new_start_takes_no_outlier_of_another_joint(kind, hit):
@@ -251,6 +245,7 @@ def test_a_new_start_takes_no_outlier_of_another_joint(kind, hit):
     assert np.abs(estimates[row:, 1] - x[row:, 1]).max() < 5 * NOISE
 
 
+@pytest.mark.exhaustive
 def test_a_joint_whose_outlier_is_left_out_stays_as_uncertain_as_predicted():
     masses, t, _, y = two_masses(hit=True)
     observer = estimator("EKF", masses, 4.0)
@@ -278,6 +273,7 @@ def test_an_impact_is_seen_where_joints_are_read_in_turn(kind):
     assert np.abs(estimates[150:, 2] + 5).max() < 1.0
 
 
+@pytest.mark.exhaustive
 def test_a_gap_widens_the_gate_of_each_component_by_its_own_speed():
     """A body whose noisy position hardly moves, and whose spin reverses in a gap of .3 s."""
     body = GroupSystem(SE3, jnp.eye(6), inputs=0, force=lambda t, g, u: jnp.zeros(6))

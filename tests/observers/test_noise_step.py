@@ -43,6 +43,7 @@ def ekf(process=PROCESS, measurement=MEASUREMENT) -> EKF:
     return EKF(masses(), jnp.diag(jnp.asarray(process)), jnp.diag(jnp.asarray(measurement)), 1.0, gate=None, substeps=1)
 
 
+@pytest.mark.exhaustive
 def test_a_step_is_the_slope_of_the_likelihood():
     """Fisher's identity: `∂L/∂ log Q_j = K (s_j − 1)` with K steps, `∂L/∂ log R_i = N (s_i − 1)/2` with N readings."""
     first = ekf(0.5 * PROCESS, 2.0 * MEASUREMENT)
@@ -64,6 +65,7 @@ def test_a_step_is_the_slope_of_the_likelihood():
             np.testing.assert_allclose(count[i] * (new[i] / old[i] - 1), slope, rtol=1e-4)
 
 
+@pytest.mark.exhaustive
 def test_steps_raise_the_likelihood_and_find_the_noise_of_a_log():
     observer, likelihoods = ekf(PROCESS * [4.0, 0.25], MEASUREMENT * [0.3, 3.0]), []
     for _ in range(40):
@@ -74,6 +76,7 @@ def test_steps_raise_the_likelihood_and_find_the_noise_of_a_log():
         np.testing.assert_allclose(np.sqrt(np.diag(cov) / true), 1.0, rtol=0, atol=0.2)
 
 
+@pytest.mark.exhaustive
 def test_a_number_is_scaled():
     """In the metric, and for all joints alike: both a size too small and one too large move towards the right one."""
     for factor in (0.25, 4.0):

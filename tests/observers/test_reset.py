@@ -11,8 +11,6 @@ import pytest
 
 from covariant.geometry.lie import SE3, SO3
 
-LONG = ("SE(3)",)
-
 STEPS, DT = 60, 0.1
 PROCESS, NOISE = 0.05, 0.1
 LANDMARKS = jnp.array([[2.0, 0.3, -1.0], [-0.5, 1.5, 0.7], [0.2, -1.0, 2.0]])
@@ -65,6 +63,7 @@ def estimates(group, side: str, reset: bool) -> tuple[np.ndarray, np.ndarray]:
     return np.asarray(poses), np.asarray(covs)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("group", [SO3, SE3], ids=["SO(3)", "SE(3)"])
 def test_errors_on_either_side_give_one_filter_and_without_reset_two(group):
     apart = {}

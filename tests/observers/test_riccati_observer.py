@@ -17,15 +17,6 @@ from covariant.papers.sanfelice_praly import analytic_metric
 from covariant.signals import Record, Result
 from covariant.simulation import observe
 
-LONG = (
-    "test_a_gain_of_one_quarter_contracts_every_direction_at_the_rate[1.0]",
-    "test_a_gap_in_the_log_winds_the_filter_up_and_not_the_observer",
-    "test_a_missing_output_is_as_if_it_were_not_there[0]",
-    "test_the_distance_decays_at_half_the_rate[1.0]",
-    "test_the_information_filter_is_the_textbooks_to_first_order_in_the_step",
-)
-"""Cases of the long suite: a cheaper one of the same test, or of the same law, is in the short one."""
-
 OSCILLATOR = models.unknown_frequency()
 ZERO, NONE = jnp.zeros(()), jnp.zeros(0)
 POINTS = jnp.asarray(sanfelice_praly.grid())
@@ -49,6 +40,7 @@ def spectrum(x, rate, gain):
 rates_of_all = jax.jit(jax.vmap(spectrum, (0, None, None)))
 
 
+@pytest.mark.long("1.0")
 @pytest.mark.parametrize("rate", [1.0, 2.0, 4.0])
 def test_a_gain_of_one_quarter_contracts_every_direction_at_the_rate(rate):
     """(15) gives dhᵀdh − λP, the correction −4 k_E dhᵀdh: for ¼ nothing is left but −λP."""
@@ -63,6 +55,7 @@ def test_less_gain_loses_the_rate_and_more_never_does():
         assert rates_of_all(POINTS, jnp.asarray(2.0), jnp.asarray(gain)).max() < -2.0 * (1 - 1e-6)
 
 
+@pytest.mark.long("1.0")
 @pytest.mark.parametrize("rate", [1.0, 2.0])
 def test_the_distance_decays_at_half_the_rate(rate):
     """From so small an error that its length in the metric at its middle is the distance to six digits."""
@@ -102,6 +95,7 @@ def constant(x):
     return jnp.asarray(np.linalg.inv(COV), x.dtype)
 
 
+@pytest.mark.long
 def test_with_a_gain_of_one_half_it_is_the_stationary_kalman_filter():
     metric = RiccatiMetric(PLANT, LAW, 40.0, 2000, start=1.0)
     observer = Riccati(PLANT, metric, jnp.asarray(X), 0.5, jnp.asarray(MEASUREMENT))
@@ -133,6 +127,7 @@ def follow(observer, state, y, dt):
     return jax.lax.scan(step, state, y)[1]
 
 
+@pytest.mark.long
 def test_the_information_filter_takes_as_many_steps_as_its_equation_needs():
     """Knowing the start well makes the equation of P stiff; one step of Runge and Kutta is far off there."""
     known = jnp.asarray(300 * np.linalg.inv(PROCESS))
@@ -147,6 +142,7 @@ def test_the_information_filter_takes_as_many_steps_as_its_equation_needs():
     assert not np.abs(information(1) - exact).max() <= 0.3 * np.abs(exact).max()
 
 
+@pytest.mark.long
 def test_the_information_filter_is_the_textbooks_to_first_order_in_the_step():
     """The discrete filter with exact discretisation of the motion, R/dt and Q dt for one step of dt."""
     ends = {}
@@ -167,6 +163,7 @@ def test_the_information_filter_is_the_textbooks_to_first_order_in_the_step():
     assert (errors[1:] < 0.6 * errors[:-1]).all()
 
 
+@pytest.mark.long
 def test_a_sampled_step_is_the_flow_to_first_order():
     observer = Riccati(OSCILLATOR, analytic_metric(2.0), jnp.array([0.8, 0.3, 1.5]), 0.25)
     steps, errors = (50, 100, 200, 400), []
@@ -213,6 +210,7 @@ def test_an_observer_that_is_told_no_time_starts_at_zero():
         assert observer.init(jnp.asarray(Y)).t == 0.0
 
 
+@pytest.mark.long
 def test_without_a_measurement_the_model_runs_on():
     for observer in (
         Riccati(PLANT, constant, jnp.asarray(X), 0.5, jnp.asarray(MEASUREMENT)),
@@ -226,6 +224,7 @@ def test_without_a_measurement_the_model_runs_on():
         assert info.distance == 0.0
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("missing", [0, 1])
 def test_a_missing_output_is_as_if_it_were_not_there(missing):
     """Whatever its noise had in common with that of the other."""
@@ -287,6 +286,7 @@ def field() -> geometry.Interpolated:
     return geometry.Interpolated(axes, np.asarray(values).reshape(17, 17, 17, 3, 3) + ridge)
 
 
+@pytest.mark.long
 def test_outside_a_field_the_model_runs_on_alone(field):
     start = jnp.array([1.5, 0.0, 1.0])
     x, info = one_step(Riccati(OSCILLATOR, field, start), jnp.array([0.9]))
@@ -322,6 +322,7 @@ def record(duration=6.0, dt=0.02) -> Record:
     return Record(t, np.zeros((len(t), 0)), np.cos(t)[:, None])
 
 
+@pytest.mark.long
 def test_however_the_metric_is_given_the_estimate_is_the_same(field):
     start = jnp.array([0.9, 0.1, 1.1])
     metrics = (analytic_metric(2.0), RiccatiMetric(OSCILLATOR, Equation(2.0), 16.0, 600), field)
@@ -331,6 +332,7 @@ def test_however_the_metric_is_given_the_estimate_is_the_same(field):
     assert np.abs(exact[-1] - [np.cos(6.0), -np.sin(6.0), 1.0]).max() < 0.02
 
 
+@pytest.mark.long
 def test_the_past_is_reckoned_with_the_input_of_now():
     model, u = models.duffing(), jnp.array([0.7])
     equation = Equation(process_cov=jnp.eye(2))
@@ -355,6 +357,7 @@ def test_single_precision_stays_single(kind):
     assert {leaf.dtype for leaf in leaves} == {jnp.dtype(jnp.float32)}
 
 
+@pytest.mark.long
 def test_a_gap_in_the_log_winds_the_filter_up_and_not_the_observer():
     curves = sanfelice_praly.gap()
     after = curves["t"] > 25.0
@@ -364,7 +367,7 @@ def test_a_gap_in_the_log_winds_the_filter_up_and_not_the_observer():
     assert curves["riccati_least"].min() > 1e-3
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_the_filter_uses_what_is_known_beforehand():
     errors = sanfelice_praly.prior()
     assert errors["riccati"] > 1.5 * errors["ekf"]

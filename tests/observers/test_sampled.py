@@ -15,28 +15,6 @@ from covariant.observers._protocol import outcome
 from covariant.observers._sampled import predict
 from covariant.signals import Record, Result
 
-LONG = (
-    "test_an_observer_on_the_truth_stays_there[ekf]",
-    "test_an_observer_on_the_truth_stays_there[geodesic]",
-    "test_an_observer_on_the_truth_stays_there[intrinsic]",
-    "test_fine_samples_follow_the_flow_to_first_order[Geodesic]",
-    "test_fine_samples_follow_the_flow_to_first_order[ImplicitGeodesic]",
-    "test_fine_samples_follow_the_flow_to_first_order[Intrinsic]",
-    "test_one_of_two_joints_may_be_missing[copy-both]",
-    "test_one_of_two_joints_may_be_missing[ekf-both]",
-    "test_one_of_two_joints_may_be_missing[intrinsic-both]",
-    "test_an_observer_at_rest_finds_the_motion[ekf]",
-    "test_an_observer_at_rest_finds_the_motion[geodesic]",
-    "test_an_observer_at_rest_finds_the_motion[intrinsic]",
-    "test_an_observer_of_a_machine_with_stiff_friction_is_as_good_as_its_prediction",
-    "test_one_of_two_joints_may_be_missing[copy-one in turn]",
-    "test_one_of_two_joints_may_be_missing[ekf-one in turn]",
-    "test_one_of_two_joints_may_be_missing[intrinsic-one in turn]",
-    "test_run_is_the_loop_written_by_hand[Copy]",
-    "test_run_is_the_loop_written_by_hand[EKF]",
-)
-"""Cases of the long suite: a cheaper one of the same test is in the short one."""
-
 X0 = np.array([0.7, 4.0])
 
 
@@ -44,6 +22,7 @@ def codes(info) -> np.ndarray:
     return np.asarray(info.result)
 
 
+@pytest.mark.long("ekf", "geodesic", "implicit", "intrinsic")
 def test_an_observer_on_the_truth_stays_there(model_based, pendulum, irregular, follow):
     u = np.random.default_rng(0).normal(0, 0.5, (len(irregular), 1))  # held from each row to the next
     x = pendulum.truth(irregular, X0, u)
@@ -53,6 +32,7 @@ def test_an_observer_on_the_truth_stays_there(model_based, pendulum, irregular, 
     assert set(codes(followed.info)) == {Result.OK}
 
 
+@pytest.mark.long("ekf", "geodesic", "intrinsic")
 def test_an_observer_at_rest_finds_the_motion(observer, pendulum, irregular, follow):
     x = pendulum.truth(irregular, X0)
     followed = follow(observer, irregular, x[:, :1])
@@ -130,6 +110,8 @@ def on_the_beam(request, beam):
     return PLANAR[request.param](beam.model)
 
 
+@pytest.mark.exhaustive("ekf-one every fourth")
+@pytest.mark.long("both", "one in turn")
 @pytest.mark.parametrize("joints", ["both", "one in turn", "one every fourth"])
 def test_one_of_two_joints_may_be_missing(on_the_beam, beam, regular, follow, joints):
     x = beam.truth(regular, np.array([0.3, 0.1, 0.2, -0.9]))
@@ -161,6 +143,7 @@ def test_single_precision_stays_single(observer):
     assert info.result.dtype == np.int32
 
 
+@pytest.mark.long
 def test_single_precision_finds_the_motion_too(pendulum, regular, follow):
     x = pendulum.truth(regular, X0)
     t = (regular - regular[0] + 3.0).astype(np.float32)
@@ -219,6 +202,7 @@ CURVED = Lagrangian(
 )
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", [Intrinsic, Geodesic, ImplicitGeodesic, Copy])
 def test_fine_samples_follow_the_flow_to_first_order(kind):
     """The error of the sampled observer against the integrated flow, both fed the same smooth measurement."""
@@ -250,6 +234,7 @@ def test_fine_samples_follow_the_flow_to_first_order(kind):
     assert error[-1] < 0.01
 
 
+@pytest.mark.long
 def test_what_a_step_leaves_of_the_geodesic_leads_from_the_measurement_to_the_new_estimate():
     """It is what the next search starts from, and exact: the rest of a geodesic is a geodesic."""
     observer, u, y = Geodesic(CURVED, 3.0, 4.0), jnp.zeros(2), jnp.array([0.3, -0.2])
@@ -260,7 +245,7 @@ def test_what_a_step_leaves_of_the_geodesic_leads_from_the_measurement_to_the_ne
     assert 0.5 < geometry.norm(CURVED.metric, y, left) / info.distance < 0.9
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_a_budget_for_near_ends_gives_the_exact_observer_near_the_measurement():
     """What it leaves falls at least as fast as what its search leaves; for the first-order observer it is r²."""
     model = Lagrangian(geometry.Metric(geometry.hyperbolic()), CURVED.potential, dissipation=CURVED.dissipation)
@@ -316,6 +301,7 @@ LOOPS = [
 ]
 
 
+@pytest.mark.long("Copy", "EKF")
 @pytest.mark.parametrize("observer", LOOPS, ids=lambda o: type(o).__name__)
 def test_run_is_the_loop_written_by_hand(observer, record):
     done = run(observer, record)
@@ -337,6 +323,7 @@ def test_a_run_refuses_a_bad_record(record):
         run(LOOPS[0], record._replace(t=record.t.at[1].set(record.t[0])))
 
 
+@pytest.mark.long
 def test_a_run_is_traced_once_a_shape(record):
     traces = []
 
@@ -356,6 +343,7 @@ def test_a_run_is_traced_once_a_shape(record):
     assert len(traces) > once
 
 
+@pytest.mark.long
 def test_gains_may_be_mapped_and_compiled(record):
     alphas = jnp.array([10.0, 20.0, 40.0])
 
@@ -396,6 +384,7 @@ def test_friction_divides_the_prediction_as_finely_as_it_needs(rubbing):
     assert not np.abs(single - fine).max() < 20 * np.abs(chosen - fine).max()
 
 
+@pytest.mark.long
 def test_an_observer_of_a_machine_with_stiff_friction_is_as_good_as_its_prediction(rubbing):
     t = 0.004 * np.arange(300)
 

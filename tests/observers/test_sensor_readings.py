@@ -17,15 +17,6 @@ from covariant.models import GroupSystem, Lagrangian, acceleration, robots
 from covariant.observers import Delayed, FixedLag, Instant, IntrinsicKalman, Sensor, run, smooth
 from covariant.signals import Record, Result
 
-LONG = (
-    "test_slopes_are_those_along_corrections[fixed]",
-    "test_slopes_are_those_along_corrections[floating]",
-    "test_on_a_floating_base_they_follow_the_motion",
-    "test_sensors_of_other_rates_and_late_ones_give_what_all_give_in_order",
-    "test_a_gyro_on_a_body_in_space_halves_the_error_and_shows_its_bias",
-)
-"""Cases of the long suite: a cheaper one of the same test, or of the same law, is in the short one."""
-
 ARM = """
 <mujoco>
   <compiler angle="radian"/>
@@ -75,6 +66,7 @@ def on_the_tip(model, axes):
     )
 
 
+@pytest.mark.exhaustive
 def test_readings_are_those_of_mujoco(arms):
     model, theirs, axes = arms["fixed"]
     data, rng = mujoco.MjData(theirs), np.random.default_rng(0)
@@ -92,6 +84,7 @@ def test_readings_are_those_of_mujoco(arms):
             np.testing.assert_allclose(sensor.h(now, nothing), value, atol=1e-9, err_msg=sensor.name)
 
 
+@pytest.mark.exhaustive
 def test_on_a_floating_base_they_follow_the_motion(arms):
     """By differences of poses along the motion that the model makes."""
     model, _, axes = arms["floating"]
@@ -142,6 +135,7 @@ def bias(k):
     return observers.Slow(names, jnp.zeros(k), jnp.eye(k), jnp.zeros((k, k)))
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("name", ["chart", "SO(3)", "fixed", "floating"])
 def test_slopes_are_those_along_corrections(arms, name):
     """Finite differences of the readings where `moved` takes the estimate, in the parallel frame."""
@@ -243,6 +237,7 @@ def textbook(log):
     return [each[0] for each in kept], [each[1] for each in kept], [each[0] for each in smoothed[::-1]]
 
 
+@pytest.mark.exhaustive
 def test_of_a_linear_system_it_is_the_textbook_filter_and_smoother():
     log, kalman = mixed_log(), fused(gate=None)
     means, covs, smoothed = map(np.array, textbook(log))
@@ -255,6 +250,7 @@ def test_of_a_linear_system_it_is_the_textbook_filter_and_smoother():
     assert done.info.sensors.used[:, 0].tolist() == (np.isfinite(log.y[:, 2]) & (np.arange(ROWS) > 0)).tolist()
 
 
+@pytest.mark.exhaustive
 def test_a_row_is_missing_only_where_nothing_is_read():
     log = mixed_log()
     log = log._replace(y=1e-3 * log.y)  # nothing of which is refused
@@ -265,6 +261,7 @@ def test_a_row_is_missing_only_where_nothing_is_read():
     assert (codes == Result.COASTED).tolist() == ((empty & ~read) | partly).tolist()
 
 
+@pytest.mark.exhaustive
 def test_outliers_of_a_sensor_are_refused_and_what_lasts_is_used():
     log = mixed_log()
     y = log.y.copy()
@@ -279,6 +276,7 @@ def test_outliers_of_a_sensor_are_refused_and_what_lasts_is_used():
     assert lasting[10]
 
 
+@pytest.mark.exhaustive
 def test_compiled_c_and_a_stream_compute_the_same():
     log, kalman = mixed_log(), fused()
     whole = run(kalman, log)
@@ -299,6 +297,7 @@ def test_a_filter_with_sensors_is_prepared_for_c_once(arms):
     hash(_KernelKey(Delayed(FixedLag(kalman, 2), 0.01, 100.0), form))
 
 
+@pytest.mark.exhaustive
 def test_sensors_of_other_rates_and_late_ones_give_what_all_give_in_order():
     """Positions at 25 Hz, a gyro at 100 Hz, positions by a camera that come 40 ms late: in any order the same."""
     model = masses()
@@ -334,6 +333,7 @@ def test_sensors_of_other_rates_and_late_ones_give_what_all_give_in_order():
     assert used[:, 1].tolist() == (np.isfinite(late[:, 3])).tolist()
 
 
+@pytest.mark.exhaustive
 def test_a_sensor_that_is_late_leaves_the_start_where_the_positions_are():
     """In motion: the first positions are of the first stamp, however late the sensor is, and nothing is too late."""
     model = Lagrangian(lambda q: jnp.eye(1), lambda q: 0.0 * q[0])
@@ -349,6 +349,7 @@ def test_a_sensor_that_is_late_leaves_the_start_where_the_positions_are():
     assert done.info.sensors.used[:, 0].tolist() == [False] * 5 + [True] * 15
 
 
+@pytest.mark.exhaustive
 def test_with_a_lag_sensors_smooth_as_in_the_batch():
     log, kalman = mixed_log(), fused()
     stream = run(FixedLag(kalman, lag=6), log)
@@ -357,6 +358,7 @@ def test_with_a_lag_sensors_smooth_as_in_the_batch():
     np.testing.assert_allclose(stream.info.slow_std[6:], batch.info.slow_std[:-6], rtol=1e-9)
 
 
+@pytest.mark.exhaustive
 def test_a_gyro_on_a_body_in_space_halves_the_error_and_shows_its_bias():
     inertia = jnp.diag(jnp.array([1.0, 2.0, 3.5]))
     body, rng = GroupSystem(SO3, inertia), np.random.default_rng(5)

@@ -14,12 +14,6 @@ from covariant.observers import IntrinsicKalman, Slow, external_force, run, sens
 from covariant.signals import Record
 from covariant.simulation import hold, simulate
 
-LONG = (
-    "test_of_an_offset_it_is_the_kalman_filter_and_where_nothing_shows_it_stays_unknown[0.0]",
-    "test_ticks_of_encoders_that_are_off",
-)
-"""Cases of the long suite: a cheaper one of the same test, or of the same law, is in the short one."""
-
 STEP, ROWS, NOISE = 0.01, 500, 1e-3
 STAMPS = STEP * np.arange(ROWS)
 LATE = slice(200, None)
@@ -73,6 +67,7 @@ def textbook(y: np.ndarray, stiffness: float, std: float, drift: float) -> tuple
     return np.array(means), np.array(covs)
 
 
+@pytest.mark.long("0.0")
 @pytest.mark.parametrize("stiffness", [0.0, 6.0])
 def test_of_an_offset_it_is_the_kalman_filter_and_where_nothing_shows_it_stays_unknown(stiffness):
     w, std, drift = np.sqrt(stiffness), 0.1, 0.002
@@ -110,7 +105,7 @@ def velocity_errors(found, x: np.ndarray) -> np.ndarray:
     return np.asarray(found.estimate)[LATE, 2:] - x[LATE, 2:]
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_encoders_that_are_off_are_found_and_leave_no_bias(arm):
     off = np.array([0.06, -0.04])
     record = Record(STAMPS, TORQUES, arm[:, :2] + off + noise(2))
@@ -126,6 +121,7 @@ def test_encoders_that_are_off_are_found_and_leave_no_bias(arm):
     assert np.abs(positions.mean(axis=0)).max() < 0.006  # the true ones, not the read ones
 
 
+@pytest.mark.exhaustive
 def test_ticks_of_encoders_that_are_off(arm):
     tick, off = 0.01, np.array([0.0, 0.052])
     read = tick * np.round((arm[:, :2] + off) / tick)
@@ -138,7 +134,7 @@ def test_ticks_of_encoders_that_are_off(arm):
     assert np.abs(velocity_errors(found, arm).mean(axis=0)).max() < 0.02
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_a_payload_and_friction_are_found(arm):
     given = ["parameters.mass=[1.0, 0.4]", "parameters.length=[0.5, 0.4]", "parameters.viscous=[0.2, 0.05]"]
     family = models.family("pendulum_chain", ["mass[1]", "viscous[0]"], given)
@@ -153,7 +149,7 @@ def test_a_payload_and_friction_are_found(arm):
     np.testing.assert_allclose(blind.info.slow[-1, 0], 0.4, rtol=1e-6)
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_a_sensor_that_is_mounted_askew_on_a_body_is_found():
     """On a group the offset is in the body: y = q exp(offset). Here it is large, and known to a few degrees."""
     top, off = heavy_top((0.2, 0.3, 0.1), axis=(0.3, 0.2, 1.0)), jnp.array([0.7, -0.5, 0.4])
@@ -173,6 +169,7 @@ def test_a_sensor_that_is_mounted_askew_on_a_body_is_found():
     assert np.sqrt(np.mean(errors**2)) < 0.2 * np.sqrt(np.mean(worse**2))
 
 
+@pytest.mark.exhaustive
 def test_a_force_of_your_own():
     """A level of friction, written as a force."""
     one = jnp.eye(1)
@@ -218,6 +215,7 @@ def pushed(std: float, time: float, seed: int, rows: int = 2000) -> tuple[np.nda
     return q + NOISE * rng.normal(size=rows), v, force
 
 
+@pytest.mark.exhaustive
 def test_through_a_gap_a_force_fades_and_becomes_as_uncertain_as_at_first():
     """The closed form of a Gauss–Markov process, whatever the length of the steps."""
     std, time, gap = 0.5, 0.3, 0.7
@@ -242,6 +240,7 @@ def test_through_a_gap_a_force_fades_and_becomes_as_uncertain_as_at_first():
         np.testing.assert_allclose(now, std**2 + np.exp(-2 * gap / time) * (known - std**2), rtol=1e-9)
 
 
+@pytest.mark.exhaustive
 def test_of_a_very_long_time_it_is_the_random_walk():
     y, _, _ = pushed(0.5, 0.3, seed=1, rows=300)
     record = Record(STAMPS[:300], np.zeros((300, 1)), y[:, None])
@@ -251,6 +250,7 @@ def test_of_a_very_long_time_it_is_the_random_walk():
         np.testing.assert_allclose(a, b, rtol=1e-6, atol=1e-9)
 
 
+@pytest.mark.exhaustive
 def test_forces_that_fade_are_estimated_consistently_in_and_after_gaps():
     """Over gaps of a few time constants the random walk keeps what is over, and the velocity runs away with it."""
     std, time = 0.5, 0.3

@@ -29,13 +29,6 @@ from covariant.observers import EKF, UKF, IntrinsicKalman, JointKalman, _smoothe
 from covariant.observers._smoother import Step, backward_map, smoothed as smoothed_arrays
 from covariant.signals import Record, Result
 
-EXHAUSTIVE = (
-    "test_a_start_and_a_model_that_are_certain_leave_one_motion[intrinsic-kalman]",
-    "test_blocks_make_no_difference[True-None]",
-    "test_on_curved_spaces_it_is_consistent_and_better_than_the_filter[body on SO(3)-8]",
-    "test_on_curved_spaces_it_is_consistent_and_better_than_the_filter[double pendulum-8]",
-)
-
 # Where everything is linear: the smoother is the least-squares solution over all rows.
 
 MASS = np.array([[2.0, 0.5], [0.5, 1.0]])
@@ -142,6 +135,7 @@ def linear(name: str, model: Lagrangian):
     }[name]()
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("name", ["ekf", "ukf", "intrinsic-kalman", "with a force"])
 def test_of_a_linear_system_it_is_the_least_squares_solution_over_all_rows(name):
     smoothed = smooth(linear(name, masses()), log())
@@ -159,6 +153,7 @@ def test_of_a_linear_system_it_is_the_least_squares_solution_over_all_rows(name)
     np.testing.assert_allclose(smoothed.run.info.velocity_std, sizes[:, 2:4], rtol=1e-9)
 
 
+@pytest.mark.exhaustive
 def test_with_a_lag_it_is_the_least_squares_solution_up_to_as_many_rows_later():
     lag = 7
     smoothed = smooth(linear("intrinsic-kalman", masses()), log(), lag=lag)
@@ -168,6 +163,7 @@ def test_with_a_lag_it_is_the_least_squares_solution_up_to_as_many_rows_later():
         np.testing.assert_allclose(smoothed.root[k] @ smoothed.root[k].T, covs[k], rtol=1e-7, atol=1e-12)
 
 
+@pytest.mark.exhaustive
 def test_without_a_model_each_joint_is_smoothed_by_itself():
     """Singer's model of the acceleration, its transition and noise by the exponential of a matrix (Van Loan)."""
     std, time, noise = 3.0, 0.05, 0.01
@@ -257,6 +253,8 @@ def best_motion(noise: float) -> np.ndarray:
 KINDS = ["ekf", "ukf", "intrinsic-kalman"]
 
 
+@pytest.mark.exhaustive("ekf", "kalman")
+@pytest.mark.long
 @pytest.mark.parametrize("kind", KINDS)
 def test_it_is_the_most_probable_motion_up_to_its_linearisation(kind):
     """Within a hundredth of a standard deviation, and with a tenth of the noise within a thousandth or so."""
@@ -266,6 +264,8 @@ def test_it_is_the_most_probable_motion_up_to_its_linearisation(kind):
         assert (errors < bound * np.asarray(smoothed.std).mean(axis=0)).all()
 
 
+@pytest.mark.exhaustive("kalman")
+@pytest.mark.long
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_covariance_is_never_above_that_of_the_filter(kind):
     smoothed, filtered = (smooth(rod_filter(kind), swing(), lag=lag) for lag in (None, 0))
@@ -276,6 +276,7 @@ def test_the_covariance_is_never_above_that_of_the_filter(kind):
     np.testing.assert_allclose(smoothed.run.info.velocity_std, smoothed.std[:, 1:], rtol=1e-12)
 
 
+@pytest.mark.exhaustive
 def test_where_the_filter_starts_anew_rows_before_know_nothing_of_those_after():
     y = np.array(swing().y)
     y[20:] += 0.9  # the encoder slips, and the gate lets ten rows pass before it believes that
@@ -302,6 +303,7 @@ def faulty(ticks: bool) -> Record:
     return swing()._replace(y=np.round(y / TICK) * TICK if ticks else y)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize(("ticks", "lag"), [(True, None), (False, 2 * SIZE + 3)])
 def test_blocks_make_no_difference(monkeypatch, ticks, lag):
     """Over gaps, refused readings, new starts and ticks at their seams, and with a lag of more than a block."""
@@ -319,6 +321,7 @@ def test_blocks_make_no_difference(monkeypatch, ticks, lag):
     jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-12, atol=1e-12), blocked, whole)
 
 
+@pytest.mark.exhaustive
 def test_only_what_is_asked_for_is_stored():
     whole, less = (smooth(rod_filter("ekf"), swing(), keep=keep) for keep in (None, ("velocity_std",)))
     assert less.root is less.run.info.innovation is None
@@ -326,6 +329,7 @@ def test_only_what_is_asked_for_is_stored():
     np.testing.assert_allclose(whole.std**2, np.einsum("tij,tij->ti", whole.root, whole.root), rtol=1e-12)
 
 
+@pytest.mark.exhaustive
 def test_in_single_precision_it_stays_single_and_close():
     fine = smooth(rod_filter("intrinsic-kalman"), swing())
     single = jax.tree.map(lambda a: np.asarray(a, np.float32), swing())
@@ -338,6 +342,7 @@ def test_in_single_precision_it_stays_single_and_close():
     np.testing.assert_allclose(coarse.std, fine.std, rtol=1e-3)
 
 
+@pytest.mark.long
 def test_missing_rows_are_smoothed_across():
     y = np.array(swing().y)
     y[12:24] = np.nan
@@ -364,6 +369,7 @@ def test_a_row_that_depends_on_others_up_to_rounding_has_no_gain_of_its_own(seed
     np.testing.assert_allclose(backward_map(Step(*arrays)).shift, expected, rtol=0, atol=1e-10 * np.abs(expected).max())
 
 
+@pytest.mark.exhaustive
 def test_a_motion_without_uncertainty_is_refused_where_it_spoils_another():
     """What is certain but for rounding, beside a coordinate that is not."""
     model = Lagrangian(lambda q: jnp.eye(2), lambda q: jnp.sum(q**2), coordinates=("a", "b"))
@@ -374,6 +380,7 @@ def test_a_motion_without_uncertainty_is_refused_where_it_spoils_another():
         smooth(observer, Record(t, np.zeros((120, 2)), y))
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("kind", ["ekf", "intrinsic-kalman"])
 def test_a_start_and_a_model_that_are_certain_leave_one_motion(kind):
     """Only the first position is uncertain, and every covariance is singular."""
@@ -393,6 +400,7 @@ def test_a_start_and_a_model_that_are_certain_leave_one_motion(kind):
 RUNS = 200
 
 
+@pytest.mark.exhaustive
 def test_its_errors_are_as_large_as_it_says_and_smaller_than_those_of_the_filter():
     """At the first, a middle and the last row of many runs at once, which are the same as one by one."""
     records = [swing(seed=seed, speed=None) for seed in range(RUNS)]
@@ -438,7 +446,8 @@ CHARTS = {
 }
 
 
-@pytest.mark.parametrize("name", ["rod", pytest.param("sphere", marks=pytest.mark.long)])
+@pytest.mark.exhaustive
+@pytest.mark.parametrize("name", ["rod", "sphere"])
 def test_in_other_coordinates_it_is_the_same(name):
     """Noise is the same tensor, and readings are the same points; so are the motion and its standard deviation."""
     model, start, size = CHARTS[name]
@@ -536,7 +545,7 @@ def trial(model, q0, lag, key):
     return *(jax.vmap(squares)(true.q, each) for each in errors), nees / (2 * n)
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("lag", [None, 8])
 @pytest.mark.parametrize("name", ["double pendulum", "body on SO(3)"])
 def test_on_curved_spaces_it_is_consistent_and_better_than_the_filter(name, lag):

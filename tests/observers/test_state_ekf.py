@@ -51,6 +51,7 @@ def textbook(record):
     return np.array(rows)
 
 
+@pytest.mark.long
 def test_it_is_the_kalman_filter_on_a_linear_system(record):
     done, plain = run(FILTER, record), textbook(record)
     np.testing.assert_allclose(done.estimate, plain[:, :2], rtol=0, atol=1e-4)

@@ -15,9 +15,6 @@ from covariant.observers._ticks import Encoded, take
 from covariant.signals import Record
 from covariant.workflow._inputs import Job, data_sheet, load
 
-LONG = ("test_an_edge_is_where_the_joint_was_between_two_samples[1]",)
-"""Cases of the long suite: a cheaper one of the same test, or of the same law, is in the short one."""
-
 DT, TICK, PROCESS = 1e-3, 0.02, 0.05
 NONE = jnp.zeros(1)
 
@@ -86,6 +83,7 @@ def textbook(prior, row, value, noise):
 PRIOR = np.array([[4e-4, 3e-3], [3e-3, 0.09]])
 
 
+@pytest.mark.long("1")
 @pytest.mark.parametrize("direction", [1, -1])
 def test_an_edge_is_where_the_joint_was_between_two_samples(direction):
     """One tick on, the joint passed the middle between the readings, half a step ago on average."""
@@ -160,7 +158,7 @@ def lottery(model, observer, shape, steps):
     return [np.asarray(a) for a in squares(model, observer, jnp.asarray(starts), keys, jnp.zeros(steps))]
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 @pytest.mark.parametrize(("model", "n", "runs", "settled"), [(MODEL, 1, 1000, 300), (double_pendulum(), 2, 150, 400)])
 def test_errors_are_as_large_as_it_says(model, n, runs, settled):
     """One tick in 25 samples: NEES within the bounds that 95 of 100 consistent filters stay in, sample by sample."""
@@ -171,7 +169,7 @@ def test_errors_are_as_large_as_it_says(model, n, runs, settled):
     assert nis[:, settled:].mean() == pytest.approx(1.0, abs=0.05)
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_taken_for_noise_ticks_make_errors_larger_than_it_says():
     """Readings of one interval have one error, which a filter that takes it for noise believes to average out."""
     ticks, noise = (lottery(MODEL, observer, (100, 1), 900) for observer in (counting(), noisy()))
@@ -179,7 +177,7 @@ def test_taken_for_noise_ticks_make_errors_larger_than_it_says():
     assert np.mean(ticks[3][:, 400:]) < 0.7**2 * np.mean(noise[3][:, 400:])
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_at_one_tick_in_twenty_samples_a_model_leaves_a_third_of_the_error_of_the_best_without():
     t = np.arange(8000) * DT
     q, v = (np.asarray(a) for a in swing(jnp.array([0.33]), jax.random.key(5), jnp.zeros(len(t))))
@@ -209,6 +207,7 @@ def edge_timing(t, y):
     return np.array(out)
 
 
+@pytest.mark.long
 def test_at_rest_between_two_edges_it_comes_to_rest_too():
     """Neither a staircase nor a drift: the joint stands inside its tick, and the velocity goes to zero."""
     model = Lagrangian(lambda q: jnp.eye(1), dissipation=lambda t, q, v, u: -0.1 * v)
@@ -219,6 +218,7 @@ def test_at_rest_between_two_edges_it_comes_to_rest_too():
     assert np.abs(x[600:, 0] - y[-1]).max() < 0.52 * TICK
 
 
+@pytest.mark.long
 def test_a_turn_of_the_reading_is_no_edge_and_missing_readings_are_waited_for():
     t = np.arange(2000) * DT
     q, v = 3.0 + 1.5 * t, np.full(len(t), 1.5)
@@ -250,7 +250,7 @@ def test_a_quantum_off_coordinates_or_without_size_is_refused():
         IntrinsicKalman(MODEL, 1.0, 1.0, 1.0, quantum=0.0)
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 @pytest.mark.data
 @pytest.mark.parametrize(
     ("model", "log"),

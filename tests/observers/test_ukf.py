@@ -12,14 +12,6 @@ from covariant.models import GroupSystem, Lagrangian, Motion
 from covariant.observers import EKF, UKF, run
 from covariant.signals import Record, Result
 
-LONG = (
-    "test_a_covariance_without_rank_stays_one",
-    "test_far_from_linear_it_is_nearer_than_the_ekf",
-    "test_what_is_no_covariance_is_refused[wrong2]",
-    "test_where_all_is_linear_it_is_the_kalman_filter[1.0]",
-)
-"""Cases of the long suite: a cheaper one of the same test, or of the same law, is in the short one."""
-
 MASS = np.array([[2.0, 0.5], [0.5, 1.0]])
 STIFFNESS = np.array([[30.0, -10.0], [-10.0, 20.0]])
 PROCESS = np.array([[2.0, 0.4], [0.4, 1.0]])
@@ -43,6 +35,7 @@ def textbook(t, y):
     return np.array(rows), cov
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("spread", [1.0, 0.6])
 def test_where_all_is_linear_it_is_the_kalman_filter(spread):
     """At irregular stamps, with gaps of both positions, of one, of the other."""
@@ -78,6 +71,7 @@ def swings(count: int, dt: float):
     return x, x[..., :1] + 0.3 * rng.normal(size=(*x.shape[:2], 1))
 
 
+@pytest.mark.exhaustive
 def test_far_from_linear_it_is_nearer_than_the_ekf():
     dt = 0.3
     x, y = swings(400, dt)
@@ -99,7 +93,7 @@ def test_far_from_linear_it_is_nearer_than_the_ekf():
 BODY = GroupSystem(SO3, jnp.diag(jnp.array([1.0, 2.0, 3.5])))
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_on_rotations_mean_and_covariance_are_those_of_a_cloud_of_bodies():
     """A tumbling body of uncertain attitude and velocity, half a second later; the EKF's are further off."""
     rng = np.random.default_rng(7)
@@ -131,6 +125,7 @@ def test_on_rotations_mean_and_covariance_are_those_of_a_cloud_of_bodies():
     assert unscented[1] < min(0.7, 0.8 * extended[1])
 
 
+@pytest.mark.long
 def test_a_covariance_without_rank_stays_one():
     """Nothing is unknown of the velocity and nothing disturbs it: the model alone moves it, and numbers stay finite."""
     observer = UKF(MASSES, np.zeros((2, 2)), MEASUREMENT, 0.0, substeps=16)
@@ -141,6 +136,7 @@ def test_a_covariance_without_rank_stays_one():
     assert np.linalg.eigvalsh(done.info.innovation_cov)[:, 0].min() > 0
 
 
+@pytest.mark.long
 def test_angles_go_round():
     """A rod that turns at 9 rad/s, its angle read between ±π."""
     rod = Lagrangian(lambda q: jnp.eye(1), circles=(0,))
@@ -150,6 +146,7 @@ def test_angles_go_round():
     np.testing.assert_allclose(v[20:], 9.0, atol=1e-6)
 
 
+@pytest.mark.long("wrong2")
 @pytest.mark.parametrize("wrong", [{"spread": 0.3}, {"process_cov": -np.eye(2)}, {"measurement_cov": np.zeros((2, 2))}])
 def test_what_is_no_covariance_is_refused(wrong):
     with pytest.raises(ValueError, match=f"UKF: {next(iter(wrong))} must"):

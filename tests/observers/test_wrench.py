@@ -14,10 +14,6 @@ from covariant.observers import IntrinsicKalman, external_force, run, wrench
 from covariant.signals import Record
 from covariant.simulation import simulate
 
-LONG = ("test_its_torques_are_those_of_mujoco[panda-panda_link7]",)
-"""Cases of the long suite: a cheaper one of the same test, or of the same law, is in the short one."""
-EXHAUSTIVE = ("test_a_model_file_names_forces_and_every_engine_estimates_them",)
-
 STEP, ROWS = 0.01, 600
 STAMPS = STEP * np.arange(ROWS)
 
@@ -27,6 +23,7 @@ def arm():
     return robots.load("double_pendulum")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("robot", "link"), [("double_pendulum", "lower"), ("panda", "panda_link7")])
 def test_its_torques_are_those_of_mujoco(robot, link):
     model = robots.load(robot)
@@ -61,6 +58,7 @@ def pushed(arm, force):
     return eqx.tree_at(lambda m: m.dissipation, arm, dissipation)
 
 
+@pytest.mark.exhaustive
 def test_pushes_are_found_with_their_uncertainty(arm):
     """Two joints feel a force in their plane; the third component keeps what was known of it at first."""
 
@@ -113,6 +111,7 @@ point = [0.0, 0.0, -0.2]
 """
 
 
+@pytest.mark.exhaustive
 def test_a_model_file_names_forces_and_every_engine_estimates_them(tmp_path):
     model = tmp_path / "arm.toml"
     model.write_text(MODEL)

@@ -34,7 +34,9 @@ WITH_LONG_BLOCKS = [page for page in EXECUTED if any(block.long for block in run
 
 
 def over(pages: list[Path]) -> pytest.MarkDecorator:
-    return pytest.mark.parametrize("page", pages, ids=lambda p: p.name)
+    """Over pages, each of which any process may run."""
+    cases = [pytest.param(page, marks=pytest.mark.xdist_group(page.name), id=page.name) for page in pages]
+    return pytest.mark.parametrize("page", cases)
 
 
 def environment(home: Path, path: str) -> dict[str, str]:

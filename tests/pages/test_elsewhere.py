@@ -1,33 +1,39 @@
 """The pages with what takes long on them, without a compiler, and without a cache; the demo likewise.
 
 What computes, and whether it is kept, is decided in one place each: a page with the main commands shows it in the long
-suite, all others in the exhaustive one.
+suite. All others, and all long blocks, are exhaustive.
 """
 
 import os
 import sys
 
 import pytest
-from page_runs import WITH_COMMANDS, WITH_LONG_BLOCKS, run, run_program
+from page_runs import WITH_COMMANDS, WITH_LONG_BLOCKS, over, run, run_program
 
 pytestmark = pytest.mark.long
 
 
-def marked(pages, in_long):
-    return [pytest.param(page, marks=() if in_long(page) else pytest.mark.exhaustive, id=page.name) for page in pages]
+def long_for(name, pages):
+    """Over pages, all but one of them exhaustive, each of which any process may run."""
+    marks = {page: [pytest.mark.xdist_group(page.name)] for page in pages}
+    for page in pages:
+        marks[page] += [] if page.name == name else [pytest.mark.exhaustive]
+    cases = [pytest.param(page, marks=marks[page], id=page.name) for page in pages]
+    return pytest.mark.parametrize("page", cases)
 
 
-@pytest.mark.parametrize("page", marked(WITH_LONG_BLOCKS, lambda page: page.name == "README.md"))
+@pytest.mark.exhaustive
+@over(WITH_LONG_BLOCKS)
 def test_a_page_runs_with_its_long_blocks_too(page, tmp_path, home):
     run(page, tmp_path, home, os.defpath, "--long")
 
 
-@pytest.mark.parametrize("page", marked(WITH_COMMANDS, lambda page: page.name == "README.md"))
+@long_for("README.md", WITH_COMMANDS)
 def test_a_page_runs_without_a_compiler(page, tmp_path, home, without_compiler):
     run(page, tmp_path, home, without_compiler)
 
 
-@pytest.mark.parametrize("page", marked(WITH_COMMANDS, lambda page: page.name == "check.md"))
+@long_for("check.md", WITH_COMMANDS)
 def test_a_page_runs_without_a_cache(page, tmp_path, home):
     run(page, tmp_path, home, os.defpath, COVARIANT_CACHE="off")
 

@@ -1,17 +1,32 @@
 """Every command and every Python example of the README and the pages runs as it stands, in the place of a user.
 
-The first page begins with an empty cache folder, as that of a new user is.
+The first page that a process runs begins with an empty cache folder, as that of a new user is.
 """
 
 import os
 import re
 
+import pytest
 from page_runs import EXECUTED, PAGES, needs_checkout, over, run
 from run_page import PARTS, blocks
 
 each_page = over(EXECUTED)
 
 
+@pytest.mark.long(
+    "certificates.md",
+    "contracting.md",
+    "firmware.md",
+    "forces.md",
+    "groups.md",
+    "identification.md",
+    "metrics.md",
+    "robots.md",
+    "smoothing.md",
+    "spaces.md",
+    "tuning.md",
+    "your-log.md",
+)
 @each_page
 def test_a_page_runs_from_an_empty_folder(page, tmp_path, home):
     run(page, tmp_path, home, os.defpath)

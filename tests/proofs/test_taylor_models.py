@@ -22,12 +22,6 @@ from covariant.proofs.checker import TaylorEnclosure, show_definite
 from covariant.proofs.checker._definite import definite
 from covariant.proofs.checker._taylor import UndecidedError, number
 
-LONG = (
-    "test_taylor_models_hold_the_function_and_say_something_about_it[rotation]",
-    "test_a_mistake_in_the_arithmetic_is_noticed[6]",
-)
-"""Cases of the long suite: a cheaper one of the same test is in the short one."""
-
 FOLDER = Path(checker.__file__).parent
 FILES = [FOLDER / f"_{name}.py" for name in ("taylor", "primitives", "tree", "enclosure", "definite")]
 
@@ -130,6 +124,7 @@ def beyond(module, name):
         return np.abs(values(name) - model) - np.reshape(found.radius, (-1, 1)) - 2.0**-50  # doubles are off themselves
 
 
+@pytest.mark.exhaustive("rotation")
 @pytest.mark.parametrize("name", SCALARS)
 def test_taylor_models_hold_the_function_and_say_something_about_it(name):
     assert beyond(CHECKER, name).max() <= 0
@@ -343,11 +338,13 @@ def is_wrong(module):
     return isinstance(module.less(module.number(np.zeros(2), 1.0), module.number(np.ones(2) / 2)), bool)
 
 
+@pytest.mark.exhaustive("6")
 @pytest.mark.parametrize(("old", "new"), MUTANTS, ids=range(len(MUTANTS)))
 def test_a_mistake_in_the_arithmetic_is_noticed(old, new):
     assert is_wrong(mutant(old, new))
 
 
+@pytest.mark.exhaustive
 def test_no_mistake_is_noticed_where_there_is_none():
     assert not is_wrong(mutant("ROUND, TINY = 2.0**-40, 2.0**-990", "ROUND, TINY = 2.0**-40, 2.0**-980"))
 

@@ -32,6 +32,7 @@ def reproduced():
     return json.loads(done.stdout.splitlines()[-1])
 
 
+@pytest.mark.exhaustive("approximate", "exact")
 @pytest.mark.parametrize("observer", FIGURE_4)
 def test_figure_4(reproduced, observer):
     run = reproduced["fig4"][observer]

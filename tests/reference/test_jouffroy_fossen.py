@@ -25,10 +25,12 @@ def reproduced(steps):
     return paper.reproduce(steps.append)
 
 
+@pytest.mark.exhaustive
 def test_each_step_is_reported_once(reproduced, steps):
     assert len(steps) == len(set(steps)) == paper.STAGES
 
 
+@pytest.mark.exhaustive
 def test_printed_gain_of_the_ship_is_unstable_and_the_corrected_one_is_not(reproduced):
     found = reproduced["ship"]["eigenvalues"]
     assert found["printed"] > 0.5
@@ -49,6 +51,7 @@ def test_theorem_2_as_printed_says_the_opposite(reproduced):
         assert case["proof"] == ("holds" if case["true"] < 0 else "fails")
 
 
+@pytest.mark.exhaustive
 def test_printed_gain_of_odin_is_unstable_and_its_observer_does_not_converge(reproduced):
     values = reproduced["odin"]["eigenvalues"]
     assert values["printed"] > 0.5
@@ -156,6 +159,7 @@ def test_velocities_at_sea_are_those_the_page_shows(reproduced):
     assert passive["cost"] < kalman["cost"]
 
 
+@pytest.mark.exhaustive
 def test_page_and_words_come_from_the_numbers(reproduced, tmp_path):
     words = "\n".join(str(part) for part in paper.summary(reproduced))
     assert "K2 as printed in (54)" in words

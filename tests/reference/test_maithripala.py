@@ -13,6 +13,7 @@ def results():
     return maithripala.reproduce()
 
 
+@pytest.mark.exhaustive
 def test_velocity_error_decays_at_the_rate_of_the_theory(results):
     """The slow root of s² + αs + β: 0.513 1/s with the doubled α, 1.127 1/s otherwise."""
     top = results["top"]
@@ -24,6 +25,7 @@ def test_velocity_error_decays_at_the_rate_of_the_theory(results):
     assert top["error"][-1] < 1e-8
 
 
+@pytest.mark.exhaustive
 def test_the_simulated_top_keeps_what_it_must(results):
     assert max(results["top"]["conserved"].values()) < 1e-9
 

@@ -31,6 +31,7 @@ CASES = {
 }
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("case", CASES)
 def test_an_observer_with_fitted_numbers_is_within_5_percent_of_the_published_ones(case, data_folder):
     (name, log, judged), guess, names, (every, fitted_until, judged_until) = CASES[case]

@@ -22,13 +22,6 @@ from covariant.observers import Intrinsic
 from covariant.proofs import Box, Proof
 from covariant.report import _certificate, draw_certificate, new_figure
 
-LONG = (
-    "test_distances_begin_at_the_radius_and_stay_under_the_line",
-    "test_four_panels[holds]",
-    "test_the_axis_of_condition_numbers_has_several_numbers[10000.0]",
-)
-"""Cases of the long suite: a cheaper one of the same test, or of the same law, is in the short one."""
-
 SQUARES, RADIUS, RATE = (56.0, 2178.0), 0.01336, 3.33
 HALVED = [np.array([0]), np.array([1, -1]), np.array([-1, -2])]
 """The angle is halved, then the velocity of the lower half, whose upper half stays open."""
@@ -90,7 +83,7 @@ def test_the_share_left_open():
     assert canned().claims[0].proof.open_share == 0.0
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_the_motion_stays_in_the_region_and_estimates_in_the_tube(followed):
     np.testing.assert_allclose(canned().half_widths, RADIUS * np.sqrt(SQUARES))
     assert np.abs(followed.positions).max() <= 3.0
@@ -103,6 +96,7 @@ def test_the_motion_stays_in_the_region_and_estimates_in_the_tube(followed):
     assert np.ptp(off[:, 0], axis=0).min() > 0
 
 
+@pytest.mark.exhaustive
 def test_distances_begin_at_the_radius_and_stay_under_the_line(followed):
     seen = followed.distances
     np.testing.assert_allclose(seen.high[:, 0], RADIUS, rtol=1e-9)
@@ -127,6 +121,8 @@ def test_nothing_proved_is_no_tube():
         trajectories(canned("fails"))
 
 
+@pytest.mark.exhaustive("fails", "undecided")
+@pytest.mark.long
 @pytest.mark.parametrize("verdict", ["holds", "undecided", "fails"])
 def test_four_panels(verdict, followed, tmp_path, monkeypatch):
     if verdict == "holds":
@@ -148,6 +144,7 @@ def test_a_figure_needs_a_format(tmp_path, followed, monkeypatch):
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.long("10000.0")
 @pytest.mark.parametrize("highest", [5.6, 1e4])
 def test_the_axis_of_condition_numbers_has_several_numbers(highest):
     allowed = trade_off(canned(), count=5)._replace(condition=np.geomspace(1.1, highest, 5), used=(1.0, 1.1))

@@ -40,6 +40,7 @@ KINDS = {
 }
 
 
+@pytest.mark.long("chart", "group", "jax", "velocities_in_a_chart")
 @ARRAYS
 @pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.__name__)
 def test_every_kind_is_drawn_from_the_arrays_of_any_engine(kind, array, make, tmp_path):

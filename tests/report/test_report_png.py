@@ -11,12 +11,6 @@ from PIL import Image
 from covariant.certificates.audit import Audit, Law
 from covariant.report import PALETTE, _audit, draw_audit, new_figure, save_figure, write_png
 
-LONG = (
-    "test_degenerate[zero_distances]",
-    "test_files[n=3]",
-)
-"""Cases of the long suite: a cheaper one of the same test is in the short one."""
-
 NAMES = ["log_velocity.png", "log_position.png", "log_distance.png"]
 
 
@@ -25,6 +19,7 @@ def ink(image: Image.Image) -> np.ndarray:
     return np.asarray(image.convert("L")) < 250
 
 
+@pytest.mark.long("n=3")
 def test_files(report, tmp_path):
     paths = write_png(report, tmp_path / "log.png")
     assert [path.name for path in paths] == NAMES
@@ -48,6 +43,7 @@ def test_a_row_a_coordinate(make, tmp_path):
     assert heights[1] - heights[0] == pytest.approx(2 * 2.3 * 150, abs=1)
 
 
+@pytest.mark.long("zero_distances")
 def test_degenerate(degenerate, tmp_path):
     for path in write_png(degenerate, tmp_path / "log"):
         with Image.open(path) as image:
@@ -62,6 +58,7 @@ def test_long_texts(make, tmp_path):
     assert not np.concatenate([drawn[0], drawn[-1], drawn[:, 0], drawn[:, -1]]).any()
 
 
+@pytest.mark.long
 def test_new_figure_has_the_house_style_and_touches_nothing_global(tmp_path):
     before = dict(mpl.rcParams)
     figure, axes = new_figure(2, 3, titles=list("abcdef"))

@@ -9,15 +9,6 @@ from covariant.certificates import feedthrough, tracking
 from covariant.models import marine, state_space
 from covariant.simulation import Backstepping, follow, lissajous, set_point
 
-LONG = (
-    "test_full_state_feedback_gives_the_printed_error_equations[cybership]",
-    "test_full_state_feedback_gives_the_printed_error_equations[odin]",
-    "test_bad_gains_are_refused[lam not symmetric]",
-    "test_output_feedback_gives_the_error_equations_that_the_cascade_is_judged_by[cybership]",
-    "test_output_feedback_gives_the_error_equations_that_the_cascade_is_judged_by[odin]",
-)
-"""Cases of the long suite: a cheaper one of the same test is in the short one."""
-
 CRAFT = {"odin": marine.odin, "with coriolis": lambda: marine.odin(coriolis=True), "cybership": marine.cybership}
 
 
@@ -45,6 +36,7 @@ def along(c, t, eta, nu, tau):
     return jax.jvp(lambda *a: errors(c, *a), (t, eta, nu), (jnp.ones(()), x_dot[:n], x_dot[n:]))[1]
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("name", CRAFT)
 def test_full_state_feedback_gives_the_printed_error_equations(name):
     craft = CRAFT[name]()
@@ -61,6 +53,7 @@ def test_full_state_feedback_gives_the_printed_error_equations(name):
     np.testing.assert_allclose(fall, -s @ (craft.damping(nu) + c.kd) @ s - e @ c.kp @ c.lam @ e, rtol=1e-10)  # (92)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("name", CRAFT)
 def test_output_feedback_gives_the_error_equations_that_the_cascade_is_judged_by(name):
     """(97)–(99) with J' kept: e' = a(e) + b(x̃), with a from `tracking` and b from `feedthrough`."""
@@ -112,6 +105,7 @@ BAD = {
 }
 
 
+@pytest.mark.exhaustive("lam not symmetric")
 @pytest.mark.parametrize("case", BAD)
 def test_bad_gains_are_refused(case):
     gains, message = BAD[case]

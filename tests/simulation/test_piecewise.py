@@ -10,12 +10,6 @@ from covariant.models import Motion
 from covariant.signals import Record, acting_inputs
 from covariant.simulation import logged_inputs, simulate, simulate_piecewise
 
-LONG = (
-    "test_a_lag_follows_what_is_commanded[held]",
-    "test_smooth_inputs_give_the_motion_of_a_continuous_simulation",
-)
-"""Cases of the long suite: a cheaper one of the same test, or of the same law, is in the short one."""
-
 T = np.array([0.5, 0.8, 1.4, 1.5])
 U = np.array([[1.0], [-2.0], [4.0], [0.5]])
 AT = np.array([0.0, 0.2, 0.9, 1.1, 2.0])
@@ -40,6 +34,7 @@ def test_inputs_are_held_or_linear_between_stamps(delay):
     np.testing.assert_allclose(linear, np.interp(times, T + delay, U[:, 0]), atol=1e-12)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("between", ["held", "linear"])
 def test_a_lag_follows_what_is_commanded(between):
     """Against a plain Euler integration of `lag du/dt = command − u` in tiny steps."""
@@ -53,6 +48,7 @@ def test_a_lag_follows_what_is_commanded(between):
     np.testing.assert_allclose(dense(logged_inputs(T, U, between, 0.1, lag, at=AT), times), path, atol=2e-3)
 
 
+@pytest.mark.exhaustive("held")
 @pytest.mark.parametrize(("between", "delay"), [("held", 0.0), ("held", 0.02), ("linear", 0.0), ("linear", 0.013)])
 def test_a_machine_feels_what_a_reader_of_the_log_takes_for_acting(between, delay):
     """The impulse between two stamps is the mean input that `acting_inputs` gives, times the step."""
@@ -65,6 +61,7 @@ def test_a_machine_feels_what_a_reader_of_the_log_takes_for_acting(between, dela
     np.testing.assert_allclose(np.diff(v), mean[:-1] * np.diff(t), atol=1e-9)
 
 
+@pytest.mark.exhaustive
 def test_smooth_inputs_give_the_motion_of_a_continuous_simulation():
     """A ramp that is linear between its stamps is the ramp: on a group, and of a state-space model too."""
     t = np.linspace(0.0, 1.0, 11)

@@ -38,6 +38,7 @@ class Follower(AbstractFlowObserver):
         return MechanicalState(q_dot, u + 0 * y, jnp.ones_like(state.t))
 
 
+@pytest.mark.exhaustive
 def test_a_double_pendulum_keeps_its_energy():
     model = pendulum_chain((1.0, 0.5), (0.8, 0.6), com=(0.4, 0.5), inertia=(0.05, 0.01))
     t = jnp.linspace(0.0, 8.0, 33)
@@ -50,6 +51,7 @@ def test_a_double_pendulum_keeps_its_energy():
     assert record.check() is record
 
 
+@pytest.mark.exhaustive("05", "08")
 @pytest.mark.parametrize("rtol", [1e-5, 1e-8, 1e-11])
 def test_the_tolerance_is_kept(rtol):
     t = jnp.linspace(0.0, 10.0, 21)
@@ -58,6 +60,7 @@ def test_the_tolerance_is_kept(rtol):
     assert error < 100 * rtol
 
 
+@pytest.mark.exhaustive
 def test_inputs_and_feedback_reach_the_machine():
     """A spring made critically damped by feedback, and pushed: q = 1 + (A + Bt) exp(−2t)."""
     t = jnp.linspace(0.0, 3.0, 13)
@@ -73,6 +76,7 @@ def test_recorded_inputs_are_held_to_the_next_stamp():
     np.testing.assert_array_equal(held[:, 0], [1, 1, 1, 2, 2, 3, 3])
 
 
+@pytest.mark.exhaustive
 def test_a_machine_moves_by_held_inputs_as_by_steps_of_force():
     free = Lagrangian(geometry.Euclidean(), lambda q: 0.0 * q[0])
     t, u = jnp.array([0.0, 0.5, 0.75, 2.0]), jnp.array([[1.0], [-2.0], [4.0], [0.0]])
@@ -90,6 +94,7 @@ def test_no_input_has_as_many_entries_as_the_model_takes():
     np.testing.assert_array_equal(no_input(SPRING, jnp.zeros(1))(0.0, jnp.zeros(2)), 0.0)
 
 
+@pytest.mark.exhaustive
 def test_a_watched_machine_moves_as_it_does_alone():
     t = jnp.linspace(0.0, 4.0, 17)
     x0, push = jnp.array([0.5, 0.0]), lambda s, x: jnp.sin(s)[None]
@@ -102,6 +107,7 @@ def test_a_watched_machine_moves_as_it_does_alone():
     np.testing.assert_allclose(4 * (state.q[:, 0] - 1.5 * t**2), 1 - np.cos(t) - x[:, 1], rtol=0, atol=1e-8)
 
 
+@pytest.mark.exhaustive
 def test_after_an_escape_the_stamps_are_infinite(monkeypatch):
     """q' = q² from q = 1 reaches infinity at t = 1."""
     monkeypatch.setattr("covariant.simulation._simulate.solve", functools.partial(solve, max_steps=5000))

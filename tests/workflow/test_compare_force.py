@@ -42,6 +42,7 @@ def compared(tmp_path_factory):
     return workflow.compare_force(folder / "model.toml", log, FORCES), simulated, folder
 
 
+@pytest.mark.exhaustive
 def test_simulated_pushes_are_what_moves_the_machine(compared):
     """The momentum of the exact motion shows the forces in the log, behind its lag."""
     _, log, _ = compared
@@ -63,6 +64,7 @@ def test_pushes_are_on_each_joint_in_turn_and_change_sign():
     np.testing.assert_allclose(forces, np.stack([first, second], axis=1), atol=1e-12)
 
 
+@pytest.mark.exhaustive
 def test_the_filter_is_best_and_its_band_holds(compared):
     result, simulated, _ = compared
     names = list(result.estimates)
@@ -78,6 +80,7 @@ def test_the_filter_is_best_and_its_band_holds(compared):
     assert result.units == {"external_force1_rmse": "N"}
 
 
+@pytest.mark.exhaustive
 def test_its_forces_are_those_of_estimate(compared):
     result, _, folder = compared
     best = result.estimates["intrinsic-kalman, forgotten"]
@@ -131,6 +134,7 @@ REFUSED = [
 ]
 
 
+@pytest.mark.long("given0")
 @pytest.mark.parametrize(("given", "message"), REFUSED)
 def test_what_cannot_be_compared_is_refused(given, message):
     log = workflow.simulate("oscillator", duration=2.0, rate=50.0, noise=1e-4, push=[0.6]).to_pandas()

@@ -35,7 +35,7 @@ bias = 2.0
 """
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_only_the_difference_of_two_offsets_is_determined(tmp_path):
     """Without gravity no motion shows where zero is; two encoders show how far their zeros are apart."""
     path = tmp_path / "wheel.toml"

@@ -52,6 +52,7 @@ def found(folder) -> ExcitationResult:
     return result
 
 
+@pytest.mark.exhaustive
 def test_the_table_is_a_motion_within_the_limits(found):
     assert list(found.columns) == ["t", "s", "e", "v1", "v2", "a1", "a2", "ts", "te"]
     t, *columns = found.si_columns.values()
@@ -69,6 +70,7 @@ def test_the_table_is_a_motion_within_the_limits(found):
     assert found.to_pandas().attrs["units"] == found.units
 
 
+@pytest.mark.exhaustive
 def test_it_says_what_to_expect_and_what_it_does_not_look_at(found):
     text = str(found)
     assert "501 rows over 5 s: 1 period of 5 s, 3 harmonics" in text

@@ -77,6 +77,7 @@ def chain(tmp_path_factory):
     return path, written(folder, CHAIN, "plain.toml"), pandas.DataFrame(log.columns)
 
 
+@pytest.mark.long
 def test_a_simulated_log_has_their_columns_in_their_units(chain):
     path, _, frame = chain
     rate, motor = file_sensors(models.load(path))
@@ -89,6 +90,7 @@ def test_a_simulated_log_has_their_columns_in_their_units(chain):
     assert np.abs(frame["motor"] - 20.0 * frame["true_q2"]).max() < 6e-3
 
 
+@pytest.mark.exhaustive
 def test_a_filter_uses_them_and_finds_their_bias(chain):
     path, plain, frame = chain
     named = {"observer": "intrinsic-kalman", "columns": {"truth": ["true_v1", "true_v2"]}}
@@ -107,6 +109,7 @@ def test_a_filter_uses_them_and_finds_their_bias(chain):
     np.testing.assert_allclose(jax.velocity, result.velocity, rtol=0, atol=1e-9)
 
 
+@pytest.mark.exhaustive
 def test_rows_have_what_was_read_then(chain):
     """Positions in every tenth row: the rate of the design is theirs, and the sensor fills the time between."""
     path, plain, frame = chain
@@ -130,6 +133,7 @@ def test_outliers_of_a_sensor_are_counted(chain):
     assert result.sensors["motor"].refused == 0
 
 
+@pytest.mark.exhaustive
 def test_a_log_without_a_sensor_is_told(chain):
     path, plain, frame = chain
     lacking = frame.drop(columns=["rate 1", "rate 2"])
@@ -143,12 +147,14 @@ def test_a_log_without_a_sensor_is_told(chain):
         covariant.estimate(path, frame.drop(columns="rate 2"), observer="intrinsic-kalman")
 
 
+@pytest.mark.long
 def test_other_observers_say_that_they_do_without(chain):
     path, _, frame = chain
     result = covariant.estimate(path, frame, observer="intrinsic")
     assert "does not estimate what [sensors] read; intrinsic-kalman does" in result.design[0]
 
 
+@pytest.mark.exhaustive
 def test_what_was_measured_is_smoothed_with_them(chain):
     path, _, frame = chain
     named = {"observer": "intrinsic-kalman", "columns": {"truth": ["true_v1", "true_v2"]}}
@@ -158,6 +164,7 @@ def test_what_was_measured_is_smoothed_with_them(chain):
     np.testing.assert_allclose(summary["filter"]["velocity_rmse"], same, rtol=1e-4)
 
 
+@pytest.mark.exhaustive
 def test_a_smoother_refuses_a_sensor_that_is_late(chain):
     path, _, frame = chain
     late = {"sensors.motor.delay": 0.02}
@@ -166,6 +173,7 @@ def test_a_smoother_refuses_a_sensor_that_is_late(chain):
     covariant.smooth(path, frame, overrides=late, observer="joint-kalman")  # which uses no sensor
 
 
+@pytest.mark.exhaustive
 def test_forces_are_compared_with_sensors_too(tmp_path):
     text = CHAIN.replace("[1.0, 0.6]", "[1.0]").replace("[0.5, 0.4]", "[0.5]").replace("[0.05, 0.02]", "[0.05]")
     text = text.replace('["q1", "q2"]', '["q1"]') + "external_force_std = 0.2\nexternal_force_time = 0.3\n"

@@ -43,6 +43,7 @@ def fitted(folder) -> FitResult:
     return fit(str(folder / "machine" / "arm.toml"), log, names)
 
 
+@pytest.mark.exhaustive
 def test_what_the_log_shows_is_the_truth_and_the_rest_is_named(fitted):
     rows = {row["name"]: row for row in fitted.summary["parameters"]}
     truth = {f"friction.elbow.{kind}": value for kind, value in LAW["elbow"].items()} | {"armature.elbow": 0.004}
@@ -58,6 +59,7 @@ def test_what_the_log_shows_is_the_truth_and_the_rest_is_named(fitted):
     assert "| armature.elbow" in text
 
 
+@pytest.mark.exhaustive
 def test_the_fitted_robot_is_written_with_a_urdf_file_beside_it(fitted, folder):
     (folder / "out").mkdir()
     path = fitted.save(folder / "out" / "fitted.toml")
@@ -108,6 +110,7 @@ def test_the_urdf_file_of_the_robot_itself_is_never_replaced(fitted, folder):
     assert (machine / "arm.toml").read_text() == MODEL
 
 
+@pytest.mark.exhaustive
 def test_a_log_at_rest_or_in_degrees_is_refused():
     t = np.arange(2000) / 250.0
     rest = Record(t, np.zeros((2000, 2)), 1e-4 * np.random.default_rng(0).normal(size=(2000, 2)))

@@ -11,14 +11,6 @@ import pytest
 from covariant import logs, models, simulation
 from covariant.workflow import FitResult, SimulateResult, fit, simulate
 
-LONG = (
-    "test_short_flights_of_a_body_are_fitted_together",
-    "test_a_fit_to_a_simulated_log_gives_the_truth[held]",
-    "test_a_log_that_does_not_show_how_inputs_go_decides_nothing",
-    "test_what_the_model_file_says_is_not_tried_otherwise",
-)
-"""Cases of the long suite: a cheaper one of the same test, or of the same law, is in the short one."""
-
 TRUTH = {"parameters.mass": [1.0], "parameters.length": [0.5], "parameters.viscous": [0.001]}
 FIRST = {**TRUTH, "parameters.viscous": [0.01], "parameters.length": [0.45]}
 DRIVEN: dict[str, Any] = {"duration": 20.0, "rate": 100.0, "q0": 0.4, "amplitude": 0.5, "noise": 2e-4, "seed": 3}
@@ -35,6 +27,7 @@ def fitted(request) -> tuple[str, FitResult]:
     return request.param, fit("pendulum_chain", log.to_pandas(), ["viscous", "length"], overrides=FIRST)
 
 
+@pytest.mark.exhaustive
 def test_a_fit_to_a_simulated_log_gives_the_truth(fitted):
     _, result = fitted
     off = (result.values - [0.001, 0.5]) / result.standard_errors
@@ -43,6 +36,7 @@ def test_a_fit_to_a_simulated_log_gives_the_truth(fitted):
     assert result.better
 
 
+@pytest.mark.exhaustive("held")
 def test_the_way_inputs_go_between_stamps_is_found_named_and_written(fitted, tmp_path):
     word, result = fitted
     inputs = result.summary["inputs"]
@@ -55,6 +49,7 @@ def test_the_way_inputs_go_between_stamps_is_found_named_and_written(fitted, tmp
     assert f'between = "{word}"' in path.read_text()
 
 
+@pytest.mark.exhaustive
 def test_a_log_that_does_not_show_how_inputs_go_decides_nothing(tmp_path):
     """A torque so slow and small that it is the same held and linear, within the noise."""
     slow: dict[str, Any] = DRIVEN | {"frequency": 0.05, "amplitude": 0.02}
@@ -67,6 +62,7 @@ def test_a_log_that_does_not_show_how_inputs_go_decides_nothing(tmp_path):
     assert "between" not in result.save(tmp_path / "new.toml").read_text()
 
 
+@pytest.mark.exhaustive
 def test_what_the_model_file_says_is_not_tried_otherwise(tmp_path):
     log = driven(between="held").record
     result = fit("pendulum_chain", log, "viscous", overrides=FIRST | {"inputs.between": "linear"}, until=8.0)
@@ -79,6 +75,7 @@ def test_what_the_model_file_says_is_not_tried_otherwise(tmp_path):
     }
 
 
+@pytest.mark.exhaustive
 def test_a_log_without_inputs_says_nothing_of_them():
     swing = simulate("pendulum_chain", duration=12.0, rate=50.0, q0=1.0, noise=2e-4, overrides=TRUTH)
     calls = []
@@ -113,6 +110,7 @@ def test_a_log_that_is_not_there_is_named():
         fit("pendulum_chain", [Path("absent.csv")], "mass")
 
 
+@pytest.mark.exhaustive
 def test_short_flights_of_a_body_are_fitted_together(tmp_path):
     """Six of .6 s, of which one alone has too few windows to be held out; no force is logged."""
     body = models.free_body((1.0, 2.0, 3.5))

@@ -18,6 +18,7 @@ def estimated(push, seed=0, **beside):
     return log, covariant.estimate("pendulum_chain", log.record, observer="intrinsic-kalman", overrides=overrides)
 
 
+@pytest.mark.exhaustive
 def test_without_a_push_hardly_a_row_is_called_pushed():
     for seed in range(2):
         assert estimated(None, seed)[1].pushes.rows.mean() <= _pushes.FALSE_ALARM
@@ -39,6 +40,7 @@ def test_every_large_push_is_found_and_nothing_between_them():
     assert result.summary["pushes"] == len(result.pushes.starts) >= len(begins)
 
 
+@pytest.mark.long
 def test_without_forces_nothing_is_said_of_pushes():
     log = covariant.simulate("oscillator", duration=1.0, rate=100.0, noise=1e-4, q0=[1.0]).record
     result = covariant.estimate("oscillator", log, observer="intrinsic-kalman", overrides=NOISE)

@@ -10,9 +10,6 @@ import pytest
 import covariant
 from covariant.cli import main
 
-LONG = ("test_a_comparison_is_a_table_in_order_of_error",)
-"""Cases of the long suite: a cheaper one of the same test, or of the same law, is in the short one."""
-
 MODEL = "pendulum_chain"
 NOISE = {"measurement.std": 1e-3, "uncertainty.acceleration": 2.0}
 SET = [word for key, value in NOISE.items() for word in ("--set", f"{key}={value}")]
@@ -52,6 +49,7 @@ def estimate(log):
     return covariant.estimate(MODEL, log, overrides=NOISE, score=True)
 
 
+@pytest.mark.long
 def test_a_function_and_its_command_give_the_same_text_and_numbers(estimate, log, tmp_path, capsys):
     assert run("estimate", MODEL, str(log), *SET, "--score", "-o", str(tmp_path / "a.csv")) == 0
     assert capsys.readouterr().out == f"{estimate}\nwrote {tmp_path / 'a.csv'}\n"
@@ -85,6 +83,7 @@ def test_it_is_said_where_an_estimate_had_no_measurement(estimate):
     assert missing[np.argmin(np.abs(estimate.t - begin))]
 
 
+@pytest.mark.exhaustive
 def test_a_comparison_is_a_table_in_order_of_error(log, tmp_path):
     result = covariant.compare(MODEL, log, overrides=NOISE, until=1.0)
     table = result.to_pandas()

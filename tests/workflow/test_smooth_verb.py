@@ -28,6 +28,7 @@ def test_the_names_are_those_of_the_filters_with_a_covariance_and_a_gate():
     assert tuple(e.name for e in REGISTRY if issubclass(e.observer, AbstractGatedFilter)) == SMOOTHED
 
 
+@pytest.mark.exhaustive
 def test_it_is_nearer_to_the_truth_than_the_filter_and_says_so(smoothed):
     result, _ = smoothed
     table, summary = result.columns, result.summary
@@ -76,6 +77,7 @@ def test_what_cannot_be_smoothed_is_refused(smoothed, wrong, words):
         covariant.smooth("oscillator", smoothed[1], **({"overrides": NOISE} | wrong))
 
 
+@pytest.mark.exhaustive
 def test_a_state_space_model_is_smoothed_by_its_filter():
     log = covariant.simulate("duffing", duration=2.0, rate=50.0, noise=1e-2, seed=2).record
     noise = {"measurement.std": 1e-2, "uncertainty.process": 0.1}
@@ -86,6 +88,7 @@ def test_a_state_space_model_is_smoothed_by_its_filter():
     assert (result.velocity_std <= result.filtered.velocity_std + 1e-12).all()
 
 
+@pytest.mark.exhaustive
 def test_the_command_writes_the_table(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     swing().save("log.csv")

@@ -44,7 +44,7 @@ def table():
     return simulate("oscillator", duration=18.0, rate=50.0, q0=1.0, noise=1e-3).to_pandas()
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_without_truth_estimators_are_ranked_by_predictions_and_the_text_says_so(table):
     log = table[["t", "q", "u1"]].copy()
     log.loc[[40, 90, 140, 190, 240], "q"] += 0.8

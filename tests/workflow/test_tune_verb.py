@@ -8,12 +8,6 @@ import pytest
 from covariant import models
 from covariant.workflow import TuneResult, simulate, tune
 
-LONG = (
-    "test_a_page_is_drawn_after_either_engine[jax]",
-    "test_the_noise_of_a_table_is_found",
-)
-"""Cases of the long suite: a cheaper one of the same test, or of the same law, is in the short one."""
-
 NOISE = {"measurement.std": 0.1, "uncertainty.acceleration": 9.0}
 
 
@@ -30,6 +24,7 @@ def tuned(log) -> TuneResult:
     return tune("oscillator", log, overrides=NOISE)
 
 
+@pytest.mark.exhaustive
 def test_the_noise_of_a_table_is_found(tuned):
     assert tuned.lines["measurement"]["std"] == pytest.approx(2e-4, rel=0.2)
     assert tuned.tuning.after.likelihood > tuned.tuning.before.likelihood + 2
@@ -37,6 +32,7 @@ def test_the_noise_of_a_table_is_found(tuned):
     assert repr(tuned).startswith("<TuneResult: natural frequency ")
 
 
+@pytest.mark.exhaustive
 def test_the_new_file_is_saved_once(tuned, tmp_path):
     path = tuned.save(tmp_path / "tuned.toml")
     assert models.load(str(path)).measurement_std == tuned.lines["measurement"]["std"]
@@ -47,12 +43,14 @@ def test_the_new_file_is_saved_once(tuned, tmp_path):
     assert tuned.save(path, overwrite=True).read_text() == written
 
 
+@pytest.mark.exhaustive
 def test_a_force_that_is_forgotten_is_taken_out_where_there_is_none(log):
     fading = {"uncertainty.external_force_std": 0.3, "uncertainty.external_force_time": 0.5}
     result = tune("oscillator", log, overrides=NOISE | fading)
     assert set(result.lines["uncertainty"]) == {"acceleration", "correlation_time"}
 
 
+@pytest.mark.exhaustive("jax")
 @pytest.mark.parametrize("engine", ["c", "jax"])
 def test_a_page_is_drawn_after_either_engine(log, tmp_path, engine):
     result = tune("oscillator", log, overrides=NOISE, engine=engine)

@@ -28,6 +28,7 @@ def test_the_quantile_is_that_of_chi_squared():
         np.testing.assert_allclose(mean_quantile(count), chi2.ppf(0.999, count) / count, rtol=0.02)
 
 
+@pytest.mark.exhaustive("right", "ticks", "with a force state")
 @pytest.mark.parametrize(
     ("model", "sensors"),
     [

@@ -1,0 +1,166 @@
+"""The operations of generated code, all turns of loops counted, are those of the table in `operations.json`.
+
+They are the same on every machine, and say what a step costs. To change one, write the table again by
+`python tests/laws/test_operations.py`, and say in the commit why.
+"""
+
+import functools
+import json
+import sys
+from collections.abc import Callable
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from covariant import codegen, lowering, models, observers
+from covariant.lowering import operations
+from covariant.models import input_count, robots
+
+TABLE = Path(__file__).with_name("operations.json")
+COUNTED_WITH = "0.9"
+"""Release of JAX with which operations are counted; others write the same functions as other primitives."""
+
+
+class System(NamedTuple):
+    """A model and the link that has a gyro, if it is a robot."""
+
+    model: models.MechanicalSystem
+    link: str | None = None
+
+
+SYSTEMS: dict[str, Callable[[], System]] = {
+    "double pendulum": lambda: System(models.pendulum_chain()),
+    "top": lambda: System(models.heavy_top()),
+    "SCARA": lambda: System(robots.load("scara"), "hand"),
+    "Panda": lambda: System(robots.load("panda"), "panda_link7"),
+    "quadruped": lambda: System(robots.load("quadruped"), "base_link"),
+}
+
+
+def intrinsic(system: System) -> observers.AbstractObserver:
+    return observers.Intrinsic(system.model, 50.0, 1250.0, substeps=1)
+
+
+def kalman(system: System, *sensors: observers.Sensor) -> observers.AbstractObserver:
+    n = dimension(system)
+    covariances = 0.1 * jnp.eye(n), 1e-8 * jnp.eye(n), jnp.eye(n)
+    return observers.IntrinsicKalman(system.model, *covariances, substeps=1, sensors=sensors)
+
+
+OBSERVERS: dict[str, Callable[[System], observers.AbstractObserver]] = {
+    "intrinsic": intrinsic,
+    "gated": lambda system: observers.Gated(intrinsic(system), system.model, 1e-3, 1.0),
+    "delayed": lambda system: observers.Delayed(intrinsic(system), 0.01, 250.0),
+    "geodesic": lambda system: observers.Geodesic(system.model, 50.0, 1250.0, substeps=1),
+    "kalman": kalman,
+    "kalman with a gyro": lambda system: kalman(system, observers.gyro(system.model.space, system.link, 0.01)),
+}
+SHORT = {
+    "double pendulum": ("intrinsic", "gated", "delayed", "geodesic", "kalman"),
+    "top": ("intrinsic", "gated"),
+    "SCARA": ("intrinsic", "gated"),
+    "Panda": ("intrinsic",),
+}
+"""Steps that the short suite counts."""
+LONG = {
+    "top": ("delayed", "geodesic", "kalman"),
+    "SCARA": ("delayed", "geodesic", "kalman", "kalman with a gyro"),
+    "Panda": ("gated", "geodesic", "kalman", "kalman with a gyro"),
+    "quadruped": ("intrinsic", "kalman"),
+}
+"""Steps that the long suite counts."""
+
+
+@functools.cache
+def made(system: str) -> System:
+    return SYSTEMS[system]()
+
+
+def right_hand_side(system: System) -> tuple[Callable, tuple[jax.Array, ...]]:
+    """That of the observer with constant gains, and its arguments."""
+    observer, y = intrinsic(system), system.model.manifold.origin()
+    state = observer.init(y)
+
+    def flow(q, v, u, y):
+        rate: Any = observer.flow(jnp.zeros(()), state._replace(q=q, v=v), u, y)
+        return rate.q, rate.v
+
+    return flow, (state.q, state.v, inputs(system), y)
+
+
+def inputs(system: System) -> jax.Array:
+    return jnp.zeros(input_count(system.model, dimension(system)))
+
+
+def dimension(system: System) -> int:
+    manifold = system.model.manifold
+    return manifold.zero(manifold.origin()).shape[0]
+
+
+def of_right_hand_side(name: str) -> int:
+    function, arguments = right_hand_side(made(name))
+    return operations(lowering.lower(function, *arguments, loops="any").graph.nodes)
+
+
+def of_enclosure(name: str) -> int:
+    """Of the right-hand side with its slopes in q and v, whose bounds are a proof."""
+    function, arguments = right_hand_side(made(name))
+    lowered = lowering.lower(function, *arguments, real=True)
+    return operations(lowering.expand(lowered, range(arguments[0].size + arguments[1].size), 1).graph.nodes)
+
+
+def of_step(name: str, observer: str) -> int:
+    system = made(name)
+    step = OBSERVERS[observer](system)
+    q = system.model.manifold.origin()
+    readings = sum(sensor.count for sensor in getattr(step, "sensors", ()))
+    y = np.concatenate([q, np.zeros(readings)]) if readings else np.asarray(q)
+    program = codegen.program(codegen.Recipe(lambda numbers: step, {}), y, loops=True)
+    return operations(program.step.graph.nodes)
+
+
+def counts() -> list:
+    """The name and the count of each row, marked `long` where it takes more than a few seconds."""
+    rows = []
+    for name in SYSTEMS:
+        marks = [pytest.mark.long] if name not in SHORT else []
+        rows.append(pytest.param(f"{name}, right-hand side", functools.partial(of_right_hand_side, name), marks=marks))
+    for name in ("double pendulum", "top"):
+        rows.append(pytest.param(f"{name}, enclosure", functools.partial(of_enclosure, name)))
+    for suite, marks in ((SHORT, []), (LONG, [pytest.mark.long])):
+        for name, steps in suite.items():
+            for step in steps:
+                count = functools.partial(of_step, name, step)
+                rows.append(pytest.param(f"{name}, step, {step}", count, marks=marks))
+    return rows
+
+
+@pytest.mark.skipif(not version("jax").startswith(COUNTED_WITH), reason=f"operations are counted with {COUNTED_WITH}")
+@pytest.mark.parametrize(("name", "count"), counts(), ids=lambda value: value if isinstance(value, str) else ".")
+def test_operations_are_those_of_the_table(name, count):
+    assert count() == json.loads(TABLE.read_text(encoding="utf-8"))[name]
+
+
+def test_the_table_has_these_rows_alone():
+    assert list(json.loads(TABLE.read_text(encoding="utf-8"))) == [row.values[0] for row in counts()]
+
+
+def main() -> int:
+    """Write the table, printing what changes; returns 0."""
+    old = json.loads(TABLE.read_text(encoding="utf-8")) if TABLE.exists() else {}
+    table = {}
+    for row in counts():
+        name, count = row.values
+        table[name] = count()
+        print(f"{name}: {table[name]}" + (f", was {old[name]}" if old.get(name, table[name]) != table[name] else ""))
+    TABLE.write_text(json.dumps(table, indent=1) + "\n", encoding="utf-8")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
