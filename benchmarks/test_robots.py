@@ -5,6 +5,7 @@ The arms are chains like those in workshops, each joint a quarter turn from the 
 compilation, and how the ratio of observer to forward dynamics grows.
 """
 
+import itertools
 import sys
 import tempfile
 import time
@@ -19,7 +20,8 @@ import numpy as np
 import pytest
 
 from covariant import lowering
-from covariant.models import MechanicalSystem, acceleration, robots
+from covariant.engine import Stream
+from covariant.models import MechanicalSystem, acceleration, pendulum_chain, robots
 from covariant.observers import Intrinsic
 
 SIZES = (7, 12, 20, 30)
@@ -116,6 +118,23 @@ def test_compilation(benchmark, kind, n):
         return compiled(work(kind, n))
 
     benchmark.pedantic(afresh, rounds=1)
+
+
+@pytest.mark.benchmark(max_time=0.5, group="robots: a step of a stream from Python, beside one call of Pinocchio")
+@pytest.mark.parametrize("name", ["forward dynamics of the Panda by Pinocchio", "double pendulum", "Panda"])
+def test_stream(benchmark, name):
+    """One Runge-Kutta step with the curvature; `pip install pin` for the reference, which is left out without it."""
+    if "Pinocchio" in name:
+        pin = pytest.importorskip("pinocchio")
+        model = pin.buildModelFromUrdf(str(robots.located("panda")))
+        data, zero = model.createData(), np.full(7, 0.1)
+        benchmark(lambda: pin.aba(model, data, zero, zero, zero))
+        return
+    system = pendulum_chain() if name == "double pendulum" else robots.load("panda")
+    n = 2 if name == "double pendulum" else 7
+    stream = Stream(Intrinsic(system, 50.0, 1250.0, substeps=1), np.full(n, 0.1), 500.0, n, "c")
+    y, u, stamps = np.full(n, 0.1), np.zeros(n), itertools.count(0.0, 0.002)
+    benchmark(lambda: stream.step(next(stamps), y, u))
 
 
 def main() -> int:
