@@ -82,6 +82,7 @@ def test_the_torques_make_another_programs_arm_move_so(robot, found):
     np.testing.assert_allclose(accelerate(TRUTH, q, v, u), a, atol=1e-8)
 
 
+@pytest.mark.exhaustive
 def test_errors_are_smaller_than_those_of_one_sine_a_joint(found):
     assert found.used_reference.max() <= PLAN.margin
     assert found.used_reference.max() > 0.98 * PLAN.margin, "the plain motion is as large as it may be"

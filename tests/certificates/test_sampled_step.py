@@ -457,6 +457,7 @@ FORGERIES = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.exhaustive(
     "errors of the steps",
     "force box",
@@ -474,7 +475,6 @@ FORGERIES = {
     "start",
     "stiffness",
 )
-@pytest.mark.long("no shear", "radius", "too few steps", "too small a tube for the steps", "too stiff for the factor")
 @pytest.mark.parametrize("name", FORGERIES)
 def test_a_forged_file_is_refused_with_the_reason(saved, tmp_path, monkeypatch, name):
     change, reason = FORGERIES[name]

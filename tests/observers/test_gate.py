@@ -61,6 +61,7 @@ def test_a_clean_log_is_never_refused(swing, follow):
     assert set(codes(follow(kalman(), t, y))) == {Result.OK}
 
 
+@pytest.mark.long
 def test_a_jump_that_stays_is_believed_after_a_while(swing, follow):
     t, _, y = swing
     moved = y.copy()

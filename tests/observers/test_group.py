@@ -53,7 +53,7 @@ def test_velocity_is_found_from_rest(runs, log, name):
 
 
 @pytest.mark.parametrize("name", OBSERVERS)
-def test_a_missing_frame_is_coasted_as_a_whole(log, runs, name):
+def test_a_missing_frame_is_coasted_as_a_whole(log, name):
     """Even one NaN of nine: what is left of a rotation matrix is not a rotation."""
     y = log.y.at[200:260, 1, 2].set(jnp.nan)
     result = run(OBSERVERS[name], Record(log.t, log.u, y))

@@ -137,8 +137,8 @@ def test_four_panels(verdict, followed, tmp_path, monkeypatch):
             assert panel.mean() > 0.005
 
 
-def test_a_figure_needs_a_format(tmp_path, followed, monkeypatch):
-    monkeypatch.setattr(_certificate, "trajectories", lambda certificate: followed)
+def test_a_figure_needs_a_format(tmp_path, monkeypatch):
+    monkeypatch.setattr(_certificate, "trajectories", lambda certificate: pytest.fail("computed before it is refused"))
     with pytest.raises(ValueError, match="suffix"):
         draw_certificate(canned(), tmp_path / "proof")
     assert not list(tmp_path.iterdir())

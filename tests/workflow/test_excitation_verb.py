@@ -84,16 +84,20 @@ def test_it_says_what_to_expect_and_what_it_does_not_look_at(found):
     assert found.warnings == ()
 
 
-def test_it_is_written_once(found, folder):
-    path = found.save(folder / "motion.csv")
+def test_it_is_written_once(tmp_path):
+    layout = logs.Columns(q=("s", "e"), u=("ts", "te"), units={"q": ("deg", "deg")})
+    columns = {name: np.array([0.1, 0.2]) * k for k, name in enumerate(("t", "s", "e", "ts", "te"), 1)}
+    result = ExcitationResult(layout, columns, {"t": "s", "s": "rad", "e": "rad"}, {"model": "arm.toml"})
+    path = result.save(tmp_path / "motion.csv")
     read = logs.read(path, logs.Columns(q=("s", "e"), u=("ts", "te"))).record
-    np.testing.assert_array_equal(np.asarray(read.y)[:, 1], found.columns["e"])
+    np.testing.assert_array_equal(np.asarray(read.y)[:, 1], result.columns["e"])
     with pytest.raises(ValueError, match="there is such a file already"):
-        found.save(path)
+        result.save(path)
     with pytest.raises(ValueError, match="must end in"):
-        found.save(folder / "motion.mcap")
+        result.save(tmp_path / "motion.mcap")
 
 
+@pytest.mark.exhaustive
 def test_it_is_drawn_with_its_limits(found, folder):
     figure = found.plot(folder / "motion.png")
     assert len(figure.axes) == 6

@@ -77,6 +77,12 @@ def test_the_fitted_robot_is_written_with_a_urdf_file_beside_it(fitted, folder):
     path.unlink()
     with pytest.raises(ValueError, match=r"fitted\.urdf: there is such a file already"):
         fitted.save(folder / "out" / "fitted.toml")
+    machine = folder / "machine"
+    before = (machine / "arm.urdf").read_bytes()
+    with pytest.raises(ValueError, match=r"arm\.urdf: the robot is read from this file, which is never replaced"):
+        fitted.save(machine / "arm.toml", overwrite=True)
+    assert (machine / "arm.urdf").read_bytes() == before
+    assert (machine / "arm.toml").read_text() == MODEL
 
 
 def test_a_urdf_file_in_the_way_is_named_before_the_fit(tmp_path):
@@ -98,16 +104,11 @@ def test_other_numbers_do_not_go_with_those_of_a_robot(folder):
         fit("double_pendulum", folder / "machine" / "arm.urdf", "friction,inputs.lag")
 
 
-def test_the_urdf_file_of_the_robot_itself_is_never_replaced(fitted, folder):
+def test_the_urdf_file_of_the_robot_itself_is_never_replaced(folder):
     machine = folder / "machine"
-    before = (machine / "arm.urdf").read_bytes()
     for model in (machine / "arm.toml", machine / "arm.urdf"):
         with pytest.raises(ValueError, match=r"arm\.urdf: the robot is read from this file.*such as arm_fitted\.toml"):
             check_model_output(model, machine / "arm.toml", overwrite=True, urdf=True)
-    with pytest.raises(ValueError, match=r"arm\.urdf: the robot is read from this file, which is never replaced"):
-        fitted.save(machine / "arm.toml", overwrite=True)
-    assert (machine / "arm.urdf").read_bytes() == before
-    assert (machine / "arm.toml").read_text() == MODEL
 
 
 @pytest.mark.exhaustive

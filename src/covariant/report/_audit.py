@@ -10,7 +10,7 @@ import numpy as np
 
 from covariant.certificates.audit import Audit, Law
 from covariant.report._article import write_article
-from covariant.report._style import GRID, INK, MUTED, PALETTE, new_figure, save_figure
+from covariant.report._style import GRID, INK, MUTED, PALETTE, figure_format, new_figure, save_figure
 
 if TYPE_CHECKING:
     import matplotlib.axes
@@ -47,6 +47,7 @@ def draw_audit(audit: Audit, path: str | os.PathLike[str]) -> Path:
         >>> draw_audit(workflow.audit_observer("oscillator", points=2).audit, "audit.png").name
         'audit.png'
     """
+    figure_format(path)
     return save_figure(audit_figure(audit), path)
 
 

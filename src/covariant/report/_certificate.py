@@ -17,7 +17,7 @@ from covariant.certificates import (
     trajectories,
 )
 from covariant.report._optional import optional
-from covariant.report._style import BACKDROP, INK, MUTED, PALETTE, new_figure, save_figure
+from covariant.report._style import BACKDROP, INK, MUTED, PALETTE, figure_format, new_figure, save_figure
 
 if TYPE_CHECKING:
     import matplotlib.axes
@@ -48,6 +48,7 @@ def draw_certificate(certificate: ContractionCertificate, path: str | os.PathLik
         ValueError: For a suffix that is no format.
         ImportError: Without matplotlib.
     """
+    figure_format(path)
     return save_figure(certificate_figure(certificate), path)
 
 

@@ -152,7 +152,20 @@ def save_figure(figure: "matplotlib.figure.Figure", path: str | os.PathLike[str]
         >>> save_figure(figure, "empty.png").name
         'empty.png'
     """
+    name = figure_format(path)
+    return write_atomically(path, lambda file: figure.savefig(file, format=name, dpi=DPI))
+
+
+def figure_format(path: str | os.PathLike[str]) -> str:
+    """Format of a figure by the suffix of its file, for a check before the figure is computed.
+
+    Args:
+        path: The file.
+
+    Raises:
+        ValueError: There is no suffix.
+    """
     suffix = Path(path).suffix.removeprefix(".")
     if not suffix:
         raise ValueError(f"{path}: name the format by a suffix, such as .png, .pdf or .svg")
-    return write_atomically(path, lambda file: figure.savefig(file, format=suffix, dpi=DPI))
+    return suffix
