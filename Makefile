@@ -55,8 +55,8 @@ tests: env
 long: env
 	$(BIN)/pytest $(PARALLEL) -m long
 
-# Larger members of the laws, many trials, and every page without a compiler and without a cache. Two hours.
-exhaustive: env
+# Larger members of the laws, many trials, every page without a compiler and without a cache, and the benchmarks. Two hours.
+exhaustive: env bench
 	$(BIN)/pytest $(PARALLEL) --exhaustive -m exhaustive
 
 # On Python 3.12 and 3.13 as well, where they are here, with the newest packages; .venv has the oldest.

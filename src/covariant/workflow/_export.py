@@ -32,7 +32,7 @@ from covariant.codegen import (
     write_fmu,
     write_folder,
 )
-from covariant.lowering import LoweringError
+from covariant.lowering import LoweringError, operations
 from covariant.models import Family, MechanicalSystem, ModelFile, Overrides
 from covariant.observers import (
     REGISTRY,
@@ -219,8 +219,8 @@ class ExportResult(AbstractResult):
 
     @property
     def operations(self) -> int:
-        """Number of arithmetic operations of a step, of which inputs and constants are none."""
-        return sum(node.op not in ("input", "constant") for node in self.program.step.graph.nodes)
+        """Number of arithmetic operations of a step, all turns of its loops counted."""
+        return operations(self.program.step.graph.nodes)
 
     @property
     def headline(self) -> str:
