@@ -375,14 +375,3 @@ def test_a_scan_over_known_rows_is_unrolled_where_that_saves_work(rows, looped):
     assert operations(long.graph.nodes) <= operations(unrolled.graph.nodes) / MOST_UNROLLED
     # Of turns that were tried and not taken, nothing is left.
     assert len(long.graph.nodes) == len(long.graph.pruned(long.outputs)[0].nodes)
-
-
-def test_a_graph_is_rolled_back_to_a_mark():
-    graph = lowering.Graph()
-    x = graph.input(0)
-    sine, mark = graph.apply("sin", x), graph.mark()
-    for _ in range(2):
-        more = graph.apply("cos", graph.apply("add", sine, graph.constant(2.0)))
-        graph.rollback(mark)
-    assert (len(graph.nodes), graph.apply("sin", x)) == (2, sine)
-    assert graph.apply("cos", graph.apply("add", sine, graph.constant(2.0))) == more
