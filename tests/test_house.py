@@ -64,7 +64,7 @@ PUBLIC = {
     "Attempt BoundInfo BoundState DistanceCertificate Largest Premise SampledBound Start certify_distance largest "
     "tangent_metric tracking trade_off trajectories upper_distance virtual",
     "certificates.audit": "LAWS Audit Law audit",
-    "codegen": "ROWS Facts Leaf Program Recipe Source TracedProgram Unit Vectors closed_loop export_texts fmu "
+    "codegen": "ROWS Facts Leaf Program Recipe Signals Source TracedProgram Unit Vectors closed_loop export_texts fmu "
     "observer_system of_family plant program python_files trace_program vectors wasm_files with_open_numbers write_fmu "
     "write_folder write_source",
     "engine": "FEWEST_ROWS Engine EngineName Health KernelForm Stream choose compiled run_log run_logs",

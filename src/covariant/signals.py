@@ -1,9 +1,11 @@
 """Data that pass between subpackages: a `Record` is the input of an observer, a `Run` its output."""
 
 import enum
+from collections.abc import Collection
 from itertools import accumulate
 from typing import Any, NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Inexact
 
@@ -65,6 +67,10 @@ _MESSAGES = {
 
 
 AnyArray = Array | np.ndarray
+MOST_TURNS = 1e9
+"""An angle of more turns than this counts as missing: its remaining digits hardly resolve its place on a circle."""
+LEAST_OF_A_TURN = 1e-3
+"""Resolution that an angle needs, in turns; in single precision it limits angles to 8 000 turns."""
 LATEST_STAMP = 7.26e9
 """The year 2200 in seconds since 1970 [s]: later stamps are in another unit."""
 COARSEST = 0.01
@@ -207,6 +213,32 @@ def check_rounding(t: Float[np.ndarray, "T"]) -> None:
             f"stamps in {t.dtype} near {np.abs(t).max():g} s are whole multiples of {least:.2g} s, and rows are "
             f"{step:.2g} s apart; write them in float64, or count them from the first before they are rounded"
         )
+
+
+def largest_measurement(y: Inexact[AnyArray, "*n"], circles: Collection[int] = ()) -> np.ndarray:
+    """Largest magnitude of each entry of a measurement; observers treat what is larger as missing.
+
+    Beyond 1/ε floating-point numbers do not resolve one unit. Angles on a circle have the smaller bound at which their
+    place on the circle is still resolved: `MOST_TURNS` turns, or `LEAST_OF_A_TURN`/ε turns where that is less.
+
+    Args:
+        y: A measurement, of which only shape and precision count.
+        circles: Indices of the entries that are angles on a circle [rad].
+
+    Returns:
+        The bounds, in the shape of y.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant.signals import largest_measurement
+        >>> [f"{bound:.1e}" for bound in largest_measurement(np.zeros(2), circles=[1])]
+        ['4.5e+15', '6.3e+09']
+    """
+    eps = float(jnp.finfo(y.dtype).eps)
+    bounds = np.full(y.shape, 1 / eps, jnp.finfo(y.dtype).dtype)
+    # 1/ε turns would leave no digit for the angle within a turn.
+    bounds[list(circles)] = 2 * np.pi * min(MOST_TURNS, LEAST_OF_A_TURN / eps)
+    return bounds
 
 
 class Run(NamedTuple):

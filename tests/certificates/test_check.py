@@ -75,9 +75,25 @@ def test_a_certificate_is_found_right_from_the_file_alone(saved, tmp_path):
     assert seen[-1][0] == seen[-1][1]
 
 
-@pytest.mark.exhaustive
-def test_processes_find_the_same(saved):
-    assert check(saved, processes=2).leaves == check(saved).leaves
+@pytest.mark.long
+def test_processes_find_the_same(saved, monkeypatch):
+    alone = check(saved)
+    monkeypatch.setattr(_check, "SHARE", 100)
+    assert check(saved, processes=2).leaves == alone.leaves
+
+
+def test_a_small_certificate_starts_no_processes(saved, monkeypatch):
+    """By the number of its leaves, so the same on every machine."""
+
+    def started(*arguments, **options):
+        raise RuntimeError("processes were started")
+
+    monkeypatch.setattr(_check, "ProcessPoolExecutor", started)
+    leaves = check(saved, processes=2).leaves
+    assert 0 < leaves <= _check.SHARE
+    monkeypatch.setattr(_check, "SHARE", leaves - 1)
+    with pytest.raises(RuntimeError, match="started"):
+        check(saved, processes=2)
 
 
 def wheel():

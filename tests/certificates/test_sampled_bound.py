@@ -15,6 +15,7 @@ from covariant.certificates import ContractionCertificate, Premise, SampledBound
 from covariant.certificates._radius_recursion import Recursion
 from covariant.observers import Intrinsic
 from covariant.proofs import digest
+from covariant.signals import Result
 
 RECIPE = {"system": "pendulum_chain", "parameters": {"mass": [1.0], "length": [0.5]}}
 BOUNDS = {"position": (-3.0, 3.0), "velocity": 4.0, "error": 0.1, "input": 0.5}
@@ -163,7 +164,22 @@ def test_the_steady_radius_is_where_the_recursion_ends():
     [
         ({}, Premise.HOLDS),
         ({"y": np.nan}, Premise.HOLDS),  # within the ages, nothing is corrected
+        ({"y": 1e30}, Premise.HOLDS),  # the observer takes it as missing
+        ({"y": np.inf}, Premise.HOLDS),
+        ({"y": 0.1, "result": Result.OUTLIER}, Premise.HOLDS),  # refused by a gate
+        ({"y": np.nan, "result": Result.COASTED}, Premise.HOLDS),
+        ({"result": Result.OK}, Premise.HOLDS),
+        ({"y": 1e30, "result": Result.OK}, Premise.MEASUREMENT),  # not what the observer does
+        ({"result": Result.RESTARTED}, Premise.STEP),
+        ({"result": Result.ASTRAY}, Premise.STEP),
+        ({"result": Result.TOO_LATE}, Premise.STEP),
+        ({"result": Result.REPEATED}, Premise.STEP),  # the truth moved on
         ({"dt": 0.0}, Premise.HOLDS),  # a stamp that repeats
+        ({"dt": 0.0, "result": Result.REPEATED}, Premise.HOLDS),
+        ({"dt": 1e-310}, Premise.HOLDS),
+        ({"dt": -0.01, "result": Result.STEP_REFUSED}, Premise.AGE),
+        ({"dt": np.inf}, Premise.AGE),
+        ({"u": np.nan, "result": Result.INPUT_HELD}, Premise.INPUT),
         ({"dt": 0.02}, Premise.AGE),
         ({"dt": 0.002}, Premise.AGE),
         ({"dt": 0.02, "y": np.nan}, Premise.AGE),
@@ -185,12 +201,83 @@ def test_a_bound_says_when_it_knows_nothing(change, premise):
     values = {"q": 0.1, "v": 1.0, "u": 0.2, "y": 0.1, "dt": 0.011, "start": 0.01} | change
     bound = bound_of()
     x, u, y = jnp.array([values["q"], values["v"]]), jnp.array([values["u"]]), jnp.array([values["y"]])
-    state, info = bound.step(bound.init(values["start"]), x, u, y, values["dt"])
+    state, info = bound.step(bound.init(values["start"]), x, u, y, values["dt"], values.get("result"))
     assert Premise(int(info.premise)) == premise
     assert bool(np.isfinite(info.velocity).all()) == (premise == 0)
     # What is not known stays unknown.
     _, again = bound.step(state, jnp.array([0.1, 1.0]), jnp.array([0.2]), jnp.array([0.1]), 0.011)
     assert int(again.premise) == int(premise) or premise == Premise.HOLDS
+
+
+LOST_ONCE = PROVED._replace(noise=(*PROVED.noise, 4 * PROVED.noise[0]), ages=np.array([INTERVAL, (0.02, 0.024)]))
+
+
+def after(bound, *samples):
+    """What `step` returns after samples of y, dt, and perhaps a result code."""
+    state, info = bound.init(0.004), None
+    for y, dt, *result in samples:
+        at = jnp.array([0.1, 1.0]), jnp.array([0.2]), jnp.array([y], float)
+        state, info = bound.step(state, *at, dt, *result)
+    return state, info
+
+
+@pytest.mark.parametrize(
+    "sample",
+    [(1e30, 0.011), (-np.inf, 0.011), (1e30, 0.011, Result.COASTED), (0.6, 0.011, Result.OUTLIER), (7e9, 0.011)],
+    ids=str,
+)
+def test_what_the_observer_does_not_use_is_a_lost_sample(sample):
+    bound = bound_of(LOST_ONCE)
+    lost = (np.nan, 0.011)
+    for rows in ([], [(0.1, 0.011)], [(0.1, 0.011), lost]):
+        odd, plain = after(bound, *rows, sample), after(bound, *rows, lost)
+        for mine, expected in zip(jax.tree.leaves(odd), jax.tree.leaves(plain), strict=True):
+            assert np.array_equal(mine, expected)
+    assert float(after(bound, sample)[0].age) == 0.011
+    assert float(after(bound, (0.1, 0.011))[0].age) == 0.0
+    # A third one in a row is more than the certificate covers.
+    assert after(bound, sample, sample)[1].premise == Premise.HOLDS
+    assert after(bound, sample, sample, sample)[1].premise == Premise.AGE
+    assert np.isinf(after(bound_of(), sample, sample)[1].velocity).all()
+
+
+def test_a_stamp_that_nearly_repeats_after_a_lost_sample_corrects_nothing():
+    bound = bound_of(LOST_ONCE)
+    state, info = after(bound, (np.nan, 0.011), (0.1, 1e-310))
+    plain = after(bound, (np.nan, 0.011))
+    assert float(state.age) == 0.011
+    assert float(info.radius) == float(plain[1].radius)
+
+
+def test_a_row_that_is_missing_is_not_one_that_is_empty():
+    """One step over a gap has longer Runge–Kutta steps than the proof knows of."""
+    bound = bound_of(LOST_ONCE)
+    assert after(bound, (np.nan, 0.011), (0.1, 0.011))[1].premise == Premise.HOLDS
+    assert after(bound, (0.1, 0.022))[1].premise == Premise.AGE
+
+
+def test_no_error_is_beyond_its_bound_where_samples_are_not_used():
+    observer, bound = dataclasses.replace(plain_pendulum(), substeps=1), bound_of(LOST_ONCE)
+    u, dt, first = jnp.zeros(1), jnp.asarray(0.011), plain_pendulum().init(jnp.array([0.5]))
+    off = jnp.array([1e-4, 0.05])
+
+    @jax.jit
+    def advance(truth, state, beside, refused):
+        truth = observer.predict(truth, u, dt)
+        y = jnp.where(refused, 1e30, truth.q)
+        state, info = observer.step(state, u, y, dt)
+        x = jnp.concatenate([state.q, state.v])
+        beside, known = bound.step(beside, x, u, y, dt, info.result)
+        limits = jnp.concatenate([known.position, known.velocity])
+        return truth, state, beside, limits, jnp.abs(x - jnp.concatenate([truth.q, truth.v]))
+
+    truth, state, beside = first, first._replace(q=first.q + off[:1], v=first.v + off[1:]), bound.within(*off)
+    known = []
+    for refused in [True, False, False] + 60 * [True]:
+        truth, state, beside, limits, error = advance(truth, state, beside, refused)
+        assert (error <= limits).all()
+        known.append(bool(jnp.isfinite(limits).all()))
+    assert known == 5 * [True] + 58 * [False]  # one sample may be lost, so that two intervals are covered
 
 
 def test_a_tube_that_is_left_and_a_part_of_a_measurement_are_premises():
@@ -207,8 +294,14 @@ def test_a_tube_that_is_left_and_a_part_of_a_measurement_are_premises():
         np.zeros((2, 0)),
         (False,) * 2,
     )
-    part = jnp.zeros(4), jnp.zeros(0), jnp.array([0.0, jnp.nan]), 0.011
-    assert int(two.step(two.init(0.001), *part)[1].premise) == Premise.MEASUREMENT
+    for other in (jnp.nan, 1e30):
+        part = jnp.zeros(4), jnp.zeros(0), jnp.array([0.0, other]), 0.011
+        assert int(two.step(two.init(0.001), *part)[1].premise) == Premise.MEASUREMENT
+    # A gate says that it refused something, and not which of the positions.
+    whole = jnp.zeros(4), jnp.zeros(0), jnp.zeros(2), 0.011
+    assert int(two.step(two.init(0.001), *whole, Result.OUTLIER)[1].premise) == Premise.MEASUREMENT
+    none = jnp.zeros(4), jnp.zeros(0), jnp.full(2, jnp.nan), 0.011
+    assert int(two.step(two.init(0.001), *none, Result.COASTED)[1].premise) == Premise.HOLDS
 
 
 def test_lost_samples_choose_the_errors_that_belong_to_their_age():
@@ -233,6 +326,16 @@ def test_a_bound_is_lowered_to_c_with_the_same_numbers():
         for mine, other in zip(jax.tree.leaves(by_graph), jax.tree.leaves(by_jax), strict=True):
             assert np.allclose(mine, other, rtol=1e-14)
     assert "void beside(const double *x, double *y)" in lowering.c_function(graph, "beside").text
+
+
+def test_a_bound_in_c_takes_the_result_code():
+    bound = bound_of(LOST_ONCE)
+    arguments = bound.init(0.01), jnp.array([0.1, 1.0]), jnp.array([0.2]), jnp.array([0.1]), jnp.asarray(0.011)
+    graph = lowering.lower(bound.step, *arguments, jnp.asarray(0.0))
+    for result in (Result.OK, Result.OUTLIER, Result.RESTARTED):
+        by_graph = lowering.numbers(graph, *arguments, jnp.asarray(float(result)))
+        for mine, other in zip(jax.tree.leaves(by_graph), jax.tree.leaves(bound.step(*arguments, result)), strict=True):
+            assert np.allclose(mine, other, rtol=1e-14)
 
 
 # What is proved, by prover and checker.

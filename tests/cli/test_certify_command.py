@@ -12,6 +12,7 @@ import pytest
 from commands import command
 
 from covariant import certificates, models, proofs, workflow
+from covariant.certificates import _check
 from covariant.cli import main
 from covariant.observers import Intrinsic
 from covariant.proofs import digest
@@ -250,6 +251,7 @@ def pendulum(mass, length):
 @pytest.mark.long
 @pytest.mark.parametrize("processes", ["1", "2"])
 def test_a_model_of_ones_own_is_given_by_who_checks(processes, proved, folder, capsys, monkeypatch):
+    monkeypatch.setattr(_check, "SHARE", 1)
     (folder / "mine.py").write_text(MINE)
     document = json.loads((folder / "proved.json").read_text())
     document["recipe"] = {"attribute": "mine:pendulum", "parameters": {"mass": [1.0], "length": [0.5]}}

@@ -1,7 +1,7 @@
 """The operations of generated code, all turns of loops counted, are those of the table in `operations.json`.
 
 They are the same on every machine, and say what a step costs. To change one, write the table again by
-`python tests/laws/test_operations.py`, and say in the commit why.
+`python tests/laws/test_operations.py`, or rows of it with their names behind, and say in the commit why.
 """
 
 import functools
@@ -70,10 +70,12 @@ SHORT = {
 LONG = {
     "top": ("delayed", "geodesic", "kalman"),
     "SCARA": ("delayed", "geodesic", "kalman", "kalman with a gyro"),
-    "Panda": ("gated", "geodesic", "kalman", "kalman with a gyro"),
-    "quadruped": ("intrinsic", "kalman"),
+    "Panda": ("gated",),
+    "quadruped": ("intrinsic",),
 }
 """Steps that the long suite counts."""
+EXHAUSTIVE = {"Panda": ("geodesic", "kalman", "kalman with a gyro"), "quadruped": ("kalman",)}
+"""Steps whose graphs take minutes."""
 
 
 @functools.cache
@@ -132,7 +134,7 @@ def counts() -> list:
         rows.append(pytest.param(f"{name}, right-hand side", functools.partial(of_right_hand_side, name), marks=marks))
     for name in ("double pendulum", "top"):
         rows.append(pytest.param(f"{name}, enclosure", functools.partial(of_enclosure, name)))
-    for suite, marks in ((SHORT, []), (LONG, [pytest.mark.long])):
+    for suite, marks in ((SHORT, []), (LONG, [pytest.mark.long]), (EXHAUSTIVE, [pytest.mark.exhaustive])):
         for name, steps in suite.items():
             for step in steps:
                 count = functools.partial(of_step, name, step)
@@ -150,17 +152,17 @@ def test_the_table_has_these_rows_alone():
     assert list(json.loads(TABLE.read_text(encoding="utf-8"))) == [row.values[0] for row in counts()]
 
 
-def main() -> int:
-    """Write the table, printing what changes; returns 0."""
+def main(names: list[str]) -> int:
+    """Write the table, or the rows of these names alone, printing what changes; returns 0."""
     old = json.loads(TABLE.read_text(encoding="utf-8")) if TABLE.exists() else {}
     table = {}
-    for row in counts():
-        name, count = row.values
-        table[name] = count()
-        print(f"{name}: {table[name]}" + (f", was {old[name]}" if old.get(name, table[name]) != table[name] else ""))
+    for name, count in (row.values for row in counts()):
+        table[name] = count() if not names or name in names else old.get(name)
+        if table[name] != old.get(name):
+            print(f"{name}: {table[name]}, was {old.get(name)}", flush=True)
     TABLE.write_text(json.dumps(table, indent=1) + "\n", encoding="utf-8")
     return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(main(sys.argv[1:]))

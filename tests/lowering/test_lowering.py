@@ -293,6 +293,42 @@ def test_simplified_graphs_have_the_values_of_plain_ones(program):
     np.testing.assert_allclose(found[clean], expected[clean], rtol=1e-13)
 
 
+def contents(graph):
+    tables = graph._known, graph._results, graph.conditions, graph._infinite
+    return list(graph.nodes), [list(table.items()) for table in tables]
+
+
+@pytest.mark.parametrize("real", [False, True])
+def test_a_graph_cut_back_to_a_mark_grows_as_if_nothing_had_been_added(real):
+    def start():
+        graph = lowering.Graph(real)
+        return graph, graph.apply("sin", graph.input(0)), graph.input(1)
+
+    def grow(graph, a, b):
+        bound = graph.apply("select", graph.apply("lt", a, b), a, graph.constant(np.inf))
+        return graph.apply("div", graph.apply("sub", graph.constant(0.0), graph.apply("mul", a, b)), bound)
+
+    (plain, *_), (graph, a, b) = start(), start()
+    mark = graph.mark()
+    added = grow(graph, a, b)
+    grown = contents(graph)
+    graph.rollback(mark)
+    assert contents(graph) == contents(plain) != grown
+    assert grow(graph, a, b) == added
+    assert contents(graph) == grown
+
+
+def test_an_operation_is_simplified_once():
+    """Whatever its result is: another node, a constant, or a new node."""
+    graph = lowering.Graph()
+    x, zero = graph.input(0), graph.constant(0.0)
+    for arguments in (("mul", x, zero), ("add", zero, x), ("sin", zero), ("mul", x, x)):
+        result, before = graph.apply(*arguments), contents(graph)
+        assert graph.apply(*arguments) == result
+        assert contents(graph) == before
+        assert graph._results[arguments] == result
+
+
 def test_a_batch_goes_through_at_once_and_a_wrong_number_of_inputs_does_not():
     graph = lower(lambda x, y: {"a": x * y, "b": y.sum()}, jnp.zeros(2), jnp.zeros(2))
     x, y = np.arange(12.0).reshape(2, 3, 2), np.ones((2, 3, 2))
@@ -339,14 +375,3 @@ def test_a_scan_over_known_rows_is_unrolled_where_that_saves_work(rows, looped):
     assert operations(long.graph.nodes) <= operations(unrolled.graph.nodes) / MOST_UNROLLED
     # Of turns that were tried and not taken, nothing is left.
     assert len(long.graph.nodes) == len(long.graph.pruned(long.outputs)[0].nodes)
-
-
-def test_a_graph_is_rolled_back_to_a_mark():
-    graph = lowering.Graph()
-    x = graph.input(0)
-    sine, mark = graph.apply("sin", x), graph.mark()
-    for _ in range(2):
-        more = graph.apply("cos", graph.apply("add", sine, graph.constant(2.0)))
-        graph.rollback(mark)
-    assert (len(graph.nodes), graph.apply("sin", x)) == (2, sine)
-    assert graph.apply("cos", graph.apply("add", sine, graph.constant(2.0))) == more

@@ -57,7 +57,7 @@ def show(
     Args:
         source: the file, or the result of `parse`.
         model: used in place of the model that the file names.
-        processes: number of processes.
+        processes: number of processes; `SHARE` leaves and fewer are shown in this one.
         progress: called with the number of leaves done and of all leaves.
 
     Raises:
@@ -347,7 +347,8 @@ def _work(job: tuple) -> int:
 
 
 def _results(resolved: Resolved, jobs: list[tuple], processes: int, model: Any) -> Iterator[int]:
-    if processes == 1:
+    # Each worker imports and traces before its first result, which takes longer than the leaves of a single job.
+    if processes == 1 or _leaves(jobs) <= SHARE:
         yield from map(Judge(resolved), jobs)
         return
     try:

@@ -52,7 +52,8 @@ def check(
         source: the file, or the result of `parse`.
         model: for a certificate about a model that is not of this library, whose code the file cannot give: a model, a
             function that creates one from the recipe's parameters, or the `module:attribute` of either.
-        processes: number of processes; with several, a script needs the `if __name__ == "__main__"` guard.
+        processes: largest number of processes; with several, a script needs the `if __name__ == "__main__"` guard. A
+            certificate of no more than 1024 leaves is checked in this process, since others take longer to start.
         progress: called with the number of leaves done and of all leaves.
 
     Returns:

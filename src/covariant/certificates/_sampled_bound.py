@@ -21,6 +21,7 @@ from covariant.certificates._radius_recursion import Recursion
 from covariant.certificates._sampling import Sampling
 from covariant.certificates._tangent_metric import TwoByTwo
 from covariant.proofs import Box
+from covariant.signals import Result, largest_measurement
 
 ROUND = 1e-9
 """Relative margin that covers the rounding of the recursion, which runs in doubles."""
@@ -33,7 +34,7 @@ class Premise(enum.IntEnum):
     Example:
         >>> from covariant.certificates import Premise
         >>> Premise(2).name, Premise.AGE.message
-        ('AGE', 'a measurement, or the time since the last one, is of an age for which nothing is proved')
+        ('AGE', 'a step, or the time since the last measurement, is of a length for which nothing is proved')
     """
 
     HOLDS = 0
@@ -44,6 +45,7 @@ class Premise(enum.IntEnum):
     POSITION = 5
     INPUT = 6
     MEASUREMENT = 7
+    STEP = 8
 
     @property
     def message(self) -> str:
@@ -54,12 +56,13 @@ class Premise(enum.IntEnum):
 _MESSAGES = {
     Premise.HOLDS: "the bound is proved",
     Premise.START: "no bound of the start was given, or one beyond the radius of the certificate",
-    Premise.AGE: "a measurement, or the time since the last one, is of an age for which nothing is proved",
+    Premise.AGE: "a step, or the time since the last measurement, is of a length for which nothing is proved",
     Premise.TUBE: "the error may be beyond the radius of the certificate",
     Premise.VELOCITY: "the velocity may be beyond the bound of the certificate",
     Premise.POSITION: "the position may be outside of the region of the certificate",
-    Premise.MEASUREMENT: "only some positions were measured, for which nothing is proved",
+    Premise.MEASUREMENT: "only some positions were measured or used, for which nothing is proved",
     Premise.INPUT: "the input is outside of the bounds of the certificate, or not finite",
+    Premise.STEP: "the observer's step did what nothing is proved of, such as a new start: see its result code",
 }
 
 
@@ -181,29 +184,44 @@ class SampledBound(eqx.Module):
         return self.init(jnp.sqrt(jnp.sum(jnp.asarray(self.start) * jnp.concatenate(each) ** 2)) * (1 + ROUND))
 
     def step(
-        self, state: BoundState, x: Float[Array, "two_n"], u: Float[Array, "m"], y: Float[Array, "n"], dt: Number
+        self,
+        state: BoundState,
+        x: Float[Array, "two_n"],
+        u: Float[Array, "m"],
+        y: Float[Array, "n"],
+        dt: Number,
+        result: Code | Number | None = None,
     ) -> tuple[BoundState, BoundInfo]:
         """Advance the bound over a sample.
+
+        A measurement that the observer did not use, since it is missing, infinite, too large or refused by a gate,
+        corrects nothing here either: its sample is lost, which the ages of the certificate cover or not.
 
         Args:
             state: the state after the sample before.
             x: the estimate (2n,) after this sample, positions first.
             u: the input (m,) since the sample before.
-            y: the measurement (n,); NaN where it is lost, or was refused by a gate.
-            dt: time since the sample before [s]; a sample that repeats a stamp (0) changes nothing.
+            y: the measurement (n,) as the observer got it; NaN where it is lost.
+            dt: time since the sample before [s]; a sample that repeats a stamp (0) changes nothing. One that is longer
+                than the interval of the certificate is not covered: give a sample that is lost as one of its own.
+            result: result code of the observer's step, `info.result`. By default it is that of the certified observer
+                itself, without a gate, which follows from the other arguments.
 
         Returns:
             The state, and the bound after the sample.
         """
         dt = jnp.asarray(dt, float)
-        age = state.age + dt
-        measured = jnp.isfinite(y).all() & (dt > 0)
+        judged = self._judged(jnp.asarray(y), dt, result)
+        measured = judged.used
+        age = state.age + jnp.where(judged.repeated, 0.0, dt)
         before = self.recursion.predicted(state.radius, age, jnp) * (1 + ROUND)
         added, known_age = self._noise(age)
         part = self.recursion.change * age * (before + self.recursion.error)
         after = (jnp.sqrt(before**2 + added) + part) * (1 + ROUND)
         radius = jnp.where(measured, after, before)
-        aged = jnp.where(measured, known_age, (dt >= 0) & (age <= self.recursion.ages[-1, 1]))
+        # A prediction in one step over lost samples has longer Runge–Kutta steps than those of the proof.
+        short = judged.repeated | (dt >= 0) & (dt <= self.recursion.ages[0, 1])
+        aged = short & jnp.where(measured, known_age, age <= self.recursion.ages[-1, 1])
         position, velocity = jnp.split(radius * jnp.asarray(self.reach) * (1 + ROUND), 2)
         q, v = jnp.split(x, 2)
         conditions: tuple[tuple[Premise, Any], ...] = (
@@ -213,8 +231,9 @@ class SampledBound(eqx.Module):
             (Premise.TUBE, (before <= self.radius) & (after <= self.radius) | ~measured & (before <= self.radius)),
             (Premise.VELOCITY, (jnp.abs(v) + velocity <= self.velocity).all()),
             (Premise.POSITION, self._inside(q, position).all()),
-            (Premise.MEASUREMENT, jnp.isfinite(y).all() | ~jnp.isfinite(y).any()),
             (Premise.INPUT, ((self.inputs[0] <= u) & (u <= self.inputs[1])).all()),
+            (Premise.STEP, judged.proved),
+            (Premise.MEASUREMENT, judged.whole),
         )
         premise = jnp.zeros((), jnp.int32)
         for code, holds in reversed(conditions):
@@ -226,6 +245,22 @@ class SampledBound(eqx.Module):
         kept = jnp.where(measured, radius, jnp.where(known, state.radius, jnp.inf))
         new = BoundState(kept, jnp.where(measured, 0.0, age), premise.astype(kept.dtype))
         return new, BoundInfo(radius, position, velocity, premise)
+
+    def _judged(self, y: Float[Array, "n"], dt: Scalar, result: Any) -> "_Judged":
+        """What the observer's step did with a measurement, by its result code where that is given."""
+        tiny, scalar = jnp.finfo(dt.dtype).tiny, len(self.circles) == 1
+        # The same bounds as in `AbstractObserver.step`; false for NaN.
+        admitted = jnp.abs(y) <= largest_measurement(y, [i for i, circle in enumerate(self.circles) if circle])
+        every, none = admitted.all(), ~admitted.any()
+        advanced, repeated = jnp.isfinite(dt) & (dt >= tiny), jnp.abs(dt) < tiny
+        if result is None:
+            used, unused, proved = every, none, jnp.ones((), bool)
+        else:
+            corrected, coasted, outlier, again = (jnp.asarray(result) == int(code) for code in _PROVED)
+            refused = coasted | outlier
+            # Of several positions a code does not tell which of them were used.
+            used, unused, proved = every & corrected, refused & (none | scalar), corrected | refused | again & repeated
+        return _Judged(advanced & used, repeated | ~advanced | used | unused, repeated, proved)
 
     def _noise(self, age: Scalar) -> tuple[Scalar, Array]:
         """G of a measurement of this age, and whether there is one."""
@@ -242,6 +277,19 @@ class SampledBound(eqx.Module):
         turned = jnp.where(circle, q - TURN * jnp.floor((q - middle) / TURN + 0.5), q)
         around = circle & (high - low >= TURN)
         return around | (low <= turned - error) & (turned + error <= high)
+
+
+class _Judged(NamedTuple):
+    """Whether a step used a whole measurement, used all or none of it, repeated a stamp, and is one of the proof."""
+
+    used: Array
+    whole: Array
+    repeated: Array
+    proved: Array
+
+
+_PROVED = Result.OK, Result.COASTED, Result.OUTLIER, Result.REPEATED
+"""Result codes of steps that are proved: a correction, two of a lost measurement, and one of a repeated stamp."""
 
 
 def sampled_bound(

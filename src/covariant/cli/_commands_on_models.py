@@ -244,6 +244,16 @@ def export(
     wasm: Annotated[
         bool, typer.Option("--wasm", help="Compile it to WebAssembly as well, with a script for pages and Node.")
     ] = False,
+    gate: Annotated[
+        bool, typer.Option("--gate/--no-gate", help="Write the gate of the observer, which refuses outliers.")
+    ] = True,
+    log: Annotated[
+        Path | None,
+        typer.Option(
+            help="Log that `estimate` runs on, for the usual speed in the gate, and for ticks and sensors; by default "
+            "the speed is motion_acceleration times motion_time of the model file."
+        ),
+    ] = None,
     audit: Annotated[bool, typer.Option("--audit/--no-audit", help="Measure the laws of the observer first.")] = True,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace files that are there.")] = False,
     override: Override = [],  # noqa: B006  typer copies it
@@ -269,6 +279,8 @@ def export(
             step_per_sensor=step_per_sensor,
             python=python,
             wasm=wasm,
+            gate=gate,
+            log=log,
             audit=audit,
             overwrite=overwrite,
             overrides=tuple(override),

@@ -4,6 +4,7 @@ from ._program import (
     Leaf as Leaf,
     Program as Program,
     Recipe as Recipe,
+    Signals as Signals,
     TracedProgram as TracedProgram,
     of_family as of_family,
     program as program,

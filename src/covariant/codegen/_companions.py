@@ -175,7 +175,7 @@ _README = """# @NAME@
 | `@NAME@.hpp` | a class in C++ around it |
 | `test/@NAME@_test.c` | a self-test against test vectors, with a `main` of its own |
 | `CMakeLists.txt`, `library.properties` | for CMake, with `find_package(@NAME@)`, and for Arduino |
-| `DATASHEET.md` | what it costs, and what it was made from |
+| `DATASHEET.md` | what it costs, its gate, order and units of its numbers, result codes, and what it was made from |
 @PYTHON@@WASM@
 ## Use
 

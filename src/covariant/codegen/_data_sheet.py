@@ -12,6 +12,7 @@ import numpy as np
 
 from covariant.codegen._program import Program
 from covariant.codegen._source import Source, step_of
+from covariant.signals import Result
 
 ARITHMETIC = ("add", "sub", "mul", "div", "neg", "abs", "min", "max", "sign", "sqrt")
 LOGIC = ("lt", "le", "eq", "and", "or", "not", "is_finite", "select", "either")
@@ -27,17 +28,19 @@ class Facts(NamedTuple):
         substeps: Runge–Kutta steps of a sample; None where there are none.
         certificate: Lines on what is proved; may be empty.
         audit: A line on the laws measured; may be empty.
+        gate: Sentences on which measurements are refused; may be empty.
 
     Example:
         >>> from covariant.codegen import Facts
         >>> Facts(rate=1000.0, substeps=2)
-        Facts(rate=1000.0, substeps=2, certificate='', audit='')
+        Facts(rate=1000.0, substeps=2, certificate='', audit='', gate='')
     """
 
     rate: float
     substeps: int | None
     certificate: str = ""
     audit: str = ""
+    gate: str = ""
 
 
 class Size(NamedTuple):
@@ -94,12 +97,19 @@ def data_sheet(program: Program, source: Source, about: str, facts: Facts) -> st
     lines += [f"| `{key}` | {_shown(value)} |" for key, value in program.numbers.items()] or ["| none | |"]
     lines += ["", "## Limits", ""]
     lines.append(f"- Made for samples at {facts.rate:g} Hz{_substeps(facts)}; slower ones are predicted less exactly.")
+    lines.append("- Give a sample that is lost as one whose numbers are missing, not as a longer step.")
     if program.real == "float":
         lines.append("- Time is counted in single precision: a force that depends on time loses digits after an hour.")
     lines.append("- NaN marks what is missing, so that `-ffast-math` must not be used.")
     if source.tables != "none":
         where = ", those in loops too" if source.tables == "all" else ""
         lines.append(f"- Like statements{where} are done by loops over tables: less memory, more time.")
+    lines += ["", "## Gate", "", facts.gate] if facts.gate else []
+    if program.signals.lines:
+        lines += ["", "## What goes in and out", "", "In this order and in these units, whatever those of a log.", ""]
+        lines += [f"- {line}" for line in program.signals.lines]
+    lines += ["", "## Result codes", "", "| code | name | meaning |", "|---|---|---|"]
+    lines += [f"| {int(result)} | `{source.name.upper()}_{result.name}` | {result.message} |" for result in Result]
     for title, text in (("Certificate", facts.certificate), ("Audit", facts.audit)):
         lines += ["", f"## {title}", "", text] if text else []
     lines += ["", "## Origin", "", f"- SHA-256 of header and source: `{digest(source)}`"]

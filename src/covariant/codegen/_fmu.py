@@ -23,6 +23,7 @@ from covariant._files import write_atomically, zipped
 from covariant.codegen._fmu_c import unit_source
 from covariant.codegen._program import Program
 from covariant.codegen._source import write_source
+from covariant.signals import Result
 
 Version = Literal["3.0", "2.0"]
 FLAGS = ("-std=c99", "-O2", "-fPIC", "-shared", "-fvisibility=hidden")
@@ -35,6 +36,8 @@ PLACES = {
     ("2.0", "Darwin", "x86_64"): "darwin64",
 }
 """Folders of binaries, by version, system and machine."""
+
+OUTCOMES = "; ".join(f"{int(result)} {result.name}: {result.message}" for result in Result)
 
 
 class UnitVariable(NamedTuple):
@@ -181,15 +184,21 @@ def _compiled(command: Sequence[str], files: dict[str, bytes], name: str) -> byt
 def _variables(program: Program, y: np.ndarray) -> Iterator[UnitVariable]:
     """The variables in the order of their numbers in C."""
     beside = "".join(f", then {count} of {name}" for name, count in program.sensors)
-    about = f"measured configuration{beside}; NaN where missing"
+    about = f"measured configuration{beside}{_listed(program, 'y')}; NaN where missing"
     yield UnitVariable("y", "input", program.y, tuple(np.ravel(y).tolist()), about)
     if program.u:
-        yield UnitVariable("u", "input", (program.u,), (0.0,) * program.u, "input of the model, held over a step")
+        about = f"input of the model{_listed(program, 'u')}, held over a step"
+        yield UnitVariable("u", "input", (program.u,), (0.0,) * program.u, about)
     for key, value in program.numbers.items():
         yield UnitVariable(f"parameters.{key}", "parameter", np.shape(value), tuple(np.ravel(value).tolist()))
     for leaf in (*program.x, *program.told):
         if leaf.size:
-            yield UnitVariable(leaf.name, "output", leaf.shape)
+            yield UnitVariable(leaf.name, "output", leaf.shape, about=program.signals.of(leaf.name))
+
+
+def _listed(program: Program, array: str) -> str:
+    names = program.signals.of(array)
+    return f": {names}" if names else ""
 
 
 def _describe(name: str, about: str, rate: float, variables: list[UnitVariable], version: Version, token: str) -> str:
@@ -224,7 +233,10 @@ def _start_text(value: float) -> str:
 def _variables_3(variables: list[UnitVariable]) -> str:
     # References 0 and 1 are those of time and outcome, as `_fmi3` has them.
     lines = ['    <Float64 name="time" valueReference="0" causality="independent" variability="continuous"/>']
-    lines.append('    <Int32 name="outcome" valueReference="1" causality="output" variability="discrete"/>')
+    lines.append(
+        f'    <Int32 name="outcome" valueReference="1" description={quoteattr(OUTCOMES)} causality="output"'
+        ' variability="discrete"/>'
+    )
     for reference, v in enumerate(variables, start=2):
         sides = "".join(f'<Dimension start="{side}"/>' for side in v.shape)
         start = f' start="{" ".join(map(_start_text, v.start))}"' if v.start else ""
@@ -255,8 +267,8 @@ def _variables_2(variables: list[UnitVariable]) -> str:
                 # FMI 2.0 counts variables from one, so the index is the length so far.
                 outputs.append(len(lines))
     lines.append(
-        '    <ScalarVariable name="outcome" valueReference="0" causality="output" variability="discrete">'
-        "<Integer/></ScalarVariable>"
+        f'    <ScalarVariable name="outcome" valueReference="0" description={quoteattr(OUTCOMES)} causality="output"'
+        ' variability="discrete"><Integer/></ScalarVariable>'
     )
     outputs.append(len(lines))
     unknowns = "".join(f'<Unknown index="{k}"/>' for k in outputs)

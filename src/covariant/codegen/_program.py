@@ -69,6 +69,36 @@ class Leaf(NamedTuple):
         return int(np.prod(self.shape, dtype=int))
 
 
+class Signals(NamedTuple):
+    """Names of the numbers that an observer takes and gives, in their order, with units, for comments and texts.
+
+    Attributes:
+        y: A name for each number of a measurement, as "q1 [rad]"; empty where they are not known.
+        u: A name for each input.
+        x: Names for each array of an estimate, as ("v", ("q1 [rad/s]",)).
+
+    Example:
+        >>> from covariant.codegen import Signals
+        >>> Signals(("q1 [rad]",), ("tau [N m]",), (("v", ("q1 [rad/s]",)),)).lines
+        ('y: q1 [rad]', 'u: tau [N m]', 'v: q1 [rad/s]')
+    """
+
+    y: tuple[str, ...] = ()
+    u: tuple[str, ...] = ()
+    x: tuple[tuple[str, tuple[str, ...]], ...] = ()
+
+    @property
+    def lines(self) -> tuple[str, ...]:
+        """A line for each array of which the names are known, that can stand in a comment of C or Python."""
+        named = (("y", self.y), ("u", self.u), *self.x)
+        texts = (f"{array}: {', '.join(names)}" for array, names in named if names)
+        return tuple(" ".join(text.replace("*/", "").replace("\\", "/").replace('"', "'").split()) for text in texts)
+
+    def of(self, array: str) -> str:
+        """The names of an array, or "" where they are not known."""
+        return next((line.partition(": ")[2] for line in self.lines if line.startswith(f"{array}: ")), "")
+
+
 class Program(NamedTuple):
     """An observer as graphs of scalars. Counts and truth values of its state are real numbers in them.
 
@@ -89,6 +119,7 @@ class Program(NamedTuple):
         sensors: Name of each sensor beside the configuration, and how many numbers it has in a measurement.
         alone: Graphs of `(numbers, state, u, part, dt) -> (state, info)` of a step in which only one part of the
             measurement was read, `CONFIGURATION` or a sensor, with its name; empty where they were not asked for.
+        signals: Names and units of measurement, input and estimate, for comments.
 
     Example:
         >>> import numpy as np
@@ -114,6 +145,7 @@ class Program(NamedTuple):
     told_as: Any
     sensors: tuple[tuple[str, int], ...] = ()
     alone: tuple[tuple[str, Lowered], ...] = ()
+    signals: Signals = Signals()
 
     @property
     def parts(self) -> tuple[tuple[str, int], ...]:

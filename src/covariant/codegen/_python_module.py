@@ -50,7 +50,7 @@ Sample by sample:
     result = observer.step(y, dt@WITH_U@)
     observer.estimate().@FIRST@
 
-Needs NumPy, and the library `lib@NAME@` beside this file; `python -m @NAME@` builds it from the C beside it.
+@SIGNALS@Needs NumPy, and the library `lib@NAME@` beside this file; `python -m @NAME@` builds it from the C beside it.
 """
 
 from __future__ import annotations

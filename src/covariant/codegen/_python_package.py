@@ -135,6 +135,7 @@ def _replacements(program: Program, name: str, about: str, rate: float, token: s
         "@DTYPE@": np.dtype(DTYPES[program.real]).name,
         "@MEASUREMENT@": repr(program.y),
         "@SENSORS@": f": {', then '.join(parts)}" if program.sensors else "",
+        "@SIGNALS@": _signals(program),
         "@INPUTS@": str(program.u),
         "@STARTS@": str(program.parts[0][1]),
         "@FLAGS@": repr(FLAGS),
@@ -149,6 +150,12 @@ def _replacements(program: Program, name: str, about: str, rate: float, token: s
         "@ESTIMATE_FIELDS@": "\n".join(_annotated(leaf, ()) for leaf in output if leaf.size),
         "@RUN_FIELDS@": "\n".join(_annotated(leaf, ("T",)) for leaf in columns if leaf.size),
     }
+
+
+def _signals(program: Program) -> str:
+    """Lines of the docstring on the order and the units of the numbers."""
+    lines = "".join(f"    {line}\n" for line in program.signals.lines)
+    return f"Numbers in their order, in these units, whatever those of a log:\n\n{lines}\n" if lines else ""
 
 
 def _field(leaf: Leaf) -> str:

@@ -167,7 +167,15 @@ def _structure(kind: str, name: str, about: str, members: str) -> str:
 
 def _header(program: Program, name: str, about: str) -> str:
     upper = name.upper()
-    codes = ",\n".join(f"    {upper}_{result.name} = {int(result)}" for result in Result)
+    last = Result(max(Result))
+    codes = "\n".join(
+        f"    {upper}_{result.name} = {int(result)}{'' if result is last else ','} /* {result.message} */"
+        for result in Result
+    )
+    order = [f" * {line}\n" for line in program.signals.lines]
+    told = (
+        f"/* Numbers in their order, in these units, whatever those of a log:\n{''.join(order)} */\n" if order else ""
+    )
     y = int(np.prod(program.y))
     held = f"numbers of a measurement, {' x '.join(map(str, program.y))} by rows"
     started = "y"
@@ -181,7 +189,7 @@ def _header(program: Program, name: str, about: str) -> str:
         f"#ifndef {upper}_H\n#define {upper}_H\n",
         '#ifdef __cplusplus\nextern "C" {\n#endif\n',
         f"typedef {program.real} {name}_real;\n",
-        f"#define {upper}_MEASUREMENTS {y} /* {held} */\n#define {upper}_INPUTS {program.u}\n",
+        f"{told}#define {upper}_MEASUREMENTS {y} /* {held} */\n#define {upper}_INPUTS {program.u}\n",
         f"/* Outcome of a step; a larger one is worse. */\nenum {{\n{codes}\n}};\n",
         _structure(
             "params", name, "Numbers that may be changed at any time, between two steps.", _members(parameters, name)

@@ -104,6 +104,7 @@ def _compiled(files: Mapping[str, str], name: str) -> bytes:
 def _replacements(program: Program, about: str, rate: float) -> dict[str, str]:
     return {
         "@ABOUT@": about,
+        "@SIGNALS@": "".join(f" * {line}\n" for line in program.signals.lines),
         "@WITH_U@": ", u" if program.u else "",
         "@FIRST@": program.x[-1].name,
         "@RATE@": repr(float(rate)),

@@ -53,7 +53,7 @@ SCRIPT = """/* @ABOUT@
  *     observer.estimate().@FIRST@;
  *
  * In Node: const @NAME@ = require("./@NAME@.js"). Sizes are numbers of arrays row by row.
- */
+@SIGNALS@ */
 (function () {
 "use strict";
 

@@ -9,12 +9,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from covariant.engine._choice import EngineName, choose
+from covariant.engine._choice import EngineName, choose_open
 from covariant.engine._kernel import Kernel, KernelForm
 
 
 class CBackend:
-    """Compiled C on buffers at fixed addresses.
+    """Compiled C on buffers at fixed addresses, with the open numbers (K,) of an observer.
 
     Attributes:
         state: State of the observer, as a flat array.
@@ -24,11 +24,14 @@ class CBackend:
         advance: `dt -> code`: one step of dt [s], in place.
     """
 
-    def __init__(self, kernel: Kernel):
+    def __init__(self, kernel: Kernel, numbers: np.ndarray):
         states, estimates, infos = kernel.sizes
-        sizes = (states, kernel.layout.u, int(np.prod(kernel.layout.y)), estimates, infos)
+        count = kernel.library.kernel_fixed()
+        sizes = (states, kernel.layout.u, int(np.prod(kernel.layout.y)), estimates, infos, count)
         self._numbers = np.zeros(sum(sizes))  # one array, so that a call passes one pointer
-        self.state, self.u, self.y, self.x, self.info = np.split(self._numbers, np.cumsum(sizes)[:-1])
+        self.state, self.u, self.y, self.x, self.info, fixed = np.split(self._numbers, np.cumsum(sizes)[:-1])
+        self._open = np.ascontiguousarray(numbers)
+        kernel.library.kernel_fix(kernel.pointer(self._open), kernel.pointer(fixed))
         self._kernel = kernel  # this reference keeps the library loaded
         self._t = np.zeros(1)
         self._starts = tuple(map(kernel.pointer, (self.y, self._t, self.state)))
@@ -40,7 +43,7 @@ class CBackend:
     def start(self, t: float) -> None:
         """Start the observer at rest at the measurement in `y`, at the time t [s], and write its estimate to `x`."""
         self._t[0] = t
-        self._kernel.library.kernel_init(self._kernel.ffi.NULL, *self._starts)
+        self._kernel.library.kernel_init(self._kernel.pointer(self._open), *self._starts)
         u = self.u.copy()
         self.u.fill(0.0)
         self.advance(0.0)  # a step of zero length leaves the state unchanged and writes its estimate
@@ -94,5 +97,6 @@ def backend(observer: Any, y: np.ndarray, inputs: int, asked: EngineName) -> tup
     Returns:
         The name of the engine, with the reason where it is not C, and its backend.
     """
-    chosen = choose(observer, KernelForm(y.shape, inputs), math.inf, asked)  # a stream has no last row
-    return str(chosen), JaxBackend(observer, y, inputs) if chosen.kernel is None else CBackend(chosen.kernel)
+    # A stream has no last row.
+    chosen, (numbers,) = choose_open([observer], KernelForm(y.shape, inputs), math.inf, asked)
+    return str(chosen), JaxBackend(observer, y, inputs) if chosen.kernel is None else CBackend(chosen.kernel, numbers)

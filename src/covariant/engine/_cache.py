@@ -1,8 +1,9 @@
 """Generated C is cached on disk between processes, keyed by what the observer computes.
 
-The key is a hash of the traced observer (`lowering.fingerprint`), which is quicker to compute than the C: it covers
-every operation and every constant, so it is the same for equal observers of library models, of model files and of a
-user's functions, and differs as soon as any of them computes something else.
+The key of a text is a hash of the traced observer (`lowering.fingerprint`), which is quicker to compute than the C: it
+covers every operation and every constant, so it is the same for equal observers of library models, of model files and
+of a user's functions, and differs as soon as any of them computes something else. For an observer that is made of this
+library alone, the key and the layout are cached too, by what it is made of (`_description`): then nothing is traced.
 """
 
 import contextlib
@@ -15,6 +16,7 @@ from pathlib import Path
 from covariant._files import write_atomically
 from covariant._programs import cache_folder, evict_unused
 from covariant.codegen import TracedProgram
+from covariant.engine._layout import Layout
 from covariant.lowering import LoweringError, fingerprint
 
 PACKAGES = ("jax", "jaxlib", "numpy")
@@ -76,6 +78,37 @@ def cached_text(key: str | None, write: Callable[[], str]) -> str:
     if "refused" in entry:
         raise LoweringError(entry["refused"])
     return entry["c"]
+
+
+def cached_layout(description: str | None) -> tuple[str, Layout] | None:
+    """Key of a C text and the layout of its observer, cached under the observer's description; None where not cached.
+
+    Args:
+        description: As from `description_key`.
+    """
+    folder = cache_folder()
+    if folder is None or description is None:
+        return None
+    try:
+        key, *data = json.loads((folder / f"{description[:32]}.json").read_bytes())["traced"]
+        return str(key), Layout.from_data(data)
+    except (OSError, ValueError, TypeError, KeyError):
+        return None
+
+
+def cache_layout(description: str | None, key: str | None, layout: Layout) -> None:
+    """Cache the key of a C text and the layout under the description of an observer, where it has both.
+
+    Args:
+        description: As from `description_key`.
+        key: As from `cache_key`.
+        layout: Layout of the observer.
+    """
+    folder, data = cache_folder(), layout.data()
+    if folder is not None and description is not None and key is not None and data is not None:
+        entry = json.dumps({"traced": [key, *data]}).encode()
+        with contextlib.suppress(OSError):
+            write_atomically(folder / f"{description[:32]}.json", lambda file: file.write(entry))
 
 
 def _read(path: Path) -> dict[str, str] | None:

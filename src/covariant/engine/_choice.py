@@ -1,10 +1,14 @@
 """Which engine runs an observer: compiled C or JAX. Nothing else in the library chooses between them."""
 
+from collections.abc import Sequence
 from typing import Literal, NamedTuple, get_args
+
+import numpy as np
 
 from covariant._programs import cache_folder
 from covariant.engine._compile import missing
 from covariant.engine._kernel import Kernel, KernelForm, NoKernelError, prepared
+from covariant.engine._numbers import open_numbers
 from covariant.observers import AbstractObserver
 
 EngineName = Literal["auto", "c", "jax"]
@@ -19,6 +23,7 @@ class Engine(NamedTuple):
         name: "c" or "jax".
         reason: One line that says why.
         kernel: The compiled observer where the engine is C, otherwise None.
+        refused: Whether compilation in C was tried and there is none.
 
     Example:
         >>> from covariant import engine, observers
@@ -31,6 +36,7 @@ class Engine(NamedTuple):
     name: Literal["c", "jax"]
     reason: str
     kernel: Kernel | None = None
+    refused: bool = False
 
     def __str__(self) -> str:
         return self.name if self.kernel is not None else f"{self.name}: {self.reason}"
@@ -81,4 +87,32 @@ def choose(observer: AbstractObserver, form: KernelForm, rows: int | float, aske
     try:
         return Engine("c", "as asked" if asked == "c" else "many rows" if pays else "it is kept", traced.kernel)
     except NoKernelError as error:
-        return Engine("jax", str(error))
+        return Engine("jax", str(error), refused=True)
+
+
+def choose_open(
+    observers: Sequence[AbstractObserver], form: KernelForm, rows: int | float, asked: EngineName = "auto"
+) -> tuple[Engine, np.ndarray]:
+    """Choose the engine for observers of one kind, whose numbers are arguments of the compiled code where possible.
+
+    Where there is no such code, as of a model whose numbers decide which entries of an array it takes, those of the
+    model stay in the code unless they differ.
+
+    Args:
+        observers: N observers.
+        form: As for `choose`, without open numbers.
+        rows: As for `choose`.
+        asked: As for `choose`.
+
+    Returns:
+        The engine, and the open numbers (N, K).
+
+    Raises:
+        ValueError: For an unknown engine, and where the observers differ in more than their numbers.
+    """
+    opened = open_numbers(observers)
+    chosen = choose(observers[0], form._replace(opened=opened.places), rows, asked)
+    if chosen.refused:
+        opened = open_numbers(observers, models=False)
+        chosen = choose(observers[0], form._replace(opened=opened.places), rows, asked)
+    return chosen, opened.values

@@ -9,9 +9,12 @@ import jax
 import numpy as np
 
 from covariant.codegen import Recipe, TracedProgram, trace_program
-from covariant.engine._cache import cache_key, cached_text, result_index
+from covariant.engine._cache import cache_key, cache_layout, cached_layout, cached_text, result_index
 from covariant.engine._compile import library
-from covariant.lowering import CText, Lowered, LoweringError, Signature, c_function, c_helpers
+from covariant.engine._description import description_key
+from covariant.engine._layout import Layout
+from covariant.engine._numbers import Places, filled
+from covariant.lowering import CText, Lowered, LoweringError, Signature, c_function, c_helpers, split
 from covariant.observers import AbstractObserver
 
 DECLARED = """
@@ -19,7 +22,11 @@ void kernel_init(const double *open, const double *y, const double *t, double *s
 void kernel_run(const double *open, double *state, const long *rows, const double *const *logs,
                 const int *kept, int count, double *const *found);
 """
-DECLARED_STEP = "int kernel_step(double *numbers, double dt);"
+DECLARED_STEP = """
+int kernel_fixed(void);
+void kernel_fix(const double *open, double *fixed);
+int kernel_step(double *numbers, double dt);
+"""
 
 
 class Kernel(NamedTuple):
@@ -32,8 +39,9 @@ class Kernel(NamedTuple):
     - `kernel_run(open, state, rows, logs, kept, count, found)`: advance the states in place, over as many rows as each
       lane has. For each lane `logs` holds the pointers to its inputs, measurements and time steps, and `found` those to
       its estimates and to the `count` columns `kept` of its infos.
-    - `kernel_step(numbers, dt)`: one step on an array of state, input, measurement, estimate and info, in this order,
-      for an observer without open numbers and with one lane; returns the result code.
+    - `kernel_step(numbers, dt)`: one step with one lane on an array of state, input, measurement, estimate, info and
+      fixed numbers, in this order; returns the result code.
+    - `kernel_fix(open, fixed)`: the `kernel_fixed()` fixed numbers, all that a step needs of the open ones.
 
     Attributes:
         layout: Sizes and shapes of its numbers.
@@ -71,8 +79,9 @@ class KernelForm(NamedTuple):
     Attributes:
         y: Shape of a measurement, (n,) or (N, N).
         inputs: Number of inputs m.
-        opened: Indices of those of the observer's arrays of real numbers, counted as leaves of its pytree, that are
-            arguments of the compiled code; none by default.
+        opened: For each of the observer's arrays of real numbers, counted as leaves of its pytree, which argument of
+            the compiled code each entry is, −1 for a constant; None for an array of constants. By default all are
+            constants.
         lanes: Number of runs done at once, 1 by default.
         real: Whether measurements are real numbers, True by default.
 
@@ -84,7 +93,7 @@ class KernelForm(NamedTuple):
 
     y: tuple[int, ...]
     inputs: int
-    opened: tuple[int, ...] = ()
+    opened: Places = ()
     lanes: int = 1
     real: bool = True
 
@@ -106,33 +115,20 @@ def prepared(observer: AbstractObserver, form: KernelForm) -> "Prepared":
         return Prepared(key)
 
 
-class Layout(NamedTuple):
-    """Sizes and shapes of the numbers of a compiled observer.
-
-    Attributes:
-        sizes: Counts of numbers in a state, an estimate and an info.
-        y: Shape of a measurement.
-        u: Number of inputs.
-        info, estimate: Pytrees of the shapes and types of an info and an estimate.
-    """
-
-    sizes: tuple[int, int, int]
-    y: tuple[int, ...]
-    u: int
-    info: Any
-    estimate: Any
-
-
 class _KernelKey:
     """What a kernel is compiled from; equal where the kernels would be equal."""
 
     def __init__(self, observer: AbstractObserver, form: KernelForm):
         arrays, self.rest = eqx.partition(observer, eqx.is_inexact_array)
         self.leaves, self.tree = jax.tree.flatten(arrays)
-        self.form = form
+        self.form, self.observer = form, observer
         values = [np.asarray(leaf) for leaf in self.leaves]
-        # Open arrays are arguments of the code, so only the values of the others distinguish one kernel from another.
-        written = tuple(b"" if i in form.opened else a.tobytes() for i, a in enumerate(values))
+        places = form.opened or (None,) * len(values)
+        # Open numbers are arguments of the code, so only the values of the others distinguish one kernel from another.
+        written = tuple(
+            a.tobytes() if at is None else a.ravel()[np.array(at, int) < 0].tobytes()
+            for a, at in zip(values, places, strict=True)
+        )
         kinds = tuple((a.shape, a.dtype.str) for a in values)
         functions, structure = jax.tree.flatten(self.rest)
         self._key = (self.tree, structure, tuple(functions), written, kinds, form)
@@ -144,27 +140,41 @@ class _KernelKey:
         return isinstance(other, _KernelKey) and self._key == other._key
 
     def recipe(self) -> Recipe:
-        """The observer with its open arrays as arguments, under names that sort in the order of the leaves."""
-        names = {i: f"n{i:06d}" for i in self.form.opened}
+        """The observer with its open numbers as one argument."""
+        count = 1 + max((k for at in self.form.opened if at is not None for k in at), default=-1)
+        if count == 0:
+            return Recipe(lambda values: self.observer, {})
 
         def make(values: Any) -> AbstractObserver:
-            chosen = [values[names[i]] if i in names else leaf for i, leaf in enumerate(self.leaves)]
-            return eqx.combine(jax.tree.unflatten(self.tree, chosen), self.rest)
+            leaves = filled(self.leaves, self.form.opened, values["open"])
+            return eqx.combine(jax.tree.unflatten(self.tree, leaves), self.rest)
 
-        return Recipe(make, {name: np.asarray(self.leaves[i]) for i, name in names.items()})
+        # The values do not matter: the code is the same for all.
+        return Recipe(make, {"open": np.ones(count)})
 
 
 class Prepared:
-    """An observer that is traced; its kernel is compiled when it is first asked for.
+    """An observer whose cache key is known; its kernel is compiled when it is first asked for.
 
     Attributes:
         key: Key of its C text in the cache; None where it is not cached.
     """
 
     def __init__(self, key: _KernelKey):
-        self._lanes = key.form.lanes
-        self._traced: TracedProgram | None = trace_program(key.recipe(), np.zeros(key.form.y), key.form.inputs)
-        self.key = cache_key(self._traced, self._lanes)
+        form = key.form
+        self._kernel_key, self._lanes = key, form.lanes
+        description = description_key(key.observer, form.opened, form.y, form.inputs, form.lanes)
+        cached = cached_layout(description)
+        if cached is not None:
+            self.key, self._layout = cached
+            return
+        self.key, self._layout = cache_key(self._traced, self._lanes), Layout.of(self._traced)
+        cache_layout(description, self.key, self._layout)
+
+    @functools.cached_property
+    def _traced(self) -> TracedProgram:
+        form = self._kernel_key.form
+        return trace_program(self._kernel_key.recipe(), np.zeros(form.y), form.inputs)
 
     @property
     def kernel(self) -> Kernel:
@@ -180,31 +190,30 @@ class Prepared:
     @functools.cached_property
     def _outcome(self) -> Kernel | str:
         """The kernel, or the reason why there is none, cached since it takes as long to compute."""
-        assert self._traced is not None
         try:
-            source = cached_text(self.key, functools.partial(_c_text, self._traced, self._lanes))
+            source = cached_text(self.key, lambda: _c_text(self._traced, self._lanes))
             declared = DECLARED + (DECLARED_STEP if self._lanes == 1 else "")
-            return Kernel(_layout(self._traced), *library(source, declared), self._lanes)
+            return Kernel(self._layout, *library(source, declared), self._lanes)
         except (LoweringError, OSError) as error:
             return str(error)
         finally:
-            self._traced = None  # a jaxpr of a robot takes megabytes
+            self.__dict__.pop("_traced", None)  # a jaxpr of a robot takes megabytes
 
 
 _prepared = functools.lru_cache(maxsize=64)(Prepared)
-
-
-def _layout(traced: TracedProgram) -> Layout:
-    state, estimate, info = (sum(leaf.size for leaf in leaves) for leaves in (traced.state, traced.x, traced.info))
-    return Layout((state, estimate, info), traced.y, traced.u, traced.told_as, traced.estimated_as)
 
 
 def _c_text(traced: TracedProgram, lanes: int) -> str:
     """The text of a kernel; raises `LoweringError`."""
     # On a computer a step may take as long as its numbers ask for; code for a controller has fixed loops.
     program = traced.lower(loops=True)
-    n_state, n_x, n_info = _layout(traced).sizes
-    sizes = {"o": sum(leaf.size for leaf in program.given), "s": n_state, "u": program.u, "y": int(np.prod(program.y))}
+    n_state, n_x, n_info = Layout.of(traced).sizes
+    count = sum(leaf.size for leaf in program.given)
+    # What the open numbers alone decide is computed once for many steps: with its arguments a step has then about as
+    # many operations as with constants (double pendulum +1 %, Panda −1 %).
+    (fix_step, step), (fix_estimate, estimate) = (split(each, count) for each in (program.step, program.estimate))
+    fixed = len(fix_step.outputs), len(fix_estimate.outputs)
+    sizes = {"o": count, "d": fixed[0], "e": fixed[1], "s": n_state, "u": program.u, "y": int(np.prod(program.y))}
     entries = {name: tuple(f"{name}[{i}]" for i in range(size)) for name, size in sizes.items()} | {
         "dt": ("dt",),
         "t": ("t",),
@@ -220,12 +229,15 @@ def _c_text(traced: TracedProgram, lanes: int) -> str:
 
     texts = [
         function(program.init, "core_init", "o y t", n_state),
-        function(program.step, "core_step", "o s u y dt", n_state + n_info),
-        function(program.estimate, "core_estimate", "o s", n_x),
+        function(fix_step, "core_fix_step", "o", fixed[0]),
+        function(fix_estimate, "core_fix_estimate", "o", fixed[1]),
+        function(step, "core_step", "d s u y dt", n_state + n_info),
+        function(estimate, "core_estimate", "e s", n_x),
     ]
     helpers = c_helpers(frozenset().union(*(text.helpers for text in texts)), lanes=lanes)
     named = {"RESULT": result_index(traced), "STATE": n_state, "INPUTS": program.u, "MEASURED": sizes["y"]}
-    named |= {"ESTIMATE": n_x, "INFO": n_info, "OPEN": sizes["o"], "LANES": lanes}
+    named |= {"ESTIMATE": n_x, "INFO": n_info, "OPEN": count, "LANES": lanes}
+    named |= {"FIXED_STEP": fixed[0], "FIXED": sum(fixed)}
     parts = {
         "SIZES": "\n".join(f"#define {k} {v}" for k, v in named.items()),
         "HELPERS": helpers,
@@ -280,6 +292,12 @@ static void store(double *into, const real *from, int count)
             into[k * LANES + i] = LANE(from, k, i);
 }
 
+static void fix(const real *o, real *fixed)
+{
+    core_fix_step(o, fixed);
+    core_fix_estimate(o, fixed + FIXED_STEP);
+}
+
 void kernel_init(const double *open, const double *y, const double *t, double *state)
 {
     real o[SOME(OPEN)], measured[SOME(MEASURED)], at[1], s[STATE];
@@ -293,11 +311,13 @@ void kernel_init(const double *open, const double *y, const double *t, double *s
 void kernel_run(const double *open, double *state, const long *rows, const double *const *logs,
                 const int *kept, int count, double *const *found)
 {
-    real o[SOME(OPEN)], s[STATE], u[SOME(INPUTS)], y[SOME(MEASURED)], dt[1], next[STATE + INFO], x[SOME(ESTIMATE)];
+    real o[SOME(OPEN)], d[SOME(FIXED)], s[STATE], u[SOME(INPUTS)], y[SOME(MEASURED)], dt[1];
+    real next[STATE + INFO], x[SOME(ESTIMATE)];
     long r, longest = 0;
     int i, k;
     TINY_IS_ZERO;
     load(o, open, OPEN);
+    fix(o, d);
     load(s, state, STATE);
     for (i = 0; i < LANES; ++i)
         longest = rows[i] > longest ? rows[i] : longest;
@@ -310,9 +330,9 @@ void kernel_run(const double *open, double *state, const long *rows, const doubl
                 LANE(y, k, i) = logs[3 * i + 1][at * MEASURED + k];
             LANE(dt, 0, i) = logs[3 * i + 2][at];
         }
-        core_step(o, s, u, y, dt[0], next);
+        core_step(d, s, u, y, dt[0], next);
         memcpy(s, next, sizeof s);
-        core_estimate(o, s, x);
+        core_estimate(d + FIXED_STEP, s, x);
         for (i = 0; i < LANES; ++i)
             if (r < rows[i]) {
                 for (k = 0; k < ESTIMATE; ++k)
@@ -327,15 +347,26 @@ void kernel_run(const double *open, double *state, const long *rows, const doubl
 """
 
 _STEP = """
+int kernel_fixed(void)
+{
+    return FIXED;
+}
+
+void kernel_fix(const double *open, double *fixed)
+{
+    fix(open, fixed);
+}
+
 int kernel_step(double *numbers, double dt)
 {
     double *u = numbers + STATE, *y = u + INPUTS, *x = y + MEASURED, *info = x + ESTIMATE;
+    const double *fixed = info + INFO;
     double next[STATE + INFO];
     TINY_IS_ZERO;
-    core_step(0, numbers, u, y, dt, next);
+    core_step(fixed, numbers, u, y, dt, next);
     memcpy(numbers, next, STATE * sizeof(double));
     memcpy(info, next + STATE, INFO * sizeof(double));
-    core_estimate(0, numbers, x);
+    core_estimate(fixed + FIXED_STEP, numbers, x);
     AS_BEFORE;
     return (int)info[RESULT];
 }

@@ -6,22 +6,17 @@ from collections.abc import Callable, Collection, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import numpy as np
 
 from covariant._compile import vector_bytes
-from covariant.engine._choice import EngineName, choose
+from covariant.engine._choice import EngineName, choose_open
 from covariant.engine._kernel import Kernel, KernelForm
 from covariant.observers import AbstractObserver, checked, run
 from covariant.signals import Record, Result, Run
 
 RUNS_A_CORE = 4
 """Runs per core above which they go through lanes: a step in all lanes takes about as long as four of one run."""
-WRITTEN_IN = {"model", "metric"}
-"""Fields of observers whose numbers are constants of the code, where zeros and ones save work; gains are arguments."""
-MOST_OPEN = 100
-"""Size of the largest array that is an argument, the covariance of ten joints; larger tables are constants."""
 
 
 def run_log(
@@ -70,12 +65,12 @@ def run_logs(
 
     Args:
         observers: Of one kind, distinguished by their numbers, such as gains or masses. All are one compiled program,
-            and so are observers of other calls and processes that have other gains or covariances.
+            and so are observers of other calls and processes that have other numbers.
         records: Logs of any lengths, with measurements and inputs of one shape.
         keep: As for `run_log`.
         engine: As for `run_log`; the rows of all logs count together. C uses every core.
-        others: Observers of other calls: numbers of models that differ in any of them stay open in the compiled program
-            too, so that a search for the best ones compiles one program.
+        others: Observers of other calls: numbers that differ in any of them are arguments of the compiled program too,
+            zeros among them, so that a search for the best ones compiles one program.
         repeats: Number of calls like this one to come, whose rows count too.
 
     Returns:
@@ -107,14 +102,13 @@ def run_logs(
         shapes = ", ".join(f"y {y} and {u} inputs" for y, u in sorted(forms, key=str))
         raise ValueError(f"run_logs: measurements and inputs must have one shape in all records; got {shapes}")
     count = max(len(many), len(logs))
-    opened, numbers = _open([*many, *others])
     each, logs = many * (count // len(many)), logs * (count // len(logs))
     # Below that number of runs cores would stand idle while others compute lanes.
     lanes = vector_bytes() // np.dtype(float).itemsize if count > RUNS_A_CORE * (os.cpu_count() or 1) else 1
     ((y, inputs),) = forms
     rows = repeats * sum(len(r.t) for r in logs)
     real = not any(np.iscomplexobj(r.y) for r in logs)
-    chosen = choose(many[0], KernelForm(y, inputs, opened, lanes, real), rows, engine)
+    chosen, numbers = choose_open([*many, *others], KernelForm(y, inputs, (), lanes, real), rows, engine)
     if chosen.kernel is not None:
         # np.resize repeats the rows, as for one observer over many logs.
         runs = _by_c(chosen.kernel, np.resize(numbers[: len(many)], (count, numbers.shape[1])), logs, keep)
@@ -131,39 +125,6 @@ def _in_double(record: Record) -> Record:
 def _by_jax(observer: AbstractObserver, record: Record, keep: Collection[str] | None) -> Run:
     # Copies, since arrays of JAX are read-only as NumPy sees them, and those of C are not.
     return jax.tree.map(np.array, run(observer, record, keep))
-
-
-def _open(observers: Sequence[AbstractObserver]) -> tuple[tuple[int, ...], np.ndarray]:
-    """Arrays of observers that are arguments of the compiled code: their indices, and their numbers, one row each.
-
-    Raises `ValueError` where the observers differ in more than the values of their arrays.
-    """
-    leaves, trees = zip(*map(jax.tree.flatten, observers), strict=True)
-    real = [eqx.is_inexact_array(leaf) for leaf in leaves[0]]
-    for k, (tree, others) in enumerate(zip(trees, leaves, strict=True)):
-        if tree != trees[0] or not all(map(_alike, real, others, leaves[0])):
-            raise ValueError(
-                f"run_logs: observer {k} is of another kind than the first, not only of other numbers; run it alone"
-            )
-    paths = [path for path, _ in jax.tree_util.tree_flatten_with_path(observers[0])[0]]
-    arrays = [i for i, is_real in enumerate(real) if is_real]
-    columns = [np.stack([np.ravel(others[i]) for others in leaves]).astype(float) for i in arrays]
-    gains = [_is_gain(paths[i]) and column.shape[1] <= MOST_OPEN for i, column in zip(arrays, columns, strict=True)]
-    opened = tuple(k for k, column in enumerate(columns) if gains[k] or (column != column[0]).any())
-    return opened, np.concatenate([np.empty((len(observers), 0)), *(columns[k] for k in opened)], axis=1)
-
-
-def _is_gain(path: Sequence[Any]) -> bool:
-    return WRITTEN_IN.isdisjoint(getattr(key, "name", None) for key in path)
-
-
-def _alike(real: bool, leaf: Any, first: Any) -> bool:
-    """Whether leaves of two observers differ at most in the values of an array of real numbers."""
-    if leaf is first:
-        return True
-    if real:
-        return eqx.is_inexact_array(leaf) and np.shape(leaf) == np.shape(first)
-    return not eqx.is_inexact_array(leaf) and bool(eqx.tree_equal(leaf, first))
 
 
 def _by_c(kernel: Kernel, numbers: np.ndarray, logs: Sequence[Record], keep: Collection[str] | None) -> list[Run]:

@@ -15,6 +15,7 @@ from ._graph import (
     Node as Node,
 )
 from ._intervals import INTERVALS as INTERVALS
+from ._invariants import split as split
 from ._jax_forms import (
     Branch as Branch,
     Call as Call,

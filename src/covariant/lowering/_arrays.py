@@ -54,9 +54,14 @@ class Writer:
             op: Name of the operation, a key of `FOLD`.
             values: Arrays of shapes that broadcast to one.
         """
-        arrays = np.broadcast_arrays(*(nodes_of(self.graph, value) for value in values))
-        flat = [self.graph.apply(op, *map(int, ids)) for ids in zip(*(a.ravel() for a in arrays), strict=True)]
-        return Scalars(np.array(flat, int).reshape(arrays[0].shape))
+        arrays = [nodes_of(self.graph, value) for value in values]
+        shape = arrays[0].shape
+        if any(array.shape != shape for array in arrays):  # most are equal, and broadcasting takes longer than to look
+            arrays = np.broadcast_arrays(*arrays)
+            shape = arrays[0].shape
+        apply = self.graph.apply
+        flat = [apply(op, *ids) for ids in zip(*(array.ravel().tolist() for array in arrays), strict=True)]
+        return Scalars(np.array(flat, int).reshape(shape))
 
     def reduce(self, op: str, ids: np.ndarray, axes: Sequence[int]) -> Scalars:
         """Reduce over some axes by recursive halving, which rounds less than a loop does.

@@ -7,6 +7,7 @@ notes its conditions before it simplifies anything: what each operation needs to
 import contextlib
 import gc
 import math
+import struct
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, Literal, NamedTuple
 
@@ -177,6 +178,17 @@ def no_collection() -> Iterator[None]:
             gc.enable()
 
 
+Rule = Callable[["Graph", tuple[int, ...], list], int | None]
+"""`(graph, arguments, values)`: nodes, and the value of each that is a constant, None for the others."""
+
+
+class Mark(NamedTuple):
+    """Sizes of a graph's lists and tables, for `Graph.rollback`."""
+
+    nodes: int
+    tables: tuple[int, ...]
+
+
 class Graph:
     """Nodes in an order in which each follows its arguments; they are added by `constant`, `input` and `apply`.
 
@@ -204,8 +216,10 @@ class Graph:
         self.real = real
         self.conditions: dict[tuple[Kind, int], Condition] = {}
         self.line: Callable[[], str] = str
-        self._infinite: set[int] = set()  # nodes that may be infinite or NaN, as a choice may return such a value
-        self._known: dict[tuple, int] = {}
+        # In the order of insertion, all of them, so that `rollback` finds the latest entries last.
+        self._infinite: dict[int, None] = {}  # nodes that may be infinite or NaN, as a choice may return such a value
+        self._known: dict[tuple, int] = {}  # the node of each operation on arguments
+        self._results: dict[tuple, int] = {}  # results of `apply`, by its arguments
 
     @classmethod
     def of(cls, nodes: Sequence[Node]) -> "Graph":
@@ -220,7 +234,7 @@ class Graph:
                 graph.constant(node.value)  # pyright: ignore[reportArgumentType]
             else:
                 extra = (node.value,) if node.op == "table" or not node.arguments else ()
-                graph._add((node.op, *extra, *node.arguments), node)
+                graph._add((node.op, *extra, *node.arguments), *node)
         return graph
 
     def constant(self, value: float | bool | int) -> int:
@@ -229,11 +243,11 @@ class Graph:
         Args:
             value: The value; an `int` is stored as `float`. 0.0 and −0.0 are two nodes, as their bits differ.
         """
-        kind = bool if isinstance(value, bool | np.bool_) else float
+        kind = bool if isinstance(value, (bool, np.bool_)) else float
         value = kind(value)
-        # Zero has two signs and NaN equals nothing, so constants are distinguished by their bits.
-        key = ("constant", kind, value if kind is bool else np.float64(value).tobytes())
-        return self._add(key, Node("constant", (), value))
+        # Zero has two signs and NaN equals nothing, so these are distinguished by their bits.
+        by_bits = kind is float and (value == 0 or value != value)
+        return self._add(("constant", kind, struct.pack("d", value) if by_bits else value), "constant", (), value)
 
     def input(self, position: int) -> int:
         """Return the node of an input of the function.
@@ -241,7 +255,7 @@ class Graph:
         Args:
             position: Number of the input, from 0 on, in the order of the entries of the arguments.
         """
-        return self._add(("input", position), Node("input", (), position))
+        return self._add(("input", position), "input", (), position)
 
     def block(self, op: str, key: Any, arguments: tuple[int, ...], value: Any) -> int:
         """Return the node of an operation that is not in `FOLD`, such as a loop.
@@ -252,7 +266,7 @@ class Graph:
             arguments: Indices of the nodes that it is applied to.
             value: Object stored in the node.
         """
-        return self._add((op, key, *arguments), Node(op, arguments, value))
+        return self._add((op, key, *arguments), op, arguments, value)
 
     def look_up(self, table: Table, place: int) -> int:
         """Return the node of an entry of a table; a known index gives a constant.
@@ -286,22 +300,32 @@ class Graph:
             op: Name of the operation, a key of `FOLD`.
             arguments: Nodes of its arguments.
         """
-        nodes = [self.nodes[a] for a in arguments]
-        if not self.real:
-            return self._applied(op, arguments, nodes)
-        self._note(op, arguments, nodes)
-        result = self._applied(op, arguments, nodes)
-        if op in CHOICES and any(self._may_be_infinite(a) for a in arguments):
-            self._infinite.add(result)
+        if self.real:  # what is noted depends on what was before, so no result is looked up
+            return self._apply_noting(op, arguments)
+        key = (op, *arguments)
+        result = self._results.get(key)
+        if result is None:
+            result = self._results[key] = self._apply_simplifying(op, arguments)
         return result
 
-    def _applied(self, op: str, arguments: tuple[int, ...], nodes: list[Node]) -> int:
+    def _apply_noting(self, op: str, arguments: tuple[int, ...]) -> int:
+        self._note(op, arguments, [self.nodes[a] for a in arguments])
+        result = self._apply_simplifying(op, arguments)
+        if op in CHOICES and any(self._may_be_infinite(a) for a in arguments):
+            self._infinite[result] = None
+        return result
+
+    def _apply_simplifying(self, op: str, arguments: tuple[int, ...]) -> int:
         if op == "either":
             return self._either(*arguments)
-        if all(node.op == "constant" for node in nodes):
+        nodes = [self.nodes[a] for a in arguments]
+        values = [node.value if node.op == "constant" else None for node in nodes]
+        if None not in values:
             with np.errstate(all="ignore"):
-                return self.constant(np.asarray(FOLD[op](*(node.value for node in nodes))).item())
-        simpler = self._simplify(op, arguments, [n.value if n.op == "constant" else None for n in nodes])
+                return self.constant(np.asarray(FOLD[op](*values)).item())
+        simpler = SIMPLER[op](self, arguments, values) if op in SIMPLER else None
+        if simpler is None and self.real:
+            simpler = self._simplify_real(op, arguments)
         if simpler is not None:
             if self.real and op in CANCELS:
                 for a in {*arguments} - {simpler, *self.nodes[simpler].arguments}:
@@ -311,7 +335,7 @@ class Graph:
             self._condition("decided", arguments[0], op)
         if op in COMMUTATIVE:
             arguments = tuple(sorted(arguments))
-        return self._add((op, *arguments), Node(op, arguments))
+        return self._add((op, *arguments), op, arguments)
 
     def _either(self, a: int, b: int, x: int, y: int) -> int:
         """The derivative at a kink. Where a = b both sides stay, even if a and b are known numbers."""
@@ -321,7 +345,7 @@ class Graph:
         if first.op == second.op == "constant" and first.value != second.value:
             return x if first.value < second.value else y  # pyright: ignore[reportOptionalOperand, reportOperatorIssue]
         # Neither sorted nor folded: the order of x and y says which one belongs to a < b.
-        return self._add(("either", a, b, x, y), Node("either", (a, b, x, y)))
+        return self._add(("either", a, b, x, y), "either", (a, b, x, y))
 
     def _note(self, op: str, arguments: tuple[int, ...], nodes: list[Node]) -> None:
         """Note those conditions of an operation that are not known to hold already."""
@@ -330,7 +354,7 @@ class Graph:
         if op not in ANYTHING:
             for a in arguments:
                 if a in self._infinite:
-                    self._condition("true", self._add(("is_finite", a), Node("is_finite", (a,))), op)
+                    self._condition("true", self._add(("is_finite", a), "is_finite", (a,)), op)
 
     def _may_be_infinite(self, node: int) -> bool:
         value = self.nodes[node].value if self.nodes[node].op == "constant" else 0.0
@@ -356,81 +380,45 @@ class Graph:
         if not settled and (kind, node) not in self.conditions:
             self.conditions[kind, node] = Condition(kind, node, f"{op} {self.line()}".strip())
 
-    def _add(self, key: tuple, node: Node) -> int:
-        if key not in self._known:
-            self._known[key] = len(self.nodes)
-            self.nodes.append(node)
-        return self._known[key]
+    def _add(self, key: tuple, op: str, arguments: tuple[int, ...], value: Any = None) -> int:
+        """The node with a key, which is added where there is none: the only place at which a graph grows."""
+        place = self._known.get(key)
+        if place is None:
+            place = self._known[key] = len(self.nodes)
+            self.nodes.append(Node(op, arguments, value))
+        return place
 
-    def mark(self) -> int:
-        """Return the state of a graph without conditions, for `rollback`."""
-        return len(self.nodes)
+    def _tables(self) -> tuple[dict, ...]:
+        return self._known, self._results, self.conditions, self._infinite
 
-    def rollback(self, mark: int) -> None:
-        """Remove the nodes that were added since `mark`."""
-        while len(self.nodes) > mark:
-            self.nodes.pop()
-            self._known.popitem()  # each node has one key, in the order of the nodes
+    def mark(self) -> Mark:
+        """Return the present size, to which `rollback` cuts the graph."""
+        return Mark(len(self.nodes), tuple(map(len, self._tables())))
 
-    def _is(self, op: str, node: int, first: int) -> bool:
-        """Whether a node is that operation on that first argument."""
+    def rollback(self, mark: Mark) -> None:
+        """Remove everything that was added since a mark.
+
+        Args:
+            mark: Result of `mark` of this graph. Nodes that were added after it must no longer be used.
+        """
+        del self.nodes[mark.nodes :]
+        for table, size in zip(self._tables(), mark.tables, strict=True):
+            while len(table) > size:
+                table.popitem()
+
+    def is_operation(self, op: str, node: int, first: int) -> bool:
+        """Return whether a node is an operation on a first argument.
+
+        Args:
+            op: Name of the operation.
+            node: The node.
+            first: Node of the first argument.
+        """
         return self.nodes[node].op == op and self.nodes[node].arguments[0] == first
 
     def is_zero(self, node: int) -> bool:
         """Whether a node is the constant 0, of either sign."""
         return self.nodes[node].op == "constant" and self.nodes[node].value == 0
-
-    def _simplify(self, op: str, arguments: tuple[int, ...], values: list) -> int | None:
-        """The node that an operation with some constant arguments simplifies to, or None.
-
-        A product with zero becomes zero, which is correct for real numbers and for finite floating-point numbers.
-        """
-        match op, arguments, values:
-            case ("add", (a, _), (_, 0.0)) | ("add", (_, a), (0.0, _)):
-                return a
-            case ("sub", (a, _), (_, 0.0)):
-                return a
-            case ("sub", (_, b), (0.0, _)):
-                return self.apply("neg", b)
-            # Exact for finite numbers only: `_applied` notes the condition "finite" for each node that cancels here.
-            case ("sub", (a, b), _) if a == b:
-                return self.constant(0.0)
-            case ("sub", (a, b), _) if self._is("sub", b, a):  # a − (a − b)
-                return self.nodes[b].arguments[1]
-            case ("sub", (a, b), _) if self._is("sub", a, b):  # (b − c) − b
-                return self.apply("neg", self.nodes[a].arguments[1])
-            case ("sub", (a, b), _) if self.nodes[a].op == "add" and b in self.nodes[a].arguments:
-                one, other = self.nodes[a].arguments
-                return other if one == b else one
-            case ("add", (a, b), _) if self.nodes[a].op == "sub" and self.nodes[a].arguments[1] == b:
-                return self.nodes[a].arguments[0]
-            case ("add", (a, b), _) if self.nodes[b].op == "sub" and self.nodes[b].arguments[1] == a:
-                return self.nodes[b].arguments[0]
-            case ("mul", _, (_, 0.0) | (0.0, _)):
-                return self.constant(0.0)
-            case ("mul", (a, _), (_, 1.0)) | ("mul", (_, a), (1.0, _)) | ("div", (a, _), (_, 1.0)):
-                return a
-            case ("mul", (a, _), (_, -1.0)) | ("mul", (_, a), (-1.0, _)):
-                return self.apply("neg", a)
-            case ("div", _, (0.0, _)):
-                return self.constant(0.0)
-            case ("neg", (a,), _) if self.nodes[a].op == "neg":
-                return self.nodes[a].arguments[0]
-            case ("select", (_, a, b), (bool(p), _, _)):
-                return a if p else b
-            case ("select", (_, a, b), _) if a == b:
-                return a
-            case ("and", (a, _), (_, True)) | ("and", (_, a), (True, _)):
-                return a
-            case ("and", _, (_, False) | (False, _)):
-                return self.constant(False)
-            case ("or", (a, _), (_, False)) | ("or", (_, a), (False, _)):
-                return a
-            case ("or", _, (_, True) | (True, _)):
-                return self.constant(True)
-            case ("min" | "max" | "and" | "or", (a, b), _) if a == b:
-                return a
-        return self._simplify_real(op, arguments) if self.real else None
 
     def _simplify_real(self, op: str, arguments: tuple[int, ...]) -> int | None:
         """Simplifications for real numbers only. A choice that is |x|, min or max in disguise does not jump."""
@@ -465,9 +453,9 @@ class Graph:
     def _absolute_argument(self, less: int, more: int, a: int, b: int) -> int | None:
         """Return x if `less < more ? a : b` is |x|, that is x < 0 ? −x : x, or 0 < x ? x : −x; else None."""
         zero = self.constant(0.0)
-        if more == zero and self._is("neg", a, b) and less == b:
+        if more == zero and self.is_operation("neg", a, b) and less == b:
             return b
-        if less == zero and self._is("neg", b, a) and more == a:
+        if less == zero and self.is_operation("neg", b, a) and more == a:
             return a
         return None
 
@@ -492,6 +480,100 @@ class Graph:
             place[index] = len(small.nodes)
             small.nodes.append(node._replace(arguments=tuple(place[a] for a in node.arguments)))
         return small, [place[index] for index in outputs]
+
+
+def _simpler_sum(graph: Graph, arguments: tuple[int, ...], values: list) -> int | None:
+    (a, b), (x, y) = arguments, values
+    if y == 0.0:
+        return a
+    if x == 0.0:
+        return b
+    first, second = graph.nodes[a], graph.nodes[b]
+    if first.op == "sub" and first.arguments[1] == b:  # (c − b) + b
+        return first.arguments[0]
+    if second.op == "sub" and second.arguments[1] == a:
+        return second.arguments[0]
+    return None
+
+
+def _simpler_difference(graph: Graph, arguments: tuple[int, ...], values: list) -> int | None:
+    (a, b), (x, y) = arguments, values
+    if y == 0.0:
+        return a
+    if x == 0.0:
+        return graph.apply("neg", b)
+    # Exact for finite numbers only: `Graph` notes the condition "finite" for each node that cancels here.
+    if a == b:
+        return graph.constant(0.0)
+    if graph.is_operation("sub", b, a):  # a − (a − b)
+        return graph.nodes[b].arguments[1]
+    if graph.is_operation("sub", a, b):  # (b − c) − b
+        return graph.apply("neg", graph.nodes[a].arguments[1])
+    if graph.nodes[a].op == "add" and b in graph.nodes[a].arguments:
+        one, other = graph.nodes[a].arguments
+        return other if one == b else one
+    return None
+
+
+def _simpler_product(graph: Graph, arguments: tuple[int, ...], values: list) -> int | None:
+    """A product with zero becomes zero, which is correct for real numbers and for finite floating-point numbers."""
+    for other, value in zip(arguments, reversed(values), strict=True):
+        if value == 0.0:
+            return graph.constant(0.0)
+        if value == 1.0:
+            return other
+        if value == -1.0:
+            return graph.apply("neg", other)
+    return None
+
+
+def _simpler_quotient(graph: Graph, arguments: tuple[int, ...], values: list) -> int | None:
+    if values[1] == 1.0:
+        return arguments[0]
+    return graph.constant(0.0) if values[0] == 0.0 else None
+
+
+def _simpler_negative(graph: Graph, arguments: tuple[int, ...], values: list) -> int | None:
+    inner = graph.nodes[arguments[0]]
+    return inner.arguments[0] if inner.op == "neg" else None
+
+
+def _simpler_choice(graph: Graph, arguments: tuple[int, ...], values: list) -> int | None:
+    (_, a, b), (p, _, _) = arguments, values
+    if isinstance(p, bool):
+        return a if p else b
+    return a if a == b else None
+
+
+def _simpler_extreme(graph: Graph, arguments: tuple[int, ...], values: list) -> int | None:
+    return arguments[0] if arguments[0] == arguments[1] else None
+
+
+def _simpler_statement(neutral: bool) -> Rule:
+    """Of "and", whose neutral element is true, and of "or", whose one is false."""
+
+    def rule(graph: Graph, arguments: tuple[int, ...], values: list) -> int | None:
+        for other, value in zip(arguments, reversed(values), strict=True):
+            if isinstance(value, bool):
+                return other if value is neutral else graph.constant(not neutral)
+        return _simpler_extreme(graph, arguments, values)
+
+    return rule
+
+
+SIMPLER: dict[str, Rule] = {
+    "add": _simpler_sum,
+    "sub": _simpler_difference,
+    "mul": _simpler_product,
+    "div": _simpler_quotient,
+    "neg": _simpler_negative,
+    "select": _simpler_choice,
+    "min": _simpler_extreme,
+    "max": _simpler_extreme,
+    "and": _simpler_statement(True),
+    "or": _simpler_statement(False),
+}
+"""For operations that may have a simpler form, the node of that form or None; not all arguments are constants."""
 
 
 def _needs(graph: Graph, op: str, x: tuple[int, ...], nodes: list[Node]) -> Iterator[tuple[Kind, int]]:

@@ -35,12 +35,7 @@ from jaxtyping import Array, Float, Inexact
 from covariant._functional import Functional
 from covariant._typing import Code, Number, Scalar, Vector
 from covariant.models import MechanicalSystem, Motion, input_count
-from covariant.signals import Record, Result, Run
-
-MOST_TURNS = 1e9
-"""An angle of more turns than this counts as missing: its remaining digits hardly resolve its place on a circle."""
-LEAST_OF_A_TURN = 1e-3
-"""Resolution that an angle needs, in turns; in single precision it limits angles to 8 000 turns."""
+from covariant.signals import Record, Result, Run, largest_measurement
 
 LastInput = Float[Array, "m"] | None
 """The last finite input, in the field `last_input` of a state; None where the state stores none."""
@@ -276,9 +271,7 @@ class AbstractObserver(Functional):
     def largest(self, y: Inexact[Array, "*n"] | np.ndarray) -> np.ndarray:
         """Largest magnitude of each entry of a measurement; `step` treats what is larger as missing.
 
-        Beyond 1/ε floating-point numbers do not resolve one unit. Angles on a circle have the smaller bound at which
-        their place on the circle is still resolved: `MOST_TURNS` turns, or `LEAST_OF_A_TURN`/ε turns where that is
-        less.
+        They are those of `signals.largest_measurement`.
 
         Args:
             y: A measurement, of which only shape and precision count.
@@ -286,12 +279,8 @@ class AbstractObserver(Functional):
         Returns:
             The bounds, in the shape of y.
         """
-        eps = float(jnp.finfo(y.dtype).eps)
-        bounds = np.full(y.shape, 1 / eps, jnp.finfo(y.dtype).dtype)
-        # 1/ε turns would leave no digit for the angle within a turn.
         circles = getattr(self, "circles", None) or getattr(getattr(self, "model", None), "circles", ())
-        bounds[list(circles)] = 2 * np.pi * min(MOST_TURNS, LEAST_OF_A_TURN / eps)
-        return bounds
+        return largest_measurement(y, circles)
 
     def admitted(self, y: Inexact[Array, "*n"]) -> Inexact[Array, "*n"]:
         """Replace by NaN what is no configuration of the observer's model, such as a matrix that is no rotation.

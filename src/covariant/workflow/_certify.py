@@ -342,7 +342,8 @@ def check_certificate(
     Args:
         path: The certificate (.json), as `certify` saves it.
         model: The `module:attribute` of a model that is not of this library, given by the person who checks.
-        processes: Processes to check with; with several, a script needs the `if __name__ == "__main__"` guard.
+        processes: Largest number of processes to check with; with several, a script needs the
+            `if __name__ == "__main__"` guard. Up to 1024 leaves are checked in this process.
         progress: Called with the fraction of the leaves that are checked.
 
     Returns:

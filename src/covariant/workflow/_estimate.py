@@ -1,5 +1,6 @@
 """`estimate`: velocities or states from a log, by one observer."""
 
+import functools
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -13,16 +14,14 @@ from covariant.calibration import (
     ESTIMATORS,
     STATE_ESTIMATORS,
     estimators,
-    gated,
     observer_gains,
-    tuned_estimators,
-    with_gains,
 )
 from covariant.engine import EngineName
 from covariant.models import Overrides
 from covariant.observers import AbstractObserver
 from covariant.scoring import rmse
 from covariant.signals import Result, Run
+from covariant.workflow._chosen import build_observer, tells_noise
 from covariant.workflow._determined import Determinacy, determined
 from covariant.workflow._inputs import (
     ColumnNames,
@@ -52,7 +51,7 @@ from covariant.workflow._pages import AbstractEstimates, estimate_report
 from covariant.workflow._progress import Progress, silent
 from covariant.workflow._pushes import Pushes, pushes
 from covariant.workflow._sensors import SensorCount, sensor_counts
-from covariant.workflow._states import state_design_note, tuned_states
+from covariant.workflow._states import state_design_note
 from covariant.workflow._unexplained import unexplained
 
 USE_TORQUES = "intrinsic-kalman", "ukf"
@@ -379,31 +378,21 @@ def choose_observer(
     Raises:
         ValueError: Where it does not fit the model, or the model file lacks numbers.
     """
-    model = loaded.model
-    if observer not in estimators(model):
-        raise ValueError(
-            f"--observer {observer} does not fit {job.model_name}; these do: {', '.join(estimators(model))}"
-        )
-    if alpha is not None and beta is not None:
-        available = with_gains(model, alpha, beta)
-        if observer not in available:
-            raise ValueError(
-                f"--alpha and --beta do not apply to {observer}; they do to {', '.join(available) or 'none'}"
-            )
+    gains = None if alpha is None or beta is None else (alpha, beta)
+    sheet = functools.cache(lambda: log_sheet(loaded))
+    chosen = build_observer(job.model_name, loaded.file, observer, loaded.rate, gains, sheet)
+    if gains is not None:
         stated = f"Given gains: alpha = {alpha:g} 1/s, beta = {beta:g} 1/s²."
-        if loaded.file.measurement_std is None or loaded.file.acceleration_std is None:
-            return available[observer], (f"{stated} No measurement is refused: the model file tells no noise.",)
-        return gated(available[observer], model, log_sheet(loaded)), (stated,)
+        unknown = "" if tells_noise(loaded.file) else " No measurement is refused: the model file tells no noise."
+        return chosen, (stated + unknown,)
     if not loaded.file.mechanical:
-        return tuned_states(loaded, (observer,))[observer], (state_design_note(loaded.file) + loaded.note,)
-    sheet = log_sheet(loaded)
-    designed = observer_gains(sheet, loaded.rate).summary
-    tuned = tuned_estimators(model, loaded.file.dimension, sheet, loaded.rate, names=(observer,))
+        return chosen, (state_design_note(loaded.file) + loaded.note,)
+    designed = observer_gains(sheet(), loaded.rate).summary
     unused = ""
     asked = [
         what
         for what, stated in (
-            ("the external force of [uncertainty]", sheet.external_force or loaded.file.external_force_std),
+            ("the external force of [uncertainty]", sheet().external_force or loaded.file.external_force_std),
             ("the bias of [measurement]", loaded.file.bias),
             ("the parameters of [uncertainty]", loaded.file.family),
             ("the forces of [wrench]", loaded.file.wrenches or None),
@@ -411,12 +400,12 @@ def choose_observer(
         )
         if stated is not None
     ]
-    uses = getattr(tuned[observer], "slow_names", ()) or getattr(tuned[observer], "sensors", ())
+    uses = getattr(chosen, "slow_names", ()) or getattr(chosen, "sensors", ())
     if asked and not uses:
         unused = f" It does not estimate {' and '.join(asked)}; intrinsic-kalman does."
     if loaded.file.torque_std is not None and observer not in USE_TORQUES:
         unused += f" It does not use the torque of [uncertainty]; {' and '.join(USE_TORQUES)} do."
-    return tuned[observer], (f"Designed {designed}.{loaded.note}{unused}",)
+    return chosen, (f"Designed {designed}.{loaded.note}{unused}",)
 
 
 def error_lines(result: Mapping[str, Any], loaded: Loaded) -> list[str]:

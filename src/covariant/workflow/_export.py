@@ -1,5 +1,6 @@
 """`export`: an observer as C for microcontrollers, as a Python package, as WebAssembly, or as a unit (.fmu)."""
 
+import functools
 import math
 import os
 import re
@@ -14,7 +15,7 @@ import numpy as np
 
 from covariant import certificates, models
 from covariant._compile import NO_COMPILER
-from covariant.calibration import ESTIMATORS, estimators, observer_gains, tuned_estimators, with_gains
+from covariant.calibration import DataSheet, estimators, observer_gains, usual_speeds
 from covariant.certificates import audit
 from covariant.codegen import (
     ROWS,
@@ -40,16 +41,18 @@ from covariant.observers import (
     AbstractObserver,
     Delayed,
     FixedLag,
+    Gated,
     chooses_substeps,
     with_fixed_substeps,
 )
 from covariant.workflow._arguments import above_zero, gain_pair
+from covariant.workflow._chosen import build_observer, describe_gate, without_gate
 from covariant.workflow._export_states import state_observer, with_fixed_steps
-from covariant.workflow._exported import Exported
-from covariant.workflow._inputs import data_sheet
+from covariant.workflow._exported import UNGATED, Exported, signals
+from covariant.workflow._inputs import Job, Loaded, data_sheet, innovation_units, load
 from covariant.workflow._progress import Progress, silent
 from covariant.workflow._result import AbstractResult
-from covariant.workflow._sensors import file_sensors, reading_delays, with_readings
+from covariant.workflow._sensors import FileSensor, file_sensors, reading_delays, with_readings
 
 GEOMETRY = ("*rotation", "*place", "*turn", "*slide", "coordinates", "motors", "joints", "base*")
 """Arrays of a robot that say how it is put together: as constants they save nine tenths of the work."""
@@ -59,6 +62,16 @@ REALS = ("double", "float")
 VERSIONS = ("3.0", "2.0")
 CENTRE, SWING = 0.7, 0.2
 """Where positions of the self-test are, and how far they swing, in units of the coordinates; circles start at π."""
+OUTLIER_ROW, OUTLIER = 23, 1.5
+"""The row of the self-test that a gate has to refuse, and how far it is off [rad or m]."""
+NOISE_IS_MISSING = (
+    "add `std` to [measurement] and `acceleration` to [uncertainty], or give both by --set measurement.std=NUMBER "
+    "--set uncertainty.acceleration=NUMBER"
+)
+SPEED_IS_MISSING = (
+    "a machine that is faster than four times that at the start is refused. Give --log LOG, a log that `estimate` runs "
+    "on, or add `motion_acceleration` and `motion_time`, whose product is that speed, to [uncertainty]"
+)
 AUDITED = 6
 """States at which the laws of an observer are measured before it is written."""
 
@@ -82,12 +95,18 @@ def export(
     step_per_sensor: bool = False,
     python: bool = False,
     wasm: bool = False,
+    gate: bool = True,
+    log: Any = None,
     audit: bool = True,
     overwrite: bool = False,
     overrides: Overrides = (),
     progress: Progress = silent,
 ) -> "ExportResult":
     """Write an observer as C99 into a folder, or as a functional mock-up unit (.fmu).
+
+    It is the observer that `estimate` runs at this sampling rate, with its gate: outliers, holes and missing numbers
+    have the same result codes. The gate judges by the noise of the model file and by the usual speed of the motion,
+    which `estimate` reads from its log.
 
     Args:
         model: A model file (.toml), a robot, `module:attribute`, the name of a system, a `ModelFile`, or a system.
@@ -109,6 +128,10 @@ def export(
             for samples in which nothing else was read: less work, more code.
         python: Whether a Python package that needs NumPy alone is written beside the C, and a wheel of it.
         wasm: Whether the observer is compiled to WebAssembly as well, with a script for pages and Node.
+        gate: Whether the gate of the observer is written, which refuses outliers.
+        log: The log on which `estimate` runs, for the usual speed in the gate, for encoder ticks, and for sensors that
+            it has no columns of, which are left out. By default the speed is the product of `motion_acceleration` and
+            `motion_time` in the model file.
         audit: Whether the laws of the observer are measured first; violated ones are a warning.
         overwrite: Whether files that exist are replaced.
         overrides: Values that replace those of the model file.
@@ -138,18 +161,22 @@ def export(
     progress("reading the model")
     family = _family(model, overrides, parameters)
     file = models.load(model, overrides) if family is None else family.file
+    logged = None if log is None else load(Job(model, log, overrides), score=False)
+    if logged is not None:
+        file = file._replace(quantum=logged.file.quantum)  # None where positions in the log are no ticks
     if file.mechanical:
-        exported = _mechanical(label, file, observer, gains, rate, metric)
+        exported = _mechanical(label, file, observer, gains, rate, metric, gate, logged)
     else:
-        exported = state_observer(label, file, observer, gains, rate, certificate, metric)
+        exported = state_observer(label, file, observer, gains, rate, certificate, metric, gate)
     prefix = name or _identifier(file.name)
-    description = f"{exported.name} observer of {file.name}. {exported.design}"
+    description = f"{exported.name} observer of {file.name}. {exported.design} {exported.gate}"
     # A simulator asks a unit for steps of any length; firmware has one step length, and must do the same work in each.
     fixed = exported.observer if unit else _of_fixed_length(exported, rate, file)
     proved = "" if certificate is None else _certified(Path(certificate), model, overrides, exported, fixed, rate)
+    substeps = getattr(getattr(fixed, "observer", fixed), "substeps", None)
     informed = any(entry.name == exported.name and entry.knows_model for entry in REGISTRY)
     # Only an observer with a model can predict from the time of a late reading to the present.
-    parts = file_sensors(file) if file.mechanical else ()
+    parts = _sensors(file, logged) if file.mechanical else ()
     delay = reading_delays(fixed, file.delay, parts, exported.measured[0])
     delayed = Delayed(fixed, delay, rate) if informed and np.any(delay) else fixed
     if step_per_sensor and not getattr(fixed, "sensors", ()):
@@ -159,7 +186,9 @@ def export(
     progress(f"writing {prefix}")
     opened = family if informed else None  # the others have no number of the model
     written = _program(label, delayed, opened, file, parameters, real, exported.measured[0], unit, step_per_sensor)
-    warnings = [line for line in (_broken_laws(exported.observer) if audit else "",) if line]
+    written = written._replace(signals=signals(file, parts, written.u))
+    broken = _broken_laws(exported.inner) if audit else ""
+    warnings = [line for line in (broken, exported.warning) if line]
     if unit:
         version: Any = fmi or VERSIONS[0]
         packed = fmu(written, prefix, description, rate, exported.measured[0], version)
@@ -168,7 +197,7 @@ def export(
             warnings.append(f"the unit holds sources and no binary: {packed.without_binary}")
         files = [out]
     else:
-        facts = Facts(rate, getattr(fixed, "substeps", None), proved, "".join(warnings))
+        facts = Facts(rate, substeps, proved, broken, exported.gate)
         run = vectors(written, exported.measured, rate)
         texts = export_texts(written, prefix, description, exported.measured, facts, limit, run, python, wasm)
         more = python_files(written, texts, prefix, description, rate) if python else {}
@@ -176,7 +205,8 @@ def export(
             warnings.append(f"the Python package holds sources and no library: {NO_COMPILER}")
         more |= wasm_files(written, texts, prefix, description, rate, run) if wasm else {}
         files = write_folder({**texts, **more}, out, overwrite)
-    return ExportResult(label, exported.name, description, exported.design, out, tuple(files), written, tuple(warnings))
+    about, notes = (label, exported.name, description, exported.design), tuple(warnings)
+    return ExportResult(*about, out, tuple(files), written, notes, exported.gate)
 
 
 @dataclass(frozen=True, repr=False)
@@ -192,13 +222,18 @@ class ExportResult(AbstractResult):
         files: All files that were written.
         program: The graphs of the observer and its numbers.
         notes: The warnings.
+        gate: Sentences on the gate, or why there is none.
 
     Example:
         >>> import covariant, tempfile
         >>> folder = tempfile.mkdtemp() + "/c"
-        >>> result = covariant.export("oscillator", folder, rate=500.0, alpha=20.0, beta=200.0, audit=False)
+        >>> noise = {"measurement.std": 1e-3, "uncertainty.acceleration": 1.0}
+        >>> moves = {"uncertainty.motion_acceleration": 20.0, "uncertainty.motion_time": 0.1}
+        >>> result = covariant.export("oscillator", folder, rate=500.0, audit=False, overrides=noise | moves)
         >>> result.observer_name, result.operations > 100
         ('intrinsic', True)
+        >>> result.gate.partition(":")[0]
+        'Its gate refuses outliers, by the noise 0.001 m and the usual speed 2 m/s'
         >>> result.out.name, len(result.files) > 3, result.warnings
         ('c', True, ())
     """
@@ -211,10 +246,11 @@ class ExportResult(AbstractResult):
     files: tuple[Path, ...]
     program: Program
     notes: tuple[str, ...]
+    gate: str = ""
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Sentences on laws of its audit that the observer violates, and on a unit without a binary."""
+        """Sentences on laws of its audit that the observer violates, on what a gate lacks, and on missing binaries."""
         return self.notes
 
     @property
@@ -229,7 +265,7 @@ class ExportResult(AbstractResult):
     @property
     def summary(self) -> dict[str, Any]:
         result: dict[str, Any] = {"model": self.model_name, "observer": self.observer_name, "out": str(self.out)}
-        result |= {"design": self.design, "files": [str(path) for path in self.files]}
+        result |= {"design": self.design, "gate": self.gate, "files": [str(path) for path in self.files]}
         result |= {"numbers": list(self.program.numbers), "operations": self.operations}
         return result | ({"warning": "; ".join(self.notes)} if self.notes else {})
 
@@ -276,31 +312,57 @@ def _mechanical(
     gains: tuple[float, float] | None,
     rate: float,
     metric: str | Path | None,
+    gate: bool,
+    logged: Loaded | None,
 ) -> Exported:
     """An observer of a mechanical model, by default the first that fits it."""
     if metric is not None:
         raise ValueError(f"metric is for the observer riccati of a state-space model; {name} is a mechanical one")
     model: Any = file.model
-    fitting = estimators(model)
-    kind = observer or fitting[0]
-    if kind not in fitting:
-        known = "does not fit" if kind in ESTIMATORS else "is no observer for"
-        raise ValueError(f"observer {kind} {known} {name}; these do: {', '.join(fitting)}")
-    measured = _measured(model, file.dimension)
+    kind = observer or estimators(model)[0]
+    sheet = functools.cache(lambda: _sheet(file, logged))
+    chosen = build_observer(name, file, kind, rate, gains, sheet)
+    told, warning = _about_gate(chosen, file, logged) if gate else (UNGATED, "")
+    chosen = chosen if gate else without_gate(chosen)
+    pace = math.inf if getattr(chosen, "gate", None) is None else float(np.min(sheet().speeds)) / rate
+    measured = _measured(model, file.dimension, pace)
+    if getattr(chosen, "sensors", ()):
+        measured = with_readings(file, _sensors(file, logged), measured)
     if gains is not None:
-        available = with_gains(model, *gains)
-        if kind not in available:
-            raise ValueError(f"alpha and beta do not apply to {kind}; they do to {', '.join(available)}")
         design = f"Given gains: alpha = {gains[0]:g} 1/s, beta = {gains[1]:g} 1/s^2."
-        return Exported(kind, available[kind], design, measured)
-    parts = file_sensors(file)
-    sheet = data_sheet(file)._replace(sensors=tuple(part.sensor for part in parts))
-    tuned = tuned_estimators(model, file.dimension, sheet, rate, names=(kind,))[kind]
-    if getattr(tuned, "sensors", ()):
-        measured = with_readings(file, parts, measured)
+        return Exported(kind, chosen, design, measured, told, warning)
     by_gains = next(entry for entry in REGISTRY if entry.name == kind).tuned_by == "gains"
-    designed = observer_gains(sheet, rate).summary.replace("²", "^2")
-    return Exported(kind, tuned, f"Designed {designed}." if by_gains else "Tuned from its data sheet.", measured)
+    designed = observer_gains(sheet(), rate).summary.replace("²", "^2")
+    design = f"Designed {designed}." if by_gains else "Tuned from its data sheet."
+    return Exported(kind, chosen, design, measured, told, warning)
+
+
+def _sensors(file: ModelFile, logged: Loaded | None) -> tuple[FileSensor, ...]:
+    """The sensors of a model file, without those that a log has no columns of."""
+    known = None if logged is None else {part.sensor.name for part in logged.sensors}
+    return tuple(part for part in file_sensors(file) if known is None or part.sensor.name in known)
+
+
+def _sheet(file: ModelFile, logged: Loaded | None) -> DataSheet:
+    """The data sheet by which `estimate` designs, with the usual speeds of a log where there is one."""
+    speed = (0.0,) * file.dimension if logged is None else usual_speeds(logged.model, logged.record)
+    return data_sheet(file)._replace(speed=speed, sensors=tuple(part.sensor for part in _sensors(file, logged)))
+
+
+def _about_gate(observer: AbstractObserver, file: ModelFile, logged: Loaded | None) -> tuple[str, str]:
+    """Sentences on the gate of an observer, and a warning where it lacks numbers."""
+    told = describe_gate(observer, innovation_units(file))
+    if not told:
+        told, remedy = "It has no gate and refuses no measurement: the model file tells no noise.", NOISE_IS_MISSING
+        return told, f"there is no gate, and no measurement is refused: the model file tells no noise; {remedy}"
+    if not isinstance(observer, Gated):
+        return told, ""
+    if logged is not None:
+        return f"{told} The speed is that of the motion in a log.", ""
+    if file.motion_std is not None and file.motion_time is not None:
+        return f"{told} The speed is motion_acceleration times motion_time of the model file.", ""
+    told += " The speed is assumed, since no log was given and the model file tells none."
+    return told, f"the usual speed of the gate is assumed; {SPEED_IS_MISSING}"
 
 
 def _late(observer: AbstractObserver, name: str, lag: float, rate: float) -> FixedLag:
@@ -391,25 +453,31 @@ def _open_numbers(parameters: dict[str, Any]) -> tuple[str, ...]:
 
 def _of_fixed_length(exported: Exported, rate: float, file: ModelFile) -> AbstractObserver:
     """The observer with as many substeps as it needs: for friction, at the usual speed of the model file."""
-    observer = exported.observer
+    observer = exported.inner
     q = np.stack([observer.configuration(y) for y in exported.measured])
     if not file.mechanical:
         return with_fixed_steps(observer, q, rate)
     if not chooses_substeps(observer):
-        return observer
+        return exported.observer
     sheet = data_sheet(file) if file.acceleration_std is not None and file.measurement_std is not None else None
     speed = 3.0 if sheet is None else np.broadcast_to(sheet.speeds, file.dimension)
     # The sign of v alternates from row to row.
     v = np.broadcast_to(speed, (len(q), file.dimension)) * np.sign(np.arange(len(q)) % 2 - 0.5)[:, None]
     inputs = jnp.zeros((len(q), models.input_count(file.model, file.dimension)))
-    return with_fixed_substeps(observer, rate, jnp.asarray(q), jnp.asarray(v), inputs)
+    fixed = with_fixed_substeps(observer, rate, jnp.asarray(q), jnp.asarray(v), inputs)
+    return exported.with_inner(fixed)
 
 
-def _measured(model: MechanicalSystem, n: int) -> np.ndarray:
-    """Measurements (ROWS + 1, *n) for the self-test: a swing of every coordinate; circles are crossed at π."""
+def _measured(model: MechanicalSystem, n: int, pace: float) -> np.ndarray:
+    """Measurements (ROWS + 1, *n) for the self-test: a swing of every coordinate; circles are crossed at π.
+
+    It moves by no more than `pace` from row to row. Where that is finite, a gate judges, and one row is an outlier.
+    """
     k = np.arange(ROWS + 1)[:, None]
     # Each coordinate has another period and phase, so that no two are alike.
-    swing = SWING * np.sin(k / (4.0 + np.arange(n)) + np.arange(n))
+    swing = min(SWING, 4.0 * pace) * np.sin(k / (4.0 + np.arange(n)) + np.arange(n))
+    if math.isfinite(pace):
+        swing[OUTLIER_ROW, 0] += OUTLIER
     manifold = model.manifold
     if manifold.commuting:
         return swing + np.where(np.isin(np.arange(n), manifold.circles), np.pi, CENTRE)
@@ -421,7 +489,7 @@ def _certified(
 ) -> str:
     """Lines on what a saved certificate says of this observer; raises `ValueError` where it is of another."""
     document, name = certificates.parse(path), models.spec_name(model)
-    observer, kind = exported.observer, exported.name
+    observer, kind = exported.inner, exported.name
     gains = tuple(float(getattr(observer, each, np.nan)) for each in ("alpha", "beta"))
     saved = tuple(float(document.observer[each]) for each in ("alpha", "beta"))
     if not isinstance(model, str | os.PathLike) or document.recipe != models.recipe(name, overrides):
@@ -442,7 +510,7 @@ def _certified(
                 f"{path}: the certificate is for samples {shortest:g} to {longest:g} s apart, and at {rate:g} Hz they "
                 f"are {1 / rate:g} s apart"
             )
-        steps = getattr(fixed, "substeps", None)
+        steps = getattr(getattr(fixed, "observer", fixed), "substeps", None)
         if sampling.substeps not in (None, steps):
             raise ValueError(
                 f"{path}: the certificate is for {sampling.substeps} Runge–Kutta steps in each sample; what is written "
@@ -456,7 +524,22 @@ def _certified(
             f"observer {time}, with the default numbers:",
             "",
             *(f"    {line}" for line in str(checked.statement).splitlines()),
+            *(
+                ["", _beyond_proof(0 if sampling is None else sampling.lost)]
+                if exported.inner is not exported.observer
+                else []
+            ),
         ]
+    )
+
+
+def _beyond_proof(lost: int) -> str:
+    """What a certificate says of a sample that the gate refuses."""
+    covered = f"which it covers up to {lost} in a row" if lost else "which it does not cover"
+    return (
+        "The gate is no part of what is proved. Where a step returns OK it changed nothing, and the statement holds. A "
+        f"measurement that is refused as a whole (OUTLIER) is a lost one, {covered}; of one that is refused in part, "
+        "and after RESTARTED or ASTRAY, nothing is proved until a new start within its radius."
     )
 
 

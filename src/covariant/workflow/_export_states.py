@@ -9,12 +9,14 @@ import jax.numpy as jnp
 import numpy as np
 
 from covariant._integrate import rk4
-from covariant.calibration import STATE_ESTIMATORS, stored_observer, tuned_state_estimators
+from covariant.calibration import STATE_ESTIMATORS, stored_observer
 from covariant.codegen import ROWS
 from covariant.models import ModelFile
 from covariant.observers import AbstractObserver
-from covariant.workflow._exported import Exported
-from covariant.workflow._states import first_estimate, noise, state_design_note
+from covariant.workflow._chosen import build_observer, describe_gate, without_gate
+from covariant.workflow._exported import UNGATED, Exported
+from covariant.workflow._inputs import data_sheet
+from covariant.workflow._states import first_estimate, state_design_note
 
 
 def state_observer(
@@ -25,6 +27,7 @@ def state_observer(
     rate: float,
     certificate: str | Path | None,
     metric: str | Path | None,
+    gate: bool,
 ) -> Exported:
     """Build an observer of a state-space model for export.
 
@@ -36,6 +39,7 @@ def state_observer(
         rate: Sampling rate [Hz].
         certificate: For mechanical models only.
         metric: A metric on a grid that `riccati` looks up; by default it is computed at run time.
+        gate: Whether the gate of the observer is written.
 
     Returns:
         The observer, with measurements for its self-test.
@@ -57,12 +61,14 @@ def state_observer(
     model: Any = file.model
     start, _ = first_estimate(file)
     if metric is None:
-        chosen = tuned_state_estimators(model, noise(file, rate), (kind,))[kind]
+        chosen = build_observer(name, file, kind, rate, None, lambda: data_sheet(file))
         design = state_design_note(file).replace("±", "+-")
     else:
         chosen = stored_observer(model, metric, start)
         design = f"Its metric is that of {Path(metric).name}; none is outside its grid."
-    return Exported(kind, chosen, design, _outputs(model, start, rate))
+    told = describe_gate(chosen, ()) or "It has no gate, on a log either, and refuses no measurement."
+    chosen, told = (chosen, told) if gate else (without_gate(chosen), UNGATED)
+    return Exported(kind, chosen, design, _outputs(model, start, rate), told)
 
 
 def _outputs(model: Any, start: jnp.ndarray, rate: float) -> np.ndarray:

@@ -1,0 +1,143 @@
+"""What a compiled observer is compiled from, as a key that needs no tracing.
+
+An observer of this library is data: a tree of classes and functions of this library, named by their modules, and of
+settings and numbers. The key is a hash of that tree, of the files of this library, and of the packages, flags and
+compiler beside it. An observer with anything else in it, such as a function of a user's script, has no such key:
+what it computes shows in its traced operations alone (`_cache.cache_key`).
+
+The functions of this library are those of its files. A script that replaces one sets `COVARIANT_CACHE=off`.
+"""
+
+import dataclasses
+import enum
+import functools
+import hashlib
+import sys
+from collections.abc import Iterator
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import equinox as eqx
+import jax
+import numpy as np
+
+from covariant._programs import cache_folder
+from covariant.engine._numbers import Places
+
+PACKAGES = ("jax", "jaxlib", "equinox", "numpy", "scipy")
+"""They trace an observer and compute the constants in it."""
+LIBRARY = "covariant"
+
+
+class _UnknownError(Exception):
+    """A part of an observer that is not described by what is in this library's files."""
+
+
+def description_key(observer: Any, places: Places, *form: Any) -> str | None:
+    """Key of a compiled observer, by what the observer is made of.
+
+    Args:
+        observer: The observer.
+        places: Its open numbers, as in `OpenNumbers`; their values are not in the key.
+        form: What else the code is compiled for: numbers, strings, and tuples of these.
+
+    Returns:
+        The hash in hexadecimal digits; None where a part of the observer is not of this library, or nothing is cached.
+    """
+    if cache_folder() is None:
+        return None
+    leaves = jax.tree.leaves(eqx.filter(observer, eqx.is_inexact_array))
+    opened: dict[int, tuple[int, ...] | None] = {}
+    for leaf, at in zip(leaves, places or (None,) * len(leaves), strict=True):
+        if opened.setdefault(id(leaf), at) != at:  # one array in two places, of which one is open
+            return None
+    digest = hashlib.sha256(_environment().encode())
+    try:
+        for part in (*_parts((places, form), {}), *_parts(observer, opened)):
+            digest.update(b"%d:" % len(part) + part)  # with its length, so that no two lists are one text
+    except _UnknownError:
+        return None
+    return digest.hexdigest()
+
+
+def _parts(x: Any, opened: dict[int, tuple[int, ...] | None]) -> Iterator[bytes]:
+    """The parts of a value, each begun by what it is; entries of its open arrays are left out."""
+    kind = type(x)
+    if x is None or kind in (bool, int, str, bytes, complex):
+        yield f"{kind.__name__} {x!r}".encode()
+    elif kind is float:
+        yield f"float {x.hex()}".encode()  # so that numbers that print alike differ
+    elif isinstance(x, enum.Enum):
+        yield f"{_name(kind)} {x.name}".encode()
+    elif isinstance(x, np.dtype):
+        yield f"dtype {x.str}".encode()
+    elif isinstance(x, (np.ndarray, np.generic, jax.Array)):
+        yield from _array(x, opened.get(id(x)))
+    elif isinstance(x, tuple) and (kind is tuple or hasattr(x, "_fields")):
+        yield f"{'tuple' if kind is tuple else _name(kind)} {len(x)}".encode()
+        for each in x:
+            yield from _parts(each, opened)
+    elif kind in (list, dict):
+        yield f"{kind.__name__} {len(x)}".encode()
+        for each in x.items() if kind is dict else x:
+            yield from _parts(each, opened)
+    elif kind is functools.partial:
+        yield b"partial"
+        yield from _parts((x.func, x.args, x.keywords), opened)
+    elif dataclasses.is_dataclass(x) and not isinstance(x, type):
+        yield from _record(x, opened)
+    else:
+        yield f"name {_name(x)}".encode()
+
+
+def _record(x: Any, opened: dict[int, tuple[int, ...] | None]) -> Iterator[bytes]:
+    fields = dataclasses.fields(x)
+    if vars(x).keys() != {field.name for field in fields}:  # something that its class does not declare
+        raise _UnknownError
+    yield f"{_name(type(x))} {len(fields)}".encode()
+    for field in fields:
+        yield field.name.encode()
+        # An array in a static field is no leaf, though the same array may be one elsewhere.
+        yield from _parts(vars(x)[field.name], {} if field.metadata.get("static") else opened)
+
+
+def _array(x: Any, at: tuple[int, ...] | None) -> Iterator[bytes]:
+    kind = "jax" if isinstance(x, jax.Array) else type(x).__name__
+    try:
+        values = np.asarray(x)
+    except TypeError as error:  # such as a key of random numbers
+        raise _UnknownError from error
+    if values.dtype.hasobject or type(values) is not np.ndarray:
+        raise _UnknownError
+    yield f"array {kind} {values.dtype.str} {values.shape} {getattr(x, 'weak_type', False)} {at}".encode()
+    yield (values if at is None else values.ravel()[np.array(at, int) < 0]).tobytes()
+
+
+def _name(x: Any) -> str:
+    """The name by which this library's modules hold a class or a function."""
+    module, name = getattr(x, "__module__", None), getattr(x, "__qualname__", None)
+    if not isinstance(module, str) or not isinstance(name, str) or module.partition(".")[0] != LIBRARY:
+        raise _UnknownError
+    held: Any = sys.modules.get(module)
+    for part in name.split("."):  # a function that another one made has no such path
+        held = getattr(held, part, None)
+    if held is not x:
+        raise _UnknownError
+    return f"{module}:{name}"
+
+
+@functools.cache
+def _library() -> str:
+    """A hash of the files of this library, and of the versions of what it computes with."""
+    root = Path(__file__).parents[1]
+    digest = hashlib.sha256("\n".join([sys.version, *map(version, PACKAGES)]).encode())
+    for path in sorted(root.rglob("*.py")):
+        digest.update(f"\n{path.relative_to(root).as_posix()}\n".encode() + path.read_bytes())
+    return digest.hexdigest()
+
+
+def _environment() -> str:
+    """The library, and the flags of JAX as they are set now: some change types and constants of what is traced."""
+    flags = {name: getattr(jax.config, name, value) for name, value in jax.config.values.items()}
+    return "\n".join([_library(), *(f"{name} {flags[name]!r}" for name in sorted(flags))])

@@ -1,0 +1,111 @@
+"""Which numbers of an observer are arguments of its compiled code, so that one code serves other numbers too.
+
+A number that takes operations away stays in the code: zero, in the tables of a model ±1 too, and what is not finite.
+Numbers of a model that are equal in all observers, such as a mass that inertia and potential both hold, are one
+argument, so that what is computed of both is computed once.
+"""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from covariant.observers import AbstractObserver
+
+MODEL = {"model", "metric"}
+"""Fields of observers that hold a model, or a metric designed for it, which stays in the code as tables do."""
+MOST_OPEN = 100
+"""Size of the largest array that is an argument, the covariance of ten joints; larger tables are constants."""
+
+Places = tuple[tuple[int, ...] | None, ...]
+
+
+class OpenNumbers(NamedTuple):
+    """Numbers of observers of one kind that are arguments of their code.
+
+    Attributes:
+        places: For each array of real numbers of the observer, counted as leaves of its pytree, the argument of each
+            entry, −1 for a constant; None for an array of constants.
+        values: The arguments (N, K) of each of N observers.
+    """
+
+    places: Places
+    values: np.ndarray
+
+
+def open_numbers(observers: Sequence[AbstractObserver], models: bool = True) -> OpenNumbers:
+    """Decide which numbers of observers are arguments of their code.
+
+    Args:
+        observers: N observers of one kind.
+        models: Whether numbers of a model are among them that are the same in all observers.
+
+    Raises:
+        ValueError: The observers differ in more than the values of their arrays.
+    """
+    leaves, trees = zip(*map(jax.tree.flatten, observers), strict=True)
+    real = [eqx.is_inexact_array(leaf) for leaf in leaves[0]]
+    for k, (tree, others) in enumerate(zip(trees, leaves, strict=True)):
+        if tree != trees[0] or not all(map(_alike, real, others, leaves[0])):
+            raise ValueError(
+                f"run_logs: observer {k} is of another kind than the first, not only of other numbers; run it alone"
+            )
+    paths = [path for path, _ in jax.tree_util.tree_flatten_with_path(observers[0])[0]]
+    shared: dict[bytes, int] = {}
+    columns: list[np.ndarray] = []
+    places: list[tuple[int, ...] | None] = []
+    for i in np.flatnonzero(real).tolist():
+        rows = np.stack([np.ravel(others[i]) for others in leaves]).astype(float)
+        fields = {getattr(key, "name", None) for key in paths[i]}
+        of_model = not fields.isdisjoint(MODEL)
+        varies = (rows != rows[0]).any(axis=0)  # so does NaN, which equals nothing
+        few = rows.shape[1] <= MOST_OPEN and "metric" not in fields and (models or not of_model)
+        opened = varies | (_usual(rows[0], of_model) & few)
+        each = []
+        for column, is_open in zip(rows.T, opened.tolist(), strict=True):
+            # Equal gains are equal by chance or by symmetry up to rounding: they are not told apart by that.
+            key = column.tobytes() if of_model else len(columns).to_bytes(8)
+            if is_open and key not in shared:
+                shared[key] = len(columns)
+                columns.append(column)
+            each.append(shared[key] if is_open else -1)
+        places.append(tuple(each) if opened.any() else None)
+    values = np.stack(columns, axis=1) if columns else np.empty((len(observers), 0))
+    return OpenNumbers(tuple(places), values)
+
+
+def _usual(values: np.ndarray, of_model: bool) -> np.ndarray:
+    """Which values take no operations away as constants."""
+    return np.isfinite(values) & (values != 0) & ~(of_model & (np.abs(values) == 1))
+
+
+def _alike(real: bool, leaf: Any, first: Any) -> bool:
+    """Whether leaves of two observers differ at most in the values of an array of real numbers."""
+    if leaf is first:
+        return True
+    if real:
+        return eqx.is_inexact_array(leaf) and np.shape(leaf) == np.shape(first)
+    return not eqx.is_inexact_array(leaf) and bool(eqx.tree_equal(leaf, first))
+
+
+def filled(leaves: Sequence[Any], places: Places, numbers: Any) -> list[Any]:
+    """Arrays of an observer with its open numbers in their places.
+
+    Args:
+        leaves: The arrays.
+        places: As in `OpenNumbers`.
+        numbers: The open numbers (K,).
+    """
+    return [
+        leaf if at is None else _filled(np.asarray(leaf), np.array(at), numbers)
+        for leaf, at in zip(leaves, places, strict=True)
+    ]
+
+
+def _filled(leaf: np.ndarray, at: np.ndarray, numbers: Any) -> Any:
+    known = leaf.ravel()[at < 0]
+    index = np.where(at < 0, len(numbers) + np.cumsum(at < 0) - 1, at)
+    return jnp.concatenate([numbers, known])[index].reshape(leaf.shape).astype(leaf.dtype)
