@@ -18,7 +18,7 @@ import covariant
 from covariant.calibration import usual_speeds
 from covariant.codegen import _wasm
 from covariant.signals import Record, Result
-from covariant.workflow import _export
+from covariant.workflow._chosen import beyond_proof
 
 MODEL = """system = "pendulum_chain"
 parameters = {mass = [1.0], length = [0.5]}
@@ -252,6 +252,6 @@ def test_a_gate_can_be_left_out(tmp_path):
 
 @pytest.mark.parametrize("lost", [0, 2])
 def test_a_certificate_says_what_the_gate_does_to_it(lost):
-    text = _export._beyond_proof(lost)
+    text = beyond_proof(lost)
     assert ("covers up to 2 in a row" if lost else "does not cover") in text
     assert "Where a step returns OK it changed nothing" in text
