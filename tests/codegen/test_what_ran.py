@@ -224,11 +224,9 @@ def test_header_data_sheet_and_readme_tell_the_gate_the_units_and_each_code(tmp_
 
 def test_without_noise_a_gate_is_missed_in_every_text(tmp_path):
     result = exported(tmp_path, MODEL[: MODEL.index("[measurement]")], observer="intrinsic", alpha=20.0, beta=200.0)
-    assert all(
-        "It has no gate and refuses no measurement: the model file tells no noise." in t for t in texts(tmp_path)
-    )
-    (warning,) = result.warnings
-    assert "add `std` to [measurement] and `acceleration` to [uncertainty]" in warning
+    assert result.gate.startswith("It has no gate and refuses no measurement, since the model file tells no noise")
+    assert "add `std` to [measurement] and `acceleration` to [uncertainty]" in result.gate
+    assert all(result.gate in text for text in (*texts(tmp_path), str(result)))
     assert "speed" not in result.program.numbers
 
 

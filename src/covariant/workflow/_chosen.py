@@ -12,9 +12,9 @@ from covariant.observers import AbstractObserver, Gated
 from covariant.workflow._inputs import innovation_units
 from covariant.workflow._states import noise
 
-NOISE_IS_MISSING = (
-    "add `std` to [measurement] and `acceleration` to [uncertainty], or give both by --set measurement.std=NUMBER "
-    "--set uncertainty.acceleration=NUMBER"
+NO_NOISE = (
+    "It has no gate and refuses no measurement, since the model file tells no noise: add `std` to [measurement] and "
+    "`acceleration` to [uncertainty]."
 )
 SPEED_IS_MISSING = (
     "a machine that is faster than four times that at the start is refused. Give --log LOG, a log that `estimate` runs "
@@ -100,15 +100,11 @@ def explain_gate(observer: AbstractObserver, file: ModelFile, logged: bool) -> t
         logged: Whether the usual speed in the gate was read from a log.
 
     Returns:
-        Sentences on the gate, or on why there is none; and a warning where numbers are missing, otherwise "".
+        Sentences on the gate, or on why there is none; and a warning where its speed is assumed, otherwise "".
     """
     told = describe_gate(observer, innovation_units(file))
     if not told:
-        told = "It has no gate and refuses no measurement: the model file tells no noise."
-        return (
-            told,
-            f"there is no gate, and no measurement is refused: the model file tells no noise; {NOISE_IS_MISSING}",
-        )
+        return NO_NOISE, ""
     if not isinstance(observer, Gated):
         return told, ""
     if logged:

@@ -24,7 +24,7 @@ class Exported(NamedTuple):
         design: A sentence on its numbers.
         measured: Measurements (ROWS + 1, *n) for the self-test.
         gate: Sentences on its gate, or why there is none.
-        warning: What is missing of the gate, and what to do; may be empty.
+        warning: That the speed in the gate is assumed, and what to do; may be empty.
     """
 
     name: str
