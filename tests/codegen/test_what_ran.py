@@ -18,7 +18,7 @@ import covariant
 from covariant.calibration import usual_speeds
 from covariant.codegen import _wasm
 from covariant.signals import Record, Result
-from covariant.workflow import _export
+from covariant.workflow._chosen import beyond_proof
 
 MODEL = """system = "pendulum_chain"
 parameters = {mass = [1.0], length = [0.5]}
@@ -72,13 +72,16 @@ def folder(tmp_path_factory) -> Path:
 
 @pytest.fixture(scope="module", params=OBSERVERS)
 def ran(request, folder):
-    """The run of `estimate`, and the folder and the unit that are exported of the same observer."""
+    """The run of `estimate`, and what exports the same observer."""
     name = request.param.partition("-")[0]
-    model, options = folder / "pendulum.toml", {"observer": request.param, "rate": RATE, "audit": False, "name": name}
+    model, chosen = folder / "pendulum.toml", {"observer": request.param, "rate": RATE, "audit": False, "name": name}
     result = covariant.estimate(model, log(), observer=request.param, engine="jax")
-    covariant.export(model, folder / name, python=True, **options)
-    covariant.export(model, folder / f"{name}.fmu", fmi="2.0", **options)
-    return name, result, folder
+
+    def export(out, **options):
+        covariant.export(model, folder / out, **chosen, **options)
+        return folder / out
+
+    return name, result, export
 
 
 def same(result, codes, estimates, atol=1e-9):
@@ -86,7 +89,6 @@ def same(result, codes, estimates, atol=1e-9):
     np.testing.assert_allclose(estimates, np.asarray(result.run.estimate), rtol=0, atol=atol)
 
 
-@needs_compiler
 def test_the_log_has_what_the_law_is_about(ran):
     name, result, _ = ran
     codes = [Result(c).name for c in result.codes]
@@ -98,8 +100,8 @@ def test_the_log_has_what_the_law_is_about(ran):
 
 @needs_compiler
 def test_c_does_what_ran(ran):
-    name, result, folder = ran
-    source = folder / name / f"{name}.c"
+    name, result, export = ran
+    source = export(f"{name}_c") / f"{name}.c"
     library = source.with_suffix(".so")
     subprocess.run(["cc", "-std=c99", "-O1", "-fPIC", "-shared", source, "-lm", "-o", library], check=True)
     code, numbers = ctypes.CDLL(str(library)), (ctypes.c_double * 1)
@@ -117,20 +119,22 @@ def test_c_does_what_ran(ran):
     same(result, codes, estimates)
 
 
+@pytest.mark.long
 @needs_compiler
 def test_the_python_module_does_what_ran(ran, monkeypatch):
-    name, result, folder = ran
-    monkeypatch.syspath_prepend(folder / name / "python")
+    name, result, export = ran
+    monkeypatch.syspath_prepend(export(f"{name}_module", python=True) / "python")
     run = importlib.import_module(name).run(log().t, log().y, log().u)
     same(result, run.result, np.concatenate([run.q, run.v], axis=1))
 
 
+@pytest.mark.long
 @needs_compiler
 @in_a_unit
 def test_a_unit_does_what_ran(ran, tmp_path):
     """Its outputs are predicted to the next stamp, where the innovations of the run are."""
-    name, result, folder = ran
-    with zipfile.ZipFile(folder / f"{name}.fmu") as packed:
+    name, result, export = ran
+    with zipfile.ZipFile(export(f"{name}.fmu", fmi="2.0")) as packed:
         packed.extractall(tmp_path)
     description = ElementTree.parse(tmp_path / "modelDescription.xml").getroot()
     code = ctypes.CDLL(str(tmp_path / "binaries" / "linux64" / f"{name}.so"))
@@ -223,12 +227,10 @@ def test_header_data_sheet_and_readme_tell_the_gate_the_units_and_each_code(tmp_
 
 
 def test_without_noise_a_gate_is_missed_in_every_text(tmp_path):
-    result = exported(tmp_path, MODEL[: MODEL.index("[measurement]")], observer="intrinsic", alpha=20.0, beta=200.0)
-    assert all(
-        "It has no gate and refuses no measurement: the model file tells no noise." in t for t in texts(tmp_path)
-    )
-    (warning,) = result.warnings
-    assert "add `std` to [measurement] and `acceleration` to [uncertainty]" in warning
+    result = exported(tmp_path, MODEL[: MODEL.index("[measurement]")], observer="copy", alpha=20.0, beta=200.0)
+    assert result.gate.startswith("It has no gate and refuses no measurement, since the model file tells no noise")
+    assert "add `std` to [measurement] and `acceleration` to [uncertainty]" in result.gate
+    assert all(result.gate in text for text in (*texts(tmp_path), str(result)))
     assert "speed" not in result.program.numbers
 
 
@@ -252,6 +254,6 @@ def test_a_gate_can_be_left_out(tmp_path):
 
 @pytest.mark.parametrize("lost", [0, 2])
 def test_a_certificate_says_what_the_gate_does_to_it(lost):
-    text = _export._beyond_proof(lost)
+    text = beyond_proof(lost)
     assert ("covers up to 2 in a row" if lost else "does not cover") in text
     assert "Where a step returns OK it changed nothing" in text

@@ -73,7 +73,7 @@ class Signals(NamedTuple):
     """Names of the numbers that an observer takes and gives, in their order, with units, for comments and texts.
 
     Attributes:
-        y: A name for each number of a measurement, as "q1 [rad]"; empty where they are not known.
+        y: A name for each number of a measurement, as "q1 [rad]", or one for all; empty where they are not known.
         u: A name for each input.
         x: Names for each array of an estimate, as ("v", ("q1 [rad/s]",)).
 

@@ -9,7 +9,17 @@ import numpy as np
 from covariant.calibration import DataSheet, estimators, gated, tuned_estimators, tuned_state_estimators, with_gains
 from covariant.models import ModelFile
 from covariant.observers import AbstractObserver, Gated
+from covariant.workflow._inputs import innovation_units
 from covariant.workflow._states import noise
+
+NO_NOISE = (
+    "It has no gate and refuses no measurement, since the model file tells no noise: add `std` to [measurement] and "
+    "`acceleration` to [uncertainty]."
+)
+SPEED_IS_MISSING = (
+    "a machine that is faster than four times that at the start is refused. Give --log LOG, a log that `estimate` runs "
+    "on, or add `motion_acceleration` and `motion_time`, whose product is that speed, to [uncertainty]"
+)
 
 
 def build_observer(
@@ -79,6 +89,40 @@ def describe_gate(observer: AbstractObserver, units: tuple[str, ...]) -> str:
         return f"Its gate refuses outliers, by the noise {noise} and the usual speed {speed}."
     gate = getattr(observer, "gate", None)
     return "" if gate is None else f"Its gate refuses what is {gate.deviations:g} standard deviations off."
+
+
+def explain_gate(observer: AbstractObserver, file: ModelFile, logged: bool) -> tuple[str, str]:
+    """Describe the gate of an observer of a mechanical model for its export.
+
+    Args:
+        observer: The observer, not late.
+        file: Its model file.
+        logged: Whether the usual speed in the gate was read from a log.
+
+    Returns:
+        Sentences on the gate, or on why there is none; and a warning where its speed is assumed, otherwise "".
+    """
+    told = describe_gate(observer, innovation_units(file))
+    if not told:
+        return NO_NOISE, ""
+    if not isinstance(observer, Gated):
+        return told, ""
+    if logged:
+        return f"{told} The speed is that of the motion in a log.", ""
+    if file.motion_std is not None and file.motion_time is not None:
+        return f"{told} The speed is motion_acceleration times motion_time of the model file.", ""
+    told += " The speed is assumed, since no log was given and the model file tells none."
+    return told, f"the usual speed of the gate is assumed; {SPEED_IS_MISSING}"
+
+
+def beyond_proof(lost: int) -> str:
+    """What a certificate says of samples that a gate refuses, up to `lost` of which it covers in a row."""
+    covered = f"which it covers up to {lost} in a row" if lost else "which it does not cover"
+    return (
+        "The gate is no part of what is proved. Where a step returns OK it changed nothing, and the statement holds. A "
+        f"measurement that is refused as a whole (OUTLIER) is a lost one, {covered}; of one that is refused in part, "
+        "and after RESTARTED or ASTRAY, nothing is proved until a new start within its radius."
+    )
 
 
 def _with_units(value: Any, units: tuple[str, ...], per: str) -> str:

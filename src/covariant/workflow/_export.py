@@ -1,6 +1,5 @@
 """`export`: an observer as C for microcontrollers, as a Python package, as WebAssembly, or as a unit (.fmu)."""
 
-import functools
 import math
 import os
 import re
@@ -15,10 +14,8 @@ import numpy as np
 
 from covariant import certificates, models
 from covariant._compile import NO_COMPILER
-from covariant.calibration import DataSheet, estimators, observer_gains, usual_speeds
 from covariant.certificates import audit
 from covariant.codegen import (
-    ROWS,
     Facts,
     Program,
     Recipe,
@@ -34,25 +31,25 @@ from covariant.codegen import (
     write_folder,
 )
 from covariant.lowering import LoweringError, operations
-from covariant.models import Family, MechanicalSystem, ModelFile, Overrides
+from covariant.models import Family, ModelFile, Overrides
 from covariant.observers import (
     REGISTRY,
     SMOOTHED,
     AbstractObserver,
     Delayed,
     FixedLag,
-    Gated,
     chooses_substeps,
     with_fixed_substeps,
 )
 from covariant.workflow._arguments import above_zero, gain_pair
-from covariant.workflow._chosen import build_observer, describe_gate, without_gate
+from covariant.workflow._chosen import beyond_proof
+from covariant.workflow._export_mechanical import mechanical_observer, sensors_of
 from covariant.workflow._export_states import state_observer, with_fixed_steps
-from covariant.workflow._exported import UNGATED, Exported, signals
-from covariant.workflow._inputs import Job, Loaded, data_sheet, innovation_units, load
+from covariant.workflow._exported import Exported, signals
+from covariant.workflow._inputs import Job, data_sheet, load
 from covariant.workflow._progress import Progress, silent
 from covariant.workflow._result import AbstractResult
-from covariant.workflow._sensors import FileSensor, file_sensors, reading_delays, with_readings
+from covariant.workflow._sensors import reading_delays
 
 GEOMETRY = ("*rotation", "*place", "*turn", "*slide", "coordinates", "motors", "joints", "base*")
 """Arrays of a robot that say how it is put together: as constants they save nine tenths of the work."""
@@ -60,18 +57,6 @@ STORED = ("low", "high", "spacing", "factors")
 """Arrays of a metric on a grid, a table that the code looks up."""
 REALS = ("double", "float")
 VERSIONS = ("3.0", "2.0")
-CENTRE, SWING = 0.7, 0.2
-"""Where positions of the self-test are, and how far they swing, in units of the coordinates; circles start at π."""
-OUTLIER_ROW, OUTLIER = 23, 1.5
-"""The row of the self-test that a gate has to refuse, and how far it is off [rad or m]."""
-NOISE_IS_MISSING = (
-    "add `std` to [measurement] and `acceleration` to [uncertainty], or give both by --set measurement.std=NUMBER "
-    "--set uncertainty.acceleration=NUMBER"
-)
-SPEED_IS_MISSING = (
-    "a machine that is faster than four times that at the start is refused. Give --log LOG, a log that `estimate` runs "
-    "on, or add `motion_acceleration` and `motion_time`, whose product is that speed, to [uncertainty]"
-)
 AUDITED = 6
 """States at which the laws of an observer are measured before it is written."""
 
@@ -165,7 +150,7 @@ def export(
     if logged is not None:
         file = file._replace(quantum=logged.file.quantum)  # None where positions in the log are no ticks
     if file.mechanical:
-        exported = _mechanical(label, file, observer, gains, rate, metric, gate, logged)
+        exported = mechanical_observer(label, file, observer, gains, rate, metric, gate, logged)
     else:
         exported = state_observer(label, file, observer, gains, rate, certificate, metric, gate)
     prefix = name or _identifier(file.name)
@@ -176,7 +161,7 @@ def export(
     substeps = getattr(getattr(fixed, "observer", fixed), "substeps", None)
     informed = any(entry.name == exported.name and entry.knows_model for entry in REGISTRY)
     # Only an observer with a model can predict from the time of a late reading to the present.
-    parts = _sensors(file, logged) if file.mechanical else ()
+    parts = sensors_of(file, logged) if file.mechanical else ()
     delay = reading_delays(fixed, file.delay, parts, exported.measured[0])
     delayed = Delayed(fixed, delay, rate) if informed and np.any(delay) else fixed
     if step_per_sensor and not getattr(fixed, "sensors", ()):
@@ -232,7 +217,7 @@ class ExportResult(AbstractResult):
         >>> result = covariant.export("oscillator", folder, rate=500.0, audit=False, overrides=noise | moves)
         >>> result.observer_name, result.operations > 100
         ('intrinsic', True)
-        >>> result.gate.partition(":")[0]
+        >>> result.gate.partition(". ")[0]
         'Its gate refuses outliers, by the noise 0.001 m and the usual speed 2 m/s'
         >>> result.out.name, len(result.files) > 3, result.warnings
         ('c', True, ())
@@ -303,66 +288,6 @@ def _check(
         )
     if unit and certificate is not None:
         raise ValueError("certificate is for the data sheet, which a unit does not have; leave it out")
-
-
-def _mechanical(
-    name: str,
-    file: ModelFile,
-    observer: str | None,
-    gains: tuple[float, float] | None,
-    rate: float,
-    metric: str | Path | None,
-    gate: bool,
-    logged: Loaded | None,
-) -> Exported:
-    """An observer of a mechanical model, by default the first that fits it."""
-    if metric is not None:
-        raise ValueError(f"metric is for the observer riccati of a state-space model; {name} is a mechanical one")
-    model: Any = file.model
-    kind = observer or estimators(model)[0]
-    sheet = functools.cache(lambda: _sheet(file, logged))
-    chosen = build_observer(name, file, kind, rate, gains, sheet)
-    told, warning = _about_gate(chosen, file, logged) if gate else (UNGATED, "")
-    chosen = chosen if gate else without_gate(chosen)
-    pace = math.inf if getattr(chosen, "gate", None) is None else float(np.min(sheet().speeds)) / rate
-    measured = _measured(model, file.dimension, pace)
-    if getattr(chosen, "sensors", ()):
-        measured = with_readings(file, _sensors(file, logged), measured)
-    if gains is not None:
-        design = f"Given gains: alpha = {gains[0]:g} 1/s, beta = {gains[1]:g} 1/s^2."
-        return Exported(kind, chosen, design, measured, told, warning)
-    by_gains = next(entry for entry in REGISTRY if entry.name == kind).tuned_by == "gains"
-    designed = observer_gains(sheet(), rate).summary.replace("²", "^2")
-    design = f"Designed {designed}." if by_gains else "Tuned from its data sheet."
-    return Exported(kind, chosen, design, measured, told, warning)
-
-
-def _sensors(file: ModelFile, logged: Loaded | None) -> tuple[FileSensor, ...]:
-    """The sensors of a model file, without those that a log has no columns of."""
-    known = None if logged is None else {part.sensor.name for part in logged.sensors}
-    return tuple(part for part in file_sensors(file) if known is None or part.sensor.name in known)
-
-
-def _sheet(file: ModelFile, logged: Loaded | None) -> DataSheet:
-    """The data sheet by which `estimate` designs, with the usual speeds of a log where there is one."""
-    speed = (0.0,) * file.dimension if logged is None else usual_speeds(logged.model, logged.record)
-    return data_sheet(file)._replace(speed=speed, sensors=tuple(part.sensor for part in _sensors(file, logged)))
-
-
-def _about_gate(observer: AbstractObserver, file: ModelFile, logged: Loaded | None) -> tuple[str, str]:
-    """Sentences on the gate of an observer, and a warning where it lacks numbers."""
-    told = describe_gate(observer, innovation_units(file))
-    if not told:
-        told, remedy = "It has no gate and refuses no measurement: the model file tells no noise.", NOISE_IS_MISSING
-        return told, f"there is no gate, and no measurement is refused: the model file tells no noise; {remedy}"
-    if not isinstance(observer, Gated):
-        return told, ""
-    if logged is not None:
-        return f"{told} The speed is that of the motion in a log.", ""
-    if file.motion_std is not None and file.motion_time is not None:
-        return f"{told} The speed is motion_acceleration times motion_time of the model file.", ""
-    told += " The speed is assumed, since no log was given and the model file tells none."
-    return told, f"the usual speed of the gate is assumed; {SPEED_IS_MISSING}"
 
 
 def _late(observer: AbstractObserver, name: str, lag: float, rate: float) -> FixedLag:
@@ -468,22 +393,6 @@ def _of_fixed_length(exported: Exported, rate: float, file: ModelFile) -> Abstra
     return exported.with_inner(fixed)
 
 
-def _measured(model: MechanicalSystem, n: int, pace: float) -> np.ndarray:
-    """Measurements (ROWS + 1, *n) for the self-test: a swing of every coordinate; circles are crossed at π.
-
-    It moves by no more than `pace` from row to row. Where that is finite, a gate judges, and one row is an outlier.
-    """
-    k = np.arange(ROWS + 1)[:, None]
-    # Each coordinate has another period and phase, so that no two are alike.
-    swing = min(SWING, 4.0 * pace) * np.sin(k / (4.0 + np.arange(n)) + np.arange(n))
-    if math.isfinite(pace):
-        swing[OUTLIER_ROW, 0] += OUTLIER
-    manifold = model.manifold
-    if manifold.commuting:
-        return swing + np.where(np.isin(np.arange(n), manifold.circles), np.pi, CENTRE)
-    return np.stack([np.asarray(manifold.retract(manifold.origin(), jnp.asarray(s))) for s in swing])
-
-
 def _certified(
     path: Path, model: Any, overrides: Overrides, exported: Exported, fixed: AbstractObserver, rate: float
 ) -> str:
@@ -525,21 +434,11 @@ def _certified(
             "",
             *(f"    {line}" for line in str(checked.statement).splitlines()),
             *(
-                ["", _beyond_proof(0 if sampling is None else sampling.lost)]
+                ["", beyond_proof(0 if sampling is None else sampling.lost)]
                 if exported.inner is not exported.observer
                 else []
             ),
         ]
-    )
-
-
-def _beyond_proof(lost: int) -> str:
-    """What a certificate says of a sample that the gate refuses."""
-    covered = f"which it covers up to {lost} in a row" if lost else "which it does not cover"
-    return (
-        "The gate is no part of what is proved. Where a step returns OK it changed nothing, and the statement holds. A "
-        f"measurement that is refused as a whole (OUTLIER) is a lost one, {covered}; of one that is refused in part, "
-        "and after RESTARTED or ASTRAY, nothing is proved until a new start within its radius."
     )
 
 

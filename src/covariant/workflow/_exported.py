@@ -24,7 +24,7 @@ class Exported(NamedTuple):
         design: A sentence on its numbers.
         measured: Measurements (ROWS + 1, *n) for the self-test.
         gate: Sentences on its gate, or why there is none.
-        warning: What is missing of the gate, and what to do; may be empty.
+        warning: That the speed in the gate is assumed, and what to do; may be empty.
     """
 
     name: str
@@ -60,8 +60,9 @@ def signals(file: ModelFile, parts: tuple[FileSensor, ...], inputs: int) -> Sign
     # A system of this library with as many inputs as velocities takes generalised forces.
     forces = force_units(file) if file.system and inputs == n else ("",) * inputs
     v = _named(sought_columns(file), sought_units(file))
-    if not file.model.manifold.commuting:  # a matrix is as the header says, by rows
-        return Signals((), _named(u, forces), (("v", v),))
+    if not file.model.manifold.commuting:
+        whole = ("the configuration, its matrices by rows; rotations have no unit, positions are in m, angles in rad",)
+        return Signals(whole, _named(u, forces), (("v", v),))
     names, units = coordinates(file)
     q = _named(file.columns.q if len(file.columns.q) == n else names, units)
     read = tuple(f"{name} [{part.unit}]" for part in parts for name in part.columns.measured)
