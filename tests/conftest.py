@@ -44,8 +44,8 @@ jax.config.update("jax_numpy_dtype_promotion", "strict")
 hypothesis.settings.register_profile("laws", derandomize=True, deadline=None, database=None, max_examples=60)
 hypothesis.settings.load_profile("laws")
 
-MOST_MAPPINGS = 40_000
-"""Mappings of memory from which compiled programs are released; Linux allows 65 530."""
+MOST_MAPPINGS, MOST_BYTES = 40_000, 1.8e9
+"""Mappings of memory and resident bytes from which compiled programs are released; Linux allows 65 530 mappings."""
 SHARE = 4.0
 """Seconds of a core from which a test is named after a run: a short one of these should be `long`."""
 
@@ -169,11 +169,14 @@ def pytest_configure(config):
 
 @pytest.fixture(scope="module", autouse=True)
 def release_memory():
-    """Release compiled programs where they hold many mappings of memory. Others, such as the operations of JAX on small
-    arrays, are used again by the files that follow."""
+    """Release compiled programs where they hold much memory. Others, such as the operations of JAX on small arrays, are
+    used again by the files that follow."""
     yield
-    mappings = Path("/proc/self/maps")
-    if not mappings.exists() or mappings.read_bytes().count(b"\n") > MOST_MAPPINGS:
+    process = Path("/proc/self")
+    if not process.exists() or (
+        (process / "maps").read_bytes().count(b"\n") > MOST_MAPPINGS
+        or int((process / "statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") > MOST_BYTES
+    ):
         jax.clear_caches()
         gc.collect()
 
