@@ -75,8 +75,8 @@ PUBLIC = {
     "geometry.lie": "SE2 SE3 SO2 SO3 SU AbstractGroup AbstractInertia Inertia LeftInvariant MatrixGroup Product "
     "quaternion_from_rotation rotation_from_quaternion",
     "logs": "ATTITUDES MEANT MESSAGES OPTIONAL WRITTEN Body ClockError Columns Log LogError bodies check_unit "
-    "coordinates matrices read readings record source_name survey to_columns unit_factor unit_in_name without_unit "
-    "words_of write",
+    "coordinates matrices read readings record source_name survey to_columns unit_factor unit_in_name unknown_unit "
+    "unknown_unit_fault without_unit words_of write",
     "lowering": "C_KEYWORDS FOLD INTERVALS LARGEST NUMBERS STUMPFF TRUTHS Branch CText Call ClosedJaxpr Condition "
     "Conditions Derivative Domain Enclosure Graph Interval JaxprEquation Lowered LoweringError Node Scan Signature "
     "TracedFunction Truth While c_function c_helpers c_number c_rows enclose equations evaluate expand fingerprint "

@@ -100,6 +100,48 @@ def test_outliers_and_missing_samples_hardly_move_a_fit(fits, tmp_path):
     assert np.all(np.abs(found.values - [MASS, INERTIA, VISCOUS]) < 4 * fits[0].standard_errors)
 
 
+def test_outliers_do_not_hide_that_a_model_predicts_worse():
+    t = np.arange(0, 12, 0.02)
+    rng = np.random.default_rng(0)
+    y = np.cos(t) + 1e-3 * rng.normal(size=len(t))
+    y[rng.choice(len(t), 12, replace=False)] += 2.0
+    record = Record(t, np.zeros((len(t), 1)), y[:, None])
+    pieces = windows([record], [-np.sin(t)[:, None]], length=1.0)
+    before, after = (prediction_errors(models.oscillator(stiffness=k), 0.0, pieces) for k in (1.0, 1.05))
+    assert growth(before, after) > 1.5
+
+
+MASS_ON_A_RAIL = """
+import jax.numpy as jnp
+from covariant.models import Lagrangian, Parametric
+
+def friction(q, v, viscous, coulomb):
+    return -viscous * v - coulomb * jnp.arctan(100.0 * v)
+
+def make(viscous, coulomb):
+    forces = Parametric(friction, viscous=viscous, coulomb=coulomb)
+    return Lagrangian(lambda q: jnp.eye(1), lambda q: 0.0, dissipation=forces, coordinates=("q",), inputs=1)
+"""
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("first", [0.01, 10.0])
+def test_a_first_value_far_too_small_or_large_does_not_hold_a_parameter(tmp_path, monkeypatch, first):
+    """The model of this file refuses no negative friction, so that its first value bounds it on neither side."""
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / "mass_on_a_rail.py").write_text(MASS_ON_A_RAIL)
+    text = f'system = "mass_on_a_rail:make"\n[parameters]\nviscous = {first}\ncoulomb = {first}\n'
+    t = np.arange(0, 12, 0.01)
+    u = (4 * np.sin(3 * t))[:, None]
+    open_numbers = family(tmp_path, "viscous", "coulomb", text=text)
+    truth = open_numbers.make(jnp.array([1.2, 0.6]))[0]
+    y = np.asarray(simulate(truth, jnp.zeros(2), jnp.asarray(t), hold(jnp.asarray(t), jnp.asarray(u))).y)
+    record = Record(t, u, y + 3e-4 * np.random.default_rng(1).normal(size=y.shape))
+    found = fit(open_numbers, windows([record], [reference(record)], 0.4))
+    assert found.determined.all()
+    np.testing.assert_allclose(found.values, [1.2, 0.6], rtol=0.05)
+
+
 @pytest.mark.exhaustive
 def test_gravity_of_the_wrong_sign_is_seen(fits, tmp_path):
     [(record, v)] = swung(True)

@@ -81,7 +81,8 @@ def test_a_fit_that_is_worse_on_what_it_has_not_seen_is_not_written():
     arguments = ("fit", "model.toml", "log.csv", "wrong.csv", "--parameters", "length", "-o", "no.toml", *FIRST)
     assert "wrong.csv: the model leaves" in refused(1, *arguments)
     said = refused(1, *arguments, "--anyway")
-    assert "worse on what it has not seen, so it is not written" in said
+    assert "predicts wrong.csv, which it has not seen, worse than before" in said
+    assert "so it is not written" in said
     assert not Path("no.toml").exists()
 
 

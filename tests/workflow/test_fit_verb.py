@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from covariant import logs, models, simulation
+from covariant.signals import Record
 from covariant.workflow import FitResult, SimulateResult, fit, simulate
 
 TRUTH = {"parameters.mass": [1.0], "parameters.length": [0.5], "parameters.viscous": [0.001]}
@@ -93,6 +94,21 @@ def test_a_log_without_inputs_says_nothing_of_them():
     assert repr(result).startswith("<FitResult: length[0] = 0.5")
 
 
+@pytest.mark.long
+def test_masses_and_frictions_that_are_far_off_are_found_together():
+    """By steps in the logarithms of these positive numbers the search ends where it begins."""
+    held = {"inputs.between": "held"}
+    known = {"parameters.length": [0.5, 0.4], "parameters.com": [0.25, 0.2]}
+    true = {"viscous": [0.3, 0.1], "coulomb": [0.2, 0.05], "inertia": [0.02, 0.01], "mass": [1.0, 0.5]}
+    first = {"viscous": [0.001, 0.001], "coulomb": [0.001, 0.001], "inertia": [0.002, 0.05], "mass": [0.2, 2.0]}
+    motion: dict[str, Any] = {"q0": [0.8, -0.3], "amplitude": [2.0, 0.6], "noise": 2e-4, "seed": 3}
+    truth, guess = (known | held | {f"parameters.{k}": v for k, v in numbers.items()} for numbers in (true, first))
+    log = simulate("pendulum_chain", duration=20.0, rate=100.0, **motion, overrides=truth).record
+    result = fit("pendulum_chain", log, list(true), overrides=guess, anyway=True)
+    assert np.isfinite(result.standard_errors).all()
+    np.testing.assert_allclose(result.values, np.concatenate(list(true.values())), rtol=0.05)
+
+
 @pytest.mark.parametrize(
     ("model", "arguments", "message"),
     [
@@ -103,6 +119,36 @@ def test_a_log_without_inputs_says_nothing_of_them():
 def test_arguments_that_make_no_sense_are_named(model, arguments, message):
     with pytest.raises(ValueError, match=message):
         fit(model, Path(__file__), "mass", **arguments)
+
+
+def test_a_fit_that_predicts_worse_says_both_errors_and_writes_nothing(tmp_path):
+    errors = {"before": {"position": [0.1]}, "after": {"position": [0.2]}}
+    facts = {"held_out": "the last third of a.csv", "horizon": 0.5, "held_out_errors": errors}
+    rows = {"coordinates": ["angle"], "units": ["rad"], "parameters": [], "undetermined": [], "better": False}
+    result = FitResult([], {}, facts | rows)
+    (sentence,) = result.warnings
+    assert "the last third of a.csv, which it has not seen, worse than before" in sentence
+    assert "angle 0.2 rad after 0.1 before" in sentence
+    assert "covariant check" in sentence
+    with pytest.raises(ValueError, match=r"fitted\.toml: The fitted model predicts .* angle 0.2 rad after 0.1 before"):
+        result.save(tmp_path / "fitted.toml")
+    assert (result.exit_code, list(tmp_path.iterdir())) == (1, [])
+
+
+@pytest.mark.long
+def test_outliers_do_not_hide_that_a_fit_predicts_worse():
+    """A spring that is softer in the last third of the log: as soft as the model file says."""
+    swing: dict[str, Any] = {"rate": 50.0, "noise": 1e-3}
+    stiff = simulate("oscillator", duration=20.0, q0=1.0, **swing, overrides={"parameters.stiffness": 1.4})
+    end = dict(zip(("q0", "v0"), np.asarray(stiff.record.x)[-1], strict=True))
+    soft = simulate("oscillator", duration=10.0, **end, **swing, overrides={"parameters.stiffness": 1.0})
+    y = np.concatenate([np.asarray(stiff.record.y), np.asarray(soft.record.y)[1:]])
+    y[np.random.default_rng(0).choice(np.arange(1010, len(y)), 10, replace=False)] += 3.0
+    log = Record(0.02 * np.arange(len(y)), np.zeros((len(y), 1)), y)
+    result = fit("oscillator", log, "stiffness", overrides={"parameters.stiffness": 1.0}, anyway=True)
+    assert result.values[0] == pytest.approx(1.4, rel=0.02)
+    assert (result.better, result.exit_code) == (False, 1)
+    assert result.summary["growth"] > 2
 
 
 def test_a_log_that_is_not_there_is_named():

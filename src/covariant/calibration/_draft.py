@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from covariant.logs import MEANT, unit_factor, unit_in_name, without_unit, words_of
+from covariant.logs import MEANT, unit_factor, unit_in_name, unknown_unit, unknown_unit_fault, without_unit, words_of
 
 _WORDS = {
     "left out": "true truth ref reference des desired goal target set setpoint raw",
@@ -129,6 +129,11 @@ def draft(columns: Mapping[str, np.ndarray], given: Mapping[str, Sequence[str] |
         unnamed = [name for name, kind in kinds.items() if kind == "" and name != t]
         v = tuple(name for p in q for name in unnamed if _is_slope(columns[t], columns[p], columns[name]))
     v = v if len(v) == len(q) else ()
+    for field, names in (("t", (t,)), ("q", q), ("u", u), ("v", v)):
+        for name in names:
+            text = unknown_unit(name, MEANT[field], names)
+            if text is not None:
+                raise ValueError(f"column {name!r} {unknown_unit_fault(field, text, drafted=True)}")
     lengths = tuple(unit_in_name(name, ("m",)) is not None for name in q)
     order = sorted(range(len(q)), key=lambda i: not lengths[i])
     q, lengths = tuple(q[i] for i in order), tuple(lengths[i] for i in order)

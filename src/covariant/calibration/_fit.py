@@ -206,14 +206,22 @@ class _Problem(NamedTuple):
         return jnp.abs(self.first) + jnp.equal(self.first, 0).astype(self.first.dtype)
 
     def values(self, z) -> Float[Array, "p"]:
-        """Parameters at relative changes z (p,): logarithms of ratios for positive ones."""
+        """Parameters at relative changes z (p,): logarithms of ratios for positive ones, for others the inverse
+        hyperbolic sine of the change in units of `size`, which is as broad far away."""
         ratio = jnp.asarray(self.first * jnp.exp(z))
-        return jnp.where(jnp.asarray(self.positive), ratio, jnp.asarray(self.first + self.size * z))
+        return jnp.where(jnp.asarray(self.positive), ratio, jnp.asarray(self.first + self.size * jnp.sinh(z)))
 
     def relative(self, values: Float[NumpyArray, "p"]) -> Float[NumpyArray, "p"]:
         """Relative changes z (p,) that give these parameters."""
         ratio = np.where(np.asarray(self.positive), values / np.asarray(self.first), 1.0)
-        return np.where(np.asarray(self.positive), np.log(ratio), (values - self.first) / np.asarray(self.size))
+        change = np.arcsinh((values - self.first) / np.asarray(self.size))
+        return np.where(np.asarray(self.positive), np.log(ratio), change)
+
+    def moved(self, z: NumpyArray, dz: NumpyArray) -> NumpyArray:
+        """Relative changes (p,) after a linearised step: it moves the values, or of a positive parameter that falls the
+        inverse, since forces are linear in friction and accelerations in inverse masses."""
+        positive = z + np.sign(dz) * np.log1p(np.abs(dz))
+        return np.where(np.asarray(self.positive), positive, np.arcsinh(np.sinh(z) + np.cosh(z) * dz))
 
     def kept(self, z: NumpyArray) -> NumpyArray:
         """Values (p,) of z that undetermined combinations keep: first values, or that of a vanishing parameter."""
@@ -221,7 +229,7 @@ class _Problem(NamedTuple):
 
     def slopes(self, z) -> Float[Array, "p"]:
         """Derivative of each parameter in its relative change."""
-        return jnp.where(jnp.asarray(self.positive), self.first * jnp.exp(z), self.size)
+        return jnp.where(jnp.asarray(self.positive), self.first * jnp.exp(z), self.size * jnp.cosh(z))
 
 
 class _Fixed(NamedTuple):
@@ -339,7 +347,7 @@ def _descend(
         dz, ds, promised = _step(point, fixed, damping)
         if promised < TOLERANCE:
             return point, k
-        tried = _at(problem, windows, point.z + dz, point.s + ds, point.weighing)
+        tried = _at(problem, windows, problem.moved(point.z, dz), point.s + ds, point.weighing)
         gain = (point.loss(fixed) - tried.loss(fixed)) / promised
         if gain > 0:  # False where the trial is not finite
             point, growth = tried, 2.0

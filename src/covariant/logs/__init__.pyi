@@ -18,6 +18,8 @@ from ._tables import source_name as source_name
 from ._unit_in_name import (
     MEANT as MEANT,
     unit_in_name as unit_in_name,
+    unknown_unit as unknown_unit,
+    unknown_unit_fault as unknown_unit_fault,
     without_unit as without_unit,
     words_of as words_of,
 )

@@ -13,7 +13,7 @@ from covariant.logs._columns import ATTITUDES, Columns, Log, LogError, kind
 from covariant.logs._configuration import bodies, from_cells
 from covariant.logs._read import columns_and_table, where
 from covariant.logs._tables import source_name
-from covariant.logs._unit_in_name import unit_in_name
+from covariant.logs._unit_in_name import unit_in_name, unknown_unit
 from covariant.logs._units import unit_factor
 from covariant.signals import Record
 
@@ -64,6 +64,13 @@ def readings(
             raise LogError(
                 f"{name}: column {column!r} has a unit in its name, and no unit is given for it; write "
                 f'units = "{in_name}" in the table of the sensor, or the unit that it is in'
+            )
+        unknown = unknown_unit(column, meant, columns.measured)
+        if unit is None and unknown is not None:
+            raise LogError(
+                f"{name}: column {column!r} has {unknown!r} in brackets, which is no unit of what is measured in "
+                f'{" or ".join(meant)}; write what one of it is, as units = "0.1 {meant[0]}" in the table of the '
+                "sensor, or rename the column"
             )
         values = numbers(where(name, column, unit), table.column(column), False)
         cells.append(values if unit is None else values * unit_factor(unit))

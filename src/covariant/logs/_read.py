@@ -18,7 +18,7 @@ from covariant.logs._configuration import bodies, from_cells
 from covariant.logs._stamps import stamps, timed
 from covariant.logs._tables import LogSource, source_name, table_source
 from covariant.logs._text import is_number, read_text, sheet, with_points
-from covariant.logs._unit_in_name import MEANT, is_unit_of, unit_in_name
+from covariant.logs._unit_in_name import MEANT, is_unit_of, unit_in_name, unknown_unit, unknown_unit_fault
 from covariant.logs._units import check_unit, unit_factor
 from covariant.signals import Record, StampError
 
@@ -174,7 +174,8 @@ def _of_columns(name: str, log: Any, columns: Columns, optional: Collection[str]
 
 
 def _need_units(log: str, columns: Columns, field: str, units: Mapping[str, str]) -> None:
-    """Raise `LogError` for a column that has a unit in its name, or in the log, but would be read in another.
+    """Raise `LogError` for a column that has a unit in its name, or in the log, but would be read in another, and for
+    one whose unit is not known.
 
     - `units`: units that the log itself states.
     """
@@ -182,8 +183,12 @@ def _need_units(log: str, columns: Columns, field: str, units: Mapping[str, str]
     names = (names,) if isinstance(names, str) else names
     meant = MEANT.get(field, ())
     # Units that the log states are written as in a name, so that one parser reads both.
-    in_names = [unit_in_name(f"{name} [{units[name]}]" if name in units else name, meant) for name in names]
+    labels = [f"{name} [{units[name]}]" if name in units else name for name in names]
+    in_names = [unit_in_name(label, meant) for label in labels]
     for place, (name, text) in enumerate(zip(names, in_names, strict=True)):
+        unknown = unknown_unit(labels[place], meant, labels)
+        if unknown is not None and columns.unit_of(field, place) is None:
+            raise LogError(f"{log}: column {name!r} {unknown_unit_fault(field, unknown, name in units)}")
         if text is not None and unit_factor(text) != 1 and columns.unit_of(field, place) is None:
             texts = [f'"{each or meant[0]}"' for each in in_names]
             line = f"{field} = {texts[0] if len(set(texts)) == 1 else '[' + ', '.join(texts) + ']'}"

@@ -9,6 +9,7 @@ import numpy as np
 
 from covariant import models
 from covariant.models import Overrides, robots
+from covariant.workflow._placeholders import placeholder_sentence, placeholders
 from covariant.workflow._progress import Progress, silent
 from covariant.workflow._result import AbstractResult
 
@@ -43,6 +44,7 @@ def describe_model(
     facts: dict[str, Any] = {"model": name, "name": file.name}
     facts |= {"coordinates": list(file.model.coordinates), "units": list(file.model.units)}
     facts |= {"velocities": list(file.model.velocities), "inputs": len(file.columns.u)}
+    facts |= {"placeholders": placeholders(model, overrides)}
     robot, box = _robot(model, overrides), None
     if robot is not None:
         facts |= _of_robot(robot)
@@ -138,6 +140,8 @@ def _lines(result: dict[str, Any]) -> Iterator[str]:
     names = ", ".join(result["velocities"] or result["coordinates"])
     yield f"{result['name']}: {len(result['velocities'] or result['coordinates'])} velocities ({names})"
     yield f"{result['inputs']} inputs"
+    if result["placeholders"]:
+        yield placeholder_sentence(result["placeholders"])
     if "robot" in result:
         yield f"robot {result['robot']!r}, {result['mass']:.6g} kg"
         yield from _tree(result)

@@ -11,6 +11,7 @@ import numpy as np
 
 from covariant.workflow._arguments import ColumnNames, Overrides
 from covariant.workflow._model_output import as_logs, write_model
+from covariant.workflow._placeholders import placeholder_sentence
 from covariant.workflow._progress import Progress, silent
 from covariant.workflow._result import AbstractTable
 
@@ -147,14 +148,26 @@ class FitResult(AbstractTable):
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Sentences on what the logs do not determine, and one more where the fit is worse on the held-out log."""
-        worse = (
-            "The fitted model is worse on what it has not seen, so it is not written: look for columns, units or signs "
-            "that are wrong, or give longer logs, other first values, or fewer parameters.",
-        )
+        """Sentences on what the logs do not determine, on numbers that are still placeholders of a drafted file, and
+        one more where the fit is worse on the held-out log."""
+        return (*self._on_numbers, *(() if self.better else (self._worse,)))
+
+    @property
+    def _on_numbers(self) -> tuple[str, ...]:
+        rest = placeholder_sentence(self.details.get("placeholders", {}))
+        return (*(f"Not determined: {sentence}." for sentence in self.details["undetermined"]), *([rest] * bool(rest)))
+
+    @property
+    def _worse(self) -> str:
+        """A sentence on a fit that is worse than before: both errors, and what to do."""
+        result = self.details
+        before, after = (result["held_out_errors"][when]["position"] for when in ("before", "after"))
+        columns = zip(result["coordinates"], result["units"], before, after, strict=True)
+        errors = ", ".join(f"{name} {_size(new)} {unit} after {_size(old)} before" for name, unit, old, new in columns)
         return (
-            *(f"Not determined: {sentence}." for sentence in self.details["undetermined"]),
-            *(() if self.better else worse),
+            f"The fitted model predicts {result['held_out']}, which it has not seen, worse than before (errors over "
+            f"{result['horizon']:.3g} s: {errors}), so it is not written: look for columns, units or signs that are "
+            "wrong, as `covariant check` does, or give longer logs, other first values, or fewer parameters."
         )
 
     def save(self, path: str | Path, overwrite: bool = False) -> Path:
@@ -173,7 +186,7 @@ class FitResult(AbstractTable):
             ValueError: Where it may not be written, or the fitted model is worse than before on what is held out.
         """
         if not self.better:
-            raise ValueError(f"{path}: {self.warnings[-1]}")
+            raise ValueError(f"{path}: {self._worse}")
         return write_model(self.jobs[0].model, path, overwrite, self._head(), self.content)
 
     def _head(self) -> str:
@@ -182,7 +195,9 @@ class FitResult(AbstractTable):
         for row in self.details["parameters"]:
             error = row["standard_error"]
             lines.append(f"#   {row['name']} = {row['after']:.5g}" + (f" ± {error:.2g}" if error is not None else ""))
-        return "\n".join([*lines, *(f"#   {sentence}." for sentence in self.details["undetermined"]), "", ""])
+        rest = placeholder_sentence(self.details.get("placeholders", {}))
+        remarks = [*(f"#   {sentence}." for sentence in self.details["undetermined"]), *([f"# {rest}"] * bool(rest))]
+        return "\n".join([*lines, *remarks, "", ""])
 
     def __str__(self) -> str:
         from covariant.report import table
@@ -218,11 +233,15 @@ class FitResult(AbstractTable):
             *([result["inputs"]["sentence"]] if result["inputs"]["sentence"] else []),
             "",
             table(numbers),
-            *self.warnings[: len(result["undetermined"])],
+            *self._on_numbers,
             f"Errors (RMS) of predictions over {result['horizon']:.3g} s of {result['held_out']}, velocities against "
             f"the {result['scored_against']} [unit/s]:",
             "",
             table(errors),
-            *self.warnings[len(result["undetermined"]) :],
+            *(() if self.better else (self._worse,)),
         ]
         return "\n".join(lines)
+
+
+def _size(error: float | None) -> str:
+    return "infinite" if error is None else f"{error:.3g}"

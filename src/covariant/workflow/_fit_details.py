@@ -8,8 +8,9 @@ from jaxtyping import Float
 
 from covariant.calibration import Fit, PredictionErrors, RobotFit, growth
 from covariant.workflow._fit_logs import BETWEEN, FitLogs
-from covariant.workflow._inputs import coordinates
+from covariant.workflow._inputs import Job, coordinates
 from covariant.workflow._outcome import rounded
+from covariant.workflow._placeholders import placeholders
 
 DIGITS = 7
 """Significant digits of fitted numbers in a model file."""
@@ -84,12 +85,12 @@ def input_details(used: str, stated: bool, gain: Gain | None) -> dict[str, Any]:
 
 
 def fit_details(
-    model: str, logs: FitLogs, best: Fit | RobotFit, before: PredictionErrors, after: PredictionErrors
+    job: Job, logs: FitLogs, best: Fit | RobotFit, before: PredictionErrors, after: PredictionErrors
 ) -> dict[str, Any]:
-    """Numbers before and after a fit, and its errors on what is held out.
+    """Numbers before and after a fit, those that are still placeholders, and its errors on what is held out.
 
     Args:
-        model: Name of the model.
+        job: The model and a log.
         logs: The logs as they were read.
         best: The fit.
         before: Errors of the model before the fit.
@@ -102,8 +103,9 @@ def fit_details(
     reference = logs.logs[-1].loaded.reference
     numbers = zip(best.names, best.first, best.values, best.standard_errors, best.determined, strict=True)
     ratio = growth(before, after)
+    known = {name for name, determined in zip(best.names, best.determined, strict=True) if determined}
     return {
-        "model": model,
+        "model": job.model_name,
         "logs": logs.names,
         "fitted_to": logs.fitted_to,
         "held_out": logs.held_out,
@@ -119,6 +121,7 @@ def fit_details(
             }
             for name, first, value, error, determined in numbers
         ],
+        "placeholders": {k: value for k, value in placeholders(job.model, job.overrides).items() if k not in known},
         "coordinates": list(names),
         "units": [unit.removesuffix("/s") for unit in units],
         "held_out_errors": {

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from covariant import models
-from covariant.calibration import FITTED, held_out_logs, horizon
+from covariant.calibration import FITTED, held_out_logs, horizon, outliers
 from covariant.workflow._aligned import Aligned, aligned
 from covariant.workflow._inputs import Job
 
@@ -19,7 +19,7 @@ class FitLogs(NamedTuple):
     """Logs of one model that a fit uses.
 
     Attributes:
-        logs: The logs, their rows at the times at which positions were true.
+        logs: The logs, their rows at the times at which positions were true; outliers are missing.
         references: Reference velocities (T, n) of the logs.
         length: Length of the predictions [s].
         stated: Whether the model file says how inputs go between stamps.
@@ -46,7 +46,7 @@ class FitLogs(NamedTuple):
             MisfitError: Where the model explains nothing of the motion in a log.
             ValueError: For a model or a log that cannot be used.
         """
-        logs = [aligned(job) for job in jobs]
+        logs = [_without_outliers(aligned(job)) for job in jobs]
         file, references = logs[0].loaded.file, [log.loaded.reference.v for log in logs if log.loaded.reference]
         # Of a single log the held-out third must hold enough windows too.
         part = 1 - FITTED if len(jobs) == 1 else 1.0
@@ -84,6 +84,14 @@ class FitLogs(NamedTuple):
     def title(self) -> str:
         """Names of all logs, for messages."""
         return ", ".join(self.names)
+
+
+def _without_outliers(log: Aligned) -> Aligned:
+    """The log as the reference velocities have it: a prediction that starts from an outlier judges no model."""
+    circles, t, y = log.loaded.model.circles, np.asarray(log.raw.t), np.asarray(log.raw.y)
+    if not log.loaded.model.manifold.commuting:
+        return log
+    return log._replace(raw=log.raw._replace(y=np.where(outliers(t, y, circles)[0], np.nan, y)))
 
 
 def _driven(logs: list[Aligned]) -> bool:

@@ -85,7 +85,7 @@ def fit_robot_to_logs(
     content = family.with_values(np.array([float(f"{value:.{DIGITS}g}") for value in best.values]))
     if gain is not None and gain.clear:
         content.setdefault("inputs", {})["between"] = used
-    details = fit_details(jobs[0].model_name, logs, best, before, after)
+    details = fit_details(jobs[0], logs, best, before, after)
     return jobs, content, details | input_details(used, logs.stated, gain) | _of_robot(best)
 
 

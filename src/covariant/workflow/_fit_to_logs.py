@@ -77,7 +77,7 @@ def fit_to_logs(
     content = _document(family, best, logs.fitted_to)
     if gain is not None and gain.clear:
         content.setdefault("inputs", {})["between"] = used
-    details = fit_details(jobs[0].model_name, logs, best, before, after) | input_details(used, logs.stated, gain)
+    details = fit_details(jobs[0], logs, best, before, after) | input_details(used, logs.stated, gain)
     return jobs, content, details | {"windows": len(parts[used][0].t), "undetermined": list(relations(best))}
 
 

@@ -13,6 +13,7 @@ from covariant._files import write_atomically
 from covariant.calibration import Draft, draft
 from covariant.workflow._inputs import ColumnNames, column_names
 from covariant.workflow._outputs import check_output
+from covariant.workflow._placeholders import marked
 from covariant.workflow._progress import Progress, silent
 from covariant.workflow._result import AbstractResult
 
@@ -147,7 +148,8 @@ def _model_file(name: str, guess: Draft, machine: list[str]) -> str:
     spans = ", ".join(f"{q} {low:.3g} to {high:.3g}" for q, (low, high) in zip(guess.q, guess.span, strict=True))
     lines = [
         f"# Drafted from the log {name}: {guess.rows} rows at {guess.rate:.4g} Hz. The columns are guessed from their",
-        "# names and their content; the numbers in [parameters] are places to put yours, not measurements.",
+        "# names and their content. Numbers with a comment `placeholder` are places to put yours, not measurements:",
+        "# `covariant fit` and `covariant model` name those that still have that value.",
         "# Units: s, m, kg, rad, N m; those of the log are in [units] where they are others.",
         "",
         *machine,
@@ -176,6 +178,8 @@ def _model_file(name: str, guess: Draft, machine: list[str]) -> str:
 def _chain(guess: Draft) -> list[str]:
     """The system and its parameters where all positions are angles."""
     n = len(guess.q)
+    # The length of the last link enters nothing, so that nobody is asked for it.
+    between = f"{marked([0.3] * (n - 1))}; " if n > 1 else "# "
     lines = [
         'system = "pendulum_chain"  # other machines: docs/models.md',
         "",
@@ -183,12 +187,12 @@ def _chain(guess: Draft) -> list[str]:
         'angles = "relative"  # or "absolute": each link from the vertical',
         'zero = "hanging"  # or "upright": where the angles are 0',
         "gravity = 9.81",
-        f"mass = {_list(1.0, n)}",
-        f"length = {_list(0.3, n)}  # m, from joint to joint; that of the last link does not matter",
-        f"com = {_list(0.15, n)}  # m, from joint to centre of mass",
-        f"inertia = {_list(0.01, n)}  # kg m^2, about the centre of mass",
-        f"viscous = {_list(0.01, n)}  # N m s/rad, friction in each joint",
-        f"coulomb = {_list(0.01, n)}  # N m, times atan(100 v): dry friction, divided by pi/2",
+        _guessed("mass", 1.0, n, "kg"),
+        f"length = {_list(0.3, n)}  {between}m, from joint to joint; that of the last link does not matter",
+        _guessed("com", 0.15, n, "m, from joint to centre of mass"),
+        _guessed("inertia", 0.01, n, "kg m^2, about the centre of mass"),
+        _guessed("viscous", 0.01, n, "N m s/rad, friction in each joint"),
+        _guessed("coulomb", 0.01, n, "N m, times atan(100 v): dry friction, divided by pi/2"),
     ]
     if len(guess.u) < n:
         lines.append(
@@ -198,26 +202,31 @@ def _chain(guess: Draft) -> list[str]:
     return lines
 
 
+def _guessed(key: str, value: float, n: int, what: str) -> str:
+    """The line of a parameter of n entries, or of one number where n is 0, whose value is a guess."""
+    return f"{key} = {_list(value, n) if n else value}  {marked([value] * max(n, 1))}; {what}"
+
+
 def _written_out_machine(guess: Draft, module: str) -> list[str]:
     """The system and its parameters where its equations of motion are in a Python file."""
     n = len(guess.q)
     lines = [f'system = "{module}:make"  # the function make of {module}.py, beside this file', "", "[parameters]"]
     if _is_cart_pole(guess):
         lines += [
-            "cart_mass = 1.0  # kg",
-            "pole_mass = 0.1  # kg",
-            "com = 0.15  # m, from the pivot to the centre of mass of the pole",
-            "inertia = 0.001  # kg m^2, of the pole about its centre of mass",
+            _guessed("cart_mass", 1.0, 0, "kg"),
+            _guessed("pole_mass", 0.1, 0, "kg"),
+            _guessed("com", 0.15, 0, "m, from the pivot to the centre of mass of the pole"),
+            _guessed("inertia", 0.001, 0, "kg m^2, of the pole about its centre of mass"),
         ]
     else:
         lines += [
-            f"mass = {_list(1.0, n)}  # {_both(guess, 'kg', 'kg m^2')}, what moves with each position",
-            f"weight = {_list(0.0, n)}  # {_both(guess, 'N', 'N m')}, against which each position rises",
+            _guessed("mass", 1.0, n, f"{_both(guess, 'kg', 'kg m^2')}, what moves with each position"),
+            _guessed("weight", 0.0, n, f"{_both(guess, 'N', 'N m')}, against which each position rises"),
         ]
     return [
         *lines,
-        f"viscous = {_list(0.01, n)}  # {_both(guess, 'N s/m', 'N m s/rad')}, friction",
-        f"coulomb = {_list(0.01, n)}  # {_both(guess, 'N', 'N m')}, times atan(100 v): dry friction, divided by pi/2",
+        _guessed("viscous", 0.01, n, f"{_both(guess, 'N s/m', 'N m s/rad')}, friction"),
+        _guessed("coulomb", 0.01, n, f"{_both(guess, 'N', 'N m')}, times atan(100 v): dry friction, divided by pi/2"),
     ]
 
 

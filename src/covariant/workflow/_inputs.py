@@ -23,6 +23,7 @@ from covariant.observers import (
 from covariant.signals import Record, acting_inputs, lag_inputs
 from covariant.workflow._arguments import ColumnNames as ColumnNames
 from covariant.workflow._outputs import check_output as check_output
+from covariant.workflow._placeholders import placeholder_sentence, placeholders
 from covariant.workflow._sensors import FileSensor, file_sensors, reading_delays, readings
 
 FEWEST_MOVES = 50
@@ -190,7 +191,8 @@ def load(job: Job, score: bool = True, why: str = "") -> Loaded:
         full = log if whole else logs.read(job.log, needed)
         reference = ReferenceVelocity(*_slopes(file, log, full), scoring.scored_window(t))
     read, lacking = readings(parts, job.log, log) if parts else (None, "")
-    note += _delay_note(file) + lacking
+    guessed = placeholder_sentence(placeholders(job.model, job.overrides))
+    note += _delay_note(file) + lacking + f" {guessed}" * bool(guessed)
     # The median interval, so that a gap does not change the rate; with sensors that of the rows with positions.
     measured = np.isfinite(y.reshape(len(y), -1)).any(1)
     rate = 1 / float(np.median(np.diff(t[measured] if parts and measured.sum() > 1 else t)))
