@@ -157,7 +157,7 @@ class Summary:
             terminalreporter.line(f"{seconds:7.1f}  {file}")
         if over:
             terminalreporter.line(f"with all that they need, more than {SHARE:g} each:")
-        for seconds, test in over[:40]:
+        for seconds, test in over:
             terminalreporter.line(f"{-seconds:7.1f}  {test}")
 
 

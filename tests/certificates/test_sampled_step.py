@@ -490,6 +490,7 @@ def test_errors_of_steps_without_a_claim_are_assumed_to_be_zero(saved, tmp_path)
     assert "assumed: predictions solve the model exactly" in text
 
 
+@pytest.mark.long
 def test_predictions_are_off_by_no_more_than_is_stated(proved):
     """Against many more steps, in the metric at the age of the longest interval."""
     claim, sampling = next(claim for claim in proved.claims if claim.kind == "prediction"), proved.sampling
@@ -654,6 +655,7 @@ def test_a_double_pendulum_with_dry_friction_is_proved_at_500_hz():
     assert result.statement.verdict == "holds", result.statement
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("options", "words"),
     [

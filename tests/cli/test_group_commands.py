@@ -122,6 +122,7 @@ def test_the_report_is_one_page_and_figures(estimated):
     assert "dw1/dt" not in figures
 
 
+@pytest.mark.long
 def test_signs_and_rounding_of_quaternions_do_not_matter(estimated):
     q = column("log.csv", *WXYZ) * np.random.default_rng(0).choice([-1.01, 1.01, 1.0], (601, 1))
     rewrite("signs.csv", dict(zip(WXYZ, q.T, strict=True)))

@@ -150,7 +150,7 @@ def number(x: Any) -> float | None:
         return None
 
 
-@pytest.mark.exhaustive("chart-mcap", "csv", "group-mcap")
+@pytest.mark.long("group", "state-space")
 @pytest.mark.parametrize("output", ESTIMATE)
 def test_both_engines_estimate_the_same(estimates, output):
     by_c, by_jax = (estimates[engine][output] for engine in ENGINES)
@@ -158,7 +158,7 @@ def test_both_engines_estimate_the_same(estimates, output):
     assert_same(by_c, by_jax)
 
 
-@pytest.mark.exhaustive("chart", "comparison", "group", "table")
+@pytest.mark.long
 @pytest.mark.parametrize("output", COMPARE)
 def test_both_engines_compare_the_same(comparisons, output):
     by_c, by_jax = (comparisons[engine][output] for engine in ENGINES)
@@ -166,7 +166,8 @@ def test_both_engines_compare_the_same(comparisons, output):
     assert_same(by_c, by_jax)
 
 
-@pytest.mark.exhaustive
+@pytest.mark.exhaustive("group")
+@pytest.mark.long
 @pytest.mark.parametrize("name", KINDS)
 def test_both_engines_return_the_same_arrays(name, tmp_path, monkeypatch):
     """One tree, of arrays of NumPy, with the same types and shapes."""

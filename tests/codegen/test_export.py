@@ -508,6 +508,7 @@ int main(void)
 """
 
 
+@pytest.mark.long
 @needs_compiler
 def test_a_step_by_one_sensor_alone_is_the_whole_step_without_the_rest(exported, tmp_path):
     folder = exported("sensors").folder
