@@ -78,6 +78,7 @@ bench: env
 
 # An exported observer on an emulated microcontroller; needs arm-none-eabi-gcc and qemu-system-arm.
 firmware: env
+	mkdir -p build
 	$(BIN)/covariant export examples/demo_double_pendulum.toml --rate 500 --real float --name arm --overwrite -o build/arm
 	$(BIN)/python tools/firmware.py build/arm
 
