@@ -41,6 +41,7 @@ from ._read import (
     evaluate as evaluate,
     evaluate_batch as evaluate_batch,
     numbers as numbers,
+    on_batches as on_batches,
 )
 from ._rounding import perturbed as perturbed
 from ._stumpff import STUMPFF as STUMPFF, stumpff as stumpff

@@ -125,15 +125,43 @@ def numbers(lowered: Lowered, *arguments: Any) -> Any:
     return lowered.rebuild(values, batch)
 
 
-def evaluate_batch(function: Callable, *arguments: Any) -> Any:
-    """Evaluate a JAX function at a batch of arguments: by its graph in NumPy, or by JAX where it has no graph.
+def on_batches(function: Callable, *arguments: Any) -> Callable:
+    """Make a JAX function work on batches: by its graph in NumPy, or by JAX where it has no graph.
 
-    A program of JAX is compiled first, which takes seconds for a function of a robot. For a few values that is most of
-    the time, and its graph is there in a tenth of it. What is evaluated over and over is better compiled.
+    A program of JAX is compiled first, which takes seconds for a function of a robot; its graph is there in a tenth of
+    that. For some thousand values this is most of the time. What is evaluated over and over is better compiled.
 
     Args:
         function: The function. It is unrolled, so it must have no long loops.
-        arguments: Its arguments as arrays or pytrees of them, all with one leading batch axis (B, ...).
+        arguments: Its arguments as arrays or pytrees of them, of which shapes and types count.
+
+    Returns:
+        A function of arguments that have one leading batch axis (B, ...) each. It returns the results of the function
+        with the batch axis first, as arrays of NumPy of the types that JAX gives them.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> import numpy as np
+        >>> from covariant import lowering
+        >>> sums = lowering.on_batches(lambda x: {"sum": jnp.sum(x)}, np.zeros(2))
+        >>> sums(np.array([[1.0, 2.0], [3.0, 4.0]]))["sum"].tolist()
+        [3.0, 7.0]
+    """
+    try:
+        lowered = lower(function, *arguments)
+    except LoweringError:
+        compiled = jax.jit(jax.vmap(function))
+        return lambda *batch: jax.tree.map(np.asarray, compiled(*batch))
+    results = jax.tree.unflatten(lowered.tree, lowered.results)
+    return lambda *batch: jax.tree.map(lambda leaf, like: leaf.astype(like.dtype), numbers(lowered, *batch), results)
+
+
+def evaluate_batch(function: Callable, *batch: Any) -> Any:
+    """Evaluate a JAX function at one batch of arguments, as `on_batches` does.
+
+    Args:
+        function: The function. It is unrolled, so it must have no long loops.
+        batch: Its arguments as arrays or pytrees of them, all with one leading batch axis (B, ...).
 
     Returns:
         The result of the function, with the batch axis first, as arrays of NumPy of the types that JAX gives them.
@@ -142,15 +170,10 @@ def evaluate_batch(function: Callable, *arguments: Any) -> Any:
         >>> import jax.numpy as jnp
         >>> import numpy as np
         >>> from covariant import lowering
-        >>> lowering.evaluate_batch(lambda x: {"sum": jnp.sum(x)}, np.array([[1.0, 2.0], [3.0, 4.0]]))["sum"].tolist()
+        >>> lowering.evaluate_batch(lambda x: jnp.sum(x), np.array([[1.0, 2.0], [3.0, 4.0]])).tolist()
         [3.0, 7.0]
     """
-    try:
-        lowered = lower(function, *jax.tree.map(lambda leaf: leaf[0], arguments))
-    except LoweringError:
-        return jax.tree.map(np.asarray, jax.jit(jax.vmap(function))(*arguments))
-    results = jax.tree.unflatten(lowered.tree, lowered.results)
-    return jax.tree.map(lambda leaf, like: leaf.astype(like.dtype), numbers(lowered, *arguments), results)
+    return on_batches(function, *jax.tree.map(lambda leaf: leaf[0], batch))(*batch)
 
 
 def _entries(leaf: np.ndarray, shape: tuple[int, ...]) -> list[np.ndarray]:
