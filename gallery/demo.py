@@ -125,6 +125,14 @@ def describe(rows: np.ndarray, path: Path) -> None:
     )
 
 
+def move(out: Path, name: str) -> None:
+    """Write one of `LOGS` into a folder, and describe it."""
+    seed, phase = LOGS[name]
+    rows = record(seed, phase)
+    write(rows, out / name)
+    describe(rows, out / name)
+
+
 def covariant(*arguments: object) -> None:
     """Run the command line as a user would, its output passed through; raises where it fails."""
     words = [str(argument) for argument in arguments]
@@ -133,8 +141,18 @@ def covariant(*arguments: object) -> None:
     subprocess.run([program, *words], check=True, env={"JAX_PLATFORMS": "cpu", **os.environ})
 
 
+def show(out: Path, log: Path) -> None:
+    """Estimate the velocities of a log, then compare all estimators on it, which takes several times as long."""
+    truth = ("--truth", "true_v1,true_v2")
+    covariant("estimate", MODEL, log, *truth, "-o", out / "velocities.csv", "--report", out / "estimate.html")
+    print(f"\nThe velocities and their errors, in a browser: {out / 'estimate.html'}")
+    print("Next, all estimators on the same log.", flush=True)
+    covariant("compare", MODEL, log, *truth, "-o", out / "table.csv", "--report", out / "compare.html")
+    print()
+
+
 def main() -> None:
-    """Make the log, estimate its velocities, compare all estimators on it."""
+    """Make the log, estimate its velocities, compare all estimators on it; the log of other torques comes last."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--out", type=Path, default=Path("demo"), help="folder for the logs and the results")
     parser.add_argument("--only-logs", action="store_true", help="write the logs and stop")
@@ -145,17 +163,14 @@ def main() -> None:
     os.chdir(ROOT)
     out = Path(os.path.relpath(out))  # short names in what is printed
 
-    for name, (seed, phase) in LOGS.items():
-        rows = record(seed, phase)
-        write(rows, out / name)
-        describe(rows, out / name)
+    first, *others = LOGS
+    move(out, first)
+    if not options.only_logs:
+        show(out, out / first)
+    for name in others:
+        move(out, name)
     if options.only_logs:
         return
-    log = out / "log.csv"
-    truth = ("--truth", "true_v1,true_v2")
-    covariant("estimate", MODEL, log, *truth, "-o", out / "velocities.csv", "--report", out / "estimate.html")
-    covariant("compare", MODEL, log, *truth, "-o", out / "table.csv", "--report", out / "compare.html")
-
     print(f"\nDone in {time.perf_counter() - began:.0f} s. Open these in a browser:")
     print(f"  {out / 'estimate.html'}   the velocities and their errors\n  {out / 'compare.html'}    every estimator")
     print(f"Numbers: {out / 'velocities.csv'}, {out / 'table.csv'}")

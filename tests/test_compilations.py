@@ -212,3 +212,10 @@ def test_what_has_numbers_in_it_may_be_given_to_jax_as_a_function():
     assert np.isfinite(jax.jit(models.van_der_pol().f)(jnp.zeros(()), y, jnp.zeros(0))).all()
     metric = models.heavy_top().space
     assert jax.jit(metric.connection)(jnp.eye(3), jnp.ones(3), jnp.ones(3)).shape == (3,)
+
+
+def test_the_geometry_of_a_robot_is_measured_without_a_program(monkeypatch):
+    """Its graph in NumPy has the few numbers sooner than JAX compiles the function."""
+    robot = scara()
+    monkeypatch.setattr(jax, "jit", None)
+    assert models.survey(robot, samples=3).samples == 3

@@ -14,8 +14,8 @@ from covariant._integrate import rk4
 from covariant._linalg import solve
 from covariant.geometry import Budget, christoffel, curvature, hyperbolic, sphere
 from covariant.geometry.lie import SE3, SO3
-from covariant.lowering import LoweringError, expand, lower, numbers, operations, pairs
-from covariant.lowering._constants import padded, part_at, updated_at
+from covariant.lowering import LoweringError, equations, evaluate_batch, expand, lower, numbers, operations, pairs
+from covariant.lowering._constants import compute, padded, part_at, updated_at
 from covariant.lowering._jaxpr import MOST_UNROLLED
 from covariant.observers import Geodesic, Intrinsic, with_fixed_substeps
 
@@ -293,6 +293,26 @@ def test_simplified_graphs_have_the_values_of_plain_ones(program):
     np.testing.assert_allclose(found[clean], expected[clean], rtol=1e-13)
 
 
+def test_a_batch_is_evaluated_without_a_program_where_the_function_has_a_graph(monkeypatch):
+    """Types are those of JAX; a function without a graph goes through JAX."""
+
+    def function(x, y):
+        return {"single": (x @ y["y"]).astype(jnp.float32), "below": x[0] < 1.0, "whole": jnp.asarray(3)}
+
+    def factorised(x, y):
+        return function(x, y) | {"root": jnp.linalg.cholesky(jnp.eye(2) * jnp.exp(y["y"][0]))}
+
+    arguments = np.arange(6.0).reshape(3, 2), {"y": np.ones((3, 2))}
+    expected = jax.vmap(factorised)(*arguments)
+    for each in (factorised, function):
+        found = evaluate_batch(each, *arguments)
+        for name, value in found.items():
+            assert type(value) is np.ndarray
+            assert value.dtype == expected[name].dtype
+            np.testing.assert_allclose(value, expected[name], rtol=1e-6)
+        monkeypatch.setattr(jax, "jit", None)  # and the function with a graph does not need it
+
+
 def contents(graph):
     tables = graph._known, graph._results, graph.conditions, graph._infinite
     return list(graph.nodes), [list(table.items()) for table in tables]
@@ -375,3 +395,48 @@ def test_a_scan_over_known_rows_is_unrolled_where_that_saves_work(rows, looped):
     assert operations(long.graph.nodes) <= operations(unrolled.graph.nodes) / MOST_UNROLLED
     # Of turns that were tried and not taken, nothing is left.
     assert len(long.graph.nodes) == len(long.graph.pruned(long.outputs)[0].nodes)
+
+
+ROWS, BLOCK = np.array([[1], [-1], [3], [1], [4]]), np.array([[0, 1], [2, -1], [3, 3], [1, 2]])
+"""Places in an array (4, 3), some of them twice, some of them out of bounds."""
+WINDOWS = {
+    "rows": (ROWS, ((1,), (0,), (0,)), (1, 3)),
+    "columns, which come first": (BLOCK[:, 1:], ((0,), (1,), (1,)), (4, 1)),
+    "entries": (BLOCK, ((), (0, 1), (0, 1)), (1, 1)),
+    "blocks": (BLOCK, ((1, 2), (), (0, 1)), (2, 2)),
+    "one row": (ROWS[0], ((0,), (0,), (0,)), (1, 3)),
+    "an entry of each row": (BLOCK[:, 1:], ((), (1,), (1,), (0,), (0,)), (1, 1)),
+}
+MODES = ("clip", "fill", "promise_in_bounds")
+
+
+def window_moves(name, mode):
+    """`gather`, `scatter` and `scatter-add` of windows, as functions of an array (4, 3) and of updates."""
+    places, (windows, without, axes, *batching), sizes = WINDOWS[name]
+    if mode == "promise_in_bounds":
+        places = np.clip(places, 0, [[4, 3][axis] - sizes[axis] for axis in axes])
+    take = jax.lax.GatherDimensionNumbers(windows, without, axes, *batching)
+    put = jax.lax.ScatterDimensionNumbers(windows, without, axes, *batching)
+    changes = (jax.lax.scatter, jax.lax.scatter_add)
+    return [
+        lambda x, y: jax.lax.gather(x, places, take, sizes, mode=mode),
+        *(lambda x, y, change=change: change(x, places, y, put, mode=mode) for change in changes),
+    ]
+
+
+@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("name", WINDOWS)
+@pytest.mark.parametrize("dtype", [float, int])
+def test_windows_of_known_numbers_and_of_nodes_are_those_of_jax(name, mode, dtype):
+    x = np.arange(1, 13).reshape(4, 3).astype(dtype)
+    moves = window_moves(name, mode)
+    y = 100 + np.arange(moves[0](x, None).size).reshape(moves[0](x, None).shape).astype(dtype)
+    for move in moves:
+        expected = np.asarray(move(x, y))
+        closed = jax.make_jaxpr(move)(x, y)
+        variables = [*closed.jaxpr.constvars, *closed.jaxpr.invars]
+        known = dict(zip(variables, [*closed.consts, x, y], strict=True))
+        (equation,) = equations(closed.jaxpr)
+        np.testing.assert_array_equal(compute(equation, [known[atom] for atom in equation.invars])[0], expected)
+        if dtype is float:
+            np.testing.assert_array_equal(numbers(lower(move, x, y), x, y), expected)

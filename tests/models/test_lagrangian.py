@@ -281,3 +281,11 @@ def test_missing_measurement_has_a_finite_derivative():
 def test_a_metric_on_a_group_is_no_lagrangian_in_coordinates():
     with pytest.raises(ValueError, match="not in coordinates; build a MechanicalSystem"):
         Lagrangian(LeftInvariant(SO3, np.eye(3)), lambda q: 0.0 * q[0])
+
+
+def test_a_survey_goes_on_where_a_metric_is_not_finite():
+    """As in polar coordinates at the origin, here on half of the line."""
+    model = Lagrangian(lambda q: jnp.eye(3) / jnp.where(q[0] < 0, 0.0, 1.0), lambda q: 0.0, coordinates=("x", "y", "z"))
+    assert np.isnan(models.survey(model, np.tile([-1.0, 1.0], (3, 1)), samples=20).conditioning).all()
+    low, high = models.survey(model, np.array([[0.1, 1.0], [-1.0, 1.0], [-1.0, 1.0]]), samples=20).conditioning
+    assert low == pytest.approx(high) == pytest.approx(1.0)

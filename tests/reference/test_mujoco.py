@@ -1,6 +1,7 @@
 """Pendulum chains against MuJoCo, which knows bodies and joints but no metric."""
 
 import importlib.util
+import sys
 from pathlib import Path
 
 import jax
@@ -88,6 +89,18 @@ def load_demo():
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
+
+
+def test_the_demo_shows_velocities_first(tmp_path, monkeypatch, capsys):
+    """What takes longer comes after the first picture: the comparison, and the log that only another page reads."""
+    demo, done = load_demo(), []
+    monkeypatch.setattr(demo, "move", lambda out, name: done.append(name))
+    monkeypatch.setattr(demo, "covariant", lambda verb, *arguments: done.append(verb))
+    monkeypatch.setattr(sys, "argv", ["demo.py", "--out", str(tmp_path)])
+    monkeypatch.chdir(tmp_path)
+    demo.main()
+    assert done == ["log.csv", "estimate", "compare", "other.csv"]
+    assert "estimate.html" in capsys.readouterr().out.partition("Next")[0]
 
 
 def overwrite(machine, data, parameters) -> None:

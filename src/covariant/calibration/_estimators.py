@@ -220,12 +220,12 @@ def _noise(entry: Entry, known: Known) -> tuple:
     # Independent at each sample: σ²/rate as 2σ² time.
     time = 1 / (2 * known.rate) if sheet.correlation_time is None else sheet.correlation_time
     # A correlated acceleration acts like white noise of density 2 std² time (S_a in `gains`).
-    process_cov = 2 * sheet.acceleration_std**2 * time * jnp.eye(known.n)
+    process_cov = jnp.asarray(2 * sheet.acceleration_std**2 * time * np.eye(known.n))
     if sheet.torque_std is not None and entry.observer is not EKF:  # which has the same noise everywhere
-        torque = jnp.sqrt(2 * time) * jnp.broadcast_to(jnp.asarray(sheet.torque_std, float), known.n)
-        process_cov = TorqueNoise(known.space, process_cov, torque)
-    std = jnp.broadcast_to(jnp.asarray(sheet.coordinate_stds or sheet.measurement_std, float), known.n)
-    return process_cov, jnp.diag(std**2), sheet.motion_std * sheet.motion_time
+        torque = np.sqrt(2 * time) * np.broadcast_to(np.asarray(sheet.torque_std, float), known.n)
+        process_cov = TorqueNoise(known.space, process_cov, jnp.asarray(torque))
+    std = np.broadcast_to(np.asarray(sheet.coordinate_stds or sheet.measurement_std, float), known.n)
+    return process_cov, jnp.asarray(np.diag(std**2)), sheet.motion_std * sheet.motion_time
 
 
 def _ticks(entry: Entry, known: Known) -> tuple:

@@ -151,8 +151,7 @@ def fit(
     covariance = _sandwich(point.blocks, fixed.directions)
     # A large but finite weight fixes the undetermined combinations: remove the trace of motion that it leaves.
     z = point.z - fixed.directions @ (point.z - fixed.at)
-    slopes = np.asarray(problem.slopes(z))
-    values = np.asarray(problem.values(z))
+    values, slopes = map(np.asarray, _values_and_slopes(problem, jnp.asarray(z)))
     # Relative to the value, or for a value of zero to the unit.
     rows = _rows(fixed.directions, slopes / np.where(values == 0, 1.0, values))
     part = np.sqrt(np.sum(rows**2, axis=0))
@@ -230,6 +229,11 @@ class _Problem(NamedTuple):
     def slopes(self, z) -> Float[Array, "p"]:
         """Derivative of each parameter in its relative change."""
         return jnp.where(jnp.asarray(self.positive), self.first * jnp.exp(z), self.size * jnp.cosh(z))
+
+
+@eqx.filter_jit  # one program in place of a dozen small ones
+def _values_and_slopes(problem: _Problem, z: Array) -> tuple[Float[Array, "p"], Float[Array, "p"]]:
+    return problem.values(z), problem.slopes(z)
 
 
 class _Fixed(NamedTuple):

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from covariant._typing import Scalar
+from covariant._typing import Scalar, Vector
 from covariant.calibration._windows import Windows
 from covariant.observers import PLL
 from covariant.signals import AnyArray
@@ -99,21 +99,21 @@ def weighing(
     Returns:
         The frequency, and the scale of its innovations.
     """
-    scales = np.asarray(_scales(windows, jnp.asarray(errors), jnp.asarray(seen), jnp.asarray(among)))
+    # One frequency after the other, so that one program serves any number of them.
+    data = windows, jnp.asarray(errors), jnp.asarray(seen)
+    scales = np.stack([np.asarray(_scale(*data, jnp.asarray(frequency))) for frequency in among])
     best = int(np.argmin(np.sum(np.log(scales), axis=1)))  # the first where none is finite
     return Weighing(np.asarray(among[best]), scales[best])
 
 
 @eqx.filter_jit
-def _scales(windows: Windows, errors: Array, seen: Array, among: Float[Array, "f"]) -> Float[Array, "f n"]:
+def _scale(windows: Windows, errors: Array, seen: Array, frequency: Scalar) -> Vector:
     t, v = jnp.asarray(windows.t), jnp.asarray(windows.v)
     motion = jnp.sqrt(jnp.mean((v * (t - t[:, :1])[..., None]) ** 2, axis=(0, 1)))
 
-    def scale(frequency):
-        new = jax.vmap(innovations, (0, 0, 0, None))(errors, seen, t, frequency)
-        # The median of the sizes is that of noise even where some errors are outliers.
-        # 1.4826 = 1/Φ⁻¹(3/4): half of all normal deviates are within 0.6745 standard deviations.
-        return 1.4826 * jnp.nanmedian(jnp.where(seen, jnp.abs(new), jnp.nan), axis=(0, 1))
-
+    new = jax.vmap(innovations, (0, 0, 0, None))(errors, seen, t, frequency)
+    # The median of the sizes is that of noise even where some errors are outliers.
+    # 1.4826 = 1/Φ⁻¹(3/4): half of all normal deviates are within 0.6745 standard deviations.
+    scale = 1.4826 * jnp.nanmedian(jnp.where(seen, jnp.abs(new), jnp.nan), axis=(0, 1))
     # The floor keeps the logarithms above finite where a model predicts a noise-free log exactly.
-    return jnp.maximum(jax.lax.map(scale, among), (FINEST * motion + 1e-300)[None])
+    return jnp.maximum(scale, FINEST * motion + 1e-300)

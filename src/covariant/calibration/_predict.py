@@ -12,6 +12,7 @@ from jaxtyping import Array, Bool, Float
 from covariant._typing import Number
 from covariant.calibration._ahead import mean_square
 from covariant.calibration._windows import Windows
+from covariant.lowering import evaluate_batch
 from covariant.models import MechanicalSystem, Motion, advance, friction
 
 LONGEST_STEP = 0.01
@@ -118,21 +119,17 @@ def needed_substeps(model: MechanicalSystem, windows: Windows) -> int:
     Returns:
         The number, from 1 to `MOST_SUBSTEPS`.
     """
-    y, v, rows = np.asarray(windows.y), np.asarray(windows.v), np.asarray(windows.rows)
-    longest = float(np.diff(np.asarray(windows.t), axis=1).max())
+    t, y, v, rows, inputs = (np.asarray(a) for a in (windows.t, windows.y, windows.v, windows.rows, windows.inputs))
+    longest = float(np.diff(t, axis=1).max())
     fastest = np.abs(v).max(axis=(0, 1))
 
-    @eqx.filter_jit
-    def rate(model, t, q, v, u):
+    def rate(t, q, v, u):
         return -jnp.trace(jax.jacfwd(lambda w: friction(model, t, q, w, u))(v))
 
-    sampled = range(0, len(y), max(1, len(y) // 8))
-    rates = [
-        float(rate(model, jnp.asarray(windows.t[k, 0]), jnp.asarray(y[k, 0]), jnp.asarray(speed), windows.inputs[row]))
-        for k in sampled
-        for row in rows[k, :1]
-        for speed in (np.zeros_like(fastest), fastest)
-    ]
+    sampled = np.arange(0, len(y), max(1, len(y) // 8))
+    speeds = np.repeat([np.zeros_like(fastest), fastest], len(sampled), axis=0)
+    sampled = np.tile(sampled, 2)
+    rates = evaluate_batch(rate, t[sampled, 0], y[sampled, 0], speeds, inputs[rows[sampled, 0]])
     # At h · rate ≤ 1 the Runge–Kutta method, stable on the real axis down to −2.78, has a margin.
     needed = longest * max(1 / LONGEST_STEP, np.nanmax(rates))
     return int(np.clip(np.ceil(needed), 1, MOST_SUBSTEPS))
@@ -161,16 +158,17 @@ def prediction_errors(model: MechanicalSystem, lag: Number, windows: Windows) ->
         True
     """
     substeps = needed_substeps(model, windows)
-    u = lagged(jnp.asarray(windows.inputs), jnp.asarray(windows.steps), lag)[jnp.asarray(windows.rows)]
-    data = (jnp.asarray(windows.t), u, jnp.asarray(windows.y), jnp.asarray(windows.v))
-    single, whole, speed, seen, timed = _errors(model, data, substeps)
+    u = np.asarray(lagged(jnp.asarray(windows.inputs), jnp.asarray(windows.steps), lag))[np.asarray(windows.rows)]
+    data = (windows.t, u, windows.y, windows.v)
+    errors = _errors(model, jax.tree.map(jnp.asarray, data), substeps)
+    single, whole, speed, seen, timed = jax.tree.map(np.asarray, errors)
 
     def rms(errors, mask):
-        columns = [np.asarray(errors[..., i])[np.asarray(mask[..., i])] for i in range(errors.shape[-1])]
+        columns = [errors[..., i][mask[..., i]] for i in range(errors.shape[-1])]
         return np.sqrt([mean_square(column) if column.size else 0.0 for column in columns])
 
     # The prediction starts from the first row, whose error is zero by construction.
-    later = seen.at[:, 0].set(False)
+    later = seen & (np.arange(seen.shape[1]) > 0)[:, None]
     return PredictionErrors(rms(single, later[:, 1:] & seen[:, :-1]), rms(whole, later), rms(speed, timed))
 
 
@@ -179,11 +177,20 @@ def _errors(model: MechanicalSystem, data: Any, substeps: int):
     manifold = model.manifold
 
     def window(t, u, y, v):
-        predicted = follow(model, t, u, Motion(y[0], v[0]), substeps)
+        def step(predicted, row):
+            begin, end, input_, q, w = row
+            present = manifold.measured(predicted.q, q)  # where something is missing its error is masked
+            # Two motions in one: advanced apart, the model would be compiled twice.
+            both = jax.tree.map(lambda *parts: jnp.stack(parts), predicted, Motion(present, w))
+            both = jax.vmap(lambda motion: advance(model, begin, motion, input_, end - begin, substeps))(both)
+            after, once = (jax.tree.map(lambda part, k=k: part[k], both) for k in range(2))
+            return after, (after, once.q)
+
+        start = Motion(y[0], v[0])
+        after, once = jax.lax.scan(step, start, (t[:-1], t[1:], u, y[:-1], v[:-1]))[1]
+        predicted = jax.tree.map(lambda first, rest: jnp.concatenate([first[None], rest]), start, after)
         whole, seen = differences(model, predicted.q, y)
-        present = jax.vmap(manifold.measured)(predicted.q, y)  # where something is missing its error is masked
-        once = jax.vmap(lambda s, q, w, input_, h: advance(model, s, Motion(q, w), input_, h, substeps).q)
-        single, _ = differences(model, once(t[:-1], present[:-1], v[:-1], u, jnp.diff(t)), y[1:])
+        single, _ = differences(model, once, y[1:])
         timed = jnp.concatenate([jnp.ones(1, bool), jnp.diff(t) > 0])[:, None]
         return single, whole, v - predicted.v, seen, timed & jnp.ones_like(seen)
 

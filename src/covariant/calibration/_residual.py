@@ -1,17 +1,18 @@
 """Residual accelerations of a smoothed log: the measured ones minus those of the model."""
 
+import functools
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
-import equinox as eqx
-import jax
 import numpy as np
 from jaxtyping import Bool, Float
 
 from covariant.calibration._smooth import Smooth
+from covariant.lowering import on_batches
 from covariant.models import MechanicalSystem, acceleration
 
 POINTS = 2048
-"""Points of the grid in one call of the compiled program, so that one program serves all logs."""
+"""Points of the grid at once: for a model without a graph one compiled program serves all logs."""
 CLEAR = 10.0
 """Ratio of the mean square of accelerations to that of the noise, from which they count as more than noise."""
 
@@ -118,13 +119,13 @@ def accelerations(model: MechanicalSystem, log: Smooth, force: Any = None) -> Fl
         part = [array[start : start + POINTS] for array in data]
         count = len(part[0])
         padded = [np.concatenate([array, np.repeat(array[-1:], POINTS - count, axis=0)]) for array in part]
-        chunks.append(np.asarray(_accelerations(model, *padded))[:count])
+        chunks.append(_accelerations(model, log.q.shape[1], log.u.shape[1])(*padded)[:count])
     return np.concatenate(chunks)
 
 
-@eqx.filter_jit
-def _accelerations(model, t, q, v, u, force):
+@functools.lru_cache(maxsize=4)  # a check compares one model with many logs
+def _accelerations(model: MechanicalSystem, n: int, m: int) -> Callable:
     def at(t, q, v, u, force):
         return acceleration(model, t, q, v, u) + model.space.raise_(q, force)
 
-    return jax.vmap(at)(t, q, v, u, force)
+    return on_batches(at, np.zeros(()), np.zeros(n), np.zeros(n), np.zeros(m), np.zeros(n))

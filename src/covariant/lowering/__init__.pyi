@@ -37,7 +37,14 @@ from ._jaxpr import (
 from ._loops import operations as operations
 from ._lowered import Conditions as Conditions, Lowered as Lowered, LoweringError as LoweringError
 from ._peephole import simplified as simplified
-from ._read import NUMBERS as NUMBERS, Domain as Domain, evaluate as evaluate, numbers as numbers
+from ._read import (
+    NUMBERS as NUMBERS,
+    Domain as Domain,
+    evaluate as evaluate,
+    evaluate_batch as evaluate_batch,
+    numbers as numbers,
+    on_batches as on_batches,
+)
 from ._rounding import perturbed as perturbed
 from ._stumpff import STUMPFF as STUMPFF, stumpff as stumpff
 from ._tape import Interval as Interval, Truth as Truth

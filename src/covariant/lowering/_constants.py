@@ -4,6 +4,7 @@ There is a rule only for what rounds as in JAX: operations that move entries, co
 IEEE operation for each entry. Everything else is computed by JAX itself.
 """
 
+import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -129,7 +130,103 @@ def updated_at(parameters: dict, value: np.ndarray, update: np.ndarray, *starts:
     return changed
 
 
+def gather_places(parameters: dict, shape: Sequence[int], starts: np.ndarray) -> np.ndarray:
+    """Where the entries of a `gather` come from: places in the flat array, −1 for those out of bounds.
+
+    Args:
+        parameters: Parameters of the primitive.
+        shape: Shape of the array from which slices are taken.
+        starts: First indices of the slices, along the last axis.
+    """
+    numbers, sizes = parameters["dimension_numbers"], parameters["slice_sizes"]
+    dropped = (*numbers.collapsed_slice_dims, *numbers.operand_batching_dims)
+    batching = zip(numbers.operand_batching_dims, numbers.start_indices_batching_dims, strict=True)
+    clips = parameters["mode"] != jax.lax.GatherScatterMode.FILL_OR_DROP
+    places = _flat_places(shape, sizes, starts, numbers.start_index_map, dict(batching), clips)
+    return _windows_at(numbers.offset_dims, places, dropped, len(sizes))
+
+
+def scatter_places(parameters: dict, shape: Sequence[int], starts: np.ndarray, updates: Sequence[int]) -> np.ndarray:
+    """Where the entries of the updates of a `scatter` go: places in the flat array, −1 for those that are dropped.
+
+    Args:
+        parameters: Parameters of the primitive.
+        shape: Shape of the array that is changed.
+        starts: First indices of the windows, along the last axis.
+        updates: Shape of the updates, and of the result.
+    """
+    numbers = parameters["dimension_numbers"]
+    dropped = (*numbers.inserted_window_dims, *numbers.operand_batching_dims)
+    window = iter(updates[k] for k in numbers.update_window_dims)
+    sizes = [1 if d in dropped else next(window) for d in range(len(shape))]
+    batching = zip(numbers.operand_batching_dims, numbers.scatter_indices_batching_dims, strict=True)
+    clips = parameters["mode"] == jax.lax.GatherScatterMode.CLIP
+    places = _flat_places(shape, sizes, starts, numbers.scatter_dims_to_operand_dims, dict(batching), clips)
+    return _windows_at(numbers.update_window_dims, places, dropped, len(shape))
+
+
+def _flat_places(
+    shape: Sequence[int],
+    sizes: Sequence[int],
+    starts: np.ndarray,
+    axes: Sequence[int],
+    batching: dict[int, int],
+    clips: bool,
+) -> np.ndarray:
+    """Places (*batch, *sizes) in a flat array of the entries of windows, −1 for all of a window that does not fit."""
+    batch = starts.shape[:-1]
+    first = np.zeros((*batch, len(shape)), int)
+    first[..., list(axes)] = starts
+    for axis, of_batch in batching.items():
+        lifted = np.ones(len(batch), int)
+        lifted[of_batch] = batch[of_batch]
+        first[..., axis] = np.arange(batch[of_batch]).reshape(lifted)
+    last = np.array(shape, int) - np.array(sizes, int)
+    if clips:
+        first = np.clip(first, 0, last)
+    fits = ((first >= 0) & (first <= last)).all(-1, keepdims=True)
+    offsets = np.indices(sizes).reshape(len(sizes), math.prod(sizes))
+    strides = np.array([math.prod(shape[k + 1 :]) for k in range(len(shape))], int)
+    places = (first @ strides)[..., None] + strides @ offsets
+    return np.where(fits, places, -1).reshape(*batch, *sizes)
+
+
+def _windows_at(axes: Sequence[int], places: np.ndarray, dropped: Sequence[int], dimensions: int) -> np.ndarray:
+    """The axes of the windows moved to where the primitive has them, without those of size one that it drops."""
+    batch = places.ndim - dimensions
+    windows = np.squeeze(places, tuple(batch + d for d in dropped))
+    return np.moveaxis(windows, range(batch, windows.ndim), axes)
+
+
 SLICES = {"dynamic_slice": part_at, "dynamic_update_slice": updated_at}
+
+
+def _gather(parameters: dict, value: np.ndarray, starts: np.ndarray) -> Any:
+    places, fill = gather_places(parameters, value.shape, starts), parameters["fill_value"]
+    outside = places < 0
+    if not outside.any():
+        return value.ravel()[places]
+    if fill is None and not np.issubdtype(value.dtype, np.floating):
+        return NotImplemented  # each type has another default
+    entries = np.append(value, np.zeros(1, value.dtype))  # the last one is for −1
+    return np.where(outside, np.nan if fill is None else fill, entries[places])
+
+
+def _scatter(parameters: dict, value: np.ndarray, starts: np.ndarray, updates: np.ndarray) -> np.ndarray:
+    changed, places = value.ravel().copy(), scatter_places(parameters, value.shape, starts, updates.shape).ravel()
+    changed[places[places >= 0]] = updates.ravel()[places >= 0]
+    return changed.reshape(value.shape)
+
+
+def _scatter_add(parameters: dict, value: np.ndarray, starts: np.ndarray, updates: np.ndarray) -> np.ndarray:
+    changed, places = value.ravel().copy(), scatter_places(parameters, value.shape, starts, updates.shape).ravel()
+    # One after the other, also where two go to one place, as XLA does on a processor.
+    np.add.at(changed, places[places >= 0], updates.ravel()[places >= 0])
+    return changed.reshape(value.shape)
+
+
+def _over_axes(function: Callable[..., Any]) -> Rule:
+    return lambda parameters, value: function(value, tuple(parameters["axes"]))
 
 
 def _divide(parameters: dict, a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -181,6 +278,11 @@ _RULES: dict[str, Rule] = {
     "pad": padded,
     **SLICES,
     "split": _split,
+    "gather": _gather,
+    "scatter": _scatter,
+    "scatter-add": _scatter_add,
+    "reduce_or": _over_axes(np.any),
+    "reduce_and": _over_axes(np.all),
     "iota": lambda parameters, *_: _iota(parameters),
     "convert_element_type": _convert,
     "copy": _each(np.copy),

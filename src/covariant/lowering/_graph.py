@@ -14,6 +14,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from covariant.lowering import _stumpff
+from covariant.lowering._simplify import SIMPLER, simpler_real
 
 Kind = Literal["true", "decided", "whole", "finite"]
 LARGEST = 1e150
@@ -178,10 +179,6 @@ def no_collection() -> Iterator[None]:
             gc.enable()
 
 
-Rule = Callable[["Graph", tuple[int, ...], list], int | None]
-"""`(graph, arguments, values)`: nodes, and the value of each that is a constant, None for the others."""
-
-
 class Mark(NamedTuple):
     """Sizes of a graph's lists and tables, for `Graph.rollback`."""
 
@@ -311,7 +308,7 @@ class Graph:
     def _apply_noting(self, op: str, arguments: tuple[int, ...]) -> int:
         self._note(op, arguments, [self.nodes[a] for a in arguments])
         result = self._apply_simplifying(op, arguments)
-        if op in CHOICES and any(self._may_be_infinite(a) for a in arguments):
+        if op in CHOICES and any(self.may_be_infinite(a) for a in arguments):
             self._infinite[result] = None
         return result
 
@@ -325,7 +322,7 @@ class Graph:
                 return self.constant(np.asarray(FOLD[op](*values)).item())
         simpler = SIMPLER[op](self, arguments, values) if op in SIMPLER else None
         if simpler is None and self.real:
-            simpler = self._simplify_real(op, arguments)
+            simpler = simpler_real(self, op, arguments)
         if simpler is not None:
             if self.real and op in CANCELS:
                 for a in {*arguments} - {simpler, *self.nodes[simpler].arguments}:
@@ -356,7 +353,8 @@ class Graph:
                 if a in self._infinite:
                     self._condition("true", self._add(("is_finite", a), "is_finite", (a,)), op)
 
-    def _may_be_infinite(self, node: int) -> bool:
+    def may_be_infinite(self, node: int) -> bool:
+        """Whether a node may have an infinite value, of a constant or of a choice; in graphs with `real`."""
         value = self.nodes[node].value if self.nodes[node].op == "constant" else 0.0
         return node in self._infinite or (value is not None and not math.isfinite(value))
 
@@ -420,45 +418,6 @@ class Graph:
         """Whether a node is the constant 0, of either sign."""
         return self.nodes[node].op == "constant" and self.nodes[node].value == 0
 
-    def _simplify_real(self, op: str, arguments: tuple[int, ...]) -> int | None:
-        """Simplifications for real numbers only. A choice that is |x|, min or max in disguise does not jump."""
-        match op, arguments:
-            case "is_finite", (a,) if not self._may_be_infinite(a):
-                return self.constant(True)
-            case "eq", (a, b) if a == b and not self._may_be_infinite(a):
-                return self.constant(True)
-            case "min" | "max", (a, b):  # an infinite bound
-                none = np.inf if op == "min" else -np.inf  # the neutral element
-                for one, other in ((a, b), (b, a)):
-                    if self.nodes[other].op == "constant" and self.nodes[other].value == none:
-                        return one
-            case "eq", (a, b):
-                for one, other in ((a, b), (b, a)):  # a = max(a, c), as in the derivative of max
-                    node = self.nodes[other]
-                    if node.op in ("min", "max") and one in node.arguments:
-                        rest = node.arguments[0] if node.arguments[1] == one else node.arguments[1]
-                        return self.apply("le", *((one, rest) if node.op == "min" else (rest, one)))
-            case "not", (p,) if self.nodes[p].op == "not":
-                return self.nodes[p].arguments[0]
-            case "select", (p, a, b) if self.nodes[p].op == "not":
-                return self.apply("select", self.nodes[p].arguments[0], b, a)
-            case "select", (p, a, b) if self.nodes[p].op in ("lt", "le"):
-                less, more = self.nodes[p].arguments
-                if (a, b) in ((less, more), (more, less)):
-                    return self.apply("min" if a == less else "max", a, b)
-                size = self._absolute_argument(less, more, a, b)
-                return None if size is None else self.apply("abs", size)
-        return None
-
-    def _absolute_argument(self, less: int, more: int, a: int, b: int) -> int | None:
-        """Return x if `less < more ? a : b` is |x|, that is x < 0 ? −x : x, or 0 < x ? x : −x; else None."""
-        zero = self.constant(0.0)
-        if more == zero and self.is_operation("neg", a, b) and less == b:
-            return b
-        if less == zero and self.is_operation("neg", b, a) and more == a:
-            return a
-        return None
-
     def pruned(self, outputs: Sequence[int]) -> tuple["Graph", list[int]]:
         """Return the subgraph that some nodes need.
 
@@ -480,100 +439,6 @@ class Graph:
             place[index] = len(small.nodes)
             small.nodes.append(node._replace(arguments=tuple(place[a] for a in node.arguments)))
         return small, [place[index] for index in outputs]
-
-
-def _simpler_sum(graph: Graph, arguments: tuple[int, ...], values: list) -> int | None:
-    (a, b), (x, y) = arguments, values
-    if y == 0.0:
-        return a
-    if x == 0.0:
-        return b
-    first, second = graph.nodes[a], graph.nodes[b]
-    if first.op == "sub" and first.arguments[1] == b:  # (c − b) + b
-        return first.arguments[0]
-    if second.op == "sub" and second.arguments[1] == a:
-        return second.arguments[0]
-    return None
-
-
-def _simpler_difference(graph: Graph, arguments: tuple[int, ...], values: list) -> int | None:
-    (a, b), (x, y) = arguments, values
-    if y == 0.0:
-        return a
-    if x == 0.0:
-        return graph.apply("neg", b)
-    # Exact for finite numbers only: `Graph` notes the condition "finite" for each node that cancels here.
-    if a == b:
-        return graph.constant(0.0)
-    if graph.is_operation("sub", b, a):  # a − (a − b)
-        return graph.nodes[b].arguments[1]
-    if graph.is_operation("sub", a, b):  # (b − c) − b
-        return graph.apply("neg", graph.nodes[a].arguments[1])
-    if graph.nodes[a].op == "add" and b in graph.nodes[a].arguments:
-        one, other = graph.nodes[a].arguments
-        return other if one == b else one
-    return None
-
-
-def _simpler_product(graph: Graph, arguments: tuple[int, ...], values: list) -> int | None:
-    """A product with zero becomes zero, which is correct for real numbers and for finite floating-point numbers."""
-    for other, value in zip(arguments, reversed(values), strict=True):
-        if value == 0.0:
-            return graph.constant(0.0)
-        if value == 1.0:
-            return other
-        if value == -1.0:
-            return graph.apply("neg", other)
-    return None
-
-
-def _simpler_quotient(graph: Graph, arguments: tuple[int, ...], values: list) -> int | None:
-    if values[1] == 1.0:
-        return arguments[0]
-    return graph.constant(0.0) if values[0] == 0.0 else None
-
-
-def _simpler_negative(graph: Graph, arguments: tuple[int, ...], values: list) -> int | None:
-    inner = graph.nodes[arguments[0]]
-    return inner.arguments[0] if inner.op == "neg" else None
-
-
-def _simpler_choice(graph: Graph, arguments: tuple[int, ...], values: list) -> int | None:
-    (_, a, b), (p, _, _) = arguments, values
-    if isinstance(p, bool):
-        return a if p else b
-    return a if a == b else None
-
-
-def _simpler_extreme(graph: Graph, arguments: tuple[int, ...], values: list) -> int | None:
-    return arguments[0] if arguments[0] == arguments[1] else None
-
-
-def _simpler_statement(neutral: bool) -> Rule:
-    """Of "and", whose neutral element is true, and of "or", whose one is false."""
-
-    def rule(graph: Graph, arguments: tuple[int, ...], values: list) -> int | None:
-        for other, value in zip(arguments, reversed(values), strict=True):
-            if isinstance(value, bool):
-                return other if value is neutral else graph.constant(not neutral)
-        return _simpler_extreme(graph, arguments, values)
-
-    return rule
-
-
-SIMPLER: dict[str, Rule] = {
-    "add": _simpler_sum,
-    "sub": _simpler_difference,
-    "mul": _simpler_product,
-    "div": _simpler_quotient,
-    "neg": _simpler_negative,
-    "select": _simpler_choice,
-    "min": _simpler_extreme,
-    "max": _simpler_extreme,
-    "and": _simpler_statement(True),
-    "or": _simpler_statement(False),
-}
-"""For operations that may have a simpler form, the node of that form or None; not all arguments are constants."""
 
 
 def _needs(graph: Graph, op: str, x: tuple[int, ...], nodes: list[Node]) -> Iterator[tuple[Kind, int]]:

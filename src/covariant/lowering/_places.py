@@ -7,14 +7,13 @@ known numbers.
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from covariant.lowering._arrays import Scalars, Value, Writer, nodes_of
-from covariant.lowering._constants import SLICES
+from covariant.lowering._constants import SLICES, gather_places, scatter_places
 from covariant.lowering._graph import Table
 from covariant.lowering._jax_forms import JaxprEquation
 from covariant.lowering._lowered import LoweringError
@@ -144,24 +143,30 @@ def _moved(write: Writer, eqn: JaxprEquation, arguments: list[np.ndarray]) -> np
     """Nodes moved by the primitive itself, applied to their indices."""
     if eqn.name in SLICES:
         return SLICES[eqn.name](eqn.params, *arguments)
-    # −1 is the index of no node: it marks entries out of bounds, which are NaN.
-    parameters = dict(eqn.params) | ({"fill_value": -1} if eqn.name == "gather" else {})
-    with jax.ensure_compile_time_eval():
-        ids = np.array(eqn.primitive.bind(*map(jnp.asarray, arguments), **parameters))
-    ids[ids < 0] = write.graph.constant(float("nan"))  # the value of a gather out of bounds
-    return ids
+    if eqn.name == "gather":
+        operand, starts = arguments
+        places = gather_places(eqn.params, operand.shape, starts)
+        outside = write.graph.constant(float("nan"))
+        return np.where(places < 0, outside, np.append(operand, outside)[places])
+    operand, places, updates = arguments
+    moved = operand.ravel().copy()
+    for target, node in _targets(eqn, operand, places, updates):
+        moved[target] = node
+    return moved.reshape(operand.shape)
 
 
 def _added(write: Writer, eqn: JaxprEquation, arguments: list[np.ndarray]) -> np.ndarray:
     operand, places, updates = arguments
     total = operand.ravel().copy()
-    for k, node in enumerate(updates.ravel().tolist()):
-        # The primitive, applied to a one at the position of an update and zeros elsewhere, shows where the update goes.
-        one = np.zeros(updates.size, eqn.invars[2].aval.dtype)
-        one[k] = 1.0
-        with jax.ensure_compile_time_eval():
-            arrays = map(jnp.asarray, (np.zeros(operand.shape, one.dtype), places, one.reshape(updates.shape)))
-            target = np.asarray(eqn.primitive.bind(*arrays, **eqn.params))
-        for i in np.flatnonzero(target.ravel()):
-            total[i] = write.graph.apply("add", int(total[i]), node)
+    for target, node in _targets(eqn, operand, places, updates):
+        total[target] = write.graph.apply("add", int(total[target]), node)
     return total.reshape(operand.shape)
+
+
+def _targets(
+    eqn: JaxprEquation, operand: np.ndarray, places: np.ndarray, updates: np.ndarray
+) -> Iterator[tuple[int, int]]:
+    """The place in the flat operand for each node of the updates that has one."""
+    targets = scatter_places(eqn.params, operand.shape, places, updates.shape)
+    pairs = zip(targets.ravel().tolist(), updates.ravel().tolist(), strict=True)
+    return (pair for pair in pairs if pair[0] >= 0)

@@ -1,11 +1,9 @@
 """A numerical check of the metric of a model, beyond the types and shapes of its functions."""
 
-import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
-from covariant._typing import Matrix
+from covariant.lowering import evaluate_batch
 from covariant.models._mechanical import MechanicalSystem
 
 
@@ -27,16 +25,11 @@ def check_metric(model: MechanicalSystem, points: Float[np.ndarray, "k n"]) -> N
         >>> from covariant import models
         >>> models.check_metric(models.ball_and_beam(), np.zeros((1, 2)))
     """
-    usable = [_is_usable(np.asarray(_metric(model, jnp.asarray(q))), q) for q in points]
+    usable = [_is_usable(g, q) for g, q in zip(evaluate_batch(model.space, points), points, strict=True)]
     if not any(usable):
         raise ValueError(
             f"metric is singular or not finite at all {len(points)} points tried, such as q = {_text(points[0])}"
         )
-
-
-@eqx.filter_jit
-def _metric(model: MechanicalSystem, q: Array) -> Matrix:
-    return model.space(q)
 
 
 def _is_usable(g: np.ndarray, q: np.ndarray) -> bool:

@@ -2,13 +2,13 @@
 
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from covariant._linalg import half_solve
 from covariant.geometry import sectional_curvature
+from covariant.lowering import evaluate_batch
 from covariant.models._mechanical import MechanicalSystem
 
 
@@ -68,10 +68,13 @@ def survey(
     planes = rng.normal(size=(samples, 2, n))
     # The length of a normal vector (3,) is about 1.6 standard deviations: turns of 2.5 rad in the mean.
     steps[:, : n - count] = rng.normal(size=(samples, n - count), scale=np.pi / 2)
-    each = jax.vmap(lambda s, w: _at_configuration(model, model.manifold.retract(origin, s), w))
-    eigenvalues, curvature = jax.jit(each)(steps, planes)
-    ratios = np.asarray(eigenvalues[:, -1] / eigenvalues[:, 0])
-    curvatures = np.asarray(curvature)
+    matrices, curvatures = evaluate_batch(
+        lambda s, w: _at_configuration(model, model.manifold.retract(origin, s), w), steps, planes
+    )
+    eigenvalues = np.full((samples, n), np.nan)
+    finite = np.isfinite(matrices).all((1, 2))  # LAPACK fails at others
+    eigenvalues[finite] = np.linalg.eigvalsh(matrices[finite])
+    ratios = eigenvalues[:, -1] / eigenvalues[:, 0]
     return Survey(
         (float(ratios.min()), float(ratios.max())),
         (float(curvatures.min()), float(curvatures.max())) if n > 1 else None,
@@ -81,10 +84,10 @@ def survey(
 
 def _at_configuration(
     model: MechanicalSystem, x: Array, w: Float[Array, "2 n"]
-) -> tuple[Float[Array, "n"], Float[Array, ""]]:
-    """Eigenvalues of the metric, and the sectional curvature of a plane, random where w is."""
+) -> tuple[Float[Array, "n n"], Float[Array, ""]]:
+    """The metric, and the sectional curvature of a plane, random where w is."""
     matrix = model.space(x)
     n = matrix.shape[0]
     # L⁻ᵀ w is equally likely in all directions of the metric L Lᵀ.
     a, b = w @ half_solve(matrix, jnp.eye(n, dtype=matrix.dtype))
-    return jnp.linalg.eigvalsh(matrix), sectional_curvature(model.space, x, a, b) if n > 1 else jnp.zeros(())
+    return matrix, sectional_curvature(model.space, x, a, b) if n > 1 else jnp.zeros(())

@@ -9,6 +9,7 @@ from functools import partial
 from typing import Any, Literal, NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
 
 from covariant._typing import Matrix
 from covariant.geometry.lie import SO3
@@ -84,12 +85,13 @@ def intrinsic_kalman(
     Returns:
         The filter.
     """
-    axes = jnp.eye(measurement.shape[0])
+    n = measurement.shape[0]
+    velocity = jnp.asarray(speed**2 * np.eye(n))
     if quantum is None or not model.manifold.commuting:
-        return IntrinsicKalman(model, process, measurement, speed**2 * axes, slow, sensors=sensors)
+        return IntrinsicKalman(model, process, measurement, velocity, slow, sensors=sensors)
     # A reading is an interval here, so that the only noise is that of the positions of edges.
-    ticks = jnp.broadcast_to(jnp.asarray(quantum, float), len(axes))
-    return IntrinsicKalman(model, process, jnp.diag((EDGE * ticks) ** 2), speed**2 * axes, slow, ticks, sensors=sensors)
+    ticks = jnp.broadcast_to(jnp.asarray(quantum, float), n)
+    return IntrinsicKalman(model, process, jnp.diag((EDGE * ticks) ** 2), velocity, slow, ticks, sensors=sensors)
 
 
 class Entry(NamedTuple):

@@ -21,13 +21,15 @@ Särkkä 2008, Unscented Rauch–Tung–Striebel smoother, IEEE TAC 53(3), for t
 Kailath, Sayed & Hassibi 2000, Linear Estimation, chapter 10.
 """
 
+import functools
 from collections.abc import Collection
 from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Inexact
+import numpy as np
+from jaxtyping import Array, Float, Inexact, Int
 
 from covariant._linalg import (
     lower_solve,
@@ -225,7 +227,7 @@ def smooth(
     t, u, y, _ = checked(observer, record)
     result = smoothed(observer, jnp.asarray(t), jnp.asarray(u), jnp.asarray(y), lag, keep)
     largest, beside = (
-        max(float(jnp.abs(leaf).max()) for leaf in jax.tree.leaves(run.estimate))
+        max(float(np.abs(leaf).max()) for leaf in jax.tree.leaves(run.estimate))
         for run in (result.run, result.filtered)
     )
     if largest > FARTHEST * beside:
@@ -262,15 +264,13 @@ def smoothed(
     ahead = 1 if lag is None else lag + 1
     blocks = -(-count // BLOCK)
     size = -(-count // blocks)
-    rows = _lengthened(Rows.of(t, u, y), blocks * size + ahead - count)
-    state, fields = observer.init(y[0], t[0]), None if keep is None else frozenset(keep)
+    # The rows added at the end are no steps: nothing of this reaches a row of the log.
+    rows, state, later = _begun(observer, t, u, y, blocks * size + ahead - count)
+    fields = None if keep is None else frozenset(keep)
 
     def block(k, state, later):
         return _block(observer, state, _part(rows, k * size, size + ahead), later, lag, fields)
 
-    # The rows added at the end are no steps: nothing of this reaches a row of the log.
-    root = observer.root(state)
-    later = Smoothing(jnp.zeros_like(root[0]), jnp.zeros_like(root))
     parts: list[Any] = [None] * blocks
     if lag is None:
         states = [state]
@@ -297,6 +297,14 @@ def _joined(parts: list[Any], count: int) -> Any:
     return jax.tree.unflatten(tree, joined)
 
 
+@eqx.filter_jit  # one program in place of some twenty small ones
+def _begun(observer: AbstractGatedFilter, t: Array, u: Array, y: Array, more: int) -> tuple[Rows, Any, Smoothing]:
+    """The rows of a record and `more`, the state at the first, and as much knowledge of the error after the last."""
+    state = observer.init(y[0], t[0])
+    root = observer.root(state)
+    return _lengthened(Rows.of(t, u, y), more), state, Smoothing(jnp.zeros_like(root[0]), jnp.zeros_like(root))
+
+
 def _lengthened(rows: Rows, more: int) -> Rows:
     """Rows with as many `more` at the end that are no steps."""
     return Rows(
@@ -307,7 +315,8 @@ def _lengthened(rows: Rows, more: int) -> Rows:
     )
 
 
-def _part(rows: Rows, first: int, count: int) -> Rows:
+@functools.partial(jax.jit, static_argnames="count")
+def _part(rows: Rows, first: int | Int[Array, ""], count: int) -> Rows:
     # A slice at a place that is an argument is compiled once for all blocks.
     return Rows(*(jax.lax.dynamic_slice_in_dim(a, first, count) for a in rows))
 

@@ -4,14 +4,14 @@ import contextlib
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from covariant.geometry import AbstractManifold, AbstractSpace, Coordinates, ProductManifold
+from covariant.geometry import AbstractManifold, Coordinates, ProductManifold
 from covariant.geometry.lie import SE3, SO3
+from covariant.lowering import evaluate_batch
 from covariant.models._mechanical import MechanicalSystem
 from covariant.models._parameters import Parametric, known, namespace
 from covariant.models.robots._axes import Axis, Freedom, bodies_of, freedom_of, regrouped
@@ -234,20 +234,15 @@ def _with_followers(robot: Description, locked: dict[str, float]) -> dict[str, f
         still |= more
 
 
-@eqx.filter_jit  # operation by operation a first robot would take several times as long
-def _matrix(space: AbstractSpace, x: Array) -> Array:
-    return space(x)
-
-
 def _check_inertia(model: MechanicalSystem, names: list[str]) -> None:
     """Raise `ValueError` where a velocity has no kinetic energy; `names` are the joints of its last components."""
-    x = model.manifold.origin()
-    values, vectors = np.linalg.eigh(np.asarray(_matrix(model.space, x)))
-    if values[0] <= SMALLEST_INERTIA * values[-1]:
+    (matrix,) = evaluate_batch(model.space, jax.tree.map(lambda part: part[None], model.manifold.origin()))
+    eigenvalues, vectors = np.linalg.eigh(matrix)
+    if eigenvalues[0] <= SMALLEST_INERTIA * eigenvalues[-1]:
         participation = np.abs(vectors[:, 0])[-len(names) :]
         # The velocity without energy is the eigenvector of the smallest eigenvalue: its largest entry names the joint.
         worst = names[int(np.argmax(participation))] if names else "of the base"
         raise ValueError(
-            f"joint {worst!r} moves no mass: the inertia matrix has the eigenvalue {values[0]:.2g} beside "
-            f"{values[-1]:.2g}; give the links beyond it an <inertial>, or lock it"
+            f"joint {worst!r} moves no mass: the inertia matrix has the eigenvalue {eigenvalues[0]:.2g} beside "
+            f"{eigenvalues[-1]:.2g}; give the links beyond it an <inertial>, or lock it"
         )
