@@ -72,17 +72,21 @@ def _parts(x: Any, opened: dict[int, tuple[int, ...] | None]) -> Iterator[bytes]
         yield f"{_name(kind)} {x.name}".encode()
     elif isinstance(x, np.dtype):
         yield f"dtype {x.str}".encode()
-    elif isinstance(x, (np.ndarray, np.generic, jax.Array)):
+    elif kind is np.ndarray or isinstance(x, (np.generic, jax.Array)):  # a subclass may compute anything
         yield from _array(x, opened.get(id(x)))
     elif isinstance(x, tuple) and (kind is tuple or hasattr(x, "_fields")):
         yield f"{'tuple' if kind is tuple else _name(kind)} {len(x)}".encode()
         for each in x:
             yield from _parts(each, opened)
-    elif kind in (list, dict):
-        yield f"{kind.__name__} {len(x)}".encode()
-        for each in x.items() if kind is dict else x:
+    elif kind is list:
+        yield f"list {len(x)}".encode()
+        for each in x:
             yield from _parts(each, opened)
-    elif kind is functools.partial:
+    elif isinstance(x, dict) and kind is dict:
+        yield f"dict {len(x)}".encode()
+        for item in x.items():
+            yield from _parts(item, opened)
+    elif isinstance(x, functools.partial) and kind is functools.partial:
         yield b"partial"
         yield from _parts((x.func, x.args, x.keywords), opened)
     elif dataclasses.is_dataclass(x) and not isinstance(x, type):
@@ -108,7 +112,7 @@ def _array(x: Any, at: tuple[int, ...] | None) -> Iterator[bytes]:
         values = np.asarray(x)
     except TypeError as error:  # such as a key of random numbers
         raise _UnknownError from error
-    if values.dtype.hasobject or type(values) is not np.ndarray:
+    if values.dtype.hasobject:
         raise _UnknownError
     yield f"array {kind} {values.dtype.str} {values.shape} {getattr(x, 'weak_type', False)} {at}".encode()
     yield (values if at is None else values.ravel()[np.array(at, int) < 0]).tobytes()
