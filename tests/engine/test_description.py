@@ -32,7 +32,7 @@ MODELS = ("ball_and_beam", "free_body", "heavy_top", "hovercraft", "oscillator",
 def tuned(name: str) -> dict:
     """Every observer that fits a model of the library, and two that are built of others."""
     file = models.load(name)
-    found = tuned_estimators(file.model, file.dimension, SHEET, 100.0)
+    found = tuned_estimators(file.need_mechanical(name, "These"), file.dimension, SHEET, 100.0)
     kalman = found["intrinsic-kalman"].observer if isinstance(found["intrinsic-kalman"], observers.Gated) else None
     return found | {"late": observers.Delayed(found["intrinsic"], 0.02, 100.0)} | ({"kalman": kalman} if kalman else {})
 
@@ -200,7 +200,7 @@ def test_flags_of_jax_and_files_of_the_library_are_in_the_key(monkeypatch):
 
 @pytest.mark.parametrize("name", ["oscillator", "free_body"])
 def test_a_layout_is_read_as_it_was_written(name):
-    model = models.load(name).model
+    model = models.load(name).need_mechanical(name, "These")
     y = model.manifold.origin()
     copied = observers.Copy(model, 5.0, 8.0)
     for observer in (copied, observers.Gated(copied, model, noise=1e-3, speed=1.0)):

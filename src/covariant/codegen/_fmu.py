@@ -87,8 +87,8 @@ class Unit(NamedTuple):
 def fmu(program: Program, name: str, about: str, rate: float, y: np.ndarray, version: Version = "3.0") -> Unit:
     """An observer as a unit for co-simulation, whose inputs are the measurement `y` and the input `u`.
 
-    Its parameters, the open numbers, are tunable, and have the units of the model. The binary is compiled for the machine at hand, by the compiler
-    that CC names, `cc`, or that of the package ziglang.
+    Its parameters, the open numbers, are tunable, and have the units of the model. The binary is compiled for the
+    machine at hand, by the compiler that CC names, `cc`, or that of the package ziglang.
 
     Args:
         program: The observer as graphs.
@@ -189,9 +189,8 @@ def _variables(program: Program, y: np.ndarray) -> Iterator[UnitVariable]:
         yield UnitVariable("u", "input", (program.u,), (0.0,) * program.u, "input of the model, held over a step")
     for key, value in program.numbers.items():
         unit = program.units.get(key, "1")
-        yield UnitVariable(
-            f"parameters.{key}", "parameter", np.shape(value), tuple(np.ravel(value).tolist()), unit="" if unit == "1" else unit
-        )
+        first = tuple(np.ravel(value).tolist())
+        yield UnitVariable(f"parameters.{key}", "parameter", np.shape(value), first, unit="" if unit == "1" else unit)
     for leaf in (*program.x, *program.told):
         if leaf.size:
             yield UnitVariable(leaf.name, "output", leaf.shape)

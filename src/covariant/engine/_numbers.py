@@ -99,13 +99,25 @@ def filled(leaves: Sequence[Any], places: Places, numbers: Any) -> list[Any]:
         places: As in `OpenNumbers`.
         numbers: The open numbers (K,).
     """
-    return [
-        leaf if at is None else _filled(np.asarray(leaf), np.array(at), numbers)
-        for leaf, at in zip(leaves, places, strict=True)
-    ]
+    # One array for those that hold the same numbers: each takes as long to trace as a step of a model.
+    made: dict[tuple[Any, ...], Any] = {}
+    results = []
+    for leaf, at in zip(leaves, places, strict=True):
+        if at is not None:
+            known = np.asarray(leaf)
+            key = at, known.shape, known.dtype.str, known.ravel()[np.array(at, int) < 0].tobytes()
+            if key not in made:
+                made[key] = _filled(known, np.array(at), numbers)
+            leaf = made[key]
+        results.append(leaf)
+    return results
 
 
 def _filled(leaf: np.ndarray, at: np.ndarray, numbers: Any) -> Any:
-    known = leaf.ravel()[at < 0]
-    index = np.where(at < 0, len(numbers) + np.cumsum(at < 0) - 1, at)
-    return jnp.concatenate([numbers, known])[index].reshape(leaf.shape).astype(leaf.dtype)
+    if (at == np.arange(at[0], at[0] + len(at))).all() and at[0] >= 0:
+        entries = jax.lax.slice(numbers, (int(at[0]),), (int(at[0]) + len(at),))
+    else:
+        constants = leaf.ravel()[at < 0].astype(numbers.dtype)
+        index = np.where(at < 0, len(numbers) + np.cumsum(at < 0) - 1, at)
+        entries = jnp.concatenate([numbers, constants]).at[index].get(mode="promise_in_bounds")
+    return jax.lax.convert_element_type(jax.lax.reshape(entries, leaf.shape), leaf.dtype)
