@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from covariant import models, observers
+from covariant import _programs, models, observers
 from covariant.calibration import DataSheet, tuned_estimators
 from covariant.codegen import trace_program
 from covariant.engine import KernelForm, _description
@@ -195,7 +195,21 @@ def test_flags_of_jax_and_files_of_the_library_are_in_the_key(monkeypatch):
         assert key_of(observer) != key
     assert key_of(observer) == key
     monkeypatch.setattr(_description, "_library", lambda: "another version")
-    assert key_of(observer) != key
+    assert key_of(observer) not in (key, None)
+    monkeypatch.setattr(_programs, "IMPORTED", 0.0)
+    assert key_of(observer) is None, "a file was changed after it was imported"
+
+
+def test_complex_numbers_and_zeros_are_no_arguments_unless_they_differ():
+    observer = observers.EKF(models.oscillator(), jnp.eye(1), 1e-4 * jnp.eye(1))
+    numbers = [jnp.array([0.0, 2.0, jnp.nan]), jnp.array([0.0, 3.0, jnp.nan]), jnp.array([0.5, 3.0, jnp.nan])]
+    one, two, three = (eqx.tree_at(lambda o: o.measurement_cov, observer, each) for each in numbers)
+    assert open_numbers([one]).places == open_numbers([two]).places == open_numbers([one, two]).places
+    assert open_numbers([one, three]).places != open_numbers([one]).places
+    complex_one = eqx.tree_at(lambda o: o.measurement_cov, observer, jnp.array([2.0 + 1.0j]))
+    assert None in open_numbers([complex_one]).places
+    with pytest.raises(ValueError, match="another kind"):
+        open_numbers([complex_one, eqx.tree_at(lambda o: o.measurement_cov, observer, jnp.array([3.0 + 1.0j]))])
 
 
 @pytest.mark.parametrize("name", ["oscillator", "free_body"])

@@ -22,12 +22,12 @@ import equinox as eqx
 import jax
 import numpy as np
 
-from covariant._programs import cache_folder
+from covariant import _programs
 from covariant.engine._numbers import Places
 
 PACKAGES = ("jax", "jaxlib", "equinox", "numpy", "scipy")
 """They trace an observer and compute the constants in it."""
-LIBRARY = "covariant"
+LIBRARY, ROOT = "covariant", Path(__file__).parents[1]
 
 
 class _UnknownError(Exception):
@@ -43,9 +43,10 @@ def description_key(observer: Any, places: Places, *form: Any) -> str | None:
         form: What else the code is compiled for: numbers, strings, and tuples of these.
 
     Returns:
-        The hash in hexadecimal digits; None where a part of the observer is not of this library, or nothing is cached.
+        The hash in hexadecimal digits; None where a part of the observer is not of this library, where a file of the
+        library was changed since this process imported it, or where nothing is cached.
     """
-    if cache_folder() is None:
+    if _programs.cache_folder() is None or _changed():
         return None
     leaves = jax.tree.leaves(eqx.filter(observer, eqx.is_inexact_array))
     opened: dict[int, tuple[int, ...] | None] = {}
@@ -132,12 +133,24 @@ def _name(x: Any) -> str:
 
 
 @functools.cache
+def _files() -> tuple[Path, ...]:
+    return tuple(sorted(ROOT.rglob("*.py")))
+
+
+def _changed() -> bool:
+    """Whether a file may be another one than was imported: then its content does not say what is traced."""
+    try:
+        return max(path.stat().st_mtime for path in _files()) > _programs.IMPORTED
+    except OSError:  # it is gone
+        return True
+
+
+@functools.cache
 def _library() -> str:
     """A hash of the files of this library, and of the versions of what it computes with."""
-    root = Path(__file__).parents[1]
     digest = hashlib.sha256("\n".join([sys.version, *map(version, PACKAGES)]).encode())
-    for path in sorted(root.rglob("*.py")):
-        digest.update(f"\n{path.relative_to(root).as_posix()}\n".encode() + path.read_bytes())
+    for path in _files():
+        digest.update(f"\n{path.relative_to(ROOT).as_posix()}\n".encode() + path.read_bytes())
     return digest.hexdigest()
 
 

@@ -47,7 +47,7 @@ def open_numbers(observers: Sequence[AbstractObserver], models: bool = True) -> 
         ValueError: The observers differ in more than the values of their arrays.
     """
     leaves, trees = zip(*map(jax.tree.flatten, observers), strict=True)
-    real = [eqx.is_inexact_array(leaf) for leaf in leaves[0]]
+    real = [eqx.is_inexact_array(leaf) and not np.iscomplexobj(leaf) for leaf in leaves[0]]
     for k, (tree, others) in enumerate(zip(trees, leaves, strict=True)):
         if tree != trees[0] or not all(map(_alike, real, others, leaves[0])):
             raise ValueError(
@@ -57,7 +57,10 @@ def open_numbers(observers: Sequence[AbstractObserver], models: bool = True) -> 
     shared: dict[bytes, int] = {}
     columns: list[np.ndarray] = []
     places: list[tuple[int, ...] | None] = []
-    for i in np.flatnonzero(real).tolist():
+    for i in np.flatnonzero([eqx.is_inexact_array(leaf) for leaf in leaves[0]]).tolist():
+        if not real[i]:  # complex numbers stay in the code
+            places.append(None)
+            continue
         rows = np.stack([np.ravel(others[i]) for others in leaves]).astype(float)
         fields = {getattr(key, "name", None) for key in paths[i]}
         of_model = not fields.isdisjoint(MODEL)
@@ -87,8 +90,8 @@ def _alike(real: bool, leaf: Any, first: Any) -> bool:
     if leaf is first:
         return True
     if real:
-        return eqx.is_inexact_array(leaf) and np.shape(leaf) == np.shape(first)
-    return not eqx.is_inexact_array(leaf) and bool(eqx.tree_equal(leaf, first))
+        return eqx.is_inexact_array(leaf) and not np.iscomplexobj(leaf) and np.shape(leaf) == np.shape(first)
+    return bool(eqx.tree_equal(leaf, first))
 
 
 def filled(leaves: Sequence[Any], places: Places, numbers: Any) -> list[Any]:
