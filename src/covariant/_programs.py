@@ -22,6 +22,8 @@ WORTH_KEEPING = "0"
 """Shortest compilation time [s] of a program that is stored: also many short ones add up to seconds."""
 UNUSED = 180 * 24 * 3600.0
 """Time [s] without use after which a program is evicted: each version of a library leaves some behind."""
+IMPORTED = time.time()
+"""Time [s] since 1970 at which this process imported the library; files changed later are not what runs."""
 
 
 def keep_programs() -> None:

@@ -114,6 +114,12 @@ def test_the_description_names_what_is_in_the_unit(version, paths):
     assert len(named) == len(list(variables)), "names are unique"
     mass = named["parameters.mass" if version == "3.0" else "parameters.mass[2]"]
     assert (mass.attrib["causality"], mass.attrib["variability"]) == ("parameter", "tunable")
+    units = {unit.attrib["name"] for unit in root.findall("UnitDefinitions/Unit")}
+    assert {"kg", "1/s", "1/s^2"} <= units
+    stated = {v.attrib["name"]: (v if version == "3.0" else v[0]).attrib.get("unit") for v in named.values()}
+    assert stated[mass.attrib["name"]] == "kg"
+    assert stated["parameters.alpha"] == "1/s"
+    assert set(stated.values()) - {None} == units
 
 
 class Driven:

@@ -156,23 +156,53 @@ def test_an_equal_observer_is_compiled_once():
 
 @pytest.mark.exhaustive
 @needs_compiler
-def test_another_gain_compiles_nothing_and_another_model_something():
-    """One call after another, as in a loop over gains."""
+def test_another_number_compiles_nothing_and_another_zero_something():
+    """One call after another, as in a loop over gains and masses."""
     [log] = parts((100,))
-    masses = [pendulum(), models.pendulum_chain((1.0, 2.0), viscous=(0.1, 0.1), coulomb=(0.05, 0.02))]
+
+    def chain(*coulomb):
+        return [models.pendulum_chain(m, viscous=(0.1, 0.2), coulomb=coulomb) for m in ((1.1, 0.7), (1.3, 0.6))]
+
+    masses, without = chain(0.05, 0.02), chain(0.05, 0.0)[0]
     makers = [
         lambda model, k: observers.Intrinsic(model, 10.0 + k, 100.0),
         lambda model, k: observers.EKF(model, (1.0 + k) * jnp.eye(2), 1e-4 * jnp.eye(2)),
     ]
     for make in makers:
         counts = []
-        for model, k in ((masses[0], 0.0), (masses[0], 1.0), (masses[1], 1.0)):
+        for model, k in ((masses[0], 0.0), (masses[0], 1.0), (masses[1], 1.0), (without, 1.0)):
             observer = make(model, k)
             done, engine = run_log(observer, log, engine="c")
             assert engine == "c"
             same([done], [run(observer, log)])
             counts.append(_prepared.cache_info().misses)
-        assert counts[0] == counts[1] == counts[2] - 1
+        assert counts[0] == counts[1] == counts[2] == counts[3] - 1
+
+
+MODEL_FILE = """
+system = "pendulum_chain"
+parameters = {{mass = [{mass}], length = [{length}], viscous = [0.1]}}
+"""
+
+
+@needs_compiler
+def test_after_another_number_in_the_model_file_nothing_is_compiled(tmp_path, monkeypatch):
+    """Neither traced, nor lowered, nor compiled; and the estimates are those of the model with that number."""
+    monkeypatch.setenv("COVARIANT_CACHE", str(tmp_path / "cache"))
+    t = np.arange(100) * 0.02
+    log = Record(t, np.zeros((100, 1)), 0.3 * np.cos(2 * t)[:, None])
+    counts, path = [], tmp_path / "pendulum.toml"
+    for mass, length in ((1.5, 0.6), (1.7, 0.8)):
+        path.write_text(MODEL_FILE.format(mass=mass, length=length))
+        observer = observers.Copy(models.load(path).model, 8.0, 20.0)
+        done, engine = run_log(observer, log, engine="c")
+        assert engine == "c"
+        stream = Stream(observer, log.y[0], 50.0, 1)
+        streamed = [stream.step(*row) for row in zip(log.t, log.y, log.u, strict=True)]
+        counts.append((_prepared.cache_info().misses, len(list((tmp_path / "cache").rglob("*")))))
+    assert counts[0] == counts[1]
+    same([done], [run(observer, log)])
+    np.testing.assert_allclose(streamed, done.estimate, rtol=0, atol=1e-12)
 
 
 def test_runs_that_do_not_belong_together_are_refused():

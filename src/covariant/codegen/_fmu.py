@@ -49,6 +49,7 @@ class UnitVariable(NamedTuple):
         shape: Its shape.
         start: Its first values, row by row; empty for an output.
         about: A description; may be empty.
+        unit: Its unit; empty where it has none, or where it is not known.
 
     Example:
         >>> from covariant.codegen._fmu import UnitVariable
@@ -61,6 +62,7 @@ class UnitVariable(NamedTuple):
     shape: tuple[int, ...]
     start: tuple[float, ...] = ()
     about: str = ""
+    unit: str = ""
 
     @property
     def size(self) -> int:
@@ -88,8 +90,8 @@ class Unit(NamedTuple):
 def fmu(program: Program, name: str, about: str, rate: float, y: np.ndarray, version: Version = "3.0") -> Unit:
     """An observer as a unit for co-simulation, whose inputs are the measurement `y` and the input `u`.
 
-    Its parameters, the open numbers, are tunable. The binary is compiled for the machine at hand, by the compiler
-    that CC names, `cc`, or that of the package ziglang.
+    Its parameters, the open numbers, are tunable, and have the units of the model. The binary is compiled for the
+    machine at hand, by the compiler that CC names, `cc`, or that of the package ziglang.
 
     Args:
         program: The observer as graphs.
@@ -190,7 +192,9 @@ def _variables(program: Program, y: np.ndarray) -> Iterator[UnitVariable]:
         about = f"input of the model{_listed(program, 'u')}, held over a step"
         yield UnitVariable("u", "input", (program.u,), (0.0,) * program.u, about)
     for key, value in program.numbers.items():
-        yield UnitVariable(f"parameters.{key}", "parameter", np.shape(value), tuple(np.ravel(value).tolist()))
+        unit = program.units.get(key, "1")
+        first = tuple(np.ravel(value).tolist())
+        yield UnitVariable(f"parameters.{key}", "parameter", np.shape(value), first, unit="" if unit == "1" else unit)
     for leaf in (*program.x, *program.told):
         if leaf.size:
             yield UnitVariable(leaf.name, "output", leaf.shape, about=program.signals.of(leaf.name))
@@ -216,9 +220,17 @@ def _describe(name: str, about: str, rate: float, variables: list[UnitVariable],
         f' description={quoteattr(about)} generationTool="covariant" variableNamingConvention="structured">\n'
         f'  <CoSimulation modelIdentifier="{name}" canHandleVariableCommunicationStepSize="true"'
         f' canGetAndSet{state}="true" canSerialize{state}="true"{f">{files}</CoSimulation>" if files else "/>"}\n'
+        f"{_units(variables)}"
         f'  <DefaultExperiment startTime="0" stepSize="{1 / rate!r}"/>\n'
         f"{body}</fmiModelDescription>\n"
     )
+
+
+def _units(variables: list[UnitVariable]) -> str:
+    """The definitions of the units that variables have."""
+    names = dict.fromkeys(v.unit for v in variables if v.unit)
+    listed = "".join(f"    <Unit name={quoteattr(name)}/>\n" for name in names)
+    return f"  <UnitDefinitions>\n{listed}  </UnitDefinitions>\n" if names else ""
 
 
 def _variability(variable: UnitVariable) -> str:
@@ -241,6 +253,7 @@ def _variables_3(variables: list[UnitVariable]) -> str:
         sides = "".join(f'<Dimension start="{side}"/>' for side in v.shape)
         start = f' start="{" ".join(map(_start_text, v.start))}"' if v.start else ""
         about = f" description={quoteattr(v.about)}" if v.about else ""
+        about += f" unit={quoteattr(v.unit)}" if v.unit else ""
         head = f'    <Float64 name="{v.name}" valueReference="{reference}"{about} causality="{v.causality}"'
         lines.append(f'{head} variability="{_variability(v)}"{start}' + (f">{sides}</Float64>" if sides else "/>"))
     outputs = [1, *(k for k, v in enumerate(variables, start=2) if v.causality == "output")]
@@ -257,6 +270,7 @@ def _variables_2(variables: list[UnitVariable]) -> str:
             # FMI's structured names count from one.
             place = f"[{','.join(str(i + 1) for i in np.unravel_index(k, v.shape))}]" if v.shape else ""
             start = f' start="{_start_text(v.start[k])}"' if v.start else ""
+            start += f" unit={quoteattr(v.unit)}" if v.unit else ""
             about = f" description={quoteattr(v.about)}" if v.about else ""
             lines.append(
                 f'    <ScalarVariable name="{v.name}{place}" valueReference="{reference}"{about}'

@@ -4,6 +4,7 @@ import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from fnmatch import fnmatchcase
+from types import MappingProxyType
 from typing import Any, Literal, NamedTuple
 
 import equinox as eqx
@@ -13,7 +14,7 @@ import numpy as np
 from jaxtyping import Array
 
 from covariant.lowering import Lowered, TracedFunction, lower_traced, trace
-from covariant.models import Family, Motion, input_count
+from covariant.models import Family, Motion, Parameter, input_count
 from covariant.observers import AbstractObserver
 
 Real = Literal["double", "float"]
@@ -21,6 +22,8 @@ DTYPES = {"double": np.float64, "float": np.float32}
 
 REPORTED = ("innovation", "distance", "nis", "velocity_std", "state_std", "slow", "slow_std")
 """Fields of an info that the code stores, beside the result code."""
+GAIN_UNITS = {"alpha": "1/s", "beta": "1/s^2"}
+"""Units of the gains of observers of second order."""
 CONFIGURATION = "configuration"
 """Name of the first part of a measurement of a filter with sensors."""
 
@@ -31,6 +34,7 @@ class Recipe(NamedTuple):
     Attributes:
         make: Function `numbers -> observer`, which JAX can trace.
         numbers: The open numbers by name, with their values.
+        units: Units of those that have one, by name.
 
     Example:
         >>> import numpy as np
@@ -43,6 +47,7 @@ class Recipe(NamedTuple):
 
     make: Callable[[Mapping[str, Any]], AbstractObserver]
     numbers: dict[str, np.ndarray]
+    units: Mapping[str, str] = MappingProxyType({})
 
 
 class Leaf(NamedTuple):
@@ -120,6 +125,7 @@ class Program(NamedTuple):
         alone: Graphs of `(numbers, state, u, part, dt) -> (state, info)` of a step in which only one part of the
             measurement was read, `CONFIGURATION` or a sensor, with its name; empty where they were not asked for.
         signals: Names and units of measurement, input and estimate, for comments.
+        units: Units of the open numbers that have one, by name.
 
     Example:
         >>> import numpy as np
@@ -146,6 +152,7 @@ class Program(NamedTuple):
     sensors: tuple[tuple[str, int], ...] = ()
     alone: tuple[tuple[str, Lowered], ...] = ()
     signals: Signals = Signals()
+    units: Mapping[str, str] = MappingProxyType({})
 
     @property
     def parts(self) -> tuple[tuple[str, int], ...]:
@@ -191,7 +198,8 @@ def with_open_numbers(observer: AbstractObserver, fixed: Sequence[str] = ()) -> 
         leaves = [values[n] if n in numbers else leaf for n, (_, leaf) in zip(names, paths, strict=True)]
         return eqx.combine(jax.tree.unflatten(tree, leaves), static)
 
-    return Recipe(make, numbers)
+    units = {name: unit for name, unit in zip(names, _units(observer, paths), strict=True) if unit}
+    return Recipe(make, numbers, GAIN_UNITS | units)
 
 
 def of_family(observer: AbstractObserver, family: Family) -> Recipe:
@@ -255,7 +263,17 @@ def of_family(observer: AbstractObserver, family: Family) -> Recipe:
         ]
         return eqx.combine(jax.tree.unflatten(tree, filled), static)
 
-    return Recipe(make, numbers)
+    known = getattr(model, "parameters", {})
+    bases = {name: known.get(family.names[ks[0]].partition("[")[0]) for name, ks in groups.items()}
+    units = {name: parameter.unit for name, parameter in bases.items() if isinstance(parameter, Parameter)}
+    return Recipe(make, numbers, GAIN_UNITS | units)
+
+
+def _units(observer: AbstractObserver, paths: Sequence[tuple[Any, Any]]) -> list[str | None]:
+    """The units of arrays of an observer, as its model's parameters state them."""
+    stated = jax.tree_util.tree_flatten_with_path(observer, is_leaf=lambda node: isinstance(node, Parameter))[0]
+    units = {tuple(path): node.unit for path, node in stated if isinstance(node, Parameter)}
+    return [units.get(tuple(path[:-1])) for path, _ in paths]
 
 
 def _whole(base: str, ks: Sequence[int], family: Family) -> bool:
@@ -299,6 +317,7 @@ class TracedProgram(NamedTuple):
     estimated_as: Any
     sensors: tuple[tuple[str, int], ...] = ()
     alone: tuple[tuple[str, TracedFunction], ...] = ()
+    units: Mapping[str, str] = MappingProxyType({})
 
     def lower(self, loops: bool = False) -> Program:
         """The graphs of the observer.
@@ -319,7 +338,7 @@ class TracedProgram(NamedTuple):
         used = _used(lowered, self.given)
         numbers = {leaf.name: value for leaf, value in zip(self.given, self.values, strict=True) if leaf.name in used}
         structure = (self.state, self.info, self.x, self.y, self.u, self.real, self.told_as)
-        return Program(*lowered, numbers, self.given, self.values, *structure, self.sensors, alone)
+        return Program(*lowered, numbers, self.given, self.values, *structure, self.sensors, alone, self.units)
 
 
 def program(
@@ -453,6 +472,7 @@ def trace_program(
         structures["estimate"],
         sensors,
         tuple(alone_traced),
+        recipe.units,
     )
 
 

@@ -22,12 +22,12 @@ import equinox as eqx
 import jax
 import numpy as np
 
-from covariant._programs import cache_folder
+from covariant import _programs
 from covariant.engine._numbers import Places
 
 PACKAGES = ("jax", "jaxlib", "equinox", "numpy", "scipy")
 """They trace an observer and compute the constants in it."""
-LIBRARY = "covariant"
+LIBRARY, ROOT = "covariant", Path(__file__).parents[1]
 
 
 class _UnknownError(Exception):
@@ -43,9 +43,10 @@ def description_key(observer: Any, places: Places, *form: Any) -> str | None:
         form: What else the code is compiled for: numbers, strings, and tuples of these.
 
     Returns:
-        The hash in hexadecimal digits; None where a part of the observer is not of this library, or nothing is cached.
+        The hash in hexadecimal digits; None where a part of the observer is not of this library, where a file of the
+        library was changed since this process imported it, or where nothing is cached.
     """
-    if cache_folder() is None:
+    if _programs.cache_folder() is None or _changed():
         return None
     leaves = jax.tree.leaves(eqx.filter(observer, eqx.is_inexact_array))
     opened: dict[int, tuple[int, ...] | None] = {}
@@ -72,17 +73,21 @@ def _parts(x: Any, opened: dict[int, tuple[int, ...] | None]) -> Iterator[bytes]
         yield f"{_name(kind)} {x.name}".encode()
     elif isinstance(x, np.dtype):
         yield f"dtype {x.str}".encode()
-    elif isinstance(x, (np.ndarray, np.generic, jax.Array)):
+    elif kind is np.ndarray or isinstance(x, (np.generic, jax.Array)):  # a subclass may compute anything
         yield from _array(x, opened.get(id(x)))
     elif isinstance(x, tuple) and (kind is tuple or hasattr(x, "_fields")):
         yield f"{'tuple' if kind is tuple else _name(kind)} {len(x)}".encode()
         for each in x:
             yield from _parts(each, opened)
-    elif kind in (list, dict):
-        yield f"{kind.__name__} {len(x)}".encode()
-        for each in x.items() if kind is dict else x:
+    elif kind is list:
+        yield f"list {len(x)}".encode()
+        for each in x:
             yield from _parts(each, opened)
-    elif kind is functools.partial:
+    elif isinstance(x, dict) and kind is dict:
+        yield f"dict {len(x)}".encode()
+        for item in x.items():
+            yield from _parts(item, opened)
+    elif isinstance(x, functools.partial) and kind is functools.partial:
         yield b"partial"
         yield from _parts((x.func, x.args, x.keywords), opened)
     elif dataclasses.is_dataclass(x) and not isinstance(x, type):
@@ -108,7 +113,7 @@ def _array(x: Any, at: tuple[int, ...] | None) -> Iterator[bytes]:
         values = np.asarray(x)
     except TypeError as error:  # such as a key of random numbers
         raise _UnknownError from error
-    if values.dtype.hasobject or type(values) is not np.ndarray:
+    if values.dtype.hasobject:
         raise _UnknownError
     yield f"array {kind} {values.dtype.str} {values.shape} {getattr(x, 'weak_type', False)} {at}".encode()
     yield (values if at is None else values.ravel()[np.array(at, int) < 0]).tobytes()
@@ -128,12 +133,24 @@ def _name(x: Any) -> str:
 
 
 @functools.cache
+def _files() -> tuple[Path, ...]:
+    return tuple(sorted(ROOT.rglob("*.py")))
+
+
+def _changed() -> bool:
+    """Whether a file may be another one than was imported: then its content does not say what is traced."""
+    try:
+        return max(path.stat().st_mtime for path in _files()) > _programs.IMPORTED
+    except OSError:  # it is gone
+        return True
+
+
+@functools.cache
 def _library() -> str:
     """A hash of the files of this library, and of the versions of what it computes with."""
-    root = Path(__file__).parents[1]
     digest = hashlib.sha256("\n".join([sys.version, *map(version, PACKAGES)]).encode())
-    for path in sorted(root.rglob("*.py")):
-        digest.update(f"\n{path.relative_to(root).as_posix()}\n".encode() + path.read_bytes())
+    for path in _files():
+        digest.update(f"\n{path.relative_to(ROOT).as_posix()}\n".encode() + path.read_bytes())
     return digest.hexdigest()
 
 

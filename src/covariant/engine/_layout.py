@@ -46,8 +46,8 @@ class Layout(NamedTuple):
             sizes, y, u, info, estimate = data
             states, estimates, infos = map(int, sizes)
             return cls((states, estimates, infos), tuple(map(int, y)), int(u), _tree(info), _tree(estimate))
-        except (TypeError, AttributeError, KeyError) as error:
-            raise ValueError("no layout") from error
+        except (TypeError, AttributeError, KeyError, ValueError) as error:
+            raise ValueError(f"no layout: {error}") from error
 
 
 def _data(tree: Any) -> Any:

@@ -47,7 +47,7 @@ def open_numbers(observers: Sequence[AbstractObserver], models: bool = True) -> 
         ValueError: The observers differ in more than the values of their arrays.
     """
     leaves, trees = zip(*map(jax.tree.flatten, observers), strict=True)
-    real = [eqx.is_inexact_array(leaf) for leaf in leaves[0]]
+    real = [eqx.is_inexact_array(leaf) and not np.iscomplexobj(leaf) for leaf in leaves[0]]
     for k, (tree, others) in enumerate(zip(trees, leaves, strict=True)):
         if tree != trees[0] or not all(map(_alike, real, others, leaves[0])):
             raise ValueError(
@@ -57,7 +57,10 @@ def open_numbers(observers: Sequence[AbstractObserver], models: bool = True) -> 
     shared: dict[bytes, int] = {}
     columns: list[np.ndarray] = []
     places: list[tuple[int, ...] | None] = []
-    for i in np.flatnonzero(real).tolist():
+    for i in np.flatnonzero([eqx.is_inexact_array(leaf) for leaf in leaves[0]]).tolist():
+        if not real[i]:  # complex numbers stay in the code
+            places.append(None)
+            continue
         rows = np.stack([np.ravel(others[i]) for others in leaves]).astype(float)
         fields = {getattr(key, "name", None) for key in paths[i]}
         of_model = not fields.isdisjoint(MODEL)
@@ -87,8 +90,8 @@ def _alike(real: bool, leaf: Any, first: Any) -> bool:
     if leaf is first:
         return True
     if real:
-        return eqx.is_inexact_array(leaf) and np.shape(leaf) == np.shape(first)
-    return not eqx.is_inexact_array(leaf) and bool(eqx.tree_equal(leaf, first))
+        return eqx.is_inexact_array(leaf) and not np.iscomplexobj(leaf) and np.shape(leaf) == np.shape(first)
+    return bool(eqx.tree_equal(leaf, first))
 
 
 def filled(leaves: Sequence[Any], places: Places, numbers: Any) -> list[Any]:
@@ -99,13 +102,25 @@ def filled(leaves: Sequence[Any], places: Places, numbers: Any) -> list[Any]:
         places: As in `OpenNumbers`.
         numbers: The open numbers (K,).
     """
-    return [
-        leaf if at is None else _filled(np.asarray(leaf), np.array(at), numbers)
-        for leaf, at in zip(leaves, places, strict=True)
-    ]
+    # One array for those that hold the same numbers: each takes as long to trace as a step of a model.
+    made: dict[tuple[Any, ...], Any] = {}
+    results = []
+    for leaf, at in zip(leaves, places, strict=True):
+        if at is not None:
+            known = np.asarray(leaf)
+            key = at, known.shape, known.dtype.str, known.ravel()[np.array(at, int) < 0].tobytes()
+            if key not in made:
+                made[key] = _filled(known, np.array(at), numbers)
+            leaf = made[key]
+        results.append(leaf)
+    return results
 
 
 def _filled(leaf: np.ndarray, at: np.ndarray, numbers: Any) -> Any:
-    known = leaf.ravel()[at < 0]
-    index = np.where(at < 0, len(numbers) + np.cumsum(at < 0) - 1, at)
-    return jnp.concatenate([numbers, known])[index].reshape(leaf.shape).astype(leaf.dtype)
+    if (at == np.arange(at[0], at[0] + len(at))).all() and at[0] >= 0:
+        entries = jax.lax.slice(numbers, (int(at[0]),), (int(at[0]) + len(at),))
+    else:
+        constants = leaf.ravel()[at < 0].astype(numbers.dtype)
+        index = np.where(at < 0, len(numbers) + np.cumsum(at < 0) - 1, at)
+        entries = jnp.concatenate([numbers, constants]).at[index].get(mode="promise_in_bounds")
+    return jax.lax.convert_element_type(jax.lax.reshape(entries, leaf.shape), leaf.dtype)

@@ -13,14 +13,13 @@ from covariant.lowering._c_writer import truths
 from covariant.lowering._graph import Graph
 from covariant.lowering._loops import Repetition, add_loop, part_of
 from covariant.lowering._lowered import Lowered
-from covariant.lowering._peephole import simplified
 
 
 def split(lowered: Lowered, count: int) -> tuple[Lowered, Lowered]:
     """Split a function into what its first inputs alone decide, and the rest.
 
     Args:
-        lowered: The function; its conditions are dropped, and it is simplified.
+        lowered: The function; its conditions are dropped.
         count: Number k of inputs that stay the same over many calls.
 
     Returns:
@@ -34,7 +33,7 @@ def split(lowered: Lowered, count: int) -> tuple[Lowered, Lowered]:
         >>> [node.op for node in first.graph.nodes], [node.op for node in rest.graph.nodes]
         (['input', 'sqrt'], ['input', 'input', 'mul'])
     """
-    lowered = _hoisted(simplified(lowered))
+    lowered = _hoisted(lowered)
     graph = lowered.graph
     taken = _decided(graph, count, lowered.outputs)
     rest = Graph()
