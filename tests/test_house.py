@@ -80,8 +80,8 @@ PUBLIC = {
     "lowering": "C_KEYWORDS FOLD INTERVALS LARGEST NUMBERS STUMPFF TRUTHS Branch CText Call ClosedJaxpr Condition "
     "Conditions Derivative Domain Enclosure Graph Interval JaxprEquation Lowered LoweringError Node Scan Signature "
     "TracedFunction Truth While c_function c_helpers c_number c_rows enclose equations evaluate evaluate_batch expand "
-    "fingerprint fulfilled graft in_c lower lower_traced needed numbers on_batches operations pairs perturbed simplified "
-    "split stumpff substitute to_c trace",
+    "fingerprint fulfilled graft in_c lower lower_traced needed numbers on_batches operations pairs perturbed "
+    "simplified split stumpff substitute to_c trace",
     "metrics": "Characteristic Equation Grid MetricSummary RiccatiMetric Solution Variable Window gramian gramians "
     "high_gain lie_derivative load_metric map_grid metric_at metric_on_grid metric_summary metric_through open_grid "
     "open_metric rate_from_gramian reconstructibility right_side spd_distance window_at",
