@@ -167,7 +167,7 @@ def function_of_a_script(q):
         np.array([None]),
         type("Setting", (str,), {})("text"),
     ],
-    ids=repr,
+    ids=lambda change: type(change).__name__,
 )
 def test_what_is_not_of_this_library_has_no_key(change):
     observer = observers.Intrinsic(models.oscillator(), 5.0, 8.0)
