@@ -93,7 +93,7 @@ def whole(tmp_path_factory) -> Path:
 def cluster():
     """Address of a cluster of two worker processes."""
     local: Any = distributed.LocalCluster
-    with local(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None) as made:
+    with local(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=":0") as made:
         yield made.scheduler_address
 
 

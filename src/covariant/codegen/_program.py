@@ -338,7 +338,7 @@ class TracedProgram(NamedTuple):
         used = _used(lowered, self.given)
         numbers = {leaf.name: value for leaf, value in zip(self.given, self.values, strict=True) if leaf.name in used}
         structure = (self.state, self.info, self.x, self.y, self.u, self.real, self.told_as)
-        return Program(*lowered, numbers, self.given, self.values, *structure, self.sensors, alone, self.units)
+        return Program(*lowered, numbers, self.given, self.values, *structure, self.sensors, alone, units=self.units)
 
 
 def program(
