@@ -185,6 +185,7 @@ def test_a_log_in_degrees_is_named_whatever_the_friction_and_the_rotors_are(name
     assert finding.line == '[units] q = "deg"'
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("what", "noise"), [("nothing moves", 0.0), ("too little motion", 1e-3)])
 def test_a_log_at_rest_shows_nothing(what, noise):
     family = models.robot_family("double_pendulum", ["payload"])

@@ -324,6 +324,7 @@ def test_it_is_a_tensor(found):
         )
 
 
+@pytest.mark.long("Lorenz", "induction motor", "van der Pol", "bioreactor", "unknown frequency")
 def test_units_change_no_code_and_no_index(found):
     itself, scaled = found.answers["itself"].solution, found.answers["other units"].solution
     np.testing.assert_array_equal(itself.result, scaled.result)
@@ -331,6 +332,7 @@ def test_units_change_no_code_and_no_index(found):
     np.testing.assert_allclose(itself.horizon, scaled.horizon, rtol=0.1)
 
 
+@pytest.mark.long("Lorenz", "induction motor", "van der Pol", "bioreactor", "unknown frequency")
 def test_the_unit_of_the_output_changes_nothing(found):
     assert (
         distances(found.answers["itself"].metric, found.answers["louder output"].metric).max()
@@ -344,6 +346,7 @@ def weigh(windows, starts):
     return jax.vmap(every)(windows)
 
 
+@pytest.mark.long("Lorenz", "van der Pol", "bioreactor")
 @pytest.mark.exhaustive("induction motor", "unknown frequency")
 def test_the_error_bound_holds_what_the_unknown_past_can_change(found):
     """From above for every start, and from below: some start is as wrong as half of it."""
@@ -366,6 +369,7 @@ def star(near, far):
     return transition, information, spread
 
 
+@pytest.mark.long("Lorenz", "induction motor", "van der Pol", "bioreactor", "unknown frequency")
 def test_windows_compose(found):
     """The window of 0.3 of the span, after that of 0.45 before it, is the window of 0.75."""
     half = 1 / found.case.size
@@ -381,6 +385,7 @@ def test_windows_compose(found):
             np.testing.assert_allclose(a, b, rtol=0, atol=1e-5 * np.abs(b).max())
 
 
+@pytest.mark.long("Lorenz", "van der Pol", "bioreactor", "unknown frequency")
 @pytest.mark.exhaustive("induction motor")
 def test_the_metric_is_a_fixed_point(found):
     """Lemma 4.3: the window maps the metric at its beginning to the metric at its end."""
@@ -402,6 +407,7 @@ def stationary_information(case):
 AT_REST = [name for name, case in CASES.items() if case.still is not None]
 
 
+@pytest.mark.long("Lorenz", "van der Pol", "bioreactor")
 @pytest.mark.parametrize("found", AT_REST, indirect=True)
 def test_at_rest_it_is_the_stationary_kalman_filters(found):
     exact, _ = stationary_information(found.case)
@@ -425,6 +431,7 @@ def fly(case, x, u, length, start):
     return passages(case.model, jnp.asarray(x), jnp.asarray(u), jnp.asarray(length), jnp.asarray(start), *noise)
 
 
+@pytest.mark.long("bioreactor")
 @pytest.mark.exhaustive("Lorenz", "induction motor", "unknown frequency", "van der Pol")
 def test_the_flow_contracts_the_distance_of_any_two_metrics(found):
     """Lemma 4.2 with its own constants at every instant: D' ≤ −q p D, q and p the least eigenvalues of Q and of both
@@ -444,6 +451,7 @@ def test_the_flow_contracts_the_distance_of_any_two_metrics(found):
     assert (np.diff(np.log(d), axis=1) <= -0.9 * slower + 1e-6).all()
 
 
+@pytest.mark.long("Lorenz", "bioreactor")
 @pytest.mark.exhaustive("van der Pol")
 @pytest.mark.parametrize("found", AT_REST, indirect=True)
 def test_it_is_approached_geometrically_in_the_number_of_windows(found):

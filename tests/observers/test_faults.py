@@ -156,6 +156,7 @@ def test_after_a_hole_the_velocity_is_no_worse_than_that_of_the_model_alone(trie
         assert rms(error[kind][:, settled]) < 1.2 * rms(error["clean"][:, first["clean"] :]), kind
 
 
+@pytest.mark.long("ekf", "joint-kalman", "dfki_double_pendulum")
 @pytest.mark.exhaustive("copy-multiarm_double", "kalman-dfki_double_pendulum")
 @pytest.mark.data
 def test_a_first_row_that_is_wrong_is_said(tried):

@@ -52,6 +52,7 @@ def test_velocity_is_found_from_rest(runs, log, name):
     assert max(float(SO3.defect(g)) for g in runs[name].estimate.q[::50]) < 1e-13
 
 
+@pytest.mark.long("riemannian", "invariant EKF", "group")
 @pytest.mark.parametrize("name", OBSERVERS)
 def test_a_missing_frame_is_coasted_as_a_whole(log, name):
     """Even one NaN of nine: what is left of a rotation matrix is not a rotation."""
@@ -65,6 +66,7 @@ def test_a_missing_frame_is_coasted_as_a_whole(log, name):
     assert velocity_error(result, log)[-1] < 1e-3
 
 
+@pytest.mark.long("riemannian", "invariant EKF", "group")
 @pytest.mark.parametrize("name", OBSERVERS)
 def test_a_start_half_a_turn_away_is_said_and_overcome(log, name):
     """Exactly antipodal: two ways are as short, one is taken, the result says so, and the observer converges."""
@@ -85,7 +87,7 @@ def test_where_no_geodesic_is_found_the_group_logarithm_stands_in(log):
     assert all(np.isfinite(np.asarray(part)).all() for part in new)
 
 
-@pytest.mark.long("group")
+@pytest.mark.long("group", "invariant EKF", "riemannian")
 @pytest.mark.parametrize("name", OBSERVERS)
 def test_the_sign_of_a_quaternion_does_not_matter(log, runs, name):
     flips = np.where(np.random.default_rng(0).random(len(log.t)) < 0.5, -1.3, 1.0)[:, None]

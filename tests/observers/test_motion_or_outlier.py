@@ -230,8 +230,8 @@ def two_masses(hit: bool) -> tuple[Lagrangian, np.ndarray, np.ndarray, np.ndarra
     return masses, t, x, y
 
 
+@pytest.mark.long("IntrinsicKalman", "True")
 @pytest.mark.exhaustive("IntrinsicKalman-True")
-@pytest.mark.long("True")
 @pytest.mark.parametrize("hit", [True, False])
 @pytest.mark.parametrize("kind", ["EKF", "UKF", "IntrinsicKalman", "JointKalman", "Intrinsic"])
 def test_a_new_start_takes_no_outlier_of_another_joint(kind, hit):

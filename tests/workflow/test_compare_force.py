@@ -89,6 +89,7 @@ def test_its_forces_are_those_of_estimate(compared):
     np.testing.assert_allclose(best.std[:, 0], estimate.columns["external_force1_std"], rtol=1e-9)
 
 
+@pytest.mark.long
 def test_the_command_prints_and_writes_it(compared, monkeypatch, capsys):
     result, _, folder = compared
     monkeypatch.chdir(folder)

@@ -124,6 +124,7 @@ def test_rows_have_what_was_read_then(chain):
     assert (result.outcome.score.rmse < 0.6 * only.outcome.score.rmse).all()
 
 
+@pytest.mark.long
 def test_outliers_of_a_sensor_are_counted(chain):
     path, _, frame = chain
     odd = frame.copy()

@@ -37,6 +37,7 @@ def test_a_fit_to_a_simulated_log_gives_the_truth(fitted):
     assert result.better
 
 
+@pytest.mark.long
 @pytest.mark.exhaustive("held")
 def test_the_way_inputs_go_between_stamps_is_found_named_and_written(fitted, tmp_path):
     word, result = fitted

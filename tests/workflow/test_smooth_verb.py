@@ -53,6 +53,7 @@ def test_the_page_shows_both(smoothed):
     assert after["median std v1 [m/s]"] < before["median std v1 [m/s]"]
 
 
+@pytest.mark.long
 def test_the_filter_beside_it_is_what_estimate_returns(smoothed):
     result, log = smoothed
     filtered = covariant.estimate("oscillator", log, observer="intrinsic-kalman", overrides=NOISE, engine="jax")

@@ -60,6 +60,7 @@ def test_a_page_is_drawn_after_either_engine(log, tmp_path, engine):
     assert all(page.stat().st_size > 1000 for page in pages)
 
 
+@pytest.mark.long
 def test_a_system_itself_is_tuned_and_has_no_file(log, tmp_path):
     result = tune(models.oscillator(), [log], overrides=NOISE)
     assert np.isfinite(result.tuning.natural_frequency)

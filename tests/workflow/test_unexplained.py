@@ -45,6 +45,7 @@ def test_right_models_raise_no_alarm(model, sensors):
     assert not any("NIS" in line for line in result.warnings)
 
 
+@pytest.mark.long("friction")
 @pytest.mark.parametrize(
     ("machine", "model"),
     [({"parameters.mass": [1.5]}, {}), ({"parameters.coulomb": [0.15]}, STIFF)],
