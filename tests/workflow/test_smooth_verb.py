@@ -10,8 +10,11 @@ import covariant
 from covariant.cli import main
 from covariant.observers import REGISTRY, SMOOTHED
 from covariant.observers._gated_filter import AbstractGatedFilter
+from covariant.signals import Record
 
 NOISE = {"measurement.std": 1e-3, "uncertainty.acceleration": 0.2}
+FILTER = {"overrides": NOISE}
+"""The filter, as far as a refusal needs it."""
 
 
 def swing(noise: float = 1e-3):
@@ -73,9 +76,10 @@ REFUSED = [
 
 
 @pytest.mark.parametrize(("wrong", "words"), REFUSED)
-def test_what_cannot_be_smoothed_is_refused(smoothed, wrong, words):
+def test_what_cannot_be_smoothed_is_refused(wrong, words):
+    t = np.arange(0, 3.0, 0.01)
     with pytest.raises(ValueError, match=words):
-        covariant.smooth("oscillator", smoothed[1], **({"overrides": NOISE} | wrong))
+        covariant.smooth("oscillator", Record(t, np.zeros((len(t), 1)), np.cos(t)[:, None]), **(FILTER | wrong))
 
 
 @pytest.mark.exhaustive
