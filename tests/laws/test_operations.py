@@ -74,8 +74,8 @@ LONG = {
     "quadruped": ("intrinsic",),
 }
 """Steps that the long suite counts."""
-EXHAUSTIVE = {"Panda": ("geodesic", "kalman", "kalman with a gyro"), "quadruped": ("kalman",)}
-"""Steps whose graphs take minutes."""
+EXHAUSTIVE = {"Panda": ("geodesic", "kalman")}
+"""Steps whose graphs take a minute or more."""
 
 
 @functools.cache
