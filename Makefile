@@ -35,7 +35,7 @@ env: .venv/dev
 demo: .venv/ready
 	$(BIN)/python gallery/demo.py --out demo
 
-# Every law on its smallest members, every command, README and the pages that take less than 20 seconds. What fails at
+# Every law on its smallest members, every command, README and the pages that take less than ten seconds. What fails at
 # once comes first; types are checked beside the tests.
 test: format lint
 	$(MAKE) --jobs=2 types tests

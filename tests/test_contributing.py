@@ -119,6 +119,7 @@ def laws_of_geometry(house: Path, chosen: str) -> set[str]:
     return set(re.findall(r"PASSED \S+::(\w+)\[hills\]", done))
 
 
+@pytest.mark.long
 def test_a_space_is_put_to_the_laws_at_a_point(house):
     assert laws_of_geometry(
         house, "hills and (symmetric_positive or torsion or pair or christoffel_is or curvature_is_that)"
@@ -139,6 +140,7 @@ def test_a_space_is_put_to_the_laws_of_geodesics(house):
     }
 
 
+@pytest.mark.long
 def test_a_verb_is_a_function_and_a_command(house):
     script = """
 import sys
@@ -162,6 +164,7 @@ command("gaps", "oscillator", "gaps.csv", "--json")
     assert f'"missing": {line[1]}' in printed
 
 
+@pytest.mark.long
 def test_examples_in_docstrings_of_the_page_run(house):
     script = """
 import doctest, importlib
@@ -172,11 +175,13 @@ for name in ("covariant.geometry._surface", "covariant.workflow._gaps"):
     python(house, "-c", script)
 
 
+@pytest.mark.long
 def test_the_code_of_the_page_keeps_the_house_rules(house):
     rules = "left or private or circle or opens_with or defined_once or agreed"
     python(house, "-m", "pytest", "-q", "-p", "no:xdist", "--noconftest", "tests/test_house.py", "-k", rules)
 
 
+@pytest.mark.long
 def test_it_is_in_the_table_of_the_docs(house):
     python(house, "tools/pages.py")
     row = "| `tracker` | `Tracker` | prediction by the model, correction along the error | as a first example |"

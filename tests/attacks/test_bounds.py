@@ -140,7 +140,7 @@ def test_a_velocity_a_hair_beyond_its_bound_is_in_the_region():
         assert verdict(line(law), velocity=1.0, error=error, position=(-1, 1), input=1.0) != "holds"
 
 
-@pytest.mark.long("one place alone")
+@pytest.mark.long("no rotation", "one place alone")
 @pytest.mark.parametrize(
     "entries",
     [

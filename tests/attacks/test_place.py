@@ -103,7 +103,7 @@ def test_inertia_that_depends_on_the_velocity_is_never_proved():
     assert found != "holds"
 
 
-@pytest.mark.long("place")
+@pytest.mark.long("place", "time")
 @pytest.mark.parametrize(
     "force",
     [

@@ -107,7 +107,7 @@ def test_what_is_left_out_of_a_proof_must_stay_finite(name):
     assert "stay below 1e+150" in found.statement.claim or "not shown to be defined" in found.statement.claim
 
 
-@pytest.mark.long("a product with nought")
+@pytest.mark.long("a product with nought", "is it finite")
 @pytest.mark.parametrize("name", ["a product with nought", "is it finite", "a cosh"])
 def test_where_it_does_stay_finite_it_is_proved(name):
     found = certify(rubbed(OVERFLOWS[name]), **WIDE | {"position": (-0.1, 0.1)})

@@ -189,6 +189,7 @@ FAULTS = st.lists(
 )
 
 
+@pytest.mark.long("filtered derivative", "high", "joint kalman", "ukf")
 @pytest.mark.exhaustive(
     "copy",
     "craft",
@@ -206,7 +207,6 @@ FAULTS = st.lists(
     "riccati",
     "salcudean",
 )
-@pytest.mark.long("joint kalman", "ukf")
 @pytest.mark.parametrize("name", WATCHED)
 def test_no_stream_spoils_an_observer(name):
     """Finite throughout, each fault said in its row, and after the last one the estimate of the sound stream again."""

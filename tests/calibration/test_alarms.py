@@ -13,6 +13,7 @@ MOST_ALARMS, MOST_MISSED = 0.01, 0.05
 long, exhaustive = pytest.mark.long, pytest.mark.exhaustive
 
 
+@pytest.mark.long("25", "31")
 @pytest.mark.exhaustive("1")
 @pytest.mark.parametrize("seed", [0, 1, 2, 8, 11, 20, 25, 31, 36, 56])
 def test_a_log_without_faults_is_not_called_wrong(seed):

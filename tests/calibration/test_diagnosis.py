@@ -65,7 +65,7 @@ def whats(done):
     return [finding.what for finding in done.findings if finding.wrong]
 
 
-@pytest.mark.long("0")
+@pytest.mark.long("0", "1", "3")
 @pytest.mark.parametrize("seed", range(4))
 def test_a_log_that_fits_has_no_findings(pendulum, exact, seed):
     record = exact(*np.random.default_rng(seed).uniform(-2, 2, 4))
@@ -318,7 +318,7 @@ def real(data_folder, name):
     return file, logs.read(data_folder / folder / f"{name}.csv", file.columns).record
 
 
-@pytest.mark.long("A0_sysid_00")
+@pytest.mark.long("A0_sysid_00", "A0_sysid_05", "A0_sysid_12")
 @pytest.mark.data
 @pytest.mark.parametrize("name", REAL)
 def test_recorded_logs_fit_their_models(data_folder, name):

@@ -112,6 +112,7 @@ FAULTS = {
 }
 
 
+@pytest.mark.long("a sign", "columns")
 @pytest.mark.exhaustive("all signs")
 @pytest.mark.parametrize("fault", FAULTS)
 def test_one_fault_is_one_finding_with_its_setting(chain, fault):

@@ -82,6 +82,7 @@ def test_processes_find_the_same(saved, monkeypatch):
     assert check(saved, processes=2).leaves == alone.leaves
 
 
+@pytest.mark.long
 def test_a_small_certificate_starts_no_processes(saved, monkeypatch):
     """By the number of its leaves, so the same on every machine."""
 
@@ -187,8 +188,8 @@ FORGERIES = {
 """What reads well, and is not true; files that do not read well are in `tests/attacks/test_files.py`."""
 
 
+@pytest.mark.long("Q", "gain", "leaves joined", "radius and limit", "square")
 @pytest.mark.exhaustive("box beyond the metric", "box enlarged", "rate")
-@pytest.mark.long("Q", "gain", "leaves joined", "square")
 @pytest.mark.parametrize("name", FORGERIES)
 def test_a_forger_who_mends_the_digest_is_refused_with_the_reason(saved, tmp_path, monkeypatch, name):
     change, reason = FORGERIES[name]
@@ -410,6 +411,7 @@ def test_reaches_that_no_sampled_point_had_are_found_by_their_counterexamples(se
     assert found.radius == pytest.approx(sectors.radius, rel=0.05)
 
 
+@pytest.mark.long("nothing-1.000001", "nothing-100.0")
 @pytest.mark.exhaustive("square")
 @pytest.mark.parametrize("more", [1 + 1e-6, 1.5, 100.0])
 @pytest.mark.parametrize("mended", ["nothing", "limit", "square"])

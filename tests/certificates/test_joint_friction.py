@@ -149,8 +149,8 @@ FORGERIES = {
 }
 
 
+@pytest.mark.long("coulomb", "least slope", "no friction", "slope")
 @pytest.mark.exhaustive("friction", "rate")
-@pytest.mark.long("coulomb", "least slope", "slope")
 @pytest.mark.parametrize("name", FORGERIES)
 def test_a_forged_file_is_refused(proved, tmp_path, monkeypatch, name):
     change, reason = FORGERIES[name]

@@ -48,7 +48,7 @@ def test_it_is_proved_for_shipped_models(name, designed):
     assert np.linalg.eigvalsh(design.metric).min() > 0
 
 
-@pytest.mark.long("bioreactor", "van_der_pol")
+@pytest.mark.long("bioreactor", "duffing", "lorenz", "van_der_pol")
 @pytest.mark.parametrize("name", BOXES)
 def test_squared_distances_shrink_as_proved_from_far_outside_the_box(name, designed):
     """Along motions that stay in the box, in continuous time, against the formula of the observer itself."""

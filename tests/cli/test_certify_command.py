@@ -96,6 +96,7 @@ def test_a_proof_says_how_fast_from_how_far_and_where(proved):
     assert (proved["model"], proved["out"]) == ("pendulum.toml", "proved.json")
 
 
+@pytest.mark.long
 def test_the_file_is_the_certificate(proved):
     document = json.loads(Path("proved.json").read_text(encoding="utf-8"))
     assert (document["rate"], document["radius"]) == (proved["rate"], proved["radius"])
@@ -104,6 +105,7 @@ def test_the_file_is_the_certificate(proved):
     assert dict(made.parameters) == dict(models.load("pendulum.toml").model.parameters)
 
 
+@pytest.mark.long
 def test_for_a_person_angles_are_in_degrees_too(proved, monkeypatch):
     q = np.array(proved["q"])
     observer = Intrinsic(models.load("pendulum.toml").model, 10.0, 50.0)

@@ -157,6 +157,7 @@ def test_parquet_holds_the_same_numbers(estimated):
     assert np.array_equal(one.truth, two.truth)
 
 
+@pytest.mark.long
 def test_the_report_is_one_page_and_figures(estimated):
     assert [Path(p).suffix for p in estimated["report"]] == [".html", ".png", ".png", ".png"]
     assert all(Path(p).stat().st_size > 10_000 for p in estimated["report"])

@@ -82,6 +82,7 @@ def test_the_summary_is_that_of_the_store(made):
     assert store.attrs["provenance"]["equation"] == {"rate": 8.0, "process_cov": None, "measurement_cov": None}
 
 
+@pytest.mark.long
 def test_a_finished_store_is_summed_up_again_for_a_person(made, capsys, monkeypatch):
     text = said(capsys, monkeypatch, "design", "metric", "unknown_frequency", *SHAPE, "--rate", "8", "-o", "paper.zarr")
     first, codes, least, bounds, error_bound = text.splitlines()
@@ -245,6 +246,7 @@ def test_a_scheduler_that_does_not_answer_is_given_up_soon(capsys, monkeypatch):
     assert "scheduler: no Dask scheduler answers at 'tcp://127.0.0.1:9'" in message
 
 
+@pytest.mark.long
 def test_the_store_of_another_equation_is_left_alone(made, capsys, monkeypatch):
     message = refused(capsys, monkeypatch, "unknown_frequency", *SHAPE, "--rate", "9", "-o", "paper.zarr")
     assert "paper.zarr holds another map: provenance.equation.rate is 8.0 there and 9.0 here" in message

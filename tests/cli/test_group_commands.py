@@ -101,6 +101,7 @@ def test_machines_get_the_documented_keys(estimated):
     assert all(len(estimated[key]) == 3 for key in ("velocity_rmse", "innovation_rms"))
 
 
+@pytest.mark.long
 def test_the_estimate_has_the_columns_of_the_log_and_the_names_of_the_model(estimated):
     assert Path("v.csv").read_text().splitlines()[0] == "t,qw,qx,qy,qz,w1,w2,w3"
     q, true_q = column("v.csv", *WXYZ), column("log.csv", *(f"true_{name}" for name in WXYZ))

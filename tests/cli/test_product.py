@@ -150,7 +150,7 @@ def number(x: Any) -> float | None:
         return None
 
 
-@pytest.mark.long("group", "state-space")
+@pytest.mark.long("csv", "group", "json", "state-space")
 @pytest.mark.parametrize("output", ESTIMATE)
 def test_both_engines_estimate_the_same(estimates, output):
     by_c, by_jax = (estimates[engine][output] for engine in ENGINES)

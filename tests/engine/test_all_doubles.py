@@ -91,8 +91,8 @@ def test_a_step_by_either_engine_is_the_same(name, log):
         np.testing.assert_allclose(both[0].x, both[1].x, rtol=1e-6, atol=1e-9 + 1e-12 * largest)
 
 
+@pytest.mark.long("1e+22-jax", "7000000000.0")
 @pytest.mark.exhaustive("7000000000.0-jax")
-@pytest.mark.long("7000000000.0")
 @pytest.mark.parametrize("engine", ["c", "jax"])
 @pytest.mark.parametrize("far", [7e9, -1e22, 1e308, math.inf])
 def test_an_angle_of_too_many_turns_is_missing_and_spoils_nothing(engine, far):
@@ -134,6 +134,7 @@ def test_an_angle_of_many_turns_is_followed():
     np.testing.assert_allclose(in_c.x[:2], y, atol=1e-6)
 
 
+@pytest.mark.long("True-5e")
 @pytest.mark.exhaustive("False-0.01")
 @pytest.mark.parametrize("dt", [0.01, 5e-324])
 @pytest.mark.parametrize("jitted", [False, True])

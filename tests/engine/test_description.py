@@ -96,6 +96,7 @@ def variants(x, where: str = ""):
 SHORT = ("oscillator", "free_body")
 
 
+@pytest.mark.long("free_body")
 @pytest.mark.parametrize("name", [n if n in SHORT else pytest.param(n, marks=pytest.mark.long) for n in MODELS])
 def test_observers_that_differ_in_anything_have_other_keys(name):
     """In one number by one unit in its last place, in a setting, a type, a shape, a function, or in their kind."""
@@ -119,6 +120,7 @@ def larger(x):
     return x.at[...].set(values) if isinstance(x, jax.Array) else values
 
 
+@pytest.mark.long("ball_and_beam", "pendulum_chain")
 @pytest.mark.parametrize("name", MODELS)
 def test_another_number_of_a_model_changes_no_key(name):
     """Numbers are arguments: of whatever size they are, all observers keep the kernels that they have."""

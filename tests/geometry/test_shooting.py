@@ -118,6 +118,7 @@ def test_missing_measurement_is_not_converged():
     assert shot.result == Result.NOT_CONVERGED
 
 
+@pytest.mark.long
 def test_geodesic_beyond_a_conjugate_point_is_flagged():
     p, q = jnp.array([[0.9, 0.1], [0.5, 0.7]])  # on a great circle that stays in the middle of the chart
     long = the_long_way(p, q)

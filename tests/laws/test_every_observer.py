@@ -125,6 +125,7 @@ def allowed(entry) -> float:
     return 0.01 if entry.tuned_by in ("gains", "noise", "noise or ticks") else 0.15
 
 
+@pytest.mark.long("gain", "pll")
 @pytest.mark.exhaustive(
     "body on SO(3)", "copy", "ekf", "filtered", "geodesic", "intrinsic", "intrinsic2", "kalman", "ukf"
 )
@@ -190,6 +191,7 @@ def test_a_loop_is_compiled_once_whatever_the_numbers_are(entry, name):
     assert made == [made[0]] * 4
 
 
+@pytest.mark.long("intrinsic-body on SO(3)", "intrinsic2-body on SO(3)")
 @pytest.mark.exhaustive("ekf-body on SO(3)", "geodesic", "intrinsic-kalman")
 @each
 def test_single_precision_stays_single(entry, name):
@@ -227,6 +229,7 @@ def is_as_through_jax(done: Any, observer: AbstractObserver, record: Record, kee
     return all(type(a) is np.ndarray and (a.shape, a.dtype) == (b.shape, b.dtype) for a, b in pairs)
 
 
+@pytest.mark.long("copy")
 @pytest.mark.exhaustive("body on SO(3)", "ekf", "geodesic", "golay", "intrinsic", "intrinsic2", "joint", "ukf")
 @pytest.mark.skipif(shutil.which("cc") is None, reason="there is no C compiler, `cc`")
 @pytest.mark.parametrize(("entry", "name"), IN_C, ids=[f"{entry.name}-{name}" for entry, name in IN_C])

@@ -313,6 +313,7 @@ def length(space, p, q):
     return space.norm(p, space.shoot(p, q).velocity)
 
 
+@pytest.mark.long("double pendulum", "numeric sphere", "oscillator in r")
 def test_length_is_symmetric(space):
     close(length(space, space.p, space.q), length(space, space.q, space.p), GEODESIC)
 
@@ -323,6 +324,7 @@ def test_triangle_inequality(space):
     assert (length(space, space.p, space.q) <= detour + GEODESIC).all()
 
 
+@pytest.mark.long("double pendulum", "numeric sphere", "oscillator in r")
 def test_gradient_of_half_squared_distance_is_minus_log(space):
     """By central differences of fourth order, good to 1e-9 at this step."""
     step = 2e-3

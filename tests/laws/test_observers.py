@@ -176,6 +176,7 @@ def test_what_the_linear_law_leaves_out_is_of_first_order_in_the_error(built, ob
     assert np.log10(large / small) == pytest.approx(1.0, abs=0.1)
 
 
+@pytest.mark.long("no source transport")
 @pytest.mark.exhaustive("ball and beam", "curvature sign")
 @pytest.mark.parametrize("mistake", ["curvature sign", "Γ(q) for Γ(q̂)", "no source transport"])
 @pytest.mark.parametrize("name", ["hyperbolic plane", "ball and beam"])

@@ -285,6 +285,7 @@ def test_a_grid_of_a_million_million_points_takes_the_memory_of_its_blocks(tmp_p
     assert math.isclose(open_grid(tmp_path / "map.zarr").level[5, 7], 12 / (10**6 - 1))
 
 
+@pytest.mark.long("change1")
 @pytest.mark.parametrize(
     ("change", "word"),
     [
@@ -336,6 +337,7 @@ def test_a_wrong_grid_is_refused_by_the_name_of_its_axis(change, word):
         Grid(**fields | change)
 
 
+@pytest.mark.long("change7")
 @pytest.mark.parametrize(
     ("change", "word"),
     [

@@ -137,6 +137,7 @@ def test_a_field_of_process_noise_is_recorded_by_name(tmp_path):
             load(tmp_path / "m.zarr")
 
 
+@pytest.mark.long
 def test_what_does_not_fit_is_refused(path, tmp_path):
     wrong = metrics.Grid(("q", "v"), ("m", "m/s"), (-1, -1), (1, 1), (4, 4))
     with pytest.raises(ValueError, match="the grid has axes q, v; the states are q, q_dot"):

@@ -193,7 +193,7 @@ def test_a_burst_costs_no_more_than_the_same_rows_missing(kind, length):
     assert error(estimates, v) < 1.25 * error(followed(gated, t, y)[0], v)
 
 
-@pytest.mark.long("change0")
+@pytest.mark.long("True", "change0", "change2")
 @pytest.mark.parametrize(
     ("change", "moves"),
     [

@@ -40,6 +40,7 @@ def test_an_observer_at_rest_finds_the_motion(observer, pendulum, irregular, fol
     np.testing.assert_allclose(followed.x[150:, 1], x[151:, 1], rtol=0, atol=lag * np.abs(x[:, 1]).max())
 
 
+@pytest.mark.long("geodesic")
 def test_coordinates_that_jump_by_a_turn_change_nothing(observer, pendulum, irregular, follow):
     x = pendulum.truth(irregular, np.array([2.5, 14.0]))
     turns = np.floor((x[:, :1] + np.pi) / (2 * np.pi))

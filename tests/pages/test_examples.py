@@ -16,14 +16,18 @@ each_page = over(EXECUTED)
 @pytest.mark.long(
     "certificates.md",
     "contracting.md",
+    "contributing.md",
     "firmware.md",
+    "fluid.md",
     "forces.md",
     "groups.md",
     "identification.md",
     "metrics.md",
+    "robot-geometry.md",
     "robots.md",
     "smoothing.md",
     "spaces.md",
+    "step-by-hand.md",
     "tuning.md",
     "your-log.md",
 )

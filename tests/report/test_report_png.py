@@ -43,7 +43,7 @@ def test_a_row_a_coordinate(make, tmp_path):
     assert heights[1] - heights[0] == pytest.approx(2 * 2.3 * 150, abs=1)
 
 
-@pytest.mark.long("zero_distances")
+@pytest.mark.long("diverged", "zero_distances")
 def test_degenerate(degenerate, tmp_path):
     for path in write_png(degenerate, tmp_path / "log"):
         with Image.open(path) as image:

@@ -38,6 +38,7 @@ def log(names, inputs):
     return pd.DataFrame(table | {f"force{i}_N": np.cos(T + i) for i in range(inputs)})
 
 
+@pytest.mark.long("names0", "names1", "names2", "names9")
 @pytest.mark.parametrize(("names", "inputs"), MACHINES)
 def test_a_machine_that_slides_is_drafted_with_its_equations(tmp_path, names, inputs):
     table = log(names, inputs)

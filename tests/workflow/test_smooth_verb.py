@@ -47,6 +47,7 @@ def test_it_is_nearer_to_the_truth_than_the_filter_and_says_so(smoothed):
     assert "velocity RMSE of the filter" in text
 
 
+@pytest.mark.long
 def test_the_page_shows_both(smoothed):
     page = smoothed[0]._page()
     assert list(page.estimates) == ["smoothed", "intrinsic-kalman"]

@@ -59,6 +59,7 @@ def test_wrong_models_raise_it_once_with_its_number_and_a_remedy(machine, model)
     assert line in str(result)
 
 
+@pytest.mark.long
 def test_a_force_state_of_the_size_of_the_friction_ends_it():
     result = estimated({"parameters.coulomb": [0.15]}, LOOSE)
     assert not any("NIS" in line for line in result.warnings)
