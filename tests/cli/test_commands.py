@@ -163,7 +163,7 @@ def test_the_report_is_one_page_and_figures(estimated):
     assert all(Path(p).stat().st_size > 10_000 for p in estimated["report"])
 
 
-def test_a_wrapped_log_gives_the_same_velocities():
+def test_a_wrapped_log_gives_the_same_velocities(estimated):
     log = logs.read("log.csv", logs.Columns(q=("angle",), u=("torque",)))
     assert np.nanmax(np.abs(log.record.y)) > np.pi
     wrapped = np.mod(log.record.y[:, 0] + np.pi, 2 * np.pi) - np.pi
