@@ -45,8 +45,6 @@ LONG = 400
 MOST_UNROLLED = 0.8
 """Share of the operations of a loop that its turns may have for the loop to be unrolled. A loop is shorter to write and
 to compile, so that it stays where little is saved."""
-UNBOUNDED = 1 << 62
-"""More operations than any turn has."""
 Loops = Literal["unrolled", "long", "any"]
 
 
@@ -309,8 +307,8 @@ class _Interpreter:
         stacked = [self.write.stack(list(column)) for column in zip(*rows, strict=True)] if rows else empty
         return [*carry, *stacked]
 
-    def operations_of_turn(self, scan: Scan, fixed: list[Value]) -> int:
-        """Operations of a turn of a scan of which only known fixed numbers are known, as in a loop."""
+    def operations_of_turn(self, scan: Scan, fixed: list[Value]) -> float:
+        """Operations of a turn, of which a loop knows the fixed numbers alone; infinite if it cannot be a loop."""
         graph, position = Graph(), itertools.count()
 
         def unknown(shape: tuple[int, ...]) -> Scalars:
@@ -322,7 +320,7 @@ class _Interpreter:
         try:
             _Interpreter(graph, self.loops).run(scan.body, [*values, *map(unknown, shapes[scan.fixed :])])
         except LoweringError:  # a turn needs a number that only unrolled turns know
-            return UNBOUNDED
+            return math.inf
         return operations(graph.nodes)
 
     def counted(
