@@ -12,7 +12,7 @@ import numpy as np
 from scipy.optimize import minimize
 
 from covariant.calibration import observer_gains, tune
-from covariant.calibration._filters import relative_error
+from covariant.calibration.tuning._filters import relative_error
 from covariant.observers import Intrinsic, run
 from covariant.scoring import scored_window
 from covariant.workflow._aligned import aligned

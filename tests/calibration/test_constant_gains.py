@@ -6,13 +6,13 @@ import pytest
 from scipy.linalg import solve_discrete_are
 
 from covariant.calibration import Candidate, NoiseLevels, errors_ahead, predict_sampled_errors
-from covariant.calibration._ahead import size
-from covariant.calibration._constant_gains import as_poles, chosen, sampled_design
-from covariant.calibration._error_model import ErrorModel, error_model, forgotten, kalman, smoothed
+from covariant.calibration.identification._ahead import size
+from covariant.calibration.identification._error_model import ErrorModel, error_model, forgotten, kalman, smoothed
+from covariant.calibration.tuning._constant_gains import as_poles, chosen, sampled_design
 from covariant.models import Motion, oscillator
 from covariant.observers import Intrinsic, external_force, run
-from covariant.observers._sampled import sampled_gains
-from covariant.observers._slow import SlowStates
+from covariant.observers.base._sampled import sampled_gains
+from covariant.observers.sensors._slow import SlowStates
 from covariant.signals import Record
 
 T = 0.02 * np.arange(400)

@@ -10,9 +10,9 @@ from two_links import Truth, swing
 
 from covariant import logs, models
 from covariant.calibration import diagnose, misfit, outliers, suggest_noise
-from covariant.calibration._case import busiest
-from covariant.calibration._changes import Names, no_change
-from covariant.calibration._smooth import smooth
+from covariant.calibration.diagnosis._case import busiest
+from covariant.calibration.diagnosis._changes import Names, no_change
+from covariant.calibration.diagnosis._smooth import smooth
 from covariant.logs import unit_factor
 from covariant.models import load
 from covariant.signals import Record

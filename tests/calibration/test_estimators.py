@@ -23,7 +23,13 @@ from covariant.calibration import (
     tuned_estimators,
     window_length,
 )
-from covariant.calibration._filters import LONGEST_WINDOW, filter_error, filtered, linear_filter_error, polynomial
+from covariant.calibration.tuning._filters import (
+    LONGEST_WINDOW,
+    filter_error,
+    filtered,
+    linear_filter_error,
+    polynomial,
+)
 from covariant.models import Lagrangian, heavy_top, oscillator, underwater_vehicle
 from covariant.observers import (
     EKF,

@@ -15,9 +15,9 @@ from covariant.calibration import (
     fit_robot,
     motor_inputs,
 )
-from covariant.calibration._excitation import _compiled, _Problem
-from covariant.calibration._fourier import resting_basis
-from covariant.calibration._robot_torques import Torques
+from covariant.calibration.identification._excitation import _compiled, _Problem
+from covariant.calibration.identification._fourier import resting_basis
+from covariant.calibration.identification._robot_torques import Torques
 from covariant.signals import Record
 
 TRUTH = Truth((0.05, 0.02), (0.1, 0.05), (0.02, -0.01), armature=(0.01, 0.004))

@@ -11,8 +11,8 @@ from two_links import Truth, accelerate, swing
 
 from covariant import models
 from covariant.calibration import fit_robot, robot_misfit
-from covariant.calibration._robot_fit import _rounded
-from covariant.calibration._robot_torques import _told_from_zero
+from covariant.calibration.identification._robot_fit import _rounded
+from covariant.calibration.identification._robot_torques import _told_from_zero
 from covariant.signals import Record
 
 FRICTION = ("viscous", "coulomb", "asymmetry")

@@ -9,8 +9,8 @@ import pytest
 import covariant
 from covariant import models, observers
 from covariant.calibration import Beside
-from covariant.calibration._case import case_without_outliers
-from covariant.calibration._sensor_checks import sensor_checks
+from covariant.calibration.diagnosis._case import case_without_outliers
+from covariant.calibration.diagnosis._sensor_checks import sensor_checks
 from covariant.signals import Record
 
 CHAIN = """

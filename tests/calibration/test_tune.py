@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from covariant.calibration import DataSheet, NoiseLevels, gains, tune
-from covariant.calibration._error_model import error_model, kalman
+from covariant.calibration.identification._error_model import error_model, kalman
 from covariant.models import Lagrangian, Parametric
 from covariant.observers import Intrinsic, IntrinsicKalman, external_force, run
 from covariant.signals import Record

@@ -232,7 +232,7 @@ def test_a_layout_is_read_as_it_was_written(name):
         [[1, 2], [1], 0, None, None],
         [[1, 2, 3], [1], 0, {"class": ["os", "stat_result"], "fields": []}, None],
         [[1, 2, 3], [1], 0, {"class": ["covariant.observers", "REGISTRY"], "fields": []}, None],
-        [[1, 2, 3], [1], 0, {"class": ["covariant.observers._protocol", "Info"], "fields": [None]}, None],
+        [[1, 2, 3], [1], 0, {"class": ["covariant.observers.base._protocol", "Info"], "fields": [None]}, None],
         [[1, 2, 3], [1], 0, {"shape": "x", "dtype": "float64"}, None],
         [[1, 2, 3], [1], 0, {"shape": [1], "dtype": "thing"}, None],
     ],

@@ -18,7 +18,7 @@ from covariant.calibration import DataSheet, tuned_estimators
 from covariant.engine import run_log
 from covariant.models import MechanicalSystem, Motion, ball_and_beam, duffing, free_body
 from covariant.observers import REGISTRY, AbstractObserver
-from covariant.observers._protocol import _scan
+from covariant.observers.base._protocol import _scan
 from covariant.signals import Record, Result, Run
 from covariant.simulation import hold, simulate
 

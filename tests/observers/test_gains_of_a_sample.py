@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from covariant.observers._sampled import sampled_gains
+from covariant.observers.base._sampled import sampled_gains
 
 gains = jax.jit(sampled_gains)
 

@@ -9,7 +9,7 @@ import pytest
 from covariant.geometry import Euclidean
 from covariant.models import Motion, advance, pendulum_chain
 from covariant.observers import EKF, Copy, Geodesic, Intrinsic, IntrinsicKalman
-from covariant.observers._sampled import LONGEST_GAP, sampled_correction
+from covariant.observers.base._sampled import LONGEST_GAP, sampled_correction
 from covariant.signals import Result
 
 ALPHA, BETA = 20.0, 200.0

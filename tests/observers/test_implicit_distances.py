@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from covariant.observers import DistanceBounds, distance_decay, part_limits
-from covariant.observers._implicit_distances import contracted
+from covariant.observers.constant_gain._implicit_distances import contracted
 
 
 class Surface:

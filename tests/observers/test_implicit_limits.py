@@ -23,7 +23,7 @@ from covariant.observers import (
     part_limits,
     proved_decay,
 )
-from covariant.observers._implicit_limits import weight_of
+from covariant.observers.constant_gain._implicit_limits import weight_of
 
 UNIFORM = [(4.0, 1.0), (4.0, 5.0), (0.0, 3.0), (-4.0, 5.0), (-4.0, 1.0), (9.81, 6.0)]
 """k and σ."""

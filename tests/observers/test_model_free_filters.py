@@ -8,9 +8,9 @@ import pytest
 from scipy import linalg
 
 from covariant.observers import PLL, FilteredDerivative, HighGain, JointKalman, Levant, SavitzkyGolay, run
-from covariant.observers._joint_kalman import singer
-from covariant.observers._levant import MARGIN
-from covariant.observers._tracking_loop import sampled
+from covariant.observers.differentiators._levant import MARGIN
+from covariant.observers.differentiators._tracking_loop import sampled
+from covariant.observers.filters._joint_kalman import singer
 from covariant.signals import Record, Result
 
 ROWS, RATE = 400, 200.0

@@ -11,8 +11,8 @@ from covariant._integrate import rk8
 from covariant.geometry import Budget
 from covariant.models import Lagrangian, pendulum_chain
 from covariant.observers import EKF, Copy, FilteredDerivative, Geodesic, ImplicitGeodesic, Intrinsic, SavitzkyGolay, run
-from covariant.observers._protocol import outcome
-from covariant.observers._sampled import predict
+from covariant.observers.base._protocol import outcome
+from covariant.observers.base._sampled import predict
 from covariant.signals import Record, Result
 
 X0 = np.array([0.7, 4.0])

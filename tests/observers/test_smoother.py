@@ -26,7 +26,7 @@ from covariant.models import (
     pendulum_chain,
 )
 from covariant.observers import EKF, UKF, IntrinsicKalman, JointKalman, _smoother, smooth
-from covariant.observers._smoother import Step, backward_map, smoothed as smoothed_arrays
+from covariant.observers.filters._smoother import Step, backward_map, smoothed as smoothed_arrays
 from covariant.signals import Record, Result
 
 # Where everything is linear: the smoother is the least-squares solution over all rows.
@@ -312,7 +312,7 @@ def test_blocks_make_no_difference(monkeypatch, ticks, lag):
     whole = smooth(observer, record, lag=lag)
     results = np.asarray(whole.filtered.info.result)
     assert {Result.COASTED, Result.OUTLIER, Result.RESTARTED} <= set(results.tolist())
-    monkeypatch.setattr("covariant.observers._smoother.BLOCK", SIZE)
+    monkeypatch.setattr("covariant.observers.filters._smoother.BLOCK", SIZE)
     lengths = []
     block = _smoother._block
     monkeypatch.setattr(_smoother, "_block", lambda *a: (lengths.append(len(a[2].dt)), block(*a))[1])

@@ -11,7 +11,7 @@ import pytest
 from covariant.calibration import DataSheet, Trial, tuned_estimators
 from covariant.models import Lagrangian, Motion, advance, free_body, pendulum_chain
 from covariant.observers import IntrinsicKalman, run
-from covariant.observers._ticks import Encoded, take
+from covariant.observers.base._ticks import Encoded, take
 from covariant.signals import Record
 from covariant.workflow._inputs import Job, data_sheet, load
 

@@ -1,6 +1,6 @@
 """Run the examples in the docstrings of modules, as a user's Python runs them, in a folder that may be written to.
 
-    python run_docstrings.py covariant.observers._gate covariant.observers._gated
+    python run_docstrings.py covariant.observers.base._gate covariant.observers.wrappers._gated
 
 Exit status 1 where a result is not the one shown; what was printed says which.
 """

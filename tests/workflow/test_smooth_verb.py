@@ -9,7 +9,7 @@ import pytest
 import covariant
 from covariant.cli import main
 from covariant.observers import REGISTRY, SMOOTHED
-from covariant.observers._gated_filter import AbstractGatedFilter
+from covariant.observers.filters._gated_filter import AbstractGatedFilter
 from covariant.signals import Record
 
 NOISE = {"measurement.std": 1e-3, "uncertainty.acceleration": 0.2}

@@ -14,27 +14,22 @@ import numpy as np
 from covariant._typing import Matrix
 from covariant.geometry.lie import SO3
 from covariant.models import MechanicalSystem
-from covariant.observers._copy import Copy
-from covariant.observers._covariance import Covariance
-from covariant.observers._ekf import EKF
-from covariant.observers._filtered_derivative import FilteredDerivative
-from covariant.observers._geodesic import Geodesic
-from covariant.observers._high_gain import HighGain
-from covariant.observers._implicit_geodesic import ImplicitGeodesic
-from covariant.observers._intrinsic import Intrinsic
-from covariant.observers._intrinsic_kalman import IntrinsicKalman
-from covariant.observers._joint_kalman import JointKalman
-from covariant.observers._levant import Levant
-from covariant.observers._pll import PLL
-from covariant.observers._protocol import AbstractObserver
-from covariant.observers._riccati import InformationEKF, Riccati
-from covariant.observers._salcudean import Salcudean, of_mean_inertia
-from covariant.observers._savitzky_golay import SavitzkyGolay
-from covariant.observers._sensors import Sensor
-from covariant.observers._slow import Slow
-from covariant.observers._state_ekf import StateEKF
-from covariant.observers._state_noise import covariance_ekf, information_ekf, riccati
-from covariant.observers._ukf import UKF
+from covariant.observers.base import AbstractObserver, Covariance
+from covariant.observers.constant_gain import Copy, Geodesic, ImplicitGeodesic, Intrinsic, Salcudean, of_mean_inertia
+from covariant.observers.differentiators import PLL, FilteredDerivative, HighGain, Levant, SavitzkyGolay
+from covariant.observers.filters import (
+    EKF,
+    UKF,
+    InformationEKF,
+    IntrinsicKalman,
+    JointKalman,
+    Riccati,
+    StateEKF,
+    covariance_ekf,
+    information_ekf,
+    riccati,
+)
+from covariant.observers.sensors import Sensor, Slow
 
 EDGE = 0.1
 """Standard deviation of the position of an encoder's edge, as a fraction of a tick: the manufacturing tolerance."""

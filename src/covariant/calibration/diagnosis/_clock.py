@@ -1,0 +1,125 @@
+"""Faults of the clock that stamps a log: stamps that repeat, and a wall clock that is set back or forward meanwhile."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from covariant.calibration.diagnosis._finding import Finding
+from covariant.calibration.diagnosis._sensor import Rows
+from covariant.signals import Record
+
+JUMP = 4.0
+"""Steps in time, as a multiple of the usual one, from which the clock may have been set forward."""
+CONTINUES = 0.2
+"""Error of a motion that goes on as if no rows were missing, as a fraction of that over the whole step, up to which the
+clock was set forward."""
+SEEN = 10.0
+"""Least way over the whole step, as a multiple of the noise, that tells the one from the other."""
+MONOTONIC = "stamp rows by a clock that nobody sets, such as CLOCK_MONOTONIC or `time.monotonic`"
+
+
+class Mended(NamedTuple):
+    """A log whose stamps rise, with what was wrong with them.
+
+    Attributes:
+        record: The log: rows with a repeated stamp are left out, and stamps after the clock was set back go on by the
+            usual step.
+        findings: Findings on repeated stamps and on a clock that was set back.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant import Record
+        >>> from covariant.calibration import mended_clock
+        >>> t = np.array([0.0, 0.1, 0.2, 0.2, 0.3, 0.1, 0.2, 0.3])
+        >>> mended = mended_clock(Record(t, y=np.zeros((8, 1))))
+        >>> [finding.what for finding in mended.findings], mended.record.t.round(1).tolist()
+        (['repeated stamps', 'clock set back'], [0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6])
+    """
+
+    record: Record
+    findings: tuple[Finding, ...]
+
+
+def mended_clock(record: Record) -> Mended:
+    """Make the stamps of a log rise, and report where they did not.
+
+    Args:
+        record: The log, with stamps in seconds that may repeat or go back.
+
+    Returns:
+        The mended log and the findings.
+    """
+    t = np.asarray(record.t, float)
+    steps = np.diff(t)
+    rising = steps[steps > 0]
+    usual = float(np.median(rising)) if len(rising) else 1.0
+    rows, findings = Rows(t), []
+    same, back = np.flatnonzero(steps == 0) + 1, np.flatnonzero(steps < 0) + 1
+    if len(same):
+        findings.append(
+            Finding(
+                "repeated stamps",
+                "",
+                f"{len(same)} of {len(t)} rows have the stamp of the row before: {rows.listed(same)}",
+                "keep one row of each stamp, or log stamps with more digits; here the first of each is compared",
+                True,
+                {"rows": len(same)},
+            )
+        )
+    if len(back):
+        findings.append(
+            Finding(
+                "clock set back",
+                "",
+                f"time goes back in {len(back)} place{'s' if len(back) > 1 else ''}, by up to {-steps.min():.4g} s: "
+                f"{rows.listed(back)}",
+                f"{MONOTONIC}; split this log there: each part is a log by itself",
+                True,
+                {"places": len(back), "longest": float(-steps.min())},
+            )
+        )
+    mended = t[0] + np.concatenate([[0.0], np.cumsum(np.where(steps < 0, usual, steps))])
+    kept = np.concatenate([[True], steps != 0])
+    return Mended(Record(mended[kept], *(np.asarray(a)[kept] for a in record[1:3])), tuple(findings))
+
+
+def set_forward(
+    t: Float[np.ndarray, "T"], y: Float[np.ndarray, "T n"], noise: Float[np.ndarray, "n"], rows: Rows
+) -> list[Finding]:
+    """Findings on long steps in time over which the motion goes on as if no time had passed but the usual step.
+
+    Args:
+        t: Stamps (T,) [s], rising.
+        y: Positions (T, n) without jumps of angles; NaN where missing.
+        noise: Their noise (n,).
+        rows: How messages name the rows.
+
+    Returns:
+        At most one finding.
+    """
+    steps = np.diff(t)
+    usual = float(np.median(steps))
+    places = [int(k) for k in np.flatnonzero(steps > JUMP * usual) if 3 <= k < len(t) - 4]
+    jumps = []
+    for k in places:
+        before = (y[k] - y[k - 3]) / (t[k] - t[k - 3])
+        after = (y[k + 4] - y[k + 1]) / (t[k + 4] - t[k + 1])
+        rate, moved = (before + after) / 2, y[k + 1] - y[k]
+        scale = np.where(noise > 0, noise, np.inf)
+        way = np.linalg.norm((rate * steps[k] / scale)[np.isfinite(rate + moved)])
+        usually, whole = (
+            np.linalg.norm(((moved - rate * h) / scale)[np.isfinite(rate + moved)]) for h in (usual, steps[k])
+        )
+        if way > SEEN and usually < CONTINUES * whole:
+            jumps.append(k + 1)
+    if not jumps:
+        return []
+    longest = float(max(steps[k - 1] for k in jumps))
+    where = f"in {len(jumps)} place{'s' if len(jumps) > 1 else ''}"
+    evidence = (
+        f"{where} the stamps go on by up to {longest:.4g} s, and the motion only by the usual step of {usual:.4g} s: "
+        f"{rows.listed(jumps)}"
+    )
+    finding = Finding("clock set forward", "", evidence, MONOTONIC, True, {"places": len(jumps), "longest": longest})
+    return [finding]

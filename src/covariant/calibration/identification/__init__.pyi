@@ -1,0 +1,27 @@
+from ._ahead import errors_ahead as errors_ahead, mean_square as mean_square, rows_ahead as rows_ahead, size as size
+from ._draft import Draft as Draft, draft as draft
+from ._error_model import (
+    ErrorModel as ErrorModel,
+    Filtered as Filtered,
+    NoiseLevels as NoiseLevels,
+    error_model as error_model,
+    kalman as kalman,
+    smoothed as smoothed,
+)
+from ._excitation import (
+    Excitation as Excitation,
+    ExcitationPlan as ExcitationPlan,
+    JointLimits as JointLimits,
+    design_excitation as design_excitation,
+)
+from ._expected import ExpectedErrors as ExpectedErrors, Sensing as Sensing
+from ._fit import Fit as Fit, fit as fit, losses as losses
+from ._fourier import FourierMotion as FourierMotion
+from ._held_out import FITTED as FITTED, growth as growth, held_out_logs as held_out_logs, split as split
+from ._predict import PredictionErrors as PredictionErrors, prediction_errors as prediction_errors
+from ._relations import relations as relations
+from ._robot_combinations import Combinations as Combinations
+from ._robot_fit import RobotFit as RobotFit, fit_robot as fit_robot
+from ._robot_misfit import robot_misfit as robot_misfit
+from ._robot_torques import motor_inputs as motor_inputs
+from ._windows import Windows as Windows, horizon as horizon, windows as windows

@@ -1,0 +1,403 @@
+"""Numbers of a robot from a log: residual accelerations over short windows, weighed as torques, by Gauss–Newton steps.
+
+Positions are smoothed by local polynomials, not themselves but what the model leaves of them: from the positions the
+twice integrated accelerations of the model are subtracted first, and added again afterwards. So a reversal, at which
+friction jumps, is not rounded off, and the curvature of a polynomial is the residual acceleration, averaged over the
+window. Times the inertia matrix it is a residual torque. The derivatives of torques in the numbers, at the model's
+accelerations, are the regressor; noise in measured accelerations is not in it, and so makes no number too small.
+
+Source: Gautier, Janot & Vandanjon 2013, A New Closed-Loop Output Error Method, IEEE Transactions on Control Systems
+Technology 21(2), and Janot, Vandanjon & Gautier 2014, Robotica 32, on instruments from the model, section 3; Gautier
+1991, Numerical calculation of the base inertial parameters of robots, Journal of Robotic Systems 8(4), for the
+combinations that a log shows; Huber 1981 for weights; White 1982 for the sandwich by blocks.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from covariant import scoring
+from covariant._linalg import solve
+from covariant.calibration.diagnosis import held_inputs
+from covariant.calibration.identification._robot_combinations import Combinations
+from covariant.calibration.identification._robot_torques import (
+    BLOCK,
+    FEWEST,
+    FEWEST_BLOCKS,
+    PRIOR,
+    RESTING,
+    WINDOWS,
+    Determined,
+    Torques,
+    averaging,
+    convolved,
+    in_batches,
+    needed,
+    sticking_speeds,
+    usual_sizes,
+)
+from covariant.models import MechanicalSystem, RobotFamily, applied_force, resistance
+from covariant.signals import Record
+
+FINE = 12
+"""Points of the grid in half of the shortest window."""
+MOST_POINTS = 40_000
+"""Largest number of points of the grid of all logs: beyond it the grid is coarser."""
+MOST_ROWS = 6_000
+"""Largest number of points of the grid at which derivatives are computed."""
+ROUNDS, MORE_ROUNDS = 8, 4
+"""Most rounds with the shortest window, and after another one has been chosen."""
+CONVERGED = 0.05
+"""A step is the last one when it changes no number by more than this fraction of its standard error."""
+LONGEST_STEP = 1.0
+"""Longest step of a coordinate in its usual size."""
+HUBER = 3.0
+"""Size of a residual torque, in units of its scale, beyond which its influence is constant."""
+FULL = 0.6
+"""Fraction of the usual number of samples that a window must hold to be used."""
+ROUNDING = 1e-10
+"""A value that has come below this fraction of its prior standard deviation is zero but for rounding."""
+STILL, MOSTLY = 8.0, 0.9
+"""A joint that rests for this fraction of so many half windows is held by its friction: the model does not move it."""
+ORDER = 3
+
+
+class RobotFit(NamedTuple):
+    """Numbers of a robot fitted to logs.
+
+    Attributes:
+        names: Names (p,) of the numbers.
+        first: First values (p,).
+        values: Fitted values (p,).
+        standard_errors: Standard errors (p,), robust to residuals that are alike within a block; NaN for a number that
+            the log does not show by itself, which stays near its first value.
+        determined: Whether the log determines each number (p,) by itself: it shows the number, and can tell it, or else
+            a tenth of its usual size, from zero.
+        combinations: What the log determines of numbers that it cannot tell apart.
+        torque: Robust standard deviation (n,) of the residual torques [N m or N].
+        half: Half width [s] of the windows.
+        rounds: Number of Gauss–Newton steps.
+        coordinates: Coordinates (p,) of the family.
+        losses: Negative log-likelihood (B,) of each block of the logs, up to a constant.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant.calibration import Combinations, RobotFit
+        >>> none = Combinations((), (), 1)
+        >>> one = np.ones(1)
+        >>> fitted = RobotFit(("gravity",), one, 9.8 * one, 0.1 * one, one > 0, none, one, 0.03, 4, one, one)
+        >>> fitted.determined.tolist()
+        [True]
+    """
+
+    names: tuple[str, ...]
+    first: Float[np.ndarray, "p"]
+    values: Float[np.ndarray, "p"]
+    standard_errors: Float[np.ndarray, "p"]
+    determined: Bool[np.ndarray, "p"]
+    combinations: Combinations
+    torque: Float[np.ndarray, "n"]
+    half: float
+    rounds: int
+    coordinates: Float[np.ndarray, "p"]
+    losses: Float[np.ndarray, "B"]
+
+
+def fit_robot(
+    family: RobotFamily,
+    records: Sequence[Record],
+    half: float,
+    progress: Callable[[int], object] = lambda _: None,
+    start: RobotFit | None = None,
+) -> RobotFit:
+    """Fit open numbers of a robot to logs.
+
+    Args:
+        family: The robot as a function of its p open numbers, from `models.robot_family`.
+        records: The logs, with the inputs that act in each step.
+        half: Half width [s] of the shortest window.
+        progress: Called with the number of each round.
+        start: A fit to other inputs, from whose numbers the search starts, with its window.
+
+    Returns:
+        Values, standard errors, and the combinations that the logs determine.
+
+    Raises:
+        ValueError: The logs are too short, or the model predicts no finite acceleration.
+
+    Example:
+        >>> import covariant
+        >>> from covariant import models
+        >>> from covariant.calibration import fit_robot
+        >>> arm = {"rate": 200.0, "duration": 20.0, "amplitude": [1.0, 0.4], "noise": 1e-5}
+        >>> log = covariant.simulate("double_pendulum", **arm)
+        >>> result = fit_robot(models.robot_family("double_pendulum", ["gravity"]), [log.record], 0.05)
+        >>> bool(abs(result.values[0] - 9.81) < 0.01)
+        True
+    """
+    search = _Search.of(family, records, half)
+    x = np.zeros(len(family.names)) if start is None else start.coordinates
+    point = search.point(x, search.tracks[0].half if start is None else start.half)
+    rounds = 0
+    for most in (ROUNDS, MORE_ROUNDS) if start is None else (ROUNDS,):
+        for _ in range(most):
+            progress(rounds)
+            rounds += 1
+            step = search.step(point)
+            point = search.point(point.x + step.dx, point.half, point.motions)
+            if step.settled:
+                break
+        if most == ROUNDS and start is None:
+            point = search.with_best_window(point)
+    solution = search.step(point)
+    known = Determined.of(family, point.x, search.sizes, solution.information, solution.covariance)
+    values = _rounded(np.asarray(jax.jit(family.values)(point.x)), family.first, known.prior)
+    return RobotFit(
+        family.names,
+        family.first,
+        values,
+        known.standard_errors,
+        known.determined,
+        known.combinations,
+        solution.scale,
+        point.half,
+        rounds,
+        point.x,
+        solution.losses,
+    )
+
+
+class _Track(NamedTuple):
+    """A log, its grid of K even times, inputs averaged around these, and the shortest half window."""
+
+    t: Float[np.ndarray, "T"]
+    y: Float[np.ndarray, "T n"]
+    grid: Float[np.ndarray, "K"]
+    u: Float[np.ndarray, "K m"]
+    half: float
+
+    @property
+    def step(self) -> float:
+        return float(self.grid[1] - self.grid[0])
+
+
+class _Path(NamedTuple):
+    """Motion (K, n) along a grid, the accelerations of the model, the residual ones, and the points that are used."""
+
+    q: Float[np.ndarray, "K n"]
+    v: Float[np.ndarray, "K n"]
+    modelled: Float[np.ndarray, "K n"]
+    residual: Float[np.ndarray, "K n"]
+    used: Bool[np.ndarray, "K"]
+
+
+class _Point(NamedTuple):
+    """Coordinates x (p,) of the numbers, the half window, and the motion along each log under the model at x."""
+
+    x: Float[np.ndarray, "p"]
+    half: float
+    motions: tuple[_Path, ...]
+
+
+class _Step(NamedTuple):
+    """A step of the coordinates, with their covariance, the information about them, the scale of the torques, and the
+    negative log-likelihood (B,) of each block."""
+
+    dx: Float[np.ndarray, "p"]
+    covariance: Float[np.ndarray, "p p"]
+    information: Float[np.ndarray, "p p"]
+    scale: Float[np.ndarray, "n"]
+    settled: bool
+    losses: Float[np.ndarray, "B"]
+
+
+class _Search(NamedTuple):
+    """What a fit works on: the family, the logs, usual sizes (p,), and the speeds (n,) below which a joint rests, and
+    below which it may stick."""
+
+    family: RobotFamily
+    tracks: tuple[_Track, ...]
+    sizes: Float[np.ndarray, "p"]
+    resting: Float[np.ndarray, "n"]
+    sticking: Float[np.ndarray, "n"]
+    compiled: Torques
+
+    @classmethod
+    def of(cls, family: RobotFamily, records: Sequence[Record], half: float) -> "_Search":
+        model = family.file.model
+        total = sum(float(record.t[-1] - record.t[0]) for record in records)
+        tracks = tuple(_track(record, half, model.circles, total) for record in records)
+        paths = [_smoothed(track, track.half, None) for track in tracks]
+        q, v, a = (np.concatenate([getattr(p, name)[p.used] for p in paths]) for name in ("q", "v", "residual"))
+        u = np.concatenate([track.u[path.used] for track, path in zip(tracks, paths, strict=True)])
+        if len(v) < FEWEST_BLOCKS * BLOCK * FINE:
+            raise ValueError(
+                f"the logs hold {len(v) * tracks[0].step:.3g} s without a gap, and a fit needs "
+                f"{FEWEST_BLOCKS * BLOCK * tracks[0].half:.3g} s; give longer logs"
+            )
+        compiled = Torques.of(family)
+        first = compiled.model(np.zeros(len(family.names)))
+        torques = in_batches(driving, first, u), in_batches(needed, first, q, v, a)
+        sizes, speed = usual_sizes(family, *torques, v, a)
+        return cls(family, tracks, sizes, np.array(family.resting), sticking_speeds(family, speed), compiled)
+
+    def point(self, x: np.ndarray, half: float, before: tuple[_Path, ...] | None = None) -> _Point:
+        """The motion along each log under the model at x: smoothed with the accelerations along the motion before."""
+        model = self.compiled.model(x)
+        motions = []
+        for i, track in enumerate(self.tracks):
+            path = before[i] if before else _smoothed(track, track.half, None)
+            moving = 1.0 - self._still(track, path.v)
+            modelled = in_batches(_accelerations, model, path.q, path.v, track.u, moving)
+            motions.append(_smoothed(track, half, np.where(np.isfinite(modelled), modelled, 0.0)))
+        if not any(motion.used.any() for motion in motions):
+            raise ValueError("no window of the logs is complete; give logs with fewer gaps")
+        return _Point(x, half, tuple(motions))
+
+    def _still(self, track: _Track, v: np.ndarray) -> np.ndarray:
+        """Joints (K, n) that friction holds, 1 where it does: at rest for long."""
+        box = np.ones(int(STILL * track.half / track.step) + 1)
+        rests, rows = (convolved(each, box) for each in ((np.abs(v) < self.resting).astype(float), np.ones_like(v)))
+        return (rests > MOSTLY * rows).astype(float)
+
+    def with_best_window(self, point: _Point) -> _Point:
+        """The same numbers with the window that makes their standard errors smallest."""
+        shortest = min((track.grid[-1] - track.grid[0]) for track in self.tracks)
+        tried = []
+        for factor in WINDOWS:
+            half = factor * self.tracks[0].half
+            if factor > 1 and half * FEWEST_BLOCKS * BLOCK > shortest:
+                break
+            other = self.point(point.x, half, point.motions)
+            step = self.step(other)
+            tried.append((float(np.linalg.slogdet(step.covariance / np.outer(self.sizes, self.sizes))[1]), other))
+        return min(tried, key=lambda each: each[0])[1]
+
+    def step(self, point: _Point) -> _Step:
+        """Gauss–Newton step from a point, with the covariance of the numbers."""
+        rows = [self._rows(point, i) for i in range(len(self.tracks))]
+        slopes, torque, counts, blocks = (np.concatenate(parts) for parts in zip(*rows, strict=True))
+        scale = np.array([_scale(torque[counts[:, j], j]) for j in range(torque.shape[1])])
+        relative = torque / scale
+        weight = counts * np.minimum(1.0, HUBER / np.maximum(np.abs(relative), 1e-300))
+        z = slopes / scale[:, None] * self.sizes
+        # Neighbouring windows overlap: as many rows are independent as half windows fit into the log.
+        _, numbering = np.unique(blocks, return_inverse=True)
+        thinned = min(1.0, BLOCK * (numbering.max() + 1) / len(blocks))
+        information = thinned * np.einsum("kjp,kj,kjq->pq", z, weight, z, optimize=True)
+        prior = np.eye(len(self.sizes)) / PRIOR**2
+        inverse = np.linalg.inv(information + prior)
+        scores = np.zeros((numbering.max() + 1, len(self.sizes)))
+        np.add.at(scores, numbering, thinned * np.einsum("kjp,kj->kp", z, weight * relative, optimize=True))
+        gradient = np.sum(scores, axis=0) + prior @ (point.x / self.sizes)
+        free = np.trace(inverse @ information)
+        scores *= np.sqrt(len(scores) / max(len(scores) - free, 1.0))
+        covariance = inverse @ (scores.T @ scores + prior) @ inverse
+        dz = _bounded(information + prior, gradient, (self.family.least - point.x) / self.sizes)
+        dz *= min(1.0, LONGEST_STEP / max(np.abs(dz).max(), 1e-300))
+        settled = bool(np.all(np.abs(dz) < CONVERGED * np.sqrt(np.diagonal(covariance))))
+        outer = np.outer(self.sizes, self.sizes)
+        # The pseudo-Huber loss, and the logarithm of the scale that normalises the density.
+        density = HUBER**2 * (np.sqrt(1 + (relative / HUBER) ** 2) - 1) + np.log(scale)
+        losses = thinned * np.bincount(numbering, np.sum(counts * density, axis=1))
+        return _Step(dz * self.sizes, covariance * outer, information / outer, scale, settled, losses)
+
+    def _rows(self, point: _Point, i: int):
+        """Derivatives (k, n, p) of the torques, residual torques (k, n), which count, and the block of each row."""
+        track, path = self.tracks[i], point.motions[i]
+        total = sum(len(one.grid) for one in self.tracks)
+        stride = max(1, -(-total // MOST_ROWS), int(point.half / 4 / track.step))
+        rows = np.arange(0, len(track.grid), stride)
+        raw = self.compiled.derivatives(point.x, path.q[rows], path.v[rows], path.modelled[rows], track.u[rows])
+        weights = averaging(point.half, track.step * stride)
+        slopes = convolved(np.where(np.isfinite(raw), raw, 0.0), weights)
+        torque = in_batches(_momentum, self.compiled.model(point.x), path.q[rows], path.residual[rows])
+        slow = (np.abs(path.v[rows]) < self.sticking).astype(float)
+        sticks = convolved(slow, np.abs(weights) / np.abs(weights).sum())
+        used = path.used[rows]
+        counts = (sticks < RESTING)[used]
+        block = np.floor((track.grid[rows][used] - track.grid[0]) / (BLOCK * point.half)).astype(int)
+        return slopes[used], torque[used], counts, block + 1_000_000 * i
+
+
+def _track(record: Record, half: float, circles: tuple[int, ...], total: float) -> _Track:
+    t, u = np.asarray(record.t, float), np.asarray(record.u, float)
+    half = max(half, FEWEST * float(np.median(np.diff(t))))
+    step = max(half / FINE, total / MOST_POINTS)
+    grid = t[0] + step * np.arange(int((t[-1] - t[0]) / step) + 1)
+    return _Track(t, scoring.unwrap(np.asarray(record.y, float), circles), grid, held_inputs(t, u, grid, step), half)
+
+
+def _smoothed(track: _Track, half: float, modelled: np.ndarray | None) -> _Path:
+    """Smooth what accelerations along the grid leave of the positions; without them the positions themselves."""
+    t, y, grid, step = track.t, track.y, track.grid, track.step
+    if modelled is None:
+        modelled = np.zeros((len(grid), y.shape[1]))
+    # The mean over a cell around each point changes the velocity from the middle of one step to that of the next.
+    middle = np.cumsum(modelled, axis=0) * step
+    places = np.concatenate([np.zeros_like(middle[:1]), np.cumsum(middle[:-1], axis=0) * step])
+    speeds = middle - modelled * step / 2
+    at = np.clip(np.searchsorted(grid, t) - 1, 0, len(grid) - 2)
+    left = y - _hermite((t - grid[at]) / step, places[at], places[at + 1], speeds[at] * step, speeds[at + 1] * step)
+    c = scoring.local_polynomials(t, left, grid, half, ORDER)
+    used = (grid >= t[0] + half) & (grid <= t[-1] - half)
+    for column in np.isfinite(y).T:
+        seen = t[column]
+        held = np.searchsorted(seen, grid + half) - np.searchsorted(seen, grid - half)
+        used &= held >= FULL * 2 * half / float(np.median(np.diff(t)))
+    return _Path(places + c[:, 0], speeds + c[:, 1], modelled, 2 * c[:, 2], used)
+
+
+def _hermite(s: np.ndarray, left: np.ndarray, right: np.ndarray, slope_left: np.ndarray, slope_right: np.ndarray):
+    """Cubic at s in [0, 1] with these values and slopes at its ends."""
+    s = s[:, None]
+    across = (2 * s - 3) * s**2
+    return (1 + across) * left - across * right + s * (1 - s) ** 2 * slope_left - s**2 * (1 - s) * slope_right
+
+
+def _rounded(values: np.ndarray, first: np.ndarray, prior: np.ndarray) -> np.ndarray:
+    """The values, with zero for those that have become zero but for rounding; those that did not move are no such."""
+    size = np.abs(values)
+    return np.where((size < ROUNDING * prior) & (size <= np.abs(values - first)), 0.0, values)
+
+
+def _scale(values: np.ndarray) -> float:
+    """Robust standard deviation; 1 where there is nothing."""
+    return float(max(1.4826 * np.median(np.abs(values)), 1e-12)) if len(values) else 1.0
+
+
+def _bounded(matrix: np.ndarray, gradient: np.ndarray, least: np.ndarray) -> np.ndarray:
+    """The step that minimises a quadratic function above bounds: those that it would violate are held, one by one."""
+    held = np.zeros(len(gradient), bool)
+    step = np.zeros(len(gradient))
+    for _ in range(len(gradient) + 1):
+        step[held] = least[held]
+        free = ~held
+        right = -gradient[free] - matrix[np.ix_(free, held)] @ step[held]
+        step[free] = np.linalg.solve(matrix[np.ix_(free, free)], right)
+        worse = free & (step < least - 1e-12)
+        if not worse.any():
+            break
+        held |= worse
+    return step
+
+
+def _momentum(model: MechanicalSystem, q: Array, a: Array) -> Array:
+    return model.space.lower(q, a)
+
+
+def _accelerations(model: MechanicalSystem, q: Array, v: Array, u: Array, moving: Array) -> Array:
+    """Accelerations (n,) of the joints that move; the others are held, by whatever torque that takes."""
+    t = jnp.zeros(())
+    covector = applied_force(model, t, q, u) + resistance(model, t, q, v, u) - model.space.connection_force(q, v, v)
+    held = model.space(q) * moving[:, None] * moving[None, :] + jnp.diag(1.0 - moving)
+    return solve(held, covector * moving)
+
+
+def driving(model: MechanicalSystem, u: Array) -> Array:
+    """Torques (n,) of the inputs u (m,)."""
+    return model.force(jnp.zeros(()), model.manifold.origin(), u)

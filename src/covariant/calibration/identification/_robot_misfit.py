@@ -1,0 +1,116 @@
+"""Reasons why a log is useless for a fit of a robot: nothing moves, or positions and stamps are in other units.
+
+A robot without its friction and rotors may explain little of a log, since these are what a fit looks for. So torques
+are compared, and what any friction and any rotor of the joints could explain is taken out first.
+"""
+
+import numpy as np
+
+from covariant.calibration.diagnosis import (
+    BARELY,
+    FEW_ROWS,
+    MARGIN,
+    Finding,
+    Smooth,
+    busiest,
+    case_without_outliers,
+    changed,
+    clearly,
+    standstill,
+    still_findings,
+    unit_changes,
+)
+from covariant.calibration.identification._robot_fit import driving
+from covariant.calibration.identification._robot_torques import in_batches, needed
+from covariant.models import MechanicalSystem, ModelFile, RobotFamily
+from covariant.signals import Record
+
+MOVED = 6.0
+"""Range of the smoothed positions of a joint that moves, in the noise or the ticks of its encoder."""
+SLOW = 0.1
+"""Speed, relative to the usual one, below which a joint may stick, so that its torque says nothing."""
+HEAVIEST = 30.0
+"""Largest inertia of a rotor or a load, relative to the robot's, that may explain a log in other units: a larger one
+explains any unit."""
+
+
+def robot_misfit(family: RobotFamily, file: ModelFile, record: Record) -> Finding | None:
+    """Reason why a fit of a robot must not use a log, whatever its friction, rotors and loads may be.
+
+    At most `FEW_ROWS` rows of the record are looked at.
+
+    Args:
+        family: The robot as a function of its open numbers.
+        file: Its model file, with the columns of the log.
+        record: The log as it was read.
+
+    Returns:
+        A finding "nothing moves", "too little motion" or "unit of …"; None where there is none of these.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant.calibration import robot_misfit
+        >>> from covariant.models import robot_family
+        >>> from covariant.signals import Record
+        >>> family = robot_family("double_pendulum", ["friction"])
+        >>> t = np.arange(0.0, 2.0, 0.01)
+        >>> y = 1e-4 * np.random.default_rng(0).normal(size=(200, 2))
+        >>> robot_misfit(family, family.file, Record(t, np.zeros((200, 2)), y)).what
+        'too little motion'
+    """
+    case, _ = case_without_outliers(file, busiest(record, FEW_ROWS))
+    still, whole = still_findings(np.asarray(record.y), case.names.q, case.names.units)
+    if whole:
+        return still[0]
+    log = clearly(case)
+    if log is None or not log.used.any():
+        return None  # it is too short, which whoever fits says
+    if not (np.ptp(log.q[log.used], axis=0) > MOVED * np.maximum(log.noise, case.ticks)).any():
+        return standstill(case.record, case.model.circles, case.names, case.ticks)
+    model, scaled = family.make(np.zeros(len(family.names))), any(n.group == "torque_constants" for n in family.numbers)
+    now = _unexplained(model, log, scaled, np.inf)
+    if not now > BARELY:
+        return None
+    tried = []
+    for change in unit_changes(case.names, case.record):
+        other = clearly(changed(case, change))
+        share = np.inf if other is None or not other.used.any() else _unexplained(model, other, scaled, HEAVIEST)
+        if share < min(BARELY, now / MARGIN):
+            tried.append((" and " in change.what, change.time != 1, share, change))
+    if not tried:
+        return None
+    # One wrong unit is likelier than two, and stamps that are far from seconds show already in the rate.
+    *_, share, change = min(tried, key=lambda each: each[:3])
+    evidence = (
+        f"whatever friction, rotors and loads may be, the robot leaves {100 * now:.3g} % of the squares of the torques "
+        f"as the log is, and {100 * share:.3g} % with {change.words}"
+    )
+    return Finding(change.what, change.where, evidence, change.line, True, {"unexplained": now, "after": share})
+
+
+def _unexplained(model: MechanicalSystem, log: Smooth, scaled: bool, heaviest: float) -> float:
+    """Part of the squares of the torques, as a mean over the joints that move, which no friction, rotor and weight of a
+    right sign explain; rotors and loads are at most `heaviest`, relative to the robot's."""
+    from scipy.optimize import lsq_linear
+
+    shares, none = [], np.zeros_like(log.q)
+    weight, standing, moving = (
+        in_batches(needed, model, log.q, v, a) for v, a in ((none, none), (none, log.a), (log.v, log.a))
+    )
+    for j, (v, a, motor) in enumerate(zip(log.v.T, log.a.T, in_batches(driving, model, log.u).T, strict=True)):
+        rows = log.used & (np.abs(v) > SLOW * np.sqrt(np.mean(v[log.used] ** 2)))
+        if not rows.any():
+            continue
+        inertia = np.sqrt(np.mean((standing - weight)[rows, j] ** 2) / np.maximum(np.mean(a[rows] ** 2), 1e-300))
+        columns = [v, np.sign(v), np.ones_like(v), inertia * a, weight[:, j], -motor]
+        least = (0.0, 0.0, -np.inf, 0.0, -1.0, 1 / HEAVIEST - 1)
+        most = (np.inf, np.inf, np.inf, heaviest, heaviest, HEAVIEST)
+        count = len(columns) if scaled else len(columns) - 1
+        matrix = np.stack(columns[:count], axis=1)[rows]
+        size = np.maximum(np.sqrt(np.mean(matrix**2, axis=0)), 1e-300)
+        bounds = tuple(np.array(each[:count]) * size for each in (least, most))
+        best = lsq_linear(matrix / size, (motor - moving[:, j])[rows], bounds)
+        # Relative to the torques as scaled, or else the smallest scale would explain all.
+        motor = motor[rows] * (1 + (best.x[-1] / size[-1] if scaled else 0.0))
+        shares.append(4 * best.cost / np.sum(motor**2 + moving[rows, j] ** 2))
+    return float(np.mean(shares)) if shares else 0.0

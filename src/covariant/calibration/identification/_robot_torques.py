@@ -1,0 +1,275 @@
+"""Torques that a motion of a robot needs, their derivatives in open numbers of the robot, and what these determine."""
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.flatten_util import ravel_pytree
+from jaxtyping import Array, Bool, Float
+
+from covariant.calibration.diagnosis import acceleration_kernel
+from covariant.calibration.identification._robot_combinations import Combinations, combinations
+from covariant.geometry import differential
+from covariant.models import MechanicalSystem, RobotFamily, applied_force, input_count, resistance
+
+PRIOR = 3.0
+"""Standard deviation of the prior, in usual sizes: it decides only where the log says nothing."""
+KNOWN = 0.1
+"""A number is shown where its standard error is below this fraction of that of the prior."""
+USEFUL = 0.1
+"""Part of its usual size that is useful to know of a number: zero must be told from it."""
+APART = 2.0, 3.0
+"""Standard errors by which zero is told from a useful size, and by which a value is told from zero."""
+WINDOWS = (1.0, 2.0, 4.0, 8.0)
+"""Half windows that are compared, in those of the shortest; the one with the smallest standard errors is used."""
+RESTING = 0.1
+"""Fraction of a window in which a joint may stick, from which its torque is not used: a joint that sticks holds any
+torque up to the dry friction."""
+STICKING, SLOW = 3.0, 0.3
+"""Speed from which a joint does not stick, in that at which dry friction is smoothed: tanh(3) is 1 up to half a per
+cent. In a slow motion it is this fraction of the usual speed, or once the smoothing speed."""
+FEWEST = 5
+"""Least number of samples in half a window."""
+BLOCK = 6.0
+"""Length of a block, in half windows, over which residuals may be alike."""
+FEWEST_BLOCKS = 12
+BATCH = 1024
+
+
+class Torques(NamedTuple):
+    """The robot as compiled functions of the coordinates x.
+
+    Attributes:
+        model: `x (p,) -> model`, without making it anew from its files.
+        derivatives: Derivatives (K, n, p) of the torques in x, at x and K rows (q, v, a, u) of a motion.
+        slopes: Those of one row, and their derivatives (n, p, n + n + n + m) in the row, as functions of rows, at x.
+    """
+
+    model: Callable[[np.ndarray], Any]
+    derivatives: Callable[..., np.ndarray]
+    slopes: Callable[[np.ndarray], Callable[..., tuple[Array, Array]]]
+
+    @classmethod
+    def of(cls, family: RobotFamily) -> "Torques":
+        """Compile the functions of a family."""
+        numbers, static = eqx.partition(family.make(np.zeros(len(family.names))), eqx.is_inexact_array)
+        unravel = ravel_pytree(numbers)[1]
+
+        def arrays(x: Array) -> Array:
+            return ravel_pytree(eqx.filter(family.make(x), eqx.is_inexact_array))[0]
+
+        at, slopes_at = jax.jit(arrays), jax.jit(jax.jacfwd(arrays))
+
+        @jax.jit
+        def batch(flat: Array, slopes: Array, *columns: Array) -> Array:
+            # Fewer torques than numbers: backwards from each torque to all arrays of the model, then to the numbers.
+            def one(*row: Array) -> Array:
+                return jax.jacrev(lambda part: _torque(eqx.combine(unravel(part), static), *row))(flat) @ slopes
+
+            return jax.vmap(one)(*columns)
+
+        def derivatives(x: np.ndarray, *columns: np.ndarray) -> np.ndarray:
+            flat, slopes = at(x), slopes_at(x)
+            return _batched(lambda *part: batch(flat, slopes, *part), columns)
+
+        @jax.jit
+        def with_slopes(flat: Array, slopes: Array, *columns: Array) -> tuple[Array, Array]:
+            def one(row: Array, n: int) -> tuple[Array, Array]:
+                def torques(part: Array) -> Array:
+                    return _torque(eqx.combine(unravel(part), static), *jnp.split(row, [n, 2 * n, 3 * n]))
+
+                # Forwards, here: to the numbers, and then to the row; backwards twice takes much longer to compile.
+                found = jax.vmap(lambda d: jax.jvp(torques, (flat,), (d,))[1], in_axes=1, out_axes=1)(slopes)
+                return found, found
+
+            n = columns[0].shape[1]
+            slope, value = jax.vmap(jax.jacfwd(lambda row: one(row, n), has_aux=True))(jnp.concatenate(columns, axis=1))
+            return value, slope
+
+        def slopes(x: np.ndarray) -> Callable[..., tuple[Array, Array]]:
+            flat, to_arrays = at(x), slopes_at(x)
+            return lambda *columns: with_slopes(flat, to_arrays, *columns)
+
+        return cls(lambda x: eqx.combine(unravel(at(x)), static), derivatives, slopes)
+
+
+class Determined(NamedTuple):
+    """What a log determines of the numbers.
+
+    Attributes:
+        standard_errors: Standard errors (p,); NaN for a number that the log does not show by itself.
+        determined: Whether the log shows each number (p,), and can tell it, or else a tenth of its usual size, from
+            zero.
+        combinations: What it determines of numbers that it cannot tell apart.
+        prior: Standard deviations (p,) of the numbers before the log.
+    """
+
+    standard_errors: Float[np.ndarray, "p"]
+    determined: Bool[np.ndarray, "p"]
+    combinations: Combinations
+    prior: Float[np.ndarray, "p"]
+
+    @classmethod
+    def of(
+        cls,
+        family: RobotFamily,
+        x: Float[np.ndarray, "p"],
+        sizes: Float[np.ndarray, "p"],
+        information: Float[np.ndarray, "p p"],
+        covariance: Float[np.ndarray, "p p"],
+    ) -> "Determined":
+        """What follows from information about the coordinates x (p,), and from their covariance with the prior in it.
+
+        Args:
+            family: The robot as a function of its numbers.
+            x: Coordinates (p,).
+            sizes: Their usual sizes (p,).
+            information: Information (p, p), without the prior.
+            covariance: Covariance (p, p).
+        """
+        slopes = np.asarray(jax.jit(jax.jacfwd(family.values))(x))
+        prior = np.sqrt(np.sum((slopes * sizes * PRIOR) ** 2, axis=1))
+        errors = np.sqrt(np.einsum("ij,jk,ik->i", slopes, covariance, slopes))
+        to_linear = np.asarray(jax.jit(jax.jacfwd(family.linear))(x))
+        found = combinations(family, information, to_linear, sizes * PRIOR, KNOWN)
+        # A number that only a combination shows, even one with a small part of others, is not known by itself.
+        combined = np.isin(family.names, found.leading)
+        shown = (errors < KNOWN * prior) & ~combined
+        values = np.asarray(jax.jit(family.values)(x))
+        apart = _told_from_zero(values, errors, prior / PRIOR)
+        return cls(np.where(shown, errors, np.nan), shown & apart, found, prior)
+
+
+def _told_from_zero(values: np.ndarray, errors: np.ndarray, usual: np.ndarray) -> Bool[np.ndarray, "p"]:
+    """Whether numbers (p,) differ from zero, or cannot be of a useful size, by their standard errors."""
+    of_size, of_value = APART
+    return (of_size * errors < USEFUL * usual) | (of_value * errors < np.abs(values))
+
+
+def needed(model: MechanicalSystem, q: Array, v: Array, a: Array) -> Array:
+    """Torques (n,) that a motion needs, without friction."""
+    weight = differential(model.manifold, model.potential, q)
+    return model.space.lower(q, a) + model.space.connection_force(q, v, v) + weight
+
+
+def efforts(model: MechanicalSystem, q: Array, v: Array, a: Array) -> Float[Array, "2 n"]:
+    """Torques (n,) that the motors have to give for a motion, and those that it needs without friction."""
+    without = needed(model, q, v, a)
+    braking = resistance(model, jnp.zeros(()), q, v, jnp.zeros(input_count(model, len(q))))
+    return jnp.stack([without - braking, without])
+
+
+def motor_matrix(model: MechanicalSystem) -> Float[np.ndarray, "n m"]:
+    """Generalised force (n, m) of a unit of each input."""
+    origin = model.manifold.origin()
+    zero = jnp.zeros(input_count(model, len(origin)))
+    return np.asarray(jax.jit(jax.jacfwd(lambda u: model.force(jnp.zeros(()), origin, u)))(zero))
+
+
+def inverse_motors(model: MechanicalSystem) -> Float[np.ndarray, "m n"]:
+    """Inputs (m, n) that a unit of each generalised force needs, the smallest where there are more than joints."""
+    return np.linalg.pinv(motor_matrix(model))
+
+
+def usual_sizes(
+    family: RobotFamily, driving: np.ndarray, without_friction: np.ndarray, v: np.ndarray, a: np.ndarray
+) -> tuple[Float[np.ndarray, "p"], Float[np.ndarray, "n"]]:
+    """Usual sizes of the open numbers in a motion, and usual speeds of the joints.
+
+    Args:
+        family: The robot as a function of its p open numbers.
+        driving: Torques (K, n) of the motors.
+        without_friction: Torques (K, n) that the motion needs without friction.
+        v: Velocities (K, n).
+        a: Accelerations (K, n).
+
+    Returns:
+        The sizes (p,) and the speeds (n,).
+    """
+    motors, needs, speed, acceleration = (
+        np.maximum(np.sqrt(np.mean(each**2, axis=0)), 1e-9) for each in (driving, without_friction, v, a)
+    )
+    return family.sizes(np.maximum(motors, needs), speed, acceleration), speed
+
+
+def motor_inputs(
+    model: MechanicalSystem, q: Float[np.ndarray, "T n"], v: Float[np.ndarray, "T n"], a: Float[np.ndarray, "T n"]
+) -> tuple[Float[np.ndarray, "T m"], Float[np.ndarray, "n m"]]:
+    """Inputs that a motion of a robot needs, by inverse dynamics with its friction.
+
+    Args:
+        model: The robot.
+        q: Positions (T, n).
+        v: Velocities (T, n).
+        a: Accelerations (T, n).
+
+    Returns:
+        The inputs (T, m), the smallest ones where there are more than joints; and the torques (n, m) of a unit of each.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant import models
+        >>> from covariant.calibration import motor_inputs
+        >>> still = np.zeros((1, 2))
+        >>> motor_inputs(models.robots.load("double_pendulum"), np.array([[0.0, np.pi / 2]]), still, still)[0].round(3)
+        array([[0.51, 0.51]])
+    """
+    return in_batches(efforts, model, q, v, a)[:, 0] @ inverse_motors(model).T, motor_matrix(model)
+
+
+def _torque(model: MechanicalSystem, q: Array, v: Array, a: Array, u: Array) -> Array:
+    """Torques (n,) that a motion needs beyond those that act; zero for the motion that the model predicts."""
+    acting = applied_force(model, jnp.zeros(()), q, u) + resistance(model, jnp.zeros(()), q, v, u)
+    return model.space.lower(q, a) + model.space.connection_force(q, v, v) - acting
+
+
+def in_batches(function: Callable[..., Array], model: MechanicalSystem, *columns: np.ndarray) -> np.ndarray:
+    """A function of a model and of one row, at all rows.
+
+    Args:
+        function: Function of a model and of numbers of one row.
+        model: The model.
+        columns: These numbers, in K rows each.
+
+    Returns:
+        Its values (K, …).
+    """
+    return _batched(lambda *part: mapped(function, model, *part), columns)
+
+
+def _batched(function: Callable[..., Array], columns: Sequence[np.ndarray]) -> np.ndarray:
+    """A function of `BATCH` rows, at all rows."""
+    count = len(columns[0])
+    size = -(-count // BATCH) * BATCH
+    padded = [np.concatenate([c, np.repeat(c[-1:], size - count, axis=0)]) for c in columns]
+    parts = [np.asarray(function(*(c[i : i + BATCH] for c in padded))) for i in range(0, size, BATCH)]
+    return np.concatenate(parts)[:count]
+
+
+@eqx.filter_jit
+def mapped(function: Callable[..., Any], model: MechanicalSystem, *columns: Array) -> Any:
+    """A function of the model and of one row, at these rows."""
+    return jax.vmap(lambda *row: function(model, *row))(*columns)
+
+
+def sticking_speeds(family: RobotFamily, usual: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
+    """Speeds (n,) below which each joint may stick, by its usual speed (n,); 0 for one without dry friction."""
+    resting = np.array(family.resting)
+    return np.clip(SLOW * usual, resting, STICKING * resting)
+
+
+def averaging(half: float, step: float) -> np.ndarray:
+    """Weights of true accelerations, at points of a grid, in the residual acceleration of a window."""
+    kernel = acceleration_kernel(half, max(int(half / step), 3))
+    return kernel / kernel.sum()
+
+
+def convolved(values: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """Values (K, …) along an even grid, convolved with weights (k,)."""
+    from scipy.signal import oaconvolve
+
+    flat = values.reshape(len(values), -1)
+    return oaconvolve(flat, weights[:, None], mode="same", axes=0).reshape(values.shape)

@@ -1,0 +1,255 @@
+"""Estimators tuned from one data sheet, each for the least predicted velocity error."""
+
+from collections.abc import Callable, Collection
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+
+from covariant.calibration.tuning._data_sheet import DataSheet, Trial
+from covariant.calibration.tuning._filters import filter_bandwidth, jerk_bound, joint_noise, polynomial
+from covariant.calibration.tuning._gains import Gains, gains
+from covariant.calibration.tuning._torque_noise import TorqueNoise
+from covariant.geometry import AbstractSpace
+from covariant.models import MechanicalSystem, StateSpace
+from covariant.observers import (
+    EKF,
+    OBSERVER_NAMES,
+    REGISTRY,
+    STATE_OBSERVER_NAMES,
+    AbstractObserver,
+    Entry,
+    Gated,
+    Noise,
+    external_force,
+)
+
+ESTIMATORS = OBSERVER_NAMES
+"""Names of all estimators of mechanical systems: as in `covariant.observers.REGISTRY`."""
+STATE_ESTIMATORS = STATE_OBSERVER_NAMES
+"""Names of all estimators of state-space models: as in `covariant.observers.REGISTRY`."""
+
+
+def observer_gains(sheet: DataSheet, rate: float) -> Gains:
+    """Gains α and β for a data sheet, by `gains`.
+
+    Args:
+        sheet: The data sheet.
+        rate: Sampling rate [Hz].
+
+    Returns:
+        The gains, and the errors that they should leave.
+
+    Example:
+        >>> from covariant.calibration import DataSheet, observer_gains
+        >>> round(observer_gains(DataSheet(measurement_std=1e-3, acceleration_std=0.5), rate=100.0).beta)
+        500
+    """
+    return gains(
+        sheet.measurement_std,
+        rate,
+        sheet.acceleration_std,
+        sheet.correlation_time,
+        sheet.damping,
+        sheet.natural_frequency,
+    )
+
+
+def estimators(model: Any) -> tuple[str, ...]:
+    """Names of the estimators that fit a model.
+
+    Args:
+        model: A mechanical or state-space model.
+
+    Returns:
+        The names; the first is the one to begin with.
+
+    Example:
+        >>> from covariant.calibration import estimators
+        >>> from covariant.models import duffing, oscillator
+        >>> estimators(oscillator())[0], estimators(duffing())[0]
+        ('intrinsic', 'covariance-ekf')
+    """
+    return tuple(entry.name for entry in REGISTRY if entry.fits(model))
+
+
+def with_gains(model: Any, alpha: float, beta: float) -> dict[str, AbstractObserver]:
+    """Observers with the constant gains α and β, by name.
+
+    Salcudean's observer has α and β exactly only for an inertia that is the same in all directions; otherwise they hold
+    for the mean of the principal inertias.
+
+    Args:
+        model: A mechanical system. For a state-space model the result is empty.
+        alpha: Position gain α [1/s].
+        beta: Velocity gain β [1/s²].
+
+    Returns:
+        The observers of the registry that are tuned by gains and fit the model.
+
+    Example:
+        >>> from covariant.calibration import with_gains
+        >>> from covariant.models import oscillator
+        >>> list(with_gains(oscillator(), alpha=10.0, beta=50.0))
+        ['intrinsic', 'intrinsic2', 'geodesic', 'implicit-geodesic', 'copy']
+    """
+    fitting = (entry for entry in REGISTRY if entry.tuned_by == "gains" and entry.fits(model))
+    return {entry.name: entry.make(model, alpha, beta) for entry in fitting}
+
+
+class Known(NamedTuple):
+    """Data from which an estimator is tuned.
+
+    Attributes:
+        n: Number of velocities.
+        sheet: The data sheet.
+        rate: Sampling rate [Hz].
+        trial: Part of a log; None to tune by the data sheet alone.
+        space: Configuration space of the model.
+    """
+
+    n: int
+    sheet: DataSheet
+    rate: float
+    trial: Trial | None
+    space: AbstractSpace
+
+
+def tuned_estimators(
+    model: MechanicalSystem,
+    n: int,
+    sheet: DataSheet,
+    rate: float,
+    trial: Trial | None = None,
+    names: Collection[str] = ESTIMATORS,
+) -> dict[str, AbstractObserver]:
+    """Estimators of a mechanical system by name, all tuned from one data sheet.
+
+    Args:
+        model: The mechanical system.
+        n: Its number of velocities.
+        sheet: The data sheet.
+        rate: Sampling rate [Hz].
+        trial: Part of a log, for which filters without a model are optimised; by default the data sheet tunes them too.
+        names: Estimators to return; those that do not fit the model are left out.
+
+    Returns:
+        The estimators. One without a built-in gate is `gated` where the data sheet has a `speed`.
+
+    Raises:
+        ValueError: A number of the data sheet is not positive.
+
+    Example:
+        >>> from covariant.calibration import DataSheet, tuned_estimators
+        >>> from covariant.models import oscillator
+        >>> sheet = DataSheet(measurement_std=1e-3, acceleration_std=0.5)
+        >>> tuned = tuned_estimators(oscillator(), 1, sheet, rate=100.0, names=("ekf", "intrinsic"))
+        >>> sorted(tuned), round(float(tuned["intrinsic"].beta))
+        (['ekf', 'intrinsic'], 500)
+    """
+    for name in ("motion_std", "motion_time"):
+        if not 0 < getattr(sheet, name) < np.inf:
+            raise ValueError(f"tuned_estimators: {name} must be a positive number; got {getattr(sheet, name)}")
+    known = Known(n, sheet, rate, trial, model.space)
+    fitting = (entry for entry in REGISTRY if entry.name in names and entry.fits(model))
+    tuned = {entry: entry.make(model, *TUNINGS[entry.tuned_by](entry, known)) for entry in fitting}
+    bare = {entry.name for entry in tuned if entry.has_gate or sheet.speed is None}
+    return {entry.name: each if entry.name in bare else gated(each, model, sheet) for entry, each in tuned.items()}
+
+
+def tuned_state_estimators(
+    model: StateSpace, noise: Noise, names: Collection[str] = STATE_ESTIMATORS
+) -> dict[str, AbstractObserver]:
+    """Estimators of a state-space model by name, for its noise.
+
+    Args:
+        model: The state-space model.
+        noise: Process and measurement noise, first estimate with its covariance, and sampling rate.
+        names: Estimators to return.
+
+    Returns:
+        The estimators.
+
+    Raises:
+        ValueError: An estimator cannot be built at the first estimate.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant.calibration import tuned_state_estimators
+        >>> from covariant.models import duffing
+        >>> from covariant.observers import Noise
+        >>> noise = Noise(0.1 * jnp.eye(2), 1e-4 * jnp.eye(1), jnp.zeros(2), jnp.eye(2), 100.0)
+        >>> list(tuned_state_estimators(duffing(), noise, names=("covariance-ekf",)))
+        ['covariance-ekf']
+    """
+    fitting = (entry for entry in REGISTRY if entry.name in names and entry.fits(model))
+    return {entry.name: entry.make(model, noise) for entry in fitting}
+
+
+def gated(observer: AbstractObserver, model: MechanicalSystem, sheet: DataSheet) -> Gated:
+    """Wrap an observer in a gate that refuses outliers.
+
+    Args:
+        observer: The observer.
+        model: Its mechanical system.
+        sheet: Data sheet with the noise, and the usual speeds as in `DataSheet.speeds`.
+
+    Returns:
+        The observer behind the gate.
+
+    Example:
+        >>> from covariant.calibration import DataSheet, gated
+        >>> from covariant.models import oscillator
+        >>> from covariant.observers import Intrinsic
+        >>> sheet = DataSheet(measurement_std=1e-3, acceleration_std=0.5)
+        >>> observer = gated(Intrinsic(oscillator(), 10.0, 50.0), oscillator(), sheet)
+        >>> type(observer).__name__, float(observer.noise)
+        ('Gated', 0.001)
+    """
+    std = sheet.coordinate_stds or sheet.measurement_std
+    return Gated(observer, model, jnp.asarray(std, float), jnp.asarray(sheet.speeds))
+
+
+def _gains(entry: Entry, known: Known) -> tuple:
+    chosen = observer_gains(known.sheet, known.rate)
+    return chosen.alpha, chosen.beta
+
+
+def _noise(entry: Entry, known: Known) -> tuple:
+    sheet = known.sheet
+    # Independent at each sample: σ²/rate as 2σ² time.
+    time = 1 / (2 * known.rate) if sheet.correlation_time is None else sheet.correlation_time
+    # A correlated acceleration acts like white noise of density 2 std² time (S_a in `gains`).
+    process_cov = jnp.asarray(2 * sheet.acceleration_std**2 * time * np.eye(known.n))
+    if sheet.torque_std is not None and entry.observer is not EKF:  # which has the same noise everywhere
+        torque = np.sqrt(2 * time) * np.broadcast_to(np.asarray(sheet.torque_std, float), known.n)
+        process_cov = TorqueNoise(known.space, process_cov, jnp.asarray(torque))
+    std = np.broadcast_to(np.asarray(sheet.coordinate_stds or sheet.measurement_std, float), known.n)
+    return process_cov, jnp.asarray(np.diag(std**2)), sheet.motion_std * sheet.motion_time
+
+
+def _ticks(entry: Entry, known: Known) -> tuple:
+    sheet, slow = known.sheet, known.sheet.slow
+    if sheet.external_force is not None:
+        slow += (external_force(sheet.external_force**2 * jnp.eye(known.n)),)
+    if sheet.external_force_std is not None:
+        std = np.broadcast_to(sheet.external_force_std, known.n)
+        slow += (external_force(std=std, time=sheet.external_force_time),)
+    return *_noise(entry, known), sheet.quantum, slow, sheet.sensors
+
+
+def _bandwidth(entry: Entry, known: Known) -> tuple:
+    kind: Any = entry.observer
+    return (filter_bandwidth(known.sheet, known.rate, known.trial, kind),)
+
+
+TUNINGS: dict[str, Callable[[Entry, Known], tuple]] = {
+    "gains": _gains,
+    "noise": _noise,
+    "noise or ticks": _ticks,
+    "bandwidth": _bandwidth,
+    "window": lambda entry, known: polynomial(known.sheet, known.rate, known.trial),
+    "motion": lambda entry, known: joint_noise(known.sheet, known.rate, known.trial),
+    "jerk": lambda entry, known: (jerk_bound(known.sheet, known.trial),),
+}
+"""How each kind of number, `tuned_by` in an entry of the registry, is computed."""

@@ -1,0 +1,259 @@
+"""Filters without a model, tuned for the least velocity error: predicted from the data sheet, or measured on a trial.
+
+Each filter has one number to optimise: a bandwidth, a window, the strength of the motion beside the noise, a bound on
+the jerk. A linear filter is judged by its weights, without a run; others are run on the trial.
+"""
+
+from collections.abc import Callable, Iterable
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from covariant.calibration.tuning._data_sheet import DataSheet, Trial
+from covariant.observers import (
+    AbstractLinearFilter,
+    AbstractObserver,
+    FilteredDerivative,
+    JointKalman,
+    Levant,
+    SavitzkyGolay,
+)
+
+LONGEST_WINDOW = 120
+"""Longest window [samples] of a polynomial filter."""
+
+
+def filter_bandwidth(
+    sheet: DataSheet,
+    rate: float,
+    trial: Trial | None = None,
+    kind: Callable[[float], AbstractLinearFilter] = FilteredDerivative,
+) -> float:
+    """Bandwidth of a linear filter with the least velocity error.
+
+    Args:
+        sheet: The data sheet, which predicts the error.
+        rate: Sampling rate [Hz].
+        trial: Part of a log on which the error is measured instead.
+        kind: The filter as a function of its bandwidth [rad/s].
+
+    Returns:
+        The bandwidth [rad/s], from a grid of 80 between 0.005 and 3 radians a sample.
+
+    Example:
+        >>> from covariant.calibration import DataSheet, filter_bandwidth
+        >>> precise, noisy = (filter_bandwidth(DataSheet(std, 1.0), rate=100.0) for std in (1e-4, 1e-2))
+        >>> precise > noisy
+        True
+    """
+    # From a memory of 200 samples to a filter that all but follows the last difference.
+    return _best((np.geomspace(0.005, 3.0, 80) * rate).tolist(), kind, sheet, rate, trial)
+
+
+def window_length(sheet: DataSheet, rate: float, order: int = 2, trial: Trial | None = None) -> int:
+    """Window of the causal Savitzky–Golay filter with the least velocity error.
+
+    Args:
+        sheet: The data sheet, which predicts the error.
+        rate: Sampling rate [Hz].
+        order: Degree of the polynomial.
+        trial: Part of a log on which the error is measured instead.
+
+    Returns:
+        The window [samples], at most `LONGEST_WINDOW`.
+
+    Example:
+        >>> from covariant.calibration import DataSheet, window_length
+        >>> window_length(DataSheet(1e-4, 1.0), rate=100.0) < window_length(DataSheet(1e-2, 1.0), rate=100.0)
+        True
+    """
+    windows = range(order + 1, LONGEST_WINDOW + 1)
+    return _best(windows, lambda window: SavitzkyGolay(window, order), sheet, rate, trial)
+
+
+def polynomial(sheet: DataSheet, rate: float, trial: Trial | None = None) -> tuple[int, int]:
+    """Window and order of the causal Savitzky–Golay filter with the least velocity error.
+
+    Args:
+        sheet: The data sheet, which predicts the error.
+        rate: Sampling rate [Hz].
+        trial: Part of a log on which the error is measured instead.
+
+    Returns:
+        The window [samples] and the order, 2 or 3.
+    """
+    candidates = [(window_length(sheet, rate, order, trial), order) for order in (2, 3)]
+    return _best(candidates, lambda candidate: SavitzkyGolay(*candidate), sheet, rate, trial)
+
+
+def joint_noise(sheet: DataSheet, rate: float, trial: Trial | None = None) -> tuple[float, float, float]:
+    """Noise levels for a `JointKalman`, which estimates motion without a model.
+
+    With those of the data sheet it is the best linear filter; on a trial the standard deviation of the accelerations is
+    optimised.
+
+    Args:
+        sheet: The data sheet.
+        rate: Sampling rate [Hz].
+        trial: Part of a log on which the velocity error is measured.
+
+    Returns:
+        Standard deviation and correlation time [s] of the accelerations, and standard deviation of a sample.
+
+    Example:
+        >>> from covariant.calibration import DataSheet, joint_noise
+        >>> joint_noise(DataSheet(measurement_std=1e-3, acceleration_std=1.0, motion_std=5.0), rate=100.0)
+        (5.0, 0.1, 0.001)
+    """
+
+    def kind(motion_std):
+        return JointKalman(motion_std, sheet.motion_time, sheet.measurement_std)
+
+    # Steps of a tenth of a decade: the error is flat about its minimum.
+    stds = [sheet.motion_std] if trial is None else (sheet.motion_std * np.geomspace(1e-3, 1e3, 61)).tolist()
+    return _best(stds, kind, sheet, rate, trial), sheet.motion_time, sheet.measurement_std
+
+
+def jerk_bound(sheet: DataSheet, trial: Trial | None = None) -> float:
+    """Bound on the jerk for a `Levant` differentiator.
+
+    Args:
+        sheet: The data sheet; the bound is `motion_std / motion_time`, the rate at which its accelerations change.
+        trial: Part of a log, on which the differentiator is run with 61 bounds around that one.
+
+    Returns:
+        The bound [rad/s³]; on a trial the one with the least velocity error.
+
+    Example:
+        >>> from covariant.calibration import DataSheet, jerk_bound
+        >>> jerk_bound(DataSheet(1e-3, 1.0, motion_std=5.0, motion_time=0.25))
+        20.0
+    """
+    typical = sheet.motion_std / sheet.motion_time
+    if trial is None:
+        return typical
+    bounds = typical * np.geomspace(1e-3, 1e3, 61)
+    y, late = trial.y.copy(), _late(trial.t)
+    y[0] = [column[np.isfinite(column)][0] for column in y.T]  # from where it starts
+    velocities = _run(Levant, *map(jnp.asarray, (bounds, np.diff(trial.t), y)))
+    errors = [relative_error(v[late], trial.v[late]) for v in np.asarray(velocities)]
+    return float(bounds[np.argmin(errors)])
+
+
+@eqx.filter_jit
+def _run(kind: Callable[[Array], AbstractObserver], numbers: Array, dt: Array, y: Array) -> Float[Array, "k T n"]:
+    """Velocities of the filters that each number parametrises, along positions y (T, n) with steps dt (T − 1,)."""
+
+    def follow(number):
+        observer = kind(number)
+
+        def step(state, sample):
+            state, _ = observer.step(state, jnp.zeros(0), *sample)
+            return state, jnp.split(observer.estimate(state), 2)[1]
+
+        return jax.lax.scan(step, observer.init(y[0]), (y[1:], dt))[1]
+
+    v = jax.vmap(follow)(numbers)
+    return jnp.concatenate([jnp.zeros_like(v[:, :1]), v], axis=1)
+
+
+def _best(candidates: Iterable, kind: Callable, sheet: DataSheet, rate: float, trial: Trial | None):
+    """The candidate whose filter leaves the least velocity error."""
+    return min(candidates, key=lambda candidate: filter_error(kind(candidate).weights(rate), sheet, rate, trial))
+
+
+def filter_error(weights: Float[np.ndarray, "k"], sheet: DataSheet, rate: float, trial: Trial | None = None) -> float:
+    """Velocity error of a linear filter: predicted from the data sheet, or measured on a trial at even stamps.
+
+    Args:
+        weights: Weights (k,) of the newest and earlier samples [1/s].
+        sheet: The data sheet.
+        rate: Sampling rate [Hz].
+        trial: Part of a log; its first second is left out.
+
+    Returns:
+        Standard deviation of the velocity, or on a trial `relative_error`, a fraction of the velocity over all
+        coordinates.
+    """
+    if trial is None:
+        return linear_filter_error(weights, sheet, rate)
+    t = np.asarray(trial.t)
+    even = np.arange(t[0], t[-1], 1 / rate)
+    late = _late(even)
+    estimates, true = [], []
+    for y, v in zip(np.transpose(trial.y), np.transpose(trial.v), strict=True):
+        measured = np.isfinite(y)
+        estimates.append(filtered(weights, np.interp(even, t[measured], y[measured]))[late])
+        true.append(np.interp(even, t, v)[late])
+    return relative_error(np.transpose(estimates), np.transpose(true))
+
+
+def relative_error(found: Float[np.ndarray, "T n"], true: Float[np.ndarray, "T n"]) -> float:
+    """Velocity error as a fraction of the velocity, root mean square over the coordinates.
+
+    Args:
+        found: Estimated velocities (T, n).
+        true: Reference velocities (T, n).
+
+    Returns:
+        The fraction; 1 for an estimate of zero.
+    """
+    # The floor is for a coordinate that stands still: its error then counts as infinite, unless it is zero.
+    size = np.maximum(np.mean(true**2, axis=0), np.finfo(float).tiny)
+    return float(np.sqrt(np.mean(np.mean((found - true) ** 2, axis=0) / size)))
+
+
+def _late(t: np.ndarray) -> np.ndarray:
+    """Which stamps are after the first second, or after the first half where all span less than two."""
+    return t > min(t[0] + 1.0, t[0] + (t[-1] - t[0]) / 2)
+
+
+def filtered(weights: Float[np.ndarray, "k"], x: Float[np.ndarray, "T"]) -> Float[np.ndarray, "T"]:
+    """Filter samples by a finite impulse response that annihilates constants.
+
+    Args:
+        weights: Weights (k,) of the newest and earlier samples.
+        x: Samples (T,); the first is taken to have been there for ever.
+
+    Returns:
+        The filtered samples (T,).
+    """
+    x = x - x[0]
+    # A short sum is quicker than three transforms.
+    if len(weights) < 100:
+        return np.convolve(x, weights)[: len(x)]
+    # At least the length of the full convolution, so that the transform does not wrap around.
+    size = 1 << (len(x) + len(weights)).bit_length()
+    return np.fft.irfft(np.fft.rfft(x, size) * np.fft.rfft(weights, size), size)[: len(x)]
+
+
+def linear_filter_error(weights: np.ndarray, sheet: DataSheet, rate: float) -> float:
+    """Predicted standard deviation of the velocity `Σ w_i y(t − i/rate)`: sensor noise plus lag.
+
+    The weights annihilate constants and return slopes, so what remains of a motion is its acceleration a(t − r),
+    weighted by `h(r) = Σ_{s_i > r} w_i (s_i − r)`; a has exponential correlation.
+
+    Args:
+        weights: Weights w (k,) [1/s].
+        sheet: The data sheet.
+        rate: Sampling rate [Hz].
+
+    Returns:
+        The standard deviation [unit/s].
+    """
+    ages = np.arange(len(weights)) / rate
+    # With tail sums W = Σ w and moments Σ w s over s_i ≥ r, h(r) = Σ w_i s_i − r Σ w_i.
+    tail = np.cumsum(weights[::-1])[::-1]
+    moment = np.cumsum((weights * ages)[::-1])[::-1]
+    lag = (moment - tail * ages) / rate
+    lag[0] /= 2  # trapezoid rule over r; h ends at 0 on the other side
+    decay = np.exp(-1 / (rate * sheet.motion_time))
+    carried, lagged = 0.0, 0.0
+    for value in lag:  # Σ_ij lag_i lag_j decay^|i−j| in one pass
+        lagged += value * (value + 2 * decay * carried)
+        # carried = Σ_j lag_j decay^(i−j) over those so far: all cross terms of the next in one product.
+        carried = value + decay * carried
+    return float(np.sqrt(sheet.measurement_std**2 * weights @ weights + sheet.motion_std**2 * max(lagged, 0.0)))

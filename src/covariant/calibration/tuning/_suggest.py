@@ -1,0 +1,132 @@
+"""Noise levels that a log shows, suggested where the model file lacks them."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from covariant.calibration.diagnosis import (
+    BARELY,
+    MOST_ROWS,
+    best_window,
+    busiest,
+    case_without_outliers,
+    in_coordinates,
+    one_or_each,
+    readings,
+    written,
+)
+from covariant.models import ModelFile
+from covariant.signals import Record
+
+FAINT = 0.5
+"""Ratio of the squares of the residual accelerations to those of the noise, below which they count as noise."""
+
+
+class Suggestion(NamedTuple):
+    """A number for a model file, estimated from a log.
+
+    Attributes:
+        key: Its table and key, as "measurement.std".
+        value: The number, or one for each coordinate.
+        evidence: Half a sentence on its source.
+
+    Example:
+        >>> from covariant.calibration import Suggestion
+        >>> suggestion = Suggestion("measurement.std", 0.001, "the noise of the positions in the log")
+        >>> suggestion.line, suggestion.setting
+        ('[measurement] std = 0.001', 'measurement.std=0.001')
+    """
+
+    key: str
+    value: float | tuple[float, ...]
+    evidence: str
+
+    @property
+    def setting(self) -> str:
+        """The number as an override, `measurement.std=0.001`."""
+        return f"{self.key}={written(self.value)}"
+
+    @property
+    def line(self) -> str:
+        """The number as it is written in a model file, `[measurement] std = 0.001`."""
+        table, key = self.key.split(".")
+        return f"[{table}] {key} = {written(self.value)}"
+
+
+def suggest_noise(file: ModelFile, record: Record) -> tuple[Suggestion, ...]:
+    """Suggest the noise levels that a model file lacks and a log shows.
+
+    Args:
+        file: The model file. What it has is not suggested again.
+        record: The log, as it was read.
+
+    Returns:
+        At most two suggestions:
+
+        - "measurement.quantum" where all positions are whole ticks apart, else "measurement.std", from the part of a
+          reading that its neighbours do not predict;
+        - "uncertainty.acceleration" [unit/s²], from the residual accelerations of the model along the smoothed log. It
+          is as good as the parameters of the model: fitting these makes it smaller.
+
+        None for a machine on a group, nor for what the log is too short or too still to show. For a state-space model
+        only the noise of its outputs can be suggested.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant.calibration import suggest_noise
+        >>> from covariant.models import load
+        >>> from covariant.signals import Record
+        >>> t = np.arange(0.0, 10.0, 0.01)
+        >>> y = 0.2 * np.cos(t) + 1e-3 * np.random.default_rng(0).normal(size=t.size)
+        >>> for suggestion in suggest_noise(load("oscillator"), Record(t, np.zeros((1000, 1)), y[:, None])):
+        ...     print(suggestion.setting)
+        measurement.std=0.001
+        uncertainty.acceleration=0.028
+    """
+    suggestions: list[Suggestion] = []
+    if np.asarray(record.y).ndim != 2 or not (in_coordinates(file) or not file.mechanical):
+        return ()
+    record = busiest(record, MOST_ROWS)
+    if file.measurement_std is None:
+        suggestions += _of_readings(file, record)
+    if file.acceleration_std is None and in_coordinates(file):
+        suggestions += _of_accelerations(file, record)
+    return tuple(suggestions)
+
+
+def _of_readings(file: ModelFile, record: Record) -> list[Suggestion]:
+    circles = file.model.circles if file.mechanical else ()  # pyright: ignore[reportAttributeAccessIssue]
+    units = getattr(file.model, "units", ()) if file.mechanical else ()
+    units = units or ("",) * np.asarray(record.y).shape[1]
+    seen = readings(record, circles)
+    if not seen.known:
+        return []
+    if (seen.ticks > 0).all():
+        value = one_or_each(seen.ticks, units, 5)
+        return [Suggestion("measurement.quantum", value, "positions of the log are whole ticks apart")]
+    if not (seen.std > 0).all():  # a constant position has no noise to report
+        return []
+    caveat = "" if seen.white.all() else ", at most, since they move between the rows"
+    value = one_or_each(seen.std, units, 2)
+    return [Suggestion("measurement.std", value, f"the noise of the positions in the log{caveat}")]
+
+
+def _of_accelerations(file: ModelFile, record: Record) -> list[Suggestion]:
+    case, _ = case_without_outliers(file, record)
+    best = best_window(case)
+    if best is None or not (significant := best[1].told).any():
+        return []
+    left = best[1]
+    noise = np.asarray(left.noise)
+    # Noise is independent of what the model leaves, so the variances subtract.
+    squares = np.mean(left.left**2, axis=0) - noise**2
+    clear = squares > FAINT * noise**2
+    size = np.where(clear, np.sqrt(np.maximum(squares, 0.0)), noise)
+    value = float(f"{np.max(size[significant]):.2g}")
+    if not 0 < value < np.inf:
+        return []
+    caveat = "" if clear[np.argmax(np.where(significant, size, 0.0))] else ", at most, since noise hides the rest"
+    evidence = f"the model leaves that much of the accelerations in the log{caveat}"
+    if left.misfit > BARELY:
+        evidence += ", nearly all of them: look at its [parameters] first, `covariant check` says more"
+    return [Suggestion("uncertainty.acceleration", value, evidence)]

@@ -1,0 +1,326 @@
+"""Noise and gains from logs: those with the likeliest innovations, confirmed on held-out rows.
+
+The gains of a constant-gain observer are those of several candidates that predict held-out measurements best, as in
+`_constant_gains`. The noise of Kalman filters is that of the greatest likelihood of their innovations,
+computed on the errors of one run as in `_error_model`. Velocities are compared with a reference on the later rows only.
+
+Source: Ljung 1999, System Identification, section 7.4, for prediction errors and likelihood; Schweppe 1965; Mehra 1970,
+On the identification of variances and adaptive Kalman filtering, IEEE TAC 15(2), for whiteness.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from covariant import scoring
+from covariant.calibration.identification import ErrorModel, NoiseLevels
+from covariant.calibration.tuning._constant_gains import Candidate, best_gains, best_innovations, candidates
+from covariant.calibration.tuning._data_sheet import DataSheet, Trial
+from covariant.calibration.tuning._estimators import estimators, observer_gains, tuned_estimators
+from covariant.calibration.tuning._filters import relative_error
+from covariant.calibration.tuning._noise_search import (
+    best_noise,
+    error_system,
+    filtered,
+    largest_speed,
+    needed_steps,
+    smoothed_errors,
+)
+from covariant.calibration.tuning._tuning_log import Runs, TuningLog, by_jax, followed, prepared
+from covariant.models import MechanicalSystem
+from covariant.observers import REGISTRY, run
+from covariant.scoring import unwrap
+from covariant.signals import Record
+
+NumpyArray = np.ndarray
+
+
+class HeldOut(NamedTuple):
+    """Errors of the tuned estimators on the held-out rows, for n velocities.
+
+    Attributes:
+        one_step: Root mean square (n,) of the innovations of the constant-gain observer [rad or m].
+        gains_error: Velocity RMSE (n,) of this observer [rad/s or m/s].
+        kalman_error: Velocity RMSE (n,) of the Kalman filter [rad/s or m/s].
+        relative: The same two errors (2,) as fractions of the velocities, root mean square over the coordinates.
+        likelihood: Mean log-likelihood of a measured number under the Kalman filter [nats].
+        nis: Mean normalised innovation squared; 1 is expected.
+        correlation: Correlation (n,) of neighbouring innovations of the Kalman filter; 0 where they are white.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant.calibration import HeldOut
+        >>> one = np.array([0.01])
+        >>> errors = HeldOut(one, 3 * one, 2 * one, np.array([0.03, 0.02]), likelihood=4.8, nis=1.1, correlation=one)
+        >>> ("constant gains", "Kalman filter")[errors.relative.argmin()]
+        'Kalman filter'
+    """
+
+    one_step: Float[NumpyArray, "n"]
+    gains_error: Float[NumpyArray, "n"]
+    kalman_error: Float[NumpyArray, "n"]
+    relative: Float[NumpyArray, "2"]
+    likelihood: float
+    nis: float
+    correlation: Float[NumpyArray, "n"]
+
+
+class Tuning(NamedTuple):
+    """Gains and noise estimated from logs, and their errors on the held-out rows.
+
+    Attributes:
+        natural_frequency: ω [rad/s] of a constant-gain observer, α = 2ζω and β = ω².
+        damping: Its damping ratio ζ.
+        noise: Noise levels of a Kalman filter.
+        before: Held-out errors with the gains and noise of a data sheet; None where none was given.
+        after: Held-out errors with the tuned gains and noise.
+        model_free: Name of the best filter without a model, and its velocity RMSE on the held-out rows as a fraction of
+            the velocities; None where there is none for this kind of system.
+        rows: Number of rows for tuning.
+        candidates: Gains that were compared by the prediction of held-out measurements, or by smoothed velocities;
+            empty where none were.
+        source: Which of them these gains are.
+        horizon: Number of rows over which they predicted; 0 where velocities were compared with smoothed ones, because
+            the noise has a force.
+        noise_kept: Whether the noise is that of the data sheet, because held-out measurements are likelier with it.
+        reference_noise: Standard deviation (n,) of the reference velocities that noise of the readings causes, and of
+            the Kalman filter's velocities as it predicts it, (2, n) [rad/s or m/s]; None where that is unknown.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant.calibration import DataSheet, HeldOut, Tuning, given_noise
+        >>> one = np.array([0.01])
+        >>> errors = HeldOut(one, 3 * one, 2 * one, np.array([0.03, 0.02]), likelihood=4.8, nis=1.1, correlation=one)
+        >>> noise = given_noise(DataSheet(1e-3, 0.5), rate=100.0, n=1)
+        >>> Tuning(5.0, 0.7, noise, None, errors, ("savitzky-golay", 0.05), rows=1000).model_helps
+        True
+    """
+
+    natural_frequency: float
+    damping: float
+    noise: NoiseLevels
+    before: HeldOut | None
+    after: HeldOut
+    model_free: tuple[str, float] | None
+    rows: int
+    candidates: tuple[Candidate, ...] = ()
+    source: str = "innovations"
+    horizon: int = 1
+    noise_kept: bool = False
+    reference_noise: Float[NumpyArray, "2 n"] | None = None
+
+    @property
+    def model_helps(self) -> bool:
+        """Whether an estimator with the model has a smaller error than the best filter without one."""
+        return self.model_free is None or bool(min(self.after.relative) < self.model_free[1])
+
+
+def tune(
+    model: MechanicalSystem,
+    records: Sequence[Record],
+    velocities: Sequence[Float[np.ndarray, "_ n"]],
+    *,
+    std: Float[np.ndarray, "n"] | None = None,
+    before: DataSheet | None = None,
+    progress: Callable[[str], object] = lambda stage: None,
+    runs: Runs | None = None,
+    window: tuple[float, int, float] | None = None,
+) -> Tuning:
+    """Tune gains and noise of a model on the first two thirds of each record, and confirm them on the rest.
+
+    Args:
+        model: The mechanical system.
+        records: The logs.
+        velocities: Reference velocities (T, n) of each, as from `scoring.zero_phase_velocity`; only the filters without
+            a model are tuned to them.
+        std: Least standard deviation (n,) of a reading, such as that of one tick of an encoder; by default a small
+            fraction of the innovations.
+        before: Data sheet whose gains and noise are judged as well. What is worse than it on held-out rows, by
+            predictions, or by smoothed velocities where a force acts, is not taken. Where it has an
+            `external_force_std`, such a force is searched for.
+        progress: Called with the name of each of the four stages when it begins.
+        runs: Runs the observers with constant gains, of which there are dozens; by default JAX, one by one.
+        window: Half width [s] and order of the polynomials of the reference, and rate [Hz] of the positions that they
+            are fitted to, of which the noise is computed; by default the reference is taken to have none.
+
+    Returns:
+        Gains, noise, and their errors on the held-out rows.
+
+    Raises:
+        ValueError: A record is too short, or no gains give a finite estimate.
+    """
+    logs = [prepared(model, record, velocity) for record, velocity in zip(records, velocities, strict=True)]
+    rate, n = logs[0].rate, logs[0].velocity.shape[1]
+    progress("gains")
+    runner = runs or by_jax
+    frequency, damping, size = best_innovations(model, logs, runner)
+    proposed = {"innovations": (frequency, damping)}
+    progress("noise")
+    estimates = followed(model, logs, frequency, damping, runner)
+    steps = [needed_steps(model, log, estimate) for log, estimate in zip(logs, estimates, strict=True)]
+    systems = [error_system(model, *each) for each in zip(logs, estimates, steps, strict=True)]
+    shape = None
+    if before is not None and before.external_force_std is not None:
+        shape = np.broadcast_to(before.external_force_std, n) / np.max(before.external_force_std)
+    noise = best_noise(logs, systems, frequency, size, std, shape)
+    speed = largest_speed(logs)
+    proposed |= candidates(noise, systems, [filtered(system, noise, speed) for system in systems], rate)
+    progress("held-out rows")
+    baseline, kept = None, False
+    if before is not None:
+        gains = observer_gains(before, rate)
+        old = gains.beta**0.5, gains.alpha / (2 * gains.beta**0.5)
+        proposed = {"model file": old} | proposed
+        baseline = _judged(logs, systems, estimates, followed(model, logs, *old, runner), given_noise(before, rate, n))
+        if _judged(logs, systems, estimates, estimates, noise).likelihood < baseline.likelihood:
+            kept, noise = True, given_noise(before, rate, n)
+    smooth = _smooth(systems, estimates, noise, speed) if np.any(noise.force) else None
+    best, compared, horizon = best_gains(model, logs, proposed, steps, runner, smooth)
+    chosen = followed(model, logs, best.natural_frequency, best.damping, runner)
+    after = _judged(logs, systems, estimates, chosen, noise)
+    progress("filters without a model")
+    free = _best_model_free(model, logs, noise, before)
+    known = None if window is None else _reference_noise(logs, systems, noise, *window)
+    rows = sum(int(log.tuned.sum()) for log in logs)
+    return Tuning(
+        best.natural_frequency,
+        best.damping,
+        noise,
+        baseline,
+        after,
+        free,
+        rows,
+        compared,
+        best.source,
+        horizon,
+        kept,
+        known,
+    )
+
+
+def given_noise(sheet: DataSheet, rate: float, n: int) -> NoiseLevels:
+    """Noise levels of a Kalman filter from a data sheet.
+
+    Args:
+        sheet: The data sheet.
+        rate: Sampling rate [Hz].
+        n: Number of velocities.
+
+    Returns:
+        The noise levels; the force is 0 where the sheet has none.
+
+    Example:
+        >>> from covariant.calibration import DataSheet, given_noise
+        >>> given_noise(DataSheet(measurement_std=1e-3, acceleration_std=0.5), rate=100.0, n=2).measurement.tolist()
+        [0.001, 0.001]
+    """
+    time = 1 / (2 * rate) if sheet.correlation_time is None else sheet.correlation_time
+    std = np.broadcast_to(np.asarray(sheet.coordinate_stds or sheet.measurement_std, float), n)
+    acceleration = float(np.sqrt(2 * time) * sheet.acceleration_std)
+    if sheet.external_force_std is not None:
+        force, forgotten = (jnp.asarray(x) for x in (sheet.external_force_std, sheet.external_force_time))
+        return NoiseLevels(jnp.asarray(acceleration), jnp.asarray(std), force, forgotten)
+    return NoiseLevels(jnp.asarray(acceleration), jnp.asarray(std), jnp.asarray(sheet.external_force or 0.0))
+
+
+def _smooth(systems: Sequence[ErrorModel], runs: Sequence[Any], noise: NoiseLevels, speed: Any) -> list[np.ndarray]:
+    """Velocities (T, n) along each run by the smoother with a noise."""
+    n = systems[0].residual.shape[1]
+    return [
+        np.asarray(v) + np.asarray(smoothed_errors(system, noise, speed))[:, n:]
+        for system, (_, v, _) in zip(systems, runs, strict=True)
+    ]
+
+
+def _judged(logs, systems, runs, earlier, noise: NoiseLevels) -> HeldOut:
+    """Errors on the held-out rows: of the gains of the runs `earlier`, and of a noise for the errors of `runs`."""
+    n = logs[0].velocity.shape[1]
+    parts = []
+    for log, system, (_, v, _), (_, gains_v, r) in zip(logs, systems, runs, earlier, strict=True):
+        result = filtered(system, noise, largest_speed(logs))
+        rows, present = log.held_out, np.asarray(system.present)
+        white = np.asarray(result.innovation) / np.where(present, result.spread, 1.0)
+        # The filter estimates the error of the run: the run plus this is its estimate.
+        off = np.asarray(v) + np.asarray(result.error)[:, n:] - log.velocity
+        parts.append(
+            (
+                r[rows],
+                np.asarray(gains_v)[rows] - log.velocity[rows],
+                off[rows],
+                log.velocity[rows],
+                np.asarray(result.loss)[rows],
+                white[rows],
+                present[rows],
+                _neighbours(white[rows], present[rows]),
+            )
+        )
+    r, gains, kalman, v, loss, white, present = (np.concatenate(each) for each in list(zip(*parts, strict=True))[:7])
+    count = present.sum()
+
+    def rms(x):
+        return np.sqrt(np.mean(x**2, axis=0))
+
+    relative = np.array([relative_error(v + off, v) for off in (gains, kalman)])
+    products = np.sum([each[-1] for each in parts], axis=0)
+    return HeldOut(
+        np.sqrt(np.sum(r**2, axis=0) / present.sum(axis=0)),
+        rms(gains),
+        rms(kalman),
+        relative,
+        # `loss` lacks the constant log 2π of each measured number.
+        float(-0.5 * (loss.sum() / count + np.log(2 * np.pi))),
+        float(np.sum(white**2) / count),
+        products[0] / products[1],
+    )
+
+
+def _reference_noise(
+    logs: list[TuningLog], systems: list[ErrorModel], noise: NoiseLevels, half: float, order: int, rate: float
+) -> np.ndarray | None:
+    """Noise (2, n) of the reference's velocities, by the weights of its polynomials, and of the Kalman filter's."""
+    count = int(half * rate)
+    if 2 * count + 1 < order + 3:
+        return None
+    at = np.arange(-count, count + 1) / rate
+    weights = scoring.local_polynomials(at, np.eye(len(at)), np.zeros(1), half, order)[0, 1]
+    own = [
+        np.asarray(filtered(system, noise, largest_speed(logs)).velocity_std)[log.held_out] ** 2
+        for log, system in zip(logs, systems, strict=True)
+    ]
+    own_std = np.sqrt(np.mean(np.concatenate(own), axis=0))
+    return np.stack([float(np.linalg.norm(weights)) * np.asarray(noise.measurement), own_std])
+
+
+def _neighbours(white: np.ndarray, present: np.ndarray) -> np.ndarray:
+    """Sums (2, n) of the products of neighbouring innovations, and of their squares."""
+    both = present[1:] & present[:-1]
+    return np.stack([np.sum(both * white[1:] * white[:-1], axis=0), np.sum(both * white[1:] ** 2, axis=0)])
+
+
+def _best_model_free(
+    model, logs: list[TuningLog], noise: NoiseLevels, sheet: DataSheet | None
+) -> tuple[str, float] | None:
+    """Name and velocity error of the best filter without a model, each tuned on the first part of the first log."""
+    names = [entry.name for entry in REGISTRY if not entry.knows_model and entry.name in estimators(model)]
+    if not names:
+        return None
+    first, n = logs[0], logs[0].velocity.shape[1]
+    end = len(first.first_part.t)
+    valid = np.isfinite(first.velocity[:end]).all(axis=1)
+    t, y = np.asarray(first.record.t)[:end], unwrap(np.asarray(first.record.y), model.circles)[:end]
+    trial = Trial(t[valid], y[valid], first.velocity[:end][valid])
+    typical = float(np.sqrt(np.mean(np.asarray(noise.measurement) ** 2)))
+    sheet = (sheet or DataSheet(typical, float(noise.acceleration)))._replace(speed=None, quantum=None)
+    filters = tuned_estimators(model, n, sheet, first.rate, trial, names)
+    v = np.concatenate([log.velocity[log.held_out] for log in logs])
+    errors = {}
+    for name, observer in filters.items():
+        estimates = [
+            np.asarray(model.motion(run(observer, log.record, ("result",)).estimate).v)[log.held_out] for log in logs
+        ]
+        errors[name] = relative_error(np.concatenate(estimates), v)
+    best = min(errors, key=errors.__getitem__)
+    return best, errors[best]

@@ -1,0 +1,80 @@
+"""Covariances as tensors, so that a filter can have the same noise in every chart."""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
+from jaxtyping import Array, Float
+
+from covariant._linalg import solve
+from covariant._typing import Matrix, Scalar, Vector
+from covariant.geometry import AbstractSpace
+from covariant.observers.base._protocol import check_finite
+
+Covariance = Scalar | Matrix | Callable[[Any], Matrix]
+"""A covariance of vectors at a configuration, in the frame of the space: a number is a variance in metric units, the
+same in every direction; a matrix (n, n) is the same at every configuration; or a function `q -> (n, n)`."""
+
+
+def check_covariance(whose: str, name: str, covariance: Any, positive: bool = False) -> None:
+    """Check that a number or matrix is a covariance; a traced value and a function are not checked.
+
+    Args:
+        whose: Name of the observer, for the message.
+        name: Name of the argument, for the message.
+        covariance: A number, a matrix (n, n), or a function `q -> (n, n)`.
+        positive: True demands a covariance that is not singular; False by default.
+
+    Raises:
+        ValueError: An entry is not finite, the shape is another one, or the matrix is not symmetric or has a negative
+            eigenvalue, or with `positive` one that is zero.
+    """
+    if callable(covariance) or isinstance(covariance, Tracer):
+        return
+    check_finite(whose, **{name: covariance})
+    entries = np.asarray(covariance, float)
+    if entries.ndim not in (0, 2) or (entries.ndim == 2 and entries.shape[0] != entries.shape[1]):
+        raise ValueError(f"{whose}: {name} must be a number or a square matrix; its shape is {entries.shape}")
+    matrix = np.atleast_2d(entries)
+    largest = np.abs(matrix).max()
+    # Tolerances relative to the largest entry, since units may be of any size.
+    if not np.allclose(matrix, matrix.T, rtol=0, atol=1e-9 * largest):
+        raise ValueError(f"{whose}: {name} must be symmetric; got {entries.tolist()}")
+    smallest = np.linalg.eigvalsh(matrix)[0]
+    # Eigenvalues are computed to some n·eps of the largest; 1e-12 leaves a singular covariance of any size room.
+    if smallest < -1e-12 * largest or (positive and not smallest > 1e-12 * largest):
+        condition = "positive" if positive else "zero or more"
+        raise ValueError(f"{whose}: {name} must have variances that are {condition}; its least is {smallest:.3g}")
+
+
+def isotropic(std: Scalar, like: Vector) -> Matrix:
+    """Covariance (n, n) of n independent numbers of one standard deviation.
+
+    Args:
+        std: The standard deviation.
+        like: A vector (n,), of which only shape and precision count.
+    """
+    return jnp.eye(like.shape[0], dtype=like.dtype) * std**2
+
+
+def covariance_at(covariance: Covariance, space: AbstractSpace, q: Array) -> Float[Array, "n n"]:
+    """Covariance matrix at a configuration.
+
+    Args:
+        covariance: A number, a matrix (n, n), or a function `q -> (n, n)`; see `Covariance`.
+        space: Configuration space, whose metric defines the unit of a number.
+        q: Configuration.
+
+    Returns:
+        Matrix (n, n), in the frame at q.
+    """
+    if callable(covariance):
+        return covariance(q)
+    covariance = jnp.asarray(covariance)
+    if covariance.ndim:
+        return covariance
+    # A variance in metric units is that times the inverse of the metric.
+    metric = space(q)
+    return covariance * solve(metric, jnp.eye(metric.shape[0], dtype=metric.dtype))

@@ -1,0 +1,259 @@
+"""The gate: decides which measurements an estimator uses, by how far they are from the predicted ones.
+
+An outlier is alone; what moves has neighbours that agree. A reading is refused where neither the estimate nor the last
+reading that was used explains it. Refused readings that lie on a line, which starts where the last used reading was and
+whose slope is a credible velocity, show an impact, or an estimate whose velocity is off: at the third of them the
+estimate starts anew, with their position and their velocity. Readings that agree otherwise, as after a slip, have to
+stay for `patience` samples.
+
+Source: Bar-Shalom, Li & Kirubarajan 2001, Estimation with Applications to Tracking and Navigation, section 5.4 for the
+gate.
+"""
+
+import math
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from covariant._linalg import half_solve
+from covariant._typing import Flag, Matrix, Vector
+from covariant.geometry import AbstractManifold
+from covariant.observers.base._gate_memory import BEND, GateMemory, Judged, Line, Sample, Velocity
+
+BELIEVED = 4.0
+"""Cap on a squared innovation in the average, as a multiple of the average, so that an outlier changes it little."""
+CREDIBLE = 4.0
+"""Largest credible velocity, as a multiple of the usual one."""
+AGREEING = 3.0
+"""Standard deviations of the noise within which readings are on a line."""
+MOVING = 4.0
+"""Least distance of neighbours on a line, in standard deviations of the noise, at which it shows a velocity."""
+
+
+class Gate(eqx.Module):
+    """Refuses a measurement that is too improbable, unless such measurements persist.
+
+    Attributes:
+        deviations: Threshold in standard deviations, 8 by default: a single number that is off by more is refused.
+            Several numbers measured together, such as an attitude, are refused when they are as improbable as that.
+        patience: Number of samples refused in a row after which the next one is accepted, and the estimate starts anew
+            from it; 10 by default. Readings that show a velocity do not wait for it.
+        memory: Number of samples over which the ratio of actual to expected squared innovations is averaged, 50 by
+            default; the average widens the gate where the assumed noise is too small.
+
+    Raises:
+        ValueError: `deviations` is not positive and finite, `memory` not 1 or more and finite, or `patience` negative.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant import models, observers
+        >>> gate, manifold = observers.Gate(deviations=5.0), models.ball_and_beam().manifold
+        >>> sample = observers.Sample(jnp.array([4.0, 6.0]), jnp.eye(2), jnp.eye(2), jnp.ones(2, bool))
+        >>> rest = observers.Velocity(jnp.zeros(2), jnp.eye(2))
+        >>> verdict = gate.judge(manifold, sample, observers.GateMemory.at_start(jnp.zeros(2)), rest)
+        >>> verdict.far.tolist(), verdict.memory.refused.tolist()
+        ([False, True], [0, 1])
+    """
+
+    deviations: float = eqx.field(default=8.0, static=True)
+    patience: int = eqx.field(default=10, static=True)
+    memory: float = eqx.field(default=50.0, static=True)
+
+    def __check_init__(self):
+        for name in ("deviations", "memory"):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value > 0):
+                raise ValueError(f"Gate: {name} must be a positive, finite number; got {value}")
+        if self.memory < 1:
+            raise ValueError(f"Gate: memory must be a number of samples, 1 or more; got {self.memory}")
+        if self.patience < 0:
+            raise ValueError(f"Gate: patience must be a number of samples, 0 or more; got {self.patience}")
+
+    def judge(
+        self,
+        manifold: AbstractManifold,
+        sample: Sample,
+        memory: GateMemory,
+        predicted: Velocity,
+        usual: Matrix | None = None,
+        least: Vector | float = 1.0,
+    ) -> Judged:
+        """Judge the measured components of an innovation by its covariance.
+
+        In the average, the square of an innovation counts no more than `BELIEVED` times the scale.
+
+        Args:
+            manifold: Manifold of the measured configurations, which says which components are measured together.
+            sample: The innovation, at the end of the prediction over which `memory` was advanced.
+            memory: Field `memory` of the verdict on the previous sample, advanced; `GateMemory.at_start` at the start.
+            predicted: Velocity of the estimate.
+            usual: Covariance (n, n) of the velocities of the system, with zero mean; None (default) where the state
+                holds no velocity, so that readings cannot correct it.
+            least: Lower bound of the scale by which the gate is widened, a number or (n,); 1 by default.
+
+        Returns:
+            The verdict.
+        """
+        line, present, widening = memory.line(sample.innovation), sample.present, jnp.maximum(memory.scale, least)
+        # The noise of lines is at least what is said: a scale below 1 tells of large speeds or process noise.
+        noisier = jnp.maximum(memory.scale, 1.0)
+        far, straight, joined = (jnp.zeros_like(present),) * 3
+        scale = memory.scale
+        for together in manifold.measured_together(present.shape[0]):
+            block, n = jnp.asarray(together), len(together)
+            # A block is judged as a whole, so it needs all of its components.
+            measured = jnp.all(present[block])
+            # An estimate that is off does not make an outlier of a reading that continues the last used one.
+            innovation, width = sample.innovation[block], jnp.sqrt(widening[block])
+            vectors = jnp.stack([innovation, innovation / width, line.change[block] / width], axis=1)
+            square, *narrowed = _mean_squares(sample.cov[jnp.ix_(block, block)], vectors)
+            far = far.at[block].set(measured & (jnp.minimum(*narrowed) > self._limit(n) / n))
+            noise = jnp.asarray(sample.noise)[jnp.ix_(block, block)] * noisier[block[0]]
+            shape = _shape(jax.tree.map(lambda a, block=block: a[block], line), noise)
+            straight, joined = straight.at[block].set(shape[0]), joined.at[block].set(shape[1])
+            change = (jnp.minimum(square, BELIEVED * memory.scale[block]) - memory.scale[block]) / self.memory
+            scale = scale.at[block].add(jnp.where(measured, change, 0.0))
+        # A start after long patience needs a complete configuration.
+        patient = far & (memory.refused >= self.patience) & jnp.all(present)
+        straight = straight & far & (memory.refused >= 1)
+        # All readings since the velocity changed are on the line: later in a burst, three in a row are so by chance.
+        moved = straight & joined & (memory.refused <= 2) & _credible(manifold, line, predicted, usual)
+        restart, anew = jnp.any(patient | moved), present & (~far | patient | moved)
+        velocity = predicted
+        if usual is not None:
+            # A start after long patience takes the velocity of the readings too, where three of them agree.
+            agreed = moved | (patient & straight & (memory.refused >= 2))
+            mean = predicted.mean + jnp.where(agreed, line.slope, 0.0)
+            cov = jnp.where(jnp.any(patient), usual, predicted.cov)
+            velocity = Velocity(mean, with_block(cov, line.slope_cov(sample.noise, noisier), moved))
+        return Judged(far, moved, restart, anew, velocity, memory.judged(line, present, far, scale))
+
+    def _limit(self, n: int) -> float:
+        """The squared length that n standard Gaussian numbers exceed as rarely as a single one exceeds `deviations`."""
+        target, low, high = _exceedance(1, self.deviations**2), 0.0, 4 * (self.deviations**2 + n)
+        # Bisection: 80 halvings exhaust the digits of a double.
+        for _ in range(80):
+            middle = (low + high) / 2
+            low, high = (middle, high) if _exceedance(n, middle) > target else (low, middle)
+        return high
+
+
+def _exceedance(n: int, square: float) -> float:
+    """Probability that χ² with n degrees of freedom exceeds `square`: `Q(n/2, square/2)`, by its recurrence in n."""
+    x = square / 2
+    a, total = (1.0, math.exp(-x)) if n % 2 == 0 else (0.5, math.erfc(math.sqrt(x)))
+    while a < n / 2:
+        total += math.exp(a * math.log(x) - x - math.lgamma(a + 1)) if x > 0 else 0.0
+        a += 1
+    return total
+
+
+def _mean_squares(cov: Matrix, vectors: Float[Array, "n k"]) -> Float[Array, "k"]:
+    """Squared lengths of k vectors by a covariance (n, n), divided by n: 1 on average where it is theirs."""
+    return jnp.sum(half_solve(cov, vectors) ** 2, axis=0) / len(vectors)
+
+
+def _shape(line: Line, noise: Matrix) -> tuple[Flag, Flag]:
+    """Whether the last three readings of a block are on a line that moves, and whether it starts at the last used one.
+
+    Args:
+        line: The line of the block.
+        noise: Covariance of the noise of a reading of the block.
+
+    Returns:
+        Whether three readings are on a line whose neighbours are apart; whether that line passes the last used reading
+        between the time of that reading and now.
+    """
+    step, length = line.step[0], line.length[0]
+    columns = half_solve(noise, jnp.stack([line.slope, line.bend, line.change], axis=1)) / len(noise) ** 0.5
+    slope, bend, change = columns.T
+    displacement = slope @ slope * step**2
+    # The bend is a second difference of noise, of the variance 1 + 4 + 1, and of the motion.
+    straight = (displacement >= MOVING**2) & (bend @ bend <= 6 * AGREEING**2 + BEND**2 * displacement)
+    # q is continuous: the velocity changed at some time between the last used reading and the reading before this one.
+    since = jnp.clip(slope @ change / jnp.maximum(slope @ slope, jnp.finfo(slope.dtype).tiny), step, length)
+    apart, steps = change - since * slope, since / step
+    joined = apart @ apart <= AGREEING**2 * (1 + 2 * steps**2) + (BEND * steps) ** 2 * displacement
+    return straight, joined
+
+
+def _credible(manifold: AbstractManifold, line: Line, predicted: Velocity, usual: Matrix | None) -> Bool[Array, "n"]:
+    """Which components (n,) are measured together with a credible velocity; none where no velocity is usual.
+
+    Two readings are weak evidence of a line, and show only a velocity as after an impact: no faster than before, or
+    than usual. Three may show any that is credible.
+    """
+    credible = jnp.zeros(line.slope.shape, bool)
+    if usual is None:
+        return credible
+    for together in manifold.measured_together(len(usual)):
+        block = jnp.asarray(together)
+        before = predicted.mean[block]
+        both = jnp.stack([before + line.slope[block], before], axis=1)
+        after, before = _mean_squares(usual[jnp.ix_(block, block)], both)
+        bound = jnp.where(line.refused[block] > 1, CREDIBLE**2, jnp.maximum(before, 1.0))
+        credible = credible.at[block].set(after <= bound)
+    return credible
+
+
+def with_block(cov: Matrix, block: Matrix, places: Bool[Array, "n"]) -> Matrix:
+    """A covariance with a block replaced by that of another one, uncorrelated with the rest.
+
+    Args:
+        cov: Covariance (n, n).
+        block: The other covariance (n, n).
+        places: Which entries (n,) are in the block.
+
+    Returns:
+        Covariance (n, n).
+    """
+    inside, outside = places[:, None] & places[None], ~places[:, None] & ~places[None]
+    return jnp.where(inside, block, jnp.where(outside, cov, 0.0))
+
+
+def start(manifold: AbstractManifold, q: Array, innovation: Vector, y: Array, anew: Bool[Array, "n"]) -> Array:
+    """The configuration of a new start.
+
+    Args:
+        manifold: Manifold of the configurations.
+        q: Predicted configuration.
+        innovation: Innovation (n,) of the measurement there.
+        y: Measurement, NaN where missing.
+        anew: Which components (n,) are taken from it; the others stay where they are predicted.
+
+    Returns:
+        The configuration.
+    """
+    partly = manifold.retract(q, jnp.where(anew, innovation, 0.0))
+    # In coordinates the two are the same. A group element is taken as it is, without a logarithm in between.
+    return partly if manifold.commuting else jnp.where(jnp.all(anew), manifold.measured(q, y), partly)
+
+
+def judged(
+    gate: Gate | None,
+    manifold: AbstractManifold,
+    sample: Sample,
+    memory: GateMemory,
+    predicted: Velocity,
+    usual: Matrix | None,
+) -> Judged:
+    """Verdict of a gate, or of no gate, which refuses nothing.
+
+    Args:
+        gate: The gate, or None.
+        manifold: Manifold of the measured configurations.
+        sample: The innovation.
+        memory: Field `memory` of the verdict on the previous sample, advanced.
+        predicted: Velocity of the estimate.
+        usual: Covariance (n, n) of the velocities of the system, or None; see `Gate.judge`.
+
+    Returns:
+        The verdict of `Gate.judge`; without a gate, one that refuses nothing and leaves the memory as it is.
+    """
+    if gate is None:
+        nothing = jnp.zeros_like(sample.present)
+        velocity = predicted if usual is None else predicted._replace(cov=usual)
+        return Judged(nothing, nothing, jnp.zeros((), bool), sample.present, velocity, memory)
+    return gate.judge(manifold, sample, memory, predicted, usual)

@@ -1,0 +1,119 @@
+"""An observer corrected by implicit steps along geodesics, which no gain makes too large; the same in all coordinates.
+
+Between samples the estimate follows the model. A sample y that comes h after the one before moves it along the geodesic
+to y, and changes its velocity along it:
+
+    q̂ ← exp_q̂(θ log_q̂ y),   v̂ ← Π(v̂ + σθ log_q̂ y),   θ = αh/(1 + αh),   σ = β/α,
+
+where Π is the parallel transport along that geodesic. θ is the part of the error that an implicit Euler step of
+`ξ' = −αξ` takes away; it is below 1 for all α and h. For the error ξ of the position and ζ of the velocity, let
+`w = ζ − σξ`: the correction is the proximal step of `½αh d(q, y)²` in the metric `|ξ|² + |w|²` of the states. In a flat
+metric it takes ξ to (1 − θ)ξ and leaves w as it is, however large the errors are. It uses neither the source nor the
+curvature at y, and leaves nothing out that would be of higher order.
+
+What is left to the model between samples is w. That limits σ and h, and not α.
+
+Source: an addition. Rockafellar 1976, Monotone operators and the proximal point algorithm, SIAM J. Control Optim.
+14(5), for the step; Kalata 1984, The tracking index, IEEE TAES 20(2), for constant gains θ and σθh beside a prediction.
+"""
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from covariant._typing import Number, Scalar
+from covariant.geometry import Budget
+from covariant.models import MechanicalSystem, friction, source
+from covariant.observers.base import (
+    AbstractMechanicalObserver,
+    aged,
+    as_gain,
+    at_rest,
+    check_positive,
+    outcome,
+    predicted,
+    still,
+    time_since_measurement,
+)
+from covariant.observers.constant_gain._geodesic import GeodesicInfo, GeodesicState, path_to
+
+
+class ImplicitGeodesic(AbstractMechanicalObserver):
+    """Predict with the model; correct position and velocity by an implicit step along the geodesic to the sample.
+
+    A sample after the time h since the one before takes away the part `θ = αh/(1 + αh)` of the error along the
+    geodesic to the measurement, and adds `σ = β/α` times that displacement to the velocity. Unlike `Geodesic` it does
+    not compensate what the model does to an error between samples: to first order `ξ' = ζ − αξ, ζ' = −Kξ − βξ` with
+    `K = R(·, v)v − ∇S`. In exchange no α is too large, and where the metric is flat no error is. β/α must be well below
+    2/h. Where no geodesic is found, the first-order error of `Intrinsic` replaces it and `result` says
+    `NOT_CONVERGED`.
+
+    Attributes:
+        model: The mechanical system.
+        alpha: Gain α [1/s].
+        beta: Gain β [1/s²].
+        budget: Work spent on the geodesic, as for `Geodesic`.
+        substeps: Number of Runge–Kutta steps in each sample; None (default) uses as many as dt and the friction need
+            (offline).
+
+    Raises:
+        ValueError: A gain is not positive and finite.
+
+    Example:
+        A pendulum is seen 20 times a second, and started 100 turns away: the angle is a number here, not a circle.
+
+        >>> import jax.numpy as jnp
+        >>> import numpy as np
+        >>> from covariant import Record, models, observers
+        >>> pendulum = models.Lagrangian(lambda q: jnp.eye(1), lambda q: -9.81 * jnp.cos(q[0]))
+        >>> observer = observers.ImplicitGeodesic(pendulum, alpha=60.0, beta=360.0)
+        >>> t = 0.05 * np.arange(100)
+        >>> y = np.zeros((100, 1))  # at rest
+        >>> y[0] = 628.0
+        >>> run = observers.run(observer, Record(t, np.zeros((100, 1)), y))
+        >>> bool(np.abs(run.estimate[-1]).max() < 1e-6)
+        True
+    """
+
+    model: MechanicalSystem
+    alpha: Scalar = eqx.field(converter=as_gain)
+    beta: Scalar = eqx.field(converter=as_gain)
+    budget: Budget = eqx.field(default=Budget(newton=1, steps=4), static=True)
+    substeps: int | None = eqx.field(default=None, static=True)
+
+    def __check_init__(self):
+        check_positive("ImplicitGeodesic", alpha=self.alpha, beta=self.beta)
+
+    def init(self, y: Array, t: Number = 0.0) -> GeodesicState:
+        q, v, t, last_input, age = at_rest(self.model, y, t)
+        return GeodesicState(q, v, t, jnp.zeros_like(v), last_input, age)
+
+    def flow(self, t: Scalar, state: GeodesicState, u: Float[Array, "m"], y: Array) -> GeodesicState:
+        # The limit of samples that follow one another at once. It has no result: conjugate points are not counted.
+        q, v, _, log, last_input, age = state
+        path = path_to(self.model, q, log, y, self.budget._replace(conjugate=False))
+        w = v + self.alpha * path.log
+        v_dot = source(self.model, t, q, u) + friction(self.model, t, q, v, u) + self.beta * path.log
+        v_dot = v_dot - self.model.space.connection(q, w, v)
+        # A warm start, which the estimate does not depend on; see `Geodesic`.
+        log_dot = 10 * self.alpha * (path.back - log)
+        return GeodesicState(w, v_dot, jnp.ones_like(state.t), log_dot, still(last_input), still(age))
+
+    def predict(self, state: GeodesicState, u: Float[Array, "m"], dt: Scalar) -> GeodesicState:
+        return predicted(self.model, state, u, dt, self.substeps)
+
+    def correct(self, state: GeodesicState, u: Float[Array, "m"], y: Array) -> tuple[GeodesicState, GeodesicInfo]:
+        space, q, v = self.model.space, state.q, state.v
+        path = path_to(self.model, q, state.log, y, self.budget)
+        waited = time_since_measurement(state)
+        part = self.alpha * waited / (1 + self.alpha * waited)  # θ
+        displacement, kicked = part * path.log, v + self.beta * waited / (1 + self.alpha * waited) * path.log  # σθ
+        # The kick is along the geodesic, so that transport takes it to the same multiple of the velocity there.
+        end = space.transport_along(q, displacement, kicked, self.budget)
+        new_q = jnp.where(path.exact, end.q, space.manifold.retract(q, displacement))
+        new_v = jnp.where(path.exact, end.w, kicked - space.connection(q, displacement, kicked))
+        result = outcome(new_q, new_v, y, path.result)
+        info = GeodesicInfo(self.innovation(state, u, y), space.norm(q, path.log), path.residual, result)
+        # The rest of the geodesic, seen from the measurement: the next search starts from it.
+        log = (1 - part) * path.back
+        return state._replace(q=new_q, v=new_v, log=log, age=aged(self.model, state, y)), info

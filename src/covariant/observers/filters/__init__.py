@@ -1,0 +1,5 @@
+"""Kalman filters and smoothers: gains that follow the covariance."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

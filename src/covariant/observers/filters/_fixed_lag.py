@@ -1,0 +1,267 @@
+"""The smoother with a fixed lag, sample by sample: the estimate of some samples ago, by those since.
+
+The state of the filter and what the steps did to its error, of as many samples as the lag has, are in buffers. A sample
+adds its own, and from there the recursion of the smoother goes back through the buffer to its oldest entry: the same
+maps of the error, in the same order, as `smooth` with the same lag.
+
+Source: Moore 1973, Discrete-time fixed-lag smoothing algorithms, Automatica 9(2), for lags in a stream; for the rest
+see `smooth`.
+"""
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Inexact
+
+from covariant._typing import Matrix, Number, Scalar
+from covariant.models import MechanicalSystem
+from covariant.observers.base import AbstractObserver, AbstractWrapper, LastInput
+from covariant.observers.filters._gated_filter import AbstractGatedFilter
+from covariant.observers.filters._smoother import (
+    Backward,
+    Smoothing,
+    backward_map,
+    error_before,
+    recorded,
+    smoothed_state,
+)
+
+OF_NOW = ("gate", "last_input", "readings", "sensor_gates")
+"""Fields of the state of a filter that only its next step needs: the buffers do not hold them."""
+
+
+class Prediction(NamedTuple):
+    """A prediction that no measurement has corrected yet.
+
+    Attributes:
+        before: State of the filter before it, as the buffer holds it.
+        root: Square root S (N, N) of the covariance of that state.
+        carried: ΦS (N, N).
+    """
+
+    before: Any
+    root: Matrix
+    carried: Matrix
+
+
+class FixedLagState(NamedTuple):
+    """State of a `FixedLag`: the filter now, and buffers of L samples, the oldest first.
+
+    Before L samples have come, the first fills the place of those that are not there.
+
+    Attributes:
+        now: State of the filter.
+        smoothed: State of the filter L samples ago, moved to the smoothed estimate.
+        t: Times (L + 1,) [s]: of the smoothed estimate, of the samples since, and now.
+        past: States of the filter, L of each field.
+        steps: What each of the L samples since the oldest says of the error before it.
+        last_input: The last finite input (m,), or None for a filter that stores none.
+        prediction: The last prediction, between `predict` and `correct` only; None otherwise.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant import models, observers
+        >>> ekf = observers.EKF(models.oscillator(), jnp.eye(1), 1e-4 * jnp.eye(1), substeps=1)
+        >>> state = observers.FixedLag(ekf, lag=5).init(jnp.array([0.3]), t=2.0)
+        >>> state.t.tolist(), state.past.q.shape
+        ([2.0, 2.0, 2.0, 2.0, 2.0, 2.0], (5, 1))
+    """
+
+    now: Any
+    smoothed: Any
+    t: Float[Array, "L1"]
+    past: Any
+    steps: Backward
+    last_input: LastInput = None
+    prediction: Any = None
+
+
+class FixedLagWindow(NamedTuple):
+    """Estimates of the last L + 1 samples, each from all samples up to now: the last is that of the filter.
+
+    Attributes:
+        t: Times (L + 1,) [s].
+        estimate: Estimates, as those of the filter, with an axis of L + 1 before theirs.
+        std: Standard deviations (L + 1, N), as in `Smoothed.std`.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant import models, observers
+        >>> ekf = observers.EKF(models.oscillator(), jnp.eye(1), 1e-4 * jnp.eye(1), substeps=1)
+        >>> delayed = observers.FixedLag(ekf, lag=2)
+        >>> delayed.window(delayed.init(jnp.array([0.3]))).estimate.tolist()
+        [[0.3, 0.0], [0.3, 0.0], [0.3, 0.0]]
+    """
+
+    t: Float[Array, "L1"]
+    estimate: Any
+    std: Float[Array, "L1 N"]
+
+
+class FixedLag(AbstractWrapper):
+    """A filter whose estimates come some samples later, and know these samples.
+
+    `estimate` is of the time `state.t[0]`, `lag` samples before the last one: what `smooth` with this lag returns for
+    that row, with its standard deviations and slow states in the info. Innovation and result are those of the last
+    sample. Up to the sample of number `lag` the estimate is of the first one. `window` has the samples since, for the
+    end of a stream or a display. A step takes `lag` steps of the smoother besides one of the filter.
+
+    Args:
+        observer: A filter with a covariance and a gate: `IntrinsicKalman`, `EKF`, `UKF`, `JointKalman` or `StateEKF`.
+        lag: Number of samples L, 1 or more.
+
+    Raises:
+        ValueError: An observer of another kind, or a lag that is no such number.
+
+    Example:
+        A noisy oscillation, its velocity as the filter has it, and thirty samples later:
+
+        >>> import numpy as np
+        >>> from covariant import Record, models, observers
+        >>> t = np.linspace(0.0, 4.0, 401)
+        >>> y = np.cos(t) + 0.01 * np.random.default_rng(0).normal(size=401)
+        >>> ekf = observers.EKF(models.oscillator(), np.array([[1e-2]]), np.array([[1e-4]]), substeps=1)
+        >>> record = Record(t, np.zeros((401, 1)), y[:, None])
+        >>> late, now = (np.asarray(observers.run(o, record).estimate) for o in (observers.FixedLag(ekf, 30), ekf))
+        >>> errors = np.abs(late[30:, 1] + np.sin(t[:-30])), np.abs(now[:-30, 1] + np.sin(t[:-30]))
+        >>> bool(errors[0].mean() < 0.5 * errors[1].mean())
+        True
+    """
+
+    observer: AbstractGatedFilter
+    lag: int = eqx.field(static=True)
+
+    def __init__(self, observer: AbstractObserver, lag: int):
+        if not isinstance(observer, AbstractGatedFilter):
+            raise ValueError(
+                f"FixedLag: {type(observer).__name__} has no covariance of its own to smooth by; take an "
+                "IntrinsicKalman, EKF, UKF, JointKalman or StateEKF"
+            )
+        if lag < 1:
+            raise ValueError(f"FixedLag: lag must be a number of samples, 1 or more; got {lag}")
+        self.observer, self.lag = observer, lag
+
+    @property
+    def model(self) -> MechanicalSystem | Any:
+        """Model of the filter; None for one without."""
+        return getattr(self.observer, "model", None)
+
+    def init(self, y: Inexact[Array, "*n"], t: Number = 0.0) -> FixedLagState:
+        """State at a measured configuration, with that alone in its buffers.
+
+        Args:
+            y: First measurement, complete: coordinates (n,), or on a group a matrix (N, N).
+            t: Its time stamp [s], 0 by default.
+
+        Returns:
+            The state.
+        """
+        first = self.observer.init(y, t)
+        last_input = getattr(first, "last_input", None)
+        root = self.observer.root(first)
+        # Nothing happened before the first sample: what is known of the error goes through these steps as it is.
+        nothing = Backward(jnp.zeros_like(root[0]), jnp.eye(len(root), dtype=root.dtype), jnp.zeros_like(root))
+        times = jnp.full(self.lag + 1, jnp.asarray(t, root.dtype))
+        oldest = _without(first, OF_NOW)
+        past, steps = jax.tree.map(lambda a: jnp.broadcast_to(a, (self.lag, *jnp.shape(a))), (oldest, nothing))
+        return FixedLagState(_without(first, ("last_input",)), oldest, times, past, steps, last_input)
+
+    def estimate(self, state: FixedLagState) -> Any:
+        """Smoothed estimate of the sample `lag` before the last one.
+
+        Args:
+            state: State of this observer.
+
+        Returns:
+            x, as the filter has it.
+        """
+        return self.observer.estimate(state.smoothed)
+
+    def predict(self, state: FixedLagState, u: Float[Array, "m"], dt: Scalar) -> FixedLagState:
+        """Predict by the filter; `correct` moves the buffers on.
+
+        Args:
+            state: State after the previous sample.
+            u: Input (m,), constant over dt.
+            dt: Length of the prediction [s].
+
+        Returns:
+            The predicted state.
+
+        Raises:
+            ValueError: The state is a predicted one: a sample without a measurement is corrected by NaN.
+        """
+        if state.prediction is not None:
+            raise ValueError(
+                "FixedLag: correct a predicted state before the next prediction; NaN marks what is not measured"
+            )
+        now, carried = self.observer.carried(state.now, u, dt)
+        before = Prediction(_without(state.now, OF_NOW), self.observer.root(state.now), carried)
+        times = jnp.append(state.t[1:], state.t[-1] + dt)
+        return state._replace(now=now, t=times, prediction=before)
+
+    def correct(self, state: FixedLagState, u: Float[Array, "m"], y: Inexact[Array, "*n"]) -> tuple[FixedLagState, Any]:
+        """Correct the filter, and smooth back through the buffer.
+
+        Args:
+            state: State that `predict` returned.
+            u: Input (m,) that acted over the prediction.
+            y: Measurement, NaN where missing.
+
+        Returns:
+            The state, and the info of the filter with the standard deviations and slow states of the estimate.
+        """
+        before, root, carried = state.prediction
+        now, info, step = recorded(self.observer, root, carried, state.now, u, y)
+        past, steps = jax.tree.map(
+            lambda buffer, last: jnp.concatenate([buffer[1:], last[None]]),
+            (state.past, state.steps),
+            (before, backward_map(step)),
+        )
+        oldest = jax.lax.scan(
+            lambda error, step: (error_before(error, step), None), self._error(now), steps, reverse=True
+        )
+        smoothed, _ = smoothed_state(self.observer, jax.tree.map(lambda a: a[0], past), oldest[0])
+        new = state._replace(now=now, smoothed=smoothed, past=past, steps=steps, prediction=None)
+        return new, info._replace(**self.observer.deviations(smoothed))
+
+    def innovation(self, state: FixedLagState, u: Float[Array, "m"], y: Inexact[Array, "*n"]) -> Any:
+        return self.observer.innovation(state.now, u, y)
+
+    def window(self, state: FixedLagState) -> FixedLagWindow:
+        """Estimates of the last `lag + 1` samples, each from all samples up to now.
+
+        Args:
+            state: State of this observer.
+
+        Returns:
+            Times, estimates and standard deviations, the oldest first. `smooth` ends with the same rows. Before `lag`
+            samples have come, the first one fills the places of those that are not there.
+        """
+
+        def earlier(error, step):
+            before = error_before(error, step)
+            return before, before
+
+        last = self._error(state.now)
+        errors = jax.lax.scan(earlier, last, state.steps, reverse=True)[1]
+        now = _without(state.now, OF_NOW)
+        states, errors = jax.tree.map(lambda a, b: jnp.concatenate([a, b[None]]), (state.past, errors), (now, last))
+
+        def estimated(state, error):
+            new, root = smoothed_state(self.observer, state, error)
+            return self.observer.estimate(new), jnp.sqrt(jnp.sum(root**2, axis=-1))
+
+        return FixedLagWindow(state.t, *jax.vmap(estimated)(states, errors))
+
+    def _error(self, state: Any) -> Smoothing:
+        """What the filter knows of its error now."""
+        root = self.observer.root(state)
+        return Smoothing(jnp.zeros_like(root[0]), root)
+
+
+def _without(state: Any, names: tuple[str, ...]) -> Any:
+    """A state with None in the fields of these names, as far as it has them."""
+    return state._replace(**{name: None for name in names if name in state._fields})

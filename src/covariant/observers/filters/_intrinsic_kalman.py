@@ -1,0 +1,543 @@
+"""The intrinsic Kalman filter: error and covariance in the parallel frame, the same filter in all coordinates.
+
+For a true motion (q, v) the error at the estimate is `ε = log_q̂ q` and `ν = Tv − v̂`, with T the parallel transport
+along the geodesic from q to q̂. The covariance P of (ε, ν) is a tensor at q̂. Two maps change it: the flow of the model,
+and the change of base point by a correction. Both are differentiated automatically, and these derivatives contain the
+curvature, the change of the force and the friction, so none of them needs a formula here. For components δv in a frame
+that is not parallel, `ν = δv + B(ε, v)`; this relation is all that the two maps need in addition.
+
+Source: Ge, van Goor & Mahony 2025, on the reset; Kailath, Sayed & Hassibi 2000, Linear Estimation, chapter 12, for the
+array form; Bar-Shalom, Li & Kirubarajan 2001, section 5.4, for the gate.
+"""
+
+import functools
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Inexact
+
+from covariant._linalg import semidefinite_root, triangular
+from covariant._typing import Code, Matrix, Number, Scalar, Vector
+from covariant.geometry import AbstractManifold, AbstractSpace, Budget
+from covariant.models import MechanicalSystem, Motion, advance
+from covariant.observers.base import (
+    Covariance,
+    Encoded,
+    Gate,
+    GateMemory,
+    Judged,
+    LastInput,
+    Readings,
+    Velocity,
+    as_gain,
+    at_rest,
+    check_covariance,
+    check_positive,
+    covariance_at,
+    diagonal,
+    needed_substeps,
+    normalised_square,
+    take,
+    updated,
+    white_acceleration,
+    with_block,
+)
+from covariant.observers.filters._gated_filter import AbstractMechanicalFilter, Expectation, Moved, Used
+from covariant.observers.sensors import Sensed, Sensor, SensorInfo, Sensors, Slow, SlowStates, SlowVector, as_groups
+from covariant.signals import Result
+
+# Three such deviations are about a quarter turn, where sin has its maximum and no linearisation is left.
+FARTHEST_TURN = 0.5
+"""Standard deviation of an angle [rad] beyond which the estimate starts anew, as after a long gap in the log."""
+
+
+class KalmanState(NamedTuple):
+    """State of an `IntrinsicKalman`: the estimate, a square root of its covariance, and the memory of the gate.
+
+    Attributes:
+        q: Estimated configuration q̂: coordinates (n,), or a group element (N, N).
+        v: Estimated velocity v̂ (n,) in the frame of the space.
+        t: Time [s] of the estimate.
+        slow: Estimated slow states (k,), before `Slow.values` is applied.
+        root: Square root S (2n + k, 2n + k) of the covariance `S Sᵀ` of (ε, ν) in the parallel frame, followed by the
+            slow states.
+        gate: Memory of the gate.
+        last_input: Last finite input (m,), which replaces an input that is not finite; None where none is stored.
+        readings: Last readings of encoders that count ticks; None where measurements have noise.
+        sensor_gates: Memories of the gates of further sensors, one each.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant import models, observers
+        >>> kalman = observers.IntrinsicKalman(models.oscillator(), 1.0, 1e-4, 4.0, observers.sensor_bias(0.1))
+        >>> state = kalman.init(np.array([0.1]))
+        >>> state.slow.tolist(), state.root.shape
+        ([0.0], (3, 3))
+    """
+
+    q: Inexact[Array, "..."]
+    v: Vector
+    t: Scalar
+    slow: SlowVector
+    root: Float[Array, "two_n_k two_n_k"]
+    gate: GateMemory
+    last_input: LastInput = None
+    readings: Readings | None = None
+    sensor_gates: tuple[GateMemory, ...] = ()
+
+
+class KalmanInfo(NamedTuple):
+    """Diagnostics of a step of an `IntrinsicKalman`.
+
+    Attributes:
+        innovation: Difference (n,) from the predicted configuration to the measurement without its estimated offset,
+            0 where it is missing.
+        distance: Length of the innovation in the metric.
+        innovation_cov: Predicted covariance (n, n) of the innovation.
+        nis: Normalised innovation squared, `rᵀS⁻¹r` of the measured components. Where the model is right, it is
+            χ²-distributed with as many degrees of freedom as there are measured components.
+        velocity_std: Standard deviations (n,) of the velocity after the correction.
+        slow: Estimated slow states (k,), in the order of the observer's `slow_names`.
+        slow_std: Standard deviations (k,) of the slow states.
+        result: A `covariant.signals.Result` code.
+        sensors: Diagnostics of further sensors; None where the filter has none.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant import Record, models, observers
+        >>> kalman = observers.IntrinsicKalman(models.oscillator(), 1.0, 1e-4, 1.0, substeps=1)
+        >>> record = Record(np.array([0.0, 0.01]), np.zeros((2, 1)), np.array([[0.1], [0.11]]))
+        >>> run = observers.run(kalman, record)
+        >>> run.info.innovation[1].round(3).tolist(), round(run.info.nis[1].item(), 1), run.info.slow[1].shape
+        ([0.01], 0.3, (0,))
+    """
+
+    innovation: Vector
+    distance: Scalar
+    innovation_cov: Matrix
+    nis: Scalar
+    velocity_std: Vector
+    slow: SlowVector
+    slow_std: SlowVector
+    result: Code
+    sensors: SensorInfo | None = None
+
+
+class MeasuredOutput(NamedTuple):
+    """A measurement without its estimated offset, linearised at the estimate.
+
+    Attributes:
+        y: The measurement with the estimated offset removed.
+        noise: Covariance (n, n) of its noise in the frame at the estimate.
+        slope: Derivative (n, k) of the measurement in the slow states; None where there is no offset.
+    """
+
+    y: Array
+    noise: Matrix
+    slope: Float[Array, "n k"] | None
+
+    def projected(self, root: Float[Array, "N N"], n: int) -> Float[Array, "n N"]:
+        """Product of the output matrix H (n, N), from the error to the measurement, with a root of the covariance.
+
+        Args:
+            root: Square root (N, N) of the covariance of the error (ε, ν, slow), N = 2n + k.
+            n: Number of measured components.
+
+        Returns:
+            H times the root, (n, N).
+        """
+        return root[:n] if self.slope is None else root[:n] + self.slope @ root[2 * n :]
+
+
+def as_quantum(value: Any) -> Any:
+    """Array (n,) of one tick of each encoder, from a number, a sequence or an array; None stays None."""
+    return None if value is None else jnp.atleast_1d(jnp.asarray(value, float))
+
+
+class IntrinsicKalman(AbstractMechanicalFilter):
+    """Kalman filter of a `MechanicalSystem` on any space, with error and covariance in the parallel frame.
+
+    Each covariance is a matrix (n, n) in the frame, the same everywhere; a function of the configuration; or a number,
+    a variance in metric units, the same in every direction.
+
+    After a gap so long that an angle may be anywhere the filter starts anew from the measured configuration and the
+    predicted velocity, its slow states as uncertain as at first, and `result` is `RESTARTED`. In other coordinates,
+    with noise that is the same tensor, the estimate is the same to the accuracy of the budget.
+
+    Attributes:
+        model: Mechanical system, in coordinates or on a Lie group.
+        process_cov: Spectral density of the white acceleration noise [(rad/s²)² s, or (m/s²)² s].
+        measurement_cov: Covariance of the noise of one sample [rad² or m²].
+        initial_velocity_cov: Covariance of the initial velocity, whose mean is zero [(rad/s)² or (m/s)²].
+        slow: Slow states that are estimated along with the motion, a `Slow` or several: `external_force`,
+            `sensor_bias`, `uncertain_parameters`, or one that you define. A constant one leaves no bias where the
+            measurements show it. None by default.
+        quantum: One tick of each encoder (n,), in coordinates [their unit]. A reading is then an interval, and a change
+            of it an edge that was passed; `measurement_cov` is the covariance of the positions of edges. None (default)
+            where every sample has independent noise.
+        sensors: Sensors beside the measured configuration, a `Sensor` or several, as `gyro`: then a measurement is one
+            vector, the entries of the configuration and after them the readings, NaN where there is none; see
+            `Sensor`. None by default.
+        gate: Which measured configurations are refused as outliers; None refuses none. See `Gate`.
+        budget: Work spent on geodesics, from the estimate to the measurement and along the correction.
+        substeps: Runge–Kutta steps in each sample; None (default) takes as many as dt and the friction need (offline).
+
+    Raises:
+        ValueError: A number or matrix is no covariance, the measurement covariance is singular, the slow states do not
+            fit the model, a tick is not positive, or the model with a `quantum` is not in coordinates.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant import Record, models, observers
+        >>> kalman = observers.IntrinsicKalman(models.oscillator(), 1e-3, 1e-4, 1.0, substeps=1)
+        >>> record = Record(np.array([0.0, 0.1]), np.zeros((2, 1)), np.array([[1.0], [np.cos(0.1)]]))
+        >>> run = observers.run(kalman, record)
+        >>> run.estimate[1].round(3).tolist()
+        [0.995, -0.1]
+    """
+
+    model: MechanicalSystem
+    process_cov: Covariance = eqx.field(converter=as_gain)
+    measurement_cov: Covariance = eqx.field(converter=as_gain)
+    initial_velocity_cov: Covariance = eqx.field(converter=as_gain)
+    slow: tuple[Slow, ...] = eqx.field(default=(), converter=as_groups)
+    quantum: Vector | None = eqx.field(default=None, converter=as_quantum)
+    gate: Gate | None = Gate()
+    budget: Budget = eqx.field(default=Budget(newton=1, steps=2), static=True)
+    substeps: int | None = eqx.field(default=None, static=True)
+    sensors: tuple[Sensor, ...] = eqx.field(default=(), converter=as_groups)
+
+    def __check_init__(self):
+        check_covariance("IntrinsicKalman", "measurement_cov", self.measurement_cov, positive=True)
+        for name in ("process_cov", "initial_velocity_cov"):
+            check_covariance("IntrinsicKalman", name, getattr(self, name))
+        SlowStates(self.slow).check("IntrinsicKalman", self.model)
+        self._sensors.check("IntrinsicKalman")
+        self._slow.check_names("IntrinsicKalman")
+        if self.quantum is not None:
+            check_positive("IntrinsicKalman", quantum=self.quantum)
+            if not self.model.manifold.commuting:
+                raise ValueError("IntrinsicKalman: quantum is for coordinates; encoders count no ticks of an attitude")
+
+    def init(self, y: Array, t: Number = 0.0) -> KalmanState:
+        """State at rest at a measured configuration; readings of sensors do not count at the start.
+
+        Args:
+            y: First measurement, whose configuration is complete.
+            t: Its time stamp [s], 0 by default.
+
+        Returns:
+            The state.
+
+        Raises:
+            ValueError: y is no configuration, followed by the readings of the sensors where there are some.
+        """
+        q, v, t, last_input, _ = at_rest(self.model, self._split(y)[0], t)
+        slow, readings = self._slow.first(v), self._first_readings(q, jnp.zeros_like(v))
+        q = self._without_offset(q, v, slow)
+        root = self._first_root(q, self._velocity_cov(q), slow)
+        gates = self._sensors.at_start(v)
+        return KalmanState(q, v, t, slow, root, GateMemory.at_start(v), last_input, readings, gates)
+
+    def admitted(self, y: Array) -> Array:
+        configuration, readings = self._split(y)
+        return self._sensors.joined(super().admitted(configuration), readings)
+
+    def configuration(self, y: Any) -> Any:
+        return self._split(y)[0]
+
+    def cov(self, state: KalmanState) -> Float[Array, "two_n_k two_n_k"]:
+        """Covariance P (2n + k, 2n + k) of (ε, ν), then the slow states, in the parallel frame at the estimate."""
+        return state.root @ state.root.T
+
+    def velocity_std(self, state: KalmanState) -> Vector:
+        """Standard deviations (n,) of the components of the velocity [rad/s or m/s] in a state."""
+        n = state.v.shape[0]
+        return jnp.sqrt(jnp.sum(state.root[n : 2 * n] ** 2, axis=1))
+
+    @property
+    def slow_names(self) -> tuple[str, ...]:
+        """Names (k) of the slow states, in the order of `KalmanInfo.slow`."""
+        return self._slow.names
+
+    def _predicted(
+        self, state: KalmanState, u: Float[Array, "m"], dt: Scalar, carry: bool
+    ) -> tuple[KalmanState, Matrix | None]:
+        count = self.substeps
+        if count is None:
+            count = needed_substeps(self.model, state.t, state.q, state.v, u, dt)
+        # The covariance is linearised at every Runge–Kutta step, not once over dt.
+        h = dt / jnp.asarray(count, state.v.dtype)
+        start = state, state.root if carry else None
+        return jax.lax.fori_loop(0, count, lambda _, now: self._runge_kutta_step(now[0], now[1], u, h), start)
+
+    def _expected(self, state: KalmanState, u: Float[Array, "m"], y: Array) -> Expectation:
+        configuration, readings = self._split(y)
+        manifold, output = self.model.manifold, self._output(state, configuration)
+        missing = manifold.missing(output.y)
+        projected = output.projected(state.root, state.v.shape[0])
+        cov = projected @ projected.T + output.noise
+        # A restart needs a complete configuration.
+        lost = _too_uncertain(manifold, cov, output.noise) & ~jnp.any(missing)
+        innovation = manifold.towards(state.q, output.y)
+        sensed = self._sensed(state, u, readings) if self.sensors else None
+        return Expectation(output.y, innovation, cov, output.noise, ~missing, lost, (output, sensed))
+
+    def _split(self, y: Any) -> tuple[Any, Any]:
+        """The measured configuration, and the readings of further sensors (K,)."""
+        return self._sensors.split(y, self.model.manifold.shape)
+
+    def _sensed(self, state: KalmanState, u: Float[Array, "m"], readings: Array) -> Sensed:
+        frame = _with_slow(apart(self.model.space, state.q, state.v), state)
+        with_slow = functools.partial(self._slow.in_model, self.model)
+        return self._sensors.sensed(self.model, state, u, frame, readings, with_slow)
+
+    def _velocity(self, state: KalmanState) -> Velocity:
+        n = state.v.shape[0]
+        root = state.root[n : 2 * n]
+        return Velocity(state.v, root @ root.T)
+
+    def _usual_velocity(self, state: KalmanState) -> Matrix:
+        return self._velocity_cov(state.q)
+
+    def _used(self, state: KalmanState, y: Array, expected: Expectation, used: Bool[Array, "n"]) -> Used:
+        output, sensed = expected.details
+        y = self._split(y)[0]
+        error, root = self._posterior(state, output, y, expected.innovation, used)
+        if sensed is not None:
+            error, root = sensed.posterior(error, root)
+            state = state._replace(sensor_gates=sensed.gates)
+        moved, reset = self.moved(state, error)
+        readings = None
+        if state.readings is not None:
+            readings = Readings(jnp.where(used, y, state.readings.y), jnp.where(used, 0.0, state.readings.age))
+        return Used(moved._replace(root=reset @ root, readings=readings), error, reset)
+
+    def _started_anew(
+        self, state: KalmanState, corrected: KalmanState, y: Array, expected: Expectation, velocity: Velocity
+    ) -> KalmanState:
+        q, n, present = self._start(state, expected), state.v.shape[0], expected.present
+        # The offset that is removed from the measurement is that of the predicted slow states: so they are kept.
+        root = self._first_root(q, velocity.cov, state.slow)
+        apart = jnp.where(present[:, None], root[:n], 0.0)
+        position = semidefinite_root(
+            with_block(state.root[:n] @ state.root[:n].T, root[:n, :n] @ root[:n, :n].T, present)
+        )
+        root = root.at[:n].set(apart).at[:n, :n].set(position)
+        readings, y = state.readings, self._split(y)[0]
+        if readings is not None:
+            readings = Readings(jnp.where(present, y, readings.y), jnp.where(present, 0.0, readings.age))
+        return corrected._replace(q=q, v=velocity.mean, slow=state.slow, root=root, readings=readings)
+
+    def _info(self, state: KalmanState, new: KalmanState, expected: Expectation, result: Code) -> KalmanInfo:
+        _, innovation, cov, _, present, *_ = expected
+        nis = normalised_square(cov, innovation, present)
+        distance = self.model.space.norm(state.q, innovation)
+        sensed = expected.details[1]
+        sensors = None if sensed is None else sensed.info
+        return KalmanInfo(innovation, distance, cov, nis, **self.deviations(new), result=result, sensors=sensors)
+
+    def _result(self, state: KalmanState, new: KalmanState, y: Array, expected: Expectation, verdict: Judged) -> Code:
+        configuration, sensed = self._split(y)[0], expected.details[1]
+        if sensed is None:
+            return super()._result(state, new, configuration, expected, verdict)
+        # Where sensors are read between two measured configurations, nothing is missing.
+        between = sensed.read & jnp.all(self.model.manifold.missing(configuration))
+        measured: Any = jnp.where(between, state.q, configuration)
+        code = super()._result(state, new, measured, expected, verdict)
+        return jnp.maximum(code, jnp.where(sensed.refused, int(Result.OUTLIER), 0).astype(code.dtype))
+
+    @property
+    def _sensors(self) -> Sensors:
+        return Sensors(self.sensors)
+
+    @property
+    def _slow(self) -> SlowStates:
+        return SlowStates(self.slow + self._sensors.slow)
+
+    def _slow_estimates(self, state: KalmanState) -> tuple[SlowVector, SlowVector]:
+        """Values of the slow states (k,) as `Slow.values` reports them, and their standard deviations (k,)."""
+        values = self._slow.values(state.slow)
+        slope = jax.jacfwd(self._slow.values)(state.slow)
+        return values, jnp.sqrt(jnp.sum((slope @ state.root[2 * state.v.shape[0] :]) ** 2, axis=1))
+
+    def _noise(self, q: Array) -> Matrix:
+        """Covariance (n, n) of one sample, in the frame at the measured configuration q."""
+        # The variance of a uniform distribution over one tick is quantum²/12.
+        noise = covariance_at(self.measurement_cov, self.model.space, q)
+        return noise if self.quantum is None else noise + jnp.diag(self.quantum.astype(noise.dtype) ** 2 / 12)
+
+    def _first_readings(self, y: Array, age: Vector) -> Readings | None:
+        return None if self.quantum is None else Readings(y, age)
+
+    def _without_offset(self, y: Array, like: Vector, slow: SlowVector) -> Array:
+        """The configuration whose measurement is y."""
+        return self.model.manifold.retract(y, -self._slow.offset(slow, like)) if self._slow.measured else y
+
+    def _output(self, state: KalmanState, y: Array) -> MeasuredOutput:
+        without_offset = self._without_offset(y, state.v, state.slow)
+        return MeasuredOutput(without_offset, *self._slopes(state.q, state.v, state.slow))
+
+    def _slopes(self, q: Array, like: Vector, slow: SlowVector) -> tuple[Matrix, Float[Array, "n k"] | None]:
+        """Noise (n, n) in the frame at q of a measurement without its offset, and its slope (n, k) in the slow states.
+
+        The measurement is `y = retract(retract(q, offset), w)` with the noise w; its estimated offset is removed.
+        """
+        if not self._slow.measured:
+            return self._noise(q), None
+        manifold, k = self.model.manifold, slow.shape[0]
+
+        def innovation(change):
+            true = manifold.retract(q, self._slow.offset(slow + change[:k], like))
+            return manifold.local(q, self._without_offset(manifold.retract(true, change[k:]), like, slow))
+
+        slopes = jax.jacfwd(innovation)(jnp.zeros(k + like.shape[0], like.dtype))
+        measured_at = manifold.retract(q, self._slow.offset(slow, like))
+        return slopes[:, k:] @ self._noise(measured_at) @ slopes[:, k:].T, slopes[:, :k]
+
+    def _posterior(
+        self, state: KalmanState, output: MeasuredOutput, y: Array, straight: Vector, used: Array
+    ) -> tuple[Array, Array]:
+        """Posterior mean (2n + k,) of the error after the sample, and the root of its covariance."""
+        space, n = self.model.space, state.v.shape[0]
+        if self.quantum is None or state.readings is None:
+            gain, root = updated(state.root, output.projected(state.root, n), output.noise, used)
+            return gain @ jnp.where(used, self._displacement(state, output.y, straight, used), 0.0), root
+        # Encoders count in coordinates: these rows map (ε, ν, slow) to differences of position and velocity there.
+        rows = _with_slow(apart(space, state.q, state.v), state)
+        position = rows[:n] if output.slope is None else rows[:n].at[:, 2 * n :].set(output.slope)
+        moved = self.model.manifold.towards(state.readings.y, y)
+        noise = jnp.diag(covariance_at(self.measurement_cov, space, state.q))
+        parts = position, rows[n : 2 * n]
+        step = self.quantum.astype(noise.dtype)
+        return take(state.root, parts, Encoded(straight, moved, state.readings.age, state.v, step, noise, used))
+
+    def _displacement(self, state: KalmanState, y: Array, straight: Vector, used: Array) -> Vector:
+        """Geodesic `log_q̂ y` (n,); where an entry of y is not used, the coordinate difference `straight` instead."""
+        geodesic = self.model.space.shoot(state.q, self.model.manifold.measured(state.q, y), straight, self.budget)
+        reached = jnp.all(jnp.isfinite(geodesic.velocity)) & (geodesic.result != Result.NOT_CONVERGED)
+        # Without a converged geodesic the coordinate difference replaces it, which equals it to first order.
+        return jnp.where(reached & jnp.all(used), geodesic.velocity, straight)
+
+    def _runge_kutta_step(
+        self, state: KalmanState, carried: Matrix | None, u: Float[Array, "m"], h: Scalar
+    ) -> tuple[KalmanState, Matrix | None]:
+        """One Runge–Kutta step of the model, of the covariance, and of a matrix that the transition alone carries."""
+        space, manifold, n = self.model.space, self.model.manifold, state.v.shape[0]
+
+        def propagated_error(error):
+            start = Motion(manifold.retract(state.q, error[:n]), state.v + error[n : 2 * n])
+            mean, slow = self._slow.advanced(state.slow + error[2 * n :], h)
+            end = advance(self._slow.in_model(self.model, mean), state.t, start, u, h, 1)
+            # Zero in value, for the end is compared with itself; its derivative is the displacement in the frame.
+            return jnp.concatenate([manifold.local(jax.lax.stop_gradient(end.q), end.q), end.v, slow]), (*end, slow)
+
+        slope, (q, v, slow) = jax.jacfwd(propagated_error, has_aux=True)(jnp.zeros(state.root.shape[0], state.v.dtype))
+        # From right to left: from the parallel frame to the frame at the start, the flow, and back at the end.
+        transition = (
+            _with_slow(parallel(space, q, v), state) @ slope @ _with_slow(apart(space, state.q, state.v), state)
+        )
+        noise = white_acceleration(covariance_at(self.process_cov, space, q), h)
+        if state.slow.shape[0]:
+            noise = diagonal(noise, self._slow.walk_root(h).astype(noise.dtype))
+        readings = state.readings and state.readings._replace(age=state.readings.age + h)
+        # Roots side by side have the sum of both covariances; the triangular factor is square again.
+        root = triangular(jnp.concatenate([transition @ state.root, noise], axis=1))
+        gate = state.gate.advanced(h)
+        new = state._replace(q=q, v=v, t=state.t + h, slow=slow, root=root, gate=gate, readings=readings)
+        return new, None if carried is None else transition @ carried
+
+    def moved(self, state: KalmanState, error: Float[Array, "two_n_k"]) -> Moved:
+        """Move the estimate along the geodesic of an error, which transports the velocity.
+
+        Args:
+            state: The state; its covariance stays as it is.
+            error: Error (2n + k,) by which the estimate is moved, in the parallel frame.
+
+        Returns:
+            The moved state, and the reset, which is the derivative of this map.
+        """
+        space, manifold, n = self.model.space, self.model.manifold, state.v.shape[0]
+
+        def corrected(e):
+            end = space.transport_along(state.q, e[:n], state.v + e[n:], self.budget)
+            return jnp.concatenate([manifold.local(jax.lax.stop_gradient(end.q), end.q), end.w]), (end.q, end.w)
+
+        slope, (q, v) = jax.jacfwd(corrected, has_aux=True)(error[: 2 * n])
+        reset = _with_slow(parallel(space, q, v) @ slope, state)
+        return Moved(state._replace(q=q, v=v, slow=state.slow + error[2 * n :]), reset)
+
+    def root(self, state: KalmanState) -> Float[Array, "two_n_k two_n_k"]:
+        return state.root
+
+    def with_root(self, state: KalmanState, root: Float[Array, "two_n_k two_n_k"]) -> KalmanState:
+        return state._replace(root=root)
+
+    def deviations(self, state: KalmanState) -> dict[str, Vector]:
+        slow, slow_std = self._slow_estimates(state)
+        return {"velocity_std": self.velocity_std(state), "slow": slow, "slow_std": slow_std}
+
+    def _velocity_cov(self, q: Array) -> Matrix:
+        """Covariance (n, n) of the initial velocity, in the frame at the configuration q."""
+        return covariance_at(self.initial_velocity_cov, self.model.space, q)
+
+    def _first_root(self, q: Array, velocity_cov: Matrix, slow: SlowVector) -> Float[Array, "two_n_k two_n_k"]:
+        """Root of the covariance after a single measurement, from its noise and the covariance of the velocity."""
+        noise, slope = self._slopes(q, velocity_cov[0], slow)
+        velocity = semidefinite_root(velocity_cov)
+        motion_root = diagonal(semidefinite_root(noise), velocity)
+        if not slow.shape[0]:
+            return motion_root
+        slow_root = self._slow.first_root().astype(motion_root.dtype)
+        root = diagonal(motion_root, slow_root)
+        # The estimate is the measurement minus its offset: an error of the offset enters it with the opposite sign.
+        return root if slope is None else root.at[: len(velocity), 2 * len(velocity) :].set(-slope @ slow_root)
+
+
+def _with_slow(matrix: Array, state: KalmanState) -> Array:
+    """A matrix for (ε, ν), extended to one for (ε, ν, slow) that leaves the slow states unchanged."""
+    return diagonal(matrix, jnp.eye(state.slow.shape[0], dtype=matrix.dtype))
+
+
+def parallel(space: AbstractSpace, q: Array, v: Vector, sign: int = 1) -> Float[Array, "two_n two_n"]:
+    """Matrix `[[I, 0], [B(·, v), I]]` from small differences (s, δv) of motions at (q, v), in the frame, to (ε, ν).
+
+    Args:
+        space: Space with the connection B.
+        q: Configuration: coordinates (n,), or a group element (N, N).
+        v: Velocity (n,) in the frame.
+        sign: Sign of B: 1 by default; −1 gives the inverse.
+
+    Returns:
+        The matrix (2n, 2n).
+    """
+    axes = jnp.eye(v.shape[0], dtype=v.dtype)
+    connections = jax.vmap(lambda a: space.connection(q, a, v), out_axes=1)(axes)
+    return jnp.block([[axes, jnp.zeros_like(axes)], [sign * connections, axes]])
+
+
+def apart(space: AbstractSpace, q: Array, v: Vector) -> Float[Array, "two_n two_n"]:
+    """Inverse (2n, 2n) of `parallel`, from (ε, ν) to small differences (s, δv) in the frame.
+
+    Args:
+        space: Space with the connection B.
+        q: Configuration: coordinates (n,), or a group element (N, N).
+        v: Velocity (n,) in the frame.
+
+    Returns:
+        The matrix `[[I, 0], [−B(·, v), I]]`.
+    """
+    return parallel(space, q, v, -1)
+
+
+def _too_uncertain(manifold: AbstractManifold, cov: Matrix, noise: Matrix) -> Array:
+    """Whether an angle has so large an expected error, beyond what its noise explains, that linearisation fails.
+
+    The filter then starts anew, and its predicted velocity is all that is known of the velocity.
+    """
+    angles = sorted({i for rotation in manifold.rotations or () for i in rotation})
+    variance = jnp.diag(cov)[jnp.array(angles, int)]
+    # The variance includes that of the noise, so the bound grows with it: a noisy sensor alone is no reason to restart.
+    return jnp.any(variance > jnp.maximum(FARTHEST_TURN**2, 9 * jnp.diag(noise)[jnp.array(angles, int)]))

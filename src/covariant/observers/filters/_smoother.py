@@ -1,0 +1,429 @@
+"""The smoother: estimates of a log afterwards, from all of its rows and not only from those before.
+
+A filter runs over the log. Then the error that it made at each row is estimated, from the last row back, by what each
+step did to the error. With the covariance P, the transition Φ, the predicted covariance P⁻, the correction δ and the
+reset 𝒥,
+
+    C = P Φᵀ(P⁻)⁻¹,   d ← C(δ + 𝒥⁻¹d),   Pˢ ← P + C(𝒥⁻¹Pˢ𝒥⁻ᵀ − P⁻)Cᵀ,
+
+from d = 0 and Pˢ = P at the last row. This is an affine map with noise; C is 0 where the filter started anew. The
+estimate moves by d as a correction moves it, and Pˢ with it. All of it is in the frame of the filter: the smoother of a
+filter that does not depend on coordinates does not depend on them either.
+
+With a lag of L rows each row is estimated from the L rows after it, by the same recursion from d = 0 there.
+
+Steps are stored for one block of rows at a time. A first pass stores the state of the filter before each block, and the
+blocks are run through again from there, the last one first; only d and Pˢ go from one to the one before it. With a lag
+the blocks follow one another in time, and there is one pass.
+
+Source: Rauch, Tung & Striebel 1965, Maximum likelihood estimates of linear dynamic systems, AIAA Journal 3(8);
+Särkkä 2008, Unscented Rauch–Tung–Striebel smoother, IEEE TAC 53(3), for transitions by statistical linearisation;
+Kailath, Sayed & Hassibi 2000, Linear Estimation, chapter 10.
+"""
+
+import functools
+from collections.abc import Collection
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Inexact, Int
+
+from covariant._linalg import (
+    lower_solve,
+    semidefinite_root,
+    solve_square,
+    triangular,
+    triangular_with_rank,
+    upper_solve,
+)
+from covariant._typing import Code, Flag, Matrix, Number, Scalar, Vector
+from covariant.observers.base import AbstractObserver, AbstractWrapper, Rows, checked, kept, scan
+from covariant.observers.filters._gated_filter import AbstractGatedFilter
+from covariant.signals import Record, Result, Run
+
+FARTHEST = 1e3
+"""Size of smoothed estimates, relative to those of the filter, from which a covariance was singular up to rounding."""
+BLOCK = 4096
+"""Rows whose steps are held in memory at once; a longer log is run through twice, the second time from its end."""
+
+
+class Smoothed(NamedTuple):
+    """A smoothed log, and the run of the filter beside it.
+
+    Attributes:
+        run: Stamps, smoothed estimates, and the info of the filter with the standard deviations and the slow states of
+            the smoother.
+        filtered: The run of the filter.
+        std: Standard deviations (T, N) of the smoothed estimates, of the error of the filter: positions and velocities
+            in the frame, then slow states; of a `JointKalman` positions, velocities, accelerations; of a state-space
+            model its states.
+        root: Square roots (T, N, N) of the covariances of the same; None where they are not kept.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant import Record, models, observers
+        >>> t = np.linspace(0.0, 1.0, 101)
+        >>> ekf = observers.EKF(models.oscillator(), np.array([[1e-3]]), np.array([[1e-4]]), substeps=1)
+        >>> smoothed = observers.smooth(ekf, Record(t, y=np.cos(t)[:, None], u=np.zeros((101, 1))))
+        >>> smoothed.run, smoothed.root.shape
+        (<Run: 101 rows over 1 s, 101 ok>, (101, 2, 2))
+        >>> bool((smoothed.run.info.velocity_std <= smoothed.filtered.info.velocity_std).all())
+        True
+    """
+
+    run: Run
+    filtered: Run
+    std: Float[Array, "T N"]
+    root: Any
+
+
+class Step(NamedTuple):
+    """What a step of a filter did to its error (N,).
+
+    Attributes:
+        root: Square root S (N, N) of the covariance before the step.
+        carried: ΦS (N, N).
+        predicted: Square root (N, N) of the predicted covariance P⁻.
+        error: Correction δ (N,).
+        reset: Reset 𝒥 (N, N).
+        restarted: Whether nothing from after the step says anything of the error before it.
+    """
+
+    root: Matrix
+    carried: Matrix
+    predicted: Matrix
+    error: Vector
+    reset: Matrix
+    restarted: Flag
+
+
+class StepInfo(NamedTuple):
+    """Info of a step of a `Recorder`: that of the filter, and what the step did to the error."""
+
+    info: Any
+    step: Step
+    result: Code
+
+
+class Backward(NamedTuple):
+    """The error before a step, given the error d after it: `shift + gain d`, and Gaussian noise.
+
+    Attributes:
+        shift: Cδ (N,).
+        gain: C𝒥⁻¹ (N, N).
+        noise: Square root (N, N) of the covariance `P − CP⁻Cᵀ` of the noise.
+    """
+
+    shift: Vector
+    gain: Matrix
+    noise: Matrix
+
+
+class Smoothing(NamedTuple):
+    """The error of a filter's estimate, given later rows: its mean d (N,), and a root (N, N) of its covariance."""
+
+    error: Vector
+    root: Matrix
+
+
+class Recorder(AbstractWrapper):
+    """A filter whose estimates are its states, and whose infos say what each step did to the error."""
+
+    observer: AbstractGatedFilter
+
+    def init(self, y: Inexact[Array, "*n"], t: Number = 0.0) -> Any:
+        return self.observer.init(y, t)
+
+    def predict(self, state: Any, u: Float[Array, "m"], dt: Scalar) -> Any:
+        return self.observer.predict(state, u, dt)
+
+    def correct(self, state: Any, u: Float[Array, "m"], y: Inexact[Array, "*n"]) -> tuple[Any, Any]:
+        return self.observer.correct(state, u, y)
+
+    def advance(self, state: Any, u: Float[Array, "m"], y: Inexact[Array, "*n"], dt: Scalar) -> tuple[Any, StepInfo]:
+        """Prediction and correction of the filter, with what they did to the error."""
+        predicted, carried = self.observer.carried(state, u, dt)
+        new, info, step = recorded(self.observer, self.observer.root(state), carried, predicted, u, y)
+        # A step of no length is the first row, or one that lengthens the last block: it is no step.
+        return new, StepInfo(info, step._replace(restarted=step.restarted | (dt == 0)), info.result)
+
+    def estimate(self, state: Any) -> Any:
+        return state
+
+
+def recorded(
+    observer: AbstractGatedFilter,
+    root: Matrix,
+    carried: Matrix,
+    predicted: Any,
+    u: Float[Array, "m"],
+    y: Inexact[Array, "*n"],
+) -> tuple[Any, Any, Step]:
+    """Correct a predicted state, and record what prediction and correction did to the error.
+
+    Args:
+        observer: The filter.
+        root: Square root S (N, N) of the covariance before the prediction.
+        carried: ΦS (N, N), of the prediction.
+        predicted: The predicted state.
+        u: Input (m,) that acted over the prediction.
+        y: Measurement, NaN where missing.
+
+    Returns:
+        The corrected state, its info, and the step.
+    """
+    new, info, used, restarted = observer.corrected(predicted, u, y)
+    # An estimate that left the finite numbers says nothing of those before.
+    restarted = restarted | (info.result == int(Result.NOT_FINITE))
+    step = Step(root, carried, triangular_with_rank(observer.root(predicted)), used.error, used.reset, restarted)
+    return new, info, step
+
+
+def smooth(
+    observer: AbstractObserver, record: Record, lag: int | None = None, keep: Collection[str] | None = None
+) -> Smoothed:
+    """Run a filter over a record, and estimate its states again from the rows after each.
+
+    Missing measurements, gaps, slow states, encoder ticks and refused outliers need nothing more. Where the filter
+    starts anew, the rows before are estimated without those after.
+
+    Args:
+        observer: A filter with a covariance and a gate: `IntrinsicKalman`, `EKF`, `UKF`, `JointKalman` or `StateEKF`.
+        record: A log, whose input in a row acts from its stamp to the next.
+        lag: Number of rows after each row from which it is estimated; all (default) where it is None, and the filter
+            itself where it is 0.
+        keep: Names of the fields of the infos to store, as for `run`, and `"root"` for the square roots of all
+            covariances, which take the most memory; all where it is None.
+
+    Returns:
+        The smoothed run, the run of the filter, and the covariances. Besides these, memory is taken for the steps of
+        `BLOCK` rows and of the lag.
+
+    Raises:
+        ValueError: From `Record.check`; an observer of another kind, a negative lag, or a covariance that is singular
+            but for rounding where that shows in the estimates.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant import Record, models, observers
+        >>> t = np.linspace(0.0, 4.0, 401)
+        >>> y = np.cos(t) + 0.01 * np.random.default_rng(0).normal(size=401)
+        >>> ekf = observers.EKF(models.oscillator(), np.array([[1e-4]]), np.array([[1e-4]]), substeps=1)
+        >>> smoothed = observers.smooth(ekf, Record(t, np.zeros((401, 1)), y[:, None]))
+        >>> errors = [np.abs(run.estimate[:, 1] + np.sin(t)).mean() for run in (smoothed.run, smoothed.filtered)]
+        >>> bool(errors[0] < 0.5 * errors[1])
+        True
+    """
+    if not isinstance(observer, AbstractGatedFilter):
+        raise ValueError(
+            f"smooth: {type(observer).__name__} has no covariance of its own to smooth by; take an IntrinsicKalman, "
+            "EKF, UKF, JointKalman or StateEKF"
+        )
+    if lag is not None and lag < 0:
+        raise ValueError(f"smooth: lag must be a number of rows, 0 or more; got {lag}")
+    t, u, y, _ = checked(observer, record)
+    result = smoothed(observer, jnp.asarray(t), jnp.asarray(u), jnp.asarray(y), lag, keep)
+    largest, beside = (
+        max(float(np.abs(leaf).max()) for leaf in jax.tree.leaves(run.estimate))
+        for run in (result.run, result.filtered)
+    )
+    if largest > FARTHEST * beside:
+        raise ValueError(
+            "smooth: some of the motion has no uncertainty but for rounding, which spoils the rest; give each "
+            "coordinate some uncertainty at the start, or process noise"
+        )
+    return result
+
+
+def smoothed(
+    observer: AbstractGatedFilter,
+    t: Float[Array, "T"],
+    u: Float[Array, "T m"],
+    y: Inexact[Array, "T *n"],
+    lag: int | None = None,
+    keep: Collection[str] | None = None,
+) -> Smoothed:
+    """Smooth arrays that need no check, such as those of many runs at once under `jax.vmap`; see `smooth`.
+
+    Args:
+        observer: The filter.
+        t: Stamps (T,) [s], which rise.
+        u: Inputs (T, m).
+        y: Measurements (T, *n).
+        lag: Number of rows after each row from which it is estimated; None for all.
+        keep: Names of what is stored, as for `smooth`; None for all.
+
+    Returns:
+        What `smooth` returns.
+    """
+    count = len(t)
+    lag = None if lag is None or lag >= count - 1 else int(lag)
+    ahead = 1 if lag is None else lag + 1
+    blocks = -(-count // BLOCK)
+    size = -(-count // blocks)
+    # The rows added at the end are no steps: nothing of this reaches a row of the log.
+    rows, state, later = _begun(observer, t, u, y, blocks * size + ahead - count)
+    fields = None if keep is None else frozenset(keep)
+
+    def block(k, state, later):
+        return _block(observer, state, _part(rows, k * size, size + ahead), later, lag, fields)
+
+    parts: list[Any] = [None] * blocks
+    if lag is None:
+        states = [state]
+        for k in range(blocks - 1):
+            states.append(_last(observer, states[-1], _part(rows, k * size, size)))
+        for k in reversed(range(blocks)):
+            parts[k], later, _ = block(k, states[k], later)
+    else:
+        for k in range(blocks):
+            parts[k], _, state = block(k, state, later)
+    estimate, info, std, root, filtered, filter_info = _joined(parts, count)
+    return Smoothed(Run(t, estimate, info), Run(t, filtered, filter_info), std, root)
+
+
+def _joined(parts: list[Any], count: int) -> Any:
+    """The first `count` rows of all blocks; `parts` is emptied, so that hardly anything is in memory twice."""
+    tree = jax.tree.structure(parts[0])
+    pieces = [list(each) for each in zip(*map(jax.tree.leaves, parts), strict=True)]
+    parts.clear()
+    joined = []
+    for each in pieces:
+        joined.append((each[0] if len(each) == 1 else jnp.concatenate(each))[:count])
+        each.clear()
+    return jax.tree.unflatten(tree, joined)
+
+
+@eqx.filter_jit  # one program in place of some twenty small ones
+def _begun(observer: AbstractGatedFilter, t: Array, u: Array, y: Array, more: int) -> tuple[Rows, Any, Smoothing]:
+    """The rows of a record and `more`, the state at the first, and as much knowledge of the error after the last."""
+    state = observer.init(y[0], t[0])
+    root = observer.root(state)
+    return _lengthened(Rows.of(t, u, y), more), state, Smoothing(jnp.zeros_like(root[0]), jnp.zeros_like(root))
+
+
+def _lengthened(rows: Rows, more: int) -> Rows:
+    """Rows with as many `more` at the end that are no steps."""
+    return Rows(
+        *(
+            jnp.concatenate([a, jnp.broadcast_to(a[-1:] * scale, (more, *a.shape[1:]))])
+            for a, scale in zip(rows, (1, 1, 0), strict=True)
+        )
+    )
+
+
+@functools.partial(jax.jit, static_argnames="count")
+def _part(rows: Rows, first: int | Int[Array, ""], count: int) -> Rows:
+    # A slice at a place that is an argument is compiled once for all blocks.
+    return Rows(*(jax.lax.dynamic_slice_in_dim(a, first, count) for a in rows))
+
+
+@eqx.filter_jit
+def _last(observer: AbstractObserver, state: Any, rows: Rows) -> Any:
+    return jax.lax.scan(lambda state, row: (observer.step(state, *row)[0], None), state, rows)[0]
+
+
+@eqx.filter_jit
+def _block(
+    observer: AbstractGatedFilter,
+    state: Any,
+    rows: Rows,
+    later: Smoothing,
+    lag: int | None,
+    keep: frozenset[str] | None,
+) -> tuple[tuple, Smoothing, Any]:
+    """Smoothed rows of a block, what is known of the error at its first row, and the state at its last row.
+
+    The rows are those of the block and, of the rows after it, those that it depends on directly. What is known of the
+    first row of the next block is `later`, which a lag does not need.
+    """
+    states, recorded = scan(Recorder(observer), state, rows)[1]
+    steps = recorded.step
+    size = len(rows.dt) - (1 if lag is None else lag + 1)
+    following = jax.tree.map(lambda a: a[1:], steps)
+    maps = jax.vmap(backward_map)(following)
+
+    def earlier(now, step):
+        before = error_before(now, step)
+        return before, before
+
+    if lag is None:
+        first, smoothed = jax.lax.scan(earlier, later, maps, reverse=True)
+    else:
+        first, smoothed = later, _lagged(following.root, maps, size, lag)
+    states = jax.tree.map(lambda a: a[:size], states)
+
+    def moved(state, smoothing):
+        new, root = smoothed_state(observer, state, smoothing)
+        return observer.estimate(new), observer.deviations(new), jnp.sqrt(jnp.sum(root**2, axis=-1)), root
+
+    estimate, deviations, std, root = jax.vmap(moved)(states, smoothed)
+    info = jax.tree.map(lambda a: a[:size], recorded.info)._replace(result=recorded.result[:size])
+    info = info._replace(**jax.vmap(observer.deviations)(states))  # of the first row, which is no step
+    new_info = info._replace(**deviations)
+    root = root if keep is None or "root" in keep else None
+    part = estimate, kept(new_info, keep), std, root, jax.vmap(observer.estimate)(states), kept(info, keep)
+    return part, first, jax.tree.map(lambda a: a[-1], states)
+
+
+def _lagged(roots: Float[Array, "M N N"], maps: Backward, size: int, lag: int) -> Smoothing:
+    """What is known of the errors of the first `size` rows, from `lag` rows after each.
+
+    Map k leads from row k + 1 to row k, and root k is that of row k.
+    """
+
+    def part(tree, first):
+        return jax.tree.map(lambda a: jax.lax.dynamic_slice_in_dim(a, first, size), tree)
+
+    def earlier(i, smoothing):
+        return jax.vmap(error_before)(smoothing, part(maps, lag - 1 - i))
+
+    start = part(roots, lag)
+    return jax.lax.fori_loop(0, lag, earlier, Smoothing(jnp.zeros(start.shape[:2], start.dtype), start))
+
+
+def smoothed_state(observer: AbstractGatedFilter, state: Any, smoothing: Smoothing) -> tuple[Any, Matrix]:
+    """The state of a filter moved to the smoothed estimate, as a correction moves it.
+
+    Args:
+        observer: The filter.
+        state: State of the row, of the filter.
+        smoothing: What is known of its error.
+
+    Returns:
+        The moved state with its covariance, and a square root (N, N) of that.
+    """
+    new, reset = observer.moved(state, smoothing.error)
+    root = reset @ smoothing.root
+    return observer.with_root(new, root), root
+
+
+def backward_map(step: Step) -> Backward:
+    """What a step says of the error before it, given the error after it.
+
+    Args:
+        step: What the step did to the error.
+    """
+    n = len(step.error)
+    # With P⁻ = L Lᵀ and M = L⁻¹ΦS: C = S Mᵀ L⁻¹, and P − CP⁻Cᵀ = S(I − MᵀM)Sᵀ, which no difference of covariances is.
+    ratio = lower_solve(step.predicted, step.carried)
+    gain = step.root @ upper_solve(step.predicted, ratio).T
+    noise = step.root @ semidefinite_root(jnp.eye(n, dtype=ratio.dtype) - ratio.T @ ratio)
+    # Columns of 𝒥ᵀ x = Cᵀ are the rows of C𝒥⁻¹.
+    through = Backward(gain @ step.error, solve_square(step.reset.T, gain.T).T, noise)
+    nothing = Backward(jnp.zeros_like(step.error), jnp.zeros_like(gain), step.root)
+    return jax.tree.map(lambda a, b: jnp.where(step.restarted, a, b), nothing, through)
+
+
+def error_before(after: Smoothing, step: Backward) -> Smoothing:
+    """What is known of the error before a step.
+
+    Args:
+        after: What is known of the error after it.
+        step: What the step says of the one, given the other.
+    """
+    root = triangular(jnp.concatenate([step.noise, step.gain @ after.root], axis=1))
+    return Smoothing(step.shift + step.gain @ after.error, root)

@@ -1,0 +1,113 @@
+"""Observers of state-space models from the noise of the model."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from covariant._typing import Matrix, Vector
+from covariant.metrics import Equation, RiccatiMetric, metric_at
+from covariant.models import StateSpace
+from covariant.observers.filters._riccati import InformationEKF, Riccati
+from covariant.observers.filters._state_ekf import StateEKF
+from covariant.signals import Result
+
+SETTLED = 0.1
+"""Largest affine-invariant distance to the metric of an infinite past at which a past counts as long enough."""
+POINTS = 8
+"""Number of states around the first estimate for which the necessary length of the past is computed."""
+FEWEST_STEPS, MOST_STEPS = 16, 256
+"""Bounds on the number of Runge–Kutta steps along the past in every sample."""
+
+
+class Noise(NamedTuple):
+    """Noise and initial uncertainty of a state-space model.
+
+    Attributes:
+        process_cov: Spectral density (n, n) of the white noise in f [(unit of x)²/s].
+        measurement_cov: Covariance (p, p) of one sample of the outputs [(unit of y)²].
+        start: First estimate (n,).
+        start_cov: Covariance (n, n) of the first estimate [(unit of x)²].
+        rate: Sampling rate [Hz].
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant import observers
+        >>> noise = observers.Noise(np.eye(2), np.array([[0.5]]), np.zeros(2), np.eye(2), rate=100.0)
+        >>> noise.equation.measurement_cov.tolist()  # a spectral density
+        [[0.005]]
+    """
+
+    process_cov: Matrix
+    measurement_cov: Float[Array, "p p"]
+    start: Vector
+    start_cov: Matrix
+    rate: float
+
+    @property
+    def equation(self) -> Equation:
+        """Equation of information and metric, in which samples are white noise of density `measurement_cov / rate`."""
+        return Equation(process_cov=self.process_cov, measurement_cov=self.measurement_cov / self.rate)
+
+
+def covariance_ekf(model: StateSpace, noise: Noise) -> StateEKF:
+    """Extended Kalman filter in covariance form.
+
+    Args:
+        model: State-space model.
+        noise: Noise and initial uncertainty.
+
+    Returns:
+        The filter.
+    """
+    return StateEKF(model, noise.process_cov, noise.measurement_cov, noise.start, noise.start_cov)
+
+
+def information_ekf(model: StateSpace, noise: Noise) -> InformationEKF:
+    """Extended Kalman filter in information form, with measurements as in continuous time.
+
+    Args:
+        model: State-space model.
+        noise: Noise and initial uncertainty; `start_cov` must be regular.
+
+    Returns:
+        The filter.
+    """
+    return InformationEKF(model, noise.equation, noise.start, jnp.linalg.inv(noise.start_cov))
+
+
+def riccati(model: StateSpace, noise: Noise) -> Riccati:
+    """Observer with a contraction metric that is computed along the past of the estimate.
+
+    The past is as long as states around the first estimate need.
+
+    Args:
+        model: State-space model.
+        noise: Noise and initial uncertainty; `start_cov` must be regular.
+
+    Returns:
+        The observer.
+
+    Raises:
+        ValueError: The past outputs determine none of these states.
+    """
+    equation, first = noise.equation, jnp.linalg.inv(noise.start_cov)
+    spread = np.sqrt(np.diag(np.asarray(noise.start_cov)))
+    # A fixed seed: the same model and noise give the same observer.
+    off = np.random.default_rng(0).uniform(-0.5, 0.5, (POINTS, len(spread)))
+    points = jnp.asarray(np.asarray(noise.start) + off * spread)
+    solve = jax.jit(jax.vmap(lambda x: metric_at(model, equation, x, start=first, tolerance=SETTLED)))
+    found = solve(points)
+    settled = np.asarray(found.result) == int(Result.OK)
+    if not settled.any():
+        worst = Result(int(np.min(np.asarray(found.result)))).message
+        raise ValueError(f"riccati has no metric near the first estimate ({worst}); take a filter that needs none")
+    length = float(np.max(np.asarray(found.horizon)[settled]))
+    zero, u = jnp.zeros(()), jnp.zeros(model.inputs)
+    fastest = np.abs(np.linalg.eigvals(np.asarray(jax.vmap(lambda x: model.jacobians(zero, x, u)[0])(points)))).max()
+    # A step h with h·|λ| ≤ 1/2 for the fastest eigenvalue λ of ∂f/∂x.
+    steps = int(np.clip(np.ceil(2 * length * fastest), FEWEST_STEPS, MOST_STEPS))
+    metric = RiccatiMetric(model, equation, length, steps, first)
+    return Riccati(model, metric, noise.start, 0.5, equation.measurement_cov)

@@ -1,0 +1,210 @@
+"""Unscented Kalman filter: sigma points go through the model, and nothing is differentiated.
+
+The error is that of the EKF, `(local(q̂, q), v − v̂)` in the frame of the space, so that on a group the points are drawn
+around the estimate by its retraction. The mean on a group is taken to first order: in the frame at the propagated
+centre, and the deviations are read from it. Its square root is carried, and all weights of the covariance are positive,
+so that it never becomes indefinite.
+
+A measured configuration is linear in that error, `local(q̂, y)`, and the unscented transform is exact for a linear map:
+the correction is that of the Kalman filter, and takes no points.
+
+Source: Julier & Uhlmann 2004, Unscented filtering and nonlinear estimation, Proc. IEEE 92(3), for the scaled set;
+Brossard, Barrau & Bonnabel 2020, A code for unscented Kalman filtering on manifolds, ICRA; van der Merwe & Wan 2001,
+The square-root unscented Kalman filter, ICASSP; Bar-Shalom, Li & Kirubarajan 2001, section 5.4, for the gate.
+"""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Inexact
+
+from covariant._linalg import semidefinite_root, triangular
+from covariant._typing import Code, Matrix, Number, Scalar, Vector
+from covariant.models import MechanicalSystem, Motion
+from covariant.observers.base import (
+    Covariance,
+    Gate,
+    GateMemory,
+    LastInput,
+    Velocity,
+    as_gain,
+    at_rest,
+    check_covariance,
+    check_finite,
+    covariance_at,
+    diagonal,
+    isotropic,
+    predict,
+    updated,
+    white_acceleration,
+    with_block,
+)
+from covariant.observers.filters._ekf import EKFInfo, ekf_info, moved
+from covariant.observers.filters._gated_filter import AbstractMechanicalFilter, Expectation, Moved, Used
+
+
+class UKFState(NamedTuple):
+    """State of a `UKF`: the estimate, a square root of its covariance, and the memory of the gate.
+
+    Attributes:
+        q: Estimated configuration q̂: coordinates (n,), or a group element (N, N).
+        v: Estimated velocity v̂ (n,) in the frame of the space.
+        t: Time [s] of the estimate.
+        root: Square root S (2n, 2n) of the covariance `S Sᵀ` of the error `(local(q̂, q), v − v̂)`.
+        gate: Memory of the gate.
+        last_input: Last finite input (m,), which replaces an input that is not finite; None where none is stored.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant import models, observers
+        >>> ukf = observers.UKF(models.oscillator(), 1.0, 1e-4, initial_velocity_std=2.0)
+        >>> ukf.init(np.array([0.1])).root.round(6).tolist()
+        [[0.01, 0.0], [0.0, 2.0]]
+    """
+
+    q: Inexact[Array, "..."]
+    v: Vector
+    t: Scalar
+    root: Float[Array, "two_n two_n"]
+    gate: GateMemory
+    last_input: LastInput = None
+
+
+class UKF(AbstractMechanicalFilter):
+    """Unscented Kalman filter with 4n + 1 sigma points, in square-root form.
+
+    Each covariance is a matrix (n, n) in the frame, the same everywhere; a function of the configuration; or a number,
+    a variance in metric units, the same in every direction.
+
+    Attributes:
+        model: Mechanical system, in coordinates or on a Lie group.
+        process_cov: Spectral density of the white acceleration noise [(rad/s²)² s, or (m/s²)² s].
+        measurement_cov: Covariance of `local(q, y)` of one sample [rad² or m²].
+        initial_velocity_std: Standard deviation of the initial velocity, whose mean is zero [rad/s or m/s];
+            1 by default.
+        substeps: Runge–Kutta steps in each sample; None (default) takes as many as dt and the friction need (offline).
+        spread: Distance of the sigma points from the mean, in units of √(2n) standard deviations: α of the scaled set,
+            whose other parameters are κ = 0 and β = 2. Points closer to the mean let terms beyond the quadratic ones
+            affect the covariance less; between .52 and 1.93 no weight of the covariance is negative. .6 by default.
+        gate: Which measurements are refused as outliers; None refuses none. See `Gate`.
+
+    Raises:
+        ValueError: A number or matrix is no covariance, the measurement has no noise, or the spread is out of bounds.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant import Record, models, observers
+        >>> ukf = observers.UKF(models.oscillator(), process_cov=1e-3, measurement_cov=1e-4, substeps=1)
+        >>> record = Record(np.array([0.0, 0.1]), np.zeros((2, 1)), np.array([[1.0], [np.cos(0.1)]]))
+        >>> run = observers.run(ukf, record)
+        >>> run.estimate[1].round(3).tolist()
+        [0.995, -0.1]
+    """
+
+    model: MechanicalSystem
+    process_cov: Covariance = eqx.field(converter=as_gain)
+    measurement_cov: Covariance = eqx.field(converter=as_gain)
+    initial_velocity_std: Scalar = eqx.field(default=1.0, converter=as_gain)
+    substeps: int | None = eqx.field(default=None, static=True)
+    spread: float = eqx.field(default=0.6, static=True)
+    gate: Gate | None = Gate()
+
+    def __check_init__(self):
+        check_covariance("UKF", "process_cov", self.process_cov)
+        check_covariance("UKF", "measurement_cov", self.measurement_cov, positive=True)
+        check_finite("UKF", initial_velocity_std=self.initial_velocity_std)
+        # The weight 4 − α⁻² − α² of the central point is positive for α² between 2 − √3 and 2 + √3.
+        if not 0.52 <= self.spread <= 1.93:
+            raise ValueError(f"UKF: spread must be between .52 and 1.93; got {self.spread}")
+
+    def init(self, y: Array, t: Number = 0.0) -> UKFState:
+        q, v, t, last_input, _ = at_rest(self.model, y, t)
+        return UKFState(
+            q, v, t, self._first_root(q, isotropic(self.initial_velocity_std, v)), GateMemory.at_start(v), last_input
+        )
+
+    def cov(self, state: UKFState) -> Float[Array, "two_n two_n"]:
+        """Covariance (2n, 2n) of the error `(local(q̂, q), v − v̂)` in a state, from its square root."""
+        return state.root @ state.root.T
+
+    def _predicted(
+        self, state: UKFState, u: Float[Array, "m"], dt: Scalar, carry: bool
+    ) -> tuple[UKFState, Matrix | None]:
+        manifold, n = self.model.manifold, state.v.shape[0]
+        squared_radius = 2 * n * self.spread**2  # L + λ = α²(L + κ) of the scaled set, L = 2n
+
+        def propagated(error):
+            start = manifold.retract(state.q, error[:n])
+            return predict(self.model, state.t, start, state.v + error[n:], u, dt, self.substeps)
+
+        points = squared_radius**0.5 * state.root.T
+        ends = jax.vmap(propagated)(jnp.concatenate([jnp.zeros_like(points[:1]), points, -points]))
+
+        def errors_from(q, v):
+            return jax.vmap(lambda p, w: jnp.concatenate([manifold.local(q, p), w - v]))(*ends)
+
+        first = Motion(ends.q[0], ends.v[0])
+        # The central point is the origin of these deviations, so that its weight does not matter here.
+        mean = jnp.sum(errors_from(*first), axis=0) / (2 * squared_radius)
+        q, v = manifold.retract(first.q, mean[:n]), first.v + mean[n:]
+        deviations = errors_from(q, v)
+        centre = 4 - self.spread**-2 - self.spread**2  # λ/(L + λ) + 1 − α² + β
+        columns = jnp.concatenate([centre**0.5 * deviations[:1], deviations[1:] / (2 * squared_radius) ** 0.5]).T
+        noise = white_acceleration(covariance_at(self.process_cov, self.model.space, q), dt)
+        # The triangular factor of both roots side by side is the root of the sum of their covariances.
+        root = triangular(jnp.concatenate([columns, noise.astype(columns.dtype)], axis=1))
+        new = state._replace(q=q, v=v, t=state.t + dt, root=root, gate=state.gate.advanced(dt))
+        # The covariance of the points before and after is S times the transpose of this, as with a transition Φ: half
+        # the difference of opposite points, in units of their distance, is the statistical linearisation of ΦS.
+        plus, minus = jnp.split(deviations[1:], 2)
+        return new, (plus - minus).T / (2 * squared_radius**0.5) if carry else None
+
+    def _expected(self, state: UKFState, u: Float[Array, "m"], y: Array) -> Expectation:
+        manifold, n = self.model.manifold, state.v.shape[0]
+        noise = covariance_at(self.measurement_cov, self.model.space, state.q)
+        cov = state.root[:n] @ state.root[:n].T + noise
+        return Expectation(y, manifold.towards(state.q, y), cov, noise, ~manifold.missing(y))
+
+    def _velocity(self, state: UKFState) -> Velocity:
+        root = state.root[state.v.shape[0] :]
+        return Velocity(state.v, root @ root.T)
+
+    def _usual_velocity(self, state: UKFState) -> Matrix:
+        return isotropic(self.initial_velocity_std, state.v)
+
+    def _used(self, state: UKFState, y: Array, expected: Expectation, used: Bool[Array, "n"]) -> Used:
+        n = state.v.shape[0]
+        gain, root = updated(state.root, state.root[:n], expected.noise, used)
+        error = gain @ expected.innovation
+        new, reset = self.moved(state, error)
+        return Used(new._replace(root=root), error, reset)
+
+    def moved(self, state: UKFState, error: Float[Array, "two_n"]) -> Moved:
+        return moved(self.model, state, error)
+
+    def root(self, state: UKFState) -> Float[Array, "two_n two_n"]:
+        return state.root
+
+    def with_root(self, state: UKFState, root: Float[Array, "two_n two_n"]) -> UKFState:
+        return state._replace(root=root)
+
+    def deviations(self, state: UKFState) -> dict[str, Vector]:
+        return {"velocity_std": jnp.sqrt(jnp.sum(state.root[state.v.shape[0] :] ** 2, axis=1))}
+
+    def _started_anew(
+        self, state: UKFState, corrected: UKFState, y: Array, expected: Expectation, velocity: Velocity
+    ) -> UKFState:
+        q, n = self._start(state, expected), state.v.shape[0]
+        root = self._first_root(q, velocity.cov)
+        predicted, measured = (a[:n] @ a[:n].T for a in (state.root, root))
+        position = semidefinite_root(with_block(predicted, measured, expected.present))
+        return corrected._replace(q=q, v=velocity.mean, root=root.at[:n, :n].set(position))
+
+    def _info(self, state: UKFState, new: UKFState, expected: Expectation, result: Code) -> EKFInfo:
+        return ekf_info(self.model, state.q, expected, self.deviations(new), result)
+
+    def _first_root(self, q: Array, velocity_cov: Matrix) -> Float[Array, "two_n two_n"]:
+        position = semidefinite_root(covariance_at(self.measurement_cov, self.model.space, q))
+        return diagonal(position.astype(velocity_cov.dtype), semidefinite_root(velocity_cov))

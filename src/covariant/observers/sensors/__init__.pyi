@@ -1,0 +1,33 @@
+from ._momentum import (
+    AbstractForceObserver as AbstractForceObserver,
+    ForceState as ForceState,
+    InverseDynamics as InverseDynamics,
+    MomentumObserver as MomentumObserver,
+    observed_forces as observed_forces,
+)
+from ._sensor_kinds import (
+    accelerometer as accelerometer,
+    encoder as encoder,
+    gyro as gyro,
+    point_sensor as point_sensor,
+    pose_sensor as pose_sensor,
+    tachometer as tachometer,
+)
+from ._sensors import (
+    Instant as Instant,
+    Readings as Readings,
+    Sensed as Sensed,
+    Sensor as Sensor,
+    SensorInfo as SensorInfo,
+    Sensors as Sensors,
+)
+from ._slow import (
+    Slow as Slow,
+    SlowStates as SlowStates,
+    SlowVector as SlowVector,
+    as_groups as as_groups,
+    external_force as external_force,
+    sensor_bias as sensor_bias,
+    uncertain_parameters as uncertain_parameters,
+)
+from ._wrench import wrench as wrench

@@ -1,0 +1,227 @@
+"""Rivals of a filter for external forces: the momentum observer, and inverse dynamics.
+
+Both take a velocity as if it were measured, usually a filtered derivative of the positions, and a model as if it were
+exact. What the model does not explain of the motion is the force. A momentum observer needs no acceleration: with
+`p = M v` the momentum changes by the forces of the model, by `Cᵀv`, which is `½∂<v, v>` in coordinates, and by the
+external force.
+
+Source: De Luca & Mattone 2003, Actuator failure detection and isolation using generalized momenta, ICRA; Haddadin,
+De Luca & Albu-Schäffer 2017, Robot collisions: a survey, IEEE Transactions on Robotics 33(6), equation (27).
+"""
+
+import abc
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from covariant._functional import Functional
+from covariant._typing import Number, Scalar, Vector
+from covariant.geometry import derivative
+from covariant.models import MechanicalSystem, applied_force, resistance
+from covariant.observers.base import as_gain, check_positive
+
+
+class ForceState(NamedTuple):
+    """State of an observer of external forces.
+
+    Attributes:
+        t: Time [s] of the last sample.
+        q: Its configuration.
+        v: Its velocity (n,), in the frame.
+        force: Estimated external force (n,), a covector in the frame [N or N m].
+        acceleration: Filtered derivative (n,) of the velocity; zero where none is used.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant import models, observers
+        >>> observers.MomentumObserver(models.oscillator(), gain=25.0).init(jnp.zeros(1), jnp.zeros(1)).force.tolist()
+        [0.0]
+    """
+
+    t: Scalar
+    q: Array
+    v: Vector
+    force: Vector
+    acceleration: Vector
+
+
+class AbstractForceObserver(Functional):
+    """Estimates an external force from configurations and velocities, sample by sample.
+
+    Attributes:
+        model: Mechanical system, in coordinates or on a group.
+
+    Example:
+        >>> from covariant import observers
+        >>> issubclass(observers.InverseDynamics, observers.AbstractForceObserver)
+        True
+    """
+
+    model: eqx.AbstractVar[MechanicalSystem]
+
+    def init(self, q: Array, v: Vector, t: Number = 0.0) -> ForceState:
+        """State at the first sample, where no force is known yet.
+
+        Args:
+            q: Configuration.
+            v: Velocity (n,), in the frame.
+            t: Its time [s].
+
+        Returns:
+            The state, its force zero.
+        """
+        return ForceState(jnp.asarray(t, v.dtype), q, v, jnp.zeros_like(v), jnp.zeros_like(v))
+
+    @abc.abstractmethod
+    def step(self, state: ForceState, u: Float[Array, "m"], q: Array, v: Vector, dt: Scalar) -> ForceState:
+        """State at the next sample.
+
+        Args:
+            state: State at the sample before.
+            u: Input (m,) that acted in between.
+            q: Configuration at the next sample.
+            v: Velocity (n,) there, in the frame.
+            dt: Time [s] between them; after none the force stays.
+
+        Returns:
+            The state, with the force that is estimated there.
+        """
+
+
+class MomentumObserver(AbstractForceObserver):
+    """The residual of the generalised momentum, `r = K (p − p₀ − ∫(F + Cᵀv + r) dt)`: the external force, late by 1/K.
+
+    The exact solution of `r' = K (f − r)` over each sample, with f the change of momentum per time that the forces F of
+    the model do not explain, by the trapezoidal rule. So it is stable for every gain and interval.
+
+    Attributes:
+        model: Mechanical system.
+        gain: Gain K [1/s], the inverse of its time constant.
+
+    Raises:
+        ValueError: The gain is not positive and finite.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant import models, observers
+        >>> t = np.linspace(0.0, 1.0, 101)  # a unit mass on a unit spring, pushed by 2 N so that x = 2 (1 − cos t)
+        >>> q, v = 2 * (1 - np.cos(t))[:, None], 2 * np.sin(t)[:, None]
+        >>> momentum = observers.MomentumObserver(models.oscillator(), gain=10.0)
+        >>> force = observers.observed_forces(momentum, t, np.zeros((101, 1)), q, v)
+        >>> force[[0, 10, 100], 0].round(3).tolist()  # 2 (1 − exp(−10 t))
+        [0.0, 1.264, 2.0]
+    """
+
+    model: MechanicalSystem
+    gain: Scalar = eqx.field(converter=as_gain)
+
+    def __check_init__(self):
+        check_positive("MomentumObserver", gain=self.gain)
+
+    def step(self, state: ForceState, u: Float[Array, "m"], q: Array, v: Vector, dt: Scalar) -> ForceState:
+        space, end = self.model.space, state.t + dt
+        change = space.lower(q, v) - space.lower(state.q, state.v)
+        known = (self._rate(state.t, state.q, state.v, u) + self._rate(end, q, v, u)) / 2
+        # The divisor 1 only avoids 0/0: without time the factor before it is zero.
+        unexplained = change / jnp.where(dt > 0, dt, 1.0) - known
+        force = state.force - jnp.expm1(-self.gain * dt) * (unexplained - state.force)
+        return state._replace(t=end, q=q, v=v, force=force)
+
+    def _rate(self, t: Scalar, q: Array, v: Vector, u: Float[Array, "m"]) -> Vector:
+        """Rate (n,) of the momentum in the frame by all that the model knows."""
+        space = self.model.space
+        force = applied_force(self.model, t, q, u) + resistance(self.model, t, q, v, u)
+        # (∂_v M) v − M B(v, v) is Cᵀv in coordinates, and on a group also ad*_v M v, by which the frame turns.
+        turned = derivative(space.manifold, lambda x: space.lower(x, v), q, v)
+        return force + turned - space.connection_force(q, v, v)
+
+
+class InverseDynamics(AbstractForceObserver):
+    """What moves the model as it was seen to move, less what the model knows: `M (a + B(v, v)) − F`.
+
+    The acceleration a is the derivative of the velocity through a first-order low-pass filter; where the velocity is a
+    filtered derivative, the positions are differentiated and filtered twice.
+
+    Attributes:
+        model: Mechanical system.
+        bandwidth: Bandwidth ω of the filter of the acceleration [rad/s].
+
+    Raises:
+        ValueError: The bandwidth is not positive and finite.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant import models, observers
+        >>> t = np.linspace(0.0, 1.0, 101)  # a unit mass on a unit spring, pushed by 2 N so that x = 2 (1 − cos t)
+        >>> q, v = 2 * (1 - np.cos(t))[:, None], 2 * np.sin(t)[:, None]
+        >>> inverse = observers.InverseDynamics(models.oscillator(), bandwidth=50.0)
+        >>> observers.observed_forces(inverse, t, np.zeros((101, 1)), q, v)[100, 0].round(1).item()
+        2.0
+    """
+
+    model: MechanicalSystem
+    bandwidth: Scalar = eqx.field(converter=as_gain)
+
+    def __check_init__(self):
+        check_positive("InverseDynamics", bandwidth=self.bandwidth)
+
+    def step(self, state: ForceState, u: Float[Array, "m"], q: Array, v: Vector, dt: Scalar) -> ForceState:
+        space, end = self.model.space, state.t + dt
+        slope = (v - state.v) / jnp.where(dt > 0, dt, 1.0)
+        acceleration = state.acceleration - jnp.expm1(-self.bandwidth * dt) * (slope - state.acceleration)
+        needed = space.lower(q, acceleration) + space.connection_force(q, v, v)
+        force = needed - applied_force(self.model, end, q, u) - resistance(self.model, end, q, v, u)
+        return ForceState(end, q, v, jnp.where(dt > 0, force, state.force), acceleration)
+
+
+def observed_forces(
+    observer: AbstractForceObserver,
+    t: Float[Any, "_"],
+    u: Float[Any, "_ m"],
+    q: Float[Any, "_ ..."],
+    v: Float[Any, "_ n"],
+) -> Float[Array, "_ n"]:
+    """Run an observer of external forces over estimated motions.
+
+    Args:
+        observer: A `MomentumObserver` or `InverseDynamics`.
+        t: Stamps (T,) [s].
+        u: Inputs (T, m), each of which acts from its stamp to the next.
+        q: Configurations (T, ...).
+        v: Velocities (T, n), in the frame.
+
+    Returns:
+        The forces (T, n); zero in the first row, where no motion is known yet.
+
+    Raises:
+        ValueError: The arrays do not have the same number of rows.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant import models, observers
+        >>> t, still = np.linspace(0.0, 1.0, 101), np.zeros((101, 1))
+        >>> momentum = observers.MomentumObserver(models.oscillator(), gain=10.0)
+        >>> held = observers.observed_forces(momentum, t, still, still + 0.3, still)  # against the spring
+        >>> round(held[-1, 0].item(), 3)
+        0.3
+    """
+    t, u, q, v = (jnp.asarray(each, float) for each in (t, u, q, v))
+    lengths = {"t": len(t), "u": len(u), "q": len(q), "v": len(v)}
+    if len(set(lengths.values())) > 1:
+        raise ValueError(f"observed_forces: t, u, q and v must have the same number of rows; they have {lengths}")
+    return _scan(observer, t, u, q, v)
+
+
+@eqx.filter_jit
+def _scan(observer: AbstractForceObserver, t: Array, u: Array, q: Array, v: Array) -> Float[Array, "_ n"]:
+    def step(state, sample):
+        state = observer.step(state, *sample)
+        return state, state.force
+
+    first = observer.init(q[0], v[0], t[0])
+    # The input of a row acts until the next row.
+    _, forces = jax.lax.scan(step, first, (u[:-1], q[1:], v[1:], jnp.diff(t)))
+    return jnp.concatenate([first.force[None], forces])

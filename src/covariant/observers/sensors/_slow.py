@@ -1,0 +1,496 @@
+"""Slow states: quantities that change slowly or not at all, and are estimated along with the motion.
+
+An unknown force, the offset of an encoder, a payload, a level of friction: each of them enters the equations of motion
+or the measurement, by functions that a filter differentiates as it computes them. So one mechanism serves all.
+
+A state with a time constant τ is a first-order Gauss–Markov (Ornstein–Uhlenbeck) process: `s' = −(s − s₀)/τ + w`. What
+nothing shows any more is forgotten, and its uncertainty goes to what is usual, where a random walk would keep the one
+and lose the other.
+
+Source: Friedland 1969, Treatment of bias in recursive filtering, IEEE TAC 14(4), for states that are constant;
+Pannocchia & Rawlings 2003, Disturbance models for offset-free model-predictive control, AIChE Journal 49(2), for
+integral action; Gelb 1974, Applied Optimal Estimation, section 2.2, for Gauss–Markov processes.
+"""
+
+import functools
+import math
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
+from jaxtyping import Array, Float
+
+from covariant._functional import Functional
+from covariant._gauss_markov import gauss_markov
+from covariant._linalg import semidefinite_root
+from covariant._typing import Matrix, Number, Numbers, Scalar, Vector
+from covariant.models import Family, MechanicalSystem, Motion, Parametric, acceleration, input_count, resistance
+from covariant.observers.base import as_gain, check_covariance, check_positive, diagonal
+
+SlowVector = Float[Array, "k"]
+
+
+class Slow(Functional):
+    """A group of k slow states s: constants, random walks, or Gauss–Markov processes.
+
+    In the field `slow` of a filter at least one of `force`, `model` and `offset` is required; the slow states of a
+    `Sensor` need none.
+
+    Attributes:
+        names: Names (k) of the states in estimates and reports.
+        first: Values (k,) at the start.
+        first_cov: Covariance (k, k) of these values.
+        walk_cov: Spectral density (k, k) of the random walk, the variance that is added in a second; 0 for constants.
+            With a `time` τ, `walk_cov τ/2` is the covariance that the states have in the long run.
+        force: `(q, v, s) -> (n,)`, a generalised force that acts besides those of the model, a covector in the frame.
+        model: `s -> MechanicalSystem`, the model with these states as parameters, which replaces that of the filter.
+        offset: `s -> (n,)`, the offset of measured configurations: `y = retract(q, offset)`. In coordinates it is
+            added, on a group it is a displacement in the body frame.
+        values: `s -> (k,)`, the values that are reported, where they are not s itself.
+        time: Time constant τ [s], after which 1/e is left of the difference to `first`; None (default) for states that
+            do not return.
+
+    Raises:
+        ValueError: A matrix is no covariance, a time is not positive and finite, a shape does not fit the names, or two
+            names are equal.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant import models, observers
+        >>> drag = observers.Slow(("drag",), np.zeros(1), np.eye(1), np.zeros((1, 1)), force=lambda q, v, s: -s * v)
+        >>> observers.IntrinsicKalman(models.oscillator(), 1e-3, 1e-4, 1.0, drag).slow_names
+        ('drag',)
+    """
+
+    names: tuple[str, ...] = eqx.field(static=True)
+    first: SlowVector = eqx.field(converter=jnp.asarray)
+    first_cov: Float[Array, "k k"] = eqx.field(converter=jnp.asarray)
+    walk_cov: Float[Array, "k k"] = eqx.field(converter=jnp.asarray)
+    force: Callable[[Array, Vector, SlowVector], Vector] | None = None
+    model: Callable[[SlowVector], MechanicalSystem] | None = None
+    offset: Callable[[SlowVector], Vector] | None = None
+    values: Callable[[SlowVector], SlowVector] | None = None
+    time: Scalar | None = eqx.field(default=None, converter=as_gain)
+
+    def __check_init__(self):
+        if self.time is not None:
+            check_positive("Slow", time=self.time)
+        k = len(self.names)
+        if not k or len(set(self.names)) < k:
+            raise ValueError(f"Slow: names must be different names, one for each state; got {self.names}")
+        if np.shape(self.first) != (k,) or not _finite(self.first):
+            raise ValueError(f"Slow: first must be {k} finite numbers, one for each name; got {self.first}")
+        for name in ("first_cov", "walk_cov"):
+            cov = getattr(self, name)
+            if np.shape(cov) != (k, k):
+                raise ValueError(f"Slow: {name} must be a matrix ({k}, {k}); its shape is {np.shape(cov)}")
+            check_covariance("Slow", name, cov)
+
+
+def as_groups(given: Any) -> tuple[Any, ...]:
+    """Tuple of groups, from one group or a sequence of them."""
+    return tuple(given) if isinstance(given, Sequence) and not isinstance(given, str) else (given,)
+
+
+class SlowStates(NamedTuple):
+    """All slow states of a filter, one group after the other.
+
+    Attributes:
+        groups: The groups, of k states together.
+
+    Example:
+        >>> from covariant import observers
+        >>> from covariant.observers.sensors._slow import SlowStates
+        >>> SlowStates((observers.external_force([[1.0]]), observers.sensor_bias(0.01))).names
+        ('external_force1', 'bias1')
+    """
+
+    groups: tuple[Slow, ...]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names (k) of all states."""
+        return tuple(name for group in self.groups for name in group.names)
+
+    @property
+    def measured(self) -> bool:
+        """Whether any group gives measurements an offset."""
+        return any(group.offset is not None for group in self.groups)
+
+    def first(self, like: Vector) -> SlowVector:
+        """Values (k,) at the start.
+
+        Args:
+            like: Array of one axis, whose precision they get.
+
+        Returns:
+            The values of all groups, one after the other; (0,) without groups.
+        """
+        return jnp.concatenate([like[:0], *(group.first.astype(like.dtype) for group in self.groups)])
+
+    def first_root(self) -> Float[Array, "k k"]:
+        """Square root (k, k) of the covariance at the start; at least one group is needed."""
+        return functools.reduce(diagonal, [semidefinite_root(group.first_cov) for group in self.groups])
+
+    def walk_root(self, h: Scalar) -> Float[Array, "k k"]:
+        """Square root of the covariance that is added in a step; at least one group is needed.
+
+        Args:
+            h: Length of the step [s].
+
+        Returns:
+            The square root (k, k): of `walk_cov h`, or of `walk_cov τ/2 (1 − exp(−2h/τ))` with a time constant.
+        """
+
+        def spread(group: Slow) -> Array:
+            # The variance in the long run is walk_cov τ/2.
+            added = h if group.time is None else group.time / 2 * gauss_markov(h / group.time)[2]
+            return jnp.sqrt(added) * semidefinite_root(group.walk_cov).astype(h.dtype)
+
+        return functools.reduce(diagonal, [spread(group) for group in self.groups])
+
+    def advanced(self, s: SlowVector, h: Scalar) -> tuple[SlowVector, SlowVector]:
+        """The expected states in the mean over a step, and at its end.
+
+        Those with a time constant τ return towards their first values, by the factor `exp(−h/τ)`, and by
+        `τ/h (1 − exp(−h/τ))` in the mean; the others stay.
+
+        Args:
+            s: States of all groups (k,), one group after the other.
+            h: Length of the step [s].
+
+        Returns:
+            The mean (k,), which acts over the step, and the states (k,) at its end.
+        """
+        means, ends = [s[:0]], [s[:0]]
+        for group, part in zip(self.groups, self.parts(s), strict=True):
+            if group.time is None:
+                means, ends = [*means, part], [*ends, part]
+                continue
+            first, steps = group.first.astype(part.dtype), (h / group.time).astype(part.dtype)
+            mean, end, _ = gauss_markov(steps)
+            means, ends = [*means, first + mean * (part - first)], [*ends, first + end * (part - first)]
+        return jnp.concatenate(means), jnp.concatenate(ends)
+
+    def parts(self, s: SlowVector) -> list[Array]:
+        """Split of the states into those of each group.
+
+        Args:
+            s: States of all groups (k,), one group after the other.
+
+        Returns:
+            An array for each group.
+        """
+        ends = np.cumsum([len(group.names) for group in self.groups])
+        return jnp.split(s, ends[:-1].tolist()) if self.groups else []
+
+    def in_model(self, model: MechanicalSystem, s: SlowVector) -> MechanicalSystem:
+        """Model with these states in it, and their forces added to its dissipation.
+
+        Args:
+            model: Mechanical system without slow states; a group with a `model` replaces it.
+            s: States of all groups (k,), one group after the other.
+
+        Returns:
+            The mechanical system.
+        """
+        pairs = list(zip(self.groups, self.parts(s), strict=True))
+        # The model first, since forces are added to the dissipation of the one that takes its place.
+        for group, part in pairs:
+            model = model if group.model is None else group.model(part)
+        forces = [(group.force, part) for group, part in pairs if group.force is not None]
+
+        # The dissipation is the force that may depend on the velocity, and on position and time as well.
+        def dissipation(t, q, v, u):
+            return resistance(model, t, q, v, u) + sum(force(q, v, part) for force, part in forces)
+
+        return eqx.tree_at(lambda m: m.dissipation, model, dissipation) if forces else model
+
+    def offset(self, s: SlowVector, like: Vector) -> Vector:
+        """Offset of measured configurations, the sum over all groups.
+
+        Args:
+            s: States of all groups (k,), one group after the other.
+            like: Vector (n,), whose shape and precision the offset gets.
+
+        Returns:
+            The offset (n,), zero without a group that has one.
+        """
+        pairs = zip(self.groups, self.parts(s), strict=True)
+        return sum((group.offset(part) for group, part in pairs if group.offset is not None), jnp.zeros_like(like))
+
+    def values(self, s: SlowVector) -> SlowVector:
+        """Values that are reported, by `Slow.values` where a group has it.
+
+        Args:
+            s: States of all groups (k,), one group after the other.
+
+        Returns:
+            The values (k,).
+        """
+        pairs = zip(self.groups, self.parts(s), strict=True)
+        return jnp.concatenate(
+            [s[:0], *(part if group.values is None else group.values(part) for group, part in pairs)]
+        )
+
+    def check(self, whose: str, model: MechanicalSystem) -> None:
+        """Check that the groups fit each other, and a model whose dimension is known.
+
+        Args:
+            whose: Name of the filter, for messages.
+            model: Mechanical system of the filter.
+
+        Raises:
+            ValueError: A group is no `Slow`, nothing depends on it, two states have the same name, two groups replace
+                the model, or a function has the wrong shape.
+        """
+        for group in self.groups:
+            if not isinstance(group, Slow):
+                raise ValueError(f"{whose}: slow must be one Slow or several, such as sensor_bias(0.01); got {group!r}")
+            if group.force is None and group.model is None and group.offset is None:
+                raise ValueError(
+                    f"{whose}: give a force, a model or an offset that depends on the slow states "
+                    f"{', '.join(group.names)}"
+                )
+        self.check_names(whose)
+        if sum(group.model is not None for group in self.groups) > 1:
+            raise ValueError(
+                f"{whose}: only one group of slow states may replace the model; put their numbers together"
+            )
+        if None not in model.manifold.shape:
+            _check_shapes(whose, self, model)
+
+    def check_names(self, whose: str) -> None:
+        """Check that no two states have the same name.
+
+        Args:
+            whose: Name of the filter, for messages.
+
+        Raises:
+            ValueError: Two states have; the message names it.
+        """
+        duplicate = next((name for name in self.names if self.names.count(name) > 1), None)
+        if duplicate is not None:
+            raise ValueError(f"{whose}: two slow states are called {duplicate!r}; give each its own name")
+
+
+def external_force(
+    density: Numbers | None = None,
+    name: str = "external_force",
+    *,
+    std: Numbers | None = None,
+    time: Number | None = None,
+) -> Slow:
+    """A generalised force that the model does not contain, such as a push, a disturbance, or friction that is wrong.
+
+    With `std` and `time` it is a Gauss–Markov process, which pushes that end and errors of friction resemble: through a
+    gap in the log the estimate returns to zero. With a `density` it is a random walk from zero, which suits a load that
+    stays; through a gap its estimate stays, and its uncertainty grows without a bound.
+
+    Args:
+        density: Spectral density (n, n) of the walk [N²/s or (N m)²/s]. At the start the covariance of the force is
+            that of the walk after one second.
+        name: Name of the states, followed by the number of the component; "external_force" by default.
+        std: Usual size (n,) of each component, its standard deviation in the long run and at the start [N or N m].
+        time: Time constant τ [s] after which a force is forgotten.
+
+    Returns:
+        A group of n states, the components of the force in the frame [N or N m].
+
+    Raises:
+        ValueError: The density is no covariance matrix, a number is not positive, or it is neither a density alone nor
+            `std` and `time` together.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant import observers
+        >>> observers.external_force(0.1 * np.eye(2), name="wind").names
+        ('wind1', 'wind2')
+        >>> push = observers.external_force(std=[0.5, 0.2], time=0.3)
+        >>> push.names, float(push.time)
+        (('external_force1', 'external_force2'), 0.3)
+    """
+    if density is not None and std is None and time is None:
+        cov = _square("external_force", "density", density)
+        return Slow(_numbered(name, len(cov)), jnp.zeros(len(cov)), cov, cov, force=_itself)
+    if density is not None or std is None or time is None:
+        raise ValueError("external_force: give a density, or both std and time")
+    check_positive("external_force", time=time)
+    stds = _deviations("external_force", "std", std)
+    return forgotten_force(_numbered(name, len(stds)), stds, time, _itself)
+
+
+def forgotten_force(names: tuple[str, ...], stds: np.ndarray, time: Number, force: Callable[..., Vector]) -> Slow:
+    """A force whose independent components are as uncertain at the start as in the long run, and are forgotten.
+
+    Args:
+        names: Names (k) of the components.
+        stds: Their usual sizes (k,).
+        time: Time constant τ [s].
+        force: `(q, v, s) -> (n,)`, the generalised force of the components.
+    """
+    cov = jnp.diag(jnp.asarray(stds**2))
+    # Stationary: density · τ/2 is the covariance in the long run.
+    return Slow(names, jnp.zeros(len(stds)), cov, 2 / time * cov, force=force, time=time)
+
+
+def sensor_bias(std: Numbers, drift: Numbers = 0.0, name: str = "bias") -> Slow:
+    """An offset of each measured position, or in the body frame of a measured configuration on a group.
+
+    Positions alone do not show a constant offset: gravity does, or another force that depends on the position. Where
+    nothing does, the estimate stays as uncertain as at the start.
+
+    Args:
+        std: Standard deviations (n,) of the offsets at the start [rad or m]; zero for a position without an offset,
+            which gets no state.
+        drift: Standard deviation of the change in a second [rad/√s or m/√s], one for all or (n,); zero (default) for a
+            constant.
+        name: Name of the states, followed by the number of the position; "bias" by default.
+
+    Returns:
+        A group with a state for each position whose `std` is positive, the offset [rad or m].
+
+    Raises:
+        ValueError: A number is not finite and ≥ 0, or all of `std` are zero.
+
+    Example:
+        >>> from covariant import observers
+        >>> bias = observers.sensor_bias(std=[0.01, 0.0, 0.02])
+        >>> bias.names, bias.offset(bias.first + 1.0).tolist()
+        (('bias1', 'bias3'), [1.0, 0.0, 1.0])
+    """
+    stds = _deviations("sensor_bias", "std", std)
+    drifts = _deviations("sensor_bias", "drift", drift, stds.size)
+    biased = np.flatnonzero(stds > 0)
+    if not biased.size:
+        raise ValueError("sensor_bias: all of std are zero; give that of a position that may be off")
+    # Numbered by position, counted from 1, so that a name says which position it belongs to.
+    names = tuple(f"{name}{i + 1}" for i in biased)
+    covs = jnp.diag(jnp.asarray(stds[biased] ** 2)), jnp.diag(jnp.asarray(drifts[biased] ** 2))
+    return Slow(names, jnp.zeros(biased.size), *covs, offset=Parametric(_along, axes=np.eye(stds.size)[:, biased]))
+
+
+def uncertain_parameters(family: Family, std: Numbers, drift: Numbers = 0.0) -> Slow:
+    """Parameters of the model that are not well known or that change, such as a payload or a level of friction.
+
+    Parameters that the model refuses when they are negative stay positive.
+
+    Args:
+        family: The model with p open parameters, from `models.family`.
+        std: Standard deviation of their relative error at the start, one for all or (p,); for a parameter whose first
+            value is zero, of its error in the unit of the parameter.
+        drift: Standard deviation of their relative change in a second, one for all or (p,) [1/√s]; zero (default) for
+            constants.
+
+    Returns:
+        A group of p states, whose reported values are the parameters in their units.
+
+    Raises:
+        ValueError: A number is not finite and ≥ 0, or a parameter is the lag of the inputs, which is none of the
+            equations of motion.
+
+    Example:
+        >>> from covariant import models, observers
+        >>> family = models.family("oscillator", ["stiffness"], {"parameters.stiffness": 2.0})
+        >>> slow = observers.uncertain_parameters(family, std=0.1)
+        >>> slow.names, slow.values(slow.first).tolist()
+        (('stiffness',), [2.0])
+    """
+    p = len(family.names)
+    if any(place[0] != "parameters" for place in family.places):
+        raise ValueError("uncertain_parameters: a lag of inputs is no number of the equations of motion; leave it out")
+    stds = _deviations("uncertain_parameters", "std", std, p)
+    drifts = _deviations("uncertain_parameters", "drift", drift, p)
+    parameters = Parametric(_relative(family.positive), first=family.first)
+
+    def model(z):
+        return family.make(parameters(z))[0]
+
+    # The states are relative changes, so that both covariances are relative too.
+    covs = jnp.diag(jnp.asarray(stds**2)), jnp.diag(jnp.asarray(drifts**2))
+    return Slow(family.names, jnp.zeros(p), *covs, model=model, values=parameters)
+
+
+def _itself(q, v, s):
+    return s
+
+
+def _along(s, axes):
+    return axes @ s
+
+
+def _relative(positive: tuple[bool, ...]) -> Callable[..., Array]:
+    """Parameters (p,) as a function of relative changes z (p,), which are those of logarithms for positive ones."""
+    logarithmic = np.asarray(positive)
+
+    def parameters(z, first):
+        size = jnp.where(first == 0, 1.0, jnp.abs(first)).astype(first.dtype)
+        # The inner `where` keeps exp from overflowing in entries that do not use it: their derivative would be NaN.
+        return jnp.where(logarithmic, first * jnp.exp(jnp.asarray(jnp.where(logarithmic, z, 0.0))), first + size * z)
+
+    return parameters
+
+
+def _numbered(name: str, n: int) -> tuple[str, ...]:
+    return tuple(f"{name}{i + 1}" for i in range(n))
+
+
+def _finite(value: Any) -> bool:
+    return isinstance(value, Tracer) or bool(np.isfinite(np.asarray(value)).all())
+
+
+def _square(whose: str, name: str, value: Any) -> Matrix:
+    check_covariance(whose, name, value)
+    if np.ndim(value) != 2:
+        raise ValueError(f"{whose}: {name} must be a matrix (n, n); its shape is {np.shape(value)}")
+    return jnp.asarray(value, float)
+
+
+def _deviations(whose: str, name: str, value: Any, count: int | None = None) -> np.ndarray:
+    """Standard deviations as an array of one axis, of `count` entries where that is known."""
+    try:
+        deviations = np.atleast_1d(np.asarray(value, float))
+    except (TypeError, ValueError):
+        deviations = np.array(np.nan)
+    if deviations.ndim != 1 or not all(0 <= deviation < math.inf for deviation in deviations):
+        raise ValueError(f"{whose}: {name} must be numbers ≥ 0, standard deviations; got {value}")
+    if count is None:
+        return deviations
+    if deviations.size not in (1, count):
+        raise ValueError(f"{whose}: {name} must be one number, or {count}; got {value}")
+    return np.broadcast_to(deviations, (count,))
+
+
+def _check_shapes(whose: str, states: SlowStates, model: MechanicalSystem) -> None:
+    q = jax.eval_shape(model.manifold.origin)
+    v = jax.eval_shape(model.manifold.zero, q)
+    (n,) = v.shape
+    for group in states.groups:
+        s = jax.ShapeDtypeStruct((len(group.names),), jnp.float64)
+        if group.model is not None:
+            build = group.model
+            u, t = jax.ShapeDtypeStruct((input_count(model, n),), jnp.float64), jax.ShapeDtypeStruct((), jnp.float64)
+
+            def accelerate(t, q, v, u, s, build=build):
+                return acceleration(build(s), t, *Motion(q, v), u)
+
+            _need(whose, group, "the acceleration of the model", accelerate, (t, q, v, u, s), (n,))
+        if group.force is not None:
+            _need(whose, group, "force", group.force, (q, v, s), (n,))
+        if group.offset is not None:
+            _need(whose, group, "offset", group.offset, (s,), (n,))
+
+
+def _need(whose: str, group: Slow, what: str, function: Any, arguments: tuple, expected: tuple[int, ...]) -> None:
+    names = ", ".join(group.names)
+    try:
+        shape = eqx.filter_eval_shape(function, *arguments).shape
+    except (TypeError, ValueError, IndexError, AttributeError) as error:
+        reason = next(iter(str(error).splitlines()), type(error).__name__)
+        raise ValueError(f"{whose}: {what} of the slow states {names} cannot be evaluated: {reason}") from error
+    if shape != expected:
+        raise ValueError(f"{whose}: {what} of the slow states {names} must have shape {expected}; it has {shape}")

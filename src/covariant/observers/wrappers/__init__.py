@@ -1,0 +1,5 @@
+"""Wrappers: an observer with an outlier gate, with a delay, or with velocity sensors."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,0 +1,8 @@
+from ._damped import (
+    Damped as Damped,
+    DampedInfo as DampedInfo,
+    DampedState as DampedState,
+    damping_margin as damping_margin,
+)
+from ._delayed import Delayed as Delayed, DelayedState as DelayedState
+from ._gated import Gated as Gated, GatedState as GatedState

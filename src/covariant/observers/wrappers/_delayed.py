@@ -1,0 +1,379 @@
+"""Sensors with delays: readings count at the times at which they were true, and the estimate is for now.
+
+Coordinate i of the sample with the stamp t was true at t − d_i. The state is stored at t − max d, before which nothing
+can arrive any more; later readings wait in a buffer. A sample is inserted into the buffer at its true times, the buffer
+is run through again in their order, and the model predicts from the last of them to the stamp, input by input.
+
+A step therefore costs one step of the inner observer for each reading that is not older than the latest sensor, and one
+prediction for each row of the least delay. With one delay for all coordinates nothing waits in the buffer: a step costs
+one step and as many predictions as there are rows in the delay.
+
+Source: Bar-Shalom 2002, Update with out-of-sequence measurements in tracking: exact solution, IEEE Transactions on
+Aerospace and Electronic Systems 38(3), which shortens this for linear systems; Larsen, Andersen, Ravn & Poulsen 1998,
+Incorporation of time delayed measurements in a discrete-time Kalman filter, CDC, for the alternatives.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Inexact
+
+from covariant._typing import Number, Scalar, Vector
+from covariant.observers.base import AbstractObserver, AbstractWrapper, LastInput
+from covariant.observers.sensors import Sensors
+from covariant.signals import Result
+
+SAME_TIME = 1e-6
+"""Times [s] closer than this count as equal: coordinates that were true then are processed together."""
+
+
+class DelayedState(NamedTuple):
+    """State of a `Delayed` observer: two states of its inner observer, and the readings and inputs between them.
+
+    Ages [s] are counted back from now; infinity marks an empty entry of a buffer.
+
+    Attributes:
+        now: State of the inner observer now.
+        t: Time now [s].
+        known: State of the inner observer `age_of_known` ago, which no reading will change any more.
+        age_of_known: Age of `known` [s].
+        age: Ages (L,) [s] of the readings since, the oldest first.
+        y: These readings (L, *n); NaN where a coordinate was not read then.
+        stamp: Ages (M,) [s] of the last stamps, the oldest first.
+        u: Inputs (M, m) that acted up to each of these stamps.
+        last_input: The last finite input (m,), or None for an inner observer that stores none.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant import observers
+        >>> observer = observers.Delayed(observers.FilteredDerivative(50.0), delay=0.05, rate=100.0)
+        >>> state = observer.init(jnp.array([0.5]), t=1.0)
+        >>> round(state.age_of_known.item(), 6), state.u.shape
+        (0.05, (8, 0))
+    """
+
+    now: Any
+    t: Scalar
+    known: Any
+    age_of_known: Scalar
+    age: Float[Array, "L"]
+    y: Inexact[Array, "L *n"]
+    stamp: Float[Array, "M"]
+    u: Float[Array, "M m"]
+    last_input: LastInput = None
+
+
+class Delayed(AbstractWrapper):
+    """Any observer, for sensors whose readings are late.
+
+    Between two readings the mean of the inputs over that time acts. Where samples come faster than `rate`, the buffers
+    reach back too short a time: a reading that is older is left out, and `result` says `TOO_LATE`. The info is that of
+    the newest reading of a sample, with the innovations of all its readings and, where the observer reports them, the
+    standard deviations of the estimate now. Without delays and lateness it is the observer itself, to the last bit.
+
+    Args:
+        observer: Observer to which the readings are passed, in the order of the times at which they were true.
+        delay: Delay [s]: coordinate i of a sample with the stamp t was true at t − delay[i]. One number for all
+            coordinates, as it must be on a group, or (n,).
+        rate: Largest number of samples in a second [Hz], from which the length of the buffers follows.
+        lateness: Time [s] by which a sample may arrive later than its delay says, 0 by default; see `late`.
+
+    Raises:
+        ValueError: A delay or the lateness is not finite and ≥ 0, or the rate is not positive and finite.
+
+    Example:
+        A ramp of slope 2/s, read 0.1 s late: the estimate is for now all the same.
+
+        >>> import numpy as np
+        >>> from covariant import Record, observers
+        >>> t = np.linspace(0.0, 1.0, 11)
+        >>> record = Record(t, y=2.0 * (t[:, None] - 0.1))
+        >>> observer = observers.Delayed(observers.FilteredDerivative(50.0), delay=0.1, rate=10.0)
+        >>> observers.run(observer, record).estimate[-1].round(1).tolist()
+        [2.0, 2.0]
+    """
+
+    observer: AbstractObserver
+    delay: Vector
+    lateness: Scalar
+    groups: tuple[tuple[int, ...], ...] = eqx.field(static=True)
+    length: int = eqx.field(static=True)
+    waiting: int = eqx.field(static=True)
+    ahead: int = eqx.field(static=True)
+
+    def __init__(self, observer: AbstractObserver, delay: Number | Sequence[float], rate: float, lateness: float = 0.0):
+        delays = np.atleast_1d(np.asarray(delay, float))
+        if delays.ndim != 1 or not (np.isfinite(delays) & (delays >= 0)).all():
+            raise ValueError(f"Delayed: delay must be a number ≥ 0 [s], or one for each coordinate; got {delay}")
+        if not 0 <= lateness < math.inf:
+            raise ValueError(f"Delayed: lateness must be a number ≥ 0 [s]; got {lateness}")
+        if not 0 < rate < math.inf:
+            raise ValueError(f"Delayed: rate must be a positive number [Hz]; got {rate}")
+        self.observer = observer
+        self.delay, self.lateness = jnp.asarray(delays), jnp.asarray(float(lateness))
+        self.groups = tuple(tuple(np.flatnonzero(delays == d).tolist()) for d in np.unique(delays))
+        self.length = _rows(delays.max() + lateness, rate) + 1
+        waits = [_rows(delays.max() + lateness - d, rate) for d in np.unique(delays)]
+        # One more, since irregular stamps may put one more into the same time; what never waits needs no place.
+        self.waiting = sum(rows + 1 for rows in waits if rows)
+        self.ahead = _rows(delays.min(), rate)
+
+    def init(self, y: Inexact[Array, "*n"], t: Number = 0.0) -> DelayedState:
+        """State at rest at a measured configuration, with empty buffers.
+
+        Args:
+            y: First measurement, complete: coordinates (n,), or on a group a matrix (N, N).
+            t: Its time stamp [s], 0 by default.
+
+        Returns:
+            The state.
+
+        Raises:
+            ValueError: The delays do not fit the shape of y, or y is no configuration.
+        """
+        y = jnp.asarray(y)
+        if len(self.delay) > 1 and y.shape != self.delay.shape:
+            raise ValueError(
+                f"Delayed: {len(self.delay)} delays do not fit a measurement of shape {y.shape}; give one for each "
+                "coordinate, or a single one, which a group needs"
+            )
+        now = self.observer.init(y, t)
+        real = jnp.real(y).dtype
+        # The configuration starts the estimate, at the time at which the latest of it was true: not sensors beside it.
+        of_configuration = self.delay if len(self.delay) == 1 else self.observer.configuration(self.delay)
+        longest = jnp.max(of_configuration).astype(real)
+        t = jnp.asarray(t, real)
+        last_input = getattr(now, "last_input", None)
+        rows, stamps = self.waiting, self.length + 2
+        return DelayedState(
+            now,
+            t,
+            self.observer.init(y, t - longest),
+            longest,
+            jnp.full(rows, jnp.inf, real),
+            jnp.full((rows, *y.shape), jnp.nan, y.dtype),
+            jnp.full(stamps, jnp.inf, real),
+            jnp.zeros((stamps, 0 if last_input is None else last_input.shape[0]), real),
+            last_input,
+        )
+
+    def estimate(self, state: DelayedState) -> Any:
+        return self.observer.estimate(state.now)
+
+    def predict(self, state: DelayedState, u: Float[Array, "m"], dt: Scalar) -> DelayedState:
+        """Move the time of the state and the ages of all readings dt later; `correct` runs the inner observer.
+
+        With delays, `estimate` is for the time before until the state is corrected.
+
+        Args:
+            state: State after the previous sample.
+            u: Input (m,), constant over dt.
+            dt: Length of the prediction [s].
+
+        Returns:
+            The state with the input in its buffer. Without delays it is predicted by the inner observer at once.
+        """
+        if self._no_delay:
+            return state._replace(now=self.observer.predict(state.now, u, dt), t=state.t + dt)
+        # An observer that stores no input has no model and uses none; its log need not have inputs.
+        inputs = state.u.shape[1]
+        acting = u[:inputs].astype(state.u.dtype) if u.size else jnp.zeros(inputs, state.u.dtype)
+        return state._replace(
+            t=state.t + dt,
+            age_of_known=state.age_of_known + dt,
+            age=state.age + dt,
+            stamp=jnp.append(state.stamp[1:] + dt, 0.0),
+            u=jnp.concatenate([state.u[1:], acting[None]]),
+        )
+
+    def correct(self, state: DelayedState, u: Float[Array, "m"], y: Inexact[Array, "*n"]) -> tuple[DelayedState, Any]:
+        """Correct by a sample whose stamp is the time of the state; coordinate i was true delay[i] earlier.
+
+        Args:
+            state: State that `predict` returned.
+            u: Input (m,) that acted over the prediction.
+            y: Measurement, NaN where missing.
+
+        Returns:
+            The state, with the estimate for the time of the stamp, and the info.
+        """
+        if self._no_delay:
+            now, info = self.observer.correct(state.now, u, y)
+            return state._replace(now=now, known=now), info
+        return self._replay(state, y, jnp.zeros_like(state.t))
+
+    @property
+    def _no_delay(self) -> bool:
+        """Whether nothing is ever late: then it is the inner observer itself, to the last bit."""
+        return self.length == 1
+
+    def late(self, state: DelayedState, y: Inexact[Array, "*n"], t: Number) -> tuple[DelayedState, Any]:
+        """Process a sample that arrives after later ones; its coordinate i was true at t − delay[i].
+
+        Args:
+            state: State of this observer.
+            y: Measurement, NaN where missing.
+            t: Time stamp of the sample [s], at most the time of the state.
+
+        Returns:
+            The new state, with the estimate for the same time as before, and the info. A reading that is more than
+            `lateness` later than its delay is left out, and `result` says `TOO_LATE`; for a time t that is later than
+            that of the state or not finite, `result` says `STEP_REFUSED`.
+        """
+        sample_age = state.t - jnp.asarray(t, state.t.dtype)
+        in_past = sample_age > -SAME_TIME
+        measured = jnp.where(in_past & jnp.isfinite(y), y, jnp.nan)
+        new_state, info = self._replay(state, measured, jnp.where(in_past, jnp.maximum(sample_age, 0.0), 0.0))
+        return new_state, info._replace(result=jnp.where(in_past, info.result, int(Result.STEP_REFUSED)))
+
+    def _replay(self, state: DelayedState, y: Array, sample_age: Scalar) -> tuple[DelayedState, Any]:
+        """The state after a sample whose stamp is `sample_age` [s] old, and the info."""
+        age, readings, current, too_late = self._insert(state, y, sample_age)
+        # Less SAME_TIME, so that rounding does not leave a reading at the horizon unsettled.
+        horizon = jnp.max(self.delay) + self.lateness - SAME_TIME
+        # Of more readings than wait in the buffer, the oldest are settled.
+        settled = (age >= horizon.astype(age.dtype)) | (jnp.arange(len(age)) < len(age) - self.waiting)
+        before = jnp.minimum(jnp.concatenate([state.age_of_known[None], age[:-1]]), state.age_of_known)
+        row_u = jax.vmap(lambda a, b: _mean_input(state, a, b))(before, age)
+        _, shape = eqx.filter_eval_shape(self.observer.advance, state.known, state.u[0], y, state.t)
+        blank = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shape)
+        start = _Replay(state.known, state.age_of_known, state.known, state.age_of_known, blank, _std_of(blank))
+        carry, _ = jax.lax.scan(self._scan_reading, start, (age, row_u, readings, current, settled))
+        carry = self._to_now(carry, state, y)
+        result = jnp.where(too_late, jnp.maximum(carry.info.result, int(Result.TOO_LATE)), carry.info.result)
+        info = carry.info._replace(result=result)
+        if carry.std is not None:
+            info = info._replace(velocity_std=carry.std)
+        # The sample added rows; as many of the oldest, or empty ones, leave.
+        recent = slice(len(age) - self.waiting, None)
+        age = jnp.where(settled, jnp.inf, age)
+        new = state._replace(now=carry.state, known=carry.known, age_of_known=carry.age_of_known)
+        return new._replace(age=age[recent], y=readings[recent]), info
+
+    def _to_now(self, carry: "_Replay", state: DelayedState, y: Array) -> "_Replay":
+        """From the last reading the model runs on, input by input, to the stamp."""
+        if not self.ahead:
+            return carry
+        ages, inputs = state.stamp[-self.ahead :], state.u[-self.ahead :]
+        # Where samples come faster than `rate`, the first of these predictions covers those that are left out.
+        inputs = jnp.concatenate([_mean_input(state, carry.age, ages[0])[None], inputs[1:]])
+
+        def predicted(carry, item):
+            age, u = item
+            new, info = self.observer.advance(carry.state, u, jnp.full(y.shape, jnp.nan, y.dtype), carry.age - age)
+            code = jnp.asarray(info.result, carry.info.result.dtype)
+            # That nothing is measured here is no fault.
+            worse = jnp.where(code == int(Result.NOT_FINITE), jnp.maximum(carry.info.result, code), carry.info.result)
+            return carry._replace(state=new, age=age, info=carry.info._replace(result=worse), std=_std_of(info))
+
+        def turn(carry, item):
+            return jax.lax.cond(item[0] < carry.age, predicted, lambda carry, _: carry, carry, item), None
+
+        return jax.lax.scan(turn, carry, (ages, inputs))[0]
+
+    def _insert(self, state: DelayedState, y: Array, sample_age: Scalar):
+        """Insert a sample into the buffer, the oldest reading first; empty entries have the age ∞ and come before it.
+
+        Coordinates that were true at the time of a reading already there complete it. Returns the ages, the readings,
+        which entries belong to the sample, and whether one of them was too old.
+        """
+        age, readings, too_late = state.age, state.y, jnp.asarray(False)
+        shape = (1,) if len(self.delay) == 1 else y.shape
+        current = jnp.zeros((len(age), *shape), bool)
+        for group in self.groups:
+            in_group = jnp.zeros(shape, bool).at[jnp.array(group)].set(True)
+            part = jnp.where(_with_axes(in_group, y), y, jnp.nan)
+            at = sample_age + self.delay[group[0]].astype(age.dtype)
+            distance = jnp.abs(age - at)
+            same_time = (distance <= SAME_TIME) & (distance == jnp.min(distance, initial=jnp.inf))
+            completes = jnp.any(same_time)
+            too_old = (at > jnp.minimum(state.age_of_known, state.stamp[0])) & ~completes
+            # What was true before the start tells nothing, and is not late: nothing has left the buffer yet.
+            lost = too_old & (jnp.isfinite(state.stamp[0]) | (sample_age > 0))
+            too_late = too_late | (lost & jnp.any(jnp.isfinite(part)))
+            fill = _with_axes(same_time, readings) & jnp.isfinite(part)[None]
+            readings, current = jnp.where(fill, part[None], readings), current | (same_time[:, None] & in_group[None])
+            at = jnp.where(completes | too_old, jnp.inf, at)
+            older = age >= at
+            readings, current = _inserted(readings, part, older), _inserted(current, in_group, older)
+            age = _inserted(age, at, older)
+        return age, readings, current, too_late
+
+    def _scan_reading(self, carry: "_Replay", item):
+        """One reading processed; nothing where the entry is empty."""
+        return jax.lax.cond(jnp.isfinite(item[0]), self._read, lambda carry, item: carry, carry, item), None
+
+    def _read(self, carry: "_Replay", item) -> "_Replay":
+        age, u, y, current, settled = item
+        state, info = self.observer.advance(carry.state, u, y, carry.age - age)
+        known, age_of_known = jax.tree.map(
+            lambda new, old: jnp.where(settled, new, old), (state, age), (carry.known, carry.age_of_known)
+        )
+        # Coordinates that are read at other times are not missing: only what the sample itself lacks is.
+        complete = ~jnp.any(jnp.isnan(y) & _with_axes(current, y))
+        code = jnp.where(complete & (info.result == int(Result.COASTED)), int(Result.OK), info.result)
+        counts = jnp.any(current) | (code == int(Result.NOT_FINITE))
+        before = carry.info.result
+        result = jnp.where(counts, jnp.maximum(before, jnp.asarray(code, before.dtype)), before)
+        # One flag for all where there is one delay; else one for each entry of a measurement.
+        positions = current if len(current) == 1 else self.observer.configuration(current)
+        innovation = jnp.where(positions, info.innovation, carry.info.innovation)
+        newest = jax.tree.map(lambda new, old: jnp.where(jnp.any(current), new, old), info, carry.info)
+        summary = newest._replace(innovation=innovation, result=result)
+        sensors: Any = getattr(info, "sensors", None)
+        if sensors is not None and len(current) > 1:
+            every = Sensors(self.sensors)
+            read = every.of(current[-every.size :])
+            kept = jax.tree.map(lambda new, old: jnp.where(read, new, old), sensors, carry.info.sensors)
+            summary = summary._replace(sensors=kept)
+        return _Replay(state, age, known, age_of_known, summary, _std_of(info))
+
+
+class _Replay(NamedTuple):
+    """What goes from reading to reading: the inner state and its age, the last settled ones, the info of the sample.
+
+    `std` are the standard deviations of the last velocity, None where the observer reports none.
+    """
+
+    state: Any
+    age: Scalar
+    known: Any
+    age_of_known: Scalar
+    info: Any
+    std: Any
+
+
+def _std_of(info: Any) -> Any:
+    return getattr(info, "velocity_std", None)
+
+
+def _rows(time: float, rate: float) -> int:
+    """Most samples in a time [s]; 1e-9 keeps rounding from adding one where time times rate is a whole number."""
+    return math.ceil(time * rate - 1e-9)
+
+
+def _inserted(rows: Array, row: Array, older: Bool[Array, "L"]) -> Array:
+    """The rows with another one behind those that are `older`, which come first."""
+    stays = _with_axes(jnp.pad(older, (0, 1)), rows)
+    # The first place is free for a row that is older than all others.
+    follows = _with_axes(jnp.pad(older, (1, 0), constant_values=True), rows)
+    kept, moved = (jnp.concatenate(pair) for pair in ((rows, row[None]), (row[None], rows)))
+    return jnp.where(stays, kept, jnp.where(follows, row[None], moved))
+
+
+def _with_axes(flags: Bool[Array, "k"], like: Array) -> Array:
+    """The flags, with axes of length 1 appended, to go with an array of more axes."""
+    return flags.reshape(flags.shape + (1,) * (like.ndim - flags.ndim))
+
+
+def _mean_input(state: DelayedState, start: Scalar, end: Scalar) -> Float[Array, "m"]:
+    """Mean of the inputs that acted from the age `start` to the age `end`; before the first, the first acts."""
+    since = jnp.concatenate([jnp.full(1, jnp.inf, state.stamp.dtype), state.stamp[:-1]])
+    acted = jnp.maximum(jnp.minimum(start, since) - jnp.maximum(end, state.stamp), 0.0)
+    total = jnp.sum(acted)
+    return jnp.sum((acted / jnp.where(total > 0, total, 1.0))[:, None] * state.u, axis=0)

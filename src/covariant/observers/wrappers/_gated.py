@@ -1,0 +1,222 @@
+"""A gate for observers that have no covariance: constant gains, and filters without a model.
+
+With constant gains, an observer may start far from the truth, and its innovations are then large for a while, without
+any outlier. So the gate must not judge the innovations alone. With the innovation r before a correction and `e` the
+error that the previous correction left behind, both from the estimate to the measurement,
+
+    d = r − e
+
+is what this measurement says that the previous one did not: noise, and the error of the velocity times the step,
+for any gains and any size of the error. It is refused where neither the noise s of a sample nor a velocity
+explains it, `d² > 2(ks)² + (cS dt)²`, with k the deviations of the gate, S the usual speed of the motion and c between
+4 at the start and 2 once smaller ones have been seen. An outlier that passes is no more than a velocity of cS over one
+step.
+
+Readings that are refused one after the other and show a credible velocity, of less than cS with c = 4, give the state
+that velocity at the third of them; see `Gate`. Where measurements agree with each other and not with the estimate, as
+after an observer has lost a spinning body, d stays large: once its square is more than that of a velocity error of 2S
+on average, the estimate is `ASTRAY`.
+
+Source: Bar-Shalom, Li & Kirubarajan 2001, Estimation with Applications to Tracking and Navigation, section 5.4.
+"""
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from covariant._typing import Matrix, Number, Scalar, Vector
+from covariant.models import MechanicalSystem, Motion
+from covariant.observers.base import (
+    CREDIBLE,
+    AbstractObserver,
+    Gate,
+    GateMemory,
+    Judged,
+    LastInput,
+    Sample,
+    Velocity,
+    as_gain,
+    check_positive,
+    no_input,
+    start,
+    step_length,
+)
+from covariant.signals import Result
+
+
+class GatedState(NamedTuple):
+    """State of a `Gated` observer.
+
+    Attributes:
+        inner: State of the observer behind the gate.
+        t: Time [s] that it belongs to.
+        gate: Memory of the gate.
+        slip: Average (n,) of d², relative to that of an estimate which is astray.
+        last_input: The last finite input (m,).
+        dt: Length of the last prediction [s].
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant import models, observers
+        >>> model = models.oscillator()
+        >>> observer = observers.Gated(observers.Copy(model, 2.0, 4.0), model, noise=1e-3, speed=1.0)
+        >>> state = observer.init(jnp.array([0.5]))
+        >>> state.inner.q.tolist(), state.gate.refused.tolist()
+        ([0.5], [0])
+    """
+
+    inner: Any
+    t: Scalar
+    gate: GateMemory
+    slip: Vector
+    last_input: LastInput = None
+    dt: Scalar | None = None
+
+
+class Gated(AbstractObserver):
+    """An observer whose measurements pass a gate first, and which reports when its velocity is off.
+
+    A measurement that is refused counts as missing, and `result` says `OUTLIER`. After `gate.patience` of them in a row
+    the estimate starts anew from the measured configuration, and `result` says `RESTARTED`; a velocity that the state
+    of the observer holds as `v` is kept, unless it is not credible. Refused readings that show a credible velocity
+    start the estimate anew at once, with that velocity in its `v`. Where the velocity is off by more than twice the
+    usual one, as far as measurements tell, `result` says `ASTRAY`.
+
+    Attributes:
+        observer: Observer of a mechanical system, or filter of its coordinates. Its state is `state.inner`.
+        model: Mechanical system whose configurations are measured.
+        noise: Standard deviation of the noise of one sample [rad or m], a number or (n,).
+        speed: Usual size of the velocities [rad/s or m/s], a number or (n,).
+        gate: The gate, by default `Gate()`.
+
+    Raises:
+        ValueError: `noise` or `speed` is not positive and finite.
+
+    Example:
+        >>> import jax
+        >>> import jax.numpy as jnp
+        >>> from covariant import Result, models, observers
+        >>> model = models.oscillator()
+        >>> observer = observers.Gated(observers.Copy(model, 2.0, 4.0), model, noise=1e-3, speed=1.0)
+        >>> state = observer.init(jnp.zeros(1))
+        >>> state, info = jax.jit(observer.step)(state, jnp.zeros(1), jnp.array([5.0]), 0.01)
+        >>> Result(int(info.result)).name, observer.estimate(state).tolist()
+        ('OUTLIER', [0.0, 0.0])
+    """
+
+    observer: AbstractObserver
+    model: MechanicalSystem
+    noise: Scalar | Vector = eqx.field(converter=as_gain)
+    speed: Scalar | Vector = eqx.field(converter=as_gain)
+    gate: Gate = Gate()
+
+    def __check_init__(self):
+        check_positive("Gated", noise=self.noise, speed=self.speed)
+
+    def init(self, y: Array, t: Number = 0.0) -> GatedState:
+        """State at rest at a measured configuration, with an open gate.
+
+        Args:
+            y: First measurement, complete: coordinates (n,), or on a group a matrix (N, N).
+            t: Its time stamp [s], 0 by default.
+
+        Returns:
+            The state.
+        """
+        rest = self.model.manifold.zero(y)
+        inner = without_last_input(self.observer.init(y, t))
+        last_input = no_input(self.model, rest)
+        t = jnp.asarray(t, rest.dtype)
+        return GatedState(inner, t, GateMemory.at_start(rest), rest, last_input, jnp.zeros_like(t))
+
+    def estimate(self, state: GatedState) -> Any:
+        return self.observer.estimate(state.inner)
+
+    def predict(self, state: GatedState, u: Float[Array, "m"], dt: Scalar) -> GatedState:
+        inner = self.observer.predict(state.inner, u, dt)
+        return state._replace(inner=inner, t=state.t + dt, gate=state.gate.advanced(dt), dt=dt)
+
+    def correct(self, state: GatedState, u: Float[Array, "m"], y: Array) -> tuple[GatedState, Any]:
+        """Correct a predicted state by a measurement that passes the gate.
+
+        Args:
+            state: State that `predict` returned.
+            u: Input (m,) that acted over the prediction.
+            y: Measurement, NaN where missing.
+
+        Returns:
+            The corrected state, or the one of a new start, and the info of the inner observer, with the innovation
+            before the gate and the result code of gate and observer.
+        """
+        manifold = self.model.manifold
+        present, innovation = ~manifold.missing(y), self.innovation(state, u, y)
+        verdict = self._judge(state, innovation, present)
+        # Without a velocity to correct, an estimate follows readings that show one by its ordinary correction.
+        outlying = verdict.far if self._holds_velocity(state) else verdict.far & ~verdict.moved
+        inner, info = self.observer.correct(state.inner, u, self._without(y, outlying))
+        used = present & ~outlying
+        motion = self.model.motion(self.observer.estimate(inner))
+        slip = self._average_slip(state, innovation, used)
+        if not self._holds_velocity(state):
+            verdict = verdict._replace(far=outlying, restart=verdict.restart & ~jnp.any(verdict.moved))
+        restart = verdict.restart
+        memory = verdict.memory.used(used, manifold.towards(motion.q, y))
+        new, fresh = state._replace(inner=inner, gate=memory, slip=slip), self._restarted(state, motion, verdict, y)
+        # A scale above 1 still holds after a new start; a smaller one would make the gate too narrow.
+        fresh = fresh._replace(gate=fresh.gate._replace(scale=jnp.maximum(memory.scale, 1.0)))
+        new = jax.tree.map(lambda a, b: jnp.where(restart, a, b), fresh, new)
+        astray = jnp.any(slip > 1).astype(jnp.int32) * int(Result.ASTRAY)
+        result = jnp.maximum(jnp.maximum(info.result, verdict.result(info.result)), astray)
+        return new, info._replace(innovation=innovation, result=result.astype(info.result.dtype))
+
+    def innovation(self, state: GatedState, u: Float[Array, "m"], y: Array) -> Vector:
+        return self.observer.innovation(state.inner, u, y)
+
+    def _average_slip(self, state: GatedState, innovation: Vector, used: Bool[Array, "n"]) -> Vector:
+        limit = 2 * (self.gate.deviations * self.noise) ** 2 + (CREDIBLE / 2 * self.speed * state.gate.unused) ** 2
+        # Twice the variance: two samples contribute to the difference d.
+        change = (innovation - state.gate.left) ** 2 / limit - state.slip
+        return state.slip + jnp.where(used, change, 0.0) / (1 + self.gate.patience)
+
+    def _judge(self, state: GatedState, innovation: Vector, present: Bool[Array, "n"]) -> Judged:
+        """The gate's verdict on d: whether noise and velocity explain it; see the head of this file."""
+        dt, rate = step_length(state), CREDIBLE / self.gate.deviations * self.speed
+        expected = 2 * self.noise**2 + (rate * dt) ** 2
+        # An error of the velocity has acted over a gap; readings that were refused do not widen the gate for the next.
+        least = (2 * self.noise**2 + (rate * (state.gate.idle - dt / 2)) ** 2) / expected
+        cov, noise, usual = (self._diagonal(square, innovation) for square in (expected, self.noise**2, self.speed**2))
+        predicted = Velocity(self.model.motion(self.observer.estimate(state.inner)).v, usual)
+        # What the last used reading left behind is in d already.
+        sample = Sample(innovation - state.gate.left, cov, noise, present)
+        memory = state.gate._replace(left=jnp.zeros_like(innovation))
+        verdict = self.gate.judge(self.model.manifold, sample, memory, predicted, usual, least)
+        return verdict._replace(memory=verdict.memory._replace(left=state.gate.left))
+
+    def _diagonal(self, variances: Vector | Scalar, like: Vector) -> Matrix:
+        return jnp.diag(jnp.broadcast_to(variances, like.shape).astype(like.dtype))
+
+    def _without(self, y: Array, outlying: Bool[Array, "n"]) -> Array:
+        """The measurement with NaN for what is refused; one that is not in coordinates is missing as a whole."""
+        return jnp.where(outlying if self.model.manifold.commuting else jnp.any(outlying), jnp.nan, y)
+
+    def _holds_velocity(self, state: GatedState) -> bool:
+        return "v" in state.inner._fields
+
+    def _restarted(self, state: GatedState, motion: Motion, verdict: Judged, y: Array) -> GatedState:
+        """The state at the measured configuration, with the velocity of the verdict where that is credible."""
+        manifold = self.model.manifold
+        q = start(manifold, motion.q, manifold.towards(motion.q, y), y, verdict.anew)
+        fresh = self.init(q, state.t)._replace(last_input=state.last_input, dt=state.dt)
+        if not self._holds_velocity(state):
+            return fresh
+        v = verdict.velocity.mean
+        credible = jnp.all(jnp.abs(v) <= CREDIBLE * self.speed)
+        return fresh._replace(inner=fresh.inner._replace(v=jnp.where(credible, v, 0.0)))
+
+
+def without_last_input(state: Any) -> Any:
+    """State of the inner observer without a field for the last input: it gets valid inputs only."""
+    return state._replace(last_input=None) if "last_input" in state._fields else state
