@@ -56,9 +56,12 @@ def tree(path: Path) -> ast.Module:
 ROOMS = sorted(".".join(path.parent.relative_to(SOURCE).parts) for path in SOURCE.rglob("__init__.pyi"))
 """Rooms and sub-rooms; the stub of each lists what others may import from it."""
 
-PUBLIC = [
-    room for room in ROOMS if "." not in room
-] + ["certificates.audit", "geometry.lie", "models.marine", "models.robots"]
+PUBLIC = [room for room in ROOMS if "." not in room] + [
+    "certificates.audit",
+    "geometry.lie",
+    "models.marine",
+    "models.robots",
+]
 """Of these, the ones whose names are for users. Those of other sub-rooms are for the rest of the library."""
 
 SUBMODULES = {room: {path.stem for path in (SOURCE / room.replace(".", "/")).glob("[!_]*")} for room in ROOMS}
