@@ -12,7 +12,7 @@ from covariant._compile import EXACT, compiled
 from covariant.certificates import ContractionCertificate
 from covariant.certificates._inequalities import contraction, width_bound
 from covariant.lowering import enclose, expand
-from covariant.lowering._c_intervals import source
+from covariant.lowering.intervals._c_intervals import source
 from covariant.proofs._tests_in_c import source as tests_source
 
 FILE = Path(__file__).parents[1] / "examples/certificates/dfki_double_pendulum.json"

@@ -38,7 +38,7 @@ from covariant.codegen import (
     write_source,
 )
 from covariant.geometry import Budget, Interpolated
-from covariant.lowering import _places
+from covariant.lowering.graph import _places
 from covariant.models import robots
 
 ROOT = Path(__file__).parents[2]

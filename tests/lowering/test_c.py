@@ -310,7 +310,7 @@ def test_tables_take_less_text_and_places_that_do_not_grow_with_it(tmp_path):
 
 
 def test_places_beyond_two_bytes_are_numbered_in_more(tmp_path, monkeypatch):
-    from covariant.lowering import _c_tables
+    from covariant.lowering.c import _c_tables
 
     monkeypatch.setattr(_c_tables, "MOST_PLACES", 3)
     lowered = graph_of(alike, 3)

@@ -12,10 +12,10 @@ from hypothesis import Phase, example, given, settings, strategies as st
 from test_lowering import FUNCTIONS
 
 from covariant.lowering import FOLD, Graph, Lowered, enclose, lower
-from covariant.lowering._c_intervals import Library, source
-from covariant.lowering._fuse import PAIRS, fused
-from covariant.lowering._intervals import INTERVALS
-from covariant.lowering._tape import KERNELS, Interval, Tape
+from covariant.lowering.intervals._c_intervals import Library, source
+from covariant.lowering.intervals._fuse import PAIRS, fused
+from covariant.lowering.intervals._intervals import INTERVALS
+from covariant.lowering.intervals._tape import KERNELS, Interval, Tape
 
 pytestmark = pytest.mark.skipif(shutil.which("cc") is None, reason="there is no C compiler, `cc`")
 
@@ -172,7 +172,7 @@ def changed(kernel, old, new):
 )
 def test_a_library_that_rounds_in_another_way_is_refused(monkeypatch, kernel, old, new):
     monkeypatch.setenv("COVARIANT_CACHE", "off")
-    monkeypatch.setattr("covariant.lowering._c_intervals.EXACT", ("-std=c99", "-O0", "-fPIC", "-shared"))
+    monkeypatch.setattr("covariant.lowering.intervals._c_intervals.EXACT", ("-std=c99", "-O0", "-fPIC", "-shared"))
     with pytest.raises(OSError, match=f"rounds {kernel} in another way than NumPy"):
         Library(changed(kernel, old, new))
 
@@ -185,13 +185,13 @@ def test_a_compiler_that_contracts_is_refused(monkeypatch):
     """A product and a sum that are rounded together."""
     monkeypatch.setenv("COVARIANT_CACHE", "off")
     fast = ("-std=gnu99", "-O2", "-march=native", "-ffp-contract=fast", "-fPIC", "-shared")
-    monkeypatch.setattr("covariant.lowering._c_intervals.EXACT", fast)
+    monkeypatch.setattr("covariant.lowering.intervals._c_intervals.EXACT", fast)
     with pytest.raises(OSError, match="in another way than NumPy"):
         Library()
 
 
 def test_without_a_compiler_numpy_does_the_work(monkeypatch):
-    monkeypatch.setattr("covariant.lowering._c_intervals.compiler", lambda: None)
+    monkeypatch.setattr("covariant.lowering.intervals._c_intervals.compiler", lambda: None)
     with pytest.raises(OSError, match="there is no C compiler `cc`, so NumPy does the work"):
         Library()
 
@@ -200,7 +200,7 @@ def test_without_a_compiler_numpy_does_the_work(monkeypatch):
 def test_a_process_without_subnormal_numbers_is_found_out():
     """A library linked with -ffast-math switches them off for all that the process does, NumPy included."""
     script = """
-import covariant.lowering._c_intervals as c
+import covariant.lowering.intervals._c_intervals as c
 c.EXACT = ("-std=c99", "-O0", "-ffast-math", "-fno-finite-math-only", "-fPIC", "-shared")
 try:
     c.Library()

@@ -20,7 +20,7 @@ from covariant.lowering import (
     numbers,
     substitute,
 )
-from covariant.lowering._read import evaluate_nodes
+from covariant.lowering.graph._read import evaluate_nodes
 
 
 def everywhere(function, low, high):

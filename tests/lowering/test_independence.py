@@ -6,7 +6,7 @@ from pathlib import Path
 
 from covariant import lowering
 
-FILES = sorted(Path(lowering.__file__).parent.glob("*.py"))
+FILES = sorted(Path(lowering.__file__).parent.rglob("*.py"))
 PACKAGES = {"jax", "lazy_loader", "numpy"}
 OTHERS = {"_c_intervals.py": {"covariant._compile"}}
 """Modules of the library outside the room that a file may import: the cache of compiled C, which all rooms share."""

@@ -16,7 +16,8 @@ from hypothesis import given, strategies as st
 from test_lowering import FUNCTIONS
 
 from covariant import lowering
-from covariant.lowering import INTERVALS, Interval, Truth, _intervals as intervals, _points as points, enclose, lower
+from covariant.lowering import INTERVALS, Interval, Truth, enclose, lower
+from covariant.lowering.intervals import _intervals as intervals, _points as points
 
 U = 2.0**-53
 BATCH = 400 * max(1, int(os.environ.get("COVARIANT_ATTACKS", "12")) // 12)

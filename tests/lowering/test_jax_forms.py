@@ -12,7 +12,16 @@ from jax.extend import core
 from jax.interpreters import mlir
 
 from covariant.lowering import LoweringError, While, equations, lower, numbers
-from covariant.lowering._jax_forms import REPLACED, Branch, Call, JaxprEquation, Parameters, Scan, expanded, needed
+from covariant.lowering.graph._jax_forms import (
+    REPLACED,
+    Branch,
+    Call,
+    JaxprEquation,
+    Parameters,
+    Scan,
+    expanded,
+    needed,
+)
 
 POINTS = np.random.default_rng(4).normal(size=(4, 3)) * 0.8
 

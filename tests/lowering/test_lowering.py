@@ -15,8 +15,8 @@ from covariant._linalg import solve
 from covariant.geometry import Budget, christoffel, curvature, hyperbolic, sphere
 from covariant.geometry.lie import SE3, SO3
 from covariant.lowering import LoweringError, equations, evaluate_batch, expand, lower, numbers, operations, pairs
-from covariant.lowering._constants import compute, padded, part_at, updated_at
-from covariant.lowering._jaxpr import MOST_UNROLLED
+from covariant.lowering.graph._constants import compute, padded, part_at, updated_at
+from covariant.lowering.graph._jaxpr import MOST_UNROLLED
 from covariant.observers import Geodesic, Intrinsic, with_fixed_substeps
 
 PENDULUM = models.pendulum_chain((1.0, 0.7), (0.5, 0.4), viscous=(0.1, 0.2))

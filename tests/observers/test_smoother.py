@@ -25,7 +25,8 @@ from covariant.models import (
     in_chart,
     pendulum_chain,
 )
-from covariant.observers import EKF, UKF, IntrinsicKalman, JointKalman, _smoother, smooth
+from covariant.observers import EKF, UKF, IntrinsicKalman, JointKalman, smooth
+from covariant.observers.filters import _smoother
 from covariant.observers.filters._smoother import Step, backward_map, smoothed as smoothed_arrays
 from covariant.signals import Record, Result
 

@@ -1,51 +1,60 @@
-from ._c import c_function as c_function, c_helpers as c_helpers, c_number as c_number
-from ._c_names import C_KEYWORDS as C_KEYWORDS
-from ._c_rows import c_rows as c_rows
-from ._c_writer import CText as CText, Signature as Signature
-from ._differentiate import Derivative as Derivative, expand as expand, pairs as pairs
-from ._enclose import Enclosure as Enclosure, fulfilled as fulfilled
-from ._engine import enclose as enclose, in_c as in_c
-from ._fingerprint import fingerprint as fingerprint
-from ._graph import (
+from .c import (
+    C_KEYWORDS as C_KEYWORDS,
+    CText as CText,
+    Signature as Signature,
+    c_function as c_function,
+    c_helpers as c_helpers,
+    c_number as c_number,
+    c_rows as c_rows,
+    simplified as simplified,
+    split as split,
+    to_c as to_c,
+)
+from .graph import (
     FOLD as FOLD,
     LARGEST as LARGEST,
+    NUMBERS as NUMBERS,
+    STUMPFF as STUMPFF,
     TRUTHS as TRUTHS,
-    Condition as Condition,
-    Graph as Graph,
-    Node as Node,
-)
-from ._intervals import INTERVALS as INTERVALS
-from ._invariants import split as split
-from ._jax_forms import (
     Branch as Branch,
     Call as Call,
     ClosedJaxpr as ClosedJaxpr,
+    Condition as Condition,
+    Conditions as Conditions,
+    Derivative as Derivative,
+    Domain as Domain,
+    Graph as Graph,
     JaxprEquation as JaxprEquation,
+    Lowered as Lowered,
+    LoweringError as LoweringError,
+    Node as Node,
     Scan as Scan,
+    TracedFunction as TracedFunction,
     While as While,
     equations as equations,
-    needed as needed,
-)
-from ._jaxpr import (
-    TracedFunction as TracedFunction,
+    evaluate as evaluate,
+    evaluate_batch as evaluate_batch,
+    expand as expand,
+    fingerprint as fingerprint,
     graft as graft,
     lower as lower,
     lower_traced as lower_traced,
+    needed as needed,
+    numbers as numbers,
+    on_batches as on_batches,
+    operations as operations,
+    pairs as pairs,
+    stumpff as stumpff,
     substitute as substitute,
     trace as trace,
 )
-from ._loops import operations as operations
-from ._lowered import Conditions as Conditions, Lowered as Lowered, LoweringError as LoweringError
-from ._peephole import simplified as simplified
-from ._read import (
-    NUMBERS as NUMBERS,
-    Domain as Domain,
-    evaluate as evaluate,
-    evaluate_batch as evaluate_batch,
-    numbers as numbers,
-    on_batches as on_batches,
+from .intervals import (
+    INTERVALS as INTERVALS,
+    Enclosure as Enclosure,
+    Interval as Interval,
+    Truth as Truth,
+    enclose as enclose,
+    fulfilled as fulfilled,
+    in_c as in_c,
+    perturbed as perturbed,
 )
-from ._rounding import perturbed as perturbed
-from ._stumpff import STUMPFF as STUMPFF, stumpff as stumpff
-from ._tape import Interval as Interval, Truth as Truth
-from ._to_c import to_c as to_c

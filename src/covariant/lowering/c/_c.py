@@ -1,0 +1,128 @@
+"""C99 of a graph: a function of scalars without memory management or variables outside it.
+
+The text depends on the graph alone, so that it is the same on every machine. Numbers are written with as many digits as
+identify them.
+"""
+
+from collections.abc import Sequence
+from typing import Literal
+
+from covariant.lowering.c._c_operations import Words, helpers, literal
+from covariant.lowering.c._c_tables import TablesOnce, TablesThroughout
+from covariant.lowering.c._c_writer import CText, Signature, Writer
+from covariant.lowering.c._peephole import simplified
+from covariant.lowering.graph import Lowered
+
+Real = Literal["double", "float"]
+Tables = Literal["none", "once", "all"]
+
+WRITERS = {"none": Writer, "once": TablesOnce, "all": TablesThroughout}
+
+MOST_STATEMENTS = 500
+"""Longest function: gcc takes minutes for one with ten thousand statements, and seconds for the same in parts."""
+MOST_IN_LANES = 2000
+"""The same in lanes, where what one function leaves to another takes so many times the memory."""
+
+
+def c_function(
+    lowered: Lowered,
+    name: str,
+    signature: Signature | None = None,
+    real: Real = "double",
+    prefix: str = "",
+    static: bool = False,
+    most_statements: int | None = None,
+    lanes: int = 1,
+    tables: Tables = "none",
+) -> CText:
+    """Generate the C of a lowered function.
+
+    Args:
+        lowered: The function.
+        name: Name of the C function.
+        signature: How it gets its arguments; by default `void name(const real *x, real *y)`, from all inputs to all
+            results.
+        real: Type of all numbers. For "float" lower the function with arguments of single precision.
+        prefix: Prefix of the names of the helpers that it calls, which `c_helpers` generates.
+        static: Whether it is declared `static`.
+        most_statements: Longest function in statements; longer ones are written in parts. By default `MOST_STATEMENTS`,
+            or `MOST_IN_LANES` for several lanes.
+        lanes: For how many arguments it is evaluated at once, a power of 2. Above 1 a number is a vector of the
+            compilers gcc and clang, of the type `{prefix}lanes`, with one entry for each argument.
+        tables: Which similar statements become loops over tables of indices: "none", those that a call executes "once",
+            or "all", those in loops too. This is for small memories: it takes less of it, and five times the
+            instructions. The operations are the same.
+
+    Raises:
+        ValueError: Lanes are combined with tables, or the signature has another number of inputs or results.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant import lowering
+        >>> lowered = lowering.lower(lambda x: x * x + 1.0, jnp.array(0.0))
+        >>> print(lowering.c_function(lowered, "f").text)
+        void f(const double *x, double *y)
+        {
+            const double v0 = (x[0] * x[0]) + 1.0;
+            y[0] = v0;
+        }
+        <BLANKLINE>
+    """
+    lowered = simplified(lowered)
+    chosen = signature or _flat(lowered, Words(real, prefix, lanes).real)
+    for role, names, count in (
+        ("inputs", chosen.inputs, lowered.inputs),
+        ("results", chosen.outputs, len(lowered.outputs)),
+    ):
+        if len(names) != count:
+            raise ValueError(f"{name}: the function has {count} {role}; the signature names {len(names)}")
+    most = most_statements or (MOST_STATEMENTS if lanes == 1 else MOST_IN_LANES)
+    if tables != "none" and lanes > 1:
+        raise ValueError(f"{name}: tables save memory and lanes time; choose one of them")
+    return WRITERS[tables](lowered, name, chosen, Words(real, prefix, lanes), static, most).written()
+
+
+def c_helpers(names: Sequence[str] | frozenset[str], real: Real = "double", prefix: str = "", lanes: int = 1) -> str:
+    """Generate the static functions that generated C calls, and for lanes the types; they stand before it.
+
+    The file needs `#include <math.h>`.
+
+    Args:
+        names: Names of the helpers, `CText.helpers`.
+        real: Type of all numbers.
+        prefix: Prefix of their names, as in `c_function`.
+        lanes: Number of lanes, as in `c_function`.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant import lowering
+        >>> text = lowering.c_function(lowering.lower(lambda x: jnp.maximum(x, 0.0), jnp.array(0.0)), "f", prefix="my_")
+        >>> print(lowering.c_helpers(text.helpers, prefix="my_"))
+        static double my_max(double a, double b)
+        {
+            return a > b || a != a ? a : b;
+        }
+        <BLANKLINE>
+    """
+    return helpers(names, Words(real, prefix, lanes))
+
+
+def c_number(value: float, real: Real = "double") -> str:
+    """Write a number in C, in the fewest digits that identify it.
+
+    Args:
+        value: The number; NaN and infinities give expressions with the macros of <math.h>.
+        real: Type of the number; "float" rounds it to single precision.
+
+    Example:
+        >>> from covariant import lowering
+        >>> lowering.c_number(0.1), lowering.c_number(0.1, "float"), lowering.c_number(float("inf"))
+        ('0.1', '0.1f', '(double)INFINITY')
+    """
+    return literal(value, Words(real, ""))
+
+
+def _flat(lowered: Lowered, real: str) -> Signature:
+    inputs = tuple(f"x[{i}]" for i in range(lowered.inputs))
+    outputs = tuple(f"y[{i}]" for i in range(len(lowered.outputs)))
+    return Signature(f"const {real} *x, {real} *y", ("x", "y"), inputs, outputs)

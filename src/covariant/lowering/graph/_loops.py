@@ -1,0 +1,186 @@
+"""Loops of a graph: a turn is a graph too, which is evaluated again and again.
+
+A node `loop` holds a `Repetition` and gets the numbers that stay fixed, then those that are carried; nodes `part` are
+the carried numbers after the last turn. Loops are for generated code, and not for proofs: neither derivatives nor
+intervals have rules for them.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import jax
+import numpy as np
+
+from covariant.lowering.graph._arrays import Scalars, Value, nodes_of
+from covariant.lowering.graph._graph import Graph, Node
+from covariant.lowering.graph._lowered import Lowered
+
+NO_OPERATIONS = ("input", "constant", "loop", "part")
+"""Nodes that compute nothing by themselves."""
+Turn = Callable[[Graph, list[Value]], tuple[list[Value], Value | None]]
+
+
+class Repetition(NamedTuple):
+    """A loop: numbers carried from turn to turn.
+
+    Attributes:
+        body: A turn, `(fixed, carried) -> carried`.
+        going: `(fixed, carried) -> [truth]`, whether there is another turn; None where their number is known.
+        turns: Number of turns; None where `going` decides.
+        fixed: How many of the inputs of both are fixed; the others are carried.
+    """
+
+    body: Lowered
+    going: Lowered | None
+    turns: int | None
+    fixed: int
+
+    @property
+    def carried(self) -> int:
+        """Number of carried numbers."""
+        return len(self.body.outputs)
+
+    @property
+    def graphs(self) -> tuple[Lowered, ...]:
+        """The graphs of a turn: the body and, if there is one, the condition."""
+        return (self.body,) if self.going is None else (self.body, self.going)
+
+    def over(self, change: Callable[[Lowered], Lowered]) -> "Repetition":
+        """Return the loop with its graphs changed.
+
+        Args:
+            change: Function that is applied to the body and to the condition.
+        """
+        return self._replace(body=change(self.body), going=None if self.going is None else change(self.going))
+
+    def key(self) -> tuple:
+        """Return a hashable description of the loop.
+
+        Loops with equal keys do the same.
+        """
+        graphs = ((tuple(map(_keyed, each.graph.nodes)), each.outputs) for each in self.graphs)
+        return self.turns, self.fixed, *graphs
+
+
+def _keyed(node: Node) -> tuple:
+    return node.op, node.arguments, node.value.key() if isinstance(node.value, Repetition) else node.value
+
+
+def add_loop(graph: Graph, loop: Repetition, arguments: Sequence[int]) -> int:
+    """Return the node of a loop, adding it to the graph unless an equal one is there.
+
+    Args:
+        graph: The graph.
+        loop: The loop.
+        arguments: Nodes of the fixed numbers, then of the initial carried ones.
+    """
+    return graph.block("loop", loop.key(), tuple(arguments), loop)
+
+
+def part_of(graph: Graph, loop: int, k: int) -> int:
+    """Return the node of a carried number after the last turn.
+
+    Args:
+        graph: The graph.
+        loop: Node of the loop.
+        k: Which of the carried numbers.
+    """
+    return graph.block("part", k, (loop,), k)
+
+
+def loop_of(
+    graph: Graph,
+    turn: Turn,
+    fixed: Sequence[Value],
+    carry: Sequence[Value],
+    count: int | None = None,
+    least: int = 0,
+) -> list[Value] | None:
+    """Add a loop over arrays to a graph.
+
+    Entries that a turn does not change count as fixed, so that what is known of them is known in the loop too. At first
+    all count as such; those that a turn changes no longer do, until there are no more.
+
+    Args:
+        graph: The graph, which is changed.
+        turn: `(graph, [*fixed, *carry]) -> (carry, going)`, which adds one turn to another graph; `going` is a
+            statement on the values that the turn starts with, or None with a `count` of turns.
+        fixed: Arrays that are the same in every turn.
+        carry: Initial values of the carried arrays.
+        count: Number of turns, if it is known.
+        least: Smallest number of operations of a turn that becomes a loop.
+
+    Returns:
+        The carried arrays after the last turn; None where a turn is less than `least` operations.
+    """
+    starts = _flat(graph, carry)
+    changes = np.zeros(len(starts), bool)
+    while True:
+        inner, used = Graph(), dict[int, None]()
+
+        def outer(i: int, inner: Graph = inner, used: dict[int, None] = used) -> int:
+            node = graph.nodes[i]
+            if node.op == "constant":
+                return inner.constant(node.value)  # pyright: ignore[reportArgumentType]
+            used[i] = None
+            return inner.input(2 * i)  # odd positions are those of what is carried; numbered anew below
+
+        begins = [inner.input(2 * k + 1) if changes[k] else outer(i) for k, i in enumerate(starts)]
+        fixed_values = _filled([outer(i) for i in _flat(graph, fixed)], fixed)
+        carried, going = turn(inner, [*fixed_values, *_filled(begins, carry, changes)])
+        ends = _flat(inner, carried)
+        # Entries only ever leave the fixed set, so that this ends.
+        now = changes | (np.array(ends, int) != np.array(begins, int))
+        if (now == changes).all():
+            break
+        changes = now
+    places = np.flatnonzero(changes).tolist()
+    order = {position: n for n, position in enumerate([*(2 * i for i in used), *(2 * k + 1 for k in places)])}
+
+    def cut(outputs: Sequence[int]) -> Lowered:
+        small, roots = inner.pruned(outputs)
+        small.nodes[:] = [n._replace(value=order[n.value]) if n.op == "input" else n for n in small.nodes]
+        result = (jax.ShapeDtypeStruct((len(roots),), float),)
+        return Lowered(small, ((len(order),),), tuple(roots), result, jax.tree.structure(0))
+
+    body = cut([ends[k] for k in places])
+    if operations(body.graph.nodes) < least:
+        return None
+    stop = None if going is None else cut(_flat(inner, [going]))
+    loop = Repetition(body, stop, count, len(used))
+    node_of_loop = add_loop(graph, loop, [*used, *(starts[k] for k in places)])
+    parts = {k: part_of(graph, node_of_loop, n) for n, k in enumerate(places)}
+    return _filled([parts.get(k, start) for k, start in enumerate(starts)], carry, changes)
+
+
+def operations(nodes: Sequence[Node]) -> int:
+    """Count the operations of a list of nodes, with those of all turns of its loops.
+
+    Args:
+        nodes: Nodes of a graph. A loop whose length the arguments decide counts as one turn.
+    """
+    total = 0
+    for node in nodes:
+        if isinstance(node.value, Repetition):
+            turns = 1 if node.value.turns is None else node.value.turns
+            total += turns * sum(operations(each.graph.nodes) for each in node.value.graphs)
+        else:
+            total += node.op not in NO_OPERATIONS
+    return total
+
+
+def _flat(graph: Graph, values: Sequence[Value]) -> list[int]:
+    return [int(i) for value in values for i in nodes_of(graph, value).ravel()]
+
+
+def _filled(ids: Sequence[int], like: Sequence[Value], changes: np.ndarray | None = None) -> list[Value]:
+    """Values of the shapes of others with these nodes; known numbers that do not change stay known numbers."""
+    filled, start = [], 0
+    for value in like:
+        known = not isinstance(value, Scalars)
+        shape = value.shape if known else value.ids.shape
+        size = int(np.prod(shape, dtype=int))
+        same = known and (changes is None or not changes[start : start + size].any())
+        filled.append(value if same else Scalars(np.array(ids[start : start + size], int).reshape(shape)))
+        start += size
+    return filled

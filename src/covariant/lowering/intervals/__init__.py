@@ -1,0 +1,5 @@
+"""Intervals: enclosures of a graph's values over boxes, rounded outward."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
