@@ -6,14 +6,18 @@ writes them into `docs`, and the tests fail where they are not up to date.
 """
 
 import ast
+import importlib
+import inspect
 import re
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
+from types import ModuleType
 
 from house import drawing
 from peers.page import page as peers_page
 
+import covariant
 from covariant.observers import REGISTRY, Entry
 from covariant.papers import errata
 
@@ -91,6 +95,47 @@ def llms_text() -> str:
     return "\n".join(["# covariant", "", f"> {_paragraph(readme)}", "", "## Pages", "", *lines, ""])
 
 
+ROOMS = (
+    *("models", "models.robots", "models.marine", "observers", "logs", "simulation", "calibration", "engine"),
+    *("codegen", "certificates", "certificates.audit", "geometry", "geometry.lie", "metrics", "lowering", "proofs"),
+    *("workflow", "report"),
+)
+"""Rooms with public names, in the order in which a user meets them."""
+
+
+def api_page() -> str:
+    """Every public name with a paragraph from its docstring, room by room."""
+    head = (
+        "# API\n\nThe names for users. The changelog says when one of them changes. Other names can be imported too, "
+        "but serve the library itself.\n\n"
+    )
+    front = ["Record", "Result", "Run", *covariant.VERBS]
+    parts = [_api_of("covariant", covariant, front)]
+    for room in ROOMS:
+        module = importlib.import_module(f"covariant.{room}")
+        names = [name for name in module.__all__ if not inspect.ismodule(getattr(module, name))]
+        parts.append(_api_of(f"covariant.{room}", module, names))
+    return head + "\n\n".join(parts) + "\n"
+
+
+def _api_of(title: str, module: ModuleType, names: list[str]) -> str:
+    entries = [f"- **`{name}`**: {_prose(getattr(module, name))}" for name in sorted(names, key=str.lower)]
+    return "\n".join([f"## {title}", "", _about_room(module), "", *entries])
+
+
+def _about_room(module: ModuleType) -> str:
+    text = _sentence(module.__doc__ or "")
+    subject = text.partition(": ")[2] or text
+    return f"{subject[:1].upper()}{subject[1:]}."
+
+
+def _prose(value: object) -> str:
+    """What a docstring says before its first section, as one paragraph."""
+    text = inspect.getdoc(value) or ""
+    prose = re.split(r"\n(?:Args|Attributes|Returns|Raises|Example|Source|References?):|\n+- `|\n+::|\n *>>>", text)[0]
+    return " ".join(prose.split())
+
+
 def navigation() -> list[str]:
     """Names of the pages in the order in which the site has them."""
     text = (ROOT / "mkdocs.yml").read_text(encoding="utf-8").split("\nnav:")[-1]
@@ -137,6 +182,7 @@ WRITTEN: dict[Path, Callable[[], str]] = {
     **{DOCS / name: partial(_page, DOCS / name, *part) for name, part in PARTS.items()},
     DOCS / "peers.md": peers_page,
     DOCS / "images" / "house.svg": lambda: drawing(ROOT / "src" / "covariant"),
+    DOCS / "api.md": api_page,
     ROOT / "llms.txt": llms_text,
 }
 """Every file that is written, from the code or from results, with what makes the text it should have."""

@@ -104,12 +104,9 @@ def rooms() -> dict[str, list[str]]:
 
 
 def names(path: Path) -> list[str]:
-    """What a room's stub imports, or a file lists in `__all__`."""
+    """What a room's stub, or a file, lists in `__all__`."""
     stub = path.with_suffix(".pyi")
-    if stub.exists():
-        nodes = (node for node in ast.parse(stub.read_text(encoding="utf-8")).body if isinstance(node, ast.ImportFrom))
-        return sorted(alias.name for node in nodes if node.module for alias in node.names)  # rooms have their own page
-    for node in ast.parse(path.read_text(encoding="utf-8")).body:
+    for node in ast.parse((stub if stub.exists() else path).read_text(encoding="utf-8")).body:
         if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "__all__":
             return ast.literal_eval(node.value)
     return []

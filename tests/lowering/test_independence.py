@@ -8,8 +8,8 @@ from covariant import lowering
 
 FILES = sorted(Path(lowering.__file__).parent.rglob("*.py"))
 PACKAGES = {"jax", "lazy_loader", "numpy"}
-OTHERS = {"_c_intervals.py": {"covariant._compile"}}
-"""Modules of the library outside the room that a file may import: the cache of compiled C, which all rooms share."""
+OTHERS = {"__init__.py": {"covariant._rooms"}, "_c_intervals.py": {"covariant._compile"}}
+"""Modules of the library outside the room that a file may import: how a room loads, and the cache of compiled C."""
 
 
 def imported(path: Path) -> set[str]:

@@ -1,5 +1,5 @@
 """Calibration: diagnosis of logs, identification of model parameters, and tuning of noise and gains from logs."""
 
-import lazy_loader
+from covariant._rooms import attach
 
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+__getattr__, __dir__, __all__ = attach(__name__, __file__)

@@ -70,3 +70,22 @@ from .tuning import (
     window_length as window_length,
     with_gains as with_gains,
 )
+
+__all__ = [
+    "DataSheet",
+    "Diagnosis",
+    "Finding",
+    "Fit",
+    "Gains",
+    "Trial",
+    "contracting_gain",
+    "diagnose",
+    "fit",
+    "fit_robot",
+    "gains",
+    "observer_gains",
+    "predict_errors",
+    "suggest_noise",
+    "tune",
+    "tuned_estimators",
+]

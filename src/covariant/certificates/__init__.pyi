@@ -81,3 +81,17 @@ from ._tangent_metric import (
     tangent_metric as tangent_metric,
 )
 from ._virtual import virtual as virtual
+
+__all__ = [
+    "Hypothesis",
+    "SampledBound",
+    "Statement",
+    "audit",
+    "cascade",
+    "certify",
+    "check",
+    "contraction",
+    "lyapunov",
+    "observability",
+    "virtual",
+]

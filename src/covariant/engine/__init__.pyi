@@ -3,3 +3,5 @@ from ._in_jax import compiled as compiled
 from ._kernel import KernelForm as KernelForm
 from ._log import run_log as run_log, run_logs as run_logs
 from ._stream import Health as Health, Stream as Stream
+
+__all__ = ["Stream", "compiled", "run_log", "run_logs"]

@@ -1,5 +1,5 @@
 """Configuration spaces: manifolds with a frame, and metrics on them, with closed forms where these are known."""
 
-import lazy_loader
+from covariant._rooms import attach
 
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+__getattr__, __dir__, __all__ = attach(__name__, __file__)

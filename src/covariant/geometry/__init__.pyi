@@ -38,3 +38,26 @@ from ._spaces import (
     hyperbolic as hyperbolic,
     sphere as sphere,
 )
+
+__all__ = [
+    "AbstractSpace",
+    "Budget",
+    "Coordinates",
+    "KineticEnergy",
+    "Metric",
+    "Product",
+    "ProductManifold",
+    "Pullback",
+    "as_space",
+    "christoffel",
+    "curvature",
+    "distance",
+    "exp",
+    "hyperbolic",
+    "lie",
+    "log",
+    "sectional_curvature",
+    "shoot",
+    "sphere",
+    "transport",
+]

@@ -25,3 +25,5 @@ from ._unit_in_name import (
 )
 from ._units import check_unit as check_unit, unit_factor as unit_factor
 from ._write import MESSAGES as MESSAGES, WRITTEN as WRITTEN, write as write
+
+__all__ = ["Columns", "LogError", "read", "write"]

@@ -6,6 +6,6 @@ intervals. Intervals bound its values over whole boxes, and prove where it is de
 knows only jaxprs.
 """
 
-import lazy_loader
+from covariant._rooms import attach
 
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+__getattr__, __dir__, __all__ = attach(__name__, __file__)

@@ -58,3 +58,5 @@ from .intervals import (
     in_c as in_c,
     perturbed as perturbed,
 )
+
+__all__ = ["Interval", "Lowered", "LoweringError", "c_function", "enclose", "evaluate", "lower", "to_c"]

@@ -23,6 +23,6 @@ continues where it stopped. Dask, Zarr and xarray are optional packages, install
     open_grid(path, complete=True).energy.sel(rate=0.0).max()
 """
 
-import lazy_loader
+from covariant._rooms import attach
 
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+__getattr__, __dir__, __all__ = attach(__name__, __file__)

@@ -22,3 +22,5 @@ from ._solution import (
 )
 from ._store import Variable as Variable, open_grid as open_grid
 from ._window import Window as Window, window_at as window_at
+
+__all__ = ["Equation", "Grid", "RiccatiMetric", "high_gain", "load_metric", "metric_at"]

@@ -53,3 +53,30 @@ from ._toml import Overrides as Overrides
 from ._underwater_vehicle import underwater_vehicle as underwater_vehicle
 from ._unknown_frequency import unknown_frequency as unknown_frequency
 from ._van_der_pol import van_der_pol as van_der_pol
+
+__all__ = [
+    "GroupSystem",
+    "Lagrangian",
+    "MechanicalSystem",
+    "ModelError",
+    "ModelFile",
+    "Motion",
+    "Parameter",
+    "Parametric",
+    "StateSpace",
+    "acceleration",
+    "advance",
+    "ball_and_beam",
+    "duffing",
+    "energy",
+    "family",
+    "fluid",
+    "free_body",
+    "load",
+    "marine",
+    "oscillator",
+    "pendulum_chain",
+    "robots",
+    "state_space",
+    "underwater_vehicle",
+]

@@ -6,6 +6,6 @@ arithmetic. This package knows functions and boxes only; what a matrix says abou
 `covariant.certificates`.
 """
 
-import lazy_loader
+from covariant._rooms import attach
 
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+__getattr__, __dir__, __all__ = attach(__name__, __file__)

@@ -22,3 +22,5 @@ from ._saved import (
     to_letters as to_letters,
 )
 from ._tree import OPEN as OPEN, PROVED as PROVED, leaves as leaves
+
+__all__ = ["Box", "Proof", "as_form", "box", "prove"]

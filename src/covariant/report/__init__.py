@@ -4,6 +4,6 @@ matplotlib and plotly are optional packages, loaded by the functions that draw a
 `pip install 'covariant[report]'`.
 """
 
-import lazy_loader
+from covariant._rooms import attach
 
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+__getattr__, __dir__, __all__ = attach(__name__, __file__)

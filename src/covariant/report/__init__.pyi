@@ -6,3 +6,5 @@ from ._html import write_html as write_html, write_report as write_report
 from ._png import figure as figure, write_png as write_png
 from ._style import PALETTE as PALETTE, new_figure as new_figure, save_figure as save_figure
 from ._table import table as table
+
+__all__ = ["PALETTE", "draw_certificate", "new_figure", "save_figure", "table"]

@@ -29,3 +29,14 @@ from ._result import AbstractResult as AbstractResult, AbstractTable as Abstract
 from ._simulate import SimulateResult as SimulateResult, simulate as simulate
 from ._smooth import SmoothResult as SmoothResult, smooth as smooth
 from ._tune import TuneResult as TuneResult, tune as tune
+
+__all__ = [
+    "AbstractResult",
+    "audit_observer",
+    "check_certificate",
+    "compare_force",
+    "describe_model",
+    "design_metric",
+    "design_reduced_order",
+    "init",
+]

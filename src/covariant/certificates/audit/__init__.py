@@ -1,5 +1,5 @@
 """Numerical audit of an intrinsic observer: the laws its convergence rests on, measured at random states."""
 
-import lazy_loader
+from covariant._rooms import attach
 
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+__getattr__, __dir__, __all__ = attach(__name__, __file__)

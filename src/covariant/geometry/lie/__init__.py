@@ -1,5 +1,5 @@
 """Lie groups as matrices, and the Riemannian geometry of left-invariant metrics on them."""
 
-import lazy_loader
+from covariant._rooms import attach
 
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+__getattr__, __dir__, __all__ = attach(__name__, __file__)

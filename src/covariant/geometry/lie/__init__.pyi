@@ -9,3 +9,5 @@ from ._rotations import (
     quaternion_from_rotation as quaternion_from_rotation,
     rotation_from_quaternion as rotation_from_quaternion,
 )
+
+__all__ = ["SE2", "SE3", "SO2", "SO3", "SU", "LeftInvariant", "quaternion_from_rotation", "rotation_from_quaternion"]

@@ -18,3 +18,5 @@ from ._load import load as load, read as read
 from ._space import RobotSpace as RobotSpace
 from ._tree import KinematicTree as KinematicTree, Links as Links
 from ._urdf_inertias import urdf_with_inertias as urdf_with_inertias
+
+__all__ = ["load", "located", "read"]
