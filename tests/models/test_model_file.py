@@ -11,9 +11,9 @@ import pytest
 from covariant import models
 from covariant.logs import Columns
 from covariant.models import Lagrangian
-from covariant.models._check import check_metric
-from covariant.models._file import ModelError, ModelFile
-from covariant.models._load import load
+from covariant.models.files._check import check_metric
+from covariant.models.files._file import ModelError, ModelFile
+from covariant.models.files._load import load
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
@@ -45,7 +45,7 @@ damping = 0.5
 MODULE = """
 from covariant.geometry.lie import SO3, Product
 from covariant.models import GroupSystem, Lagrangian, StateSpace, heavy_top, lorenz, oscillator, pendulum_chain
-from covariant.models._file import ModelFile
+from covariant.models.files._file import ModelFile
 from covariant import models
 from covariant.logs import Columns
 import jax.numpy as jnp

@@ -6,8 +6,8 @@ from covariant.geometry import AbstractManifold, Coordinates
 from covariant.geometry.lie import SE2, SE3, SO2, SO3, AbstractGroup
 from covariant.logs import ATTITUDES, Columns, check_unit
 from covariant.models._mechanical import MechanicalSystem, check_model, input_count
-from covariant.models._source import Model
 from covariant.models._state_space import StateSpace
+from covariant.models.files._source import Model
 
 
 class _Needs(NamedTuple):

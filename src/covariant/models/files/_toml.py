@@ -7,7 +7,7 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any
 
 from covariant.logs import ATTITUDES, Columns, unit_factor
-from covariant.models._systems import unknown
+from covariant.models.files._systems import unknown
 
 Overrides = Sequence[str] | Mapping[str, Any]
 """Values that replace those of a model file: `table.key=value` each, or a mapping from `table.key` to values."""

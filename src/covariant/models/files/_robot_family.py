@@ -12,9 +12,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from covariant.models import _source, _toml
-from covariant.models._file import ModelError, ModelFile, document, finish, made
 from covariant.models._parameters import AnyArray
+from covariant.models.files import _source, _toml
+from covariant.models.files._file import ModelError, ModelFile, document, finish, made
 from covariant.models.robots import (
     OF_INERTIA,
     BodyInertia,

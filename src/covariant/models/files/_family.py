@@ -10,8 +10,8 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
-from covariant.models import _source, _toml
-from covariant.models._file import ModelError, ModelFile, document, finish, made
+from covariant.models.files import _source, _toml
+from covariant.models.files._file import ModelError, ModelFile, document, finish, made
 
 LAG = ("inputs", "lag")
 """The one number outside [parameters] that may be open."""

@@ -11,13 +11,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from covariant.logs import Columns
-from covariant.models import _source, _toml
-from covariant.models._check import check_metric
-from covariant.models._columns import model_columns, unnamed_attitudes
 from covariant.models._mechanical import MechanicalSystem
-from covariant.models._source import Model
-from covariant.models._systems import ROBOT_FILES, SYSTEMS, unknown_model
-from covariant.models._toml import Overrides
+from covariant.models.files import _source, _toml
+from covariant.models.files._check import check_metric
+from covariant.models.files._columns import model_columns, unnamed_attitudes
+from covariant.models.files._source import Model
+from covariant.models.files._systems import ROBOT_FILES, SYSTEMS, unknown_model
+from covariant.models.files._toml import Overrides
 from covariant.models.robots import ROBOTS
 
 

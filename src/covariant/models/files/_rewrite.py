@@ -3,7 +3,7 @@
 import re
 from typing import Any
 
-from covariant.models import _toml
+from covariant.models.files import _toml
 
 _TOKEN = re.compile(
     r"""(?P<skip>#[^\n]*|"(?:[^"\\\n]|\\.)*"|'[^'\n]*')|(?P<number>[+-]?(?:[0-9][0-9_]*\.?[0-9_]*)(?:[eE][+-]?[0-9]+)?)"""

@@ -3,11 +3,11 @@
 from os import PathLike, fspath
 from typing import Any
 
-from covariant.models import _source, _toml
-from covariant.models._family import family
-from covariant.models._file import ModelError, ModelFile, document, finish, finish_object
-from covariant.models._source import Model
-from covariant.models._toml import Overrides
+from covariant.models.files import _source, _toml
+from covariant.models.files._family import family
+from covariant.models.files._file import ModelError, ModelFile, document, finish, finish_object
+from covariant.models.files._source import Model
+from covariant.models.files._toml import Overrides
 
 
 def load(spec: str | PathLike[str] | Model | ModelFile, overrides: Overrides = ()) -> ModelFile:
