@@ -1,13 +1,12 @@
 from ._check import check_metric as check_metric
 from ._family import Family as Family, family as family
 from ._file import (
-    ModelError as ModelError,
-    ModelFile as ModelFile,
     document as document,
     from_recipe as from_recipe,
     recipe_text as recipe_text,
 )
 from ._load import load as load, recipe as recipe, spec_name as spec_name
+from ._model_file import ModelError as ModelError, ModelFile as ModelFile
 from ._rewrite import rewrite as rewrite
 from ._robot_family import (
     RobotFamily as RobotFamily,

@@ -1,174 +1,21 @@
-"""A model with the columns of its logs, the noise of its sensors and the uncertainty of its parameters."""
+"""A model file from its document: the system with its parameters, and the recipe that makes it again."""
 
 import inspect
 import json
-import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from covariant.logs import Columns
-from covariant.models._mechanical import MechanicalSystem
 from covariant.models.files import _source, _toml
 from covariant.models.files._check import check_metric
-from covariant.models.files._columns import model_columns, unnamed_attitudes
+from covariant.models.files._columns import model_columns
+from covariant.models.files._model_file import ModelError, ModelFile
 from covariant.models.files._source import Model
 from covariant.models.files._systems import ROBOT_FILES, SYSTEMS, unknown_model
 from covariant.models.files._toml import Overrides
 from covariant.models.robots import ROBOTS
-
-
-class ModelError(ValueError):
-    """A model cannot be loaded.
-
-    The message is one line: the file or module, what is wrong there, and what to do.
-
-    Example:
-        >>> from covariant import models
-        >>> try:
-        ...     models.load("oscilator")
-        ... except models.ModelError as error:
-        ...     print(str(error).split(" Known")[0])
-        oscilator: unknown model 'oscilator'. Did you mean 'oscillator'?
-    """
-
-
-class ModelFile(NamedTuple):
-    """A model and the numbers that a design starts from; a number that is not known is None.
-
-    Attributes:
-        name: What messages and titles call the model.
-        model: A `MechanicalSystem` or a `StateSpace`.
-        columns: Columns of a log; empty `q` and `u` stand for the model's coordinates and for u1, u2, …. Where the
-            model is a `StateSpace`, `q` are its outputs.
-        measurement_std: Standard deviation of a measured position [its unit], or one for each coordinate; on a group
-            that of each component of `log(g⁻¹ y)`, the error as seen from the body [rad, and m where there is a
-            position].
-        acceleration_std: Standard deviation [unit/s²] of the acceleration that the model does not explain.
-        correlation_time: Correlation time [s] of the acceleration that the model does not explain.
-        motion_std: Standard deviation [unit/s²] of the acceleration of the motion, for filters that use no model.
-        motion_time: Correlation time [s] of the acceleration of the motion, for filters that use no model.
-        damping: Damping ratio of the error [1].
-        input_lag: Time constant [s] of the first-order lag between logged input and force.
-        reference_half: Half width [s] of the windows of the local polynomials that give the reference velocity for
-            scoring.
-        reference_order: Degree of these polynomials.
-        delay: Measurement delay [s]: a position read at the stamp t was true at t − delay; or one for each coordinate.
-        input_delay: Time [s] from the stamp of an input until it acts.
-        input_between: Whether an input is "held" from one stamp to the next, or "linear" between them.
-        quantum: One tick of the encoders [unit of the coordinates], or one for each coordinate, where the model file
-            states that and not a standard deviation.
-        external_force: Standard deviation of the change in a second of a force that the model does not know [N or N m],
-            for a filter that estimates it: a random walk, which stays through a gap.
-        process_std: Of a `StateSpace`: standard deviation of the white noise in the rate of each state [its unit/√s],
-            or one for all.
-        initial_state: Of a `StateSpace`: first estimate of each state [its unit], or one for all. By default the middle
-            of the model's box, or zero.
-        initial_std: Of a `StateSpace`: standard deviation of the first estimate [its unit], or one for all. By default
-            as uncertain as the box is wide.
-        natural_frequency: Natural frequency [rad/s] of the error under constant gains, where it is not designed from
-            the noise.
-        bias: Standard deviation of a constant offset of a measured position [its unit], or one for each coordinate, for
-            a filter that estimates it.
-        bias_drift: Standard deviation of the change of the offset in a second [its unit], or one for each coordinate.
-        uncertain: Relative standard deviations of numbers of [parameters], by name, for a filter that estimates them.
-        parameters_drift: Standard deviation of their relative change in a second.
-        family: The model with these numbers open, in their order.
-        external_force_std: Usual size [N or N m] of a force that the model does not know, or one for each coordinate,
-            for a filter that estimates it and forgets it after `external_force_time` [s].
-        external_force_time: Its time constant [s].
-        system: Name of the system, where it is one of this library, as "robot".
-        wrenches: Forces on links of a robot, by name, for a filter that estimates them: arguments of
-            `observers.wrench`.
-        sensors: Sensors beside the measured positions, by name, with the keys of their tables, for a filter that uses
-            them.
-        torque_std: Standard deviation of the torques or forces that the model does not explain [N m or N], or one for
-            each coordinate: noise like `acceleration_std`, with its correlation time.
-
-    Example:
-        >>> from covariant import models
-        >>> file = models.ModelFile("spring", models.oscillator(), measurement_std=(3e-3, 4e-3))
-        >>> file.mechanical, round(file.typical_std, 4)
-        (True, 0.0035)
-    """
-
-    name: str
-    model: Model
-    columns: Columns = Columns()
-    measurement_std: float | tuple[float, ...] | None = None
-    acceleration_std: float | None = None
-    correlation_time: float | None = None
-    motion_std: float | None = None
-    motion_time: float | None = None
-    damping: float = math.sqrt(0.5)
-    input_lag: float = 0.0
-    reference_half: float = 0.03
-    reference_order: float = 3
-    delay: float | tuple[float, ...] = 0.0
-    input_delay: float = 0.0
-    input_between: str = "held"
-    quantum: float | tuple[float, ...] | None = None
-    external_force: float | None = None
-    process_std: float | tuple[float, ...] | None = None
-    initial_state: float | tuple[float, ...] | None = None
-    initial_std: float | tuple[float, ...] | None = None
-    natural_frequency: float | None = None
-    bias: float | tuple[float, ...] | None = None
-    bias_drift: float | tuple[float, ...] = 0.0
-    uncertain: Mapping[str, float] = MappingProxyType({})
-    parameters_drift: float = 0.0
-    family: Any = None
-    external_force_std: float | tuple[float, ...] | None = None
-    external_force_time: float | None = None
-    system: str = ""
-    wrenches: Mapping[str, Mapping[str, Any]] = MappingProxyType({})
-    sensors: Mapping[str, Mapping[str, Any]] = MappingProxyType({})
-    torque_std: float | tuple[float, ...] | None = None
-
-    @property
-    def typical_std(self) -> float | None:
-        """The measurement noise in one number: `measurement_std`, or the root mean square of its entries."""
-        std = self.measurement_std
-        # hypot scales its arguments, so that no square overflows or underflows.
-        return math.hypot(*std) / math.sqrt(len(std)) if isinstance(std, tuple) else std
-
-    @property
-    def dimension(self) -> int:
-        """Number n of velocities; for a `StateSpace`, of states."""
-        return len(self.model.velocities) or len(self.columns.q if self.mechanical else self.model.coordinates)
-
-    @property
-    def mechanical(self) -> bool:
-        """Whether the model is a mechanical system, with a velocity to estimate; otherwise it is a `StateSpace`."""
-        return isinstance(self.model, MechanicalSystem)
-
-    def need_mechanical(self, spec: str, why: str) -> MechanicalSystem:
-        """Require a mechanical model.
-
-        Args:
-            spec: What the message calls the model.
-            why: What needs a mechanical model, for the message.
-
-        Returns:
-            The mechanical model.
-
-        Raises:
-            ValueError: The model is a `StateSpace`.
-        """
-        if not isinstance(self.model, MechanicalSystem):
-            raise ValueError(
-                f"{spec} is a state-space model, and {why} mechanical ones, a Lagrangian or a GroupSystem; design an "
-                "observer for its states by `covariant design metric`"
-            )
-        return self.model
-
-    @property
-    def unnamed_attitudes(self) -> int:
-        """Number of attitudes in a log of the model whose representation no column states."""
-        return unnamed_attitudes(self.model, self.columns)
 
 
 def finish(spec: str, content: dict[str, Any]) -> ModelFile:

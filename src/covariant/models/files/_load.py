@@ -5,7 +5,8 @@ from typing import Any
 
 from covariant.models.files import _source, _toml
 from covariant.models.files._family import family
-from covariant.models.files._file import ModelError, ModelFile, document, finish, finish_object
+from covariant.models.files._file import document, finish, finish_object
+from covariant.models.files._model_file import ModelError, ModelFile
 from covariant.models.files._source import Model
 from covariant.models.files._toml import Overrides
 

@@ -13,8 +13,11 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from covariant.models._parameters import AnyArray
-from covariant.models.files import _source, _toml
-from covariant.models.files._file import ModelError, ModelFile, document, finish, made
+from covariant.models.files import _source
+from covariant.models.files._file import document, finish, made
+from covariant.models.files._model_file import ModelError, ModelFile
+from covariant.models.files._systems import refuse_unknown
+from covariant.models.files._toml import Overrides
 from covariant.models.robots import (
     OF_INERTIA,
     BodyInertia,
@@ -219,7 +222,7 @@ def is_robot_number(name: str) -> bool:
     return "[" not in name and name.strip().removeprefix("parameters.").split(".")[0] in GROUPS
 
 
-def robot_family(spec: str, names: Sequence[str], overrides: _toml.Overrides = ()) -> RobotFamily:
+def robot_family(spec: str, names: Sequence[str], overrides: Overrides = ()) -> RobotFamily:
     """Robot as a function of the named numbers.
 
     Args:
@@ -264,7 +267,7 @@ def _family(spec: str, names: Sequence[str], content: dict[str, Any]) -> RobotFa
     numbers: list[OpenNumber] = []
     for name in names:
         group, *rest = name.strip().removeprefix("parameters.").split(".")
-        _toml.refuse_unknown("group of numbers", group, GROUPS)
+        refuse_unknown("group of numbers", group, GROUPS)
         numbers += _OPENED[group](_Scene(file, robot, parameters, group), rest)
     for number in numbers:
         if [other.name for other in numbers].count(number.name) > 1:
@@ -324,7 +327,7 @@ class _Scene(NamedTuple):
             joint = self.joints[int(name) - 1]
             child = next(j.child for j in self.robot.joints if j.name == joint)
             name = child if known is not self.joints and known != self.joints else joint
-        _toml.refuse_unknown(f"{'joint' if known == self.joints else 'link'} in {self.group}", name, known)
+        refuse_unknown(f"{'joint' if known == self.joints else 'link'} in {self.group}", name, known)
         return name
 
     def joint(self, name: str) -> Any:

@@ -19,8 +19,7 @@ import numpy as np
 from covariant._typing import Number
 from covariant.models._mechanical import MechanicalSystem
 from covariant.models._state_space import StateSpace, state_space
-from covariant.models.files._systems import SYSTEMS
-from covariant.models.files._toml import refuse_unknown
+from covariant.models.files._systems import SYSTEMS, refuse_unknown
 
 Model = MechanicalSystem | StateSpace
 """The kinds of models, `MechanicalSystem` and `StateSpace`."""

@@ -89,3 +89,18 @@ def unknown(what: str, name: str, known: Collection[str]) -> str:
     nearest = difflib.get_close_matches(name, known, 1)
     suggestion = f" Did you mean {nearest[0]!r}?" if nearest else ""
     return f"unknown {what} {name!r}.{suggestion} Known: {', '.join(known) or 'none'}"
+
+
+def refuse_unknown(what: str, name: str, known: Collection[str]) -> None:
+    """Check that a name is a known one.
+
+    Args:
+        what: What the name is of, for the message.
+        name: The name.
+        known: The names that exist.
+
+    Raises:
+        ValueError: Suggests the nearest known name and lists all.
+    """
+    if name not in known:
+        raise ValueError(unknown(what, name, known))

@@ -3,47 +3,16 @@
 import math
 import re
 import tomllib
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from covariant.logs import ATTITUDES, Columns, unit_factor
-from covariant.models.files._systems import unknown
+from covariant.models.files._keys import ZERO_OR_MORE, Number
+from covariant.models.files._model_file import KEYS
+from covariant.models.files._systems import refuse_unknown
 
 Overrides = Sequence[str] | Mapping[str, Any]
 """Values that replace those of a model file: `table.key=value` each, or a mapping from `table.key` to values."""
-
-NUMBERS = {
-    ("inputs", "lag"): ("input_lag", 1.0),
-    ("inputs", "delay"): ("input_delay", 1.0),
-    ("measurement", "std"): ("measurement_std", 1.0),
-    ("measurement", "delay"): ("delay", 1.0),
-    ("measurement", "quantum"): ("quantum", 1.0),
-    ("measurement", "bias"): ("bias", 1.0),
-    ("measurement", "bias_drift"): ("bias_drift", 1.0),
-    ("uncertainty", "acceleration"): ("acceleration_std", 1.0),
-    ("uncertainty", "torque"): ("torque_std", 1.0),
-    ("uncertainty", "correlation_time"): ("correlation_time", 1.0),
-    ("uncertainty", "process"): ("process_std", 1.0),
-    ("initial", "state"): ("initial_state", 1.0),
-    ("initial", "std"): ("initial_std", 1.0),
-    ("uncertainty", "external_force"): ("external_force", 1.0),
-    ("uncertainty", "external_force_std"): ("external_force_std", 1.0),
-    ("uncertainty", "external_force_time"): ("external_force_time", 1.0),
-    ("uncertainty", "parameters_drift"): ("parameters_drift", 1.0),
-    ("uncertainty", "motion_acceleration"): ("motion_std", 1.0),
-    ("uncertainty", "motion_time"): ("motion_time", 1.0),
-    ("design", "damping"): ("damping", 1.0),
-    ("design", "natural_frequency"): ("natural_frequency", 1.0),
-    ("reference", "half"): ("reference_half", 1.0),
-    ("reference", "order"): ("reference_order", 1),
-}
-"""Table and key of each number, with the field of `ModelFile` it fills and the factor that converts it."""
-
-WORDS = {("inputs", "between"): ("input_between", ("held", "linear"))}
-"""Table and key of each choice, with the field of `ModelFile` it fills and the values that it may have."""
-
-UNCERTAIN = ("uncertainty", "parameters")
-"""Table and key of the numbers of [parameters] that are estimated with the motion, with their relative deviations."""
 
 WRENCH = "wrench"
 """Table of the forces that act on links, a table for each."""
@@ -66,35 +35,20 @@ _REQUIRED = dict.fromkeys(_OF_SENSOR, ("std",)) | {"pose": ("attitude", "positio
 
 _NAMES = tuple(field for field in Columns._fields if field != "units")
 """Keys of [columns], and of [units] but for attitudes, which have none."""
-_KEYS = {"columns": _NAMES, "units": tuple(name for name in _NAMES if name not in ATTITUDES)} | {
-    table: tuple(key for other, key in (*NUMBERS, *WORDS, UNCERTAIN) if other == table)
-    for table in dict.fromkeys(table for table, _ in NUMBERS)
+_PLACES = [key.path.split(".") for key in KEYS.values()]
+_OF_TABLE = {"columns": _NAMES, "units": tuple(name for name in _NAMES if name not in ATTITUDES)} | {
+    table: tuple(key for other, key in _PLACES if other == table) for table, _ in _PLACES
 }
+"""Keys of each table but those whose keys are names."""
 _QUOTED = re.compile(r"""\"(?:[^"\\]|\\.)*\"|'[^']*'""")
 _ODD_NUMBER = re.compile(r"(?<![\w-])[+-]?(?:0[xob]\w|[0-9.]+_)")
 """TOML allows underscores and hexadecimal numbers; on a command line these are more likely typing errors."""
-_MAY_BE_ZERO = {("inputs", "lag"), ("inputs", "delay"), ("measurement", "delay")} | {
-    ("measurement", "bias"),
-    ("measurement", "bias_drift"),
-    ("uncertainty", "parameters_drift"),
+_REPLACES = {key.path: key.replaces for key in KEYS.values()} | {
+    f"columns.{kind}": tuple(other for other in ATTITUDES if other != kind) for kind in ATTITUDES
 }
-_ANY_SIGN = {("initial", "state")}
-_FORCE_IN_THE_LONG_RUN = {"external_force_std", "external_force_time"}
-"""Keys of a force that returns to zero, which go together."""
-_OF_STATES = {("uncertainty", "process"), ("initial", "state"), ("initial", "std")}
-"""Numbers of state-space models, of which there may be one for each state."""
-_MAY_BE_LISTS = {("measurement", key) for key in ("std", "quantum", "delay", "bias", "bias_drift")} | {
-    ("uncertainty", "torque"),
-    ("uncertainty", "external_force_std"),
-    *_OF_STATES,
-}
-"""Numbers of which there may be one for each coordinate or state."""
-_RIVALS = {
-    "measurement.std": ("quantum",),
-    "measurement.quantum": ("std",),
-    "uncertainty.external_force": ("external_force_std", "external_force_time"),
-    "uncertainty.external_force_std": ("external_force",),
-} | {f"columns.{kind}": tuple(other for other in ATTITUDES if other != kind) for kind in ATTITUDES}
+"""Keys that state the same in another way, in the same table."""
+_PASSING_FORCE = {"external_force_std", "external_force_time"}
+"""Keys of a force that is forgotten, which go together."""
 
 
 def parse(text: str) -> dict[str, Any]:
@@ -137,7 +91,7 @@ def override(document: dict[str, Any], overrides: Overrides) -> dict[str, Any]:
             table = table.setdefault(name, {})
             if not isinstance(table, dict):
                 raise ValueError(f"override {text!r}: {name!r} is not a table")
-        for rival in _RIVALS.get(key, ()):  # of two keys for the same number the new one replaces the old
+        for rival in _REPLACES.get(key, ()):  # of two keys for the same number the new one replaces the old
             table.pop(rival, None)
         table[last] = value
     return document
@@ -183,27 +137,12 @@ def check_layout(document: dict[str, Any]) -> None:
         ValueError: Names the first unknown one and suggests the nearest name.
     """
     for table, content in document.items():
-        refuse_unknown("table or key", table, ("system", "parameters", *_KEYS, WRENCH, SENSORS))
+        refuse_unknown("table or key", table, ("system", "parameters", *_OF_TABLE, WRENCH, SENSORS))
         if table != "system" and not isinstance(content, dict):
             raise ValueError(f"{table} must be a table, [{table}]; got {content!r}")
-        if table in _KEYS:
+        if table in _OF_TABLE:
             for key in content:
-                refuse_unknown(f"key of [{table}]", key, _KEYS[table])
-
-
-def refuse_unknown(what: str, name: str, known: Collection[str]) -> None:
-    """Check that a name is a known one.
-
-    Args:
-        what: What the name is of, for the message.
-        name: The name.
-        known: The names that exist.
-
-    Raises:
-        ValueError: Suggests the nearest known name and lists all.
-    """
-    if name not in known:
-        raise ValueError(unknown(what, name, known))
+                refuse_unknown(f"key of [{table}]", key, _OF_TABLE[table])
 
 
 def columns(document: dict[str, Any]) -> dict[str, Any]:
@@ -260,64 +199,25 @@ def numbers(document: dict[str, Any], count: int, states: int) -> dict[str, Any]
     """
     if {"std", "quantum"} <= document.get("measurement", {}).keys():
         raise ValueError("[measurement] has both std and quantum; keep one (std = quantum / sqrt(12))")
-    forces = {"external_force", *_FORCE_IN_THE_LONG_RUN} & document.get("uncertainty", {}).keys()
-    if forces not in (set(), {"external_force"}, _FORCE_IN_THE_LONG_RUN):
+    forces = {"external_force", *_PASSING_FORCE} & document.get("uncertainty", {}).keys()
+    if forces not in (set(), {"external_force"}, _PASSING_FORCE):
         raise ValueError(
             "[uncertainty] needs external_force_std and external_force_time together, for a force that is forgotten, "
             f"or external_force alone, for one that stays; got {', '.join(sorted(forces))}"
         )
-    entries = {(table, key): document[table][key] for table, key in NUMBERS if key in document.get(table, {})}
-    fields: dict[str, Any] = {}
-    for where, value in entries.items():
-        field, factor = NUMBERS[where]
-        if where in _OF_STATES and not states:
-            raise ValueError(f"{'.'.join(where)} is for a state-space model, and this one is mechanical")
-        length = states if where in _OF_STATES else count
-        values = _numbers(where, value, length) if isinstance(value, list) else (_number(where, value),)
-        scaled = tuple(number * factor for number in values)
-        fields[field] = scaled if isinstance(value, list) else scaled[0]
+    counts, fields = {"coordinate": count, "state": states}, {}
+    for field, key in KEYS.items():
+        table, name = key.path.split(".")
+        if name in document.get(table, {}):
+            fields[field] = key.read(document[table][name], counts)
+    if not fields.get("uncertain", True):
+        del fields["uncertain"]  # a model that is an object keeps those that it has
     if "quantum" in fields:
-        ticks = fields["quantum"]  # an error uniform over one step has the variance quantum²/12
-        values = tuple(tick / math.sqrt(12) for tick in (ticks if isinstance(ticks, tuple) else (ticks,)))
-        fields["measurement_std"] = values if isinstance(ticks, tuple) else values[0]
-    return fields | _choices(document) | _uncertain(document, states) | _wrenches(document) | _sensors(document)
-
-
-def _number(where: tuple[str, str], value: Any) -> float | int:
-    # The smallest positive float as bound lets one comparison tell "positive" from "≥ 0".
-    bound = -math.inf if where in _ANY_SIGN else 0.0 if where in _MAY_BE_ZERO else math.ulp(0.0)
-    if (
-        isinstance(value, bool)
-        or not isinstance(value, int | float)
-        or not (bound <= value < math.inf and math.isfinite(value))
-    ):
-        expected = "finite number" if bound < 0 else "positive number" if bound > 0 else "number ≥ 0"
-        raise ValueError(f"{'.'.join(where)} must be a {expected}; got {value!r}")
-    return value
-
-
-def _numbers(where: tuple[str, str], values: list[Any], count: int) -> tuple[float | int, ...]:
-    if where not in _MAY_BE_LISTS:
-        _number(where, values)
-    if len(values) != count:
-        raise ValueError(f"{'.'.join(where)} lists {len(values)} numbers; give {count}, or one number without brackets")
-    return tuple(_number(where, value) for value in values)
-
-
-def _uncertain(document: dict[str, Any], states: int) -> dict[str, dict[str, float]]:
-    """The relative standard deviations of uncertain parameters, by name."""
-    table, key = UNCERTAIN
-    deviations = document.get(table, {}).get(key, {})
-    if not isinstance(deviations, dict):
-        raise ValueError(
-            f"{table}.{key} must name numbers of [parameters], each with the standard deviation of its relative error, "
-            f'as in {{"mass[0]" = 0.3}}; got {deviations!r}'
-        )
-    if deviations and states:
-        raise ValueError(f"{table}.{key} is for a mechanical model, and this one is a state-space model")
-    # Nothing where there are none: a model that is an object keeps those that it has.
-    stated = {name: _number((table, f"{key}.{name}"), value) for name, value in deviations.items()}
-    return {"uncertain": stated} if stated else {}
+        # An error uniform over one step has the variance quantum²/12.
+        ticks = fields["quantum"]
+        std = tuple(tick / math.sqrt(12) for tick in ticks) if isinstance(ticks, tuple) else ticks / math.sqrt(12)
+        fields["measurement_std"] = std
+    return fields | _wrenches(document) | _sensors(document)
 
 
 def _wrenches(document: dict[str, Any]) -> dict[str, dict[str, dict[str, Any]]]:
@@ -359,19 +259,8 @@ def _sensors(document: dict[str, Any]) -> dict[str, dict[str, dict[str, Any]]]:
                 raise ValueError(f'{SENSORS}.{name}.{key} must be a list of names, as in ["x", "y"]; got {names!r}')
         if "units" in content:
             _units({f"{SENSORS}.{name}": content["units"]})
-        _number(("measurement", "delay"), content.get("delay", 0.0))
+        Number(f"{SENSORS}.{name}.delay", ZERO_OR_MORE).checked(content.get("delay", 0.0))
         attitude = content.get("attitude", next(iter(ATTITUDES)))
         if attitude not in ATTITUDES:
             raise ValueError(f"{SENSORS}.{name}.attitude must be one of {', '.join(ATTITUDES)}; got {attitude!r}")
     return {"sensors": dict(given)} if given else {}
-
-
-def _choices(document: dict[str, Any]) -> dict[str, str]:
-    fields = {}
-    for (table, key), (field, known) in WORDS.items():
-        if key in document.get(table, {}):
-            choice = document[table][key]
-            if choice not in known:
-                raise ValueError(f"{table}.{key} must be one of {', '.join(map(repr, known))}; got {choice!r}")
-            fields[field] = choice
-    return fields
