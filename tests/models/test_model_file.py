@@ -12,8 +12,8 @@ from covariant import models
 from covariant.logs import Columns
 from covariant.models import Lagrangian
 from covariant.models.files._check import check_metric
-from covariant.models.files._model_file import ModelError, ModelFile
 from covariant.models.files._load import load
+from covariant.models.files._model_file import ModelError, ModelFile
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 

@@ -1,5 +1,7 @@
 """Parameters of a model: with units and sources for people, and as leaves of the pytree for programs."""
 
+import math
+import sys
 from collections.abc import Callable, Collection
 from typing import Any
 
@@ -13,6 +15,10 @@ from jaxtyping import Array, Float
 from covariant._functional import Functional
 
 AnyArray = Array | np.ndarray
+
+POSITIVE, ZERO_OR_MORE, ANY_SIGN = math.ulp(0.0), 0.0, -sys.float_info.max
+"""Least value of a number; the smallest positive float lets one comparison tell "positive" from "≥ 0"."""
+RANGES = {POSITIVE: "positive", ZERO_OR_MORE: "≥ 0", ANY_SIGN: "finite"}
 
 
 class Parameter(eqx.Module):
@@ -138,12 +144,12 @@ def check_parameters(
         ValueError: Names the first parameter out of its range.
     """
     for name, parameter in parameters.items():
-        if isinstance(parameter.value, Tracer):
-            continue
-        value = np.asarray(parameter.value)
-        # The least positive number lets one comparison test "positive" and "≥ 0".
-        expected = "finite" if name in signed else "≥ 0" if name in may_vanish else "positive"
-        bound = {"finite": -np.inf, "≥ 0": 0.0, "positive": np.nextafter(0, 1)}[expected]
-        if not (np.isfinite(value) & (value >= bound)).all():
-            raise ValueError(f"{system}: {name} [{parameter.unit}] must be {expected}; got {value.tolist()!r}")
+        least = ANY_SIGN if name in signed else ZERO_OR_MORE if name in may_vanish else POSITIVE
+        check_range(f"{system}: {name} [{parameter.unit}]", parameter.value, least)
     return parameters
+
+
+def check_range(what: str, value: Any, least: float) -> None:
+    """Raise `ValueError` for a number that is not finite or below its least value; traced ones are not checked."""
+    if known(value) and not ((numbers := np.asarray(value)) >= least).all() & np.isfinite(numbers).all():
+        raise ValueError(f"{what} must be {RANGES[least]}; got {numbers.tolist()!r}")

@@ -10,10 +10,10 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
+from covariant.models._names import refuse_unknown
 from covariant.models.files import _source
 from covariant.models.files._file import document, finish, made
-from covariant.models.files._model_file import ModelError, ModelFile
-from covariant.models.files._systems import refuse_unknown
+from covariant.models.files._model_file import ModelFile, named
 from covariant.models.files._toml import Overrides
 
 LAG = ("inputs", "lag")
@@ -86,10 +86,8 @@ def family(spec: str, names: Sequence[str], overrides: Overrides = ()) -> Family
         >>> family.names, family.first.tolist()
         (('mass',), [0.5])
     """
-    try:
+    with named(spec):
         return _family(spec, names, document(spec, overrides))
-    except ValueError as error:
-        raise ModelError(f"{spec}: {_source.first_line(error)}") from error
 
 
 def _family(spec: str, names: Sequence[str], content: dict[str, Any]) -> Family:

@@ -1,8 +1,6 @@
 """A model file from its document: the system with its parameters, and the recipe that makes it again."""
 
 import inspect
-import json
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +10,7 @@ from covariant.models.files import _source, _toml
 from covariant.models.files._check import check_metric
 from covariant.models.files._columns import model_columns
 from covariant.models.files._model_file import ModelError, ModelFile
+from covariant.models.files._rewrite import written
 from covariant.models.files._source import Model
 from covariant.models.files._systems import ROBOT_FILES, SYSTEMS, unknown_model
 from covariant.models.files._toml import Overrides
@@ -147,16 +146,8 @@ def recipe_text(made: dict[str, Any]) -> str:
             argument.name: argument.default for argument in arguments if argument.default is not inspect.Parameter.empty
         }
         parameters = defaults | parameters
-    return name + "".join(f", {key} = {_number_text(value)}" for key, value in parameters.items())
-
-
-def _number_text(value: Any) -> str:
-    """A parameter as in a model file."""
-    if isinstance(value, str) or value is None:
-        return "none" if value is None else json.dumps(value, ensure_ascii=False)
-    if isinstance(value, Sequence | np.ndarray):
-        return "[" + ", ".join(map(_number_text, value)) + "]"
-    return repr(value.item() if isinstance(value, np.generic) else value)
+    texts = {key: "none" if value is None else written(_toml.plain(value)) for key, value in parameters.items()}
+    return name + "".join(f", {key} = {text}" for key, text in texts.items())
 
 
 def _replacement(model: Any, parameters: dict[str, Any]) -> Model:

@@ -1,13 +1,12 @@
 """The kinds of keys of a model file: which values each may have, and how they are read."""
 
-import math
 import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
-POSITIVE, ZERO_OR_MORE, ANY_SIGN = math.ulp(0.0), 0.0, -sys.float_info.max
-"""Least value of a number; the smallest positive float lets one comparison tell "positive" from "≥ 0"."""
+from covariant.models._parameters import ANY_SIGN, POSITIVE, ZERO_OR_MORE
+
 _EXPECTED = {POSITIVE: "positive number", ZERO_OR_MORE: "number ≥ 0", ANY_SIGN: "finite number"}
 
 Counts = Mapping[str, int]

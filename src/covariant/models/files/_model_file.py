@@ -1,15 +1,17 @@
 """A model with the columns of its logs, the noise of its sensors and the uncertainty of its parameters."""
 
+import contextlib
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from types import MappingProxyType
 from typing import Annotated, Any, NamedTuple, get_origin, get_type_hints
 
 from covariant.logs import Columns
 from covariant.models._mechanical import MechanicalSystem
+from covariant.models._parameters import ANY_SIGN, ZERO_OR_MORE
 from covariant.models.files._columns import unnamed_attitudes
-from covariant.models.files._keys import ANY_SIGN, ZERO_OR_MORE, Choice, Deviations, Key, Number
-from covariant.models.files._source import Model
+from covariant.models.files._keys import Choice, Deviations, Key, Number
+from covariant.models.files._source import Model, first_line
 
 Several = float | tuple[float, ...]
 Unknown = Several | None
@@ -29,6 +31,16 @@ class ModelError(ValueError):
         ...     print(str(error).split(" Known")[0])
         oscilator: unknown model 'oscilator'. Did you mean 'oscillator'?
     """
+
+
+@contextlib.contextmanager
+def named(spec: str) -> Iterator[None]:
+    """Raise a `ValueError` as a `ModelError`: its first line, after the name of the model that it is about."""
+    try:
+        yield
+    except ValueError as error:
+        line = first_line(error)  # of a robot's file it names the path already
+        raise ModelError(line if line.startswith(f"{spec}: ") else f"{spec}: {line}") from error
 
 
 class ModelFile(NamedTuple):

@@ -1,5 +1,6 @@
 """Model files rewritten with other values, with their comments and layout."""
 
+import json
 import re
 from typing import Any
 
@@ -130,7 +131,7 @@ def written(value: Any) -> str:
         pairs = (f"{_key(key)} = {written(entry)}" for key, entry in value.items())
         return "{ " + ", ".join(pairs) + " }"
     if isinstance(value, str):
-        return '"' + value.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n") + '"'
+        return json.dumps(value, ensure_ascii=False)  # JSON's escapes are among those of TOML
     return str(value).lower() if isinstance(value, bool) else repr(value)
 
 

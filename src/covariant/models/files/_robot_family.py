@@ -12,11 +12,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from covariant.models._names import refuse_unknown
 from covariant.models._parameters import AnyArray
-from covariant.models.files import _source
 from covariant.models.files._file import document, finish, made
-from covariant.models.files._model_file import ModelError, ModelFile
-from covariant.models.files._systems import refuse_unknown
+from covariant.models.files._model_file import ModelFile, named
 from covariant.models.files._toml import Overrides
 from covariant.models.robots import (
     OF_INERTIA,
@@ -243,11 +242,8 @@ def robot_family(spec: str, names: Sequence[str], overrides: Overrides = ()) -> 
         >>> models.robot_family("scara", ["payload"]).names
         ('payload.hand.mass', 'payload.hand.x', 'payload.hand.y', 'payload.hand.z')
     """
-    try:
+    with named(spec):
         return _family(spec, names, document(spec, overrides))
-    except ValueError as error:
-        line = _source.first_line(error)
-        raise ModelError(line if line.startswith(f"{spec}: ") else f"{spec}: {line}") from error
 
 
 def _family(spec: str, names: Sequence[str], content: dict[str, Any]) -> RobotFamily:

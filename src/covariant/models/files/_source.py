@@ -18,8 +18,9 @@ import numpy as np
 
 from covariant._typing import Number
 from covariant.models._mechanical import MechanicalSystem
+from covariant.models._names import refuse_unknown
 from covariant.models._state_space import StateSpace, state_space
-from covariant.models.files._systems import SYSTEMS, refuse_unknown
+from covariant.models.files._systems import SYSTEMS
 
 Model = MechanicalSystem | StateSpace
 """The kinds of models, `MechanicalSystem` and `StateSpace`."""

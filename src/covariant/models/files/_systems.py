@@ -1,12 +1,11 @@
 """The systems of this library by name, and a check of the names and paths of models. Loads nothing heavy."""
 
-import difflib
 import errno
 import os
-from collections.abc import Collection
 from os import PathLike
 from pathlib import Path
 
+from covariant.models._names import unknown
 from covariant.models.robots import ROBOTS
 
 ROBOT_FILES = (".urdf", ".xml")
@@ -73,34 +72,3 @@ def unknown_model(name: str) -> str:
         One line that suggests the nearest model and lists all.
     """
     return f"{unknown('model', name, (*SYSTEMS, *ROBOTS))}, a .toml, .urdf or .xml file, or module:attribute"
-
-
-def unknown(what: str, name: str, known: Collection[str]) -> str:
-    """Message for an unknown name.
-
-    Args:
-        what: What the name is of.
-        name: The name.
-        known: The names that exist.
-
-    Returns:
-        One line that suggests the nearest known name and lists all.
-    """
-    nearest = difflib.get_close_matches(name, known, 1)
-    suggestion = f" Did you mean {nearest[0]!r}?" if nearest else ""
-    return f"unknown {what} {name!r}.{suggestion} Known: {', '.join(known) or 'none'}"
-
-
-def refuse_unknown(what: str, name: str, known: Collection[str]) -> None:
-    """Check that a name is a known one.
-
-    Args:
-        what: What the name is of, for the message.
-        name: The name.
-        known: The names that exist.
-
-    Raises:
-        ValueError: Suggests the nearest known name and lists all.
-    """
-    if name not in known:
-        raise ValueError(unknown(what, name, known))

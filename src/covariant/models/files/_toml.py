@@ -7,16 +7,18 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from covariant.logs import ATTITUDES, Columns, unit_factor
-from covariant.models.files._keys import ZERO_OR_MORE, Number
+from covariant.models._names import refuse_unknown
+from covariant.models._parameters import ZERO_OR_MORE
+from covariant.models.files._keys import Number
 from covariant.models.files._model_file import KEYS
-from covariant.models.files._systems import refuse_unknown
 
 Overrides = Sequence[str] | Mapping[str, Any]
 """Values that replace those of a model file: `table.key=value` each, or a mapping from `table.key` to values."""
 
 WRENCH = "wrench"
 """Table of the forces that act on links, a table for each."""
-_OF_WRENCH = ("link", "force_std", "torque_std", "time", "frame", "point")
+_OF_WRENCH = {"link": True, "force_std": True, "torque_std": False, "time": True, "frame": False, "point": False}
+"""Keys of such a table, and whether it needs them."""
 
 SENSORS = "sensors"
 """Table of the sensors beside the measured positions, a table for each."""
@@ -100,7 +102,7 @@ def override(document: dict[str, Any], overrides: Overrides) -> dict[str, Any]:
 def _pairs(overrides: Overrides) -> Iterator[tuple[str, str, Any]]:
     """Text, key and value of each override."""
     if isinstance(overrides, Mapping):
-        yield from ((key, key, _plain(value)) for key, value in overrides.items())
+        yield from ((key, key, plain(value)) for key, value in overrides.items())
         return
     for text in overrides:
         key, equals, value = (part.strip() for part in text.partition("="))
@@ -109,10 +111,10 @@ def _pairs(overrides: Overrides) -> Iterator[tuple[str, str, Any]]:
         yield text, key, _value(text, value)
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
     """A value in TOML's types: tuples and arrays become lists, NumPy's numbers become Python's."""
     value = value.tolist() if hasattr(value, "tolist") else value
-    return [_plain(entry) for entry in value] if isinstance(value, list | tuple) else value
+    return [plain(entry) for entry in value] if isinstance(value, list | tuple) else value
 
 
 def _value(text: str, value: str) -> Any:
@@ -228,7 +230,7 @@ def _wrenches(document: dict[str, Any]) -> dict[str, dict[str, dict[str, Any]]]:
             raise ValueError(f"{WRENCH}.{name} must be a table, [{WRENCH}.{name}]; got {content!r}")
         for key in content:
             refuse_unknown(f"key of [{WRENCH}.{name}]", key, _OF_WRENCH)
-        missing = [key for key in ("link", "force_std", "time") if key not in content]
+        missing = [key for key, needed in _OF_WRENCH.items() if needed and key not in content]
         if missing:
             raise ValueError(
                 f"[{WRENCH}.{name}] needs {' and '.join(missing)}: the link, the usual size of the force [N], and the "

@@ -80,12 +80,17 @@ def number(entry: Element, key: str, where: str, default: float | None = None) -
         if default is None:
             raise ValueError(f"{where}: <{entry.tag}> lacks {key!r}")
         return default
+    return finite(text, f"{where}: {key} of <{entry.tag}>")
+
+
+def finite(text: str, what: str) -> float:
+    """The number in a text; raises `ValueError` where it is none, or not finite."""
     try:
         value = float(text)
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
-        raise ValueError(f"{where}: {key} of <{entry.tag}> must be a finite number; got {text!r}")
+        raise ValueError(f"{what} must be a finite number; got {text!r}")
     return value
 
 
