@@ -390,6 +390,7 @@ def test_refuses_text_that_is_not_utf8(tmp_path):
         ("inputs.delay=-1.0", "inputs.delay must be a number ≥ 0; got -1.0"),
         ("inputs.between='spline'", "inputs.between must be one of 'held', 'linear'; got 'spline'"),
         ("design.damping=inf", "design.damping must be a positive number; got inf"),
+        (f"design.damping=1{'0' * 400}", "design.damping must be a positive number; got 1000"),
         ("design.damping=true", "design.damping must be a positive number; got True"),
         ("design.damping='high'", "design.damping must be a positive number; got 'high'"),
         ("measurement={std=1.0, quantum=1.0}", "[measurement] has both std and quantum; keep one"),

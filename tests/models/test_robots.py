@@ -397,7 +397,8 @@ def test_a_payload_moves_with_its_link_and_can_be_differentiated(folder, arm):
     assert float(more[1]) == pytest.approx(0.7 * 9.81 * float(place[2]), rel=1e-10)
     weight = jax.grad(lambda m: robots.load(folder / "arm.urdf", payload={"flange": (m, *load_[1:])}).potential(q))
     assert float(weight(0.7)) == pytest.approx(9.81 * float(place[2]), rel=1e-10)
-    for wrong, words in (({"hand": load_}, "unknown link of payload 'hand'"), ({"flange": (1.0,)}, "give mass, x, y, z")):
+    unknown, short = "unknown link of payload 'hand'", "give mass, x, y, z"
+    for wrong, words in (({"hand": load_}, unknown), ({"flange": (1.0,)}, short)):
         with pytest.raises(ValueError, match=words):
             robots.load(folder / "arm.urdf", payload=wrong)
 

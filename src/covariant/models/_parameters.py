@@ -79,14 +79,7 @@ class Parametric(Functional):
 
 
 def values(parameters: dict[str, Parameter]) -> dict[str, Array]:
-    """Values of parameters by name, as the keywords of a `Parametric`.
-
-    Args:
-        parameters: A `Parameter` for each name.
-
-    Returns:
-        The value of each, by name.
-    """
+    """Values of parameters by name, as the keywords of a `Parametric`."""
     return {name: parameter.value for name, parameter in parameters.items()}
 
 
@@ -104,45 +97,19 @@ def namespace(*given: Any) -> Any:
     """The array library for given numbers: NumPy, or `jax.numpy` where one of them is traced by JAX.
 
     Open parameters of a family are traced. In NumPy a model is built without compiling anything.
-
-    Args:
-        *given: Numbers, arrays, or nested sequences of them.
-
-    Returns:
-        The module `numpy` or `jax.numpy`.
     """
     return np if known(given) else jnp
 
 
 def known(given: Any) -> bool:
-    """Whether the values of numbers are known, none of them being traced by JAX.
-
-    Args:
-        given: A pytree of numbers.
-
-    Returns:
-        False inside a compiled function whose arguments they depend on.
-    """
+    """Whether the values of numbers are known, none of them being traced by JAX."""
     return not any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(given))
 
 
 def check_parameters(
     system: str, parameters: dict[str, Parameter], signed: Collection[str] = (), may_vanish: Collection[str] = ()
 ) -> dict[str, Parameter]:
-    """Check the values of parameters: each must be finite and, unless named as an exception, positive.
-
-    Args:
-        system: Name of the system, for the message.
-        parameters: A `Parameter` for each name; traced values are not checked.
-        signed: Names of those that may have any sign.
-        may_vanish: Names of those that may be zero.
-
-    Returns:
-        The same parameters.
-
-    Raises:
-        ValueError: Names the first parameter out of its range.
-    """
+    """Check the values of parameters: each must be finite and, unless named as an exception, positive."""
     for name, parameter in parameters.items():
         least = ANY_SIGN if name in signed else ZERO_OR_MORE if name in may_vanish else POSITIVE
         check_range(f"{system}: {name} [{parameter.unit}]", parameter.value, least)

@@ -18,35 +18,13 @@ from covariant.models.robots import ROBOTS
 
 
 def finish(spec: str, content: dict[str, Any]) -> ModelFile:
-    """Build the model file of a document and check it.
-
-    Args:
-        spec: Path or name that the document stands for.
-        content: Tables and keys, as read from a model file.
-
-    Returns:
-        The model with its columns and numbers.
-
-    Raises:
-        ValueError: Names the first thing wrong.
-    """
+    """Build the model file of a document and check it."""
     loaded = made(spec, content)
     return _finished(loaded, Path(spec).stem if is_file(spec) else loaded.name, content)
 
 
 def finish_object(given: Any, content: dict[str, Any]) -> ModelFile:
-    """Build the model file of a model object, with the tables of a document on top.
-
-    Args:
-        given: A system or a `ModelFile`.
-        content: Tables and keys, as read from a model file, without `system` and `parameters`.
-
-    Returns:
-        The model with its columns and numbers.
-
-    Raises:
-        ValueError: Names the first thing wrong.
-    """
+    """Build the model file of a model object, with the tables of a document on top."""
     for table in ("system", "parameters"):
         if table in content:
             raise ValueError(f"{table} is for models that are made from a file or by name; this one is made already")
@@ -66,18 +44,7 @@ def _finished(loaded: ModelFile, name: str, content: dict[str, Any]) -> ModelFil
 
 
 def made(spec: str, content: dict[str, Any]) -> ModelFile:
-    """Build the model of a document from its system, or from the attribute that a spec names, with its parameters.
-
-    Args:
-        spec: Path or name that the document stands for, or `module:attribute`.
-        content: Tables and keys, as read from a model file; only `system` and `parameters` are used.
-
-    Returns:
-        The model file, without the other tables.
-
-    Raises:
-        ValueError: Names the system or parameter that is wrong.
-    """
+    """Build the model of a document from its system, or from the attribute that a spec names, with its parameters."""
     what = content.get("system", spec.rpartition(":")[2])
     return _build(what, _model_or_factory(spec, content), content.get("parameters", {}))
 
@@ -214,17 +181,7 @@ def _relative_to_file(path: Path, content: dict[str, Any]) -> dict[str, Any]:
 
 
 def text(path: Path) -> str:
-    """Read a text file.
-
-    Args:
-        path: Path of a model file in UTF-8.
-
-    Returns:
-        Its text.
-
-    Raises:
-        ValueError: The file cannot be read.
-    """
+    """Read a model file in UTF-8."""
     try:
         return path.read_text(encoding="utf-8")
     except OSError as error:

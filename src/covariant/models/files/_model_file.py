@@ -60,21 +60,20 @@ class ModelFile(NamedTuple):
         measurement_std: Standard deviation of a measured position [its unit]; on a group that of each component of
             `log(g⁻¹ y)`, the error as seen from the body [rad, and m where there is a position].
         delay: Measurement delay [s]: a position read at the stamp t was true at t − delay.
-        quantum: One tick of the encoders [unit of the coordinates], where the model file states that and not a standard
-            deviation.
+        quantum: One tick of the encoders [unit of the coordinates], in place of a standard deviation.
         bias: Standard deviation of a constant offset of a measured position [its unit], for a filter that estimates it.
         bias_drift: Standard deviation of the change of the offset in a second [its unit].
         acceleration_std: Standard deviation [unit/s²] of the acceleration that the model does not explain.
         torque_std: Standard deviation of the torques or forces that the model does not explain [N m or N]: noise of the
-            acceleration that grows where the inertia is small, with the correlation time of `acceleration_std`.
+            acceleration that grows where the inertia is small, with the same correlation time.
         correlation_time: Correlation time [s] of the acceleration that the model does not explain.
         process_std: Standard deviation of the white noise in the rate of each state [its unit/√s].
         external_force: Standard deviation of the change in a second of a force that the model does not know [N or N m],
             for a filter that estimates it: a random walk, which stays through a gap.
         external_force_std: Usual size [N or N m] of a force that the model does not know, for a filter that estimates
-            it and forgets it after `external_force_time`.
+            it and forgets it.
         external_force_time: Time constant [s] with which that force is forgotten.
-        uncertain: Relative standard deviations of numbers of [parameters], by name, for a filter that estimates them.
+        uncertain: Relative standard deviations of numbers of `[parameters]`, by name, for a filter that estimates them.
         parameters_drift: Standard deviation of their relative change in a second.
         motion_std: Standard deviation [unit/s²] of the acceleration of the motion, for filters that use no model.
         motion_time: Correlation time [s] of the acceleration of the motion, for filters that use no model.

@@ -117,14 +117,7 @@ def _leaves(value: Any) -> list[Any]:
 
 
 def written(value: Any) -> str:
-    """Format a value as TOML.
-
-    Args:
-        value: Number, Boolean, text, a list of them, or a dictionary of them, which becomes an inline table.
-
-    Returns:
-        Its text.
-    """
+    """A value as TOML; a dictionary becomes an inline table."""
     if isinstance(value, list):
         return "[" + ", ".join(map(written, value)) + "]"
     if isinstance(value, dict):

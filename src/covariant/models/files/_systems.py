@@ -63,12 +63,5 @@ def check_spec(spec: str | PathLike[str]) -> None:
 
 
 def unknown_model(name: str) -> str:
-    """Message for a name that is no model.
-
-    Args:
-        name: The name.
-
-    Returns:
-        One line that suggests the nearest model and lists all.
-    """
+    """Message for a name that is no model."""
     return f"{unknown('model', name, (*SYSTEMS, *ROBOTS))}, a .toml, .urdf or .xml file, or module:attribute"

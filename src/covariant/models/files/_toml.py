@@ -54,17 +54,7 @@ _PASSING_FORCE = {"external_force_std", "external_force_time"}
 
 
 def parse(text: str) -> dict[str, Any]:
-    """Parse a TOML document.
-
-    Args:
-        text: Text of the document.
-
-    Returns:
-        Tables and keys as nested dictionaries and lists.
-
-    Raises:
-        ValueError: Names the line of the first mistake.
-    """
+    """Parse a TOML document; the message of a `ValueError` names the line of the first mistake."""
     try:
         return tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
@@ -72,18 +62,7 @@ def parse(text: str) -> dict[str, Any]:
 
 
 def override(document: dict[str, Any], overrides: Overrides) -> dict[str, Any]:
-    """Replace values of a document.
-
-    Args:
-        document: Tables and keys of a model file; it is changed.
-        overrides: `table.key=value` each, with values as in TOML, or a mapping from `table.key` to Python values.
-
-    Returns:
-        The same document.
-
-    Raises:
-        ValueError: An override is not so written, or does not name a key of a table.
-    """
+    """Replace values of a document, which is changed and returned."""
     for text, key, value in _pairs(overrides):
         *tables, last = key.split(".")
         if not last or not all(tables):
@@ -130,14 +109,7 @@ def _value(text: str, value: str) -> Any:
 
 
 def check_layout(document: dict[str, Any]) -> None:
-    """Check that a document has no table or key but those of a model file.
-
-    Args:
-        document: Tables and keys of a model file.
-
-    Raises:
-        ValueError: Names the first unknown one and suggests the nearest name.
-    """
+    """Check that a document has no table or key but those of a model file."""
     for table, content in document.items():
         refuse_unknown("table or key", table, ("system", "parameters", *_OF_TABLE, WRENCH, SENSORS))
         if table != "system" and not isinstance(content, dict):
@@ -148,17 +120,7 @@ def check_layout(document: dict[str, Any]) -> None:
 
 
 def columns(document: dict[str, Any]) -> dict[str, Any]:
-    """Read the tables [columns] and [units] of a document.
-
-    Args:
-        document: Tables and keys of a model file.
-
-    Returns:
-        The fields of `Columns` that it has.
-
-    Raises:
-        ValueError: A value is no name, or no unit.
-    """
+    """Read the fields of `Columns` from the tables [columns] and [units]."""
     table = document.get("columns", {})
     for key, value in table.items():
         names = [value] if key == "t" else value
@@ -186,19 +148,7 @@ def _units(table: dict[str, Any]) -> dict[str, tuple[str, ...]]:
 
 
 def numbers(document: dict[str, Any], count: int, states: int) -> dict[str, Any]:
-    """Read the numbers and choices of a document.
-
-    Args:
-        document: Tables and keys of a model file.
-        count: Length of a list with one number for each coordinate; 1 where the model is on a group.
-        states: Length of a list with one number for each state; 0 for a mechanical model, which has none.
-
-    Returns:
-        Values by field of `ModelFile`: numbers, or tuples where the document has lists.
-
-    Raises:
-        ValueError: Names the first invalid value.
-    """
+    """Read numbers and words by field of `ModelFile`, with lists for `count` coordinates and `states` states."""
     if {"std", "quantum"} <= document.get("measurement", {}).keys():
         raise ValueError("[measurement] has both std and quantum; keep one (std = quantum / sqrt(12))")
     forces = {"external_force", *_PASSING_FORCE} & document.get("uncertainty", {}).keys()

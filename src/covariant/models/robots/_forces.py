@@ -54,18 +54,7 @@ class Potential(Functional):
 
 
 def force(t, q, u, motors: Float[Array, "n m"], base: Float[Array, "b"]):
-    """Generalised force of the motors.
-
-    Args:
-        t: Time [s]; not used.
-        q: Configuration; not used.
-        u: Input (m,).
-        motors: Generalised force (n, m) of each input.
-        base: Zeros (b,) for the components of a floating base, b = 6 or 0.
-
-    Returns:
-        Covector (b + n,).
-    """
+    """Generalised force of the motors."""
     return jnp.concatenate([base, motors @ u])
 
 
@@ -77,18 +66,9 @@ def resistance(
     friction: Float[Array, "k"],
     base: Float[Array, "b"],
 ):
-    """Generalised force of the friction in the joints.
+    """Generalised force of the friction in k joints, at the rates `coordinates` (k, n) times those of the coordinates.
 
-    Args:
-        q: Configuration; not used.
-        v: Velocity (b + n,).
-        coordinates: Rates of the k joints for those of the velocity (k, n).
-        damping: Viscous friction (k,) [N m s/rad or N s/m].
-        friction: Coulomb friction (k,) [N m or N], smoothed as `(2/π) atan(100 v)`.
-        base: Zeros (b,) for the components of a floating base, b = 6 or 0.
-
-    Returns:
-        Covector (b + n,).
+    `base` are the zeros of a floating base. Coulomb friction [N m or N] is smoothed as `(2/π) atan(100 v)`.
     """
     rates = coordinates @ v[base.shape[0] :]
     # atan tends to π/2, so the factor makes `friction` the torque far from rest.
@@ -106,20 +86,7 @@ def joint_friction(
     base: Float[Array, "b"],
     law: dict[str, Float[Array, "k"]],
 ):
-    """Generalised force of the friction in joints some of which have a `FrictionLaw`.
-
-    Args:
-        q: Configuration; not used.
-        v: Velocity (b + n,).
-        coordinates: Rates of the k joints for those of the velocity (k, n).
-        damping: Viscous friction (k,) of the joints without a law; 0 for the others.
-        friction: Coulomb friction (k,) of the joints without a law; 0 for the others.
-        base: Zeros (b,) for the components of a floating base, b = 6 or 0.
-        law: Fields of the `FrictionLaw` of each joint (k,); zeros, and speeds of one, for the joints without a law.
-
-    Returns:
-        Covector (b + n,).
-    """
+    """Generalised force of the friction in joints some of which have a `FrictionLaw`."""
     rates = coordinates @ v[base.shape[0] :]
     sign = jnp.tanh(rates / law["smoothing"])
     at_rest = law["stribeck"] * jnp.exp(-((rates / law["stribeck_velocity"]) ** 2))

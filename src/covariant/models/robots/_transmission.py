@@ -25,21 +25,7 @@ def with_rotors(
     used: Counter[str],
     ignored: Counter[str],
 ) -> list[Joint]:
-    """Add the rotors and reductions of transmissions to joints.
-
-    Args:
-        transmissions: The `transmission` tags of a URDF file.
-        joints: The joints of the file.
-        motor_torques: Whether to read the reductions too.
-        used: Number of entries that were used, by kind; it is changed.
-        ignored: Number of entries that have no meaning here, by kind; it is changed.
-
-    Returns:
-        The joints, with armatures and reductions.
-
-    Raises:
-        ValueError: The joint of a rotor is not one of one axis, or a number is none of a gear.
-    """
+    """Joints with the armatures and reductions of transmissions, whose entries are counted in `used` and `ignored`."""
     by_name = {joint.name: joint for joint in joints}
     for entry in transmissions:
         rotors = [part for part in entry.iter() if name_of(part) == ROTOR]
