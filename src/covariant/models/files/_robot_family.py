@@ -152,21 +152,9 @@ class RobotFamily(NamedTuple):
         values = self.values(x)
         for start in self._inertias:
             block = slice(start, start + len(OF_INERTIA))
-            m, c, (xx, yy, zz, xy, xz, yz) = (
-                values[start],
-                values[start + 1 : start + 4],
-                values[start + 4 : block.stop],
-            )
-            cx, cy, cz = c
-            about = [
-                xx + m * (cy**2 + cz**2),
-                yy + m * (cz**2 + cx**2),
-                zz + m * (cx**2 + cy**2),
-                xy - m * cx * cy,
-                xz - m * cx * cz,
-                yz - m * cy * cz,
-            ]
-            values = values.at[block].set(jnp.concatenate([jnp.stack([m, m * cx, m * cy, m * cz]), jnp.stack(about)]))
+            body = inertia_of("", values[block])
+            numbers = [jnp.asarray(body.mass)[None], jnp.asarray(body.first), _tensor_of(body.second)]
+            values = values.at[block].set(jnp.concatenate(numbers))
         return values
 
     @property
@@ -495,6 +483,10 @@ def _inertia_at(first: Float[np.ndarray, "10"], x: Array) -> Array:
     p = factor @ factor.T
     mass, moment, second = p[3, 3], p[:3, 3], p[:3, :3]
     central = second - jnp.outer(moment, moment) / mass
-    xx, yy, zz = jnp.diagonal(central)
-    inertia = [yy + zz, zz + xx, xx + yy, -central[0, 1], -central[0, 2], -central[1, 2]]
-    return jnp.concatenate([jnp.stack([mass, *(moment / mass)]), jnp.stack(inertia)])
+    return jnp.concatenate([jnp.stack([mass, *(moment / mass)]), _tensor_of(central)])
+
+
+def _tensor_of(second: Any) -> Array:
+    """The six numbers ixx, iyy, izz, ixy, ixz, iyz of the inertia tensor of a second moment S: tr(S) 1 − S."""
+    xx, yy, zz = jnp.diagonal(second)
+    return jnp.stack([yy + zz, zz + xx, xx + yy, -second[0, 1], -second[0, 2], -second[1, 2]])
