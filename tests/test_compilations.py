@@ -14,8 +14,8 @@ import pytest
 
 from covariant import models, simulation
 from covariant.models import marine
-from covariant.models._source import system
-from covariant.models._systems import SYSTEMS
+from covariant.models.files._source import system
+from covariant.models.files._systems import SYSTEMS
 from covariant.observers import EKF, Copy, FilteredDerivative, Geodesic, Intrinsic, run
 
 FACTORIES = {name: system(name) for name in SYSTEMS} | {

@@ -18,6 +18,8 @@ from house import drawing
 from peers.page import page as peers_page
 
 import covariant
+from covariant.models import ModelFile
+from covariant.models.files._model_file import KEYS
 from covariant.observers import REGISTRY, Entry
 from covariant.papers import errata
 
@@ -48,6 +50,19 @@ def _row(entry: Entry) -> str:
     fits = (entry.fits.__doc__ or "").strip().split("\n")[0].removesuffix(".")
     cells = entry.about, entry.when, fits[:1].lower() + fits[1:], NUMBERS[entry.tuned_by], entry.source
     return f"| `{entry.name}` | `{entry.observer.__name__}` | {' | '.join(cells)} |"
+
+
+def keys_table() -> str:
+    """The keys of a model file as a Markdown table; what each means is in the docstring of `ModelFile`."""
+    listed = re.findall(r"^    (\w+): (.*(?:\n {8}.*)*)", inspect.cleandoc(ModelFile.__doc__ or ""), re.MULTILINE)
+    meanings = {field: " ".join(text.split()) for field, text in listed}
+    rows = [f"| `{key.path}` | {key.values} | {_default(field)} | {meanings[field]} |" for field, key in KEYS.items()]
+    return "\n".join(["| key | value | default | meaning |", "|---|---|---|---|", *rows])
+
+
+def _default(field: str) -> str:
+    value = ModelFile._field_defaults[field]
+    return f'"{value}"' if isinstance(value, str) else f"{value:.4g}" if isinstance(value, float | int) else ""
 
 
 def errata_sections(paper: str) -> str:
@@ -173,6 +188,7 @@ def _page(path: Path, name: str, table: Callable[[], str]) -> str:
 
 PARTS: dict[str, tuple[str, Callable[[], str]]] = {
     "observers.md": ("observers", observers_table),
+    "models.md": ("keys", keys_table),
     "benchmarks.md": ("benchmarks", benchmarks_table),
     **{f"{paper}.md": ("errata", partial(errata_sections, paper)) for paper in PAPERS},
 }

@@ -8,8 +8,8 @@ import pytest
 
 from covariant import calibration, observers
 from covariant.models import ModelError, check_spec, duffing, load
-from covariant.models._source import system
-from covariant.models._systems import SYSTEMS
+from covariant.models.files._source import system
+from covariant.models.files._systems import SYSTEMS
 
 SCRIPT = """
 import sys

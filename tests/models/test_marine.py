@@ -141,7 +141,7 @@ def test_tanker_turns_as_the_towed_model_did():
 
 
 def test_tanker_refuses_an_unknown_derivative():
-    with pytest.raises(ValueError, match="hull has no entry 'Yvw'"):
+    with pytest.raises(ValueError, match=r"unknown entry of hull 'Yvw'\. Did you mean 'Yv"):
         marine.manoeuvring_ship(hull={"Yvw": 1.0})
 
 

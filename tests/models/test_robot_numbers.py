@@ -65,13 +65,16 @@ def test_offsets_constants_and_friction_are_what_they_say():
 @pytest.mark.parametrize(
     ("numbers", "message"),
     [
-        ({"friction": {"wrist": {}}}, "friction: there is no joint 'wrist'; there are shoulder, elbow"),
-        ({"friction": {"elbow": {"dry": 1.0}}}, "friction of 'elbow': there is no 'dry'; there are viscous, coulomb"),
+        ({"friction": {"wrist": {}}}, "unknown joint of friction 'wrist'. Known: shoulder, elbow"),
+        (
+            {"friction": {"elbow": {"dry": 1.0}}},
+            "unknown number of friction of 'elbow', 'dry'. Known: viscous, coulomb",
+        ),
         ({"friction": {"elbow": {"coulomb": -1.0}}}, "friction of 'elbow': coulomb must be ≥ 0; got -1.0"),
         ({"armature": {"elbow": -1.0}}, "armature of 'elbow' must be ≥ 0; got -1.0"),
         ({"torque_constants": {"elbow": 0.0}}, "torque_constants of 'elbow' must be positive; got 0.0"),
         ({"offsets": {"elbow": np.nan}}, "offsets of 'elbow' must be finite; got nan"),
-        ({"inertia": {"hand": HEAVY}}, "inertia: there is no link 'hand'; there are base, upper, lower"),
+        ({"inertia": {"hand": HEAVY}}, "unknown link of inertia 'hand'. Known: base, upper, lower"),
         ({"inertia": {"lower": HEAVY[:4]}}, "inertia of 'lower': give mass, cx, cy, cz, ixx"),
         ({"gravity": [1.0, 2.0]}, "gravity must be its magnitude or three numbers"),
     ],

@@ -129,7 +129,7 @@ def test_a_model_file_names_forces_and_every_engine_estimates_them(tmp_path):
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"wrench.tip.link": "hand"}, r"\[wrench.tip\]: there is no link 'hand'; there are base, upper, lower"),
+        ({"wrench.tip.link": "hand"}, r"\[wrench.tip\]: unknown link 'hand'. Known: base, upper, lower"),
         ({"wrench.tip.force_std": -1.0}, r"\[wrench.tip\]: force_std must be one number or three, numbers ≥ 0; got -1"),
         ({"wrench.tip.force_std": 0.0}, r"all zero; give the usual size"),
         ({"wrench.tip.frame": "base"}, r"frame must be one of link, world; got 'base'"),

@@ -214,6 +214,10 @@ def test_a_gyro_and_a_late_camera_on_a_robot(tmp_path):
         ('[sensors.a]\nkind = "tachometer"\nof = ["q3"]\ncolumns = ["x"]\nstd = 1', "there is no 'q3'; there are: "),
         ('[sensors.a]\nkind = "tachometer"\nof = ["q1"]\ncolumns = ["x", "y"]\nstd = 1', "1 different names"),
         ('[sensors.a]\nkind = "tachometer"\nof = ["q1"]\ncolumns = ["x"]\nstd = -1', "std must be .* numbers ≥ 0"),
+        (
+            '[sensors.a]\nkind = "tachometer"\nof = ["q1"]\ncolumns = ["x"]\nstd = 1\ndelay = -1',
+            r"sensors.a.delay .* ≥ 0",
+        ),
         ('[sensors.a]\nkind = "tachometer"\nof = ["q1"]\ncolumns = ["q2"]\nstd = 1', "'q2' is named twice"),
         ('[sensors.a]\nkind = "tachometer"\nof = ["q1"]\ncolumns = ["x"]\nstd = 1\nunits = "mm"', "no unit of"),
         ('[sensors.a]\nkind = "gyro"\nlink = "b"\ncolumns = ["x", "y", "z"]\nstd = 1', "has no links"),

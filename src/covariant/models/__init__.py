@@ -1,4 +1,4 @@
-"""Models: mechanical systems and general nonlinear systems as JAX functions, with one example system in each file."""
+"""Models: mechanical systems and general nonlinear systems as JAX functions, from files, by name or from robots."""
 
 from covariant._rooms import attach
 

@@ -1,22 +1,5 @@
-from . import fluid as fluid, marine as marine, robots as robots
-from ._ball_and_beam import ball_and_beam as ball_and_beam
-from ._bioreactor import bioreactor as bioreactor
-from ._check import check_metric as check_metric
-from ._duffing import duffing as duffing
-from ._family import Family as Family, family as family
-from ._file import (
-    ModelError as ModelError,
-    ModelFile as ModelFile,
-    document as document,
-    from_recipe as from_recipe,
-    recipe_text as recipe_text,
-)
-from ._heavy_top import free_body as free_body, heavy_top as heavy_top
-from ._hovercraft import hovercraft as hovercraft
+from . import files as files, fluid as fluid, marine as marine, robots as robots, systems as systems
 from ._in_chart import chart_jacobian as chart_jacobian, chart_velocity as chart_velocity, in_chart as in_chart
-from ._induction_motor import induction_motor as induction_motor
-from ._load import load as load, recipe as recipe, spec_name as spec_name
-from ._lorenz import lorenz as lorenz
 from ._mechanical import (
     GroupSystem as GroupSystem,
     Lagrangian as Lagrangian,
@@ -35,24 +18,45 @@ from ._mechanical import (
     source as source,
     spatial_momentum as spatial_momentum,
 )
-from ._oscillator import oscillator as oscillator
 from ._parameters import Parameter as Parameter, Parametric as Parametric
-from ._pendulum_chain import pendulum_chain as pendulum_chain
-from ._rewrite import rewrite as rewrite
-from ._robot_family import (
-    RobotFamily as RobotFamily,
-    is_robot_number as is_robot_number,
-    robot_family as robot_family,
-)
-from ._satellite import satellite as satellite
-from ._satellite_arm import satellite_arm as satellite_arm
 from ._state_space import StateSpace as StateSpace, state_space as state_space
 from ._survey import Survey as Survey, survey as survey
-from ._systems import check_spec as check_spec
-from ._toml import Overrides as Overrides
-from ._underwater_vehicle import underwater_vehicle as underwater_vehicle
-from ._unknown_frequency import unknown_frequency as unknown_frequency
-from ._van_der_pol import van_der_pol as van_der_pol
+from .files import (
+    Family as Family,
+    ModelError as ModelError,
+    ModelFile as ModelFile,
+    Overrides as Overrides,
+    RobotFamily as RobotFamily,
+    check_metric as check_metric,
+    check_spec as check_spec,
+    document as document,
+    family as family,
+    from_recipe as from_recipe,
+    is_robot_number as is_robot_number,
+    load as load,
+    recipe as recipe,
+    recipe_text as recipe_text,
+    rewrite as rewrite,
+    robot_family as robot_family,
+    spec_name as spec_name,
+)
+from .systems import (
+    ball_and_beam as ball_and_beam,
+    bioreactor as bioreactor,
+    duffing as duffing,
+    free_body as free_body,
+    heavy_top as heavy_top,
+    hovercraft as hovercraft,
+    induction_motor as induction_motor,
+    lorenz as lorenz,
+    oscillator as oscillator,
+    pendulum_chain as pendulum_chain,
+    satellite as satellite,
+    satellite_arm as satellite_arm,
+    underwater_vehicle as underwater_vehicle,
+    unknown_frequency as unknown_frequency,
+    van_der_pol as van_der_pol,
+)
 
 __all__ = [
     "GroupSystem",

@@ -1,5 +1,7 @@
 """Parameters of a model: with units and sources for people, and as leaves of the pytree for programs."""
 
+import math
+import sys
 from collections.abc import Callable, Collection
 from typing import Any
 
@@ -13,6 +15,10 @@ from jaxtyping import Array, Float
 from covariant._functional import Functional
 
 AnyArray = Array | np.ndarray
+
+POSITIVE, ZERO_OR_MORE, ANY_SIGN = math.ulp(0.0), 0.0, -sys.float_info.max
+"""Least value of a number; the smallest positive float lets one comparison tell "positive" from "≥ 0"."""
+RANGES = {POSITIVE: "positive", ZERO_OR_MORE: "≥ 0", ANY_SIGN: "finite"}
 
 
 class Parameter(eqx.Module):
@@ -73,14 +79,7 @@ class Parametric(Functional):
 
 
 def values(parameters: dict[str, Parameter]) -> dict[str, Array]:
-    """Values of parameters by name, as the keywords of a `Parametric`.
-
-    Args:
-        parameters: A `Parameter` for each name.
-
-    Returns:
-        The value of each, by name.
-    """
+    """Values of parameters by name, as the keywords of a `Parametric`."""
     return {name: parameter.value for name, parameter in parameters.items()}
 
 
@@ -98,52 +97,26 @@ def namespace(*given: Any) -> Any:
     """The array library for given numbers: NumPy, or `jax.numpy` where one of them is traced by JAX.
 
     Open parameters of a family are traced. In NumPy a model is built without compiling anything.
-
-    Args:
-        *given: Numbers, arrays, or nested sequences of them.
-
-    Returns:
-        The module `numpy` or `jax.numpy`.
     """
     return np if known(given) else jnp
 
 
 def known(given: Any) -> bool:
-    """Whether the values of numbers are known, none of them being traced by JAX.
-
-    Args:
-        given: A pytree of numbers.
-
-    Returns:
-        False inside a compiled function whose arguments they depend on.
-    """
+    """Whether the values of numbers are known, none of them being traced by JAX."""
     return not any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(given))
 
 
 def check_parameters(
     system: str, parameters: dict[str, Parameter], signed: Collection[str] = (), may_vanish: Collection[str] = ()
 ) -> dict[str, Parameter]:
-    """Check the values of parameters: each must be finite and, unless named as an exception, positive.
-
-    Args:
-        system: Name of the system, for the message.
-        parameters: A `Parameter` for each name; traced values are not checked.
-        signed: Names of those that may have any sign.
-        may_vanish: Names of those that may be zero.
-
-    Returns:
-        The same parameters.
-
-    Raises:
-        ValueError: Names the first parameter out of its range.
-    """
+    """Check the values of parameters: each must be finite and, unless named as an exception, positive."""
     for name, parameter in parameters.items():
-        if isinstance(parameter.value, Tracer):
-            continue
-        value = np.asarray(parameter.value)
-        # The least positive number lets one comparison test "positive" and "≥ 0".
-        expected = "finite" if name in signed else "≥ 0" if name in may_vanish else "positive"
-        bound = {"finite": -np.inf, "≥ 0": 0.0, "positive": np.nextafter(0, 1)}[expected]
-        if not (np.isfinite(value) & (value >= bound)).all():
-            raise ValueError(f"{system}: {name} [{parameter.unit}] must be {expected}; got {value.tolist()!r}")
+        least = ANY_SIGN if name in signed else ZERO_OR_MORE if name in may_vanish else POSITIVE
+        check_range(f"{system}: {name} [{parameter.unit}]", parameter.value, least)
     return parameters
+
+
+def check_range(what: str, value: Any, least: float) -> None:
+    """Raise `ValueError` for a number that is not finite or below its least value; traced ones are not checked."""
+    if known(value) and not ((numbers := np.asarray(value)) >= least).all() & np.isfinite(numbers).all():
+        raise ValueError(f"{what} must be {RANGES[least]}; got {numbers.tolist()!r}")

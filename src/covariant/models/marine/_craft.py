@@ -217,7 +217,6 @@ def yaw_rotation(psi: Scalar) -> Matrix:
         >>> bool(jnp.allclose(eastward, jnp.array([0.0, 1.0, 0.0])))
         True
     """
-    # Body to north-east, with z down: a positive ψ turns the bow from north to east.
     c, s, zero = jnp.cos(psi), jnp.sin(psi), jnp.zeros_like(psi)
     # Body to north-east, with z down: a positive ψ turns the bow from north to east.
     return jnp.stack([jnp.stack([c, -s, zero]), jnp.stack([s, c, zero]), jnp.stack([zero, zero, jnp.ones_like(psi)])])
@@ -242,7 +241,6 @@ def euler_rotation(angles: Float[Array, "3"]) -> Matrix:
     (cr, cp, cy), (sr, sp, sy) = jnp.cos(angles), jnp.sin(angles)
     return jnp.stack(
         [
-            # R = Rz(ψ) Ry(θ) Rx(φ), Fossen 2011, equation (2.18).
             # R = Rz(ψ) Ry(θ) Rx(φ), Fossen 2011, equation (2.18).
             jnp.stack([cy * cp, -sy * cr + cy * sp * sr, sy * sr + cy * cr * sp]),
             jnp.stack([sy * cp, cy * cr + sr * sp * sy, -cy * sr + sp * sy * cr]),

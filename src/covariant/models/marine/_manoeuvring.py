@@ -12,6 +12,7 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from covariant._linalg import solve
+from covariant.models._names import refuse_unknown
 from covariant.models._parameters import Parameter, Parametric
 from covariant.models._state_space import StateSpace
 from covariant.models.marine._craft import yaw_rotation
@@ -151,10 +152,9 @@ def manoeuvring_ship(
 
 
 def _merge(name: str, defaults: Mapping[str, float], overrides: Mapping[str, float] | None) -> dict[str, float]:
-    unknown = set(overrides or {}) - set(defaults)
-    if unknown:
-        raise ValueError(f"{name} has no entry {sorted(unknown)[0]!r}; it has {', '.join(defaults)}")
-    return dict(defaults) | dict(overrides or {})
+    for entry in overrides or {}:
+        refuse_unknown(f"entry of {name}", entry, defaults)
+    return {**defaults, **(overrides or {})}
 
 
 def _f(t, x, u, mass, added, turning, centre, **rest):

@@ -13,8 +13,8 @@ import numpy as np
 
 from covariant.models._mechanical import GroupSystem
 from covariant.models._parameters import Parameter, Parametric
-from covariant.models._underwater_vehicle import submerged_body
 from covariant.models.marine._craft import Craft, coriolis_matrix, euler_transform
+from covariant.models.systems import submerged_body
 
 _BODY = "Choi, Yuh & Takashige 1995: a sphere of 0.31 m radius, neutrally buoyant"
 _SPHERE = "potential flow about a sphere: half the displaced mass, no added inertia"

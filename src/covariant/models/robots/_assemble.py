@@ -13,11 +13,11 @@ from covariant.geometry import AbstractManifold, Coordinates, ProductManifold
 from covariant.geometry.lie import SE3, SO3
 from covariant.lowering import evaluate_batch
 from covariant.models._mechanical import MechanicalSystem
+from covariant.models._names import refuse_unknown
 from covariant.models._parameters import Parametric, known, namespace
 from covariant.models.robots._axes import Axis, Freedom, bodies_of, freedom_of, regrouped
 from covariant.models.robots._description import BodyInertia, Description
-from covariant.models.robots._forces import Potential, force
-from covariant.models.robots._joint_forces import dissipation, inputs, numbers, with_motors
+from covariant.models.robots._forces import Potential, dissipation, force, inputs, numbers, with_motors
 from covariant.models.robots._space import RobotSpace
 from covariant.models.robots._tree import KinematicTree, Links
 
@@ -89,8 +89,7 @@ def _check_names(robot: Description, names: Sequence[str]) -> None:
     """Raise `ValueError` where there is no joint of a name, or none that another one follows."""
     present = [joint.name for joint in robot.joints]
     for name in names:
-        if name not in present:
-            raise ValueError(f"there is no joint {name!r}; there are {', '.join(present)}")
+        refuse_unknown("joint", name, present)
     for joint in robot.joints:
         follows = joint.follows
         if follows is not None and follows.joint not in (*present, ""):
@@ -102,8 +101,7 @@ def _with_payload(
 ) -> BodyInertia:
     """Add the payload to the bodies that carry it; returns the base with its own."""
     for link, (mass, place) in loads.items():
-        if link not in frames:
-            raise ValueError(f"payload: there is no link {link!r}; there are {', '.join(frames)}")
+        refuse_unknown("link of payload", link, frames)
         body, rotation, origin = frames[link]
         if body < 0:
             base = base.with_mass(mass, rotation @ place + origin)

@@ -58,17 +58,7 @@ class Freedom(NamedTuple):
 
 
 def freedom_of(axes: list[Axis]) -> Freedom:
-    """Find the axes that move by themselves.
-
-    Args:
-        axes: All axes.
-
-    Returns:
-        Their numbers, and how the others follow them.
-
-    Raises:
-        ValueError: A joint follows itself, or one of more than one axis.
-    """
+    """Find the axes that move by themselves, and how the others follow them."""
     balls = [i for i, axis in enumerate(axes) if axis.ball]
     free = [i for i, axis in enumerate(axes) if axis.joint.follows is None and not axis.ball]
     return Freedom(balls, free, *_follow(axes, [axis.name for axis in axes], balls + free))
@@ -80,16 +70,6 @@ def bodies_of(
     """The axes, the body behind each, the base, and the frame of each link in its body.
 
     Fixed and locked links become part of the body that carries them.
-
-    Args:
-        robot: Description of the robot.
-        locked: Joints that stand still, with their position [rad or m].
-
-    Returns:
-        The axes, as many bodies, the base, and `{link: (body, rotation, place)}`.
-
-    Raises:
-        ValueError: A joint is locked where it cannot be.
     """
     axes: list[Axis] = []
     bodies: list[BodyInertia] = []
@@ -132,14 +112,6 @@ def regrouped(axes: list[Axis], bodies: list[BodyInertia], base: BodyInertia) ->
     bodies have no mass, no first and no second moment along an axis that they turn about, no second moment where they
     slide, and behind a ball joint no mass, since its centre moves with the carrier. Source: Khalil & Dombre 2002,
     Modeling, Identification and Control of Robots, section 9.4.
-
-    Args:
-        axes: All axes.
-        bodies: The body behind each.
-        base: The base.
-
-    Returns:
-        The bodies and the base with what each of them moves.
     """
     remaining, carried = list(bodies), [*bodies, base]  # the base is last: index −1 is its number as a parent
     for i in reversed(range(len(axes))):  # leaves first: a body passes on what it received

@@ -6,10 +6,11 @@ from typing import Any
 import numpy as np
 
 from covariant._typing import Number
-from covariant.models._parameters import known, namespace
+from covariant.models._names import refuse_unknown
+from covariant.models._parameters import ANY_SIGN, POSITIVE, ZERO_OR_MORE, check_range, known, namespace
 from covariant.models.robots._description import BodyInertia, Description, FrictionLaw, Joint, doubts_on
 
-POSITIVE = ("stribeck_velocity", "smoothing")
+ABOVE_ZERO = ("stribeck_velocity", "smoothing")
 SIGNED = ("asymmetry",)
 OF_INERTIA = ("mass", "cx", "cy", "cz", "ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 """The ten numbers of a link: mass [kg], centre of mass [m], inertia about it [kg m²], in the frame of the link."""
@@ -47,12 +48,12 @@ def changed(
         _check_joints(what, named or {}, robot.joints)
     _check_joints("offsets", offsets or {}, robot.joints)
     for what, named, least in (
-        ("armature", armature, 0.0),
-        ("torque_constants", torque_constants, np.nextafter(0.0, 1.0)),
-        ("offsets", offsets, -np.inf),
+        ("armature", armature, ZERO_OR_MORE),
+        ("torque_constants", torque_constants, POSITIVE),
+        ("offsets", offsets, ANY_SIGN),
     ):
         for name, value in (named or {}).items():
-            _check_number(f"{what} of {name!r}", value, least)
+            check_range(f"{what} of {name!r}", value, least)
 
     def replaced(joint: Joint) -> Joint:
         return joint._replace(
@@ -64,8 +65,7 @@ def changed(
 
     links = dict(robot.links)
     for name, numbers in (inertia or {}).items():
-        if name not in links:
-            raise ValueError(f"inertia: there is no link {name!r}; there are {', '.join(links)}")
+        refuse_unknown("link of inertia", name, links)
         links[name] = inertia_of(name, numbers)
     return robot._replace(
         links=links,
@@ -115,10 +115,9 @@ def numbers_of(inertia: BodyInertia) -> np.ndarray:
 
 def _law(name: str, fields: Mapping[str, Any]) -> FrictionLaw:
     for field, value in fields.items():
-        if field not in FrictionLaw._fields:
-            raise ValueError(f"friction of {name!r}: there is no {field!r}; there are {', '.join(FrictionLaw._fields)}")
-        least = -np.inf if field in SIGNED else np.nextafter(0.0, 1.0) if field in POSITIVE else 0.0
-        _check_number(f"friction of {name!r}: {field}", value, least)
+        refuse_unknown(f"number of friction of {name!r},", field, FrictionLaw._fields)
+        least = ANY_SIGN if field in SIGNED else POSITIVE if field in ABOVE_ZERO else ZERO_OR_MORE
+        check_range(f"friction of {name!r}: {field}", value, least)
     return FrictionLaw(**fields)
 
 
@@ -132,13 +131,5 @@ def _gravity(direction: Any, gravity: Any) -> Any:
 
 
 def _check_joints(what: str, named: Mapping[str, Any], joints: Sequence[Joint]) -> None:
-    names = [joint.name for joint in joints]
     for name in named:
-        if name not in names:
-            raise ValueError(f"{what}: there is no joint {name!r}; there are {', '.join(names)}")
-
-
-def _check_number(what: str, value: Any, least: float) -> None:
-    if known(value) and not (np.isfinite(value) and value >= least):
-        expected = "finite" if least < 0 else "≥ 0" if least == 0 else "positive"
-        raise ValueError(f"{what} must be {expected}; got {value}")
+        refuse_unknown(f"joint of {what}", name, [joint.name for joint in joints])

@@ -270,41 +270,19 @@ class Description(NamedTuple):
 
 
 def exact(rotation: np.ndarray) -> np.ndarray:
-    """Round the entries of a rotation that are zero but for rounding.
-
-    Args:
-        rotation: Rotation (3, 3) or axis (3,).
-
-    Returns:
-        The same, with entries below `SMALLEST_ENTRY` set to 0.
-    """
+    """A rotation (3, 3) or axis (3,) with entries below `SMALLEST_ENTRY` set to 0."""
     return np.where(np.abs(rotation) < SMALLEST_ENTRY, 0.0, rotation)
 
 
 def turn_about(axis: np.ndarray, angle: float) -> np.ndarray:
-    """Rotation about an axis (Rodrigues' formula).
-
-    Args:
-        axis: Axis (3,) of unit length.
-        angle: Angle [rad].
-
-    Returns:
-        Rotation (3, 3).
-    """
+    """Rotation (3, 3) by an angle [rad] about an axis (3,) of unit length (Rodrigues' formula)."""
     projection = np.outer(axis, axis)
     hat = np.cross(axis, np.eye(3)).T
     return projection + np.cos(angle) * (np.eye(3) - projection) + np.sin(angle) * hat
 
 
 def limits_in_doubt(joint: Joint) -> list[str]:
-    """Check whether the limits of a turning joint look like degrees.
-
-    Args:
-        joint: The joint.
-
-    Returns:
-        A sentence where they do, otherwise none.
-    """
+    """Sentence where the limits of a turning joint look like degrees."""
     largest = max(abs(limit) for limit in (joint.lower, joint.upper))
     if joint.kind != "revolute" or not MOST_TURNS * 2 * np.pi < largest < np.inf:
         return []
@@ -315,18 +293,7 @@ def limits_in_doubt(joint: Joint) -> list[str]:
 
 
 def in_order(links: dict[str, BodyInertia], joints: list[Joint]) -> tuple[str, tuple[Joint, ...]]:
-    """Order joints along the tree.
-
-    Args:
-        links: Links by name.
-        joints: Joints in any order.
-
-    Returns:
-        The root, and the joints with each after the one that carries it, otherwise in their order.
-
-    Raises:
-        ValueError: The links are no tree.
-    """
+    """The root, and each joint after the one that carries it; raises `ValueError` where the links are no tree."""
     carrier: dict[str, Joint] = {}
     for joint in joints:
         for end in (joint.parent, joint.child):
@@ -361,18 +328,7 @@ def in_order(links: dict[str, BodyInertia], joints: list[Joint]) -> tuple[str, t
 
 
 def doubts_on(name: str, inertia: BodyInertia) -> list[str]:
-    """Check an inertia.
-
-    Args:
-        name: Name of the link, for the messages.
-        inertia: Its inertia.
-
-    Returns:
-        A sentence where no rigid body has such principal moments, otherwise none.
-
-    Raises:
-        ValueError: A number is not finite, or the mass or a principal moment is negative.
-    """
+    """Sentence where no rigid body has these moments; raises `ValueError` where a number is out of its range."""
     numbers = np.concatenate([[inertia.mass], inertia.first, inertia.second.ravel()])
     if not np.isfinite(numbers).all():
         raise ValueError(f"link {name!r}: mass, centre of mass and inertia must be finite numbers")

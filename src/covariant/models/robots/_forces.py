@@ -1,12 +1,18 @@
-"""The forces in a robot: weight and springs, motors, friction of its joints."""
+"""The forces in a robot: weight and springs, motors with their servos, friction of its joints."""
+
+from collections.abc import Iterable, Sequence
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from covariant._functional import Functional
 from covariant._typing import Scalar
 from covariant.geometry.lie import SO3
+from covariant.models._parameters import Parametric, namespace
+from covariant.models.robots._description import Description, FrictionLaw, Joint, Motor
 from covariant.models.robots._space import RobotSpace
 
 COULOMB_STEEPNESS = 100.0
@@ -48,18 +54,7 @@ class Potential(Functional):
 
 
 def force(t, q, u, motors: Float[Array, "n m"], base: Float[Array, "b"]):
-    """Generalised force of the motors.
-
-    Args:
-        t: Time [s]; not used.
-        q: Configuration; not used.
-        u: Input (m,).
-        motors: Generalised force (n, m) of each input.
-        base: Zeros (b,) for the components of a floating base, b = 6 or 0.
-
-    Returns:
-        Covector (b + n,).
-    """
+    """Generalised force of the motors."""
     return jnp.concatenate([base, motors @ u])
 
 
@@ -71,18 +66,9 @@ def resistance(
     friction: Float[Array, "k"],
     base: Float[Array, "b"],
 ):
-    """Generalised force of the friction in the joints.
+    """Generalised force of the friction in k joints, at the rates `coordinates` (k, n) times those of the coordinates.
 
-    Args:
-        q: Configuration; not used.
-        v: Velocity (b + n,).
-        coordinates: Rates of the k joints for those of the velocity (k, n).
-        damping: Viscous friction (k,) [N m s/rad or N s/m].
-        friction: Coulomb friction (k,) [N m or N], smoothed as `(2/π) atan(100 v)`.
-        base: Zeros (b,) for the components of a floating base, b = 6 or 0.
-
-    Returns:
-        Covector (b + n,).
+    `base` are the zeros of a floating base. Coulomb friction [N m or N] is smoothed as `(2/π) atan(100 v)`.
     """
     rates = coordinates @ v[base.shape[0] :]
     # atan tends to π/2, so the factor makes `friction` the torque far from rest.
@@ -100,22 +86,86 @@ def joint_friction(
     base: Float[Array, "b"],
     law: dict[str, Float[Array, "k"]],
 ):
-    """Generalised force of the friction in joints some of which have a `FrictionLaw`.
-
-    Args:
-        q: Configuration; not used.
-        v: Velocity (b + n,).
-        coordinates: Rates of the k joints for those of the velocity (k, n).
-        damping: Viscous friction (k,) of the joints without a law; 0 for the others.
-        friction: Coulomb friction (k,) of the joints without a law; 0 for the others.
-        base: Zeros (b,) for the components of a floating base, b = 6 or 0.
-        law: Fields of the `FrictionLaw` of each joint (k,); zeros, and speeds of one, for the joints without a law.
-
-    Returns:
-        Covector (b + n,).
-    """
+    """Generalised force of the friction in joints some of which have a `FrictionLaw`."""
     rates = coordinates @ v[base.shape[0] :]
     sign = jnp.tanh(rates / law["smoothing"])
     at_rest = law["stribeck"] * jnp.exp(-((rates / law["stribeck_velocity"]) ** 2))
     torque = law["viscous"] * rates + (law["coulomb"] + at_rest) * sign + law["asymmetry"] * sign**2
     return resistance(q, v, coordinates, damping, friction, base) + jnp.concatenate([base, -coordinates.T @ torque])
+
+
+def numbers(values: Iterable[Any]) -> Any:
+    """An array of numbers some of which may be traced."""
+    listed = list(values)
+    return namespace(listed).asarray(listed, float)
+
+
+def dissipation(joints: list[Joint], coordinates: np.ndarray, base: np.ndarray) -> Parametric:
+    """Friction of the joints; where one has a law it takes the place of its damping and dry friction."""
+    plain = {
+        "coordinates": coordinates,
+        "damping": numbers(0.0 if joint.law else joint.damping for joint in joints),
+        "friction": numbers(0.0 if joint.law else joint.friction for joint in joints),
+        "base": base,
+    }
+    if not any(joint.law for joint in joints):
+        return Parametric(resistance, **plain)
+    none = FrictionLaw()
+    laws = [joint.law or none for joint in joints]
+    law = {field: numbers(getattr(one, field) for one in laws) for field in none._fields}
+    return Parametric(joint_friction, **plain, law=law)
+
+
+def with_motors(joint: Joint, motors: Sequence[Motor]) -> Joint:
+    """The joint with the springs and dampers of the servos that drive it."""
+    drives = [motor for motor in motors if motor.joint == joint.name]
+    stiffness = joint.stiffness + sum(motor.stiffness for motor in drives)
+    # Springs in parallel: stiffnesses add, and so do the torques at θ = 0, each stiffness · rest.
+    torque = joint.stiffness * joint.rest + sum(motor.constant for motor in drives)
+    if torque and not stiffness:
+        raise ValueError(f"joint {joint.name!r}: a motor with a constant bias is not supported; add it to the input")
+    return joint._replace(
+        stiffness=stiffness,
+        rest=torque / stiffness if stiffness else 0.0,
+        damping=joint.damping + sum(motor.damping for motor in drives),
+    )
+
+
+def inputs(
+    robot: Description,
+    axes: Sequence[Any],
+    coordinates: np.ndarray,
+    free: list[int],
+    motors: Sequence[Motor],
+    actuated: Sequence[str] | None,
+) -> Any:
+    """Generalised force (n, m) of each input; traced where a torque constant is."""
+    if not motors:
+        driven = [i for i in free if actuated is None or axes[i].joint.name in actuated]
+        # By virtual work the transpose of coordinates ↦ joint positions takes torques to generalised forces.
+        factors = numbers(
+            axes[i].joint.torque_constant * (_reduction(axes[i].joint) if robot.motor_torques else 1.0) for i in driven
+        )
+        return coordinates[driven].T * factors[None, :]
+    columns = []
+    for motor in motors:
+        if motor.unsupported:
+            raise ValueError(
+                f"actuator {motor.name!r} {motor.unsupported}, which is not supported; give actuated=[...], the joints "
+                "whose torques are logged, or remove it"
+            )
+        driven = [coordinates[i] for i, axis in enumerate(axes) if axis.joint.name == motor.joint]
+        if driven:
+            constant = next(axis.joint.torque_constant for axis in axes if axis.joint.name == motor.joint)
+            columns.append(motor.gain * constant * (np.array(motor.direction) @ np.array(driven)))
+    return numbers(columns).reshape(len(columns), coordinates.shape[1]).T
+
+
+def _reduction(joint: Joint) -> float:
+    if len(joint.reductions) != 1:
+        stated = f"{len(joint.reductions)} transmissions with a reduction" if joint.reductions else "no reduction"
+        raise ValueError(
+            f"motor_torques: joint {joint.name!r} has {stated}; give it one <transmission> with a "
+            "<mechanicalReduction>, 1 where the motor turns as the joint does, or leave the joint out by actuated=[...]"
+        )
+    return joint.reductions[0]

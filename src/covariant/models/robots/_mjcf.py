@@ -62,18 +62,7 @@ class _Reader:
 
 
 def read_mjcf(path: Path) -> Description:
-    """Read the robot that an MJCF file describes.
-
-    Args:
-        path: Path of the file.
-
-    Returns:
-        The description.
-
-    Raises:
-        ValueError: One line on what is wrong or not supported.
-        ImportError: MuJoCo is not installed.
-    """
+    """Read the robot that an MJCF file describes."""
     mujoco = load_optional("mujoco", use="MJCF files are read with", extra="robots")
     try:
         model = mujoco.MjModel.from_xml_path(str(path))

@@ -6,13 +6,12 @@ Source: `transmission_interface` of ROS for `mechanicalReduction`; the documenta
 `rotor_inertia` and `gear_ratio`.
 """
 
-import math
 from collections import Counter
 from collections.abc import Sequence
 from xml.etree.ElementTree import Element
 
 from covariant.models.robots._description import Joint
-from covariant.models.robots._xml import attribute, name_of, number
+from covariant.models.robots._xml import attribute, finite, name_of, number
 
 REDUCTIONS = ("mechanicalReduction", "gear_ratio")
 ROTOR = "rotor_inertia"
@@ -26,21 +25,7 @@ def with_rotors(
     used: Counter[str],
     ignored: Counter[str],
 ) -> list[Joint]:
-    """Add the rotors and reductions of transmissions to joints.
-
-    Args:
-        transmissions: The `transmission` tags of a URDF file.
-        joints: The joints of the file.
-        motor_torques: Whether to read the reductions too.
-        used: Number of entries that were used, by kind; it is changed.
-        ignored: Number of entries that have no meaning here, by kind; it is changed.
-
-    Returns:
-        The joints, with armatures and reductions.
-
-    Raises:
-        ValueError: The joint of a rotor is not one of one axis, or a number is none of a gear.
-    """
+    """Joints with the armatures and reductions of transmissions, whose entries are counted in `used` and `ignored`."""
     by_name = {joint.name: joint for joint in joints}
     for entry in transmissions:
         rotors = [part for part in entry.iter() if name_of(part) == ROTOR]
@@ -89,13 +74,7 @@ def _value(entry: Element, where: str) -> float:
     """The number of a tag, its attribute `value` or its text."""
     if "value" in entry.attrib:
         return number(entry, "value", where)
-    try:
-        value = float(entry.text or "")
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise ValueError(f"{where}: <{name_of(entry)}> must be a finite number; got {(entry.text or '').strip()!r}")
-    return value
+    return finite((entry.text or "").strip(), f"{where}: <{name_of(entry)}>")
 
 
 def _count(entry: Element, needed_here: bool, used: Counter[str], ignored: Counter[str], path: str = "") -> None:

@@ -4,6 +4,8 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Float
 
+from covariant.models._names import refuse_unknown
+
 
 class KinematicTree(eqx.Module):
     """Rigid bodies that are connected by joints of one axis, or by ball joints, the parents first.
@@ -113,7 +115,6 @@ class Links(eqx.Module):
         Raises:
             ValueError: There is no such link.
         """
-        if link not in self.names:
-            raise ValueError(f"there is no link {link!r}; there are {', '.join(self.names)}")
+        refuse_unknown("link", link, self.names)
         i = self.names.index(link)
         return self.bodies[i], self.rotation[i], self.place[i]

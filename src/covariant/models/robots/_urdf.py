@@ -31,19 +31,7 @@ GRAVITY = np.array([0.0, 0.0, -9.81])
 
 
 def read_urdf(robot: Element, name: str, motor_torques: bool = False) -> Description:
-    """Read the robot that a URDF file describes.
-
-    Args:
-        robot: Outermost tag of the file.
-        name: Name of the robot where the tag has none.
-        motor_torques: Whether to read the reductions of its transmissions too.
-
-    Returns:
-        The description.
-
-    Raises:
-        ValueError: One line on what is wrong in the file.
-    """
+    """Read the robot that a URDF file describes; `robot` is its outermost tag, `name` its name where that has none."""
     used, ignored, doubts = Counter(), Counter(), []
     links: dict[str, BodyInertia] = {}
     joints: list[Joint] = []

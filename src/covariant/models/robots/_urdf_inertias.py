@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from xml.etree import ElementTree
 
+from covariant.models._names import refuse_unknown
 from covariant.models.robots._library import located
 from covariant.models.robots._xml import name_of, parse
 
@@ -32,10 +33,9 @@ def urdf_with_inertias(path: str | Path, inertia: Mapping[str, Sequence[float]])
     robot = parse(located(path))
     if name_of(robot) != "robot":
         raise ValueError(f"{path}: a URDF file begins with <robot>; found <{name_of(robot)}>")
-    links = {link.get("name"): link for link in robot.findall("link")}
+    links = {link.get("name", ""): link for link in robot.findall("link")}
     for name, numbers in inertia.items():
-        if name not in links:
-            raise ValueError(f"{path}: there is no link {name!r}; there are {', '.join(map(str, links))}")
+        refuse_unknown(f"link of {path}", name, links)
         link = links[name]
         for old in link.findall("inertial"):
             link.remove(old)

@@ -9,17 +9,7 @@ import numpy as np
 
 
 def parse(path: Path) -> Element:
-    """Parse an XML file.
-
-    Args:
-        path: Path of the file.
-
-    Returns:
-        Its outermost tag.
-
-    Raises:
-        ValueError: The file is not readable, or declares document types or entities.
-    """
+    """Outermost tag of an XML file; raises `ValueError` where it declares document types or entities."""
     data = path.read_bytes()
     # UTF-16 has NUL bytes between letters, and would hide the words that are searched for below.
     if b"\0" in data:
@@ -34,20 +24,7 @@ def parse(path: Path) -> Element:
 
 
 def vector(entry: Element | None, key: str, where: str, default: tuple[float, float, float]) -> np.ndarray:
-    """Read three numbers of an attribute.
-
-    Args:
-        entry: Tag; None for the default.
-        key: Name of the attribute.
-        where: Place in the file, for the message.
-        default: The numbers where the attribute is missing.
-
-    Returns:
-        Array (3,).
-
-    Raises:
-        ValueError: The attribute is not three finite numbers.
-    """
+    """Three finite numbers (3,) of an attribute, or the default where it is missing."""
     text = None if entry is None else entry.get(key)
     if text is None:
         return np.array(default)
@@ -61,48 +38,28 @@ def vector(entry: Element | None, key: str, where: str, default: tuple[float, fl
 
 
 def number(entry: Element, key: str, where: str, default: float | None = None) -> float:
-    """Read the number of an attribute.
-
-    Args:
-        entry: Tag.
-        key: Name of the attribute.
-        where: Place in the file, for the message.
-        default: The number where the attribute is missing; None where it is required.
-
-    Returns:
-        The number.
-
-    Raises:
-        ValueError: The attribute is missing, or no finite number.
-    """
+    """Finite number of an attribute, or the default where it is missing; without a default it is required."""
     text = entry.get(key)
     if text is None:
         if default is None:
             raise ValueError(f"{where}: <{entry.tag}> lacks {key!r}")
         return default
+    return finite(text, f"{where}: {key} of <{entry.tag}>")
+
+
+def finite(text: str, what: str) -> float:
+    """The number in a text; raises `ValueError` where it is none, or not finite."""
     try:
         value = float(text)
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
-        raise ValueError(f"{where}: {key} of <{entry.tag}> must be a finite number; got {text!r}")
+        raise ValueError(f"{what} must be a finite number; got {text!r}")
     return value
 
 
 def attribute(entry: Element, key: str, where: str) -> str:
-    """Read an attribute.
-
-    Args:
-        entry: Tag.
-        key: Name of the attribute.
-        where: Place in the file, for the message.
-
-    Returns:
-        Its text.
-
-    Raises:
-        ValueError: The attribute is missing or empty.
-    """
+    """Text of an attribute; raises `ValueError` where it is missing or empty."""
     text = entry.get(key)
     if not text:
         raise ValueError(f"{where}: a <{entry.tag}> lacks {key!r}")

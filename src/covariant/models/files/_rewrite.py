@@ -1,9 +1,10 @@
 """Model files rewritten with other values, with their comments and layout."""
 
+import json
 import re
 from typing import Any
 
-from covariant.models import _toml
+from covariant.models.files import _toml
 
 _TOKEN = re.compile(
     r"""(?P<skip>#[^\n]*|"(?:[^"\\\n]|\\.)*"|'[^'\n]*')|(?P<number>[+-]?(?:[0-9][0-9_]*\.?[0-9_]*)(?:[eE][+-]?[0-9]+)?)"""
@@ -116,21 +117,14 @@ def _leaves(value: Any) -> list[Any]:
 
 
 def written(value: Any) -> str:
-    """Format a value as TOML.
-
-    Args:
-        value: Number, Boolean, text, a list of them, or a dictionary of them, which becomes an inline table.
-
-    Returns:
-        Its text.
-    """
+    """A value as TOML; a dictionary becomes an inline table."""
     if isinstance(value, list):
         return "[" + ", ".join(map(written, value)) + "]"
     if isinstance(value, dict):
         pairs = (f"{_key(key)} = {written(entry)}" for key, entry in value.items())
         return "{ " + ", ".join(pairs) + " }"
     if isinstance(value, str):
-        return '"' + value.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n") + '"'
+        return json.dumps(value, ensure_ascii=False)  # JSON's escapes are among those of TOML
     return str(value).lower() if isinstance(value, bool) else repr(value)
 
 

@@ -18,9 +18,9 @@ import numpy as np
 
 from covariant._typing import Number
 from covariant.models._mechanical import MechanicalSystem
+from covariant.models._names import refuse_unknown
 from covariant.models._state_space import StateSpace, state_space
-from covariant.models._systems import SYSTEMS
-from covariant.models._toml import refuse_unknown
+from covariant.models.files._systems import SYSTEMS
 
 Model = MechanicalSystem | StateSpace
 """The kinds of models, `MechanicalSystem` and `StateSpace`."""
@@ -41,17 +41,7 @@ def _states_of(factory: Callable[..., Any]) -> Callable[..., StateSpace]:
 
 
 def system(name: Any) -> Callable[..., Model]:
-    """Function that builds a system of this library.
-
-    Args:
-        name: Name of the system, as in `SYSTEMS`.
-
-    Returns:
-        The function, the same object each time.
-
-    Raises:
-        ValueError: The name is unknown; suggests the nearest one.
-    """
+    """Function that builds a system of this library, the same object each time."""
     if not isinstance(name, str):
         raise ValueError(f'system must be a name, as in system = "oscillator"; got {name!r}')
     refuse_unknown("system", name, SYSTEMS)
@@ -66,18 +56,7 @@ def _function(name: str) -> Callable[..., Model]:
 
 
 def attribute(spec: str, folder: Path | None = None) -> Any:
-    """Import the object that `module:attribute` names.
-
-    Args:
-        spec: `module:attribute`.
-        folder: A folder to search too; the current one by default.
-
-    Returns:
-        The object.
-
-    Raises:
-        ValueError: The module cannot be imported, or has no such attribute.
-    """
+    """Import the object that `module:attribute` names, from a folder (by default the current one) or from anywhere."""
     where, _, name = spec.partition(":")
     beside = os.getcwd() if folder is None else str(folder.resolve())
     if ("" not in sys.path or folder is not None) and beside not in sys.path:
@@ -117,17 +96,6 @@ def typed(name: str, factory: Callable[..., Any], parameters: dict[str, Any]) ->
     """Convert parameters to the types that a function declares: an int serves as a `float`, a bool does not.
 
     Numbers of arrays, such as those being fitted, and parameters that the function does not take are not converted.
-
-    Args:
-        name: Name of the system, for the message.
-        factory: The function.
-        parameters: Its arguments by name.
-
-    Returns:
-        The converted arguments.
-
-    Raises:
-        ValueError: Names a parameter of another type.
     """
     declared, converted = inspect.signature(factory).parameters, dict(parameters)
     for key in converted.keys() & declared.keys():
@@ -161,19 +129,7 @@ def _typed(value: Any, declared: Any) -> Any:
 
 
 def call(name: str, factory: Callable[..., Any], parameters: dict[str, Any]) -> Any:
-    """Call a function that builds a model.
-
-    Args:
-        name: Name of the system, for the message.
-        factory: The function.
-        parameters: Its arguments by name.
-
-    Returns:
-        Its result.
-
-    Raises:
-        ValueError: Names a parameter that it does not take, lacks or refuses.
-    """
+    """Call a function that builds a model; raises `ValueError` for a parameter that it lacks or refuses."""
     accepted = inspect.signature(factory).parameters
     for parameter in parameters:
         refuse_unknown(f"parameter of {name}", parameter, accepted)

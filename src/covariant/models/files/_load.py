@@ -3,11 +3,12 @@
 from os import PathLike, fspath
 from typing import Any
 
-from covariant.models import _source, _toml
-from covariant.models._family import family
-from covariant.models._file import ModelError, ModelFile, document, finish, finish_object
-from covariant.models._source import Model
-from covariant.models._toml import Overrides
+from covariant.models.files import _toml
+from covariant.models.files._family import family
+from covariant.models.files._file import document, finish, finish_object
+from covariant.models.files._model_file import ModelFile, named
+from covariant.models.files._source import Model
+from covariant.models.files._toml import Overrides
 
 
 def load(spec: str | PathLike[str] | Model | ModelFile, overrides: Overrides = ()) -> ModelFile:
@@ -34,7 +35,7 @@ def load(spec: str | PathLike[str] | Model | ModelFile, overrides: Overrides = (
     """
     is_object = isinstance(spec, Model | ModelFile)
     name = spec_name(spec)
-    try:
+    with named(name):
         if is_object:
             content = _toml.override({}, overrides)
             _toml.check_layout(content)
@@ -42,9 +43,6 @@ def load(spec: str | PathLike[str] | Model | ModelFile, overrides: Overrides = (
         if not isinstance(spec, str | PathLike):
             raise ValueError("a model is a file, a name, module:attribute, a system or a ModelFile")
         file = finish(name, document(name, overrides))
-    except ValueError as error:
-        line = _source.first_line(error)  # of a robot's file it names the path already
-        raise ModelError(line if line.startswith(f"{name}: ") else f"{name}: {line}") from error
     return file._replace(family=family(name, tuple(file.uncertain), overrides)) if file.uncertain else file
 
 

@@ -1,38 +1,37 @@
 """The systems of this library by name, and a check of the names and paths of models. Loads nothing heavy."""
 
-import difflib
 import errno
 import os
-from collections.abc import Collection
 from os import PathLike
 from pathlib import Path
 
+from covariant.models._names import unknown
 from covariant.models.robots import ROBOTS
 
 ROBOT_FILES = (".urdf", ".xml")
 """Suffixes of robot files."""
 SYSTEMS = {
-    "ball_and_beam": "_ball_and_beam:ball_and_beam",
-    "bioreactor": "_bioreactor:bioreactor",
+    "ball_and_beam": "systems._ball_and_beam:ball_and_beam",
+    "bioreactor": "systems._bioreactor:bioreactor",
     "cybership": "marine:cybership",
-    "duffing": "_duffing:duffing",
-    "free_body": "_heavy_top:free_body",
-    "heavy_top": "_heavy_top:heavy_top",
-    "hovercraft": "_hovercraft:hovercraft",
-    "induction_motor": "_induction_motor:induction_motor",
-    "lorenz": "_lorenz:lorenz",
+    "duffing": "systems._duffing:duffing",
+    "free_body": "systems._heavy_top:free_body",
+    "heavy_top": "systems._heavy_top:heavy_top",
+    "hovercraft": "systems._hovercraft:hovercraft",
+    "induction_motor": "systems._induction_motor:induction_motor",
+    "lorenz": "systems._lorenz:lorenz",
     "manoeuvring_ship": "marine:manoeuvring_ship",
     "odin": "marine:odin",
     "odin_on_group": "marine:odin_on_group",
-    "oscillator": "_oscillator:oscillator",
-    "pendulum_chain": "_pendulum_chain:pendulum_chain",
+    "oscillator": "systems._oscillator:oscillator",
+    "pendulum_chain": "systems._pendulum_chain:pendulum_chain",
     "robot": "robots:load",
-    "satellite": "_satellite:satellite",
-    "satellite_arm": "_satellite_arm:satellite_arm",
+    "satellite": "systems._satellite:satellite",
+    "satellite_arm": "systems._satellite_arm:satellite_arm",
     "supply_vessel": "marine:supply_vessel",
-    "underwater_vehicle": "_underwater_vehicle:underwater_vehicle",
-    "unknown_frequency": "_unknown_frequency:unknown_frequency",
-    "van_der_pol": "_van_der_pol:van_der_pol",
+    "underwater_vehicle": "systems._underwater_vehicle:underwater_vehicle",
+    "unknown_frequency": "systems._unknown_frequency:unknown_frequency",
+    "van_der_pol": "systems._van_der_pol:van_der_pol",
 }
 """The systems that a model file may name, and the functions that build them, as `module:function`."""
 
@@ -64,28 +63,5 @@ def check_spec(spec: str | PathLike[str]) -> None:
 
 
 def unknown_model(name: str) -> str:
-    """Message for a name that is no model.
-
-    Args:
-        name: The name.
-
-    Returns:
-        One line that suggests the nearest model and lists all.
-    """
+    """Message for a name that is no model."""
     return f"{unknown('model', name, (*SYSTEMS, *ROBOTS))}, a .toml, .urdf or .xml file, or module:attribute"
-
-
-def unknown(what: str, name: str, known: Collection[str]) -> str:
-    """Message for an unknown name.
-
-    Args:
-        what: What the name is of.
-        name: The name.
-        known: The names that exist.
-
-    Returns:
-        One line that suggests the nearest known name and lists all.
-    """
-    nearest = difflib.get_close_matches(name, known, 1)
-    suggestion = f" Did you mean {nearest[0]!r}?" if nearest else ""
-    return f"unknown {what} {name!r}.{suggestion} Known: {', '.join(known) or 'none'}"

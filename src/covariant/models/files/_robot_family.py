@@ -12,9 +12,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from covariant.models import _source, _toml
-from covariant.models._file import ModelError, ModelFile, document, finish, made
+from covariant.models._names import refuse_unknown
 from covariant.models._parameters import AnyArray
+from covariant.models.files._file import document, finish, made
+from covariant.models.files._model_file import ModelFile, named
+from covariant.models.files._toml import Overrides
 from covariant.models.robots import (
     OF_INERTIA,
     BodyInertia,
@@ -150,21 +152,9 @@ class RobotFamily(NamedTuple):
         values = self.values(x)
         for start in self._inertias:
             block = slice(start, start + len(OF_INERTIA))
-            m, c, (xx, yy, zz, xy, xz, yz) = (
-                values[start],
-                values[start + 1 : start + 4],
-                values[start + 4 : block.stop],
-            )
-            cx, cy, cz = c
-            about = [
-                xx + m * (cy**2 + cz**2),
-                yy + m * (cz**2 + cx**2),
-                zz + m * (cx**2 + cy**2),
-                xy - m * cx * cy,
-                xz - m * cx * cz,
-                yz - m * cy * cz,
-            ]
-            values = values.at[block].set(jnp.concatenate([jnp.stack([m, m * cx, m * cy, m * cz]), jnp.stack(about)]))
+            body = inertia_of("", values[block])
+            numbers = [jnp.asarray(body.mass)[None], jnp.asarray(body.first), _tensor_of(body.second)]
+            values = values.at[block].set(jnp.concatenate(numbers))
         return values
 
     @property
@@ -219,7 +209,7 @@ def is_robot_number(name: str) -> bool:
     return "[" not in name and name.strip().removeprefix("parameters.").split(".")[0] in GROUPS
 
 
-def robot_family(spec: str, names: Sequence[str], overrides: _toml.Overrides = ()) -> RobotFamily:
+def robot_family(spec: str, names: Sequence[str], overrides: Overrides = ()) -> RobotFamily:
     """Robot as a function of the named numbers.
 
     Args:
@@ -240,11 +230,8 @@ def robot_family(spec: str, names: Sequence[str], overrides: _toml.Overrides = (
         >>> models.robot_family("scara", ["payload"]).names
         ('payload.hand.mass', 'payload.hand.x', 'payload.hand.y', 'payload.hand.z')
     """
-    try:
+    with named(spec):
         return _family(spec, names, document(spec, overrides))
-    except ValueError as error:
-        line = _source.first_line(error)
-        raise ModelError(line if line.startswith(f"{spec}: ") else f"{spec}: {line}") from error
 
 
 def _family(spec: str, names: Sequence[str], content: dict[str, Any]) -> RobotFamily:
@@ -264,7 +251,7 @@ def _family(spec: str, names: Sequence[str], content: dict[str, Any]) -> RobotFa
     numbers: list[OpenNumber] = []
     for name in names:
         group, *rest = name.strip().removeprefix("parameters.").split(".")
-        _toml.refuse_unknown("group of numbers", group, GROUPS)
+        refuse_unknown("group of numbers", group, GROUPS)
         numbers += _OPENED[group](_Scene(file, robot, parameters, group), rest)
     for number in numbers:
         if [other.name for other in numbers].count(number.name) > 1:
@@ -324,7 +311,7 @@ class _Scene(NamedTuple):
             joint = self.joints[int(name) - 1]
             child = next(j.child for j in self.robot.joints if j.name == joint)
             name = child if known is not self.joints and known != self.joints else joint
-        _toml.refuse_unknown(f"{'joint' if known == self.joints else 'link'} in {self.group}", name, known)
+        refuse_unknown(f"{'joint' if known == self.joints else 'link'} in {self.group}", name, known)
         return name
 
     def joint(self, name: str) -> Any:
@@ -496,6 +483,10 @@ def _inertia_at(first: Float[np.ndarray, "10"], x: Array) -> Array:
     p = factor @ factor.T
     mass, moment, second = p[3, 3], p[:3, 3], p[:3, :3]
     central = second - jnp.outer(moment, moment) / mass
-    xx, yy, zz = jnp.diagonal(central)
-    inertia = [yy + zz, zz + xx, xx + yy, -central[0, 1], -central[0, 2], -central[1, 2]]
-    return jnp.concatenate([jnp.stack([mass, *(moment / mass)]), jnp.stack(inertia)])
+    return jnp.concatenate([jnp.stack([mass, *(moment / mass)]), _tensor_of(central)])
+
+
+def _tensor_of(second: Any) -> Array:
+    """The six numbers ixx, iyy, izz, ixy, ixz, iyz of the inertia tensor of a second moment S: tr(S) 1 − S."""
+    xx, yy, zz = jnp.diagonal(second)
+    return jnp.stack([yy + zz, zz + xx, xx + yy, -second[0, 1], -second[0, 2], -second[1, 2]])

@@ -6,8 +6,8 @@ from covariant.geometry import AbstractManifold, Coordinates
 from covariant.geometry.lie import SE2, SE3, SO2, SO3, AbstractGroup
 from covariant.logs import ATTITUDES, Columns, check_unit
 from covariant.models._mechanical import MechanicalSystem, check_model, input_count
-from covariant.models._source import Model
 from covariant.models._state_space import StateSpace
+from covariant.models.files._source import Model
 
 
 class _Needs(NamedTuple):
@@ -33,17 +33,6 @@ def model_columns(model: Any, loaded: Columns, given: dict[str, Any]) -> Columns
 
     The names in the model file take precedence over those loaded with the model, and these over names derived from the
     model. An attitude gets no default names, since its representation is unknown.
-
-    Args:
-        model: A `MechanicalSystem` or a `StateSpace`.
-        loaded: Columns loaded with the model.
-        given: Fields of `Columns` that the model file has.
-
-    Returns:
-        The columns, as many of each kind as the model needs.
-
-    Raises:
-        ValueError: Names the first key with too many columns or too few, or the wrong unit.
     """
     if any(given.get(kind) for kind in ATTITUDES):
         # The file's representation replaces the loaded one: two kinds of columns for one attitude would contradict.
@@ -67,15 +56,7 @@ def _named(model: Any, names: dict[str, Any]) -> Columns:
 
 
 def unnamed_attitudes(model: Model, columns: Columns) -> int:
-    """Number of attitudes in a log of the model whose representation no column states.
-
-    Args:
-        model: A `MechanicalSystem` or a `StateSpace`.
-        columns: Columns of its logs.
-
-    Returns:
-        0 where a column of an attitude is named, otherwise the number of attitudes of the model.
-    """
+    """Number of attitudes in a log of the model whose representation no column states."""
     return 0 if any(getattr(columns, kind) for kind in ATTITUDES) else _needs(model.manifold).attitudes
 
 

@@ -10,8 +10,11 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
-from covariant.models import _source, _toml
-from covariant.models._file import ModelError, ModelFile, document, finish, made
+from covariant.models._names import refuse_unknown
+from covariant.models.files import _source
+from covariant.models.files._file import document, finish, made
+from covariant.models.files._model_file import ModelFile, named
+from covariant.models.files._toml import Overrides
 
 LAG = ("inputs", "lag")
 """The one number outside [parameters] that may be open."""
@@ -61,7 +64,7 @@ class Family(NamedTuple):
         return _with(self.document, self.places, np.asarray(values).tolist())
 
 
-def family(spec: str, names: Sequence[str], overrides: _toml.Overrides = ()) -> Family:
+def family(spec: str, names: Sequence[str], overrides: Overrides = ()) -> Family:
     """Family of a mechanical model with the named numbers open.
 
     Args:
@@ -83,10 +86,8 @@ def family(spec: str, names: Sequence[str], overrides: _toml.Overrides = ()) -> 
         >>> family.names, family.first.tolist()
         (('mass',), [0.5])
     """
-    try:
+    with named(spec):
         return _family(spec, names, document(spec, overrides))
-    except ValueError as error:
-        raise ModelError(f"{spec}: {_source.first_line(error)}") from error
 
 
 def _family(spec: str, names: Sequence[str], content: dict[str, Any]) -> Family:
@@ -155,7 +156,7 @@ def _chosen(pattern: str, numbers: dict[str, Place]) -> list[str]:
     plain = pattern.strip().removeprefix("parameters.")
     matches = [name for name in numbers if name == plain or re.fullmatch(re.escape(plain) + r"(\[\w+\])+", name)]
     if not matches:
-        _toml.refuse_unknown("number", plain, tuple(numbers))
+        refuse_unknown("number", plain, tuple(numbers))
     return matches
 
 

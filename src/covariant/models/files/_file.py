@@ -1,0 +1,225 @@
+"""A model file from its document: the system with its parameters, and the recipe that makes it again."""
+
+import inspect
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from covariant.models.files import _source, _toml
+from covariant.models.files._check import check_metric
+from covariant.models.files._columns import model_columns
+from covariant.models.files._model_file import ModelError, ModelFile
+from covariant.models.files._rewrite import written
+from covariant.models.files._source import Model
+from covariant.models.files._systems import ROBOT_FILES, SYSTEMS, unknown_model
+from covariant.models.files._toml import Overrides
+from covariant.models.robots import ROBOTS
+
+
+def finish(spec: str, content: dict[str, Any]) -> ModelFile:
+    """Build the model file of a document and check it."""
+    loaded = made(spec, content)
+    return _finished(loaded, Path(spec).stem if is_file(spec) else loaded.name, content)
+
+
+def finish_object(given: Any, content: dict[str, Any]) -> ModelFile:
+    """Build the model file of a model object, with the tables of a document on top."""
+    for table in ("system", "parameters"):
+        if table in content:
+            raise ValueError(f"{table} is for models that are made from a file or by name; this one is made already")
+    loaded = _build(type(given).__name__, given, {})
+    return _finished(loaded, loaded.name, content)
+
+
+def _finished(loaded: ModelFile, name: str, content: dict[str, Any]) -> ModelFile:
+    columns = model_columns(loaded.model, loaded.columns, _toml.columns(content))
+    model: Any = loaded.model
+    if loaded.mechanical and model.manifold.commuting:
+        check_metric(model, _points(len(columns.q)))
+    # On a group the errors are components in the body frame, not logged columns: one number serves for all.
+    count = len(columns.q) if model.manifold.commuting else 1
+    states = 0 if loaded.mechanical else len(model.coordinates)
+    return loaded._replace(name=name, columns=columns, **_toml.numbers(content, count, states))
+
+
+def made(spec: str, content: dict[str, Any]) -> ModelFile:
+    """Build the model of a document from its system, or from the attribute that a spec names, with its parameters."""
+    what = content.get("system", spec.rpartition(":")[2])
+    return _build(what, _model_or_factory(spec, content), content.get("parameters", {}))
+
+
+def from_recipe(made: dict[str, Any], model: Any = None) -> Model:
+    """Build the model of a recipe: a system of this library by name, with parameters of the right types.
+
+    A recipe may come from a file, so nothing in it is ever imported. A caller who trusts the code may pass `model`.
+
+    Args:
+        made: The recipe, as `recipe` returns it: `system` or `attribute`, and `parameters`.
+        model: A replacement for the system or attribute that the recipe names: a model, a function that builds one from
+            the recipe's parameters, or the `module:attribute` of either.
+
+    Returns:
+        The model.
+
+    Raises:
+        ModelError: One line that names what is wrong.
+
+    Example:
+        >>> from covariant import models
+        >>> models.from_recipe({"system": "oscillator", "parameters": {"stiffness": 2.0}}).coordinates
+        ('q',)
+    """
+    parameters = made.get("parameters", {})
+    try:
+        if model is not None:
+            return _replacement(model, parameters)
+        if "attribute" in made:
+            raise ValueError(
+                f"the model is {made['attribute']!r}, code that a recipe does not run; whoever trusts it gives the "
+                "model, as --model module:attribute or model=..."
+            )
+        factory, name = _source.system(made.get("system")), str(made.get("system"))
+        with np.errstate(all="ignore"):  # parameters may make numbers infinite, which later checks find
+            return _build(name, factory, parameters).model
+    except Exception as error:  # parameters from a file may make a system fail in any way
+        kind = "" if isinstance(error, ValueError) else f"{type(error).__name__}: "
+        raise ModelError(kind + _source.first_line(error)) from error
+
+
+def recipe_text(made: dict[str, Any]) -> str:
+    """Describe the model of a recipe in one line, with all its parameters, default values included.
+
+    For a model that is not of this library the line has the parameters of the recipe alone.
+
+    Args:
+        made: The recipe, as `recipe` returns it.
+
+    Returns:
+        The name, followed by `parameter = value` for each.
+
+    Example:
+        >>> from covariant import models
+        >>> models.recipe_text({"system": "ball_and_beam", "parameters": {"mass": 2.0}})
+        'ball_and_beam, gravity = 1.0, mass = 2.0, inertia = 1.0'
+    """
+    parameters = made.get("parameters", {})
+    if "attribute" in made:
+        name = f"{made['attribute']}, code that is not in this statement"
+    else:
+        name = str(made["system"])
+        arguments = inspect.signature(_source.system(name)).parameters.values()
+        defaults = {
+            argument.name: argument.default for argument in arguments if argument.default is not inspect.Parameter.empty
+        }
+        parameters = defaults | parameters
+    texts = {key: "none" if value is None else written(_toml.plain(value)) for key, value in parameters.items()}
+    return name + "".join(f", {key} = {text}" for key, text in texts.items())
+
+
+def _replacement(model: Any, parameters: dict[str, Any]) -> Model:
+    """Build the model that a caller passes in place of the one that a recipe names."""
+    name = model if isinstance(model, str) else type(model).__name__
+    if isinstance(model, str) and not all(model.partition(":")):
+        raise ValueError(f"a model is given as module:attribute; got {model!r}")
+    candidate = _source.attribute(model) if isinstance(model, str) else model
+    return _build(name, candidate, {} if isinstance(candidate, Model | ModelFile) else parameters).model
+
+
+def is_file(spec: str) -> bool:
+    """Whether a spec is the path of a model file, or a robot by its path or name."""
+    return spec.endswith((".toml", *ROBOT_FILES)) or spec in ROBOTS
+
+
+def document(spec: str, overrides: Overrides = ()) -> dict[str, Any]:
+    """Read the document that a spec stands for, with overrides applied and its layout checked.
+
+    Args:
+        spec: As for `load`, except an object.
+        overrides: As for `load`.
+
+    Returns:
+        Tables and keys as nested dictionaries and lists; empty for `module:attribute` without overrides.
+
+    Raises:
+        ValueError: The spec is unknown or unreadable, or a table, key or override is wrong.
+
+    Example:
+        >>> from covariant import models
+        >>> models.document("oscillator", ["parameters.stiffness=2.0"])
+        {'system': 'oscillator', 'parameters': {'stiffness': 2.0}}
+    """
+    content = _toml.override(_document(spec), overrides)
+    _toml.check_layout(content)
+    return content
+
+
+def _document(spec: str) -> dict[str, Any]:
+    if spec.endswith(ROBOT_FILES) or spec in ROBOTS:
+        return {"system": "robot", "parameters": {"path": spec}}
+    if is_file(spec):
+        return _relative_to_file(Path(spec), _toml.parse(text(Path(spec))))
+    if ":" in spec:
+        return {}
+    if spec not in SYSTEMS:
+        raise ValueError(unknown_model(spec))
+    return {"system": spec}
+
+
+def _relative_to_file(path: Path, content: dict[str, Any]) -> dict[str, Any]:
+    """The document of a model file; the path of a robot's file in it is relative to the folder of the model file."""
+    parameters = content.get("parameters")
+    if (
+        content.get("system") != "robot"
+        or not isinstance(parameters, dict)
+        or not isinstance(parameters.get("path"), str)
+    ):
+        return content
+    if parameters["path"] in ROBOTS:
+        return content
+    return content | {"parameters": parameters | {"path": str(path.parent / parameters["path"])}}
+
+
+def text(path: Path) -> str:
+    """Read a model file in UTF-8."""
+    try:
+        return path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise ValueError(f"{error.strerror or error}; give the path of a model file") from error
+
+
+def _model_or_factory(spec: str, content: dict[str, Any]) -> Any:
+    """Find the model that a spec names, or the function that builds it."""
+    named = content.get("system")
+    if is_file(spec) and isinstance(named, str) and ":" in named:
+        return _source.attribute(named, Path(spec).parent)
+    if is_file(spec) or ":" not in spec:
+        return _source.system(named)
+    if "system" in content:
+        raise ValueError(f"system = {content['system']!r} contradicts module:attribute; drop one of them")
+    return _source.attribute(spec)
+
+
+def _build(name: str, candidate: Any, parameters: dict[str, Any]) -> ModelFile:
+    """Return the model itself, or what the function makes of the parameters; for a system of this library, typed."""
+    finished = isinstance(candidate, Model | ModelFile)
+    if finished and parameters:
+        raise ValueError(f"{name} is a finished model; only a function that makes one takes parameters")
+    system = ""
+    if name in SYSTEMS and candidate is _source.system(name):
+        system, parameters = name, _source.typed(name, _source.system(name), parameters)
+    built = candidate if finished or not callable(candidate) else _source.call(name, candidate, parameters)
+    if isinstance(built, Model):
+        return ModelFile(name, built, system=system)
+    if isinstance(built, ModelFile):
+        return built._replace(system=system or built.system)
+    how = f"it {'is' if built is candidate else 'returned'} a {type(built).__name__}"
+    raise ValueError(
+        f"{name} must be a Lagrangian, a GroupSystem, a StateSpace, a ModelFile, or a function returning one; {how}"
+    )
+
+
+def _points(n: int) -> np.ndarray:
+    """Points at which the metric is checked: 0, 1, and a few fixed points between 0 and 2."""
+    # Fixed, so that a model passes always or never; 0 alone may be a singular point of its chart.
+    return np.concatenate([np.zeros((1, n)), np.ones((1, n)), np.random.default_rng(0).uniform(0, 2, (4, n))])

@@ -1,0 +1,97 @@
+"""The kinds of keys of a model file: which values each may have, and how they are read."""
+
+import sys
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from covariant.models._parameters import ANY_SIGN, POSITIVE, ZERO_OR_MORE
+
+_EXPECTED = {POSITIVE: "positive number", ZERO_OR_MORE: "number ≥ 0", ANY_SIGN: "finite number"}
+
+Counts = Mapping[str, int]
+"""Length of a list with one number for each "coordinate", and for each "state"; 0 where the model has none."""
+
+
+@dataclass(frozen=True)
+class Number:
+    """A number, or a list with one for each coordinate or state.
+
+    Attributes:
+        path: Table and key, as in an override.
+        least: `POSITIVE`, `ZERO_OR_MORE` or `ANY_SIGN`.
+        each: Of what each may have its own number; only a state-space model has states.
+        replaces: Keys of the table that state the same in another way; an override of this one removes them.
+    """
+
+    path: str
+    least: float = POSITIVE
+    each: Literal["", "coordinate", "state"] = ""
+    replaces: tuple[str, ...] = ()
+
+    @property
+    def values(self) -> str:
+        """Values that are accepted."""
+        return _EXPECTED[self.least] + (f", or a list with one for each {self.each}" if self.each else "")
+
+    def read(self, value: Any, counts: Counts) -> float | tuple[float, ...]:
+        """The number or the numbers of a document; raises `ValueError` for others."""
+        if self.each == "state" and not counts["state"]:
+            raise ValueError(f"{self.path} is for a state-space model, and this one is mechanical")
+        if not self.each or not isinstance(value, list):
+            return self.checked(value)
+        if len(value) != counts[self.each]:
+            count = counts[self.each]
+            raise ValueError(f"{self.path} lists {len(value)} numbers; give {count}, or one number without brackets")
+        return tuple(map(self.checked, value))
+
+    def checked(self, value: Any) -> float:
+        """One number; raises `ValueError` where it is none, or out of its range."""
+        numeric = isinstance(value, int | float) and not isinstance(value, bool)  # in Python True is an int
+        if not numeric or not self.least <= value <= sys.float_info.max:
+            raise ValueError(f"{self.path} must be a {_EXPECTED[self.least]}; got {value!r}")
+        return float(value)
+
+
+@dataclass(frozen=True)
+class Choice:
+    """One of several words."""
+
+    path: str
+    words: tuple[str, ...]
+    replaces = ()
+
+    @property
+    def values(self) -> str:
+        """Values that are accepted."""
+        return "one of " + ", ".join(map(repr, self.words))
+
+    def read(self, value: Any, counts: Counts) -> str:
+        """The word of a document; raises `ValueError` for another."""
+        if value not in self.words:
+            raise ValueError(f"{self.path} must be {self.values}; got {value!r}")
+        return value
+
+
+@dataclass(frozen=True)
+class Deviations:
+    """Relative standard deviations of numbers of [parameters], by name."""
+
+    path: str
+    replaces = ()
+    values = "positive number for each name"
+
+    def read(self, value: Any, counts: Counts) -> dict[str, float]:
+        """The deviations of a document; raises `ValueError` where they are none."""
+        if not isinstance(value, dict):
+            raise ValueError(
+                f"{self.path} must name numbers of [parameters], each with the standard deviation of its relative "
+                f'error, as in {{"mass[0]" = 0.3}}; got {value!r}'
+            )
+        if value and counts["state"]:
+            raise ValueError(f"{self.path} is for a mechanical model, and this one is a state-space model")
+        return {name: Number(f"{self.path}.{name}").checked(entry) for name, entry in value.items()}
+
+
+Key = Number | Choice | Deviations
+"""A key of a model file."""

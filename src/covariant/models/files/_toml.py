@@ -1,0 +1,218 @@
+"""The layout of a model file: its tables and keys, and the values that each of them may have."""
+
+import math
+import re
+import tomllib
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+from covariant.logs import ATTITUDES, Columns, unit_factor
+from covariant.models._names import refuse_unknown
+from covariant.models._parameters import ZERO_OR_MORE
+from covariant.models.files._keys import Number
+from covariant.models.files._model_file import KEYS
+
+Overrides = Sequence[str] | Mapping[str, Any]
+"""Values that replace those of a model file: `table.key=value` each, or a mapping from `table.key` to values."""
+
+WRENCH = "wrench"
+"""Table of the forces that act on links, a table for each."""
+_OF_WRENCH = {"link": True, "force_std": True, "torque_std": False, "time": True, "frame": False, "point": False}
+"""Keys of such a table, and whether it needs them."""
+
+SENSORS = "sensors"
+"""Table of the sensors beside the measured positions, a table for each."""
+_OF_EVERY_SENSOR = ("kind", "columns", "units", "delay")
+_BIASED, _PLACED = ("std", "bias", "bias_drift"), ("link", "axes", "place")
+_OF_SENSOR = {
+    "encoder": ("of", "reduction", *_BIASED),
+    "tachometer": ("of", "reduction", *_BIASED),
+    "gyro": ("link", "axes", *_BIASED),
+    "accelerometer": (*_PLACED, "gravity", *_BIASED),
+    "pose": (*_PLACED, "attitude", "position_std", "rotation_std"),
+    "point": ("link", "place", *_BIASED),
+}
+"""Kinds of sensors, with the keys of each."""
+_REQUIRED = dict.fromkeys(_OF_SENSOR, ("std",)) | {"pose": ("attitude", "position_std", "rotation_std")}
+
+_NAMES = tuple(field for field in Columns._fields if field != "units")
+"""Keys of [columns], and of [units] but for attitudes, which have none."""
+_PLACES = [key.path.split(".") for key in KEYS.values()]
+_OF_TABLE = {"columns": _NAMES, "units": tuple(name for name in _NAMES if name not in ATTITUDES)} | {
+    table: tuple(key for other, key in _PLACES if other == table) for table, _ in _PLACES
+}
+"""Keys of each table but those whose keys are names."""
+_QUOTED = re.compile(r"""\"(?:[^"\\]|\\.)*\"|'[^']*'""")
+_ODD_NUMBER = re.compile(r"(?<![\w-])[+-]?(?:0[xob]\w|[0-9.]+_)")
+"""TOML allows underscores and hexadecimal numbers; on a command line these are more likely typing errors."""
+_REPLACES = {key.path: key.replaces for key in KEYS.values()} | {
+    f"columns.{kind}": tuple(other for other in ATTITUDES if other != kind) for kind in ATTITUDES
+}
+"""Keys that state the same in another way, in the same table."""
+_PASSING_FORCE = {"external_force_std", "external_force_time"}
+"""Keys of a force that is forgotten, which go together."""
+
+
+def parse(text: str) -> dict[str, Any]:
+    """Parse a TOML document; the message of a `ValueError` names the line of the first mistake."""
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise ValueError(f"not a TOML document: {error}") from error
+
+
+def override(document: dict[str, Any], overrides: Overrides) -> dict[str, Any]:
+    """Replace values of a document, which is changed and returned."""
+    for text, key, value in _pairs(overrides):
+        *tables, last = key.split(".")
+        if not last or not all(tables):
+            raise ValueError(f"override {text!r} must be written table.key=value, as in design.damping=0.5")
+        table = document
+        for name in tables:
+            table = table.setdefault(name, {})
+            if not isinstance(table, dict):
+                raise ValueError(f"override {text!r}: {name!r} is not a table")
+        for rival in _REPLACES.get(key, ()):  # of two keys for the same number the new one replaces the old
+            table.pop(rival, None)
+        table[last] = value
+    return document
+
+
+def _pairs(overrides: Overrides) -> Iterator[tuple[str, str, Any]]:
+    """Text, key and value of each override."""
+    if isinstance(overrides, Mapping):
+        yield from ((key, key, plain(value)) for key, value in overrides.items())
+        return
+    for text in overrides:
+        key, equals, value = (part.strip() for part in text.partition("="))
+        if not equals:
+            raise ValueError(f"override {text!r} must be written table.key=value, as in design.damping=0.5")
+        yield text, key, _value(text, value)
+
+
+def plain(value: Any) -> Any:
+    """A value in TOML's types: tuples and arrays become lists, NumPy's numbers become Python's."""
+    value = value.tolist() if hasattr(value, "tolist") else value
+    return [plain(entry) for entry in value] if isinstance(value, list | tuple) else value
+
+
+def _value(text: str, value: str) -> Any:
+    # Texts are emptied first: a name in quotes may hold anything.
+    if _ODD_NUMBER.search(_QUOTED.sub('""', value)):
+        raise ValueError(f"override {text!r}: write numbers in plain decimals, as 1000 or 1e3")
+    try:
+        # By the parser of the file, so that a value means the same in both places.
+        return tomllib.loads(f"value = {value}")["value"]
+    except tomllib.TOMLDecodeError as error:
+        reason = str(error).split(" (at ")[0]
+        raise ValueError(f"override {text!r}: the value is not TOML ({reason}); text needs quotes") from error
+
+
+def check_layout(document: dict[str, Any]) -> None:
+    """Check that a document has no table or key but those of a model file."""
+    for table, content in document.items():
+        refuse_unknown("table or key", table, ("system", "parameters", *_OF_TABLE, WRENCH, SENSORS))
+        if table != "system" and not isinstance(content, dict):
+            raise ValueError(f"{table} must be a table, [{table}]; got {content!r}")
+        if table in _OF_TABLE:
+            for key in content:
+                refuse_unknown(f"key of [{table}]", key, _OF_TABLE[table])
+
+
+def columns(document: dict[str, Any]) -> dict[str, Any]:
+    """Read the fields of `Columns` from the tables [columns] and [units]."""
+    table = document.get("columns", {})
+    for key, value in table.items():
+        names = [value] if key == "t" else value
+        if not isinstance(names, list) or not all(isinstance(name, str) and name for name in names):
+            expected = "the name of a column" if key == "t" else 'a list of column names, as in ["q1", "q2"]'
+            raise ValueError(f"columns.{key} must be {expected}; got {value!r}")
+        if len(set(names)) < len(names):
+            raise ValueError(f"columns.{key} names a column twice: {', '.join(names)}")
+    fields = {key: value if key == "t" else tuple(value) for key, value in table.items()}
+    return fields | ({"units": _units(document["units"])} if "units" in document else {})
+
+
+def _units(table: dict[str, Any]) -> dict[str, tuple[str, ...]]:
+    """The units of each field, one or one for each column; raises `ValueError` for an unknown unit."""
+    units = {key: [value] if isinstance(value, str) else value for key, value in table.items()}
+    for key, texts in units.items():
+        if not isinstance(texts, list) or not texts or not all(isinstance(text, str) for text in texts):
+            raise ValueError(f'units.{key} must be a unit, as in "deg", or a list of units; got {table[key]!r}')
+        for text in texts:
+            try:
+                unit_factor(text)
+            except ValueError as error:
+                raise ValueError(f"units.{key}: {error}") from error
+    return {key: tuple(texts) for key, texts in units.items()}
+
+
+def numbers(document: dict[str, Any], count: int, states: int) -> dict[str, Any]:
+    """Read numbers and words by field of `ModelFile`, with lists for `count` coordinates and `states` states."""
+    if {"std", "quantum"} <= document.get("measurement", {}).keys():
+        raise ValueError("[measurement] has both std and quantum; keep one (std = quantum / sqrt(12))")
+    forces = {"external_force", *_PASSING_FORCE} & document.get("uncertainty", {}).keys()
+    if forces not in (set(), {"external_force"}, _PASSING_FORCE):
+        raise ValueError(
+            "[uncertainty] needs external_force_std and external_force_time together, for a force that is forgotten, "
+            f"or external_force alone, for one that stays; got {', '.join(sorted(forces))}"
+        )
+    counts, fields = {"coordinate": count, "state": states}, {}
+    for field, key in KEYS.items():
+        table, name = key.path.split(".")
+        if name in document.get(table, {}):
+            fields[field] = key.read(document[table][name], counts)
+    if not fields.get("uncertain", True):
+        del fields["uncertain"]  # a model that is an object keeps those that it has
+    if "quantum" in fields:
+        # An error uniform over one step has the variance quantum²/12.
+        ticks = fields["quantum"]
+        std = tuple(tick / math.sqrt(12) for tick in ticks) if isinstance(ticks, tuple) else ticks / math.sqrt(12)
+        fields["measurement_std"] = std
+    return fields | _wrenches(document) | _sensors(document)
+
+
+def _wrenches(document: dict[str, Any]) -> dict[str, dict[str, dict[str, Any]]]:
+    """The forces on links, by name, as arguments of `observers.wrench`; whose values are checked there."""
+    given = document.get(WRENCH, {})
+    for name, content in given.items():
+        if not isinstance(content, dict):
+            raise ValueError(f"{WRENCH}.{name} must be a table, [{WRENCH}.{name}]; got {content!r}")
+        for key in content:
+            refuse_unknown(f"key of [{WRENCH}.{name}]", key, _OF_WRENCH)
+        missing = [key for key, needed in _OF_WRENCH.items() if needed and key not in content]
+        if missing:
+            raise ValueError(
+                f"[{WRENCH}.{name}] needs {' and '.join(missing)}: the link, the usual size of the force [N], and the "
+                "time [s] after which it is forgotten"
+            )
+    return {"wrenches": dict(given)} if given else {}
+
+
+def _sensors(document: dict[str, Any]) -> dict[str, dict[str, dict[str, Any]]]:
+    """The sensors, by name; whose numbers are checked where they are made."""
+    given = document.get(SENSORS, {})
+    for name, content in given.items():
+        where = f"[{SENSORS}.{name}]"
+        if not isinstance(content, dict):
+            raise ValueError(f"{SENSORS}.{name} must be a table, {where}; got {content!r}")
+        kind = content.get("kind")
+        if kind not in _OF_SENSOR:
+            raise ValueError(f"{where} needs a kind, one of {', '.join(_OF_SENSOR)}; got {kind!r}")
+        for key in content:
+            refuse_unknown(f"key of {where}", key, (*_OF_EVERY_SENSOR, *_OF_SENSOR[kind]))
+        wanted = ("columns", "of" if "of" in _OF_SENSOR[kind] else "link", *_REQUIRED[kind])
+        missing = [key for key in wanted if key not in content]
+        if missing:
+            raise ValueError(f"{where} needs {', '.join(missing)}")
+        for key in ("columns", "of"):
+            names = content.get(key, ["x"])
+            if not isinstance(names, list) or not names or not all(isinstance(each, str) and each for each in names):
+                raise ValueError(f'{SENSORS}.{name}.{key} must be a list of names, as in ["x", "y"]; got {names!r}')
+        if "units" in content:
+            _units({f"{SENSORS}.{name}": content["units"]})
+        Number(f"{SENSORS}.{name}.delay", ZERO_OR_MORE).checked(content.get("delay", 0.0))
+        attitude = content.get("attitude", next(iter(ATTITUDES)))
+        if attitude not in ATTITUDES:
+            raise ValueError(f"{SENSORS}.{name}.attitude must be one of {', '.join(ATTITUDES)}; got {attitude!r}")
+    return {"sensors": dict(given)} if given else {}

@@ -1,0 +1,14 @@
+from ._ball_and_beam import ball_and_beam as ball_and_beam
+from ._bioreactor import bioreactor as bioreactor
+from ._duffing import duffing as duffing
+from ._heavy_top import free_body as free_body, heavy_top as heavy_top
+from ._hovercraft import hovercraft as hovercraft
+from ._induction_motor import induction_motor as induction_motor
+from ._lorenz import lorenz as lorenz
+from ._oscillator import oscillator as oscillator
+from ._pendulum_chain import pendulum_chain as pendulum_chain
+from ._satellite import satellite as satellite
+from ._satellite_arm import satellite_arm as satellite_arm
+from ._underwater_vehicle import submerged_body as submerged_body, underwater_vehicle as underwater_vehicle
+from ._unknown_frequency import unknown_frequency as unknown_frequency
+from ._van_der_pol import van_der_pol as van_der_pol
