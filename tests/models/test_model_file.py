@@ -389,6 +389,7 @@ def test_refuses_text_that_is_not_utf8(tmp_path):
         ("measurement.quantum=[0.1, 0]", "measurement.quantum must be a positive number; got 0"),
         ("inputs.delay=-1.0", "inputs.delay must be a number ≥ 0; got -1.0"),
         ("inputs.between='spline'", "inputs.between must be one of 'held', 'linear'; got 'spline'"),
+        ("reference.order=2.5", "reference.order must be a whole positive number; got 2.5"),
         ("design.damping=inf", "design.damping must be a positive number; got inf"),
         (f"design.damping=1{'0' * 400}", "design.damping must be a positive number; got 1000"),
         ("design.damping=true", "design.damping must be a positive number; got True"),

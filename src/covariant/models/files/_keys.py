@@ -22,17 +22,23 @@ class Number:
         least: `POSITIVE`, `ZERO_OR_MORE` or `ANY_SIGN`.
         each: Of what each may have its own number; only a state-space model has states.
         replaces: Keys of the table that state the same in another way; an override of this one removes them.
+        whole: Whether it must be a whole number.
     """
 
     path: str
     least: float = POSITIVE
     each: Literal["", "coordinate", "state"] = ""
     replaces: tuple[str, ...] = ()
+    whole: bool = False
+
+    @property
+    def _one(self) -> str:
+        return ("whole " if self.whole else "") + _EXPECTED[self.least]
 
     @property
     def values(self) -> str:
         """Values that are accepted."""
-        return _EXPECTED[self.least] + (f", or a list with one for each {self.each}" if self.each else "")
+        return self._one + (f", or a list with one for each {self.each}" if self.each else "")
 
     def read(self, value: Any, counts: Counts) -> float | tuple[float, ...]:
         """The number or the numbers of a document; raises `ValueError` for others."""
@@ -48,8 +54,8 @@ class Number:
     def checked(self, value: Any) -> float:
         """One number; raises `ValueError` where it is none, or out of its range."""
         numeric = isinstance(value, int | float) and not isinstance(value, bool)  # in Python True is an int
-        if not numeric or not self.least <= value <= sys.float_info.max:
-            raise ValueError(f"{self.path} must be a {_EXPECTED[self.least]}; got {value!r}")
+        if not numeric or not self.least <= value <= sys.float_info.max or (self.whole and value % 1):
+            raise ValueError(f"{self.path} must be a {self._one}; got {value!r}")
         return float(value)
 
 

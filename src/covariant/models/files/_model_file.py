@@ -131,7 +131,7 @@ class ModelFile(NamedTuple):
     damping: Annotated[float, Number("design.damping")] = math.sqrt(0.5)
     natural_frequency: Annotated[float | None, Number("design.natural_frequency")] = None
     reference_half: Annotated[float, Number("reference.half")] = 0.03
-    reference_order: Annotated[float, Number("reference.order")] = 3
+    reference_order: Annotated[float, Number("reference.order", whole=True)] = 3
     wrenches: Mapping[str, Mapping[str, Any]] = MappingProxyType({})
     sensors: Mapping[str, Mapping[str, Any]] = MappingProxyType({})
     family: Any = None
