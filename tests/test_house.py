@@ -124,9 +124,9 @@ PUBLIC = {
     "simulation": "Backstepping PiecewiseInputs Reference PositionSensor follow hold lissajous logged_inputs no_input "
     "observe sense set_point simulate simulate_piecewise stamps",
     "workflow": "AbstractResult AbstractTable AuditResult CertificateCheckResult CertifyResult CheckResult CiteResult "
-    "CompareForceResult CompareResult Determinacy DoctorResult EstimateResult ExcitationResult ExportResult FitResult "
-    "InitResult MetricResult MisfitError ModelResult Progress Pushes ReducedOrderResult ReproduceResult SimulateResult "
-    "SmoothResult TuneResult audit_observer certify check check_certificate check_model_output check_output cite "
+    "CompareForceResult CompareResult Determinacy DoctorResult EstimateResult ExcitationResult ExportResult FIGURES "
+    "FitResult InitResult MetricResult MisfitError ModelResult Progress Pushes ReducedOrderResult ReproduceResult "
+    "SimulateResult SmoothResult TABLES TuneResult audit_observer certify check check_certificate check_model_output check_output cite "
     "compare compare_force describe_model design_excitation design_metric design_reduced_order doctor estimate "
     "export fit init reproduce_paper simulate smooth tune",
 }

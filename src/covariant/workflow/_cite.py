@@ -18,7 +18,7 @@ from covariant.workflow._result import AbstractResult
 
 
 def cite(model: Any, *, observer: str | None = None, overrides: Overrides = ()) -> "CiteResult":
-    """Say which works an observer and the numbers of a model are from.
+    """Say which works an observer and the numbers of a model are from, with BibTeX entries.
 
     Args:
         model: A model file (.toml), a robot, `module:attribute`, the name of a system, a `ModelFile`, or a system.

@@ -84,12 +84,14 @@ def estimate(
             library, a `ModelFile`, or a system.
         log: A path (.csv, .txt, .tsv, .parquet, .mcap, a rosbag2), a `Record`, a DataFrame, or an xarray Dataset.
         observer: Name of the observer; by default the first that fits the model, `intrinsic` for a mechanical one.
-        alpha, beta: Gains [1/s], [1/s²] in place of the designed ones; both or neither.
-        score: Whether velocities are scored against slopes of the positions where the log has no true velocities.
+        alpha: Gain α [1/s] in place of the designed one; together with `beta`.
+        beta: Gain β [1/s²] in place of the designed one; together with `alpha`.
+        score: Score velocities against slopes of the positions where the log has no true velocities.
         overrides: Values that replace those of the model file: `{"measurement.std": 1e-4}`, or
             `["measurement.std=1e-4"]`.
-        every: Use each k-th row.
-        start, until: Use the log from and up to this time [s] since its first row.
+        every: Use each k-th row only.
+        start: Use the log from this time on only [s since its first row].
+        until: Use the log up to this time only [s since its first row].
         columns: Names of columns by field (t, q, u, v, truth) that replace those of the model file.
         anyway: Go on with a log that does not fit the model at all.
         engine: What computes: "c", "jax", or "auto" for C where it pays.
