@@ -126,9 +126,9 @@ PUBLIC = {
     "workflow": "AbstractResult AbstractTable AuditResult CertificateCheckResult CertifyResult CheckResult CiteResult "
     "CompareForceResult CompareResult Determinacy DoctorResult EstimateResult ExcitationResult ExportResult FIGURES "
     "FitResult InitResult MetricResult MisfitError ModelResult Progress Pushes ReducedOrderResult ReproduceResult "
-    "SimulateResult SmoothResult TABLES TuneResult audit_observer certify check check_certificate check_model_output check_output cite "
-    "compare compare_force describe_model design_excitation design_metric design_reduced_order doctor estimate "
-    "export fit init reproduce_paper simulate smooth tune",
+    "SimulateResult SmoothResult TABLES TuneResult audit_observer certify check check_certificate check_model_output "
+    "check_output cite compare compare_force describe_model design_excitation design_metric design_reduced_order "
+    "doctor estimate export fit init reproduce_paper simulate smooth tune",
 }
 
 

@@ -178,17 +178,25 @@ def _option(name: str, argument: Argument) -> Option:
 
 
 def flags_of(options: Iterable[Option]) -> dict[str, str]:
-    """How options are typed, by the arguments of Python that they become."""
-    flags = {option.name: option.flags[-1].partition("/")[0] for option in options if option.flags}
-    return flags | {f'columns["{field}"]': flags[field] for field in COLUMNS if field in flags}
+    """How options are typed, by the arguments of Python that they become.
+
+    Columns and `force` are always there: results name them for the next command.
+    """
+    flags = {"force": "--force", **{f'columns["{field}"]': f"--{field}" for field in COLUMNS}}
+    for option in options:
+        if option.flags:
+            flag = option.flags[-1].partition("/")[0]
+            # By what is typed too: `--model` of one command is no argument of its own verb.
+            flags |= {flag.removeprefix("--").replace("-", "_"): flag, option.name: flag}
+    return flags
 
 
 def in_options(text: str, flags: Mapping[str, str]) -> str:
     """Replace arguments of Python that stand in backquotes in a text by the options that become them.
 
     Args:
-        text: A message or a docstring, which names arguments as `alpha`, `overwrite=True`, `columns["q"]` or
-            `overrides=['measurement.std=NUMBER']`.
+        text: A message or a docstring, which names arguments as `alpha`, `overwrite=True`, `columns["q"]`,
+            `parameters=[]` or `overrides=['measurement.std=NUMBER']`.
         flags: Options by the names of arguments.
 
     Example:
@@ -202,6 +210,7 @@ def in_options(text: str, flags: Mapping[str, str]) -> str:
             return " ".join(f"--set {shlex.quote(setting)}" for setting in ast.literal_eval(value))
         if name not in flags:
             return match[0]
-        return flags[name] if value in (None, "True") else f"{flags[name]} {value}"
+        typed = {None: "", "True": "", "[]": "none"}.get(value, value)
+        return f"{flags[name]} {typed}".rstrip()
 
     return re.sub(r'`(\w+(?:\["\w+"\])?)(?:=([^`]*))?`', option, text)

@@ -448,9 +448,9 @@ def _gains(
     if pair is not None:
         return pair, f"Given gains: alpha = {pair[0]:g} 1/s, beta = {pair[1]:g} 1/s²."
     if file.measurement_std is None or file.acceleration_std is None:
-        raise ValueError(f"{file.name} has no data sheet to design gains from; give alpha and beta")
+        raise ValueError(f"{file.name} has no data sheet to design gains from; give `alpha` and `beta`")
     if sampling is None:
-        raise ValueError("gains are designed for a sampling rate; give sampling [Hz], or alpha and beta")
+        raise ValueError("gains are designed for a sampling rate; give `sampling` [Hz], or `alpha` and `beta`")
     gains = observer_gains(data_sheet(file), above_zero("sampling", sampling))
     return (float(gains.alpha), float(gains.beta)), f"Designed {gains.summary}."
 

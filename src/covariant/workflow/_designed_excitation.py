@@ -66,7 +66,7 @@ def designed_excitation(
     if file.measurement_std is None:
         raise ValueError(
             f"{model}: the noise of the encoders is not known; put measurement.std or measurement.quantum in the model "
-            "file, or give --set measurement.std=NUMBER"
+            "file, or give `overrides=['measurement.std=NUMBER']`"
         )
     limits = _limits(model, family, given)
     noise = np.broadcast_to(np.asarray(file.measurement_std, float), len(limits.names))
@@ -183,7 +183,7 @@ def _refuse_servos(model: str, robot: robots.Description, names: Sequence[str]) 
         if motor.joint in names and (motor.stiffness or motor.damping):
             raise ValueError(
                 f"{model}: actuator {motor.name!r} is a servo, whose torque is not its input; give the joints whose "
-                f"torques are logged, as --set 'parameters.actuated=[\"{motor.joint}\"]'"
+                f"torques are logged, as `overrides=['parameters.actuated=[\"{motor.joint}\"]']`"
             )
 
 

@@ -1,7 +1,6 @@
 """`estimate`: velocities or states from a log, by one observer."""
 
 import functools
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,6 +20,7 @@ from covariant.models import Overrides
 from covariant.observers import AbstractObserver
 from covariant.scoring import rmse
 from covariant.signals import Result, Run
+from covariant.workflow._arguments import gain_pair
 from covariant.workflow._chosen import build_observer, tells_noise
 from covariant.workflow._determined import Determinacy, determined
 from covariant.workflow._inputs import (
@@ -357,10 +357,7 @@ def _check_arguments(observer: str | None, alpha: float | None, beta: float | No
     names = (*ESTIMATORS, *STATE_ESTIMATORS)
     if observer is not None and observer not in names:
         raise ValueError(f"unknown observer {observer!r}; choose one of {', '.join(names)}")
-    if (alpha is None) != (beta is None):
-        raise ValueError("--alpha and --beta belong together: give both or neither")
-    if alpha is not None and beta is not None and not (0 < alpha < math.inf and 0 < beta < math.inf):
-        raise ValueError(f"--alpha and --beta must be positive numbers; got {alpha} and {beta}")
+    gain_pair(alpha, beta)
 
 
 def choose_observer(

@@ -326,7 +326,7 @@ def _program(
         # The function from numbers to model may be no graph of scalars while the model is: then its arrays are open.
         return program(_usual(observer), y, inputs, real, loops, alone)  # pyright: ignore[reportArgumentType]
     except LoweringError as error:
-        remedy = "" if "table" in str(error) else "; try without numbers that may be changed (--parameters none)"
+        remedy = "" if "table" in str(error) else "; try without numbers that may be changed (`parameters=[]`)"
         raise ValueError(f"{name}: no code can be written: {error}{remedy}") from error
 
 

@@ -137,8 +137,8 @@ class SimulateResult(AbstractTable):
         return {"model": self.model_name, "rows": len(self.record.t), "truth_columns": truth, **pushed}
 
     def __str__(self) -> str:
-        use = "score against --truth" if self.mechanical else "the true state is in"
-        forces = ", forces against --force " * bool(self.force_columns) + ",".join(self.force_columns)
+        use = 'score against `columns["truth"]`' if self.mechanical else "the true state is in"
+        forces = ", forces against `force` " * bool(self.force_columns) + ",".join(self.force_columns)
         return f"{len(self.record.t)} rows; {use} {','.join(self.truth_columns)}{forces}"
 
     def save(self, path: str | Path, overwrite: bool = True) -> Path:

@@ -71,9 +71,9 @@ def smooth(
         True
     """
     if lag is not None and not 0 <= lag < np.inf:
-        raise ValueError(f"--lag must be a time [s], 0 or more; got {lag}")
+        raise ValueError(f"`lag` must be a time [s], 0 or more; got {lag}")
     if observer is not None and observer not in SMOOTHED:
-        raise ValueError(f"--observer {observer} cannot be smoothed; these can: {', '.join(SMOOTHED)}")
+        raise ValueError(f"observer {observer} cannot be smoothed; these can: {', '.join(SMOOTHED)}")
     job = Job(model, log, overrides, every, until, columns or {}, anyway, start)
     progress("reading the log")
     loaded = load(job, score)
@@ -107,7 +107,7 @@ def lag_rows(t: np.ndarray, lag: float) -> int | None:
     spacing = float(np.median(np.diff(t)))
     if 0 < lag < spacing / 2:
         raise ValueError(
-            f"--lag {lag:g} is less than half a row of the log, {spacing:.3g} s; give 0 for the filter itself"
+            f"`lag={lag:g}` is less than half a row of the log, {spacing:.3g} s; give 0 for the filter itself"
         )
     return round(lag / spacing)
 
