@@ -232,7 +232,7 @@ def _one_family(key: str, names: Sequence[str], fixed: Mapping[str, Sequence[str
     stems = {re.sub(r"[0-9]+", "#", name) for name in names}
     if key not in fixed and 1 < len(stems) < len(names):
         raise ValueError(
-            f"{', '.join(names)} may all be {key}; name those that are by --{key}{_columns_there(columns)}"
+            f'{", ".join(names)} may all be {key}; name those that are by `columns["{key}"]`{_columns_there(columns)}'
         )
 
 

@@ -38,6 +38,9 @@ OBSERVER = Kind(str, _parse.observer_name, choices=(*OBSERVER_NAMES, *STATE_OBSE
 KINDS = {
     "Amounts": NUMBERS,
     "Any": PATH,
+    "CheckerName": TEXT,
+    "EngineName": TEXT,
+    "Overrides": Kind(list[str]),
     "Region": Kind(str, _parse.interval_map, "<name=low:high,...>"),
     "Sequence[float | int]": NUMBERS,
     "Sequence[float]": NUMBERS,
@@ -47,10 +50,11 @@ KINDS = {
     "float | int": Kind(str, _parse.byte_count, "<bytes|64k|1M>"),
     "int": Kind(int),
     "int | Sequence[int]": Kind(str, _parse.count_list, "<count,...>"),
+    "str": TEXT,
     "str | Path": PATH,
     "str | Sequence[str]": Kind(str, metavar="<name,...>"),
 }
-"""Kinds by the annotation of the argument; others are texts."""
+"""Kinds by the annotation of the argument."""
 
 
 class Option(NamedTuple):
@@ -76,10 +80,14 @@ class Option(NamedTuple):
     suffixes: tuple[str, ...] = ()
     hidden: bool = False
 
+    @property
+    def typed(self) -> str:
+        """How messages name it."""
+        return next((flag.partition("/")[0] for flag in self.flags if flag.startswith("--")), self.name)
+
     def read(self, value: Any) -> Any:
         """Convert what typer read to the argument of Python; None, for an absent option, stays."""
-        parse = self.kind.parse
-        return value if parse is None or value is None else parse(self.flags[-1] if self.flags else self.name, value)
+        return value if self.kind.parse is None or value is None else self.kind.parse(self.typed, value)
 
     def parameter(self) -> inspect.Parameter:
         """Parameter from whose annotation typer makes the option."""
@@ -114,7 +122,6 @@ NAMED = {
     "log": {"kind": Kind(Path, _parse.log_path)},
     "out": {"flags": ("-o", "--out")},
     "overrides": {
-        "kind": Kind(list[str]),
         "default": [],
         "flags": ("--set",),
         "help": "Override a value of the model file, as table.key=value.",
@@ -165,7 +172,7 @@ def _option(name: str, argument: Argument) -> Option:
     """Option as the argument alone makes it."""
     flag = name.replace("_", "-")
     names = tuple(re.findall(r'"([\w.-]+)"', argument.text))
-    kind = OBSERVER if name == "observer" else KINDS.get(argument.annotation, TEXT)
+    kind = OBSERVER if name == "observer" else KINDS[argument.annotation]
     if kind in (OBSERVER, TEXT) and len(names) > 1:
         kind = Kind(str, functools.partial(_parse.one_of, names=names), f"<{'|'.join(names)}>", names)
     # A text, as it would be typed, where it is parsed like one.
@@ -185,9 +192,8 @@ def flags_of(options: Iterable[Option]) -> dict[str, str]:
     flags = {"force": "--force", **{f'columns["{field}"]': f"--{field}" for field in COLUMNS}}
     for option in options:
         if option.flags:
-            flag = option.flags[-1].partition("/")[0]
             # By what is typed too: `--model` of one command is no argument of its own verb.
-            flags |= {flag.removeprefix("--").replace("-", "_"): flag, option.name: flag}
+            flags |= {option.typed.removeprefix("--").replace("-", "_"): option.typed, option.name: option.typed}
     return flags
 
 

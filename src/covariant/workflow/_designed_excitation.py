@@ -147,7 +147,7 @@ def _refuse_followers(model: str, robot: robots.Description, names: Sequence[str
     if followers and missing:
         raise ValueError(
             f"{model}: joint {followers[0]!r} follows another one, and its limits bind that one, too; give limits that "
-            f"keep both, by {', '.join(f'--{key}' for key in missing)}"
+            f"keep both, by {', '.join(f'`{key}`' for key in missing)}"
         )
 
 
@@ -173,7 +173,7 @@ def _refuse_missing(model: str, limits: JointLimits) -> None:
                 f"{model}: joint {names[0]!r} has no {what[argument]} in its file"
                 + (" that is read from MJCF" if str(model).endswith(".xml") and argument != "region" else "")
                 + (f", and neither have {', '.join(names[1:])}" if names[1:] else "")
-                + f"; give --{argument} {example}"
+                + f"; give `{argument}` {example}"
             )
 
 

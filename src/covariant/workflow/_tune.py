@@ -2,8 +2,9 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
+from covariant.engine import EngineName
 from covariant.workflow._arguments import ColumnNames, Overrides
 from covariant.workflow._model_output import as_logs, write_model
 from covariant.workflow._outputs import check_output
@@ -21,7 +22,7 @@ def tune(
     until: float | None = None,
     columns: ColumnNames | None = None,
     anyway: bool = False,
-    engine: Literal["auto", "c", "jax"] = "auto",
+    engine: EngineName = "auto",
     progress: Progress = silent,
 ) -> "TuneResult":
     """Tune noise and gains to logs by the prediction of their measurements, and judge them on what was held out.
