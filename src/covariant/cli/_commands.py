@@ -26,7 +26,7 @@ class Command:
         name: Name of the command, with its group where it is in one; by default that of the verb.
         own: Options that the verb does not have. A file to write, with `suffixes`, is checked before the verb runs.
         changes: Fields of the options of the verb, by the name of the argument, that are otherwise here.
-        run: What calls the verb and shows the result; gets a `Call` and the values of `own`.
+        run: What calls the verb and shows the result; gets an `Invocation` and the values of `own`.
         exit_code: The exit code of a result; a result that is false there gives 0.
         note: What the help says beside the first paragraph of the verb's docstring.
     """
@@ -57,7 +57,7 @@ class Command:
                 if option.suffixes:
                     check_output(own[option.name], *option.suffixes, log=read.get("log"), overwrite=overwrite)
             given = {name: value for name, value in read.items() if value is not None}
-            result = self.run(Call(self.verb, json, given, flags), **own)
+            result = self.run(Invocation(self.verb, json, given, flags), **own)
             return int(self.exit_code(result))
         except ValueError as error:
             error.args = (in_options(str(error), flags),)
@@ -65,7 +65,7 @@ class Command:
 
 
 @dataclass(frozen=True)
-class Call:
+class Invocation:
     """A verb with the arguments that the command line gave.
 
     Attributes:
@@ -102,7 +102,7 @@ class Call:
         return in_options(text, self.flags)
 
 
-def _estimate(call: Call, smooth: bool, lag: float | None, **places: Any) -> Any:
+def _estimate(call: Invocation, smooth: bool, lag: float | None, **places: Any) -> Any:
     if smooth or lag is not None:
         raise ValueError(
             "estimate knows the rows before each only; `covariant smooth MODEL LOG`, with --lag SECONDS or all rows "
@@ -111,13 +111,13 @@ def _estimate(call: Call, smooth: bool, lag: float | None, **places: Any) -> Any
     return call.show(call(), **places)
 
 
-def _compare(call: Call, force: str | None, report: Path | None, out: Path | None) -> Any:
+def _compare(call: Invocation, force: str | None, report: Path | None, out: Path | None) -> Any:
     if force is not None and report is not None:
         raise ValueError("--report: forces have no page; give -o TABLE.csv, or leave out --force")
     return call.show(call() if force is None else call("compare_force", force=force), out, report)
 
 
-def _fit(call: Call, out: Path | None, overwrite: bool) -> Any:
+def _fit(call: Invocation, out: Path | None, overwrite: bool) -> Any:
     model, parameters = call.values["model"], call.values["parameters"].split(",")
     inertias = any(name.strip().removeprefix("parameters.").split(".")[0] == "inertia" for name in parameters)
     check_model_output(model, out, overwrite, urdf=inertias and not model.endswith(".xml"))
@@ -125,23 +125,23 @@ def _fit(call: Call, out: Path | None, overwrite: bool) -> Any:
     return call.show(result, out if result.better else None, overwrite=overwrite)
 
 
-def _tune(call: Call, out: Path | None, report: Path | None, overwrite: bool) -> Any:
+def _tune(call: Invocation, out: Path | None, report: Path | None, overwrite: bool) -> Any:
     check_model_output(call.values["model"], out, overwrite)
     return call.show(call(), out, report, overwrite=overwrite)
 
 
-def _init(call: Call, out: Path) -> Any:
+def _init(call: Invocation, out: Path) -> Any:
     if out.exists():
         raise ValueError(f"{out}: there is such a file already, and it is not overwritten; give another name")
     return call.show(call(), out)
 
 
-def _audit(call: Call, out: Path | None) -> Any:
+def _audit(call: Invocation, out: Path | None) -> Any:
     page, figure = (out, None) if out is not None and out.suffix == ".html" else (None, out)
     return call.show(call(), report=page, figure=figure)
 
 
-def _export(call: Call) -> Any:
+def _export(call: Invocation) -> Any:
     result = call()
     # On standard error, so that --json prints its object alone.
     for warning in result.warnings:
@@ -149,7 +149,7 @@ def _export(call: Call) -> Any:
     return call.show(result)
 
 
-def _certify(call: Call, out: Path | None, figure: Path | None, check: Path | None, given: str | None) -> Any:
+def _certify(call: Invocation, out: Path | None, figure: Path | None, check: Path | None, given: str | None) -> Any:
     if given is not None and check is None:
         raise ValueError("--model goes with --check FILE; the model to certify is the first argument")
     if ("model" in call.values) == (check is not None):
@@ -164,7 +164,7 @@ def _certify(call: Call, out: Path | None, figure: Path | None, check: Path | No
     return call.show(result, None if result.wrong else out, figure=figure)
 
 
-def _metric(call: Call) -> Any:
+def _metric(call: Invocation) -> Any:
     check_output(call.values["store"], ".zarr", store=True)
     try:
         result = call()

@@ -25,7 +25,7 @@ class Argument(NamedTuple):
     text: str
 
 
-class Signature(NamedTuple):
+class VerbSignature(NamedTuple):
     """The first paragraph of a verb's docstring, its arguments by name, and whether it reports its progress."""
 
     summary: str
@@ -34,7 +34,7 @@ class Signature(NamedTuple):
 
 
 @functools.cache
-def signature(verb: str) -> Signature:
+def signature(verb: str) -> VerbSignature:
     """Read the signature and the docstring of a verb."""
     source = (_folder() / f"{_files()[verb]}.py").read_text(encoding="utf-8")
     head = re.search(rf'^def {verb}\(.*?""".*?"""', source, re.MULTILINE | re.DOTALL)
@@ -56,7 +56,7 @@ def signature(verb: str) -> Signature:
         )
         for name, (node, default) in nodes.items()
     }
-    return Signature(" ".join(summary.split()), arguments, progress)
+    return VerbSignature(" ".join(summary.split()), arguments, progress)
 
 
 def _text(text: str, name: str) -> str:
