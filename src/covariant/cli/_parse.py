@@ -99,7 +99,10 @@ def observer_name(option: str, text: str) -> str:
 
 
 def one_of(option: str, text: str, names: tuple[str, ...]) -> str:
-    """Check that a text is one of several names."""
+    """Check that a text is one of several names: of things that there are, or of values of a setting."""
     if text not in names:
-        raise ValueError(f"unknown {option.lstrip('-')} {text!r}; choose one of {', '.join(names)}")
+        listed, thing = ", ".join(names), option.removeprefix("--")
+        if thing in ("observer", "paper"):
+            raise ValueError(f"unknown {thing} {text!r}; choose one of {listed}")
+        raise ValueError(f"{option} must be one of {listed}; got {text!r}")
     return text
