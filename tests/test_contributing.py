@@ -68,8 +68,8 @@ def test_an_observer_in_one_file_and_one_entry_is_run_and_compared(house):
     script = """
 import json, sys
 from covariant import calibration, models
-from covariant.cli import _names, main
-from covariant.observers import run
+from covariant.cli import main
+from covariant.observers import OBSERVER_NAMES, run
 from covariant.workflow import _compare
 
 def command(*arguments):
@@ -80,7 +80,7 @@ def command(*arguments):
         assert not done.code
 
 bead = models.load("bead_on_hoop").model
-assert _names.ESTIMATORS == calibration.ESTIMATORS
+assert OBSERVER_NAMES == calibration.ESTIMATORS
 assert calibration.estimators(bead)[-1] == "tracker"
 made = calibration.tuned_estimators(bead, 1, calibration.DataSheet(1e-3, 1.0), 100.0)
 

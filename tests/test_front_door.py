@@ -5,14 +5,17 @@ import subprocess
 import sys
 from importlib.metadata import version
 from pathlib import Path
+from typing import get_args
 
 import pytest
 
 import covariant
-from covariant import logs
-from covariant.calibration import ESTIMATORS
-from covariant.cli import _names
+from covariant.certificates import CHECKERS
+from covariant.cli._commands import COMMANDS
+from covariant.engine import EngineName
+from covariant.proofs import MOST_BOXES
 from covariant.workflow._certify import OBSERVERS as CERTIFIED
+from covariant.workflow._find import FIND
 from covariant.workflow._reproduce import PAPERS
 
 
@@ -66,11 +69,30 @@ def test_every_name_is_offered():
         _ = covariant.robots  # pyright: ignore[reportAttributeAccessIssue]
 
 
-def test_what_help_names_is_what_there_is():
-    assert _names.ESTIMATORS == ESTIMATORS
-    assert _names.WRITTEN == logs.WRITTEN
-    assert tuple(CERTIFIED) == _names.CERTIFIED
-    assert tuple(PAPERS) == _names.PAPERS
+def option(verb, name):
+    """The option of a verb's argument, as the command line has it."""
+    command = next(command for command in COMMANDS if command.verb == verb)
+    return next(option for option in command.options if option.name == name)
+
+
+@pytest.mark.parametrize(
+    ("verb", "name", "names"),
+    [
+        ("estimate", "engine", get_args(EngineName)),
+        ("compare", "engine", get_args(EngineName)),
+        ("tune", "engine", get_args(EngineName)),
+        ("certify", "observer", CERTIFIED),
+        ("certify", "checker", CHECKERS),
+        ("certify", "find", FIND),
+        ("reproduce_paper", "paper", PAPERS),
+    ],
+)
+def test_the_names_that_a_docstring_quotes_are_those_that_there_are(verb, name, names):
+    assert {*option(verb, name).kind.choices} == {*names}
+
+
+def test_the_default_effort_is_that_of_all_proofs():
+    assert option("certify", "boxes").default == MOST_BOXES
 
 
 COMPILES = """

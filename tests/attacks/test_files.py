@@ -652,7 +652,7 @@ def mine(folder: Path) -> Path:
 @pytest.mark.parametrize("model", [beam, beam(), f"{__name__}:beam"], ids=["function", "model", "name"])
 def test_whoever_checks_may_give_the_model(model, tmp_path):
     path = mine(tmp_path)
-    refused(lambda: check(path), path, "--model module:attribute or model=")
+    refused(lambda: check(path), path, "`model=module:attribute`")
     assert ContractionCertificate.load(path, model=model).rate == 0.1
     assert follows(parse(path), model).about.names[0] == "r"
 

@@ -37,9 +37,13 @@ def test_content_says_it_where_names_do_not():
     [
         (columns(a=SWING), {}, "no column is named like a position.*the columns of numbers are time, a"),
         (columns(q1=SWING, q2=SWING, th1=SWING, th2=SWING), {}, "q1, q2, th1, th2 may all be q; name those"),
-        (columns(q=SWING, tau1=SWING, tau2=SWING), {}, "2 inputs .* for 1 positions; name them by --u"),
+        (columns(q=SWING, tau1=SWING, tau2=SWING), {}, '2 inputs .* for 1 positions; name them by `columns\\["u"\\]`'),
         ({"q": SWING}, {}, "no column of stamps rises"),
-        ({"a": T, "b": T, "q": SWING}, {}, "a, b all rise from row to row; name the one of the stamps by --t"),
+        (
+            {"a": T, "b": T, "q": SWING},
+            {},
+            'a, b all rise from row to row; name the one of the stamps by `columns\\["t"\\]`',
+        ),
         (
             columns(q=SWING),
             {"q": ["angle"]},

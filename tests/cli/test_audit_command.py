@@ -76,7 +76,7 @@ def test_a_broken_law_is_exit_code_1(run, folder):
         (("oscillator", "--observer", "salcudean"), "these do: intrinsic, intrinsic2, geodesic"),
         (("heavy_top", "--observer", "savitzky-golay"), "observer savitzky-golay does not fit heavy_top"),
         (("heavy_top", "--observer", "salcudean"), "Salcudean has no gains alpha and beta"),
-        (("oscillator", "--alpha", "2"), "alpha and beta belong together"),
+        (("oscillator", "--alpha", "2"), "--alpha and --beta belong together"),
         (("oscillator", "--alpha", "2", "--beta", "-1"), "must be positive numbers"),
         (("oscillator", "--box", "q=1"), "does not have the form NAME=LOW:HIGH"),
         (("oscillator", "--box", "q=1:2,q=1:2"), "q is given twice"),

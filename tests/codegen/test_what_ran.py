@@ -237,7 +237,7 @@ def test_without_noise_a_gate_is_missed_in_every_text(tmp_path):
 def test_a_speed_that_nobody_told_is_a_warning_and_a_log_tells_it(tmp_path):
     result = exported(tmp_path, MODEL)
     assert "The speed is assumed" in result.gate
-    assert "Give --log LOG" in result.warnings[0]
+    assert "Give `log`" in result.warnings[0]
     assert result.program.numbers["speed"].tolist() == [1.0]
     table = log()._replace(y=3 * log().y)
     told = exported(tmp_path, MODEL, log=table, overwrite=True)

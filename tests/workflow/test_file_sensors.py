@@ -169,7 +169,9 @@ def test_what_was_measured_is_smoothed_with_them(chain):
 def test_a_smoother_refuses_a_sensor_that_is_late(chain):
     path, _, frame = chain
     late = {"sensors.motor.delay": 0.02}
-    with pytest.raises(ValueError, match=r"late \(sensors.motor.delay = 0.02\).* --set sensors.motor.delay=0$"):
+    with pytest.raises(
+        ValueError, match=r"late \(sensors.motor.delay = 0.02\).* `overrides=\['sensors.motor.delay=0'\]`$"
+    ):
         covariant.smooth(path, frame, overrides=late)
     covariant.smooth(path, frame, overrides=late, observer="joint-kalman")  # which uses no sensor
 

@@ -120,7 +120,7 @@ def test_a_log_at_rest_or_in_degrees_is_refused():
     assert refused.value.exit_code == 1
     drive = {"duration": 8.0, "rate": 250.0, "amplitude": [2.2, 0.5], "frequency": 0.6, "noise": 1e-4}
     log = simulate("double_pendulum", **drive, overrides=TRUTH).record
-    with pytest.raises(MisfitError, match=r'\[units\] q = "deg"; --anyway goes on'):
+    with pytest.raises(MisfitError, match=r'\[units\] q = "deg"; `anyway=True` goes on'):
         fit("double_pendulum", log._replace(y=np.degrees(log.y)), "friction")
 
 

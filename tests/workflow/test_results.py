@@ -1,7 +1,8 @@
 """Results of `estimate` and `compare`: the same numbers by function and by command, complete before they are drawn."""
 
+import ast
 import json
-import shlex
+import re
 import sys
 
 import numpy as np
@@ -130,11 +131,11 @@ def test_a_model_may_be_an_object(log):
 def test_every_missing_number_is_named_at_once_with_what_the_log_suggests(log):
     with pytest.raises(ValueError, match=r"measurement\.std and uncertainty\.acceleration") as refusal:
         covariant.estimate(MODEL, log)
-    words = shlex.split(str(refusal.value).partition("suggests ")[2].partition(" (")[0])
-    suggested = dict(word.split("=") for word in words if word != "--set")
+    settings = ast.literal_eval(re.search(r"suggests `overrides=(.*?)`", str(refusal.value))[1])
+    suggested = dict(setting.split("=") for setting in settings)
     std = np.array(json.loads(suggested["measurement.std"]))
     np.testing.assert_allclose(std, 1e-3, rtol=0.2)  # the noise it was simulated with
-    assert covariant.estimate(MODEL, log, overrides=[f"{k}={v}" for k, v in suggested.items()]).velocity.shape[1] == 2
+    assert covariant.estimate(MODEL, log, overrides=settings).velocity.shape[1] == 2
 
 
 def test_columns_may_be_lists_or_a_text(log):

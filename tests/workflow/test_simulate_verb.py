@@ -56,7 +56,7 @@ def test_the_table_is_in_the_units_of_the_model_file(arm, tmp_path):
 
 
 def test_what_is_printed_says_what_there_is(arm):
-    assert str(arm) == "101 rows; score against --truth true_v1,true_v2"
+    assert str(arm) == '101 rows; score against `columns["truth"]` true_v1,true_v2'
     assert repr(arm) == "<SimulateResult: 101 rows over 1 s of pendulum_chain>"
     assert arm.summary == {"model": "pendulum_chain", "rows": 101, "truth_columns": "true_v1,true_v2"}
 

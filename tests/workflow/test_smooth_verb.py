@@ -66,12 +66,12 @@ def test_the_filter_beside_it_is_what_estimate_returns(smoothed):
 
 
 REFUSED = [
-    ({"observer": "intrinsic"}, "--observer intrinsic cannot be smoothed; these can: intrinsic-kalman, ekf, ukf, "),
+    ({"observer": "intrinsic"}, "observer intrinsic cannot be smoothed; these can: intrinsic-kalman, ekf, ukf, "),
     ({"observer": "covariance-ekf"}, "covariance-ekf does not fit oscillator"),
-    ({"lag": -1.0}, "--lag must be a time"),
+    ({"lag": -1.0}, "`lag` must be a time"),
     ({"overrides": NOISE | {"measurement.delay": 0.05}}, "late .*shift the positions"),
     ({"overrides": NOISE | {"measurement.delay": 0.05}, "observer": "joint-kalman"}, "late .*shift the positions"),
-    ({"lag": 1e-9}, "--lag 1e-09 is less than half a row of the log"),
+    ({"lag": 1e-9}, "`lag=1e-09` is less than half a row of the log"),
     ({"overrides": {}}, "measurement.std"),
 ]
 

@@ -1,16 +1,38 @@
-"""All commands. Each is in its own module, loaded when it runs, so that help is quick."""
+"""The application: each command with its options, made for typer."""
 
-from typing import Annotated
+import inspect
+from collections.abc import Callable
+from typing import Annotated, Any
 
 import typer
 
-from covariant.cli._commands_for_design import design
-from covariant.cli._commands_on_logs import on_logs
-from covariant.cli._commands_on_models import on_models
+from covariant.cli._commands import COMMANDS, Command
+from covariant.cli._signature import signature
 
 app = typer.Typer(no_args_is_help=True, pretty_exceptions_enable=False, rich_markup_mode=None)
-app.add_typer(on_logs)
-app.add_typer(on_models)
+design = typer.Typer(
+    no_args_is_help=True,
+    rich_markup_mode=None,
+    help="Design what an observer needs: a metric, an injection, or a motion that shows numbers of a robot.",
+)
+
+
+def _function(command: Command) -> Callable[..., None]:
+    """Function from whose signature typer makes the command."""
+
+    def call(**values: Any) -> None:
+        raise typer.Exit(command(values))
+
+    parameters = [option.parameter() for option in command.options]
+    call.__doc__ = "\n\n".join(filter(None, (signature(command.verb).summary, command.note)))
+    call.__signature__ = inspect.Signature(parameters)  # pyright: ignore[reportFunctionMemberAccess]
+    call.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
+    return call
+
+
+for command in COMMANDS:
+    group, _, name = (command.name or command.verb).rpartition(" ")
+    (design if group else app).command(name)(_function(command))
 app.add_typer(design, name="design")
 
 

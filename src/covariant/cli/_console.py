@@ -1,16 +1,17 @@
 """Progress on standard error, and results on standard output."""
 
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from covariant.workflow import AbstractResult, Progress
+if TYPE_CHECKING:
+    from covariant.workflow import AbstractResult, Progress
 
 
 @contextmanager
-def progress_bar(quiet: bool = False) -> Iterator[Progress]:
+def progress_bar(quiet: bool = False) -> Iterator["Progress"]:
     """Show a progress bar on standard error, as long as the context lasts.
 
     Args:
@@ -35,11 +36,12 @@ def progress_bar(quiet: bool = False) -> Iterator[Progress]:
 
 
 def show(
-    result: AbstractResult,
+    result: "AbstractResult",
     as_json: bool = False,
     out: Path | None = None,
     report: Path | None = None,
     figure: Path | None = None,
+    words: Callable[[str], str] = str,
     **save: bool,
 ) -> None:
     """Print a result, save it, and then draw its page or figure: what fails later loses nothing.
@@ -50,13 +52,16 @@ def show(
         out: Where `result.save` writes, or None.
         report: Where `result.report` writes its page, or None.
         figure: Where `result.draw` draws its figures, or None.
+        words: Puts the text of the result into the words of the command line.
         save: Further arguments of `result.save`.
 
     Raises:
         ValueError: Where the result cannot be saved or drawn so; the JSON object is printed all the same.
     """
     if not as_json:
-        print(result, flush=True)  # before anything is written: what fails later leaves the answer on the screen
+        print(
+            words(str(result)), flush=True
+        )  # before anything is written: what fails later leaves the answer on the screen
     places: dict[str, Any] = {} if report is None else {"report": []}
     try:
         if out is not None:

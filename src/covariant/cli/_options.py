@@ -1,223 +1,222 @@
-"""Arguments and options that several commands share."""
+"""Options of a command: those that a verb's arguments make, and those that only the command line has."""
 
+import ast
 import functools
 import inspect
-from collections.abc import Callable
+import re
+import shlex
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple, get_type_hints
+from typing import Annotated, Any, NamedTuple
 
 import typer
 
-from covariant.cli._names import ESTIMATORS, SMOOTHED, STATE_ESTIMATORS, Engine
-from covariant.models import check_spec
+from covariant.cli import _parse
+from covariant.cli._signature import REQUIRED, Argument, signature
+from covariant.observers import OBSERVER_NAMES, STATE_OBSERVER_NAMES
 
 
-def existing_model(spec: str | None) -> str | None:
-    """Check that a model exists, as far as its name or path shows, before anything heavy is loaded.
+class Kind(NamedTuple):
+    """How the value of an option is read.
 
-    Args:
-        spec: A path, `module:attribute`, or the name of a system or a robot; None passes.
-
-    Returns:
-        The same.
-
-    Raises:
-        ValueError: One line that names the model, and for a name suggests the nearest one.
+    Attributes:
+        type: What typer converts the text to.
+        parse: What then converts or checks that, called with the option and the value.
+        metavar: What stands for the value in the help; by default the type.
+        choices: What the shell completes.
     """
-    if spec is not None:
-        check_spec(spec)
-    return spec
+
+    type: Any
+    parse: Callable[[str, Any], Any] | None = None
+    metavar: str | None = None
+    choices: tuple[str, ...] = ()
 
 
-def existing_log(path: Path) -> Path:
-    """Check that a log exists, before anything heavy is loaded.
+TEXT, PATH, FLAG = Kind(str), Kind(Path), Kind(bool)
+NUMBERS = Kind(str, _parse.number_list, "<number,...>")
+OBSERVER = Kind(str, _parse.observer_name, choices=(*OBSERVER_NAMES, *STATE_OBSERVER_NAMES))
+KINDS = {
+    "Amounts": NUMBERS,
+    "Any": PATH,
+    "CheckerName": TEXT,
+    "EngineName": TEXT,
+    "Overrides": Kind(list[str]),
+    "Region": Kind(str, _parse.interval_map, "<name=low:high,...>"),
+    "Sequence[float | int]": NUMBERS,
+    "Sequence[float]": NUMBERS,
+    "Sequence[str]": Kind(str, _parse.name_list, "<name,...>"),
+    "bool": FLAG,
+    "float": Kind(float),
+    "float | int": Kind(str, _parse.byte_count, "<bytes|64k|1M>"),
+    "int": Kind(int),
+    "int | Sequence[int]": Kind(str, _parse.count_list, "<count,...>"),
+    "str": TEXT,
+    "str | Path": PATH,
+    "str | Sequence[str]": Kind(str, metavar="<name,...>"),
+}
+"""Kinds by the annotation of the argument."""
 
-    Returns:
-        The path.
 
-    Raises:
-        FileNotFoundError: Where it does not exist.
+class Option(NamedTuple):
+    """An option or a positional argument of a command.
+
+    Attributes:
+        name: Name of the argument of Python that it becomes.
+        kind: How its value is read.
+        help: Its help.
+        default: Its value where it is absent; `REQUIRED` where it must be there.
+        flags: How it is typed; empty for a positional argument.
+        least: The least number.
+        suffixes: Of a file to write, the endings that it may have.
+        hidden: Whether the help leaves it out.
     """
-    if not path.exists():
-        raise FileNotFoundError(f"{path}: no such file")
-    return path
 
+    name: str
+    kind: Kind
+    help: str = ""
+    default: Any = None
+    flags: tuple[str, ...] = ()
+    least: int | None = None
+    suffixes: tuple[str, ...] = ()
+    hidden: bool = False
 
-def existing_logs(paths: list[Path]) -> list[Path]:
-    """Check that all logs exist, before anything heavy is loaded.
+    @property
+    def typed(self) -> str:
+        """How messages name it."""
+        return next((flag.partition("/")[0] for flag in self.flags if flag.startswith("--")), self.name)
 
-    Returns:
-        The paths.
+    def read(self, value: Any) -> Any:
+        """Convert what typer read to the argument of Python; None, for an absent option, stays."""
+        return value if self.kind.parse is None or value is None else self.kind.parse(self.typed, value)
 
-    Raises:
-        FileNotFoundError: For the first that does not exist.
-    """
-    return [existing_log(path) for path in paths]
-
-
-def known_observer(name: str | None) -> str | None:
-    """Check the name of an observer.
-
-    Args:
-        name: The name; None passes.
-
-    Returns:
-        The same.
-
-    Raises:
-        ValueError: For an unknown name; the message lists those that there are.
-    """
-    names = (*ESTIMATORS, *STATE_ESTIMATORS)
-    if name is not None and name not in names:
-        raise ValueError(f"unknown observer {name!r}; choose one of {', '.join(names)}")
-    return name
-
-
-def only_by_smooth(value: bool | float | None) -> bool | float | None:
-    """Refuse an option that `smooth` has, where a user looks for it at `estimate`.
-
-    Args:
-        value: What was given; False and None pass.
-
-    Returns:
-        The same.
-
-    Raises:
-        ValueError: One line that names the command.
-    """
-    if value is not None and value is not False:
-        raise ValueError(
-            "estimate knows the rows before each only; `covariant smooth MODEL LOG`, with --lag SECONDS or all rows "
-            "after each, writes smoothed estimates and those of the filter beside them"
+    def parameter(self) -> inspect.Parameter:
+        """Parameter from whose annotation typer makes the option."""
+        made = functools.partial(typer.Option, *self.flags, hidden=self.hidden) if self.flags else typer.Argument
+        choices = self.kind.choices
+        setting = made(
+            help=self.help,
+            metavar=self.kind.metavar if self.flags or not choices else None,
+            min=self.least,
+            autocompletion=(lambda: list(choices)) if choices else None,
         )
-    return value
+        kind = self.kind.type | None if self.default is None else self.kind.type
+        default = inspect.Parameter.empty if self.default is REQUIRED else self.default
+        return inspect.Parameter(
+            self.name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=Annotated[kind, setting]
+        )
 
 
-Model = Annotated[
-    str,
-    typer.Argument(
-        help="Model file (.toml), robot (.urdf or .xml), module:attribute, or the name of a system or a robot.",
-        callback=existing_model,
-    ),
-]
-LogFile = Annotated[
-    Path,
-    typer.Argument(
-        help="Log with stamps, positions or attitudes, inputs: .csv, .txt, .parquet, .mcap, a rosbag2.",
-        callback=existing_log,
-    ),
-]
-Observer = Annotated[
-    str | None,
-    typer.Option(
-        help=f"One of: {', '.join(ESTIMATORS)}; intrinsic by default. For a state-space model: "
-        f"{', '.join(STATE_ESTIMATORS)}.",
-        callback=known_observer,
-    ),
-]
-Filter = Annotated[
-    str | None,
-    typer.Option(
-        "--observer",
-        help=f"One of: {', '.join(SMOOTHED)}; intrinsic-kalman by default, covariance-ekf for a state-space model.",
-        callback=known_observer,
-    ),
-]
-Smoothed = Annotated[bool, typer.Option("--smooth", hidden=True, callback=only_by_smooth)]
-Lagged = Annotated[float | None, typer.Option("--lag", hidden=True, callback=only_by_smooth)]
-Override = Annotated[list[str], typer.Option("--set", help="Override a value of the model file, as table.key=value.")]
-Every = Annotated[int, typer.Option(help="Use each k-th row only.", min=1)]
-From = Annotated[float | None, typer.Option("--from", help="Use the log from this time on only [s since its start].")]
-Until = Annotated[float | None, typer.Option(help="Use the log up to this time only [s since its start].")]
-Time = Annotated[str | None, typer.Option("--t", help="Column of the stamps.")]
-Positions = Annotated[str | None, typer.Option("--q", help="Columns of the coordinates, separated by commas.")]
-Inputs = Annotated[str | None, typer.Option("--u", help="Columns of the inputs, separated by commas.")]
-Velocities = Annotated[str | None, typer.Option("--v", help="Columns of logged velocities, only compared with.")]
-Truth = Annotated[str | None, typer.Option("--truth", help="Columns of true velocities, to score against.")]
-By = Annotated[
-    Engine,
-    typer.Option("--engine", help="What computes: compiled C, JAX, or C where it pays (auto)."),
-]
-Json = Annotated[bool, typer.Option("--json", help="Print one JSON object for machines.")]
-Anyway = Annotated[bool, typer.Option("--anyway", help="Go on although the log does not fit the model at all.")]
-Report = Annotated[Path | None, typer.Option(help="Write an interactive page (.html) and PNG figures beside it.")]
+POSITIONAL = {
+    "model": {
+        "kind": Kind(str, _parse.model_name),
+        "help": "Model file (.toml), robot (.urdf or .xml), module:attribute, or the name of a system or a robot.",
+    },
+    "log": {
+        "kind": Kind(Path, _parse.log_path),
+        "help": "Log with stamps, positions or attitudes, inputs: .csv, .txt, .parquet, .mcap, a rosbag2.",
+    },
+    "paper": {},
+}
+"""Arguments that are given by their position where they must be given, in the words of the command line."""
+NAMED = {
+    "log": {"kind": Kind(Path, _parse.log_path)},
+    "out": {"flags": ("-o", "--out")},
+    "overrides": {
+        "default": [],
+        "flags": ("--set",),
+        "help": "Override a value of the model file, as table.key=value.",
+    },
+    "region": {"flags": ("--region", "--box")},
+    "start": {"flags": ("--from",)},
+    "store": {"flags": ("-o", "--out")},
+}
+"""Options that are typed otherwise than their arguments are named, or read otherwise than these are annotated."""
+LEAST = {"every": 1, "samples": 1, "points": 1, "block": 1, "workers": 1, "processes": 1, "runs": 1} | {
+    "duration": 0,
+    "lost": 0,
+    "seed": 0,
+}
+"""The least value of numbers by the name of their argument."""
+COLUMNS = {
+    "t": "Column of the stamps.",
+    "q": "Columns of the coordinates, separated by commas.",
+    "u": "Columns of the inputs, separated by commas.",
+    "v": "Columns of logged velocities, only compared with.",
+    "truth": "Columns of true velocities, to score against.",
+}
+"""Fields of the argument `columns`, each of which is an option."""
 
 
-class Rows(NamedTuple):
-    """Options that choose rows of a log.
-
-    Attributes:
-        every: Use each k-th row.
-        start: Use the log from this time [s] since its first row.
-        until: Use the log up to this time [s] since its first row.
-    """
-
-    every: Every = 1
-    start: From = None
-    until: Until = None
-
-
-class ColumnNames(NamedTuple):
-    """Options that name columns of a log.
-
-    Attributes:
-        t: Column of the stamps.
-        q: Columns of the coordinates, separated by commas.
-        u: Columns of the inputs, separated by commas.
-    """
-
-    t: Time = None
-    q: Positions = None
-    u: Inputs = None
-
-
-class Compared(NamedTuple):
-    """Options that name columns of a log that results are only compared with.
-
-    Attributes:
-        v: Columns of logged velocities, separated by commas.
-        truth: Columns of true velocities, separated by commas.
-    """
-
-    v: Velocities = None
-    truth: Truth = None
-
-
-def with_shared_options(command: Callable[..., None]) -> Callable[..., None]:
-    """Decorate a command so that its parameters of the types `Rows`, `ColumnNames` and `Compared` become options.
-
-    Typer reads the options of a command from its signature, so each group is written out there, an option for each of
-    its fields.
+def of_verb(verb: str, changes: Mapping[str, Mapping[str, Any]]) -> list[Option]:
+    """Make the options of a verb's arguments: one each, and for `columns` one for each field that its entry names.
 
     Args:
-        command: The command.
-
-    Returns:
-        A function that collects the options into the groups and calls the command.
+        verb: Name of a function of `covariant.workflow`.
+        changes: Fields of options, by the name of their argument, that the command has otherwise.
     """
-    signature = inspect.signature(command, eval_str=True)  # annotations as types, not as texts
-    groups = {p.name: p.annotation for p in signature.parameters.values() if p.annotation in SHARED}
-    options: list[inspect.Parameter] = []
-    for parameter in signature.parameters.values():
-        group = groups.get(parameter.name)
-        if group is None:
-            # Keyword-only: those with and without a default may then stand in any order.
-            options.append(parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY))
-            continue
-        for name, kind in get_type_hints(group, include_extras=True).items():
-            default = group._field_defaults[name]
-            options.append(inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=kind))
-
-    @functools.wraps(command)
-    def call(**values: Any) -> None:
-        for name, group in groups.items():
-            values[name] = group(**{field: values.pop(field) for field in group._fields})
-        command(**values)
-
-    call.__signature__ = signature.replace(parameters=options)  # pyright: ignore[reportAttributeAccessIssue]
-    call.__annotations__ = {option.name: option.annotation for option in options}
-    return call
+    made: list[Option] = []
+    arguments = signature(verb).arguments
+    for name, argument in arguments.items():
+        if name == "columns":
+            fields = re.findall(r"\w+", argument.text.partition("(")[2].partition(")")[0])
+            made += [Option(field, TEXT, COLUMNS[field], flags=(f"--{field}",)) for field in fields]
+        elif name in POSITIONAL and argument.default is REQUIRED:
+            made.append(_option(name, argument)._replace(**{"flags": ()} | POSITIONAL[name] | changes.get(name, {})))
+        else:
+            made.append(_option(name, argument)._replace(**NAMED.get(name, {}) | changes.get(name, {})))
+    flags = flags_of(made)
+    return [option._replace(help=in_options(option.help, flags)) for option in made]
 
 
-SHARED = (Rows, ColumnNames, Compared)
-"""Groups of options that several commands share."""
+def _option(name: str, argument: Argument) -> Option:
+    """Option as the argument alone makes it."""
+    flag = name.replace("_", "-")
+    names = tuple(re.findall(r'"([\w.-]+)"', argument.text))
+    kind = OBSERVER if name == "observer" else KINDS[argument.annotation]
+    if kind in (OBSERVER, TEXT) and len(names) > 1:
+        kind = Kind(str, functools.partial(_parse.one_of, names=names), f"<{'|'.join(names)}>", names)
+    # A text, as it would be typed, where it is parsed like one.
+    default = (
+        str(argument.default) if kind.type is str and argument.default not in (None, REQUIRED) else argument.default
+    )
+    first_sentence = re.split(r"(?<=\.) (?=[A-Z])", argument.text)[0]
+    flags = (f"--{flag}/--no-{flag}" if default is True else f"--{flag}",)
+    return Option(name, kind, first_sentence, default, flags, LEAST.get(name))
+
+
+def flags_of(options: Iterable[Option]) -> dict[str, str]:
+    """How options are typed, by the arguments of Python that they become.
+
+    Columns and `force` are always there: results name them for the next command.
+    """
+    flags = {"force": "--force", **{f'columns["{field}"]': f"--{field}" for field in COLUMNS}}
+    for option in options:
+        if option.flags:
+            # By what is typed too: `--model` of one command is no argument of its own verb.
+            flags |= {option.typed.removeprefix("--").replace("-", "_"): option.typed, option.name: option.typed}
+    return flags
+
+
+def in_options(text: str, flags: Mapping[str, str]) -> str:
+    """Replace arguments of Python that stand in backquotes in a text by the options that become them.
+
+    Args:
+        text: A message or a docstring, which names arguments as `alpha`, `overwrite=True`, `columns["q"]`,
+            `parameters=[]` or `overrides=['measurement.std=NUMBER']`.
+        flags: Options by the names of arguments.
+
+    Example:
+        >>> in_options("give `start=2` or `overrides=['design.damping=1']`, not `q0`", {"start": "--from"})
+        'give --from 2 or --set design.damping=1, not `q0`'
+    """
+
+    def option(match: re.Match[str]) -> str:
+        name, value = match.groups()
+        if name == "overrides" and value:
+            return " ".join(f"--set {shlex.quote(setting)}" for setting in ast.literal_eval(value))
+        if name not in flags:
+            return match[0]
+        typed = {None: "", "True": "", "[]": "none"}.get(value, value)
+        return f"{flags[name]} {typed}".rstrip()
+
+    return re.sub(r'`(\w+(?:\["\w+"\])?)(?:=([^`]*))?`', option, text)

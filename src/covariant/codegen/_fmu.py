@@ -164,7 +164,7 @@ def write_fmu(unit: Unit, path: Path, overwrite: bool = False) -> None:
         ['modelDescription.xml']
     """
     if path.is_dir() or (path.exists() and not overwrite):
-        raise ValueError(f"{path}: there is one already; name a new one, or replace a file by --overwrite")
+        raise ValueError(f"{path}: there is one already; name a new one, or replace a file by `overwrite=True`")
     if not path.resolve().parent.is_dir():
         raise ValueError(f"{path}: there is no folder {path.resolve().parent}; make it first")
     write_atomically(path, lambda file: file.write(zipped(unit.files)))

@@ -62,7 +62,7 @@ def python_files(program: Program, texts: Mapping[str, str], name: str, about: s
         ['python/speed/__init__.py', 'python/speed/__main__.py']
     """
     if keyword.iskeyword(name) or name in sys.stdlib_module_names or name == "numpy":
-        raise ValueError(f"{name!r} is a word or a module of Python; name the export otherwise (--name)")
+        raise ValueError(f"{name!r} is a word or a module of Python; name the export otherwise (`name`)")
     token = hashlib.sha256("".join([texts[f"{name}.h"], texts[f"{name}.c"], about, repr(rate)]).encode()).hexdigest()
     version = f"1.0.0+x{token[:8]}"  # another export is another version, so that installing it replaces the former
     replacements = _replacements(program, name, about, rate, token[:32], version)

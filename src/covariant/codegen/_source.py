@@ -97,7 +97,7 @@ def write_source(program: Program, name: str, about: str, flash: int | float = m
         if size <= flash:
             return source
         least = min(least, math.ceil(size / 1024))
-    closed = ", close numbers by --parameters none" if program.numbers else ""
+    closed = ", close numbers by `parameters=[]`" if program.numbers else ""
     raise ValueError(
         f"{name} takes about {least} kB of flash, with loops over tables too, and may take {flash / 1024:g}; give it "
         f"{least}k or more{closed}, or choose a cheaper observer"

@@ -90,12 +90,12 @@ def write_folder(files: Mapping[str, str | bytes], folder: Path, overwrite: bool
         ['exported/a.h', 'exported/test/a.c']
         >>> write_folder({"a.h": ""}, Path("exported"))
         Traceback (most recent call last):
-        ValueError: exported: the folder is not empty; name a new one, or replace its files by --overwrite
+        ValueError: exported: the folder is not empty; name a new one, or replace its files by `overwrite=True`
     """
     if folder.exists() and not folder.is_dir():
         raise ValueError(f"{folder}: this is a file; name a folder")
     if folder.exists() and any(folder.iterdir()) and not overwrite:
-        raise ValueError(f"{folder}: the folder is not empty; name a new one, or replace its files by --overwrite")
+        raise ValueError(f"{folder}: the folder is not empty; name a new one, or replace its files by `overwrite=True`")
     if not folder.resolve().parent.is_dir():
         raise ValueError(f"{folder}: there is no folder {folder.resolve().parent}; make it first")
     contents = {path: file.encode() if isinstance(file, str) else file for path, file in files.items()}

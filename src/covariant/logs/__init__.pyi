@@ -13,6 +13,7 @@ from ._configuration import (
     matrices as matrices,
     to_columns as to_columns,
 )
+from ._endings import MESSAGES as MESSAGES, WRITTEN as WRITTEN
 from ._read import OPTIONAL as OPTIONAL, read as read, record as record, survey as survey
 from ._tables import source_name as source_name
 from ._unit_in_name import (
@@ -24,6 +25,6 @@ from ._unit_in_name import (
     words_of as words_of,
 )
 from ._units import check_unit as check_unit, unit_factor as unit_factor
-from ._write import MESSAGES as MESSAGES, WRITTEN as WRITTEN, write as write
+from ._write import write as write
 
 __all__ = ["Columns", "LogError", "read", "write"]

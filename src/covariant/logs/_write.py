@@ -12,11 +12,7 @@ import numpy as np
 from covariant._files import write_atomically
 from covariant.logs._bag_write import write_bag
 from covariant.logs._columns import LogError, pyarrow
-
-MESSAGES = (".mcap", ".rosbag2")
-"""Endings of the logs of ROS messages that can be written."""
-WRITTEN = (".csv", ".txt", ".tsv", ".parquet", *MESSAGES)
-"""Endings of all logs that can be written."""
+from covariant.logs._endings import MESSAGES, WRITTEN
 
 
 def write(path: str | PathLike[str], columns: Mapping[str, np.ndarray], origin_ns: int | None = None) -> None:

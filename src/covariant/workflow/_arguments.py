@@ -148,11 +148,11 @@ def gain_pair(alpha: float | int | None, beta: float | int | None) -> tuple[floa
         ValueError: For one without the other, and for a gain that is not positive and finite.
     """
     if (alpha is None) != (beta is None):
-        raise ValueError("alpha and beta belong together: give both or neither")
+        raise ValueError("`alpha` and `beta` belong together: give both or neither")
     if alpha is None or beta is None:
         return None
     if not (0 < alpha < math.inf and 0 < beta < math.inf):
-        raise ValueError(f"alpha and beta must be positive numbers; got {alpha:g} and {beta:g}")
+        raise ValueError(f"`alpha` and `beta` must be positive numbers; got {alpha:g} and {beta:g}")
     return float(alpha), float(beta)
 
 

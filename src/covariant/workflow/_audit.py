@@ -44,8 +44,10 @@ def audit_observer(
 
     Args:
         model: A model file (.toml), a robot, `module:attribute`, the name of a system, a `ModelFile`, or a system.
-        observer: Name of an observer with gains; by default the first that fits the model.
-        alpha, beta: Gains [1/s], [1/s²]; by default √2 and 1.
+        observer: `intrinsic`, `intrinsic2`, `geodesic`, `implicit-geodesic` or `copy`; by default the first that fits
+            the model.
+        alpha: Gain α [1/s]; √2 by default.
+        beta: Gain β [1/s²]; 1 by default.
         region: Ends of coordinates from which positions are drawn; on a group, of exponential coordinates x1, x2, ….
         speed: Largest velocity of each coordinate [unit/s].
         points: Number of states.

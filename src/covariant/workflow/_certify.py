@@ -15,9 +15,9 @@ from covariant.calibration import observer_gains
 from covariant.certificates import Attempt, Checked, CheckerName, Claim, ContractionCertificate, Document, Start
 from covariant.models import MechanicalSystem, ModelFile, Overrides, input_count
 from covariant.observers import Geodesic, Intrinsic
-from covariant.proofs import MOST_BOXES, read_file
+from covariant.proofs import read_file
 from covariant.workflow._arguments import Amounts, Region, above_zero, amounts, bounds, gain_pair, numbers
-from covariant.workflow._find import FIND, RUNS, largest_proved
+from covariant.workflow._find import FIND, largest_proved
 from covariant.workflow._inputs import data_sheet, numbered
 from covariant.workflow._outputs import FIGURES, check_output
 from covariant.workflow._progress import Progress, silent
@@ -57,12 +57,12 @@ def certify(
     disturbance: Amounts = 0.0,
     interval: Sequence[float] | None = None,
     lost: int = 0,
-    boxes: int = MOST_BOXES,
+    boxes: int = 200_000,
     seconds: float | None = None,
     processes: int = 1,
     checker: CheckerName = "auto",
     find: str | None = None,
-    runs: int = RUNS,
+    runs: int = 10,
     overrides: Overrides = (),
     progress: Progress = silent,
 ) -> "CertifyResult":
@@ -70,28 +70,30 @@ def certify(
 
     Args:
         model: A model file (.toml), a robot, `module:attribute`, the name of a system, a `ModelFile`, or a system.
-        velocity: Bound of the true velocities [unit/s], one for all or one each. There is no certificate without it.
-        error: How far estimated positions may be off [unit], one bound for all or one each; also needed.
+        velocity: Bound of the true velocities [unit/s], one for all or one each; required. There is no certificate
+            without it.
+        error: How far estimated positions may be off [unit], one bound for all or one each; required.
         region: Ends of the positions by coordinate; rotations need none. On another group the entries of its
             matrices, named g11, g12, ….
         observer: "intrinsic" or "geodesic".
-        alpha, beta: Gains [1/s], [1/s²]; by default designed from the numbers of the model file.
+        alpha: Gain α [1/s], together with `beta`; by default designed from the numbers of the model file.
+        beta: Gain β [1/s²], together with `alpha`.
         sampling: Sampling rate [Hz] that gains are designed for.
         input: Bound of the inputs, one for all or one each.
         times: First and last time [s] of the statement; needed where the force depends on time.
         rate: λ [1/s] of squared lengths to prove; by default half of what the metric Q allows.
         q: Entries a, c, b of the metric Q = [[a, c], [c, b]]; by default the best conditioned one.
-        noise: Bound of the error of each measured position [unit].
-        disturbance: Bound of the force that the model does not know.
+        noise: Bound of the error of each measured position [unit], one for all or one each.
+        disturbance: Bound of the force that the model does not know, one for all or one each.
         interval: Shortest and longest time between two samples [s], for a statement about the observer with sampled
             measurements; without it the observer runs in continuous time.
         lost: With `interval`, how many samples in a row may be lost.
         boxes: Effort: boxes that may be evaluated, the same on every machine.
         seconds: A limit of time [s] besides, for each of the proofs.
-        processes: Processes to prove with; with several, a script needs the `if __name__ == "__main__"` guard.
+        processes: Processes to prove with. With several, a script needs the `if __name__ == "__main__"` guard.
         checker: "auto" gives what was proved to the checker for as long as the proof took, or ten seconds; "all" until
             it is through; "off" not at all. What it does not accept is not proved.
-        find: Searches the largest value that is proved, each attempt with at most `boxes` boxes, beginning with the one
+        find: Search the largest value that is proved, each attempt with at most `boxes` boxes, beginning with the one
             given: "error" multiplies all bounds of the error, and with them grows the radius; "rate" varies `rate`;
             "interval" the longest time between two samples.
         runs: With `find`, how many certificates are tried at most.
@@ -446,9 +448,9 @@ def _gains(
     if pair is not None:
         return pair, f"Given gains: alpha = {pair[0]:g} 1/s, beta = {pair[1]:g} 1/s²."
     if file.measurement_std is None or file.acceleration_std is None:
-        raise ValueError(f"{file.name} has no data sheet to design gains from; give alpha and beta")
+        raise ValueError(f"{file.name} has no data sheet to design gains from; give `alpha` and `beta`")
     if sampling is None:
-        raise ValueError("gains are designed for a sampling rate; give sampling [Hz], or alpha and beta")
+        raise ValueError("gains are designed for a sampling rate; give `sampling` [Hz], or `alpha` and `beta`")
     gains = observer_gains(data_sheet(file), above_zero("sampling", sampling))
     return (float(gains.alpha), float(gains.beta)), f"Designed {gains.summary}."
 

@@ -31,12 +31,8 @@ def check(
     Args:
         model: A mechanical model, in any of the forms that `estimate` takes.
         log: A path, a `Record`, a DataFrame, or an xarray Dataset.
-        overrides: Values that replace those of the model file: `{"measurement.std": 1e-4}`, or
-            `["measurement.std=1e-4"]`.
-        every: Use each k-th row.
-        start, until: Use the log from and up to this time [s] since its first row.
+        overrides, every, start, until, progress: As for `estimate`.
         columns: Names of columns by field (t, q, u) that replace those of the model file.
-        progress: Called with a description as the work goes on.
 
     Returns:
         The findings, the worst first, each with its evidence and with the line to write into the model file, or what to

@@ -17,7 +17,7 @@ NO_NOISE = (
     "`acceleration` to [uncertainty]."
 )
 SPEED_IS_MISSING = (
-    "a machine that is faster than four times that at the start is refused. Give --log LOG, a log that `estimate` runs "
+    "a machine that is faster than four times that at the start is refused. Give `log`, a log that `estimate` runs "
     "on, or add `motion_acceleration` and `motion_time`, whose product is that speed, to [uncertainty]"
 )
 
@@ -53,7 +53,7 @@ def build_observer(
         available = with_gains(model, *gains)
         if name not in available:
             known = ", ".join(available) or "none"
-            raise ValueError(f"--alpha and --beta do not apply to {name}; they do to {known}")
+            raise ValueError(f"`alpha` and `beta` do not apply to {name}; they do to {known}")
         return gated(available[name], model, sheet()) if tells_noise(file) else available[name]
     if not file.mechanical:
         return tuned_state_estimators(model, noise(file, rate), (name,))[name]

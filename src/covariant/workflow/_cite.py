@@ -18,7 +18,7 @@ from covariant.workflow._result import AbstractResult
 
 
 def cite(model: Any, *, observer: str | None = None, overrides: Overrides = ()) -> "CiteResult":
-    """Say which works an observer and the numbers of a model are from.
+    """Say which works an observer and the numbers of a model are from, with BibTeX entries.
 
     Args:
         model: A model file (.toml), a robot, `module:attribute`, the name of a system, a `ModelFile`, or a system.
@@ -44,7 +44,7 @@ def cite(model: Any, *, observer: str | None = None, overrides: Overrides = ()) 
     fitting = estimators(system)
     observer = observer or fitting[0]
     if observer not in fitting:
-        raise ValueError(f"--observer {observer} does not fit {name}; these do: {', '.join(fitting)}")
+        raise ValueError(f"observer {observer} does not fit {name}; these do: {', '.join(fitting)}")
     source = next(entry.source for entry in REGISTRY if entry.name == observer)
     leaves = jax.tree.leaves(system, is_leaf=lambda leaf: isinstance(leaf, Parameter))
     numbers = dict.fromkeys(leaf.source for leaf in leaves if isinstance(leaf, Parameter))

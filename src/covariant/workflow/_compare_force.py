@@ -1,4 +1,4 @@
-"""`compare --force`: estimates of external forces on the same log, by filters and by their rivals, and scored."""
+"""`compare_force`: estimates of external forces on the same log, by filters and by their rivals, and scored."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -75,7 +75,7 @@ def compare_force(
     """
     names = column_names(force)
     if columns and columns.get("truth") is not None:
-        raise ValueError("--truth names true velocities, and with --force forces are scored; leave it out")
+        raise ValueError('`columns["truth"]` names true velocities, and with `force` forces are scored; leave it out')
     job = Job(
         _without_unit(model, overrides), log, (), every, until, {**(columns or {}), "truth": names}, anyway, start
     )
@@ -254,16 +254,16 @@ def _check(job: Job, loaded: Loaded, names: tuple[str, ...]) -> None:
     file = loaded.file
     if len(names) != file.dimension:
         raise ValueError(
-            f"--force names {len(names)} columns, and {job.model_name} has {file.dimension} velocities; give a "
-            f"generalised force for each, as `covariant simulate --push` writes them; got {','.join(names)}"
+            f"`force` names {len(names)} columns, and {job.model_name} has {file.dimension} velocities; give a "
+            f"generalised force for each, as `simulate` with `push` writes them; got {','.join(names)}"
         )
     if loaded.log.truth is None:
         raise ValueError(f"{job.log_name} has no column of true forces; a Record has none, give a table with them")
     if file.external_force is None and file.external_force_std is None and not file.wrenches:
         raise ValueError(
-            f"{job.model_name} has the filter estimate no force; give --set uncertainty.external_force_std=NUMBER "
-            "--set uncertainty.external_force_time=SECONDS, the usual size of a push and how long it lasts, or a "
-            "[wrench.NAME] in the model file"
+            f"{job.model_name} has the filter estimate no force; give "
+            "`overrides=['uncertainty.external_force_std=NUMBER', 'uncertainty.external_force_time=SECONDS']`, "
+            "the usual size of a push and how long it lasts, or a [wrench.NAME] in the model file"
         )
 
 

@@ -66,7 +66,7 @@ def designed_excitation(
     if file.measurement_std is None:
         raise ValueError(
             f"{model}: the noise of the encoders is not known; put measurement.std or measurement.quantum in the model "
-            "file, or give --set measurement.std=NUMBER"
+            "file, or give `overrides=['measurement.std=NUMBER']`"
         )
     limits = _limits(model, family, given)
     noise = np.broadcast_to(np.asarray(file.measurement_std, float), len(limits.names))
@@ -147,7 +147,7 @@ def _refuse_followers(model: str, robot: robots.Description, names: Sequence[str
     if followers and missing:
         raise ValueError(
             f"{model}: joint {followers[0]!r} follows another one, and its limits bind that one, too; give limits that "
-            f"keep both, by {', '.join(f'--{key}' for key in missing)}"
+            f"keep both, by {', '.join(f'`{key}`' for key in missing)}"
         )
 
 
@@ -173,7 +173,7 @@ def _refuse_missing(model: str, limits: JointLimits) -> None:
                 f"{model}: joint {names[0]!r} has no {what[argument]} in its file"
                 + (" that is read from MJCF" if str(model).endswith(".xml") and argument != "region" else "")
                 + (f", and neither have {', '.join(names[1:])}" if names[1:] else "")
-                + f"; give --{argument} {example}"
+                + f"; give `{argument}` {example}"
             )
 
 
@@ -183,7 +183,7 @@ def _refuse_servos(model: str, robot: robots.Description, names: Sequence[str]) 
         if motor.joint in names and (motor.stiffness or motor.damping):
             raise ValueError(
                 f"{model}: actuator {motor.name!r} is a servo, whose torque is not its input; give the joints whose "
-                f"torques are logged, as --set 'parameters.actuated=[\"{motor.joint}\"]'"
+                f"torques are logged, as `overrides=['parameters.actuated=[\"{motor.joint}\"]']`"
             )
 
 

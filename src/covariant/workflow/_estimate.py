@@ -1,7 +1,6 @@
 """`estimate`: velocities or states from a log, by one observer."""
 
 import functools
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,6 +20,7 @@ from covariant.models import Overrides
 from covariant.observers import AbstractObserver
 from covariant.scoring import rmse
 from covariant.signals import Result, Run
+from covariant.workflow._arguments import gain_pair
 from covariant.workflow._chosen import build_observer, tells_noise
 from covariant.workflow._determined import Determinacy, determined
 from covariant.workflow._inputs import (
@@ -84,12 +84,14 @@ def estimate(
             library, a `ModelFile`, or a system.
         log: A path (.csv, .txt, .tsv, .parquet, .mcap, a rosbag2), a `Record`, a DataFrame, or an xarray Dataset.
         observer: Name of the observer; by default the first that fits the model, `intrinsic` for a mechanical one.
-        alpha, beta: Gains [1/s], [1/s²] in place of the designed ones; both or neither.
-        score: Whether velocities are scored against slopes of the positions where the log has no true velocities.
+        alpha: Gain α [1/s] in place of the designed one; together with `beta`.
+        beta: Gain β [1/s²] in place of the designed one; together with `alpha`.
+        score: Score velocities against slopes of the positions where the log has no true velocities.
         overrides: Values that replace those of the model file: `{"measurement.std": 1e-4}`, or
             `["measurement.std=1e-4"]`.
-        every: Use each k-th row.
-        start, until: Use the log from and up to this time [s] since its first row.
+        every: Use each k-th row only.
+        start: Use the log from this time on only [s since its first row].
+        until: Use the log up to this time only [s since its first row].
         columns: Names of columns by field (t, q, u, v, truth) that replace those of the model file.
         anyway: Go on with a log that does not fit the model at all.
         engine: What computes: "c", "jax", or "auto" for C where it pays.
@@ -355,10 +357,7 @@ def _check_arguments(observer: str | None, alpha: float | None, beta: float | No
     names = (*ESTIMATORS, *STATE_ESTIMATORS)
     if observer is not None and observer not in names:
         raise ValueError(f"unknown observer {observer!r}; choose one of {', '.join(names)}")
-    if (alpha is None) != (beta is None):
-        raise ValueError("--alpha and --beta belong together: give both or neither")
-    if alpha is not None and beta is not None and not (0 < alpha < math.inf and 0 < beta < math.inf):
-        raise ValueError(f"--alpha and --beta must be positive numbers; got {alpha} and {beta}")
+    gain_pair(alpha, beta)
 
 
 def choose_observer(

@@ -62,8 +62,8 @@ def design_excitation(
         margin: Fraction of all limits that is used.
         torque_noise: Standard deviation of logged torques, as felt at the joints [N m or N], one or one for each joint;
             1 % of `effort` by default.
-        starts: Number of starts of the search.
-        seed: Seed of these.
+        starts: Starts of the search.
+        seed: Seed of the starts.
         overrides: Values that replace those of the model file, such as other first values.
         progress: Called with a description and a fraction as the work goes on.
 

@@ -87,7 +87,7 @@ def export(
     overrides: Overrides = (),
     progress: Progress = silent,
 ) -> "ExportResult":
-    """Write an observer as C99 into a folder, or as a functional mock-up unit (.fmu).
+    """Write an observer as C99 for microcontrollers and controllers, or as a unit (.fmu) for simulators.
 
     It is the observer that `estimate` runs at this sampling rate, with its gate: outliers, holes and missing numbers
     have the same result codes. The gate judges by the noise of the model file and by the usual speed of the motion,
@@ -98,27 +98,27 @@ def export(
         out: The folder to write, or a unit for simulators where it ends in .fmu.
         rate: Sampling rate [Hz] that the observer is made for.
         observer: Name of the observer; by default the first that fits the model.
-        alpha, beta: Gains [1/s], [1/s²] in place of the designed ones; both or neither.
+        alpha, beta: As for `estimate`.
         real: Type of all numbers in C, "double" or "float".
         name: What all names in C begin with; that of the model by default.
         parameters: Numbers of the model that may be changed at run time; all by default, none for an empty list.
-        flash: Most bytes of code and constants. Where straight C is estimated to take more, like statements become
+        flash: Most bytes of code and constants: where straight C is estimated to take more, like statements become
             loops over tables, which take more time.
-        certificate: A saved certificate of this observer, for the data sheet.
-        metric: A metric on a grid for the observer riccati, as `design_metric` stores it.
+        certificate: A saved certificate (.json) of this observer, for the data sheet.
+        metric: A metric on a grid (.zarr) for the observer riccati, as `design_metric` stores it.
         fmi: Version of FMI of a unit, "3.0" (the default) or "2.0".
         lag: Estimate each time this much later [s], from all samples up to then, as `smooth` with this lag does; of a
             filter with a covariance. None (default) for estimates of the present.
         step_per_sensor: Of a filter with sensors, write a step for each of them and for the configuration as well,
             for samples in which nothing else was read: less work, more code.
-        python: Whether a Python package that needs NumPy alone is written beside the C, and a wheel of it.
-        wasm: Whether the observer is compiled to WebAssembly as well, with a script for pages and Node.
-        gate: Whether the gate of the observer is written, which refuses outliers.
+        python: Write a Python package that needs NumPy alone beside the C, and a wheel of it.
+        wasm: Compile the observer to WebAssembly as well, with a script for pages and Node.
+        gate: Write the gate of the observer, which refuses outliers.
         log: The log on which `estimate` runs, for the usual speed in the gate, for encoder ticks, and for sensors that
-            it has no columns of, which are left out. By default the speed is the product of `motion_acceleration` and
+            it has no columns of, which are left out; by default the speed is the product of `motion_acceleration` and
             `motion_time` in the model file.
-        audit: Whether the laws of the observer are measured first; violated ones are a warning.
-        overwrite: Whether files that exist are replaced.
+        audit: Measure the laws of the observer first; violated ones are a warning.
+        overwrite: Replace files that exist.
         overrides: Values that replace those of the model file.
         progress: Called with a description of the work.
 
@@ -326,7 +326,7 @@ def _program(
         # The function from numbers to model may be no graph of scalars while the model is: then its arrays are open.
         return program(_usual(observer), y, inputs, real, loops, alone)  # pyright: ignore[reportArgumentType]
     except LoweringError as error:
-        remedy = "" if "table" in str(error) else "; try without numbers that may be changed (--parameters none)"
+        remedy = "" if "table" in str(error) else "; try without numbers that may be changed (`parameters=[]`)"
         raise ValueError(f"{name}: no code can be written: {error}{remedy}") from error
 
 

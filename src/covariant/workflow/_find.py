@@ -14,8 +14,6 @@ FIND = {
     "interval": "longest time between samples [s]",
 }
 """What `find` may name, and what is varied then."""
-RUNS = 10
-"""Largest number of certificates that a search tries, by default."""
 
 
 def largest_proved(

@@ -42,14 +42,11 @@ def fit(
             judge the fit by, or the last third of one.
         parameters: Names of the numbers to fit: "mass" or "com[0]" of [parameters], or "inputs.lag"; of a robot
             "friction", "armature", "payload", "inertia", "gravity", "torque_constants" or "offsets", for all joints and
-            links or for one, as in "friction.elbow" (see `models.robot_family`). Several in a list, or by commas.
+            links or for one, as in "friction.elbow". Several in a list, or by commas; see `models.robot_family`.
         horizon: Length of the predictions [s]; by default as the motion suggests.
         overrides: Values that replace those of the model file, such as other first values.
-        every: Use each k-th row.
-        start, until: Use the logs from and up to this time [s] since their first rows.
         columns: Names of columns by field (t, q, u) that replace those of the model file.
-        anyway: Go on with a log that does not fit the model at all.
-        progress: Called with a description and a fraction as the work goes on.
+        every, start, until, anyway, progress: As for `estimate`.
 
     Returns:
         The numbers before and after with their standard errors, and the errors on what is held out.

@@ -94,7 +94,7 @@ def _refuse_misfit(family: models.RobotFamily, logs: FitLogs) -> None:
     for name, log in zip(logs.names, logs.logs, strict=True):
         finding = robot_misfit(family, log.loaded.file, log.raw)
         if finding is not None:
-            raise MisfitError(f"{name}: {finding.evidence}. {finding.line}; --anyway goes on")
+            raise MisfitError(f"{name}: {finding.evidence}. {finding.line}; `anyway=True` goes on")
 
 
 def _acting(log: Aligned, between: str) -> Record:

@@ -1,6 +1,5 @@
 """The model and the log of a verb, read together: units, lags, delays, encoder ticks, and the reference for scoring."""
 
-import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
@@ -269,10 +268,10 @@ def refuse_delays(job: Job, loaded: Loaded, observer: AbstractObserver, why: str
     late = {key: delay for key, delay in delays.items() if np.any(delay)}
     if late:
         named = ", ".join(f"{key} = {delay}" for key, delay in late.items())
-        settings = " ".join(f"--set {key}=0" for key in late)
+        settings = [f"{key}=0" for key in late]
         raise ValueError(
             f"{job.model_name}: {why} ({named}); shift the positions, or what the sensors read, in the log to when "
-            f"they were true, and give {settings}"
+            f"they were true, and give `overrides={settings}`"
         )
 
 
@@ -288,7 +287,7 @@ def _refuse_misfit(job: Job, file: models.ModelFile, record: Record) -> None:
     """Raise `MisfitError` where the model explains nothing of the motion, or another unit of the log explains it."""
     finding = misfit(file, record)
     if finding is not None:
-        how = f"`covariant check {job.model_name} {job.log_name}` looks closer, and --anyway goes on"
+        how = f"`covariant check {job.model_name} {job.log_name}` looks closer, and `anyway=True` goes on"
         raise MisfitError(f"{job.log_name}: {finding.evidence}. {finding.line}; {how}")
 
 
@@ -345,20 +344,21 @@ def _check_columns(job: Job, file: models.ModelFile, columns: logs.Columns) -> N
     """Check the number of columns, that the representation of an attitude is given, and that names are unique."""
     if columns.q and not file.columns.q:
         raise ValueError(
-            f"--q names coordinates, and {job.model_name} is on a group; name its columns in [columns] or by --set"
+            f'`columns["q"]` names coordinates, and {job.model_name} is on a group; name its columns in [columns] '
+            "or by `overrides`"
         )
     if len(columns.q) != len(file.columns.q) or len(columns.u) != len(file.columns.u):
         raise ValueError(
             f"{job.model_name} has {len(file.columns.q)} positions and {len(file.columns.u)} inputs; "
-            f"the options name {len(columns.q)} and {len(columns.u)}"
+            f"`columns` name {len(columns.q)} and {len(columns.u)}"
         )
     if file.model.manifold.commuting:
         return
     if file.unnamed_attitudes:
         raise ValueError(
             f"{job.model_name}: no columns of the attitude are named, and their order is never guessed; give one of "
-            f"{', '.join(logs.ATTITUDES)} in [columns], or --set "
-            """'columns.quaternion_wxyz=["qw","qx","qy","qz"]'"""
+            f"{', '.join(logs.ATTITUDES)} in [columns], or "
+            """`overrides=['columns.quaternion_wxyz=["qw","qx","qy","qz"]']`"""
         )
     shared = {"t", *file.model.velocities} & set(columns.measured)
     if shared:
@@ -440,12 +440,12 @@ def _remedy(file: models.ModelFile, missing: Sequence[str], record: Record | Non
     shown = () if record is None else suggest_noise(file, record)
     them = "it" if len(missing) == 1 else "them"
     if len(shown) < len(missing):
-        options = " ".join(f"--set {key}=NUMBER" for key in missing)
-        how = f"put {them} in the model file, or give {options} (or, for estimate, --alpha and --beta)"
+        options = [f"{key}=NUMBER" for key in missing]
+        how = f"put {them} in the model file, or give `overrides={options}` (or, for estimate, `alpha` and `beta`)"
         return how + "".join(f"; this log suggests {suggestion.line} ({suggestion.evidence})" for suggestion in shown)
-    options = " ".join(f"--set {shlex.quote(suggestion.setting)}" for suggestion in shown)
+    options = [suggestion.setting for suggestion in shown]
     evidence = "; ".join(suggestion.evidence for suggestion in shown)
-    return f"this log suggests {options} ({evidence}), or put {them} in the model file"
+    return f"this log suggests `overrides={options}` ({evidence}), or put {them} in the model file"
 
 
 def _slow(file: models.ModelFile) -> tuple[Slow, ...]:

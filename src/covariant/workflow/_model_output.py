@@ -61,12 +61,12 @@ def check_model_output(model: Any, path: str | Path | None, overwrite: bool = Fa
     if path.exists() and not overwrite:
         same = Path(spec).exists() and path.samefile(spec)
         what = "this is the model file itself" if same else "there is such a file already"
-        raise ValueError(f"{path}: {what}; write to another file, or say --overwrite")
+        raise ValueError(f"{path}: {what}; write to another file, or say `overwrite=True`")
     beside = path.with_suffix(".urdf")
     if urdf and beside.exists():
         _refuse_source(beside, _robot_file(spec))
         if not overwrite:
-            raise ValueError(f"{beside}: there is such a file already; write to another file, or say --overwrite")
+            raise ValueError(f"{beside}: there is such a file already; write to another file, or say `overwrite=True`")
 
 
 def _robot_file(spec: str) -> Path | None:

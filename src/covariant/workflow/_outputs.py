@@ -51,7 +51,7 @@ def check_output(
     if isinstance(log, str | Path) and path.exists() and Path(log).exists() and path.samefile(log):
         raise ValueError(f"{path}: this is the log itself; write to another file")
     if path.exists() and not (overwrite or store):
-        raise ValueError(f"{path}: there is such a file already; write to another file, or with overwrite=True")
+        raise ValueError(f"{path}: there is such a file already; write to another file, or say `overwrite=True`")
 
 
 def write_table(path: Path, columns: Mapping[str, Any]) -> Path:

@@ -19,7 +19,7 @@ PAPERS = {
 
 
 def reproduce_paper(paper: str, *, progress: Progress = silent) -> "ReproduceResult":
-    """Compute the numbers of a paper.
+    """Reproduce the numbers of a paper.
 
     Args:
         paper: "aghannan-rouchon", "maithripala", "sanfelice-praly" or "jouffroy-fossen".

@@ -43,7 +43,7 @@ def simulate(
         duration: Length of the log [s].
         rate: Samples a second [Hz].
         q0: Initial positions (n,); on a group exponential coordinates of a pose; of a state-space model the whole
-            initial state. Zeros by default.
+            initial state; zeros by default.
         v0: Initial velocities (n,), zeros by default.
         amplitude: Amplitudes (m,) of the inputs, zeros by default.
         frequency: Frequency of the first input [Hz]; the others are faster by 37 % of it each.
@@ -53,9 +53,10 @@ def simulate(
         jitter: Standard deviation of the sampling instants [s].
         dropout: Probability that a sample is missing.
         seed: Seed of noise, jitter and dropouts.
-        push: Largest force (n,) of pushes from outside [N or N m], as generalised forces along the velocities. A push
-            rises and falls within a second, one begins every two seconds, from one second on, on each coordinate in
-            turn, and their sign alternates from round to round. The log then has them as `true_external_force1`, ….
+        push: Largest force (n,) of pushes from outside [N or N m], as generalised forces along the velocities; one
+            begins every two seconds. The first begins after one second, each rises and falls within a second, on each
+            coordinate in turn, and their sign alternates from round to round. The log then has them as
+            `true_external_force1`, ….
         overrides: Values that replace those of the model file: `{"parameters.mass": [2.0]}`, or
             `["parameters.mass=[2.0]"]`.
         progress: Called with a description and a fraction as the work goes on.
@@ -136,8 +137,8 @@ class SimulateResult(AbstractTable):
         return {"model": self.model_name, "rows": len(self.record.t), "truth_columns": truth, **pushed}
 
     def __str__(self) -> str:
-        use = "score against --truth" if self.mechanical else "the true state is in"
-        forces = ", forces against --force " * bool(self.force_columns) + ",".join(self.force_columns)
+        use = 'score against `columns["truth"]`' if self.mechanical else "the true state is in"
+        forces = ", forces against `force` " * bool(self.force_columns) + ",".join(self.force_columns)
         return f"{len(self.record.t)} rows; {use} {','.join(self.truth_columns)}{forces}"
 
     def save(self, path: str | Path, overwrite: bool = True) -> Path:

@@ -48,21 +48,11 @@ def smooth(
     `observers.smooth`. It believes the model as the filter does, so that an error of the model is an error of both.
 
     Args:
-        model: A model file (.toml), a robot (.urdf, .xml), `module:attribute`, the name of a system or a robot of the
-            library, a `ModelFile`, or a system.
-        log: A path (.csv, .txt, .tsv, .parquet, .mcap, a rosbag2), a `Record`, a DataFrame, or an xarray Dataset.
+        model, log, score, overrides, every, start, until, columns, anyway, progress: As for `estimate`.
         observer: Name of the filter: `intrinsic-kalman` (default of a mechanical model), `ekf`, `ukf`, `joint-kalman`,
             or `covariance-ekf` (default of a state-space model).
-        lag: Time after each row [s] from which it is estimated; all of the log (default) where it is None. The number
-            of rows is that of the median interval.
-        score: Whether velocities are scored against slopes of the positions where the log has no true velocities.
-        overrides: Values that replace those of the model file: `{"measurement.std": 1e-4}`, or
-            `["measurement.std=1e-4"]`.
-        every: Use each k-th row.
-        start, until: Use the log from and up to this time [s] since its first row.
-        columns: Names of columns by field (t, q, u, v, truth) that replace those of the model file.
-        anyway: Go on with a log that does not fit the model at all.
-        progress: Called with a description and a fraction as the work goes on.
+        lag: Time after each row [s] from which it is estimated, as rows at the median interval; all of the log by
+            default.
 
     Returns:
         The estimates with their standard deviations, and those of the filter beside them.
@@ -81,9 +71,9 @@ def smooth(
         True
     """
     if lag is not None and not 0 <= lag < np.inf:
-        raise ValueError(f"--lag must be a time [s], 0 or more; got {lag}")
+        raise ValueError(f"`lag` must be a time [s], 0 or more; got {lag}")
     if observer is not None and observer not in SMOOTHED:
-        raise ValueError(f"--observer {observer} cannot be smoothed; these can: {', '.join(SMOOTHED)}")
+        raise ValueError(f"observer {observer} cannot be smoothed; these can: {', '.join(SMOOTHED)}")
     job = Job(model, log, overrides, every, until, columns or {}, anyway, start)
     progress("reading the log")
     loaded = load(job, score)
@@ -117,7 +107,7 @@ def lag_rows(t: np.ndarray, lag: float) -> int | None:
     spacing = float(np.median(np.diff(t)))
     if 0 < lag < spacing / 2:
         raise ValueError(
-            f"--lag {lag:g} is less than half a row of the log, {spacing:.3g} s; give 0 for the filter itself"
+            f"`lag={lag:g}` is less than half a row of the log, {spacing:.3g} s; give 0 for the filter itself"
         )
     return round(lag / spacing)
 

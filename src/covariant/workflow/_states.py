@@ -45,10 +45,11 @@ def noise(file: ModelFile, rate: float) -> Noise:
     numbers = (file.measurement_std, "measurement.std"), (file.process_std, "uncertainty.process")
     missing = [key for value, key in numbers if value is None]
     if missing:
-        options = " ".join(f"--set {key}=NUMBER" for key in missing)
+        options = [f"{key}=NUMBER" for key in missing]
         them = "it" if len(missing) == 1 else "them"
         raise ValueError(
-            f"{file.name}: its observers need {' and '.join(missing)}; put {them} in the model file, or give {options}"
+            f"{file.name}: its observers need {' and '.join(missing)}; put {them} in the model file, or give "
+            f"`overrides={options}`"
         )
     states, outputs = file.dimension, len(file.columns.q)
     start, deviation = first_estimate(file)
@@ -78,7 +79,7 @@ def first_estimate(file: ModelFile) -> tuple[jnp.ndarray, jnp.ndarray]:
     if not np.isfinite(deviation).all():
         raise ValueError(
             f"{file.name}: its observers need initial.std, how far the states may be from initial.state at first; put "
-            "it in the model file, or give --set initial.std=…"
+            "it in the model file, or give `overrides=['initial.std=NUMBER']`"
         )
     return _each(start, file.dimension), _each(deviation, file.dimension)
 

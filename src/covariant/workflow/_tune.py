@@ -2,8 +2,9 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
+from covariant.engine import EngineName
 from covariant.workflow._arguments import ColumnNames, Overrides
 from covariant.workflow._model_output import as_logs, write_model
 from covariant.workflow._outputs import check_output
@@ -21,7 +22,7 @@ def tune(
     until: float | None = None,
     columns: ColumnNames | None = None,
     anyway: bool = False,
-    engine: Literal["auto", "c", "jax"] = "auto",
+    engine: EngineName = "auto",
     progress: Progress = silent,
 ) -> "TuneResult":
     """Tune noise and gains to logs by the prediction of their measurements, and judge them on what was held out.
@@ -31,13 +32,8 @@ def tune(
             library, a `ModelFile`, or a mechanical system.
         log: A path, a `Record`, a DataFrame or an xarray Dataset, or a list of them. The last third of each is held out
             to judge the tuning by.
-        overrides: Values that replace those of the model file.
-        every: Use each k-th row.
-        start, until: Use the logs from and up to this time [s] since their first rows.
         columns: Names of columns by field (t, q, u) that replace those of the model file.
-        anyway: Go on with a log that does not fit the model at all.
-        engine: What computes: "c", "jax", or "auto" for C where it pays.
-        progress: Called with a description and a fraction as the work goes on.
+        overrides, every, start, until, anyway, engine, progress: As for `estimate`.
 
     Returns:
         Lines for the model file, and the errors on what is held out, before and after.

@@ -277,12 +277,12 @@ def warning(found: Tuning, as_logged: np.ndarray | bool = True) -> str | None:
     if gains >= free:
         return (
             f"with constant gains the model does not help here: {without}, constant gains {gains:.3g}; {remedy}, or "
-            f"estimate with --observer intrinsic-kalman ({kalman:.3g})"
+            f"estimate with the observer intrinsic-kalman ({kalman:.3g})"
         )
     if kalman > WORSE * gains:
         return (
             f"the noise is not white: the most likely Kalman filter leaves {kalman:.3g} of the velocity and constant "
-            f"gains {gains:.3g}; estimate with --observer intrinsic"
+            f"gains {gains:.3g}; estimate with the observer intrinsic"
         )
     worst = float(np.max(np.abs(found.after.correlation) * as_logged))
     if worst > NOT_WHITE:

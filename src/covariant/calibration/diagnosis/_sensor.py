@@ -322,7 +322,7 @@ def outlier_findings(
                 f"{cells} far from {'its' if len(places) == 1 else 'their'} neighbours, "
                 f"{'usually ' if len(places) > 1 else ''}by {size:.3g} {unit}".rstrip()
                 + f": {rows.listed(places)}",
-                "look for what disturbs the sensor; estimates refuse such cells, and --score leaves them out"
+                "look for what disturbs the sensor; estimates refuse such cells, and scores leave them out"
                 if many
                 else "nothing to change: estimates refuse such cells; empty them where they are known to be wrong",
                 many,

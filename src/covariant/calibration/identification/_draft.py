@@ -113,7 +113,7 @@ def draft(columns: Mapping[str, np.ndarray], given: Mapping[str, Sequence[str] |
     q = given.get("q") or tuple(name for name, kind in kinds.items() if kind == "q" and name != t)
     if not q:
         raise ValueError(
-            f"no column is named like a position, as q1 or theta; name them by --q{_columns_there(columns)}"
+            f'no column is named like a position, as q1 or theta; name them by `columns["q"]`{_columns_there(columns)}'
         )
     _one_family("q", q, given, columns)
     u = given.get("u") or tuple(name for name, kind in kinds.items() if kind == "u")
@@ -122,7 +122,8 @@ def draft(columns: Mapping[str, np.ndarray], given: Mapping[str, Sequence[str] |
         u = tuple(sorted(u, key=lambda name: unit_in_name(name, ("N m",)) is not None))
     if len(u) > len(q):
         raise ValueError(
-            f"{len(u)} inputs ({', '.join(u)}) for {len(q)} positions; name them by --u{_columns_there(columns)}"
+            f'{len(u)} inputs ({", ".join(u)}) for {len(q)} positions; name them by `columns["u"]`'
+            f"{_columns_there(columns)}"
         )
     v = given.get("v") or tuple(name for name, kind in kinds.items() if kind == "v")
     if not v:
@@ -214,13 +215,15 @@ def _stamps(columns: Mapping[str, np.ndarray], kinds: Mapping[str, str]) -> str:
         if candidates
         else "no column of stamps rises from row to row"
     )
-    raise ValueError(f"{what}; name the one of the stamps by --t{_columns_there(columns)}")
+    raise ValueError(f'{what}; name the one of the stamps by `columns["t"]`{_columns_there(columns)}')
 
 
 def _step(name: str, t: np.ndarray) -> float:
     """Median step of the stamps; raises `ValueError` where they do not rise."""
     if len(t) < 2 or not (np.isfinite(t).all() and (np.diff(t) > 0).all()):
-        raise ValueError(f"the stamps {name} do not rise from row to row; sort the log, or name others by --t")
+        raise ValueError(
+            f'the stamps {name} do not rise from row to row; sort the log, or name others by `columns["t"]`'
+        )
     return float(np.median(np.diff(t)))
 
 
@@ -229,7 +232,7 @@ def _one_family(key: str, names: Sequence[str], fixed: Mapping[str, Sequence[str
     stems = {re.sub(r"[0-9]+", "#", name) for name in names}
     if key not in fixed and 1 < len(stems) < len(names):
         raise ValueError(
-            f"{', '.join(names)} may all be {key}; name those that are by --{key}{_columns_there(columns)}"
+            f'{", ".join(names)} may all be {key}; name those that are by `columns["{key}"]`{_columns_there(columns)}'
         )
 
 

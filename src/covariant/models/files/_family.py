@@ -114,8 +114,10 @@ def _family(spec: str, names: Sequence[str], content: dict[str, Any]) -> Family:
     )
     for name, value, refused in zip(chosen, first, positive, strict=True):
         if refused and not 0 < value < math.inf:
-            remedy = f"--set parameters.{name.partition('[')[0]}=…" if name != ".".join(LAG) else f"--set {name}=0.01"
-            raise ValueError(f"{name} must be positive and starts from {value:g}; give it a first value by {remedy}")
+            remedy = f"parameters.{name.partition('[')[0]}=NUMBER" if name != ".".join(LAG) else f"{name}=0.01"
+            raise ValueError(
+                f"{name} must be positive and starts from {value:g}; give it a first value by `overrides={[remedy]}`"
+            )
     try:
         # Traced, not evaluated: a function that uses NumPy or branches on a number fails here, and not within a fit.
         eqx.filter_eval_shape(make, first)

@@ -77,7 +77,7 @@ def from_recipe(made: dict[str, Any], model: Any = None) -> Model:
         if "attribute" in made:
             raise ValueError(
                 f"the model is {made['attribute']!r}, code that a recipe does not run; whoever trusts it gives the "
-                "model, as --model module:attribute or model=..."
+                "model, as `model=module:attribute`"
             )
         factory, name = _source.system(made.get("system")), str(made.get("system"))
         with np.errstate(all="ignore"):  # parameters may make numbers infinite, which later checks find

@@ -72,7 +72,7 @@ class OpenNumber(NamedTuple):
 
     @property
     def name(self) -> str:
-        """Name as in `--parameters`, such as `friction.elbow.coulomb`."""
+        """Name as in `parameters` of `fit`, such as `friction.elbow.coulomb`."""
         return ".".join(part for part in (self.group, self.target, self.number) if part)
 
 

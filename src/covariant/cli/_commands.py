@@ -1,0 +1,324 @@
+"""The commands: each is a verb of `covariant.workflow`, with what only the command line has, such as files to write."""
+
+import os
+import sys
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from covariant import workflow
+from covariant.cli import _parse
+from covariant.cli._console import progress_bar, show
+from covariant.cli._options import COLUMNS, FLAG, PATH, TEXT, Kind, Option, flags_of, in_options, of_verb
+from covariant.cli._signature import REQUIRED, signature
+from covariant.logs import WRITTEN
+from covariant.observers import OBSERVER_NAMES, STATE_OBSERVER_NAMES
+from covariant.workflow import FIGURES, TABLES, check_model_output, check_output
+
+
+@dataclass(frozen=True)
+class Command:
+    """A command. Its options are the arguments of its verb, its own ones, and `--json`.
+
+    Attributes:
+        verb: Name of a function of `covariant.workflow`.
+        name: Name of the command, with its group where it is in one; by default that of the verb.
+        own: Options that the verb does not have. A file to write, with `suffixes`, is checked before the verb runs.
+        changes: Fields of the options of the verb, by the name of the argument, that are otherwise here.
+        run: What calls the verb and shows the result; gets an `Invocation` and the values of `own`.
+        exit_code: The exit code of a result; a result that is false there gives 0.
+        note: What the help says beside the first paragraph of the verb's docstring.
+    """
+
+    verb: str
+    name: str = ""
+    own: tuple[Option, ...] = ()
+    changes: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    run: Callable[..., Any] = lambda call, **places: call.show(call(), **places)
+    exit_code: Callable[[Any], int] = lambda result: 0
+    note: str = ""
+
+    @property
+    def options(self) -> list[Option]:
+        """All options in the order of the help."""
+        json = Option("json", FLAG, "Print one JSON object for machines.", False, ("--json",))
+        return [*of_verb(self.verb, self.changes), *self.own, json]
+
+    def __call__(self, values: dict[str, Any]) -> int:
+        """Run the command with what typer read for each option; returns the exit code."""
+        options = self.options
+        flags = flags_of(options)
+        try:
+            read = {option.name: option.read(values[option.name]) for option in options}
+            json, own = read.pop("json"), {option.name: read.pop(option.name) for option in self.own}
+            for option in self.own:
+                overwrite = option.name != "out" or own.get("overwrite", True)
+                if option.suffixes:
+                    check_output(own[option.name], *option.suffixes, log=read.get("log"), overwrite=overwrite)
+            given = {name: value for name, value in read.items() if value is not None}
+            result = self.run(Invocation(self.verb, json, given, flags), **own)
+            return int(self.exit_code(result))
+        except ValueError as error:
+            error.args = (in_options(str(error), flags),)
+            raise
+
+
+@dataclass(frozen=True)
+class Invocation:
+    """A verb with the arguments that the command line gave.
+
+    Attributes:
+        verb: Name of the verb.
+        json: Whether the result is printed as a JSON object.
+        values: The arguments that were given, by name; a field of `columns` has its own name.
+        flags: How the options of the command are typed, for messages.
+    """
+
+    verb: str
+    json: bool
+    values: dict[str, Any]
+    flags: Mapping[str, str]
+
+    def __call__(self, verb: str = "", **more: Any) -> Any:
+        """Call the verb, or another one with those of the arguments that it has, and show the progress."""
+        verb = verb or self.verb
+        known = signature(verb).arguments
+        arguments = {name: value for name, value in (self.values | more).items() if name in known}
+        if "columns" in known:
+            arguments["columns"] = {name: self.values[name] for name in COLUMNS if name in self.values}
+        with progress_bar(self.json) as progress:
+            if signature(verb).progress:
+                arguments["progress"] = progress
+            return getattr(workflow, verb)(**arguments)
+
+    def show(self, result: Any, *places: Any, **named: Any) -> Any:
+        """Print and save a result; returns it."""
+        show(result, self.json, *places, words=self.words, **named)
+        return result
+
+    def words(self, text: str) -> str:
+        """Text of the library in the words of the command line."""
+        return in_options(text, self.flags)
+
+
+def _estimate(call: Invocation, smooth: bool, lag: float | None, **places: Any) -> Any:
+    if smooth or lag is not None:
+        raise ValueError(
+            "estimate knows the rows before each only; `covariant smooth MODEL LOG`, with --lag SECONDS or all rows "
+            "after each, writes smoothed estimates and those of the filter beside them"
+        )
+    return call.show(call(), **places)
+
+
+def _compare(call: Invocation, force: str | None, report: Path | None, out: Path | None) -> Any:
+    if force is not None and report is not None:
+        raise ValueError("--report: forces have no page; give -o TABLE.csv, or leave out --force")
+    return call.show(call() if force is None else call("compare_force", force=force), out, report)
+
+
+def _fit(call: Invocation, out: Path | None, overwrite: bool) -> Any:
+    model, parameters = call.values["model"], call.values["parameters"].split(",")
+    inertias = any(name.strip().removeprefix("parameters.").split(".")[0] == "inertia" for name in parameters)
+    check_model_output(model, out, overwrite, urdf=inertias and not model.endswith(".xml"))
+    result = call()
+    return call.show(result, out if result.better else None, overwrite=overwrite)
+
+
+def _tune(call: Invocation, out: Path | None, report: Path | None, overwrite: bool) -> Any:
+    check_model_output(call.values["model"], out, overwrite)
+    return call.show(call(), out, report, overwrite=overwrite)
+
+
+def _init(call: Invocation, out: Path) -> Any:
+    if out.exists():
+        raise ValueError(f"{out}: there is such a file already, and it is not overwritten; give another name")
+    return call.show(call(), out)
+
+
+def _audit(call: Invocation, out: Path | None) -> Any:
+    page, figure = (out, None) if out is not None and out.suffix == ".html" else (None, out)
+    return call.show(call(), report=page, figure=figure)
+
+
+def _export(call: Invocation) -> Any:
+    result = call()
+    # On standard error, so that --json prints its object alone.
+    for warning in result.warnings:
+        print(f"covariant: warning: {call.words(warning)}", file=sys.stderr)
+    return call.show(result)
+
+
+def _certify(call: Invocation, out: Path | None, figure: Path | None, check: Path | None, given: str | None) -> Any:
+    if given is not None and check is None:
+        raise ValueError("--model goes with --check FILE; the model to certify is the first argument")
+    if ("model" in call.values) == (check is not None):
+        raise ValueError("give a model to certify, or --check FILE to verify a saved certificate")
+    if check is not None:
+        if not check.exists():
+            raise ValueError(f"{check} does not exist; give the path of a saved certificate")
+        return call.show(call("check_certificate", path=check, model=given))
+    if figure is not None and "interval" in call.values:
+        raise ValueError("--figure is for certificates in continuous time; leave --interval out")
+    result = call()
+    return call.show(result, None if result.wrong else out, figure=figure)
+
+
+def _metric(call: Invocation) -> Any:
+    check_output(call.values["store"], ".zarr", store=True)
+    try:
+        result = call()
+    except KeyboardInterrupt as stopped:
+        print(f"covariant: {stopped}", file=sys.stderr)
+        # 128 + 2, what shells report of a process that SIGINT ended.
+        raise SystemExit(130) from None
+    return call.show(result)
+
+
+def _output(help: str, *suffixes: str, needed: bool = False, **more: Any) -> Option:
+    """Option of the file to write."""
+    help = f"{help} ({', '.join(suffixes)})."
+    return Option("out", PATH, help, REQUIRED if needed else None, ("-o", "--out"), suffixes=suffixes)._replace(**more)
+
+
+MODEL_FILE = _output("Write the model file with the new numbers here", ".toml", suffixes=())
+REPORT = Option(
+    "report",
+    PATH,
+    "Write an interactive page (.html) and PNG figures beside it.",
+    flags=("--report",),
+    suffixes=(".html",),
+)
+OVERWRITE = Option("overwrite", FLAG, "Let --out replace a file that exists.", False, ("--overwrite",))
+LISTED = {
+    "observer": {
+        "help": f"One of: {', '.join(OBSERVER_NAMES)}; intrinsic by default. For a state-space model: "
+        f"{', '.join(STATE_OBSERVER_NAMES)}."
+    }
+}
+"""The option `observer` of commands that take all of them."""
+SEVERAL = {"kind": Kind(list[Path], _parse.log_paths, "LOG...")}
+
+COMMANDS = (
+    Command(
+        "estimate",
+        own=(
+            _output("Write the estimate here", *WRITTEN),
+            REPORT,
+            Option("smooth", FLAG, default=False, flags=("--smooth",), hidden=True),
+            Option("lag", Kind(float), flags=("--lag",), hidden=True),
+        ),
+        changes=LISTED,
+        run=_estimate,
+    ),
+    Command("smooth", own=(_output("Write the estimate here", *WRITTEN), REPORT)),
+    Command(
+        "compare",
+        own=(
+            _output("Write the table here", ".csv"),
+            REPORT,
+            Option(
+                "force",
+                TEXT,
+                "Columns of true external forces: estimates of these are compared, and not velocities.",
+                flags=("--force",),
+            ),
+        ),
+        run=_compare,
+    ),
+    Command("check", exit_code=lambda result: bool(result.wrong), note="Exit code 1 where something is wrong."),
+    Command(
+        "fit",
+        own=(MODEL_FILE, OVERWRITE),
+        changes={"log": SEVERAL | {"help": "Logs to fit; the last of several, or the last third of one, is held out."}},
+        run=_fit,
+        exit_code=lambda result: result.exit_code,
+        note="Exit code 1 where the fitted model predicts worse than before what is held out; it is not written then.",
+    ),
+    Command(
+        "tune",
+        own=(MODEL_FILE._replace(flags=("-o", "--out", "--write")), REPORT, OVERWRITE),
+        changes={"log": SEVERAL | {"help": "Logs; the last third of each is held out to judge by."}},
+        run=_tune,
+    ),
+    Command(
+        "init",
+        own=(_output("Model file to write, which must not exist", ".toml", needed=True),),
+        run=_init,
+        note="What is guessed is said in its comments.",
+    ),
+    Command(
+        "simulate",
+        own=(_output("Log to write", *WRITTEN, needed=True),),
+        note="The log has the true state beside the measurements.",
+    ),
+    Command("describe_model", "model"),
+    Command("cite", own=(_output("Write the BibTeX entries here", ".bib"),), changes=LISTED),
+    Command("doctor", exit_code=lambda result: bool(result.problems), note="Exit code 1 on a problem."),
+    Command(
+        "reproduce_paper",
+        "reproduce",
+        own=(_output("Write the paper's figure here", ".png", name="figure"), REPORT),
+    ),
+    Command(
+        "audit_observer",
+        "audit",
+        own=(_output("Write a page or its figure here", ".html", *FIGURES, flags=("-o", "--out", "--html")),),
+        run=_audit,
+        exit_code=lambda result: not result.passed,
+        note="Exit code 1 where a law is broken.",
+    ),
+    Command(
+        "export",
+        changes=LISTED
+        | {"parameters": {"help": "Numbers of the model that may be changed at run time; all by default, or none."}},
+        run=_export,
+    ),
+    Command(
+        "certify",
+        own=(
+            _output("Write the certificate here", ".json"),
+            Option(
+                "figure",
+                PATH,
+                "Draw region, tube, distances and gains here (.png).",
+                flags=("--figure",),
+                suffixes=FIGURES,
+            ),
+            Option("check", PATH, "Verify this saved certificate instead.", flags=("--check",)),
+            Option(
+                "given",
+                TEXT,
+                "With --check: the module:attribute of a model that is not covariant's own.",
+                flags=("--model",),
+            ),
+        ),
+        changes={"model": {"default": None}, "processes": {"default": os.cpu_count() or 1}},
+        run=_certify,
+        exit_code=lambda result: (
+            not (result.verified if isinstance(result, workflow.CertificateCheckResult) else result.holds)
+        ),
+        note="Angles are in radians. Exit code 0 proved or verified, 1 wrong, undecided or refused, 2 bad input.",
+    ),
+    Command(
+        "design_metric",
+        "design metric",
+        changes={"start": {"flags": ("--start",)}},
+        run=_metric,
+        note="A run that was stopped goes on where it was.",
+    ),
+    Command(
+        "design_excitation",
+        "design excitation",
+        own=(
+            _output("Motion and torques to write", *TABLES, needed=True),
+            Option(
+                "figure", PATH, "Draw the motion and its limits here (.png).", flags=("--figure",), suffixes=FIGURES
+            ),
+            OVERWRITE,
+        ),
+        note="Collisions are not looked at.",
+    ),
+    Command("design_reduced_order", "design reduced-order"),
+)
+"""All commands, in the order of the help. A verb whose arguments are all that its command has is one line here."""

@@ -1,0 +1,78 @@
+"""What a verb of `covariant.workflow` takes, read from its source: to import it would load JAX before help is shown.
+
+The first sentence of each entry under `Args:` is the help of its option, and the annotation decides how it is read.
+"""
+
+import ast
+import functools
+import re
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from covariant import workflow
+
+REQUIRED = object()
+"""Default of an argument that has none."""
+ENTRY = re.compile(r"^    (\w+(?:, \w+)*): (.*(?:\n {8}.*)*)", re.MULTILINE)
+"""An entry under `Args:`: its names, and its text."""
+
+
+class Argument(NamedTuple):
+    """An argument of a verb: its annotation without `| None`, its default or `REQUIRED`, and its docstring entry."""
+
+    annotation: str
+    default: Any
+    text: str
+
+
+class VerbSignature(NamedTuple):
+    """The first paragraph of a verb's docstring, its arguments by name, and whether it reports its progress."""
+
+    summary: str
+    arguments: dict[str, Argument]
+    progress: bool
+
+
+@functools.cache
+def signature(verb: str) -> VerbSignature:
+    """Read the signature and the docstring of a verb."""
+    source = (_folder() / f"{_files()[verb]}.py").read_text(encoding="utf-8")
+    head = re.search(rf'^def {verb}\(.*?""".*?"""', source, re.MULTILINE | re.DOTALL)
+    assert head, f"{verb} has no docstring"
+    definition: Any = ast.parse(head[0]).body[0]
+    documentation = ast.get_docstring(definition) or ""
+    summary, _, rest = documentation.partition("\n\n")
+    entries = ENTRY.findall(rest.partition("Args:\n")[2].partition("\n\n")[0])
+    texts = {name: " ".join(text.split()) for names, text in entries for name in names.split(", ")}
+    given = definition.args
+    defaults = [None] * (len(given.args) - len(given.defaults)) + given.defaults + given.kw_defaults
+    nodes = {node.arg: (node, default) for node, default in zip(given.args + given.kwonlyargs, defaults, strict=True)}
+    progress = nodes.pop("progress", None) is not None
+    arguments = {
+        name: Argument(
+            ast.unparse(node.annotation).removesuffix(" | None"),
+            REQUIRED if default is None else ast.literal_eval(default),
+            _text(texts[name], name),
+        )
+        for name, (node, default) in nodes.items()
+    }
+    return VerbSignature(" ".join(summary.split()), arguments, progress)
+
+
+def _text(text: str, name: str) -> str:
+    """Text of an entry; "As for `estimate`" refers to the entry of the same name there."""
+    other = re.match(r"As for `(\w+)`", text)
+    return signature(other[1]).arguments[name].text if other else text
+
+
+def _folder() -> Path:
+    return Path(workflow.__path__[0])
+
+
+@functools.cache
+def _files() -> dict[str, str]:
+    """The module of each public name of `covariant.workflow`."""
+    stub = ast.parse((_folder() / "__init__.pyi").read_text(encoding="utf-8"))
+    return {
+        alias.name: node.module or "" for node in stub.body if isinstance(node, ast.ImportFrom) for alias in node.names
+    }

@@ -1,0 +1,104 @@
+"""Options are made from the signatures of verbs, and messages that name arguments of Python name the options."""
+
+import inspect
+import sys
+
+import pytest
+
+from covariant import workflow
+from covariant.cli import main
+from covariant.cli._commands import COMMANDS
+from covariant.cli._options import COLUMNS, in_options
+from covariant.cli._signature import REQUIRED, signature
+
+FLAGS = {"alpha": "--alpha", "start": "--from", "overwrite": "--overwrite", "parameters": "--parameters"}
+FLAGS |= {'columns["q"]': "--q", "overrides": "--set"}
+
+
+@pytest.mark.parametrize("verb", [command.verb for command in COMMANDS] + ["compare_force", "check_certificate"])
+def test_a_signature_that_is_read_from_source_is_that_of_the_function(verb):
+    read = signature(verb)
+    parameters = dict(inspect.signature(getattr(workflow, verb)).parameters)
+    assert read.progress == (parameters.pop("progress", None) is not None)
+    assert [*read.arguments] == [*parameters]
+    for name, argument in read.arguments.items():
+        default = parameters[name].default
+        assert argument.default == (REQUIRED if default is inspect.Parameter.empty else default)
+        assert argument.text.endswith((".", "…"))
+
+
+@pytest.mark.parametrize("command", COMMANDS, ids=lambda command: command.verb)
+def test_each_argument_has_one_option_and_each_option_a_help(command):
+    options = command.options
+    names = [option.name for option in options]
+    assert len(names) == len({*names})
+    assert {*signature(command.verb).arguments} - {*names} <= {"columns"}
+    assert all(option.help or option.hidden for option in options)
+    assert ("columns" in signature(command.verb).arguments) == ({"t", "q", "u"} <= {*names})
+
+
+def test_every_verb_has_a_command():
+    verbs = {name for name in workflow.__all__ if name.islower() and not name.startswith("check_")}
+    assert verbs - {"compare_force"} == {command.verb for command in COMMANDS}
+    assert set(COLUMNS) == {"t", "q", "u", "v", "truth"}
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("`alpha` must be positive", "--alpha must be positive"),
+        ("use `start=2`, or say `overwrite=True`", "use --from 2, or say --overwrite"),
+        ("none by `parameters=[]`", "none by --parameters none"),
+        ('name them by `columns["q"]`', "name them by --q"),
+        ("by `overrides`", "by --set"),
+        ("give `overrides=['a.b=1', 'c=[\"d\"]']`", "give --set a.b=1 --set 'c=[\"d\"]'"),
+        ("alpha and `beta`, and `covariant check m.toml`", "alpha and `beta`, and `covariant check m.toml`"),
+    ],
+)
+def test_arguments_in_a_message_become_options(text, expected):
+    assert in_options(text, FLAGS) == expected
+
+
+@pytest.mark.parametrize(
+    ("call", "words", "of_python", "on_the_command_line"),
+    [
+        (
+            lambda: workflow.estimate("oscillator", "log.csv", alpha=1.0),
+            "estimate oscillator log.csv --alpha 1",
+            "`alpha` and `beta` belong together",
+            "--alpha and --beta belong together",
+        ),
+        (
+            lambda: workflow.smooth("oscillator", "log.csv", lag=-1.0),
+            "smooth oscillator log.csv --lag -1",
+            "`lag` must be a time",
+            "--lag must be a time",
+        ),
+        (
+            lambda: workflow.init("log.csv", columns={"q": "q1"}),
+            "init log.csv --q q1 -o model.toml",
+            'name the one of the stamps by `columns["t"]`',
+            "name the one of the stamps by --t",
+        ),
+        (
+            lambda: workflow.estimate("oscillator", "log.csv", columns={"t": "a", "q": "q1", "u": "b"}),
+            "estimate oscillator log.csv --t a --q q1 --u b",
+            "`overrides=['measurement.std=NUMBER', 'uncertainty.acceleration=NUMBER']`",
+            "--set measurement.std=NUMBER --set uncertainty.acceleration=NUMBER",
+        ),
+    ],
+)
+def test_a_function_and_its_command_say_what_to_give_each_in_its_words(
+    tmp_path, monkeypatch, capsys, call, words, of_python, on_the_command_line
+):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "log.csv").write_text("a,b,q1\n0,0,0.1\n1,1,0\n2,2,0.1\n")
+    with pytest.raises(ValueError) as refused:  # noqa: PT011  the text is compared below
+        call()
+    assert of_python in str(refused.value)
+    assert "--" not in str(refused.value)
+    monkeypatch.setattr(sys, "argv", ["covariant", *words.split()])
+    with pytest.raises(SystemExit) as left:
+        main()
+    assert left.value.code == 2
+    assert on_the_command_line in capsys.readouterr().err
