@@ -19,7 +19,7 @@ ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src" / "covariant"
 
 PLAN = (
-    "_programs _compile _typing _gauss_markov _functional _files _optional _numbers signals scoring _linalg "
+    "_programs _compile _typing _gauss_markov _functional _files _templates _optional _numbers signals scoring _linalg "
     "_integrate _adaptive lowering logs geometry models metrics observers simulation "
     "proofs certificates calibration codegen engine report papers workflow cli"
 )
@@ -132,7 +132,8 @@ PUBLIC = {
 }
 
 
-FILES = sorted(SOURCE.rglob("*.py"))
+FILES = sorted(path for path in SOURCE.rglob("*.py") if path.parent.name != "templates")
+"""The modules of the library; a template is one of another program."""
 
 
 @functools.cache
