@@ -8,8 +8,9 @@ from covariant import lowering
 
 FILES = sorted(Path(lowering.__file__).parent.glob("*.py"))
 PACKAGES = {"jax", "lazy_loader", "numpy"}
-OTHERS = {"_c_intervals.py": {"covariant._compile"}}
-"""Modules of the library outside the room that a file may import: the cache of compiled C, which all rooms share."""
+OTHERS = {"_c_intervals.py": {"covariant._compile", "covariant._templates"}, "_c_rows.py": {"covariant._templates"}}
+"""Modules of the library outside the room that a file may import, which all rooms share: the cache of compiled C, and
+templates."""
 
 
 def imported(path: Path) -> set[str]:

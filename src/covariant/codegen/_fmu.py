@@ -300,7 +300,7 @@ def _add_arrays(root: Element, variables: Sequence[UnitVariable]) -> None:
 
 
 def _add_scalars(root: Element, variables: Sequence[UnitVariable]) -> None:
-    """Variables of FMI 2.0, one for each entry; an output is named by its index, which counts from one."""
+    """Variables of FMI 2.0, one for each entry."""
     listed, structure = SubElement(root, "ModelVariables"), SubElement(root, "ModelStructure")
     entries_of = [(v, k) for v in variables for k in range(v.size)]
     for reference, (v, k) in enumerate(entries_of):
@@ -309,6 +309,7 @@ def _add_scalars(root: Element, variables: Sequence[UnitVariable]) -> None:
         variable = SubElement(listed, "ScalarVariable", _attributes(v, f"{v.name}{place}", reference))
         SubElement(variable, "Real", _start(v, v.start[k : k + 1]))
     SubElement(SubElement(listed, "ScalarVariable", OUTCOME, valueReference="0"), "Integer")
+    # An output is named by its place in the list, which counts from one.
     outputs = [k for k, (v, _) in enumerate(entries_of, start=1) if v.causality == "output"]
     for tag in ("Outputs", "InitialUnknowns"):
         unknowns = SubElement(structure, tag)

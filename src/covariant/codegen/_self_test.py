@@ -4,8 +4,9 @@ import numpy as np
 
 from covariant._templates import Words, fill
 from covariant.codegen._program import Program
-from covariant.codegen._source import entries, number
+from covariant.codegen._source import entries
 from covariant.codegen._vectors import Vectors
+from covariant.lowering import c_number
 
 
 def write_test(program: Program, words: Words, vectors: Vectors) -> str:
@@ -18,7 +19,7 @@ def write_test(program: Program, words: Words, vectors: Vectors) -> str:
 
     def row(values: np.ndarray) -> str:
         # C has no array of zero numbers.
-        return ", ".join(number(float(v), program.real) for v in values) or number(0.0, program.real)
+        return ", ".join(c_number(float(v), program.real) for v in values) or c_number(0.0, program.real)
 
     def table(name: str, values: np.ndarray) -> list[str]:
         return [
@@ -31,13 +32,14 @@ def write_test(program: Program, words: Words, vectors: Vectors) -> str:
     own = {
         "ROWS": len(vectors.y),
         "NUMBERS": len(shown),
-        "ZERO": number(0.0, program.real),
+        "ZERO": c_number(0.0, program.real),
         "START": row(vectors.start),
         "STEPS": row(vectors.dt),
         "INPUT_ROWS": table("inputs", vectors.u),
         "MEASURED_ROWS": table("measured", vectors.y),
         "MISSING": [missing],
         "EXPECTED": table("expected", vectors.expected),
+        # A multiple, since a compiler may fuse products and sums, and so round differently from all of these runs.
         "ALLOWED": table("allowed", vectors.allowed),
         "OUTCOMES": ", ".join(map(str, vectors.result.tolist())),
         "READ": [f"        found[{i}] = {e};" for i, e in enumerate(shown)],

@@ -147,16 +147,6 @@ def field(leaf: Leaf) -> str:
     return f"{leaf.name}_" if leaf.name in KEYWORDS else leaf.name
 
 
-def number(value: float, real: Real) -> str:
-    """A number as a constant in C.
-
-    Args:
-        value: The number.
-        real: Its type, "double" or "float".
-    """
-    return c_number(value, real)
-
-
 def common_words(program: Program, name: str, about: str) -> Words:
     """Texts that templates of several languages have in common."""
     return {
@@ -275,7 +265,7 @@ def _source(program: Program, words: Words, functions: dict[str, CText]) -> str:
     helpers = c_helpers(frozenset().union(*(text.helpers for text in functions.values())), real, name)
     told = [zip(entries("output->", leaf), entries("state->", leaf.last), strict=True) for leaf in program.told]
     inputs = {
-        "NO_INPUT": [f"    const {name}real none[{program.u}] = {{{number(0.0, real)}}};"] if program.u else [],
+        "NO_INPUT": [f"    const {name}real none[{program.u}] = {{{c_number(0.0, real)}}};"] if program.u else [],
         "ACTING": "u != NULL ? u : none" if program.u else "u",
     }
     own = {
@@ -289,13 +279,15 @@ def _source(program: Program, words: Words, functions: dict[str, CText]) -> str:
         "COPIED": [f"    {output} = {state};" for pairs in told for output, state in pairs],
         "PART_STEPS": _part_steps(program, words | inputs, "part_step.c"),
     }
+    # In the template, y - y is 0 for finite y and NaN for all others, without a function of <math.h>. It refuses
+    # -ffast-math, by which compilers assume that no number is NaN and drop the tests for missing measurements.
     return fill("codegen", "observer.c", words | inputs | own)
 
 
 def _defaults(program: Program) -> str:
     lines = []
     for key, value in program.numbers.items():
-        digits = ", ".join(number(v, program.real) for v in np.ravel(value).tolist())
+        digits = ", ".join(c_number(v, program.real) for v in np.ravel(value).tolist())
         lines.append(f"    {'{' + digits + '}' if np.ndim(value) else digits} /* {key} */")
     return ",\n".join(lines) or "    0"
 
