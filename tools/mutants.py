@@ -123,6 +123,7 @@ RELEVANT = {
     "calibration/test_tune",
     "codegen/_fm*.py": "codegen/test_fmu",
     "codegen/_python_control.py": "codegen/test_python_control",
+    "codegen/templates/*": "codegen/test_python_package",
     "codegen/*": "codegen/test_export",
     "engine/_cache*.py": "engine/test_cache",
     "engine/*": "engine/test_engine engine/test_in_jax",

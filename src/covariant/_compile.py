@@ -9,7 +9,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TypeVar
 
@@ -71,6 +71,29 @@ def compiler_command() -> list[str] | None:
 def zig() -> list[str] | None:
     """Command of the C compiler in the package ziglang; None where it is not installed."""
     return [sys.executable, "-m", "ziglang", "cc"] if importlib.util.find_spec("ziglang") else None
+
+
+def built(command: Sequence[str], flags: Sequence[str], files: Mapping[str, str | bytes], what: str) -> bytes:
+    """Compile the C sources among some files into one library, and return its content.
+
+    Args:
+        command: Command of the compiler.
+        flags: Its flags.
+        files: Sources and headers by path.
+        what: What is compiled, for the message.
+
+    Raises:
+        OSError: The compiler does not accept the sources.
+    """
+    with tempfile.TemporaryDirectory() as place:
+        for path, content in files.items():
+            (Path(place) / path).parent.mkdir(exist_ok=True)
+            (Path(place) / path).write_bytes(content.encode() if isinstance(content, str) else content)
+        words = [*command, *flags, *(path for path in files if path.endswith(".c")), "-lm", "-o", "made"]
+        done = subprocess.run(words, cwd=place, capture_output=True, text=True, check=False)
+        if done.returncode:
+            raise OSError(f"{' '.join(command)} does not compile {what}: {done.stderr.strip()[:200]}")
+        return (Path(place) / "made").read_bytes()
 
 
 def compiled(source: str, flags: Sequence[str], load: Callable[[str], Library]) -> Library:

@@ -168,7 +168,7 @@ def test_a_unit_does_what_ran(ran, tmp_path):
 @needs_compiler
 def test_webassembly_does_what_ran(folder, tmp_path):
     try:
-        _wasm._compiled({"a.c": "int a;", "calls.c": "#include <math.h>\nint b;"}, "a")
+        _wasm._compiled({"a.c": "int a;", "calls.c": "#include <math.h>\nint b;"})
     except ValueError:
         pytest.skip("there is no compiler for WebAssembly")
     if shutil.which("node") is None:

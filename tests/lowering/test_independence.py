@@ -8,8 +8,13 @@ from covariant import lowering
 
 FILES = sorted(Path(lowering.__file__).parent.rglob("*.py"))
 PACKAGES = {"jax", "lazy_loader", "numpy"}
-OTHERS = {"__init__.py": {"covariant._rooms"}, "_c_intervals.py": {"covariant._compile"}}
-"""Modules of the library outside the room that a file may import: how a room loads, and the cache of compiled C."""
+OTHERS = {
+    "__init__.py": {"covariant._rooms"},
+    "_c_intervals.py": {"covariant._compile", "covariant._templates"},
+    "_c_rows.py": {"covariant._templates"},
+}
+"""Modules of the library outside the room that a file may import, which all rooms share: how a room loads, the cache of
+compiled C, and templates."""
 
 
 def imported(path: Path) -> set[str]:

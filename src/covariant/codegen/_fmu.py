@@ -8,21 +8,21 @@ Source: Modelica Association 2022, Functional Mock-up Interface Specification 3.
 
 import hashlib
 import platform
-import subprocess
-import tempfile
+import re
 import uuid
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Literal, NamedTuple
-from xml.sax.saxutils import quoteattr
+from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 import numpy as np
 
-from covariant._compile import NO_COMPILER, compiler_command
+from covariant._compile import NO_COMPILER, built, compiler_command
 from covariant._files import write_atomically, zipped
-from covariant.codegen._fmu_c import unit_source
+from covariant._templates import Words, fill, template
 from covariant.codegen._program import Program
-from covariant.codegen._source import write_source
+from covariant.codegen._source import common_words, entries, write_source
+from covariant.lowering import c_number
 from covariant.signals import Result
 
 Version = Literal["3.0", "2.0"]
@@ -37,7 +37,20 @@ PLACES = {
 }
 """Folders of binaries, by version, system and machine."""
 
-OUTCOMES = "; ".join(f"{int(result)} {result.name}: {result.message}" for result in Result)
+SPELLINGS = {
+    "3.0": {"FMI": "fmi3", "STATE": "State", "DE": "Deserialize", "BYTE": "uint8_t"},
+    "2.0": {"FMI": "fmi2", "STATE": "state", "DE": "DeSerialize", "BYTE": "char"},
+}
+"""How functions that both versions have are spelled in each."""
+ABLE = ("canGetAndSet", "canSerialize")
+OUTCOME = {
+    "name": "outcome",
+    "description": "; ".join(f"{int(result)} {result.name}: {result.message}" for result in Result),
+    "causality": "output",
+    "variability": "discrete",
+}
+_TOKEN = "@TOKEN@"
+"""Stands for the token, which is a hash of the texts that have it."""
 
 
 class UnitVariable(NamedTuple):
@@ -121,19 +134,18 @@ def fmu(program: Program, name: str, about: str, rate: float, y: np.ndarray, ver
     about = " ".join(about.replace("*/", "").split())
     source = write_source(program, name, about)
     variables = list(_variables(program, y))
-    sizes, starts = [v.size for v in variables], [value for v in variables for value in v.start]
-    token = "@TOKEN@"
+    words = common_words(program, name, about) | {"TOKEN": _TOKEN}
     drafts = {
         f"sources/{name}.h": source.header,
         f"sources/{name}.c": source.source,
-        f"sources/{name}_fmu.c": unit_source(program, name, version, token, sizes, starts),
-        "modelDescription.xml": _describe(name, about, rate, variables, version, token),
+        f"sources/{name}_fmu.c": _unit_source(program, words, variables, version),
+        "modelDescription.xml": _describe(name, about, rate, variables, version),
     }
     if version == "3.0":
-        drafts["sources/buildDescription.xml"] = _BUILD.replace("@NAME@", name)
+        drafts["sources/buildDescription.xml"] = fill("codegen", "build.xml", words)
     # A token by content, not at random: equal units are equal files, and description and binary fit together.
     identifier = uuid.uuid5(uuid.NAMESPACE_OID, hashlib.sha256("".join(drafts.values()).encode()).hexdigest())
-    files = {path: text.replace(token, f"{{{identifier}}}").encode() for path, text in drafts.items()}
+    files = {path: text.replace(_TOKEN, f"{{{identifier}}}").encode() for path, text in drafts.items()}
     place = PLACES.get((version, platform.system(), platform.machine()))
     if place is None:
         return Unit(files, f"FMI {version} names no binary of {platform.system()} on {platform.machine()}")
@@ -141,7 +153,7 @@ def fmu(program: Program, name: str, about: str, rate: float, y: np.ndarray, ver
     if command is None:
         return Unit(files, NO_COMPILER)
     suffix = "dylib" if platform.system() == "Darwin" else "so"
-    return Unit(files | {f"binaries/{place}/{name}.{suffix}": _compiled(command, files, name)}, "")
+    return Unit(files | {f"binaries/{place}/{name}.{suffix}": built(command, FLAGS, files, "the unit")}, "")
 
 
 def write_fmu(unit: Unit, path: Path, overwrite: bool = False) -> None:
@@ -170,19 +182,6 @@ def write_fmu(unit: Unit, path: Path, overwrite: bool = False) -> None:
     write_atomically(path, lambda file: file.write(zipped(unit.files)))
 
 
-def _compiled(command: Sequence[str], files: dict[str, bytes], name: str) -> bytes:
-    with tempfile.TemporaryDirectory() as folder:
-        for path, content in files.items():
-            (Path(folder) / path).parent.mkdir(exist_ok=True)
-            (Path(folder) / path).write_bytes(content)
-        sources = [f"sources/{name}.c", f"sources/{name}_fmu.c"]
-        words = [*command, *FLAGS, *sources, "-lm", "-o", "made"]
-        run = subprocess.run(words, cwd=folder, capture_output=True, text=True, check=False)
-        if run.returncode:
-            raise OSError(f"{' '.join(command)} does not compile the unit: {run.stderr.strip()[:200]}")
-        return (Path(folder) / "made").read_bytes()
-
-
 def _variables(program: Program, y: np.ndarray) -> Iterator[UnitVariable]:
     """The variables in the order of their numbers in C."""
     beside = "".join(f", then {count} of {name}" for name, count in program.sensors)
@@ -205,104 +204,114 @@ def _listed(program: Program, array: str) -> str:
     return f": {names}" if names else ""
 
 
-def _describe(name: str, about: str, rate: float, variables: list[UnitVariable], version: Version, token: str) -> str:
+def _unit_source(program: Program, words: Words, variables: Sequence[UnitVariable], version: Version) -> str:
+    """The C source of a unit, beside that of the observer."""
+    parameters = [e for leaf in program.parameters for e in entries("params->", leaf)]
+    shown = [e for leaf in program.output for e in entries("output->", leaf)]
+    inputs = program.measurements + program.u
+    outputs = inputs + len(parameters)
+    starts = [value for variable in variables for value in variable.start]
+    sizes = [variable.size for variable in variables]
+    reads = [f"    {e} = ({words['NAME']}_real)m->numbers[{i}];" for i, e in enumerate(parameters, inputs)]
+    words = words | {
+        "INPUTS": inputs,
+        "OUTPUTS": outputs,
+        "NUMBERS": outputs + len(shown),
+        "VARIABLES": len(sizes),
+        "FIRSTS": ", ".join(map(str, np.cumsum([0, *sizes])[:-1].tolist())),
+        "SIZES": ", ".join(map(str, sizes)),
+        # Without parameters the structure has one unused member, which C demands, and m is not read.
+        "TAKEN": reads or ["    (void)m;", "    params->unused = 0;"],
+        "SHOWN": [f"    m->numbers[{i}] = (double){e};" for i, e in enumerate(shown, outputs)],
+        # `forget` sets all numbers to zero first.
+        "START": [f"    m->numbers[{i}] = {c_number(v)};" for i, v in enumerate(starts) if v != 0],
+        **SPELLINGS[version],
+    }
+    kind = f"fmi{version[0]}"
+    refused = re.findall(r"^(void \*|int )(\w+)\(([^)]*)\);$", template("codegen", f"{kind}_refused.h"), re.MULTILINE)
+    texts = [fill("codegen", "fmu.c", words), fill("codegen", f"{kind}.c", words)]
+    return "".join(texts) + "\n".join(_refused(*declared) for declared in refused)
+
+
+def _refused(kind: str, name: str, declared: str) -> str:
+    """A function that this unit does not have: it returns an error or, where nothing is asked for, none."""
+    types = [text.strip() for text in declared.split(",")]
+    arguments = ", ".join(f"{text} a{i}".replace("* ", "*") for i, text in enumerate(types))
+    ignored = "".join(f"    (void)a{i};\n" for i in range(len(types)))
+    # A function that asks for no values, n = 0, has nothing to refuse.
+    asked = f"a{types.index('size_t')} == 0 ? OK : ERROR" if "size_t" in types else "ERROR"
+    result = "NULL" if kind == "void *" else asked
+    return f"EXPORT {kind}{name}({arguments})\n{{\n{ignored}    return {result};\n}}\n"
+
+
+def _describe(name: str, about: str, rate: float, variables: list[UnitVariable], version: Version) -> str:
     """The description of the model as XML."""
-    body = _variables_3(variables) if version == "3.0" else _variables_2(variables)
-    token_name = "instantiationToken" if version == "3.0" else "guid"
-    state = "FMUState" if version == "3.0" else "FMUstate"
-    files = ""
-    if version == "2.0":
-        listed = "".join(f'<File name="{file}"/>' for file in (f"{name}.c", f"{name}_fmu.c"))
-        files = f"<SourceFiles>{listed}</SourceFiles>"
-    return (
-        '<?xml version="1.0" encoding="UTF-8"?>\n'
-        f'<fmiModelDescription fmiVersion="{version}" modelName="{name}" {token_name}="{token}"'
-        f' description={quoteattr(about)} generationTool="covariant" variableNamingConvention="structured">\n'
-        f'  <CoSimulation modelIdentifier="{name}" canHandleVariableCommunicationStepSize="true"'
-        f' canGetAndSet{state}="true" canSerialize{state}="true"{f">{files}</CoSimulation>" if files else "/>"}\n'
-        f"{_units(variables)}"
-        f'  <DefaultExperiment startTime="0" stepSize="{1 / rate!r}"/>\n'
-        f"{body}</fmiModelDescription>\n"
-    )
+    arrays = version == "3.0"
+    root = Element("fmiModelDescription", fmiVersion=version, modelName=name)
+    root.attrib |= {"instantiationToken" if arrays else "guid": _TOKEN, "description": about}
+    root.attrib |= {"generationTool": "covariant", "variableNamingConvention": "structured"}
+    abilities = ("canHandleVariableCommunicationStepSize", *(f"{can}FMU{SPELLINGS[version]['STATE']}" for can in ABLE))
+    unit = SubElement(root, "CoSimulation", {"modelIdentifier": name} | dict.fromkeys(abilities, "true"))
+    if not arrays:
+        sources = SubElement(unit, "SourceFiles")
+        for file in (f"{name}.c", f"{name}_fmu.c"):
+            SubElement(sources, "File", name=file)
+    units = dict.fromkeys(v.unit for v in variables if v.unit)
+    defined = SubElement(root, "UnitDefinitions") if units else root
+    for text in units:
+        SubElement(defined, "Unit", name=text)
+    SubElement(root, "DefaultExperiment", startTime="0", stepSize=repr(1 / rate))
+    (_add_arrays if arrays else _add_scalars)(root, variables)
+    indent(root)
+    return tostring(root, encoding="UTF-8", xml_declaration=True).decode() + "\n"
 
 
-def _units(variables: list[UnitVariable]) -> str:
-    """The definitions of the units that variables have."""
-    names = dict.fromkeys(v.unit for v in variables if v.unit)
-    listed = "".join(f"    <Unit name={quoteattr(name)}/>\n" for name in names)
-    return f"  <UnitDefinitions>\n{listed}  </UnitDefinitions>\n" if names else ""
+def _attributes(v: UnitVariable, name: str, reference: int) -> dict[str, str]:
+    about = {"description": v.about} if v.about else {}
+    variability = "tunable" if v.causality == "parameter" else "continuous"
+    return {
+        "name": name,
+        "valueReference": str(reference),
+        **about,
+        "causality": v.causality,
+        "variability": variability,
+    }
 
 
-def _variability(variable: UnitVariable) -> str:
-    return "tunable" if variable.causality == "parameter" else "continuous"
+def _start(v: UnitVariable, values: Sequence[float]) -> dict[str, str]:
+    """Unit and first values, in the spelling of xs:double in XML Schema."""
+    unit = {"unit": v.unit} if v.unit else {}
+    return unit | ({"start": " ".join("NaN" if np.isnan(x) else repr(float(x)) for x in values)} if v.start else {})
 
 
-def _start_text(value: float) -> str:
-    # The spelling of xs:double in XML Schema.
-    return "NaN" if np.isnan(value) else repr(float(value))
-
-
-def _variables_3(variables: list[UnitVariable]) -> str:
-    # References 0 and 1 are those of time and outcome, as `_fmi3` has them.
-    lines = ['    <Float64 name="time" valueReference="0" causality="independent" variability="continuous"/>']
-    lines.append(
-        f'    <Int32 name="outcome" valueReference="1" description={quoteattr(OUTCOMES)} causality="output"'
-        ' variability="discrete"/>'
-    )
+def _add_arrays(root: Element, variables: Sequence[UnitVariable]) -> None:
+    """Variables of FMI 3.0. References 0 and 1 are those of time and outcome, as `fmi3.c` has them."""
+    listed, structure = SubElement(root, "ModelVariables"), SubElement(root, "ModelStructure")
+    SubElement(listed, "Float64", name="time", valueReference="0", causality="independent", variability="continuous")
+    SubElement(listed, "Int32", OUTCOME, valueReference="1")
     for reference, v in enumerate(variables, start=2):
-        sides = "".join(f'<Dimension start="{side}"/>' for side in v.shape)
-        start = f' start="{" ".join(map(_start_text, v.start))}"' if v.start else ""
-        about = f" description={quoteattr(v.about)}" if v.about else ""
-        about += f" unit={quoteattr(v.unit)}" if v.unit else ""
-        head = f'    <Float64 name="{v.name}" valueReference="{reference}"{about} causality="{v.causality}"'
-        lines.append(f'{head} variability="{_variability(v)}"{start}' + (f">{sides}</Float64>" if sides else "/>"))
+        variable = SubElement(listed, "Float64", _attributes(v, v.name, reference) | _start(v, v.start))
+        for side in v.shape:
+            SubElement(variable, "Dimension", start=str(side))
     outputs = [1, *(k for k, v in enumerate(variables, start=2) if v.causality == "output")]
-    ends = [f'    <{tag} valueReference="{k}"/>' for tag in ("Output", "InitialUnknown") for k in outputs]
-    return "\n".join(
-        ["  <ModelVariables>", *lines, "  </ModelVariables>", "  <ModelStructure>", *ends, "  </ModelStructure>", ""]
-    )
+    for tag in ("Output", "InitialUnknown"):
+        for k in outputs:
+            SubElement(structure, tag, valueReference=str(k))
 
 
-def _variables_2(variables: list[UnitVariable]) -> str:
-    lines, outputs, reference = [], [], 0
-    for v in variables:
-        for k in range(v.size):
-            # FMI's structured names count from one.
-            place = f"[{','.join(str(i + 1) for i in np.unravel_index(k, v.shape))}]" if v.shape else ""
-            start = f' start="{_start_text(v.start[k])}"' if v.start else ""
-            start += f" unit={quoteattr(v.unit)}" if v.unit else ""
-            about = f" description={quoteattr(v.about)}" if v.about else ""
-            lines.append(
-                f'    <ScalarVariable name="{v.name}{place}" valueReference="{reference}"{about}'
-                f' causality="{v.causality}" variability="{_variability(v)}"><Real{start}/></ScalarVariable>'
-            )
-            reference += 1
-            if v.causality == "output":
-                # FMI 2.0 counts variables from one, so the index is the length so far.
-                outputs.append(len(lines))
-    lines.append(
-        f'    <ScalarVariable name="outcome" valueReference="0" description={quoteattr(OUTCOMES)} causality="output"'
-        ' variability="discrete"><Integer/></ScalarVariable>'
-    )
-    outputs.append(len(lines))
-    unknowns = "".join(f'<Unknown index="{k}"/>' for k in outputs)
-    return "\n".join(
-        [
-            *("  <ModelVariables>", *lines, "  </ModelVariables>", "  <ModelStructure>"),
-            f"    <Outputs>{unknowns}</Outputs>",
-            f"    <InitialUnknowns>{unknowns}</InitialUnknowns>",
-            *("  </ModelStructure>", ""),
-        ]
-    )
-
-
-_BUILD = """<?xml version="1.0" encoding="UTF-8"?>
-<fmiBuildDescription fmiVersion="3.0">
-  <BuildConfiguration modelIdentifier="@NAME@">
-    <SourceFileSet language="C99">
-      <SourceFile name="@NAME@.c"/>
-      <SourceFile name="@NAME@_fmu.c"/>
-    </SourceFileSet>
-  </BuildConfiguration>
-</fmiBuildDescription>
-"""
+def _add_scalars(root: Element, variables: Sequence[UnitVariable]) -> None:
+    """Variables of FMI 2.0, one for each entry."""
+    listed, structure = SubElement(root, "ModelVariables"), SubElement(root, "ModelStructure")
+    entries_of = [(v, k) for v in variables for k in range(v.size)]
+    for reference, (v, k) in enumerate(entries_of):
+        # FMI's structured names count from one.
+        place = f"[{','.join(str(i + 1) for i in np.unravel_index(k, v.shape))}]" if v.shape else ""
+        variable = SubElement(listed, "ScalarVariable", _attributes(v, f"{v.name}{place}", reference))
+        SubElement(variable, "Real", _start(v, v.start[k : k + 1]))
+    SubElement(SubElement(listed, "ScalarVariable", OUTCOME, valueReference="0"), "Integer")
+    # An output is named by its place in the list, which counts from one.
+    outputs = [k for k, (v, _) in enumerate(entries_of, start=1) if v.causality == "output"]
+    for tag in ("Outputs", "InitialUnknowns"):
+        unknowns = SubElement(structure, tag)
+        for k in [*outputs, len(entries_of) + 1]:
+            SubElement(unknowns, "Unknown", index=str(k))

@@ -73,6 +73,11 @@ class Leaf(NamedTuple):
         """Number of entries."""
         return int(np.prod(self.shape, dtype=int))
 
+    @property
+    def last(self) -> "Leaf":
+        """The array of a state that holds this one of the info of the last step."""
+        return self._replace(name=f"last_{self.name}")
+
 
 class Signals(NamedTuple):
     """Names of the numbers that an observer takes and gives, in their order, with units, for comments and texts.
@@ -157,8 +162,23 @@ class Program(NamedTuple):
     @property
     def parts(self) -> tuple[tuple[str, int], ...]:
         """Parts of a measurement by name, with their numbers: the configuration, and each sensor."""
-        rest = math.prod(self.y) - sum(count for _, count in self.sensors)
+        rest = self.measurements - sum(count for _, count in self.sensors)
         return ((CONFIGURATION, rest), *self.sensors)
+
+    @property
+    def parts_text(self) -> str:
+        """What a measurement consists of, in order, for comments."""
+        return ", then ".join(f"{count} of {part_text(name)}" for name, count in self.parts)
+
+    @property
+    def measurements(self) -> int:
+        """Count of numbers in a measurement."""
+        return math.prod(self.y)
+
+    @property
+    def parameters(self) -> list[Leaf]:
+        """The arrays of `numbers`."""
+        return [Leaf(name, np.shape(value)) for name, value in self.numbers.items()]
 
     @property
     def reported(self) -> list[Leaf]:
@@ -169,6 +189,21 @@ class Program(NamedTuple):
     def told(self) -> list[Leaf]:
         """Standard deviations and slow states, which belong to an estimate."""
         return [leaf for leaf in self.reported if leaf.name == "slow" or leaf.name.endswith("_std")]
+
+    @property
+    def stored(self) -> list[Leaf]:
+        """The arrays of a state as the code stores it, with what the last step reported."""
+        return [*self.state, *(leaf.last for leaf in self.reported)]
+
+    @property
+    def output(self) -> list[Leaf]:
+        """The arrays of an estimate as the code returns it."""
+        return [*self.x, *self.told]
+
+
+def part_text(part: str) -> str:
+    """A part of a measurement as in a sentence."""
+    return "the configuration" if part == CONFIGURATION else part
 
 
 def with_open_numbers(observer: AbstractObserver, fixed: Sequence[str] = ()) -> Recipe:

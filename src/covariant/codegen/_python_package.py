@@ -8,22 +8,17 @@ import hashlib
 import keyword
 import math
 import platform
-import subprocess
 import sys
 import sysconfig
-import tempfile
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 
 import numpy as np
 
-from covariant._compile import compiler_command
+from covariant._compile import built, compiler_command
 from covariant._files import zipped
-from covariant.codegen._companions import filled
+from covariant._templates import Words, fill
 from covariant.codegen._program import DTYPES, Leaf, Program
-from covariant.codegen._python_checks import CHECKS
-from covariant.codegen._python_module import MAIN, MODULE, ROWS_IN_C
-from covariant.codegen._source import SENTENCE
+from covariant.codegen._source import common_words
 from covariant.signals import Result
 
 FLAGS = ("-std=c99", "-O2", "-fno-math-errno", "-ffp-contract=off", "-fPIC", "-shared")
@@ -65,32 +60,22 @@ def python_files(program: Program, texts: Mapping[str, str], name: str, about: s
         raise ValueError(f"{name!r} is a word or a module of Python; name the export otherwise (`name`)")
     token = hashlib.sha256("".join([texts[f"{name}.h"], texts[f"{name}.c"], about, repr(rate)]).encode()).hexdigest()
     version = f"1.0.0+x{token[:8]}"  # another export is another version, so that installing it replaces the former
-    replacements = _replacements(program, name, about, rate, token[:32], version)
+    words = common_words(program, name, about) | _words(program, about, rate, token[:32], version)
     package = {
-        "__init__.py": filled(MODULE + CHECKS, replacements).encode(),
-        "__main__.py": filled(MAIN, replacements).encode(),
+        "__init__.py": fill("codegen", "module.py", words).encode(),
+        "__main__.py": fill("codegen", "__main__.py", words).encode(),
         f"{name}.h": texts[f"{name}.h"].encode(),
         f"{name}.c": texts[f"{name}.c"].encode(),
-        f"{name}_rows.c": filled(ROWS_IN_C, replacements).encode(),
+        f"{name}_rows.c": fill("codegen", "rows.c", words).encode(),
     }
     command = compiler_command()
     wheel: dict[str, bytes] = {}
     if command is not None:
-        package[f"lib{name}{SUFFIXES.get(platform.system(), '.so')}"] = _library(command, package, name)
+        library = f"lib{name}{SUFFIXES.get(platform.system(), '.so')}"
+        package[library] = built(command, FLAGS, package, "the package")
         tag = f"py3-none-{_platform()}"
         wheel[f"python/{name}-{version}-{tag}.whl"] = _wheel(package, name, about, version, tag)
     return {f"python/{name}/{path}": content for path, content in package.items()} | wheel
-
-
-def _library(command: Sequence[str], package: Mapping[str, bytes], name: str) -> bytes:
-    with tempfile.TemporaryDirectory() as folder:
-        for path, content in package.items():
-            (Path(folder) / path).write_bytes(content)
-        words = [*command, *FLAGS, f"{name}.c", f"{name}_rows.c", "-lm", "-o", "made"]
-        run = subprocess.run(words, cwd=folder, capture_output=True, text=True, check=False)
-        if run.returncode:
-            raise OSError(f"{' '.join(command)} does not compile the package: {run.stderr.strip()[:200]}")
-        return (Path(folder) / "made").read_bytes()
 
 
 def _platform() -> str:
@@ -114,48 +99,35 @@ def _wheel(package: Mapping[str, bytes], name: str, about: str, version: str, ta
     return zipped(files | {f"{place}/RECORD": record.encode()})
 
 
-def _replacements(program: Program, name: str, about: str, rate: float, token: str, version: str) -> dict[str, str]:
-    params = [Leaf(key, np.shape(value)) for key, value in program.numbers.items()]
-    reported = [leaf._replace(name=f"last_{leaf.name}") for leaf in program.reported]
-    output = [*program.x, *program.told]
+def _words(program: Program, about: str, rate: float, token: str, version: str) -> Words:
+    lines = [f"    {line}" for line in program.signals.lines]
+    title = "Numbers in their order, in these units, whatever those of a log:"
     # An estimate has standard deviations that a step reports as well; a run has them once.
-    columns = list({leaf.name: leaf for leaf in [*output, *program.reported]}.values())
-    parts = [f"{count} of {'the ' if of == program.parts[0][0] else ''}{of}" for of, count in program.parts]
+    columns = {leaf.name: leaf for leaf in [*program.output, *program.reported]}
     return {
-        "@NAME@": name,
-        "@UPPER@": name.upper(),
         # In a docstring between three quotes.
-        "@ABOUT@": about.replace("\\", "/").replace('"', "'"),
-        "@SENTENCE@": SENTENCE,
-        "@TOKEN@": token,
-        "@VERSION@": version,
-        "@WITH_U@": ", u" if program.u else "",
-        "@FIRST@": _field(program.x[-1]),
-        "@RATE@": repr(float(rate)),
-        "@DTYPE@": np.dtype(DTYPES[program.real]).name,
-        "@MEASUREMENT@": repr(program.y),
-        "@SENSORS@": f": {', then '.join(parts)}" if program.sensors else "",
-        "@SIGNALS@": _signals(program),
-        "@INPUTS@": str(program.u),
-        "@STARTS@": str(program.parts[0][1]),
-        "@FLAGS@": repr(FLAGS),
-        "@FIRST_REPORTED@": str(sum(leaf.size for leaf in program.state)),
-        "@REPORTED@": str(sum(leaf.size for leaf in reported)),
-        "@PARAMS@": _shapes(params),
-        "@STATE@": _shapes([*program.state, *reported]),
-        "@OUTPUT@": _shapes(output),
-        "@REPORTED_LEAVES@": _shapes(program.reported),
-        "@CODES@": "\n".join(f"    {result.name} = {int(result)}" for result in Result),
-        "@MESSAGES@": "\n".join(f"    Result.{result.name}: {result.message!r}," for result in Result),
-        "@ESTIMATE_FIELDS@": "\n".join(_annotated(leaf, ()) for leaf in output if leaf.size),
-        "@RUN_FIELDS@": "\n".join(_annotated(leaf, ("T",)) for leaf in columns if leaf.size),
+        "ABOUT": about.replace("\\", "/").replace('"', "'"),
+        "TOKEN": token,
+        "VERSION": version,
+        "FIRST": _field(program.x[-1]),
+        "RATE": repr(float(rate)),
+        "DTYPE": np.dtype(DTYPES[program.real]).name,
+        "MEASUREMENT": repr(program.y),
+        "SENSORS": f": {program.parts_text}" if program.sensors else "",
+        "SIGNALS": "\n".join([title, "", *lines, "", ""]) if lines else "",
+        "STARTS": program.parts[0][1],
+        "FLAGS": repr(FLAGS),
+        "FIRST_REPORTED": sum(leaf.size for leaf in program.state),
+        "REPORTED": sum(leaf.size for leaf in program.reported),
+        "PARAMS": _shapes(program.parameters),
+        "STATE": _shapes(program.stored),
+        "OUTPUT": _shapes(program.output),
+        "REPORTED_LEAVES": _shapes(program.reported),
+        "CODES": [f"    {result.name} = {int(result)}" for result in Result],
+        "MESSAGES": [f"    Result.{result.name}: {result.message!r}," for result in Result],
+        "ESTIMATE_FIELDS": [_annotated(leaf, ()) for leaf in program.output if leaf.size],
+        "RUN_FIELDS": [_annotated(leaf, ("T",)) for leaf in columns.values() if leaf.size],
     }
-
-
-def _signals(program: Program) -> str:
-    """Lines of the docstring on the order and the units of the numbers."""
-    lines = "".join(f"    {line}\n" for line in program.signals.lines)
-    return f"Numbers in their order, in these units, whatever those of a log:\n\n{lines}\n" if lines else ""
 
 
 def _field(leaf: Leaf) -> str:

@@ -12,7 +12,8 @@ from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 
-from covariant.codegen._program import CONFIGURATION, Leaf, Program, Real
+from covariant._templates import Words, fill
+from covariant.codegen._program import Leaf, Program, Real, part_text
 from covariant.lowering import C_KEYWORDS, CText, Lowered, Signature, c_function, c_helpers, c_number
 from covariant.signals import Result
 
@@ -113,7 +114,7 @@ def _estimated(source: Source, real: Real) -> float:
 
 
 def _written(program: Program, name: str, about: str, tables: Tables) -> Source:
-    core = {"init": _init(program, name), "step": _step(program, name, program.step, math.prod(program.y))}
+    core = {"init": _init(program, name), "step": _step(program, name, program.step, program.measurements)}
     for part, count in program.parts if program.alone else ():
         if step_of(part) in core:
             raise ValueError(f"the steps by sensor need names that differ in C; {step_of(part)} is there twice")
@@ -123,7 +124,8 @@ def _written(program: Program, name: str, about: str, tables: Tables) -> Source:
         key: c_function(graph, f"{name}_core_{key}", signature, program.real, f"{name}_", static=True, tables=tables)
         for key, (graph, signature) in core.items()
     }
-    return Source(name, _header(program, name, about), _source(program, name, about, functions), functions, tables)
+    words = common_words(program, name, about)
+    return Source(name, _header(program, words), _source(program, words, functions), functions, tables)
 
 
 def entries(owner: str, leaf: Leaf) -> list[str]:
@@ -145,99 +147,55 @@ def field(leaf: Leaf) -> str:
     return f"{leaf.name}_" if leaf.name in KEYWORDS else leaf.name
 
 
-def number(value: float, real: Real) -> str:
-    """A number as a constant in C.
-
-    Args:
-        value: The number.
-        real: Its type, "double" or "float".
-    """
-    return c_number(value, real)
-
-
-def _members(leaves: Sequence[Leaf], name: str) -> str:
-    lines = [f"    {name}_real {field(leaf)}{f'[{leaf.size}]' if leaf.shape else ''};" for leaf in leaves if leaf.size]
-    return "\n".join(lines)
-
-
-def _structure(kind: str, name: str, about: str, members: str) -> str:
-    # A structure without members is no C.
-    return f"/* {about} */\ntypedef struct {{\n{members or f'    {name}_real unused;'}\n}} {name}_{kind};\n"
+def common_words(program: Program, name: str, about: str) -> Words:
+    """Texts that templates of several languages have in common."""
+    return {
+        "NAME": name,
+        "UPPER": name.upper(),
+        "ABOUT": about,
+        "VERSION": _version(),
+        "SENTENCE": SENTENCE,
+        "REAL": program.real,
+        "MEASUREMENTS": program.measurements,
+        "INPUTS": program.u,
+        "WITH_U": ", u" if program.u else "",
+    }
 
 
-def _header(program: Program, name: str, about: str) -> str:
-    upper = name.upper()
-    last = Result(max(Result))
-    codes = "\n".join(
-        f"    {upper}_{result.name} = {int(result)}{'' if result is last else ','} /* {result.message} */"
-        for result in Result
-    )
-    order = [f" * {line}\n" for line in program.signals.lines]
-    told = (
-        f"/* Numbers in their order, in these units, whatever those of a log:\n{''.join(order)} */\n" if order else ""
-    )
-    y = int(np.prod(program.y))
-    held = f"numbers of a measurement, {' x '.join(map(str, program.y))} by rows"
-    started = "y"
-    if program.sensors:
-        each = [f"{count} of {'the ' if of == CONFIGURATION else ''}{of}" for of, count in program.parts]
-        held = f"numbers of a measurement: {', then '.join(each)}"
-        started = "the configuration in y"
-    parameters = [Leaf(key, np.shape(value)) for key, value in program.numbers.items()]
-    parts = [
-        f"/* {about}\n *\n * Written by covariant {_version()}. {SENTENCE}\n */",
-        f"#ifndef {upper}_H\n#define {upper}_H\n",
-        '#ifdef __cplusplus\nextern "C" {\n#endif\n',
-        f"typedef {program.real} {name}_real;\n",
-        f"{told}#define {upper}_MEASUREMENTS {y} /* {held} */\n#define {upper}_INPUTS {program.u}\n",
-        f"/* Outcome of a step; a larger one is worse. */\nenum {{\n{codes}\n}};\n",
-        _structure(
-            "params", name, "Numbers that may be changed at any time, between two steps.", _members(parameters, name)
-        ),
-        _structure(
-            "state",
-            name,
-            "What is remembered; a copy is a snapshot. Innovation and standard deviations are of the last step.",
-            _members([*program.state, *(_last(leaf) for leaf in program.reported)], name),
-        ),
-        _structure("output", name, "An estimate.", _members([*program.x, *program.told], name)),
-        f"extern const {name}_params {name}_default;\n",
-        f"/* Start at rest at the measurement y, at the time t [s]. Returns {upper}_OK or, where {started} is not all\n"
-        f" * finite, {upper}_NOT_FINITE, and then leaves the state as it was. */\n"
-        f"int {name}_init({name}_state *state, const {name}_params *params, const {name}_real *y, {name}_real t);\n",
-        "/* Advance by dt [s] under the input u, held over the step, then correct by the measurement y.\n"
-        " *\n"
-        " * missing: for each number of y, 1 where it was not measured; NULL for none. NaN in y says the same.\n"
-        " * u: NULL counts as zero. An input that is not finite is replaced by the last one, and a step dt that is\n"
-        " * not positive leaves the state as it was; the outcome says so. */\n"
-        f"int {name}_step({name}_state *state, const {name}_params *params, const {name}_real *u,\n"
-        f"    const {name}_real *y, const unsigned char *missing, {name}_real dt);\n",
-        *_declared_alone(program, name),
-        "/* The estimate of a state. */\n"
-        f"void {name}_estimate(const {name}_state *state, const {name}_params *params, {name}_output *output);\n",
-        "#ifdef __cplusplus\n}\n#endif\n",
-        "#endif",
-    ]
-    return "\n".join(parts) + "\n"
+def _header(program: Program, words: Words) -> str:
+    upper, real = words["UPPER"], f"{words['NAME']}_real"
+
+    def members(leaves: Sequence[Leaf]) -> list[str]:
+        lines = [f"    {real} {field(leaf)}{f'[{leaf.size}]' if leaf.shape else ''};" for leaf in leaves if leaf.size]
+        return lines or [f"    {real} unused;"]  # a structure without members is no C
+
+    order = [f" * {line}" for line in program.signals.lines]
+    title = "/* Numbers in their order, in these units, whatever those of a log:"
+    rows = f"numbers of a measurement, {' x '.join(map(str, program.y))} by rows"
+    last = max(Result)
+    own = {
+        "SIGNALS": [title, *order, " */"] if order else [],
+        "MEASURED": f"numbers of a measurement: {program.parts_text}" if program.sensors else rows,
+        "STARTED": "the configuration in y" if program.sensors else "y",
+        "CODES": [f"    {upper}_{r.name} = {int(r)}{'' if r is last else ','} /* {r.message} */" for r in Result],
+        "PARAMS": members(program.parameters),
+        "STATE": members(program.stored),
+        "OUTPUT": members(program.output),
+        "PART_STEPS": _part_steps(program, words, "part_step.h"),
+    }
+    return fill("codegen", "observer.h", words | own)
 
 
-def _declared_alone(program: Program, name: str) -> list[str]:
-    """Declarations of the steps in which only one part of a measurement was read."""
+def _part_steps(program: Program, words: Words, file: str) -> list[str]:
+    """Declarations or definitions of the steps in which only one part of a measurement was read."""
     return [
-        f"/* The same step where nothing but the {count} numbers of "
-        f"{'the ' if part == CONFIGURATION else ''}{part} were read, with less work. */\n"
-        f"int {name}_{step_of(part)}({name}_state *state, const {name}_params *params, const {name}_real *u,\n"
-        f"    const {name}_real *y, {name}_real dt);\n"
+        fill("codegen", file, words | {"STEP": step_of(part), "COUNT": count, "PART": part_text(part)})
         for part, count in (program.parts if program.alone else ())
     ]
 
 
-def _last(leaf: Leaf) -> Leaf:
-    return leaf._replace(name=f"last_{leaf.name}")
-
-
 def _init(program: Program, name: str) -> tuple[Lowered, Signature]:
-    inputs = [*_numbers(program), *(f"y[{i}]" for i in range(int(np.prod(program.y)))), "t"]
+    inputs = [*_numbers(program), *(f"y[{i}]" for i in range(program.measurements)), "t"]
     outputs = [e for leaf in program.state for e in entries("state->", leaf)]
     declared = (
         f"const {name}_params *restrict params, const {name}_real *restrict y, {name}_real t,\n"
@@ -263,7 +221,7 @@ def _step(program: Program, name: str, step: Lowered, measured: int) -> tuple[Lo
     slots = ["*result" if leaf.name == "result" else None for leaf in info]
     outputs = [*after]
     for leaf, result in zip(info, slots, strict=True):
-        outputs += [result] if result else entries("next->", _last(leaf))
+        outputs += [result] if result else entries("next->", leaf.last)
     declared = (
         f"const {name}_params *restrict params, const {name}_state *restrict state,\n"
         f"    const {name}_real *restrict u, const {name}_real *restrict y, {name}_real dt,\n"
@@ -302,71 +260,36 @@ def _numbers(program: Program) -> list[str]:
     return [e for leaf in program.given for e in entries("params->", leaf)]
 
 
-def _source(program: Program, name: str, about: str, functions: dict[str, CText]) -> str:
-    used = frozenset().union(*(text.helpers for text in functions.values()))
-    upper = name.upper()
-    y = int(np.prod(program.y))
-    size = {"double": 8, "float": 4}[program.real]
-    copied = "".join(_copy(leaf, "output->", "state->") for leaf in program.told)
-    unknown = "".join(_unknown(leaf, name) for leaf in program.reported)
-    no_input = f"    const {name}_real none[{program.u}] = {{{number(0.0, program.real)}}};\n" if program.u else ""
-    acting = "u != NULL ? u : none" if program.u else "u"
-    parts = [
-        f"/* {about}\n *\n * Written by covariant {_version()}. {SENTENCE}\n */",
-        f'#include "{name}.h"\n\n#include <math.h>\n#include <stddef.h>\n',
-        # -ffast-math lets a compiler assume that no number is NaN, and drop the tests for missing measurements.
-        "#ifdef __FAST_MATH__\n#error missing measurements are NaN: compile this file without -ffast-math\n#endif\n",
-        "/* Where double has four bytes, as on some microcontrollers, export the observer in float. */\n"
-        f"typedef char {name}_size_of_real[sizeof({name}_real) == {size} ? 1 : -1];\n",
-        f"const {name}_params {name}_default = {{\n{_defaults(program)}\n}};\n",
-        c_helpers(used, program.real, f"{name}_"),
-        *(text.text for text in functions.values()),
-        f"int {name}_init({name}_state *state, const {name}_params *params, const {name}_real *y, {name}_real t)\n{{\n"
-        f"    int i;\n"
-        f"    for (i = 0; i < {program.parts[0][1] if program.sensors else f'{upper}_MEASUREMENTS'}; ++i) {{\n"
-        # y − y is 0 for finite y and NaN for all others, without a function of <math.h>.
-        f"        if (!(y[i] - y[i] == 0))\n            return {upper}_NOT_FINITE;\n    }}\n"
-        f"    {name}_core_init(params, y, t, state);\n"
-        f"{unknown}    return {upper}_OK;\n}}\n",
-        f"int {name}_step({name}_state *state, const {name}_params *params, const {name}_real *u,\n"
-        f"    const {name}_real *y, const unsigned char *missing, {name}_real dt)\n{{\n"
-        f"{no_input}"
-        f"    {name}_state next;\n    {name}_real seen[{y}], result;\n    int i;\n"
-        f"    for (i = 0; i < {upper}_MEASUREMENTS; ++i)\n"
-        f"        seen[i] = missing != NULL && missing[i] ? ({name}_real)NAN : y[i];\n"
-        f"    {name}_core_step(params, state, {acting}, seen, dt, &next, &result);\n"
-        f"    *state = next;\n    return (int)result;\n}}\n",
-        *(
-            f"int {name}_{step_of(part)}({name}_state *state, const {name}_params *params, const {name}_real *u,\n"
-            f"    const {name}_real *y, {name}_real dt)\n{{\n"
-            f"{no_input}"
-            f"    {name}_state next;\n    {name}_real result;\n"
-            f"    {name}_core_{step_of(part)}(params, state, {acting}, y, dt, &next, &result);\n"
-            f"    *state = next;\n    return (int)result;\n}}\n"
-            for part, _ in (program.parts if program.alone else ())
-        ),
-        f"void {name}_estimate(const {name}_state *state, const {name}_params *params, {name}_output *output)\n{{\n"
-        f"    {name}_core_estimate(params, state, output);\n{copied}}}",
-    ]
-    return "\n".join(part for part in parts if part) + "\n"
+def _source(program: Program, words: Words, functions: dict[str, CText]) -> str:
+    name, real = f"{words['NAME']}_", program.real
+    helpers = c_helpers(frozenset().union(*(text.helpers for text in functions.values())), real, name)
+    told = [zip(entries("output->", leaf), entries("state->", leaf.last), strict=True) for leaf in program.told]
+    inputs = {
+        "NO_INPUT": [f"    const {name}real none[{program.u}] = {{{c_number(0.0, real)}}};"] if program.u else [],
+        "ACTING": "u != NULL ? u : none" if program.u else "u",
+    }
+    own = {
+        "SIZE": {"double": 8, "float": 4}[real],
+        "DEFAULTS": [_defaults(program)],
+        "HELPERS": [helpers] if helpers else [],
+        "FUNCTIONS": [text.text for text in functions.values()],
+        "NEEDED": program.parts[0][1] if program.sensors else f"{words['UPPER']}_MEASUREMENTS",
+        # Diagnostics are unknown before the first step.
+        "UNKNOWN": [f"    {e} = ({name}real)NAN;" for leaf in program.reported for e in entries("state->", leaf.last)],
+        "COPIED": [f"    {output} = {state};" for pairs in told for output, state in pairs],
+        "PART_STEPS": _part_steps(program, words | inputs, "part_step.c"),
+    }
+    # In the template, y - y is 0 for finite y and NaN for all others, without a function of <math.h>. It refuses
+    # -ffast-math, by which compilers assume that no number is NaN and drop the tests for missing measurements.
+    return fill("codegen", "observer.c", words | inputs | own)
 
 
 def _defaults(program: Program) -> str:
     lines = []
     for key, value in program.numbers.items():
-        digits = ", ".join(number(v, program.real) for v in np.ravel(value).tolist())
+        digits = ", ".join(c_number(v, program.real) for v in np.ravel(value).tolist())
         lines.append(f"    {'{' + digits + '}' if np.ndim(value) else digits} /* {key} */")
     return ",\n".join(lines) or "    0"
-
-
-def _copy(leaf: Leaf, into: str, out_of: str) -> str:
-    pairs = zip(entries(into, leaf), entries(out_of, _last(leaf)), strict=True)
-    return "".join(f"    {a} = {b};\n" for a, b in pairs)
-
-
-def _unknown(leaf: Leaf, name: str) -> str:
-    """Assignments of NaN to diagnostics, which are unknown before the first step."""
-    return "".join(f"    {e} = ({name}_real)NAN;\n" for e in entries("state->", _last(leaf)))
 
 
 def _version() -> str:

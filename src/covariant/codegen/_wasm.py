@@ -2,22 +2,17 @@
 
 import base64
 import json
-import math
 import re
 import shutil
-import subprocess
-import tempfile
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 
 import numpy as np
 
-from covariant._compile import zig
-from covariant.codegen._companions import filled
+from covariant._compile import built, zig
+from covariant._templates import Words, fill
 from covariant.codegen._program import Leaf, Program
-from covariant.codegen._source import SENTENCE
+from covariant.codegen._source import common_words
 from covariant.codegen._vectors import Vectors
-from covariant.codegen._wasm_module import CALLS, SCRIPT, SELF_TEST
 from covariant.signals import Result
 
 FLAGS = (
@@ -70,52 +65,44 @@ def wasm_files(
         >>> files
         ['speed.wasm', 'speed.js', 'speed_wasm.c', 'test/speed_test.js']
     """
-    words = {"@NAME@": name, "@UPPER@": name.upper(), "@SENTENCE@": SENTENCE}
-    calls = filled(CALLS, words)
-    binary = _compiled({f"{name}.h": texts[f"{name}.h"], f"{name}.c": texts[f"{name}.c"], "calls.c": calls}, name)
-    script = filled(SCRIPT, words | _replacements(program, about, rate) | {"@WASM@": base64.b64encode(binary).decode()})
+    words = common_words(program, name, about) | _words(program, rate)
+    calls = fill("codegen", "wasm.c", words)
+    binary = _compiled({f"{name}.h": texts[f"{name}.h"], f"{name}.c": texts[f"{name}.c"], "calls.c": calls})
+    script = fill("codegen", "wasm.js", words | {"WASM": base64.b64encode(binary).decode()})
     return {
         f"{name}.wasm": binary,
         f"{name}.js": script.encode(),
         f"{name}_wasm.c": calls.encode(),
-        f"test/{name}_test.js": filled(SELF_TEST, words | _rows(run)).encode(),
+        f"test/{name}_test.js": fill("codegen", "wasm_test.js", words | _rows(run)).encode(),
     }
 
 
-def _compiled(files: Mapping[str, str], name: str) -> bytes:
+def _compiled(files: Mapping[str, str]) -> bytes:
     """The module, by the first compiler that makes one."""
     clang, packaged = shutil.which("clang"), zig()
     commands = ([[clang]] if clang else []) + ([packaged] if packaged else [])
     if not commands:
         raise ValueError(f"no compiler for WebAssembly is installed; {REMEDY}")
     messages = []
-    with tempfile.TemporaryDirectory() as folder:
-        for path, text in files.items():
-            (Path(folder) / path).write_text(text, encoding="utf-8")
-        for command in commands:
-            words = [*command, *FLAGS, f"{name}.c", "calls.c", "-lm", "-o", "made.wasm"]
-            done = subprocess.run(words, cwd=folder, capture_output=True, text=True, check=False)
-            if done.returncode == 0:
-                return (Path(folder) / "made.wasm").read_bytes()
-            messages.append(f"{' '.join(command)}: {done.stderr.strip()[:200]}")
+    for command in commands:
+        try:
+            return built(command, FLAGS, files, "the observer")
+        except OSError as error:
+            messages.append(str(error))
     raise ValueError(f"no WebAssembly could be compiled; {REMEDY}\n" + "\n".join(messages))
 
 
-def _replacements(program: Program, about: str, rate: float) -> dict[str, str]:
+def _words(program: Program, rate: float) -> Words:
     return {
-        "@ABOUT@": about,
-        "@SIGNALS@": "".join(f" * {line}\n" for line in program.signals.lines),
-        "@WITH_U@": ", u" if program.u else "",
-        "@FIRST@": program.x[-1].name,
-        "@RATE@": repr(float(rate)),
-        "@MEASUREMENTS@": str(math.prod(program.y)),
-        "@INPUTS@": str(program.u),
-        "@RESULTS@": json.dumps([result.name for result in Result]),
-        "@MESSAGES@": json.dumps([result.message for result in Result], ensure_ascii=False),
-        "@PARAMS@": _sizes([Leaf(key, np.shape(value)) for key, value in program.numbers.items()]),
-        "@STATE@": _sizes([*program.state, *(leaf._replace(name=f"last_{leaf.name}") for leaf in program.reported)]),
-        "@OUTPUT@": _sizes([*program.x, *program.told]),
-        "@ARRAY@": ARRAYS[program.real],
+        "SIGNALS": "".join(f" * {line}\n" for line in program.signals.lines),
+        "FIRST": program.x[-1].name,
+        "RATE": repr(float(rate)),
+        "RESULTS": json.dumps([result.name for result in Result]),
+        "MESSAGES": json.dumps([result.message for result in Result], ensure_ascii=False),
+        "PARAMS": _sizes(program.parameters),
+        "STATE": _sizes(program.stored),
+        "OUTPUT": _sizes(program.output),
+        "ARRAY": ARRAYS[program.real],
     }
 
 
@@ -123,15 +110,15 @@ def _sizes(leaves: Sequence[Leaf]) -> str:
     return json.dumps([[leaf.name, leaf.size] for leaf in leaves if leaf.size])
 
 
-def _rows(run: Vectors) -> dict[str, str]:
+def _rows(run: Vectors) -> Words:
     tables = {
-        "@START@": run.start,
-        "@STEPS@": run.dt,
-        "@INPUT_ROWS@": run.u,
-        "@MEASURED@": np.where(run.missing, np.nan, run.y),
-        "@EXPECTED@": run.expected,
-        "@ALLOWED@": run.allowed,
-        "@OUTCOMES@": run.result,
+        "START": run.start,
+        "STEPS": run.dt,
+        "INPUT_ROWS": run.u,
+        "MEASURED": np.where(run.missing, np.nan, run.y),
+        "EXPECTED": run.expected,
+        "ALLOWED": run.allowed,
+        "OUTCOMES": run.result,
     }
     # Python writes NaN and Infinity as JavaScript does; a line for each row.
     return {key: re.sub(r"\], \[", "],\n    [", json.dumps(table.tolist())) for key, table in tables.items()}

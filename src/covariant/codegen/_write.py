@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 
 from covariant._files import temporary, write_atomically
-from covariant.codegen._companions import companions
+from covariant._templates import fill
 from covariant.codegen._data_sheet import Facts, data_sheet
 from covariant.codegen._program import Program
 from covariant.codegen._self_test import write_test
-from covariant.codegen._source import write_source
+from covariant.codegen._source import common_words, field, write_source
 from covariant.codegen._vectors import Vectors, vectors
 
 
@@ -60,13 +60,33 @@ def export_texts(
     # A comment of C ends at */, and one line must stay one.
     about = " ".join(about.replace("*/", "").split())
     source = write_source(program, name, about, flash)
+    words = common_words(program, name, about)
+    first = program.x[-1]
+    words |= {
+        "U": max(1, program.u),
+        "FIRST": f"{field(first)}{'[0]' if first.shape else ''}",
+        "PYTHON": [_PYTHON.replace("NAME", name)] if python else [],
+        "WASM": [_WASM.replace("NAME", name)] if wasm else [],
+    }
+    # The self-test is in a folder of its own, which Arduino does not compile.
     return {
         f"{name}.h": source.header,
         f"{name}.c": source.source,
-        f"test/{name}_test.c": write_test(program, name, run or vectors(program, measured, facts.rate)),
+        f"test/{name}_test.c": write_test(program, words, run or vectors(program, measured, facts.rate)),
         "DATASHEET.md": data_sheet(program, source, about, facts),
-        **companions(program, name, about, python, wasm),
+        "CMakeLists.txt": fill("codegen", "CMakeLists.txt", words),
+        "library.properties": fill("codegen", "library.properties", words),
+        f"{name}.hpp": fill("codegen", "observer.hpp", words),
+        "README.md": fill("codegen", "README.md", words),
     }
+
+
+_PYTHON = """| `python/NAME` | a Python package that needs NumPy alone; put `python` on the path |
+| `python/NAME-….whl` | the package as a wheel for this platform, if a C compiler was found |"""
+_WASM = """| `NAME.wasm`, `NAME_wasm.c` | the observer as WebAssembly, and the C of its calls |
+| `NAME.js` | a script for web pages and Node that holds it |
+| `test/NAME_test.js` | its self-test: `node test/NAME_test.js` |"""
+"""Rows of the README on files that are written on demand."""
 
 
 def write_folder(files: Mapping[str, str | bytes], folder: Path, overwrite: bool = False) -> list[Path]:

@@ -22,7 +22,8 @@ from covariant.lowering import LoweringError, fingerprint
 PACKAGES = ("jax", "jaxlib", "numpy")
 """They compute the constants of a text."""
 _ROOT = Path(__file__).parents[1]
-_WRITERS = sorted([*_ROOT.glob("lowering/*.py"), *_ROOT.glob("codegen/_program.py"), *_ROOT.glob("engine/*.py")])
+_PATTERNS = "_templates.py lowering/*.py lowering/templates/* codegen/_program.py engine/*.py engine/templates/*"
+_WRITERS = sorted(path for pattern in _PATTERNS.split() for path in _ROOT.glob(pattern))
 WRITTEN_BY = hashlib.sha256(b"\n".join(path.read_bytes() for path in _WRITERS)).hexdigest()
 """A hash of the files that write the C, so that a change of any of them invalidates the cache."""
 

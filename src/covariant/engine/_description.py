@@ -134,7 +134,7 @@ def _name(x: Any) -> str:
 
 @functools.cache
 def _files() -> tuple[Path, ...]:
-    return tuple(sorted(ROOT.rglob("*.py")))
+    return tuple(sorted({*ROOT.rglob("*.py"), *ROOT.rglob("templates/*")}))
 
 
 def _changed() -> bool:

@@ -5,7 +5,6 @@ import functools
 import hashlib
 from collections.abc import Callable
 from importlib.metadata import version
-from string import Template
 from typing import Any, Literal
 
 import jax
@@ -13,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from covariant._compile import FAST, compiled as load, compiler, vector_bytes
+from covariant._templates import fill
 from covariant.lowering import Lowered, c_rows, lower
 
 REALS: dict[Any, Literal["double", "float"]] = {np.dtype(np.float64): "double", np.dtype(np.float32): "float"}
@@ -92,8 +92,9 @@ def _registered(lowered: Lowered, real: Literal["double", "float"]) -> str:
     """Register the compiled function with XLA, and return the name of the target."""
     lanes = vector_bytes() // {"double": 8, "float": 4}[real]
     # The version is in the text, so that another release, with other headers, gets another library.
-    parts = {"rows": c_rows(lowered, "rows", lanes, real), "real": real, "version": version("jaxlib")}
-    return _loaded(Template(_SOURCE).substitute(parts))
+    return _loaded(
+        fill("engine", "ffi.c", {"ROWS": [c_rows(lowered, "rows", lanes, real)], "VERSION": version("jaxlib")})
+    )
 
 
 @functools.cache
@@ -107,29 +108,3 @@ def _loaded(source: str) -> str:
 
 _LOADED: list[ctypes.CDLL] = []
 """Libraries that XLA may call, which therefore stay loaded."""
-
-_SOURCE = """$rows
-#include "xla/ffi/api/c_api.h" /* of $version */
-
-XLA_FFI_Error *call(XLA_FFI_CallFrame *frame)
-{
-    const XLA_FFI_Buffer *x, *y;
-    int64_t count = 1;
-    int k;
-    /* The type of extension_start has another name in later releases, so it is not named here. */
-    if (frame->extension_start != NULL && frame->extension_start->type == XLA_FFI_Extension_Metadata) {
-        XLA_FFI_Metadata *told = ((XLA_FFI_Metadata_Extension *)frame->extension_start)->metadata;
-        told->api_version.major_version = XLA_FFI_API_MAJOR;
-        told->api_version.minor_version = XLA_FFI_API_MINOR;
-        return NULL;
-    }
-    if (frame->stage != XLA_FFI_ExecutionStage_EXECUTE)
-        return NULL;
-    x = frame->args.args[0];
-    y = frame->rets.rets[0];
-    for (k = 0; k < x->rank - 1; ++k)
-        count *= x->dims[k];
-    rows(x->data, y->data, count);
-    return NULL;
-}
-"""

@@ -7,7 +7,8 @@ from html import escape
 from pathlib import Path
 
 from covariant._files import write_atomically
-from covariant.report._html import asset, table_html
+from covariant._templates import fill, template
+from covariant.report._html import table_html
 
 Block = str | Path | Sequence[Mapping[str, object]]
 """A paragraph ("# …" makes it a heading), a PNG file, or the rows of a table."""
@@ -35,25 +36,8 @@ def write_article(title: str, blocks: Sequence[Block], path: str | os.PathLike[s
     for block in blocks:
         heading = block[2:] if isinstance(block, str) and block.startswith("# ") else heading
         parts.append(_block(block, heading))
-    body = "\n".join(parts)
-    page = f"""<!DOCTYPE html>
-<html lang="en">
-<head>
-<meta charset="utf-8">
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<link rel="icon" href="data:,">
-<title>{escape(title)}</title>
-<style>
-{asset("page.css")}p {{ max-width: 60rem; }}</style>
-</head>
-<body>
-<main class="article">
-<h1>{escape(title)}</h1>
-{body}
-</main>
-</body>
-</html>
-"""
+    words = {"TITLE": escape(title), "STYLE": template("report", "page.css"), "BLOCKS": parts}
+    page = fill("report", "article.html", words)
     return write_atomically(path, lambda file: file.write(page.encode()))
 
 

@@ -6,12 +6,12 @@ Its figures and the code that draws them are compressed, and the browser unpacks
 import base64
 import functools
 import gzip
-import importlib.resources
 import os
 from collections.abc import Callable, Mapping, Sequence
 from html import escape
 from pathlib import Path
 
+from covariant._templates import fill, template
 from covariant.report._condensed import condensed
 from covariant.report._estimate import EstimateReport
 from covariant.report._glossary import glossary
@@ -21,10 +21,6 @@ from covariant.report._plotly import stack
 from covariant.report._png import draw_png, write_all
 from covariant.report._style import Style, styles
 from covariant.report._table import cells
-
-_HINT = """<p class="hint">Drag along the time axis to zoom: all figures follow. Double-click to go back, and again to \
-see what is off scale. A label hides its curve everywhere; double-click it to see that curve alone.</p>
-"""
 
 
 def write_html(report: EstimateReport, path: str | os.PathLike[str]) -> Path:
@@ -102,39 +98,20 @@ def page(report: EstimateReport) -> str:
         title = panels["distance"].title
         sections.append(_section(title, f"{title} over time in seconds", "wide"))
     data = ",".join(str(figure.to_json()) for figure in figures)
-    return f"""<!DOCTYPE html>
-<html lang="en">
-<head>
-<meta charset="utf-8">
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<meta http-equiv="Content-Security-Policy" content="default-src 'none'; style-src 'unsafe-inline'; \
-script-src 'unsafe-inline'; img-src data: blob:">
-<link rel="icon" href="data:,">
-<title>{escape(report.title)}</title>
-<style>
-{asset("page.css")}</style>
-</head>
-<body>
-<header>
-<h1>{escape(report.title)}</h1>
-{_verdict(report)}{table_html(report.rows, report.ranked)}{_details(report, panels)}{_HINT}</header>
-<nav aria-label="Curves shown">{_legend(styled)}</nav>
-<main style="--columns: {len(report.coordinates)}">
-{chr(10).join(sections)}
-</main>
-<noscript>The figures need JavaScript.</noscript>
-{_packed("figures", f"[{data}]")}
-{library}
-<script>
-{asset("page.js")}</script>
-</body>
-</html>
-"""
-
-
-def asset(name: str) -> str:
-    """Text of a file in the folder of this package, such as "page.css"."""
-    return (importlib.resources.files("covariant.report") / name).read_text(encoding="utf-8")
+    words = {
+        "TITLE": escape(report.title),
+        "STYLE": template("report", "page.css"),
+        "VERDICT": _verdict(report),
+        "TABLE": table_html(report.rows, report.ranked),
+        "DETAILS": _details(report, panels),
+        "LEGEND": _legend(styled),
+        "COLUMNS": len(report.coordinates),
+        "SECTIONS": sections,
+        "FIGURES": _packed("figures", f"[{data}]"),
+        "LIBRARY": library,
+        "SCRIPT": template("report", "page.js"),
+    }
+    return fill("report", "page.html", words)
 
 
 def _section(heading: str, description: str, kind: str = "") -> str:

@@ -5,11 +5,11 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from string import Template
 from typing import Any
 
 from covariant import logs, models
 from covariant._files import write_atomically
+from covariant._templates import fill
 from covariant.calibration import Draft, draft
 from covariant.workflow._inputs import ColumnNames, column_names
 from covariant.workflow._outputs import check_output
@@ -243,17 +243,17 @@ def _both(guess: Draft, length: str, angle: str) -> str:
 def _equations(guess: Draft) -> str:
     """The text of the Python file with the equations of motion."""
     n, m = len(guess.q), len(guess.u)
-    machine = _CART_POLE if _is_cart_pole(guess) else _SEPARATE_MASSES
-    pushes = f"the first {m} of {n} positions" if m else "no position"
-    return machine + _REST.substitute(
-        positions=", ".join(map(_quoted, guess.plain_names)),
-        units=", ".join("'m'" if is_length else "'rad'" for is_length in guess.lengths).replace("'", '"'),
-        trailing="," if n == 1 else "",
-        circles=tuple(i for i, is_length in enumerate(guess.lengths) if not is_length),
-        inputs=m,
-        pushes=pushes,
-        rest=n - m,
-    )
+    trailing = "," if n == 1 else ""
+    words = {
+        "POSITIONS": ", ".join(map(_quoted, guess.plain_names)) + trailing,
+        "UNITS": ", ".join('"m"' if is_length else '"rad"' for is_length in guess.lengths) + trailing,
+        "CIRCLES": tuple(i for i, is_length in enumerate(guess.lengths) if not is_length),
+        "INPUTS": m,
+        "PUSHES": f"the first {m} of {n} positions" if m else "no position",
+        "REST": n - m,
+    }
+    machine = fill("workflow", "machine.py", words).splitlines()
+    return fill("workflow", "cart_pole.py" if _is_cart_pole(guess) else "separate_masses.py", {"MACHINE": machine})
 
 
 def _sensor(guess: Draft) -> str:
@@ -296,83 +296,3 @@ def _quoted(name: str) -> str:
 
 def _names(names: Sequence[str]) -> str:
     return "[" + ", ".join(map(_quoted, names)) + "]"
-
-
-_CART_POLE = '''"""A pole on a cart: equations of motion, as a first guess.
-
-The cart moves along a level rail. The pole turns about a pivot on the cart; its angle is 0 where it hangs, and grows
-as its end moves the way that the cart counts as positive. The centre of mass of the pole is `com` below the pivot.
-"""
-
-import jax.numpy as jnp
-
-from covariant.models import Lagrangian, Parametric
-
-
-def kinetic(q, cart_mass, pole_mass, com, inertia):
-    """The inertia matrix (2, 2): the kinetic energy is half of v' M(q) v."""
-    both = pole_mass * com * jnp.cos(q[1])
-    return jnp.stack(
-        [jnp.stack([cart_mass + pole_mass, both]), jnp.stack([both, inertia + pole_mass * com**2])]
-    )
-
-
-def potential(q, moment):
-    """The potential energy [J]."""
-    return -moment * jnp.cos(q[1])
-
-
-def make(cart_mass=1.0, pole_mass=0.1, com=0.15, inertia=0.001, viscous=(0.01, 0.01), coulomb=(0.0, 0.0), gravity=9.81):
-    """The machine with the numbers of [parameters]."""
-    energy = Parametric(kinetic, cart_mass=cart_mass, pole_mass=pole_mass, com=com, inertia=inertia)
-    return machine(energy, Parametric(potential, moment=pole_mass * com * gravity), viscous, coulomb)
-'''
-
-_SEPARATE_MASSES = '''"""Masses that move each on its own: equations of motion, as a first guess."""
-
-import jax.numpy as jnp
-
-from covariant.models import Lagrangian, Parametric
-
-
-def kinetic(q, mass):
-    """The inertia matrix (n, n): the kinetic energy is half of v' M(q) v."""
-    return jnp.diag(mass)
-
-
-def potential(q, weight):
-    """The potential energy [J]."""
-    return weight @ q
-
-
-def make(mass, weight, viscous, coulomb):
-    """The machine with the numbers of [parameters]."""
-    energy = Parametric(kinetic, mass=jnp.asarray(mass))
-    return machine(energy, Parametric(potential, weight=jnp.asarray(weight)), viscous, coulomb)
-'''
-
-_REST = Template('''
-
-def friction(q, v, viscous, coulomb):
-    """The force of friction (n,), which opposes the motion."""
-    return -viscous * v - coulomb * jnp.arctan(100.0 * v)
-
-
-def drive(t, q, u):
-    """The force of the inputs (n,), here on $pushes: a guess."""
-    return jnp.concatenate([u, jnp.zeros($rest, u.dtype)])
-
-
-def machine(energy, potential, viscous, coulomb):
-    """The machine of these energies, with the positions of the log."""
-    return Lagrangian(
-        energy,
-        potential,
-        force=drive,
-        dissipation=Parametric(friction, viscous=jnp.asarray(viscous), coulomb=jnp.asarray(coulomb)),
-        circles=$circles,  # positions that are angles on a full circle
-        coordinates=($positions$trailing),
-        units=($units$trailing),
-        inputs=$inputs,
-    )
-''')

@@ -1,7 +1,6 @@
 """C of a function that is applied to the rows of an array, several rows at once in lanes."""
 
-from string import Template
-
+from covariant._templates import fill
 from covariant.lowering.c._c import Real, c_function, c_helpers
 from covariant.lowering.graph import Lowered
 
@@ -30,30 +29,13 @@ def c_rows(lowered: Lowered, name: str, lanes: int, real: Real = "double", most_
         True
     """
     text = c_function(lowered, f"{name}_lanes", real=real, static=True, most_statements=most_statements, lanes=lanes)
-    fields = {"name": name, "real": real, "lanes": lanes, "core": text.text}
-    fields |= {"helpers": c_helpers(text.helpers, real, lanes=lanes), "inputs": lowered.inputs}
-    return Template(_SOURCE).substitute(fields, outputs=len(lowered.outputs))
-
-
-_SOURCE = """#include <math.h>
-
-$helpers
-$core
-void $name(const $real *x, $real *y, long long count);
-void $name(const $real *x, $real *y, long long count)
-{
-    lanes in[$inputs], out[$outputs];
-    long long row;
-    int i, k;
-    for (row = 0; row < count; row += $lanes) {
-        const int left = count - row < $lanes ? (int)(count - row) : $lanes;
-        for (i = 0; i < $lanes; ++i)
-            for (k = 0; k < $inputs; ++k)
-                in[k][i] = x[(row + (i < left ? i : left - 1)) * $inputs + k];
-        ${name}_lanes(in, out);
-        for (i = 0; i < left; ++i)
-            for (k = 0; k < $outputs; ++k)
-                y[(row + i) * $outputs + k] = out[k][i];
+    words = {
+        "NAME": name,
+        "REAL": real,
+        "LANES": lanes,
+        "INPUTS": lowered.inputs,
+        "OUTPUTS": len(lowered.outputs),
+        "HELPERS": [c_helpers(text.helpers, real, lanes=lanes)],
+        "CORE": [text.text],
     }
-}
-"""
+    return fill("lowering", "rows.c", words)

@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from covariant._compile import EXACT, compiled, compiler, is_kept
+from covariant._templates import fill
 from covariant.lowering.graph import Lowered, no_collection
 from covariant.lowering.intervals._enclose import Enclosure, bounds
 from covariant.lowering.intervals._fuse import fused
@@ -68,41 +69,14 @@ def source() -> str:
         text = Text(tables)
         kernels.append(kernel_text(text, kernel, f"k_{name}"))
     written = [f"static const double {name}[] = {{{row}}};" for row, name in tables.items()]
-    widths = ", ".join(str(2 + sum(kernel.widths)) for kernel in KERNELS.values())
-    pointers = ", ".join(f"k_{name}" for name in KERNELS)
-    parts = [_PRAGMA, HEAD, f"#define LANES {LANES}\n", *written, *kernels]
-    parts.append(f"static void (*const kernels[])(double *, const int32_t *) = {{{pointers}}};")
-    parts.append(f"static const int widths[] = {{{widths}}};")
-    return "\n".join([*parts, _RUN])
-
-
-# gcc's elimination of partial redundancies turns choices into branches, which cannot be vectors.
-_PRAGMA = """#if defined __GNUC__ && !defined __clang__
-#pragma GCC optimize("no-tree-pre")
-#endif
-"""
-
-_RUN = """
-void enclose(const int32_t *steps, int64_t count, double *w, const int32_t *inputs, int64_t n_inputs,
-             const int32_t *outputs, int64_t n_outputs, int64_t boxes, const double *ends, double *found)
-{
-    int64_t box, k, i;
-    for (box = 0; box < boxes; box += LANES) {
-        const int64_t left = boxes - box < LANES ? boxes - box : LANES;
-        const int32_t *at = steps;
-        for (k = 0; k < n_inputs; ++k)
-            for (i = 0; i < LANES; ++i)
-                w[inputs[k] + i] = ends[k * boxes + box + (i < left ? i : left - 1)];
-        for (k = 0; k < count; ++k) {
-            kernels[at[0]](w, at + 1);
-            at += 1 + widths[at[0]];
-        }
-        for (k = 0; k < n_outputs; ++k)
-            for (i = 0; i < left; ++i)
-                found[k * boxes + box + i] = w[outputs[k] + i];
+    words = {
+        "HEAD": [HEAD],
+        "LANES": LANES,
+        "KERNELS": [*written, *kernels],
+        "POINTERS": ", ".join(f"k_{name}" for name in KERNELS),
+        "WIDTHS": ", ".join(str(2 + sum(kernel.widths)) for kernel in KERNELS.values()),
     }
-}
-"""
+    return fill("lowering", "enclose.c", words)
 
 
 class Library:

@@ -1,6 +1,4 @@
-"""C of the functions of FMI 2.0 for co-simulation, around an instance of `_fmu_c`."""
-
-FUNCTIONS = """/* References of real variables are places in the numbers; the whole number 0 is the outcome. */
+/* References of real variables are places in the numbers; the whole number 0 is the outcome. */
 
 EXPORT const char *fmi2GetVersion(void)
 {
@@ -81,25 +79,3 @@ EXPORT int fmi2DoStep(void *m, double t, double h, int forward)
     return OK;
 }
 
-"""
-
-REFUSED = [
-    "SetInteger void *,const uint32_t *,size_t,const int *",
-    "GetBoolean void *,const uint32_t *,size_t,int *",
-    "SetBoolean void *,const uint32_t *,size_t,const int *",
-    "GetString void *,const uint32_t *,size_t,const char **",
-    "SetString void *,const uint32_t *,size_t,const char *const *",
-    "GetDirectionalDerivative void *,const uint32_t *,size_t,const uint32_t *,size_t,const double *,double *",
-    "SetRealInputDerivatives void *,const uint32_t *,size_t,const int *,const double *",
-    "GetRealOutputDerivatives void *,const uint32_t *,size_t,const int *,double *",
-    "CancelStep",
-    "GetStatus void *,int,int *",
-    "GetRealStatus void *,int,double *",
-    "GetIntegerStatus void *,int,int *",
-    "GetBooleanStatus void *,int,int *",
-    "GetStringStatus void *,int,const char **",
-]
-"""Functions of FMI 2.0 that a unit must offer and this one refuses, with the types of their parameters."""
-
-WORDS = {"@FMI@": "fmi2", "@STATE@": "state", "@DE@": "DeSerialize", "@BYTE@": "char"}
-"""How the functions that both versions have are called here."""

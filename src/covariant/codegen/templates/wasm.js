@@ -1,71 +1,28 @@
-"""Texts around an observer as WebAssembly: the C that JavaScript calls, the script around it, and its self-test."""
-
-CALLS = """/* The observer @NAME@ for JavaScript, which reads and writes its numbers in one place. @SENTENCE@ */
-#include "@NAME@.h"
-
-#include <stddef.h>
-
-#define EXPORT(name) __attribute__((export_name(name)))
-
-/* All are numbers of one type, so that they lie one after the other. */
-static struct {
-    @NAME@_params params;
-    @NAME@_state state;
-    @NAME@_output output;
-    @NAME@_real y[@UPPER@_MEASUREMENTS], u[@UPPER@_INPUTS + 1];
-} all;
-
-EXPORT("place") void *place(void)
-{
-    return &all;
-}
-
-EXPORT("reset") void reset(void)
-{
-    all.params = @NAME@_default;
-}
-
-EXPORT("start") int start(double t)
-{
-    return @NAME@_init(&all.state, &all.params, all.y, (@NAME@_real)t);
-}
-
-EXPORT("step") int step(double dt)
-{
-    return @NAME@_step(&all.state, &all.params, all.u, all.y, NULL, (@NAME@_real)dt);
-}
-
-EXPORT("estimate") void estimate(void)
-{
-    @NAME@_estimate(&all.state, &all.params, &all.output);
-}
-"""
-
-SCRIPT = """/* @ABOUT@
+/* xABOUTx
  *
- * @SENTENCE@
+ * xSENTENCEx
  *
- * In a page, after a script with src="@NAME@.js", also in one that is opened as a file:
+ * In a page, after a script with src="xNAMEx.js", also in one that is opened as a file:
  *
- *     const { Observer } = await @NAME@.load();
+ *     const { Observer } = await xNAMEx.load();
  *     const observer = new Observer();
- *     const code = observer.step(y, dt@WITH_U@);   // NaN in y marks what was not measured; 0 is ok
- *     observer.estimate().@FIRST@;
+ *     const code = observer.step(y, dtxWITH_Ux);   // NaN in y marks what was not measured; 0 is ok
+ *     observer.estimate().xFIRSTx;
  *
- * In Node: const @NAME@ = require("./@NAME@.js"). Sizes are numbers of arrays row by row.
-@SIGNALS@ */
+ * In Node: const xNAMEx = require("./xNAMEx.js"). Sizes are numbers of arrays row by row.
+xSIGNALSx */
 (function () {
 "use strict";
 
-const NAME = "@NAME@", RATE = @RATE@, MEASUREMENTS = @MEASUREMENTS@, INPUTS = @INPUTS@;
-const RESULTS = @RESULTS@;
-const MESSAGES = @MESSAGES@;
+const NAME = "xNAMEx", RATE = xRATEx, MEASUREMENTS = xMEASUREMENTSx, INPUTS = xINPUTSx;
+const RESULTS = xRESULTSx;
+const MESSAGES = xMESSAGESx;
 const OK = RESULTS.indexOf("OK"), COASTED = RESULTS.indexOf("COASTED"), NOT_FINITE = RESULTS.indexOf("NOT_FINITE");
 /* Names and sizes of what the structures of the C hold, in order. */
-const PARAMS = @PARAMS@;
-const STATE = @STATE@;
-const OUTPUT = @OUTPUT@;
-const WASM = "@WASM@";
+const PARAMS = xPARAMSx;
+const STATE = xSTATEx;
+const OUTPUT = xOUTPUTx;
+const WASM = "xWASMx";
 
 const size = (fields) => fields.reduce((sum, [, count]) => sum + count, 0);
 
@@ -102,7 +59,7 @@ async function load() {
             const calls = new WebAssembly.Instance(module).exports;
             const counts = [PARAMS, STATE, OUTPUT].map((fields) => Math.max(1, size(fields)));
             const ends = [...counts, MEASUREMENTS, INPUTS + 1].map(((end) => (count) => (end += count))(0));
-            const all = new @ARRAY@(calls.memory.buffer, calls.place(), ends[4]);
+            const all = new xARRAYx(calls.memory.buffer, calls.place(), ends[4]);
             this.#calls = calls;
             this.#all = all;
             calls._initialize?.(); // which some compilers write
@@ -164,47 +121,5 @@ async function load() {
 
 const exported = { load, RATE, MEASUREMENTS, INPUTS, RESULTS, MESSAGES };
 if (typeof module !== "undefined" && module.exports) module.exports = exported;
-else globalThis.@NAME@ = exported;
+else globalThis.xNAMEx = exported;
 })();
-"""
-
-SELF_TEST = """/* Self-test of @NAME@.js: `node test/@NAME@_test.js`. @SENTENCE@ */
-"use strict";
-
-const { load } = require("../@NAME@.js");
-
-const start = @START@;
-const steps = @STEPS@;
-const inputs = @INPUT_ROWS@;
-const measured = @MEASURED@;
-const expected = @EXPECTED@;
-/* Ten times what roundings at random make of the same run. */
-const allowed = @ALLOWED@;
-/* The outcome of each step, or -1 where rounding decides it. */
-const outcomes = @OUTCOMES@;
-
-load().then(({ Observer }) => {
-    const observer = new Observer();
-    let worst = 0;
-    let wrong = observer.start(start) !== 0;
-    steps.forEach((dt, row) => {
-        const outcome = observer.step(measured[row], dt, inputs[row]);
-        if (outcomes[row] >= 0 && outcome !== outcomes[row]) {
-            console.log(`row ${row}: outcome ${outcome} in place of ${outcomes[row]}`);
-            wrong = true;
-        }
-        Object.values(observer.estimate()).flatMap((array) => [...array]).forEach((value, i) => {
-            if (Number.isNaN(expected[row][i])) return; // not known there, nor compared
-            const part = Math.abs(value - expected[row][i]) / allowed[row][i];
-            if (!(part <= 1)) {
-                console.log(`row ${row}: number ${i} is ${value} in place of ${expected[row][i]}`);
-                wrong = true;
-            }
-            worst = Math.max(worst, part);
-        });
-    });
-    const verdict = wrong ? "WRONG" : "ok";
-    console.log(`@NAME@: ${verdict}, ${steps.length} steps, largest deviation ${worst.toFixed(3)} of the allowed one`);
-    process.exitCode = wrong ? 1 : 0;
-});
-"""

@@ -1,56 +1,21 @@
-"""Text of the Python module around an exported observer: NumPy, ctypes, and the C that it loads as a library."""
+"""xABOUTx
 
-ROWS_IN_C = """/* Rows of a log through @NAME@, for callers that hold a log as arrays. @SENTENCE@ */
-#include "@NAME@.h"
-
-#include <stddef.h>
-
-/* Of which texts this library was built. */
-const char @NAME@_token[] = "@TOKEN@";
-
-/* Steps through all rows; u, y, dt and what is written lie row by row. */
-void @NAME@_rows(@NAME@_state *state, const @NAME@_params *params, size_t rows, const @NAME@_real *u,
-    const @NAME@_real *y, const @NAME@_real *dt, @NAME@_output *outputs, @NAME@_real *reported, int *results)
-{
-    /* A state has nothing but numbers of one type, and what a step reports at its end. */
-    const @NAME@_real *last = (const @NAME@_real *)state + @FIRST_REPORTED@;
-    size_t row, i;
-
-    for (row = 0; row < rows; ++row) {
-        results[row] = @NAME@_step(state, params, u != NULL ? u + row * @UPPER@_INPUTS : NULL,
-            y + row * @UPPER@_MEASUREMENTS, NULL, dt[row]);
-        @NAME@_estimate(state, params, outputs + row);
-        for (i = 0; i < @REPORTED@; ++i)
-            reported[row * @REPORTED@ + i] = last[i];
-    }
-}
-"""
-
-MAIN = '''"""Build the library of @NAME@ from its C: `python -m @NAME@`."""
-
-from . import build
-
-print(build())
-'''
-
-MODULE = '''"""@ABOUT@
-
-@SENTENCE@
+xSENTENCEx
 
 A log, as arrays; NaN marks a missing measurement:
 
-    import @NAME@
+    import xNAMEx
 
-    run = @NAME@.run(t, y@WITH_U@)
-    run.@FIRST@, run.result
+    run = xNAMEx.run(t, yxWITH_Ux)
+    run.xFIRSTx, run.result
 
 Sample by sample:
 
-    observer = @NAME@.Observer()
-    result = observer.step(y, dt@WITH_U@)
-    observer.estimate().@FIRST@
+    observer = xNAMEx.Observer()
+    result = observer.step(y, dtxWITH_Ux)
+    observer.estimate().xFIRSTx
 
-@SIGNALS@Needs NumPy, and the library `lib@NAME@` beside this file; `python -m @NAME@` builds it from the C beside it.
+xSIGNALSxNeeds NumPy, and the library `libxNAMEx` beside this file; `python -m xNAMEx` builds it from the C beside it.
 """
 
 from __future__ import annotations
@@ -70,37 +35,37 @@ from typing import NamedTuple
 
 import numpy as np
 
-__version__ = "@VERSION@"
+__version__ = "xVERSIONx"
 
-RATE = @RATE@
+RATE = xRATEx
 """Sampling rate [Hz] that the observer is made for."""
-REAL = np.dtype("@DTYPE@")
+REAL = np.dtype("xDTYPEx")
 """Type of all numbers of the observer; others are converted to it."""
-MEASUREMENT = @MEASUREMENT@
-"""Shape of a measurement@SENSORS@."""
-INPUTS = @INPUTS@
+MEASUREMENT = xMEASUREMENTx
+"""Shape of a measurementxSENSORSx."""
+INPUTS = xINPUTSx
 """Number of inputs."""
 
-_NAME, _TOKEN = "@NAME@", "@TOKEN@"
+_NAME, _TOKEN = "xNAMEx", "xTOKENx"
 _HERE = Path(__file__).parent
 _LIBRARY = _HERE / f"lib{_NAME}{'.dll' if os.name == 'nt' else '.dylib' if sys.platform == 'darwin' else '.so'}"
 _SOURCES = (f"{_NAME}.c", f"{_NAME}_rows.c")
-_FLAGS = @FLAGS@
-_FIRST = @STARTS@  # numbers of a measurement that must be there at the start
+_FLAGS = xFLAGSx
+_FIRST = xSTARTSx  # numbers of a measurement that must be there at the start
 _LATEST = 7.26e9  # s, the year 2200
 _COARSEST = 0.01  # largest rounding of stamps, as a fraction of a step
 
 # Names and shapes of what the structures of the C hold, in order.
-_PARAMS = @PARAMS@
-_STATE = @STATE@
-_OUTPUT = @OUTPUT@
-_REPORTED = @REPORTED_LEAVES@
+_PARAMS = xPARAMSx
+_STATE = xSTATEx
+_OUTPUT = xOUTPUTx
+_REPORTED = xREPORTED_LEAVESx
 
 
 class Result(enum.IntEnum):
     """Outcome of a step; zero is good, and a larger code is worse."""
 
-@CODES@
+    #: xCODESx
 
     @property
     def message(self) -> str:
@@ -109,21 +74,21 @@ class Result(enum.IntEnum):
 
 
 _MESSAGES = {
-@MESSAGES@
+    #: xMESSAGESx
 }
 
 
 class Estimate(NamedTuple):
     """An estimate."""
 
-@ESTIMATE_FIELDS@
+    #: xESTIMATE_FIELDSx
 
 
 class Run(NamedTuple):
     """A log with its estimates, T rows: stamps, estimates, diagnostics of each step, and its result code."""
 
     t: np.ndarray  # (T,)
-@RUN_FIELDS@
+    #: xRUN_FIELDSx
     result: np.ndarray  # (T,)
 
 
@@ -304,7 +269,7 @@ _CODES = tuple(Result)
 _FUNCTIONS = ("init", "step", "estimate")
 
 
-@functools.lru_cache(maxsize=None)
+@functools.cache
 def _library() -> ctypes.CDLL:
     """The library, loaded at the first use."""
     remedy = f"build it by `{sys.executable} -m {_NAME}`, which needs a C compiler, or the package ziglang"
@@ -350,4 +315,75 @@ def _views(flat: np.ndarray, fields: tuple) -> dict[str, np.ndarray]:
     return views
 
 
-'''
+def _real(value: object, name: str) -> np.ndarray:
+    """An array of real numbers; what is masked becomes NaN."""
+    try:
+        array = np.asarray(np.ma.filled(value.astype(float), np.nan) if np.ma.isMaskedArray(value) else value)
+    except ValueError as error:
+        raise ValueError(f"{name} is no array: {error}") from error
+    if array.dtype.kind == "M":
+        raise ValueError(f"{name} has dates; give seconds, as (t - t[0]) / np.timedelta64(1, 's')")
+    if array.dtype.kind not in "iuf":
+        raise ValueError(f"{name} has the type {array.dtype}; it must be real numbers, which become {REAL}")
+    return array
+
+
+def _read(into: np.ndarray, value: object, name: str, shape: tuple) -> None:
+    array = _real(value, name)
+    if array.shape != shape:
+        raise ValueError(f"{name} has the shape {array.shape}; one sample has {shape}")
+    into[:] = array.ravel()
+
+
+def _rows(value: object, name: str, shape: tuple) -> np.ndarray:
+    array = _real(value, name)
+    if array.ndim != len(shape) + 1 or array.shape[1:] != shape:
+        needed = ", ".join(map(str, ("T", *shape))) + ("," if not shape else "")
+        column = f"; {name}[:, None] is a column" if array.ndim == 1 and shape == (1,) else ""
+        raise ValueError(f"{name} has the shape {array.shape}; {_NAME} needs ({needed}), time first{column}")
+    return array
+
+
+def _checked(t: object, y: object, u: object) -> tuple:
+    """Stamps in double precision, measurements and inputs in that of the observer."""
+    times, measured = _rows(t, "t", ()), _rows(y, "y", MEASUREMENT)
+    inputs = None if u is None else _rows(u, "u", (INPUTS,))
+    lengths = {"t": times, "y": measured, **({} if inputs is None else {"u": inputs})}
+    if len({len(a) for a in lengths.values()}) > 1:
+        raise ValueError(f"rows differ: {', '.join(f'{len(a)} of {name}' for name, a in lengths.items())}")
+    if len(times) < 2:
+        raise ValueError(f"a log needs at least two rows; this one has {len(times)}")
+    for name, array in (("t", times), ("u", np.zeros((len(times), 0)) if inputs is None else inputs)):
+        bad = ~np.isfinite(array.reshape(len(times), -1)).all(1)
+        if bad.any():
+            raise ValueError(f"row {bad.argmax() + 1}: {name} is not a finite number; only measurements may be missing")
+    with np.errstate(over="ignore"):  # too large for the type of the observer: infinite
+        measured = np.ascontiguousarray(measured, REAL)
+    infinite = np.isinf(measured.reshape(len(times), -1)).any(1)
+    if infinite.any():
+        raise ValueError(f"row {infinite.argmax() + 1}: a measurement is infinite; mark a missing one by NaN")
+    if np.isnan(measured[0].ravel()[:_FIRST]).any():
+        raise ValueError("row 1 lacks a measurement, so no estimate can start there; cut the log to begin later")
+    _check_stamps(times)
+    return times.astype(float), measured, None if inputs is None else np.ascontiguousarray(inputs, REAL)
+
+
+def _check_stamps(times: np.ndarray) -> None:
+    latest = float(np.abs(times).max())
+    if latest > _LATEST:
+        raise ValueError(f"stamps reach {latest:g} s, after the year 2200; they must be in seconds")
+    step = np.diff(times.astype(float))
+    if (step < 0).any():
+        k = int((step < 0).argmax())
+        back = f"from {times[k]:g} s to {times[k + 1]:g} s"
+        raise ValueError(f"row {k + 2}: time goes back {back}; sort or split the log")
+    if (step == 0).any():
+        k = int((step == 0).argmax())
+        raise ValueError(f"rows {k + 1} and {k + 2} have the same stamp {times[k]:g} s; keep one of them")
+    if times.dtype.kind == "f" and times.dtype.itemsize < 8:
+        least, usual = float(np.spacing(np.abs(times).max())), float(np.median(step))
+        if least > _COARSEST * usual:
+            raise ValueError(
+                f"stamps in {times.dtype} near {latest:g} s are whole multiples of {least:.2g} s, and rows are "
+                f"{usual:.2g} s apart; give them in float64, or count them from the first before they are rounded"
+            )

@@ -1,0 +1,51 @@
+"""Texts of generated files, from templates that are valid files of their own language.
+
+A placeholder `xNAMEx` is an identifier in C, Python and JavaScript, so that compilers and linters accept a template.
+One that stands for whole lines is a comment of its own line: `/* xLINESx */`, `#: xLINESx` or `<!-- xLINESx -->`.
+"""
+
+import functools
+import importlib.resources
+import re
+from typing import Any
+
+Words = dict[str, Any]
+"""Texts or numbers by the names of placeholders; one that stands for lines has a sequence of them."""
+
+_NAME = "x([A-Z](?:[A-Z_]*[A-Z])?)x"
+PLACEHOLDER = re.compile(rf"^ *(?:/\* {_NAME} \*/|#: {_NAME}|<!-- {_NAME} -->)\n|{_NAME}", re.MULTILINE)
+
+
+def fill(room: str, file: str, words: Words) -> str:
+    """Fill in the placeholders of a template.
+
+    Args:
+        room: Room that has the template in its folder `templates`, such as "codegen".
+        file: Name of the template, such as "observer.c".
+        words: Their texts. Names that the template does not have are skipped, and filled-in texts are not searched for
+            placeholders.
+
+    Returns:
+        The text.
+
+    Raises:
+        KeyError: A placeholder has no text.
+
+    Example:
+        >>> from covariant._templates import fill
+        >>> fill("codegen", "__main__.py", {"NAME": "speed"}).partition(chr(10))[0]
+        '\"\"\"Build the library of speed from its C: `python -m speed`.\"\"\"'
+    """
+
+    def text(match: re.Match[str]) -> str:
+        name = match[match.lastindex or 0]
+        # The last group is the one of a placeholder within a line.
+        return str(words[name]) if match[4] else "".join(f"{line}\n" for line in words[name])
+
+    return PLACEHOLDER.sub(text, template(room, file))
+
+
+@functools.cache
+def template(room: str, file: str) -> str:
+    """The text of a template with its placeholders."""
+    return (importlib.resources.files(f"covariant.{room}") / "templates" / file).read_text(encoding="utf-8")

@@ -1,0 +1,54 @@
+/* xABOUTx
+ *
+ * Written by covariant xVERSIONx. xSENTENCEx
+ */
+#include "xNAMEx.h"
+
+#include <math.h>
+#include <stddef.h>
+
+#ifdef __FAST_MATH__
+#error missing measurements are NaN: compile this file without -ffast-math
+#endif
+
+/* Where double has four bytes, as on some microcontrollers, export the observer in float. */
+typedef char xNAMEx_size_of_real[sizeof(xNAMEx_real) == xSIZEx ? 1 : -1];
+
+const xNAMEx_params xNAMEx_default = {
+    /* xDEFAULTSx */
+};
+
+/* xHELPERSx */
+/* xFUNCTIONSx */
+int xNAMEx_init(xNAMEx_state *state, const xNAMEx_params *params, const xNAMEx_real *y, xNAMEx_real t)
+{
+    int i;
+    for (i = 0; i < xNEEDEDx; ++i) {
+        if (!(y[i] - y[i] == 0))
+            return xUPPERx_NOT_FINITE;
+    }
+    xNAMEx_core_init(params, y, t, state);
+    /* xUNKNOWNx */
+    return xUPPERx_OK;
+}
+
+int xNAMEx_step(xNAMEx_state *state, const xNAMEx_params *params, const xNAMEx_real *u,
+    const xNAMEx_real *y, const unsigned char *missing, xNAMEx_real dt)
+{
+    /* xNO_INPUTx */
+    xNAMEx_state next;
+    xNAMEx_real seen[xMEASUREMENTSx], result;
+    int i;
+    for (i = 0; i < xUPPERx_MEASUREMENTS; ++i)
+        seen[i] = missing != NULL && missing[i] ? (xNAMEx_real)NAN : y[i];
+    xNAMEx_core_step(params, state, xACTINGx, seen, dt, &next, &result);
+    *state = next;
+    return (int)result;
+}
+
+/* xPART_STEPSx */
+void xNAMEx_estimate(const xNAMEx_state *state, const xNAMEx_params *params, xNAMEx_output *output)
+{
+    xNAMEx_core_estimate(params, state, output);
+    /* xCOPIEDx */
+}

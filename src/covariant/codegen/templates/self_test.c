@@ -1,0 +1,65 @@
+/* Self-test of xNAMEx. xSENTENCEx */
+
+#include "xNAMEx.h"
+
+#include <math.h>
+#include <stdio.h>
+
+#define ROWS xROWSx
+#define NUMBERS xNUMBERSx
+
+static const xNAMEx_real start[xMEASUREMENTSx] = {xSTARTx};
+
+static const xNAMEx_real steps[ROWS] = {xSTEPSx};
+
+/* xINPUT_ROWSx */
+
+/* xMEASURED_ROWSx */
+
+static const unsigned char missing[ROWS][xMEASUREMENTSx] = {
+    /* xMISSINGx */
+};
+
+/* xEXPECTEDx */
+
+/* Ten times what roundings at random make of the same run. */
+/* xALLOWEDx */
+
+/* The outcome of each step, or -1 where rounding decides it. */
+static const int outcomes[ROWS] = {xOUTCOMESx};
+
+int main(void)
+{
+    xNAMEx_state state;
+    xNAMEx_output output;
+    xNAMEx_real found[NUMBERS], worst = xZEROx;
+    int row, i, wrong = xNAMEx_init(&state, &xNAMEx_default, start, xZEROx) != xUPPERx_OK;
+
+    for (row = 0; row < ROWS; ++row) {
+        const int outcome =
+            xNAMEx_step(&state, &xNAMEx_default, inputs[row], measured[row], missing[row], steps[row]);
+        if (outcomes[row] >= 0 && outcome != outcomes[row]) {
+            printf("row %d: outcome %d in place of %d\n", row, outcome, outcomes[row]);
+            wrong = 1;
+        }
+        xNAMEx_estimate(&state, &xNAMEx_default, &output);
+        /* xREADx */
+        for (i = 0; i < NUMBERS; ++i) {
+            const xNAMEx_real off = found[i] > expected[row][i] ? found[i] - expected[row][i]
+                                                                : expected[row][i] - found[i];
+            const xNAMEx_real part = off / allowed[row][i];
+            if (expected[row][i] != expected[row][i])
+                continue; /* not known there, nor compared */
+            if (!(part <= 1)) {
+                printf("row %d: number %d is %.17g in place of %.17g\n", row, i, (double)found[i],
+                    (double)expected[row][i]);
+                wrong = 1;
+            }
+            if (part > worst)
+                worst = part;
+        }
+    }
+    printf("xNAMEx: %s, %d steps, largest deviation %.3f of the allowed one\n", wrong ? "WRONG" : "ok", ROWS,
+        (double)worst);
+    return wrong;
+}
