@@ -70,7 +70,7 @@ import json, sys
 from covariant import calibration, models
 from covariant.cli import _names, main
 from covariant.observers import run
-from covariant.workflow import _compare
+from covariant.workflow import _kinds
 
 def command(*arguments):
     sys.argv = ["covariant", *arguments]
@@ -86,7 +86,7 @@ made = calibration.tuned_estimators(bead, 1, calibration.DataSheet(1e-3, 1.0), 1
 
 command("simulate", "bead_on_hoop", "-o", "log.csv", "--duration", "3", "--rate", "100", "--q0", "0.5", "--v0", "0")
 quick = ("copy", "tracker")  # all would take a while to compile
-_compare.tuned_estimators = lambda *a: {
+_kinds.tuned_estimators = lambda *a: {
     name: o for name, o in calibration.tuned_estimators(*a).items() if name in quick
 }
 sheet = ("--set", "measurement.std=1e-3", "--set", "uncertainty.acceleration=1", "--truth", "true_v1")

@@ -12,14 +12,15 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from covariant import models
-from covariant.calibration import tuned_estimators
 from covariant.models import Overrides
 from covariant.observers import AbstractWrapper, IntrinsicKalman, KalmanState, Slow, run
 from covariant.scoring import rmse, scored_window
 from covariant.workflow._comparison import AbstractComparison
+from covariant.workflow._design import design, log_sheet
 from covariant.workflow._force_rivals import rivals
-from covariant.workflow._inputs import ColumnNames, Job, Loaded, column_names, load, log_sheet, numbered, refuse_delays
-from covariant.workflow._outcome import force_units, mean_nis, rounded
+from covariant.workflow._inputs import ColumnNames, Job, Loaded, column_names, load, numbered, refuse_delays
+from covariant.workflow._kinds import Labels
+from covariant.workflow._outcome import mean_nis, rounded
 from covariant.workflow._progress import Progress, silent
 from covariant.workflow._pushes import force_names
 
@@ -87,7 +88,7 @@ def compare_force(
     progress("estimating with intrinsic-kalman")
     by = {name: _filtered(filter_, loaded) for name, filter_ in _filters(job, loaded).items()}
     progress("estimating with rivals")
-    for rival in rivals(loaded.model, loaded.record, log_sheet(loaded), loaded.rate, true, scored):
+    for rival in rivals(loaded.model, loaded.record, log_sheet(loaded.file, loaded), loaded.rate, true, scored):
         by[rival.name] = ForceEstimate(rival.force, None, np.nan, rival.design)
     return CompareForceResult(job, loaded, names, true, scored, by)
 
@@ -149,8 +150,8 @@ class CompareForceResult(AbstractComparison):
 
     @property
     def units(self) -> dict[str, str]:
-        labels = numbered("external_force", self.true.shape[1])
-        return {f"{name}_rmse": unit for name, unit in zip(labels, force_units(self.loaded.file), strict=True)}
+        labels = Labels(numbered("external_force", self.true.shape[1]), self.loaded.kind.force_units)
+        return labels.called("{}_rmse").table
 
     @property
     def size(self) -> np.ndarray:
@@ -186,8 +187,7 @@ class CompareForceResult(AbstractComparison):
     def __str__(self) -> str:
         from covariant.report import table
 
-        units = force_units(self.loaded.file)
-        headings = [f"RMSE {name} [{unit}]".removesuffix(" []") for name, unit in zip(self.names, units, strict=True)]
+        headings = Labels(self.names, self.loaded.kind.force_units).called("RMSE {}").headings
         rows = [
             {"estimator": name, **dict(zip(headings, map(float, self._errors(each)), strict=True))}
             | {"in the 95 % band": self._within(each), "NIS": each.nis}
@@ -269,10 +269,7 @@ def _check(job: Job, loaded: Loaded, names: tuple[str, ...]) -> None:
 
 def _filters(job: Job, loaded: Loaded) -> dict[str, _Force]:
     """The filter with forces that are forgotten, where the model file has such, and with forces that walk."""
-    tuned = tuned_estimators(
-        loaded.model, loaded.file.dimension, log_sheet(loaded), loaded.rate, names=("intrinsic-kalman",)
-    )
-    kalman: Any = tuned["intrinsic-kalman"]
+    kalman: Any = design(loaded.file, "intrinsic-kalman", None, loaded.rate, loaded).observer
     refuse_delays(job, loaded, kalman, "forces are not compared on what is read late")
     names = force_names(loaded.file, kalman.slow_names)
     scored = tuple(set(group.names) <= set(names) for group in kalman.slow)

@@ -10,10 +10,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from covariant.engine import EngineName as Engine, run_log
-from covariant.models import ModelFile, Motion
+from covariant.models import Motion
 from covariant.observers import AbstractObserver
 from covariant.signals import Result, Run
-from covariant.workflow._inputs import Loaded, ReferenceVelocity, sought_units
+from covariant.workflow._inputs import Loaded, ReferenceVelocity
 
 KEPT = ("innovation", "distance", "result", "nis", "velocity_std", "state_std", "slow", "slow_std", "sensors")
 """What the commands use of the info of an observer."""
@@ -231,12 +231,6 @@ def with_units(values: Iterable[float | None], units: tuple[str, ...]) -> str:
         for v, unit in zip(values, units, strict=True)
     )
     return ", ".join(written)
-
-
-def force_units(file: ModelFile) -> tuple[str, ...]:
-    """Units of generalised forces along the velocities, whose product with them is a power; "" where not known."""
-    per_second = {"rad/s": "N m", "m/s": "N"}
-    return tuple(per_second.get(unit, "") for unit in sought_units(file))
 
 
 def report_curves(outcomes: dict[str, Outcome]) -> dict[str, Any]:

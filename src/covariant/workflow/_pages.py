@@ -6,9 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from covariant import scoring
 from covariant.report import EstimateReport, write_report as write_page_and_figures
-from covariant.workflow._inputs import Loaded, coordinates
+from covariant.workflow._inputs import Loaded
 from covariant.workflow._result import AbstractTable
 
 if TYPE_CHECKING:
@@ -38,28 +37,24 @@ def estimate_report(
     Returns:
         The report, with the reference of the velocities where there is one.
     """
-    names, units = coordinates(loaded.file)
-    y = np.asarray(loaded.record.y)
+    kind, y = loaded.kind, np.asarray(loaded.record.y)
     missing = int(np.isnan(y.reshape(len(y), -1)).any(1).sum())
-    drawn = scoring.unwrap(y, loaded.model.circles) if loaded.model.manifold.commuting else None
-    if not loaded.file.mechanical:  # the panels are those of the states, and the outputs are others
-        drawn, curves = None, {"estimates": curves["estimates"]}
     notes = (
         *notes,
         f"{len(y)} samples at about {loaded.rate:.0f} Hz, {missing} of them coasted without a measurement.",
     )
     report = EstimateReport(
         title=title,
-        estimated=loaded.model.sought.what,
-        coordinates=names,
-        units=units,
+        estimated=kind.what,
+        coordinates=kind.axes.names,
+        units=kind.axes.units,
         t=np.asarray(loaded.record.t),
-        q_measured=drawn,
+        q_measured=kind.drawn(y),
         rows=rows,
         notes=notes,
         headline=headline,
         warnings=warnings,
-        **curves,
+        **(curves if kind.draws_innovations else {"estimates": curves["estimates"]}),
     )
     if loaded.reference is not None:
         report = report._replace(v_reference=loaded.reference.v, v_reference_label=loaded.reference.label)

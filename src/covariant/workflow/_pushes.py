@@ -69,7 +69,7 @@ def pushes(file: ModelFile, outcome: Outcome) -> Pushes | None:
         outcome: The run of the observer.
     """
     slow, std = (known(outcome.run.info, name) for name in ("slow", "slow_std"))
-    names = force_names(file, outcome.slow_names) if file.mechanical else ()
+    names = force_names(file, outcome.slow_names)
     if slow is None or std is None or not names:
         return None
     at = [outcome.slow_names.index(name) for name in names]
