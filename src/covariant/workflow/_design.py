@@ -136,7 +136,8 @@ def design(
         if name not in available:
             known = f"they do to {', '.join(available)}" if available else "alpha and beta are for mechanical models"
             raise ValueError(
-                f"observer {name} does not fit {spec} with constant gains: alpha and beta do not apply to {name}; {known}"
+                f"observer {name} does not fit {spec} with constant gains: alpha and beta do not apply to {name}; "
+                f"{known}"
             )
         observer = gated(available[name], model, sheet()) if tells_noise(file) else available[name]
         return Design(
