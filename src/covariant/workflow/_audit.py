@@ -15,7 +15,6 @@ from covariant.proofs import Box
 from covariant.workflow._arguments import Region, above_zero, bounds, gain_pair
 from covariant.workflow._design import design
 from covariant.workflow._kinds import kind_of
-from covariant.workflow._outputs import check_output
 from covariant.workflow._progress import Progress, silent
 from covariant.workflow._result import AbstractResult
 
@@ -121,42 +120,15 @@ class AuditResult(AbstractResult):
     def __str__(self) -> str:
         return str(self.audit)
 
-    def report(self, path: str | Path) -> list[Path]:
-        """Write a page with the figure of the deviations and an explanation of each law.
-
-        Args:
-            path: The page to write (.html).
-
-        Returns:
-            The path, as the only entry.
-
-        Raises:
-            ValueError: For another suffix, or a folder that does not exist.
-            ImportError: Without matplotlib.
-        """
+    def _write_page(self, path: Path) -> list[Path]:
         from covariant.report import write_audit
 
-        check_output(Path(path), ".html")
         return [write_audit(self.audit, f"Audit of {self.title}", path)]
 
-    def plot(self, path: str | Path | None = None) -> "Figure":
-        """Draw the deviations against their tolerances.
+    def _figure(self) -> "Figure":
+        from covariant.report import audit_figure
 
-        Args:
-            path: Where the figure is written as well (.png, .pdf, .svg); by default it is not.
-
-        Returns:
-            The figure, one line for each law.
-
-        Raises:
-            ImportError: Without matplotlib.
-        """
-        from covariant.report import audit_figure, save_figure
-
-        figure = audit_figure(self.audit)
-        if path is not None:
-            save_figure(figure, path)
-        return figure
+        return audit_figure(self.audit)
 
 
 def _domain(file: ModelFile, region: Region | None) -> Box | None:

@@ -15,7 +15,6 @@ from covariant._files import write_atomically
 from covariant.calibration import estimators
 from covariant.models import Overrides, Parameter
 from covariant.observers import REGISTRY
-from covariant.workflow._outputs import check_output
 from covariant.workflow._result import AbstractResult
 
 PLACES = "journal", "booktitle", "publisher", "eprint"
@@ -112,22 +111,10 @@ class CiteResult(AbstractResult):
             lines.append(f"Numbers of {self.model_name}: {'; '.join(self.numbers)}")
         return "\n".join([*lines, "", self.bibtex])
 
-    def save(self, path: str | Path, overwrite: bool = True) -> Path:
-        """Write the BibTeX entries to a file, whole or not at all.
+    written = (".bib",)
 
-        Args:
-            path: The file to write (.bib).
-            overwrite: Whether a file that exists may be replaced.
-
-        Returns:
-            The path.
-
-        Raises:
-            ValueError: For another suffix, or a folder that does not exist.
-        """
-        path = Path(path)
-        check_output(path, ".bib", overwrite=overwrite)
-        return write_atomically(path, lambda file: file.write(f"{self.bibtex}\n".encode()))
+    def _write(self, path: Path) -> None:
+        write_atomically(path, lambda file: file.write(f"{self.bibtex}\n".encode()))
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,6 @@ from covariant.calibration import estimators
 from covariant.engine import EngineName
 from covariant.models import Overrides
 from covariant.observers import AbstractObserver
-from covariant.workflow._comparison import AbstractComparison
 from covariant.workflow._design import log_sheet
 from covariant.workflow._inputs import (
     ColumnNames,
@@ -23,8 +22,10 @@ from covariant.workflow._inputs import (
 )
 from covariant.workflow._kinds import Labels
 from covariant.workflow._outcome import Outcome, drive, engine_is_notable, report_curves, rounded, summary, with_units
+from covariant.workflow._outputs import write_table
 from covariant.workflow._pages import estimate_report, write_report
 from covariant.workflow._progress import Progress, silent
+from covariant.workflow._result import AbstractTable
 from covariant.workflow._trial import Ahead, ahead, trial_part
 
 
@@ -75,6 +76,28 @@ def compare(
     predicted = ahead(outcomes, loaded, tuned_on)
     ranked = {name: outcomes[name] for name in rank(outcomes, loaded, predicted)}
     return CompareResult(job, loaded, note, ranked, engine, predicted)
+
+
+@dataclass(frozen=True, repr=False)
+class AbstractComparison(AbstractTable):
+    """Several estimators on one log.
+
+    Attributes:
+        job: The model and the log, and which part of it was read.
+        loaded: Both as they were read.
+    """
+
+    job: Job
+    loaded: Loaded
+
+    written = (".csv",)
+
+    @property
+    def _log(self) -> Any:
+        return self.job.log
+
+    def _write(self, path: Path) -> None:
+        write_table(path, self.columns)  # a number that an estimator does not have is left empty
 
 
 @dataclass(frozen=True, repr=False)
@@ -171,40 +194,29 @@ class CompareResult(AbstractComparison):
         ]
         return "\n".join(lines)
 
-    def report(self, path: str | Path) -> list[Path]:
-        """Write an interactive page with all estimates and their ranking, and figures (.png) beside it.
-
-        Args:
-            path: The page to write (.html).
-
-        Returns:
-            The paths of all files, the page first.
-
-        Raises:
-            ImportError: Without matplotlib or plotly; nothing is written then.
-        """
+    def _write_page(self, path: Path) -> list[Path]:
         title = f"Estimators compared: {Path(self.job.model_name).stem}, {Path(self.job.log_name).name}"
         curves = report_curves(self.outcomes)
         rows, notes = self._rows(), (f"Ranked by {ranked_by(self.loaded, self.predicted)}.", self.design)
         page = estimate_report(title, self.loaded, curves, notes, rows, self.headline, self.warnings)
-        return write_report(Path(path), page._replace(ranked=True))
+        return write_report(path, page._replace(ranked=True))
 
     def _predicted_cells(self, name: str) -> dict[str, float]:
         if self.predicted is None:
             return {}
         kind = self.loaded.kind
-        headings = Labels(kind.axes.names, kind.innovation_units).called("predicted {}").headings
-        return dict(zip(headings, map(float, self.predicted.errors[name]), strict=True))
+        labels = Labels(kind.axes.names, kind.innovation_units).called("predicted {}")
+        return labels.cells(self.predicted.errors[name])
 
     def _rows(self) -> tuple[dict[str, str | float], ...]:
         """The rows of the printed table, with units in their headings."""
         loaded, kind = self.loaded, self.loaded.kind
         labels = kind.rates if loaded.reference else Labels(loaded.file.columns.q, kind.innovation_units)
-        headings = labels.called("RMSE {}").headings
+        labels = labels.called("RMSE {}")
         return tuple(
             {
                 "estimator": name,
-                **dict(zip(headings, map(float, rmse(outcome)), strict=True)),
+                **labels.cells(rmse(outcome)),
                 **self._predicted_cells(name),
                 **consistency(outcome),
                 "µs a sample": round(outcome.microseconds, 1),

@@ -15,14 +15,13 @@ from covariant import models
 from covariant.models import Overrides
 from covariant.observers import AbstractWrapper, IntrinsicKalman, KalmanState, Slow, run
 from covariant.scoring import rmse, scored_window
-from covariant.workflow._comparison import AbstractComparison
+from covariant.workflow._compare import AbstractComparison
 from covariant.workflow._design import design, log_sheet
 from covariant.workflow._force_rivals import rivals
 from covariant.workflow._inputs import ColumnNames, Job, Loaded, column_names, load, numbered, refuse_delays
 from covariant.workflow._kinds import Labels
-from covariant.workflow._outcome import mean_nis, rounded
+from covariant.workflow._outcome import force_names, mean_nis, plain, rounded
 from covariant.workflow._progress import Progress, silent
-from covariant.workflow._pushes import force_names
 
 WITHIN = 1.96
 """Standard deviations of a normal distribution to both sides of its mean that hold 95 % of it."""
@@ -170,8 +169,8 @@ class CompareForceResult(AbstractComparison):
                     "estimator": name,
                     "design": each.design,
                     "force_rmse": rounded(self._errors(each)),
-                    "within_band": rounded(np.array([self._within(each)]))[0],
-                    "nis": rounded(np.array([each.nis]))[0],
+                    "within_band": plain(self._within(each)),
+                    "nis": plain(each.nis),
                 }
                 for name, each in self.estimates.items()
             ],
@@ -187,15 +186,13 @@ class CompareForceResult(AbstractComparison):
     def __str__(self) -> str:
         from covariant.report import table
 
-        headings = Labels(self.names, self.loaded.kind.force_units).called("RMSE {}").headings
+        labels = Labels(self.names, self.loaded.kind.force_units).called("RMSE {}")
         rows = [
-            {"estimator": name, **dict(zip(headings, map(float, self._errors(each)), strict=True))}
+            {"estimator": name, **labels.cells(self._errors(each))}
             | {"in the 95 % band": self._within(each), "NIS": each.nis}
             for name, each in self.estimates.items()
         ]
-        rows.append(
-            {"estimator": "none: the size of the truth", **dict(zip(headings, map(float, self.size), strict=True))}
-        )
+        rows.append({"estimator": "none: the size of the truth", **labels.cells(self.size)})
         designs = [f"{name}: {each.design}" for name, each in self.estimates.items()]
         return "\n".join([f"{self.job.log_name}, errors of the external force", "", table(rows), *designs])
 

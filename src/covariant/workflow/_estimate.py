@@ -26,21 +26,22 @@ from covariant.workflow._inputs import (
 )
 from covariant.workflow._outcome import (
     Outcome,
+    Pushes,
     deviations,
     drive,
     engine_is_notable,
     known,
+    plain,
+    pushes,
     report_curves,
     rounded,
     summary,
+    unexplained,
     with_units,
 )
-from covariant.workflow._outputs import check_output
 from covariant.workflow._pages import AbstractEstimates, estimate_report
 from covariant.workflow._progress import Progress, silent
-from covariant.workflow._pushes import Pushes, pushes
 from covariant.workflow._sensors import SensorCount, sensor_counts
-from covariant.workflow._unexplained import unexplained
 
 LONGEST_SHOWN = 3
 """How many stretches without a measurement are named, the longest ones."""
@@ -208,26 +209,16 @@ class EstimateResult(AbstractEstimates):
                     table |= {f"{name}{suffix}": column for name, column in zip(names, each.T, strict=True)}
         return table if self.pushes is None else table | {"pushed": self.pushes.rows.astype(float)}
 
-    def save(self, path: str | Path, overwrite: bool = True) -> Path:
-        """Write the table to a log.
+    written = logs.WRITTEN
 
-        In messages of ROS coordinates are joints by their names in the log: shoulder/position, shoulder/velocity….
+    @property
+    def _log(self) -> Any:
+        return self.job.log
 
-        Args:
-            path: The log to write (.csv, .txt, .tsv, .parquet, .mcap, .rosbag2).
-            overwrite: Whether a file that exists may be replaced, other than the log that was read.
-
-        Returns:
-            The path.
-
-        Raises:
-            ValueError: For another suffix, a folder that does not exist, or the path of the log that was read.
-        """
-        path = Path(path)
-        check_output(path, *logs.WRITTEN, log=self.job.log, overwrite=overwrite)
+    def _write(self, path: Path) -> None:
+        # In messages of ROS coordinates are joints by their names in the log: shoulder/position, shoulder/velocity….
         columns = self._columns(*self.loaded.kind.message_columns) if path.suffix in logs.MESSAGES else self.columns
         logs.write(path, columns, self.loaded.log.origin_ns)
-        return path
 
     @property
     def summary(self) -> dict[str, Any]:
@@ -246,16 +237,15 @@ class EstimateResult(AbstractEstimates):
         }
         if self.sensors:
             result["sensors"] = {
-                name: {"readings": each.readings, "refused": each.refused, "nis": rounded(np.array([each.nis]))[0]}
+                name: {"readings": each.readings, "refused": each.refused, "nis": plain(each.nis)}
                 for name, each in self.sensors.items()
             }
         if self.pushes is not None:
             result["pushes"] = len(self.pushes.starts)
-            result["share_of_rows_pushed"] = rounded(np.array([np.mean(self.pushes.rows)]))[0]
+            result["share_of_rows_pushed"] = plain(float(np.mean(self.pushes.rows)))
         if self.determined:
             result["determined"] = [
-                {"name": each.name, "ratio": rounded(np.array([each.ratio]))[0], **_stds(each)}
-                for each in self.determined
+                {"name": each.name, "ratio": plain(each.ratio), **_stds(each)} for each in self.determined
             ]
         if reference is not None and logged is not None:
             both = reference.scored & np.isfinite(logged).all(1)

@@ -62,6 +62,10 @@ class Labels(NamedTuple):
         """Labels of the same units whose names have a form, such as "RMSE {}"."""
         return Labels(tuple(form.format(name) for name in self.names), self.units)
 
+    def cells(self, values: Sequence[float] | np.ndarray) -> dict[str, float]:
+        """Cells of a row of a table, by heading."""
+        return dict(zip(self.headings, map(float, values), strict=True))
+
     @property
     def headings(self) -> tuple[str, ...]:
         """The names as headings, such as "v1 [m/s]"."""

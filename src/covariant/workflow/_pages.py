@@ -77,38 +77,13 @@ def write_report(path: Path, report: EstimateReport) -> list[Path]:
 class AbstractEstimates(AbstractTable):
     """Table of estimates, which is drawn on one page."""
 
-    def report(self, path: str | Path) -> list[Path]:
-        """Write an interactive page of the estimates, and figures (.png) beside it.
+    def _write_page(self, path: Path) -> list[Path]:
+        return write_report(path, self._page())
 
-        Args:
-            path: The page to write (.html).
+    def _figure(self) -> "Figure":
+        from covariant.report import figure
 
-        Returns:
-            The paths of all files, the page first.
-
-        Raises:
-            ImportError: Without matplotlib or plotly; nothing is written then.
-        """
-        return write_report(Path(path), self._page())
-
-    def plot(self, path: str | Path | None = None) -> "Figure":
-        """Draw velocities or states, and their errors where there is a reference.
-
-        Args:
-            path: Where the figure is written as well (.png, .pdf, .svg); by default it is not.
-
-        Returns:
-            The figure, a row of panels for each coordinate.
-
-        Raises:
-            ImportError: Without matplotlib.
-        """
-        from covariant.report import figure, save_figure
-
-        page_figure = figure(self._page())
-        if path is not None:
-            save_figure(page_figure, Path(path))
-        return page_figure
+        return figure(self._page())
 
     @abc.abstractmethod
     def _page(self) -> Any:

@@ -19,7 +19,6 @@ from covariant.workflow._inputs import (
     refuse_delays,
 )
 from covariant.workflow._outcome import KEPT, deviations, report_curves, rounded, scored, with_units
-from covariant.workflow._outputs import check_output
 from covariant.workflow._pages import AbstractEstimates, estimate_report
 from covariant.workflow._progress import Progress, silent
 
@@ -177,25 +176,17 @@ class SmoothResult(AbstractEstimates):
             units |= {f"{name}_filtered": unit, f"{name}_filtered_std": unit}
         return units
 
-    def save(self, path: str | Path, overwrite: bool = True) -> Path:
-        """Write the table to a log; in messages of ROS, as `EstimateResult.save` does, without the filter's columns.
+    written = logs.WRITTEN
 
-        Args:
-            path: The log to write (.csv, .txt, .tsv, .parquet, .mcap, .rosbag2).
-            overwrite: Whether a file that exists may be replaced, other than the log that was read.
+    @property
+    def _log(self) -> Any:
+        return self.smoothed.job.log
 
-        Returns:
-            The path.
-
-        Raises:
-            ValueError: For another suffix, a folder that does not exist, or the path of the log that was read.
-        """
-        path = Path(path)
-        if path.suffix in logs.MESSAGES:
-            return self.smoothed.save(path, overwrite)
-        check_output(path, *logs.WRITTEN, log=self.smoothed.job.log, overwrite=overwrite)
-        logs.write(path, self.columns, self.smoothed.loaded.log.origin_ns)
-        return path
+    def _write(self, path: Path) -> None:
+        if path.suffix in logs.MESSAGES:  # without the filter's columns
+            self.smoothed.save(path)
+        else:
+            logs.write(path, self.columns, self.smoothed.loaded.log.origin_ns)
 
     @property
     def summary(self) -> dict[str, Any]:
