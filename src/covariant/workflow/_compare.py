@@ -20,7 +20,7 @@ from covariant.workflow._inputs import (
     load,
     with_sensor_delays,
 )
-from covariant.workflow._kinds import Labels
+from covariant.workflow._kind import Labels
 from covariant.workflow._outcome import Outcome, drive, engine_is_notable, report_curves, rounded, summary, with_units
 from covariant.workflow._outputs import write_table
 from covariant.workflow._pages import estimate_report, write_report

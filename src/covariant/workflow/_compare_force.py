@@ -19,7 +19,7 @@ from covariant.workflow._compare import AbstractComparison
 from covariant.workflow._design import design, log_sheet
 from covariant.workflow._force_rivals import rivals
 from covariant.workflow._inputs import ColumnNames, Job, Loaded, column_names, load, numbered, refuse_delays
-from covariant.workflow._kinds import Labels
+from covariant.workflow._kind import Labels
 from covariant.workflow._outcome import force_names, mean_nis, plain, rounded
 from covariant.workflow._progress import Progress, silent
 

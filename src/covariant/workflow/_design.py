@@ -144,6 +144,7 @@ def design(
             file, name, observer, f"Given gains: alpha = {gains[0]:g} 1/s, beta = {gains[1]:g} 1/s².", sheet, log
         )
     if rate is None:
+        sheet()  # first names the numbers that the model file lacks, if any
         raise ValueError("gains are designed for a sampling rate; give sampling [Hz], or alpha and beta")
     kind = kind_of(file)
     return Design(file, name, kind.tuned(sheet, rate, (name,))[name], kind.note(sheet, rate), sheet, log)

@@ -17,7 +17,8 @@ from covariant.calibration import (
 )
 from covariant.models import ModelFile, Overrides, RobotFamily, robots
 from covariant.workflow._arguments import Amounts, Region, amounts, bounds, numbers
-from covariant.workflow._kinds import kind_of, numbered
+from covariant.workflow._kind import numbered
+from covariant.workflow._kinds import kind_of
 from covariant.workflow._progress import Progress
 
 TORQUE_NOISE = 0.01

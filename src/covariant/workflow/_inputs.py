@@ -13,7 +13,8 @@ from covariant.models import Overrides
 from covariant.observers import REGISTRY, AbstractObserver, Delayed
 from covariant.signals import Record, acting_inputs, lag_inputs
 from covariant.workflow._arguments import ColumnNames as ColumnNames
-from covariant.workflow._kinds import AbstractKind, Labels, kind_of, numbered as numbered
+from covariant.workflow._kind import AbstractKind, Labels, numbered as numbered
+from covariant.workflow._kinds import kind_of
 from covariant.workflow._outputs import check_output as check_output
 from covariant.workflow._placeholders import placeholder_sentence, placeholders
 from covariant.workflow._sensors import FileSensor, file_sensors, reading_delays, readings

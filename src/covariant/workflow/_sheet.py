@@ -58,7 +58,7 @@ def _remedy(file: ModelFile, missing: Sequence[str], record: Record | None) -> s
     them = "it" if len(missing) == 1 else "them"
     if len(shown) < len(missing):
         options = " ".join(f"--set {key}=NUMBER" for key in missing)
-        how = f"put {them} in the model file, or give {options} (or, for estimate, --alpha and --beta)"
+        how = f"put {them} in the model file, or give {options} (or, for one observer, alpha and beta)"
         return how + "".join(f"; this log suggests {suggestion.line} ({suggestion.evidence})" for suggestion in shown)
     options = " ".join(f"--set {shlex.quote(suggestion.setting)}" for suggestion in shown)
     evidence = "; ".join(suggestion.evidence for suggestion in shown)

@@ -14,7 +14,8 @@ from covariant.models import ModelFile, Overrides, Parametric
 from covariant.signals import Record
 from covariant.simulation import PiecewiseInputs, PositionSensor
 from covariant.workflow._arguments import amounts, numbers
-from covariant.workflow._kinds import AbstractKind, kind_of, numbered, or_zeros
+from covariant.workflow._kind import AbstractKind, numbered
+from covariant.workflow._kinds import kind_of, or_zeros
 from covariant.workflow._progress import Progress
 from covariant.workflow._scenario import FORCE, Scenario
 from covariant.workflow._sensors import FileSensor, file_sensors, sensed
