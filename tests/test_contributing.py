@@ -23,6 +23,7 @@ def follow_the_page(house: Path) -> None:
         path = house / name
         if language == "python":
             assert not path.exists(), f"{name} is there already"
+            path.parent.mkdir(parents=True, exist_ok=True)
             path.write_text(text, encoding="utf-8")
             continue
         lines = text.splitlines(keepends=True)
@@ -70,7 +71,7 @@ import json, sys
 from covariant import calibration, models
 from covariant.cli import main
 from covariant.observers import OBSERVER_NAMES, run
-from covariant.workflow import _compare
+from covariant.workflow import _kinds
 
 def command(*arguments):
     sys.argv = ["covariant", *arguments]
@@ -86,7 +87,7 @@ made = calibration.tuned_estimators(bead, 1, calibration.DataSheet(1e-3, 1.0), 1
 
 command("simulate", "bead_on_hoop", "-o", "log.csv", "--duration", "3", "--rate", "100", "--q0", "0.5", "--v0", "0")
 quick = ("copy", "tracker")  # all would take a while to compile
-_compare.tuned_estimators = lambda *a: {
+_kinds.tuned_estimators = lambda *a: {
     name: o for name, o in calibration.tuned_estimators(*a).items() if name in quick
 }
 sheet = ("--set", "measurement.std=1e-3", "--set", "uncertainty.acceleration=1", "--truth", "true_v1")
@@ -162,6 +163,7 @@ command("gaps", "oscillator", "gaps.csv", "--json")
     assert line
     assert 50 < int(line[1]) < 150
     assert f'"missing": {line[1]}' in printed
+    python(house, "-m", "pytest", "-q", "-p", "no:xdist", "tests/workflow/test_gaps.py")
 
 
 @pytest.mark.long

@@ -135,7 +135,7 @@ RELEVANT = {
     "workflow/_fit*.py": "workflow/test_fit_verb cli/test_fit_command",
     "workflow/_simulate*.py": "workflow/test_simulate_verb cli/test_commands",
     "workflow/_check.py": "cli/test_check_command",
-    "workflow/_states.py": "cli/test_state_space_commands",
+    "workflow/_sheet.py": "cli/test_state_space_commands",
     "workflow/_certify.py": "cli/test_certify_command",
     "workflow/_audit.py": "cli/test_audit_command",
     "workflow/_describe.py": "cli/test_model_command",

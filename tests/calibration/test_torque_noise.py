@@ -9,7 +9,8 @@ import pytest
 import covariant
 from covariant import models, observers
 from covariant.calibration import DataSheet, tuned_estimators
-from covariant.workflow._inputs import Job, load, log_sheet
+from covariant.workflow._design import log_sheet
+from covariant.workflow._inputs import Job, load
 
 TORQUES = np.array([0.3, 0.05])
 FILE = {
@@ -38,7 +39,7 @@ def by_hand(q):
 def test_a_model_file_is_the_same_as_a_function_by_hand(log):
     loaded = load(Job("pendulum_chain", log, FILE))
     tuned: dict[str, Any] = tuned_estimators(
-        loaded.model, 2, log_sheet(loaded), loaded.rate, names=("intrinsic-kalman", "ukf")
+        loaded.model, 2, log_sheet(loaded.file, loaded), loaded.rate, names=("intrinsic-kalman", "ukf")
     )
     for q in ([1.0, 2.0], [-0.5, 0.3]):
         for filter_ in tuned.values():

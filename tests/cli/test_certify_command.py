@@ -192,7 +192,7 @@ REFUSED = {
     "indefinite Q": (("pendulum.toml", *GAINS, *REGION, "--q", "1,2,1"), ["q", "positive definite"]),
     "rate zero": (("pendulum.toml", *GAINS, *REGION, "--rate", "0"), ["rate", "positive"]),
     "one gain": (("pendulum.toml", "--alpha", "1", *REGION), ["--alpha and --beta"]),
-    "no data sheet": (("pendulum.toml", *REGION), ["data sheet", "--alpha and --beta"]),
+    "no data sheet": (("pendulum.toml", *REGION), ["gains need measurement.std", "--alpha and --beta"]),
     "no sampling rate": (("sheet.toml", *REGION), ["sampling"]),
     "unknown observer": (("pendulum.toml", *GAINS, *REGION, "--observer", "ekf"), ["'ekf'", "geodesic"]),
     "state space": (("lorenz", *GAINS, *REGION), ["lorenz", "state-space"]),

@@ -166,7 +166,7 @@ def test_compare_ranks_what_fits(monkeypatch):
     def some(*arguments):
         return {name: observer for name, observer in tuned_estimators(*arguments).items() if name in quick}
 
-    monkeypatch.setattr("covariant.workflow._compare.tuned_estimators", some)
+    monkeypatch.setattr("covariant.workflow._kinds.tuned_estimators", some)
     result = command("compare", TOP, "log.csv", "--truth", TRUTH, "-o", "table.csv", "--every", "2", "--until", "2")
     names = [row["estimator"] for row in result["ranking"]]
     assert sorted(names) == sorted(quick)

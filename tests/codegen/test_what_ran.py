@@ -18,7 +18,7 @@ import covariant
 from covariant.calibration import usual_speeds
 from covariant.codegen import _wasm
 from covariant.signals import Record, Result
-from covariant.workflow._chosen import beyond_proof
+from covariant.workflow._export import beyond_proof
 
 MODEL = """system = "pendulum_chain"
 parameters = {mass = [1.0], length = [0.5]}

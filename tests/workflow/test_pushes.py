@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import covariant
-from covariant.workflow import _pushes
+from covariant.workflow import _outcome
 
 NOISE = {"measurement.std": 2e-4, "uncertainty.acceleration": 0.1}
 FORCE = {"uncertainty.external_force_std": [0.2, 0.1], "uncertainty.external_force_time": 0.3}
@@ -21,7 +21,7 @@ def estimated(push, seed=0, **beside):
 @pytest.mark.exhaustive
 def test_without_a_push_hardly_a_row_is_called_pushed():
     for seed in range(2):
-        assert estimated(None, seed)[1].pushes.rows.mean() <= _pushes.FALSE_ALARM
+        assert estimated(None, seed)[1].pushes.rows.mean() <= _outcome.FALSE_ALARM
 
 
 @pytest.mark.long
@@ -60,4 +60,4 @@ def test_without_forces_nothing_is_said_of_pushes():
 )
 def test_beside_forces_on_links_those_of_joints_are_no_pushes(wrenches, names, forces):
     file = covariant.models.load("oscillator")._replace(wrenches=wrenches)
-    assert _pushes.force_names(file, names) == forces
+    assert _outcome.force_names(file, names) == forces

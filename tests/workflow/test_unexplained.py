@@ -7,7 +7,7 @@ import pytest
 from scipy.stats import chi2
 
 import covariant
-from covariant.workflow._unexplained import mean_quantile
+from covariant.workflow._outcome import mean_quantile
 
 RIGHT = {"measurement.std": 1e-3, "uncertainty.acceleration": 0.05, "parameters.coulomb": [0.0]}
 RIGHT |= {"parameters.mass": [1.0], "parameters.length": [0.5], "parameters.viscous": [0.05]}

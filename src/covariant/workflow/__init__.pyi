@@ -20,9 +20,9 @@ from ._init import InitResult as InitResult, init as init
 from ._inputs import MisfitError as MisfitError
 from ._metric import MetricResult as MetricResult, design_metric as design_metric
 from ._model_output import check_model_output as check_model_output
+from ._outcome import Pushes as Pushes
 from ._outputs import FIGURES as FIGURES, TABLES as TABLES, check_output as check_output
 from ._progress import Progress as Progress
-from ._pushes import Pushes as Pushes
 from ._reduced_order import ReducedOrderResult as ReducedOrderResult, design_reduced_order as design_reduced_order
 from ._reproduce import ReproduceResult as ReproduceResult, reproduce_paper as reproduce_paper
 from ._result import AbstractResult as AbstractResult, AbstractTable as AbstractTable

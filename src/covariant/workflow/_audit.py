@@ -8,15 +8,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from covariant import models
-from covariant.calibration import estimators, with_gains
 from covariant.certificates import audit
 from covariant.certificates.audit import Audit, Law
 from covariant.models import ModelFile, Overrides
-from covariant.observers import AbstractObserver
 from covariant.proofs import Box
 from covariant.workflow._arguments import Region, above_zero, bounds, gain_pair
-from covariant.workflow._inputs import coordinates, numbered
-from covariant.workflow._outputs import check_output
+from covariant.workflow._design import design
+from covariant.workflow._kinds import kind_of
 from covariant.workflow._progress import Progress, silent
 from covariant.workflow._result import AbstractResult
 
@@ -71,11 +69,12 @@ def audit_observer(
     name = models.spec_name(model)
     progress("reading the model")
     file = models.load(model, overrides)
-    kind, chosen = _observer(name, file, observer, *gains)
+    file.need_mechanical(name, "the laws are those of observers of")
+    designed = design(file, observer, gains, spec=name)
     domain = _domain(file, region)
-    progress(f"auditing {kind} on {file.name}")
-    audited = audit.audit(chosen, domain=domain, speed=speed, points=points, seed=seed)
-    return AuditResult(name, file.name, kind, audited)
+    progress(f"auditing {designed.name} on {file.name}")
+    audited = audit.audit(designed.inner, domain=domain, speed=speed, points=points, seed=seed)
+    return AuditResult(name, file.name, designed.name, audited)
 
 
 @dataclass(frozen=True, repr=False)
@@ -123,60 +122,20 @@ class AuditResult(AbstractResult):
     def __str__(self) -> str:
         return str(self.audit)
 
-    def report(self, path: str | Path) -> list[Path]:
-        """Write a page with the figure of the deviations and an explanation of each law.
-
-        Args:
-            path: The page to write (.html).
-
-        Returns:
-            The path, as the only entry.
-
-        Raises:
-            ValueError: For another suffix, or a folder that does not exist.
-            ImportError: Without matplotlib.
-        """
+    def _write_page(self, path: Path) -> list[Path]:
         from covariant.report import write_audit
 
-        check_output(Path(path), ".html")
         return [write_audit(self.audit, f"Audit of {self.title}", path)]
 
-    def plot(self, path: str | Path | None = None) -> "Figure":
-        """Draw the deviations against their tolerances.
+    def _figure(self) -> "Figure":
+        from covariant.report import audit_figure
 
-        Args:
-            path: Where the figure is written as well (.png, .pdf, .svg); by default it is not.
-
-        Returns:
-            The figure, one line for each law.
-
-        Raises:
-            ImportError: Without matplotlib.
-        """
-        from covariant.report import audit_figure, save_figure
-
-        figure = audit_figure(self.audit)
-        if path is not None:
-            save_figure(figure, path)
-        return figure
-
-
-def _observer(
-    name: str, file: ModelFile, observer: str | None, alpha: float, beta: float
-) -> tuple[str, AbstractObserver]:
-    """The name of the observer, and the observer."""
-    model = file.need_mechanical(name, "the laws are those of observers of")
-    available = with_gains(model, alpha, beta)
-    kind = observer or estimators(model)[0]
-    if kind not in available:
-        raise ValueError(f"observer {kind} does not fit {name}, or has no gains; these do: {', '.join(available)}")
-    return kind, available[kind]
+        return audit_figure(self.audit)
 
 
 def _domain(file: ModelFile, region: Region | None) -> Box | None:
     """The bounds of coordinates; on a group, of exponential coordinates."""
-    names = coordinates(file)[0] if file.model.manifold.commuting else numbered("x", file.dimension)
-    ends = bounds("region", region or {}, names, "coordinate")
+    ends = bounds("region", region or {}, kind_of(file).chart, "coordinate")
     if not ends:
         return None
     low, high = np.array(list(ends.values())).T

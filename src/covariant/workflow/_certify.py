@@ -11,14 +11,13 @@ import numpy as np
 from jaxtyping import Float
 
 from covariant import certificates, models
-from covariant.calibration import observer_gains
 from covariant.certificates import Attempt, Checked, CheckerName, Claim, ContractionCertificate, Document, Start
-from covariant.models import MechanicalSystem, ModelFile, Overrides, input_count
-from covariant.observers import Geodesic, Intrinsic
+from covariant.models import MechanicalSystem, Overrides, input_count
 from covariant.proofs import read_file
 from covariant.workflow._arguments import Amounts, Region, above_zero, amounts, bounds, gain_pair, numbers
+from covariant.workflow._design import design
 from covariant.workflow._find import FIND, largest_proved
-from covariant.workflow._inputs import data_sheet, numbered
+from covariant.workflow._inputs import numbered
 from covariant.workflow._outputs import FIGURES, check_output
 from covariant.workflow._progress import Progress, silent
 from covariant.workflow._result import AbstractResult
@@ -26,7 +25,7 @@ from covariant.workflow._result import AbstractResult
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-OBSERVERS = {"intrinsic": Intrinsic, "geodesic": Geodesic}
+OBSERVERS = "intrinsic", "geodesic"
 """The observers that there are certificates for."""
 VERDICTS = {"holds": "proved", "fails": "wrong", "undecided": "not decided"}
 """What people call the verdicts."""
@@ -128,7 +127,7 @@ def certify(
     system = file.need_mechanical(name, "certificates are about intrinsic observers of")
     n, on_group = file.dimension, not system.manifold.commuting
     names = system.velocities if on_group else system.coordinates or numbered("q", n)
-    gains, design = _gains(file, pair, sampling)
+    designed = design(file, observer, pair, None if sampling is None else above_zero("sampling", sampling))
     settings: dict[str, Any] = {
         "velocity": numbers("velocity", velocity, [f"d{k}/dt" for k in names], positive=True, one=True),
         "error": numbers("error", error, names, positive=True, one=True),
@@ -150,16 +149,16 @@ def certify(
 
     def prove(**changes: Any) -> ContractionCertificate:
         return certificates.certify(
-            OBSERVERS[observer](system, *gains),
+            designed.inner,
             recipe=recipe,
             progress=lambda what, share, count: progress(f"proving {what}, {count} boxes", share),
             **(settings | changes),
         )
 
     if find is None:
-        return CertifyResult(name, prove(), design)
+        return CertifyResult(name, prove(), designed.notes)
     certificate, attempts = largest_proved(find, settings, prove, runs)
-    return CertifyResult(name, certificate, design, FIND[find], attempts)
+    return CertifyResult(name, certificate, designed.notes, FIND[find], attempts)
 
 
 @dataclass(frozen=True, repr=False)
@@ -439,20 +438,6 @@ def _in_balls(document: Document, model: str | None) -> tuple[int, str]:
     except ImportError as missing:
         return 0, f"none in ball arithmetic: {missing}"
     return balls, f"{balls} of them again in ball arithmetic"
-
-
-def _gains(
-    file: ModelFile, pair: tuple[float, float] | None, sampling: float | None
-) -> tuple[tuple[float, float], str]:
-    """The gains α and β, and a sentence on their origin."""
-    if pair is not None:
-        return pair, f"Given gains: alpha = {pair[0]:g} 1/s, beta = {pair[1]:g} 1/s²."
-    if file.measurement_std is None or file.acceleration_std is None:
-        raise ValueError(f"{file.name} has no data sheet to design gains from; give `alpha` and `beta`")
-    if sampling is None:
-        raise ValueError("gains are designed for a sampling rate; give `sampling` [Hz], or `alpha` and `beta`")
-    gains = observer_gains(data_sheet(file), above_zero("sampling", sampling))
-    return (float(gains.alpha), float(gains.beta)), f"Designed {gains.summary}."
 
 
 def _region(

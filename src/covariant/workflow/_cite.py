@@ -1,5 +1,8 @@
 """`cite`: the works behind an observer and the numbers of a model, for a paper that uses them."""
 
+import functools
+import importlib.resources
+import re
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -12,9 +15,10 @@ from covariant._files import write_atomically
 from covariant.calibration import estimators
 from covariant.models import Overrides, Parameter
 from covariant.observers import REGISTRY
-from covariant.workflow._outputs import check_output
-from covariant.workflow._references import Work, works_in
 from covariant.workflow._result import AbstractResult
+
+PLACES = "journal", "booktitle", "publisher", "eprint"
+"""Fields of a BibTeX entry that say where a work appeared."""
 
 
 def cite(model: Any, *, observer: str | None = None, overrides: Overrides = ()) -> "CiteResult":
@@ -72,7 +76,7 @@ class CiteResult(AbstractResult):
     model_name: str
     observer_name: str
     source: str
-    works: tuple[Work, ...]
+    works: tuple["Work", ...]
     numbers: tuple[str, ...]
 
     @property
@@ -107,19 +111,50 @@ class CiteResult(AbstractResult):
             lines.append(f"Numbers of {self.model_name}: {'; '.join(self.numbers)}")
         return "\n".join([*lines, "", self.bibtex])
 
-    def save(self, path: str | Path, overwrite: bool = True) -> Path:
-        """Write the BibTeX entries to a file, whole or not at all.
+    written = (".bib",)
 
-        Args:
-            path: The file to write (.bib).
-            overwrite: Whether a file that exists may be replaced.
+    def _write(self, path: Path) -> None:
+        write_atomically(path, lambda file: file.write(f"{self.bibtex}\n".encode()))
 
-        Returns:
-            The path.
 
-        Raises:
-            ValueError: For another suffix, or a folder that does not exist.
-        """
-        path = Path(path)
-        check_output(path, ".bib", overwrite=overwrite)
-        return write_atomically(path, lambda file: file.write(f"{self.bibtex}\n".encode()))
+@dataclass(frozen=True)
+class Work:
+    """A published work, by its BibTeX entry as `references.bib` has it, with a field in each line."""
+
+    bibtex: str
+
+    @property
+    def fields(self) -> dict[str, str]:
+        """The fields of the entry by name; a title without the braces that keep its capitals."""
+        return {
+            name: value.strip("{}") for name, value in re.findall(r"^  (\w+) = \{(.*)\},?$", self.bibtex, re.MULTILINE)
+        }
+
+    @property
+    def label(self) -> str:
+        """How sentences name it: "Aghannan & Rouchon 2003"."""
+        *others, last = [author.partition(",")[0] for author in self.fields["author"].split(" and ")]
+        return f"{', '.join(others)}{' & ' if others else ''}{last} {self.fields['year']}"
+
+    def __str__(self) -> str:
+        fields = self.fields
+        where = next(fields[place] for place in PLACES if place in fields)
+        where = f"{fields['archiveprefix']}:{where}" if "archiveprefix" in fields else where
+        number = f" {fields['volume']}" if "volume" in fields else ""
+        number += f"({fields['number']})" if "number" in fields else ""
+        pages = f", {fields['pages'].replace('--', '–')}" if "pages" in fields else ""
+        doi = f", doi:{fields['doi']}" if "doi" in fields else ""
+        return f"{self.label}: {fields['title']}. {where}{number}{pages}{doi}"
+
+
+@functools.cache
+def all_works() -> tuple[Work, ...]:
+    """Every work that `source` of an observer in the registry names."""
+    text = (importlib.resources.files("covariant.workflow") / "references.bib").read_text(encoding="utf-8")
+    return tuple(map(Work, text.strip().split("\n\n")))
+
+
+def works_in(text: str) -> list[Work]:
+    """The works that a text, such as `source` of an observer, names by their labels, in the order of the text."""
+    named = [(text.find(work.label), work) for work in all_works()]
+    return [work for place, work in sorted(named, key=lambda pair: pair[0]) if place >= 0]

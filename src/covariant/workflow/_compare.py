@@ -1,5 +1,6 @@
 """`compare`: all estimators on the same log, tuned from the same data sheet, and ranked."""
 
+import functools
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -7,27 +8,24 @@ from typing import Any
 
 import numpy as np
 
-from covariant.calibration import observer_gains, tuned_estimators
+from covariant.calibration import estimators
 from covariant.engine import EngineName
 from covariant.models import Overrides
 from covariant.observers import AbstractObserver
-from covariant.workflow._comparison import AbstractComparison
+from covariant.workflow._design import log_sheet
 from covariant.workflow._inputs import (
     ColumnNames,
     Job,
     Loaded,
-    coordinates,
-    innovation_units,
     load,
-    log_sheet,
-    sought_columns,
-    sought_units,
     with_sensor_delays,
 )
+from covariant.workflow._kind import Labels
 from covariant.workflow._outcome import Outcome, drive, engine_is_notable, report_curves, rounded, summary, with_units
+from covariant.workflow._outputs import write_table
 from covariant.workflow._pages import estimate_report, write_report
 from covariant.workflow._progress import Progress, silent
-from covariant.workflow._states import state_design_note, tuned_states
+from covariant.workflow._result import AbstractTable
 from covariant.workflow._trial import Ahead, ahead, trial_part
 
 
@@ -81,6 +79,28 @@ def compare(
 
 
 @dataclass(frozen=True, repr=False)
+class AbstractComparison(AbstractTable):
+    """Several estimators on one log.
+
+    Attributes:
+        job: The model and the log, and which part of it was read.
+        loaded: Both as they were read.
+    """
+
+    job: Job
+    loaded: Loaded
+
+    written = (".csv",)
+
+    @property
+    def _log(self) -> Any:
+        return self.job.log
+
+    def _write(self, path: Path) -> None:
+        write_table(path, self.columns)  # a number that an estimator does not have is left empty
+
+
+@dataclass(frozen=True, repr=False)
 class CompareResult(AbstractComparison):
     """Estimators ranked on a log, best first.
 
@@ -116,7 +136,7 @@ class CompareResult(AbstractComparison):
     @property
     def columns(self) -> dict[str, np.ndarray]:
         loaded, outcomes = self.loaded, self.outcomes.values()
-        scored = sought_columns(loaded.file) if loaded.reference else loaded.file.columns.q
+        scored = loaded.kind.estimates.names if loaded.reference else loaded.file.columns.q
         errors = np.array([rmse(outcome) for outcome in outcomes])
         known = [consistency(outcome) for outcome in outcomes]
         return {
@@ -136,7 +156,7 @@ class CompareResult(AbstractComparison):
 
     @property
     def summary(self) -> dict[str, Any]:
-        what = self.loaded.model.sought.what
+        what = self.loaded.kind.what
         return {
             "model": self.job.model_name,
             "log": self.job.log_name,
@@ -154,15 +174,15 @@ class CompareResult(AbstractComparison):
 
     @property
     def headline(self) -> str:
-        best, loaded = self.ranking[0], self.loaded
-        units = innovation_units(loaded.file) if loaded.reference is None else sought_units(loaded.file)
+        best, loaded, kind = self.ranking[0], self.loaded, self.loaded.kind
+        units = kind.innovation_units if loaded.reference is None else kind.estimates.units
         error = with_units(rounded(rmse(self.outcomes[best])), units)
         return f"{len(self.outcomes)} estimators on {len(loaded.record.t)} rows; best: {best}, RMSE {error}"
 
     def __str__(self) -> str:
         from covariant.report import table
 
-        what = self.loaded.model.sought.what if self.loaded.reference else "prediction"
+        what = self.loaded.kind.what if self.loaded.reference else "prediction"
         notable = any(engine_is_notable(each.engine, self.asked_engine) for each in self.outcomes.values())
         lines = [
             f"{self.job.log_name}, {what} errors against the {scored_against(self.loaded)}",
@@ -174,46 +194,29 @@ class CompareResult(AbstractComparison):
         ]
         return "\n".join(lines)
 
-    def report(self, path: str | Path) -> list[Path]:
-        """Write an interactive page with all estimates and their ranking, and figures (.png) beside it.
-
-        Args:
-            path: The page to write (.html).
-
-        Returns:
-            The paths of all files, the page first.
-
-        Raises:
-            ImportError: Without matplotlib or plotly; nothing is written then.
-        """
+    def _write_page(self, path: Path) -> list[Path]:
         title = f"Estimators compared: {Path(self.job.model_name).stem}, {Path(self.job.log_name).name}"
         curves = report_curves(self.outcomes)
         rows, notes = self._rows(), (f"Ranked by {ranked_by(self.loaded, self.predicted)}.", self.design)
         page = estimate_report(title, self.loaded, curves, notes, rows, self.headline, self.warnings)
-        return write_report(Path(path), page._replace(ranked=True))
+        return write_report(path, page._replace(ranked=True))
 
     def _predicted_cells(self, name: str) -> dict[str, float]:
         if self.predicted is None:
             return {}
-        names, units = self._positions()
-        headings = [f"predicted {label} [{unit}]".removesuffix(" []") for label, unit in zip(names, units, strict=True)]
-        return dict(zip(headings, map(float, self.predicted.errors[name]), strict=True))
-
-    def _positions(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
-        return coordinates(self.loaded.file)[0], innovation_units(self.loaded.file)
+        kind = self.loaded.kind
+        labels = Labels(kind.axes.names, kind.innovation_units).called("predicted {}")
+        return labels.cells(self.predicted.errors[name])
 
     def _rows(self) -> tuple[dict[str, str | float], ...]:
         """The rows of the printed table, with units in their headings."""
-        loaded = self.loaded
-        form = "RMSE {} [{}]" if loaded.model.sought.names else "RMSE d{}/dt [{}/s]"
-        labels, units = coordinates(loaded.file)
-        if loaded.reference is None:
-            labels, units = loaded.file.columns.q, innovation_units(loaded.file)
-        headings = [form.format(label, unit).removesuffix(" []") for label, unit in zip(labels, units, strict=True)]
+        loaded, kind = self.loaded, self.loaded.kind
+        labels = kind.rates if loaded.reference else Labels(loaded.file.columns.q, kind.innovation_units)
+        labels = labels.called("RMSE {}")
         return tuple(
             {
                 "estimator": name,
-                **dict(zip(headings, map(float, rmse(outcome)), strict=True)),
+                **labels.cells(rmse(outcome)),
                 **self._predicted_cells(name),
                 **consistency(outcome),
                 "µs a sample": round(outcome.microseconds, 1),
@@ -228,24 +231,17 @@ def line_up(loaded: Loaded) -> tuple[dict[str, AbstractObserver], str, np.ndarra
     Returns:
         The observers by name, sentences on how they are tuned, and the rows (T,) on which filters were tuned.
     """
-    if not loaded.file.mechanical:
-        note = state_design_note(loaded.file) + loaded.note
-        return with_sensor_delays(tuned_states(loaded), loaded), note, np.zeros(len(loaded.record.t), bool)
-    reference = loaded.reference
-    assert reference is not None  # it was asked for
-    sheet = log_sheet(loaded)
-    trial, tuned_on = trial_part(loaded, reference)
-    note = f"All tuned from one data sheet; the observers have {observer_gains(sheet, loaded.rate).summary}."
-    note += loaded.note
+    kind, sheet = loaded.kind, functools.cache(lambda: log_sheet(loaded.file, loaded))
+    note = kind.note(sheet, loaded.rate, every=True) + loaded.note
+    trial, tuned_on = trial_part(loaded)
     if trial is not None:
         begin, end = np.asarray(loaded.record.t)[tuned_on][[0, -1]] - np.asarray(loaded.record.t)[0]
         note += (
             f" Filters that know no model are those that are best from {begin:.3g} to {end:.3g} s of this very log, "
             "the first third of its length that moves, with the fewest faults."
         )
-    if sheet.speed is not None:
-        note += " All are behind a gate that refuses outliers."
-    tuned = tuned_estimators(loaded.model, loaded.file.dimension, sheet, loaded.rate, trial)
+    note += kind.gates
+    tuned = kind.tuned(sheet, loaded.rate, estimators(loaded.model), trial)
     return with_sensor_delays(tuned, loaded), note, tuned_on
 
 

@@ -12,16 +12,16 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from covariant import models
-from covariant.calibration import tuned_estimators
 from covariant.models import Overrides
 from covariant.observers import AbstractWrapper, IntrinsicKalman, KalmanState, Slow, run
 from covariant.scoring import rmse, scored_window
-from covariant.workflow._comparison import AbstractComparison
+from covariant.workflow._compare import AbstractComparison
+from covariant.workflow._design import design, log_sheet
 from covariant.workflow._force_rivals import rivals
-from covariant.workflow._inputs import ColumnNames, Job, Loaded, column_names, load, log_sheet, numbered, refuse_delays
-from covariant.workflow._outcome import force_units, mean_nis, rounded
+from covariant.workflow._inputs import ColumnNames, Job, Loaded, column_names, load, numbered, refuse_delays
+from covariant.workflow._kind import Labels
+from covariant.workflow._outcome import force_names, mean_nis, plain, rounded
 from covariant.workflow._progress import Progress, silent
-from covariant.workflow._pushes import force_names
 
 WITHIN = 1.96
 """Standard deviations of a normal distribution to both sides of its mean that hold 95 % of it."""
@@ -87,7 +87,7 @@ def compare_force(
     progress("estimating with intrinsic-kalman")
     by = {name: _filtered(filter_, loaded) for name, filter_ in _filters(job, loaded).items()}
     progress("estimating with rivals")
-    for rival in rivals(loaded.model, loaded.record, log_sheet(loaded), loaded.rate, true, scored):
+    for rival in rivals(loaded.model, loaded.record, log_sheet(loaded.file, loaded), loaded.rate, true, scored):
         by[rival.name] = ForceEstimate(rival.force, None, np.nan, rival.design)
     return CompareForceResult(job, loaded, names, true, scored, by)
 
@@ -149,8 +149,8 @@ class CompareForceResult(AbstractComparison):
 
     @property
     def units(self) -> dict[str, str]:
-        labels = numbered("external_force", self.true.shape[1])
-        return {f"{name}_rmse": unit for name, unit in zip(labels, force_units(self.loaded.file), strict=True)}
+        labels = Labels(numbered("external_force", self.true.shape[1]), self.loaded.kind.force_units)
+        return labels.called("{}_rmse").table
 
     @property
     def size(self) -> np.ndarray:
@@ -169,8 +169,8 @@ class CompareForceResult(AbstractComparison):
                     "estimator": name,
                     "design": each.design,
                     "force_rmse": rounded(self._errors(each)),
-                    "within_band": rounded(np.array([self._within(each)]))[0],
-                    "nis": rounded(np.array([each.nis]))[0],
+                    "within_band": plain(self._within(each)),
+                    "nis": plain(each.nis),
                 }
                 for name, each in self.estimates.items()
             ],
@@ -186,16 +186,13 @@ class CompareForceResult(AbstractComparison):
     def __str__(self) -> str:
         from covariant.report import table
 
-        units = force_units(self.loaded.file)
-        headings = [f"RMSE {name} [{unit}]".removesuffix(" []") for name, unit in zip(self.names, units, strict=True)]
+        labels = Labels(self.names, self.loaded.kind.force_units).called("RMSE {}")
         rows = [
-            {"estimator": name, **dict(zip(headings, map(float, self._errors(each)), strict=True))}
+            {"estimator": name, **labels.cells(self._errors(each))}
             | {"in the 95 % band": self._within(each), "NIS": each.nis}
             for name, each in self.estimates.items()
         ]
-        rows.append(
-            {"estimator": "none: the size of the truth", **dict(zip(headings, map(float, self.size), strict=True))}
-        )
+        rows.append({"estimator": "none: the size of the truth", **labels.cells(self.size)})
         designs = [f"{name}: {each.design}" for name, each in self.estimates.items()]
         return "\n".join([f"{self.job.log_name}, errors of the external force", "", table(rows), *designs])
 
@@ -269,10 +266,7 @@ def _check(job: Job, loaded: Loaded, names: tuple[str, ...]) -> None:
 
 def _filters(job: Job, loaded: Loaded) -> dict[str, _Force]:
     """The filter with forces that are forgotten, where the model file has such, and with forces that walk."""
-    tuned = tuned_estimators(
-        loaded.model, loaded.file.dimension, log_sheet(loaded), loaded.rate, names=("intrinsic-kalman",)
-    )
-    kalman: Any = tuned["intrinsic-kalman"]
+    kalman: Any = design(loaded.file, "intrinsic-kalman", None, loaded.rate, loaded).observer
     refuse_delays(job, loaded, kalman, "forces are not compared on what is read late")
     names = force_names(loaded.file, kalman.slow_names)
     scored = tuple(set(group.names) <= set(names) for group in kalman.slow)

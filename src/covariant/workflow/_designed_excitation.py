@@ -17,7 +17,8 @@ from covariant.calibration import (
 )
 from covariant.models import ModelFile, Overrides, RobotFamily, robots
 from covariant.workflow._arguments import Amounts, Region, amounts, bounds, numbers
-from covariant.workflow._inputs import numbered, sought_columns
+from covariant.workflow._kind import numbered
+from covariant.workflow._kinds import kind_of
 from covariant.workflow._progress import Progress
 
 TORQUE_NOISE = 0.01
@@ -189,7 +190,7 @@ def _refuse_servos(model: str, robot: robots.Description, names: Sequence[str]) 
 
 def _column_names(file: ModelFile) -> list[str]:
     names = file.columns
-    groups = (names.q, sought_columns(file), numbered("a", len(file.model.coordinates)), names.u)
+    groups = (names.q, kind_of(file).estimates.names, numbered("a", len(file.model.coordinates)), names.u)
     listed = [names.t, *(name for group in groups for name in group)]
     for name in listed:
         if listed.count(name) > 1:

@@ -1,6 +1,5 @@
 """`estimate`: velocities or states from a log, by one observer."""
 
-import functools
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,53 +8,41 @@ from typing import Any
 import numpy as np
 
 from covariant import logs
-from covariant.calibration import (
-    ESTIMATORS,
-    STATE_ESTIMATORS,
-    estimators,
-    observer_gains,
-)
+from covariant.calibration import ESTIMATORS, STATE_ESTIMATORS, estimators
 from covariant.engine import EngineName
 from covariant.models import Overrides
 from covariant.observers import AbstractObserver
 from covariant.scoring import rmse
 from covariant.signals import Result, Run
 from covariant.workflow._arguments import gain_pair
-from covariant.workflow._chosen import build_observer, tells_noise
+from covariant.workflow._design import design, tells_noise
 from covariant.workflow._determined import Determinacy, determined
 from covariant.workflow._inputs import (
     ColumnNames,
     Job,
     Loaded,
-    innovation_units,
     load,
-    log_sheet,
-    numbered,
-    sought_columns,
-    sought_units,
     with_sensor_delays,
 )
 from covariant.workflow._outcome import (
     Outcome,
+    Pushes,
     deviations,
     drive,
     engine_is_notable,
     known,
+    plain,
+    pushes,
     report_curves,
     rounded,
     summary,
+    unexplained,
     with_units,
 )
-from covariant.workflow._outputs import check_output
 from covariant.workflow._pages import AbstractEstimates, estimate_report
 from covariant.workflow._progress import Progress, silent
-from covariant.workflow._pushes import Pushes, pushes
 from covariant.workflow._sensors import SensorCount, sensor_counts
-from covariant.workflow._states import state_design_note
-from covariant.workflow._unexplained import unexplained
 
-USE_TORQUES = "intrinsic-kalman", "ukf"
-"""Observers whose noise may depend on the configuration, as that of torques does."""
 LONGEST_SHOWN = 3
 """How many stretches without a measurement are named, the longest ones."""
 
@@ -111,12 +98,12 @@ def estimate(
         >>> result.velocity.shape
         (1001, 1)
     """
-    _check_arguments(observer, alpha, beta)
+    gains = _gains(observer, alpha, beta)
     job = Job(model, log, overrides, every, until, columns or {}, anyway, start)
     progress("reading the log")
     loaded = load(job, score)
     observer = observer or estimators(loaded.model)[0]
-    chosen, notes = choose_observer(job, loaded, observer, alpha, beta)
+    chosen, notes = choose_observer(job, loaded, observer, gains)
     chosen = with_sensor_delays({observer: chosen}, loaded)[observer]
     progress(f"estimating with {observer}")
     outcome = drive(chosen, loaded, engine)
@@ -198,14 +185,12 @@ class EstimateResult(AbstractEstimates):
 
     @property
     def columns(self) -> dict[str, np.ndarray]:
-        return self._columns(numbered("q", self.loaded.file.dimension), sought_columns(self.loaded.file))
+        kind = self.loaded.kind
+        return self._columns(kind.positions.names, kind.estimates.names)
 
     @property
     def units(self) -> dict[str, str]:
-        file = self.loaded.file
-        table = dict(zip(sought_columns(file), sought_units(file), strict=True))
-        if file.mechanical and file.model.manifold.commuting and file.model.units:
-            table |= dict(zip(numbered("q", file.dimension), file.model.units, strict=True))
+        table = self.loaded.kind.estimates.table | self.loaded.kind.positions.table
         return {"t": "s"} | table | {f"{name}_std": unit for name, unit in table.items()}
 
     def _columns(self, positions: tuple[str, ...], velocities: tuple[str, ...]) -> dict[str, np.ndarray]:
@@ -215,15 +200,8 @@ class EstimateResult(AbstractEstimates):
         motion adds that, as external_force1… and external_force1_std…, and one that estimates forces adds whether
         something pushes, 1 or 0.
         """
-        file, outcome = self.loaded.file, self.outcome
-        x, info = outcome.run.estimate, outcome.run.info
-        if not file.mechanical:
-            configuration = {}
-        elif not file.model.manifold.commuting:
-            configuration = logs.to_columns(file.columns, np.asarray(x.q))
-        else:
-            configuration = dict(zip(positions, np.split(np.asarray(x), 2, axis=1)[0].T, strict=True))
-        table = {"t": self.t} | configuration
+        outcome, info = self.outcome, self.outcome.run.info
+        table = {"t": self.t} | self.loaded.kind.configuration(outcome.run.estimate, positions)
         for names, values, std in (
             (velocities, outcome.velocity, deviations(info)),
             (outcome.slow_names, *(known(info, name) for name in ("slow", "slow_std"))),
@@ -233,29 +211,16 @@ class EstimateResult(AbstractEstimates):
                     table |= {f"{name}{suffix}": column for name, column in zip(names, each.T, strict=True)}
         return table if self.pushes is None else table | {"pushed": self.pushes.rows.astype(float)}
 
-    def save(self, path: str | Path, overwrite: bool = True) -> Path:
-        """Write the table to a log.
+    written = logs.WRITTEN
 
-        In messages of ROS coordinates are joints by their names in the log: shoulder/position, shoulder/velocity….
+    @property
+    def _log(self) -> Any:
+        return self.job.log
 
-        Args:
-            path: The log to write (.csv, .txt, .tsv, .parquet, .mcap, .rosbag2).
-            overwrite: Whether a file that exists may be replaced, other than the log that was read.
-
-        Returns:
-            The path.
-
-        Raises:
-            ValueError: For another suffix, a folder that does not exist, or the path of the log that was read.
-        """
-        path = Path(path)
-        check_output(path, *logs.WRITTEN, log=self.job.log, overwrite=overwrite)
-        file, columns = self.loaded.file, self.columns
-        if path.suffix in logs.MESSAGES and file.mechanical and file.model.manifold.commuting:
-            joints = [name.removesuffix("/position") for name in file.columns.q]
-            columns = self._columns(*(tuple(f"{name}/{of}" for name in joints) for of in ("position", "velocity")))
+    def _write(self, path: Path) -> None:
+        # In messages of ROS coordinates are joints by their names in the log: shoulder/position, shoulder/velocity….
+        columns = self._columns(*self.loaded.kind.message_columns) if path.suffix in logs.MESSAGES else self.columns
         logs.write(path, columns, self.loaded.log.origin_ns)
-        return path
 
     @property
     def summary(self) -> dict[str, Any]:
@@ -270,20 +235,19 @@ class EstimateResult(AbstractEstimates):
             "engine": outcome.engine,
             **({} if reference is None else {"scored_against": reference.label}),
             "design": self.design[0],
-            **summary(outcome, loaded.model.sought.what),
+            **summary(outcome, loaded.kind.what),
         }
         if self.sensors:
             result["sensors"] = {
-                name: {"readings": each.readings, "refused": each.refused, "nis": rounded(np.array([each.nis]))[0]}
+                name: {"readings": each.readings, "refused": each.refused, "nis": plain(each.nis)}
                 for name, each in self.sensors.items()
             }
         if self.pushes is not None:
             result["pushes"] = len(self.pushes.starts)
-            result["share_of_rows_pushed"] = rounded(np.array([np.mean(self.pushes.rows)]))[0]
+            result["share_of_rows_pushed"] = plain(float(np.mean(self.pushes.rows)))
         if self.determined:
             result["determined"] = [
-                {"name": each.name, "ratio": rounded(np.array([each.ratio]))[0], **_stds(each)}
-                for each in self.determined
+                {"name": each.name, "ratio": plain(each.ratio), **_stds(each)} for each in self.determined
             ]
         if reference is not None and logged is not None:
             both = reference.scored & np.isfinite(logged).all(1)
@@ -293,10 +257,10 @@ class EstimateResult(AbstractEstimates):
 
     @property
     def headline(self) -> str:
-        what = self.loaded.model.sought.what
+        what = self.loaded.kind.what
         text = f"{what} from {len(self.t)} rows by {self.observer_name}"
         if self.outcome.score is not None:
-            text += f", RMSE {with_units(rounded(self.outcome.score.rmse), sought_units(self.loaded.file))}"
+            text += f", RMSE {with_units(rounded(self.outcome.score.rmse), self.loaded.kind.estimates.units)}"
         odd = sum(count for name, count in self.outcome.counts.items() if name != "ok")
         return f"{text}; {odd} samples were not ordinary" if odd else text
 
@@ -330,17 +294,16 @@ class EstimateResult(AbstractEstimates):
         lines += [] if self.pushes is None else [str(self.pushes)]
         lines += [str(each) for each in self.determined]
         if "logged_velocity_rmse" in result:
-            speeds = with_units(result["logged_velocity_rmse"], sought_units(self.loaded.file))
+            speeds = with_units(result["logged_velocity_rmse"], self.loaded.kind.estimates.units)
             lines.append(f"the same for the velocity in the log: {speeds}")
         if engine_is_notable(result["engine"], self.asked_engine):
             lines.append(f"engine: {result['engine']}")
         return "\n".join([*lines, *self.warnings])
 
     def _page(self) -> Any:
-        what = "States" if self.loaded.model.sought.what == "state" else "Velocities"
         curves = report_curves({self.observer_name: self.outcome})
         notes = (*self.design, *error_lines(self.summary, self.loaded))
-        title = f"{what} of {self.job.title}"
+        title = f"{self.loaded.kind.title} of {self.job.title}"
         rows = tuple(
             {"estimated along": each.name, "std without the log": each.first, "std": each.last}
             for each in self.determined
@@ -353,58 +316,24 @@ def _stds(each: Determinacy) -> dict[str, float | None]:
     return {"std_without_log": first, "std": last}
 
 
-def _check_arguments(observer: str | None, alpha: float | None, beta: float | None) -> None:
+def _gains(observer: str | None, alpha: float | None, beta: float | None) -> tuple[float, float] | None:
+    """The gains, where they are given; raises `ValueError` for an unknown observer and for gains that make no sense."""
     names = (*ESTIMATORS, *STATE_ESTIMATORS)
     if observer is not None and observer not in names:
         raise ValueError(f"unknown observer {observer!r}; choose one of {', '.join(names)}")
-    gain_pair(alpha, beta)
+    return gain_pair(alpha, beta)
 
 
 def choose_observer(
-    job: Job, loaded: Loaded, observer: str, alpha: float | None = None, beta: float | None = None
+    job: Job, loaded: Loaded, observer: str, gains: tuple[float, float] | None = None
 ) -> tuple[AbstractObserver, tuple[str, ...]]:
-    """Design the observer of a name, as if its readings were never late.
-
-    Args:
-        job: The model and the log, for messages.
-        loaded: Both as they were read.
-        observer: Name of the observer.
-        alpha, beta: Gains [1/s], [1/s²] in place of the designed ones; both or neither.
-
-    Returns:
-        The observer, and sentences on its design.
-
-    Raises:
-        ValueError: Where it does not fit the model, or the model file lacks numbers.
-    """
-    gains = None if alpha is None or beta is None else (alpha, beta)
-    sheet = functools.cache(lambda: log_sheet(loaded))
-    chosen = build_observer(job.model_name, loaded.file, observer, loaded.rate, gains, sheet)
-    if gains is not None:
-        stated = f"Given gains: alpha = {alpha:g} 1/s, beta = {beta:g} 1/s²."
-        unknown = "" if tells_noise(loaded.file) else " No measurement is refused: the model file tells no noise."
-        return chosen, (stated + unknown,)
-    if not loaded.file.mechanical:
-        return chosen, (state_design_note(loaded.file) + loaded.note,)
-    designed = observer_gains(sheet(), loaded.rate).summary
-    unused = ""
-    asked = [
-        what
-        for what, stated in (
-            ("the external force of [uncertainty]", sheet().external_force or loaded.file.external_force_std),
-            ("the bias of [measurement]", loaded.file.bias),
-            ("the parameters of [uncertainty]", loaded.file.family),
-            ("the forces of [wrench]", loaded.file.wrenches or None),
-            ("what [sensors] read", loaded.sensors or None),
-        )
-        if stated is not None
-    ]
-    uses = getattr(chosen, "slow_names", ()) or getattr(chosen, "sensors", ())
-    if asked and not uses:
-        unused = f" It does not estimate {' and '.join(asked)}; intrinsic-kalman does."
-    if loaded.file.torque_std is not None and observer not in USE_TORQUES:
-        unused += f" It does not use the torque of [uncertainty]; {' and '.join(USE_TORQUES)} do."
-    return chosen, (f"Designed {designed}.{loaded.note}{unused}",)
+    """Design the observer of a name for a log, as if its readings were never late, and describe it in sentences."""
+    designed = design(loaded.file, observer, gains, loaded.rate, loaded, spec=job.model_name)
+    if gains is None:
+        unused = loaded.kind.unused(designed.observer, observer, bool(loaded.sensors))
+        return designed.observer, (f"{designed.notes}{loaded.note}{unused}",)
+    unknown = "" if tells_noise(loaded.file) else " No measurement is refused: the model file tells no noise."
+    return designed.observer, (designed.notes + unknown,)
 
 
 def error_lines(result: Mapping[str, Any], loaded: Loaded) -> list[str]:
@@ -415,11 +344,11 @@ def error_lines(result: Mapping[str, Any], loaded: Loaded) -> list[str]:
         loaded: Model and log.
     """
     lines = []
-    what = loaded.model.sought.what
+    what = loaded.kind.what
     if f"{what}_rmse" in result:
-        errors = with_units(result[f"{what}_rmse"], sought_units(loaded.file))
+        errors = with_units(result[f"{what}_rmse"], loaded.kind.estimates.units)
         lines.append(f"{what} RMSE against the {result['scored_against']}: {errors}")
-    lines.append(f"innovation RMS: {with_units(result['innovation_rms'], innovation_units(loaded.file))}")
+    lines.append(f"innovation RMS: {with_units(result['innovation_rms'], loaded.kind.innovation_units)}")
     measures = [f"{name.upper()} {result[name]:.3g}" for name in ("nis", "nees") if result.get(name) is not None]
     if measures:
         lines.append(f"{' and '.join(measures)} a number; 1 is expected where model and noise are as told")

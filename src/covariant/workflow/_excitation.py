@@ -11,7 +11,7 @@ import numpy as np
 
 from covariant import logs
 from covariant.workflow._arguments import Amounts, Overrides, Region, above_zero
-from covariant.workflow._outputs import FIGURES, TABLES, check_output
+from covariant.workflow._outputs import TABLES, check_output
 from covariant.workflow._progress import Progress, silent
 from covariant.workflow._result import AbstractTable
 
@@ -262,22 +262,10 @@ class ExcitationResult(AbstractTable):
         logs.write(path, self.columns)
         return path
 
-    def plot(self, path: str | Path | None = None) -> Any:
-        """Draw positions, velocities and torques of one period, with their limits.
+    def _figure(self) -> Any:
+        """Positions, velocities and torques of one period, with their limits."""
+        from covariant.report import new_figure
 
-        Args:
-            path: Where the figure is written as well (.png, .pdf, .svg); by default it is not.
-
-        Returns:
-            A `matplotlib.figure.Figure`.
-
-        Raises:
-            ImportError: Without matplotlib.
-        """
-        from covariant.report import new_figure, save_figure
-
-        if path is not None:
-            check_output(Path(path), *FIGURES)
         joints, n = self.details["joints"], len(self.details["joints"])
         t, *rest = self.si_columns.values()
         shown = t <= t[0] + 1 / self.details["frequency"]
@@ -291,8 +279,6 @@ class ExcitationResult(AbstractTable):
                 ax.set_ylabel(f"{joint['name']} [{joint[kind]['unit']}]")
         for ax in axes[-1]:
             ax.set_xlabel("t [s]")
-        if path is not None:
-            save_figure(figure, path)
         return figure
 
     @property

@@ -9,7 +9,6 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 
 from covariant import certificates, models
@@ -38,15 +37,11 @@ from covariant.observers import (
     AbstractObserver,
     Delayed,
     FixedLag,
-    chooses_substeps,
-    with_fixed_substeps,
 )
 from covariant.workflow._arguments import above_zero, gain_pair
-from covariant.workflow._chosen import beyond_proof
-from covariant.workflow._export_mechanical import mechanical_observer, sensors_of
-from covariant.workflow._export_states import state_observer, with_fixed_steps
-from covariant.workflow._exported import Exported, signals
-from covariant.workflow._inputs import Job, data_sheet, load
+from covariant.workflow._design import Design, design
+from covariant.workflow._inputs import Job, load
+from covariant.workflow._kinds import kind_of
 from covariant.workflow._progress import Progress, silent
 from covariant.workflow._result import AbstractResult
 from covariant.workflow._sensors import reading_delays
@@ -57,6 +52,7 @@ STORED = ("low", "high", "spacing", "factors")
 """Arrays of a metric on a grid, a table that the code looks up."""
 REALS = ("double", "float")
 VERSIONS = ("3.0", "2.0")
+UNGATED = "It has no gate and refuses no measurement, as asked."
 AUDITED = 6
 """States at which the laws of an observer are measured before it is written."""
 
@@ -149,49 +145,53 @@ def export(
     logged = None if log is None else load(Job(model, log, overrides), score=False)
     if logged is not None:
         file = file._replace(quantum=logged.file.quantum)  # None where positions in the log are no ticks
-    if file.mechanical:
-        exported = mechanical_observer(label, file, observer, gains, rate, metric, gate, logged)
-    else:
-        exported = state_observer(label, file, observer, gains, rate, certificate, metric, gate)
+    if not file.mechanical and certificate is not None:
+        raise ValueError(f"certificate is for mechanical models; {label} is a state-space model")
+    if not file.mechanical and float(np.max(file.delay)) > 0:
+        raise ValueError(f"{label}: code for a state-space model takes no measurement.delay; leave it out")
+    designed = design(file, observer, gains, rate, logged, metric=metric, spec=label)
+    refusals, assumed = designed.explain_gate() if gate else (UNGATED, "")
+    designed = designed if gate else designed.without_gate()
+    measured, chosen = designed.self_test(rate), _plain(designed, gains)
+    entry = next(entry for entry in REGISTRY if entry.name == designed.name)
     prefix = name or _identifier(file.name)
-    description = f"{exported.name} observer of {file.name}. {exported.design} {exported.gate}"
+    description = f"{designed.name} observer of {file.name}. {chosen} {refusals}"
     # A simulator asks a unit for steps of any length; firmware has one step length, and must do the same work in each.
-    fixed = exported.observer if unit else _of_fixed_length(exported, rate, file)
-    proved = "" if certificate is None else _certified(Path(certificate), model, overrides, exported, fixed, rate)
+    fixed = designed.observer if unit else designed.with_fixed_substeps(rate, measured)
+    proved = "" if certificate is None else _certified(Path(certificate), model, overrides, designed, fixed, rate)
     substeps = getattr(getattr(fixed, "observer", fixed), "substeps", None)
-    informed = any(entry.name == exported.name and entry.knows_model for entry in REGISTRY)
     # Only an observer with a model can predict from the time of a late reading to the present.
-    parts = sensors_of(file, logged) if file.mechanical else ()
-    delay = reading_delays(fixed, file.delay, parts, exported.measured[0])
-    delayed = Delayed(fixed, delay, rate) if informed and np.any(delay) else fixed
+    delay = reading_delays(fixed, file.delay, designed.sensors, measured[0])
+    delayed = Delayed(fixed, delay, rate) if entry.knows_model and np.any(delay) else fixed
     if step_per_sensor and not getattr(fixed, "sensors", ()):
-        raise ValueError(f"step_per_sensor is for a filter with sensors; {exported.name} of {label} has none")
+        raise ValueError(f"step_per_sensor is for a filter with sensors; {designed.name} of {label} has none")
     if lag is not None:
-        delayed, description = _late(delayed, exported.name, lag, rate), f"{description} Estimates are {lag:g} s late."
+        delayed, description = _late(delayed, designed.name, lag, rate), f"{description} Estimates are {lag:g} s late."
     progress(f"writing {prefix}")
-    opened = family if informed else None  # the others have no number of the model
-    written = _program(label, delayed, opened, file, parameters, real, exported.measured[0], unit, step_per_sensor)
-    written = written._replace(signals=signals(file, parts, written.u))
-    broken = _broken_laws(exported.inner) if audit else ""
-    warnings = [line for line in (broken, exported.warning) if line]
+    opened = family if entry.knows_model else None  # the others have no number of the model
+    written = _program(label, delayed, opened, file, parameters, real, measured[0], unit, step_per_sensor)
+    read = tuple(f"{name} [{part.unit}]" for part in designed.sensors for name in part.columns.measured)
+    written = written._replace(signals=kind_of(file).signals(written.u, read))
+    broken = _broken_laws(designed.inner) if audit else ""
+    warnings = [line for line in (broken, assumed) if line]
     if unit:
         version: Any = fmi or VERSIONS[0]
-        packed = fmu(written, prefix, description, rate, exported.measured[0], version)
+        packed = fmu(written, prefix, description, rate, measured[0], version)
         write_fmu(packed, out, overwrite)
         if packed.without_binary:
             warnings.append(f"the unit holds sources and no binary: {packed.without_binary}")
         files = [out]
     else:
-        facts = Facts(rate, substeps, proved, broken, exported.gate)
-        run = vectors(written, exported.measured, rate)
-        texts = export_texts(written, prefix, description, exported.measured, facts, limit, run, python, wasm)
+        facts = Facts(rate, substeps, proved, broken, refusals)
+        run = vectors(written, measured, rate)
+        texts = export_texts(written, prefix, description, measured, facts, limit, run, python, wasm)
         more = python_files(written, texts, prefix, description, rate) if python else {}
         if python and not any(path.endswith(".whl") for path in more):
             warnings.append(f"the Python package holds sources and no library: {NO_COMPILER}")
         more |= wasm_files(written, texts, prefix, description, rate, run) if wasm else {}
         files = write_folder({**texts, **more}, out, overwrite)
-    about, notes = (label, exported.name, description, exported.design), tuple(warnings)
-    return ExportResult(*about, out, tuple(files), written, notes, exported.gate)
+    about, notes = (label, designed.name, description, chosen), tuple(warnings)
+    return ExportResult(*about, out, tuple(files), written, notes, refusals)
 
 
 @dataclass(frozen=True, repr=False)
@@ -376,29 +376,12 @@ def _open_numbers(parameters: dict[str, Any]) -> tuple[str, ...]:
     return tuple(place for key, value in parameters.items() for place in places(key, value))
 
 
-def _of_fixed_length(exported: Exported, rate: float, file: ModelFile) -> AbstractObserver:
-    """The observer with as many substeps as it needs: for friction, at the usual speed of the model file."""
-    observer = exported.inner
-    q = np.stack([observer.configuration(y) for y in exported.measured])
-    if not file.mechanical:
-        return with_fixed_steps(observer, q, rate)
-    if not chooses_substeps(observer):
-        return exported.observer
-    sheet = data_sheet(file) if file.acceleration_std is not None and file.measurement_std is not None else None
-    speed = 3.0 if sheet is None else np.broadcast_to(sheet.speeds, file.dimension)
-    # The sign of v alternates from row to row.
-    v = np.broadcast_to(speed, (len(q), file.dimension)) * np.sign(np.arange(len(q)) % 2 - 0.5)[:, None]
-    inputs = jnp.zeros((len(q), models.input_count(file.model, file.dimension)))
-    fixed = with_fixed_substeps(observer, rate, jnp.asarray(q), jnp.asarray(v), inputs)
-    return exported.with_inner(fixed)
-
-
 def _certified(
-    path: Path, model: Any, overrides: Overrides, exported: Exported, fixed: AbstractObserver, rate: float
+    path: Path, model: Any, overrides: Overrides, designed: Design, fixed: AbstractObserver, rate: float
 ) -> str:
     """Lines on what a saved certificate says of this observer; raises `ValueError` where it is of another."""
     document, name = certificates.parse(path), models.spec_name(model)
-    observer, kind = exported.inner, exported.name
+    observer, kind = designed.inner, designed.name
     gains = tuple(float(getattr(observer, each, np.nan)) for each in ("alpha", "beta"))
     saved = tuple(float(document.observer[each]) for each in ("alpha", "beta"))
     if not isinstance(model, str | os.PathLike) or document.recipe != models.recipe(name, overrides):
@@ -408,7 +391,7 @@ def _certified(
     if not np.allclose(gains, saved, rtol=1e-12):
         raise ValueError(
             f"{path}: the certificate is for alpha = {saved[0]:g}, beta = {saved[1]:g}; the observer has {gains[0]:g}, "
-            f"{gains[1]:g}; give these as alpha and beta"
+            f"{gains[1]:g}; give these as `alpha` and `beta`"
         )
     sampling = document.sampling
     time = "in continuous time" if sampling is None else "with sampled measurements"
@@ -435,11 +418,29 @@ def _certified(
             *(f"    {line}" for line in str(checked.statement).splitlines()),
             *(
                 ["", beyond_proof(0 if sampling is None else sampling.lost)]
-                if exported.inner is not exported.observer
+                if designed.inner is not designed.observer
                 else []
             ),
         ]
     )
+
+
+def beyond_proof(lost: int) -> str:
+    """What a certificate says of samples that a gate refuses, up to `lost` of which it covers in a row."""
+    covered = f"which it covers up to {lost} in a row" if lost else "which it does not cover"
+    return (
+        "The gate is no part of what is proved. Where a step returns OK it changed nothing, and the statement holds. A "
+        f"measurement that is refused as a whole (OUTLIER) is a lost one, {covered}; of one that is refused in part, "
+        "and after RESTARTED or ASTRAY, nothing is proved until a new start within its radius."
+    )
+
+
+def _plain(designed: Design, gains: tuple[float, float] | None) -> str:
+    """How an observer was designed, in characters that stand in a comment of C."""
+    entry = next(entry for entry in REGISTRY if entry.name == designed.name)
+    if gains is None and entry.tuned_by not in ("gains", "state noise"):
+        return "Tuned from its data sheet."  # the note is on gains that it does not have
+    return designed.notes.replace("²", "^2").replace("±", "+-")
 
 
 def _broken_laws(observer: Any) -> str:

@@ -8,22 +8,17 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from covariant import logs, models, scoring
-from covariant.calibration import DataSheet, misfit, outliers, suggest_noise, usual_speeds
+from covariant.calibration import misfit
 from covariant.models import Overrides
-from covariant.observers import (
-    REGISTRY,
-    AbstractObserver,
-    Delayed,
-    Slow,
-    sensor_bias,
-    uncertain_parameters,
-    wrench,
-)
+from covariant.observers import REGISTRY, AbstractObserver, Delayed
 from covariant.signals import Record, acting_inputs, lag_inputs
 from covariant.workflow._arguments import ColumnNames as ColumnNames
+from covariant.workflow._kind import AbstractKind, Labels, numbered as numbered
+from covariant.workflow._kinds import kind_of
 from covariant.workflow._outputs import check_output as check_output
 from covariant.workflow._placeholders import placeholder_sentence, placeholders
 from covariant.workflow._sensors import FileSensor, file_sensors, reading_delays, readings
+from covariant.workflow._sheet import data_sheet as data_sheet
 
 FEWEST_MOVES = 50
 """Fewest changes of positions that decide whether the log's ticks are coarser than those of the model file."""
@@ -128,6 +123,11 @@ class Loaded(NamedTuple):
     sensors: tuple[FileSensor, ...] = ()
     readings: np.ndarray | None = None
 
+    @property
+    def kind(self) -> AbstractKind:
+        """The kind of the model."""
+        return kind_of(self.file)
+
     def record_for(self, observer: AbstractObserver) -> Record:
         """The record as an observer measures it: for one with sensors, their readings follow each configuration."""
         if not getattr(observer, "sensors", ()) or self.readings is None:
@@ -168,27 +168,21 @@ def load(job: Job, score: bool = True, why: str = "") -> Loaded:
     optional = [field for field in logs.OPTIONAL if not named.get(field)]
     parts = file_sensors(file)
     beside = [name for part in parts for name in part.columns.measured]
-    log = _with_zero_inputs(file, logs.read(job.log, columns, job.every, job.until, job.start, optional, beside))
+    kind = kind_of(file)
+    log = kind.with_inputs(logs.read(job.log, columns, job.every, job.until, job.start, optional, beside))
     if not job.anyway:
         _refuse_misfit(job, file, log.record)
     record = acting_inputs(lag_inputs(log.record, file.input_lag), file.input_between, file.input_delay)
     t, y = np.asarray(record.t), np.asarray(record.y)
-    if model.manifold.commuting and file.mechanical:
-        measured = y[np.isfinite(y).all(axis=1)]
-        try:
-            models.check_metric(model, measured[:: max(1, len(measured) // 20)])
-        except ValueError as error:
-            raise ValueError(f"{job.model_name} on {job.log_name}: {error}") from error
+    try:
+        kind.check(y)
+    except ValueError as error:
+        raise ValueError(f"{job.model_name} on {job.log_name}: {error}") from error
     file, note = _in_ticks(file, y)
-    reference = None
-    if log.truth is not None:
-        reference = ReferenceVelocity(log.truth, f"true {model.sought.what}", scoring.scored_window(t))
-    elif score and file.mechanical:  # slopes of a state-space model's outputs are not its states
-        whole = (job.every, job.until, job.start) == (1, None, None)
-        # A record has its inputs without names; of other logs only the positions are needed.
-        needed = columns if isinstance(job.log, Record) else columns._replace(u=(), v=())
-        full = log if whole else logs.read(job.log, needed)
-        reference = ReferenceVelocity(*_slopes(file, log, full), scoring.scored_window(t))
+    known = None if log.truth is None else (log.truth, f"true {kind.what}")
+    if known is None and score:
+        known = kind.slopes(log, lambda: _whole(job, log, columns))
+    reference = None if known is None else ReferenceVelocity(*known, scoring.scored_window(t))
     read, lacking = readings(parts, job.log, log) if parts else (None, "")
     guessed = placeholder_sentence(placeholders(job.model, job.overrides))
     note += _delay_note(file) + lacking + f" {guessed}" * bool(guessed)
@@ -198,12 +192,12 @@ def load(job: Job, score: bool = True, why: str = "") -> Loaded:
     return Loaded(file, model, log, record, rate, reference, note, () if read is None else parts, read)
 
 
-def _with_zero_inputs(file: models.ModelFile, log: logs.Log) -> logs.Log:
-    """The log with inputs that are zero where the model file names no columns of them, as of a body in free flight."""
-    if file.columns.u or not file.mechanical or file.model.manifold.commuting:
+def _whole(job: Job, log: logs.Log, columns: logs.Columns) -> logs.Log:
+    """All of a log of which a job reads a part, with the positions at least."""
+    if (job.every, job.until, job.start) == (1, None, None):
         return log
-    count = models.input_count(file.model, file.dimension)
-    return log._replace(record=log.record._replace(u=np.zeros((len(log.record.t), count))))
+    # A record has its inputs without names.
+    return logs.read(job.log, columns if isinstance(job.log, Record) else columns._replace(u=(), v=()))
 
 
 def column_names(columns: str | Sequence[str]) -> tuple[str, ...]:
@@ -293,7 +287,7 @@ def _refuse_misfit(job: Job, file: models.ModelFile, record: Record) -> None:
 
 def _in_ticks(file: models.ModelFile, y: np.ndarray) -> tuple[models.ModelFile, str]:
     """The model file without its quantum where positions (T, n) are no whole ticks apart, and a sentence saying so."""
-    if file.quantum is None or not file.model.manifold.commuting:
+    if file.quantum is None or not kind_of(file).has_ticks:
         return file, ""
     quantum = np.broadcast_to(file.quantum, y.shape[1])
     steps = np.diff(y, axis=0) / quantum
@@ -367,162 +361,6 @@ def _check_columns(job: Job, file: models.ModelFile, columns: logs.Columns) -> N
         )
 
 
-def _slopes(file: models.ModelFile, log: logs.Log, full: logs.Log) -> tuple[np.ndarray, str]:
-    """Slopes (T, n) of the positions in the whole log, without outliers, each at the time at which it was true; and a
-    label."""
-    t, y, at = np.asarray(full.record.t), np.asarray(full.record.y), np.asarray(log.record.t)
-    half, order = file.reference_half, int(file.reference_order)
-    if np.isfinite(y).sum(axis=0).min() < order + 3:  # a polynomial of this order needs more samples than coefficients
-        return np.full((len(at), file.dimension), np.nan), "velocity, unknown in so short a log"
-    if file.model.manifold.commuting:
-        y = np.where(outliers(t, y, file.model.circles)[0], np.nan, y)
-        y = scoring.unwrap(y, file.model.circles)
-        delays, slopes = np.broadcast_to(np.asarray(file.delay, float), y.shape[1]), np.empty((len(at), y.shape[1]))
-        for delay in np.unique(delays):
-            alike = delays == delay
-            # A row at t shows the position at t − delay.
-            slopes[:, alike] = scoring.zero_phase_velocity(t - delay, y[:, alike], at, half, order)
-        return slopes, "zero-phase reference"
-    # All of a pose is read at once, so that there is one delay.
-    t = t - np.max(file.delay)
-    twists = [
-        scoring.zero_phase_twist(t, g, at, half, order, body.space)
-        for body, g in zip(logs.bodies(file.columns), logs.matrices(file.columns, y), strict=True)
-    ]
-    joints = logs.coordinates(file.columns, y)
-    # The joints are the last columns of a configuration, and circles are counted over all of them.
-    circles = tuple(i - (y.shape[1] - joints.shape[1]) for i in file.model.circles)
-    rates = [scoring.zero_phase_velocity(t, scoring.unwrap(joints, circles), at, half, order)] if joints.size else []
-    return np.concatenate([*twists, *rates], axis=1), "zero-phase reference"
-
-
-def data_sheet(file: models.ModelFile, record: Record | None = None) -> DataSheet:
-    """Collect the data sheet for a design from a model file.
-
-    Args:
-        file: The model file.
-        record: A log; where a number is missing the message suggests what this log shows.
-
-    Returns:
-        Noise, quantum, damping and the other numbers that the file has, in SI units.
-
-    Raises:
-        ValueError: Where numbers are missing: it names all of them.
-    """
-    missing = [
-        key
-        for value, key in ((file.typical_std, "measurement.std"), (file.acceleration_std, "uncertainty.acceleration"))
-        if value is None
-    ]
-    if missing:
-        raise ValueError(f"{file.name}: gains need {' and '.join(missing)}; {_remedy(file, missing, record)}")
-    known = {
-        "measurement_std": file.typical_std,
-        "coordinate_stds": file.measurement_std if isinstance(file.measurement_std, tuple) else None,
-        "quantum": file.quantum,
-        "external_force": file.external_force,
-        "external_force_std": file.external_force_std,
-        "external_force_time": file.external_force_time,
-        "slow": _slow(file),
-        "acceleration_std": file.acceleration_std,
-        "correlation_time": file.correlation_time,
-        "torque_std": file.torque_std,
-        "motion_std": file.motion_std,
-        "motion_time": file.motion_time,
-        "damping": file.damping,
-        "natural_frequency": file.natural_frequency,
-    }
-    return DataSheet(**{name: value for name, value in known.items() if value is not None})
-
-
-def _remedy(file: models.ModelFile, missing: Sequence[str], record: Record | None) -> str:
-    """What to do where numbers of a model file are missing, with those that a log shows."""
-    shown = () if record is None else suggest_noise(file, record)
-    them = "it" if len(missing) == 1 else "them"
-    if len(shown) < len(missing):
-        options = [f"{key}=NUMBER" for key in missing]
-        how = f"put {them} in the model file, or give `overrides={options}` (or, for estimate, `alpha` and `beta`)"
-        return how + "".join(f"; this log suggests {suggestion.line} ({suggestion.evidence})" for suggestion in shown)
-    options = [suggestion.setting for suggestion in shown]
-    evidence = "; ".join(suggestion.evidence for suggestion in shown)
-    return f"this log suggests `overrides={options}` ({evidence}), or put {them} in the model file"
-
-
-def _slow(file: models.ModelFile) -> tuple[Slow, ...]:
-    """What the model file has estimated along with the motion, beside an external force."""
-    components = ()
-    if file.family is not None:
-        stds = [
-            file.uncertain[next(key for key in file.uncertain if _stands_for(key, name))] for name in file.family.names
-        ]
-        components += (uncertain_parameters(file.family, stds, file.parameters_drift),)
-    if file.bias is not None:
-        components += (sensor_bias(np.broadcast_to(file.bias, file.dimension), file.bias_drift),)
-    return components + tuple(_wrench(file, name, given) for name, given in file.wrenches.items())
-
-
-def _wrench(file: models.ModelFile, name: str, given: Mapping[str, Any]) -> Slow:
-    """A force on a link, which the model file names."""
-    try:
-        return wrench(file.need_mechanical(file.name, "links are those of").space, name=name, **given)  # pyright: ignore[reportArgumentType]
-    except (ValueError, TypeError) as error:
-        raise ValueError(f"{file.name}: [wrench.{name}]: {str(error).removeprefix('wrench: ')}") from error
-
-
-def _stands_for(key: str, name: str) -> bool:
-    """Whether a number, such as `mass[0]`, is meant by a key, such as `mass`."""
-    plain = key.strip().removeprefix("parameters.")
-    return name == plain or name.startswith(f"{plain}[")
-
-
-def log_sheet(loaded: Loaded) -> DataSheet:
-    """Collect the data sheet of the model file, with the usual speeds in the log.
-
-    Args:
-        loaded: Model and log.
-
-    Raises:
-        ValueError: Where numbers are missing: it names all of them, and suggests what the log shows.
-    """
-    sheet = data_sheet(loaded.file, loaded.log.record)
-    sensors = tuple(part.sensor for part in loaded.sensors)
-    return sheet._replace(speed=usual_speeds(loaded.model, loaded.record), sensors=sensors)
-
-
-def coordinates(file: models.ModelFile) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Names and units of what is estimated, for headings.
-
-    Returns:
-        Names and units of the coordinates; on a group of the velocities; of a state-space model of the states.
-    """
-    if file.model.sought.names:
-        return file.model.sought.names, file.model.sought.units
-    names = file.model.coordinates or numbered("q", file.dimension)
-    return names, file.model.units or ("",) * len(names)
-
-
-def sought_units(file: models.ModelFile) -> tuple[str, ...]:
-    """Units of the velocities, or of the states of a state-space model."""
-    return file.model.sought.units or ("1/s",) * file.dimension
-
-
-def innovation_units(file: models.ModelFile) -> tuple[str, ...]:
-    """Units of the innovations: those of the coordinates; on a group, of a velocity times a second; else ""."""
-    units = coordinates(file)[1]
-    if not file.mechanical:  # a model does not say them of its outputs
-        return ("",) * len(file.columns.q)
-    return tuple(f"{unit} s".replace("/s s", "").strip() for unit in units) if file.model.velocities else units
-
-
-def sought_columns(file: models.ModelFile) -> tuple[str, ...]:
-    """Names of the estimates in an output file.
-
-    Returns:
-        Names of the velocities, v1, v2, … where the model has none; of a state-space model the names of the states.
-    """
-    return file.model.sought.names or numbered("v", file.dimension)
-
-
-def numbered(letter: str, count: int) -> tuple[str, ...]:
-    """Names from a letter and a number that counts from 1, such as "q1", "q2"."""
-    return tuple(f"{letter}{i + 1}" for i in range(count))
+def coordinates(file: models.ModelFile) -> Labels:
+    """Names and units for headings: of coordinates; on a group of velocities; of states."""
+    return kind_of(file).axes

@@ -1,8 +1,9 @@
-"""Runs an observer on a log and summarises the result."""
+"""Runs an observer on a log, and says what the run shows: errors, consistency, pushes, a model that does not fit."""
 
 import math
 import time
 from collections.abc import Iterable
+from statistics import NormalDist
 from typing import Any, NamedTuple
 
 import jax
@@ -11,12 +12,19 @@ import numpy as np
 
 from covariant.engine import EngineName as Engine, run_log
 from covariant.models import ModelFile, Motion
-from covariant.observers import AbstractObserver
+from covariant.observers import REGISTRY, AbstractObserver
 from covariant.signals import Result, Run
-from covariant.workflow._inputs import Loaded, ReferenceVelocity, sought_units
+from covariant.workflow._inputs import Job, Loaded, ReferenceVelocity
 
 KEPT = ("innovation", "distance", "result", "nis", "velocity_std", "state_std", "slow", "slow_std", "sensors")
 """What the commands use of the info of an observer."""
+MARGIN = 2.0
+"""How far above the band of a right model the mean NIS is before it is called too large: noise is seldom known well."""
+QUANTILE = 3.09
+"""Upper 99.9 % quantile of a standard normal distribution."""
+FALSE_ALARM = 1e-3
+"""Largest probability that a row in which nothing pushes is called pushed, where model and noise are right."""
+AXES = ("fx", "fy", "fz", "tx", "ty", "tz")
 
 
 class Score(NamedTuple):
@@ -205,7 +213,7 @@ def summary(outcome: Outcome, what: str = "velocity") -> dict[str, Any]:
     return {
         **scored,
         "innovation_rms": rounded(np.sqrt(np.mean(innovation**2, axis=0))),
-        **{name: rounded(np.array([value]))[0] for name, value in consistency.items()},
+        **{name: plain(value) for name, value in consistency.items()},
         "results": outcome.counts,
     }
 
@@ -217,6 +225,11 @@ def rounded(values: np.ndarray) -> list[float | None]:
         The numbers as a list; None stands for NaN and infinities, which JSON does not know.
     """
     return [float(f"{v:.6g}") if np.isfinite(v) else None for v in np.asarray(values)]
+
+
+def plain(value: float) -> float | None:
+    """Round one number as `rounded` does."""
+    return rounded(np.array([value]))[0]
 
 
 def with_units(values: Iterable[float | None], units: tuple[str, ...]) -> str:
@@ -231,12 +244,6 @@ def with_units(values: Iterable[float | None], units: tuple[str, ...]) -> str:
         for v, unit in zip(values, units, strict=True)
     )
     return ", ".join(written)
-
-
-def force_units(file: ModelFile) -> tuple[str, ...]:
-    """Units of generalised forces along the velocities, whose product with them is a power; "" where not known."""
-    per_second = {"rad/s": "N m", "m/s": "N"}
-    return tuple(per_second.get(unit, "") for unit in sought_units(file))
 
 
 def report_curves(outcomes: dict[str, Outcome]) -> dict[str, Any]:
@@ -260,3 +267,105 @@ def _drawn(outcome: Outcome) -> np.ndarray:
     """The curves to draw: states in coordinates (T, 2n), velocities (T, n) where the estimate is on a group."""
     x = outcome.run.estimate
     return outcome.velocity if isinstance(x, Motion) else np.asarray(x)
+
+
+class Pushes(NamedTuple):
+    """Rows in which something pushes.
+
+    The error of an estimated force is a sum of what the force itself, the noise and all other unknowns have done. Where
+    there is no force its part is missing, so that the estimate then has at most the variance that the filter tells for
+    its error. A row is called pushed where any force is more of these standard deviations from zero than a normal
+    number is with the probability `FALSE_ALARM` over the number of forces.
+
+    Attributes:
+        names: The forces that count: those on links, or where there are none the external forces of the joints.
+        rows: Whether something pushes, in each row (T,).
+        starts: Rows at which it begins.
+
+    Example:
+        >>> import covariant
+        >>> force = {"uncertainty.external_force_std": 1.0, "uncertainty.external_force_time": 0.3}
+        >>> noise = force | {"measurement.std": 1e-4, "uncertainty.acceleration": 0.1}
+        >>> log = covariant.simulate("oscillator", duration=4.0, rate=100.0, noise=1e-4, push=[3.0]).record
+        >>> result = covariant.estimate("oscillator", log, observer="intrinsic-kalman", overrides=noise)
+        >>> result.pushes.names, result.pushes.starts.tolist(), int(result.pushes.rows.sum())
+        (('external_force1',), [129, 177, 330, 376], 96)
+    """
+
+    names: tuple[str, ...]
+    rows: np.ndarray
+    starts: np.ndarray
+
+    def __str__(self) -> str:
+        count, share = len(self.starts), 100 * np.mean(self.rows)
+        return (
+            f"pushed {count} time{'s' * (count != 1)}, in {share:.3g} % of the rows; where model and noise are right, "
+            f"a row without a push is called pushed at most once in {1 / FALSE_ALARM:.0f}"
+        )
+
+
+def force_names(file: ModelFile, names: tuple[str, ...]) -> tuple[str, ...]:
+    """Which slow states are forces that push.
+
+    Beside forces on links, an external force is what the model does not know of the joints.
+
+    Args:
+        file: The model file.
+        names: Names of all slow states.
+    """
+    linked = {f"{axis}_{name}" for name in file.wrenches for axis in AXES}
+    return tuple(name for name in names if (name in linked if linked else name.startswith("external_force")))
+
+
+def pushes(file: ModelFile, outcome: Outcome) -> Pushes | None:
+    """Rows in which something pushes; None of an observer that estimates no force.
+
+    Args:
+        file: The model file.
+        outcome: The run of the observer.
+    """
+    slow, std = (known(outcome.run.info, name) for name in ("slow", "slow_std"))
+    names = force_names(file, outcome.slow_names)
+    if slow is None or std is None or not names:
+        return None
+    at = [outcome.slow_names.index(name) for name in names]
+    limit = NormalDist().inv_cdf(1 - FALSE_ALARM / (2 * len(at)))
+    rows = np.asarray(np.any(np.abs(slow[:, at]) > limit * std[:, at], axis=1))
+    return Pushes(names, rows, np.flatnonzero(rows & ~np.concatenate([[False], rows[:-1]])))
+
+
+def unexplained(job: Job, loaded: Loaded, observer: str, outcome: Outcome) -> str | None:
+    """One sentence where the mean NIS is larger than a right model has it; None where it is not.
+
+    The NIS of a right model with right noise, summed over N measured numbers, is χ²-distributed with N degrees of
+    freedom. Said is what exceeds `MARGIN` times its 99.9 % quantile.
+
+    Args:
+        job: The model and the log, for the message.
+        loaded: Both as they were read.
+        observer: Name of the observer.
+        outcome: Its run.
+    """
+    informed = any(entry.name == observer and entry.knows_model for entry in REGISTRY)
+    if not (informed and loaded.file.mechanical and math.isfinite(outcome.nis)):
+        return None
+    limit = MARGIN * mean_quantile(int(counted(outcome.run.info, loaded)[1]))
+    if outcome.nis <= limit:
+        return None
+    return (
+        f"NIS averages {outcome.nis:.3g} a measured number, where 1 is expected and more than {limit:.3g} is no "
+        "chance: the model, or the noise of the model file, does not explain this log, and standard deviations are too "
+        "small; "
+        f"`covariant check {job.model_name} {job.log_name}` looks for what is wrong, `covariant tune` finds noise that "
+        "fits, and pushes or friction that are not known are estimated along with the motion by intrinsic-kalman with "
+        "[uncertainty] external_force_std and external_force_time, or parameters"
+    )
+
+
+def mean_quantile(count: int) -> float:
+    """The 99.9 % quantile of the mean of so many squared standard normal numbers, to 2 % from 3 of them on.
+
+    Source: Wilson & Hilferty 1931, The distribution of chi-square, PNAS 17(12).
+    """
+    ninth = 2 / (9 * max(count, 1))
+    return (1 - ninth + QUANTILE * math.sqrt(ninth)) ** 3

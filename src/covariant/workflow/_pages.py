@@ -6,9 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from covariant import scoring
 from covariant.report import EstimateReport, write_report as write_page_and_figures
-from covariant.workflow._inputs import Loaded, coordinates
+from covariant.workflow._inputs import Loaded
 from covariant.workflow._result import AbstractTable
 
 if TYPE_CHECKING:
@@ -38,28 +37,24 @@ def estimate_report(
     Returns:
         The report, with the reference of the velocities where there is one.
     """
-    names, units = coordinates(loaded.file)
-    y = np.asarray(loaded.record.y)
+    kind, y = loaded.kind, np.asarray(loaded.record.y)
     missing = int(np.isnan(y.reshape(len(y), -1)).any(1).sum())
-    drawn = scoring.unwrap(y, loaded.model.circles) if loaded.model.manifold.commuting else None
-    if not loaded.file.mechanical:  # the panels are those of the states, and the outputs are others
-        drawn, curves = None, {"estimates": curves["estimates"]}
     notes = (
         *notes,
         f"{len(y)} samples at about {loaded.rate:.0f} Hz, {missing} of them coasted without a measurement.",
     )
     report = EstimateReport(
         title=title,
-        estimated=loaded.model.sought.what,
-        coordinates=names,
-        units=units,
+        estimated=kind.what,
+        coordinates=kind.axes.names,
+        units=kind.axes.units,
         t=np.asarray(loaded.record.t),
-        q_measured=drawn,
+        q_measured=kind.drawn(y),
         rows=rows,
         notes=notes,
         headline=headline,
         warnings=warnings,
-        **curves,
+        **(curves if kind.draws_innovations else {"estimates": curves["estimates"]}),
     )
     if loaded.reference is not None:
         report = report._replace(v_reference=loaded.reference.v, v_reference_label=loaded.reference.label)
@@ -82,38 +77,13 @@ def write_report(path: Path, report: EstimateReport) -> list[Path]:
 class AbstractEstimates(AbstractTable):
     """Table of estimates, which is drawn on one page."""
 
-    def report(self, path: str | Path) -> list[Path]:
-        """Write an interactive page of the estimates, and figures (.png) beside it.
+    def _write_page(self, path: Path) -> list[Path]:
+        return write_report(path, self._page())
 
-        Args:
-            path: The page to write (.html).
+    def _figure(self) -> "Figure":
+        from covariant.report import figure
 
-        Returns:
-            The paths of all files, the page first.
-
-        Raises:
-            ImportError: Without matplotlib or plotly; nothing is written then.
-        """
-        return write_report(Path(path), self._page())
-
-    def plot(self, path: str | Path | None = None) -> "Figure":
-        """Draw velocities or states, and their errors where there is a reference.
-
-        Args:
-            path: Where the figure is written as well (.png, .pdf, .svg); by default it is not.
-
-        Returns:
-            The figure, a row of panels for each coordinate.
-
-        Raises:
-            ImportError: Without matplotlib.
-        """
-        from covariant.report import figure, save_figure
-
-        page_figure = figure(self._page())
-        if path is not None:
-            save_figure(page_figure, Path(path))
-        return page_figure
+        return figure(self._page())
 
     @abc.abstractmethod
     def _page(self) -> Any:

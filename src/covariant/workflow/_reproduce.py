@@ -105,20 +105,6 @@ class ReproduceResult(AbstractResult):
         check_output(path, ".png")
         return list(self.module.draw(path))
 
-    def report(self, path: str | Path) -> list[Path]:
-        """Write a page with the numbers and figures of the paper.
-
-        Args:
-            path: The page to write (.html); the figures (.png) are written beside it.
-
-        Returns:
-            The paths of all files, the page last.
-
-        Raises:
-            ValueError: For another suffix, or a folder that does not exist.
-            ImportError: Without matplotlib.
-        """
-        path = Path(path)
-        check_output(path, ".html")
+    def _write_page(self, path: Path) -> list[Path]:
         figures = self.draw(path.with_suffix(".png"))
         return [*figures, self.module.write_page(self.results, tuple(figures), path)]

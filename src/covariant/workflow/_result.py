@@ -3,11 +3,12 @@
 import abc
 import html
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
 from covariant._optional import load_optional
+from covariant.workflow._outputs import FIGURES, check_output
 
 
 class AbstractResult(abc.ABC):
@@ -64,24 +65,41 @@ class AbstractResult(abc.ABC):
         """What a notebook shows."""
         return f"<b>{html.escape(self.headline)}</b><pre>{html.escape(str(self))}</pre>"
 
+    written: ClassVar[tuple[str, ...]] = ()
+    """Suffixes of the file that `save` writes; none for a result that has no file."""
+
+    @property
+    def _log(self) -> Any:
+        """The log that was read, whose file is never replaced; None by default."""
+        return None
+
     def save(self, path: str | Path, overwrite: bool = True) -> Path:
         """Write the result to a file, whole or not at all.
 
         Args:
-            path: The file to write; its suffix chooses the format.
-            overwrite: Whether a file that exists may be replaced.
+            path: The file to write; its suffix, one of `written`, chooses the format.
+            overwrite: Whether a file that exists may be replaced, other than the log that was read.
 
         Returns:
             The path.
 
         Raises:
-            ValueError: For a suffix that the result does not have, a folder that does not exist, or a result that has
-                no file.
+            ValueError: For a suffix that the result does not have, a folder that does not exist, the path of the log
+                that was read, or a result that has no file.
         """
-        raise ValueError(f"{path}: a {type(self).__name__} has no file of its own to write; use report()")
+        path = Path(path)
+        if not self.written:
+            raise ValueError(f"{path}: a {type(self).__name__} has no file of its own to write; use report()")
+        check_output(path, *self.written, log=self._log, overwrite=overwrite)
+        self._write(path)
+        return path
+
+    def _write(self, path: Path) -> None:
+        """Write the file; for results that have one."""
+        raise NotImplementedError
 
     def report(self, path: str | Path) -> list[Path]:
-        """Write an interactive page, and figures beside it.
+        """Write an interactive page, and figures (.png) beside it, all or none.
 
         Args:
             path: The page to write (.html).
@@ -90,9 +108,13 @@ class AbstractResult(abc.ABC):
             The paths of all files.
 
         Raises:
-            ValueError: For a result that has no page, or another suffix.
-            ImportError: Without the packages that draw, `pip install 'covariant[report]'`.
+            ValueError: For a result that has no page, another suffix, or a folder that does not exist.
+            ImportError: Without the packages that draw, `pip install 'covariant[report]'`; nothing is written then.
         """
+        check_output(Path(path), ".html")
+        return self._write_page(Path(path))
+
+    def _write_page(self, path: Path) -> list[Path]:
         raise ValueError(f"{path}: a {type(self).__name__} has no page")
 
     def plot(self, path: str | Path | None = None) -> Any:
@@ -108,6 +130,16 @@ class AbstractResult(abc.ABC):
             ValueError: For a result that has no figure.
             ImportError: Without matplotlib.
         """
+        if path is not None:
+            check_output(Path(path), *FIGURES)
+        figure = self._figure()
+        if path is not None:
+            from covariant.report import save_figure
+
+            save_figure(figure, path)
+        return figure
+
+    def _figure(self) -> Any:
         raise ValueError(f"a {type(self).__name__} has no figure")
 
     def draw(self, path: str | Path) -> list[Path]:

@@ -8,7 +8,6 @@ import numpy as np
 
 from covariant import logs
 from covariant.workflow._arguments import Amounts, Overrides
-from covariant.workflow._outputs import check_output
 from covariant.workflow._progress import Progress, silent
 from covariant.workflow._result import AbstractTable
 from covariant.workflow._scenario import FORCE, Scenario, check_scenario
@@ -141,23 +140,10 @@ class SimulateResult(AbstractTable):
         forces = ", forces against `force` " * bool(self.force_columns) + ",".join(self.force_columns)
         return f"{len(self.record.t)} rows; {use} {','.join(self.truth_columns)}{forces}"
 
-    def save(self, path: str | Path, overwrite: bool = True) -> Path:
-        """Write the log, in the units of the model file.
+    written = logs.WRITTEN
 
-        Args:
-            path: The log to write (.csv, .txt, .tsv, .parquet, .mcap, .rosbag2).
-            overwrite: Whether a log that exists may be replaced.
-
-        Returns:
-            The path.
-
-        Raises:
-            ValueError: For another suffix, or a folder that does not exist.
-        """
-        path = Path(path)
-        check_output(path, *logs.WRITTEN, overwrite=overwrite)
+    def _write(self, path: Path) -> None:
         logs.write(path, self._in_units(path.suffix in logs.MESSAGES))
-        return path
 
     def _units(self, messages: bool) -> dict[str, str | None]:
         """Units of the columns, None where they are in SI units; the stamps of ROS messages are not converted."""

@@ -1,6 +1,6 @@
 """Computes the log of a simulated machine: its motion, and what its sensors read of it."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
@@ -10,12 +10,12 @@ import numpy as np
 from jaxtyping import Float
 
 from covariant import logs, models, simulation
-from covariant.models import ModelFile, Motion, Overrides, Parametric
+from covariant.models import ModelFile, Overrides, Parametric
 from covariant.signals import Record
 from covariant.simulation import PiecewiseInputs, PositionSensor
-from covariant.workflow._arguments import Amounts, amounts, numbers
-from covariant.workflow._inputs import numbered, sought_columns
-from covariant.workflow._outcome import force_units
+from covariant.workflow._arguments import amounts, numbers
+from covariant.workflow._kind import AbstractKind, numbered
+from covariant.workflow._kinds import kind_of, or_zeros
 from covariant.workflow._progress import Progress
 from covariant.workflow._scenario import FORCE, Scenario
 from covariant.workflow._sensors import FileSensor, file_sensors, sensed
@@ -57,7 +57,8 @@ def simulated_log(
     """
     progress("reading the model")
     name, file = models.spec_name(model), models.load(model, overrides)
-    sensor, x0 = _sensor(name, file, scenario), _start(file, scenario)
+    kind = kind_of(file)
+    sensor, x0 = _sensor(name, kind, scenario), kind.start(scenario.q0, scenario.v0)
     delays, beside = np.atleast_1d(np.asarray(file.delay, float)), file_sensors(file)
     late = [*delays, *(part.delay for part in beside)]
     # The log begins when its latest reading is of the start.
@@ -76,10 +77,10 @@ def simulated_log(
     true_then = everything.y[rows[0]]  # the configuration at the time of the reading, not of the stamp
     if len(delays) > 1:
         true_then = np.stack([everything.y[row, i] for i, row in enumerate(rows[: len(delays)])], axis=1)
-    measured = _sense(file.model, sensor, true_then, scenario.seed)
+    measured = kind.sense(sensor, true_then, scenario.seed)
     record = Record(t, u, measured, x)
     layout = _layout(file)
-    configuration, hidden = _truth(file, layout, true, x)
+    configuration, hidden = kind.truth(layout, true, x)
     columns = {layout.t: t} | logs.to_columns(layout, measured) | dict(zip(layout.u, u.T, strict=True))
     for i, (part, row) in enumerate(zip(beside, of_sensors, strict=True)):
         then = jax.tree.map(lambda leaf, row=row: leaf[row], everything.x)
@@ -94,35 +95,16 @@ def simulated_log(
     if force is not None:
         forces = [f"true_{key}" for key in numbered(FORCE, file.dimension)]
         columns |= dict(zip(forces, np.asarray(jax.vmap(force)(jnp.asarray(t))).T, strict=True))
-        units |= dict(zip(forces, force_units(file), strict=True))
+        units |= dict(zip(forces, kind.force_units, strict=True))
     return name, file.mechanical, layout, record, names, columns, units, beside
 
 
-def _sensor(name: str, file: ModelFile, scenario: Scenario) -> PositionSensor:
-    in_coordinates = file.model.manifold.commuting
-    if np.any(scenario.quantum) and not in_coordinates:
+def _sensor(name: str, kind: AbstractKind, scenario: Scenario) -> PositionSensor:
+    if np.any(scenario.quantum) and not kind.has_ticks:
         raise ValueError(f"quantum: encoders step in coordinates, and {name} is on a group; use noise")
-    measured = file.columns.q if in_coordinates else file.model.velocities
-    noise = amounts("noise", scenario.noise, measured)
-    quantum = amounts("quantum", scenario.quantum, measured) if in_coordinates else 0.0
+    noise = amounts("noise", scenario.noise, kind.noise_axes)
+    quantum = amounts("quantum", scenario.quantum, kind.noise_axes) if kind.has_ticks else 0.0
     return PositionSensor(scenario.rate, noise, quantum, scenario.jitter, scenario.dropout)
-
-
-def _start(file: ModelFile, scenario: Scenario) -> Any:
-    """The initial state; for a state-space model q0 holds all of it."""
-    states = sought_columns(file)
-    if not file.mechanical:
-        if scenario.v0 is not None:
-            raise ValueError("v0: a state-space model has no velocities; give all its initial state by q0")
-        return _or_zeros("q0", scenario.q0, states)
-    positions = file.columns.q if file.model.manifold.commuting else numbered("q", file.dimension)
-    q0, v0 = _or_zeros("q0", scenario.q0, positions), _or_zeros("v0", scenario.v0, states)
-    model: Any = file.model
-    return model.state(Motion(model.manifold.retract(model.manifold.origin(), jnp.asarray(q0)), jnp.asarray(v0)))
-
-
-def _or_zeros(argument: str, given: Amounts | None, names: Sequence[str]) -> Float[np.ndarray, "n"]:
-    return np.zeros(len(names)) if given is None else numbers(argument, given, names)
 
 
 def _inputs(
@@ -130,7 +112,7 @@ def _inputs(
 ) -> tuple[Float[np.ndarray, "T m"], PiecewiseInputs]:
     """The inputs that are logged at stamps t, and how they act, in intervals that begin at stamps and readings too."""
     names = file.columns.u
-    amplitude = _or_zeros("amplitude", scenario.amplitude, names)
+    amplitude = or_zeros("amplitude", scenario.amplitude, names)
     pace = 2 * np.pi * scenario.frequency * (1 + DETUNED * np.arange(len(names)))
     u = amplitude * np.sin(pace * t[:, None])
     stamps = np.round(t, DIGITS)
@@ -143,7 +125,7 @@ def _pushed(name: str, file: ModelFile, scenario: Scenario) -> tuple[Any, Callab
     if scenario.push is None:
         return file.model, None
     model = file.need_mechanical(name, "pushes are for")
-    force = Parametric(_pushes, largest=numbers("push", scenario.push, sought_columns(file)))
+    force = Parametric(_pushes, largest=numbers("push", scenario.push, kind_of(file).estimates.names))
 
     def dissipation(t, q, v, u):
         return models.resistance(model, t, q, v, u) + force(t)
@@ -161,31 +143,12 @@ def _pushes(t: Any, largest: Any) -> Any:
     return jnp.where(jnp.arange(n) == jnp.mod(k, n).astype(int), height * largest, 0.0)
 
 
-def _sense(model: Any, sensor: PositionSensor, y: np.ndarray, seed: int) -> np.ndarray:
-    """Measurements of outputs or configurations; on a group errors are rotations and translations in the body frame."""
-    if model.manifold.commuting:
-        return simulation.sense(sensor, y, seed)
-    error = simulation.sense(sensor, np.zeros((len(y), len(model.velocities))), seed)
-    # NaN marks a dropout; the retraction gets zeros instead, and its result is replaced by NaN below.
-    measured = np.asarray(jax.vmap(model.manifold.retract)(y, jnp.nan_to_num(error)))
-    return np.where(np.isnan(error).any(axis=1).reshape(-1, *(1,) * (measured.ndim - 1)), np.nan, measured)
-
-
 def _layout(file: ModelFile) -> logs.Columns:
     """The columns to write; an attitude is written as qw, qx, qy, qz unless the model file names other columns, the
     second one as qw2, qx2, qy2, qz2."""
     count = file.unnamed_attitudes
     names = tuple(f"q{part}{k or ''}" for k in (0, *range(2, count + 1)) for part in "wxyz")
     return file.columns._replace(quaternion_wxyz=names) if count else file.columns
-
-
-def _truth(file: ModelFile, layout: logs.Columns, y: np.ndarray, x: Any) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Columns of the true configuration and velocities; for a state-space model none, and those of all its states."""
-    model: Any = file.model
-    if not file.mechanical:
-        return {}, dict(zip(model.coordinates, x.T, strict=True))
-    velocities = dict(zip(sought_columns(file), np.asarray(model.motion(x).v).T, strict=True))
-    return logs.to_columns(layout, y), velocities
 
 
 def _units(file: ModelFile, layout: logs.Columns, hidden: tuple[str, ...]) -> dict[str, str]:

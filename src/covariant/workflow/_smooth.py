@@ -16,13 +16,9 @@ from covariant.workflow._inputs import (
     ColumnNames,
     Job,
     load,
-    numbered,
     refuse_delays,
-    sought_columns,
-    sought_units,
 )
 from covariant.workflow._outcome import KEPT, deviations, report_curves, rounded, scored, with_units
-from covariant.workflow._outputs import check_output
 from covariant.workflow._pages import AbstractEstimates, estimate_report
 from covariant.workflow._progress import Progress, silent
 
@@ -155,51 +151,36 @@ class SmoothResult(AbstractEstimates):
         return np.asarray(self.smoothed.velocity_std)
 
     @property
-    def _positions(self) -> tuple[str, ...]:
-        """Names of the coordinates, which have a standard deviation each; none on a group."""
-        file = self.smoothed.loaded.file
-        return numbered("q", file.dimension) if file.mechanical and file.model.manifold.commuting else ()
-
-    @property
     def columns(self) -> dict[str, np.ndarray]:
-        table, positions = self.smoothed.columns, self._positions
-        table |= {f"{name}_std": std for name, std in zip(positions, self.error_std.T, strict=False)}
-        names = sought_columns(self.smoothed.loaded.file)
+        table, kind = self.smoothed.columns, self.smoothed.loaded.kind
+        table |= {f"{name}_std": std for name, std in zip(kind.positions.names, self.error_std.T, strict=False)}
         for suffix, values in (("", self.filtered.velocity), ("_std", deviations(self.filtered.run.info))):
-            for name, column in zip(names, np.asarray(values).T, strict=True):
+            for name, column in zip(kind.estimates.names, np.asarray(values).T, strict=True):
                 table[f"{name}_filtered{suffix}"] = column
         return table
 
     @property
     def units(self) -> dict[str, str]:
-        file, units = self.smoothed.loaded.file, self.smoothed.units
-        for name, unit in zip(sought_columns(file), sought_units(file), strict=True):
+        units = self.smoothed.units
+        for name, unit in self.smoothed.loaded.kind.estimates.table.items():
             units |= {f"{name}_filtered": unit, f"{name}_filtered_std": unit}
         return units
 
-    def save(self, path: str | Path, overwrite: bool = True) -> Path:
-        """Write the table to a log; in messages of ROS, as `EstimateResult.save` does, without the filter's columns.
+    written = logs.WRITTEN
 
-        Args:
-            path: The log to write (.csv, .txt, .tsv, .parquet, .mcap, .rosbag2).
-            overwrite: Whether a file that exists may be replaced, other than the log that was read.
+    @property
+    def _log(self) -> Any:
+        return self.smoothed.job.log
 
-        Returns:
-            The path.
-
-        Raises:
-            ValueError: For another suffix, a folder that does not exist, or the path of the log that was read.
-        """
-        path = Path(path)
-        if path.suffix in logs.MESSAGES:
-            return self.smoothed.save(path, overwrite)
-        check_output(path, *logs.WRITTEN, log=self.smoothed.job.log, overwrite=overwrite)
-        logs.write(path, self.columns, self.smoothed.loaded.log.origin_ns)
-        return path
+    def _write(self, path: Path) -> None:
+        if path.suffix in logs.MESSAGES:  # without the filter's columns
+            self.smoothed.save(path)
+        else:
+            logs.write(path, self.columns, self.smoothed.loaded.log.origin_ns)
 
     @property
     def summary(self) -> dict[str, Any]:
-        what = self.smoothed.loaded.model.sought.what
+        what = self.smoothed.loaded.kind.what
         before = {key: value for key, value in self.filtered.summary.items() if key in (f"{what}_rmse", "nis", "nees")}
         std, before_std = (
             {f"{what}_std": rounded(np.median(np.asarray(each.velocity_std), axis=0))}
@@ -222,7 +203,7 @@ class SmoothResult(AbstractEstimates):
 
     def __str__(self) -> str:
         result, loaded = self.summary, self.smoothed.loaded
-        what, units = loaded.model.sought.what, sought_units(loaded.file)
+        what, units = loaded.kind.what, loaded.kind.estimates.units
         origin = [f"t counts from {result['t_counts_from']}"] if "t_counts_from" in result else []
         lines = [
             f"{result['log']}: {result['rows']} rows, {result['observer']} observer, {self._extent}",
@@ -238,26 +219,21 @@ class SmoothResult(AbstractEstimates):
 
     def _page(self) -> Any:
         loaded, name = self.smoothed.loaded, self.smoothed.observer_name
-        what = "States" if loaded.model.sought.what == "state" else "Velocities"
         curves = report_curves({"smoothed": self.smoothed.outcome, name: self.filtered.outcome})
         notes = (*self.smoothed.design, *error_lines(self.summary, loaded))
-        title = f"{what} of {self.smoothed.job.title}, smoothed"
+        title = f"{loaded.kind.title} of {self.smoothed.job.title}, smoothed"
         return estimate_report(title, loaded, curves, notes, self._rows(), self.headline, self.warnings)
 
     def _rows(self) -> tuple[dict[str, Any], ...]:
         """The smoother and the filter: errors, where they are known, and median standard deviations."""
-        what, file, result = self.smoothed.loaded.model.sought.what, self.smoothed.loaded.file, self.summary
-        names = [
-            f"{name} [{unit}]".removesuffix(" []")
-            for name, unit in zip(sought_columns(file), sought_units(file), strict=True)
-        ]
-        kinds = {"RMSE": f"{what}_rmse", "median std": f"{what}_std"}
+        kind, result = self.smoothed.loaded.kind, self.summary
+        measures = {"RMSE": f"{kind.what}_rmse", "median std": f"{kind.what}_std"}
         return tuple(
             {"estimator": label}
             | {
-                f"{kind} {name}": value
-                for kind, key in kinds.items()
-                for name, value in zip(names, numbers.get(key, ()), strict=False)
+                f"{measure} {name}": value
+                for measure, key in measures.items()
+                for name, value in zip(kind.estimates.headings, numbers.get(key, ()), strict=False)
             }
             for label, numbers in (("smoothed", result), (self.smoothed.observer_name, result["filter"]))
         )

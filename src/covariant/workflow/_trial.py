@@ -8,7 +8,8 @@ from jaxtyping import Bool, Float
 from covariant.calibration import Trial, errors_ahead, observer_gains, outliers, rows_ahead
 from covariant.models import Motion
 from covariant.scoring import scored_window, unwrap
-from covariant.workflow._inputs import Loaded, ReferenceVelocity, log_sheet
+from covariant.workflow._design import log_sheet
+from covariant.workflow._inputs import Loaded
 from covariant.workflow._outcome import Outcome
 
 SHORTEST_TRIAL = 200
@@ -35,22 +36,21 @@ class Ahead(NamedTuple):
     errors: dict[str, np.ndarray]
 
 
-def trial_part(loaded: Loaded, reference: ReferenceVelocity) -> tuple[Trial | None, Bool[np.ndarray, "T"]]:
+def trial_part(loaded: Loaded) -> tuple[Trial | None, Bool[np.ndarray, "T"]]:
     """Cut the rows from a log on which filters without a model are tuned.
 
     Of parts as long as a third of the log that move, it is the one with the fewest faults, and of equal ones the first.
 
     Args:
         loaded: Model and log.
-        reference: Velocities to tune against.
 
     Returns:
-        The rows with finite velocities, at most `LONGEST_TRIAL`, their outliers missing, or None for a model that is
-        not in coordinates, and for a log too short to tune on; and which rows (T,) of the log they span.
+        The rows with finite velocities, at most `LONGEST_TRIAL`, their outliers missing, or None for a model that such
+        filters do not fit, and for a log too short to tune on; and which rows (T,) of the log they span.
     """
     t = np.asarray(loaded.record.t)
-    none = np.zeros(len(t), bool)
-    if not loaded.model.manifold.commuting:
+    none, reference = np.zeros(len(t), bool), loaded.reference
+    if reference is None or not loaded.kind.has_model_free_filters:
         return None, none
     y = np.asarray(loaded.record.y)
     wrong = outliers(t, y, loaded.model.circles)[0]
@@ -99,15 +99,14 @@ def ahead(outcomes: dict[str, Outcome], loaded: Loaded, tuned_on: Bool[np.ndarra
         The errors; None where the truth is known, for a state-space model, for positions that are read late, and for a
         log too short.
     """
-    if not loaded.file.mechanical or loaded.log.truth is not None or np.any(loaded.file.delay):
+    if loaded.reference is None or loaded.log.truth is not None or np.any(loaded.file.delay):
         return None
-    t, y = np.asarray(loaded.record.t), np.asarray(loaded.record.y)
-    horizon = rows_ahead(loaded.rate, observer_gains(log_sheet(loaded), loaded.rate).beta ** 0.5)
+    t = np.asarray(loaded.record.t)
+    horizon = rows_ahead(loaded.rate, observer_gains(log_sheet(loaded.file, loaded), loaded.rate).beta ** 0.5)
     rows = scored_window(t) & ~tuned_on
     if rows.sum() < 4 * horizon:
         return None
-    if loaded.model.manifold.commuting:
-        y = np.where(outliers(t, y, loaded.model.circles)[0], np.nan, y)
+    y = loaded.kind.without_outliers(t, np.asarray(loaded.record.y))
     record, errors = loaded.record._replace(y=y), {}
     for name, outcome in outcomes.items():
         motion = loaded.model.motion(outcome.run.estimate)

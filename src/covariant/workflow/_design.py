@@ -1,0 +1,179 @@
+"""The observer of a model file: one place decides its gains, its gate, its sensors and its substeps."""
+
+import dataclasses
+import functools
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from covariant.calibration import DataSheet, estimators, gated, stored_observer, usual_speeds, with_gains
+from covariant.models import ModelFile
+from covariant.observers import AbstractObserver, Gated
+from covariant.workflow._inputs import Loaded
+from covariant.workflow._kinds import kind_of
+from covariant.workflow._sensors import FileSensor, file_sensors, with_readings
+from covariant.workflow._sheet import data_sheet, first_estimate
+
+SPEED_IS_MISSING = (
+    "a machine that is faster than four times that at the start is refused. Give `log`, a log that `estimate` runs "
+    "on, or add `motion_acceleration` and `motion_time`, whose product is that speed, to [uncertainty]"
+)
+
+
+class Design(NamedTuple):
+    """An observer of a model file.
+
+    Attributes:
+        file: The model file.
+        name: Name of the observer.
+        observer: The observer, behind its gate, as if its readings were never late.
+        notes: A sentence on its gains, its noise or its metric.
+        sheet: Collects the data sheet that it is designed from, with the usual speeds by which its gate judges.
+        log: The log that was read with the model, if any.
+    """
+
+    file: ModelFile
+    name: str
+    observer: AbstractObserver
+    notes: str
+    sheet: Callable[[], DataSheet]
+    log: Loaded | None
+
+    @property
+    def inner(self) -> Any:
+        """The observer behind the gate, which has the gains and of which a certificate is."""
+        return self.observer.observer if isinstance(self.observer, Gated) else self.observer
+
+    def without_gate(self) -> "Design":
+        """The same observer without any gate, its own and those of its sensors."""
+        observer: Any = self.inner
+        if getattr(observer, "gate", None) is not None:
+            sensors = getattr(observer, "sensors", ())
+            bare = {"sensors": tuple(dataclasses.replace(sensor, gate=None) for sensor in sensors)} if sensors else {}
+            observer = dataclasses.replace(observer, gate=None, **bare)
+        return self._replace(observer=observer)
+
+    def with_fixed_substeps(self, rate: float, y: np.ndarray) -> AbstractObserver:
+        """The observer with as many substeps in every step as it needs on measurements (T, *n)."""
+        inner = kind_of(self.file).with_fixed_substeps(self.inner, rate, y)
+        return dataclasses.replace(self.observer, observer=inner) if isinstance(self.observer, Gated) else inner
+
+    def self_test(self, rate: float) -> np.ndarray:
+        """Measurements (T, *n) for a self-test at a rate [Hz]; a gate has to refuse one of them."""
+        judged = getattr(self.observer, "gate", None) is not None
+        y = kind_of(self.file).self_test(rate, self.sheet if judged else None)
+        return with_readings(self.file, self.sensors, y) if getattr(self.observer, "sensors", ()) else y
+
+    @property
+    def sensors(self) -> tuple[FileSensor, ...]:
+        """The sensors of the model file, without those that the log has no columns of."""
+        return log_sensors(self.file, self.log)
+
+    def explain_gate(self) -> tuple[str, str]:
+        """Sentences on what the gate refuses, or on why there is none; and a warning if its speed is assumed."""
+        gate, kind = self.observer, kind_of(self.file)
+        if not isinstance(gate, Gated):
+            own = getattr(gate, "gate", None)
+            return (
+                kind.without_gate
+                if own is None
+                else f"Its gate refuses what is {own.deviations:g} standard deviations off.",
+                "",
+            )
+        units = kind.innovation_units
+        noise, speed = _with_units(gate.noise, units), _with_units(gate.speed, tuple(f"{unit}/s" for unit in units))
+        text = f"Its gate refuses outliers, by the noise {noise} and the usual speed {speed}."
+        if self.log is not None:
+            return f"{text} The speed is that of the motion in a log.", ""
+        if self.file.motion_std is not None and self.file.motion_time is not None:
+            return f"{text} The speed is motion_acceleration times motion_time of the model file.", ""
+        text += " The speed is assumed, since no log was given and the model file tells none."
+        return text, f"the usual speed of the gate is assumed; {SPEED_IS_MISSING}"
+
+
+def design(
+    file: ModelFile,
+    name: str | None = None,
+    gains: tuple[float, float] | None = None,
+    rate: float | None = None,
+    log: Loaded | None = None,
+    *,
+    metric: str | Path | None = None,
+    spec: str | None = None,
+) -> Design:
+    """Design the observer of a model file: the same one for every verb.
+
+    Args:
+        file: The model file.
+        name: Name of the observer; by default the first that fits the model.
+        gains: Gains α [1/s] and β [1/s²] in place of the designed ones.
+        rate: Sampling rate [Hz]; needed without gains.
+        log: A log and the model, for the usual speeds by which a gate judges, and for the sensors that were read.
+        metric: A metric on a grid that `riccati` looks up; by default it is computed at run time.
+        spec: What messages call the model, its name by default.
+
+    Returns:
+        The observer with its gate. With given gains it has none if the model file tells no noise.
+
+    Raises:
+        ValueError: The observer does not fit the model, or the model file lacks numbers.
+    """
+    model: Any = file.model
+    fitting = estimators(model)
+    name, spec = name or fitting[0], spec or file.name
+    if name not in fitting:
+        raise ValueError(f"observer {name} does not fit {spec}; these do: {', '.join(fitting)}")
+    sheet = functools.cache(lambda: log_sheet(file, log))
+    if metric is not None:
+        if name != "riccati":
+            raise ValueError(f"`metric` is for the observer riccati; {name} has no metric")
+        notes = f"Its metric is that of {Path(metric).name}; none is outside its grid."
+        return Design(file, name, stored_observer(model, metric, first_estimate(file)[0]), notes, sheet, log)
+    if gains is not None:
+        available = with_gains(model, *gains)
+        if name not in available:
+            known = (
+                f"they do to {', '.join(available)}" if available else "`alpha` and `beta` are for mechanical models"
+            )
+            raise ValueError(
+                f"observer {name} does not fit {spec} with constant gains: `alpha` and `beta` do not apply to {name}; "
+                f"{known}"
+            )
+        observer = gated(available[name], model, sheet()) if tells_noise(file) else available[name]
+        return Design(
+            file, name, observer, f"Given gains: alpha = {gains[0]:g} 1/s, beta = {gains[1]:g} 1/s².", sheet, log
+        )
+    if rate is None:
+        sheet()  # first names the numbers that the model file lacks, if any
+        raise ValueError("gains are designed for a sampling rate; give `sampling` [Hz], or `alpha` and `beta`")
+    kind = kind_of(file)
+    return Design(file, name, kind.tuned(sheet, rate, (name,))[name], kind.note(sheet, rate), sheet, log)
+
+
+def tells_noise(file: ModelFile) -> bool:
+    """Whether a model file has the numbers of a data sheet, which a gate needs."""
+    return file.measurement_std is not None and file.acceleration_std is not None
+
+
+def log_sensors(file: ModelFile, log: Loaded | None) -> tuple[FileSensor, ...]:
+    """The sensors of a model file, without those that a log has no columns of."""
+    known = None if log is None else {part.sensor.name for part in log.sensors}
+    return tuple(part for part in file_sensors(file) if known is None or part.sensor.name in known)
+
+
+def log_sheet(file: ModelFile, log: Loaded | None) -> DataSheet:
+    """The data sheet of a model file, with its sensors, and the usual speeds in a log, zero where there is none.
+
+    Raises:
+        ValueError: Where numbers are missing: it names all of them, and suggests what the log shows.
+    """
+    speed = (0.0,) * file.dimension if log is None else usual_speeds(log.model, log.record)
+    sheet = data_sheet(file, None if log is None else log.log.record)
+    return sheet._replace(speed=speed, sensors=tuple(part.sensor for part in log_sensors(file, log)))
+
+
+def _with_units(values: Any, units: tuple[str, ...]) -> str:
+    numbers = np.broadcast_to(values, len(units))
+    return ", ".join(dict.fromkeys(f"{v:.4g} {unit}".strip() for v, unit in zip(numbers, units, strict=True)))

@@ -1,0 +1,328 @@
+"""The kinds of models: in coordinates, on a group, and in state-space form."""
+
+import abc
+import dataclasses
+import math
+from collections.abc import Callable, Collection, Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from covariant import logs, models, scoring, simulation
+from covariant._integrate import rk4
+from covariant.calibration import (
+    DataSheet,
+    Trial,
+    observer_gains,
+    outliers,
+    tuned_estimators,
+    tuned_state_estimators,
+)
+from covariant.codegen import ROWS, Signals
+from covariant.models import ModelFile, Motion
+from covariant.observers import AbstractObserver, chooses_substeps, with_fixed_substeps
+from covariant.simulation import PositionSensor
+from covariant.workflow._arguments import Amounts, numbers
+from covariant.workflow._kind import AbstractKind, Labels, numbered
+from covariant.workflow._sheet import data_sheet, first_estimate, state_noise
+
+CENTRE, SWING = 0.7, 0.2
+"""Where positions of the self-test are, and how far they swing, in units of the coordinates; circles start at π."""
+OUTLIER_ROW, OUTLIER = 23, 1.5
+"""The row of the self-test that a gate has to refuse, and how far it is off [rad or m]."""
+USE_TORQUES = "intrinsic-kalman", "ukf"
+"""Observers whose noise may depend on the configuration, as that of torques does."""
+SPEED = 3.0
+"""Speed [unit/s] at which substeps are counted where the model file tells none."""
+
+
+class AbstractMechanical(AbstractKind):
+    """A mechanical system, whose velocity is estimated."""
+
+    what = "velocity"
+    title = "Velocities"
+    without_gate = (
+        "It has no gate and refuses no measurement, since the model file tells no noise: add `std` to [measurement] "
+        "and `acceleration` to [uncertainty]."
+    )
+    gates = " All are behind a gate that refuses outliers."
+
+    @property
+    def innovation_units(self) -> tuple[str, ...]:
+        units = self.axes.units
+        return tuple(f"{unit} s".replace("/s s", "").strip() for unit in units) if self.model.velocities else units
+
+    def slopes(self, log: logs.Log, whole: Callable[[], logs.Log]) -> tuple[np.ndarray, str]:
+        full, at, order = whole(), np.asarray(log.record.t), int(self.file.reference_order)
+        t, y = np.asarray(full.record.t), np.asarray(full.record.y)
+        if np.isfinite(y).sum(axis=0).min() < order + 3:  # a polynomial of this order needs more than its coefficients
+            return np.full((len(at), self.file.dimension), np.nan), "velocity, unknown in so short a log"
+        return self._slopes(t, y, at, self.file.reference_half, order), "zero-phase reference"
+
+    @abc.abstractmethod
+    def _slopes(self, t: np.ndarray, y: np.ndarray, at: np.ndarray, half: float, order: int) -> np.ndarray:
+        """Slopes (S, n) at times (S,), each at the time at which a reading was true."""
+
+    def tuned(
+        self, sheet: Callable[[], DataSheet], rate: float, names: Collection[str], trial: Trial | None = None
+    ) -> dict[str, AbstractObserver]:
+        return tuned_estimators(self.model, self.file.dimension, sheet(), rate, trial, names)
+
+    def note(self, sheet: Callable[[], DataSheet], rate: float, every: bool = False) -> str:
+        gains = observer_gains(sheet(), rate).summary
+        return f"All tuned from one data sheet; the observers have {gains}." if every else f"Designed {gains}."
+
+    def unused(self, observer: AbstractObserver, name: str, sensors: bool) -> str:
+        file, text = self.file, ""
+        asked = [
+            what
+            for what, stated in (
+                ("the external force of [uncertainty]", file.external_force or file.external_force_std),
+                ("the bias of [measurement]", file.bias),
+                ("the parameters of [uncertainty]", file.family),
+                ("the forces of [wrench]", file.wrenches or None),
+                ("what [sensors] read", sensors or None),
+            )
+            if stated is not None
+        ]
+        if asked and not (getattr(observer, "slow_names", ()) or getattr(observer, "sensors", ())):
+            text = f" It does not estimate {' and '.join(asked)}; intrinsic-kalman does."
+        if file.torque_std is not None and name not in USE_TORQUES:
+            text += f" It does not use the torque of [uncertainty]; {' and '.join(USE_TORQUES)} do."
+        return text
+
+    def self_test(self, rate: float, sheet: Callable[[], DataSheet] | None) -> np.ndarray:
+        k, n = np.arange(ROWS + 1)[:, None], self.file.dimension
+        pace = math.inf if sheet is None else float(np.min(sheet().speeds)) / rate  # from row to row
+        # Each coordinate has another period and phase, so that no two are alike.
+        swing = min(SWING, 4.0 * pace) * np.sin(k / (4.0 + np.arange(n)) + np.arange(n))
+        if sheet is not None:
+            swing[OUTLIER_ROW, 0] += OUTLIER
+        return self._displaced(swing)
+
+    @abc.abstractmethod
+    def _displaced(self, displacement: np.ndarray) -> np.ndarray:
+        """Configurations (T, *n) that are displaced (T, n) from the middle of the self-test."""
+
+    def with_fixed_substeps(self, observer: AbstractObserver, rate: float, y: np.ndarray) -> AbstractObserver:
+        if not chooses_substeps(observer):
+            return observer
+        file, q = self.file, np.stack([observer.configuration(each) for each in y])
+        speed = SPEED
+        if file.acceleration_std is not None and file.measurement_std is not None:
+            speed = np.broadcast_to(data_sheet(file).speeds, file.dimension)
+        # The sign of v alternates from row to row.
+        v = np.broadcast_to(speed, (len(q), file.dimension)) * np.sign(np.arange(len(q)) % 2 - 0.5)[:, None]
+        inputs = jnp.zeros((len(q), models.input_count(self.model, file.dimension)))
+        return with_fixed_substeps(observer, rate, jnp.asarray(q), jnp.asarray(v), inputs)
+
+    def start(self, q0: Amounts | None, v0: Amounts | None) -> Any:
+        q, v = or_zeros("q0", q0, self._start_names), or_zeros("v0", v0, self.estimates.names)
+        manifold = self.model.manifold
+        return self.model.state(Motion(manifold.retract(manifold.origin(), jnp.asarray(q)), jnp.asarray(v)))
+
+    @property
+    @abc.abstractmethod
+    def _start_names(self) -> tuple[str, ...]:
+        """Names of the components of a displacement from the origin."""
+
+    def truth(self, layout: logs.Columns, y: np.ndarray, x: Any) -> tuple[dict[str, Any], dict[str, Any]]:
+        velocities = np.asarray(self.model.motion(x).v).T
+        return logs.to_columns(layout, y), dict(zip(self.estimates.names, velocities, strict=True))
+
+    def _input_labels(self, inputs: int) -> Labels:
+        # A system of this library with as many inputs as velocities takes generalised forces.
+        forces = self.file.system and inputs == self.file.dimension
+        return Labels(_input_names(self.file, inputs), self.force_units if forces else ())
+
+
+class InCoordinates(AbstractMechanical):
+    """A mechanical system in coordinates."""
+
+    has_model_free_filters = True
+
+    @property
+    def positions(self) -> Labels:
+        return Labels(numbered("q", self.file.dimension), self.model.units)
+
+    @property
+    def message_columns(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
+        joints = [name.removesuffix("/position") for name in self.file.columns.q]
+        return tuple(f"{name}/position" for name in joints), tuple(f"{name}/velocity" for name in joints)
+
+    @property
+    def _start_names(self) -> tuple[str, ...]:
+        return self.file.columns.q
+
+    def check(self, y: np.ndarray) -> None:
+        measured = y[np.isfinite(y).all(axis=1)]
+        models.check_metric(self.model, measured[:: max(1, len(measured) // 20)])
+
+    def _slopes(self, t: np.ndarray, y: np.ndarray, at: np.ndarray, half: float, order: int) -> np.ndarray:
+        y = scoring.unwrap(self.without_outliers(t, y), self.model.circles)
+        delays = np.broadcast_to(np.asarray(self.file.delay, float), y.shape[1])
+        slopes = np.empty((len(at), y.shape[1]))
+        for delay in np.unique(delays):
+            alike = delays == delay
+            # A row at t shows the position at t − delay.
+            slopes[:, alike] = scoring.zero_phase_velocity(t - delay, y[:, alike], at, half, order)
+        return slopes
+
+    def without_outliers(self, t: np.ndarray, y: np.ndarray) -> np.ndarray:
+        return np.where(outliers(t, y, self.model.circles)[0], np.nan, y)
+
+    def drawn(self, y: np.ndarray) -> np.ndarray:
+        return scoring.unwrap(y, self.model.circles)
+
+    def configuration(self, x: Any, names: tuple[str, ...]) -> dict[str, np.ndarray]:
+        return dict(zip(names, np.split(np.asarray(x), 2, axis=1)[0].T, strict=True))
+
+    def _displaced(self, displacement: np.ndarray) -> np.ndarray:
+        circles = np.isin(np.arange(self.file.dimension), self.model.manifold.circles)
+        return displacement + np.where(circles, np.pi, CENTRE)
+
+    def signals(self, inputs: int, sensors: tuple[str, ...]) -> Signals:
+        columns, axes = self.file.columns.q, self.axes
+        q = Labels(columns if len(columns) == self.file.dimension else axes.names, axes.units).headings
+        u = self._input_labels(inputs).headings
+        return Signals(q + sensors, u, (("q", q), ("v", self.estimates.headings)))
+
+
+class OnGroup(AbstractMechanical):
+    """A mechanical system on a Lie group, whose configuration is made of matrices."""
+
+    has_ticks = False
+
+    @property
+    def chart(self) -> tuple[str, ...]:
+        return numbered("x", self.file.dimension)
+
+    @property
+    def noise_axes(self) -> tuple[str, ...]:
+        return self.model.velocities
+
+    @property
+    def _start_names(self) -> tuple[str, ...]:
+        return numbered("q", self.file.dimension)
+
+    def with_inputs(self, log: logs.Log) -> logs.Log:
+        if self.file.columns.u:
+            return log
+        # Of a body in free flight the model file names no columns.
+        count = models.input_count(self.model, self.file.dimension)
+        return log._replace(record=log.record._replace(u=np.zeros((len(log.record.t), count))))
+
+    def _slopes(self, t: np.ndarray, y: np.ndarray, at: np.ndarray, half: float, order: int) -> np.ndarray:
+        # All of a pose is read at once, so that there is one delay.
+        t, columns = t - np.max(self.file.delay), self.file.columns
+        twists = [
+            scoring.zero_phase_twist(t, g, at, half, order, body.space)
+            for body, g in zip(logs.bodies(columns), logs.matrices(columns, y), strict=True)
+        ]
+        joints = logs.coordinates(columns, y)
+        # The joints are the last columns of a configuration, and circles are counted over all of them.
+        circles = tuple(i - (y.shape[1] - joints.shape[1]) for i in self.model.circles)
+        rates = (
+            [scoring.zero_phase_velocity(t, scoring.unwrap(joints, circles), at, half, order)] if joints.size else []
+        )
+        return np.concatenate([*twists, *rates], axis=1)
+
+    def configuration(self, x: Any, names: tuple[str, ...]) -> dict[str, np.ndarray]:
+        return logs.to_columns(self.file.columns, np.asarray(x.q))
+
+    def _displaced(self, displacement: np.ndarray) -> np.ndarray:
+        manifold = self.model.manifold
+        return np.stack([np.asarray(manifold.retract(manifold.origin(), jnp.asarray(each))) for each in displacement])
+
+    def signals(self, inputs: int, sensors: tuple[str, ...]) -> Signals:
+        whole = ("the configuration, its matrices by rows; rotations have no unit, positions are in m, angles in rad",)
+        return Signals(whole, self._input_labels(inputs).headings, (("v", self.estimates.headings),))
+
+    def sense(self, sensor: PositionSensor, y: np.ndarray, seed: int) -> np.ndarray:
+        # Errors are rotations and translations in the body frame.
+        error = simulation.sense(sensor, np.zeros((len(y), len(self.model.velocities))), seed)
+        # NaN marks a dropout; the retraction gets zeros instead, and its result is replaced by NaN below.
+        measured = np.asarray(jax.vmap(self.model.manifold.retract)(y, jnp.nan_to_num(error)))
+        return np.where(np.isnan(error).any(axis=1).reshape(-1, *(1,) * (measured.ndim - 1)), np.nan, measured)
+
+
+class InStates(AbstractKind):
+    """A state-space model, all states of which are estimated from its outputs."""
+
+    what = "state"
+    title = "States"
+    draws_innovations = False
+    without_gate = "It has no gate, on a log either, and refuses no measurement."
+
+    @property
+    def innovation_units(self) -> tuple[str, ...]:
+        return ("",) * len(self.file.columns.q)  # a model does not say them of its outputs
+
+    def slopes(self, log: logs.Log, whole: Callable[[], logs.Log]) -> None:
+        return None
+
+    def configuration(self, x: Any, names: tuple[str, ...]) -> dict[str, np.ndarray]:
+        return {}
+
+    def tuned(
+        self, sheet: Callable[[], DataSheet], rate: float, names: Collection[str], trial: Trial | None = None
+    ) -> dict[str, AbstractObserver]:
+        return tuned_state_estimators(self.model, state_noise(self.file, rate), names)
+
+    def note(self, sheet: Callable[[], DataSheet], rate: float, every: bool = False) -> str:
+        start, deviation = first_estimate(self.file)
+        named = zip(self.estimates.names, start, deviation, self.estimates.units, strict=True)
+        first = ", ".join(f"{name} {x:.4g} ± {std:.3g} {unit}".rstrip() for name, x, std, unit in named)
+        return f"Designed from the noise in the model file; first estimate {first}."
+
+    def self_test(self, rate: float, sheet: Callable[[], DataSheet] | None) -> np.ndarray:
+        # Outputs of the model that starts at the first estimate, without inputs.
+        model, u, dt = self.model, jnp.zeros(self.model.inputs), 1 / rate
+
+        def step(x: Array, t: Array) -> tuple[Array, Array]:
+            return rk4(lambda s, x: model.f(s, x, u), t, x, dt, 1), model.h(t, x, u)
+
+        times = jnp.arange(ROWS + 1.0) * dt
+        return np.asarray(jax.lax.scan(step, first_estimate(self.file)[0], times)[1])
+
+    def with_fixed_substeps(self, observer: AbstractObserver, rate: float, y: np.ndarray) -> AbstractObserver:
+        chosen: Any = observer
+        if chosen.substeps is not None:
+            return observer
+        u, dt = jnp.zeros(chosen.model.inputs), jnp.asarray(1 / rate)
+
+        def step(state: Any, measured: Array) -> tuple[Any, Array]:
+            return chosen.step(state, u, measured, dt)[0], chosen.needed_substeps(state, u, dt)
+
+        counts = jax.lax.scan(step, chosen.init(jnp.asarray(y[0]), 0.0), jnp.asarray(y[1:]))[1]
+        return dataclasses.replace(chosen, substeps=int(counts.max()))
+
+    def signals(self, inputs: int, sensors: tuple[str, ...]) -> Signals:
+        return Signals(self.file.columns.q, _input_names(self.file, inputs), (("x", self.estimates.headings),))
+
+    def start(self, q0: Amounts | None, v0: Amounts | None) -> Any:
+        if v0 is not None:
+            raise ValueError("v0: a state-space model has no velocities; give all its initial state by q0")
+        return or_zeros("q0", q0, self.estimates.names)
+
+    def truth(self, layout: logs.Columns, y: np.ndarray, x: Any) -> tuple[dict[str, Any], dict[str, Any]]:
+        return {}, dict(zip(self.model.coordinates, x.T, strict=True))
+
+
+def kind_of(file: ModelFile) -> AbstractKind:
+    """The kind of the model of a model file."""
+    if not file.mechanical:
+        return InStates(file)
+    return InCoordinates(file) if file.model.manifold.commuting else OnGroup(file)
+
+
+def _input_names(file: ModelFile, count: int) -> tuple[str, ...]:
+    return file.columns.u if len(file.columns.u) == count else numbered("u", count)
+
+
+def or_zeros(argument: str, values: Amounts | None, names: Sequence[str]) -> Float[np.ndarray, "n"]:
+    """Numbers of an argument, one for each name; zeros where it is not given."""
+    return np.zeros(len(names)) if values is None else numbers(argument, values, names)

@@ -1,0 +1,150 @@
+"""What a model file says of noise, for the design of observers: the data sheet of a machine, the noise of states."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from covariant.calibration import DataSheet, suggest_noise
+from covariant.models import ModelFile
+from covariant.observers import Noise, Slow, sensor_bias, uncertain_parameters, wrench
+from covariant.signals import Record
+
+
+def data_sheet(file: ModelFile, record: Record | None = None) -> DataSheet:
+    """Collect the data sheet for a design from a model file.
+
+    Args:
+        file: The model file.
+        record: A log; where a number is missing the message suggests what this log shows.
+
+    Returns:
+        Noise, quantum, damping and the other numbers that the file has, in SI units.
+
+    Raises:
+        ValueError: Where numbers are missing: it names all of them.
+    """
+    missing = [
+        key
+        for value, key in ((file.typical_std, "measurement.std"), (file.acceleration_std, "uncertainty.acceleration"))
+        if value is None
+    ]
+    if missing:
+        raise ValueError(f"{file.name}: gains need {' and '.join(missing)}; {_remedy(file, missing, record)}")
+    known = {
+        "measurement_std": file.typical_std,
+        "coordinate_stds": file.measurement_std if isinstance(file.measurement_std, tuple) else None,
+        "quantum": file.quantum,
+        "external_force": file.external_force,
+        "external_force_std": file.external_force_std,
+        "external_force_time": file.external_force_time,
+        "slow": _slow(file),
+        "acceleration_std": file.acceleration_std,
+        "correlation_time": file.correlation_time,
+        "torque_std": file.torque_std,
+        "motion_std": file.motion_std,
+        "motion_time": file.motion_time,
+        "damping": file.damping,
+        "natural_frequency": file.natural_frequency,
+    }
+    return DataSheet(**{name: value for name, value in known.items() if value is not None})
+
+
+def _remedy(file: ModelFile, missing: Sequence[str], record: Record | None) -> str:
+    """What to do where numbers of a model file are missing, with those that a log shows."""
+    shown = () if record is None else suggest_noise(file, record)
+    them = "it" if len(missing) == 1 else "them"
+    if len(shown) < len(missing):
+        options = [f"{key}=NUMBER" for key in missing]
+        how = f"put {them} in the model file, or give `overrides={options}` (or, for one observer, `alpha` and `beta`)"
+        return how + "".join(f"; this log suggests {suggestion.line} ({suggestion.evidence})" for suggestion in shown)
+    options = [suggestion.setting for suggestion in shown]
+    evidence = "; ".join(suggestion.evidence for suggestion in shown)
+    return f"this log suggests `overrides={options}` ({evidence}), or put {them} in the model file"
+
+
+def _slow(file: ModelFile) -> tuple[Slow, ...]:
+    """What the model file has estimated along with the motion, beside an external force."""
+    components = ()
+    if file.family is not None:
+        stds = [
+            file.uncertain[next(key for key in file.uncertain if _stands_for(key, name))] for name in file.family.names
+        ]
+        components += (uncertain_parameters(file.family, stds, file.parameters_drift),)
+    if file.bias is not None:
+        components += (sensor_bias(np.broadcast_to(file.bias, file.dimension), file.bias_drift),)
+    return components + tuple(_wrench(file, name, given) for name, given in file.wrenches.items())
+
+
+def _wrench(file: ModelFile, name: str, given: Mapping[str, Any]) -> Slow:
+    """A force on a link, which the model file names."""
+    try:
+        return wrench(file.need_mechanical(file.name, "links are those of").space, name=name, **given)  # pyright: ignore[reportArgumentType]
+    except (ValueError, TypeError) as error:
+        raise ValueError(f"{file.name}: [wrench.{name}]: {str(error).removeprefix('wrench: ')}") from error
+
+
+def _stands_for(key: str, name: str) -> bool:
+    """Whether a number, such as `mass[0]`, is meant by a key, such as `mass`."""
+    plain = key.strip().removeprefix("parameters.")
+    return name == plain or name.startswith(f"{plain}[")
+
+
+def state_noise(file: ModelFile, rate: float) -> Noise:
+    """Collect the noise of a state-space model from its model file.
+
+    Args:
+        file: The model file.
+        rate: Sampling rate [Hz].
+
+    Returns:
+        Covariances of process and measurement, and the first estimate with its covariance.
+
+    Raises:
+        ValueError: Where the model file lacks numbers; it names all of them.
+    """
+    numbers = (file.measurement_std, "measurement.std"), (file.process_std, "uncertainty.process")
+    missing = [key for value, key in numbers if value is None]
+    if missing:
+        options = [f"{key}=NUMBER" for key in missing]
+        them = "it" if len(missing) == 1 else "them"
+        raise ValueError(
+            f"{file.name}: its observers need {' and '.join(missing)}; put {them} in the model file, or give "
+            f"`overrides={options}`"
+        )
+    states, outputs = file.dimension, len(file.columns.q)
+    start, deviation = first_estimate(file)
+    return Noise(
+        jnp.diag(_each(file.process_std, states) ** 2),
+        jnp.diag(_each(file.measurement_std, outputs) ** 2),
+        start,
+        jnp.diag(deviation**2),
+        rate,
+    )
+
+
+def first_estimate(file: ModelFile) -> tuple[jnp.ndarray, jnp.ndarray]:
+    """First estimate (n,) of the states and its standard deviation (n,).
+
+    Both are from the model file, or where it has none from the model's box: its centre, and the standard deviation of a
+    uniform distribution over it.
+
+    Raises:
+        ValueError: Where neither knows the standard deviation.
+    """
+    model: Any = file.model
+    low, high = np.asarray(model.box, float).T if model.box else (0.0, np.nan)
+    start = (low + high) / 2 if model.box else 0.0
+    start = start if file.initial_state is None else file.initial_state
+    deviation = (high - low) / np.sqrt(12) if file.initial_std is None else file.initial_std
+    if not np.isfinite(deviation).all():
+        raise ValueError(
+            f"{file.name}: its observers need initial.std, how far the states may be from initial.state at first; put "
+            "it in the model file, or give `overrides=['initial.std=NUMBER']`"
+        )
+    return _each(start, file.dimension), _each(deviation, file.dimension)
+
+
+def _each(value, count: int) -> jnp.ndarray:
+    return jnp.broadcast_to(jnp.asarray(value, float), (count,))
