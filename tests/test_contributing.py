@@ -23,6 +23,7 @@ def follow_the_page(house: Path) -> None:
         path = house / name
         if language == "python":
             assert not path.exists(), f"{name} is there already"
+            path.parent.mkdir(parents=True, exist_ok=True)
             path.write_text(text, encoding="utf-8")
             continue
         lines = text.splitlines(keepends=True)
@@ -162,6 +163,12 @@ command("gaps", "oscillator", "gaps.csv", "--json")
     assert line
     assert 50 < int(line[1]) < 150
     assert f'"missing": {line[1]}' in printed
+
+
+@pytest.mark.long
+def test_a_suspicion_in_one_function_is_judged_with_the_others(house):
+    test = "tests/calibration/test_absolute_angles.py"
+    assert "1 passed" in python(house, "-m", "pytest", "-q", "-p", "no:xdist", "--no-header", test)
 
 
 @pytest.mark.long

@@ -42,15 +42,15 @@ class Unexplained(NamedTuple):
         return cls(residual.misfits(BLOCKS), residual.noise**2 / residual.scale, residual.told)
 
     def share(self, blocks: Bool[np.ndarray, "b"], known: Bool[np.ndarray, "n"]) -> float:
-        """Mean over some blocks and coordinates."""
-        return max(float(self.blocks[blocks][:, known].mean()), FLOOR * float(self.noise[known].mean()))
+        """Mean over some blocks and coordinates; by chance it may be negative."""
+        return float(self.blocks[blocks][:, known].mean())
 
 
 class Verdict(NamedTuple):
     """What the model leaves if a suspicion is right, and as the log is, on the blocks that choose and those held out.
 
     Attributes:
-        choosing: Fraction that is left on the blocks that choose.
+        choosing: Fraction that is left on the blocks that choose; by chance it may be negative.
         before, after: Fractions on the blocks held out, as the log is and if it were so; `before` is NaN where the
             log as it is lasts too short a time.
         sure: Standard errors of the signed ranks of the falls in all blocks.
@@ -67,11 +67,14 @@ class Verdict(NamedTuple):
     def of(cls, now: Unexplained | None, then: Unexplained) -> "Verdict":
         """Compare what is left as the log is with what is left if it were so."""
         known = then.known
-        left = then.share(~HELD_OUT, known), then.share(HELD_OUT, known)
+        choosing, after = then.share(~HELD_OUT, known), then.share(HELD_OUT, known)
         if now is None:
-            return cls(left[0], float("nan"), left[1], np.inf, 0)
+            return cls(choosing, float("nan"), max(after, FLOOR * float(then.noise[known].mean())), np.inf, 0)
+        # One floor for both, so that neither is the lesser by its noise.
+        floor = FLOOR * max(float(each.noise[known].mean()) for each in (now, then))
+        before, after = max(now.share(HELD_OUT, known), floor), max(after, floor)
         falls = (now.blocks - then.blocks)[:, known].mean(axis=1)
-        return cls(left[0], now.share(HELD_OUT, known), left[1], signed_ranks(falls), int((falls > 0).sum()))
+        return cls(choosing, before, after, signed_ranks(falls), int((falls > 0).sum()))
 
     def passes(self, threshold: str) -> bool:
         """Whether it explains as much as a threshold of the table asks for."""
@@ -145,7 +148,7 @@ def judge(
     if not tried:
         return None
     least = min(verdict.choosing for _, verdict in tried)
-    alike = [(each, v) for each, v in tried if v.choosing <= THRESHOLDS[each.threshold].alike * least]
+    alike = [(s, v) for s, v in tried if v.choosing - least <= (THRESHOLDS[s.threshold].alike - 1) * abs(least)]
     chosen, verdict = alike[0]
     if not verdict.passes(chosen.threshold):
         return None

@@ -39,8 +39,6 @@ THRESHOLDS = {
     "rows": Threshold(1e-4, 1 / 2),
     # Whole rows in place of a delay that was accepted already: whichever predicts better.
     "rows for a delay": Threshold(0.0, 1.0, sure=-np.inf),
-    # A delay of all positions against the inputs: a wrong friction looks like it, but explains less.
-    "common delay": Threshold(0.0, 0.6, sure=-np.inf),
     # Delays and scales that least squares gave: their standard errors have judged them (below).
     "fitted": Threshold(0.0, np.inf, sure=-np.inf),
 }
@@ -55,8 +53,9 @@ TWIN = 2.0
 # Numbers that least squares fit: standard errors, and the size that matters.
 DELAY_ERRORS, DELAY_ROWS = 4.0, 0.6
 """A delay of one coordinate against another: below 0.6 rows an error of the model may look like one."""
-COMMON_ERRORS, COMMON_ROWS = 5.0, 1.5
-"""A delay of all coordinates against the inputs."""
+COMMON_ERRORS, COMMON_ROWS, COMMON_GAIN = 5.0, 1.5, 0.4
+"""A delay of all coordinates against the inputs, and by which fraction the unexplained squares fall: a wrong friction
+looks like it, but explains less."""
 SCALE_ERRORS, SCALE_OFF, SCALE_GAIN = 5.0, 0.25, 0.5
 """A scale of an input: its deviation from 1, and the fraction of the squares that falls once the others are right."""
 WHOLE_ROW = 0.2

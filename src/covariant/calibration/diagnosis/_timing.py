@@ -26,6 +26,7 @@ from covariant.calibration.diagnosis._suspicion import (
 )
 from covariant.calibration.diagnosis._thresholds import (
     COMMON_ERRORS,
+    COMMON_GAIN,
     COMMON_ROWS,
     DELAY_ERRORS,
     DELAY_ROWS,
@@ -177,9 +178,7 @@ def _common_delay(case: Case, half: float, timing: Timing) -> tuple[float, float
         if abs(step) < SETTLED * case.spacing:
             break
     large = abs(total) > COMMON_ROWS * case.spacing and abs(total) > COMMON_ERRORS * std
-    if large and after.told.any() and Verdict.of(*map(Unexplained.of, (before, after))).passes("common delay"):
-        return total, std
-    return 0.0, 0.0
+    return (total, std) if large and after.misfit < (1 - COMMON_GAIN) * before.misfit else (0.0, 0.0)
 
 
 def _long_delay(case: Case, half: float) -> Float[np.ndarray, "n"]:
