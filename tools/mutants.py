@@ -43,7 +43,7 @@ WARM = "jax jax.numpy equinox scipy.linalg hypothesis pytest beartype"
 
 FITTING = ("fit", "held_out", "innovations", "predict", "relations", "windows")
 DIAGNOSIS = (
-    *("changes", "delays", "diagnose", "finding", "readings", "residual", "sensor", "smooth", "suggest", "timing"),
+    *("case", "columns", "diagnose", "finding", "readings", "smooth", "suggest", "suspicion", "timing", "unexplained"),
 )
 """Files of the room of calibration that fit a model to logs, and that look for what is wrong with one."""
 

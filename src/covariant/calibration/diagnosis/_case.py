@@ -2,7 +2,7 @@
 
 import functools
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -79,48 +79,22 @@ class Residual(NamedTuple):
         return float(np.maximum(self.misfits()[0, told], 0.0).mean()) if told.any() else float("nan")
 
 
-def residual(model: MechanicalSystem, log: Smooth, force: Any = None) -> Residual:
-    """Compare the accelerations of a model with those of a smoothed log.
-
-    Args:
-        model: The mechanical system.
-        log: The smoothed log, on a grid of K points.
-        force: Further generalised force (K, n); None for none.
-
-    Returns:
-        Measured and modelled accelerations.
-    """
-    modelled = averaged(log, accelerations(model, log, force))
+def residual(model: MechanicalSystem, log: Smooth) -> Residual:
+    """Compare the accelerations of a model with those of a smoothed log."""
+    modelled = averaged(log, accelerations(model, log))
     used = log.used & np.isfinite(modelled).all(axis=1) & np.isfinite(log.a).all(axis=1)
     return Residual(log.a, modelled, used, log.a_noise)
 
 
 def averaged(log: Smooth, values: Float[np.ndarray, "K n"]) -> Float[np.ndarray, "K n"]:
-    """Average values on the grid with the weights that smoothing applies to the true accelerations.
-
-    Args:
-        log: The smoothed log.
-        values: Values (K, n).
-
-    Returns:
-        The averages (K, n).
-    """
+    """Average values on the grid with the weights that smoothing applies to the true accelerations."""
     # The same weights on both sides: what smoothing does to a true acceleration it does to the model's.
     return np.stack([np.convolve(column, log.kernel, "same") for column in values.T], axis=1)
 
 
-def accelerations(model: MechanicalSystem, log: Smooth, force: Any = None) -> Float[np.ndarray, "K n"]:
-    """Accelerations of the model on the grid.
-
-    Args:
-        model: The mechanical system.
-        log: The smoothed log, on a grid of K points.
-        force: Further generalised force (K, n); None for none.
-
-    Returns:
-        The accelerations (K, n).
-    """
-    data = (log.t, log.q, log.v, log.u, np.zeros_like(log.q) if force is None else force)
+def accelerations(model: MechanicalSystem, log: Smooth) -> Float[np.ndarray, "K n"]:
+    """Accelerations of the model on the grid."""
+    data = (log.t, log.q, log.v, log.u)
     chunks = []
     for start in range(0, len(log.t), POINTS):
         part = [array[start : start + POINTS] for array in data]
@@ -132,10 +106,10 @@ def accelerations(model: MechanicalSystem, log: Smooth, force: Any = None) -> Fl
 
 @functools.lru_cache(maxsize=4)  # a check compares one model with many logs
 def _accelerations(model: MechanicalSystem, n: int, m: int) -> Callable:
-    def at(t, q, v, u, force):
-        return acceleration(model, t, q, v, u) + model.space.raise_(q, force)
+    def at(t, q, v, u):
+        return acceleration(model, t, q, v, u)
 
-    return on_batches(at, np.zeros(()), np.zeros(n), np.zeros(n), np.zeros(m), np.zeros(n))
+    return on_batches(at, np.zeros(()), np.zeros(n), np.zeros(n), np.zeros(m))
 
 
 class Case(NamedTuple):
@@ -209,9 +183,9 @@ def case_without_outliers(
     return case, outlier_findings(wrong, sizes, names.q, names.units, rows or Rows(t))
 
 
-def smoothed(case: Case, half: float, delay: Any = 0.0) -> Smooth:
-    late = delay + np.asarray(case.file.delay, float)
-    return smooth(acting(case), half, case.model.circles, late, case.ticks)
+def smoothed(case: Case, half: float) -> Smooth:
+    """The record smoothed over windows of ±`half` [s], without the delays of the model file."""
+    return smooth(acting(case), half, case.model.circles, np.asarray(case.file.delay, float), case.ticks)
 
 
 def smoothed_residual(case: Case, half: float) -> Residual:

@@ -78,14 +78,7 @@ def mended_clock(record: Record) -> Mended:
 
 
 def stamps(t: Float[np.ndarray, "T"]) -> list[Finding]:
-    """Findings on missing rows and irregular stamps.
-
-    Args:
-        t: Stamps (T,) [s].
-
-    Returns:
-        At most one finding of each kind.
-    """
+    """Findings on missing rows and irregular stamps."""
     steps = np.diff(t)
     usual = float(np.median(steps))
     # 1.4826 makes the median deviation of normal steps their standard deviation; gaps do not enter it.
@@ -124,17 +117,7 @@ def stamps(t: Float[np.ndarray, "T"]) -> list[Finding]:
 def set_forward(
     t: Float[np.ndarray, "T"], y: Float[np.ndarray, "T n"], noise: Float[np.ndarray, "n"], rows: Rows
 ) -> list[Finding]:
-    """Findings on long steps in time over which the motion goes on as if no time had passed but the usual step.
-
-    Args:
-        t: Stamps (T,) [s], rising.
-        y: Positions (T, n) without jumps of angles; NaN where missing.
-        noise: Their noise (n,).
-        rows: How messages name the rows.
-
-    Returns:
-        At most one finding.
-    """
+    """Findings on long steps in time over which the motion goes on as if no time had passed but the usual step."""
     steps = np.diff(t)
     usual = float(np.median(steps))
     places = [int(k) for k in np.flatnonzero(steps > JUMP * usual) if 3 <= k < len(t) - 4]

@@ -56,7 +56,7 @@ from covariant.signals import Record
 MOST_ROWS = 10_000
 """Largest number of rows that are compared with the model: the stretch with most motion."""
 FEW_ROWS = 4_000
-"""The same for the check before an estimate."""
+"""The same for suspicions about columns, of which many are tried, and for the check before an estimate."""
 SHIFTED = (1.0, 2.0, 4.0)
 """Half windows to look for shifts by whole rows in, in those that explain most."""
 MOST_CHANGES = 3
@@ -200,8 +200,10 @@ def _correct_columns(case: Case) -> tuple[list[Suspicion], list[Finding], Case]:
     accepted, findings = [], []
     # One after another: in wrong units a swap of columns explains nothing.
     for _ in range(MOST_CHANGES):
-        suspicions = itertools.chain.from_iterable(suspect(case) for suspect in COLUMNS)
-        best = judge(case, suspicions, clearly_unexplained)
+        # Many are tried, and such faults are large, so that fewer rows show them.
+        short = case._replace(record=busiest(case.record, FEW_ROWS))
+        suspicions = itertools.chain.from_iterable(suspect(short) for suspect in COLUMNS)
+        best = judge(short, suspicions, clearly_unexplained)
         if best is None:
             break
         accepted.append(best[0])

@@ -109,12 +109,7 @@ class Names(NamedTuple):
     stated: Mapping[str, tuple[str, ...]] = MappingProxyType({})
 
     def after(self, orders: Mapping[str, Sequence[int]], factors: Mapping[str, np.ndarray]) -> "Names":
-        """Names and units once the columns of some fields are in another order, and then multiplied by factors.
-
-        Args:
-            orders: Old place of each column, by field.
-            factors: A factor for each column in its new place, by field.
-        """
+        """Names and units once the columns of some fields are in another order, and then multiplied by factors."""
         declared = {field: tuple(self._stated(field, i) for i in order) for field, order in orders.items()}
         columns = {field: tuple(getattr(self, field)[i] for i in orders[field]) for field in ("q", "u")}
         reordered = self._replace(**columns, stated=declared)
@@ -122,29 +117,13 @@ class Names(NamedTuple):
         return reordered._replace(stated={**declared, **changed})
 
     def line(self, field: str, factors: Sequence[float] | np.ndarray) -> str:
-        """Line of the model file that multiplies the columns of a field.
-
-        Args:
-            field: The field t, q or u.
-            factors: A factor for each column.
-
-        Returns:
-            The line, under [units].
-        """
+        """Line of the model file that multiplies the columns of a field."""
         texts = self.in_units(field, factors)
         quoted = json.dumps(texts[0], ensure_ascii=False)
         return f"[units] {field} = {quoted if len(set(texts)) == 1 else quoted_list(texts)}"
 
     def in_units(self, field: str, factors: Sequence[float] | np.ndarray) -> tuple[str, ...]:
-        """Units of the columns of a field that imply given factors.
-
-        Args:
-            field: The field t, q or u.
-            factors: A factor for each column.
-
-        Returns:
-            A unit for each column.
-        """
+        """Units of the columns of a field that imply given factors."""
         kinds = [self._kind(field, i) for i in range(len(factors))]
         return tuple(_unit_text(self._stated(field, i), float(factor), kinds[i]) for i, factor in enumerate(factors))
 

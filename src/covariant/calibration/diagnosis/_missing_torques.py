@@ -203,15 +203,7 @@ def with_torques(
     rotors: Float[np.ndarray, "n"],
     resting: Float[np.ndarray, "n"],
 ) -> Lagrangian:
-    """A model in coordinates with further friction and rotors in its joints.
-
-    Args:
-        model: The mechanical system.
-        viscous: Coefficients (n,) of viscous friction [N m s/rad or N s/m].
-        coulomb: Coulomb friction (n,) [N m or N].
-        rotors: Inertia (n,) of rotors, as felt at the joints [kg m² or kg].
-        resting: Speeds (n,) over which the Coulomb friction is smoothed.
-    """
+    """A model in coordinates with further friction and rotors in its joints."""
     return Lagrangian(
         _WithRotors(model.space, jnp.asarray(rotors)),  # pyright: ignore[reportArgumentType]
         model.potential,

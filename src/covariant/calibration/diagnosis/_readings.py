@@ -38,14 +38,7 @@ USUAL = 0.99
 
 
 def missing_cells(y: np.ndarray) -> list[Finding]:
-    """Finding on missing measurements.
-
-    Args:
-        y: Measured configurations (T, …), NaN where missing.
-
-    Returns:
-        One finding, or none where all are measured.
-    """
+    """Finding on missing measurements."""
     lost = np.isnan(y.reshape(len(y), -1)).any(axis=1)
     if not lost.any():
         return []
@@ -131,15 +124,7 @@ def outliers(
 
 
 def prediction_errors(t: Float[np.ndarray, "T"], y: Float[np.ndarray, "T"]) -> Float[np.ndarray, "T"]:
-    """Errors of measurements against the cubic through their four neighbours, scaled to the noise of one measurement.
-
-    Args:
-        t: Stamps (T,) [s].
-        y: Measurements (T,).
-
-    Returns:
-        The errors (T,); at both ends all neighbours are on one side.
-    """
+    """Errors of measurements against the cubic through their four neighbours, scaled to the noise of one."""
     rows = np.arange(len(t))
     five = np.clip(rows - 2, 0, len(t) - 5)[:, None] + np.arange(5)  # at the ends the neighbours are on one side
     return _errors(t, y, five[five != rows[:, None]].reshape(-1, 4), t, y)
@@ -180,14 +165,7 @@ def _local_range(y: np.ndarray) -> np.ndarray:
 
 
 def tick(y: Float[np.ndarray, "T"]) -> float:
-    """Step of which all changes of readings are multiples.
-
-    Args:
-        y: Readings (T,); NaN where missing.
-
-    Returns:
-        The step, in the unit of the readings; 0 where there is none.
-    """
+    """Step of which all changes of readings are multiples."""
     changes = np.abs(np.diff(y[np.isfinite(y)]))
     changes = changes[changes > 1e-9 * max(1.0, np.ptp(y[np.isfinite(y)]))]
     if len(changes) < 20:
@@ -210,15 +188,7 @@ def _gcd(whole: np.ndarray) -> int:
 
 
 def quanta(y: Float[np.ndarray, "T n"], noise: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
-    """Ticks of encoders, from their readings.
-
-    Args:
-        y: Readings (T, n).
-        noise: Standard deviation (n,) of their noise.
-
-    Returns:
-        The ticks (n,); 0 where none exceeds the noise.
-    """
+    """Ticks of encoders, from their readings."""
     ticks = np.array([tick(column) for column in y.T])
     return np.where(ticks > LEAST_TICK * noise, ticks, 0.0)
 
@@ -230,18 +200,7 @@ def outlier_findings(
     units: tuple[str, ...],
     rows: Rows,
 ) -> list[Finding]:
-    """Findings on columns with outliers; a few outliers are only a note.
-
-    Args:
-        wrong: Which measurements (T, n) are outliers.
-        sizes: Their usual distance (n,).
-        names: Columns of the positions.
-        units: Their units.
-        rows: How messages name the rows.
-
-    Returns:
-        One finding for each column with outliers.
-    """
+    """Findings on columns with outliers; a few outliers are only a note."""
     findings = []
     for name, unit, column, size in zip(names, units, wrong.T, sizes, strict=True):
         places = np.flatnonzero(column)
@@ -303,15 +262,6 @@ def repeated_findings(
     """Findings on readings that repeat those of the row before, although the position moves.
 
     An encoder reads the same number until its next tick; a reading with noise is never the same twice.
-
-    Args:
-        y: Positions (T, n).
-        ticks: Ticks (n,) of the encoders; 0 for a sensor without ticks.
-        names: Columns of the positions.
-        rows: How messages name the rows.
-
-    Returns:
-        At most one finding.
     """
     moving = _moving(y, ticks)
     if not moving:
@@ -338,15 +288,7 @@ def repeated_findings(
 
 
 def without_repeated(y: Float[np.ndarray, "T n"], ticks: Float[np.ndarray, "n"]) -> Float[np.ndarray, "T n"]:
-    """Positions whose readings are missing where they repeat those of the row before, as `repeated_findings` asks for.
-
-    Args:
-        y: Positions (T, n).
-        ticks: Ticks (n,) of the encoders; 0 for a sensor without ticks.
-
-    Returns:
-        The positions (T, n).
-    """
+    """Positions whose readings are missing where they repeat those of the row before."""
     kept = y.copy()
     for i in _moving(y, ticks):
         kept[_repeated(y, [i]), i] = np.nan
@@ -414,16 +356,7 @@ def readings(record: Record, circles: tuple[int, ...]) -> Readings:
 def known_ticks(
     record: Record, circles: tuple[int, ...], stated: float | Sequence[float] | None
 ) -> Float[np.ndarray, "n"]:
-    """Ticks of each position: those that the readings show, or where these are few, the stated ones that they fit.
-
-    Args:
-        record: The log, with positions (T, n) in coordinates.
-        circles: Indices of the coordinates that are angles.
-        stated: Ticks according to the model file, one for all or one for each; None for none.
-
-    Returns:
-        The ticks (n,); 0 where there are none.
-    """
+    """Ticks of each position: those that the readings show, or where these are few, the stated ones that they fit."""
     ticks, y = readings(record, circles).ticks, unwrap(np.asarray(record.y), circles)
     for i, tick in enumerate(np.broadcast_to(0.0 if stated is None else stated, len(ticks))):
         if ticks[i] == 0 and tick > 0:
@@ -450,16 +383,7 @@ def one_or_each(values: Float[np.ndarray, "n"], units: Sequence[str], digits: in
 
 
 def shown(values: Sequence[float] | np.ndarray, units: Sequence[str], digits: int) -> str:
-    """Text of the numbers of coordinates with their units; equal ones appear once.
-
-    Args:
-        values: A number of each coordinate.
-        units: Their units.
-        digits: Significant digits.
-
-    Returns:
-        The text, for people.
-    """
+    """Text of the numbers of coordinates with their units; equal ones appear once."""
     texts = (f"{value:.{digits}g} {unit}".rstrip() for value, unit in zip(values, units, strict=True))
     if len(set(units)) == 1 and np.ptp(values) <= ALIKE * np.max(values):
         return f"{np.max(values):.{digits}g} {units[0]}".rstrip()

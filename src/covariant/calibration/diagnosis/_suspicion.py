@@ -46,7 +46,7 @@ class Unexplained(NamedTuple):
         return float(self.blocks[blocks][:, known].mean())
 
 
-class Verdict(NamedTuple):
+class Comparison(NamedTuple):
     """What the model leaves if a suspicion is right, and as the log is, on the blocks that choose and those held out.
 
     Attributes:
@@ -64,7 +64,7 @@ class Verdict(NamedTuple):
     parts: int
 
     @classmethod
-    def of(cls, now: Unexplained | None, then: Unexplained) -> "Verdict":
+    def of(cls, now: Unexplained | None, then: Unexplained) -> "Comparison":
         """Compare what is left as the log is with what is left if it were so."""
         known = then.known
         choosing, after = then.share(~HELD_OUT, known), then.share(HELD_OUT, known)
@@ -106,19 +106,19 @@ class Suspicion(NamedTuple):
     claim: str = ""
     numbers: Mapping[str, Any] = MappingProxyType({})
 
-    def finding(self, verdict: Verdict, rivals: Iterable[str] = (), subject: str = "accelerations") -> Finding:
+    def finding(self, comparison: Comparison, rivals: Iterable[str] = (), subject: str = "accelerations") -> Finding:
         """The finding on a suspicion that was accepted; `rivals` explain as much."""
-        before, after = _percent(verdict.before), _percent(verdict.after)
+        before, after = _percent(comparison.before), _percent(comparison.after)
         evidence = f"on rows held out the model leaves {before} of the squares of the {subject} as the log is, and "
-        evidence += f"{after} {self.words}, less in {verdict.parts} of {BLOCKS} parts of the log"
-        if not np.isfinite(verdict.before):
+        evidence += f"{after} {self.words}, less in {comparison.parts} of {BLOCKS} parts of the log"
+        if not np.isfinite(comparison.before):
             evidence = f"as the log is, it lasts too short a time to compare {subject}; of their squares the model "
             evidence += f"leaves {after} {self.words}"
         if self.claim:
-            evidence = f"{self.claim}; {evidence}" if verdict.after < verdict.before else self.claim
+            evidence = f"{self.claim}; {evidence}" if comparison.after < comparison.before else self.claim
         if others := ", or ".join(rivals):
             evidence += f"; the log cannot tell it from {others}"
-        shares = {"unexplained": verdict.before, "unexplained_after": verdict.after, "parts": verdict.parts}
+        shares = {"unexplained": comparison.before, "unexplained_after": comparison.after, "parts": comparison.parts}
         return Finding(self.what, self.where, evidence, self.remedy, True, {**self.numbers, **shares})
 
 
@@ -143,16 +143,16 @@ def judge(
             continue
         then = compare(each.apply(case))
         if then is not None and then.known.any():
-            tried.append((each, Verdict.of(now, then)))
-    tried = [(each, verdict) for each, verdict in tried if verdict.choosing < THRESHOLDS[each.threshold].most]
+            tried.append((each, Comparison.of(now, then)))
+    tried = [(each, comparison) for each, comparison in tried if comparison.choosing < THRESHOLDS[each.threshold].most]
     if not tried:
         return None
-    least = min(verdict.choosing for _, verdict in tried)
+    least = min(comparison.choosing for _, comparison in tried)
     alike = [(s, v) for s, v in tried if v.choosing - least <= (THRESHOLDS[s.threshold].alike - 1) * abs(least)]
-    chosen, verdict = alike[0]
-    if not verdict.passes(chosen.threshold):
+    chosen, comparison = alike[0]
+    if not comparison.passes(chosen.threshold):
         return None
-    return chosen, chosen.finding(verdict, [each.words.removeprefix("with ") for each, _ in alike[1:]], subject)
+    return chosen, chosen.finding(comparison, [each.words.removeprefix("with ") for each, _ in alike[1:]], subject)
 
 
 def clearly_unexplained(case: Case) -> Unexplained | None:

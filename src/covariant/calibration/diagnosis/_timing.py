@@ -18,9 +18,9 @@ from covariant.calibration.diagnosis._finding import Finding
 from covariant.calibration.diagnosis._smooth import Smooth
 from covariant.calibration.diagnosis._suspicion import (
     BLOCKS,
+    Comparison,
     Suspicion,
     Unexplained,
-    Verdict,
     judge,
     unexplained_at,
 )
@@ -84,7 +84,7 @@ class Timing(NamedTuple):
         if not self.suspicions:
             return []
         now, then = (Unexplained.of(smoothed_residual(each, half)) for each in (case, self.apply(case)))
-        return [each.finding(Verdict.of(now, then)) for each in self.suspicions]
+        return [each.finding(Comparison.of(now, then)) for each in self.suspicions]
 
     @property
     def together(self) -> Suspicion:
@@ -93,12 +93,7 @@ class Timing(NamedTuple):
 
 
 def fit_timing(case: Case, half: float) -> Timing:
-    """Estimate delays, scales of inputs and shifts by whole rows, and which of them count.
-
-    Args:
-        case: The log and the model.
-        half: Half width of the smoothing windows [s].
-    """
+    """Estimate delays, scales of inputs and shifts by whole rows, and which of them count."""
     n, m = len(case.names.q), len(case.names.u)
     start = Timing(_long_delay(case, half), np.ones(m), np.zeros(n, int))
     # First scales, then the common delay: a wrong sign or size of an input looks like a delay, and a delay of all
@@ -351,16 +346,7 @@ class Fitted(NamedTuple):
 
 
 def fit(model: MechanicalSystem, log: Smooth, now: Residual) -> Fitted:
-    """Estimate delays and scales by one Gauss–Newton step.
-
-    Args:
-        model: The mechanical system.
-        log: The smoothed log.
-        now: Residual accelerations of the model along it.
-
-    Returns:
-        The delays and scales, with their covariance; infinite for one coordinate without inputs.
-    """
+    """Estimate delays and scales by one Gauss–Newton step."""
     n, m = log.q.shape[1], log.u.shape[1]
     columns, used = [], now.used.copy()
     for i in range(n):
@@ -384,16 +370,7 @@ def fit(model: MechanicalSystem, log: Smooth, now: Residual) -> Fitted:
 
 
 def shifted(log: Smooth, i: int, shift: float) -> Smooth:
-    """Advance one coordinate of a smoothed log in time, to first order.
-
-    Args:
-        log: The smoothed log.
-        i: Index of the coordinate.
-        shift: Time [s] by which it is advanced, below the step of the grid.
-
-    Returns:
-        The log with `q(t + shift)` in that coordinate.
-    """
+    """Advance one coordinate of a smoothed log in time, to first order."""
 
     def advanced(values):
         values = values.copy()

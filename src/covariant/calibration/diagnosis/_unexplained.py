@@ -75,18 +75,7 @@ def _left_by_a_right_model(case: Case, half: float | None) -> Residual | None:
 
 
 def twin(model: MechanicalSystem, log: Smooth, record: Record, ticks: Float[np.ndarray, "n"]) -> Record | None:
-    """Simulate a log without faults that is like another one.
-
-    Args:
-        model: The mechanical system, in coordinates.
-        log: The other log, smoothed.
-        record: The other log as it was read, with the inputs that act in each step.
-        ticks: Ticks (n,) of its encoders; 0 for a sensor with noise.
-
-    Returns:
-        The simulated log, of at most `ROWS` rows with the same stamps, inputs and missing cells; None where the model
-        does not stay finite or the other log is too short.
-    """
+    """Simulate a log without faults that is like another one."""
     used = np.flatnonzero(log.used)
     if not len(used):
         return None
