@@ -167,6 +167,12 @@ command("gaps", "oscillator", "gaps.csv", "--json")
 
 
 @pytest.mark.long
+def test_a_suspicion_in_one_function_is_judged_with_the_others(house):
+    test = "tests/calibration/test_absolute_angles.py"
+    assert "1 passed" in python(house, "-m", "pytest", "-q", "-p", "no:xdist", "--no-header", test)
+
+
+@pytest.mark.long
 def test_examples_in_docstrings_of_the_page_run(house):
     script = """
 import doctest, importlib

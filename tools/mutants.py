@@ -42,10 +42,7 @@ FAILED = {1, 2, 4, -signal.SIGSEGV, -signal.SIGABRT, -signal.SIGFPE}
 WARM = "jax jax.numpy equinox scipy.linalg hypothesis pytest beartype"
 
 FITTING = ("fit", "held_out", "innovations", "predict", "relations", "windows")
-DIAGNOSIS = (
-    *("changes", "delays", "diagnose", "finding", "readings", "residual", "sensor", "smooth", "suggest", "timing"),
-)
-"""Files of the room of calibration that fit a model to logs, and that look for what is wrong with one."""
+"""Files of the room of calibration that fit a model to logs."""
 
 RELEVANT = {
     "geometry/lie/_left_invariant.py": "geometry/test_left_invariant",
@@ -118,7 +115,10 @@ RELEVANT = {
     "simulation/*": "simulation/test_simulate simulation/test_sensors",
     "calibration/_draft.py": "calibration/test_draft",
     **{f"calibration/_{name}.py": "calibration/test_fit" for name in FITTING},
-    **{f"calibration/_{name}.py": "calibration/test_diagnosis calibration/test_suggestions" for name in DIAGNOSIS},
+    **{
+        f"calibration/{files}.py": "calibration/test_diagnosis calibration/test_suggestions"
+        for files in ("diagnosis/*", "_suggest")
+    },
     "calibration/*": "calibration/test_estimators calibration/test_gain_rule calibration/test_speeds "
     "calibration/test_tune",
     "codegen/_fm*.py": "codegen/test_fmu",

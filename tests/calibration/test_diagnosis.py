@@ -11,7 +11,7 @@ from two_links import Truth, swing
 from covariant import logs, models
 from covariant.calibration import diagnose, misfit, outliers, suggest_noise
 from covariant.calibration.diagnosis._case import busiest
-from covariant.calibration.diagnosis._changes import Names, no_change
+from covariant.calibration.diagnosis._finding import Names
 from covariant.calibration.diagnosis._smooth import smooth
 from covariant.logs import unit_factor
 from covariant.models import load
@@ -145,8 +145,9 @@ def test_the_line_of_units_counts_from_what_the_file_says(stated, field, factors
 
 
 def test_after_a_change_columns_and_units_are_those_that_it_asks_for():
-    change = no_change(2, 2)._replace(order=np.array([1, 0]), inputs=np.array([-1.0, 1.0]))
-    names = LOGGED._replace(stated={"u": ("N m", "N")}, angles=np.array([True, True])).after(change)
+    names = LOGGED._replace(stated={"u": ("N m", "N")}, angles=np.array([True, True]))
+    factors = {"q": np.ones(2), "u": np.array([-1.0, 1.0])}
+    names = names.after({"t": [0], "q": [1, 0], "u": [0, 1]}, factors)
     assert names.q == ("b", "a")
     assert names.stated["u"] == ("-1 N m", "N")
     assert names.line("u", [-1.0, 1.0]) == '[units] u = ["N m", "N"]'

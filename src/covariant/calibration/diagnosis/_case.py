@@ -1,24 +1,115 @@
-"""A log prepared for the comparison with its model: without outliers, smoothed, in corrected units."""
+"""A log beside its model: smoothed accelerations, those of the model along them, and what is left between the two."""
 
-from typing import Any, NamedTuple
+import functools
+from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Bool, Float
 
-from covariant.calibration.diagnosis import _sensor
-from covariant.calibration.diagnosis._changes import Change, Names
-from covariant.calibration.diagnosis._finding import Finding
-from covariant.calibration.diagnosis._readings import known_ticks
-from covariant.calibration.diagnosis._residual import CLEAR, Residual, residual
+from covariant.calibration.diagnosis._finding import Finding, Names, Rows
+from covariant.calibration.diagnosis._readings import known_ticks, outlier_findings, outliers
 from covariant.calibration.diagnosis._smooth import FEWEST, ORDER, Smooth, smooth
-from covariant.models import MechanicalSystem, ModelFile
+from covariant.calibration.diagnosis._thresholds import CLEAR
+from covariant.lowering import on_batches
+from covariant.models import MechanicalSystem, ModelFile, acceleration
 from covariant.signals import Record, acting_inputs, lag_inputs
 
+POINTS = 2048
+"""Points of the grid at once: for a model without a graph one compiled program serves all logs."""
+POINTS_OF_A_BLOCK = 30
 SHORTEST = 6.0
 """Least length of a log that is compared with the model, in half windows."""
 WINDOWS = (1.0, 2.0, 3.0)
 """Half windows to try, in those of the reference of the model file; the one that explains most is used."""
 WIDER = (2.0, 4.0, 8.0, 16.0)
 """Half windows to try until accelerations exceed the noise, as in a slow motion only wide ones show."""
+
+
+class Residual(NamedTuple):
+    """Accelerations on the grid of a smoothed log: measured ones, and those of the model averaged in the same way.
+
+    Attributes:
+        measured: Measured accelerations (K, n).
+        modelled: Accelerations (K, n) of the model.
+        used: Points (K,) at which both are known.
+        noise: Standard deviation (n,) of the measured ones.
+    """
+
+    measured: Float[np.ndarray, "K n"]
+    modelled: Float[np.ndarray, "K n"]
+    used: Bool[np.ndarray, "K"]
+    noise: Float[np.ndarray, "n"]
+
+    @property
+    def left(self) -> Float[np.ndarray, "J n"]:
+        """Residual accelerations (J, n), measured minus modelled, at the J points that are used."""
+        return (self.measured - self.modelled)[self.used]
+
+    @property
+    def enough(self) -> bool:
+        """Whether there are two blocks of points."""
+        return bool(self.used.sum() >= 2 * POINTS_OF_A_BLOCK)
+
+    @property
+    def told(self) -> Bool[np.ndarray, "n"]:
+        """Coordinates (n,) whose accelerations exceed the noise; none with fewer than two blocks of points."""
+        if not self.enough:
+            return np.zeros(self.measured.shape[1], bool)
+        return np.mean(self.measured[self.used] ** 2, axis=0) > CLEAR * self.noise**2
+
+    @property
+    def scale(self) -> Float[np.ndarray, "n"]:
+        """Mean of the squares of measured and modelled accelerations, so that neither a tiny nor a huge unit of either
+        makes what is left small beside it."""
+        size = np.mean((self.measured**2 + self.modelled**2)[self.used] / 2, axis=0)
+        return np.where(size > 0, size, 1.0)
+
+    def misfits(self, blocks: int = 1) -> Float[np.ndarray, "b n"]:
+        """Squares of the residuals, without that of the noise, over `scale`, in blocks of equal length: 0 for a model
+        that is right, 1 or more for one that is unrelated."""
+        # The expected square of a residual is that of the model's error plus that of the noise.
+        parts = np.array_split(self.left**2 - self.noise**2, blocks)
+        return np.array([part.mean(axis=0) for part in parts]) / self.scale
+
+    @property
+    def misfit(self) -> float:
+        """Mean unexplained fraction of the coordinates whose accelerations exceed the noise; NaN for none."""
+        told = self.told
+        return float(np.maximum(self.misfits()[0, told], 0.0).mean()) if told.any() else float("nan")
+
+
+def residual(model: MechanicalSystem, log: Smooth) -> Residual:
+    """Compare the accelerations of a model with those of a smoothed log."""
+    modelled = averaged(log, accelerations(model, log))
+    used = log.used & np.isfinite(modelled).all(axis=1) & np.isfinite(log.a).all(axis=1)
+    return Residual(log.a, modelled, used, log.a_noise)
+
+
+def averaged(log: Smooth, values: Float[np.ndarray, "K n"]) -> Float[np.ndarray, "K n"]:
+    """Average values on the grid with the weights that smoothing applies to the true accelerations."""
+    # The same weights on both sides: what smoothing does to a true acceleration it does to the model's.
+    return np.stack([np.convolve(column, log.kernel, "same") for column in values.T], axis=1)
+
+
+def accelerations(model: MechanicalSystem, log: Smooth) -> Float[np.ndarray, "K n"]:
+    """Accelerations of the model on the grid."""
+    data = (log.t, log.q, log.v, log.u)
+    chunks = []
+    for start in range(0, len(log.t), POINTS):
+        part = [array[start : start + POINTS] for array in data]
+        count = len(part[0])
+        padded = [np.concatenate([array, np.repeat(array[-1:], POINTS - count, axis=0)]) for array in part]
+        chunks.append(_accelerations(model, log.q.shape[1], log.u.shape[1])(*padded)[:count])
+    return np.concatenate(chunks)
+
+
+@functools.lru_cache(maxsize=4)  # a check compares one model with many logs
+def _accelerations(model: MechanicalSystem, n: int, m: int) -> Callable:
+    def at(t, q, v, u):
+        return acceleration(model, t, q, v, u)
+
+    return on_batches(at, np.zeros(()), np.zeros(n), np.zeros(n), np.zeros(m))
 
 
 class Case(NamedTuple):
@@ -70,7 +161,7 @@ def names_of(file: ModelFile) -> Names:
 def case_without_outliers(
     file: ModelFile,
     record: Record,
-    rows: _sensor.Rows | None = None,
+    rows: Rows | None = None,
     quantum: float | tuple[float, ...] | None = None,
 ) -> tuple[Case, list[Finding]]:
     """Record prepared for the comparison: outliers are set to NaN and reported.
@@ -87,14 +178,19 @@ def case_without_outliers(
     model, names = file.need_mechanical(file.name, "accelerations are compared with those of"), names_of(file)
     t, y = np.asarray(record.t), np.asarray(record.y)
     ticks = known_ticks(record, model.circles, file.quantum if quantum is None else quantum)
-    wrong, sizes = _sensor.outliers(t, y, model.circles, ticks)
+    wrong, sizes = outliers(t, y, model.circles, ticks)
     case = Case(file, model, names, Record(t, np.asarray(record.u), np.where(wrong, np.nan, y)), ticks)
-    return case, _sensor.outlier_findings(wrong, sizes, names.q, names.units, rows or _sensor.Rows(t))
+    return case, outlier_findings(wrong, sizes, names.q, names.units, rows or Rows(t))
 
 
-def smoothed(case: Case, half: float, delay: Any = 0.0) -> Smooth:
-    late = delay + np.asarray(case.file.delay, float)
-    return smooth(acting(case), half, case.model.circles, late, case.ticks)
+def smoothed(case: Case, half: float) -> Smooth:
+    """The record smoothed over windows of ±`half` [s], without the delays of the model file."""
+    return smooth(acting(case), half, case.model.circles, np.asarray(case.file.delay, float), case.ticks)
+
+
+def smoothed_residual(case: Case, half: float) -> Residual:
+    """Residual accelerations of the record in windows of ±`half` [s]."""
+    return residual(case.model, smoothed(case, half))
 
 
 def acting(case: Case) -> Record:
@@ -150,14 +246,3 @@ def best_window(case: Case) -> tuple[float, Residual] | None:
         tried = [(log.half, residual(case.model, log))]
     known = [(half, left) for half, left in tried if left.told.any()]
     return min(known, key=lambda entry: entry[1].misfit) if known else None
-
-
-def changed(case: Case, change: Change) -> Case:
-    """A case after a change of its log.
-
-    Args:
-        case: The case.
-        change: The change.
-    """
-    ticks = np.abs(change.position) * case.ticks[change.order]
-    return case._replace(record=change.of_record(case.record), names=case.names.after(change), ticks=ticks)

@@ -1,21 +1,14 @@
-"""Faults of the clock that stamps a log: stamps that repeat, and a wall clock that is set back or forward meanwhile."""
+"""Faults of the clock that stamps a log: stamps that repeat, missing rows, and a clock that is set meanwhile."""
 
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
-from covariant.calibration.diagnosis._finding import Finding
-from covariant.calibration.diagnosis._sensor import Rows
+from covariant.calibration.diagnosis._finding import Finding, Rows
+from covariant.calibration.diagnosis._thresholds import CONTINUES, FAR, GAP, JITTER, JUMP, SEEN
 from covariant.signals import Record
 
-JUMP = 4.0
-"""Steps in time, as a multiple of the usual one, from which the clock may have been set forward."""
-CONTINUES = 0.2
-"""Error of a motion that goes on as if no rows were missing, as a fraction of that over the whole step, up to which the
-clock was set forward."""
-SEEN = 10.0
-"""Least way over the whole step, as a multiple of the noise, that tells the one from the other."""
 MONOTONIC = "stamp rows by a clock that nobody sets, such as CLOCK_MONOTONIC or `time.monotonic`"
 
 
@@ -84,20 +77,47 @@ def mended_clock(record: Record) -> Mended:
     return Mended(Record(mended[kept], *(np.asarray(a)[kept] for a in record[1:3])), tuple(findings))
 
 
+def stamps(t: Float[np.ndarray, "T"]) -> list[Finding]:
+    """Findings on missing rows and irregular stamps."""
+    steps = np.diff(t)
+    usual = float(np.median(steps))
+    # 1.4826 makes the median deviation of normal steps their standard deviation; gaps do not enter it.
+    jitter = 1.4826 * float(np.median(np.abs(steps - usual)))
+    gaps = steps > max(GAP * usual, usual + FAR * jitter)
+    findings = []
+    if gaps.any():
+        # A gap of k usual steps lacks k − 1 rows.
+        missing = int(np.sum(np.rint(steps[gaps] / usual) - 1))
+        findings.append(
+            Finding(
+                "missing rows",
+                "",
+                f"{missing} rows are missing in {int(gaps.sum())} places, the longest of {steps.max():.4g} s, where "
+                f"rows are {usual:.4g} s apart",
+                "nothing to change: estimates use the stamps, and run on with the model alone meanwhile",
+                False,
+                {"rows": missing, "places": int(gaps.sum()), "longest": float(steps.max())},
+            )
+        )
+    std = float(np.std(steps[~gaps]))
+    if std > JITTER * usual:
+        findings.append(
+            Finding(
+                "irregular stamps",
+                "",
+                f"rows are {usual:.4g} s ± {std:.2g} s apart, from {steps.min():.4g} s to {steps[~gaps].max():.4g}",
+                "nothing to change: estimates use the stamps and assume no constant step",
+                False,
+                {"step": usual, "std": std},
+            )
+        )
+    return findings
+
+
 def set_forward(
     t: Float[np.ndarray, "T"], y: Float[np.ndarray, "T n"], noise: Float[np.ndarray, "n"], rows: Rows
 ) -> list[Finding]:
-    """Findings on long steps in time over which the motion goes on as if no time had passed but the usual step.
-
-    Args:
-        t: Stamps (T,) [s], rising.
-        y: Positions (T, n) without jumps of angles; NaN where missing.
-        noise: Their noise (n,).
-        rows: How messages name the rows.
-
-    Returns:
-        At most one finding.
-    """
+    """Findings on long steps in time over which the motion goes on as if no time had passed but the usual step."""
     steps = np.diff(t)
     usual = float(np.median(steps))
     places = [int(k) for k in np.flatnonzero(steps > JUMP * usual) if 3 <= k < len(t) - 4]

@@ -2,47 +2,53 @@
 
 The model's accelerations along the smoothed log are compared with the measured ones. The remainder shows whether the
 log is in the units, order and signs of the model, and whether every column was measured at its stamps.
+
+Suspicions are judged against each other on rows held out, in an order where that cannot decide:
+
+1. What readings and stamps show by themselves, since smoothing needs readings without outliers.
+2. `COLUMNS`, one after another: in wrong units or order nothing else explains anything.
+3. Delays and scales against friction and rotors, each of which looks like the other.
+4. Whole rows and what inputs do between rows, in the log without these: so small a fault shows only there.
+5. What is left when no suspicion explains it.
 """
 
-from collections.abc import Iterable, Sequence
+import itertools
+from collections.abc import Sequence
 
 import numpy as np
 
-from covariant.calibration.diagnosis import _sensor
-from covariant.calibration.diagnosis._alternatives import (
-    HELD_OUT,
-    Blocks,
-    inputs_between_rows,
-    moved_rows,
-    row_shift,
-    signed_ranks,
-)
 from covariant.calibration.diagnosis._case import (
     Case,
-    acting,
+    Residual,
     best_window,
     busiest,
     case_without_outliers,
-    changed,
     clearly,
     compared,
     in_coordinates,
     long_enough,
     names_of,
     smoothed,
+    smoothed_residual,
 )
-from covariant.calibration.diagnosis._changes import Change, structure_changes, unit_changes
-from covariant.calibration.diagnosis._clock import set_forward
-from covariant.calibration.diagnosis._delays import Corrected, Stated, delay_findings
-from covariant.calibration.diagnosis._finding import Diagnosis, Finding
+from covariant.calibration.diagnosis._clock import set_forward, stamps
+from covariant.calibration.diagnosis._columns import COLUMNS, units
+from covariant.calibration.diagnosis._finding import Diagnosis, Finding, Rows
 from covariant.calibration.diagnosis._missing_torques import missing_torques
-from covariant.calibration.diagnosis._readings import readings
-from covariant.calibration.diagnosis._residual import Residual, residual
+from covariant.calibration.diagnosis._readings import (
+    missing_cells,
+    readings,
+    repeated_findings,
+    still_findings,
+    without_repeated,
+)
 from covariant.calibration.diagnosis._sensor_checks import sensor_checks
 from covariant.calibration.diagnosis._sensor_findings import sensor_findings, standstill
 from covariant.calibration.diagnosis._sensor_motion import Beside
-from covariant.calibration.diagnosis._smooth import Smooth, held_inputs, smooth
-from covariant.calibration.diagnosis._twin import twin
+from covariant.calibration.diagnosis._suspicion import Suspicion, clearly_unexplained, judge, unexplained_at
+from covariant.calibration.diagnosis._thresholds import BARELY
+from covariant.calibration.diagnosis._timing import Timing, fit_timing, inputs_between_rows, moved_rows, row_shifts
+from covariant.calibration.diagnosis._unexplained import unexplained
 from covariant.models import ModelFile
 from covariant.scoring import unwrap
 from covariant.signals import Record
@@ -50,25 +56,11 @@ from covariant.signals import Record
 MOST_ROWS = 10_000
 """Largest number of rows that are compared with the model: the stretch with most motion."""
 FEW_ROWS = 4_000
-"""The same for the check before an estimate."""
+"""The same for suspicions about columns, of which many are tried, and for the check before an estimate."""
 SHIFTED = (1.0, 2.0, 4.0)
 """Half windows to look for shifts by whole rows in, in those that explain most."""
-FITS = 0.15
-"""Unexplained fraction of the accelerations up to which no other reading of the log is tried."""
-BARELY = 0.5
-"""Unexplained fraction from which a log is refused."""
-MARGIN = 4.0
-"""Factor by which the unexplained fraction must fall before a change is accepted."""
-BLOCKS = 30
-SIGNIFICANT = 4.0
-"""Standard errors of the signed ranks of its falls in these blocks of the log, from which it counts (all fall: 4.8)."""
-RIVAL = 1.5
-"""Ratio to the best unexplained fraction up to which another change is named beside the best."""
-FARTHEST = 3.0
-"""Largest residual acceleration, as a multiple of the one that the data sheet states."""
-TWIN = 2.0
-"""Part of the accelerations that is left, as a multiple of that in a log of the model itself, from which it counts."""
 MOST_CHANGES = 3
+"""Suspicions about columns that are accepted one after another."""
 WEIGHTS = (
     *(
         "clock",
@@ -128,7 +120,7 @@ def diagnose(
         >>> diagnose(load("oscillator"), Record(t, np.zeros((1000, 1)), y[:, None])).findings
         ()
     """
-    findings, checks = _findings(file, record, quantum, _sensor.Rows(np.asarray(record.t), first_row, every), sensors)
+    findings, checks = _findings(file, record, quantum, Rows(np.asarray(record.t), first_row, every), sensors)
     return Diagnosis(tuple(sorted(findings, key=_weight)), checks)
 
 
@@ -142,33 +134,35 @@ def _findings(
     file: ModelFile,
     record: Record,
     quantum: float | tuple[float, ...] | None,
-    rows: _sensor.Rows,
+    rows: Rows,
     sensors: Sequence[Beside],
 ) -> tuple[list[Finding], tuple[str, ...]]:
     """All findings, unsorted, and the names of the checks."""
-    findings = [*_sensor.stamps(rows.t), *_sensor.missing_cells(np.asarray(record.y))]
+    findings = [*stamps(rows.t), *missing_cells(np.asarray(record.y))]
     checks = ("clock", "missing rows", "irregular stamps", "missing measurements")
     if not in_coordinates(file):
         return findings, checks
     checks += ("outliers", "repeated rows", "ticks", "noise")
     y, names = np.asarray(record.y), names_of(file)
     quantum = file.quantum if quantum is None else quantum
-    still, whole = _sensor.still_findings(y, names.q, names.units)
+    still, whole = still_findings(y, names.q, names.units)
     if whole:
         return [*findings, *still], checks
     case, outliers = case_without_outliers(file, record, rows, quantum)
-    ticks = case.ticks
-    repeated = _sensor.repeated_findings(y, ticks, names.q, rows)
+    ticks, as_read = case.ticks, case._replace(record=record)
+    repeated = repeated_findings(y, ticks, names.q, rows)
     if any(each.wrong for each in repeated):
-        case = case._replace(record=case.record._replace(y=_sensor.without_repeated(np.asarray(case.record.y), ticks)))
+        case = case._replace(record=case.record._replace(y=without_repeated(np.asarray(case.record.y), ticks)))
     case = case._replace(record=busiest(case.record, MOST_ROWS))
-    changes, case, factor = _corrected(case)
-    if (factor != 1).any():
+    corrections, changes, case = _correct_columns(case)
+    for each in corrections:
+        as_read = each.apply(as_read) if each.what.startswith("unit of") else as_read
+    if not np.array_equal(as_read.record.y, y, equal_nan=True):
         # Angles in another unit jump at other places, so the readings are looked at anew, in that of the model.
-        y = y * factor
+        y = np.asarray(as_read.record.y)
         again, outliers = case_without_outliers(file, record._replace(y=y), rows, quantum)
         ticks = again.ticks
-        repeated = _sensor.repeated_findings(y, ticks, names.q, rows)
+        repeated = repeated_findings(y, ticks, names.q, rows)
     noise = np.maximum(np.nan_to_num(readings(record._replace(y=y), case.model.circles).std), ticks)
     forward = set_forward(rows.t, unwrap(y, case.model.circles), noise, rows)
     findings += [*forward, *still, *outliers, *repeated, *changes]
@@ -187,74 +181,68 @@ def _findings(
         *("units", "order and signs of columns", "scales of inputs", "delays"),
         *("friction and rotor inertia", "accelerations"),
     )
-    delays, corrected = _delays(case, best[0])
-    missing = missing_torques(case.model, smoothed(case, best[0]))
-    if missing is not None and missing.after < Blocks.of(corrected.left, best[1]).beyond_noise(HELD_OUT):
-        # Friction looks like a delay and like a scale of an input, so these are looked for in the model that has it.
-        wrong = best[1].misfit > BARELY or bool(_unexplained(case, best[1], best[0]))
-        findings.append(missing.finding(case.names, case.model, file.system, wrong))
-        case = case._replace(model=missing.model)
-        delays, corrected = _delays(case, best[0])
-    shifted, inputs = _rows_and_inputs(case, corrected, best[0], not any(each.what == "delay" for each in delays))
+    lacking, case, timing = _torques_or_timing(case, *best)
+    delays = timing.findings(case, best[0])
+    in_time = timing.apply(case)
+    small = _rows_and_inputs(in_time, best[0], not any(each.what == "delay" for each in delays))
     # Readings of a column that is rows late are those of a sensor only in their own rows.
-    moved = _with_rows_moved(case, corrected.rows + np.array([_rows_late(shifted, name) for name in case.names.q]))
-    unexplained = [] if shifted or inputs else _unexplained(case, corrected.left, best[0])
-    beside = sensor_checks(case, rows.t, sensors, corrected.delay - corrected.delay.min())
-    return [*findings, *_sensors(moved, quantum), *beside, *delays, *shifted, *inputs, *unexplained], checks
-
-
-def _delays(case: Case, half: float) -> tuple[list[Finding], Corrected]:
-    """Findings on delays and scales of inputs, and the log without these."""
-    file = case.file
-    return delay_findings(
-        case.model,
-        case.names,
-        case.spacing,
-        Stated(np.broadcast_to(np.asarray(file.delay, float), len(case.names.q)), file.input_lag),
-        lambda delay, rows: smoothed(_with_rows_moved(case, rows), half, delay),
+    shift = [sum(int(each.numbers["rows"]) for each in small if each.where == name) for name in names.q]
+    moved = case._replace(
+        record=case.record._replace(y=moved_rows(np.asarray(case.record.y), timing.rows + np.array(shift)))
     )
+    left = [] if small else unexplained(case, smoothed_residual(in_time, best[0]), best[0])
+    beside = sensor_checks(case, rows.t, sensors, timing.delay - timing.delay.min())
+    return [*findings, *_sensors(moved, quantum), *beside, *lacking, *delays, *small, *left], checks
 
 
-def _rows_late(found: list[Finding], name: str) -> int:
-    return next((int(each.numbers["rows"]) for each in found if each.where == name), 0)
+def _correct_columns(case: Case) -> tuple[list[Suspicion], list[Finding], Case]:
+    """What is accepted of `COLUMNS`, the findings on it, and the case with it."""
+    accepted, findings = [], []
+    # One after another: in wrong units a swap of columns explains nothing.
+    for _ in range(MOST_CHANGES):
+        # Many are tried, and such faults are large, so that fewer rows show them.
+        short = case._replace(record=busiest(case.record, FEW_ROWS))
+        suspicions = itertools.chain.from_iterable(suspect(short) for suspect in COLUMNS)
+        best = judge(short, suspicions, clearly_unexplained)
+        if best is None:
+            break
+        accepted.append(best[0])
+        findings.append(best[1])
+        case = best[0].apply(case)
+    return accepted, findings, case
 
 
-def _with_rows_moved(case: Case, rows: np.ndarray) -> Case:
-    if not rows.any():
-        return case
-    return case._replace(record=case.record._replace(y=moved_rows(np.asarray(case.record.y), rows)))
+def _torques_or_timing(case: Case, half: float, as_it_is: Residual) -> tuple[list[Finding], Case, Timing]:
+    """Findings on torques that the model lacks, the case with these, and its delays and scales.
+
+    Friction looks like a delay and like a scale of an input, so these are judged against each other; where the model
+    lacks torques, delays and scales are looked for in the model that has them.
+    """
+    timing = fit_timing(case, half)
+    suspicions = [timing.together, *missing_torques(case, smoothed(case, half))]
+    accepted = judge(case, suspicions, unexplained_at(half)) if len(suspicions) > 1 else None
+    if accepted is None or accepted[0] is suspicions[0]:
+        return [], case, timing
+    suspicion, finding = accepted
+    # A note as long as the data sheet admits what the model leaves.
+    wrong = as_it_is.misfit > BARELY or bool(unexplained(case, as_it_is, half))
+    case = suspicion.apply(case)
+    return [finding._replace(wrong=wrong)], case, fit_timing(case, half)
 
 
-def _rows_and_inputs(case: Case, corrected: Corrected, half: float, rows: bool) -> tuple[list[Finding], list[Finding]]:
-    """Findings on a column that is whole rows late, if `rows`, and on how inputs go from row to row; at most one.
+def _rows_and_inputs(case: Case, half: float, rows: bool) -> list[Finding]:
+    """At most one finding on a column that is whole rows late, if `rows`, or on how inputs go from row to row.
 
     Wider windows show smaller shifts in time, as far as they do not smooth the motion away.
     """
-    file = case.file
     for wide in (w * half for w in SHIFTED):
         if not long_enough(case, wide):
             break
-
-        def of_rows(rows: np.ndarray, wide: float = wide) -> tuple[Smooth, Residual]:
-            log = smoothed(_with_rows_moved(case, rows), wide, corrected.delay)
-            log = log._replace(u=log.u * corrected.scale)
-            return log, residual(case.model, log)
-
-        log, before = of_rows(np.zeros(len(case.names.q), int))
-
-        def of_inputs(record: Record, log: Smooth = log) -> Residual:
-            u = held_inputs(np.asarray(record.t), np.asarray(record.u), log.t, log.step) * corrected.scale
-            return residual(case.model, log._replace(u=u))
-
-        stated = file.input_between, file.input_delay, file.input_lag
-        shift = row_shift(case.names, before, lambda rows: of_rows(rows)[1]) if rows else None
-        inputs = inputs_between_rows(case.names, case.record, stated, before, of_inputs)
-        if shift is not None and inputs is not None:
-            first = shift.numbers["unexplained_after"] <= inputs.numbers["unexplained_after"]
-            shift, inputs = (shift, None) if first else (None, inputs)
-        if shift is not None or inputs is not None:
-            return [shift] if shift else [], [inputs] if inputs else []
-    return [], []
+        suspicions = [*(row_shifts(case) if rows else ()), *inputs_between_rows(case)]
+        accepted = judge(case, suspicions, unexplained_at(wide))
+        if accepted is not None:
+            return [accepted[1]]
+    return []
 
 
 def misfit(file: ModelFile, record: Record) -> Finding | None:
@@ -283,140 +271,19 @@ def misfit(file: ModelFile, record: Record) -> Finding | None:
     if not in_coordinates(file):
         return None
     case, _ = case_without_outliers(file, busiest(record, FEW_ROWS))
-    unchanged = compared(case)
-    if unchanged is not None and unchanged.told.any() and unchanged.misfit < BARELY:
+    left = compared(case)
+    if left is not None and left.told.any() and left.misfit < BARELY:
         return None
-    better = _best_change(
-        case, unchanged, ((change, compared(changed(case, change))) for change in _units(case)), BARELY
-    )
-    if better is not None:
-        return better[0]
-    findings = [each for each in _unexplained(case, unchanged) if each.what == "model"] if unchanged else []
-    if not findings:
-        return None
+    accepted = judge(case, units(case), clearly_unexplained)
+    if accepted is not None:
+        return accepted[1]
+    findings = [each for each in unexplained(case, left) if each.what == "model"] if left else []
     log = clearly(case)
-    missing = None if log is None else missing_torques(case.model, log)
-    return findings[0] if missing is None else missing.finding(case.names, case.model, file.system, True)
+    if not findings or log is None:
+        return None
+    accepted = judge(case, missing_torques(case, log), clearly_unexplained)
+    return findings[0] if accepted is None else accepted[1]
 
 
 def _sensors(case: Case, stated: float | tuple[float, ...] | None) -> list[Finding]:
     return sensor_findings(case.record, case.model.circles, case.names, stated, case.file.measurement_std)
-
-
-def _units(case: Case) -> Iterable[Change]:
-    return unit_changes(case.names, case.record)
-
-
-def _corrected(case: Case) -> tuple[list[Finding], Case, np.ndarray]:
-    """Findings on wrong units, orders and signs, the case after these corrections, and the units of its positions.
-
-    The latter are factors (n,) of the positions as they stand in the log.
-    """
-    findings, factor = [], np.ones(len(case.names.q))
-    # One after another: in wrong units a swap of columns explains nothing.
-    for _ in range(MOST_CHANGES):
-        unchanged = compared(case)
-        if unchanged is not None and unchanged.told.any() and unchanged.misfit < FITS:
-            break
-        # Units may change the time axis, so the log is smoothed anew; the other changes act on the smoothed log.
-        tried = [(change, compared(changed(case, change))) for change in _units(case)]
-        log = clearly(case)
-        if log is not None:
-            tried += [(change, residual(case.model, change.of_smooth(log))) for change in structure_changes(case.names)]
-        better = _best_change(case, unchanged, tried, BARELY)
-        if better is None:
-            break
-        findings.append(better[0])
-        case = changed(case, better[1])
-        if better[1].what.startswith("unit of") and (better[1].order == np.arange(len(factor))).all():
-            factor = factor * better[1].position
-    return findings, case, factor
-
-
-def _best_change(
-    case: Case, unchanged: Residual | None, tried: Iterable[tuple[Change, Residual | None]], most: float
-) -> tuple[Finding, Change] | None:
-    """The first change that explains nearly most, if it leaves less than `most` and far less than the record itself."""
-    fitting = [(left.misfit, change, left) for change, left in tried if left is not None and left.told.any()]
-    fitting = [entry for entry in fitting if entry[0] < most]
-    if not fitting:
-        return None
-    least = min(entry[0] for entry in fitting)
-    alike = [entry for entry in fitting if entry[0] <= RIVAL * least]
-    # Of changes that explain about as much the first listed one is reported, and the others are named as rivals.
-    _, change, left = alike[0]
-    share_before, improved = float("nan"), 0
-    if unchanged is not None:
-        falls = (unchanged.misfits(BLOCKS) - left.misfits(BLOCKS))[:, left.told].mean(axis=1)
-        share_before, improved = float(unchanged.misfits()[0, left.told].mean()), int((falls > 0).sum())
-        # The fall has to be large, and in so many parts of the log that it is no chance.
-        if share_before < MARGIN * left.misfit or signed_ranks(falls) < SIGNIFICANT:
-            return None
-    if unchanged is None:
-        evidence = (
-            "as the log is, it lasts too short a time to compare accelerations; of their squares the model leaves "
-        )
-        evidence += f"{_percent(left.misfit)} with {change.words}"
-    else:
-        evidence = (
-            f"of the squares of the accelerations the model leaves {_percent(share_before)} as the log is, and "
-            f"{_percent(left.misfit)} with {change.words}, less in {improved} of {BLOCKS} parts of the log"
-        )
-    rivals = [other.words for _, other, _ in alike[1:]]
-    if rivals:
-        evidence += f"; the log cannot tell it from {', or '.join(rivals)}"
-    numbers = {"unexplained": share_before, "unexplained_after": left.misfit, "parts": improved}
-    return Finding(change.what, change.where, evidence, change.line, True, numbers), change
-
-
-def _percent(share: float) -> str:
-    return f"{100 * share:.3g} %" if np.isfinite(share) else "all"
-
-
-def _unexplained(case: Case, left: Residual, half: float | None = None) -> list[Finding]:
-    """A finding where the residual accelerations exceed what the data sheet states.
-
-    `half` is the half width of the windows of `left`, by default that of `clearly`.
-    """
-    file, names, clear = case.file, case.names, left.told
-    if not clear.any():
-        return []
-    # Noise is independent of what the model leaves, so the variances subtract; by chance the rest may be negative.
-    squares = np.mean(left.left**2, axis=0) - left.noise**2
-    size = np.sqrt(np.maximum(squares, 0.0))
-    stated = file.acceleration_std
-    beyond = clear & (size > FARTHEST * (stated or 0.0))
-    if not beyond.any() or (stated is None and left.misfit < BARELY):
-        return []
-    usual = _left_by_a_right_model(case, half)
-    if usual is not None and not (_part_left(left)[beyond] > TWIN * _part_left(usual)[beyond]).any():
-        return []
-    worst = int(np.argmax(np.where(beyond, size, 0.0)))
-    unit = f"{names.units[worst]}/s²".lstrip("/") if names.units[worst] else ""
-    whole = float(np.sqrt(np.mean(left.measured[left.used, worst] ** 2)))
-    evidence = (
-        f"the model leaves {size[worst]:.3g} {unit} of the {whole:.3g} {unit} with which {names.q[worst]} accelerates; "
-        f"{f'its data sheet says {stated:.3g} {unit}' if stated else 'its data sheet says nothing of it'}"
-    )
-    numbers = {"left": float(size[worst]), "acceleration": whole, "stated": stated, "unexplained": left.misfit}
-    if left.misfit > BARELY:
-        line = "look at [parameters] and at what the columns are: no other unit, order or sign of the log explains it"
-        return [Finding("model", names.q[worst], evidence, line, True, numbers)]
-    line = f"[uncertainty] acceleration = {size[worst]:.2g}, or better [parameters]"
-    return [Finding("uncertainty", names.q[worst], evidence, line, True, numbers)]
-
-
-def _part_left(left: Residual) -> np.ndarray:
-    """What the model leaves of the accelerations (n,), the noise included, as a fraction of their squares."""
-    return np.mean(left.left**2, axis=0) / np.maximum(np.mean(left.measured[left.used] ** 2, axis=0), 1e-300)
-
-
-def _left_by_a_right_model(case: Case, half: float | None) -> Residual | None:
-    """The residual of a log that the model itself makes, smoothed in the same way; None where there is none."""
-    log = clearly(case) if half is None else smoothed(case, half)
-    made = None if log is None else twin(case.model, log, acting(case), case.ticks)
-    if made is None or log is None:
-        return None
-    # Its inputs act as they stand; its positions are not late.
-    left = residual(case.model, smooth(made, log.half, case.model.circles, 0.0, case.ticks))
-    return left if left.used.any() else None

@@ -1,6 +1,20 @@
-"""Findings of a diagnosis."""
+"""Findings of a diagnosis, and how they name rows, columns and units."""
 
+import json
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from types import MappingProxyType
 from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from covariant.logs import unit_factor
+
+MOST_NAMED = 5
+"""Largest number of rows that a message names."""
+KNOWN = {"s": ("s", "ms", "us", "ns"), "rad": ("rad", "deg", "turn")}
+"""Units that have a name, by the unit of the model."""
 
 
 class Finding(NamedTuple):
@@ -50,3 +64,95 @@ class Diagnosis(NamedTuple):
     def wrong(self) -> bool:
         """Whether estimates from the unchanged log are wrong."""
         return any(finding.wrong for finding in self.findings)
+
+
+class Rows(NamedTuple):
+    """Stamps of a record, and the rows of its file.
+
+    Attributes:
+        t: Stamps (T,) [s].
+        first: Row of the file, counted from 1, at which the record begins.
+        every: The record has each `every`-th row.
+    """
+
+    t: Float[np.ndarray, "T"]
+    first: int = 1
+    every: int = 1
+
+    def named(self, k: int) -> str:
+        """Text that names row k of the record, counted from 0, by its row in the file and its stamp."""
+        return f"row {self.first + k * self.every} ({self.t[k]:.6g} s)"
+
+    def listed(self, places: Sequence[int] | np.ndarray) -> str:
+        """Text that names the first `MOST_NAMED` of some rows, counted from 0, and how many more there are."""
+        shown = ", ".join(self.named(int(k)) for k in places[:MOST_NAMED])
+        return f"{shown} and {len(places) - MOST_NAMED} more" if len(places) > MOST_NAMED else shown
+
+
+class Names(NamedTuple):
+    """Columns and units of a log.
+
+    Attributes:
+        t: Column of the stamps.
+        q: Columns of the positions.
+        u: Columns of the inputs.
+        units: Units of the positions in the model.
+        angles: Which positions (n,) are angles.
+        stated: Units of the columns according to the model file, by the field t, q or u.
+    """
+
+    t: str
+    q: tuple[str, ...]
+    u: tuple[str, ...]
+    units: tuple[str, ...]
+    angles: np.ndarray
+    stated: Mapping[str, tuple[str, ...]] = MappingProxyType({})
+
+    def after(self, orders: Mapping[str, Sequence[int]], factors: Mapping[str, np.ndarray]) -> "Names":
+        """Names and units once the columns of some fields are in another order, and then multiplied by factors."""
+        declared = {field: tuple(self._stated(field, i) for i in order) for field, order in orders.items()}
+        columns = {field: tuple(getattr(self, field)[i] for i in orders[field]) for field in ("q", "u")}
+        reordered = self._replace(**columns, stated=declared)
+        changed = {field: reordered.in_units(field, by) for field, by in factors.items() if (by != 1).any()}
+        return reordered._replace(stated={**declared, **changed})
+
+    def line(self, field: str, factors: Sequence[float] | np.ndarray) -> str:
+        """Line of the model file that multiplies the columns of a field."""
+        texts = self.in_units(field, factors)
+        quoted = json.dumps(texts[0], ensure_ascii=False)
+        return f"[units] {field} = {quoted if len(set(texts)) == 1 else quoted_list(texts)}"
+
+    def in_units(self, field: str, factors: Sequence[float] | np.ndarray) -> tuple[str, ...]:
+        """Units of the columns of a field that imply given factors."""
+        kinds = [self._kind(field, i) for i in range(len(factors))]
+        return tuple(_unit_text(self._stated(field, i), float(factor), kinds[i]) for i, factor in enumerate(factors))
+
+    def _kind(self, field: str, place: int) -> str:
+        """Unit of a column in the model; "1" where it states none."""
+        return {"t": "s", "u": "1"}.get(field) or ("rad" if self.angles[place] else self.units[place] or "1")
+
+    def _stated(self, field: str, place: int) -> str:
+        declared = self.stated.get(field, ())
+        return declared[place if len(declared) > 1 else 0] if declared else self._kind(field, place)
+
+
+def _unit_text(stated: str, factor: float, kind: str) -> str:
+    """Unit of a column that was read in the `stated` unit and whose numbers are to be multiplied by a factor."""
+    if factor == 1:
+        return stated
+    # The factor acts on numbers that were converted from the stated unit already.
+    total = factor * unit_factor(stated)
+    named = next((text for text in KNOWN.get(kind, ()) if math.isclose(total, unit_factor(text), rel_tol=1e-9)), None)
+    if named is not None:
+        return named
+    counts = 2 * math.pi / total
+    if kind == "rad" and counts > 1 and math.isclose(counts, round(counts), rel_tol=1e-9):
+        return f"turn/{round(counts)}"
+    if factor == -1 and stated.startswith("-1 "):
+        return stated.removeprefix("-1 ")
+    return f"{factor:.3g}" if stated == "1" else f"{factor:.3g} {stated}"
+
+
+def quoted_list(names: Iterable[str]) -> str:
+    """The names as a list of a model file."""
+    return "[" + ", ".join(f'"{name}"' for name in names) + "]"

@@ -1,10 +1,10 @@
-"""Friction and rotor inertia that a model lacks, from the torques that its motion along a log needs beyond the logged.
+"""The suspicion that a model lacks friction and rotor inertia.
 
-The balance of torques at measured positions, velocities and accelerations is linear in these numbers, so least squares
-give them. Of the blocks of time two in three fit them, and the third ones judge the model that has them.
+Its motion along a log then needs more torques than were logged. Their balance at measured positions, velocities and
+accelerations is linear in the missing numbers, so least squares give them, on the blocks of time that choose.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import equinox as eqx
@@ -14,21 +14,14 @@ import numpy as np
 from jaxtyping import Float
 
 from covariant._typing import MatrixField, Vector
-from covariant.calibration.diagnosis._alternatives import BLOCKS, HELD_OUT, Blocks, better
-from covariant.calibration.diagnosis._changes import Names
-from covariant.calibration.diagnosis._finding import Finding
-from covariant.calibration.diagnosis._residual import Residual, averaged, residual
+from covariant.calibration.diagnosis._case import Case, Residual, averaged, residual
 from covariant.calibration.diagnosis._smooth import Smooth
+from covariant.calibration.diagnosis._suspicion import BLOCKS, HELD_OUT, Suspicion
+from covariant.calibration.diagnosis._thresholds import NEEDED, THRESHOLDS
 from covariant.models import Lagrangian, MechanicalSystem, resistance
 
-VISIBLE = 0.01
-"""Fraction of the squares of the accelerations that a model has to leave beyond noise: 10 % of their size."""
-EXPLAINED = 0.15
-"""Fraction that may be left: a wrong mass or centre of mass that friction or a rotor resembles leaves more."""
 SMOOTHED = 0.05
 """Speed over which dry friction is smoothed, relative to the root mean square of the speed of the joint."""
-NEEDED = 1.25
-"""A number is named where the model leaves this many times as much without it as with all."""
 KINDS = ("viscous friction", "Coulomb friction", "rotor inertia")
 OF_CHAIN = {
     "viscous friction": ("viscous", 1.0),
@@ -36,137 +29,79 @@ OF_CHAIN = {
     "rotor inertia": ("rotor_inertia", 1.0),
 }
 """What a chain of pendulums calls them, and its numbers in these."""
+UNITS = {
+    "viscous friction": ("N s/m", "N m s/rad"),
+    "Coulomb friction": ("N", "N m"),
+    "rotor inertia": ("kg", "kg m²"),
+}
+"""Units of their numbers, for a coordinate that is a length and one that is an angle."""
 
 
-class MissingTorques(NamedTuple):
-    """Friction and rotor inertia that a model lacks.
-
-    Attributes:
-        kinds: Names of the numbers, from `KINDS`.
-        joints: Index of the coordinate of each.
-        values: Values [SI units], positive.
-        model: The model with them.
-        before, after: Fractions of the squares of the accelerations that the model leaves on blocks that are held out.
-    """
-
-    kinds: tuple[str, ...]
-    joints: tuple[int, ...]
-    values: tuple[float, ...]
-    model: MechanicalSystem
-    before: float
-    after: float
-
-    @property
-    def what(self) -> str:
-        """Name of the finding."""
-        of_kind = [name for name in ("friction", "rotor inertia") if any(kind.endswith(name) for kind in self.kinds)]
-        return " and ".join(of_kind)
-
-    def finding(self, names: Names, model: MechanicalSystem, system: str, wrong: bool) -> Finding:
-        """Finding on friction and rotor inertia that a model lacks.
-
-        Args:
-            names: Columns of the log.
-            model: The model that lacks them.
-            system: Name of the model's system, where it is one of the library.
-            wrong: Whether the data sheet does not admit what the model leaves.
-        """
-        shares = [f"{100 * share:.3g} %" for share in (self.before, self.after)]
-        of = [f"{kind} of {names.q[joint]}" for kind, joint in zip(self.kinds, self.joints, strict=True)]
-        sizes = [
-            f"{kind} {value:.2g} {_unit(kind, bool(names.angles[joint]))} in {names.q[joint]}"
-            for kind, joint, value in zip(self.kinds, self.joints, self.values, strict=True)
-        ]
-        evidence = (
-            f"on rows held out the model leaves {shares[0]} of the squares of the accelerations as it is, {shares[1]} "
-            f"with about {', '.join(sizes)}"
-        )
-        if "rotor inertia" in self.kinds:
-            evidence += "; too small an inertia of the links looks like it"
-        line = self._command(model, system) or f"give the model {self.what}"
-        where = ", ".join(names.q[i] for i in sorted(set(self.joints)))
-        numbers = {"unexplained": self.before, "unexplained_after": self.after} | dict(
-            zip(of, self.values, strict=True)
-        )
-        return Finding(self.what, where, evidence, line, wrong, numbers)
-
-    def _command(self, model: MechanicalSystem, system: str) -> str:
-        """The command that fits them, for a robot or a chain of pendulums; "" for others."""
-        fitted = f"covariant fit MODEL LOG --parameters {self._parameters(system, model.coordinates)}"
-        if system != "pendulum_chain":
-            return fitted if system == "robot" else ""
-        # A file without a number, or with zeros, needs first values to fit from.
-        for kind, (name, factor) in OF_CHAIN.items():
-            stated = np.asarray(model.parameters[name].value)
-            if kind in self.kinds and not stated.any():
-                own = [i for i, each in enumerate(self.kinds) if each == kind]
-                values = np.full(len(stated), 0.1 * min(self.values[i] for i in own))
-                values[[self.joints[i] for i in own]] = [self.values[i] for i in own]
-                geared = np.asarray(model.parameters["gear"].value) ** 2 if name == "rotor_inertia" else 1.0
-                first = ", ".join(f"{value:.2g}" for value in factor * values / geared)
-                fitted += f" --set 'parameters.{name}=[{first}]'"
-        return fitted
-
-    def _parameters(self, system: str, coordinates: Sequence[str]) -> str:
-        if system == "pendulum_chain":
-            return ",".join(name for kind, (name, _) in OF_CHAIN.items() if kind in self.kinds)
-        joints = {"friction": set(), "armature": set()}
-        for kind, joint in zip(self.kinds, self.joints, strict=True):
-            joints["armature" if kind == "rotor inertia" else "friction"].add(joint)
-        every = set(range(len(coordinates)))
-        named = (
-            [group] if of == every else [f"{group}.{coordinates[i]}" for i in sorted(of)]
-            for group, of in joints.items()
-            if of
-        )
-        return ",".join(name for names in named for name in names)
-
-
-def _unit(kind: str, angle: bool) -> str:
-    return {
-        "viscous friction": ("N s/m", "N m s/rad"),
-        "Coulomb friction": ("N", "N m"),
-        "rotor inertia": ("kg", "kg m²"),
-    }[kind][int(angle)]
-
-
-def missing_torques(model: MechanicalSystem, log: Smooth) -> MissingTorques | None:
-    """Friction and rotor inertia with which a model explains a log much better.
-
-    Args:
-        model: The mechanical system, in coordinates.
-        log: The smoothed log.
-
-    Returns:
-        The numbers and the model with them; None where they do not leave less than half on the blocks held out and
-        little in all, or where the model leaves little as it is.
-    """
-    before = residual(model, log)
-    if not before.told.any() or before.used.sum() < 2 * BLOCKS:
-        return None
-    now = Blocks.of(before)
-    if now.beyond_noise(HELD_OUT) < VISIBLE:
-        return None
-    regression = _Regression.of(model, log, before)
+def missing_torques(case: Case, log: Smooth) -> Iterator[Suspicion]:
+    """Friction and rotor inertia that the model lacks, at most one suspicion, fitted to the smoothed log."""
+    before = residual(case.model, log)
+    if not before.told.any() or before.misfit < THRESHOLDS["torques"].least:
+        return
+    regression = _Regression.of(case.model, log, before)
     needed = regression.needed()
     if not needed:
-        return None
-    found = regression.values(needed)
-    numbers = np.zeros((len(KINDS), log.q.shape[1]))
-    numbers.flat[needed] = found
-    completed = with_torques(model, numbers[0], numbers[1], numbers[2], _speeds(log))
-    after = Blocks.of(residual(completed, log), before)
-    if not better(now, after) or after.beyond_noise(HELD_OUT) > EXPLAINED:
-        return None
-    kinds, joints = np.unravel_index(needed, numbers.shape)
-    return MissingTorques(
-        tuple(KINDS[k] for k in kinds),
-        tuple(int(i) for i in joints),
-        tuple(float(value) for value in found),
-        completed,
-        now.beyond_noise(HELD_OUT),
-        after.beyond_noise(HELD_OUT),
+        return
+    values = regression.values(needed)
+    table = np.zeros((len(KINDS), log.q.shape[1]))
+    table.flat[needed] = values
+    model = with_torques(case.model, table[0], table[1], table[2], _speeds(log))
+    kinds, joints = np.unravel_index(needed, table.shape)
+    missing = [_Missing(KINDS[k], int(i), float(x)) for k, i, x in zip(kinds, joints, values, strict=True)]
+    named = [kind for kind in ("friction", "rotor inertia") if any(each.kind.endswith(kind) for each in missing)]
+    what, names = " and ".join(named), case.names
+    sizes = ", ".join(
+        f"{kind} {value:.2g} {UNITS[kind][int(names.angles[joint])]} in {names.q[joint]}"
+        for kind, joint, value in missing
     )
+    alike = "; too small an inertia of the links looks like it" if "rotor inertia" in named else ""
+    yield Suspicion(
+        what,
+        ", ".join(names.q[i] for i in sorted({each.joint for each in missing})),
+        f"with about {sizes}{alike}",
+        _command(case, missing) or f"give the model {what}",
+        lambda case: case._replace(model=model),
+        "torques",
+        numbers={f"{kind} of {names.q[joint]}": value for kind, joint, value in missing},
+    )
+
+
+class _Missing(NamedTuple):
+    kind: str
+    joint: int
+    value: float
+
+
+def _command(case: Case, missing: list[_Missing]) -> str:
+    """The command that fits them, for a robot or a chain of pendulums; "" for others."""
+    model, kinds = case.model, {each.kind for each in missing}
+    if case.file.system == "robot":
+        return f"covariant fit MODEL LOG --parameters {_robot_parameters(missing, model.coordinates)}"
+    if case.file.system != "pendulum_chain":
+        return ""
+    named = ",".join(name for kind, (name, _) in OF_CHAIN.items() if kind in kinds)
+    fitted = f"covariant fit MODEL LOG --parameters {named}"
+    # A file without a number, or with zeros, needs first values to fit from.
+    for kind, (name, factor) in OF_CHAIN.items():
+        stated, values = np.asarray(model.parameters[name].value), {i: x for k, i, x in missing if k == kind}
+        if values and not stated.any():
+            first = np.array([values.get(i, 0.1 * min(values.values())) for i in range(len(stated))])
+            geared = np.asarray(model.parameters["gear"].value) ** 2 if name == "rotor_inertia" else 1.0
+            fitted += f" --set 'parameters.{name}=[{', '.join(f'{x:.2g}' for x in factor * first / geared)}]'"
+    return fitted
+
+
+def _robot_parameters(missing: list[_Missing], coordinates: Sequence[str]) -> str:
+    named = []
+    for group, rotor in (("friction", False), ("armature", True)):
+        joints = sorted({each.joint for each in missing if (each.kind == "rotor inertia") == rotor})
+        whole = len(joints) == len(coordinates)
+        named += [group] if whole else [f"{group}.{coordinates[i]}" for i in joints]
+    return ",".join(named)
 
 
 class _Regression(NamedTuple):
@@ -268,15 +203,7 @@ def with_torques(
     rotors: Float[np.ndarray, "n"],
     resting: Float[np.ndarray, "n"],
 ) -> Lagrangian:
-    """A model in coordinates with further friction and rotors in its joints.
-
-    Args:
-        model: The mechanical system.
-        viscous: Coefficients (n,) of viscous friction [N m s/rad or N s/m].
-        coulomb: Coulomb friction (n,) [N m or N].
-        rotors: Inertia (n,) of rotors, as felt at the joints [kg m² or kg].
-        resting: Speeds (n,) over which the Coulomb friction is smoothed.
-    """
+    """A model in coordinates with further friction and rotors in its joints."""
     return Lagrangian(
         _WithRotors(model.space, jnp.asarray(rotors)),  # pyright: ignore[reportArgumentType]
         model.potential,

@@ -1,24 +1,308 @@
-"""Noise and ticks of each position sensor, from the readings of a log."""
+"""What the readings of positions show without a model: outliers, repeats, ticks, noise and speeds."""
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
-from covariant.calibration.diagnosis._sensor import prediction_errors, quanta
+from covariant.calibration.diagnosis._finding import MOST_NAMED, Finding, Rows
+from covariant.calibration.diagnosis._thresholds import (
+    ALTERNATES,
+    COARSE,
+    FAR,
+    FEW_OUTLIERS,
+    FEW_REPEATED,
+    LATTICE,
+    LEAST_TICK,
+    STATED_LATTICE,
+)
+from covariant.models import MechanicalSystem
 from covariant.scoring import unwrap
 from covariant.signals import Record
 
+ROUNDS = 30
+"""Largest number of rounds in which outliers are removed and the rest is predicted anew."""
+SAMPLED = 20_000
+"""Rows of a long log from which the usual error is estimated."""
 FEWEST = 50
-"""Readings of a position, more than which show its noise."""
-ALTERNATES = -0.5
-"""Correlation of neighbouring errors of prediction below which they are noise, and not motion between the rows."""
+"""Least number of readings of a position that show its noise and outliers."""
 ALIKE = 0.05
 """Relative difference up to which the numbers of coordinates of one unit are reported as one."""
+TOGETHER = 5
+"""Number of neighbouring speeds of which the median is taken: one wrong measurement spoils two."""
+USUAL = 0.99
+"""Quantile of these medians: high, since a log may stand still for a long time."""
 
-WHOLE = 0.1
-"""Largest distance of changes from whole stated ticks, as a fraction of one, with which they are taken for such."""
+
+def missing_cells(y: np.ndarray) -> list[Finding]:
+    """Finding on missing measurements."""
+    lost = np.isnan(y.reshape(len(y), -1)).any(axis=1)
+    if not lost.any():
+        return []
+    share = float(lost.mean())
+    # The mask changes in pairs: where a gap begins, and where it ends.
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], lost, [False]])))
+    longest = int(np.max(edges[1::2] - edges[::2]))
+    return [
+        Finding(
+            "missing measurements",
+            "",
+            f"{int(lost.sum())} of {len(y)} rows ({100 * share:.2g} %) lack one, at most {longest} in a row",
+            "nothing to change: estimates run on with the model alone meanwhile",
+            False,
+            {"rows": int(lost.sum()), "share": share, "longest": longest},
+        )
+    ]
+
+
+def outliers(
+    t: Float[np.ndarray, "T"], y: Float[np.ndarray, "T n"], circles: tuple[int, ...], ticks: Any = 0.0
+) -> tuple[Bool[np.ndarray, "T n"], Float[np.ndarray, "n"]]:
+    """Detect outliers among position measurements, without a model.
+
+    Each measurement is predicted by the cubic through two before and two after it. The worst one in each neighbourhood
+    is removed, and its neighbours are predicted anew, until no error is large.
+
+    Args:
+        t: Stamps (T,) [s].
+        y: Measured coordinates (T, n); NaN where missing.
+        circles: Indices of the coordinates that are angles.
+        ticks: Known ticks (n,) of the encoders, or one for all, 0 for none; others are looked for in the readings.
+
+    Returns:
+        Which measurements are outliers (T, n), and their usual distance (n,) from their neighbours, 0 without outliers.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant.calibration import outliers
+        >>> t = np.arange(0.0, 5.0, 0.01)
+        >>> y = np.sin(2 * t)[:, None]
+        >>> y[100] += 1.0
+        >>> wrong, distance = outliers(t, y, circles=())
+        >>> np.flatnonzero(wrong).tolist(), distance.round(2).tolist()
+        ([100], [1.0])
+    """
+    y = np.array(y, float)
+    wrong, sizes = np.zeros(y.shape, bool), np.zeros(y.shape[1])
+    for i, known in enumerate(np.broadcast_to(ticks, y.shape[1])):
+        remaining, error, floor = np.flatnonzero(np.isfinite(y[:, i])), np.zeros(1), np.zeros(1)
+        column = unwrap(y[:, i : i + 1], (0,) if i in circles else ())[:, 0]
+        for _ in range(ROUNDS):
+            if len(remaining) < FEWEST:
+                break
+            error = prediction_errors(t[remaining], column[remaining])
+            floor = np.maximum(1.4826 * np.median(np.abs(error)), known or tick(column[remaining]))
+            # A cubic misses some of a sharp motion, in proportion to what happens among its points.
+            floor = np.maximum(floor, COARSE * _local_range(column[remaining]))
+            size = np.zeros(len(remaining))
+            candidates = np.flatnonzero(np.abs(error) > FAR * floor)  # few: only they need the local deviation
+            scale = np.maximum(floor[candidates], _local_std(error, candidates))
+            size[candidates] = np.where(
+                np.abs(error[candidates]) > FAR * np.where(scale > 0, scale, np.inf), np.abs(error[candidates]), 0.0
+            )
+            # Only the worst of seven neighbours is removed at a time: it spoils the predictions of the others.
+            bad = (size > 0) & (size == np.max([np.roll(size, k) for k in (-3, -2, -1, 0, 1, 2, 3)], axis=0))
+            if not bad.any():
+                break
+            wrong[remaining[bad], i] = True
+            remaining = remaining[~bad]
+        removed = np.flatnonzero(wrong[:, i])
+        if len(removed):
+            sampled = np.arange(0, len(error), max(1, len(error) // SAMPLED))
+            scale = float(np.median(np.maximum(floor[sampled], _local_std(error, sampled))))
+            wrong[_readmitted(t, column, remaining, removed, scale), i] = False
+            places = np.flatnonzero(wrong[:, i])
+            sizes[i] = (
+                np.median(np.abs(column[places] - np.interp(t[places], t[remaining], column[remaining])))
+                if len(places)
+                else 0.0
+            )
+    return wrong, sizes
+
+
+def prediction_errors(t: Float[np.ndarray, "T"], y: Float[np.ndarray, "T"]) -> Float[np.ndarray, "T"]:
+    """Errors of measurements against the cubic through their four neighbours, scaled to the noise of one."""
+    rows = np.arange(len(t))
+    five = np.clip(rows - 2, 0, len(t) - 5)[:, None] + np.arange(5)  # at the ends the neighbours are on one side
+    return _errors(t, y, five[five != rows[:, None]].reshape(-1, 4), t, y)
+
+
+def _errors(t, y, neighbours, at, value) -> np.ndarray:
+    """Scaled errors of values (k,) at stamps (k,) against the cubics through the measurements `neighbours` (k, 4)."""
+    # In units of the span, so that the products below are of order one whatever the unit of time.
+    offsets = (t[neighbours] - at[:, None]) / (t[neighbours[:, -1:]] - t[neighbours[:, :1]])
+    weights = np.ones_like(offsets)  # Lagrange's, at zero
+    for k in range(4):
+        for other in range(4):
+            if other != k:
+                weights[:, k] *= offsets[:, other] / (offsets[:, other] - offsets[:, k])
+    # The variance of an error is that of the measurement and of its weighted neighbours.
+    return (value - np.sum(weights * y[neighbours], axis=1)) / np.sqrt(1 + np.sum(weights**2, axis=1))
+
+
+def _readmitted(t, y, remaining: np.ndarray, removed: np.ndarray, scale: float) -> np.ndarray:
+    """Removed rows that agree with the remaining ones after all: they were between two outliers."""
+    # Two rows on either side of the removed one; at the ends the nearest four.
+    place = np.clip(np.searchsorted(remaining, removed), 2, len(remaining) - 2)
+    error = _errors(t[remaining], y[remaining], place[:, None] + np.array([-2, -1, 0, 1]), t[removed], y[removed])
+    return removed[np.abs(error) < FAR * scale]
+
+
+def _local_std(error: np.ndarray, rows: np.ndarray, half: int = 25) -> np.ndarray:
+    """Robust standard deviation of the errors around each of some rows."""
+    padded = np.pad(np.abs(error), half, mode="reflect")
+    windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * half + 1)
+    return 1.4826 * np.median(windows[rows], axis=1)
+
+
+def _local_range(y: np.ndarray) -> np.ndarray:
+    """Range of the measurements (T,) among two before and two after each."""
+    windows = np.lib.stride_tricks.sliding_window_view(np.pad(y, 2, mode="edge"), 5)
+    return windows.max(axis=1) - windows.min(axis=1)
+
+
+def tick(y: Float[np.ndarray, "T"]) -> float:
+    """Step of which all changes of readings are multiples."""
+    changes = np.abs(np.diff(y[np.isfinite(y)]))
+    changes = changes[changes > 1e-9 * max(1.0, np.ptp(y[np.isfinite(y)]))]
+    if len(changes) < 20:
+        return 0.0
+    # A low quantile and not the minimum, which one wrong cell can spoil.
+    smallest = float(np.quantile(changes, 0.01))
+    # The least change in a log may be two or three ticks.
+    for fraction in (1, 2, 3):
+        step = smallest / fraction
+        # Over k ticks an error of the step grows k times, so that large changes are no test of it.
+        small = changes[changes < 20.5 * step]
+        whole = np.rint(small / step)
+        if len(small) >= 20 and np.quantile(np.abs(small / step - whole), 0.95) < LATTICE and _gcd(whole) == 1:
+            return float(np.sum(small) / np.sum(whole))  # the mean over many ticks, since logs hold few digits
+    return 0.0
+
+
+def _gcd(whole: np.ndarray) -> int:
+    return int(np.gcd.reduce(whole.astype(int)))
+
+
+def quanta(y: Float[np.ndarray, "T n"], noise: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
+    """Ticks of encoders, from their readings."""
+    ticks = np.array([tick(column) for column in y.T])
+    return np.where(ticks > LEAST_TICK * noise, ticks, 0.0)
+
+
+def outlier_findings(
+    wrong: Bool[np.ndarray, "T n"],
+    sizes: Float[np.ndarray, "n"],
+    names: tuple[str, ...],
+    units: tuple[str, ...],
+    rows: Rows,
+) -> list[Finding]:
+    """Findings on columns with outliers; a few outliers are only a note."""
+    findings = []
+    for name, unit, column, size in zip(names, units, wrong.T, sizes, strict=True):
+        places = np.flatnonzero(column)
+        if not len(places):
+            continue
+        share = float(column.mean())
+        many = share > FEW_OUTLIERS
+        cells = f"{len(places)} of {len(column)} cells ({100 * share:.2g} %) are" if len(places) > 1 else "one cell is"
+        findings.append(
+            Finding(
+                "outliers",
+                name,
+                f"{cells} far from {'its' if len(places) == 1 else 'their'} neighbours, "
+                f"{'usually ' if len(places) > 1 else ''}by {size:.3g} {unit}".rstrip()
+                + f": {rows.listed(places)}",
+                "look for what disturbs the sensor; estimates refuse such cells, and scores leave them out"
+                if many
+                else "nothing to change: estimates refuse such cells; empty them where they are known to be wrong",
+                many,
+                {"cells": len(places), "share": share, "size": float(size)},
+            )
+        )
+    return findings
+
+
+def still_findings(
+    y: Float[np.ndarray, "T n"], names: tuple[str, ...], units: tuple[str, ...]
+) -> tuple[list[Finding], bool]:
+    """Findings on positions that have one value in all rows.
+
+    Args:
+        y: Positions (T, n).
+        names: Their columns.
+        units: Their units.
+
+    Returns:
+        At most one finding, and whether no position moves at all.
+    """
+    still = [i for i, column in enumerate(y.T) if np.nanmin(column) == np.nanmax(column)]
+    if not still:
+        return [], False
+    whole = len(still) == len(names)
+    values = ", ".join(f"{names[i]} is {np.nanmin(y[:, i]):.6g} {units[i]}".rstrip() for i in still)
+    line = "log a motion" if whole else "look at its sensor and its column, or hold that joint in the model as well"
+    finding = Finding(
+        "nothing moves" if whole else "a position does not move",
+        ", ".join(names[i] for i in still),
+        f"{values} in all {len(y)} rows",
+        f"{line}: nothing can be told from {'this log' if whole else 'it'}",
+        whole,
+        {"rows": len(y)},
+    )
+    return [finding], whole
+
+
+def repeated_findings(
+    y: Float[np.ndarray, "T n"], ticks: Float[np.ndarray, "n"], names: tuple[str, ...], rows: Rows
+) -> list[Finding]:
+    """Findings on readings that repeat those of the row before, although the position moves.
+
+    An encoder reads the same number until its next tick; a reading with noise is never the same twice.
+    """
+    moving = _moving(y, ticks)
+    if not moving:
+        return []
+    same = _repeated(y, moving)[1:]
+    places = np.flatnonzero(same) + 1
+    share = float(same.mean())
+    if share <= FEW_REPEATED and len(places) <= MOST_NAMED:
+        return []
+    # Distances between changes of the reading are the lengths of its runs.
+    runs = np.diff(np.flatnonzero(np.concatenate([[True], ~same, [True]])))
+    usual = int(np.median(runs[runs > 1]))
+    return [
+        Finding(
+            "repeated rows",
+            ", ".join(names[i] for i in moving),
+            f"{len(places)} of {len(y)} rows ({100 * share:.2g} %) repeat the readings of the row before, usually "
+            f"{usual} in a row have the same: {rows.listed(places)}",
+            "the sensor is slower than the log, or rows were copied: leave the cells that repeat empty",
+            share > FEW_REPEATED,
+            {"rows": len(places), "share": share, "in_a_row": usual},
+        )
+    ]
+
+
+def without_repeated(y: Float[np.ndarray, "T n"], ticks: Float[np.ndarray, "n"]) -> Float[np.ndarray, "T n"]:
+    """Positions whose readings are missing where they repeat those of the row before."""
+    kept = y.copy()
+    for i in _moving(y, ticks):
+        kept[_repeated(y, [i]), i] = np.nan
+    return kept
+
+
+def _moving(y: np.ndarray, ticks: np.ndarray) -> list[int]:
+    """Positions without ticks that do not stand still."""
+    return [i for i in range(y.shape[1]) if ticks[i] == 0 and np.nanmin(y[:, i]) < np.nanmax(y[:, i])]
+
+
+def _repeated(y: np.ndarray, moving: list[int]) -> Bool[np.ndarray, "T"]:
+    """Rows (T,) whose readings of these positions are those of the row before."""
+    return np.concatenate([[False], (np.diff(y[:, moving], axis=0) == 0).all(axis=1)])
 
 
 class Readings(NamedTuple):
@@ -72,21 +356,12 @@ def readings(record: Record, circles: tuple[int, ...]) -> Readings:
 def known_ticks(
     record: Record, circles: tuple[int, ...], stated: float | Sequence[float] | None
 ) -> Float[np.ndarray, "n"]:
-    """Ticks of each position: those that the readings show, or where these are few, the stated ones that they fit.
-
-    Args:
-        record: The log, with positions (T, n) in coordinates.
-        circles: Indices of the coordinates that are angles.
-        stated: Ticks according to the model file, one for all or one for each; None for none.
-
-    Returns:
-        The ticks (n,); 0 where there are none.
-    """
+    """Ticks of each position: those that the readings show, or where these are few, the stated ones that they fit."""
     ticks, y = readings(record, circles).ticks, unwrap(np.asarray(record.y), circles)
     for i, tick in enumerate(np.broadcast_to(0.0 if stated is None else stated, len(ticks))):
         if ticks[i] == 0 and tick > 0:
             steps = np.diff(y[np.isfinite(y[:, i]), i]) / tick
-            if len(steps) and np.quantile(np.abs(steps - np.round(steps)), 0.95) < WHOLE:
+            if len(steps) and np.quantile(np.abs(steps - np.round(steps)), 0.95) < STATED_LATTICE:
                 ticks[i] = tick
     return ticks
 
@@ -108,16 +383,7 @@ def one_or_each(values: Float[np.ndarray, "n"], units: Sequence[str], digits: in
 
 
 def shown(values: Sequence[float] | np.ndarray, units: Sequence[str], digits: int) -> str:
-    """Text of the numbers of coordinates with their units; equal ones appear once.
-
-    Args:
-        values: A number of each coordinate.
-        units: Their units.
-        digits: Significant digits.
-
-    Returns:
-        The text, for people.
-    """
+    """Text of the numbers of coordinates with their units; equal ones appear once."""
     texts = (f"{value:.{digits}g} {unit}".rstrip() for value, unit in zip(values, units, strict=True))
     if len(set(units)) == 1 and np.ptp(values) <= ALIKE * np.max(values):
         return f"{np.max(values):.{digits}g} {units[0]}".rstrip()
@@ -127,3 +393,47 @@ def shown(values: Sequence[float] | np.ndarray, units: Sequence[str], digits: in
 def written(value: float | tuple[float, ...]) -> str:
     """Text of one number, or of one for each coordinate, in the syntax of a model file."""
     return f"[{', '.join(map(repr, value))}]" if isinstance(value, tuple) else repr(value)
+
+
+def usual_speeds(model: MechanicalSystem, record: Record) -> tuple[float, ...]:
+    """Usual size of each velocity in a record, from differences of neighbouring positions.
+
+    Args:
+        model: The mechanical system, whose manifold says which coordinates are angles.
+        record: The log; measurements may be missing or wrong.
+
+    Returns:
+        The speeds (n,) [rad/s or m/s]; zero where too little was measured.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant.calibration import usual_speeds
+        >>> from covariant.models import oscillator
+        >>> from covariant.signals import Record
+        >>> t = np.arange(0.0, 5.0, 0.01)
+        >>> speeds = usual_speeds(oscillator(), Record(t, y=0.5 * np.sin(2 * t)[:, None]))
+        >>> [round(speed, 2) for speed in speeds]
+        [1.0]
+    """
+    t, y, manifold = np.asarray(record.t), np.asarray(record.y), model.manifold
+    if manifold.commuting:
+        columns = [(t[seen], column[seen, None]) for column in y.T for seen in (np.isfinite(column),)]
+        circles = manifold.circles
+        speeds = [np.abs(_wrapped(np.diff(q[:, 0]), i in circles) / np.diff(s)) for i, (s, q) in enumerate(columns)]
+        return tuple(_usual(rates) for rates in speeds)
+    complete = np.isfinite(y).reshape(len(t), -1).all(axis=1)
+    displacement = jax.jit(jax.vmap(manifold.local))(jnp.asarray(y[complete][:-1]), jnp.asarray(y[complete][1:]))
+    rates = np.abs(np.asarray(displacement)) / np.diff(t[complete])[:, None]
+    return tuple(_usual(column) for column in rates.T)
+
+
+def _wrapped(change: np.ndarray, circle: bool) -> np.ndarray:
+    # Onto [−π, π): a step of more than half a turn is one the other way.
+    return (change + np.pi) % (2 * np.pi) - np.pi if circle else change
+
+
+def _usual(rates: np.ndarray) -> float:
+    if len(rates) < TOGETHER:
+        return 0.0
+    medians = np.median(np.lib.stride_tricks.sliding_window_view(rates, TOGETHER), axis=1)
+    return float(np.quantile(medians, USUAL))

@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from covariant.calibration.diagnosis._changes import Names
-from covariant.calibration.diagnosis._finding import Finding
+from covariant.calibration.diagnosis._finding import Finding, Names
 from covariant.calibration.diagnosis._readings import one_or_each, readings, shown, written
 from covariant.scoring import unwrap
 from covariant.signals import Record

@@ -15,8 +15,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from covariant import scoring
-from covariant.calibration.diagnosis import _sensor
 from covariant.calibration.diagnosis._case import Case, acting, long_enough
+from covariant.calibration.diagnosis._readings import outliers, prediction_errors
 from covariant.calibration.diagnosis._smooth import FEWEST, FULL, ORDER, Smooth, smooth
 from covariant.observers import Instant, Sensor
 
@@ -149,7 +149,7 @@ def _without_outliers(beside: Beside, t: np.ndarray) -> np.ndarray:
             if period > 0:
                 seen = np.isfinite(readings[:, i])
                 readings[seen, i] = np.unwrap(readings[seen, i], period=period)
-    wrong, _ = _sensor.outliers(t, readings, ())
+    wrong, _ = outliers(t, readings, ())
     return np.where(wrong, np.nan, readings)
 
 
@@ -216,7 +216,7 @@ def _smoothed(
     for i, column in enumerate(readings.T):
         seen = np.isfinite(column)
         when, summed = at[seen], column[seen]
-        error = _sensor.prediction_errors(when, summed)
+        error = prediction_errors(when, summed)
         # The factor makes the median size of normal errors their standard deviation.
         noise[i] = 1.4826 * np.median(np.abs(error))
         for _ in range(order):

@@ -52,18 +52,7 @@ class Smooth(NamedTuple):
 
 
 def smooth(record: Record, half: float, circles: tuple[int, ...], delay: Any = 0.0, ticks: Any = 0.0) -> Smooth:
-    """Smooth a record in coordinates by polynomials of degree 3 over windows of ±`half`.
-
-    Args:
-        record: The log, with positions (T, n).
-        half: Half width of the windows [s]; at least `FEWEST` samples are used.
-        circles: Indices of the coordinates that are angles.
-        delay: Delay [s] of each coordinate (n,), or one for all: it is subtracted from the stamps.
-        ticks: Ticks (n,) of the encoders, or one for all; 0 for sensors without.
-
-    Returns:
-        The smoothed log, on a grid with `HALF` points in half a window.
-    """
+    """Smooth a record in coordinates by polynomials of degree 3 over windows of ±`half`."""
     t, u = np.asarray(record.t), np.asarray(record.u)
     y = scoring.unwrap(np.asarray(record.y), circles)
     n, delay = y.shape[1], np.broadcast_to(delay, y.shape[1:])

@@ -8,17 +8,19 @@ import numpy as np
 
 from covariant.calibration.diagnosis import (
     BARELY,
+    BLOCKS,
     FEW_ROWS,
-    MARGIN,
+    Case,
     Finding,
     Smooth,
+    Unexplained,
     busiest,
     case_without_outliers,
-    changed,
     clearly,
+    judge,
     standstill,
     still_findings,
-    unit_changes,
+    units,
 )
 from covariant.calibration.identification._robot_fit import driving
 from covariant.calibration.identification._robot_torques import in_batches, needed
@@ -68,38 +70,42 @@ def robot_misfit(family: RobotFamily, file: ModelFile, record: Record) -> Findin
     if not (np.ptp(log.q[log.used], axis=0) > MOVED * np.maximum(log.noise, case.ticks)).any():
         return standstill(case.record, case.model.circles, case.names, case.ticks)
     model, scaled = family.make(np.zeros(len(family.names))), any(n.group == "torque_constants" for n in family.numbers)
+
+    # As the log is, a rotor or load of any size is granted.
     now = _unexplained(model, log, scaled, np.inf)
-    if not now > BARELY:
+
+    def compare(changed: Case) -> Unexplained | None:
+        if changed is case:
+            return now
+        smoothed = clearly(changed)
+        return None if smoothed is None else _unexplained(model, smoothed, scaled, HEAVIEST)
+
+    if now is None or not now.blocks.mean() > BARELY:
         return None
-    tried = []
-    for change in unit_changes(case.names, case.record):
-        other = clearly(changed(case, change))
-        share = np.inf if other is None or not other.used.any() else _unexplained(model, other, scaled, HEAVIEST)
-        if share < min(BARELY, now / MARGIN):
-            tried.append((" and " in change.what, change.time != 1, share, change))
-    if not tried:
-        return None
+    suspicions = list(units(case))
     # One wrong unit is likelier than two, and stamps that are far from seconds show already in the rate.
-    *_, share, change = min(tried, key=lambda each: each[:3])
-    evidence = (
-        f"whatever friction, rotors and loads may be, the robot leaves {100 * now:.3g} % of the squares of the torques "
-        f"as the log is, and {100 * share:.3g} % with {change.words}"
-    )
-    return Finding(change.what, change.where, evidence, change.line, True, {"unexplained": now, "after": share})
+    for likely in ("unit of positions", "unit of time", "unit of time and positions"):
+        accepted = judge(case, [each for each in suspicions if each.what == likely], compare, "torques")
+        if accepted is not None:
+            finding = accepted[1]
+            return finding._replace(evidence=f"whatever friction, rotors and loads may be, {finding.evidence}")
+    return None
 
 
-def _unexplained(model: MechanicalSystem, log: Smooth, scaled: bool, heaviest: float) -> float:
-    """Part of the squares of the torques, as a mean over the joints that move, which no friction, rotor and weight of a
-    right sign explain; rotors and loads are at most `heaviest`, relative to the robot's."""
+def _unexplained(model: MechanicalSystem, log: Smooth, scaled: bool, heaviest: float) -> Unexplained | None:
+    """What of the torques of the joints that move no friction, rotor and weight of a right sign explains.
+
+    Rotors and loads are at most `heaviest`, relative to the robot's.
+    """
     from scipy.optimize import lsq_linear
 
-    shares, none = [], np.zeros_like(log.q)
+    blocks, none = [], np.zeros_like(log.q)
     weight, standing, moving = (
         in_batches(needed, model, log.q, v, a) for v, a in ((none, none), (none, log.a), (log.v, log.a))
     )
     for j, (v, a, motor) in enumerate(zip(log.v.T, log.a.T, in_batches(driving, model, log.u).T, strict=True)):
-        rows = log.used & (np.abs(v) > SLOW * np.sqrt(np.mean(v[log.used] ** 2)))
-        if not rows.any():
+        rows = log.used & (np.abs(v) > SLOW * np.sqrt(np.mean(v[log.used] ** 2))) if log.used.any() else log.used
+        if rows.sum() < 2 * BLOCKS:
             continue
         inertia = np.sqrt(np.mean((standing - weight)[rows, j] ** 2) / np.maximum(np.mean(a[rows] ** 2), 1e-300))
         columns = [v, np.sign(v), np.ones_like(v), inertia * a, weight[:, j], -motor]
@@ -112,5 +118,8 @@ def _unexplained(model: MechanicalSystem, log: Smooth, scaled: bool, heaviest: f
         best = lsq_linear(matrix / size, (motor - moving[:, j])[rows], bounds)
         # Relative to the torques as scaled, or else the smallest scale would explain all.
         motor = motor[rows] * (1 + (best.x[-1] / size[-1] if scaled else 0.0))
-        shares.append(4 * best.cost / np.sum(motor**2 + moving[rows, j] ** 2))
-    return float(np.mean(shares)) if shares else 0.0
+        squares = np.array([part.mean() for part in np.array_split(best.fun**2, BLOCKS)])
+        blocks.append(2 * squares / np.mean(motor**2 + moving[rows, j] ** 2))
+    if not blocks:
+        return None
+    return Unexplained(np.stack(blocks, axis=1), np.zeros(len(blocks)), np.ones(len(blocks), bool))

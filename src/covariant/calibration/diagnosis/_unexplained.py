@@ -1,0 +1,113 @@
+"""Accelerations that no suspicion explains, beside those that a right model would leave.
+
+Smoothing is wrong about motions that are faster than its windows, and ticks hide slow ones. How much of the
+accelerations a right model leaves for these reasons shows in a log that the model itself makes: from a state of the
+smoothed log on, under the logged inputs, read by sensors with the same ticks and noise.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from covariant.calibration.diagnosis._case import Case, Residual, acting, clearly, residual, smoothed
+from covariant.calibration.diagnosis._finding import Finding
+from covariant.calibration.diagnosis._smooth import Smooth, smooth
+from covariant.calibration.diagnosis._thresholds import BARELY, FARTHEST, TWIN
+from covariant.models import MechanicalSystem, Motion, advance
+from covariant.signals import Record
+
+ROWS = 2048
+"""Rows of the twin, so that one program serves all logs."""
+STEP = 5e-4
+"""Longest step of the integration [s], as long as no more than `MOST_STEPS` are needed between two rows."""
+MOST_STEPS = 50
+
+
+def unexplained(case: Case, left: Residual, half: float | None = None) -> list[Finding]:
+    """A finding where the residual accelerations exceed what the data sheet states.
+
+    `half` is the half width of the windows of `left`, by default that of `clearly`.
+    """
+    file, names, clear = case.file, case.names, left.told
+    if not clear.any():
+        return []
+    # Noise is independent of what the model leaves, so the variances subtract; by chance the rest may be negative.
+    squares = np.mean(left.left**2, axis=0) - left.noise**2
+    size = np.sqrt(np.maximum(squares, 0.0))
+    stated = file.acceleration_std
+    beyond = clear & (size > FARTHEST * (stated or 0.0))
+    if not beyond.any() or (stated is None and left.misfit < BARELY):
+        return []
+    usual = _left_by_a_right_model(case, half)
+    if usual is not None and not (_part_left(left)[beyond] > TWIN * _part_left(usual)[beyond]).any():
+        return []
+    worst = int(np.argmax(np.where(beyond, size, 0.0)))
+    unit = f"{names.units[worst]}/s²".lstrip("/") if names.units[worst] else ""
+    whole = float(np.sqrt(np.mean(left.measured[left.used, worst] ** 2)))
+    evidence = (
+        f"the model leaves {size[worst]:.3g} {unit} of the {whole:.3g} {unit} with which {names.q[worst]} accelerates; "
+        f"{f'its data sheet says {stated:.3g} {unit}' if stated else 'its data sheet says nothing of it'}"
+    )
+    numbers = {"left": float(size[worst]), "acceleration": whole, "stated": stated, "unexplained": left.misfit}
+    if left.misfit > BARELY:
+        line = "look at [parameters] and at what the columns are: no other unit, order or sign of the log explains it"
+        return [Finding("model", names.q[worst], evidence, line, True, numbers)]
+    line = f"[uncertainty] acceleration = {size[worst]:.2g}, or better [parameters]"
+    return [Finding("uncertainty", names.q[worst], evidence, line, True, numbers)]
+
+
+def _part_left(left: Residual) -> np.ndarray:
+    """What the model leaves of the accelerations (n,), the noise included, as a fraction of their squares."""
+    return np.mean(left.left**2, axis=0) / np.maximum(np.mean(left.measured[left.used] ** 2, axis=0), 1e-300)
+
+
+def _left_by_a_right_model(case: Case, half: float | None) -> Residual | None:
+    """The residual of a log that the model itself makes, smoothed in the same way; None where there is none."""
+    log = clearly(case) if half is None else smoothed(case, half)
+    made = None if log is None else twin(case.model, log, acting(case), case.ticks)
+    if made is None or log is None:
+        return None
+    # Its inputs act as they stand; its positions are not late.
+    left = residual(case.model, smooth(made, log.half, case.model.circles, 0.0, case.ticks))
+    return left if left.used.any() else None
+
+
+def twin(model: MechanicalSystem, log: Smooth, record: Record, ticks: Float[np.ndarray, "n"]) -> Record | None:
+    """Simulate a log without faults that is like another one."""
+    used = np.flatnonzero(log.used)
+    if not len(used):
+        return None
+    begin = int(np.searchsorted(np.asarray(record.t), log.t[used[0]]))
+    t, u, y = (np.asarray(a, float)[begin : begin + ROWS] for a in record[:3])
+    if len(t) < 2:
+        return None
+    at = int(np.argmin(np.abs(log.t - t[0])))
+    missing = ROWS - len(t)
+    steps = np.clip(np.ceil(np.median(np.diff(t)) / STEP), 1, MOST_STEPS).astype(int)
+    q = _simulated(
+        model,
+        np.concatenate([t, np.full(missing, t[-1])]),
+        np.concatenate([u, np.repeat(u[-1:], missing, axis=0)]),
+        Motion(jnp.asarray(log.q[at]), jnp.asarray(log.v[at])),
+        steps,
+    )
+    q = np.asarray(q)[: len(t)]
+    if not np.isfinite(q).all():
+        return None
+    noisy = q + np.random.default_rng(0).normal(size=q.shape) * np.where(ticks > 0, 0.0, log.noise)
+    size = np.where(ticks > 0, ticks, 1.0)
+    read = np.where(ticks > 0, np.round(noisy / size) * size, noisy)
+    return Record(t, u, np.where(np.isnan(y), np.nan, read))
+
+
+@eqx.filter_jit
+def _simulated(model, t, u, start, steps):
+    def row(motion, item):
+        begin, dt, u = item
+        motion = advance(model, begin, motion, u, dt, steps)
+        return motion, motion.q
+
+    _, q = jax.lax.scan(row, start, (t[:-1], jnp.diff(t), u[:-1]))
+    return jnp.concatenate([start.q[None], q])
