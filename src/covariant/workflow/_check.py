@@ -67,7 +67,7 @@ def check(
         loaded = load(job._replace(log=record), score=False, why="logs are compared with")
     # The quantum is that of the model file: loading removes it where positions are not such ticks.
     quantum = models.load(model, overrides).quantum
-    sensors = beside(loaded.file, loaded.sensors, loaded.readings)
+    sensors = beside(loaded.sensors, loaded.readings)
     diagnosis = diagnose(loaded.file, loaded.log.record, quantum, loaded.log.first_row, loaded.log.every, sensors)
     diagnosis = diagnosis._replace(findings=(*clock, *diagnosis.findings))
     return CheckResult(job.model_name, job.log_name, len(loaded.log.record.t), loaded.rate, diagnosis)

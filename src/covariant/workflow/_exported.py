@@ -65,7 +65,7 @@ def signals(file: ModelFile, parts: tuple[FileSensor, ...], inputs: int) -> Sign
         return Signals(whole, _named(u, forces), (("v", v),))
     names, units = coordinates(file)
     q = _named(file.columns.q if len(file.columns.q) == n else names, units)
-    read = tuple(f"{name} [{part.unit}]" for part in parts for name in part.columns.measured)
+    read = tuple(name for part in parts for name in part.signals)
     return Signals(q + read, _named(u, forces), (("q", q), ("v", v)))
 
 
