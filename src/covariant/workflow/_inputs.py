@@ -168,8 +168,8 @@ def load(job: Job, score: bool = True, why: str = "") -> Loaded:
     # Columns that the model file names may be absent from this log; those that the caller names may not.
     optional = [field for field in logs.OPTIONAL if not named.get(field)]
     parts = file_sensors(file)
-    beside = [name for part in parts for name in part.columns.measured]
-    log = _with_zero_inputs(file, logs.read(job.log, columns, job.every, job.until, job.start, optional, beside))
+    sensors = [(part.columns, part.unit) for part in parts]
+    log = _with_zero_inputs(file, logs.read(job.log, columns, job.every, job.until, job.start, optional, sensors))
     if not job.anyway:
         _refuse_misfit(job, file, log.record)
     record = acting_inputs(lag_inputs(log.record, file.input_lag), file.input_between, file.input_delay)
@@ -190,7 +190,7 @@ def load(job: Job, score: bool = True, why: str = "") -> Loaded:
         needed = columns if isinstance(job.log, Record) else columns._replace(u=(), v=())
         full = log if whole else logs.read(job.log, needed)
         reference = ReferenceVelocity(*_slopes(file, log, full), scoring.scored_window(t))
-    read, lacking = readings(parts, job.log, log) if parts else (None, "")
+    read, lacking = readings(parts, log) if parts else (None, "")
     guessed = placeholder_sentence(placeholders(job.model, job.overrides))
     note += _delay_note(file) + lacking + f" {guessed}" * bool(guessed)
     # The median interval, so that a gap does not change the rate; with sensors that of the rows with positions.

@@ -109,30 +109,24 @@ def _sensor(name: str, file: ModelFile, content: Mapping[str, Any]) -> FileSenso
     return FileSensor(sensor, columns, float(content.get("delay", 0.0)), unit)
 
 
-def readings(parts: Sequence[FileSensor], source: Any, log: logs.Log) -> tuple[Float[np.ndarray, "T K"] | None, str]:
+def readings(parts: Sequence[FileSensor], log: logs.Log) -> tuple[Float[np.ndarray, "T K"] | None, str]:
     """Readings of all sensors in the rows of a log.
 
     Args:
         parts: Sensors of a model file.
-        source: What `logs.read` took.
-        log: What it returned.
+        log: The log, read with their columns.
 
     Returns:
         Readings (T, K), NaN where there is none, or None where the log has no column of any sensor; and a sentence that
         says which sensors it lacks.
-
-    Raises:
-        LogError: A log has some columns of a sensor and not others, or they hold no numbers.
     """
-    rows = len(log.record.t)
-    read = [logs.readings(source, part.columns, log, (part.unit,) if part.unit else ()) for part in parts]
-    absent = [part.sensor.name for part, each in zip(parts, read, strict=True) if each is None]
+    absent = [part.sensor.name for part, each in zip(parts, log.readings, strict=True) if each is None]
     note = f" The log has no column of {' or '.join(absent)}: the filter does without." if absent else ""
     if len(absent) == len(parts):
         return None, note
     filled = [
-        np.full((rows, part.sensor.count), np.nan) if each is None else each
-        for part, each in zip(parts, read, strict=True)
+        np.full((len(log.record.t), part.sensor.count), np.nan) if each is None else each
+        for part, each in zip(parts, log.readings, strict=True)
     ]
     return np.concatenate(filled, axis=1), note
 
