@@ -192,7 +192,7 @@ def _need_units(log: str, columns: Columns, field: str, units: Mapping[str, str]
     """
     names = getattr(columns, field)
     names = (names,) if isinstance(names, str) else names
-    meant = MEANT.get(field, ()) if si is None else (si,) if si else ()
+    meant: Sequence[str] = MEANT.get(field, ()) if si is None else [si] * bool(si)
     key, table = (field, "under [units] of the model file") if si is None else ("units", "in the table of the sensor")
     # Units that the log states are written as in a name, so that one parser reads both.
     labels = [f"{name} [{units[name]}]" if name in units else name for name in names]
