@@ -9,7 +9,6 @@ import numpy as np
 from jaxtyping import Float
 
 from covariant import logs
-from covariant.calibration import Beside
 from covariant.models import MechanicalSystem, ModelFile, Motion, acceleration, input_count
 from covariant.observers import Instant, Sensor
 from covariant.observers.sensors import SENSOR_KINDS
@@ -129,22 +128,6 @@ def readings(parts: Sequence[FileSensor], log: logs.Log) -> tuple[Float[np.ndarr
         for part, each in zip(parts, log.readings, strict=True)
     ]
     return np.concatenate(filled, axis=1), note
-
-
-def beside(parts: Sequence[FileSensor], values: Float[np.ndarray, "T K"] | None) -> tuple[Beside, ...]:
-    """The sensors of a model file with their readings in a log, to be compared with the positions.
-
-    Args:
-        parts: The sensors.
-        values: Readings (T, K) of all of them; None without.
-
-    Returns:
-        A sensor and its readings for each.
-    """
-    if values is None or not parts:
-        return ()
-    split = np.split(values, np.cumsum([part.sensor.count for part in parts])[:-1], axis=1)
-    return tuple(Beside(*part, each) for part, each in zip(parts, split, strict=True))
 
 
 def reading_delays(observer: Any, delay: Any, parts: Sequence[FileSensor], y: np.ndarray) -> Any:

@@ -85,12 +85,12 @@ class _AbstractNumbers(AbstractSensorKind):
 class _AbstractComponents(_AbstractNumbers):
     """Some entries of the configuration or of the velocity, times a reduction each."""
 
+    field: ClassVar[str]
     places: tuple[int, ...] = eqx.field(static=True)
     reduction: Float[Array, "k"]
 
-    def scaled(self, whole: Vector) -> Float[Array, "k"]:
-        """The entries (k,) of a vector (n,), times the reduction."""
-        value = whole[jnp.array(self.places)]
+    def value(self, now: Instant) -> Vector:
+        value = getattr(now, self.field)[jnp.array(self.places)]
         return self.reduction.astype(value.dtype) * value
 
 
@@ -162,11 +162,8 @@ def encoder(
 
 
 class Encoder(_AbstractComponents):
-    kind = "encoder"
+    kind, field = "encoder", "q"
     checks = Checks(coordinates=True)
-
-    def value(self, now: Instant) -> Vector:
-        return self.scaled(now.q)
 
     @classmethod
     def from_table(cls, name: str, file: ModelFile, table: Mapping[str, Any]) -> tuple[Sensor, str]:
@@ -217,11 +214,8 @@ def tachometer(
 
 
 class Tachometer(_AbstractComponents):
-    kind = "tachometer"
+    kind, field = "tachometer", "v"
     checks = Checks(derivative=1, coordinates=True)
-
-    def value(self, now: Instant) -> Vector:
-        return self.scaled(now.v)
 
     @classmethod
     def from_table(cls, name: str, file: ModelFile, table: Mapping[str, Any]) -> tuple[Sensor, str]:
