@@ -142,6 +142,40 @@ def test_a_space_is_put_to_the_laws_of_geodesics(house):
 
 
 @pytest.mark.long
+def test_a_kind_of_sensor_is_simulated_read_and_checked(house):
+    script = """
+import doctest, pathlib
+import numpy as np, pandas
+import covariant
+from covariant.observers.sensors import _sensor_kinds
+
+assert not doctest.testmod(_sensor_kinds).failed
+pathlib.Path("arm.toml").write_text('''
+system = "robot"
+[parameters]
+path = "double_pendulum"
+[measurement]
+std = 1e-3
+[sensors.tilt]
+kind = "inclinometer"
+link = "lower"
+columns = ["tilt"]
+units = "deg"
+std = 0.01
+''')
+log = covariant.simulate("arm.toml", duration=3.0, rate=200.0, q0=[0.6, -0.4], amplitude=[0.3, 0.2], noise=1e-3)
+frame = pandas.DataFrame(log.columns)
+# Both joints turn about y.
+off = np.deg2rad(frame["tilt"]) - frame["true_shoulder"] - frame["true_elbow"]
+assert abs(off.mean()) < 2e-3 and 0.008 < off.std() < 0.012
+assert not covariant.check("arm.toml", frame).wrong
+frame["tilt"] = np.deg2rad(frame["tilt"])
+print([(each.where, each.line) for each in covariant.check("arm.toml", frame).findings if each.wrong])
+"""
+    assert """('tilt', '[sensors.tilt] units = "rad"')""" in python(house, "-c", script)
+
+
+@pytest.mark.long
 def test_a_verb_is_a_function_and_a_command(house):
     script = """
 import sys

@@ -11,6 +11,7 @@ from covariant import models, observers
 from covariant.calibration import Beside
 from covariant.calibration.diagnosis._case import case_without_outliers
 from covariant.calibration.diagnosis._sensor_checks import sensor_checks
+from covariant.logs import Columns
 from covariant.signals import Record
 
 CHAIN = """
@@ -167,8 +168,7 @@ def test_axes_of_a_gyro(tmp_path):
 
     def judged(readings, axes=None):
         sensor = observers.gyro(case.model.space, "lower", 0.01, axes=axes, name="imu")
-        table = {} if axes is None else {"axes": axes}
-        return sensor_checks(case, t, [Beside(sensor, "gyro", tuple(SPINS), table, "rad/s", 0.0, readings)])
+        return sensor_checks(case, t, [Beside(sensor, Columns(q=tuple(SPINS)), 0.0, "rad/s", readings)])
 
     assert [(each.what, each.wrong) for each in judged(spin + noise)] == [("sensor not judged", False)]
     angle = 0.6

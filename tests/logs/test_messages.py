@@ -236,16 +236,16 @@ def test_stamps_of_a_sensor_beside_the_positions_are_rows_too(tmp_path):
     t, fast = np.array([0.0, 0.1, 0.2, 0.3]), np.array([-0.05, 0.0, 0.04, 0.08, 0.12, 0.2, 0.25])
     path = with_imu(tmp_path / "bag", t, 2.0 * t, fast, 3.0 + fast)
     columns, rate = Columns(q=("arm",)), Columns(q=("/imu/wy",))
-    log = logs.read(path, columns, beside=("/imu/wy",))
+    log = logs.read(path, columns, sensors=[(rate, "rad/s"), (Columns(q=("/gyro/wy",)), "rad/s")])
     rows = np.array([0.0, 0.04, 0.08, 0.1, 0.12, 0.2, 0.25, 0.3])
     np.testing.assert_allclose(log.record.t, rows, rtol=0, atol=1e-12)
     np.testing.assert_array_equal(log.record.y[:, 0], [0.0, np.nan, np.nan, 0.2, np.nan, 0.4, np.nan, 2.0 * t[3]])
-    read = logs.readings(path, rate, log)[:, 0]
-    np.testing.assert_allclose(read, [3.0, 3.04, 3.08, np.nan, 3.12, 3.2, 3.25, np.nan], rtol=1e-15)
-    part = logs.read(path, columns, start=0.09, until=0.22, beside=("/imu/wy",))
-    np.testing.assert_allclose(logs.readings(path, rate, part)[:, 0], [np.nan, 3.12, 3.2], rtol=1e-15)
+    read, none = log.readings
+    np.testing.assert_allclose(read[:, 0], [3.0, 3.04, 3.08, np.nan, 3.12, 3.2, 3.25, np.nan], rtol=1e-15)
+    part = logs.read(path, columns, start=0.09, until=0.22, sensors=[(rate, "rad/s")])
+    np.testing.assert_allclose(part.readings[0][:, 0], [np.nan, 3.12, 3.2], rtol=1e-15)
     assert len(logs.read(path, columns).record.t) == 4, "without sensors they are no rows"
-    assert logs.readings(path, Columns(q=("/gyro/wy",)), log) is None
+    assert none is None
     assert {"wx", "wy", "wz", "ax", "ay", "az"} < set(logs.survey(path))
 
 

@@ -113,13 +113,16 @@ def test_attributes_of_a_dataset_and_columns_of_sensors():
     with pytest.raises(LogError, match="column 'q' has 'counts' in its attributes, which is no unit of q here"):
         logs.read(log, Columns(q=("q",)))
     beside = pandas.DataFrame({"t": T, "q": T, "rate [LSB]": T})
-    read = logs.read(beside, Columns(q=("q",)))
     sensor = Columns(q=("rate [LSB]",))
     with pytest.raises(LogError, match=r"'LSB' in brackets, which is no unit of what is measured in rad/s; write"):
-        logs.readings(beside, sensor, read, ("rad/s",))
-    scaled = logs.readings(beside, sensor._replace(units={"q": ("0.1 rad/s",)}), read, ("rad/s",))
+        logs.read(beside, Columns(q=("q",)), sensors=[(sensor, "rad/s")])
+    named = sensor._replace(units={"q": ("0.1 rad/s",)})
+    (scaled,) = logs.read(beside, Columns(q=("q",)), sensors=[(named, "rad/s")]).readings
     assert scaled is not None
     assert scaled[-1, 0] == pytest.approx(0.1)
+    log = xarray.Dataset({"q": ("t", T), "rate": ("t", T, {"units": "deg/s"})}, {"t": T})
+    with pytest.raises(LogError, match=r'column .rate. has a unit in its attributes.*units = "deg/s" in the table'):
+        logs.read(log, Columns(q=("q",)), sensors=[(Columns(q=("rate",)), "rad/s")])
 
 
 def test_a_draft_guesses_no_unit_in_the_place_of_an_unknown_one():

@@ -6,7 +6,9 @@ import pytest
 
 import covariant
 from covariant import logs, models
+from covariant.models.files._sensor_keys import SENSOR_KEYS
 from covariant.observers import Sensor
+from covariant.observers.sensors import SENSOR_KINDS
 from covariant.workflow._sensors import file_sensors
 
 CHAIN = """
@@ -238,6 +240,18 @@ def test_a_unit_in_the_name_of_a_column_is_not_overlooked(tmp_path):
     frame = pandas.DataFrame({"t": np.arange(5) / 10, "q1": 0.1, "q2": 0.2, "u1": 0.0, "u2": 0.0, "rate [deg/s]": 1.0})
     with pytest.raises(logs.LogError, match=r'column .rate \[deg/s\]. has a unit in its name.* units = "deg/s"'):
         covariant.estimate(path, frame, observer="intrinsic-kalman")
+
+
+def test_every_kind_of_a_model_file_has_a_class():
+    assert list(SENSOR_KINDS) == list(SENSOR_KEYS)
+
+
+def test_exported_code_names_every_number_of_a_reading(tmp_path):
+    """An attitude is a matrix in the code, whatever the log has."""
+    imu, camera = file_sensors(models.load(written(tmp_path, ROBOT)))
+    assert imu.signals == ("wx [rad/s]", "wy [rad/s]", "wz [rad/s]")
+    assert len(camera.signals) == camera.sensor.count
+    assert camera.signals[2:5] == ("cz [m]", "camera R11", "camera R12")
 
 
 def test_the_classes_are_those_of_the_library(chain):

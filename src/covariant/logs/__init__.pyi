@@ -1,4 +1,3 @@
-from ._beside import readings as readings
 from ._columns import (
     ATTITUDES as ATTITUDES,
     ClockError as ClockError,

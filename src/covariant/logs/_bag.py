@@ -112,7 +112,7 @@ def read_bag(path: Path, wanted: Sequence[str], held: Sequence[str], beside: Seq
         wanted: Names of columns.
         held: Those of them that repeat their latest number where they have none at a stamp, as every column does in the
             first row; topics that hold only these make no rows.
-        beside: Further columns whose stamps are rows too, and which are not read; names that are not there make none.
+        beside: Further columns whose stamps are rows too; they may be without a number in any row, the first one too.
 
     Returns:
         Columns (T,) by name; NaN where a topic has no message at a stamp. Stamps are Arrow durations [ns].
@@ -123,13 +123,13 @@ def read_bag(path: Path, wanted: Sequence[str], held: Sequence[str], beside: Seq
     """
     with _messages(path) as (topics, messages):
         places = _places(_named(path, topics, messages()))
-        further = {places[name].topic for name in beside if name in places}
+        further = {name: places[name] for name in beside}
         places = {name: places[name] for name in wanted if name not in (HEADER, RECEIVED)}
-        topics = {place.topic for place in places.values()} | further
+        topics = {place.topic for place in (*places.values(), *further.values())}
         if not topics:
             return dict.fromkeys((HEADER, RECEIVED), pyarrow().array([], pyarrow().duration("ns")))
-        series = _gather(path, messages(topics), topics, places, RECEIVED in wanted)
-    leading = {place.topic for name, place in places.items() if name not in held} | further
+        series = _gather(path, messages(topics), topics, places | further, RECEIVED in wanted)
+    leading = {place.topic for name, place in (places | further).items() if name not in held}
     stamps = np.unique(np.concatenate([series[topic][0] for topic in leading]))
     columns = {name: _at(stamps, series[topic], name, name in held) for name, (topic, _) in places.items()}
     latest = {name: _latest(values) for name, values in columns.items()}
@@ -140,6 +140,7 @@ def read_bag(path: Path, wanted: Sequence[str], held: Sequence[str], beside: Seq
         raise LogError(f"{path}: no row has all columns; {', '.join(empty)} come after the last message of the others")
     for name, values in columns.items():
         values[begin] = values[latest[name][begin]]
+    columns |= {name: _at(stamps, series[topic], name, False) for name, (topic, _) in further.items()}
     clock = pyarrow().array(stamps[begin:], pyarrow().duration("ns"))
     return dict.fromkeys((HEADER, RECEIVED), clock) | {name: values[begin:] for name, values in columns.items()}
 

@@ -122,6 +122,9 @@ class Log(NamedTuple):
             otherwise None, and the stamps are as in the file.
         first_row: Row of the file, counted from 1, that is the first of the record.
         every: Distance in rows from one row of the record to the next.
+        readings: Of each sensor that was asked for its readings in these rows, NaN where there is none: the numbers
+            (T, k) of `q`, or of a pose the position (3,) and the rotation (3, 3), row by row, (T, 12). None for one of
+            which the log has no column, as a `Record` has not.
 
     Example:
         >>> import numpy as np
@@ -136,6 +139,7 @@ class Log(NamedTuple):
     origin_ns: int | None = None
     first_row: int = 1
     every: int = 1
+    readings: tuple[Float[np.ndarray, "T k"] | None, ...] = ()
 
     def __repr__(self) -> str:
         beside = ["velocities"] * (self.v is not None) + ["true velocities"] * (self.truth is not None)

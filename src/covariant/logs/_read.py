@@ -38,7 +38,7 @@ def read(
     until: float | None = None,
     start: float | None = None,
     optional: Collection[str] = OPTIONAL,
-    beside: Sequence[str] = (),
+    sensors: Sequence[tuple[Columns, str]] = (),
 ) -> Log:
     """Read a log; an empty cell or `nan` is a missing measurement, and an error in t and u.
 
@@ -61,8 +61,9 @@ def read(
         until: Last time [s] since the first row that is read.
         start: First time [s] since the first row that is read. The whole log must be valid even so.
         optional: Fields of `columns` that count as not named where the log has none of their columns.
-        beside: Columns of sensors beside the positions, which `readings` reads: of a log of messages their stamps are
-            rows too, without positions. In a table they are rows already.
+        sensors: Sensors beside the positions, for `Log.readings`: the columns of each, `q` or a position and an
+            attitude, and the SI unit of its numbers, "" where it is not known. Of a log of messages their stamps are
+            rows too, without positions; in a table they are rows already.
 
     Returns:
         The rows that were asked for, in SI units and radians.
@@ -103,7 +104,10 @@ def read(
             raise LogError(f"{name}: units of t: {error}") from error
     if every < 1:
         raise LogError(f"{name}: every must be 1 or more rows; got {every}")
-    whole = _of_record(log, columns) if isinstance(log, Record) else _of_columns(name, log, columns, optional, beside)
+    if isinstance(log, Record):
+        whole = _of_record(log, columns)._replace(readings=(None,) * len(sensors))
+    else:
+        whole = _of_columns(name, log, columns, optional, sensors)
     return _cut(name, whole, every, until, start)
 
 
@@ -146,55 +150,64 @@ def _names(names: str | Sequence[str]) -> tuple[str, ...]:
     return (names,) if isinstance(names, str) else tuple(names)
 
 
-def _of_columns(name: str, log: Any, columns: Columns, optional: Collection[str], beside: Sequence[str]) -> Log:
+def _of_columns(
+    name: str, log: Any, columns: Columns, optional: Collection[str], sensors: Sequence[tuple[Columns, str]]
+) -> Log:
     """All rows of a log that has columns."""
-    columns, table, units = columns_and_table(name, log, columns, optional, beside)
+    columns, present, table, units = _columns_and_table(name, log, columns, optional, [each for each, _ in sensors])
     for field in ("t", *MEASURED, "u", *OPTIONAL):
         # Dates and durations state their unit by their type.
         if field != "t" or not timed(table.column(columns.t)):
             _need_units(name, columns, field, units)
 
-    def stack(*fields: str, needed: bool = False) -> np.ndarray:
+    def stack(columns: Columns, *fields: str, needed: bool = False, empty: bool = True) -> np.ndarray:
         cells = []
         for field in fields:
             for place, column in enumerate(getattr(columns, field)):
                 unit = columns.unit_of(field, place)
-                values = numbers(where(name, column, unit), table.column(column), needed)
+                values = numbers(_where(name, column, unit), table.column(column), needed)
                 # Without a number in any row it is another column, and not a sensor with gaps.
-                if field in MEASURED and len(values) and np.isnan(values).all():
-                    raise LogError(f"{where(name, column, unit)} holds no number in any row; name another column")
+                if not empty and len(values) and np.isnan(values).all():
+                    raise LogError(f"{_where(name, column, unit)} holds no number in any row; name another column")
                 cells.append(values if unit is None else values * unit_factor(unit))
         return np.column_stack(cells) if cells else np.empty((len(table), 0))
 
+    def readings(columns: Columns, si: str) -> np.ndarray:
+        for field in ("q", "position"):
+            _need_units(name, columns, field, units, si)
+        y = from_cells(name, columns, stack(columns, *MEASURED))
+        return np.concatenate([y[:, :3, 3], y[:, :3, :3].reshape(len(y), 9)], axis=1) if bodies(columns) else y
+
     unit = columns.unit_of("t", 0)
-    t, origin = stamps(where(name, columns.t, unit), table.column(columns.t), unit)
-    u, y = stack("u", needed=True), from_cells(name, columns, stack(*MEASURED))
-    v, truth = (stack(field) if getattr(columns, field) else None for field in OPTIONAL)
-    return Log(_checked(name, Record(t, u, y)), v, truth, origin)
+    t, origin = stamps(_where(name, columns.t, unit), table.column(columns.t), unit)
+    u, y = stack(columns, "u", needed=True), from_cells(name, columns, stack(columns, *MEASURED, empty=False))
+    v, truth = (stack(columns, field) if getattr(columns, field) else None for field in OPTIONAL)
+    read = tuple(readings(each, si) if each in present else None for each, si in sensors)
+    return Log(_checked(name, Record(t, u, y)), v, truth, origin, readings=read)
 
 
-def _need_units(log: str, columns: Columns, field: str, units: Mapping[str, str]) -> None:
+def _need_units(log: str, columns: Columns, field: str, units: Mapping[str, str], si: str | None = None) -> None:
     """Raise `LogError` for a column that has a unit in its name, or in the log, but would be read in another, and for
-    one whose unit is not known.
-
-    - `units`: units that the log itself states.
+    one whose unit is not known; `units` are those that the log states, and `si` is that of a sensor.
     """
     names = getattr(columns, field)
     names = (names,) if isinstance(names, str) else names
-    meant = MEANT.get(field, ())
+    meant: Sequence[str] = MEANT.get(field, ()) if si is None else [si] * bool(si)
+    key, table = (field, "under [units] of the model file") if si is None else ("units", "in the table of the sensor")
     # Units that the log states are written as in a name, so that one parser reads both.
     labels = [f"{name} [{units[name]}]" if name in units else name for name in names]
     in_names = [unit_in_name(label, meant) for label in labels]
     for place, (name, text) in enumerate(zip(names, in_names, strict=True)):
         unknown = unknown_unit(labels[place], meant, labels)
         if unknown is not None and columns.unit_of(field, place) is None:
-            raise LogError(f"{log}: column {name!r} {unknown_unit_fault(field, unknown, name in units)}")
+            fault = unknown_unit_fault(field, unknown, name in units, sensor=si)
+            raise LogError(f"{log}: column {name!r} {fault}")
         if text is not None and unit_factor(text) != 1 and columns.unit_of(field, place) is None:
             texts = [f'"{each or meant[0]}"' for each in in_names]
-            line = f"{field} = {texts[0] if len(set(texts)) == 1 else '[' + ', '.join(texts) + ']'}"
+            line = f"{key} = {texts[0] if len(set(texts)) == 1 else '[' + ', '.join(texts) + ']'}"
             raise LogError(
                 f"{log}: column {name!r} has a unit in its {'attributes' if name in units else 'name'}, and no unit is "
-                f"given for {field}; write {line} under [units] of the model file, or the unit that it is in"
+                f"given for {field if si is None else 'it'}; write {line} {table}, or the unit that it is in"
             )
 
 
@@ -224,8 +237,8 @@ def _cut(name: str, log: Log, every: int, until: float | None, start: float | No
     if np.isnan(log.record.y[rows][0]).any():
         row = low + 1
         raise LogError(f"{name}: row {row}, the first one kept, lacks a measurement; begin a little later or earlier")
-    record, v, truth = (_rows(part, rows) for part in (log.record, log.v, log.truth))
-    return Log(record, v, truth, log.origin_ns, low + 1, every)
+    record, v, truth, readings = (_rows(part, rows) for part in (log.record, log.v, log.truth, log.readings))
+    return Log(record, v, truth, log.origin_ns, low + 1, every, readings)
 
 
 def _rows(part: Any, rows: slice) -> Any:
@@ -233,7 +246,8 @@ def _rows(part: Any, rows: slice) -> Any:
     if part is None:
         return None
     if isinstance(part, tuple):
-        return type(part)(*(_rows(each, rows) for each in part))
+        each = (_rows(each, rows) for each in part)
+        return tuple(each) if type(part) is tuple else type(part)(*each)
     return part[rows]
 
 
@@ -271,7 +285,7 @@ def survey(log: str | PathLike[str] | Any) -> dict[str, Float[np.ndarray, "T"]]:
     return columns
 
 
-def where(name: str, column: str, unit: str | None) -> str:
+def _where(name: str, column: str, unit: str | None) -> str:
     return f"{name}: column {column!r}" + (f" [{unit}]" if unit else "")
 
 
@@ -285,18 +299,23 @@ def _checked(name: str, record: Record) -> Record:
         raise LogError(f"{name}: {error}") from error
 
 
-def columns_and_table(
-    name: str, log: Any, columns: Columns, optional: Collection[str], beside: Sequence[str] = ()
-) -> tuple[Columns, Any, Mapping[str, str]]:
-    """The columns without the optional ones that the log lacks, a table of them, and the units that the log states."""
+def _columns_and_table(
+    name: str, log: Any, columns: Columns, optional: Collection[str], sensors: Sequence[Columns]
+) -> tuple[Columns, list[Columns], Any, Mapping[str, str]]:
+    """The columns without the optional ones that the log lacks, those of the sensors that it has, a table of all, and
+    the units that the log states.
+    """
     with _legible(name, log):
         names, shown, load, units = _opened(name, log)
         # A field of which some columns are there is not absent: the others are an error below.
         absent = [field for field in optional if not set(getattr(columns, field)) & set(names)]
         columns = columns._replace(**dict.fromkeys(absent, ()))
         wanted = list(dict.fromkeys((columns.t, *columns.measured, *columns.u, *columns.v, *columns.truth)))
-        _find(name, wanted, names, shown)
-        return columns, with_points(pyarrow(), name, load(wanted, columns.u, beside)), units
+        # A sensor of which some columns are there is not absent either.
+        present = [each for each in sensors if set(each.measured) & set(names)]
+        beside = [name for each in present for name in each.measured if name not in wanted]
+        _find(name, wanted + beside, names, shown)
+        return columns, present, with_points(pyarrow(), name, load(wanted, columns.u, beside)), units
 
 
 @contextlib.contextmanager
@@ -329,9 +348,13 @@ def _opened(name: str, log: Any) -> LogSource:
     if ending == ".parquet":
         with pyarrow().parquet.ParquetFile(path) as file:
             names = list(file.schema_arrow.names)
-            return LogSource(names, names, lambda wanted, held, beside: _parquet(path, wanted))
+            return LogSource(names, names, lambda wanted, held, beside: _parquet(path, [*wanted, *beside]))
     text = sheet(path)
-    return LogSource(text.header, text.header, lambda wanted, held, beside: read_text(pyarrow(), path, text, wanted))
+    return LogSource(
+        text.header,
+        text.header,
+        lambda wanted, held, beside: read_text(pyarrow(), path, text, [*wanted, *beside]),
+    )
 
 
 def _parquet(path: Path, wanted: Sequence[str]) -> Any:

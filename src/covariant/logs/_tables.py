@@ -84,7 +84,9 @@ def table_source(name: str, log: Any) -> LogSource:
     places = dict(zip(names, frame.columns, strict=True))
 
     def load(wanted: Sequence[str], held: Sequence[str], beside: Sequence[str]) -> Any:
-        return pyarrow().table({column: _arrow(name, column, frame[places[column]].to_arrow) for column in wanted})
+        return pyarrow().table(
+            {column: _arrow(name, column, frame[places[column]].to_arrow) for column in (*wanted, *beside)}
+        )
 
     return LogSource(names, names, load)
 
@@ -121,7 +123,10 @@ def _dataset_source(name: str, log: Any) -> LogSource:
 
     def load(wanted: Sequence[str], held: Sequence[str], beside: Sequence[str]) -> Any:
         return pyarrow().table(
-            {key: _arrow(name, key, lambda v=columns[key]: pyarrow().array(np.asarray(v.values))) for key in wanted}
+            {
+                key: _arrow(name, key, lambda v=columns[key]: pyarrow().array(np.asarray(v.values)))
+                for key in (*wanted, *beside)
+            }
         )
 
     return LogSource(list(columns), list(columns), load, units)

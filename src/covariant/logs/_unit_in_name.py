@@ -112,7 +112,9 @@ def unknown_unit(name: str, meant: Sequence[str], others: Sequence[str] = ()) ->
     return text if is_unit or match["space"] or len(keys) < 2 else None
 
 
-def unknown_unit_fault(field: str, text: str, stated: bool = False, drafted: bool = False) -> str:
+def unknown_unit_fault(
+    field: str, text: str, stated: bool = False, drafted: bool = False, sensor: str | None = None
+) -> str:
     """The end of an error message: what units a field has, and what to do about another one.
 
     Args:
@@ -120,12 +122,19 @@ def unknown_unit_fault(field: str, text: str, stated: bool = False, drafted: boo
         text: The unit that is not known.
         stated: Whether it is stated by the log itself, and not in the name of the column.
         drafted: Whether the model file is still to be drafted.
+        sensor: SI unit of the readings of a sensor, which the columns are of; None for a field.
 
     Example:
         >>> from covariant.logs import unknown_unit_fault
         >>> unknown_unit_fault("t", "frames").partition(". ")[0]
         "has 'frames' in brackets, which is no unit of t here; known are s, ms, us, ns, min, h"
     """
+    where = "its attributes" if stated else "brackets"
+    if sensor is not None:
+        return (
+            f"has {text!r} in {where}, which is no unit of what is measured in {sensor}; write what one of it is, as "
+            f'units = "0.1 {sensor}" in the table of the sensor, or rename the column'
+        )
     known, example = KNOWN[field]
     own = (
         f', or {field} = "{text}" where the model takes it in that unit' if field != "t" and _is_any_unit(text) else ""
@@ -135,7 +144,6 @@ def unknown_unit_fault(field: str, text: str, stated: bool = False, drafted: boo
         if drafted
         else f"Write what one of it is under [units] of the model file, as {example}{own}, or rename the column"
     )
-    where = "its attributes" if stated else "brackets"
     return f"has {text!r} in {where}, which is no unit of {field} here; known are {known}. {remedy}"
 
 

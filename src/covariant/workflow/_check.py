@@ -4,12 +4,11 @@ from dataclasses import dataclass
 from typing import Any
 
 from covariant import logs, models
-from covariant.calibration import Diagnosis, Finding, diagnose, mended_clock
+from covariant.calibration import Beside, Diagnosis, Finding, diagnose, mended_clock
 from covariant.models import Overrides
 from covariant.workflow._inputs import ColumnNames, Job, load
 from covariant.workflow._progress import Progress, silent
 from covariant.workflow._result import AbstractResult
-from covariant.workflow._sensors import beside
 
 
 def check(
@@ -63,7 +62,8 @@ def check(
         loaded = load(job._replace(log=record), score=False, why="logs are compared with")
     # The quantum is that of the model file: loading removes it where positions are not such ticks.
     quantum = models.load(model, overrides).quantum
-    sensors = beside(loaded.file, loaded.sensors, loaded.readings)
+    pairs = zip(loaded.sensors, loaded.log.readings, strict=False)  # no sensors where the log has none of their columns
+    sensors = [Beside(*part, read) for part, read in pairs if read is not None]
     diagnosis = diagnose(loaded.file, loaded.log.record, quantum, loaded.log.first_row, loaded.log.every, sensors)
     diagnosis = diagnosis._replace(findings=(*clock, *diagnosis.findings))
     return CheckResult(job.model_name, job.log_name, len(loaded.log.record.t), loaded.rate, diagnosis)

@@ -170,7 +170,7 @@ def export(
     progress(f"writing {prefix}")
     opened = family if entry.knows_model else None  # the others have no number of the model
     written = _program(label, delayed, opened, file, parameters, real, measured[0], unit, step_per_sensor)
-    read = tuple(f"{name} [{part.unit}]" for part in designed.sensors for name in part.columns.measured)
+    read = tuple(name for part in designed.sensors for name in part.signals)
     written = written._replace(signals=kind_of(file).signals(written.u, read))
     broken = _broken_laws(designed.inner) if audit else ""
     warnings = [line for line in (broken, assumed) if line]

@@ -167,9 +167,9 @@ def load(job: Job, score: bool = True, why: str = "") -> Loaded:
     # Columns that the model file names may be absent from this log; those that the caller names may not.
     optional = [field for field in logs.OPTIONAL if not named.get(field)]
     parts = file_sensors(file)
-    beside = [name for part in parts for name in part.columns.measured]
+    sensors = [(part.columns, part.unit) for part in parts]
     kind = kind_of(file)
-    log = kind.with_inputs(logs.read(job.log, columns, job.every, job.until, job.start, optional, beside))
+    log = kind.with_inputs(logs.read(job.log, columns, job.every, job.until, job.start, optional, sensors))
     if not job.anyway:
         _refuse_misfit(job, file, log.record)
     record = acting_inputs(lag_inputs(log.record, file.input_lag), file.input_between, file.input_delay)
@@ -183,7 +183,7 @@ def load(job: Job, score: bool = True, why: str = "") -> Loaded:
     if known is None and score:
         known = kind.slopes(log, lambda: _whole(job, log, columns))
     reference = None if known is None else ReferenceVelocity(*known, scoring.scored_window(t))
-    read, lacking = readings(parts, job.log, log) if parts else (None, "")
+    read, lacking = readings(parts, log) if parts else (None, "")
     guessed = placeholder_sentence(placeholders(job.model, job.overrides))
     note += _delay_note(file) + lacking + f" {guessed}" * bool(guessed)
     # The median interval, so that a gap does not change the rate; with sensors that of the rows with positions.

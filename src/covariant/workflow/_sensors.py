@@ -1,6 +1,6 @@
 """The sensors of a model file, their readings in a log, and what they read of a simulated motion."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -8,14 +8,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from covariant import logs, observers
-from covariant.calibration import Beside
-from covariant.geometry.lie import SO3
+from covariant import logs
 from covariant.models import MechanicalSystem, ModelFile, Motion, acceleration, input_count
 from covariant.observers import Instant, Sensor
+from covariant.observers.sensors import SENSOR_KINDS
 
-SI = {"gyro": "rad/s", "accelerometer": "m/s^2", "pose": "m", "point": "m"}
-"""Units of the readings of sensors on links, in SI."""
+LOGGED = ("kind", "columns", "units", "delay", "attitude")
+"""Keys of a table that say how readings are logged; the others are settings of the sensor."""
 
 
 class FileSensor(NamedTuple):
@@ -42,6 +41,14 @@ class FileSensor(NamedTuple):
         return logs.to_columns(self.columns, poses)
 
     @property
+    def signals(self) -> tuple[str, ...]:
+        """Name and SI unit of each number of a reading; an attitude is read as a matrix, whatever the log has."""
+        named = self.columns.q + self.columns.position
+        rotation = self.columns.matrix or tuple(f"{self.sensor.name} R{i}{j}" for i in "123" for j in "123")
+        names = tuple(f"{name} [{self.unit}]" if self.unit else name for name in named)
+        return names + (rotation if self.columns.position else ())
+
+    @property
     def units(self) -> dict[str, str | None]:
         """Units of the columns in a log, None where they are in SI units."""
         return {name: self.columns.unit_of("q", i) for i, name in enumerate(self.columns.q)}
@@ -66,11 +73,11 @@ def file_sensors(file: ModelFile) -> tuple[FileSensor, ...]:
     """
     if not file.sensors:
         return ()
-    model = file.need_mechanical(file.name, "sensors are those of")
+    file.need_mechanical(file.name, "sensors are those of")
     found = []
     for name, content in file.sensors.items():
         try:
-            found.append(_sensor(name, file, model, dict(content)))
+            found.append(_sensor(name, file, content))
         except (ValueError, TypeError) as error:
             raise ValueError(f"{file.name}: [sensors.{name}]: {error}") from error
     names = [column for each in found for column in each.columns.measured]
@@ -81,20 +88,13 @@ def file_sensors(file: ModelFile) -> tuple[FileSensor, ...]:
     return tuple(found)
 
 
-def _sensor(name: str, file: ModelFile, model: MechanicalSystem, content: dict[str, Any]) -> FileSensor:
-    kind, names, delay = content.pop("kind"), tuple(content.pop("columns")), float(content.pop("delay", 0.0))
-    units, attitude = content.pop("units", ()), content.pop("attitude", "")
+def _sensor(name: str, file: ModelFile, content: Mapping[str, Any]) -> FileSensor:
+    settings = {"bias_std" if key == "bias" else key: content[key] for key in content if key not in LOGGED}
+    sensor, unit = SENSOR_KINDS[content["kind"]].from_table(name, file, settings)
+    names, units, attitude = tuple(content["columns"]), content.get("units", ()), content.get("attitude")
     texts = (units,) if isinstance(units, str) else tuple(units)
-    columns = logs.Columns(t=file.columns.t, q=names, units={"q": texts} if texts else {})
-    if "bias" in content:
-        content["bias_std"] = content.pop("bias")
-    if kind in ("encoder", "tachometer"):
-        sensor, unit = _of_coordinates(name, kind, file, model, content)
-    else:
-        make = getattr(observers, kind if kind in ("gyro", "accelerometer") else f"{kind}_sensor")
-        sensor, unit = make(model.space, content.pop("link"), name=name, **content), SI[kind]
-    needed = sensor.count
-    if kind == "pose":
+    columns, needed = logs.Columns(t=file.columns.t, q=names, units={"q": texts} if texts else {}), sensor.count
+    if attitude is not None:
         if texts:
             raise ValueError("a pose has no units: its position is in m")
         columns = columns._replace(q=(), position=names[:3], **{attitude: names[3:]})
@@ -105,83 +105,29 @@ def _sensor(name: str, file: ModelFile, model: MechanicalSystem, content: dict[s
         raise ValueError(f"units lists {len(texts)} units; give {needed}, or one without brackets")
     for text in texts:
         logs.check_unit(text, unit)
-    return FileSensor(sensor, columns, delay, unit)
+    return FileSensor(sensor, columns, float(content.get("delay", 0.0)), unit)
 
 
-def _of_coordinates(
-    name: str, kind: str, file: ModelFile, model: MechanicalSystem, content: dict[str, Any]
-) -> tuple[Sensor, str]:
-    """An encoder or a tachometer of coordinates or velocities by name, and the unit of its readings."""
-    charted = model.manifold.commuting
-    if kind == "encoder" and not charted:
-        raise ValueError("an encoder is of coordinates, and the model is on a group; give a pose or a point")
-    # In coordinates a joint is called by its name in the model or in the log.
-    lists = [model.coordinates, file.columns.q] if charted else []
-    lists += [model.velocities] if kind == "tachometer" else []
-    places = []
-    for each in content.pop("of"):
-        holding = [names for names in lists if each in names]
-        if not holding:
-            known = dict.fromkeys(known for names in lists for known in names)
-            raise ValueError(f"of: there is no {each!r}; there are: {', '.join(known)}")
-        places.append(holding[0].index(each))
-    units = model.units if charted else model.velocity_units
-    unit = units[places[0]] if units else ""
-    if kind == "tachometer":
-        return observers.tachometer(places, name=name, **content), f"{unit}/s" if charted and unit else unit
-    reduction = np.abs(np.broadcast_to(np.asarray(content.get("reduction", 1.0), float), len(places)))
-    # A reading at the joint is an angle within a turn; one behind a gear counts turns.
-    period = np.where(np.isin(places, model.circles) & (reduction == 1), 2 * np.pi, 0.0)
-    return observers.encoder(places, name=name, period=period, **content), unit
-
-
-def readings(parts: Sequence[FileSensor], source: Any, log: logs.Log) -> tuple[Float[np.ndarray, "T K"] | None, str]:
+def readings(parts: Sequence[FileSensor], log: logs.Log) -> tuple[Float[np.ndarray, "T K"] | None, str]:
     """Readings of all sensors in the rows of a log.
 
     Args:
         parts: Sensors of a model file.
-        source: What `logs.read` took.
-        log: What it returned.
+        log: The log, read with their columns.
 
     Returns:
         Readings (T, K), NaN where there is none, or None where the log has no column of any sensor; and a sentence that
         says which sensors it lacks.
-
-    Raises:
-        LogError: A log has some columns of a sensor and not others, or they hold no numbers.
     """
-    rows = len(log.record.t)
-    read = [logs.readings(source, part.columns, log, (part.unit,) if part.unit else ()) for part in parts]
-    absent = [part.sensor.name for part, each in zip(parts, read, strict=True) if each is None]
+    absent = [part.sensor.name for part, each in zip(parts, log.readings, strict=True) if each is None]
     note = f" The log has no column of {' or '.join(absent)}: the filter does without." if absent else ""
     if len(absent) == len(parts):
         return None, note
     filled = [
-        np.full((rows, part.sensor.count), np.nan) if each is None else each
-        for part, each in zip(parts, read, strict=True)
+        np.full((len(log.record.t), part.sensor.count), np.nan) if each is None else each
+        for part, each in zip(parts, log.readings, strict=True)
     ]
     return np.concatenate(filled, axis=1), note
-
-
-def beside(file: ModelFile, parts: Sequence[FileSensor], values: Float[np.ndarray, "T K"] | None) -> tuple[Beside, ...]:
-    """The sensors of a model file with their readings in a log, to be compared with the positions.
-
-    Args:
-        file: The model file.
-        parts: Its sensors.
-        values: Readings (T, K) of all of them; None without.
-
-    Returns:
-        A sensor and its readings for each.
-    """
-    if values is None or not parts:
-        return ()
-    split = np.split(values, np.cumsum([part.sensor.count for part in parts])[:-1], axis=1)
-    return tuple(
-        Beside(part.sensor, table["kind"], part.columns.measured, table, part.unit, part.delay, each)
-        for part, each in zip(parts, split, strict=True)
-        for table in (file.sensors[part.sensor.name],)
-    )
 
 
 def reading_delays(observer: Any, delay: Any, parts: Sequence[FileSensor], y: np.ndarray) -> Any:
@@ -264,15 +210,16 @@ def sensed(
         Readings (T, k), in SI units and radians.
     """
     sensor, rng, motion = part.sensor, np.random.default_rng(seed), model.motion(x)
+    kind: Any = sensor.h
     first = np.zeros((0, 0)) if sensor.slow is None else np.asarray(sensor.slow.first_cov)
     bias = jnp.asarray(rng.normal(size=len(first)) * np.sqrt(np.diag(first)))
 
     def output(q, v, u, t):
-        return sensor.h(Instant(q, v, lambda: acceleration(model, t, q, v, u), u, t), bias)
+        return kind(Instant(q, v, lambda: acceleration(model, t, q, v, u), u, t), bias)
 
     exact = np.asarray(jax.jit(jax.vmap(output))(*map(jnp.asarray, (motion.q, motion.v, u, t))))
     noise = rng.normal(size=(len(t), len(sensor.cov))) @ np.linalg.cholesky(np.asarray(sensor.cov)).T
-    return _noisy(exact, noise)
+    return np.asarray(jax.vmap(kind.perturbed)(jnp.asarray(exact), jnp.asarray(noise)))
 
 
 def with_readings(file: ModelFile, parts: Sequence[FileSensor], y: np.ndarray) -> np.ndarray:
@@ -291,11 +238,3 @@ def with_readings(file: ModelFile, parts: Sequence[FileSensor], y: np.ndarray) -
     u, t = np.zeros((len(y), input_count(model, file.dimension))), np.zeros(len(y))
     read = [sensed(model, part, x, u, t, (0, i)) for i, part in enumerate(parts)]
     return np.concatenate([y.reshape(len(y), -1), *read], axis=1)
-
-
-def _noisy(exact: np.ndarray, noise: np.ndarray) -> np.ndarray:
-    """Readings with noise; that of a pose, of which there are six numbers for twelve, turns its rotation."""
-    if exact.shape[1] == noise.shape[1]:
-        return exact + noise
-    turned = jax.vmap(lambda r, e: r.reshape(3, 3) @ SO3.exp(e))(jnp.asarray(exact[:, 3:]), jnp.asarray(noise[:, 3:]))
-    return np.concatenate([exact[:, :3] + noise[:, :3], np.asarray(turned).reshape(-1, 9)], axis=1)

@@ -197,13 +197,17 @@ def _shifted(data: _Data, delay: float) -> _Shifted:
     return _Shifted(moved[rows], slope[rows] / step, pair.read[rows], rows)  # pyright: ignore[reportIndexIssue,reportOperatorIssue]
 
 
+def _read_and_predicted(data: _Data, change: Change, shifted: _Shifted) -> tuple[np.ndarray, np.ndarray]:
+    """Readings and what a change makes of their predictions, less their means where an offset is free."""
+    read, predicted = shifted.read, shifted.predicted @ change.matrix.T
+    return (read - read.mean(axis=0), predicted - predicted.mean(axis=0)) if data.offset else (read, predicted)
+
+
 def _share(data: _Data, change: Change, shifted: _Shifted) -> float:
     """Unexplained fraction of the readings with the best scale of a change."""
-    read, predicted = shifted.read, shifted.predicted @ change.matrix.T
-    if len(read) < 2 * BLOCKS:
+    if len(shifted.read) < 2 * BLOCKS:
         return 1.0
-    if data.offset:
-        read, predicted = read - read.mean(axis=0), predicted - predicted.mean(axis=0)
+    read, predicted = _read_and_predicted(data, change, shifted)
     product, squares, total = (read * predicted).sum(axis=0), (predicted**2).sum(axis=0), (read**2).sum(axis=0)
     if data.vector:  # one scale, and its sign is among the changes
         return float(1 - max(product.sum(), 0.0) ** 2 / max(squares.sum() * total.sum(), 1e-300))
@@ -214,11 +218,8 @@ def _share(data: _Data, change: Change, shifted: _Shifted) -> float:
 
 def _residual_share(data: _Data, change: Change, scale: np.ndarray, delay: float) -> float:
     """Unexplained fraction of the readings with a change, its scales and its delay."""
-    shifted = _shifted(data, delay)
-    read, predicted = shifted.read, scale * (shifted.predicted @ change.matrix.T)
-    if data.offset:
-        read, predicted = read - read.mean(axis=0), predicted - predicted.mean(axis=0)
-    left, total = ((read - predicted) ** 2).sum(axis=0), (read**2).sum(axis=0)
+    read, predicted = _read_and_predicted(data, change, _shifted(data, delay))
+    left, total = ((read - scale * predicted) ** 2).sum(axis=0), (read**2).sum(axis=0)
     if data.vector:
         return float(left.sum() / max(total.sum(), 1e-300))
     shown = data.shown(change)
@@ -262,10 +263,7 @@ def _fitted(
 
 def _first_scale(data: _Data, change: Change, delay: float, groups: np.ndarray) -> np.ndarray:
     """Scales (k,) by least squares at a delay."""
-    shifted = _shifted(data, delay)
-    read, predicted = shifted.read, shifted.predicted @ change.matrix.T
-    if data.offset:
-        read, predicted = read - read.mean(axis=0), predicted - predicted.mean(axis=0)
+    read, predicted = _read_and_predicted(data, change, _shifted(data, delay))
     scale = np.ones(data.size)
     for group in groups:
         product, squares = ((group * each * predicted).sum() for each in (read, predicted))

@@ -35,9 +35,6 @@ UNITS = {
     "rad": ("rad", "deg", "turn", "mrad"),
 }
 """Units to try for readings in SI units."""
-VECTORS = ("gyro", "accelerometer", "point", "pose")
-WITH_AXES = ("gyro", "accelerometer")
-"""Kinds whose three numbers are in axes that the table states; those of a pose turn its attitude only."""
 OTHER_ORDER = {"quaternion_wxyz": "quaternion_xyzw", "quaternion_xyzw": "quaternion_wxyz"}
 """Attitudes that are taken for one another."""
 
@@ -65,13 +62,13 @@ def _findings(case: Case, t: np.ndarray, beside: Beside, late: Any) -> list[Find
     if seen is None:
         evidence = "too few readings, or too short a motion, to compare it with the positions"
         return [Finding("sensor not judged", name, evidence, "", False, {})]
-    if beside.kind == "pose":
+    if beside.pose:
         turned = _turned_pose(seen, beside)
         if turned is not None:
             return [turned]
         seen = _first(seen, 3)
     notes = _not_shown(seen, beside)
-    verdict = judged(seen, beside.kind in VECTORS, beside.kind != "accelerometer")
+    verdict = judged(seen, beside.checks.vector, beside.checks.offset)
     found = _wrong(seen, beside, verdict, spacing) if seen.shown.any() else None
     if found is None:
         found = _biased(seen, beside, verdict) or _noisy(seen, beside)
@@ -81,10 +78,10 @@ def _findings(case: Case, t: np.ndarray, beside: Beside, late: Any) -> list[Find
 def _wrong(seen: Pair, beside: Beside, verdict: Verdict, spacing: float) -> Finding | None:
     """The first finding on sign, order, axes, scale and delay."""
     name, left = beside.sensor.name, f"of the variance of its readings the positions leave {_percent(verdict.before)}"
-    shown = seen.shown if beside.kind not in VECTORS else np.full(len(seen.shown), True)
+    shown = seen.shown | beside.checks.vector
     if verdict.after > UNEXPLAINED:
         evidence = f"{left}, and {_percent(verdict.after)} with the best sign, axes, unit and delay"
-        line = f"look at kind, {'link' if beside.kind in VECTORS else 'of'} and columns of [sensors.{name}]"
+        line = f"look at kind, {'of' if beside.checks.coordinates else 'link'} and columns of [sensors.{name}]"
         return Finding("sensor", name, evidence, line, True, {"unexplained": verdict.before})
     after = f"{left}, and {_percent(verdict.after)}"
     numbers: dict[str, Any] = {
@@ -114,27 +111,27 @@ def _changed(seen: Pair, beside: Beside, verdict: Verdict, after: str, numbers: 
     where = f"[sensors.{name}]"
     if verdict.change.kind == "sign":
         turned = np.diag(matrix) < 0
-        which = "all signs" if turned.all() else f"the sign of {_listed(beside.columns, turned)}"
+        which = "all signs" if turned.all() else f"the sign of {_listed(beside.names, turned)}"
         line = f"{where} {_units_line(beside, np.where(turned, -1.0, 1.0))}"
         return Finding("sign of a sensor", name, f"{after} with {which} reversed", line, True, numbers)
     line = ""
     if verdict.change.kind == "order":
         # Row i of the matrix has its 1 at the number that column i really is.
         order = np.argmax(matrix, axis=0)
-        names = ", ".join(f'"{beside.columns[i]}"' for i in order)
+        names = ", ".join(f'"{beside.names[i]}"' for i in order)
         line = f"{where} columns = [{names}]"
-        if beside.kind in WITH_AXES and np.linalg.det(matrix) > 0:
+        if beside.checks.own_axes and np.linalg.det(matrix) > 0:
             line += f", or {_axes_line(beside, matrix)}"
-        what = f"{after} with the columns in the order {', '.join(beside.columns[i] for i in order)}"
+        what = f"{after} with the columns in the order {', '.join(beside.names[i] for i in order)}"
         return Finding("axes of a sensor", name, what + _undetermined(seen, beside), line, True, numbers)
-    line = f"{where} {_axes_line(beside, matrix)}" if beside.kind in WITH_AXES else _frame_line(matrix)
+    line = f"{where} {_axes_line(beside, matrix)}" if beside.checks.own_axes else _frame_line(matrix)
     evidence = f"{after} with its axes turned by {_degrees(matrix):.3g}°{_undetermined(seen, beside)}"
     return Finding("axes of a sensor", name, evidence, line, True, numbers)
 
 
 def _turned(seen: Pair, beside: Beside) -> Finding | None:
     """The finding on axes that are turned by a smaller angle."""
-    if beside.kind not in VECTORS:
+    if not beside.checks.vector:
         return None
     # Always with a free offset: against gravity a bias looks like a turn.
     matrix, known = best_rotation(seen, True)
@@ -150,7 +147,7 @@ def _turned(seen: Pair, beside: Beside) -> Finding | None:
     if angle < max(TURNED, 2 * apart):
         return None
     where = f"[sensors.{beside.sensor.name}] "
-    line = where + _axes_line(beside, matrix) if beside.kind in WITH_AXES else _frame_line(matrix)
+    line = where + _axes_line(beside, matrix) if beside.checks.own_axes else _frame_line(matrix)
     evidence = f"its axes are turned by {np.rad2deg(angle):.3g}° against those of the model file"
     evidence += "" if known else _undetermined(seen, beside)
     return Finding("axes of a sensor", beside.sensor.name, evidence, line, True, {"matrix": matrix.tolist()})
@@ -162,7 +159,7 @@ def _turned_pose(seen: Pair, beside: Beside) -> Finding | None:
     turn, explained = _common_turn(predicted, read)
     if explained > 1 - UNEXPLAINED / 2 and _degrees(turn) < np.rad2deg(TURNED):
         return None
-    other = OTHER_ORDER.get(str(beside.table.get("attitude")))
+    other = next((other for one, other in OTHER_ORDER.items() if getattr(beside.columns, one)), None)
     if other is not None:
         again, share = _common_turn(predicted, _reordered(read, other))
         if share > 1 - UNEXPLAINED / 2 and _degrees(again) < np.rad2deg(TURNED):
@@ -201,7 +198,7 @@ def _reordered(read: np.ndarray, other: str) -> np.ndarray:
 def _scaled(beside: Beside, verdict: Verdict, off: np.ndarray, after: str, numbers: dict[str, Any]) -> Finding:
     """The finding on scales: a sign, a unit, or a gear."""
     name, scale = beside.sensor.name, np.where(off, verdict.scale, 1.0)
-    where, which = f"[sensors.{name}]", _listed(beside.columns, off)
+    where, which = f"[sensors.{name}]", _listed(beside.names, off)
     if (np.abs(scale + 1) < OFF_SCALE)[off].all():
         alone = "all signs" if off.all() and len(off) > 1 else f"the sign of {which}"
         evidence, line = f"{after} with {alone} reversed", f"{where} {_units_line(beside, scale)}"
@@ -209,14 +206,14 @@ def _scaled(beside: Beside, verdict: Verdict, off: np.ndarray, after: str, numbe
     values = ", ".join(
         f"{value:.4g} ± {std:.2g}" for value, std in zip(scale[off], verdict.scale_std[off], strict=True)
     )
-    evidence = f"{which}: readings are {values if beside.kind not in VECTORS else values.split(', ')[0]} times what "
+    evidence = f"{which}: readings are {values if not beside.checks.vector else values.split(', ')[0]} times what "
     evidence += f"the positions say; {after} with that scale"
     units = _units_line(beside, scale)
     line = f"{where} {units}"
-    if beside.kind in ("encoder", "tachometer") and not any(letter.isalpha() for letter in units.split("=")[1]):
+    if beside.checks.coordinates and not any(letter.isalpha() for letter in units.split("=")[1]):
         # A scale of no unit is a gear.
-        stated = np.broadcast_to(np.asarray(beside.table.get("reduction", 1.0), float), len(scale))
-        line = f"{where} reduction = {_number_or_list(stated * scale)}, or {units}"
+        kind: Any = beside.sensor.h
+        line = f"{where} reduction = {_number_or_list(np.asarray(kind.reduction) * scale)}, or {units}"
     return Finding("unit of a sensor", name, evidence, line, True, numbers)
 
 
@@ -248,13 +245,13 @@ def _biased(seen: Pair, beside: Beside, verdict: Verdict) -> Finding | None:
         return None
     values = ", ".join(
         f"{name} by {value:.3g} ± {error:.2g} {beside.unit}".rstrip()
-        for name, value, error, bad in zip(beside.columns, bias, verdict.bias_std, big, strict=False)
+        for name, value, error, bad in zip(beside.names, bias, verdict.bias_std, big, strict=False)
         if bad
     )
     said = "its table has no bias" if slow is None else "that is more than 4 times the bias of its table"
     size = float(f"{np.abs(bias[big]).max():.2g}")
     line = f"[sensors.{sensor.name}] bias = {size:g}"
-    if beside.kind in ("pose", "point"):
+    if beside.checks.vector and not beside.checks.own_axes:
         line = f"look at place of [sensors.{sensor.name}], and at the origin of the world that it measures in"
     evidence = f"readings are off all the time, {values}, and {said}"
     return Finding("bias of a sensor", sensor.name, evidence, line, True, {"bias": bias.tolist()})
@@ -267,8 +264,8 @@ def _noisy(seen: Pair, beside: Beside) -> Finding | None:
     if not noisy.any():
         return None
     worst = int(np.argmax(np.where(noisy, seen.noise / std, 0.0)))
-    noise, key = float(seen.noise[worst]), "position_std" if beside.kind == "pose" else "std"
-    evidence = f"{beside.columns[worst]} has noise of {noise:.3g} {beside.unit}".rstrip()
+    noise, key = float(seen.noise[worst]), "position_std" if beside.pose else "std"
+    evidence = f"{beside.names[worst]} has noise of {noise:.3g} {beside.unit}".rstrip()
     evidence += f", {noise / std[worst]:.3g} times that of its table"
     line = f"[sensors.{beside.sensor.name}] {key} = {noise:.2g}"
     numbers = {"std": noise, "stated": float(std[worst])}
@@ -279,23 +276,22 @@ def _not_shown(seen: Pair, beside: Beside) -> list[Finding]:
     """A note on what the motion does not show of a sensor."""
     if seen.shown.all():
         return []
-    which = _listed(beside.columns, ~seen.shown)
+    which = _listed(beside.names, ~seen.shown)
     evidence = f"the motion hardly changes what {which} should read: sign, axes, unit and delay of that are not judged"
     return [Finding("sensor not judged", beside.sensor.name, evidence, "", False, {"columns": which})]
 
 
 def _undetermined(seen: Pair, beside: Beside) -> str:
-    known = best_rotation(seen, beside.kind != "accelerometer")[1] if beside.kind in VECTORS else True
+    known = best_rotation(seen, beside.checks.offset)[1] if beside.checks.vector else True
     return "" if known else "; the motion is about one axis, so that a turn about that axis is not determined"
 
 
 def _units_line(beside: Beside, scale: np.ndarray) -> str:
     """The units that readings are in, which the table takes for others by a scale (k,)."""
-    if beside.kind == "pose":
+    if beside.pose:
         name = _unit(float(1 / scale[0]), "m")
-        return f"has its position in m: {', '.join(beside.columns[:3])} are in units of {name}"
-    texts = beside.table.get("units", ())
-    texts = [texts] if isinstance(texts, str) else list(texts)
+        return f"has its position in m: {', '.join(beside.names[:3])} are in units of {name}"
+    texts = list(beside.columns.units.get("q", ()))
     now = (texts * len(scale) if len(texts) == 1 else texts) or ["1"] * len(scale)
     factors = np.array([unit_factor(text) for text in now[: len(scale)]]) / scale
     written = [
@@ -314,8 +310,8 @@ def _unit(factor: float, unit: str) -> str:
 
 def _axes_line(beside: Beside, matrix: np.ndarray) -> str:
     """The axes of a table, from the rotation (3, 3) of its readings: r = M Aᵀω is that of A Mᵀ."""
-    stated = np.asarray(beside.table.get("axes", np.eye(3)), float)
-    u, _, vt = np.linalg.svd(stated @ matrix.T)
+    kind: Any = beside.sensor.h
+    u, _, vt = np.linalg.svd(np.asarray(kind.axes) @ matrix.T)
     rows = [", ".join(f"{value + 0.0:.7g}" for value in np.round(row, 7)) for row in u @ vt]
     return f"axes = [{', '.join(f'[{row}]' for row in rows)}]"
 

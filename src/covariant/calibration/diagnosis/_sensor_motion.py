@@ -6,7 +6,7 @@ taken. A velocity then is smoothed in the same way on both sides, so that wide w
 """
 
 import functools
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -18,10 +18,10 @@ from covariant import scoring
 from covariant.calibration.diagnosis._case import Case, acting, long_enough
 from covariant.calibration.diagnosis._readings import outliers, prediction_errors
 from covariant.calibration.diagnosis._smooth import FEWEST, FULL, ORDER, Smooth, smooth
+from covariant.logs import Columns
 from covariant.observers import Instant, Sensor
+from covariant.observers.sensors import AbstractSensorKind, Checks
 
-DERIVATIVE = {"tachometer": 1, "gyro": 1, "accelerometer": 2}
-"""Derivative of the configuration that a sensor reads; 0 for the others."""
 WIDER = (1.0, 2.0, 4.0, 8.0)
 """Half windows to try, in those of the reference of the model file."""
 CLEAR = 25.0
@@ -41,29 +41,40 @@ class Beside(NamedTuple):
 
     Attributes:
         sensor: The sensor.
-        kind: Its kind, as in a model file: "gyro", "tachometer"…
-        columns: Names of its columns in the log.
-        table: Its table in the model file: axes, reduction, units.
-        unit: SI unit of its readings; "" where it is not known.
-        delay: Delay [s] of its readings that the table states.
+        columns: Its columns in the log, with their units.
+        delay: Delay [s] of its readings that the model file states.
+        unit: SI unit of its readings, of a pose of its position; "" where it is not known.
         readings: Readings (T, k) in SI units in the rows of the log; NaN where there is none.
 
     Example:
         >>> import numpy as np
-        >>> from covariant import observers
+        >>> from covariant import logs, observers
         >>> from covariant.calibration import Beside
         >>> speed = observers.tachometer([0], 0.01, name="speed")
-        >>> Beside(speed, "tachometer", ("w",), {}, "rad/s", 0.0, np.zeros((3, 1))).readings.shape
-        (3, 1)
+        >>> Beside(speed, logs.Columns(q=("w",)), 0.0, "rad/s", np.zeros((3, 1))).names
+        ('w',)
     """
 
     sensor: Sensor
-    kind: str
-    columns: tuple[str, ...]
-    table: Mapping[str, Any]
-    unit: str
+    columns: Columns
     delay: float
+    unit: str
     readings: Float[np.ndarray, "T k"]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of its columns."""
+        return self.columns.measured
+
+    @property
+    def checks(self) -> Checks:
+        """What its kind is known by; of a function of the user, nothing but its numbers."""
+        return self.sensor.h.checks if isinstance(self.sensor.h, AbstractSensorKind) else Checks()
+
+    @property
+    def pose(self) -> bool:
+        """Whether its readings are positions (3,) with rotations (3, 3)."""
+        return bool(self.columns.position)
 
 
 class Pair(NamedTuple):
@@ -186,9 +197,8 @@ def _at(
     log: Smooth, output: _Output, readings: np.ndarray, at: np.ndarray, beside: Beside
 ) -> tuple[Pair, Bool[np.ndarray, "k"]]:
     """The pair at one width of the windows, and which numbers no motion changes there."""
-    order = DERIVATIVE.get(beside.kind, 0)
     predicted = output.along(log, PIECE)
-    read, used, noise = _smoothed(log, readings, at, order)
+    read, used, noise = _smoothed(log, readings, at, beside.checks.derivative)
     spacing, mean = float(np.median(np.diff(at))), _gain(log.half, float(np.median(np.diff(at))), 0)
     points = np.flatnonzero(log.used)
     if not len(points):

@@ -11,6 +11,7 @@ from covariant.models._names import refuse_unknown
 from covariant.models._parameters import ZERO_OR_MORE
 from covariant.models.files._keys import Number
 from covariant.models.files._model_file import KEYS
+from covariant.models.files._sensor_keys import EVERY_SENSOR, SENSOR_KEYS
 
 Overrides = Sequence[str] | Mapping[str, Any]
 """Values that replace those of a model file: `table.key=value` each, or a mapping from `table.key` to values."""
@@ -22,18 +23,6 @@ _OF_WRENCH = {"link": True, "force_std": True, "torque_std": False, "time": True
 
 SENSORS = "sensors"
 """Table of the sensors beside the measured positions, a table for each."""
-_OF_EVERY_SENSOR = ("kind", "columns", "units", "delay")
-_BIASED, _PLACED = ("std", "bias", "bias_drift"), ("link", "axes", "place")
-_OF_SENSOR = {
-    "encoder": ("of", "reduction", *_BIASED),
-    "tachometer": ("of", "reduction", *_BIASED),
-    "gyro": ("link", "axes", *_BIASED),
-    "accelerometer": (*_PLACED, "gravity", *_BIASED),
-    "pose": (*_PLACED, "attitude", "position_std", "rotation_std"),
-    "point": ("link", "place", *_BIASED),
-}
-"""Kinds of sensors, with the keys of each."""
-_REQUIRED = dict.fromkeys(_OF_SENSOR, ("std",)) | {"pose": ("attitude", "position_std", "rotation_std")}
 
 _NAMES = tuple(field for field in Columns._fields if field != "units")
 """Keys of [columns], and of [units] but for attitudes, which have none."""
@@ -197,12 +186,12 @@ def _sensors(document: dict[str, Any]) -> dict[str, dict[str, dict[str, Any]]]:
         if not isinstance(content, dict):
             raise ValueError(f"{SENSORS}.{name} must be a table, {where}; got {content!r}")
         kind = content.get("kind")
-        if kind not in _OF_SENSOR:
-            raise ValueError(f"{where} needs a kind, one of {', '.join(_OF_SENSOR)}; got {kind!r}")
+        if kind not in SENSOR_KEYS:
+            raise ValueError(f"{where} needs a kind, one of {', '.join(SENSOR_KEYS)}; got {kind!r}")
+        required, optional = (every + own for every, own in zip(EVERY_SENSOR, SENSOR_KEYS[kind], strict=True))
         for key in content:
-            refuse_unknown(f"key of {where}", key, (*_OF_EVERY_SENSOR, *_OF_SENSOR[kind]))
-        wanted = ("columns", "of" if "of" in _OF_SENSOR[kind] else "link", *_REQUIRED[kind])
-        missing = [key for key in wanted if key not in content]
+            refuse_unknown(f"key of {where}", key, required + optional)
+        missing = [key for key in required if key not in content]
         if missing:
             raise ValueError(f"{where} needs {', '.join(missing)}")
         for key in ("columns", "of"):

@@ -6,6 +6,9 @@ from ._momentum import (
     observed_forces as observed_forces,
 )
 from ._sensor_kinds import (
+    SENSOR_KINDS as SENSOR_KINDS,
+    AbstractSensorKind as AbstractSensorKind,
+    Checks as Checks,
     accelerometer as accelerometer,
     encoder as encoder,
     gyro as gyro,

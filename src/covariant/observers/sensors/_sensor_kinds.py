@@ -1,7 +1,13 @@
-"""Sensors of the usual kinds: encoders, tachometers, gyros, accelerometers, poses and positions of points on links."""
+"""The kinds of sensors: encoders, tachometers, gyros, accelerometers, poses and positions of points on links.
 
-from collections.abc import Sequence
-from typing import Any
+A kind is a final class: the output of a sensor as a function of the motion, what a table of a model file describes, and
+what `check` has to know of its readings. The function before it makes a sensor of this kind, with noise and bias. Model
+files are checked without observers, so that the keys of each kind are in `models/files/_sensor_keys.py`.
+"""
+
+import abc
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
@@ -12,6 +18,7 @@ from jaxtyping import Array, Float
 from covariant._typing import Numbers, Vector
 from covariant.geometry import AbstractSpace
 from covariant.geometry.lie import SO3
+from covariant.models import ModelFile
 from covariant.models.robots import RobotSpace
 from covariant.observers.base import as_numbers, check_positive
 from covariant.observers.sensors._sensors import Instant, Sensor
@@ -21,25 +28,86 @@ STANDARD_GRAVITY = (0.0, 0.0, -9.80665)
 """Gravity in the frame of the world [m/s²] of an accelerometer, by default."""
 
 
-class _Components(eqx.Module):
-    """Some entries of the configuration or of the velocity, times a reduction each, plus the bias."""
+class Checks(NamedTuple):
+    """What `check` has to know of a kind of sensor, to compare its readings with the positions.
 
-    field: str = eqx.field(static=True)
+    Attributes:
+        derivative: Which derivative of the configuration it reads.
+        coordinates: Whether it reads coordinates by name: then a scale of its readings may be a gear, its `reduction`.
+        vector: Whether its numbers are components of one vector, on which signs, orders and rotations are tried;
+            otherwise each has its own scale.
+        own_axes: Whether a vector is in the axes of the sensor, which its table states, and not in those of the world.
+        offset: Whether a constant offset is a bias; of a sensor that feels gravity the constant part shows its axes.
+    """
+
+    derivative: int = 0
+    coordinates: bool = False
+    vector: bool = False
+    own_axes: bool = False
+    offset: bool = True
+
+
+class AbstractSensorKind(eqx.Module):
+    """A kind of sensor; an instance is the output `h` of one `Sensor`, with the bias s (k,), or (0,) without one."""
+
+    kind: ClassVar[str]
+    checks: ClassVar[Checks]
+
+    @abc.abstractmethod
+    def __call__(self, now: Instant, s: SlowVector) -> Vector:
+        """The reading (j,) at an instant."""
+
+    @abc.abstractmethod
+    def perturbed(self, reading: Vector, noise: Float[Array, "i"]) -> Vector:
+        """A reading (j,) whose innovation from the one given is the noise (i,)."""
+
+    @classmethod
+    @abc.abstractmethod
+    def from_table(cls, name: str, file: ModelFile, table: Mapping[str, Any]) -> tuple[Sensor, str]:
+        """The sensor of a table of a model file, by the arguments of its function, and its SI unit, "" for unknown."""
+
+
+class _AbstractNumbers(AbstractSensorKind):
+    """Readings that are numbers, each with its own noise and bias."""
+
+    @abc.abstractmethod
+    def value(self, now: Instant) -> Vector:
+        """The reading (k,) without its bias."""
+
+    def __call__(self, now: Instant, s: SlowVector) -> Vector:
+        value = self.value(now)
+        return value + s if s.shape[0] else value
+
+    def perturbed(self, reading: Vector, noise: Float[Array, "k"]) -> Vector:
+        return reading + noise
+
+
+class _AbstractComponents(_AbstractNumbers):
+    """Some entries of the configuration or of the velocity, times a reduction each."""
+
+    field: ClassVar[str]
     places: tuple[int, ...] = eqx.field(static=True)
     reduction: Float[Array, "k"]
 
-    def __call__(self, now: Instant, s: SlowVector) -> Vector:
+    def value(self, now: Instant) -> Vector:
         value = getattr(now, self.field)[jnp.array(self.places)]
-        return _biased(self.reduction.astype(value.dtype) * value, s)
+        return self.reduction.astype(value.dtype) * value
 
 
-class _OnLink(eqx.Module):
+class _AbstractOnLink(AbstractSensorKind):
     """Where a sensor is on a link: the frame of the link, the axes of the sensor in it, and its place there."""
 
+    make: ClassVar[Callable[..., Sensor]]
+    unit: ClassVar[str]
     space: RobotSpace
     link: str = eqx.field(static=True)
     axes: Float[Array, "3 3"]
     place: Float[Array, "3"]
+
+    @classmethod
+    def from_table(cls, name: str, file: ModelFile, table: Mapping[str, Any]) -> tuple[Sensor, str]:
+        model: Any = file.model
+        return cls.make(model.space, name=name, **table), cls.unit
 
     def pose(self, q: Array) -> tuple[Array, Array]:
         """Rotation (3, 3) and position (3,) of the sensor in the world."""
@@ -53,42 +121,6 @@ class _OnLink(eqx.Module):
         axes = self.axes.astype(q.dtype)
         # x @ A is Aᵀ x: from the axes of the link to those of the sensor.
         return (speed + jnp.cross(spin, self.place.astype(q.dtype))) @ axes, spin @ axes
-
-
-class _Gyro(_OnLink):
-    def __call__(self, now: Instant, s: SlowVector) -> Vector:
-        return _biased(self.twist(now.q, now.v)[1], s)
-
-
-class _Accelerometer(_OnLink):
-    gravity: Float[Array, "3"]
-
-    def __call__(self, now: Instant, s: SlowVector) -> Vector:
-        rates = self.space.manifold.tangent(now.q, now.v), now.acceleration()
-        (speed, spin), (change, _) = jax.jvp(self.twist, (now.q, now.v), rates)
-        # The velocity in axes that turn changes by ω × v less than in the world.
-        felt = change + jnp.cross(spin, speed) - self.gravity.astype(speed.dtype) @ self.pose(now.q)[0]
-        return _biased(felt, s)
-
-
-class _Pose(_OnLink):
-    def __call__(self, now: Instant, s: SlowVector) -> Vector:
-        rotation, place = self.pose(now.q)
-        return jnp.concatenate([place, rotation.reshape(-1)])
-
-    def difference(self, expected: Float[Array, "12"], reading: Float[Array, "12"]) -> Float[Array, "6"]:
-        """Difference of the positions in the world, then the rotation vector from one attitude to the other."""
-        turned = SO3.local(expected[3:].reshape(3, 3), reading[3:].reshape(3, 3))
-        return jnp.concatenate([reading[:3] - expected[:3], turned])
-
-
-class _Point(_OnLink):
-    def __call__(self, now: Instant, s: SlowVector) -> Vector:
-        return _biased(self.pose(now.q)[1], s)
-
-
-def _biased(value: Vector, s: SlowVector) -> Vector:
-    return value + s if s.shape[0] else value
 
 
 def encoder(
@@ -126,7 +158,24 @@ def encoder(
         >>> motor.count, motor.name
         (1, 'motor')
     """
-    return _components("encoder", "q", places, std, reduction, name, (bias_std, bias_drift), period)
+    return _components(Encoder, places, std, reduction, name, (bias_std, bias_drift), period)
+
+
+class Encoder(_AbstractComponents):
+    kind, field = "encoder", "q"
+    checks = Checks(coordinates=True)
+
+    @classmethod
+    def from_table(cls, name: str, file: ModelFile, table: Mapping[str, Any]) -> tuple[Sensor, str]:
+        model: Any = file.model
+        if not model.manifold.commuting:
+            raise ValueError("an encoder is of coordinates, and the model is on a group; give a pose or a point")
+        places, settings = _named(table, model.coordinates, file.columns.q)
+        reduction = np.abs(np.broadcast_to(np.asarray(table.get("reduction", 1.0), float), len(places)))
+        # A reading at the joint is an angle within a turn; one behind a gear counts turns.
+        period = np.where(np.isin(places, model.circles) & (reduction == 1), 2 * np.pi, 0.0)
+        unit = model.units[places[0]] if model.units else ""
+        return encoder(places, name=name, period=period, **settings), unit
 
 
 def tachometer(
@@ -161,7 +210,22 @@ def tachometer(
         >>> gyro.slow.names
         ('gyro_bias1', 'gyro_bias2', 'gyro_bias3')
     """
-    return _components("tachometer", "v", places, std, reduction, name, (bias_std, bias_drift), 0.0)
+    return _components(Tachometer, places, std, reduction, name, (bias_std, bias_drift), 0.0)
+
+
+class Tachometer(_AbstractComponents):
+    kind, field = "tachometer", "v"
+    checks = Checks(derivative=1, coordinates=True)
+
+    @classmethod
+    def from_table(cls, name: str, file: ModelFile, table: Mapping[str, Any]) -> tuple[Sensor, str]:
+        model: Any = file.model
+        charted = model.manifold.commuting
+        joints = (model.coordinates, file.columns.q) if charted else ()
+        places, settings = _named(table, *joints, model.velocities)
+        units = model.units if charted else model.velocity_units
+        unit = units[places[0]] if units else ""
+        return tachometer(places, name=name, **settings), f"{unit}/s" if charted and unit else unit
 
 
 def gyro(
@@ -198,8 +262,16 @@ def gyro(
         >>> observers.gyro(arm.space, "lower", 0.01).count
         3
     """
-    h = _Gyro(*_on_link("gyro", space, link, axes, (0.0, 0.0, 0.0)))
+    h = Gyro(*_on_link("gyro", space, link, axes, (0.0, 0.0, 0.0)))
     return _sensor("gyro", name, h, _stds("gyro", "std", std, 3), (bias_std, bias_drift))
+
+
+class Gyro(_AbstractOnLink, _AbstractNumbers):
+    kind, unit, make = "gyro", "rad/s", staticmethod(gyro)
+    checks = Checks(derivative=1, vector=True, own_axes=True)
+
+    def value(self, now: Instant) -> Vector:
+        return self.twist(now.q, now.v)[1]
 
 
 def accelerometer(
@@ -247,8 +319,20 @@ def accelerometer(
         [0.0, 0.0, 9.807]
     """
     where = _on_link("accelerometer", space, link, axes, place)
-    h = _Accelerometer(*where, jnp.asarray(as_numbers("accelerometer", "gravity", gravity, 3)))
+    h = Accelerometer(*where, jnp.asarray(as_numbers("accelerometer", "gravity", gravity, 3)))
     return _sensor("accelerometer", name, h, _stds("accelerometer", "std", std, 3), (bias_std, bias_drift))
+
+
+class Accelerometer(_AbstractOnLink, _AbstractNumbers):
+    kind, unit, make = "accelerometer", "m/s^2", staticmethod(accelerometer)
+    checks = Checks(derivative=2, vector=True, own_axes=True, offset=False)
+    gravity: Float[Array, "3"]
+
+    def value(self, now: Instant) -> Vector:
+        rates = self.space.manifold.tangent(now.q, now.v), now.acceleration()
+        (speed, spin), (change, _) = jax.jvp(self.twist, (now.q, now.v), rates)
+        # The velocity in axes that turn changes by ω × v less than in the world.
+        return change + jnp.cross(spin, speed) - self.gravity.astype(speed.dtype) @ self.pose(now.q)[0]
 
 
 def pose_sensor(
@@ -288,9 +372,27 @@ def pose_sensor(
         >>> camera.count, len(camera.cov)
         (12, 6)
     """
-    h = _Pose(*_on_link("pose_sensor", space, link, axes, place))
+    h = Pose(*_on_link("pose_sensor", space, link, axes, place))
     stds = [_stds("pose_sensor", *each, 3) for each in (("position_std", position_std), ("rotation_std", rotation_std))]
     return Sensor(name, h, jnp.asarray(np.concatenate(stds) ** 2), None, h.difference, numbers=12)
+
+
+class Pose(_AbstractOnLink):
+    kind, unit, make = "pose", "m", staticmethod(pose_sensor)
+    checks = Checks(vector=True)
+
+    def __call__(self, now: Instant, s: SlowVector) -> Vector:
+        rotation, place = self.pose(now.q)
+        return jnp.concatenate([place, rotation.reshape(-1)])
+
+    def difference(self, expected: Float[Array, "12"], reading: Float[Array, "12"]) -> Float[Array, "6"]:
+        """Difference of the positions in the world, then the rotation vector from one attitude to the other."""
+        turned = SO3.local(expected[3:].reshape(3, 3), reading[3:].reshape(3, 3))
+        return jnp.concatenate([reading[:3] - expected[:3], turned])
+
+    def perturbed(self, reading: Float[Array, "12"], noise: Float[Array, "6"]) -> Float[Array, "12"]:
+        turned = reading[3:].reshape(3, 3) @ SO3.exp(noise[3:])
+        return jnp.concatenate([reading[:3] + noise[:3], turned.reshape(-1)])
 
 
 def point_sensor(
@@ -327,13 +429,46 @@ def point_sensor(
         >>> observers.point_sensor(arm.space, "lower", 1e-3, place=[0.0, 0.0, -1.0]).count
         3
     """
-    h = _Point(*_on_link("point_sensor", space, link, None, place))
+    h = Point(*_on_link("point_sensor", space, link, None, place))
     return _sensor("point_sensor", name, h, _stds("point_sensor", "std", std, 3), (bias_std, bias_drift))
 
 
+class Point(_AbstractOnLink, _AbstractNumbers):
+    kind, unit, make = "point", "m", staticmethod(point_sensor)
+    checks = Checks(vector=True)
+
+    def value(self, now: Instant) -> Vector:
+        return self.pose(now.q)[1]
+
+
+SENSOR_KINDS = {
+    each.kind: each
+    for each in (
+        Encoder,
+        Tachometer,
+        Gyro,
+        Accelerometer,
+        Pose,
+        Point,
+    )
+}
+"""The kinds of sensors of a model file, by what their tables call them."""
+
+
+def _named(table: Mapping[str, Any], *lists: Sequence[str]) -> tuple[list[int], dict[str, Any]]:
+    """Places of the names in `of` in the first list that has each, and the other settings of the table."""
+    places = []
+    for each in table["of"]:
+        holding = [names for names in lists if each in names]
+        if not holding:
+            known = dict.fromkeys(known for names in lists for known in names)
+            raise ValueError(f"of: there is no {each!r}; there are: {', '.join(known)}")
+        places.append(holding[0].index(each))
+    return places, {key: value for key, value in table.items() if key != "of"}
+
+
 def _components(
-    whose: str,
-    field: str,
+    kind: type[_AbstractComponents],
     places: Sequence[int],
     std: Numbers,
     reduction: Numbers,
@@ -341,15 +476,15 @@ def _components(
     bias: tuple[Numbers | None, Numbers],
     period: Numbers,
 ) -> Sensor:
-    """Sensor of some entries of a field of `Instant`."""
-    indices = [int(place) for place in places]
+    """Sensor of some entries of the configuration or of the velocity."""
+    whose, indices = kind.kind, [int(place) for place in places]
     k = len(indices)
     if not k or len(set(indices)) < k or min(indices) < 0:
         raise ValueError(f"{whose}: places must be different indices, 0 or more; got {list(places)}")
     factors, periods = (as_numbers(whose, *each, k) for each in (("reduction", reduction), ("period", period)))
     if not factors.all() or (periods < 0).any():
         raise ValueError(f"{whose}: reduction must not be zero, nor period negative; got {reduction} and {period}")
-    h = _Components(field, tuple(indices), jnp.asarray(factors))
+    h = kind(tuple(indices), jnp.asarray(factors))
     turns = tuple(periods.tolist()) if periods.any() else None
     return _sensor(whose, name, h, _stds(whose, "std", std, k), bias, turns)
 
