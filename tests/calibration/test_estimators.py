@@ -13,13 +13,13 @@ from covariant.calibration import (
     ESTIMATORS,
     DataSheet,
     Trial,
-    bias,
     estimators,
     filter_bandwidth,
     gains,
     jerk_bound,
     joint_noise,
     observer_gains,
+    steady_state_errors,
     tuned_estimators,
     window_length,
 )
@@ -86,7 +86,7 @@ def test_a_constant_acceleration_leaves_the_predicted_bias():
     t = 0.0005 * np.arange(4000)
     q = np.tile(acceleration * t[:, None] ** 2 / 2, AXES)
     estimate = watched(alpha, beta, t, q)[-1]
-    position, velocity = bias(alpha, beta, acceleration)
+    position, velocity = steady_state_errors(alpha, beta, acceleration)
     assert q[-1, 0] - estimate[0] == pytest.approx(position, rel=0.01)
     assert acceleration * t[-1] - estimate[AXES] == pytest.approx(velocity, rel=0.01)
 

@@ -24,14 +24,6 @@ class Aligned(NamedTuple):
     raw: Record
     late: float
 
-    def commanded(self, between: str) -> Record:
-        """Record with the inputs that act in each step, without their lag.
-
-        Args:
-            between: How inputs go from one stamp to the next, "held" or "linear".
-        """
-        return acting_inputs(self.raw, between, self.late)
-
 
 def aligned(job: Job) -> Aligned:
     """Read a log, its rows at the times at which the positions were true.

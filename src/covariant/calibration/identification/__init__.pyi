@@ -15,13 +15,18 @@ from ._excitation import (
     design_excitation as design_excitation,
 )
 from ._expected import ExpectedErrors as ExpectedErrors, Sensing as Sensing
-from ._fit import Fit as Fit, fit as fit, losses as losses
+from ._fit import Fit as Fit, fit as fit, window_losses as window_losses
 from ._fourier import FourierMotion as FourierMotion
-from ._held_out import FITTED as FITTED, growth as growth, held_out_logs as held_out_logs, split as split
+from ._held_out import (
+    FITTED as FITTED,
+    error_growth as error_growth,
+    held_out_logs as held_out_logs,
+    split_windows as split_windows,
+)
 from ._predict import PredictionErrors as PredictionErrors, prediction_errors as prediction_errors
 from ._relations import relations as relations
 from ._robot_combinations import Combinations as Combinations
 from ._robot_fit import RobotFit as RobotFit, fit_robot as fit_robot
 from ._robot_misfit import robot_misfit as robot_misfit
 from ._robot_torques import motor_inputs as motor_inputs
-from ._windows import Windows as Windows, horizon as horizon, windows as windows
+from ._windows import Windows as Windows, cut_windows as cut_windows, horizon as horizon

@@ -43,10 +43,10 @@ class NoiseLevels(NamedTuple):
         force_time: Time constant [s] after which the force is forgotten; infinite for a random walk, by default.
 
     Example:
-        >>> from covariant.calibration import DataSheet, NoiseLevels, given_noise
-        >>> noise = given_noise(DataSheet(measurement_std=1e-3, acceleration_std=0.5), rate=50.0, n=2)
-        >>> isinstance(noise, NoiseLevels), noise.measurement.tolist(), round(float(noise.acceleration), 6)
-        (True, [0.001, 0.001], 0.070711)
+        >>> import jax.numpy as jnp
+        >>> from covariant.calibration import NoiseLevels
+        >>> NoiseLevels(jnp.array(0.07), jnp.array([1e-3, 1e-3]), jnp.array(0.0)).measurement.tolist()
+        [0.001, 0.001]
     """
 
     acceleration: Scalar

@@ -125,12 +125,12 @@ def fit(
     Example:
         >>> import numpy as np
         >>> from covariant import models
-        >>> from covariant.calibration import fit, windows
+        >>> from covariant.calibration import fit, cut_windows
         >>> from covariant.signals import Record
         >>> t = np.arange(500) * 0.02
         >>> record = Record(t, np.zeros((500, 1)), np.cos(t)[:, None])  # a unit mass on a spring of 1 N/m
         >>> family = models.family("oscillator", ["stiffness"], ["parameters.stiffness=2.0"])
-        >>> result = fit(family, windows([record], [-np.sin(t)[:, None]], length=1.0))
+        >>> result = fit(family, cut_windows([record], [-np.sin(t)[:, None]], length=1.0))
         >>> result.names, result.values.round(6).tolist()
         (('stiffness',), [1.0])
     """
@@ -166,20 +166,11 @@ def fit(
     return Fit(family.names, family.first, values, errors, rows, np.asarray(scale), float(frequency), step_count)
 
 
-def losses(family: Family, windows: Windows, fit: Fit, weighed_as: Fit) -> Float[NumpyArray, "W"]:
-    """Loss of each window at the values of a fit: its negative log-likelihood, up to a constant.
+def window_losses(family: Family, windows: Windows, fit: Fit, weighed_as: Fit) -> Float[NumpyArray, "W"]:
+    """Negative log-likelihood of each window at the values of a fit, up to a constant.
 
-    The constant is the same for all fits whose errors are weighed alike, so that two fits to the same rows under other
-    inputs can be compared, window by window (Vuong 1989, Likelihood ratio tests for model selection).
-
-    Args:
-        family: The model as a function of its open parameters.
-        windows: Windows of one log or several.
-        fit: The fit whose values are used.
-        weighed_as: The fit whose filter and scales weigh the errors.
-
-    Returns:
-        The losses (W,).
+    The constant is the same for all fits whose errors are weighed as those of `weighed_as`, so that two fits to the
+    same rows under other inputs can be compared (Vuong 1989, Likelihood ratio tests for model selection).
     """
     windows = jax.tree.map(jnp.asarray, windows)
     model = family.file.need_mechanical(family.file.name, "numbers are fitted for")

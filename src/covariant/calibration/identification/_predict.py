@@ -148,12 +148,12 @@ def prediction_errors(model: MechanicalSystem, lag: Number, windows: Windows) ->
 
     Example:
         >>> import numpy as np
-        >>> from covariant.calibration import prediction_errors, windows
+        >>> from covariant.calibration import prediction_errors, cut_windows
         >>> from covariant.models import oscillator
         >>> from covariant.signals import Record
         >>> t = np.arange(0.0, 10.0, 0.02)
         >>> record = Record(t, np.zeros((500, 1)), np.cos(t)[:, None])
-        >>> errors = prediction_errors(oscillator(), 0.0, windows([record], [-np.sin(t)[:, None]], length=1.0))
+        >>> errors = prediction_errors(oscillator(), 0.0, cut_windows([record], [-np.sin(t)[:, None]], length=1.0))
         >>> bool(errors.position[0] < 1e-9)
         True
     """

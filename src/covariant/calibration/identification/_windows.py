@@ -32,10 +32,10 @@ class Windows(NamedTuple):
 
     Example:
         >>> import numpy as np
-        >>> from covariant.calibration import windows
+        >>> from covariant.calibration import cut_windows
         >>> from covariant.signals import Record
         >>> t = np.arange(0.0, 10.0, 0.02)
-        >>> pieces = windows([Record(t, y=np.sin(t)[:, None])], [np.cos(t)[:, None]], length=1.0)
+        >>> pieces = cut_windows([Record(t, y=np.sin(t)[:, None])], [np.cos(t)[:, None]], length=1.0)
         >>> pieces.t.shape, pieces.v.shape, pieces.inputs.shape
         ((9, 51), (9, 51, 1), (500, 0))
     """
@@ -95,7 +95,7 @@ def horizon(record: Record, velocity: Float[np.ndarray, "T n"], part: float = 1.
     return float(most)
 
 
-def windows(
+def cut_windows(
     records: Sequence[Record],
     velocities: Sequence[Float[np.ndarray, "_ n"]],
     length: float,
@@ -120,10 +120,11 @@ def windows(
 
     Example:
         >>> import numpy as np
-        >>> from covariant.calibration import windows
+        >>> from covariant.calibration import cut_windows
         >>> from covariant.signals import Record
         >>> t = np.arange(0.0, 20.0, 0.02)
-        >>> later = windows([Record(t, y=np.sin(t)[:, None])], [np.cos(t)[:, None]], length=1.0, spans=[(8.0, 20.0)])
+        >>> record, v = Record(t, y=np.sin(t)[:, None]), np.cos(t)[:, None]
+        >>> later = cut_windows([record], [v], length=1.0, spans=[(8.0, 20.0)])
         >>> round(float(later.t.min()), 6), len(later.t)
         (8.0, 11)
     """

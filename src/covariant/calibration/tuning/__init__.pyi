@@ -19,11 +19,11 @@ from ._filters import (
 )
 from ._gains import (
     Gains as Gains,
-    bias as bias,
     gains as gains,
     predict_errors as predict_errors,
     predict_sampled_errors as predict_sampled_errors,
+    steady_state_errors as steady_state_errors,
 )
 from ._stored_observer import stored_observer as stored_observer
 from ._suggest import Suggestion as Suggestion, suggest_noise as suggest_noise
-from ._tune import HeldOut as HeldOut, Tuning as Tuning, given_noise as given_noise, tune as tune
+from ._tune import HeldOut as HeldOut, Tuning as Tuning, tune as tune

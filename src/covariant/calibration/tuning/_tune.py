@@ -90,11 +90,12 @@ class Tuning(NamedTuple):
             the Kalman filter's velocities as it predicts it, (2, n) [rad/s or m/s]; None where that is unknown.
 
     Example:
+        >>> import jax.numpy as jnp
         >>> import numpy as np
-        >>> from covariant.calibration import DataSheet, HeldOut, Tuning, given_noise
+        >>> from covariant.calibration import HeldOut, NoiseLevels, Tuning
         >>> one = np.array([0.01])
         >>> errors = HeldOut(one, 3 * one, 2 * one, np.array([0.03, 0.02]), likelihood=4.8, nis=1.1, correlation=one)
-        >>> noise = given_noise(DataSheet(1e-3, 0.5), rate=100.0, n=1)
+        >>> noise = NoiseLevels(jnp.array(0.05), jnp.array([1e-3]), jnp.array(0.0))
         >>> Tuning(5.0, 0.7, noise, None, errors, ("savitzky-golay", 0.05), rows=1000).model_helps
         True
     """
@@ -174,9 +175,9 @@ def tune(
         gains = observer_gains(before, rate)
         old = gains.beta**0.5, gains.alpha / (2 * gains.beta**0.5)
         proposed = {"model file": old} | proposed
-        baseline = _judged(logs, systems, estimates, followed(model, logs, *old, runner), given_noise(before, rate, n))
+        baseline = _judged(logs, systems, estimates, followed(model, logs, *old, runner), noise_levels(before, rate, n))
         if _judged(logs, systems, estimates, estimates, noise).likelihood < baseline.likelihood:
-            kept, noise = True, given_noise(before, rate, n)
+            kept, noise = True, noise_levels(before, rate, n)
     smooth = _smooth(systems, estimates, noise, speed) if np.any(noise.force) else None
     best, compared, horizon = best_gains(model, logs, proposed, steps, runner, smooth)
     chosen = followed(model, logs, best.natural_frequency, best.damping, runner)
@@ -201,22 +202,8 @@ def tune(
     )
 
 
-def given_noise(sheet: DataSheet, rate: float, n: int) -> NoiseLevels:
-    """Noise levels of a Kalman filter from a data sheet.
-
-    Args:
-        sheet: The data sheet.
-        rate: Sampling rate [Hz].
-        n: Number of velocities.
-
-    Returns:
-        The noise levels; the force is 0 where the sheet has none.
-
-    Example:
-        >>> from covariant.calibration import DataSheet, given_noise
-        >>> given_noise(DataSheet(measurement_std=1e-3, acceleration_std=0.5), rate=100.0, n=2).measurement.tolist()
-        [0.001, 0.001]
-    """
+def noise_levels(sheet: DataSheet, rate: float, n: int) -> NoiseLevels:
+    """Noise levels of a Kalman filter for n velocities from a data sheet; the force is 0 where the sheet has none."""
     time = 1 / (2 * rate) if sheet.correlation_time is None else sheet.correlation_time
     std = np.broadcast_to(np.asarray(sheet.coordinate_stds or sheet.measurement_std, float), n)
     acceleration = float(np.sqrt(2 * time) * sheet.acceleration_std)
