@@ -49,8 +49,6 @@ from .tuning import (
     filter_bandwidth as filter_bandwidth,
     gains as gains,
     gated as gated,
-    jerk_bound as jerk_bound,
-    joint_noise as joint_noise,
     observer_gains as observer_gains,
     predict_errors as predict_errors,
     predict_sampled_errors as predict_sampled_errors,
@@ -60,6 +58,5 @@ from .tuning import (
     tune as tune,
     tuned_estimators as tuned_estimators,
     tuned_state_estimators as tuned_state_estimators,
-    window_length as window_length,
     with_gains as with_gains,
 )

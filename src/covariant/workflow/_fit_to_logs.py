@@ -106,7 +106,7 @@ def _solve(problem: "_Problem", parts: Parts, progress: Progress) -> dict[str, A
     tried = problem.logs.tried
     order = (*tried, *tried[:-1]) if problem.search_again else tried
     fits: dict[str, Any] = {}
-    start = None
+    start: Any = None
     for k, word in enumerate(order):
 
         def report(done: int, fraction: float, k: int = k, word: str = word) -> None:

@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from covariant.calibration._least_squares import PRIOR
 from covariant.calibration.diagnosis import acceleration_kernel, second_derivative_weights
 from covariant.calibration.identification._fourier import FourierMotion
 from covariant.calibration.identification._robot_combinations import Combinations
@@ -20,7 +21,6 @@ from covariant.calibration.identification._robot_torques import (
     BLOCK,
     FEWEST,
     FEWEST_BLOCKS,
-    PRIOR,
     RESTING,
     WINDOWS,
     Determined,

@@ -10,7 +10,7 @@ from covariant.calibration.identification._windows import FEWEST_WINDOWS, Window
 from covariant.signals import Record
 
 FITTED = 2 / 3
-"""Fraction of a single log that is used by a fit; the rest is held out."""
+"""Fraction of a log, its first part, that a fit to it alone or a tuning uses; the rest is held out."""
 
 
 def split_windows(

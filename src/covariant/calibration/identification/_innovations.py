@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from covariant._typing import Scalar, Vector
+from covariant.calibration._least_squares import STD_OF_MEDIAN
 from covariant.calibration.identification._windows import Windows
 from covariant.observers import PLL
 from covariant.signals import AnyArray
@@ -113,7 +114,6 @@ def _scale(windows: Windows, errors: Array, seen: Array, frequency: Scalar) -> V
 
     new = jax.vmap(innovations, (0, 0, 0, None))(errors, seen, t, frequency)
     # The median of the sizes is that of noise even where some errors are outliers.
-    # 1.4826 = 1/Φ⁻¹(3/4): half of all normal deviates are within 0.6745 standard deviations.
-    scale = 1.4826 * jnp.nanmedian(jnp.where(seen, jnp.abs(new), jnp.nan), axis=(0, 1))
+    scale = STD_OF_MEDIAN * jnp.nanmedian(jnp.where(seen, jnp.abs(new), jnp.nan), axis=(0, 1))
     # The floor keeps the logarithms above finite where a model predicts a noise-free log exactly.
     return jnp.maximum(scale, FINEST * motion + 1e-300)

@@ -10,13 +10,12 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float
 
+from covariant.calibration._least_squares import PRIOR
 from covariant.calibration.diagnosis import acceleration_kernel
 from covariant.calibration.identification._robot_combinations import Combinations, combinations
 from covariant.geometry import differential
 from covariant.models import MechanicalSystem, RobotFamily, applied_force, input_count, resistance
 
-PRIOR = 3.0
-"""Standard deviation of the prior, in usual sizes: it decides only where the log says nothing."""
 KNOWN = 0.1
 """A number is shown where its standard error is below this fraction of that of the prior."""
 USEFUL = 0.1
@@ -73,7 +72,7 @@ class Torques(NamedTuple):
 
         def derivatives(x: np.ndarray, *columns: np.ndarray) -> np.ndarray:
             flat, slopes = at(x), slopes_at(x)
-            return _batched(lambda *part: batch(flat, slopes, *part), columns)
+            return batched(lambda *part: batch(flat, slopes, *part), columns)
 
         @jax.jit
         def with_slopes(flat: Array, slopes: Array, *columns: Array) -> tuple[Array, Array]:
@@ -237,15 +236,15 @@ def in_batches(function: Callable[..., Array], model: MechanicalSystem, *columns
     Returns:
         Its values (K, …).
     """
-    return _batched(lambda *part: mapped(function, model, *part), columns)
+    return batched(lambda *part: mapped(function, model, *part), columns)
 
 
-def _batched(function: Callable[..., Array], columns: Sequence[np.ndarray]) -> np.ndarray:
-    """A function of `BATCH` rows, at all rows."""
+def batched(function: Callable[..., Array], columns: Sequence[np.ndarray], batch: int = BATCH) -> np.ndarray:
+    """A function of so many rows at a time, at all rows."""
     count = len(columns[0])
-    size = -(-count // BATCH) * BATCH
+    size = -(-count // batch) * batch
     padded = [np.concatenate([c, np.repeat(c[-1:], size - count, axis=0)]) for c in columns]
-    parts = [np.asarray(function(*(c[i : i + BATCH] for c in padded))) for i in range(0, size, BATCH)]
+    parts = [np.asarray(function(*(c[i : i + batch] for c in padded))) for i in range(0, size, batch)]
     return np.concatenate(parts)[:count]
 
 

@@ -11,12 +11,7 @@ from ._estimators import (
     tuned_state_estimators as tuned_state_estimators,
     with_gains as with_gains,
 )
-from ._filters import (
-    filter_bandwidth as filter_bandwidth,
-    jerk_bound as jerk_bound,
-    joint_noise as joint_noise,
-    window_length as window_length,
-)
+from ._filters import filter_bandwidth as filter_bandwidth
 from ._gains import (
     Gains as Gains,
     gains as gains,

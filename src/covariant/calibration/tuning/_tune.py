@@ -204,13 +204,12 @@ def tune(
 
 def noise_levels(sheet: DataSheet, rate: float, n: int) -> NoiseLevels:
     """Noise levels of a Kalman filter for n velocities from a data sheet; the force is 0 where the sheet has none."""
-    time = 1 / (2 * rate) if sheet.correlation_time is None else sheet.correlation_time
-    std = np.broadcast_to(np.asarray(sheet.coordinate_stds or sheet.measurement_std, float), n)
-    acceleration = float(np.sqrt(2 * time) * sheet.acceleration_std)
-    if sheet.external_force_std is not None:
-        force, forgotten = (jnp.asarray(x) for x in (sheet.external_force_std, sheet.external_force_time))
-        return NoiseLevels(jnp.asarray(acceleration), jnp.asarray(std), force, forgotten)
-    return NoiseLevels(jnp.asarray(acceleration), jnp.asarray(std), jnp.asarray(sheet.external_force or 0.0))
+    acceleration = jnp.asarray(np.sqrt(2 * sheet.white_time(rate)) * sheet.acceleration_std)
+    std = jnp.asarray(sheet.stds(n))
+    if sheet.external_force_std is None:
+        return NoiseLevels(acceleration, std, jnp.asarray(sheet.external_force or 0.0))
+    force, forgotten = (jnp.asarray(each) for each in (sheet.external_force_std, sheet.external_force_time))
+    return NoiseLevels(acceleration, std, force, forgotten)
 
 
 def _smooth(systems: Sequence[ErrorModel], runs: Sequence[Any], noise: NoiseLevels, speed: Any) -> list[np.ndarray]:
