@@ -29,16 +29,6 @@ def aligned(job: Job) -> Aligned:
     """Read a log, its rows at the times at which the positions were true.
 
     Where one coordinate is later than another they are interpolated to the times of the latest.
-
-    Args:
-        job: The model and the log.
-
-    Returns:
-        The log, with the inputs later by the largest delay of the positions.
-
-    Raises:
-        MisfitError: Where the log does not fit the model at all.
-        ValueError: For a model or a log that cannot be used.
     """
     file = models.load(job.model, job.overrides)
     delay = np.asarray(file.delay, float)

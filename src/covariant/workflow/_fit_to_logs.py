@@ -57,21 +57,7 @@ Parts = dict[str, tuple[Windows, Windows]]
 def fit_to_logs(
     jobs: list[Job], names: Sequence[str], length: float | None, progress: Progress
 ) -> tuple[list[Job], dict[str, Any], dict[str, Any]]:
-    """Fit parameters of a model, or numbers of a robot, to logs, and judge the fit on what is held out.
-
-    Args:
-        jobs: The model and the logs, the same model in each.
-        names: Names of the parameters.
-        length: Length of the predictions [s]; None chooses it by the motion.
-        progress: Called with a description and a fraction as the work goes on.
-
-    Returns:
-        The fields of a `FitResult`, in their order.
-
-    Raises:
-        MisfitError: Where the model explains nothing of the motion in a log.
-        ValueError: For a model or a log that cannot be used.
-    """
+    """Fit parameters of a model, or numbers of a robot, to logs, and judge the fit on what is held out."""
     progress("reading")
     kind = _RobotProblem if _is_robot_fit(jobs[0], names) else _PredictionProblem
     problem = kind.read(jobs, names, length)

@@ -114,14 +114,7 @@ def _errors(model: MechanicalSystem, data: Any, motion: Motion, starts: Array, h
 
 
 def size(errors: Sequence[Float[np.ndarray, "_ _ n"]]) -> Float[np.ndarray, "n"]:
-    """Root mean squares of errors, which outliers do not decide.
-
-    Args:
-        errors: Errors (K, h, n) of each log; NaN where there is none.
-
-    Returns:
-        The root mean squares (n,); infinite where a prediction is not finite that has a measurement.
-    """
+    """Root mean squares of errors, which outliers do not decide."""
     columns = np.concatenate([np.reshape(each, (-1, each.shape[-1])) for each in errors]).T
     return np.sqrt([mean_square(column[~np.isnan(column)]) for column in columns])
 

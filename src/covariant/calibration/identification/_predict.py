@@ -44,16 +44,7 @@ class PredictionErrors(NamedTuple):
 
 
 def lagged(inputs: Float[Array, "S m"], steps: Float[Array, "S"], lag: Number) -> Float[Array, "S m"]:
-    """Inputs after a first-order lag, as in `signals.lag_inputs`.
-
-    Args:
-        inputs: Inputs (S, m) of all rows.
-        steps: Time (S,) since the row before [s].
-        lag: Time constant [s], which JAX may trace; a plain 0 returns the inputs unchanged.
-
-    Returns:
-        The lagged inputs (S, m).
-    """
+    """Inputs after a first-order lag, as in `signals.lag_inputs`."""
     if not isinstance(lag, Tracer) and float(lag) == 0:
         return inputs
 
@@ -69,18 +60,7 @@ def lagged(inputs: Float[Array, "S m"], steps: Float[Array, "S"], lag: Number) -
 def follow(
     model: MechanicalSystem, t: Float[Array, "L1"], u: Float[Array, "L m"], start: Motion, substeps: int
 ) -> Motion:
-    """Predict the motion at given stamps, each input constant over its step.
-
-    Args:
-        model: The mechanical system.
-        t: Stamps (L + 1,) [s].
-        u: Inputs (L, m) of the steps.
-        start: Motion at the first stamp.
-        substeps: Runge–Kutta steps in each step.
-
-    Returns:
-        The motion at all stamps, the first included.
-    """
+    """Predict the motion at given stamps, each input constant over its step."""
 
     def step(motion, row):
         begin, end, input_ = row
@@ -92,16 +72,7 @@ def follow(
 
 
 def differences(model: MechanicalSystem, q: Array, y: Array) -> tuple[Float[Array, "L1 n"], Bool[Array, "L1 n"]]:
-    """Prediction errors of the configuration, in the frame.
-
-    Args:
-        model: The mechanical system.
-        q: Predicted configurations, one per row.
-        y: Measured configurations, one per row.
-
-    Returns:
-        Measured minus predicted (L + 1, n), zero where missing, and whether each component is measured.
-    """
+    """Prediction errors of the configuration, in the frame."""
     manifold = model.manifold
     return jax.vmap(manifold.towards)(q, y), ~jax.vmap(manifold.missing)(y)
 
@@ -111,13 +82,6 @@ def needed_substeps(model: MechanicalSystem, windows: Windows) -> int:
 
     The rate is bounded by the trace of the Jacobian of the friction at rest, where Coulomb friction is steepest, and at
     the largest velocities of the log.
-
-    Args:
-        model: The mechanical system.
-        windows: The windows of the log.
-
-    Returns:
-        The number, from 1 to `MOST_SUBSTEPS`.
     """
     t, y, v, rows, inputs = (np.asarray(a) for a in (windows.t, windows.y, windows.v, windows.rows, windows.inputs))
     longest = float(np.diff(t, axis=1).max())

@@ -42,18 +42,7 @@ def combinations(
     prior: Float[np.ndarray, "p"],
     known: float,
 ) -> Combinations:
-    """Combinations that a log determines.
-
-    Args:
-        family: The robot as a function of its numbers.
-        information: Information (p, p) of the log about the coordinates of the family.
-        to_linear: Derivatives (p, p) of the numbers in linear form in the coordinates.
-        prior: Standard deviations (p,) of the coordinates before the log.
-        known: A combination is determined where its standard error is below this fraction of the prior one.
-
-    Returns:
-        The combinations, in the numbers in which torques are linear.
-    """
+    """Combinations that a log determines."""
     back = np.linalg.inv(to_linear)
     size = np.sqrt(np.sum((to_linear * prior) ** 2, axis=1))
     # A square root of the information is as good as the regressor itself: it has the same triangular factor.

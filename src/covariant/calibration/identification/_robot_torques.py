@@ -120,15 +120,7 @@ class Determined(NamedTuple):
         information: Float[np.ndarray, "p p"],
         covariance: Float[np.ndarray, "p p"],
     ) -> "Determined":
-        """What follows from information about the coordinates x (p,), and from their covariance with the prior in it.
-
-        Args:
-            family: The robot as a function of its numbers.
-            x: Coordinates (p,).
-            sizes: Their usual sizes (p,).
-            information: Information (p, p), without the prior.
-            covariance: Covariance (p, p).
-        """
+        """What follows from information about coordinates x (p,), without the prior, and their covariance with it."""
         slopes = np.asarray(jax.jit(jax.jacfwd(family.values))(x))
         prior = np.sqrt(np.sum((slopes * sizes * PRIOR) ** 2, axis=1))
         errors = np.sqrt(np.einsum("ij,jk,ik->i", slopes, covariance, slopes))
@@ -176,18 +168,7 @@ def inverse_motors(model: MechanicalSystem) -> Float[np.ndarray, "m n"]:
 def usual_sizes(
     family: RobotFamily, driving: np.ndarray, without_friction: np.ndarray, v: np.ndarray, a: np.ndarray
 ) -> tuple[Float[np.ndarray, "p"], Float[np.ndarray, "n"]]:
-    """Usual sizes of the open numbers in a motion, and usual speeds of the joints.
-
-    Args:
-        family: The robot as a function of its p open numbers.
-        driving: Torques (K, n) of the motors.
-        without_friction: Torques (K, n) that the motion needs without friction.
-        v: Velocities (K, n).
-        a: Accelerations (K, n).
-
-    Returns:
-        The sizes (p,) and the speeds (n,).
-    """
+    """Usual sizes of the open numbers in a motion, and usual speeds of the joints."""
     motors, needs, speed, acceleration = (
         np.maximum(np.sqrt(np.mean(each**2, axis=0)), 1e-9) for each in (driving, without_friction, v, a)
     )
@@ -226,16 +207,7 @@ def _torque(model: MechanicalSystem, q: Array, v: Array, a: Array, u: Array) -> 
 
 
 def in_batches(function: Callable[..., Array], model: MechanicalSystem, *columns: np.ndarray) -> np.ndarray:
-    """A function of a model and of one row, at all rows.
-
-    Args:
-        function: Function of a model and of numbers of one row.
-        model: The model.
-        columns: These numbers, in K rows each.
-
-    Returns:
-        Its values (K, …).
-    """
+    """A function of a model and of one row, at all rows."""
     return batched(lambda *part: mapped(function, model, *part), columns)
 
 

@@ -80,13 +80,8 @@ def best_noise(
 ) -> NoiseLevels:
     """Noise of the greatest likelihood; with an unknown force where that gains more than its parameters cost.
 
-    Args:
-        logs: The logs.
-        systems: Error model of each.
-        frequency: Natural frequency [rad/s] of the gains with the least innovations.
-        size: Root mean squares (n,) of these innovations.
-        std: Least noise (n,) of a reading; None for a small fraction of the innovations.
-        forgotten: Relative sizes (n,) of the components of a force that is forgotten; None for a random walk.
+    `frequency` [rad/s] and `size` (n,) are those of the least innovations, `std` the least noise (n,) of a reading.
+    The force is forgotten where `forgotten` has the relative sizes (n,) of its components; without, it is a walk.
     """
     least = LEAST * size if std is None else np.asarray(std, float)
     # At first one half of the variance of the innovations is noise of the reading.

@@ -41,19 +41,7 @@ class TuningLog(NamedTuple):
 
 
 def prepared(model: MechanicalSystem, record: Record, velocity: np.ndarray) -> TuningLog:
-    """Take the outliers out of a record, and divide its rows.
-
-    Args:
-        model: The mechanical system.
-        record: The record.
-        velocity: Reference velocities (T, n).
-
-    Returns:
-        The log.
-
-    Raises:
-        ValueError: The record is too short.
-    """
+    """Take the outliers out of a record, and divide its rows."""
     t, y = np.asarray(record.t), np.asarray(record.y)
     if model.manifold.commuting:
         wrong = outliers(t, y, model.circles)[0]
