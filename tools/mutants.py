@@ -41,7 +41,7 @@ FAILED = {1, 2, 4, -signal.SIGSEGV, -signal.SIGABRT, -signal.SIGFPE}
 """Exit statuses of a mutant that fails a test, cannot be imported, or crashes; any other says nothing of it."""
 WARM = "jax jax.numpy equinox scipy.linalg hypothesis pytest beartype"
 
-FITTING = ("fit", "held_out", "innovations", "predict", "relations", "windows")
+FITTING = ("fit", "innovations", "predict", "windows")
 DIAGNOSIS = (
     *("changes", "delays", "diagnose", "finding", "readings", "residual", "sensor", "smooth", "suggest", "timing"),
 )
@@ -116,7 +116,8 @@ RELEVANT = {
     "simulation/_reference.py": "simulation/test_backstepping",
     "simulation/*": "simulation/test_simulate simulation/test_sensors",
     "calibration/identification/_draft.py": "calibration/test_draft",
-    **{f"calibration/_{name}.py": "calibration/test_fit" for name in FITTING},
+    **{f"calibration/identification/_{name}.py": "calibration/test_fit" for name in FITTING},
+    "calibration/_least_squares.py": "calibration/test_fit",
     **{f"calibration/_{name}.py": "calibration/test_diagnosis calibration/test_suggestions" for name in DIAGNOSIS},
     "calibration/*": "calibration/test_estimators calibration/test_gain_rule calibration/test_speeds "
     "calibration/test_tune",

@@ -23,12 +23,11 @@ from jaxtyping import Array, Bool, Float
 
 from covariant._gauss_markov import gauss_markov
 from covariant._typing import Flag, Scalar, Vector
+from covariant.calibration.identification._windows import LONGEST_GAP
 from covariant.models import MechanicalSystem, Motion, advance
 
 CREDIBLE = 5.0
 """Standard deviations beyond which an innovation is an outlier: it corrects no more than one of this size."""
-LONGEST_GAP = 5.0
-"""Ratio to the median step, beyond which the filter restarts after a step."""
 
 
 class NoiseLevels(NamedTuple):

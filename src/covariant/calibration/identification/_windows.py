@@ -1,4 +1,4 @@
-"""Windows of logs over which a model predicts: short stretches, each with the motion at its start."""
+"""Windows of logs over which a model predicts, each with the motion at its start, and those that are held out."""
 
 import math
 from collections.abc import Sequence
@@ -15,6 +15,8 @@ FEWEST_ROWS, FEWEST_WINDOWS = 12, 8
 """Least number of rows of a window, and of windows of a fit."""
 LONGEST_GAP = 5.0
 """Longest step of a window, in median steps: after a longer gap in the stamps a new window begins."""
+FITTED = 2 / 3
+"""Fraction of a log, its first part, that a fit to it alone or a tuning uses; the rest is held out."""
 BETWEEN_LOGS = 1e9
 """Step [s] put between the inputs of two logs, so that a lag of the first has died away in the second."""
 
@@ -185,3 +187,27 @@ def _pieces(t: np.ndarray, whole: np.ndarray, length: float, begin: float, end: 
 
 def _padded(rows: np.ndarray, length: int) -> np.ndarray:
     return np.concatenate([rows, np.full(length - len(rows), rows[-1])])
+
+
+def split_windows(
+    records: Sequence[Record], velocities: Sequence[Float[np.ndarray, "_ n"]], length: float
+) -> tuple[Windows, Windows]:
+    """Cut windows to fit, and held-out ones: of several records the last, of a single one the last third."""
+    if len(records) > 1:
+        held_out = held_out_logs([np.asarray(record.t) for record in records], length)
+        k = len(records) - held_out
+        return cut_windows(records[:k], velocities[:k], length), cut_windows(records[k:], velocities[k:], length)
+    t = np.asarray(records[0].t)
+    border = float(t[0] + FITTED * (t[-1] - t[0]))
+    first, last = ((-np.inf, border),), ((border, np.inf),)
+    return cut_windows(records, velocities, length, first), cut_windows(records, velocities, length, last)
+
+
+def held_out_logs(stamps: Sequence[Float[np.ndarray, "_"]], length: float) -> int:
+    """Number of the last logs that are held out: the least that hold enough windows, and less than half of all."""
+    # Windows share no row, so that each takes a step more than its length.
+    counts = [int(len(t) / (length / np.median(np.diff(t)) + 1) + 1e-9) for t in stamps]
+    held_out = 1
+    while sum(counts[-held_out:]) < FEWEST_WINDOWS and held_out < (len(counts) - 1) // 2:
+        held_out += 1
+    return held_out
