@@ -41,7 +41,7 @@ FAILED = {1, 2, 4, -signal.SIGSEGV, -signal.SIGABRT, -signal.SIGFPE}
 """Exit statuses of a mutant that fails a test, cannot be imported, or crashes; any other says nothing of it."""
 WARM = "jax jax.numpy equinox scipy.linalg hypothesis pytest beartype"
 
-FITTING = ("fit", "held_out", "innovations", "predict", "relations", "windows")
+FITTING = ("fit", "innovations", "least_squares", "predict", "windows")
 """Files of the room of calibration that fit a model to logs."""
 
 RELEVANT = {

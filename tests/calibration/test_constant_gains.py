@@ -6,8 +6,8 @@ import pytest
 from scipy.linalg import solve_discrete_are
 
 from covariant.calibration import Candidate, NoiseLevels, errors_ahead, predict_sampled_errors
-from covariant.calibration.identification._ahead import size
 from covariant.calibration.identification._error_model import ErrorModel, error_model, forgotten, kalman, smoothed
+from covariant.calibration.identification._predict import size
 from covariant.calibration.tuning._constant_gains import as_poles, chosen, sampled_design
 from covariant.models import Motion, oscillator
 from covariant.observers import Intrinsic, external_force, run

@@ -13,20 +13,19 @@ from covariant.calibration import (
     ESTIMATORS,
     DataSheet,
     Trial,
-    bias,
     estimators,
     filter_bandwidth,
     gains,
-    jerk_bound,
-    joint_noise,
     observer_gains,
+    steady_state_errors,
     tuned_estimators,
-    window_length,
 )
 from covariant.calibration.tuning._filters import (
     LONGEST_WINDOW,
     filter_error,
     filtered,
+    jerk_bound,
+    joint_noise,
     linear_filter_error,
     polynomial,
 )
@@ -86,7 +85,7 @@ def test_a_constant_acceleration_leaves_the_predicted_bias():
     t = 0.0005 * np.arange(4000)
     q = np.tile(acceleration * t[:, None] ** 2 / 2, AXES)
     estimate = watched(alpha, beta, t, q)[-1]
-    position, velocity = bias(alpha, beta, acceleration)
+    position, velocity = steady_state_errors(alpha, beta, acceleration)
     assert q[-1, 0] - estimate[0] == pytest.approx(position, rel=0.01)
     assert acceleration * t[-1] - estimate[AXES] == pytest.approx(velocity, rel=0.01)
 
@@ -151,17 +150,17 @@ def test_bandwidth_and_window_are_the_best_ones(noise):
     least = linear_filter_error(FilteredDerivative(chosen).weights(RATE), sheet, RATE)
     for factor in (0.5, 0.8, 1.25, 2.0):
         assert linear_filter_error(FilteredDerivative(chosen * factor).weights(RATE), sheet, RATE) > least
-    window = window_length(sheet, RATE)
-    least = linear_filter_error(SavitzkyGolay(window, 2).weights(RATE), sheet, RATE)
+    window, order = polynomial(sheet, RATE)
+    least = linear_filter_error(SavitzkyGolay(window, order).weights(RATE), sheet, RATE)
     for other in (window - 1, window + 1, 2 * window):
-        assert other < 3 or linear_filter_error(SavitzkyGolay(other, 2).weights(RATE), sheet, RATE) >= least
+        assert other <= order or linear_filter_error(SavitzkyGolay(other, order).weights(RATE), sheet, RATE) >= least
     assert 3 <= window <= LONGEST_WINDOW
 
 
 def test_more_noise_wants_more_smoothing():
     sheets = [SHEET._replace(measurement_std=s) for s in (1e-4, 1e-3, 1e-2)]
     assert np.all(np.diff([filter_bandwidth(s, RATE) for s in sheets]) < 0)
-    assert np.all(np.diff([window_length(s, RATE) for s in sheets]) > 0)
+    assert np.all(np.diff([polynomial(s, RATE)[0] for s in sheets]) > 0)
     assert np.all(np.diff([observer_gains(s, RATE).alpha for s in sheets]) < 0)
 
 
@@ -198,7 +197,7 @@ def test_all_estimators_come_from_one_data_sheet():
     np.testing.assert_array_equal(kalman.process_cov, ekf.process_cov)
     np.testing.assert_allclose(kalman.initial_velocity_cov, np.eye(1), rtol=1e-12)
     assert eqx.tree_equal(estimators["filtered-derivative"], FilteredDerivative(filter_bandwidth(SHEET, RATE)))
-    assert eqx.tree_equal(estimators["savitzky-golay"], SavitzkyGolay(window_length(SHEET, RATE), 2))
+    assert eqx.tree_equal(estimators["savitzky-golay"], SavitzkyGolay(*polynomial(SHEET, RATE)))
     assert len(estimators) == 14
 
 
@@ -276,7 +275,7 @@ def test_on_a_trial_filters_are_the_best_of_their_kind(noise, missing):
     part = trial(noise, missing)
     window, order = polynomial(SHEET, RATE, part)
     best = trial_error(SavitzkyGolay(window, order), part)
-    for other in ((window_length(SHEET, RATE), 2), (window + 6, order), (max(window - 6, order + 1), order)):
+    for other in (polynomial(SHEET, RATE), (window + 6, order), (max(window - 6, order + 1), order)):
         assert best <= 1.02 * trial_error(SavitzkyGolay(*other), part)
     bandwidth = filter_bandwidth(SHEET, RATE, part)
     best = trial_error(FilteredDerivative(bandwidth), part)

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from covariant import models, scoring
-from covariant.calibration import fit, growth, horizon, prediction_errors, relations, split, windows
+from covariant.calibration import cut_windows, fit, horizon, prediction_errors, relations
+from covariant.calibration.identification import error_growth, split_windows
 from covariant.observers import Intrinsic, run
 from covariant.signals import Record
 from covariant.simulation import hold, simulate
@@ -75,7 +76,7 @@ def family(folder: Path, *names: str, text: str = PENDULUM, overrides=()) -> mod
 def fits(tmp_path_factory):
     """Fits of mass, inertia and friction to forty logs with different noise."""
     open_numbers = family(tmp_path_factory.mktemp("family"), "mass", "inertia", "viscous")
-    return [fit(open_numbers, windows([record], [v], 0.25)) for record, v in swung(True, 40)]
+    return [fit(open_numbers, cut_windows([record], [v], 0.25)) for record, v in swung(True, 40)]
 
 
 @pytest.mark.exhaustive
@@ -96,7 +97,7 @@ def test_outliers_and_missing_samples_hardly_move_a_fit(fits, tmp_path):
     y[rng.choice(np.arange(1, len(y)), 10, replace=False)] += 0.5
     y[0] = record.y[0]
     spoiled = record._replace(y=y)
-    found = fit(family(tmp_path, "mass", "inertia", "viscous"), windows([spoiled], [reference(spoiled)], 0.25))
+    found = fit(family(tmp_path, "mass", "inertia", "viscous"), cut_windows([spoiled], [reference(spoiled)], 0.25))
     assert np.all(np.abs(found.values - [MASS, INERTIA, VISCOUS]) < 4 * fits[0].standard_errors)
 
 
@@ -106,9 +107,9 @@ def test_outliers_do_not_hide_that_a_model_predicts_worse():
     y = np.cos(t) + 1e-3 * rng.normal(size=len(t))
     y[rng.choice(len(t), 12, replace=False)] += 2.0
     record = Record(t, np.zeros((len(t), 1)), y[:, None])
-    pieces = windows([record], [-np.sin(t)[:, None]], length=1.0)
+    pieces = cut_windows([record], [-np.sin(t)[:, None]], length=1.0)
     before, after = (prediction_errors(models.oscillator(stiffness=k), 0.0, pieces) for k in (1.0, 1.05))
-    assert growth(before, after) > 1.5
+    assert error_growth(before, after) > 1.5
 
 
 MASS_ON_A_RAIL = """
@@ -137,7 +138,7 @@ def test_a_first_value_far_too_small_or_large_does_not_hold_a_parameter(tmp_path
     truth = open_numbers.make(jnp.array([1.2, 0.6]))[0]
     y = np.asarray(simulate(truth, jnp.zeros(2), jnp.asarray(t), hold(jnp.asarray(t), jnp.asarray(u))).y)
     record = Record(t, u, y + 3e-4 * np.random.default_rng(1).normal(size=y.shape))
-    found = fit(open_numbers, windows([record], [reference(record)], 0.4))
+    found = fit(open_numbers, cut_windows([record], [reference(record)], 0.4))
     assert found.determined.all()
     np.testing.assert_allclose(found.values, [1.2, 0.6], rtol=0.05)
 
@@ -145,13 +146,13 @@ def test_a_first_value_far_too_small_or_large_does_not_hold_a_parameter(tmp_path
 @pytest.mark.exhaustive
 def test_gravity_of_the_wrong_sign_is_seen(fits, tmp_path):
     [(record, v)] = swung(True)
-    training, held_out = split([record], [v], 0.25)
+    training, held_out = split_windows([record], [v], 0.25)
     right, wrong = (
         family(tmp_path, "mass", "inertia", "viscous", overrides=[f"parameters.gravity={g}"]) for g in (9.81, -9.81)
     )
     truth = prediction_errors(*right.make(fits[0].values), held_out)
     found = fit(wrong, training)
-    assert growth(truth, prediction_errors(*wrong.make(found.values), held_out)) > 3
+    assert error_growth(truth, prediction_errors(*wrong.make(found.values), held_out)) > 3
     assert not np.allclose(found.values[0], MASS, rtol=0.2)
 
 
@@ -159,7 +160,7 @@ def test_gravity_of_the_wrong_sign_is_seen(fits, tmp_path):
 def test_a_pendulum_that_nothing_drives_shows_its_frequency_only(tmp_path):
     [(record, v)] = swung(False, viscous=0.0, seconds=6.0)
     open_numbers = family(tmp_path, "mass", "com", "inertia", overrides=["parameters.viscous=[0.0]"])
-    found = fit(open_numbers, windows([record], [v], 0.25))
+    found = fit(open_numbers, cut_windows([record], [v], 0.25))
     m, c, i = found.values
     j, true = i + m * c**2, INERTIA + MASS * COM**2
     np.testing.assert_allclose(m * c / j, MASS * COM / true, rtol=2e-3)
@@ -175,7 +176,7 @@ def test_a_pendulum_that_nothing_drives_shows_its_frequency_only(tmp_path):
 def test_what_cannot_be_told_apart_is_named(tmp_path):
     [(record, v)] = swung(True)
     text = PENDULUM.replace(f"inertia = [{1.3 * INERTIA}]", 'inertia = [0.2]\ninertia_about = "joint"')
-    found = fit(family(tmp_path, "mass", "com", "inertia", text=text), windows([record], [v], 0.25))
+    found = fit(family(tmp_path, "mass", "com", "inertia", text=text), cut_windows([record], [v], 0.25))
     assert relations(found) == (
         "only the product com[0] · mass[0] is determined: com[0] and mass[0] cannot be told apart",
     ) or relations(found) == (
@@ -220,7 +221,7 @@ def test_an_observer_with_the_fitted_model_is_as_good_as_with_the_true_one(tmp_p
         overrides=["parameters.mass=[0.78,0.52]", "parameters.inertia=[0.0065,0.00338]"],
     )
     velocity = reference(record)
-    found = fit(open_numbers, windows([record], [velocity], horizon(record, velocity)))
+    found = fit(open_numbers, cut_windows([record], [velocity], horizon(record, velocity)))
 
     def error(model):
         estimated = np.asarray(run(Intrinsic(model, 60.0, 1800.0), jax.tree.map(jnp.asarray, other)).estimate)[:, 2:]
@@ -245,7 +246,7 @@ def test_what_vanishes_on_the_way_is_not_called_determined(tmp_path):
     names = ("mass", "viscous", "coulomb", "inputs.lag")
     given = ["inputs.lag=0.02", "parameters.mass=[1.3]", "parameters.viscous=[0.03]"]
     v = scoring.zero_phase_velocity(t, record.y, t, half=0.1)
-    found = fit(family(tmp_path, *names, text=text, overrides=given), windows([record], [v], horizon(record, v)))
+    found = fit(family(tmp_path, *names, text=text, overrides=given), cut_windows([record], [v], horizon(record, v)))
     assert (found.standard_errors < found.values)[found.determined].all()
     assert not found.determined[3]
     assert any("inputs.lag" in said for said in relations(found))

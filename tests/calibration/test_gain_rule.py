@@ -55,7 +55,7 @@ def test_predicted_errors_of_a_sampled_observer_are_those_of_its_runs():
 
 def test_constant_acceleration_leaves_the_bias_it_should():
     error = np.array([[-3.0, 1.0], [-5.0, 0.0]])
-    assert np.allclose(np.linalg.solve(error, [0.0, -2.0]), calibration.bias(3.0, 5.0, 2.0))
+    assert np.allclose(np.linalg.solve(error, [0.0, -2.0]), calibration.steady_state_errors(3.0, 5.0, 2.0))
 
 
 @pytest.mark.parametrize("name", ["measurement_std", "rate", "acceleration_std", "correlation_time", "damping"])

@@ -10,7 +10,8 @@ import pytest
 from two_links import Truth, accelerate, swing
 
 from covariant import models
-from covariant.calibration import fit_robot, robot_misfit
+from covariant.calibration import fit_robot
+from covariant.calibration.identification import robot_misfit
 from covariant.calibration.identification._robot_fit import _rounded
 from covariant.calibration.identification._robot_torques import _told_from_zero
 from covariant.signals import Record

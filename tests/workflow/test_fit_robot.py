@@ -10,7 +10,7 @@ from covariant import models
 from covariant.calibration import Combinations, RobotFit
 from covariant.signals import Record
 from covariant.workflow import FitResult, MisfitError, check_model_output, fit, simulate
-from covariant.workflow._fit_robot import _of_robot
+from covariant.workflow._fit_to_logs import robot_details
 
 MODEL = """system = "robot"
 
@@ -133,13 +133,13 @@ def made_up(**numbers: tuple[float, float, bool]) -> RobotFit:
 
 
 def test_what_cannot_be_told_from_zero_is_named_with_its_standard_error():
-    result = _of_robot(made_up(friction_elbow_coulomb=(0.0, 0.78, False), gravity=(9.8, 0.1, True)))
+    result = robot_details(made_up(friction_elbow_coulomb=(0.0, 0.78, False), gravity=(9.8, 0.1, True)))
     assert result["undetermined"] == ["friction.elbow.coulomb cannot be told from zero by this log: 0 ± 0.78"]
 
 
 def test_a_load_with_offsets_is_said_to_have_two_solutions():
     place, offset = {"payload_lower_x": (0.1, 0.01, True)}, {"offsets_elbow": (0.1, 0.01, True)}
-    (sentence,) = _of_robot(made_up(**place, **offset))["undetermined"]
+    (sentence,) = robot_details(made_up(**place, **offset))["undetermined"]
     assert "on which side of its link the load is" in sentence
-    assert _of_robot(made_up(payload_lower_mass=(0.1, 0.01, True), **offset))["undetermined"] == []
-    assert _of_robot(made_up(**place))["undetermined"] == []
+    assert robot_details(made_up(payload_lower_mass=(0.1, 0.01, True), **offset))["undetermined"] == []
+    assert robot_details(made_up(**place))["undetermined"] == []

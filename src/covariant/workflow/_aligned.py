@@ -24,29 +24,11 @@ class Aligned(NamedTuple):
     raw: Record
     late: float
 
-    def commanded(self, between: str) -> Record:
-        """Record with the inputs that act in each step, without their lag.
-
-        Args:
-            between: How inputs go from one stamp to the next, "held" or "linear".
-        """
-        return acting_inputs(self.raw, between, self.late)
-
 
 def aligned(job: Job) -> Aligned:
     """Read a log, its rows at the times at which the positions were true.
 
     Where one coordinate is later than another they are interpolated to the times of the latest.
-
-    Args:
-        job: The model and the log.
-
-    Returns:
-        The log, with the inputs later by the largest delay of the positions.
-
-    Raises:
-        MisfitError: Where the log does not fit the model at all.
-        ValueError: For a model or a log that cannot be used.
     """
     file = models.load(job.model, job.overrides)
     delay = np.asarray(file.delay, float)

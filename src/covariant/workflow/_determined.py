@@ -64,15 +64,6 @@ def determined(observer: Any, loaded: Loaded, outcome: Outcome) -> tuple[Determi
     with what a random walk adds to it. States that are forgotten are left out: at the end of a log nothing but its last
     moments tells of them. Of states that are not determined alone, the directions of the covariance are looked at, in
     units of the latter: a sum may be known where its parts are not.
-
-    Args:
-        observer: The filter, maybe behind a delay.
-        loaded: Model and log.
-        outcome: The run of the filter.
-
-    Returns:
-        The slow states that are not forgotten, in their order, and then directions of several that are not determined;
-        nothing for an observer without any.
     """
     filter_ = getattr(observer, "observer", observer)  # behind a delay
     std = known(outcome.run.info, "slow_std")

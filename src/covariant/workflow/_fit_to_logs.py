@@ -1,101 +1,378 @@
-"""Computes a fit to logs, under inputs that are held or linear between stamps, and judges it on what is held out."""
+"""Computes a fit to logs: reads them, solves with held and with linear inputs, and judges on what is held out."""
 
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
 from covariant import models
 from covariant.calibration import (
     Fit,
+    PredictionErrors,
+    RobotFit,
     Windows,
     fit,
-    losses,
+    fit_robot,
+    horizon,
+    outliers,
     prediction_errors,
     relations,
-    split,
 )
-from covariant.workflow._fit_details import DIGITS, Gain, better_way, fit_details, input_details
-from covariant.workflow._fit_logs import BETWEEN, FitLogs
-from covariant.workflow._fit_robot import fit_robot_to_logs, is_robot_fit
-from covariant.workflow._inputs import Job
+from covariant.calibration.identification import (
+    FITTED,
+    error_growth,
+    held_out_logs,
+    robot_misfit,
+    split_windows,
+    window_losses,
+)
+from covariant.signals import Record, acting_inputs, lag_inputs
+from covariant.workflow._aligned import Aligned, aligned
+from covariant.workflow._inputs import Job, MisfitError, coordinates
+from covariant.workflow._outcome import rounded
+from covariant.workflow._placeholders import placeholders
 from covariant.workflow._progress import Progress
 
-ROUNDS, STEPS = 4, 25
-"""Rounds of a search and the most steps in one, for the progress."""
+BETWEEN = ("held", "linear")
+"""How inputs may go between stamps; the first is what a model file means that does not say."""
+DIGITS = 7
+"""Significant digits of fitted numbers in a model file."""
+WORST_GROWTH = 1.01
+"""A model whose held-out error is larger than so many times the one before is not written: 1 % is no difference."""
+CLEAR = 2.0
+"""Standard errors by which held or linear inputs must explain a log better than the other ones to be preferred."""
+ROUNDS, STEPS, ROBOT_ROUNDS = 4, 25, 12
+"""Rounds of a search and the most steps in one, and the usual number of rounds for a robot, for the progress."""
+MIRRORED = (
+    "on which side of its link the load is: with the offsets of joints open too, a mirrored load with other offsets "
+    "may explain these logs as well, and the solution nearest to the first values is given"
+)
+
+Parts = dict[str, tuple[Windows, Windows]]
+"""Windows to fit and held-out windows, by the way inputs go between stamps."""
 
 
 def fit_to_logs(
     jobs: list[Job], names: Sequence[str], length: float | None, progress: Progress
 ) -> tuple[list[Job], dict[str, Any], dict[str, Any]]:
-    """Fit parameters of a model to logs, and judge the fit on what is held out.
-
-    Args:
-        jobs: The model and the logs, the same model in each.
-        names: Names of the parameters.
-        length: Length of the predictions [s]; None chooses it by the motion.
-        progress: Called with a description and a fraction as the work goes on.
-
-    Returns:
-        The fields of a `FitResult`, in their order.
-
-    Raises:
-        MisfitError: Where the model explains nothing of the motion in a log.
-        ValueError: For a model or a log that cannot be used.
-    """
-    if is_robot_fit(jobs[0], names):
-        return fit_robot_to_logs(jobs, names, length, progress)
+    """Fit parameters of a model, or numbers of a robot, to logs, and judge the fit on what is held out."""
     progress("reading")
-    family = models.family(jobs[0].model_name, names, jobs[0].overrides)
-    logs = FitLogs.read(jobs, length)
-    tried = logs.tried
+    kind = _RobotProblem if _is_robot_fit(jobs[0], names) else _PredictionProblem
+    problem = kind.read(jobs, names, length)
+    logs = problem.logs
     try:
         parts = {
-            word: split([log.commanded(word) for log in logs.logs], logs.references, logs.length) for word in tried
+            word: split_windows([problem.acting(log, word) for log in logs.logs], logs.references, logs.length)
+            for word in logs.tried
         }
+        fits = _solve(problem, parts, progress)
     except ValueError as error:
-        raise ValueError(f"{logs.title}: {error}") from error
-    # The first is searched once more from where the last ended: both then have had the same first values.
-    searches = (*tried, *tried[:-1])
-    fits: dict[str, Fit] = {}
-    start = None
-    for k, word in enumerate(searches):
-
-        def report(done: int, step: int, k: int = k, word: str = word) -> None:
-            which = f" with {word} inputs" if len(tried) > 1 else ""
-            progress(f"round {done + 1}{which}", (k + (done + step / STEPS) / ROUNDS) / len(searches))
-
-        fits[word] = fit(family, parts[word][0], report, start)
-        start = fits[word].values
+        raise ValueError(f"{', '.join(logs.names)}: {error}") from error
     progress("errors on what is held out", 1.0)
-    gain = _gain(family, {word: part[0] for word, part in parts.items()}, fits)
-    used = better_way(gain, tried)
-    best, held_out = fits[used], parts[used][1]
+    gain = problem.gain(parts, fits) if len(fits) > 1 else None
+    used = "linear" if gain is not None and gain.clear and gain.of_linear > 0 else logs.tried[0]
+    best = fits[used]
     # Before the fit no way between stamps was chosen: the first is the one that the model file would use.
-    before = prediction_errors(*family.make(best.first), parts[tried[0]][1])
-    after = prediction_errors(*family.make(best.values), held_out)
-    content = _document(family, best, logs.fitted_to)
+    before = problem.first_errors(parts[logs.tried[0]][1])
+    after = problem.fitted_errors(best, parts[used][1])
+    content = problem.family.with_values(np.array([float(f"{value:.{DIGITS}g}") for value in best.values]))
+    source = content.get("parameters", {}).get("source")
+    if isinstance(source, str):  # a text that says where the numbers are from says where they are from now
+        content["parameters"]["source"] = f"fitted to {logs.fitted_to} from first values of: {source}"
     if gain is not None and gain.clear:
         content.setdefault("inputs", {})["between"] = used
-    details = fit_details(jobs[0], logs, best, before, after) | input_details(used, logs.stated, gain)
-    return jobs, content, details | {"windows": len(parts[used][0].t), "undetermined": list(relations(best))}
+    details = _details(jobs[0], logs, best, before, after) | {"inputs": _input_details(used, logs.stated, gain)}
+    return jobs, content, details | problem.details(best, parts[used][0])
 
 
-def _gain(family: models.Family, windows: dict[str, Windows], fits: dict[str, Fit]) -> Gain | None:
-    """None where only one way was tried. Errors are weighed as in both fits, by turns, so that none is ahead."""
-    if len(fits) < 2:
-        return None
-    held, linear = (
-        np.mean([losses(family, windows[word], fits[word], other) for other in fits.values()], axis=0)
-        for word in BETWEEN
-    )
-    return Gain.of(held - linear)
+def _solve(problem: "_Problem", parts: Parts, progress: Progress) -> dict[str, Any]:
+    """The fit for each way of inputs between stamps, each search from where the one before ended."""
+    tried = problem.logs.tried
+    order = (*tried, *tried[:-1]) if problem.search_again else tried
+    fits: dict[str, Any] = {}
+    start: Any = None
+    for k, word in enumerate(order):
+
+        def report(done: int, fraction: float, k: int = k, word: str = word) -> None:
+            which = f" with {word} inputs" if len(tried) > 1 else ""
+            progress(f"round {done + 1}{which}", (k + fraction) / len(order))
+
+        start = fits[word] = problem.fit(word, parts, start, report)
+    return fits
 
 
-def _document(family: models.Family, best: Fit, fitted_to: str) -> dict[str, Any]:
-    """The content of the new file; a text that says where the numbers are from says where they are from now."""
-    content = family.with_values(np.array([float(f"{value:.{DIGITS}g}") for value in best.values]))
-    source = content.get("parameters", {}).get("source")
-    if isinstance(source, str):
-        content["parameters"]["source"] = f"fitted to {fitted_to} from first values of: {source}"
-    return content
+class FitLogs(NamedTuple):
+    """Logs of one model that a fit uses.
+
+    Attributes:
+        logs: The logs, their rows at the times at which positions were true; outliers are missing.
+        references: Reference velocities (T, n) of the logs.
+        length: Length of the predictions [s].
+        stated: Whether the model file says how inputs go between stamps.
+        tried: The ways that are tried.
+        names: Names of the logs, by path.
+    """
+
+    logs: list[Aligned]
+    references: list[Float[np.ndarray, "_ n"]]
+    length: float
+    stated: bool
+    tried: tuple[str, ...]
+    names: list[str]
+
+    @classmethod
+    def read(cls, jobs: list[Job], length: float | None) -> "FitLogs":
+        """Read the logs, the same model in each; a length of None is chosen by the motion."""
+        logs = [_without_outliers(aligned(job)) for job in jobs]
+        file, references = logs[0].loaded.file, [log.loaded.reference.v for log in logs if log.loaded.reference]
+        # Of a single log the held-out third must hold enough windows too.
+        part = 1 - FITTED if len(jobs) == 1 else 1.0
+        length = horizon(logs[0].raw, references[0], part, len(logs)) if length is None else length
+        document = models.document(jobs[0].model_name, jobs[0].overrides)
+        stated = file.input_between != BETWEEN[0] or "between" in document.get("inputs", {})
+        # An input that is constant is the same held and linear.
+        driven = any(bool((np.ptp(np.asarray(log.raw.u), axis=0) > 0).any()) for log in logs)
+        tried = BETWEEN if driven and not stated else (file.input_between,)
+        return cls(logs, references, length, stated, tried, [job.log_name for job in jobs])
+
+    @property
+    def seen(self) -> int:
+        """Number of logs, from the first one, that the fit sees; of a single log it sees the first part."""
+        several = len(self.logs) > 1
+        return len(self.logs) - several * held_out_logs([np.asarray(log.raw.t) for log in self.logs], self.length)
+
+    @property
+    def fitted_to(self) -> str:
+        """File names of the logs that the fit sees, separated by commas."""
+        return ", ".join(Path(name).name for name in self.names[: self.seen])
+
+    @property
+    def held_out(self) -> str:
+        """What is held out, in words."""
+        if len(self.names) == 1:
+            return f"the last third of {self.names[0]}"
+        count = len(self.names) - self.seen
+        return self.names[-1] if count == 1 else f"the last {count} logs"
+
+
+def _without_outliers(log: Aligned) -> Aligned:
+    """The log as the reference velocities have it: a prediction that starts from an outlier judges no model."""
+    circles, t, y = log.loaded.model.circles, np.asarray(log.raw.t), np.asarray(log.raw.y)
+    if not log.loaded.model.manifold.commuting:
+        return log
+    return log._replace(raw=log.raw._replace(y=np.where(outliers(t, y, circles)[0], np.nan, y)))
+
+
+class Gain(NamedTuple):
+    """Log-likelihood with linear inputs minus that with held ones, and its standard error."""
+
+    of_linear: float
+    standard_error: float
+
+    @classmethod
+    def of(cls, less: Float[np.ndarray, "B"]) -> "Gain":
+        """The gain from what linear inputs lower the negative log-likelihood by in each of B independent parts."""
+        # The variance of a sum of independent terms is their number times that of one; errors may be correlated within.
+        return cls(float(np.sum(less)), float(np.sqrt(len(less)) * np.std(less, ddof=1)))
+
+    @property
+    def clear(self) -> bool:
+        """Whether the gain exceeds `CLEAR` standard errors."""
+        return abs(self.of_linear) > CLEAR * self.standard_error
+
+
+class _PredictionProblem(NamedTuple):
+    """Parameters of a model, fitted by its predictions over windows."""
+
+    family: models.Family
+    logs: FitLogs
+
+    # The first way is searched once more from where the last ended: both then have had the same first values.
+    search_again = True
+
+    @classmethod
+    def read(cls, jobs: list[Job], names: Sequence[str], length: float | None) -> "_PredictionProblem":
+        return cls(models.family(jobs[0].model_name, names, jobs[0].overrides), FitLogs.read(jobs, length))
+
+    def acting(self, log: Aligned, between: str) -> Record:
+        """The record with the inputs that act in each step, without their lag, which may be fitted."""
+        return acting_inputs(log.raw, between, log.late)
+
+    def fit(self, word: str, parts: Parts, start: Fit | None, report: Callable[[int, float], None]) -> Fit:
+        def progress(done: int, step: int) -> None:
+            report(done, (done + step / STEPS) / ROUNDS)
+
+        return fit(self.family, parts[word][0], progress, None if start is None else start.values)
+
+    def gain(self, parts: Parts, fits: dict[str, Fit]) -> Gain:
+        """Errors are weighed as in both fits, by turns, so that none is ahead."""
+        held, linear = (
+            np.mean([window_losses(self.family, parts[word][0], fits[word], other) for other in fits.values()], axis=0)
+            for word in BETWEEN
+        )
+        return Gain.of(held - linear)
+
+    def first_errors(self, held_out: Windows) -> PredictionErrors:
+        return prediction_errors(*self.family.make(self.family.first), held_out)
+
+    def fitted_errors(self, best: Fit, held_out: Windows) -> PredictionErrors:
+        return prediction_errors(*self.family.make(best.values), held_out)
+
+    def details(self, best: Fit, fitted: Windows) -> dict[str, Any]:
+        return {"windows": len(fitted.t), "undetermined": list(relations(best))}
+
+
+class _RobotProblem(NamedTuple):
+    """Numbers of a robot's joints and links, fitted by residual torques."""
+
+    family: models.RobotFamily
+    logs: FitLogs
+
+    search_again = False
+
+    @classmethod
+    def read(cls, jobs: list[Job], names: Sequence[str], length: float | None) -> "_RobotProblem":
+        family = models.robot_family(jobs[0].model_name, names, jobs[0].overrides)
+        # A robot without its friction may explain little of a log, as the fit is for that; so its check is another one.
+        logs = FitLogs.read([job._replace(anyway=True) for job in jobs], length)
+        for name, log in zip(logs.names, logs.logs, strict=True):
+            finding = None if jobs[0].anyway else robot_misfit(family, log.loaded.file, log.raw)
+            if finding is not None:
+                raise MisfitError(f"{name}: {finding.evidence}. {finding.line}; `anyway=True` goes on")
+        return cls(family, logs)
+
+    def acting(self, log: Aligned, between: str) -> Record:
+        """The record with the inputs that act in each step."""
+        return acting_inputs(lag_inputs(log.raw, log.loaded.file.input_lag), between, log.late)
+
+    def fit(self, word: str, parts: Parts, start: RobotFit | None, report: Callable[[int, float], None]) -> RobotFit:
+        records = [self.acting(log, word) for log in self.logs.logs[: self.logs.seen]]
+        if len(self.logs.logs) == 1:
+            t, u, y = (np.asarray(column) for column in records[0][:3])
+            seen = t < t[0] + FITTED * (t[-1] - t[0])
+            records = [Record(t[seen], u[seen], y[seen])]
+        half = self.logs.logs[0].loaded.file.reference_half
+        return fit_robot(self.family, records, half, lambda done: report(done, min(done / ROBOT_ROUNDS, 1.0)), start)
+
+    def gain(self, parts: Parts, fits: dict[str, RobotFit]) -> Gain:
+        return Gain.of(fits["held"].losses - fits["linear"].losses)
+
+    def first_errors(self, held_out: Windows) -> PredictionErrors:
+        # At the first values the family has the program of the fitted model; but a load that it adds was not there.
+        added = any(number.group == "payload" for number in self.family.numbers)
+        model: Any = self.family.file.model if added else self.family.make(np.zeros(len(self.family.names)))
+        return prediction_errors(model, 0.0, held_out)
+
+    def fitted_errors(self, best: RobotFit, held_out: Windows) -> PredictionErrors:
+        return prediction_errors(self.family.make(best.coordinates), 0.0, held_out)
+
+    def details(self, best: RobotFit, fitted: Windows) -> dict[str, Any]:
+        return robot_details(best)
+
+
+_Problem = _PredictionProblem | _RobotProblem
+
+
+def _is_robot_fit(job: Job, names: Sequence[str]) -> bool:
+    """Whether numbers are those of a robot's joints and links, and not plain entries of [parameters]."""
+    try:
+        system = models.document(job.model_name, job.overrides).get("system")
+    except ValueError:  # whoever makes the family says what is wrong, with the name of the file
+        return False
+    if system != "robot":
+        return False
+    return not names or any("[" not in name and not name.strip().startswith("inputs.") for name in names)
+
+
+def robot_details(best: RobotFit) -> dict[str, Any]:
+    """What the log does not determine, in sentences, and which combinations it does."""
+    unknown = [name for name, error in zip(best.names, best.standard_errors, strict=True) if np.isnan(error)]
+    combinations = best.combinations
+    sentences = []
+    if unknown:
+        shown = "does not show by itself" if len(unknown) == 1 else "does not show by themselves"
+        sentences.append(f"this log {shown} {', '.join(unknown)}: the nearest values to the first ones are kept")
+    sentences += [f"only the combination {text} is determined" for text in combinations.determined]
+    sentences += [
+        f"{name} cannot be told from zero by this log: {value:.3g} ± {error:.2g}"
+        for name, _, value, error, determined in _rows(best)
+        if np.isfinite(error) and not determined
+    ]
+    places = any(name.startswith("payload.") and not name.endswith(".mass") for name in best.names)
+    if places and any(name.startswith("offsets.") for name in best.names):
+        sentences.append(MIRRORED)
+    return {
+        "undetermined": sentences,
+        "combinations": list(combinations.determined),
+        "redundant": list(combinations.absorbed),
+        "rank": combinations.rank,
+        "window": float(f"{2 * best.half:.4g}"),
+        "residual_torque": [float(f"{size:.4g}") for size in best.torque],
+    }
+
+
+def _rows(best: Fit | RobotFit):
+    """Name, values before and after, standard error and whether it is determined, of each number."""
+    return zip(best.names, best.first, best.values, best.standard_errors, best.determined, strict=True)
+
+
+def _details(
+    job: Job, logs: FitLogs, best: Fit | RobotFit, before: PredictionErrors, after: PredictionErrors
+) -> dict[str, Any]:
+    """Numbers before and after a fit, those that are still placeholders, and its errors on what is held out."""
+    names, units = coordinates(logs.logs[0].loaded.file)
+    reference = logs.logs[-1].loaded.reference
+    ratio = error_growth(before, after)
+    known = {name for name, *_, determined in _rows(best) if determined}
+    return {
+        "model": job.model_name,
+        "logs": logs.names,
+        "fitted_to": logs.fitted_to,
+        "held_out": logs.held_out,
+        "horizon": float(f"{logs.length:.4g}"),
+        "scored_against": reference.label if reference else None,
+        "parameters": [
+            {
+                "name": name,
+                "before": float(first),
+                "after": float(f"{value:.{DIGITS}g}"),
+                "standard_error": float(f"{error:.3g}") if np.isfinite(error) else None,
+                "determined": bool(determined),
+            }
+            for name, first, value, error, determined in _rows(best)
+        ],
+        "placeholders": {k: value for k, value in placeholders(job.model, job.overrides).items() if k not in known},
+        "coordinates": list(names),
+        "units": [unit.removesuffix("/s") for unit in units],
+        "held_out_errors": {
+            when: {kind: rounded(np.asarray(values)) for kind, values in errors._asdict().items()}
+            for when, errors in (("before", before), ("after", after))
+        },
+        "growth": float(f"{ratio:.4g}") if np.isfinite(ratio) else None,
+        "better": bool(ratio <= WORST_GROWTH),
+    }
+
+
+def _input_details(used: str, stated: bool, gain: Gain | None) -> dict[str, Any]:
+    """How inputs were taken to go between stamps, whether the model file says so, and how well the logs show it."""
+    return {
+        "between": used,
+        "stated": stated,
+        "log_likelihood_gain": None if gain is None else float(f"{abs(gain.of_linear):.4g}"),
+        "gain_standard_error": None if gain is None else float(f"{gain.standard_error:.3g}"),
+        "sentence": "" if gain is None else _input_sentence(used, gain),
+    }
+
+
+def _input_sentence(used: str, gain: Gain) -> str:
+    other = next(word for word in BETWEEN if word != used)
+    size = f"{abs(gain.of_linear):.3g} ± {gain.standard_error:.2g}"
+    if not gain.clear:
+        return (
+            f"Inputs are taken as {used} from one stamp to the next; the log hardly tells that from {other} (the "
+            f"log-likelihoods differ by {size})."
+        )
+    phrase = {"held": "held from one stamp to the next", "linear": "linear between stamps"}[used]
+    return f"Inputs {phrase} explain the log better than {other} ones, by {size} in log-likelihood; they are used."

@@ -51,17 +51,7 @@ class Tuned(NamedTuple):
 
 
 def tune_to_logs(jobs: list[Job], engine: EngineName, progress: Progress) -> Tuned:
-    """Tune noise and gains on the first two thirds of each log, and judge them on the rest.
-
-    Args:
-        jobs: The model and the logs, the same model in each.
-        engine: What computes: "c", "jax", or "auto" for C where it pays.
-        progress: Called with a description and a fraction as the work goes on.
-
-    Raises:
-        MisfitError: Where the model explains nothing of the motion in a log.
-        ValueError: For a model or a log that cannot be used.
-    """
+    """Tune noise and gains on the first two thirds of each log, and judge them on the rest."""
     progress("reading", 0.0)
     loaded = [aligned(job).loaded for job in jobs]
     file = loaded[0].file
@@ -95,14 +85,7 @@ def tune_to_logs(jobs: list[Job], engine: EngineName, progress: Progress) -> Tun
 
 
 def tuned_page(title: str, tuned: Tuned, notes: tuple[str, ...], rows: tuple[dict[str, Any], ...]) -> EstimateReport:
-    """Collect a page of the constant-gain observer on the last log, before and after.
-
-    Args:
-        title: The title.
-        tuned: The tuning.
-        notes: Sentences under the title.
-        rows: Rows of a table.
-    """
+    """Collect a page of the constant-gain observer on the last log, before and after."""
     loaded, omega = tuned.loaded[-1], tuned.tuning.natural_frequency
     gains = {"after": (2 * tuned.tuning.damping * omega, omega**2)}
     if tuned.before is not None:
@@ -217,16 +200,7 @@ def _rounded(numbers: dict[str, Any]) -> dict[str, Any]:
 
 
 def notes(found: Tuning, rate: float, units: Sequence[str]) -> list[str]:
-    """Say where the gains are from, what was kept, and whether the reference is good enough to compare with.
-
-    Args:
-        found: The tuning.
-        rate: Sampling rate [Hz].
-        units: Units of the coordinates.
-
-    Returns:
-        Sentences.
-    """
+    """Say where the gains are from, what was kept, and whether the reference is good enough to compare with."""
     said = []
     if found.candidates:
         named = ", ".join(f"{each.source} {_short(each.error):g}" for each in found.candidates)
@@ -258,16 +232,7 @@ def _judged(judged: HeldOut) -> dict[str, Any]:
 
 
 def warning(found: Tuning, as_logged: np.ndarray | bool = True) -> str | None:
-    """Warn in one line of a model that is no better than none, or does not explain the innovations.
-
-    Args:
-        found: The tuning, with its errors on what was held out.
-        as_logged: Which positions (n,) are as they were read. The others are interpolated, so that neighbouring
-            innovations are correlated in any case.
-
-    Returns:
-        The line, or None where nothing is wrong.
-    """
+    """Warn in one line of a model that is no better than none, or does not explain the innovations."""
     gains, kalman = found.after.relative
     remedy = "run `covariant fit`"
     name, free = found.model_free or ("", np.inf)

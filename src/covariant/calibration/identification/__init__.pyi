@@ -1,4 +1,3 @@
-from ._ahead import errors_ahead as errors_ahead, mean_square as mean_square, rows_ahead as rows_ahead, size as size
 from ._draft import Draft as Draft, draft as draft
 from ._error_model import (
     ErrorModel as ErrorModel,
@@ -15,13 +14,26 @@ from ._excitation import (
     design_excitation as design_excitation,
 )
 from ._expected import ExpectedErrors as ExpectedErrors, Sensing as Sensing
-from ._fit import Fit as Fit, fit as fit, losses as losses
+from ._fit import Fit as Fit, fit as fit, relations as relations, window_losses as window_losses
 from ._fourier import FourierMotion as FourierMotion
-from ._held_out import FITTED as FITTED, growth as growth, held_out_logs as held_out_logs, split as split
-from ._predict import PredictionErrors as PredictionErrors, prediction_errors as prediction_errors
-from ._relations import relations as relations
+from ._predict import (
+    PredictionErrors as PredictionErrors,
+    error_growth as error_growth,
+    errors_ahead as errors_ahead,
+    mean_square as mean_square,
+    prediction_errors as prediction_errors,
+    rows_ahead as rows_ahead,
+    size as size,
+)
 from ._robot_combinations import Combinations as Combinations
 from ._robot_fit import RobotFit as RobotFit, fit_robot as fit_robot
 from ._robot_misfit import robot_misfit as robot_misfit
 from ._robot_torques import motor_inputs as motor_inputs
-from ._windows import Windows as Windows, horizon as horizon, windows as windows
+from ._windows import (
+    FITTED as FITTED,
+    Windows as Windows,
+    cut_windows as cut_windows,
+    held_out_logs as held_out_logs,
+    horizon as horizon,
+    split_windows as split_windows,
+)

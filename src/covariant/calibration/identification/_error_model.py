@@ -23,12 +23,11 @@ from jaxtyping import Array, Bool, Float
 
 from covariant._gauss_markov import gauss_markov
 from covariant._typing import Flag, Scalar, Vector
+from covariant.calibration.identification._windows import LONGEST_GAP
 from covariant.models import MechanicalSystem, Motion, advance
 
 CREDIBLE = 5.0
 """Standard deviations beyond which an innovation is an outlier: it corrects no more than one of this size."""
-LONGEST_GAP = 5.0
-"""Ratio to the median step, beyond which the filter restarts after a step."""
 
 
 class NoiseLevels(NamedTuple):
@@ -43,10 +42,10 @@ class NoiseLevels(NamedTuple):
         force_time: Time constant [s] after which the force is forgotten; infinite for a random walk, by default.
 
     Example:
-        >>> from covariant.calibration import DataSheet, NoiseLevels, given_noise
-        >>> noise = given_noise(DataSheet(measurement_std=1e-3, acceleration_std=0.5), rate=50.0, n=2)
-        >>> isinstance(noise, NoiseLevels), noise.measurement.tolist(), round(float(noise.acceleration), 6)
-        (True, [0.001, 0.001], 0.070711)
+        >>> import jax.numpy as jnp
+        >>> from covariant.calibration import NoiseLevels
+        >>> NoiseLevels(jnp.array(0.07), jnp.array([1e-3, 1e-3]), jnp.array(0.0)).measurement.tolist()
+        [0.001, 0.001]
     """
 
     acceleration: Scalar
@@ -104,17 +103,7 @@ def error_model(
 ) -> ErrorModel:
     """Linearise the model along the estimates of a run, by forward differentiation of each step.
 
-    Args:
-        model: The mechanical system.
-        q: Estimated configurations, one per row.
-        v: Estimated velocities (T, n).
-        t: Stamps (T,) [s].
-        u: Inputs (T, m).
-        y: Measured configurations, one per row; NaN where missing.
-        steps: Runge–Kutta steps in each sample.
-
-    Returns:
-        The error model. After a step longer than `LONGEST_GAP` usual ones, or one that is not finite, it restarts.
+    After a step longer than `LONGEST_GAP` usual ones, or one that is not finite, the error model restarts.
     """
     manifold, n = model.manifold, v.shape[1]
     dt = jnp.diff(t)
@@ -162,16 +151,7 @@ class _Past(NamedTuple):
 
 
 def kalman(errors: ErrorModel, noise: NoiseLevels, speed: Scalar | float) -> Filtered:
-    """Run the Kalman filter on the linear error model.
-
-    Args:
-        errors: The error model, of T rows.
-        noise: The assumed noise.
-        speed: Standard deviation of the velocities at the start and at each restart [rad/s or m/s].
-
-    Returns:
-        Likelihoods, innovations and errors at each row.
-    """
+    """Run the Kalman filter on the linear error model; `speed` is the std of velocities at the start and restarts."""
     start, step = _recursion(errors, noise, speed)
 
     def row(state, now):
@@ -186,14 +166,6 @@ def smoothed(errors: ErrorModel, noise: NoiseLevels, speed: Scalar | float) -> F
 
     Of the smoothed velocity v_s, the mean given all readings, `E(v̂ − v)² = E(v̂ − v_s)² + E(v_s − v)²` for any estimate
     v̂ from these readings: with the right noise the distance to it orders estimates as their errors do.
-
-    Args:
-        errors: The error model, of T rows.
-        noise: The assumed noise.
-        speed: Standard deviation of the velocities at the start and at each restart [rad/s or m/s].
-
-    Returns:
-        Estimates (T, 2n) of δ.
 
     Source: Bierman 1973, Fixed interval smoothing with discrete measurements, International Journal of Control 18(1),
     which inverts no covariance.
@@ -253,16 +225,11 @@ def _recursion(errors: ErrorModel, noise: NoiseLevels, speed: Scalar | float):
 
 
 def forgotten(dt: Scalar, time: Scalar | float) -> tuple[Scalar, Scalar, Scalar]:
-    """How a force changes in a step, as in `observers.Slow`.
+    """How a force changes in a step [s], with a time constant [s] that is infinite for a random walk.
 
-    Args:
-        dt: Length of the step [s].
-        time: Time constant τ [s]; infinite for a random walk.
-
-    Returns:
-        Its mean over the step and its value at the end, as fractions of the value before, `(1 − e)/(dt/τ)` and
-        `e = exp(−dt/τ)`; and the variance that is added, as a fraction of that in the long run, `1 − e²`, or for a walk
-        of that in one second, dt.
+    Its mean over the step and its value at the end, as fractions of the value before, `(1 − e)/(dt/τ)` and
+    `e = exp(−dt/τ)`; and the variance that is added, as a fraction of that in the long run, `1 − e²`, or for a walk of
+    that in one second, dt. As in `observers.Slow`.
     """
     steps = dt / time
     mean, end, added = gauss_markov(steps)

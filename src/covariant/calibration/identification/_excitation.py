@@ -20,11 +20,12 @@ import numpy as np
 from jax.scipy.special import logsumexp
 from jaxtyping import Array, Float
 
+from covariant.calibration._least_squares import PRIOR
 from covariant.calibration.identification._expected import ExpectedErrors, Sensing, expected_errors
 from covariant.calibration.identification._fourier import FourierMotion, fourier_basis, one_sine_a_joint, resting_basis
 from covariant.calibration.identification._robot_torques import (
-    PRIOR,
     Torques,
+    batched,
     efforts,
     in_batches,
     inverse_motors,
@@ -328,10 +329,8 @@ class _Problem(NamedTuple):
 
     def derivatives(self, *columns: np.ndarray) -> Float[np.ndarray, "K n p"]:
         """Derivatives of the torques in the numbers at rows (q, v, a, u), as many at a time as in the search."""
-        slopes, size, count = self.torques.slopes(np.zeros(len(self.family.names))), self.points, len(columns[0])
-        padded = [np.resize(each, (-(-count // size) * size, each.shape[1])) for each in columns]
-        parts = [np.asarray(slopes(*(c[i : i + size] for c in padded))[0]) for i in range(0, len(padded[0]), size)]
-        return np.concatenate(parts)[:count]
+        slopes = self.torques.slopes(np.zeros(len(self.family.names)))
+        return batched(lambda *part: slopes(*part)[0], columns, self.points)
 
     def used(self, motion: FourierMotion, limits: JointLimits, points: int = DENSE) -> Float[np.ndarray, "3 n"]:
         """Largest positions, velocities and torques as fractions of limits."""

@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from covariant.calibration._least_squares import PRIOR
 from covariant.calibration.diagnosis import acceleration_kernel, second_derivative_weights
 from covariant.calibration.identification._fourier import FourierMotion
 from covariant.calibration.identification._robot_combinations import Combinations
@@ -20,7 +21,6 @@ from covariant.calibration.identification._robot_torques import (
     BLOCK,
     FEWEST,
     FEWEST_BLOCKS,
-    PRIOR,
     RESTING,
     WINDOWS,
     Determined,
@@ -119,19 +119,7 @@ def expected_errors(
     duration: float,
     half: float,
 ) -> ExpectedErrors:
-    """Standard errors that a fit is expected to give from a log of a motion, all of which it sees.
-
-    Args:
-        family: The robot as a function of its p open numbers, at whose first values the errors are.
-        derivatives: Derivatives (K, n, p) of the torques in the numbers, at rows (q, v, a, u).
-        motion: The motion.
-        sensing: Noise and rate of the log.
-        duration: Length of the log [s], a whole number of periods.
-        half: Half width [s] of the shortest window.
-
-    Raises:
-        ValueError: The log is too short for a fit.
-    """
+    """Standard errors that a fit is expected to give from a log of a motion, all of which it sees."""
     half = max(half, FEWEST / sensing.rate)
     # A fit loses half a window at both ends.
     shortest = (FEWEST_BLOCKS * BLOCK + 2) * half

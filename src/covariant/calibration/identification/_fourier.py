@@ -77,13 +77,6 @@ def one_sine_a_joint(
     """Motion by one sine a joint, the harmonics spread over the joints from the first to the last.
 
     Each is as large as positions and velocities of its joint allow.
-
-    Args:
-        frequency: Frequency of the first harmonic [Hz].
-        harmonics: Number H of harmonics.
-        centre: Means (n,) of the positions.
-        room: Largest amplitudes (n,).
-        velocity: Largest speeds (n,).
     """
     coefficients = np.zeros((2 * harmonics, len(centre)))
     order = np.rint(np.linspace(1, harmonics, len(centre))).astype(int)

@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from covariant._typing import Scalar, Vector
+from covariant.calibration._least_squares import STD_OF_MEDIAN
 from covariant.calibration.identification._windows import Windows
 from covariant.observers import PLL
 from covariant.signals import AnyArray
@@ -45,17 +46,7 @@ class Weighing(NamedTuple):
 def innovations(
     errors: Float[Array, "L1 n"], seen: Bool[Array, "L1 n"], t: Float[Array, "L1"], frequency: Scalar
 ) -> Float[Array, "L1 n"]:
-    """Innovations along one window of a filter that follows the prediction errors and expects none at first.
-
-    Args:
-        errors: Prediction errors (L + 1, n).
-        seen: Whether each is measured.
-        t: Stamps (L + 1,) [s].
-        frequency: Natural frequency of the filter [rad/s].
-
-    Returns:
-        The innovations (L + 1, n), 0 where nothing is measured.
-    """
+    """Innovations along one window of a filter that follows the prediction errors and expects none at first."""
     follower, steps = PLL(frequency), jnp.diff(t)
 
     def step(state, sample):
@@ -68,14 +59,7 @@ def innovations(
 
 
 def frequencies(windows: Windows) -> Float[NumpyArray, "f"]:
-    """Filter bandwidths to choose from.
-
-    Args:
-        windows: The windows of the log.
-
-    Returns:
-        Bandwidths (f,) [rad/s], rising; the first stands for no filter, so that errors are their own innovations.
-    """
+    """Filter bandwidths to choose from."""
     t = np.asarray(windows.t)
     steps, length = np.diff(t, axis=1), float(np.max(t[:, -1] - t[:, 0]))
     bandwidths = np.geomspace(1 / length, 1 / np.median(steps[steps > 0]), FREQUENCIES)
@@ -88,17 +72,7 @@ def weighing(
     seen: Bool[NumpyArray, "W L1 n"],
     among: Float[NumpyArray, "f"],
 ) -> Weighing:
-    """Choose the filter frequency with the least innovations over all coordinates.
-
-    Args:
-        windows: The windows of the log.
-        errors: Prediction errors (W, L + 1, n).
-        seen: Whether each is measured.
-        among: Frequencies (f,) to choose from [rad/s].
-
-    Returns:
-        The frequency, and the scale of its innovations.
-    """
+    """Choose the filter frequency with the least innovations over all coordinates."""
     # One frequency after the other, so that one program serves any number of them.
     data = windows, jnp.asarray(errors), jnp.asarray(seen)
     scales = np.stack([np.asarray(_scale(*data, jnp.asarray(frequency))) for frequency in among])
@@ -113,7 +87,6 @@ def _scale(windows: Windows, errors: Array, seen: Array, frequency: Scalar) -> V
 
     new = jax.vmap(innovations, (0, 0, 0, None))(errors, seen, t, frequency)
     # The median of the sizes is that of noise even where some errors are outliers.
-    # 1.4826 = 1/Φ⁻¹(3/4): half of all normal deviates are within 0.6745 standard deviations.
-    scale = 1.4826 * jnp.nanmedian(jnp.where(seen, jnp.abs(new), jnp.nan), axis=(0, 1))
+    scale = STD_OF_MEDIAN * jnp.nanmedian(jnp.where(seen, jnp.abs(new), jnp.nan), axis=(0, 1))
     # The floor keeps the logarithms above finite where a model predicts a noise-free log exactly.
     return jnp.maximum(scale, FINEST * motion + 1e-300)

@@ -1,5 +1,11 @@
-"""Predictions of a model over windows of a log, and their errors."""
+"""Predictions of a model over windows of a log, or some rows ahead of estimates, and their errors.
 
+A good velocity estimate predicts later positions well. A measurement that is still to come has no part in the estimate,
+so the error of its prediction is that of the estimate, moved ahead, and an independent one of the sensor: errors of
+predictions judge estimates without a reference.
+"""
+
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -10,14 +16,21 @@ from jax.core import Tracer
 from jaxtyping import Array, Bool, Float
 
 from covariant._typing import Number
-from covariant.calibration.identification._ahead import mean_square
-from covariant.calibration.identification._windows import Windows
+from covariant.calibration.identification._windows import LONGEST_GAP, Windows
 from covariant.lowering import evaluate_batch
 from covariant.models import MechanicalSystem, Motion, advance, friction
+from covariant.signals import Record
 
 LONGEST_STEP = 0.01
 """Longest Runge–Kutta step [s] of a prediction."""
 MOST_SUBSTEPS = 100
+HORIZON, LONGEST_HORIZON = 1.5, 50
+"""Horizon of predictions, in units of 1/ω of the observer, and its largest number of rows. Over a much shorter time the
+position alone decides, over a longer one the error of the model."""
+MOST_STARTS = 1000
+"""Largest number of rows of a log from which the motion is predicted."""
+FAR = 16.0
+"""Cap on squared errors, as a multiple of their 90 % quantile: an outlier decides nothing."""
 
 
 class PredictionErrors(NamedTuple):
@@ -44,16 +57,7 @@ class PredictionErrors(NamedTuple):
 
 
 def lagged(inputs: Float[Array, "S m"], steps: Float[Array, "S"], lag: Number) -> Float[Array, "S m"]:
-    """Inputs after a first-order lag, as in `signals.lag_inputs`.
-
-    Args:
-        inputs: Inputs (S, m) of all rows.
-        steps: Time (S,) since the row before [s].
-        lag: Time constant [s], which JAX may trace; a plain 0 returns the inputs unchanged.
-
-    Returns:
-        The lagged inputs (S, m).
-    """
+    """Inputs after a first-order lag, as in `signals.lag_inputs`."""
     if not isinstance(lag, Tracer) and float(lag) == 0:
         return inputs
 
@@ -69,18 +73,7 @@ def lagged(inputs: Float[Array, "S m"], steps: Float[Array, "S"], lag: Number) -
 def follow(
     model: MechanicalSystem, t: Float[Array, "L1"], u: Float[Array, "L m"], start: Motion, substeps: int
 ) -> Motion:
-    """Predict the motion at given stamps, each input constant over its step.
-
-    Args:
-        model: The mechanical system.
-        t: Stamps (L + 1,) [s].
-        u: Inputs (L, m) of the steps.
-        start: Motion at the first stamp.
-        substeps: Runge–Kutta steps in each step.
-
-    Returns:
-        The motion at all stamps, the first included.
-    """
+    """Predict the motion at given stamps, each input constant over its step."""
 
     def step(motion, row):
         begin, end, input_ = row
@@ -92,16 +85,7 @@ def follow(
 
 
 def differences(model: MechanicalSystem, q: Array, y: Array) -> tuple[Float[Array, "L1 n"], Bool[Array, "L1 n"]]:
-    """Prediction errors of the configuration, in the frame.
-
-    Args:
-        model: The mechanical system.
-        q: Predicted configurations, one per row.
-        y: Measured configurations, one per row.
-
-    Returns:
-        Measured minus predicted (L + 1, n), zero where missing, and whether each component is measured.
-    """
+    """Prediction errors of the configuration, in the frame."""
     manifold = model.manifold
     return jax.vmap(manifold.towards)(q, y), ~jax.vmap(manifold.missing)(y)
 
@@ -111,13 +95,6 @@ def needed_substeps(model: MechanicalSystem, windows: Windows) -> int:
 
     The rate is bounded by the trace of the Jacobian of the friction at rest, where Coulomb friction is steepest, and at
     the largest velocities of the log.
-
-    Args:
-        model: The mechanical system.
-        windows: The windows of the log.
-
-    Returns:
-        The number, from 1 to `MOST_SUBSTEPS`.
     """
     t, y, v, rows, inputs = (np.asarray(a) for a in (windows.t, windows.y, windows.v, windows.rows, windows.inputs))
     longest = float(np.diff(t, axis=1).max())
@@ -148,12 +125,12 @@ def prediction_errors(model: MechanicalSystem, lag: Number, windows: Windows) ->
 
     Example:
         >>> import numpy as np
-        >>> from covariant.calibration import prediction_errors, windows
+        >>> from covariant.calibration import prediction_errors, cut_windows
         >>> from covariant.models import oscillator
         >>> from covariant.signals import Record
         >>> t = np.arange(0.0, 10.0, 0.02)
         >>> record = Record(t, np.zeros((500, 1)), np.cos(t)[:, None])
-        >>> errors = prediction_errors(oscillator(), 0.0, windows([record], [-np.sin(t)[:, None]], length=1.0))
+        >>> errors = prediction_errors(oscillator(), 0.0, cut_windows([record], [-np.sin(t)[:, None]], length=1.0))
         >>> bool(errors.position[0] < 1e-9)
         True
     """
@@ -195,3 +172,113 @@ def _errors(model: MechanicalSystem, data: Any, substeps: int):
         return single, whole, v - predicted.v, seen, timed & jnp.ones_like(seen)
 
     return jax.vmap(window)(*data)
+
+
+def error_growth(before: PredictionErrors, after: PredictionErrors) -> float:
+    """Ratio of the RMS position errors after and before a fit; infinite if those after it are not finite."""
+    old, new = np.asarray(before.position), np.asarray(after.position)
+    # A coordinate without any error before the fit does not count.
+    ratio = float(np.sqrt(np.mean((new / np.where(old > 0, old, np.inf)) ** 2)))
+    return ratio if np.isfinite(ratio) else np.inf
+
+
+def rows_ahead(rate: float, frequency: float) -> int:
+    """Number of rows over which predictions tell what the velocity of an estimate is worth.
+
+    Args:
+        rate: Sampling rate [Hz].
+        frequency: Natural frequency ω [rad/s] of the observer, or of one like it.
+
+    Returns:
+        The rows in `HORIZON`/ω, at least 2 and at most `LONGEST_HORIZON`.
+
+    Example:
+        >>> from covariant.calibration import rows_ahead
+        >>> rows_ahead(rate=200.0, frequency=30.0)
+        10
+    """
+    return int(np.clip(np.ceil(HORIZON * rate / frequency), 2, LONGEST_HORIZON))
+
+
+def errors_ahead(
+    model: MechanicalSystem,
+    record: Record,
+    motion: Motion,
+    rows: Bool[np.ndarray, "T"],
+    horizon: int,
+    substeps: int | None = None,
+) -> Float[np.ndarray, "K h n"]:
+    """Errors of measurements predicted from estimates, one to h rows ahead.
+
+    Args:
+        model: The mechanical system that predicts.
+        record: The log, of T rows.
+        motion: Estimated configurations and velocities (T, n) after each row.
+        rows: Rows (T,) of which the measurements are predicted; at most `MOST_STARTS` of them, evenly.
+        horizon: Number h of rows.
+        substeps: Runge–Kutta steps in each sample; by default none is longer than 10 ms.
+
+    Returns:
+        Measured minus predicted configurations (K, h, n) in the frame; NaN where missing, or beyond a gap,
+        and infinite where the estimate or the prediction is not finite.
+
+    Raises:
+        ValueError: No row is followed by h others of the selection.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> import numpy as np
+        >>> from covariant.calibration import errors_ahead
+        >>> from covariant.models import Motion, oscillator
+        >>> from covariant.signals import Record
+        >>> t = np.arange(0.0, 4.0, 0.02)
+        >>> record = Record(t, np.zeros((200, 1)), np.cos(t)[:, None])
+        >>> true = Motion(jnp.cos(t)[:, None], -jnp.sin(t)[:, None])
+        >>> errors = errors_ahead(oscillator(), record, true, t > 2.0, horizon=5)
+        >>> errors.shape[1:], bool(np.abs(errors).max() < 1e-8)
+        ((5, 1), True)
+    """
+    t = np.asarray(record.t)
+    starts = np.flatnonzero(rows[horizon:])  # those whose last target is in the selection
+    starts = starts[rows[starts + 1]]
+    if not len(starts):
+        raise ValueError(f"errors_ahead: no row is followed by {horizon} others among the {rows.sum()} selected")
+    starts = starts[:: -(-len(starts) // MOST_STARTS)]
+    usual = float(np.median(np.diff(t)))
+    steps = substeps or int(np.clip(np.ceil(usual / LONGEST_STEP - 1e-9), 1, MOST_SUBSTEPS))
+    data = [jnp.asarray(np.asarray(each)) for each in (t, record.u, record.y)]
+    errors = np.asarray(
+        _errors_ahead(model, data, jax.tree.map(jnp.asarray, motion), jnp.asarray(starts), horizon, steps)
+    )
+    gaps = np.cumsum(np.concatenate([[0], np.diff(t) > LONGEST_GAP * usual]))
+    broken = gaps[starts[:, None] + 1 + np.arange(horizon)] > gaps[starts, None]
+    return np.where(broken[..., None], np.nan, errors)
+
+
+@eqx.filter_jit
+def _errors_ahead(
+    model: MechanicalSystem, data: Any, motion: Motion, starts: Array, horizon: int, substeps: int
+) -> Array:
+    t, u, y = data
+
+    def ahead(k):
+        rows = k + jnp.arange(horizon + 1)
+        motions = follow(model, t[rows], u[rows[:-1]], Motion(motion.q[k], motion.v[k]), substeps)
+        errors, seen = differences(model, motions.q[1:], y[rows[1:]])
+        return jnp.where(seen, jnp.where(jnp.isfinite(errors), errors, jnp.inf), jnp.nan)
+
+    return jax.vmap(ahead)(starts)
+
+
+def size(errors: Sequence[Float[np.ndarray, "_ _ n"]]) -> Float[np.ndarray, "n"]:
+    """Root mean squares of errors, which outliers do not decide."""
+    columns = np.concatenate([np.reshape(each, (-1, each.shape[-1])) for each in errors]).T
+    return np.sqrt([mean_square(column[~np.isnan(column)]) for column in columns])
+
+
+def mean_square(r: np.ndarray) -> float:
+    """Mean square of errors, robust to outliers; infinite where one is not finite, or there is none."""
+    if not r.size or not np.isfinite(r).all():
+        return float("inf")
+    square = r**2
+    return float(np.mean(np.minimum(square, FAR * np.quantile(square, 0.9))))

@@ -1,13 +1,11 @@
-"""Which combinations of a robot's numbers a log determines, by a pivoted QR decomposition of the regressor.
-
-Source: Gautier 1991, Numerical calculation of the base inertial parameters of robots, Journal of Robotic Systems 8(4).
-"""
+"""Which combinations of a robot's numbers a log determines: the pivots of its regressor, and their rows."""
 
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
+from covariant.calibration._least_squares import reduced_rows
 from covariant.models import RobotFamily
 
 SMALL = 0.01
@@ -44,38 +42,21 @@ def combinations(
     prior: Float[np.ndarray, "p"],
     known: float,
 ) -> Combinations:
-    """Combinations that a log determines.
-
-    Args:
-        family: The robot as a function of its numbers.
-        information: Information (p, p) of the log about the coordinates of the family.
-        to_linear: Derivatives (p, p) of the numbers in linear form in the coordinates.
-        prior: Standard deviations (p,) of the coordinates before the log.
-        known: A combination is determined where its standard error is below this fraction of the prior one.
-
-    Returns:
-        The combinations, in the numbers in which torques are linear.
-    """
-    from scipy.linalg import qr
-
+    """Combinations that a log determines."""
     back = np.linalg.inv(to_linear)
     size = np.sqrt(np.sum((to_linear * prior) ** 2, axis=1))
     # A square root of the information is as good as the regressor itself: it has the same triangular factor.
     values, vectors = np.linalg.eigh(information)
     root = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
-    _, r, order = qr(root @ back * size, mode="economic", pivoting=True)  # pyright: ignore[reportAssignmentType]
-    rank = int(np.sum(np.abs(np.diagonal(r)) > 1 / known))
-    names, independent, dependent = family.linear_names, order[:rank], order[rank:]
-    if not rank:
-        return Combinations((), tuple(names[i] for i in sorted(dependent)), 0)
-    factors = np.linalg.solve(r[:rank, :rank], r[:rank, rank:])
+    independent, dependent, factors = reduced_rows(root @ back * size, 1 / known)
+    names = family.linear_names
     sentences, leading = [], []
     for row, i in sorted(zip(factors, independent, strict=True), key=lambda pair: pair[1]):
         parts = [(names[j], f * size[i] / size[j]) for f, j in zip(row, dependent, strict=True) if abs(f) > SMALL]
         if parts:
             sentences.append(names[i] + "".join(_term(name, factor) for name, factor in parts))
             leading.append(names[i])
-    return Combinations(tuple(sentences), tuple(names[i] for i in sorted(dependent)), rank, tuple(leading))
+    return Combinations(tuple(sentences), tuple(names[i] for i in sorted(dependent)), len(independent), tuple(leading))
 
 
 def _term(name: str, factor: float) -> str:

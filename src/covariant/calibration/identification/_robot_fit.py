@@ -22,13 +22,13 @@ from jaxtyping import Array, Bool, Float
 
 from covariant import scoring
 from covariant._linalg import solve
+from covariant.calibration._least_squares import PRIOR, STD_OF_MEDIAN, block_covariance, robust
 from covariant.calibration.diagnosis import held_inputs
 from covariant.calibration.identification._robot_combinations import Combinations
 from covariant.calibration.identification._robot_torques import (
     BLOCK,
     FEWEST,
     FEWEST_BLOCKS,
-    PRIOR,
     RESTING,
     WINDOWS,
     Determined,
@@ -55,8 +55,6 @@ CONVERGED = 0.05
 """A step is the last one when it changes no number by more than this fraction of its standard error."""
 LONGEST_STEP = 1.0
 """Longest step of a coordinate in its usual size."""
-HUBER = 3.0
-"""Size of a residual torque, in units of its scale, beyond which its influence is constant."""
 FULL = 0.6
 """Fraction of the usual number of samples that a window must hold to be used."""
 ROUNDING = 1e-10
@@ -283,27 +281,25 @@ class _Search(NamedTuple):
         slopes, torque, counts, blocks = (np.concatenate(parts) for parts in zip(*rows, strict=True))
         scale = np.array([_scale(torque[counts[:, j], j]) for j in range(torque.shape[1])])
         relative = torque / scale
-        weight = counts * np.minimum(1.0, HUBER / np.maximum(np.abs(relative), 1e-300))
+        loss, weight = robust(relative)
         z = slopes / scale[:, None] * self.sizes
         # Neighbouring windows overlap: as many rows are independent as half windows fit into the log.
         _, numbering = np.unique(blocks, return_inverse=True)
         thinned = min(1.0, BLOCK * (numbering.max() + 1) / len(blocks))
-        information = thinned * np.einsum("kjp,kj,kjq->pq", z, weight, z, optimize=True)
+        information, curvature = (
+            thinned * np.einsum("kjp,kj,kjq->pq", z, counts * each, z, optimize=True) for each in (weight, weight**3)
+        )
         prior = np.eye(len(self.sizes)) / PRIOR**2
-        inverse = np.linalg.inv(information + prior)
         scores = np.zeros((numbering.max() + 1, len(self.sizes)))
-        np.add.at(scores, numbering, thinned * np.einsum("kjp,kj->kp", z, weight * relative, optimize=True))
+        np.add.at(scores, numbering, thinned * np.einsum("kjp,kj->kp", z, counts * weight * relative, optimize=True))
         gradient = np.sum(scores, axis=0) + prior @ (point.x / self.sizes)
-        free = np.trace(inverse @ information)
-        scores *= np.sqrt(len(scores) / max(len(scores) - free, 1.0))
-        covariance = inverse @ (scores.T @ scores + prior) @ inverse
+        covariance = block_covariance(scores, curvature, np.linalg.inv(curvature + prior), prior)
         dz = _bounded(information + prior, gradient, (self.family.least - point.x) / self.sizes)
         dz *= min(1.0, LONGEST_STEP / max(np.abs(dz).max(), 1e-300))
         settled = bool(np.all(np.abs(dz) < CONVERGED * np.sqrt(np.diagonal(covariance))))
         outer = np.outer(self.sizes, self.sizes)
-        # The pseudo-Huber loss, and the logarithm of the scale that normalises the density.
-        density = HUBER**2 * (np.sqrt(1 + (relative / HUBER) ** 2) - 1) + np.log(scale)
-        losses = thinned * np.bincount(numbering, np.sum(counts * density, axis=1))
+        # The logarithm of the scale normalises the density.
+        losses = thinned * np.bincount(numbering, np.sum(counts * (loss + np.log(scale)), axis=1))
         return _Step(dz * self.sizes, covariance * outer, information / outer, scale, settled, losses)
 
     def _rows(self, point: _Point, i: int):
@@ -367,7 +363,7 @@ def _rounded(values: np.ndarray, first: np.ndarray, prior: np.ndarray) -> np.nda
 
 def _scale(values: np.ndarray) -> float:
     """Robust standard deviation; 1 where there is nothing."""
-    return float(max(1.4826 * np.median(np.abs(values)), 1e-12)) if len(values) else 1.0
+    return float(max(STD_OF_MEDIAN * np.median(np.abs(values)), 1e-12)) if len(values) else 1.0
 
 
 def _bounded(matrix: np.ndarray, gradient: np.ndarray, least: np.ndarray) -> np.ndarray:

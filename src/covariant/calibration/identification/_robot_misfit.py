@@ -37,29 +37,7 @@ explains any unit."""
 
 
 def robot_misfit(family: RobotFamily, file: ModelFile, record: Record) -> Finding | None:
-    """Reason why a fit of a robot must not use a log, whatever its friction, rotors and loads may be.
-
-    At most `FEW_ROWS` rows of the record are looked at.
-
-    Args:
-        family: The robot as a function of its open numbers.
-        file: Its model file, with the columns of the log.
-        record: The log as it was read.
-
-    Returns:
-        A finding "nothing moves", "too little motion" or "unit of …"; None where there is none of these.
-
-    Example:
-        >>> import numpy as np
-        >>> from covariant.calibration import robot_misfit
-        >>> from covariant.models import robot_family
-        >>> from covariant.signals import Record
-        >>> family = robot_family("double_pendulum", ["friction"])
-        >>> t = np.arange(0.0, 2.0, 0.01)
-        >>> y = 1e-4 * np.random.default_rng(0).normal(size=(200, 2))
-        >>> robot_misfit(family, family.file, Record(t, np.zeros((200, 2)), y)).what
-        'too little motion'
-    """
+    """Reason why a fit of a robot must not use a log: nothing moves, or another unit explains its torques; or None."""
     case, _ = case_without_outliers(file, busiest(record, FEW_ROWS))
     still, whole = still_findings(np.asarray(record.y), case.names.q, case.names.units)
     if whole:

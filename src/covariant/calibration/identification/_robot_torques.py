@@ -10,13 +10,12 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float
 
+from covariant.calibration._least_squares import PRIOR
 from covariant.calibration.diagnosis import acceleration_kernel
 from covariant.calibration.identification._robot_combinations import Combinations, combinations
 from covariant.geometry import differential
 from covariant.models import MechanicalSystem, RobotFamily, applied_force, input_count, resistance
 
-PRIOR = 3.0
-"""Standard deviation of the prior, in usual sizes: it decides only where the log says nothing."""
 KNOWN = 0.1
 """A number is shown where its standard error is below this fraction of that of the prior."""
 USEFUL = 0.1
@@ -73,7 +72,7 @@ class Torques(NamedTuple):
 
         def derivatives(x: np.ndarray, *columns: np.ndarray) -> np.ndarray:
             flat, slopes = at(x), slopes_at(x)
-            return _batched(lambda *part: batch(flat, slopes, *part), columns)
+            return batched(lambda *part: batch(flat, slopes, *part), columns)
 
         @jax.jit
         def with_slopes(flat: Array, slopes: Array, *columns: Array) -> tuple[Array, Array]:
@@ -121,15 +120,7 @@ class Determined(NamedTuple):
         information: Float[np.ndarray, "p p"],
         covariance: Float[np.ndarray, "p p"],
     ) -> "Determined":
-        """What follows from information about the coordinates x (p,), and from their covariance with the prior in it.
-
-        Args:
-            family: The robot as a function of its numbers.
-            x: Coordinates (p,).
-            sizes: Their usual sizes (p,).
-            information: Information (p, p), without the prior.
-            covariance: Covariance (p, p).
-        """
+        """What follows from information about coordinates x (p,), without the prior, and their covariance with it."""
         slopes = np.asarray(jax.jit(jax.jacfwd(family.values))(x))
         prior = np.sqrt(np.sum((slopes * sizes * PRIOR) ** 2, axis=1))
         errors = np.sqrt(np.einsum("ij,jk,ik->i", slopes, covariance, slopes))
@@ -177,18 +168,7 @@ def inverse_motors(model: MechanicalSystem) -> Float[np.ndarray, "m n"]:
 def usual_sizes(
     family: RobotFamily, driving: np.ndarray, without_friction: np.ndarray, v: np.ndarray, a: np.ndarray
 ) -> tuple[Float[np.ndarray, "p"], Float[np.ndarray, "n"]]:
-    """Usual sizes of the open numbers in a motion, and usual speeds of the joints.
-
-    Args:
-        family: The robot as a function of its p open numbers.
-        driving: Torques (K, n) of the motors.
-        without_friction: Torques (K, n) that the motion needs without friction.
-        v: Velocities (K, n).
-        a: Accelerations (K, n).
-
-    Returns:
-        The sizes (p,) and the speeds (n,).
-    """
+    """Usual sizes of the open numbers in a motion, and usual speeds of the joints."""
     motors, needs, speed, acceleration = (
         np.maximum(np.sqrt(np.mean(each**2, axis=0)), 1e-9) for each in (driving, without_friction, v, a)
     )
@@ -227,25 +207,16 @@ def _torque(model: MechanicalSystem, q: Array, v: Array, a: Array, u: Array) -> 
 
 
 def in_batches(function: Callable[..., Array], model: MechanicalSystem, *columns: np.ndarray) -> np.ndarray:
-    """A function of a model and of one row, at all rows.
-
-    Args:
-        function: Function of a model and of numbers of one row.
-        model: The model.
-        columns: These numbers, in K rows each.
-
-    Returns:
-        Its values (K, …).
-    """
-    return _batched(lambda *part: mapped(function, model, *part), columns)
+    """A function of a model and of one row, at all rows."""
+    return batched(lambda *part: mapped(function, model, *part), columns)
 
 
-def _batched(function: Callable[..., Array], columns: Sequence[np.ndarray]) -> np.ndarray:
-    """A function of `BATCH` rows, at all rows."""
+def batched(function: Callable[..., Array], columns: Sequence[np.ndarray], batch: int = BATCH) -> np.ndarray:
+    """A function of so many rows at a time, at all rows."""
     count = len(columns[0])
-    size = -(-count // BATCH) * BATCH
+    size = -(-count // batch) * batch
     padded = [np.concatenate([c, np.repeat(c[-1:], size - count, axis=0)]) for c in columns]
-    parts = [np.asarray(function(*(c[i : i + BATCH] for c in padded))) for i in range(0, size, BATCH)]
+    parts = [np.asarray(function(*(c[i : i + batch] for c in padded))) for i in range(0, size, batch)]
     return np.concatenate(parts)[:count]
 
 

@@ -1,4 +1,4 @@
-"""Windows of logs over which a model predicts: short stretches, each with the motion at its start."""
+"""Windows of logs over which a model predicts, each with the motion at its start, and those that are held out."""
 
 import math
 from collections.abc import Sequence
@@ -15,6 +15,8 @@ FEWEST_ROWS, FEWEST_WINDOWS = 12, 8
 """Least number of rows of a window, and of windows of a fit."""
 LONGEST_GAP = 5.0
 """Longest step of a window, in median steps: after a longer gap in the stamps a new window begins."""
+FITTED = 2 / 3
+"""Fraction of a log, its first part, that a fit to it alone or a tuning uses; the rest is held out."""
 BETWEEN_LOGS = 1e9
 """Step [s] put between the inputs of two logs, so that a lag of the first has died away in the second."""
 
@@ -32,10 +34,10 @@ class Windows(NamedTuple):
 
     Example:
         >>> import numpy as np
-        >>> from covariant.calibration import windows
+        >>> from covariant.calibration import cut_windows
         >>> from covariant.signals import Record
         >>> t = np.arange(0.0, 10.0, 0.02)
-        >>> pieces = windows([Record(t, y=np.sin(t)[:, None])], [np.cos(t)[:, None]], length=1.0)
+        >>> pieces = cut_windows([Record(t, y=np.sin(t)[:, None])], [np.cos(t)[:, None]], length=1.0)
         >>> pieces.t.shape, pieces.v.shape, pieces.inputs.shape
         ((9, 51), (9, 51, 1), (500, 0))
     """
@@ -95,7 +97,7 @@ def horizon(record: Record, velocity: Float[np.ndarray, "T n"], part: float = 1.
     return float(most)
 
 
-def windows(
+def cut_windows(
     records: Sequence[Record],
     velocities: Sequence[Float[np.ndarray, "_ n"]],
     length: float,
@@ -120,10 +122,11 @@ def windows(
 
     Example:
         >>> import numpy as np
-        >>> from covariant.calibration import windows
+        >>> from covariant.calibration import cut_windows
         >>> from covariant.signals import Record
         >>> t = np.arange(0.0, 20.0, 0.02)
-        >>> later = windows([Record(t, y=np.sin(t)[:, None])], [np.cos(t)[:, None]], length=1.0, spans=[(8.0, 20.0)])
+        >>> record, v = Record(t, y=np.sin(t)[:, None]), np.cos(t)[:, None]
+        >>> later = cut_windows([record], [v], length=1.0, spans=[(8.0, 20.0)])
         >>> round(float(later.t.min()), 6), len(later.t)
         (8.0, 11)
     """
@@ -184,3 +187,27 @@ def _pieces(t: np.ndarray, whole: np.ndarray, length: float, begin: float, end: 
 
 def _padded(rows: np.ndarray, length: int) -> np.ndarray:
     return np.concatenate([rows, np.full(length - len(rows), rows[-1])])
+
+
+def split_windows(
+    records: Sequence[Record], velocities: Sequence[Float[np.ndarray, "_ n"]], length: float
+) -> tuple[Windows, Windows]:
+    """Cut windows to fit, and held-out ones: of several records the last, of a single one the last third."""
+    if len(records) > 1:
+        held_out = held_out_logs([np.asarray(record.t) for record in records], length)
+        k = len(records) - held_out
+        return cut_windows(records[:k], velocities[:k], length), cut_windows(records[k:], velocities[k:], length)
+    t = np.asarray(records[0].t)
+    border = float(t[0] + FITTED * (t[-1] - t[0]))
+    first, last = ((-np.inf, border),), ((border, np.inf),)
+    return cut_windows(records, velocities, length, first), cut_windows(records, velocities, length, last)
+
+
+def held_out_logs(stamps: Sequence[Float[np.ndarray, "_"]], length: float) -> int:
+    """Number of the last logs that are held out: the least that hold enough windows, and less than half of all."""
+    # Windows share no row, so that each takes a step more than its length.
+    counts = [int(len(t) / (length / np.median(np.diff(t)) + 1) + 1e-9) for t in stamps]
+    held_out = 1
+    while sum(counts[-held_out:]) < FEWEST_WINDOWS and held_out < (len(counts) - 1) // 2:
+        held_out += 1
+    return held_out

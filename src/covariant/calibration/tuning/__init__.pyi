@@ -11,19 +11,14 @@ from ._estimators import (
     tuned_state_estimators as tuned_state_estimators,
     with_gains as with_gains,
 )
-from ._filters import (
-    filter_bandwidth as filter_bandwidth,
-    jerk_bound as jerk_bound,
-    joint_noise as joint_noise,
-    window_length as window_length,
-)
+from ._filters import filter_bandwidth as filter_bandwidth
 from ._gains import (
     Gains as Gains,
-    bias as bias,
     gains as gains,
     predict_errors as predict_errors,
     predict_sampled_errors as predict_sampled_errors,
+    steady_state_errors as steady_state_errors,
 )
 from ._stored_observer import stored_observer as stored_observer
 from ._suggest import Suggestion as Suggestion, suggest_noise as suggest_noise
-from ._tune import HeldOut as HeldOut, Tuning as Tuning, given_noise as given_noise, tune as tune
+from ._tune import HeldOut as HeldOut, Tuning as Tuning, tune as tune

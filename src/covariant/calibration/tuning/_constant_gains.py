@@ -71,16 +71,7 @@ class Candidate(NamedTuple):
 def best_innovations(
     model: MechanicalSystem, logs: list[TuningLog], runs: Runs
 ) -> tuple[float, float, Float[np.ndarray, "n"]]:
-    """Natural frequency [rad/s] and damping ratio with the least innovations, and the size (n,) of these.
-
-    Args:
-        model: The mechanical system.
-        logs: The logs.
-        runs: Runs observers.
-
-    Raises:
-        ValueError: No gains give a finite estimate.
-    """
+    """Natural frequency [rad/s] and damping ratio with the least innovations, and the size (n,) of these."""
     rate, parts = logs[0].rate, [log.first_part for log in logs]
     pairs = list(zip(logs, parts, strict=True))
     measured = np.concatenate([_usable(model, part)[log.tuned[: len(part.t)]] for log, part in pairs])
@@ -111,17 +102,7 @@ def best_innovations(
 def candidates(
     noise: NoiseLevels, systems: Sequence[ErrorModel], filtered: Sequence[Filtered], rate: float
 ) -> dict[str, tuple[float, float]]:
-    """Natural frequencies [rad/s] and damping ratios that follow from the noise.
-
-    Args:
-        noise: The noise.
-        systems: Error model of each log.
-        filtered: Kalman filter with this noise on each.
-        rate: Sampling rate [Hz].
-
-    Returns:
-        Both numbers by the name of the design; those outside the bounds are brought to them.
-    """
+    """Natural frequencies [rad/s] and damping ratios that follow from the noise, by design, brought to the bounds."""
     std = float(np.sqrt(np.mean(np.asarray(noise.measurement) ** 2)))
     squares = [np.sum((np.asarray(s.input_matrix)[1:] * np.asarray(noise.force)) ** 2, axis=(1, 2)) for s in systems]
     force = float(np.mean(np.concatenate(squares))) / len(noise.measurement)  # mean square of its accelerations
@@ -143,16 +124,7 @@ def candidates(
 
 
 def as_poles(k1: float, k2: float, rate: float) -> tuple[float, float]:
-    """Natural frequency [rad/s] and damping ratio whose sampled loop has given gains, the inverse of `sampled_gains`.
-
-    Args:
-        k1: Gain from a reading to the position [1].
-        k2: Gain from a reading to the velocity [1/s].
-        rate: Sampling rate [Hz].
-
-    Returns:
-        ω and ζ, of the poles a and b with `k1 = 1 − ab` and `k2 = (1 − a)(1 − b) rate`.
-    """
+    """Natural frequency [rad/s] and damping ratio of the poles a, b with `k1 = 1 − ab`, `k2 = (1 − a)(1 − b) rate`."""
     product = float(np.clip(1 - k1, 1e-9, 1 - 1e-9))
     poles = np.asarray(np.roots([1.0, -(1 + product - k2 / rate), product]), complex)
     # A real pole below zero has no continuous one; it is as fast as its size.
@@ -162,17 +134,7 @@ def as_poles(k1: float, k2: float, rate: float) -> tuple[float, float]:
 
 
 def sampled_design(std: float, density: float, rate: float) -> tuple[float, float]:
-    """Natural frequency [rad/s] and damping ratio with the least velocity error of the sampled loop.
-
-    Args:
-        std: Standard deviation of a reading [rad or m].
-        density: Spectral density of white acceleration [(rad/s²)² s, or (m/s²)² s].
-        rate: Sampling rate [Hz].
-
-    Returns:
-        Both, within the bounds: those of the stationary Kalman filter of a double integrator, unless its poles are
-        beyond what gains of continuous time have.
-    """
+    """Natural frequency [rad/s] and damping ratio with the least velocity error of the sampled loop, within bounds."""
 
     def error(z):
         frequency = float(np.exp(z[0])) * rate
@@ -194,17 +156,8 @@ def best_gains(
 ) -> tuple[Candidate, tuple[Candidate, ...], int]:
     """Judge candidates by the prediction of measurements, or by smoothed velocities, and search for better ones.
 
-    Args:
-        model: The mechanical system.
-        logs: The logs.
-        proposed: Natural frequencies and damping ratios by name; the horizon is `rows_ahead` of "innovations".
-        substeps: Runge–Kutta steps in each sample of each log.
-        runs: Runs observers.
-        smooth: Smoothed velocities (T, n) of each log to judge by, where a force acts that the model does not know.
-
-    Returns:
-        The best candidate on the held-out rows, all of them, and the number of rows of the horizon; 0 where velocities
-        were compared.
+    Smoothed velocities judge where a force acts that the model does not know. The best candidate on the held-out rows,
+    all of them, and the number of rows of the horizon; 0 where velocities were compared.
     """
     rate = logs[0].rate
     horizon = 0 if smooth is not None else rows_ahead(rate, proposed["innovations"][0])
@@ -249,9 +202,6 @@ def chosen(judged: Sequence[Candidate]) -> Candidate:
     Predictions confirm a design, and find out one whose noise is wrong. They do not order good ones: where the model
     errs for a while, positions are predicted best from velocities that err along with it, by gains that are too fast.
     What is worse than the gains of the model file is never taken.
-
-    Args:
-        judged: All candidates.
     """
     best = min(judged, key=lambda each: each.error)
     errors = {each.source: each.error for each in judged}

@@ -61,6 +61,15 @@ class DataSheet(NamedTuple):
     sensors: tuple[Sensor, ...] = ()
     torque_std: float | tuple[float, ...] | None = None
 
+    def white_time(self, rate: float) -> float:
+        """Time τ [s] for which acceleration noise σ acts as white noise of the density 2σ²τ, at a rate [Hz]."""
+        # Independent at each sample: the density is then σ²/rate, as for the measurement.
+        return 1 / (2 * rate) if self.correlation_time is None else self.correlation_time
+
+    def stds(self, n: int) -> Float[np.ndarray, "n"]:
+        """Standard deviation of the noise of each of n coordinates."""
+        return np.broadcast_to(np.asarray(self.coordinate_stds or self.measurement_std, float), n)
+
     @property
     def speeds(self) -> Float[np.ndarray, "*n"]:
         """Usual size of the velocities: `speed`, but no less than `motion_std · motion_time`."""

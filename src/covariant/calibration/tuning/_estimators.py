@@ -3,13 +3,16 @@
 from collections.abc import Callable, Collection
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float
 
+from covariant._functional import Functional
+from covariant._typing import Matrix, Vector
 from covariant.calibration.tuning._data_sheet import DataSheet, Trial
 from covariant.calibration.tuning._filters import filter_bandwidth, jerk_bound, joint_noise, polynomial
 from covariant.calibration.tuning._gains import Gains, gains
-from covariant.calibration.tuning._torque_noise import TorqueNoise
 from covariant.geometry import AbstractSpace
 from covariant.models import MechanicalSystem, StateSpace
 from covariant.observers import (
@@ -97,16 +100,8 @@ def with_gains(model: Any, alpha: float, beta: float) -> dict[str, AbstractObser
     return {entry.name: entry.make(model, alpha, beta) for entry in fitting}
 
 
-class Known(NamedTuple):
-    """Data from which an estimator is tuned.
-
-    Attributes:
-        n: Number of velocities.
-        sheet: The data sheet.
-        rate: Sampling rate [Hz].
-        trial: Part of a log; None to tune by the data sheet alone.
-        space: Configuration space of the model.
-    """
+class _Known(NamedTuple):
+    """Data from which an estimator of n velocities is tuned."""
 
     n: int
     sheet: DataSheet
@@ -150,7 +145,7 @@ def tuned_estimators(
     for name in ("motion_std", "motion_time"):
         if not 0 < getattr(sheet, name) < np.inf:
             raise ValueError(f"tuned_estimators: {name} must be a positive number; got {getattr(sheet, name)}")
-    known = Known(n, sheet, rate, trial, model.space)
+    known = _Known(n, sheet, rate, trial, model.space)
     fitting = (entry for entry in REGISTRY if entry.name in names and entry.fits(model))
     tuned = {entry: entry.make(model, *TUNINGS[entry.tuned_by](entry, known)) for entry in fitting}
     bare = {entry.name for entry in tuned if entry.has_gate or sheet.speed is None}
@@ -162,25 +157,26 @@ def tuned_state_estimators(
 ) -> dict[str, AbstractObserver]:
     """Estimators of a state-space model by name, for its noise.
 
-    Args:
-        model: The state-space model.
-        noise: Process and measurement noise, first estimate with its covariance, and sampling rate.
-        names: Estimators to return.
+        Args:
+            model: The state-space model.
+            noise: Process and measurement noise, first estimate with its covariance, and sampling rate.
+            names: Estimators to return.
 
-    Returns:
-        The estimators.
+        Returns:
+            The estimators.
 
-    Raises:
-        ValueError: An estimator cannot be built at the first estimate.
+        Raises:
+            ValueError: An estimator cannot be built at the first estimate.
 
-    Example:
-        >>> import jax.numpy as jnp
-        >>> from covariant.calibration import tuned_state_estimators
-        >>> from covariant.models import duffing
-        >>> from covariant.observers import Noise
-        >>> noise = Noise(0.1 * jnp.eye(2), 1e-4 * jnp.eye(1), jnp.zeros(2), jnp.eye(2), 100.0)
-        >>> list(tuned_state_estimators(duffing(), noise, names=("covariance-ekf",)))
-        ['covariance-ekf']
+        Example:
+            >>> import jax
+    import jax.numpy as jnp
+            >>> from covariant.calibration import tuned_state_estimators
+            >>> from covariant.models import duffing
+            >>> from covariant.observers import Noise
+            >>> noise = Noise(0.1 * jnp.eye(2), 1e-4 * jnp.eye(1), jnp.zeros(2), jnp.eye(2), 100.0)
+            >>> list(tuned_state_estimators(duffing(), noise, names=("covariance-ekf",)))
+            ['covariance-ekf']
     """
     fitting = (entry for entry in REGISTRY if entry.name in names and entry.fits(model))
     return {entry.name: entry.make(model, noise) for entry in fitting}
@@ -210,25 +206,39 @@ def gated(observer: AbstractObserver, model: MechanicalSystem, sheet: DataSheet)
     return Gated(observer, model, jnp.asarray(std, float), jnp.asarray(sheet.speeds))
 
 
-def _gains(entry: Entry, known: Known) -> tuple:
+class _TorqueNoise(Functional):
+    """Spectral density `A + M⁻¹ W M⁻¹` of the acceleration noise, a function of the configuration with inertia M.
+
+    Torques of the joints are noisy, with the roots `torque` (n,) of their spectral densities W: where a joint meets
+    little inertia the same torque accelerates it more, and it accelerates the other joints as well. A (n, n) is that of
+    accelerations that are noisy by themselves, in the frame.
+    """
+
+    space: AbstractSpace
+    acceleration: Matrix
+    torque: Vector
+
+    def __call__(self, q: Array) -> Float[Array, "n n"]:
+        columns = jnp.diag(self.torque).astype(self.acceleration.dtype)
+        root = jax.vmap(lambda covector: self.space.raise_(q, covector), in_axes=1, out_axes=1)(columns)
+        return self.acceleration + root @ root.T
+
+
+def _gains(entry: Entry, known: _Known) -> tuple:
     chosen = observer_gains(known.sheet, known.rate)
     return chosen.alpha, chosen.beta
 
 
-def _noise(entry: Entry, known: Known) -> tuple:
-    sheet = known.sheet
-    # Independent at each sample: σ²/rate as 2σ² time.
-    time = 1 / (2 * known.rate) if sheet.correlation_time is None else sheet.correlation_time
-    # A correlated acceleration acts like white noise of density 2 std² time (S_a in `gains`).
+def _noise(entry: Entry, known: _Known) -> tuple:
+    sheet, time = known.sheet, known.sheet.white_time(known.rate)
     process_cov = jnp.asarray(2 * sheet.acceleration_std**2 * time * np.eye(known.n))
     if sheet.torque_std is not None and entry.observer is not EKF:  # which has the same noise everywhere
         torque = np.sqrt(2 * time) * np.broadcast_to(np.asarray(sheet.torque_std, float), known.n)
-        process_cov = TorqueNoise(known.space, process_cov, jnp.asarray(torque))
-    std = np.broadcast_to(np.asarray(sheet.coordinate_stds or sheet.measurement_std, float), known.n)
-    return process_cov, jnp.asarray(np.diag(std**2)), sheet.motion_std * sheet.motion_time
+        process_cov = _TorqueNoise(known.space, process_cov, jnp.asarray(torque))
+    return process_cov, jnp.asarray(np.diag(sheet.stds(known.n) ** 2)), sheet.motion_std * sheet.motion_time
 
 
-def _ticks(entry: Entry, known: Known) -> tuple:
+def _ticks(entry: Entry, known: _Known) -> tuple:
     sheet, slow = known.sheet, known.sheet.slow
     if sheet.external_force is not None:
         slow += (external_force(sheet.external_force**2 * jnp.eye(known.n)),)
@@ -238,12 +248,12 @@ def _ticks(entry: Entry, known: Known) -> tuple:
     return *_noise(entry, known), sheet.quantum, slow, sheet.sensors
 
 
-def _bandwidth(entry: Entry, known: Known) -> tuple:
+def _bandwidth(entry: Entry, known: _Known) -> tuple:
     kind: Any = entry.observer
     return (filter_bandwidth(known.sheet, known.rate, known.trial, kind),)
 
 
-TUNINGS: dict[str, Callable[[Entry, Known], tuple]] = {
+TUNINGS: dict[str, Callable[[Entry, _Known], tuple]] = {
     "gains": _gains,
     "noise": _noise,
     "noise or ticks": _ticks,

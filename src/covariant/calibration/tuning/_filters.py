@@ -53,60 +53,16 @@ def filter_bandwidth(
     return _best((np.geomspace(0.005, 3.0, 80) * rate).tolist(), kind, sheet, rate, trial)
 
 
-def window_length(sheet: DataSheet, rate: float, order: int = 2, trial: Trial | None = None) -> int:
-    """Window of the causal Savitzky–Golay filter with the least velocity error.
-
-    Args:
-        sheet: The data sheet, which predicts the error.
-        rate: Sampling rate [Hz].
-        order: Degree of the polynomial.
-        trial: Part of a log on which the error is measured instead.
-
-    Returns:
-        The window [samples], at most `LONGEST_WINDOW`.
-
-    Example:
-        >>> from covariant.calibration import DataSheet, window_length
-        >>> window_length(DataSheet(1e-4, 1.0), rate=100.0) < window_length(DataSheet(1e-2, 1.0), rate=100.0)
-        True
-    """
-    windows = range(order + 1, LONGEST_WINDOW + 1)
-    return _best(windows, lambda window: SavitzkyGolay(window, order), sheet, rate, trial)
-
-
 def polynomial(sheet: DataSheet, rate: float, trial: Trial | None = None) -> tuple[int, int]:
-    """Window and order of the causal Savitzky–Golay filter with the least velocity error.
-
-    Args:
-        sheet: The data sheet, which predicts the error.
-        rate: Sampling rate [Hz].
-        trial: Part of a log on which the error is measured instead.
-
-    Returns:
-        The window [samples] and the order, 2 or 3.
-    """
-    candidates = [(window_length(sheet, rate, order, trial), order) for order in (2, 3)]
+    """Window [samples] and order, 2 or 3, of the causal Savitzky–Golay filter with the least velocity error."""
+    candidates = [(window, order) for order in (2, 3) for window in range(order + 1, LONGEST_WINDOW + 1)]
     return _best(candidates, lambda candidate: SavitzkyGolay(*candidate), sheet, rate, trial)
 
 
 def joint_noise(sheet: DataSheet, rate: float, trial: Trial | None = None) -> tuple[float, float, float]:
-    """Noise levels for a `JointKalman`, which estimates motion without a model.
+    """Noise levels for a `JointKalman`: strength and correlation time [s] of the accelerations, std of a sample.
 
-    With those of the data sheet it is the best linear filter; on a trial the standard deviation of the accelerations is
-    optimised.
-
-    Args:
-        sheet: The data sheet.
-        rate: Sampling rate [Hz].
-        trial: Part of a log on which the velocity error is measured.
-
-    Returns:
-        Standard deviation and correlation time [s] of the accelerations, and standard deviation of a sample.
-
-    Example:
-        >>> from covariant.calibration import DataSheet, joint_noise
-        >>> joint_noise(DataSheet(measurement_std=1e-3, acceleration_std=1.0, motion_std=5.0), rate=100.0)
-        (5.0, 0.1, 0.001)
+    With those of the data sheet it is the best linear filter; on a trial the accelerations are optimised.
     """
 
     def kind(motion_std):
@@ -118,20 +74,7 @@ def joint_noise(sheet: DataSheet, rate: float, trial: Trial | None = None) -> tu
 
 
 def jerk_bound(sheet: DataSheet, trial: Trial | None = None) -> float:
-    """Bound on the jerk for a `Levant` differentiator.
-
-    Args:
-        sheet: The data sheet; the bound is `motion_std / motion_time`, the rate at which its accelerations change.
-        trial: Part of a log, on which the differentiator is run with 61 bounds around that one.
-
-    Returns:
-        The bound [rad/s³]; on a trial the one with the least velocity error.
-
-    Example:
-        >>> from covariant.calibration import DataSheet, jerk_bound
-        >>> jerk_bound(DataSheet(1e-3, 1.0, motion_std=5.0, motion_time=0.25))
-        20.0
-    """
+    """Bound on the jerk [rad/s³] for a `Levant` differentiator: of the data sheet, or the best near it on a trial."""
     typical = sheet.motion_std / sheet.motion_time
     if trial is None:
         return typical
@@ -166,17 +109,9 @@ def _best(candidates: Iterable, kind: Callable, sheet: DataSheet, rate: float, t
 
 
 def filter_error(weights: Float[np.ndarray, "k"], sheet: DataSheet, rate: float, trial: Trial | None = None) -> float:
-    """Velocity error of a linear filter: predicted from the data sheet, or measured on a trial at even stamps.
+    """Velocity error of a linear filter with weights [1/s] of the newest and earlier samples.
 
-    Args:
-        weights: Weights (k,) of the newest and earlier samples [1/s].
-        sheet: The data sheet.
-        rate: Sampling rate [Hz].
-        trial: Part of a log; its first second is left out.
-
-    Returns:
-        Standard deviation of the velocity, or on a trial `relative_error`, a fraction of the velocity over all
-        coordinates.
+    Predicted from the data sheet, or measured on a trial at even stamps after its first second: `relative_error`.
     """
     if trial is None:
         return linear_filter_error(weights, sheet, rate)
@@ -192,15 +127,7 @@ def filter_error(weights: Float[np.ndarray, "k"], sheet: DataSheet, rate: float,
 
 
 def relative_error(found: Float[np.ndarray, "T n"], true: Float[np.ndarray, "T n"]) -> float:
-    """Velocity error as a fraction of the velocity, root mean square over the coordinates.
-
-    Args:
-        found: Estimated velocities (T, n).
-        true: Reference velocities (T, n).
-
-    Returns:
-        The fraction; 1 for an estimate of zero.
-    """
+    """Error of velocities (T, n) as a fraction of the reference's, RMS over the coordinates; 1 for an estimate of 0."""
     # The floor is for a coordinate that stands still: its error then counts as infinite, unless it is zero.
     size = np.maximum(np.mean(true**2, axis=0), np.finfo(float).tiny)
     return float(np.sqrt(np.mean(np.mean((found - true) ** 2, axis=0) / size)))
@@ -212,15 +139,8 @@ def _late(t: np.ndarray) -> np.ndarray:
 
 
 def filtered(weights: Float[np.ndarray, "k"], x: Float[np.ndarray, "T"]) -> Float[np.ndarray, "T"]:
-    """Filter samples by a finite impulse response that annihilates constants.
-
-    Args:
-        weights: Weights (k,) of the newest and earlier samples.
-        x: Samples (T,); the first is taken to have been there for ever.
-
-    Returns:
-        The filtered samples (T,).
-    """
+    """Filter samples by a response that annihilates constants; the first is taken to have been there for ever."""
+    # `scipy.signal`, which has both, takes seconds to import.
     x = x - x[0]
     # A short sum is quicker than three transforms.
     if len(weights) < 100:
@@ -235,14 +155,6 @@ def linear_filter_error(weights: np.ndarray, sheet: DataSheet, rate: float) -> f
 
     The weights annihilate constants and return slopes, so what remains of a motion is its acceleration a(t − r),
     weighted by `h(r) = Σ_{s_i > r} w_i (s_i − r)`; a has exponential correlation.
-
-    Args:
-        weights: Weights w (k,) [1/s].
-        sheet: The data sheet.
-        rate: Sampling rate [Hz].
-
-    Returns:
-        The standard deviation [unit/s].
     """
     ages = np.arange(len(weights)) / rate
     # With tail sums W = Σ w and moments Σ w s over s_i ≥ r, h(r) = Σ w_i s_i − r Σ w_i.

@@ -167,7 +167,7 @@ def predict_sampled_errors(
     return Gains(alpha, beta, math.sqrt(cov[0, 0]), math.sqrt(cov[1, 1]))
 
 
-def bias(alpha: Number, beta: Number, acceleration: float) -> tuple[float, float]:
+def steady_state_errors(alpha: Number, beta: Number, acceleration: float) -> tuple[float, float]:
     """Errors of an observer under a constant unmodelled acceleration a: `a/β` in position and `αa/β` in velocity.
 
     Args:
@@ -179,8 +179,8 @@ def bias(alpha: Number, beta: Number, acceleration: float) -> tuple[float, float
         Position error [rad or m] and velocity error [rad/s or m/s].
 
     Example:
-        >>> from covariant.calibration import bias
-        >>> bias(alpha=10.0, beta=50.0, acceleration=1.0)
+        >>> from covariant.calibration import steady_state_errors
+        >>> steady_state_errors(alpha=10.0, beta=50.0, acceleration=1.0)
         (0.02, 0.2)
     """
     return acceleration / float(beta), float(alpha) * acceleration / float(beta)

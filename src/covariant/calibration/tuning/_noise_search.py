@@ -8,6 +8,7 @@ model, Annals of Statistics 6(2).
 """
 
 from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -27,32 +28,33 @@ TIMES, SIZES, REST = 7, np.geomspace(1e-3, 3.0, 8), (1.0, 0.3, 0.1, 0.01)
 fractions of the acceleration that would explain all innovations; and what is left of the white acceleration."""
 
 
-def needed_steps(model: MechanicalSystem, log: TuningLog, estimate) -> int:
-    """Runge–Kutta steps in each sample that the motion of a run needs."""
-    q, v, _ = estimate
-    t, u = (jnp.asarray(each) for each in log.record[:2])
-    sampled = np.linspace(0, len(t) - 2, min(200, len(t) - 1)).astype(int)
-    fixed = with_fixed_substeps(intrinsic(model, 1.0, 1.0), log.rate, q[sampled], v[sampled], u[sampled])
-    return fixed.substeps or 1
+class RunErrors(NamedTuple):
+    """A log, velocities (T, n) of a run over it, Runge–Kutta steps in each sample, and a linear model of its errors."""
+
+    log: TuningLog
+    v: Float[np.ndarray, "T n"]
+    substeps: int
+    system: ErrorModel
+
+    @classmethod
+    def of(cls, model: MechanicalSystem, log: TuningLog, estimate: Any) -> "RunErrors":
+        q, v, _ = estimate
+        t, u, y = (jnp.asarray(each) for each in log.record[:3])
+        sampled = np.linspace(0, len(t) - 2, min(200, len(t) - 1)).astype(int)
+        fixed = with_fixed_substeps(intrinsic(model, 1.0, 1.0), log.rate, q[sampled], v[sampled], u[sampled])
+        substeps = fixed.substeps or 1
+        return cls(log, np.asarray(v), substeps, error_model(model, q, v, t, u, y, substeps))
+
+    def filtered(self, noise: NoiseLevels, speed: jax.Array) -> Filtered:
+        """The Kalman filter on the errors."""
+        return _filtered(self.system, noise, speed)
+
+    def corrected(self, errors: Any) -> Float[np.ndarray, "T n"]:
+        """Velocities (T, n) with estimates (T, 2n) of the errors of the run."""
+        return self.v + np.asarray(errors)[:, self.v.shape[1] :]
 
 
-def error_system(model: MechanicalSystem, log: TuningLog, estimate, steps: int) -> ErrorModel:
-    """Linear model of the errors of a run over a log."""
-    q, v, _ = estimate
-    t, u, y = (jnp.asarray(each) for each in log.record[:3])
-    return error_model(model, q, v, t, u, y, steps)
-
-
-@eqx.filter_jit
-def filtered(system: ErrorModel, noise: NoiseLevels, speed: jax.Array) -> Filtered:
-    """The Kalman filter on an error model."""
-    return kalman(system, noise, speed)
-
-
-@eqx.filter_jit
-def smoothed_errors(system: ErrorModel, noise: NoiseLevels, speed: jax.Array) -> jax.Array:
-    """The smoother on an error model: estimates (T, 2n) of the errors of the run from all rows."""
-    return smoothed(system, noise, speed)
+_filtered, smoothed_errors = eqx.filter_jit(kalman), eqx.filter_jit(smoothed)
 
 
 @eqx.filter_jit
@@ -71,8 +73,7 @@ def largest_speed(logs: list[TuningLog]) -> jax.Array:
 
 
 def best_noise(
-    logs: list[TuningLog],
-    systems: list[ErrorModel],
+    runs: list[RunErrors],
     frequency: float,
     size: np.ndarray,
     std: np.ndarray | None,
@@ -80,14 +81,10 @@ def best_noise(
 ) -> NoiseLevels:
     """Noise of the greatest likelihood; with an unknown force where that gains more than its parameters cost.
 
-    Args:
-        logs: The logs.
-        systems: Error model of each.
-        frequency: Natural frequency [rad/s] of the gains with the least innovations.
-        size: Root mean squares (n,) of these innovations.
-        std: Least noise (n,) of a reading; None for a small fraction of the innovations.
-        forgotten: Relative sizes (n,) of the components of a force that is forgotten; None for a random walk.
+    `frequency` [rad/s] and `size` (n,) are those of the least innovations, `std` the least noise (n,) of a reading.
+    The force is forgotten where `forgotten` has the relative sizes (n,) of its components; without, it is a walk.
     """
+    logs, systems = [run.log for run in runs], [run.system for run in runs]
     least = LEAST * size if std is None else np.asarray(std, float)
     # At first one half of the variance of the innovations is noise of the reading.
     first = np.maximum(size / np.sqrt(2), least)
@@ -106,11 +103,15 @@ def best_noise(
         levels = np.exp(z[0]), measured, np.exp(z[1]) * shape, np.exp(z[2])
         return NoiseLevels(*(jnp.asarray(x) for x in levels))
 
-    def cost(z):
-        total = sum(
-            float(np.sum(np.where(mask, filtered(part, noise(z), speed).loss, 0.0)))
-            for part, mask in zip(parts, masks, strict=True)
+    def loss(z, of, counted):
+        levels = noise(z)
+        return sum(
+            float(np.sum(np.where(mask, _filtered(one, levels, speed).loss, 0.0)))
+            for one, mask in zip(of, counted, strict=True)
         )
+
+    def cost(z):
+        total = loss(z, parts, masks)
         return total if np.isfinite(total) else np.inf
 
     # The logarithms of no force, and of a time without an end.
@@ -134,13 +135,9 @@ def best_noise(
     totals = sum(_losses(part, noises, jnp.asarray(mask), speed) for part, mask in zip(parts, masks, strict=True))
     forced, lower = _descend(cost, np.array(grid[int(np.nanargmin(np.asarray(totals)))]))
     held_out = [np.asarray(system.present) & log.held_out[:, None] for log, system in zip(logs, systems, strict=True)]
-
-    def surprise(z):
-        pairs = zip(systems, held_out, strict=True)
-        return sum(float(np.sum(np.where(mask, filtered(one, noise(z), speed).loss, 0.0))) for one, mask in pairs)
-
     # Two parameters more, and what is held out has to confirm them.
-    confirmed = without - lower > 2 * np.log(count) and surprise(forced) < surprise(plain)
+    confirmed = without - lower > 2 * np.log(count)
+    confirmed = confirmed and loss(forced, systems, held_out) < loss(plain, systems, held_out)
     return noise(forced if confirmed else plain)
 
 

@@ -16,17 +16,15 @@ import numpy as np
 from jaxtyping import Float
 
 from covariant import scoring
-from covariant.calibration.identification import ErrorModel, NoiseLevels
+from covariant.calibration.identification import NoiseLevels
 from covariant.calibration.tuning._constant_gains import Candidate, best_gains, best_innovations, candidates
 from covariant.calibration.tuning._data_sheet import DataSheet, Trial
 from covariant.calibration.tuning._estimators import estimators, observer_gains, tuned_estimators
 from covariant.calibration.tuning._filters import relative_error
 from covariant.calibration.tuning._noise_search import (
+    RunErrors,
     best_noise,
-    error_system,
-    filtered,
     largest_speed,
-    needed_steps,
     smoothed_errors,
 )
 from covariant.calibration.tuning._tuning_log import Runs, TuningLog, by_jax, followed, prepared
@@ -90,11 +88,12 @@ class Tuning(NamedTuple):
             the Kalman filter's velocities as it predicts it, (2, n) [rad/s or m/s]; None where that is unknown.
 
     Example:
+        >>> import jax.numpy as jnp
         >>> import numpy as np
-        >>> from covariant.calibration import DataSheet, HeldOut, Tuning, given_noise
+        >>> from covariant.calibration import HeldOut, NoiseLevels, Tuning
         >>> one = np.array([0.01])
         >>> errors = HeldOut(one, 3 * one, 2 * one, np.array([0.03, 0.02]), likelihood=4.8, nis=1.1, correlation=one)
-        >>> noise = given_noise(DataSheet(1e-3, 0.5), rate=100.0, n=1)
+        >>> noise = NoiseLevels(jnp.array(0.05), jnp.array([1e-3]), jnp.array(0.0))
         >>> Tuning(5.0, 0.7, noise, None, errors, ("savitzky-golay", 0.05), rows=1000).model_helps
         True
     """
@@ -160,30 +159,33 @@ def tune(
     proposed = {"innovations": (frequency, damping)}
     progress("noise")
     estimates = followed(model, logs, frequency, damping, runner)
-    steps = [needed_steps(model, log, estimate) for log, estimate in zip(logs, estimates, strict=True)]
-    systems = [error_system(model, *each) for each in zip(logs, estimates, steps, strict=True)]
+    errors = [RunErrors.of(model, *each) for each in zip(logs, estimates, strict=True)]
     shape = None
     if before is not None and before.external_force_std is not None:
         shape = np.broadcast_to(before.external_force_std, n) / np.max(before.external_force_std)
-    noise = best_noise(logs, systems, frequency, size, std, shape)
+    noise = best_noise(errors, frequency, size, std, shape)
     speed = largest_speed(logs)
-    proposed |= candidates(noise, systems, [filtered(system, noise, speed) for system in systems], rate)
+    proposed |= candidates(
+        noise, [each.system for each in errors], [each.filtered(noise, speed) for each in errors], rate
+    )
     progress("held-out rows")
     baseline, kept = None, False
     if before is not None:
         gains = observer_gains(before, rate)
         old = gains.beta**0.5, gains.alpha / (2 * gains.beta**0.5)
         proposed = {"model file": old} | proposed
-        baseline = _judged(logs, systems, estimates, followed(model, logs, *old, runner), given_noise(before, rate, n))
-        if _judged(logs, systems, estimates, estimates, noise).likelihood < baseline.likelihood:
-            kept, noise = True, given_noise(before, rate, n)
-    smooth = _smooth(systems, estimates, noise, speed) if np.any(noise.force) else None
-    best, compared, horizon = best_gains(model, logs, proposed, steps, runner, smooth)
+        baseline = _judged(errors, followed(model, logs, *old, runner), noise_levels(before, rate, n), speed)
+        if _judged(errors, estimates, noise, speed).likelihood < baseline.likelihood:
+            kept, noise = True, noise_levels(before, rate, n)
+    smooth = None
+    if np.any(noise.force):
+        smooth = [each.corrected(smoothed_errors(each.system, noise, speed)) for each in errors]
+    best, compared, horizon = best_gains(model, logs, proposed, [each.substeps for each in errors], runner, smooth)
     chosen = followed(model, logs, best.natural_frequency, best.damping, runner)
-    after = _judged(logs, systems, estimates, chosen, noise)
+    after = _judged(errors, chosen, noise, speed)
     progress("filters without a model")
     free = _best_model_free(model, logs, noise, before)
-    known = None if window is None else _reference_noise(logs, systems, noise, *window)
+    known = None if window is None else _reference_noise(errors, noise, speed, *window)
     rows = sum(int(log.tuned.sum()) for log in logs)
     return Tuning(
         best.natural_frequency,
@@ -201,50 +203,24 @@ def tune(
     )
 
 
-def given_noise(sheet: DataSheet, rate: float, n: int) -> NoiseLevels:
-    """Noise levels of a Kalman filter from a data sheet.
-
-    Args:
-        sheet: The data sheet.
-        rate: Sampling rate [Hz].
-        n: Number of velocities.
-
-    Returns:
-        The noise levels; the force is 0 where the sheet has none.
-
-    Example:
-        >>> from covariant.calibration import DataSheet, given_noise
-        >>> given_noise(DataSheet(measurement_std=1e-3, acceleration_std=0.5), rate=100.0, n=2).measurement.tolist()
-        [0.001, 0.001]
-    """
-    time = 1 / (2 * rate) if sheet.correlation_time is None else sheet.correlation_time
-    std = np.broadcast_to(np.asarray(sheet.coordinate_stds or sheet.measurement_std, float), n)
-    acceleration = float(np.sqrt(2 * time) * sheet.acceleration_std)
-    if sheet.external_force_std is not None:
-        force, forgotten = (jnp.asarray(x) for x in (sheet.external_force_std, sheet.external_force_time))
-        return NoiseLevels(jnp.asarray(acceleration), jnp.asarray(std), force, forgotten)
-    return NoiseLevels(jnp.asarray(acceleration), jnp.asarray(std), jnp.asarray(sheet.external_force or 0.0))
+def noise_levels(sheet: DataSheet, rate: float, n: int) -> NoiseLevels:
+    """Noise levels of a Kalman filter for n velocities from a data sheet; the force is 0 where the sheet has none."""
+    acceleration = jnp.asarray(np.sqrt(2 * sheet.white_time(rate)) * sheet.acceleration_std)
+    std = jnp.asarray(sheet.stds(n))
+    if sheet.external_force_std is None:
+        return NoiseLevels(acceleration, std, jnp.asarray(sheet.external_force or 0.0))
+    force, forgotten = (jnp.asarray(each) for each in (sheet.external_force_std, sheet.external_force_time))
+    return NoiseLevels(acceleration, std, force, forgotten)
 
 
-def _smooth(systems: Sequence[ErrorModel], runs: Sequence[Any], noise: NoiseLevels, speed: Any) -> list[np.ndarray]:
-    """Velocities (T, n) along each run by the smoother with a noise."""
-    n = systems[0].residual.shape[1]
-    return [
-        np.asarray(v) + np.asarray(smoothed_errors(system, noise, speed))[:, n:]
-        for system, (_, v, _) in zip(systems, runs, strict=True)
-    ]
-
-
-def _judged(logs, systems, runs, earlier, noise: NoiseLevels) -> HeldOut:
-    """Errors on the held-out rows: of the gains of the runs `earlier`, and of a noise for the errors of `runs`."""
-    n = logs[0].velocity.shape[1]
+def _judged(errors: list[RunErrors], gained: list[Any], noise: NoiseLevels, speed: Any) -> HeldOut:
+    """Errors on the held-out rows: of the runs `gained` with constant gains, and of a noise by the errors of a run."""
     parts = []
-    for log, system, (_, v, _), (_, gains_v, r) in zip(logs, systems, runs, earlier, strict=True):
-        result = filtered(system, noise, largest_speed(logs))
-        rows, present = log.held_out, np.asarray(system.present)
+    for each, (_, gains_v, r) in zip(errors, gained, strict=True):
+        log, result = each.log, each.filtered(noise, speed)
+        rows, present = log.held_out, np.asarray(each.system.present)
         white = np.asarray(result.innovation) / np.where(present, result.spread, 1.0)
-        # The filter estimates the error of the run: the run plus this is its estimate.
-        off = np.asarray(v) + np.asarray(result.error)[:, n:] - log.velocity
+        off = each.corrected(result.error) - log.velocity
         parts.append(
             (
                 r[rows],
@@ -278,7 +254,7 @@ def _judged(logs, systems, runs, earlier, noise: NoiseLevels) -> HeldOut:
 
 
 def _reference_noise(
-    logs: list[TuningLog], systems: list[ErrorModel], noise: NoiseLevels, half: float, order: int, rate: float
+    errors: list[RunErrors], noise: NoiseLevels, speed: Any, half: float, order: int, rate: float
 ) -> np.ndarray | None:
     """Noise (2, n) of the reference's velocities, by the weights of its polynomials, and of the Kalman filter's."""
     count = int(half * rate)
@@ -286,10 +262,7 @@ def _reference_noise(
         return None
     at = np.arange(-count, count + 1) / rate
     weights = scoring.local_polynomials(at, np.eye(len(at)), np.zeros(1), half, order)[0, 1]
-    own = [
-        np.asarray(filtered(system, noise, largest_speed(logs)).velocity_std)[log.held_out] ** 2
-        for log, system in zip(logs, systems, strict=True)
-    ]
+    own = [np.asarray(each.filtered(noise, speed).velocity_std)[each.log.held_out] ** 2 for each in errors]
     own_std = np.sqrt(np.mean(np.concatenate(own), axis=0))
     return np.stack([float(np.linalg.norm(weights)) * np.asarray(noise.measurement), own_std])
 

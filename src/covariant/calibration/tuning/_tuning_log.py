@@ -7,13 +7,12 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from covariant.calibration.diagnosis import outliers
+from covariant.calibration.identification import FITTED
 from covariant.models import MechanicalSystem
 from covariant.observers import Intrinsic, run
 from covariant.scoring import scored_window
 from covariant.signals import Record, Run
 
-TUNED = 2 / 3
-"""Fraction of each log, its first part, on which gains and noise are tuned."""
 MOST_ROWS = 8000
 """Largest number of rows of each log for tuning: the search runs an observer over them dozens of times."""
 FEWEST_ROWS = 100
@@ -42,25 +41,13 @@ class TuningLog(NamedTuple):
 
 
 def prepared(model: MechanicalSystem, record: Record, velocity: np.ndarray) -> TuningLog:
-    """Take the outliers out of a record, and divide its rows.
-
-    Args:
-        model: The mechanical system.
-        record: The record.
-        velocity: Reference velocities (T, n).
-
-    Returns:
-        The log.
-
-    Raises:
-        ValueError: The record is too short.
-    """
+    """Take the outliers out of a record, and divide its rows."""
     t, y = np.asarray(record.t), np.asarray(record.y)
     if model.manifold.commuting:
         wrong = outliers(t, y, model.circles)[0]
         wrong[0] = False  # a record begins with a whole measurement
         y = np.where(wrong, np.nan, y)
-    border = t[0] + TUNED * (t[-1] - t[0])
+    border = t[0] + FITTED * (t[-1] - t[0])
     valid = scored_window(t) & np.isfinite(velocity).all(axis=1)
     tuned, held_out = valid & (t < border), valid & (t >= border)
     tuned[np.flatnonzero(tuned)[MOST_ROWS:]] = False
