@@ -14,7 +14,7 @@ from jax.experimental.compilation_cache import compilation_cache
 
 from covariant import models
 from covariant.certificates import ContractionCertificate, check, parse
-from covariant.certificates._check import follows
+from covariant.certificates.checking._check import follows
 from covariant.cli import main
 from covariant.models import _systems
 from covariant.proofs import digest

@@ -22,7 +22,7 @@ from covariant.certificates import (
     observability,
     virtual,
 )
-from covariant.certificates._error_system import Point
+from covariant.certificates.base._error_system import Point
 from covariant.models import StateSpace
 from covariant.observers import Contracting, Intrinsic
 from covariant.proofs import Box, prove_at_corners

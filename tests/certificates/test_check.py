@@ -12,19 +12,18 @@ import pytest
 
 from covariant import models
 from covariant.certificates import (
-    _certify,
-    _check,
-    _check_sampled,
-    _matrices,
     certify,
     check,
     check_sample,
     error_system,
     parse,
 )
-from covariant.certificates._check import follows
-from covariant.certificates._checked import judged
-from covariant.certificates._saved import observer_from, value_graph
+from covariant.certificates.base import value_graph
+from covariant.certificates.checking import _check, _check_sampled, _matrices
+from covariant.certificates.checking._check import follows
+from covariant.certificates.checking._checked import judged
+from covariant.certificates.checking._saved import observer_from
+from covariant.certificates.proving import _certify
 from covariant.geometry import lie
 from covariant.observers import Intrinsic
 from covariant.proofs import digest
@@ -443,30 +442,30 @@ def test_the_check_shares_with_the_prover_the_observer_alone(module):
             imported |= {f"{node.module}.{alias.name}" for alias in node.names}
     own = {name for name in imported if name.startswith("covariant")}
     allowed = {
-        "covariant.certificates._check_sampled",
-        "covariant.certificates._document.Document",
-        "covariant.certificates._document.Stated",
-        "covariant.certificates._document.first_velocity",
-        "covariant.certificates._document.parse",
-        "covariant.certificates._intrinsic.Intrinsics",
-        "covariant.certificates._intrinsic.check_unique",
-        "covariant.certificates._intrinsic.configuration_shape",
-        "covariant.certificates._intrinsic.friction_of",
-        "covariant.certificates._matrices",
+        "covariant.certificates.checking._check_sampled",
+        "covariant.certificates.base._document.Document",
+        "covariant.certificates.base._document.Stated",
+        "covariant.certificates.base._document.first_velocity",
+        "covariant.certificates.base._document.parse",
+        "covariant.certificates.base._intrinsic.Intrinsics",
+        "covariant.certificates.base._intrinsic.check_unique",
+        "covariant.certificates.base._intrinsic.configuration_shape",
+        "covariant.certificates.base._intrinsic.friction_of",
+        "covariant.certificates.checking._matrices",
         # Of predictions the description of the steps; the checker's matrix is formed by series of its own.
-        "covariant.certificates._prediction.Prediction",
-        "covariant.certificates._prediction.defect_matrix",
-        "covariant.certificates._prediction.step_values",
-        "covariant.certificates._sampled_step.sampled_prediction",
+        "covariant.certificates.sampled._prediction.Prediction",
+        "covariant.certificates.sampled._prediction.defect_matrix",
+        "covariant.certificates.sampled._prediction.step_values",
+        "covariant.certificates.sampled._sampled_step.sampled_prediction",
         # The argument on paper that composes claims, as numbers.
-        "covariant.certificates._radius_recursion.Recursion",
-        "covariant.certificates._radius_recursion.UNDISTURBED",
-        "covariant.certificates._saved.observer_from",
-        "covariant.certificates._saved.system_of",
-        "covariant.certificates._saved.value_graph",
-        "covariant.certificates._error_system.ErrorSystem",
-        "covariant.certificates._error_system.corrections",
-        "covariant.certificates._error_system.values",
+        "covariant.certificates.base._radius_recursion.Recursion",
+        "covariant.certificates.base._radius_recursion.UNDISTURBED",
+        "covariant.certificates.checking._saved.observer_from",
+        "covariant.certificates.checking._saved.system_of",
+        "covariant.certificates.checking._saved.value_graph",
+        "covariant.certificates.base._error_system.ErrorSystem",
+        "covariant.certificates.base._error_system.corrections",
+        "covariant.certificates.base._error_system.values",
         "covariant.models.MechanicalSystem",
         "covariant.models.applied_force",
         "covariant.models.input_count",

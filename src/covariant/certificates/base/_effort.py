@@ -1,0 +1,64 @@
+"""The effort of the proofs of one certificate: a number of boxes that all of them share."""
+
+import dataclasses
+import functools
+from collections.abc import Callable
+
+from covariant.proofs import Box, Form, Proof, prove
+
+
+@dataclasses.dataclass
+class Effort:
+    """Proofs over one region, which share a number of boxes.
+
+    Attributes:
+        domain: the region.
+        boxes: number of boxes that are left.
+        seconds: limit of time [s] of each proof, or None.
+        processes: number of processes.
+        progress: called with what is proved, the share that is done, and the number of boxes; or None.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant.certificates.base._effort import Effort
+        >>> from covariant.proofs import as_form, box
+        >>> effort = Effort(box(a=(0.0, 1.0)), 10, None, 1, None)
+        >>> effort.prove("it", as_form(lambda z: jnp.array([[1 + z[0]]]))).verdict, effort.boxes
+        ('holds', 9)
+    """
+
+    domain: Box
+    boxes: int
+    seconds: float | None
+    processes: int
+    progress: Callable[[str, float, int], None] | None
+
+    def report(self, what: str, share: float, boxes: int) -> None:
+        """Report progress.
+
+        Args:
+            what: what is proved.
+            share: share that is done.
+            boxes: number of boxes.
+        """
+        if self.progress is not None:
+            self.progress(what, share, boxes)
+
+    def prove(self, what: str, matrix: Form, domain: Box | None = None) -> Proof:
+        """Prove that a matrix is positive definite, with the boxes that are left.
+
+        Args:
+            what: name of the proof, for the report.
+            matrix: the matrix.
+            domain: another region than that of the certificate.
+        """
+        proof = prove(
+            matrix,
+            self.domain if domain is None else domain,
+            boxes=self.boxes,
+            seconds=self.seconds,
+            processes=self.processes,
+            progress=functools.partial(self.report, what),
+        )
+        self.boxes = max(self.boxes - proof.boxes, 0)
+        return proof

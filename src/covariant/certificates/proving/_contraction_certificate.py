@@ -1,0 +1,267 @@
+"""Proved contraction of an intrinsic observer on a region: a statement and its claims, which can be saved and read."""
+
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from covariant.certificates.base import (
+    FORMAT,
+    Claim,
+    Contraction,
+    ErrorSystem,
+    Intrinsics,
+    Sampling,
+    Start,
+    Statement,
+    TwoByTwo,
+    contraction_statement,
+    first_velocity,
+    loss_of,
+    observer_document,
+    parse,
+    start_of,
+    steady_of,
+    value_graph,
+    write,
+)
+from covariant.certificates.checking import follows
+from covariant.certificates.sampled import SampledBound, sampled_bound
+from covariant.proofs import Box, digest
+
+SAMPLED_ROLES = ("joint force", "friction slope")
+"""Kinds of variables that a box has with samples only, beside the age."""
+
+
+class ContractionCertificate(NamedTuple):
+    """Result of a proof that an intrinsic observer contracts on a region.
+
+    Attributes:
+        statement: the claim and its hypotheses, from which the verdict follows; its margin is the rate λ.
+        rate: rate λ [1/s] at which squared lengths decrease.
+        radius: radius ε of the tube, in the metric of Q on states; 0 unless the verdict is "holds".
+        observer: the observer.
+        q: the matrix Q (2, 2) of the metric.
+        error_system: observer and metric as functions of a box.
+        domain: the box of estimate, error and force.
+        velocity: bound (n,) of each true velocity [unit/s].
+        given: `positions`, `inputs` and `times`, from which the bounds of the force follow, and `noise`, `disturbance`
+            and `slopes`; as plain data.
+        claims: the inequalities, with their proofs.
+        recipe: where the model comes from, as from `models.recipe`; None for a model that only this process knows.
+        verified: whether it was proved in this process. A certificate that was read from a file is only as trustworthy
+            as the file, until `covariant certify --check` has verified it.
+        checker_seconds: time [s] that the checker spent on it in this process.
+        sampling: when measurements come, and the metric between them; None for an observer in continuous time.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant.certificates import ContractionCertificate, Hypothesis, Statement
+        >>> from covariant.proofs import box
+        >>> statement = Statement("the observer contracts", (), (Hypothesis("it contracts", "proved"),), 2.0)
+        >>> domain = box(v=(-1.0, 1.0), e=(-0.1, 0.1), f=(0.0, 0.0))
+        >>> given = {"noise": [0.0], "disturbance": [0.0], "slopes": [[0.0]]}
+        >>> entries = statement, 2.0, 0.1, None, np.eye(2), None, domain, np.ones(1), given, (), None
+        >>> certificate = ContractionCertificate(*entries)  # usually from `certify`
+        >>> certificate.decay, certificate.steady, certificate.kinds
+        (1.0, 0.0, ('velocity', 'error', 'force'))
+    """
+
+    statement: Statement
+    rate: float
+    radius: float
+    observer: Intrinsics
+    q: TwoByTwo
+    error_system: ErrorSystem
+    domain: Box
+    velocity: Float[np.ndarray, "n"]
+    given: dict[str, Any]
+    claims: tuple[Claim, ...]
+    recipe: dict[str, Any] | None
+    verified: bool = False
+    checker_seconds: float = 0.0
+    sampling: Sampling | None = None
+
+    @property
+    def decay(self) -> float:
+        """Decay rate μ [1/s]: distances decrease as `e^(−μt)`.
+
+        Returns:
+            λ/2, and with sampled measurements less what the factor of the correction takes.
+        """
+        return self.rate / 2 - loss_of(self.sampling, self.q, self.rate, self.claims).rate
+
+    @property
+    def steady(self) -> float:
+        """The final distance, at most.
+
+        Returns:
+            `2D/λ` under the noise and disturbance of the certificate; with sampled measurements the fixed point of the
+            recursion that `bound` runs, under these and the errors of the prediction's Runge–Kutta steps, where a claim
+            bounds them; 0 without all of these.
+        """
+        return steady_of(self.sampling, self.q, self.rate, self.given, self.claims)
+
+    @property
+    def boxes(self) -> int:
+        """Number of boxes evaluated, over all claims."""
+        return sum(claim.proof.boxes for claim in self.claims)
+
+    @property
+    def seconds(self) -> float:
+        """Time of the proofs [s]; NaN for a certificate that was read from a file."""
+        return sum(claim.proof.seconds for claim in self.claims)
+
+    @property
+    def counterexample(self) -> Float[np.ndarray, "2 d"] | None:
+        """A box (2, d), low then high ends, on which the statement was proved wrong, or None."""
+        return next((c.proof.counterexample for c in self.claims if c.proof.counterexample is not None), None)
+
+    @property
+    def half_widths(self) -> Float[np.ndarray, "two_n"]:
+        """Half widths of the proved tube, (2n,).
+
+        Returns:
+            Those in each position error [unit], then in each velocity error [unit/s].
+
+        Raises:
+            ValueError: no tube is proved.
+        """
+        if self.statement.verdict != "holds":
+            raise ValueError("no tube, since nothing is proved on the region")
+        return self.radius * np.sqrt([claim.square for claim in self.claims if claim.kind == "reach"])
+
+    @property
+    def start(self) -> Start | None:
+        """The initial errors that the radius covers, in the units of the model.
+
+        Returns:
+            Errors in positions and velocities; None where nothing is proved, or on a group.
+        """
+        factors = [claim.square for claim in self.claims if claim.kind == "start"]
+        if self.statement.verdict != "holds" or not factors:
+            return None
+        squares = [claim.square for claim in self.claims if claim.kind == "reach"]
+        return start_of(self.radius, self.domain, squares, factors[0])
+
+    def bound(self) -> SampledBound:
+        """Build what bounds the error of the estimate beside every sample, for an observer with sampled measurements.
+
+        Returns:
+            The recursion of the certificate as pure functions, `init`, `within` and `step`.
+
+        Raises:
+            ValueError: nothing is proved, or the certificate is one in continuous time.
+        """
+        if self.sampling is None:
+            raise ValueError(
+                "bounds beside every sample need certify(..., interval=...); this one is in continuous time"
+            )
+        if self.statement.verdict != "holds":
+            raise ValueError("no bound beside every sample, since nothing is proved on the region")
+        proved = self.sampling, self.q, self.rate, self.radius, self.given, self.claims, self.domain, self.velocity
+        return sampled_bound(*proved, self.observer.model.circles)
+
+    @property
+    def kinds(self) -> tuple[str, ...]:
+        """The kind of each variable of the domain.
+
+        Returns:
+            "estimate", "velocity" (estimated), "error" or "force" for each; with samples also "joint force", "friction
+            slope" and "age"; where friction is a variable too, "friction" and "friction slope".
+        """
+        n = len(self.velocity)
+        roles = ("estimate", "velocity", "error", "force")
+        parts = {3 * n: roles[1:], 4 * n: roles}.get(len(self.domain.low), (*roles, "friction", "friction slope"))
+        if self.sampling is not None:
+            estimate = ("estimate",) * first_velocity(len(self.domain.low), n, sampled=True)
+            return (*estimate, *(role for role in (*roles[1:], *SAMPLED_ROLES) for _ in range(n)), "age")
+        return tuple(role for role in parts for _ in range(n))
+
+    @property
+    def open(self) -> Float[np.ndarray, "k 2 d"]:
+        """Boxes (k, 2, d), low then high ends, that were left undecided."""
+        return np.concatenate([claim.proof.open for claim in self.claims])
+
+    def document(self) -> dict[str, Any]:
+        """Convert the certificate to data for the file.
+
+        Returns:
+            A dictionary of plain numbers and texts, with a digest of its content.
+
+        Raises:
+            ValueError: the model has no recipe, nothing is proved, or the statement was proved wrong.
+        """
+        if self.recipe is None:
+            raise ValueError("a certificate is saved with its model; give certify(..., recipe=models.recipe(spec))")
+        if self.statement.verdict == "undecided" and not len(self.open):
+            raise ValueError(f"nothing is proved that could be saved: {self.statement.claim}")
+        if self.counterexample is not None:
+            raise ValueError("the statement is wrong, and a counter-example is printed, not saved; certify another one")
+        content = {
+            "format": FORMAT,
+            "recipe": {"parameters": {}} | self.recipe,
+            "observer": observer_document(self.observer),
+            "q": self.q.tolist(),
+            "rate": self.rate,
+            "radius": self.radius,
+            "velocity": self.velocity.tolist(),
+            "given": self.given,
+            "box": {"low": self.domain.low.tolist(), "high": self.domain.high.tolist()},
+            "claims": [claim.document() for claim in self.claims],
+            "graph": value_graph(self.error_system),
+        }
+        content |= {} if self.sampling is None else {"sampling": self.sampling.document()}
+        return content | {"digest": digest(content)}
+
+    def save(self, path: str | Path) -> Path:
+        """Write the certificate with all its boxes as JSON, as data that executes nothing when it is read.
+
+        Args:
+            path: the file.
+
+        Returns:
+            The path.
+
+        Raises:
+            ValueError: the model has no recipe, nothing is proved, or the statement was proved wrong.
+        """
+        return write(path, self.document())
+
+    @classmethod
+    def load(cls, path: str | Path, *, model: Any = None) -> "ContractionCertificate":
+        """Read a saved certificate with all its boxes.
+
+        Two things are checked: that the boxes cover the region, and that the statement follows from the claims. Whether
+        the claims hold is checked only by `covariant certify --check`; until then the certificate is not `verified`.
+        The time of the proofs is not in the file (NaN).
+
+        Args:
+            path: the file.
+            model: for a recipe that names a model that is not of this library: the model, a function that creates it
+                from the recipe's parameters, or the `module:attribute` of either.
+
+        Returns:
+            The certificate, whose claims have the evidence "claimed".
+
+        Raises:
+            ValueError: naming file and key.
+        """
+        document, observer, system = follows(parse(path), model)
+        facts = Contraction.stated(document, observer, system)
+        statement = contraction_statement(facts, "claimed")
+        return cls(
+            statement._replace(claim=f"{statement.claim} (read from a file, not verified again)"),
+            facts.rate,
+            facts.radius,
+            facts.observer,
+            facts.q,
+            system,
+            facts.domain,
+            facts.velocity,
+            facts.given,
+            tuple(facts.claims),
+            facts.recipe,
+            sampling=facts.sampling,
+        )
