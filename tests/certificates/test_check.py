@@ -12,6 +12,8 @@ import pytest
 
 from covariant import models
 from covariant.certificates import (
+    CLAIMS,
+    AbstractClaim,
     certify,
     check,
     check_sample,
@@ -238,7 +240,7 @@ def test_forces_may_leave_their_box_by_as_much_as_may_be_missing_there(saved):
     for each in (document, other):
         slack = _check._matrix(statement._replace(document=each), 0).slack
         assert (slack[:-1] == 0).all()
-        assert slack[-1] >= _check_sampled.SLACK * max(abs(each.low[-1]), abs(each.high[-1]))
+        assert slack[-1] >= _matrices.SLACK * max(abs(each.low[-1]), abs(each.high[-1]))
 
 
 @pytest.fixture(scope="module")
@@ -255,13 +257,13 @@ def noisy(tmp_path_factory):
 
 @pytest.mark.exhaustive
 def test_what_noise_adds_is_no_more_than_its_bounds_and_the_slope_say(noisy):
-    given = json.loads(noisy.read_text(encoding="utf-8"))["given"]
-    true = [1e-3, 2e-3 + given["slopes"][0][0] * 1e-3]
-    assert given["slopes"][0][0] > 0.5
+    given = parse(noisy).given
+    true = [1e-3, 2e-3 + given.slopes[0, 0] * 1e-3]
+    assert given.slopes[0, 0] > 0.5
     np.testing.assert_allclose(_certify.disturbance_sizes(given), true, rtol=1e-11)
     # The checker shows the slopes with a slack, and counts it.
-    true[1] += given["slopes"][0][0] * 1e-3 * _check_sampled.SLACK
-    np.testing.assert_allclose(_check.sizes(parse(noisy)), true, rtol=1e-11)
+    true[1] += given.slopes[0, 0] * 1e-3 * _matrices.SLACK
+    np.testing.assert_allclose(_matrices.sizes(parse(noisy)), true, rtol=1e-11)
 
 
 @pytest.mark.exhaustive
@@ -443,29 +445,32 @@ def test_the_check_shares_with_the_prover_the_observer_alone(module):
     own = {name for name in imported if name.startswith("covariant")}
     allowed = {
         "covariant.certificates.checking._check_sampled",
-        "covariant.certificates.base._document.Document",
-        "covariant.certificates.base._document.Stated",
-        "covariant.certificates.base._document.first_velocity",
-        "covariant.certificates.base._document.parse",
-        "covariant.certificates.base._intrinsic.Intrinsics",
-        "covariant.certificates.base._intrinsic.check_unique",
-        "covariant.certificates.base._intrinsic.configuration_shape",
-        "covariant.certificates.base._intrinsic.friction_of",
+        "covariant.certificates.base.Document",
+        "covariant.certificates.base.first_velocity",
+        "covariant.certificates.base.parse",
+        "covariant.certificates.base.Intrinsics",
+        "covariant.certificates.base.check_unique",
+        "covariant.certificates.base.configuration_shape",
+        "covariant.certificates.base.friction_of",
         "covariant.certificates.checking._matrices",
+        # Claims as a file states them; `Resolved` is a file with its observer.
+        *(f"covariant.certificates.base.{kind.__name__}" for kind in (AbstractClaim, *CLAIMS.values())),
+        "covariant.certificates.base.Resolved",
+        "covariant.certificates.base.reach_squares",
+        "covariant.certificates.base.select",
         # Of predictions the description of the steps; the checker's matrix is formed by series of its own.
-        "covariant.certificates.sampled._prediction.Prediction",
-        "covariant.certificates.sampled._prediction.defect_matrix",
-        "covariant.certificates.sampled._prediction.step_values",
-        "covariant.certificates.sampled._sampled_step.sampled_prediction",
+        "covariant.certificates.sampled.Prediction",
+        "covariant.certificates.sampled.defect_matrix",
+        "covariant.certificates.sampled.step_values",
+        "covariant.certificates.sampled.sampled_prediction",
         # The argument on paper that composes claims, as numbers.
-        "covariant.certificates.base._radius_recursion.Recursion",
-        "covariant.certificates.base._radius_recursion.UNDISTURBED",
+        "covariant.certificates.base.Recursion",
         "covariant.certificates.checking._saved.observer_from",
         "covariant.certificates.checking._saved.system_of",
-        "covariant.certificates.checking._saved.value_graph",
-        "covariant.certificates.base._error_system.ErrorSystem",
-        "covariant.certificates.base._error_system.corrections",
-        "covariant.certificates.base._error_system.values",
+        "covariant.certificates.base.value_graph",
+        "covariant.certificates.base.ErrorSystem",
+        "covariant.certificates.base.corrections",
+        "covariant.certificates.base.values",
         "covariant.models.MechanicalSystem",
         "covariant.models.applied_force",
         "covariant.models.input_count",

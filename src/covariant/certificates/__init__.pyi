@@ -1,10 +1,12 @@
 from . import audit as audit
 from .base import (
     ASSUMED as ASSUMED,
-    Claim as Claim,
+    CLAIMS as CLAIMS,
+    AbstractClaim as AbstractClaim,
     Document as Document,
     ErrorSystem as ErrorSystem,
     Evidence as Evidence,
+    Given as Given,
     Hypothesis as Hypothesis,
     Sampling as Sampling,
     Start as Start,

@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from covariant import certificates, models
 from covariant.calibration import observer_gains
-from covariant.certificates import Attempt, Checked, CheckerName, Claim, ContractionCertificate, Document, Start
+from covariant.certificates import AbstractClaim, Attempt, Checked, CheckerName, ContractionCertificate, Document, Start
 from covariant.models import MechanicalSystem, ModelFile, Overrides, input_count
 from covariant.observers import Geodesic, Intrinsic
 from covariant.proofs import MOST_BOXES, read_file
@@ -498,7 +498,7 @@ def _start(start: Start) -> dict[str, dict[str, float]]:
     return {name: {"together": a, "alone": b, "farthest": c} for name, a, b, c in rows}
 
 
-def _undecided(certificate: ContractionCertificate) -> list[Claim]:
+def _undecided(certificate: ContractionCertificate) -> list[AbstractClaim]:
     return [claim for claim in certificate.claims if claim.proof.verdict == "undecided"]
 
 

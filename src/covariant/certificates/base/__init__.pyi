@@ -1,10 +1,26 @@
 from ._assumed import ASSUMED as ASSUMED
+from ._box import (
+    Given as Given,
+    first_velocity as first_velocity,
+    prediction_places as prediction_places,
+    prediction_variables as prediction_variables,
+)
 from ._claims import (
-    Claim as Claim,
-    disturbance_sizes as disturbance_sizes,
-    loss_of as loss_of,
-    read_bounds as read_bounds,
-    steady_of as steady_of,
+    CLAIMS as CLAIMS,
+    UNPROVED as UNPROVED,
+    AbstractClaim as AbstractClaim,
+    AnyClaim as AnyClaim,
+    ContractionClaim as ContractionClaim,
+    CorrectionClaim as CorrectionClaim,
+    DisturbanceClaim as DisturbanceClaim,
+    MissingClaim as MissingClaim,
+    PredictionClaim as PredictionClaim,
+    ReachClaim as ReachClaim,
+    Setting as Setting,
+    StartClaim as StartClaim,
+    Terms as Terms,
+    reach_squares as reach_squares,
+    select as select,
 )
 from ._contraction import (
     Flow as Flow,
@@ -17,19 +33,13 @@ from ._contraction import (
     log_norm as log_norm,
     rates_along as rates_along,
 )
-from ._contraction_statement import Contraction as Contraction, contraction_statement as contraction_statement
+from ._contraction_statement import contraction_statement as contraction_statement
 from ._document import (
     FORMAT as FORMAT,
     MOST_LOST as MOST_LOST,
-    OBSERVERS as OBSERVERS,
-    STEPS as STEPS,
     Document as Document,
-    Kind as Kind,
-    Stated as Stated,
-    claim_bounds as claim_bounds,
-    first_velocity as first_velocity,
+    Resolved as Resolved,
     parse as parse,
-    prediction_places as prediction_places,
     write as write,
 )
 from ._effort import Effort as Effort
@@ -59,6 +69,7 @@ from ._inequalities import (
 )
 from ._intrinsic import (
     OBSERVER_KINDS as OBSERVER_KINDS,
+    OBSERVERS as OBSERVERS,
     Intrinsics as Intrinsics,
     any_configuration as any_configuration,
     check_unique as check_unique,
@@ -77,7 +88,7 @@ from ._noise import (
     noise_disturbance as noise_disturbance,
     steady_distance as steady_distance,
 )
-from ._radius_recursion import UNDISTURBED as UNDISTURBED, Recursion as Recursion
+from ._radius_recursion import Recursion as Recursion
 from ._region import Bounds as Bounds, Region as Region, amount as amount, positive as positive, region_of as region_of
 from ._sampling import Loss as Loss, Sampling as Sampling, unit_reach as unit_reach
 from ._start import Start as Start, start_claim as start_claim, start_of as start_of
@@ -88,6 +99,7 @@ from ._statement import (
     Verdict as Verdict,
     lines as lines,
 )
+from ._steady import disturbance_sizes as disturbance_sizes, loss_of as loss_of, steady_of as steady_of
 from ._tangent_metric import (
     TwoByTwo as TwoByTwo,
     check_q as check_q,

@@ -1,210 +1,410 @@
-"""The claims that a proof of contraction consists of, and the length that noise and disturbance add to the flow."""
+"""The kinds of claims of which a proof of contraction consists: the numbers of each, its file form, and its words.
 
+The matrix of a claim, which must be positive definite on a box, is formed twice and independently: by the prover as a
+graph with derivatives of its own (`FORMS`), and by the checker as a JAX function (`MATRICES`). Both are listed by kind.
+What follows from all claims together is in `_radius_recursion` and in the checker.
+"""
+
+import abc
+import dataclasses
+import functools
 import math
-from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Sequence
+from typing import Any, ClassVar, NamedTuple, Self, TypeVar
 
 import numpy as np
 from jaxtyping import Float
 
-from covariant.certificates.base._document import NUMBERS, STEPS, Document, Given, Kind, Stated, prediction_places
-from covariant.certificates.base._noise import steady_distance
-from covariant.certificates.base._radius_recursion import UNDISTURBED, Recursion
-from covariant.certificates.base._sampling import Loss, Sampling
-from covariant.proofs import Box, Proof, from_letters, to_letters
+from covariant.certificates.base._assumed import PREDICTIONS, SMOOTH_FACTOR
+from covariant.certificates.base._box import Given, prediction_places, prediction_variables
+from covariant.certificates.base._sampling import Sampling
+from covariant.certificates.base._statement import Evidence, Hypothesis, exact, rounded_up
+from covariant.proofs import Box, Field, Proof, saved_levels, to_letters
+
+Ends = tuple[np.ndarray, np.ndarray]
+UNPROVED = Proof("undecided", Box((), (), np.zeros(0), np.zeros(0)), [], None, np.zeros((0, 2, 0)), 0, math.nan)
+"""The proof of a claim that was not proved in this process."""
 
 
-class Claim(NamedTuple):
-    """One proved inequality of a certificate.
+class Setting(NamedTuple):
+    """What the claims of a certificate are about, and with it how many there are of each kind.
 
     Attributes:
-        kind: "contraction": squared lengths decrease at the rate of the certificate. "reach": a curve of length ℓ
-            changes the entry `row` of (error, velocity) by less than `ℓ √square`, which bounds the half width of the
-            tube in that entry. "disturbance": errors of measurement and force, relative to their sizes and within the
-            unit ball, add at most `√square` in length to the flow. "correction": the correction after `row` lost
-            samples lengthens no curve, or with noise adds at most the sum of `squares` to its squared length.
-            "prediction": the fourth derivative of the defect of Runge–Kutta steps, over 4!, is shorter than `√square`.
-            "start": an error with components δ is at most `√(square Σ δ_i²/s_i)` long, with the squares s of the claims
-            on reach. "missing": the acceleration that a prediction lacks is less than `√square` times the position
-            error, whose length is at most `limit` times that of a curve.
-        proof: the tree of boxes over which the inequality was shown.
-        row: for "reach", the index of the entry of (error, velocity), from 0 to 2n − 1; for "correction", the number of
-            samples lost before it.
-        square: for "reach", "disturbance", "prediction" and "missing", the square of the bound; for "start" a factor.
-        limit: for "reach", the largest half width that stays within the region, in the unit of the entry; for
-            "missing", the bound of the length of the position error for a curve of unit length.
-        squares: for "correction" with noise, what each measured position adds to a squared length.
+        low, high: the box (d,), whose last variable is the age where measurements are sampled.
+        n: number of velocities.
+        sampling: when measurements come; None in continuous time.
+        given: the bounds of noise and forces.
+        order: order of the observer in the error; None for an exact one.
+    """
+
+    low: Float[np.ndarray, "d"]
+    high: Float[np.ndarray, "d"]
+    n: int
+    sampling: Sampling | None
+    given: Given
+    order: int | None
+
+
+class Terms(NamedTuple):
+    """What the words of a claim refer to.
+
+    Attributes:
+        rate: rate λ [1/s] of squared lengths.
+        radius: radius of the tube; 0 where there is none.
+        sampling: when measurements come; None in continuous time.
+        entries: names (2n) of the entries of (error, velocity).
+    """
+
+    rate: float
+    radius: float
+    sampling: Sampling | None
+    entries: Sequence[str]
+
+
+@dataclasses.dataclass(frozen=True)
+class AbstractClaim(abc.ABC):
+    """One inequality of a certificate. The numbers of a kind are its further fields.
+
+    A new kind is a subclass here, listed in `CLAIMS` at its place in the file, a form of the prover and a matrix of the
+    checker. `read` and `document` follow from its fields.
+
+    Attributes:
+        proof: the tree of boxes over which it was shown; `UNPROVED` for a claim of a file.
+        letters: the tree as a file states it, one string for each level.
 
     Example:
         >>> import jax.numpy as jnp
-        >>> from covariant.certificates import Claim
+        >>> from covariant.certificates import CLAIMS
         >>> from covariant.proofs import box, prove
         >>> proof = prove(lambda z: jnp.array([[2.0 - z[0]]]), box(v=(-1.0, 1.0)))
-        >>> Claim("contraction", proof).document()["kind"], proof.verdict
-        ('contraction', 'holds')
+        >>> claim = CLAIMS["reach"](proof, row=0, square=4.0, limit=0.5)
+        >>> claim.document()
+        {'kind': 'reach', 'row': 0, 'square': 4.0, 'limit': 0.5, 'levels': ['.']}
     """
 
-    kind: Kind
     proof: Proof
-    row: int = 0
-    square: float = 0.0
-    limit: float = 0.0
-    squares: tuple[float, ...] = ()
+    _: dataclasses.KW_ONLY
+    letters: tuple[str, ...] = ()
+
+    kind: ClassVar[str]
+    assumed_without: ClassVar[str] = ""
+    """What a certificate with samples assumes where it has no claim of this kind."""
+
+    @classmethod
+    @abc.abstractmethod
+    def count(cls, setting: Setting) -> tuple[int, int]:
+        """Return how many claims of this kind a certificate has, at least and at most."""
+
+    @abc.abstractmethod
+    def text(self, terms: Terms) -> str:
+        """Return what is assumed if this claim is a hypothesis.
+
+        Args:
+            terms: what the words refer to.
+        """
+
+    def margin(self, radius: float) -> float | None:
+        """Return by how much the claim leaves room for a tube of a radius; None where no number says it.
+
+        Args:
+            radius: the radius.
+        """
+        del radius
+        return None
+
+    def bounds(self, low: np.ndarray, high: np.ndarray, n: int, sampling: Sampling | None) -> Ends:
+        """Return the bounds of the box of this claim.
+
+        Args:
+            low, high: the box (d,) of the certificate.
+            n: number of velocities.
+            sampling: when measurements come; None in continuous time.
+        """
+        del n, sampling
+        return low, high
+
+    def variables(self, names: Sequence[str], units: Sequence[str], n: int) -> tuple[tuple[str, ...], tuple[str, ...]]:
+        """Return names and units of the variables of its box, from those of the certificate.
+
+        Args:
+            names: names (d).
+            units: units (d).
+            n: number of velocities.
+        """
+        del n
+        return tuple(names), tuple(units)
+
+    def hypothesis(self, terms: Terms, evidence: Evidence) -> Hypothesis:
+        """Return this claim as a hypothesis of a statement.
+
+        Args:
+            terms: what its words refer to.
+            evidence: "proved", or "claimed" by a file.
+        """
+        return Hypothesis(self.text(terms), evidence, self.proof.verdict, self.margin(terms.radius), self.proof.reason)
+
+    @functools.cached_property
+    def levels(self) -> tuple[str, ...]:
+        """The tree of boxes, one string for each level."""
+        return self.letters or tuple(to_letters(self.proof.levels))
 
     @property
-    def stated(self) -> Stated:
-        """The claim in the form in which a file states it."""
-        return Stated(self.kind, tuple(to_letters(self.proof.levels)), self.row, self.square, self.limit, self.squares)
+    def open(self) -> bool:
+        """Whether some of its boxes are undecided."""
+        return any("?" in level for level in self.levels)
 
     def document(self) -> dict[str, Any]:
         """Convert the claim to data for the file.
 
         Returns:
-            Its kind, the numbers that belong to this kind, and its tree of boxes with one string for each level.
+            Its kind, its numbers, and its tree of boxes with one string for each level.
         """
-        numbers: dict[str, Any] = {key: getattr(self, key) for key in NUMBERS[self.kind]}
-        numbers |= {"squares": list(self.squares)} if self.squares else {}
-        return {"kind": self.kind, **numbers, "levels": to_letters(self.proof.levels)}
+        pairs = ((key, getattr(self, key)) for key in self._keys())
+        numbers = {key: list(value) if isinstance(value, tuple) else value for key, value in pairs if value != ()}
+        return {"kind": self.kind, **numbers, "levels": list(self.levels)}
+
+    @classmethod
+    def read(cls, field: Field, index: int, setting: Setting) -> Self:
+        """Read a claim of this kind from a file.
+
+        Args:
+            field: the claim in the file.
+            index: how many of this kind there are before it, which a `row` must repeat.
+            setting: what the certificate is about.
+
+        Raises:
+            ValueError: naming file and key.
+        """
+        errors = np.count_nonzero(setting.given.noise)
+        keys = [key for key in cls._keys() if key != "squares" or errors]
+        fields = field.record(["kind", *keys, "levels"])
+        numbers: dict[str, Any] = {key: fields[key].positive() for key in keys if key not in ("row", "squares")}
+        if "row" in keys:
+            numbers["row"] = fields["row"].whole(index, index)
+        if "squares" in keys:
+            squares = fields["squares"].vector(errors, errors, least=0.0)
+            fields["squares"].need((squares > 0).all(), "positive numbers")
+            numbers["squares"] = tuple(squares.tolist())
+        claim = cls(UNPROVED, **numbers)
+        low, _ = claim.bounds(setting.low, setting.high, setting.n, setting.sampling)
+        return dataclasses.replace(claim, letters=saved_levels(fields["levels"], len(low)))
+
+    @classmethod
+    def _keys(cls) -> list[str]:
+        """The names of the numbers of this kind."""
+        return [field.name for field in dataclasses.fields(cls) if field.name not in ("proof", "letters")]
 
 
-def stated_claims(document: Document, domain: Box) -> tuple[Claim, ...]:
-    """Build the claims of a file, with the trees of boxes that it states as their proofs.
+@dataclasses.dataclass(frozen=True)
+class ContractionClaim(AbstractClaim):
+    """Squared lengths decrease at the rate of the certificate."""
 
-    Args:
-        document: the parsed file.
-        domain: the box of all its claims.
+    kind = "contraction"
 
-    Returns:
-        One claim for each in the file, in the same order. Its proof is only stated, not verified.
+    @classmethod
+    def count(cls, setting: Setting) -> tuple[int, int]:
+        return 1, 1
+
+    def text(self, terms: Terms) -> str:
+        between = "" if terms.sampling is None else " between samples"
+        return f"squared lengths shrink at {exact(terms.rate)} 1/s or faster{between} everywhere in the domain"
+
+
+@dataclasses.dataclass(frozen=True)
+class ReachClaim(AbstractClaim):
+    """A curve of length ℓ changes the entry `row` of (error, velocity) by less than `ℓ √square`.
+
+    Attributes:
+        row: index of the entry, from 0 to 2n − 1.
+        square: square of the bound.
+        limit: the largest half width that stays within the region, in the unit of the entry.
     """
-    return tuple(
-        Claim(
-            claim.kind,
-            Proof.stated(bounds, from_letters(claim.levels)),
-            claim.row,
-            claim.square,
-            claim.limit,
-            claim.squares,
+
+    row: int
+    square: float
+    limit: float
+
+    kind = "reach"
+
+    @classmethod
+    def count(cls, setting: Setting) -> tuple[int, int]:
+        return 2 * setting.n, 2 * setting.n
+
+    def text(self, terms: Terms) -> str:
+        return (
+            f"a curve of the length of the radius reaches less than {self.limit:.4g} far in {terms.entries[self.row]}"
         )
-        for claim, bounds in ((claim, _box_of(document, claim, domain)) for claim in document.claims)
+
+    def margin(self, radius: float) -> float | None:
+        return self.limit - radius * math.sqrt(self.square) if radius else None
+
+
+@dataclasses.dataclass(frozen=True)
+class DisturbanceClaim(AbstractClaim):
+    """Errors of measurement and force, relative to their sizes and in the unit ball, add at most `√square` to the flow.
+
+    Attributes:
+        square: square of the bound of the length. With samples it is one for the force alone.
+    """
+
+    square: float
+
+    kind = "disturbance"
+
+    @classmethod
+    def count(cls, setting: Setting) -> tuple[int, int]:
+        # In continuous time noise makes it necessary too, which the checker decides.
+        acts = int(setting.given.disturbance.any())
+        return (0, 1) if setting.sampling is None else (acts, acts)
+
+    def text(self, terms: Terms) -> str:
+        del terms
+        return "noise and unknown forces add no more to the flow than the radius allows"
+
+
+@dataclasses.dataclass(frozen=True)
+class CorrectionClaim(AbstractClaim):
+    """The correction after `row` lost samples lengthens no curve.
+
+    Attributes:
+        row: number of samples lost before it.
+        squares: with noise, what the error of each measured position adds at most to a squared length.
+    """
+
+    row: int
+    squares: tuple[float, ...] = ()
+
+    kind = "correction"
+
+    @classmethod
+    def count(cls, setting: Setting) -> tuple[int, int]:
+        count = 0 if setting.sampling is None else setting.sampling.lost + 1
+        return count, count
+
+    def text(self, terms: Terms) -> str:
+        assert terms.sampling is not None
+        first, last = (exact(h) for h in terms.sampling.ages[self.row])
+        added = f", and its error adds at most {rounded_up(math.fsum(self.squares))} to a squared length"
+        text = f"the correction by a measurement that is {first} to {last} s old lengthens no curve"
+        return text + (added if self.squares else "")
+
+    def bounds(self, low: np.ndarray, high: np.ndarray, n: int, sampling: Sampling | None) -> Ends:
+        return _at_ages(low, high, sampling, self.row)
+
+
+@dataclasses.dataclass(frozen=True)
+class MissingClaim(AbstractClaim):
+    """The acceleration that a prediction lacks is less than `√square` times the position error.
+
+    Attributes:
+        square: square of the bound [1/s⁴].
+        limit: bound of the length of the position error for a curve of unit length.
+    """
+
+    square: float
+    limit: float
+
+    kind = "missing"
+    assumed_without = SMOOTH_FACTOR
+
+    @classmethod
+    def count(cls, setting: Setting) -> tuple[int, int]:
+        # It bounds the factor of the correction, which one of second order does not have.
+        count = int(setting.sampling is not None and setting.order == 1)
+        return count, count
+
+    def text(self, terms: Terms) -> str:
+        del terms
+        return "the acceleration that a prediction lacks, and the position error, keep their bounds"
+
+    def bounds(self, low: np.ndarray, high: np.ndarray, n: int, sampling: Sampling | None) -> Ends:
+        return _at_ages(low, high, sampling, 0)
+
+
+@dataclasses.dataclass(frozen=True)
+class PredictionClaim(AbstractClaim):
+    """The fourth derivative of the defect of Runge–Kutta steps, over 4!, is shorter than `√square`.
+
+    Attributes:
+        square: square of the bound.
+    """
+
+    square: float
+
+    kind = "prediction"
+    assumed_without = PREDICTIONS
+
+    @classmethod
+    def count(cls, setting: Setting) -> tuple[int, int]:
+        return 0, int(setting.sampling is not None and setting.sampling.substeps is not None)
+
+    def text(self, terms: Terms) -> str:
+        del terms
+        return "the defect of the Runge–Kutta steps of a prediction keeps its bound"
+
+    def bounds(self, low: np.ndarray, high: np.ndarray, n: int, sampling: Sampling | None) -> Ends:
+        # Instead of errors, joint forces and slopes, a prediction has two lengths of its steps.
+        assert sampling is not None
+        places, longest = prediction_places(len(low), n), sampling.longest_step
+        return np.append(low[places], [0.0, 0.0]), np.append(high[places], [longest, longest])
+
+    def variables(self, names: Sequence[str], units: Sequence[str], n: int) -> tuple[tuple[str, ...], tuple[str, ...]]:
+        return prediction_variables(names, units, n)
+
+
+@dataclasses.dataclass(frozen=True)
+class StartClaim(AbstractClaim):
+    """An error with components δ is at most `√(square Σ δ_i²/s_i)` long, with the squares s of the claims on reach.
+
+    Attributes:
+        square: the factor.
+    """
+
+    square: float
+
+    kind = "start"
+
+    @classmethod
+    def count(cls, setting: Setting) -> tuple[int, int]:
+        return 0, 1
+
+    def text(self, terms: Terms) -> str:
+        del terms
+        return "errors within the bounds of a start are no longer than the radius"
+
+
+CLAIMS: dict[str, type[AbstractClaim]] = {
+    each.kind: each
+    for each in (
+        *(ContractionClaim, ReachClaim, DisturbanceClaim, CorrectionClaim, MissingClaim, PredictionClaim, StartClaim),
     )
+}
+"""The kinds of claims, in the order in which a file has them."""
+
+AnyClaim = TypeVar("AnyClaim", bound=AbstractClaim)
 
 
-def _box_of(document: Document, claim: Stated, domain: Box) -> Box:
-    low, high = document.bounds(claim)
-    if claim.kind == "prediction":
-        places = prediction_places(len(domain.low), len(document.velocity))
-        names, units = (tuple(each[k] for k in places) for each in (domain.names, domain.units))
-        return Box((*names, *STEPS), (*units, "s", "s"), low, high)
-    return domain._replace(low=low, high=high)
-
-
-def loss_of(sampling: Sampling | None, q: Float[np.ndarray, "2 2"], rate: float, claims: Sequence[Claim]) -> Loss:
-    """Compute what the factor of the correction that runs takes from the rate.
+def select(claims: Sequence[AbstractClaim], kind: type[AnyClaim]) -> list[AnyClaim]:
+    """Return the claims of one kind.
 
     Args:
-        sampling: when measurements come; None in continuous time.
-        q: the matrix R_0 (2, 2).
-        rate: rate λ of squared lengths [1/s].
-        claims: the claims; without one of the kind "missing" nothing is known, and nothing subtracted.
+        claims: claims of all kinds.
+        kind: the class.
     """
-    bounds = [(claim.square, claim.limit) for claim in claims if claim.kind == "missing"]
-    return Loss(0.0, 0.0) if sampling is None or not bounds else Loss.of(sampling, q, rate, *bounds[0])
+    return [claim for claim in claims if isinstance(claim, kind)]
 
 
-def claimed_drift(sampling: Sampling | None, q: Float[np.ndarray, "2 2"], rate: float, claims: Sequence[Any]) -> float:
-    """Compute the distance to which errors of Runge–Kutta steps alone may lead.
+def reach_squares(claims: Sequence[AbstractClaim]) -> Float[np.ndarray, "two_n"]:
+    """Return the squares (2n,) of the claims on reach, positions first.
 
     Args:
-        sampling: when measurements come; None in continuous time.
-        q: the matrix R_0 (2, 2).
-        rate: rate λ of squared lengths [1/s].
-        claims: the claims; without one of the kind "prediction" nothing is known, and the distance is taken as 0.
+        claims: claims of all kinds.
     """
-    return 0.0 if sampling is None else Recursion.of(sampling, q, rate, UNDISTURBED, claims).steady
+    return np.array([claim.square for claim in select(claims, ReachClaim)])
 
 
-def steady_of(
-    sampling: Sampling | None,
-    q: Float[np.ndarray, "2 2"],
-    rate: float,
-    given: dict[str, Any],
-    claims: Sequence[Claim],
-) -> float:
-    """Compute the distance to which noise, disturbance and errors of predictions alone may lead.
-
-    Args:
-        sampling: when measurements come; None in continuous time.
-        q: the matrix Q (2, 2), with samples R_0.
-        rate: rate λ of squared lengths [1/s].
-        given: the bounds of a certificate.
-        claims: its claims.
-
-    Returns:
-        The distance, in the metric; 0 without all of these, ∞ where it is not proved.
-    """
-    if sampling is None:
-        return steady_distance(rate, disturbance_length(given, claims))
-    disturbed = any(given["noise"]) or any(given["disturbance"])
-    if disturbed and sum(claim.kind == "correction" for claim in claims) <= sampling.lost:
-        return math.inf
-    return Recursion.of(sampling, q, rate, given, claims).steady
-
-
-def disturbance_sizes(given: dict[str, Any]) -> Float[np.ndarray, "two_n"]:
-    """Compute the largest errors of the measured position and of the force.
-
-    The error of the force is the unmodelled force, plus the change of the force where it is evaluated at a position
-    with an error. Together the errors lie in a ball of radius √m relative to these sizes, where m is the number of
-    sizes that are not zero.
-
-    Args:
-        given: the bounds `noise` (n,), `disturbance` (n,) and `slopes` (n, n) of a certificate.
-
-    Returns:
-        Sizes (2n,): those of the measured position, then those of the force.
-    """
-    noise, unknown, slopes = (np.asarray(given[name], float) for name in ("noise", "disturbance", "slopes"))
-    # Σ_j |∂f_i/∂q_j| · noise_j bounds the change of force i; the factor covers the rounding of this sum.
-    induced = (np.reshape(slopes, (len(noise), -1)) * noise).sum(axis=1) * (1 + 1e-12)
-    return np.concatenate([noise, unknown + induced])
-
-
-def disturbance_length(given: dict[str, Any], claims: Sequence[Claim]) -> float:
-    """Bound the length D that noise and disturbance add to the flow.
-
-    Args:
-        given: the bounds of a certificate, as for `disturbance_sizes`.
-        claims: its claims, of which the one about the disturbance is used.
-
-    Returns:
-        D, in the metric; 0 where no noise and no disturbance are given, ∞ if the bound is not proved.
-    """
-    count = np.count_nonzero(disturbance_sizes(given))
-    squares = [claim.square for claim in claims if claim.kind == "disturbance"]
-    # The errors lie in a ball of radius √count, not in the unit ball of the claim; the factor covers rounding.
-    return math.sqrt(count * squares[0]) * (1 + 1e-12) if squares else math.inf if count else 0.0
-
-
-def read_bounds(plain: Mapping[str, Any]) -> Given:
-    """Read the bounds of a certificate from plain data.
-
-    Args:
-        plain: the data of a file, as from `plain_bounds`.
-    """
-    sides = [np.array([plain[key]["low"], plain[key]["high"]], float) for key in ("positions", "inputs")]
-    return Given(*sides, *(np.asarray(plain[key], float) for key in ("times", "noise", "disturbance", "slopes")))
-
-
-def plain_bounds(given: Given) -> dict[str, Any]:
-    """Convert the bounds of a certificate to data for the file.
-
-    Args:
-        given: bounds of positions, inputs, times, noise, disturbance and slopes.
-    """
-
-    def pair(bounds: np.ndarray) -> dict[str, list[float]]:
-        return {"low": bounds[0].tolist(), "high": bounds[1].tolist()}
-
-    rest = {key: getattr(given, key).tolist() for key in ("times", "noise", "disturbance", "slopes")}
-    return {"positions": pair(given.positions), "inputs": pair(given.inputs), **rest}
+def _at_ages(low: np.ndarray, high: np.ndarray, sampling: Sampling | None, lost: int) -> Ends:
+    """The box at the ages of a measurement after a number of lost samples."""
+    assert sampling is not None
+    first, last = sampling.ages[lost]
+    return np.append(low[:-1], first), np.append(high[:-1], last)

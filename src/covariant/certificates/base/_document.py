@@ -3,26 +3,34 @@
 Nothing in a file is trusted: whether its numbers make a proof is decided by `check`.
 """
 
+import dataclasses
 import json
 import re
 from fractions import Fraction
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
 from covariant._files import write_atomically
+from covariant.certificates.base._box import Given, first_velocity
+from covariant.certificates.base._claims import CLAIMS, AbstractClaim, Setting, reach_squares
+from covariant.certificates.base._error_system import ErrorSystem
+from covariant.certificates.base._intrinsic import OBSERVERS, Intrinsics
 from covariant.certificates.base._sampling import Loss, Sampling, unit_reach
+from covariant.certificates.base._steady import claimed_drift, loss_of, steady_of
 from covariant.proofs import (
     LETTERS,
     MOST_LETTERS,
+    Box,
     Field,
+    Proof,
     digest,
+    from_letters,
     parse_file,
     read_file,
     saved_graph,
-    saved_levels,
 )
 
 FORMAT = "covariant certificate 2"
@@ -31,74 +39,10 @@ MOST_PARTS = len(LETTERS) // 3
 KEYS = [
     *("format", "recipe", "observer", "q", "rate", "radius", "velocity", "given", "box", "claims", "graph", "digest"),
 ]
-OBSERVERS: dict[str, dict[str, Any]] = {
-    "intrinsic": {"order": (1, 2), "coefficients": ("measured", "estimated"), "curvature": bool},
-    "geodesic": {"curvature": bool},
-}
-"""The fields of each kind of observer beside the gains, with their possible values."""
 MOST_LOST = 1000
 """Largest number of lost samples that a file may state."""
-STEPS = ("step", "inner_step")
-"""Names of the further variables of the claim "prediction": two lengths of a step."""
 FRAMES = ("coordinates", "body")
 """Frames of the vectors. In the "body" frame the configuration is not a variable of the region."""
-Kind = Literal["contraction", "reach", "disturbance", "correction", "missing", "prediction", "start"]
-NUMBERS: dict[Kind, list[str]] = {
-    "contraction": [],
-    "reach": ["row", "square", "limit"],
-    "disturbance": ["square"],
-    "correction": ["row"],
-    "missing": ["square", "limit"],
-    "prediction": ["square"],
-    "start": ["square"],
-}
-"""The numbers of each kind of claim, beside its tree of boxes; a correction with noise has `squares` as well."""
-
-
-class Given(NamedTuple):
-    """Bounds from which those of the force and of the measurements follow.
-
-    Attributes:
-        positions: least and largest positions (2, p), on a group the entries of its matrices.
-        inputs: least and largest inputs (2, m).
-        times: first and last time (2,) [s].
-        noise: bounds (n,) of the error of each measured position.
-        disturbance: bounds (n,) of each component of a force that the model lacks.
-        slopes: bounds (n, n) of the derivatives of the force by the position; 0 where there is no noise.
-    """
-
-    positions: Float[np.ndarray, "2 p"]
-    inputs: Float[np.ndarray, "2 m"]
-    times: Float[np.ndarray, "2"]
-    noise: Float[np.ndarray, "n"]
-    disturbance: Float[np.ndarray, "n"]
-    slopes: Float[np.ndarray, "n n"]
-
-
-class Stated(NamedTuple):
-    """A claim as stated in a file.
-
-    Attributes:
-        kind: "contraction", "reach" of a `row` by `square` up to `limit`, "disturbance" of `square`, "correction",
-            "missing" of `square` and `limit`, or "start" of `square`.
-        levels: its tree of boxes, one string for each level.
-        row: index of the entry of (error, velocity), for "reach"; number of samples lost, for "correction".
-        square: square of the bound, for "reach" and "disturbance".
-        limit: largest half width that is allowed, for "reach".
-        squares: for "correction" with noise, what the error of each measured position adds to a squared length.
-    """
-
-    kind: Kind
-    levels: tuple[str, ...]
-    row: int = 0
-    square: float = 0.0
-    limit: float = 0.0
-    squares: tuple[float, ...] = ()
-
-    @property
-    def open(self) -> bool:
-        """Whether some of its boxes are undecided."""
-        return any("?" in level for level in self.levels)
 
 
 class Document(NamedTuple):
@@ -107,6 +51,7 @@ class Document(NamedTuple):
     Attributes:
         file: name of the file, for messages.
         recipe: {"system": name} or {"attribute": "module:attribute"}, and its "parameters". Names are not resolved yet.
+            None for a model that only this process knows.
         observer: "kind", "frame", "alpha" [1/s], "beta" [1/s²] and the options of that kind.
         q: the matrix (2, 2) of its metric.
         rate: rate λ [1/s] of squared lengths.
@@ -128,7 +73,7 @@ class Document(NamedTuple):
     """
 
     file: str
-    recipe: dict[str, Any]
+    recipe: dict[str, Any] | None
     observer: dict[str, Any]
     q: Float[np.ndarray, "2 2"]
     rate: float
@@ -137,7 +82,7 @@ class Document(NamedTuple):
     given: Given
     low: Float[np.ndarray, "d"]
     high: Float[np.ndarray, "d"]
-    claims: tuple[Stated, ...]
+    claims: tuple[AbstractClaim, ...]
     graph: dict[str, list]
     sampling: Sampling | None = None
 
@@ -150,7 +95,7 @@ class Document(NamedTuple):
     def forces(self) -> slice:
         """Places of the force in the box."""
         n = len(self.velocity)
-        start = first_velocity(len(self.low), n, self.sampling is not None) + 2 * n
+        start = self.first_velocity + 2 * n
         return slice(start, start + n)
 
     @property
@@ -159,85 +104,73 @@ class Document(NamedTuple):
         return any(claim.open for claim in self.claims)
 
     @property
-    def reach_squares(self) -> Float[np.ndarray, "two_n"]:
-        """Squares (2n,) of the claims on reach, positions first."""
-        return np.array([claim.square for claim in self.claims if claim.kind == "reach"])
+    def first_velocity(self) -> int:
+        """Place of the first velocity in the box, behind the variables of the configuration."""
+        return first_velocity(len(self.low), len(self.velocity), self.sampling is not None)
 
     @property
     def unit_reach(self) -> Float[np.ndarray, "n"]:
         """Bounds (n,) of each position error, for a curve of unit length, as the claims on reach state them."""
-        return unit_reach(self.reach_squares.tolist())
+        return unit_reach(reach_squares(self.claims))
 
     @property
-    def loss(self) -> "Loss":
+    def loss(self) -> Loss:
         """What the factor of the correction that runs takes from the rate; nothing where no claim bounds it."""
-        claims = [claim for claim in self.claims if claim.kind == "missing"]
-        if self.sampling is None or not claims:
-            return Loss(0.0, 0.0)
-        return Loss.of(self.sampling, self.q, self.rate, claims[0].square, claims[0].limit)
+        return loss_of(self.sampling, self.q, self.rate, self.claims)
 
-    def bounds(self, claim: Stated) -> tuple[Float[np.ndarray, "d"], Float[np.ndarray, "d"]]:
-        """Bounds (d,) of the box of one claim, which is the whole box, or that of the ages of a correction.
+    @property
+    def decay(self) -> float:
+        """Rate [1/s] at which distances decrease."""
+        return self.rate / 2 - self.loss.rate
+
+    @property
+    def steady(self) -> float:
+        """The distance to which noise and disturbance alone may lead."""
+        return steady_of(self.sampling, self.q, self.rate, self.given, self.claims)
+
+    @property
+    def drift(self) -> float:
+        """The distance to which errors of Runge–Kutta steps alone may lead; 0 where no claim bounds them."""
+        return claimed_drift(self.sampling, self.q, self.rate, self.claims)
+
+    def bounds(self, claim: AbstractClaim) -> tuple[Float[np.ndarray, "d"], Float[np.ndarray, "d"]]:
+        """Bounds (d,) of the box of one claim.
 
         Args:
             claim: the claim.
         """
-        return claim_bounds(self.sampling, claim.kind, claim.row, self.low, self.high, len(self.velocity))
+        return claim.bounds(self.low, self.high, len(self.velocity), self.sampling)
 
 
-def first_velocity(variables: int, n: int, sampled: bool = False) -> int:
-    """Return the place of the first velocity in the box, behind the variables of the configuration.
+class Resolved(NamedTuple):
+    """A document with the observer that it is about.
 
-    Args:
-        variables: number of variables of the box.
-        n: number of velocities.
-        sampled: whether measurements are sampled.
+    Attributes:
+        document: the content of a file, or what a file would state.
+        observer: the observer, with its model.
+        about: observer and metric as functions of a box.
     """
-    # Without samples the coordinates are variables, but not on a group: velocities, errors and forces are 3n.
-    return variables - (5 * n + 1) if sampled else n * (variables > 3 * n)
 
+    document: Document
+    observer: Intrinsics
+    about: ErrorSystem
 
-def prediction_places(variables: int, n: int) -> list[int]:
-    """Return the places in the box of configuration, velocity, force of the input and age.
+    @property
+    def domain(self) -> Box:
+        """The box, with names and units of its variables."""
+        return Box(self.about.names, self.about.units, self.document.low, self.document.high)
 
-    Args:
-        variables: number of variables of the box, of a system with samples.
-        n: number of velocities.
-    """
-    count = first_velocity(variables, n, sampled=True)
-    return [*range(count + n), *range(count + 2 * n, count + 3 * n), variables - 1]
+    def stated(self) -> "Resolved":
+        """Take the trees of the file as proofs of its claims. They are stated, not verified."""
+        claims = tuple(self._stated(claim) for claim in self.document.claims)
+        return self._replace(document=self.document._replace(claims=claims))
 
-
-def prediction_box(sampling: Sampling, n: int, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the bounds of the variables of the claim "prediction".
-
-    Args:
-        sampling: the samples, with a number of steps.
-        n: number of velocities.
-        low, high: bounds (d,) of the whole box.
-    """
-    places, longest = prediction_places(len(low), n), sampling.longest_step
-    return np.append(low[places], [0.0, 0.0]), np.append(high[places], [longest, longest])
-
-
-def claim_bounds(
-    sampling: Sampling | None, kind: Kind, row: int, low: np.ndarray, high: np.ndarray, n: int = 0
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return the bounds (d,) of the box of one claim.
-
-    Args:
-        sampling: when measurements come; None in continuous time.
-        kind: kind of the claim.
-        row: its row, for a correction the number of samples lost.
-        low, high: the whole box (d,), whose last variable is the age where measurements are sampled.
-        n: number of velocities; needed for "prediction" alone.
-    """
-    if sampling is not None and kind == "prediction":
-        return prediction_box(sampling, n, low, high)
-    if sampling is None or kind not in ("correction", "missing"):
-        return low, high
-    first, last = sampling.ages[row]
-    return np.append(low[:-1], first), np.append(high[:-1], last)
+    def _stated(self, claim: AbstractClaim) -> AbstractClaim:
+        low, high = self.document.bounds(claim)
+        names, units = claim.variables(self.about.names, self.about.units, len(self.document.velocity))
+        return dataclasses.replace(
+            claim, proof=Proof.stated(Box(names, units, low, high), from_letters(claim.levels)), letters=()
+        )
 
 
 def parse(path: str | Path, content: bytes | None = None) -> Document:
@@ -289,7 +222,7 @@ def parse(path: str | Path, content: bytes | None = None) -> Document:
         variables <= len(LETTERS), f"fewer velocities: there are letters for {len(LETTERS)} variables"
     )
     given = _given(fields["given"], n)
-    claims = _claims(fields["claims"], n, variables, _last_kinds(observer, sampling, given), given)
+    claims = _claims(fields["claims"], Setting(low, high, n, sampling, given, observer.get("order")))
     return Document(
         top.file,
         _recipe(fields["recipe"]),
@@ -410,67 +343,33 @@ def _sampling(field: Field) -> Sampling:
     return Sampling(interval, lost, slopes, shear, fields["substeps"].whole(0, 10_000) or None)
 
 
-def _last_kinds(observer: dict[str, Any], sampling: Sampling | None, given: Given) -> tuple[list[Kind], list[Kind]]:
-    """The claims that follow those on reach, and those that may follow then.
-
-    In continuous time "disturbance" may; whether it must is checked. With sampling, "disturbance" follows if there is
-    any, "correction" for each number of lost samples, and "missing" where errors are those of first order. Errors of
-    predictions are bounded by "prediction", or the statement lists them as not covered.
-    """
-    if sampling is None:
-        return [], ["disturbance", "start"]
-    force: list[Kind] = ["disturbance"] if given.disturbance.any() else []
-    correction: list[Kind] = ["correction"]
-    lacking: list[Kind] = ["missing"] if observer.get("order") == 1 else []
-    predicted: list[Kind] = [] if sampling.substeps is None else ["prediction"]
-    return [*force, *correction * (sampling.lost + 1), *lacking], [*predicted, "start"]
-
-
-def _claims(
-    field: Field, n: int, variables: int, last: tuple[list[Kind], list[Kind]], given: Given
-) -> tuple[Stated, ...]:
-    """Contraction, then "reach" for each of the 2n rows, then those of `_last_kinds`."""
-    required, optional = last
-    reach: list[Kind] = ["reach"]
-    first: list[Kind] = ["contraction", *reach * (2 * n)]
-    rows, needed = field.rows(1, len(first) + len(required) + len(optional)), len(first) + len(required)
-    found: list[Kind] = [kind for kind in optional if any(_states(row, kind) for row in rows[needed:])]
-    order: list[Kind] = [*first, *required, *found]
+def _claims(field: Field, setting: Setting) -> tuple[AbstractClaim, ...]:
+    """The claims kind by kind, each as often as it must be there, and those that may be there where they are."""
+    counts = {name: kind.count(setting) for name, kind in CLAIMS.items()}
+    least, most = (sum(each) for each in zip(*counts.values(), strict=True))
+    rows = field.rows(1, most)
+    optional = [row.value.get("kind") for row in rows[least:] if isinstance(row.value, dict)]
+    # Whether a kind is there is decided by its name; that it stands at its place is checked below.
+    numbers = {name: b if name in optional else a for name, (a, b) in counts.items()}
+    order = [name for name, count in numbers.items() for _ in range(count)]
     rows[-1].need(len(rows) <= len(order), "the last claim")
-    errors = int(np.count_nonzero(given.noise))
-    claims = [_claim(row, k, n, variables, order, errors) for k, row in enumerate(rows)]
+    claims = [
+        _claim(row, name, k - order.index(name), setting)
+        for k, (row, name) in enumerate(zip(rows, order, strict=False))
+    ]
     if sum(len(level) for claim in claims for level in claim.levels) > MOST_LETTERS:
         raise ValueError(
             f"{field.file}: the levels of {field.key} hold more than {MOST_LETTERS} letters; ask for the file as it "
             "was saved, or certify again"
         )
-    samples = required.count("correction")
+    samples = numbers["correction"]
     more = f", and correction after 0 to {samples - 1} lost samples, and what they lack" if samples else ""
-    complete = len(rows) >= needed or (len(rows) == 1 and claims[0].open)
-    field.need(complete, f"contraction, and reach of rows 0 to {2 * n - 1}{more}")
+    complete = len(rows) >= least or (len(rows) == 1 and claims[0].open)
+    field.need(complete, f"contraction, and reach of rows 0 to {2 * setting.n - 1}{more}")
     return tuple(claims)
 
 
-def _states(field: Field, kind: Kind) -> bool:
-    return isinstance(field.value, dict) and field.value.get("kind") == kind
-
-
-def _claim(field: Field, k: int, n: int, variables: int, order: list[Kind], errors: int) -> Stated:
+def _claim(field: Field, name: str, index: int, setting: Setting) -> AbstractClaim:
     field.need(isinstance(field.value, dict) and "kind" in field.value, "an object with the kind of the claim")
-    kind = order[k]
-    field.at("kind").one_of((kind,))
-    noisy = kind == "correction" and errors > 0
-    fields = field.record(["kind", *NUMBERS[kind], *(["squares"] if noisy else []), "levels"])
-    numbers: dict[str, Any] = {key: fields[key].positive() for key in NUMBERS[kind] if key != "row"}
-    if kind == "reach":
-        numbers["row"] = fields["row"].whole(k - 1, k - 1)
-    if kind == "correction":
-        lost = k - order.index("correction")
-        numbers["row"] = fields["row"].whole(lost, lost)
-    # Instead of errors, joint forces and slopes, a prediction has two lengths of its steps.
-    variables = variables - 3 * n + 2 if kind == "prediction" else variables
-    if noisy:
-        squares = fields["squares"].vector(errors, errors, least=0.0)
-        fields["squares"].need((squares > 0).all(), "positive numbers")
-        numbers["squares"] = tuple(squares.tolist())
-    return Stated(kind, saved_levels(fields["levels"], variables), **numbers)
+    field.at("kind").one_of((name,))
+    return CLAIMS[name].read(field, index, setting)

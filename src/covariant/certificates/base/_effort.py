@@ -4,6 +4,9 @@ import dataclasses
 import functools
 from collections.abc import Callable
 
+import numpy as np
+
+from covariant.certificates.base._claims import AnyClaim
 from covariant.proofs import Box, Form, Proof, prove
 
 
@@ -62,3 +65,33 @@ class Effort:
         )
         self.boxes = max(self.boxes - proof.boxes, 0)
         return proof
+
+    def prove_claim(
+        self,
+        what: str,
+        claim: AnyClaim,
+        form: Callable[[AnyClaim], Form],
+        wider: Callable[[AnyClaim, np.ndarray], AnyClaim] | None = None,
+        tries: int = 0,
+        domain: Box | None = None,
+    ) -> AnyClaim:
+        """Prove a claim, again with wider bounds where a point refutes it that was not sampled.
+
+        Args:
+            what: name of the proof, for the report.
+            claim: the claim with its numbers.
+            form: its matrix.
+            wider: the claim with other numbers, from the claim and a point (d,) at which it is wrong.
+            tries: how often it is widened.
+            domain: another region than that of the certificate.
+
+        Returns:
+            The claim with its last proof.
+        """
+        claim = dataclasses.replace(claim, proof=self.prove(what, form(claim), domain))
+        for _ in range(tries if wider is not None else 0):
+            if claim.proof.counterexample is None:
+                break
+            claim = wider(claim, claim.proof.counterexample.mean(axis=0))
+            claim = dataclasses.replace(claim, proof=self.prove(what, form(claim), domain))
+        return claim

@@ -9,8 +9,8 @@ from jaxtyping import Array, Float
 
 from covariant._linalg import solve
 from covariant._typing import Vector
+from covariant.certificates.base._box import first_velocity
 from covariant.certificates.base._contraction import contraction_matrix, lengths
-from covariant.certificates.base._document import first_velocity
 from covariant.certificates.base._error_system import ErrorSystem, corrections, values
 from covariant.proofs import Form, as_form, derivative_form
 

@@ -21,7 +21,6 @@ from jaxtyping import Array, Float
 
 from covariant._typing import Vector
 from covariant.certificates.base._contraction import StateMetric
-from covariant.certificates.base._document import OBSERVERS
 from covariant.certificates.base._error_system import ErrorSystem, Point, entries_read
 from covariant.certificates.base._tangent_metric import TwoByTwo, tangent_metric
 from covariant.lowering import expand, lower, numbers
@@ -29,6 +28,11 @@ from covariant.models import MechanicalSystem, input_count, resistance
 from covariant.observers import Geodesic, Intrinsic, second_order
 
 Intrinsics = Intrinsic | Geodesic
+OBSERVERS: dict[str, dict[str, Any]] = {
+    "intrinsic": {"order": (1, 2), "coefficients": ("measured", "estimated"), "curvature": bool},
+    "geodesic": {"curvature": bool},
+}
+"""The fields of each kind of observer beside the gains, with their possible values."""
 OBSERVER_KINDS = {"intrinsic": Intrinsic, "geodesic": Geodesic}
 """The observers that there are certificates for, by their name in a file."""
 

@@ -26,11 +26,19 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from covariant.certificates.base._box import Given
+from covariant.certificates.base._claims import (
+    AbstractClaim,
+    CorrectionClaim,
+    DisturbanceClaim,
+    MissingClaim,
+    PredictionClaim,
+    reach_squares,
+    select,
+)
 from covariant.certificates.base._sampling import Loss, Sampling, unit_reach
 from covariant.certificates.base._tangent_metric import TwoByTwo
 
-UNDISTURBED: dict[str, Any] = {"noise": [0.0], "disturbance": [0.0]}
-"""Bounds of a certificate without noise and disturbance."""
 ROUND = 1e-12
 """Relative margin that covers the rounding of the formulas here."""
 BISECTIONS = 100
@@ -67,7 +75,7 @@ class Recursion(NamedTuple):
 
     @classmethod
     def of(
-        cls, sampling: Sampling, q: TwoByTwo, rate: float, given: dict[str, Any], claims: Sequence[Any]
+        cls, sampling: Sampling, q: TwoByTwo, rate: float, given: Given | None, claims: Sequence[AbstractClaim]
     ) -> "Recursion":
         """Collect the numbers from what is proved.
 
@@ -75,22 +83,22 @@ class Recursion(NamedTuple):
             sampling: when measurements come.
             q: R_0 (2, 2).
             rate: rate λ = 2μ of squared lengths [1/s].
-            given: the bounds of a certificate, as plain data.
-            claims: its claims, or those of a file.
+            given: the bounds of a certificate; None for errors of predictions alone.
+            claims: its claims.
         """
-        noise, force = (np.asarray(given[key], float) for key in ("noise", "disturbance"))
-        missing = [c for c in claims if c.kind == "missing"]
+        noise, force = (np.zeros(1),) * 2 if given is None else (given.noise, given.disturbance)
+        missing = select(claims, MissingClaim)
         loss = Loss(0.0, 0.0) if not missing else Loss.of(sampling, q, rate, missing[0].square, missing[0].limit)
-        reach = unit_reach([c.square for c in claims if c.kind == "reach"])
+        reach = unit_reach(reach_squares(claims))
         error = math.sqrt(float(np.mean((noise / reach) ** 2))) if missing else 0.0
-        defect = next((c.square for c in claims if c.kind == "prediction"), 0.0)
+        defect = next((c.square for c in select(claims, PredictionClaim)), 0.0)
         steps = sampling.longest_step**4 * math.sqrt(defect) / 5 if defect else 0.0
         # Forces within their bounds lie in a ball of radius √count relative to these.
-        square = next((c.square for c in claims if c.kind == "disturbance"), 0.0)
+        square = next((c.square for c in select(claims, DisturbanceClaim)), 0.0)
         return cls(
             rate / 2,
             math.sqrt(np.count_nonzero(force) * square) * (1 + ROUND),
-            tuple(math.fsum(c.squares) * (1 + ROUND) for c in claims if c.kind == "correction"),
+            tuple(math.fsum(c.squares) * (1 + ROUND) for c in select(claims, CorrectionClaim)),
             loss.change,
             steps * (1 + ROUND),
             error * (1 + ROUND),

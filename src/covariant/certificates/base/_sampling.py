@@ -125,10 +125,10 @@ class Loss(NamedTuple):
         return self.rate < rate / 2 and self.restart < 1
 
 
-def unit_reach(squares: list[float]) -> Float[np.ndarray, "n"]:
+def unit_reach(squares: Float[np.ndarray, "two_n"]) -> Float[np.ndarray, "n"]:
     """Bounds (n,) of each position error for a curve of unit length.
 
     Args:
         squares: squares of the claims on reach (2n), positions first.
     """
-    return np.sqrt(np.array(squares[: len(squares) // 2])) * (1 + 1e-12)
+    return np.sqrt(squares[: len(squares) // 2]) * (1 + 1e-12)

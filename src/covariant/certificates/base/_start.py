@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from covariant.certificates.base._claims import Claim
+from covariant.certificates.base._claims import UNPROVED, AbstractClaim, StartClaim, reach_squares, select
 from covariant.certificates.base._effort import Effort
 from covariant.certificates.base._error_system import ErrorSystem
 from covariant.certificates.base._inequalities import start_bound
@@ -79,24 +79,31 @@ def _down(value: float) -> float:
     return round(math.floor(value * 10.0**digits * (1 - math.copysign(1e-13, value)) + 1e-9) / 10.0**digits, digits)
 
 
-def start_of(radius: float, domain: Box, squares: Sequence[float], square: float) -> Start:
+def start_of(radius: float, domain: Box, claims: Sequence[AbstractClaim]) -> Start | None:
     """Compute the initial errors that a radius covers.
 
     Args:
         radius: radius of the tube.
         domain: the box of the certificate, which begins with positions and velocities.
-        squares: squares (2n,) of the claims on reach, positions first.
-        square: factor of the claim on a start.
+        claims: the claims, of which those on reach and on a start are used.
+
+    Returns:
+        The errors; None without a claim on a start.
     """
+    proved, squares = select(claims, StartClaim), reach_squares(claims)
+    if not proved:
+        return None
     # An error δ is √(square Σ δ_i²/s_i) long or shorter, with squares s; each of 2n entries has an equal share here.
-    farthest = radius * np.sqrt(np.array(squares))
+    farthest = radius * np.sqrt(squares)
     # Rounded down, so that a bound that begins with them is within the radius in spite of rounding.
-    alone = farthest / math.sqrt(square) * (1 - ROUND)
+    alone = farthest / math.sqrt(proved[0].square) * (1 - ROUND)
     count = len(squares)
     return Start(domain.names[:count], domain.units[:count], alone / math.sqrt(count), alone, farthest)
 
 
-def start_claim(model: MechanicalSystem, system: ErrorSystem, claims: Sequence[Claim], effort: Effort) -> list[Claim]:
+def start_claim(
+    model: MechanicalSystem, system: ErrorSystem, claims: Sequence[AbstractClaim], effort: Effort
+) -> list[StartClaim]:
     """Prove how long errors are at most, in coordinates.
 
     Args:
@@ -110,7 +117,7 @@ def start_claim(model: MechanicalSystem, system: ErrorSystem, claims: Sequence[C
     """
     if not model.manifold.commuting or any(claim.proof.verdict != "holds" for claim in claims):
         return []
-    squares, domain = np.array([claim.square for claim in claims if claim.kind == "reach"]), effort.domain
+    squares, domain = reach_squares(claims), effort.domain
     share = np.random.default_rng(0).uniform(size=(POINTS, len(domain.low)))
     share[::2] = np.round(share[::2])
     graph = start_bound(system, squares, 0.0).graph(jnp.asarray(domain.high)).entries
@@ -120,11 +127,12 @@ def start_claim(model: MechanicalSystem, system: ErrorSystem, claims: Sequence[C
     metric = -values.reshape(-1, len(squares), len(squares)) * np.outer(scale, scale)
     square = MARGIN * float(np.linalg.eigvalsh(metric)[:, -1].max())
     little = dataclasses.replace(effort, boxes=min(effort.boxes, BOXES))
-    proof = little.prove("a start", start_bound(system, squares, square))
-    for _ in range(TRIES):
-        if proof.counterexample is None:
-            break
-        square *= MARGIN**2
-        proof = little.prove("a start", start_bound(system, squares, square))
+    claim = little.prove_claim(
+        "a start",
+        StartClaim(UNPROVED, square),
+        lambda claim: start_bound(system, squares, claim.square),
+        lambda claim, point: dataclasses.replace(claim, square=claim.square * MARGIN**2),
+        TRIES,
+    )
     effort.boxes -= min(effort.boxes, BOXES) - little.boxes
-    return [Claim("start", proof, 0, square)] if proof.verdict == "holds" else []
+    return [claim] if claim.proof.verdict == "holds" else []

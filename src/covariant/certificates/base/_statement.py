@@ -1,5 +1,6 @@
 """The common form of verdicts: a claim in words, the numbers it is based on, and the hypotheses it rests on."""
 
+import math
 from collections.abc import Iterable
 from typing import Any, Literal, NamedTuple
 
@@ -132,3 +133,27 @@ def lines(hypotheses: Iterable[Hypothesis]) -> list[str]:
         One line for each, which begins with "- ".
     """
     return [f"- {hypothesis}" for hypothesis in hypotheses]
+
+
+def exact(value: float) -> str:
+    """The shortest text that is this number."""
+    return repr(float(value)).removesuffix(".0")
+
+
+def rounded_up(value: float) -> str:
+    """A positive number of four digits that is no smaller."""
+    text = f"{value:.4g}"
+    if float(text) >= value:
+        return text
+    last = math.floor(math.log10(abs(value))) - 3
+    return f"{float(text) + 10.0**last:.4g}"
+
+
+def rounded_down(value: float) -> str:
+    """A number of four digits that is no larger: what is claimed is never more than what is proved."""
+    text = f"{value:.4g}"
+    if float(text) <= value:
+        return text
+    # `.4g` rounds to nearest; one unit of the last of four digits less is below the value.
+    last = math.floor(math.log10(abs(value))) - 3
+    return f"{float(text) - 10.0**last:.4g}"

@@ -18,12 +18,17 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from covariant.certificates.base import (
+    AbstractClaim,
+    DisturbanceClaim,
     Document,
-    ErrorSystem,
-    Intrinsics,
+    PredictionClaim,
+    ReachClaim,
+    Resolved,
+    StartClaim,
     check_unique,
     configuration_shape,
     parse,
+    select,
     value_graph,
 )
 from covariant.certificates.checking import _check_sampled as sampled, _matrices as matrices
@@ -45,7 +50,7 @@ class Shown(NamedTuple):
         seconds: time it took [s].
     """
 
-    resolved: "Resolved"
+    resolved: Resolved
     leaves: int
     shown: int
     seconds: float
@@ -83,7 +88,7 @@ def show(
     return Shown(resolved, _leaves(jobs), _leaves(jobs), time.monotonic() - start)
 
 
-def show_found(resolved: "Resolved", seconds: float) -> Shown:
+def show_found(resolved: Resolved, seconds: float) -> Shown:
     """Show that claims that were proved in this process hold, within a time.
 
     Args:
@@ -111,20 +116,6 @@ def _leaves(jobs: list[tuple]) -> int:
 def _need(holds: Any, otherwise: str) -> None:
     if not holds:
         raise ValueError(otherwise)
-
-
-class Resolved(NamedTuple):
-    """A document whose claims imply its statement, if they hold, with the observer.
-
-    Attributes:
-        document: the content of the file.
-        observer: the observer, with its model.
-        about: observer and metric as functions of a box.
-    """
-
-    document: Document
-    observer: Intrinsics
-    about: ErrorSystem
 
 
 def follows(document: Document, model: Any = None) -> Resolved:
@@ -172,22 +163,23 @@ def _complete(resolved: Resolved) -> None:
         columns = getattr(document.given, key).shape[1]
         _need(columns == expected, f"given.{key}: the model has {expected}; bounds are there of {columns}")
     check_unique(observer, np.maximum(high, -low)[-2 * n : -n])
-    noise, disturbance = document.given.noise, [claim for claim in claims if claim.kind == "disturbance"]
+    noise, disturbance = document.given.noise, select(claims, DisturbanceClaim)
     sloped = noise.any() and document.sampling is None
     _need(sloped or not document.given.slopes.any(), "given.slopes: they must be 0 where there is no noise")
-    started = any(claim.kind == "start" for claim in claims)
+    started = bool(select(claims, StartClaim))
     _need(model.manifold.commuting or not started, "claims: one about a start is for coordinates")
 
     # By assumption solutions are in `truth`; a curve of length `radius` leads no farther than `away` from them.
     if document.open:
         return
     speed, radius = document.velocity, document.radius
-    acts = sizes(document).any() if document.sampling is None else document.given.disturbance.any()
+    acts = matrices.sizes(document).any() if document.sampling is None else document.given.disturbance.any()
     _need(bool(disturbance) == bool(acts), "claims: one about a disturbance must be there, if there is any")
     # The error is measured from the measured position, so it exceeds that from the true one by up to the noise.
     start = document.given.positions[:, : places * model.manifold.commuting]
     truth = [np.concatenate([p, v, b]) for p, v, b in zip(start, (-speed, speed), (-noise, noise), strict=True)]
-    widths = [radius * math.sqrt(claim.square) * (1 + ROUND) for claim in claims[1 : 1 + 2 * n]]
+    reaches = select(claims, ReachClaim)
+    widths = [radius * math.sqrt(claim.square) * (1 + ROUND) for claim in reaches]
     # In the order of the box. The measurement is fixed, so that position and error move together: the first n rows.
     reach = [*widths[: len(start[0])], *widths[n:], *widths[:n]]
     for name, a, b, c, d, r in zip(names[:-n], low[:-n], high[:-n], *truth, reach, strict=True):
@@ -197,31 +189,16 @@ def _complete(resolved: Resolved) -> None:
         _need(fits, f"box: {excess}, which its box {a:.6g} to {b:.6g} does not hold")
     slack = np.minimum(high[:-n] - truth[1], truth[0] - low[:-n])
     limits = [*slack[-n:], *slack[-2 * n : -n]]
-    for row, (claim, r, available) in enumerate(zip(claims[1 : 1 + 2 * n], widths, limits, strict=True)):
+    for row, (claim, r, available) in enumerate(zip(reaches, widths, limits, strict=True)):
         what = f"claims[{row + 1}].limit: row {row} reaches {r:.6g}, may reach {claim.limit:.6g}"
         _need(r <= claim.limit <= available, f"{what}, and has {available:.6g} of room")
     if document.sampling is not None:
         sampled.need_sampled_rate_and_radius(document)
     elif disturbance:
-        count = np.count_nonzero(sizes(document))
+        count = np.count_nonzero(matrices.sizes(document))
         # The steady distance 2D/λ: the box of scaled errors lies in the ball of radius √count, so D² = count · square.
         steady = 2 * math.sqrt(count * disturbance[0].square) / document.rate * (1 + ROUND)
         _need(steady < radius, f"radius: noise alone leads {steady:.6g} away, and the radius is {radius:.6g}")
-
-
-def sizes(document: Document) -> np.ndarray:
-    """Compute the largest errors of measured position and force, the latter unmodelled or due to a wrong position.
-
-    Args:
-        document: the parsed file.
-
-    Returns:
-        Sizes (2n,): those of the measured position, then those of the force.
-    """
-    given = document.given
-    # The slopes that are shown may exceed the stated ones by the slack.
-    steepest = given.slopes * (1 + sampled.SLACK)
-    return np.concatenate([given.noise, (given.disturbance + steepest @ given.noise) * (1 + ROUND)])
 
 
 def _jobs(document: Document) -> Iterator[tuple]:
@@ -265,16 +242,8 @@ def _matrix(resolved: Resolved, what: int | str) -> TaylorEnclosure:
     shape = configuration_shape(model, n)
     if isinstance(what, int):
         claim = document.claims[what]
-        matrix = {
-            "contraction": lambda: matrices.contraction(system, document.rate),
-            "reach": lambda: matrices.width_bound(system, claim.row, claim.square),
-            "disturbance": lambda: matrices.disturbance(system, sizes(document), claim.square),
-            "start": lambda: matrices.start(system, document.reach_squares, claim.square),
-        } | sampled.sampled_claim_matrices(document, system, claim)
-        if claim.kind == "prediction":
-            return sampled.prediction_matrix(document, resolved.observer, claim)
-        slack = np.where(_forces(document), sampled.slack_of(low, high), 0.0)
-        return TaylorEnclosure(matrix[claim.kind](), *document.bounds(claim), slack)
+        matrix = matrices.MATRICES[type(claim)](resolved, claim)
+        return TaylorEnclosure(matrix, *document.bounds(claim), _slack(document, claim))
     if what in sampled.FRICTION_JOBS:
         return sampled.friction_matrix(document, model, what)
     if what == sampled.PREDICTED:
@@ -286,7 +255,7 @@ def _matrix(resolved: Resolved, what: int | str) -> TaylorEnclosure:
     force, slopes = matrices.force(model, shape), matrices.slopes(model, shape, n)
     # Forces are shown within the box and half the slack, claims for forces within all of it: the rest covers rounding.
     force_at, unknown, steep = document.forces, document.given.disturbance, document.given.slopes.ravel()
-    slack, allowed = sampled.slack_of(low, high)[force_at] / 2, steep * (1 + sampled.SLACK) + 1e-200
+    slack, allowed = matrices.slack_of(low, high)[force_at] / 2, steep * (1 + matrices.SLACK) + 1e-200
     claimed = low[force_at] + unknown - slack, high[force_at] - unknown + slack
     function, box, watch = {
         "the bound of the force": (matrices.within(force, *claimed), region, ""),
@@ -299,11 +268,15 @@ def _matrix(resolved: Resolved, what: int | str) -> TaylorEnclosure:
     return TaylorEnclosure(function, least, largest, np.zeros(len(least)), watch)
 
 
-def _forces(document: Document) -> np.ndarray:
-    """Which variables (d,) of the box are forces, or slopes of friction."""
+def _slack(document: Document, claim: AbstractClaim) -> np.ndarray:
+    """By how much (d,) the variables of a claim that are forces, or slopes of friction, may exceed their bounds."""
+    low, high = document.bounds(claim)
+    place, n = np.arange(len(low)), len(document.velocity)
+    if isinstance(claim, PredictionClaim):  # its force, age and lengths of steps, where they are no constants
+        return np.where((place >= len(low) - n - 3) & (low < high), matrices.slack_of(low, high), 0.0)
     # All that follows the errors, but for the age.
-    place, sampled = np.arange(len(document.low)), document.sampling is not None
-    return (document.forces.start <= place) & (place < len(document.low) - sampled)
+    forces = (document.forces.start <= place) & (place < len(low) - (document.sampling is not None))
+    return np.where(forces, matrices.slack_of(low, high), 0.0)
 
 
 class Judge:

@@ -3,21 +3,26 @@
 The bounds of friction serve certificates in continuous time too, where friction and its slopes are variables.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Any, Literal
 
 import numpy as np
 
-from covariant.certificates.base import UNDISTURBED, Document, ErrorSystem, Recursion, Stated, first_velocity
+from covariant.certificates.base import (
+    CorrectionClaim,
+    Document,
+    ErrorSystem,
+    PredictionClaim,
+    Recursion,
+    first_velocity,
+    select,
+)
 from covariant.certificates.checking import _matrices as matrices
-from covariant.certificates.sampled import Prediction, defect_matrix, sampled_prediction, step_values
+from covariant.certificates.sampled import step_values
 from covariant.models import MechanicalSystem
 from covariant.proofs.checker import TaylorEnclosure
 
 PREDICTED = "the definedness of predictions, without jumps,"
-SLACK = 2.0**-20
-"""Relative margin by which forces may exceed their bounds, so that bounds that are attained can be shown quickly."""
-
 FRICTION_JOBS = "the bound of the friction", "the bound of the friction's slopes", "the smoothness of the friction"
 """What is to be shown where friction and its slopes are variables; with samples their sum with the force is bounded."""
 
@@ -60,7 +65,7 @@ def _within(document: Document, function: Any, k: int, unknown: Any = 0.0, chose
     n = len(document.velocity)
     start = first_velocity(len(document.low), n, document.sampling is not None) + (k - 1) * n
     low, high = document.low[start : start + n], document.high[start : start + n]
-    slack = slack_of(low, high) / 2
+    slack = matrices.slack_of(low, high) / 2
     least, most = (low + unknown - slack)[chosen], (high - unknown + slack)[chosen]
     return matrices.within(lambda y: function(y)[chosen], least, most)
 
@@ -84,9 +89,9 @@ def sampled_jobs(document: Document, pins: np.ndarray) -> Iterator[tuple]:
         yield f"the bound of the friction's slope {joint}", *speeds[:, None]
     yield FRICTION_JOBS[2], *speeds[:, None]
     for claim in document.claims:
-        if claim.kind == "prediction":
+        if isinstance(claim, PredictionClaim):
             yield PREDICTED, *np.array(document.bounds(claim))[:, None]
-        if claim.kind == "correction":
+        if isinstance(claim, CorrectionClaim):
             ends = np.concatenate([np.array(document.bounds(claim)), pins], axis=1)
             yield f"the definedness of the correction after {claim.row} lost, without jumps,", *ends[:, None]
 
@@ -135,31 +140,6 @@ def sampled_matrix(document: Document, system: ErrorSystem, model: MechanicalSys
     return TaylorEnclosure(function, box[0], box[1], np.zeros(box.shape[1]), watch)
 
 
-def prediction_of_steps(document: Document, observer: Any) -> Prediction:
-    """Describe the Runge–Kutta steps of an observer with samples.
-
-    Args:
-        document: the parsed file.
-        observer: its observer.
-    """
-    assert document.sampling is not None
-    return sampled_prediction(observer, document.q, document.sampling)
-
-
-def prediction_matrix(document: Document, observer: Any, claim: Stated) -> TaylorEnclosure:
-    """Build the matrix of the claim "prediction".
-
-    Args:
-        document: the parsed file.
-        observer: its observer.
-        claim: the claim.
-    """
-    low, high = document.bounds(claim)
-    force = np.arange(len(low)) >= len(low) - len(document.velocity) - 3
-    slack = np.where(force, slack_of(low, high), 0.0) * (low < high)
-    return TaylorEnclosure(defect_matrix(prediction_of_steps(document, observer), claim.square), low, high, slack)
-
-
 def predicted_values(document: Document, observer: Any) -> TaylorEnclosure:
     """Build what is to be defined and smooth of a prediction.
 
@@ -167,9 +147,9 @@ def predicted_values(document: Document, observer: Any) -> TaylorEnclosure:
         document: the parsed file.
         observer: its observer.
     """
-    low, high = document.bounds(next(claim for claim in document.claims if claim.kind == "prediction"))
+    low, high = document.bounds(select(document.claims, PredictionClaim)[0])
     return TaylorEnclosure(
-        step_values(prediction_of_steps(document, observer)), low, high, np.zeros(len(low)), "smooth"
+        step_values(matrices.prediction_of_steps(document, observer)), low, high, np.zeros(len(low)), "smooth"
     )
 
 
@@ -198,26 +178,6 @@ def need_sampled_box(document: Document, in_coordinates: bool) -> slice:
     return slice(entries, stop)
 
 
-def sampled_claim_matrices(
-    document: Document, system: ErrorSystem, claim: Stated
-) -> dict[str, Callable[[], matrices.Matrix]]:
-    """Build the matrices of the claims that are others with samples, by kind.
-
-    Args:
-        document: the parsed file.
-        system: observer and metric as functions of a box.
-        claim: the claim.
-    """
-    if document.sampling is None:
-        return {}
-    given = document.given
-    return {
-        "disturbance": lambda: matrices.joint_force(system, given.disturbance, claim.square),
-        "correction": lambda: matrices.correction(system, given.noise if claim.squares else None, claim.squares),
-        "missing": lambda: matrices.missing(system, claim.square, claim.limit, document.unit_reach),
-    }
-
-
 def need_sampled_rate_and_radius(document: Document) -> None:
     """Check that a rate is left, and that noise and unknown forces do not lead out of the radius.
 
@@ -228,27 +188,16 @@ def need_sampled_rate_and_radius(document: Document) -> None:
         ValueError: saying what is wrong.
     """
     assert document.sampling is not None
-    rate, radius, loss, given = document.rate, document.radius, document.loss, document.given
+    rate, radius, loss = document.rate, document.radius, document.loss
     if not loss.allowed(rate):
         slower = f"{loss.rate:.6g} 1/s by the factor of the correction, up to {loss.restart:.6g} of a restart"
         raise ValueError(f"rate: nothing is left of {rate / 2:.6g} 1/s, less {slower}")
-    steps = Recursion.of(document.sampling, document.q, rate, UNDISTURBED, document.claims).steady
+    steps = document.drift
     if not steps < radius:
         count = document.sampling.substeps
         away = f"errors of {count} steps lead {steps:.6g} away, and the radius is {radius:.6g}"
         raise ValueError(f"sampling.substeps: {away}")
-    bounds = {"noise": given.noise, "disturbance": given.disturbance}
-    recursion = Recursion.of(document.sampling, document.q, rate, bounds, document.claims)
+    recursion = Recursion.of(document.sampling, document.q, rate, document.given, document.claims)
     if recursion.disturbed and not recursion.keeps(radius):
         farthest = recursion.largest(radius)
         raise ValueError(f"radius: noise and disturbance lead out of {radius:.6g}, to {farthest:.6g}")
-
-
-def slack_of(low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """Return by how much (d,) variables that are forces may exceed their bounds.
-
-    Args:
-        low, high: bounds (d,).
-    """
-    # The last term serves bounds that are zero.
-    return SLACK * np.maximum(abs(low), abs(high)) + 1e-200

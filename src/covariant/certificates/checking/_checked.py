@@ -4,8 +4,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from covariant.certificates.base import Contraction, Document, Hypothesis, Statement, contraction_statement
-from covariant.certificates.checking._check import Resolved, Shown, show, show_found
+from covariant.certificates.base import Document, Hypothesis, Resolved, Statement, contraction_statement
+from covariant.certificates.checking._check import Shown, show, show_found
 
 CHECKER = "the checker, which forms the matrices of the claims anew and bounds them in another way, accepts"
 
@@ -68,9 +68,9 @@ def check(
         ValueError: missing.json does not exist; give the path of a saved certificate
     """
     shown = show(source, model=model, processes=processes, progress=progress)
-    facts = Contraction.stated(*shown.resolved)
-    statement = contraction_statement(facts, "proved", _accepted(shown))
-    return Checked(statement, facts.rate, facts.radius, shown.leaves, shown.seconds, model is not None)
+    document = shown.resolved.document
+    statement = contraction_statement(shown.resolved.stated(), "proved", _accepted(shown))
+    return Checked(statement, document.rate, document.radius, shown.leaves, shown.seconds, model is not None)
 
 
 def judged(resolved: Resolved, seconds: float) -> Hypothesis:

@@ -11,11 +11,31 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from covariant.certificates.base import ErrorSystem, corrections, first_velocity, friction_of, values
+from covariant.certificates.base import (
+    AbstractClaim,
+    ContractionClaim,
+    CorrectionClaim,
+    DisturbanceClaim,
+    Document,
+    ErrorSystem,
+    MissingClaim,
+    PredictionClaim,
+    ReachClaim,
+    Resolved,
+    StartClaim,
+    corrections,
+    first_velocity,
+    friction_of,
+    reach_squares,
+    values,
+)
+from covariant.certificates.sampled import Prediction, defect_matrix, sampled_prediction
 from covariant.models import applied_force
-from covariant.proofs.checker import plain
+from covariant.proofs.checker import ROUND, plain
 
 Matrix = Callable[[Any], Any]
+SLACK = 2.0**-20
+"""Relative margin by which forces may exceed their bounds, so that bounds that are attained can be shown quickly."""
 
 
 def contraction(about: ErrorSystem, rate: float) -> Matrix:
@@ -354,3 +374,59 @@ def stepped(model: Any, shape: tuple[int, ...], n: int) -> Matrix:
         return applied_force(model, t[0], model.manifold.nudged(q.reshape(shape), y[-n:]), u)
 
     return applied
+
+
+def sizes(document: Document) -> np.ndarray:
+    """Compute the largest errors of measured position and force, the latter unmodelled or due to a wrong position.
+
+    Args:
+        document: the parsed file.
+
+    Returns:
+        Sizes (2n,): those of the measured position, then those of the force.
+    """
+    given = document.given
+    # The slopes that are shown may exceed the stated ones by the slack.
+    steepest = given.slopes * (1 + SLACK)
+    return np.concatenate([given.noise, (given.disturbance + steepest @ given.noise) * (1 + ROUND)])
+
+
+def prediction_of_steps(document: Document, observer: Any) -> Prediction:
+    """Describe the Runge–Kutta steps of an observer with samples.
+
+    Args:
+        document: the parsed file.
+        observer: its observer.
+    """
+    assert document.sampling is not None
+    return sampled_prediction(observer, document.q, document.sampling)
+
+
+def slack_of(low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """Return by how much (d,) variables that are forces may exceed their bounds.
+
+    Args:
+        low, high: bounds (d,).
+    """
+    # The last term serves bounds that are zero.
+    return SLACK * np.maximum(abs(low), abs(high)) + 1e-200
+
+
+def _disturbance(of: Resolved, claim: DisturbanceClaim) -> Matrix:
+    if of.document.sampling is None:
+        return disturbance(of.about, sizes(of.document), claim.square)
+    return joint_force(of.about, of.document.given.disturbance, claim.square)
+
+
+MATRICES: dict[type[AbstractClaim], Callable[[Resolved, Any], Matrix]] = {
+    ContractionClaim: lambda of, claim: contraction(of.about, of.document.rate),
+    ReachClaim: lambda of, claim: width_bound(of.about, claim.row, claim.square),
+    DisturbanceClaim: _disturbance,
+    CorrectionClaim: lambda of, claim: correction(
+        of.about, of.document.given.noise if claim.squares else None, claim.squares
+    ),
+    MissingClaim: lambda of, claim: missing(of.about, claim.square, claim.limit, of.document.unit_reach),
+    PredictionClaim: lambda of, claim: defect_matrix(prediction_of_steps(of.document, of.observer), claim.square),
+    StartClaim: lambda of, claim: start(of.about, reach_squares(of.document.claims), claim.square),
+}
+"""What must be positive definite, for each kind of claim."""

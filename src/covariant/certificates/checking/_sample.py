@@ -1,6 +1,7 @@
 """A check of random leaves of a saved certificate in ball arithmetic with many digits: a third, independent one."""
 
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -8,21 +9,29 @@ import numpy as np
 
 from covariant._optional import load_optional
 from covariant.certificates.base import (
+    AbstractClaim,
+    ContractionClaim,
+    CorrectionClaim,
+    DisturbanceClaim,
     Document,
-    ErrorSystem,
-    Intrinsics,
-    Stated,
+    MissingClaim,
+    PredictionClaim,
+    ReachClaim,
+    Resolved,
+    StartClaim,
     contraction,
     correction,
     disturbance_bound,
     joint_force_bound,
     missing_bound,
     parse,
+    reach_squares,
     start_bound,
     width_bound,
 )
-from covariant.certificates.checking._check import follows, sizes
-from covariant.certificates.sampled import defect_bound, sampled_prediction
+from covariant.certificates.checking._check import follows
+from covariant.certificates.checking._matrices import prediction_of_steps, sizes
+from covariant.certificates.sampled import defect_bound
 from covariant.proofs import BITS, MOST_DERIVED, BallMatrix, Form
 from covariant.proofs.checker import leaves
 
@@ -75,7 +84,6 @@ def check_sample(source: str | Path | Document, count: int = 20, seed: int = 0, 
     flint = load_optional("flint", use="checking in balls needs python-flint, imported as", extra="balls")
     document = source if isinstance(source, Document) else parse(source)
     resolved, claims = follows(document, model), document.claims
-    system = resolved.about
     boxes = [leaves(*document.bounds(claim), claim.levels, f"claims[{index}]") for index, claim in enumerate(claims)]
     ends = np.cumsum([len(low) for low, _ in boxes])
     rng = np.random.default_rng(seed)
@@ -87,7 +95,7 @@ def check_sample(source: str | Path | Document, count: int = 20, seed: int = 0, 
             chosen = drawn[(drawn < ends[index]) & (drawn >= ends[index] - len(boxes[index][0]))]
             if not len(chosen):
                 continue
-            form = BallMatrix(flint, _form(claim, resolved.observer, system, document), *document.bounds(claim))
+            form = BallMatrix(flint, FORMS[type(claim)](resolved, claim), *document.bounds(claim))
             for k in chosen - (ends[index] - len(boxes[index][0])):
                 leaf = boxes[index][0][k], boxes[index][1][k]
                 piece = _part(*leaf, rng) if form.reads > MOST_DERIVED else leaf
@@ -101,20 +109,21 @@ def _part(low: np.ndarray, high: np.ndarray, rng: np.random.Generator) -> tuple[
     return start, np.minimum(start + (high - low) / PART, high)
 
 
-def _form(claim: Stated, observer: Intrinsics, system: ErrorSystem, document: Document) -> Form:
-    if claim.kind == "contraction":
-        return contraction(system, document.rate)
-    if claim.kind == "reach":
-        return width_bound(system, claim.row, claim.square)
-    if claim.kind == "correction":
-        return correction(system, document.given.noise if claim.squares else None, claim.squares)
-    if claim.kind == "prediction":
-        assert document.sampling is not None
-        return defect_bound(sampled_prediction(observer, document.q, document.sampling), claim.square)
-    if claim.kind == "start":
-        return start_bound(system, document.reach_squares, claim.square)
-    if claim.kind == "disturbance" and document.sampling is not None:
-        return joint_force_bound(system, document.given.disturbance, claim.square)
-    if claim.kind == "missing":
-        return missing_bound(system, claim.square, claim.limit, document.unit_reach)
-    return disturbance_bound(system, sizes(document), claim.square)
+def _disturbance(of: Resolved, claim: DisturbanceClaim) -> Form:
+    if of.document.sampling is None:
+        return disturbance_bound(of.about, sizes(of.document), claim.square)
+    return joint_force_bound(of.about, of.document.given.disturbance, claim.square)
+
+
+FORMS: dict[type[AbstractClaim], Callable[[Resolved, Any], Form]] = {
+    ContractionClaim: lambda of, claim: contraction(of.about, of.document.rate),
+    ReachClaim: lambda of, claim: width_bound(of.about, claim.row, claim.square),
+    DisturbanceClaim: _disturbance,
+    CorrectionClaim: lambda of, claim: correction(
+        of.about, of.document.given.noise if claim.squares else None, claim.squares
+    ),
+    MissingClaim: lambda of, claim: missing_bound(of.about, claim.square, claim.limit, of.document.unit_reach),
+    PredictionClaim: lambda of, claim: defect_bound(prediction_of_steps(of.document, of.observer), claim.square),
+    StartClaim: lambda of, claim: start_bound(of.about, reach_squares(of.document.claims), claim.square),
+}
+"""What the prover shows to be positive definite, for each kind of claim."""

@@ -13,6 +13,7 @@ Source: Aghannan & Rouchon 2003, Theorems 1 and 2, and Fig. 2; Lohmiller & Sloti
 """
 
 import contextlib
+import dataclasses
 import functools
 import math
 import time
@@ -26,14 +27,19 @@ from jaxtyping import ArrayLike, Float
 
 from covariant._typing import Numbers
 from covariant.certificates.base import (
+    UNPROVED,
+    AbstractClaim,
     Bounds,
-    Claim,
-    Contraction,
+    ContractionClaim,
+    DisturbanceClaim,
     Document,
     Effort,
     ErrorSystem,
+    Given,
     Intrinsics,
+    ReachClaim,
     Region,
+    Resolved,
     Sampling,
     TwoByTwo,
     amount,
@@ -48,14 +54,14 @@ from covariant.certificates.base import (
     force_slopes,
     observer_document,
     positive,
-    read_bounds,
+    reach_squares,
     region_of,
     squared_widths,
     start_claim,
     steady_of,
     width_bound,
 )
-from covariant.certificates.checking import Resolved, judged
+from covariant.certificates.checking import judged
 from covariant.certificates.proving._contraction_certificate import ContractionCertificate
 from covariant.certificates.proving._joint_bounds import friction_bounds, has_dry_friction, joint_bounds
 from covariant.certificates.proving._rates import metric_and_rates
@@ -65,7 +71,6 @@ from covariant.certificates.sampled import (
     missing_claims,
     prediction_claims,
     sampled_claims,
-    sampled_given,
 )
 from covariant.lowering import Lowered, lower, numbers
 from covariant.models import MechanicalSystem
@@ -165,16 +170,17 @@ def certify(
     effort = Effort(Box((), (), np.zeros(0), np.zeros(0)), boxes, seconds, processes, progress)
     if sampling is None:
         system, domain, bounds, first = _in_continuous_time(observer, matrix, target, assumed, region, effort)
-        claims, corrections = [first], []
+        corrections = []
     else:
-        bounds = sampled_given(region.true, *region[1:], assumed.noise, assumed.disturbance)
+        # The force depends on the input alone, so that no error of the position changes it.
+        bounds = _given(region, assumed, np.zeros((len(assumed.velocity),) * 2))
         place = functools.partial(_sampled_domain, observer.model, assumed, region, sampling)
         target, matrix, sampling, system, domain, (first, *corrections) = sampled_claims(
             observer, sampling, [target, *slower], matrix, assumed.noise, place, effort
         )
-        claims = [first]
+    claims: list[AbstractClaim] = [first]
     radius = 0.0
-    if claims[0].proof.verdict == "holds":
+    if first.proof.verdict == "holds":
         limits = limits_of(domain, assumed.velocity, assumed.noise, sampled=sampling is not None)
         claims += _reach(system, limits, effort)
         sizes = disturbance_sizes(bounds)
@@ -182,9 +188,7 @@ def certify(
             claims.append(force_claim(system, assumed.disturbance, effort))
         elif sampling is None and sizes.any():
             square = SLACK * _sampled_disturbance(system, domain, sizes)
-            claims.append(
-                Claim("disturbance", effort.prove("noise", disturbance_bound(system, sizes, square)), 0, square)
-            )
+            claims.append(DisturbanceClaim(effort.prove("noise", disturbance_bound(system, sizes, square)), square))
         claims += corrections
         if sampling is not None and len(corrections) > sampling.lost:
             claims += missing_claims(observer, system, sampling, matrix, target, claims, effort)
@@ -192,31 +196,31 @@ def certify(
             claims += prediction_claims(observer, sampling, matrix, target, claims, allowed, effort)
         claims += start_claim(observer.model, system, claims, effort)
         radius = _radius(claims, limits, steady_of(sampling, matrix, target, bounds, claims))
-    facts = Contraction(target, radius, observer, matrix, domain, assumed.velocity, bounds, claims, recipe, sampling)
+    document = Document(
+        "the proof",
+        recipe,
+        observer_document(observer),
+        matrix,
+        target,
+        radius,
+        assumed.velocity,
+        bounds,
+        domain.low,
+        domain.high,
+        tuple(claims),
+        {},
+        sampling,
+    )
+    facts = Resolved(document, observer, system)
     statement = contraction_statement(facts, "proved")
     elapsed, check_start = time.monotonic() - start, time.monotonic()
     if checker != "off" and statement.verdict == "holds":
         effort.report("by the checker", 0.0, sum(claim.proof.boxes for claim in claims))
-        result = judged(_stated(facts, system), max(elapsed, PATIENCE) if checker == "auto" else math.inf)
+        result = judged(facts, max(elapsed, PATIENCE) if checker == "auto" else math.inf)
         statement = contraction_statement(facts, "proved", result)
     if statement.verdict != "holds":
-        radius = 0.0
-    return ContractionCertificate(
-        statement,
-        target,
-        radius,
-        observer,
-        matrix,
-        system,
-        domain,
-        assumed.velocity,
-        bounds,
-        tuple(claims),
-        recipe,
-        sampling=sampling,
-        verified=True,
-        checker_seconds=time.monotonic() - check_start,
-    )
+        facts = facts._replace(document=document._replace(radius=0.0))
+    return ContractionCertificate.of(facts, statement, verified=True, checker_seconds=time.monotonic() - check_start)
 
 
 class _Assumed(NamedTuple):
@@ -242,54 +246,37 @@ def _assumed(
     return assumed
 
 
-def _reach(system: ErrorSystem, limits: np.ndarray, effort: Effort) -> Iterator[Claim]:
+def _reach(system: ErrorSystem, limits: np.ndarray, effort: Effort) -> Iterator[ReachClaim]:
     """Claims on how far a curve of unit length changes each position error and each velocity."""
     sampled = sampled_widths(system, effort.domain)
+
+    def wider(claim: ReachClaim, point: np.ndarray) -> ReachClaim:
+        square = float(squared_widths(system, jnp.asarray(point))[claim.row])
+        return dataclasses.replace(claim, square=SLACK * max(claim.square, square))
+
     for row, limit in enumerate(limits.tolist()):
-        what, square = f"reach {row + 1} of {len(limits)}", float(SLACK * sampled[row])
-        proof = effort.prove(what, width_bound(system, row, square))
-        for _ in range(WIDENINGS):  # where a point is wider than all that were sampled
-            if proof.counterexample is None:
-                break
-            wider = squared_widths(system, jnp.asarray(proof.counterexample.mean(axis=0)))[row]
-            square = SLACK * max(square, float(wider))
-            proof = effort.prove(what, width_bound(system, row, square))
-        yield Claim("reach", proof, row, square, limit)
+        yield effort.prove_claim(
+            f"reach {row + 1} of {len(limits)}",
+            ReachClaim(UNPROVED, row, float(SLACK * sampled[row]), limit),
+            lambda claim: width_bound(system, claim.row, claim.square),
+            wider,
+            WIDENINGS,
+        )
 
 
-def _radius(claims: Sequence[Claim], limits: np.ndarray, steady: float) -> float:
+def _radius(claims: Sequence[AbstractClaim], limits: np.ndarray, steady: float) -> float:
     """Largest radius that all claims allow; zero where one is not proved or estimates may end beyond it."""
     if any(claim.proof.verdict != "holds" for claim in claims):
         return 0.0
     # Rounded down: the statement also holds for a smaller radius.
-    radius = min(limit / math.sqrt(claim.square) for claim, limit in zip(claims[1:], limits, strict=False))
+    radius = float((limits / np.sqrt(reach_squares(claims))).min())
     radius *= 1 - 1e-9
     return radius if steady < radius else 0.0
 
 
-def _stated(facts: Contraction, system: ErrorSystem) -> Resolved:
-    """The claims as the checker reads them, without the trees of the search."""
-    document = Document(
-        "the proof",
-        facts.recipe or {},
-        observer_document(facts.observer),
-        facts.q,
-        facts.rate,
-        facts.radius,
-        facts.velocity,
-        read_bounds(facts.given),
-        facts.domain.low,
-        facts.domain.high,
-        tuple(claim.stated for claim in facts.claims),
-        {},
-        facts.sampling,
-    )
-    return Resolved(document, facts.observer, system)
-
-
 def _in_continuous_time(
     observer: Intrinsics, matrix: TwoByTwo, target: float, assumed: _Assumed, region: Region, effort: Effort
-) -> tuple[ErrorSystem, Box, dict[str, Any], Claim]:
+) -> tuple[ErrorSystem, Box, Given, ContractionClaim]:
     """System, domain, given bounds, and the claim that the flow contracts.
 
     Dry friction is first bounded, with its slopes, independently of the velocity; where that does not suffice, it is a
@@ -304,15 +291,21 @@ def _in_continuous_time(
             proof = effort.prove("contraction", contraction(system, target))
             # A friction that refutes the claim may be another one than that of the model.
             if proof.verdict != "fails":
-                return system, effort.domain, bounds, Claim("contraction", proof)
+                return system, effort.domain, bounds, ContractionClaim(proof)
     system = error_system(observer, matrix)
     effort.domain, bounds = _domain(observer, system, assumed, region)
-    return system, effort.domain, bounds, Claim("contraction", effort.prove("contraction", contraction(system, target)))
+    return system, effort.domain, bounds, ContractionClaim(effort.prove("contraction", contraction(system, target)))
+
+
+def _given(region: Region, assumed: _Assumed, slopes: np.ndarray) -> Given:
+    """The bounds that a certificate states, with those (n, n) of the slopes of the force."""
+    ends = np.stack([region.true.low, region.true.high])
+    return Given(ends, region.inputs, np.array(region.times, float), assumed.noise, assumed.disturbance, slopes)
 
 
 def _domain(
     observer: Intrinsics, system: ErrorSystem, assumed: _Assumed, region: Region, joint_friction: bool = False
-) -> tuple[Box, dict[str, Any]]:
+) -> tuple[Box, Given]:
     """The box of estimate, error and force, perhaps friction, and what the bounds of the force follow from."""
     model, true, n = observer.model, region.true, len(assumed.velocity)
     noise, disturbance, inputs, times = assumed.noise, assumed.disturbance, region.inputs, region.times
@@ -324,14 +317,7 @@ def _domain(
     if disturbance.any():
         force = np.stack([_sum(force[0], -disturbance, -1), _sum(force[1], disturbance, 1)])
     slopes = force_slopes(model, measured, inputs, times) if noise.any() else np.zeros((n, n))
-    bounds = {
-        "positions": {"low": true.low.tolist(), "high": true.high.tolist()},
-        "inputs": {"low": inputs[0].tolist(), "high": inputs[1].tolist()},
-        "times": list(times),
-        "noise": noise.tolist(),
-        "disturbance": disturbance.tolist(),
-        "slopes": slopes.tolist(),
-    }
+    bounds = _given(region, assumed, slopes)
     estimates = _around(true, assumed.error) if model.manifold.commuting else np.zeros((2, 0))
 
     def rest(speed):

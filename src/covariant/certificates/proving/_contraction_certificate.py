@@ -8,12 +8,15 @@ from jaxtyping import Float
 
 from covariant.certificates.base import (
     FORMAT,
-    Claim,
-    Contraction,
+    AbstractClaim,
     ErrorSystem,
+    Given,
     Intrinsics,
+    Recursion,
+    Resolved,
     Sampling,
     Start,
+    StartClaim,
     Statement,
     TwoByTwo,
     contraction_statement,
@@ -21,13 +24,15 @@ from covariant.certificates.base import (
     loss_of,
     observer_document,
     parse,
+    reach_squares,
+    select,
     start_of,
     steady_of,
     value_graph,
     write,
 )
 from covariant.certificates.checking import follows
-from covariant.certificates.sampled import SampledBound, sampled_bound
+from covariant.certificates.sampled import ROUND, SampledBound
 from covariant.proofs import Box, digest
 
 SAMPLED_ROLES = ("joint force", "friction slope")
@@ -46,8 +51,8 @@ class ContractionCertificate(NamedTuple):
         error_system: observer and metric as functions of a box.
         domain: the box of estimate, error and force.
         velocity: bound (n,) of each true velocity [unit/s].
-        given: `positions`, `inputs` and `times`, from which the bounds of the force follow, and `noise`, `disturbance`
-            and `slopes`; as plain data.
+        given: the bounds of positions, inputs and times, from which those of the force follow, and of noise and
+            disturbance.
         claims: the inequalities, with their proofs.
         recipe: where the model comes from, as from `models.recipe`; None for a model that only this process knows.
         verified: whether it was proved in this process. A certificate that was read from a file is only as trustworthy
@@ -57,11 +62,11 @@ class ContractionCertificate(NamedTuple):
 
     Example:
         >>> import numpy as np
-        >>> from covariant.certificates import ContractionCertificate, Hypothesis, Statement
+        >>> from covariant.certificates import ContractionCertificate, Given, Hypothesis, Statement
         >>> from covariant.proofs import box
         >>> statement = Statement("the observer contracts", (), (Hypothesis("it contracts", "proved"),), 2.0)
         >>> domain = box(v=(-1.0, 1.0), e=(-0.1, 0.1), f=(0.0, 0.0))
-        >>> given = {"noise": [0.0], "disturbance": [0.0], "slopes": [[0.0]]}
+        >>> given = Given(*np.zeros((2, 2, 1)), np.zeros(2), *np.zeros((2, 1)), np.zeros((1, 1)))
         >>> entries = statement, 2.0, 0.1, None, np.eye(2), None, domain, np.ones(1), given, (), None
         >>> certificate = ContractionCertificate(*entries)  # usually from `certify`
         >>> certificate.decay, certificate.steady, certificate.kinds
@@ -76,12 +81,41 @@ class ContractionCertificate(NamedTuple):
     error_system: ErrorSystem
     domain: Box
     velocity: Float[np.ndarray, "n"]
-    given: dict[str, Any]
-    claims: tuple[Claim, ...]
+    given: Given
+    claims: tuple[AbstractClaim, ...]
     recipe: dict[str, Any] | None
     verified: bool = False
     checker_seconds: float = 0.0
     sampling: Sampling | None = None
+
+    @classmethod
+    def of(
+        cls, facts: Resolved, statement: Statement, verified: bool = False, checker_seconds: float = 0.0
+    ) -> "ContractionCertificate":
+        """Collect a certificate.
+
+        Args:
+            facts: what was proved or read, with the observer.
+            statement: the statement about it.
+            verified, checker_seconds: as in the attributes.
+        """
+        document = facts.document
+        return cls(
+            statement,
+            document.rate,
+            document.radius,
+            facts.observer,
+            document.q,
+            facts.about,
+            facts.domain,
+            document.velocity,
+            document.given,
+            document.claims,
+            document.recipe,
+            verified,
+            checker_seconds,
+            document.sampling,
+        )
 
     @property
     def decay(self) -> float:
@@ -130,7 +164,7 @@ class ContractionCertificate(NamedTuple):
         """
         if self.statement.verdict != "holds":
             raise ValueError("no tube, since nothing is proved on the region")
-        return self.radius * np.sqrt([claim.square for claim in self.claims if claim.kind == "reach"])
+        return self.radius * np.sqrt(reach_squares(self.claims))
 
     @property
     def start(self) -> Start | None:
@@ -139,11 +173,9 @@ class ContractionCertificate(NamedTuple):
         Returns:
             Errors in positions and velocities; None where nothing is proved, or on a group.
         """
-        factors = [claim.square for claim in self.claims if claim.kind == "start"]
-        if self.statement.verdict != "holds" or not factors:
+        if self.statement.verdict != "holds":
             return None
-        squares = [claim.square for claim in self.claims if claim.kind == "reach"]
-        return start_of(self.radius, self.domain, squares, factors[0])
+        return start_of(self.radius, self.domain, self.claims)
 
     def bound(self) -> SampledBound:
         """Build what bounds the error of the estimate beside every sample, for an observer with sampled measurements.
@@ -160,8 +192,18 @@ class ContractionCertificate(NamedTuple):
             )
         if self.statement.verdict != "holds":
             raise ValueError("no bound beside every sample, since nothing is proved on the region")
-        proved = self.sampling, self.q, self.rate, self.radius, self.given, self.claims, self.domain, self.velocity
-        return sampled_bound(*proved, self.observer.model.circles)
+        squares, factors = reach_squares(self.claims), select(self.claims, StartClaim)
+        circles = self.observer.model.circles
+        return SampledBound(
+            Recursion.of(self.sampling, self.q, self.rate, self.given, self.claims),
+            self.radius,
+            np.sqrt(squares) * (1 + ROUND),
+            factors[0].square / squares if factors else np.full(len(squares), np.inf),
+            self.given.positions,
+            self.velocity,
+            self.given.inputs,
+            tuple(i in circles for i in range(len(self.velocity))),
+        )
 
     @property
     def kinds(self) -> tuple[str, ...]:
@@ -207,7 +249,7 @@ class ContractionCertificate(NamedTuple):
             "rate": self.rate,
             "radius": self.radius,
             "velocity": self.velocity.tolist(),
-            "given": self.given,
+            "given": self.given.document(),
             "box": {"low": self.domain.low.tolist(), "high": self.domain.high.tolist()},
             "claims": [claim.document() for claim in self.claims],
             "graph": value_graph(self.error_system),
@@ -248,20 +290,6 @@ class ContractionCertificate(NamedTuple):
         Raises:
             ValueError: naming file and key.
         """
-        document, observer, system = follows(parse(path), model)
-        facts = Contraction.stated(document, observer, system)
+        facts = follows(parse(path), model).stated()
         statement = contraction_statement(facts, "claimed")
-        return cls(
-            statement._replace(claim=f"{statement.claim} (read from a file, not verified again)"),
-            facts.rate,
-            facts.radius,
-            facts.observer,
-            facts.q,
-            system,
-            facts.domain,
-            facts.velocity,
-            facts.given,
-            tuple(facts.claims),
-            facts.recipe,
-            sampling=facts.sampling,
-        )
+        return cls.of(facts, statement._replace(claim=f"{statement.claim} (read from a file, not verified again)"))

@@ -169,7 +169,7 @@ def trajectories(
     """
     plant = _Plant(certificate)
     half_widths = plant.half_widths
-    m = len(certificate.given["inputs"]["low"])
+    m = certificate.given.inputs.shape[1]
     # Paces that are no multiples of each other: several inputs do not repeat one pattern.
     control = plant.inputs(2 * jnp.pi / plant.longest * (2 + 0.74 * jnp.arange(m, dtype=float)), jnp.zeros(m))
     rng = np.random.default_rng(seed)
@@ -225,7 +225,7 @@ class _Plant:
         alpha, beta = float(certificate.observer.alpha), float(certificate.observer.beta)
         # Time constant of the slower pole of the error law.
         self.constant = -1 / float(np.linalg.eigvals(error_matrix(alpha, beta)).real.max())
-        self.first, last = certificate.given["times"]
+        self.first, last = certificate.given.times
         # e⁻⁸ = 3e-4: what is left of a first error is then hardly visible.
         self.longest = 8 * self.constant
         if last > self.first:
@@ -234,7 +234,7 @@ class _Plant:
     def draw(self, rng, count: int) -> Motion:
         """Random states inside the bounds, as starts of motions."""
         if self.flat:
-            low, high = (np.asarray(self.certificate.given["positions"][end]) for end in ("low", "high"))
+            low, high = self.certificate.given.positions
             # Shrunk by a random factor: starts close to the middle keep their bounds longer.
             share = rng.uniform(-1, 1, (count, 2, self.n)) * rng.uniform(size=(count, 1, 1))
             q = (low + high) / 2 + share[:, 0] * (high - low) / 2
@@ -272,12 +272,12 @@ class _Plant:
 
     def inputs(self, pace: Array, phase: Array) -> Callable[[Array, Any], Array]:
         """Sinusoidal inputs (m,) within their bounds."""
-        low, high = (jnp.asarray(self.certificate.given["inputs"][end]) for end in ("low", "high"))
+        low, high = jnp.asarray(self.certificate.given.inputs)
         return lambda t, x: (low + high) / 2 + INSIDE * (high - low) / 2 * jnp.sin(pace * t + phase)
 
     def inside(self, places: np.ndarray, v: np.ndarray) -> np.ndarray:
         """The number of first stamps at which each motion (k, T, ...) is inside the bounds."""
-        low, high = (np.asarray(self.certificate.given["positions"][end]) for end in ("low", "high"))
+        low, high = self.certificate.given.positions
         middle, half = (low + high) / 2, (high - low) / 2
         # Entries of rotation matrices attain their bounds ±1, and exceed them by rounding.
         allowed = half * INSIDE if self.flat else half + 1e-9
@@ -301,7 +301,7 @@ def _draw_motions(plant: _Plant, count: int, rng) -> tuple[Any, tuple[Array, Arr
     """
     first, longest = plant.first, plant.longest
     t = jnp.linspace(first, first + longest, WATCHED)
-    m = len(plant.certificate.given["inputs"]["low"])
+    m = plant.certificate.given.inputs.shape[1]
 
     @jax.jit
     @jax.vmap

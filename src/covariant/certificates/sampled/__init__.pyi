@@ -5,11 +5,11 @@ from ._prediction import (
     step_values as step_values,
 )
 from ._sampled_bound import (
+    ROUND as ROUND,
     BoundInfo as BoundInfo,
     BoundState as BoundState,
     Premise as Premise,
     SampledBound as SampledBound,
-    sampled_bound as sampled_bound,
 )
 from ._sampled_claims import (
     check_sampling as check_sampling,
@@ -17,6 +17,5 @@ from ._sampled_claims import (
     missing_claims as missing_claims,
     prediction_claims as prediction_claims,
     sampled_claims as sampled_claims,
-    sampled_given as sampled_given,
 )
 from ._sampled_step import sampled_prediction as sampled_prediction, sampled_system as sampled_system

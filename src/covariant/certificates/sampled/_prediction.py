@@ -25,7 +25,7 @@ import numpy as np
 from jaxtyping import Array
 
 from covariant._typing import Scalar, Vector
-from covariant.certificates.base import STEPS, StateMetric, first_velocity, prediction_places
+from covariant.certificates.base import StateMetric, first_velocity, prediction_variables
 from covariant.lowering import lower
 from covariant.models import MechanicalSystem, MomentumChart, acceleration
 from covariant.proofs import Form, derivative_form
@@ -96,7 +96,7 @@ def prediction_of(
         metric: `(configuration, age) -> StateMetric` around this configuration, on a group in its chart.
         configuration: the configuration of the variables that come before the velocities.
     """
-    commuting, places = model.manifold.commuting, prediction_places(len(names), n)
+    commuting = model.manifold.commuting
     count = first_velocity(len(names), n, sampled=True)
 
     def at(z):
@@ -106,8 +106,7 @@ def prediction_of(
         steps = _in_coordinates if commuting else _in_chart
         return steps(model, q, v, force, lambda x: metric(x, age), still)
 
-    chosen = tuple(names[k] for k in places), tuple(units[k] for k in places)
-    return Prediction((*chosen[0], *STEPS), (*chosen[1], "s", "s"), at, 2 * n)
+    return Prediction(*prediction_variables(names, units, n), at, 2 * n)
 
 
 def _runge_kutta(field: Callable[[Vector], Array], x: Vector, h: Scalar) -> Array:

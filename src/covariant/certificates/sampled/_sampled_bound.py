@@ -7,7 +7,6 @@ where a premise of the certificate is not seen to hold, from then on until a new
 """
 
 import enum
-from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -16,8 +15,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
 from covariant._typing import Code, Number, Scalar, Vector
-from covariant.certificates.base import Claim, Recursion, Sampling, TwoByTwo
-from covariant.proofs import Box
+from covariant.certificates.base import Recursion
 from covariant.signals import Result, largest_measurement
 
 ROUND = 1e-9
@@ -287,37 +285,3 @@ class _Judged(NamedTuple):
 
 _PROVED = Result.OK, Result.COASTED, Result.OUTLIER, Result.REPEATED
 """Result codes of steps that are proved: a correction, two of a lost measurement, and one of a repeated stamp."""
-
-
-def sampled_bound(
-    sampling: Sampling,
-    q: TwoByTwo,
-    rate: float,
-    radius: float,
-    given: dict[str, Any],
-    claims: Sequence[Claim],
-    domain: Box,
-    velocity: Float[np.ndarray, "n"],
-    circles: Sequence[int],
-) -> SampledBound:
-    """Build the bound of a certificate.
-
-    Args:
-        sampling, q, rate, radius, given, claims, domain, velocity: as in `ContractionCertificate`.
-        circles: indices of positions that are angles on a circle.
-
-    Returns:
-        The bound.
-    """
-    squares = np.array([claim.square for claim in claims if claim.kind == "reach"])
-    factors = [claim.square for claim in claims if claim.kind == "start"]
-    return SampledBound(
-        Recursion.of(sampling, q, rate, given, claims),
-        radius,
-        np.sqrt(squares) * (1 + ROUND),
-        factors[0] / squares if factors else np.full(len(squares), np.inf),
-        np.array([given["positions"]["low"], given["positions"]["high"]]),
-        velocity,
-        np.array([given["inputs"]["low"], given["inputs"]["high"]]),
-        tuple(i in circles for i in range(len(velocity))),
-    )

@@ -1,8 +1,8 @@
 """The claims of a certificate of the sampled step, with a metric that is searched, and again where a proof fails."""
 
+import dataclasses
 import math
 from collections.abc import Callable, Sequence
-from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -11,22 +11,26 @@ from jaxtyping import Float
 from covariant._typing import Numbers
 from covariant.certificates.base import (
     MOST_LOST,
-    UNDISTURBED,
-    Claim,
+    UNPROVED,
+    AbstractClaim,
+    ContractionClaim,
+    CorrectionClaim,
+    DisturbanceClaim,
     Effort,
     ErrorSystem,
     Intrinsics,
-    Kind,
     Loss,
+    MissingClaim,
+    PredictionClaim,
     Recursion,
     Sampling,
-    Stated,
     TwoByTwo,
-    claim_bounds,
     contraction,
     correction,
     joint_force_bound,
     missing_bound,
+    reach_squares,
+    select,
     unit_reach,
 )
 from covariant.certificates.sampled._prediction import defect_bound
@@ -98,33 +102,6 @@ def check_sampling(
     return Sampling(np.array([shortest, longest]), lost, np.zeros((0, 2, 2)), False, observer.substeps)
 
 
-def sampled_given(
-    true: Box,
-    inputs: Float[np.ndarray, "2 m"],
-    times: tuple[float, float],
-    noise: Float[np.ndarray, "n"],
-    disturbance: Float[np.ndarray, "n"],
-) -> dict[str, Any]:
-    """Return the bounds of a certificate, as plain data.
-
-    Args:
-        true: box of the true positions.
-        inputs: least and largest inputs (2, m).
-        times: first and last time [s].
-        noise: bounds (n,) of the errors of measured positions.
-        disturbance: bounds (n,) of a force that the model lacks.
-    """
-    # The force depends on the input alone, so that no error of the position changes it.
-    return {
-        "positions": {"low": true.low.tolist(), "high": true.high.tolist()},
-        "inputs": {"low": inputs[0].tolist(), "high": inputs[1].tolist()},
-        "times": list(times),
-        "noise": noise.tolist(),
-        "disturbance": disturbance.tolist(),
-        "slopes": [[0.0] * len(noise)] * len(noise),
-    }
-
-
 def sampled_claims(
     observer: Intrinsics,
     sampling: Sampling,
@@ -133,7 +110,7 @@ def sampled_claims(
     noise: Float[np.ndarray, "n"],
     domain_of: Callable[[ErrorSystem], Box],
     effort: Effort,
-) -> tuple[float, TwoByTwo, Sampling, ErrorSystem, Box, list[Claim]]:
+) -> tuple[float, TwoByTwo, Sampling, ErrorSystem, Box, list[AbstractClaim]]:
     """Search a metric, and prove that flow and correction contract it.
 
     Args:
@@ -191,12 +168,12 @@ def _search(
     return best, metric
 
 
-def _counterexamples(claims: Sequence[Claim]) -> list[tuple[Kind, np.ndarray]]:
-    """Kind and point (d,) of the claims that were refuted."""
-    wrong: list[tuple[Kind, np.ndarray]] = []
+def _counterexamples(claims: Sequence[AbstractClaim]) -> list[tuple[bool, np.ndarray]]:
+    """Whether a claim that was refuted is one on a correction, and the point (d,)."""
+    wrong: list[tuple[bool, np.ndarray]] = []
     for claim in claims:
         if claim.proof.counterexample is not None:
-            wrong.append((claim.kind, claim.proof.counterexample.mean(axis=0)))
+            wrong.append((isinstance(claim, CorrectionClaim), claim.proof.counterexample.mean(axis=0)))
     return wrong
 
 
@@ -207,23 +184,30 @@ def _prove(
     effort: Effort,
     noise: Float[np.ndarray, "n"],
     squares: Sequence[Float[np.ndarray, "k"]],
-) -> list[Claim]:
+) -> list[AbstractClaim]:
     """The claims on flow and correction; after one that does not hold the others are not tried."""
-    claims = [Claim("contraction", effort.prove("contraction", contraction(system, rate)))]
+    claims: list[AbstractClaim] = [ContractionClaim(effort.prove("contraction", contraction(system, rate)))]
     for lost in range(sampling.lost + 1):
         if claims[-1].proof.verdict != "holds":
             break
-        low, high = claim_bounds(sampling, "correction", lost, effort.domain.low, effort.domain.high)
-        what, domain = f"correction after {lost} lost", effort.domain._replace(low=low, high=high)
-        added = np.asarray(squares[lost]) if noise.any() else np.zeros(0)
-        proof = effort.prove(what, correction(system, noise if len(added) else None, added.tolist()), domain)
-        for _ in range(SEARCHES):  # where a point is worse than all that were sampled
-            if proof.counterexample is None or not len(added):
-                break
-            added = 1.2 * added
-            proof = effort.prove(what, correction(system, noise, added.tolist()), domain)
-        claims.append(Claim("correction", proof, lost, squares=tuple(added.tolist())))
+        claim = CorrectionClaim(UNPROVED, lost, tuple(np.asarray(squares[lost]).tolist()) if noise.any() else ())
+        claims.append(
+            effort.prove_claim(
+                f"correction after {lost} lost",
+                claim,
+                lambda claim: correction(system, noise if claim.squares else None, claim.squares),
+                lambda claim, point: dataclasses.replace(claim, squares=tuple(1.2 * s for s in claim.squares)),
+                SEARCHES if claim.squares else 0,
+                _domain_of(claim, effort.domain, len(noise), sampling),
+            )
+        )
     return claims
+
+
+def _domain_of(claim: AbstractClaim, domain: Box, n: int, sampling: Sampling) -> Box:
+    """The box of one claim, of that of the certificate."""
+    low, high = claim.bounds(domain.low, domain.high, n, sampling)
+    return Box(*claim.variables(domain.names, domain.units, n), low, high)
 
 
 def prediction_claims(
@@ -231,10 +215,10 @@ def prediction_claims(
     sampling: Sampling,
     q: TwoByTwo,
     rate: float,
-    claims: Sequence[Claim],
+    claims: Sequence[AbstractClaim],
     radius: float,
     effort: Effort,
-) -> list[Claim]:
+) -> list[AbstractClaim]:
     """Prove a bound of the errors of the Runge–Kutta steps of predictions.
 
     Args:
@@ -251,21 +235,18 @@ def prediction_claims(
         `1 + s/18` takes all of the rate, so that nothing holds, and where the bound is too wide or not proved although
         the errors themselves are small at all points tried: they are then assumed.
     """
-    missing = next(claim for claim in claims if claim.kind == "missing")
+    missing = select(claims, MissingClaim)[0]
     left = Loss.of(sampling, q, rate, missing.square, missing.limit).allowed(rate)
     if sampling.substeps is None or not radius > 0 or not left:
         return []
     prediction = sampled_prediction(observer, q, sampling)
     if not prediction.has_series:
         return []
-    n = prediction.size // 2
-    low, high = claim_bounds(sampling, "prediction", 0, effort.domain.low, effort.domain.high, n)
-    domain = Box(prediction.names, prediction.units, low, high)
+    domain = _domain_of(PredictionClaim(UNPROVED, 0.0), effort.domain, prediction.size // 2, sampling)
     points = random_points(np.random.default_rng(0), domain, POINTS)
 
     def drift(square: float) -> float:
-        stated = Stated("prediction", (), square=square)
-        return Recursion.of(sampling, q, rate, UNDISTURBED, [*claims, stated]).steady
+        return Recursion.of(sampling, q, rate, None, [*claims, PredictionClaim(UNPROVED, square)]).steady
 
     unit = defect_bound(prediction, 1.0).graph(jnp.asarray(points[0])).entries
     boxes = PREDICTION_WORK // len(unit.graph.nodes)
@@ -275,14 +256,14 @@ def prediction_claims(
         # The widest bound that moves the estimate little within the tube needs the fewest boxes.
         square = next((each for each in squares if drift(each) < LITTLE**2 * radius), squares[-1])
         proof = _proved_within(effort, defect_bound(prediction, square), domain, boxes)
-        return [Claim("prediction", proof, 0, square)] if proof.verdict == "holds" else []
+        return [PredictionClaim(proof, square)] if proof.verdict == "holds" else []
     # The defect itself, at the end of the longest step.
     points[:, -2:] = sampling.longest_step
     whole = defect_bound(prediction, 1.0, 0).graph(jnp.asarray(points[0])).entries
     if drift(_sampled_square(whole, points) / sampling.longest_step**8) < radius:
         return []
     proof = _proved_within(effort, defect_bound(prediction, squares[-1]), domain, boxes)
-    return [Claim("prediction", proof, 0, squares[-1])]
+    return [PredictionClaim(proof, squares[-1])]
 
 
 def _sampled_square(matrix: Lowered, points: np.ndarray) -> float:
@@ -303,7 +284,7 @@ def _proved_within(effort: Effort, bound: Form, domain: Box, boxes: int) -> Proo
     return proof
 
 
-def force_claim(system: ErrorSystem, disturbance: Float[np.ndarray, "n"], effort: Effort) -> Claim:
+def force_claim(system: ErrorSystem, disturbance: Float[np.ndarray, "n"], effort: Effort) -> DisturbanceClaim:
     """Prove a bound of what an unknown force adds to the flow between samples.
 
     Args:
@@ -320,13 +301,13 @@ def force_claim(system: ErrorSystem, disturbance: Float[np.ndarray, "n"], effort
     values = np.asarray(numbers(graph, random_points(rng, effort.domain, POINTS))).reshape(-1, n, n)
     # With square = 0 the matrix is −BᵀMB.
     square = WIDER[-1] * -float(np.linalg.eigvalsh(values).min())
-    proof = effort.prove("unknown forces", joint_force_bound(system, disturbance, square))
-    for _ in range(SEARCHES):
-        if proof.counterexample is None:
-            break
-        square *= 2
-        proof = effort.prove("unknown forces", joint_force_bound(system, disturbance, square))
-    return Claim("disturbance", proof, 0, square)
+    return effort.prove_claim(
+        "unknown forces",
+        DisturbanceClaim(UNPROVED, square),
+        lambda claim: joint_force_bound(system, disturbance, claim.square),
+        lambda claim, point: dataclasses.replace(claim, square=2 * claim.square),
+        SEARCHES,
+    )
 
 
 def missing_claims(
@@ -335,9 +316,9 @@ def missing_claims(
     sampling: Sampling,
     q: TwoByTwo,
     rate: float,
-    claims: Sequence[Claim],
+    claims: Sequence[AbstractClaim],
     effort: Effort,
-) -> list[Claim]:
+) -> list[AbstractClaim]:
     """Prove a bound of the acceleration that a prediction lacks, and of the position error.
 
     Args:
@@ -354,12 +335,11 @@ def missing_claims(
     """
     if isinstance(observer, Intrinsic) and observer.order != 1:
         return []
-    low, high = claim_bounds(sampling, "missing", 0, effort.domain.low, effort.domain.high)
-    domain = effort.domain._replace(low=low, high=high)
-    reach = unit_reach([claim.square for claim in claims if claim.kind == "reach"])
+    reach = unit_reach(reach_squares(claims))
     n = len(reach)
+    domain = _domain_of(MissingClaim(UNPROVED, 0.0, 0.0), effort.domain, n, sampling)
     # With square = 1 and limit = 0 the first block is g − DᵀgD, and the last −WgW.
-    graph = missing_bound(system, 1.0, 0.0, reach).graph(jnp.asarray(high)).entries
+    graph = missing_bound(system, 1.0, 0.0, reach).graph(jnp.asarray(domain.high)).entries
     blocks = np.asarray(numbers(graph, random_points(np.random.default_rng(0), domain, POINTS)))
     blocks = blocks.reshape(-1, 3 * n, 3 * n)
     weighted = -blocks[:, 2 * n :, 2 * n :]
@@ -373,11 +353,12 @@ def missing_claims(
     shares = [Loss.of(sampling, q, rate, each, limit).rate / (rate / 2) for each in squares]
     affordable = [each for part in (LITTLE, PART) for each, share in zip(squares, shares, strict=True) if share < part]
     square = affordable[0] if affordable else squares[-1]
-    what = "what predictions lack"
-    proof = effort.prove(what, missing_bound(system, square, limit, reach), domain)
-    for _ in range(SEARCHES):  # where a point is worse than all that were sampled
-        if proof.counterexample is None:
-            break
-        square, limit = 2 * square, 2 * limit
-        proof = effort.prove(what, missing_bound(system, square, limit, reach), domain)
-    return [Claim("missing", proof, 0, square, limit)]
+    claim = effort.prove_claim(
+        "what predictions lack",
+        MissingClaim(UNPROVED, square, limit),
+        lambda claim: missing_bound(system, claim.square, claim.limit, reach),
+        lambda claim, point: dataclasses.replace(claim, square=2 * claim.square, limit=2 * claim.limit),
+        SEARCHES,
+        domain,
+    )
+    return [claim]

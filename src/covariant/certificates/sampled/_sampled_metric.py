@@ -15,7 +15,6 @@ from jaxtyping import Float
 
 from covariant.certificates.base import (
     Intrinsics,
-    Kind,
     Sampling,
     TwoByTwo,
     at_correction,
@@ -131,7 +130,7 @@ class SampledMetric:
         fastest = -2 * float(np.linalg.eigvals(error_matrix(alpha, beta)).real.max())
         values, vectors = np.linalg.eigh(optimal_lyapunov(alpha, beta, fastest * 2 / 3))
         self.root = vectors * np.sqrt(values) @ vectors.T
-        self.wrong: list[tuple[Kind, np.ndarray]] = []
+        self.wrong: list[tuple[bool, np.ndarray]] = []
 
     def at_rate(self, rate: float) -> "SampledMetric":
         """Return the same search at another rate.
@@ -143,11 +142,11 @@ class SampledMetric:
         other.rate, other.wrong = rate, []
         return other
 
-    def add(self, wrong: Sequence[tuple[Kind, np.ndarray]]) -> None:
+    def add(self, wrong: Sequence[tuple[bool, np.ndarray]]) -> None:
         """Add counter-examples of proofs, which the next metric has to satisfy.
 
         Args:
-            wrong: kind of the claim, and the point (d,).
+            wrong: whether the claim is one on the correction, and the point (d,).
         """
         self.wrong += wrong
 
@@ -162,11 +161,11 @@ class SampledMetric:
         """
         rng = np.random.default_rng(0)  # fixed, so that equal regions have equal metrics
         flow, step = self._both(rng, domain, POINTS)
-        for kind, z in self.wrong:
-            if kind == "contraction":
-                flow = flow.joined(self._flow_points(z[None]))
-            else:
+        for corrects, z in self.wrong:
+            if corrects:
                 step = step.joined(self._step_points(z[None]))
+            else:
+                flow = flow.joined(self._flow_points(z[None]))
         x, margin = np.zeros(0), -np.inf
         for _ in range(ROUNDS):
             solution = self._solved(flow, step)
