@@ -65,7 +65,7 @@ RELEVANT = {
     "observers/constant_gain/_intrinsic.py": "observers/test_sampled observers/test_group laws/test_observers",
     "observers/constant_gain/_geodesic.py": "observers/test_sampled observers/test_group laws/test_observers",
     "observers/constant_gain/_implicit_geodesic.py": "observers/test_implicit_geodesic",
-    "observers/constant_gain/_implicit_limits.py": "observers/test_implicit_limits",
+    "certificates/theory/_implicit_limits.py": "certificates/test_implicit_limits",
     "observers/constant_gain/_salcudean.py": "observers/test_group calibration/test_estimators",
     "observers/_registry.py": "calibration/test_estimators laws/test_every_observer",
     "observers/constant_gain/_copy.py": "observers/test_sampled reference/test_aghannan_rouchon",

@@ -12,7 +12,7 @@ import pytest
 from commands import command
 
 from covariant import certificates, models, proofs, workflow
-from covariant.certificates import _check
+from covariant.certificates.checking import _check
 from covariant.cli import main
 from covariant.observers import Intrinsic
 from covariant.proofs import digest

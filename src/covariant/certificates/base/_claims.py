@@ -175,7 +175,7 @@ class AbstractClaim(abc.ABC):
         Raises:
             ValueError: naming file and key.
         """
-        errors = np.count_nonzero(setting.given.noise)
+        errors = int(np.count_nonzero(setting.given.noise))
         keys = [key for key in cls._keys() if key != "squares" or errors]
         fields = field.record(["kind", *keys, "levels"])
         numbers: dict[str, Any] = {key: fields[key].positive() for key in keys if key not in ("row", "squares")}

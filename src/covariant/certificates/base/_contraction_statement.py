@@ -169,7 +169,7 @@ def _description(facts: Resolved, radius: float) -> Iterator[str]:
     if start is not None:
         yield f"errors of a start that are within ε, all at once: {start}"
     if model.manifold.commuting:
-        named = zip(model.coordinates, given.positions.T, strict=True)
+        named = zip(model.coordinates, given.positions.T.tolist(), strict=True)
         yield "true positions: " + ", ".join(_between(name, *pair, unit_of.get(name, "")) for name, pair in named)
     else:
         yield f"true positions: entries of the matrices from {_list(given.positions[0])} to {_list(given.positions[1])}"
@@ -179,7 +179,7 @@ def _description(facts: Resolved, radius: float) -> Iterator[str]:
     yield "errors of the estimated position up to: " + _up_to(
         errors, facts.domain.high[first + n : first + 2 * n], unit_of
     )
-    pairs = enumerate(given.inputs.T, start=1)
+    pairs = enumerate(given.inputs.T.tolist(), start=1)
     yield f"inputs: {', '.join(_between(f'u{i}', *pair, '') for i, pair in pairs) or 'none'}"
     first, last = given.times
     yield f"times: {exact(first)} to {exact(last)} s" + (
@@ -219,5 +219,5 @@ def _rows(matrix: np.ndarray) -> str:
     return _list([_list(row) for row in np.asarray(matrix).tolist()])
 
 
-def _list(values: Sequence[Any]) -> str:
+def _list(values: Sequence[Any] | np.ndarray) -> str:
     return "[" + ", ".join(v if isinstance(v, str) else exact(v) for v in values) + "]"

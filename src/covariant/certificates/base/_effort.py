@@ -89,8 +89,8 @@ class Effort:
             The claim with its last proof.
         """
         claim = dataclasses.replace(claim, proof=self.prove(what, form(claim), domain))
-        for _ in range(tries if wider is not None else 0):
-            if claim.proof.counterexample is None:
+        for _ in range(tries):
+            if wider is None or claim.proof.counterexample is None:
                 break
             claim = wider(claim, claim.proof.counterexample.mean(axis=0))
             claim = dataclasses.replace(claim, proof=self.prove(what, form(claim), domain))

@@ -115,7 +115,7 @@ def sampled_matrix(document: Document, system: ErrorSystem, model: MechanicalSys
     n = len(document.velocity)
     inputs, speeds = document.given.inputs, _speeds(document)
     if what.startswith("the definedness of the correction"):
-        claim = next(c for c in document.claims if c.kind == "correction" and f"after {c.row} lost" in what)
+        claim = next(c for c in select(document.claims, CorrectionClaim) if f"after {c.row} lost" in what)
         ends = np.concatenate([np.array(document.bounds(claim)), np.zeros((2, 2 * n + 1))], axis=1)
         return TaylorEnclosure(matrices.all_corrections(system), ends[0], ends[1], np.zeros(ends.shape[1]), "smooth")
     joint = int(what.rpartition(" ")[2]) - 1 if what[-1].isdigit() else 0

@@ -34,7 +34,7 @@ def observer_from(document: Document, model: Any = None) -> tuple[Intrinsics, Fl
         ValueError: naming what fails.
     """
     try:
-        system = models.from_recipe(document.recipe, model)
+        system = models.from_recipe(document.recipe or {}, model)
     except ValueError as error:
         raise ValueError(f"recipe: {error}") from error
     fields = dict(document.observer)

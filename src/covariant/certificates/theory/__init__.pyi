@@ -13,6 +13,21 @@ from ._distance import (
 )
 from ._distance_certificate import DistanceCertificate as DistanceCertificate, certify_distance as certify_distance
 from ._falsify import falsify as falsify
+from ._implicit_distances import (
+    DistanceBounds as DistanceBounds,
+    DistanceDecay as DistanceDecay,
+    distance_decay as distance_decay,
+)
+from ._implicit_limits import (
+    CurvedErrors as CurvedErrors,
+    ImplicitGains as ImplicitGains,
+    PartLimits as PartLimits,
+    ProvedDecay as ProvedDecay,
+    implicit_gains as implicit_gains,
+    longest_interval as longest_interval,
+    part_limits as part_limits,
+    proved_decay as proved_decay,
+)
 from ._lmi import (
     MetricDesign as MetricDesign,
     common_metric as common_metric,

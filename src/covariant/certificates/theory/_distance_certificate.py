@@ -1,6 +1,6 @@
 """Certificates by distance: the estimate of `ImplicitGeodesic` approaches the truth from large errors, at any gain.
 
-`observers.distance_decay` has the argument and the numbers. What it needs of the model is proved here on a box of
+`certificates.distance_decay` has the argument and the numbers. What it needs of the model is proved here on a box of
 positions, from the graphs of metric and force and their derivatives:
 
 - the sectional curvature of the plane of both coordinates, and the covariant Hessian −∇S within bounds;
@@ -24,9 +24,10 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
 from covariant.certificates.base import Bounds, Hypothesis, Statement, amount, dimension, positive, region_of
+from covariant.certificates.theory._implicit_distances import DistanceBounds, DistanceDecay, distance_decay
 from covariant.lowering import lower
 from covariant.models import MechanicalSystem, applied_force, recipe_text, resistance
-from covariant.observers import DistanceBounds, DistanceDecay, ImplicitGeodesic, distance_decay
+from covariant.observers import ImplicitGeodesic
 from covariant.proofs import MOST_BOXES, Box, Form, Proof, check_box, derivative_form, prove
 
 MARGIN = 0.01
@@ -41,8 +42,8 @@ ASSUMED_OF_DISTANCES = (
     "coordinates that the model calls circles are periodic",
     "the connection of the model's space is that of its metric, which `covariant audit` measures",
     "the code of the model is read as exact functions of real numbers, with its constants as they were computed",
-    "trusted are JAX's tracing, the reading of its jaxprs, IEEE doubles, the formulas of `observers.distance_decay` in "
-    "doubles, and what is argued on paper there",
+    "trusted are JAX's tracing, the reading of its jaxprs, IEEE doubles, the formulas of "
+    "`certificates.distance_decay` in doubles, and what is argued on paper there",
 )
 """What such a statement assumes."""
 
@@ -52,7 +53,7 @@ class DistanceCertificate(NamedTuple):
 
     Attributes:
         statement: the claim with its hypotheses.
-        decay: rate, radius and metric; see `observers.DistanceDecay`.
+        decay: rate, radius and metric; see `certificates.DistanceDecay`.
         bounds: the bounds of model, motion and error that they follow from.
         distance_to_border: how far [unit] each true coordinate has to stay from the border of the region (n,).
         proofs: the proofs of the bounds, by what they show.

@@ -35,7 +35,7 @@ Source: an addition. Sanfelice & Praly 2015, section I, for distances in place o
 import math
 from typing import NamedTuple
 
-from covariant.observers.constant_gain._implicit_limits import check_limits, weight_of
+from covariant.certificates.theory._implicit_limits import check_limits, weight_of
 
 
 class DistanceBounds(NamedTuple):
@@ -52,7 +52,7 @@ class DistanceBounds(NamedTuple):
             no curvature is positive, on the plane.
 
     Example:
-        >>> from covariant.observers import DistanceBounds
+        >>> from covariant.certificates import DistanceBounds
         >>> DistanceBounds(1.0, 0.5, 1.0, (-1.0, 1.0), (-1.0, 0.0)).riemann is None  # a ball on a beam
         True
     """
@@ -79,7 +79,7 @@ class DistanceDecay(NamedTuple):
         turning: λ, below π: what curvature spoils.
 
     Example:
-        >>> from covariant.observers import DistanceBounds, distance_decay
+        >>> from covariant.certificates import DistanceBounds, distance_decay
         >>> decay = distance_decay(0.05, 0.9, 4.0, DistanceBounds(1.0, 0.5, 1.0, (-1.0, 1.0), (-1.0, 0.0)))
         >>> decay.after <= decay.before, 0 < decay.turning < 3.1416
         (True, True)
@@ -127,7 +127,7 @@ def distance_decay(h: float, part: float, sigma: float, bounds: DistanceBounds) 
         A ball on a beam at up to .5 m/s, first seen 1 m away, by an observer that does not know its velocity. Lengths
         of curves may grow, distances do not:
 
-        >>> from covariant.observers import CurvedErrors, DistanceBounds, distance_decay, proved_decay
+        >>> from covariant.certificates import CurvedErrors, DistanceBounds, distance_decay, proved_decay
         >>> decay = distance_decay(0.02, 0.9, 6.0, DistanceBounds(0.5, 1.0, 0.5, (-1.0, 1.0), (-1.0, 0.0)))
         >>> stiffness = -1 - decay.fastest**2, 1.0
         >>> lengths = proved_decay(0.02, 0.9, 6.0, *stiffness, curved=CurvedErrors(1.0, 0.0, 1.0, decay.fastest))

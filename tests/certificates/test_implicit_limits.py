@@ -13,17 +13,17 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
-from covariant.geometry import Budget, Euclidean, hyperbolic, sectional_curvature, sphere
-from covariant.models import Lagrangian, free_body, pendulum_chain, source
-from covariant.observers import (
+from covariant.certificates import (
     CurvedErrors,
-    ImplicitGeodesic,
     implicit_gains,
     longest_interval,
     part_limits,
     proved_decay,
 )
-from covariant.observers.constant_gain._implicit_limits import weight_of
+from covariant.certificates.theory._implicit_limits import weight_of
+from covariant.geometry import Budget, Euclidean, hyperbolic, sectional_curvature, sphere
+from covariant.models import Lagrangian, free_body, pendulum_chain, source
+from covariant.observers import ImplicitGeodesic
 
 UNIFORM = [(4.0, 1.0), (4.0, 5.0), (0.0, 3.0), (-4.0, 5.0), (-4.0, 1.0), (9.81, 6.0)]
 """k and σ."""

@@ -40,7 +40,7 @@ class CurvedErrors(NamedTuple):
         speed: Largest estimated speed |v̂|, in the metric.
 
     Example:
-        >>> from covariant.observers import CurvedErrors
+        >>> from covariant.certificates import CurvedErrors
         >>> CurvedErrors(distance=0.2, curvature=1.0, riemann=1.0, speed=0.5).distance  # on the unit sphere
         0.2
     """
@@ -61,7 +61,7 @@ class PartLimits(NamedTuple):
         after: Weight m_h of |ξ|² before the next [1/s²].
 
     Example:
-        >>> from covariant.observers import part_limits
+        >>> from covariant.certificates import part_limits
         >>> limits = part_limits(0.1, sigma=2.0, k_minus=-1.0, k_plus=1.0)
         >>> abs((1 - limits.least) ** 2 - limits.after / limits.before) < 1e-12
         True
@@ -83,7 +83,7 @@ class ProvedDecay(NamedTuple):
         after: Weight m_h of |ξ|² before the next [1/s²].
 
     Example:
-        >>> from covariant.observers import proved_decay
+        >>> from covariant.certificates import proved_decay
         >>> decay = proved_decay(0.05, part=0.5, sigma=4.0, k_minus=-1.0, k_plus=1.0)
         >>> decay.rate > 0, decay.before > decay.after
         (True, True)
@@ -105,7 +105,7 @@ class ImplicitGains(NamedTuple):
         longest: Interval [s] from which on ρ = 0 is not proved for any α.
 
     Example:
-        >>> from covariant.observers import implicit_gains
+        >>> from covariant.certificates import implicit_gains
         >>> gains = implicit_gains(0.05, sigma=5.0, k_minus=-9.81, k_plus=9.81)
         >>> abs(gains.alpha * 0.05 / (1 + gains.alpha * 0.05) - gains.part) < 1e-12, gains.beta == 5.0 * gains.alpha
         (True, True)
@@ -226,7 +226,7 @@ def longest_interval(
     Example:
         Where K vanishes, as for a body that is free:
 
-        >>> from covariant.observers import longest_interval
+        >>> from covariant.certificates import longest_interval
         >>> longest_interval(sigma=4.0, k_minus=0.0, k_plus=0.0)
         0.5
     """
@@ -266,7 +266,7 @@ def part_limits(
     Example:
         A body that is free, for which θ_min = 2σh/(2 + σh) and m₀ m_h = σ⁴:
 
-        >>> from covariant.observers import part_limits
+        >>> from covariant.certificates import part_limits
         >>> limits = part_limits(0.1, sigma=4.0, k_minus=0.0, k_plus=0.0)
         >>> round(limits.before * limits.after, 4), round(limits.least, 6)
         (256.0, 0.333333)
@@ -315,7 +315,7 @@ def proved_decay(
     Example:
         On the unit sphere less is proved than in the plane:
 
-        >>> from covariant.observers import CurvedErrors, proved_decay
+        >>> from covariant.certificates import CurvedErrors, proved_decay
         >>> flat = proved_decay(0.05, 0.5, sigma=4.0, k_minus=0.0, k_plus=0.3)
         >>> bent = proved_decay(0.05, 0.5, 4.0, 0.0, 0.3, curved=CurvedErrors(0.2, 1.0, 1.0, 0.5))
         >>> 0 < bent.rate < flat.rate
@@ -373,7 +373,7 @@ def implicit_gains(
     Example:
         A pendulum of 1 m, seen 20 times a second:
 
-        >>> from covariant.observers import implicit_gains, proved_decay
+        >>> from covariant.certificates import implicit_gains, proved_decay
         >>> gains = implicit_gains(0.05, sigma=6.0, k_minus=-9.81, k_plus=9.81, rate=0.5)
         >>> round(proved_decay(0.05, gains.part, 6.0, -9.81, 9.81).rate, 4)
         0.5

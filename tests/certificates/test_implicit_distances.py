@@ -9,8 +9,8 @@ import math
 import numpy as np
 import pytest
 
-from covariant.observers import DistanceBounds, distance_decay, part_limits
-from covariant.observers.constant_gain._implicit_distances import contracted
+from covariant.certificates import DistanceBounds, distance_decay, part_limits
+from covariant.certificates.theory._implicit_distances import contracted
 
 
 class Surface:
