@@ -23,6 +23,7 @@ def follow_the_page(house: Path) -> None:
         path = house / name
         if language == "python":
             assert not path.exists(), f"{name} is there already"
+            path.parent.mkdir(parents=True, exist_ok=True)
             path.write_text(text, encoding="utf-8")
             continue
         lines = text.splitlines(keepends=True)
@@ -110,6 +111,11 @@ def test_it_is_put_to_the_laws_and_a_law_to_every_observer(house):
     source = (house / laws).read_text(encoding="utf-8")
     assert passed == set(re.findall(r"^def (test_\w+)\(entry, name\)", source, re.MULTILINE))
     assert "test_what_is_measured_later_changes_nothing_before" in passed
+
+
+@pytest.mark.long
+def test_a_kind_of_claim_is_proved_written_read_and_checked(house):
+    python(house, "-m", "pytest", "-q", "-p", "no:xdist", "--no-header", "tests/certificates/test_ceiling.py")
 
 
 def laws_of_geometry(house: Path, chosen: str) -> set[str]:

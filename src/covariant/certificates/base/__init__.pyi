@@ -54,6 +54,7 @@ from ._error_system import (
 )
 from ._force_bounds import force_bounds as force_bounds, force_slopes as force_slopes
 from ._inequalities import (
+    FORMS as FORMS,
     at_correction as at_correction,
     at_noisy_correction as at_noisy_correction,
     contraction as contraction,

@@ -374,10 +374,13 @@ class StartClaim(AbstractClaim):
 
 
 CLAIMS: dict[str, type[AbstractClaim]] = {
-    each.kind: each
-    for each in (
-        *(ContractionClaim, ReachClaim, DisturbanceClaim, CorrectionClaim, MissingClaim, PredictionClaim, StartClaim),
-    )
+    "contraction": ContractionClaim,
+    "reach": ReachClaim,
+    "disturbance": DisturbanceClaim,
+    "correction": CorrectionClaim,
+    "missing": MissingClaim,
+    "prediction": PredictionClaim,
+    "start": StartClaim,
 }
 """The kinds of claims, in the order in which a file has them."""
 

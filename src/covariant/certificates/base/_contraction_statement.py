@@ -169,8 +169,10 @@ def _description(facts: Resolved, radius: float) -> Iterator[str]:
     if start is not None:
         yield f"errors of a start that are within ε, all at once: {start}"
     if model.manifold.commuting:
-        named = zip(model.coordinates, given.positions.T.tolist(), strict=True)
-        yield "true positions: " + ", ".join(_between(name, *pair, unit_of.get(name, "")) for name, pair in named)
+        named = zip(model.coordinates, *given.positions.tolist(), strict=True)
+        yield "true positions: " + ", ".join(
+            _between(name, low, high, unit_of.get(name, "")) for name, low, high in named
+        )
     else:
         yield f"true positions: entries of the matrices from {_list(given.positions[0])} to {_list(given.positions[1])}"
     first = document.first_velocity
@@ -179,8 +181,8 @@ def _description(facts: Resolved, radius: float) -> Iterator[str]:
     yield "errors of the estimated position up to: " + _up_to(
         errors, facts.domain.high[first + n : first + 2 * n], unit_of
     )
-    pairs = enumerate(given.inputs.T.tolist(), start=1)
-    yield f"inputs: {', '.join(_between(f'u{i}', *pair, '') for i, pair in pairs) or 'none'}"
+    pairs = enumerate(zip(*given.inputs.tolist(), strict=True), start=1)
+    yield f"inputs: {', '.join(_between(f'u{i}', low, high, '') for i, (low, high) in pairs) or 'none'}"
     first, last = given.times
     yield f"times: {exact(first)} to {exact(last)} s" + (
         ", or any, where the force does not read them" if first == last else ""

@@ -1,6 +1,7 @@
 """The inequalities to be proved of a system: symmetric matrices that must be positive definite on its region."""
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -10,7 +11,11 @@ from jaxtyping import Array, Float
 from covariant._linalg import solve
 from covariant._typing import Vector
 from covariant.certificates.base._box import first_velocity
+from covariant.certificates.base._claims import (
+    reach_squares,
+)
 from covariant.certificates.base._contraction import contraction_matrix, lengths
+from covariant.certificates.base._document import Resolved
 from covariant.certificates.base._error_system import ErrorSystem, corrections, values
 from covariant.proofs import Form, as_form, derivative_form
 
@@ -353,3 +358,15 @@ def missing_bound(error_system: ErrorSystem, square: float, limit: float, reach:
         return whole(slope, here, there)
 
     return derivative_form(corrections(error_system), lambda z: error_system.at(z).x, parts, whole, numbers)
+
+
+FORMS: dict[str, Callable[[Resolved, Any], Form]] = {
+    "contraction": lambda of, claim: contraction(of.about, of.document.rate),
+    "reach": lambda of, claim: width_bound(of.about, claim.row, claim.square),
+    "correction": lambda of, claim: correction(
+        of.about, of.document.given.noise if claim.squares else None, claim.squares
+    ),
+    "missing": lambda of, claim: missing_bound(of.about, claim.square, claim.limit, of.document.unit_reach),
+    "start": lambda of, claim: start_bound(of.about, reach_squares(of.document.claims), claim.square),
+}
+"""What is to be proved for each kind of claim of a document."""

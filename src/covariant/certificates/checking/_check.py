@@ -242,7 +242,7 @@ def _matrix(resolved: Resolved, what: int | str) -> TaylorEnclosure:
     shape = configuration_shape(model, n)
     if isinstance(what, int):
         claim = document.claims[what]
-        matrix = matrices.MATRICES[type(claim)](resolved, claim)
+        matrix = matrices.MATRICES[claim.kind](resolved, claim)
         return TaylorEnclosure(matrix, *document.bounds(claim), _slack(document, claim))
     if what in sampled.FRICTION_JOBS:
         return sampled.friction_matrix(document, model, what)

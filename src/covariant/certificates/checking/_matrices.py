@@ -12,17 +12,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from covariant.certificates.base import (
-    AbstractClaim,
-    ContractionClaim,
-    CorrectionClaim,
     DisturbanceClaim,
     Document,
     ErrorSystem,
-    MissingClaim,
-    PredictionClaim,
-    ReachClaim,
     Resolved,
-    StartClaim,
     corrections,
     first_velocity,
     friction_of,
@@ -418,15 +411,15 @@ def _disturbance(of: Resolved, claim: DisturbanceClaim) -> Matrix:
     return joint_force(of.about, of.document.given.disturbance, claim.square)
 
 
-MATRICES: dict[type[AbstractClaim], Callable[[Resolved, Any], Matrix]] = {
-    ContractionClaim: lambda of, claim: contraction(of.about, of.document.rate),
-    ReachClaim: lambda of, claim: width_bound(of.about, claim.row, claim.square),
-    DisturbanceClaim: _disturbance,
-    CorrectionClaim: lambda of, claim: correction(
+MATRICES: dict[str, Callable[[Resolved, Any], Matrix]] = {
+    "contraction": lambda of, claim: contraction(of.about, of.document.rate),
+    "reach": lambda of, claim: width_bound(of.about, claim.row, claim.square),
+    "disturbance": _disturbance,
+    "correction": lambda of, claim: correction(
         of.about, of.document.given.noise if claim.squares else None, claim.squares
     ),
-    MissingClaim: lambda of, claim: missing(of.about, claim.square, claim.limit, of.document.unit_reach),
-    PredictionClaim: lambda of, claim: defect_matrix(prediction_of_steps(of.document, of.observer), claim.square),
-    StartClaim: lambda of, claim: start(of.about, reach_squares(of.document.claims), claim.square),
+    "missing": lambda of, claim: missing(of.about, claim.square, claim.limit, of.document.unit_reach),
+    "prediction": lambda of, claim: defect_matrix(prediction_of_steps(of.document, of.observer), claim.square),
+    "start": lambda of, claim: start(of.about, reach_squares(of.document.claims), claim.square),
 }
 """What must be positive definite, for each kind of claim."""
