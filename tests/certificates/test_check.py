@@ -21,7 +21,7 @@ from covariant.certificates import (
     parse,
 )
 from covariant.certificates.base import value_graph
-from covariant.certificates.checking import _check, _check_sampled, _matrices
+from covariant.certificates.checking import _check, _check_sampled, _matrices, _sample
 from covariant.certificates.checking._check import follows
 from covariant.certificates.checking._checked import judged
 from covariant.certificates.checking._saved import observer_from
@@ -476,3 +476,8 @@ def test_the_check_shares_with_the_prover_the_observer_alone(module):
         "covariant.models.input_count",
     }
     assert {name for name in own if not name.startswith("covariant.proofs.checker.")} <= allowed
+
+
+def test_each_kind_of_claim_has_a_matrix_of_the_prover_and_one_of_the_checker():
+    assert set(CLAIMS) == set(_matrices.MATRICES) == set(_sample._FORMS)
+    assert all(kind.kind == name for name, kind in CLAIMS.items())
