@@ -17,7 +17,7 @@ import numpy as np
 
 from covariant import models
 from covariant.certificates import observer_gain, reduced_order
-from covariant.certificates._lmi import minimise
+from covariant.certificates.theory._lmi import minimise
 from covariant.models import StateSpace
 
 SYSTEMS = {

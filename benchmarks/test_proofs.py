@@ -10,7 +10,7 @@ import pytest
 from covariant import proofs
 from covariant._compile import EXACT, compiled
 from covariant.certificates import ContractionCertificate
-from covariant.certificates._inequalities import contraction, width_bound
+from covariant.certificates.base._inequalities import contraction, width_bound
 from covariant.lowering import enclose, expand
 from covariant.lowering.intervals._c_intervals import source
 from covariant.proofs._tests_in_c import source as tests_source

@@ -113,6 +113,11 @@ def test_it_is_put_to_the_laws_and_a_law_to_every_observer(house):
     assert "test_what_is_measured_later_changes_nothing_before" in passed
 
 
+@pytest.mark.long
+def test_a_kind_of_claim_is_proved_written_read_and_checked(house):
+    python(house, "-m", "pytest", "-q", "-p", "no:xdist", "--no-header", "tests/certificates/test_ceiling.py")
+
+
 def laws_of_geometry(house: Path, chosen: str) -> set[str]:
     """Run laws on the space of the page; returns the names of those that passed."""
     files = ("tests/laws/test_geometry.py", "tests/geometry/test_spaces.py")

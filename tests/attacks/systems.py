@@ -14,7 +14,7 @@ import numpy as np
 
 from covariant import geometry, models
 from covariant.certificates import ContractionCertificate, certify, optimal_lyapunov
-from covariant.certificates._checked import CHECKER
+from covariant.certificates.checking._checked import CHECKER
 from covariant.geometry import lie
 from covariant.lowering import LoweringError
 from covariant.observers import Intrinsic

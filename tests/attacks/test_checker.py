@@ -10,7 +10,9 @@ import numpy as np
 import pytest
 
 from covariant import models
-from covariant.certificates import _certify, _check, certify, check, parse
+from covariant.certificates import certify, check, parse
+from covariant.certificates.checking import _check
+from covariant.certificates.proving import _certify
 from covariant.geometry import lie
 from covariant.observers import Intrinsic
 from covariant.proofs import _prove

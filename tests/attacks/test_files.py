@@ -1,6 +1,7 @@
 """Files that somebody made to be believed, or to run something: each is refused in one line, and runs nothing."""
 
 import contextlib
+import dataclasses
 import json
 import os
 import random
@@ -14,7 +15,7 @@ from jax.experimental.compilation_cache import compilation_cache
 
 from covariant import models
 from covariant.certificates import ContractionCertificate, check, parse
-from covariant.certificates._check import follows
+from covariant.certificates.checking._check import follows
 from covariant.cli import main
 from covariant.models import _systems
 from covariant.proofs import digest
@@ -617,7 +618,7 @@ def test_the_text_is_computed_and_not_read(tmp_path):
 def test_a_counter_example_is_not_saved(tmp_path):
     found = ContractionCertificate.load(SHIPPED / "ball_and_beam.json")
     wrong = found.claims[0].proof._replace(verdict="fails", counterexample=found.domain.low[None].repeat(2, axis=0))
-    failed = found._replace(claims=(found.claims[0]._replace(proof=wrong),))
+    failed = found._replace(claims=(dataclasses.replace(found.claims[0], proof=wrong),))
     with pytest.raises(ValueError, match="a counter-example is printed, not saved"):
         failed.save(tmp_path / "wrong.json")
     assert not list(tmp_path.iterdir())

@@ -23,7 +23,7 @@ from covariant.certificates import (
     observer_gain,
     rate_of,
 )
-from covariant.certificates._error_system import ErrorSystem, Point
+from covariant.certificates.base._error_system import ErrorSystem, Point
 from covariant.models import StateSpace
 from covariant.proofs import as_form, box
 
@@ -207,7 +207,7 @@ def test_a_metric_for_many_jacobians_contracts_however_they_are_switched():
 
 
 def test_a_metric_that_the_solver_gets_wrong_is_not_proved(monkeypatch):
-    from covariant.certificates import _lmi
+    from covariant.certificates.theory import _lmi
 
     f = np.array([[[-1.0, 3.0], [0.0, -1.0]]])
     assert common_metric(f, 0.5).statement.proved

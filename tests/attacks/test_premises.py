@@ -22,7 +22,7 @@ from covariant.certificates import (
     observability,
     virtual,
 )
-from covariant.certificates._error_system import Point
+from covariant.certificates.base._error_system import Point
 from covariant.models import StateSpace
 from covariant.observers import Contracting, Intrinsic
 from covariant.proofs import Box, prove_at_corners
@@ -141,7 +141,7 @@ def test_a_force_that_depends_on_time_needs_times(force):
 def test_with_times_it_is_certified_over_them_and_without_time_none_are_needed():
     timed = certify(pushed(lambda t, q, u: u + jnp.sin(t)), times=(0.0, 2.0), **REGION)
     assert timed.statement.verdict == "holds"
-    assert timed.given["times"] == [0.0, 2.0]
+    assert timed.given.times.tolist() == [0.0, 2.0]
     assert timed.domain.high[-1] >= 1.0  # the largest force
     assert certify(pushed(lambda t, q, u: u), **REGION).statement.verdict == "holds"
 

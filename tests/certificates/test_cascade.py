@@ -20,8 +20,8 @@ from covariant.certificates import (
     observer_gain,
     virtual,
 )
-from covariant.certificates._cascade import _constants, _forms, _Search
-from covariant.certificates._error_system import Point
+from covariant.certificates.base._error_system import Point
+from covariant.certificates.theory._cascade import _constants, _forms, _Search
 from covariant.observers import Contracting
 from covariant.papers.jouffroy_fossen import COUNTEREXAMPLES, Scalar
 from covariant.proofs import Box, blocks, box, prove, prove_at_corners

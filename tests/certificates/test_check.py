@@ -12,19 +12,20 @@ import pytest
 
 from covariant import models
 from covariant.certificates import (
-    _certify,
-    _check,
-    _check_sampled,
-    _matrices,
+    CLAIMS,
+    AbstractClaim,
     certify,
     check,
     check_sample,
     error_system,
     parse,
 )
-from covariant.certificates._check import follows
-from covariant.certificates._checked import judged
-from covariant.certificates._saved import observer_from, value_graph
+from covariant.certificates.base import value_graph
+from covariant.certificates.checking import _check, _check_sampled, _matrices, _sample
+from covariant.certificates.checking._check import follows
+from covariant.certificates.checking._checked import judged
+from covariant.certificates.checking._saved import observer_from
+from covariant.certificates.proving import _certify
 from covariant.geometry import lie
 from covariant.observers import Intrinsic
 from covariant.proofs import digest
@@ -239,7 +240,7 @@ def test_forces_may_leave_their_box_by_as_much_as_may_be_missing_there(saved):
     for each in (document, other):
         slack = _check._matrix(statement._replace(document=each), 0).slack
         assert (slack[:-1] == 0).all()
-        assert slack[-1] >= _check_sampled.SLACK * max(abs(each.low[-1]), abs(each.high[-1]))
+        assert slack[-1] >= _matrices.SLACK * max(abs(each.low[-1]), abs(each.high[-1]))
 
 
 @pytest.fixture(scope="module")
@@ -256,13 +257,13 @@ def noisy(tmp_path_factory):
 
 @pytest.mark.exhaustive
 def test_what_noise_adds_is_no_more_than_its_bounds_and_the_slope_say(noisy):
-    given = json.loads(noisy.read_text(encoding="utf-8"))["given"]
-    true = [1e-3, 2e-3 + given["slopes"][0][0] * 1e-3]
-    assert given["slopes"][0][0] > 0.5
+    given = parse(noisy).given
+    true = [1e-3, 2e-3 + given.slopes[0, 0] * 1e-3]
+    assert given.slopes[0, 0] > 0.5
     np.testing.assert_allclose(_certify.disturbance_sizes(given), true, rtol=1e-11)
     # The checker shows the slopes with a slack, and counts it.
-    true[1] += given["slopes"][0][0] * 1e-3 * _check_sampled.SLACK
-    np.testing.assert_allclose(_check.sizes(parse(noisy)), true, rtol=1e-11)
+    true[1] += given.slopes[0, 0] * 1e-3 * _matrices.SLACK
+    np.testing.assert_allclose(_matrices.sizes(parse(noisy)), true, rtol=1e-11)
 
 
 @pytest.mark.exhaustive
@@ -443,32 +444,40 @@ def test_the_check_shares_with_the_prover_the_observer_alone(module):
             imported |= {f"{node.module}.{alias.name}" for alias in node.names}
     own = {name for name in imported if name.startswith("covariant")}
     allowed = {
-        "covariant.certificates._check_sampled",
-        "covariant.certificates._document.Document",
-        "covariant.certificates._document.Stated",
-        "covariant.certificates._document.first_velocity",
-        "covariant.certificates._document.parse",
-        "covariant.certificates._intrinsic.Intrinsics",
-        "covariant.certificates._intrinsic.check_unique",
-        "covariant.certificates._intrinsic.configuration_shape",
-        "covariant.certificates._intrinsic.friction_of",
-        "covariant.certificates._matrices",
+        "covariant.certificates.checking._check_sampled",
+        "covariant.certificates.base.Document",
+        "covariant.certificates.base.first_velocity",
+        "covariant.certificates.base.parse",
+        "covariant.certificates.base.Intrinsics",
+        "covariant.certificates.base.check_unique",
+        "covariant.certificates.base.configuration_shape",
+        "covariant.certificates.base.friction_of",
+        "covariant.certificates.checking._matrices",
+        # Claims as a file states them; `Resolved` is a file with its observer.
+        *(f"covariant.certificates.base.{kind.__name__}" for kind in (AbstractClaim, *CLAIMS.values())),
+        "covariant.certificates.base.Resolved",
+        "covariant.certificates.base.reach_squares",
+        "covariant.certificates.base.select",
         # Of predictions the description of the steps; the checker's matrix is formed by series of its own.
-        "covariant.certificates._prediction.Prediction",
-        "covariant.certificates._prediction.defect_matrix",
-        "covariant.certificates._prediction.step_values",
-        "covariant.certificates._sampled_step.sampled_prediction",
+        "covariant.certificates.sampled.Prediction",
+        "covariant.certificates.sampled.defect_matrix",
+        "covariant.certificates.sampled.step_values",
+        "covariant.certificates.sampled.sampled_prediction",
         # The argument on paper that composes claims, as numbers.
-        "covariant.certificates._radius_recursion.Recursion",
-        "covariant.certificates._radius_recursion.UNDISTURBED",
-        "covariant.certificates._saved.observer_from",
-        "covariant.certificates._saved.system_of",
-        "covariant.certificates._saved.value_graph",
-        "covariant.certificates._error_system.ErrorSystem",
-        "covariant.certificates._error_system.corrections",
-        "covariant.certificates._error_system.values",
+        "covariant.certificates.base.Recursion",
+        "covariant.certificates.checking._saved.observer_from",
+        "covariant.certificates.checking._saved.system_of",
+        "covariant.certificates.base.value_graph",
+        "covariant.certificates.base.ErrorSystem",
+        "covariant.certificates.base.corrections",
+        "covariant.certificates.base.values",
         "covariant.models.MechanicalSystem",
         "covariant.models.applied_force",
         "covariant.models.input_count",
     }
     assert {name for name in own if not name.startswith("covariant.proofs.checker.")} <= allowed
+
+
+def test_each_kind_of_claim_has_a_matrix_of_the_prover_and_one_of_the_checker():
+    assert set(CLAIMS) == set(_matrices.MATRICES) == set(_sample._FORMS)
+    assert all(kind.kind == name for name, kind in CLAIMS.items())

@@ -9,7 +9,7 @@ import pytest
 
 from covariant import geometry, models, observers
 from covariant.certificates import certify_distance
-from covariant.certificates._distance_certificate import _curvature, _Model, _stiffness
+from covariant.certificates.theory._distance_certificate import _curvature, _Model, _stiffness
 from covariant.models import Lagrangian, source
 from covariant.observers import ImplicitGeodesic
 from covariant.proofs import box

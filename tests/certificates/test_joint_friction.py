@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 
 from covariant import models
-from covariant.certificates import _certify, _check, certify, check, error_system, optimal_lyapunov
-from covariant.certificates._inequalities import contraction
-from covariant.certificates._joint_bounds import friction_bounds, has_dry_friction
+from covariant.certificates import certify, check, error_system, optimal_lyapunov
+from covariant.certificates.base._inequalities import contraction
+from covariant.certificates.checking import _check
+from covariant.certificates.proving import _certify
+from covariant.certificates.proving._joint_bounds import friction_bounds, has_dry_friction
 from covariant.lowering import numbers
 from covariant.models import Lagrangian, MechanicalSystem
 from covariant.observers import Intrinsic

@@ -25,8 +25,8 @@ from covariant.certificates import (
     rate_of,
     tangent_metric,
 )
-from covariant.certificates._error_system import Point
-from covariant.certificates._region import _inputs
+from covariant.certificates.base._error_system import Point
+from covariant.certificates.base._region import _inputs
 from covariant.geometry import hyperbolic
 from covariant.lowering import Enclosure
 from covariant.observers import Intrinsic

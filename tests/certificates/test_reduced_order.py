@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from covariant import Record, models, observers
-from covariant.certificates import _reduced_order, reduced_order
+from covariant.certificates import reduced_order
+from covariant.certificates.theory import _reduced_order
 from covariant.cli import main
 from covariant.observers import Contracting, ReducedOrder
 from covariant.signals import Result

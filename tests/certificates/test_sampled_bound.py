@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 
 from covariant import lowering, models
-from covariant.certificates import ContractionCertificate, Premise, SampledBound, _check, certify, check
-from covariant.certificates._radius_recursion import Recursion
+from covariant.certificates import ContractionCertificate, Premise, SampledBound, certify, check
+from covariant.certificates.base._radius_recursion import Recursion
+from covariant.certificates.checking import _check
 from covariant.observers import Intrinsic
 from covariant.proofs import digest
 from covariant.signals import Result

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from covariant import models
-from covariant.certificates import Sampling, _matrices, certify, check, contraction, correction, sampled_system
-from covariant.certificates._inequalities import at_correction, in_frame_along, missing_bound
-from covariant.certificates._prediction import defect_bound, defect_matrix
-from covariant.certificates._sampled_step import sampled_prediction
+from covariant.certificates import Sampling, certify, check, contraction, correction, sampled_system
+from covariant.certificates.base._inequalities import at_correction, in_frame_along, missing_bound
+from covariant.certificates.checking import _matrices
+from covariant.certificates.sampled._prediction import defect_bound, defect_matrix
+from covariant.certificates.sampled._sampled_step import sampled_prediction
 from covariant.geometry.lie import SO3
 from covariant.lowering import numbers
 from covariant.observers import Intrinsic

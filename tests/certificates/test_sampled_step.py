@@ -15,8 +15,6 @@ from covariant import models
 from covariant.certificates import (
     ContractionCertificate,
     Sampling,
-    _check,
-    _matrices,
     certify,
     check,
     check_sample,
@@ -25,10 +23,11 @@ from covariant.certificates import (
     falsify,
     sampled_system,
 )
-from covariant.certificates._check import Judge, Resolved, follows
-from covariant.certificates._document import parse
-from covariant.certificates._inequalities import at_correction, in_frame_along, joint_force_bound, start_bound
-from covariant.certificates._saved import value_graph
+from covariant.certificates.base import value_graph
+from covariant.certificates.base._document import parse
+from covariant.certificates.base._inequalities import at_correction, in_frame_along, joint_force_bound, start_bound
+from covariant.certificates.checking import _check, _matrices
+from covariant.certificates.checking._check import Judge, Resolved, follows
 from covariant.geometry import lie
 from covariant.lowering import numbers
 from covariant.observers import Geodesic, Intrinsic

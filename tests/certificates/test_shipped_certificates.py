@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from covariant.certificates import ContractionCertificate, check, check_sample, follow_estimates, parse
-from covariant.certificates._inequalities import contraction
+from covariant.certificates.base._inequalities import contraction
 from covariant.proofs import PROVED, leaves
 from covariant.proofs._enclosure import Expansions
 from covariant.proofs._judge import judge

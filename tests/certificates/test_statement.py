@@ -9,6 +9,7 @@ import pytest
 import covariant
 from covariant import certificates, models
 from covariant.certificates import Hypothesis, Statement, certify
+from covariant.certificates.base import _statement
 from covariant.observers import Intrinsic
 
 PROVED = Hypothesis("a", "proved")
@@ -113,7 +114,7 @@ def test_the_claim_can_be_repeated_from_its_text_alone(saved):
 
 
 def test_prints_never_claim_more_than_is_proved():
-    down = certificates._contraction_statement._down
+    down = _statement.rounded_down
     for value in np.random.default_rng(0).uniform(1e-9, 1e9, 1000) * 10.0 ** np.random.default_rng(1).integers(
         -9, 9, 1000
     ):

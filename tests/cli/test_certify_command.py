@@ -12,7 +12,7 @@ import pytest
 from commands import command
 
 from covariant import certificates, models, proofs, workflow
-from covariant.certificates import _check
+from covariant.certificates.checking import _check
 from covariant.cli import main
 from covariant.observers import Intrinsic
 from covariant.proofs import digest
@@ -28,7 +28,7 @@ GAINS = ("--alpha", "10", "--beta", "50")
 REGION = ("--box", "q1=-1:1", "--velocity", "2", "--error", "0.1", "--input", "0.5")
 ONE = ("--processes", "1")
 
-QUIET = {"noise": [0.0], "disturbance": [0.0], "slopes": [[0.0]]}
+QUIET = certificates.Given(*np.zeros((2, 2, 1)), np.zeros(2), *np.zeros((2, 1)), np.zeros((1, 1)))
 """No noise."""
 
 
@@ -75,7 +75,7 @@ def unproved(verdict: str):
         proof = proofs.Proof(verdict, domain, levels, wrong, np.zeros((1, 2, 4)), 5, 0.1)
         premises = (certificates.Hypothesis("they shrink everywhere", "proved", verdict),)
         statement = certificates.Statement("squared lengths shrink", (), premises, 1.0, str(domain))
-        claims = (certificates.Claim("contraction", proof),)
+        claims = (certificates.CLAIMS["contraction"](proof),)
         return certificates.ContractionCertificate(
             statement, 1.0, 0.0, observer, q, about, domain, np.ones(1), QUIET, claims, None
         )
@@ -127,8 +127,8 @@ def test_for_a_person_angles_are_in_degrees_too(proved, monkeypatch):
         np.array([2.0]),
         QUIET,
         (
-            certificates.Claim("contraction", whole),
-            *(certificates.Claim("reach", whole, row, square, 0.1) for row, square in enumerate(squares)),
+            certificates.CLAIMS["contraction"](whole),
+            *(certificates.CLAIMS["reach"](whole, row, square, 0.1) for row, square in enumerate(squares)),
         ),
         None,
     )

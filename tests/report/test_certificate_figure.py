@@ -8,8 +8,9 @@ from PIL import Image
 
 from covariant import models
 from covariant.certificates import (
-    Claim,
+    CLAIMS,
     ContractionCertificate,
+    Given,
     Hypothesis,
     Statement,
     error_system,
@@ -36,15 +37,12 @@ def canned(verdict: str = "holds") -> ContractionCertificate:
     levels = [np.where(codes == -2, -1, codes) for codes in HALVED] if verdict == "holds" else HALVED
     wrong = np.stack([domain.high] * 2) if verdict == "fails" else None
     left = np.zeros((0 if verdict == "holds" else 1, 2, 4))
-    claims = [Claim("contraction", Proof(verdict, domain, levels, wrong, left, 5, 1.0))]
+    claims = [CLAIMS["contraction"](Proof(verdict, domain, levels, wrong, left, 5, 1.0))]
     if verdict == "holds":
         whole = Proof("holds", domain, [np.array([-1])], None, left, 1, 0.1)
-        claims += [Claim("reach", whole, row, square, 0.1) for row, square in enumerate(SQUARES)]
-    given = {
-        "positions": {"low": [-3.0], "high": [3.0]},
-        "inputs": {"low": [-0.5], "high": [0.5]},
-        "times": [0.0, 0.0],
-    }
+        claims += [CLAIMS["reach"](whole, row, square, 0.1) for row, square in enumerate(SQUARES)]
+    bounds = np.array([[-3.0], [3.0]]), np.array([[-0.5], [0.5]])
+    given = Given(*bounds, np.zeros(2), *np.zeros((2, 1)), np.zeros((1, 1)))
     return ContractionCertificate(
         Statement(
             "squared lengths shrink at 3.33 1/s or faster on the region", (), (Hypothesis("", "proved", verdict),), RATE

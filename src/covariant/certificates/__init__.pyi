@@ -1,86 +1,104 @@
 from . import audit as audit
-from ._assumed import ASSUMED as ASSUMED
-from ._cascade import (
-    CascadeCertificate as CascadeCertificate,
-    Constants as Constants,
-    Growth as Growth,
-    cascade as cascade,
-)
-from ._certify import CHECKERS as CHECKERS, CheckerName as CheckerName, certify as certify
-from ._checked import Checked as Checked, check as check
-from ._claims import Claim as Claim
-from ._contraction import (
+from .base import (
+    ASSUMED as ASSUMED,
+    CLAIMS as CLAIMS,
+    AbstractClaim as AbstractClaim,
+    Document as Document,
+    ErrorSystem as ErrorSystem,
+    Evidence as Evidence,
+    Given as Given,
+    Hypothesis as Hypothesis,
+    Sampling as Sampling,
+    Start as Start,
+    Statement as Statement,
     StateMetric as StateMetric,
+    Verdict as Verdict,
+    conditioning as conditioning,
+    contraction as contraction,
     contraction_matrix as contraction_matrix,
     contraction_rate as contraction_rate,
+    correction as correction,
+    error_bounds as error_bounds,
+    error_matrix as error_matrix,
+    error_system as error_system,
+    force_bounds as force_bounds,
     generalised_jacobian as generalised_jacobian,
     in_coordinates as in_coordinates,
     in_frame as in_frame,
     log_norm as log_norm,
-    rates_along as rates_along,
-)
-from ._contraction_certificate import ContractionCertificate as ContractionCertificate
-from ._corners import Corners as Corners, at_corners as at_corners
-from ._distance import (
-    Decay as Decay,
-    decay as decay,
-    lower_distance as lower_distance,
-    upper_distance as upper_distance,
-)
-from ._distance_certificate import DistanceCertificate as DistanceCertificate, certify_distance as certify_distance
-from ._document import Document as Document, parse as parse
-from ._error_system import ErrorSystem as ErrorSystem
-from ._falsify import falsify as falsify
-from ._figures import Projection as Projection, TradeOff as TradeOff, projection as projection, trade_off as trade_off
-from ._force_bounds import force_bounds as force_bounds
-from ._inequalities import contraction as contraction, correction as correction
-from ._intrinsic import error_system as error_system
-from ._largest import Attempt as Attempt, Largest as Largest, largest as largest
-from ._lmi import MetricDesign as MetricDesign, common_metric as common_metric, observer_gain as observer_gain
-from ._marine_cascade import crossed_metric as crossed_metric, feedthrough as feedthrough, tracking as tracking
-from ._noise import (
-    error_bounds as error_bounds,
+    lyapunov as lyapunov,
     noise_disturbance as noise_disturbance,
+    optimal_lyapunov as optimal_lyapunov,
+    parse as parse,
+    rate_of as rate_of,
+    rates_along as rates_along,
     steady_distance as steady_distance,
+    tangent_metric as tangent_metric,
 )
-from ._observability import (
-    Observability as Observability,
-    bending as bending,
-    detectability_rate as detectability_rate,
-    observability as observability,
+from .checking import Checked as Checked, Sampled as Sampled, check as check, check_sample as check_sample
+from .proving import (
+    CHECKERS as CHECKERS,
+    Attempt as Attempt,
+    CheckerName as CheckerName,
+    ContractionCertificate as ContractionCertificate,
+    Followed as Followed,
+    Largest as Largest,
+    Projection as Projection,
+    TradeOff as TradeOff,
+    Trajectories as Trajectories,
+    certify as certify,
+    follow_estimates as follow_estimates,
+    largest as largest,
+    projection as projection,
+    trade_off as trade_off,
+    trajectories as trajectories,
 )
-from ._reduced_order import ReducedOrderDesign as ReducedOrderDesign, reduced_order as reduced_order
-from ._sample import Sampled as Sampled, check_sample as check_sample
-from ._sampled_bound import (
+from .sampled import (
     BoundInfo as BoundInfo,
     BoundState as BoundState,
     Premise as Premise,
     SampledBound as SampledBound,
+    sampled_system as sampled_system,
 )
-from ._sampled_step import sampled_system as sampled_system
-from ._sampling import Sampling as Sampling
-from ._simulated import (
-    Followed as Followed,
-    Trajectories as Trajectories,
-    follow_estimates as follow_estimates,
-    trajectories as trajectories,
+from .theory import (
+    CascadeCertificate as CascadeCertificate,
+    Constants as Constants,
+    Corners as Corners,
+    CurvedErrors as CurvedErrors,
+    Decay as Decay,
+    DistanceBounds as DistanceBounds,
+    DistanceCertificate as DistanceCertificate,
+    DistanceDecay as DistanceDecay,
+    Growth as Growth,
+    ImplicitGains as ImplicitGains,
+    MetricDesign as MetricDesign,
+    Observability as Observability,
+    PartLimits as PartLimits,
+    ProvedDecay as ProvedDecay,
+    ReducedOrderDesign as ReducedOrderDesign,
+    at_corners as at_corners,
+    bending as bending,
+    cascade as cascade,
+    certify_distance as certify_distance,
+    common_metric as common_metric,
+    crossed_metric as crossed_metric,
+    decay as decay,
+    detectability_rate as detectability_rate,
+    distance_decay as distance_decay,
+    falsify as falsify,
+    feedthrough as feedthrough,
+    implicit_gains as implicit_gains,
+    longest_interval as longest_interval,
+    lower_distance as lower_distance,
+    observability as observability,
+    observer_gain as observer_gain,
+    part_limits as part_limits,
+    proved_decay as proved_decay,
+    reduced_order as reduced_order,
+    tracking as tracking,
+    upper_distance as upper_distance,
+    virtual as virtual,
 )
-from ._start import Start as Start
-from ._statement import (
-    Evidence as Evidence,
-    Hypothesis as Hypothesis,
-    Statement as Statement,
-    Verdict as Verdict,
-)
-from ._tangent_metric import (
-    conditioning as conditioning,
-    error_matrix as error_matrix,
-    lyapunov as lyapunov,
-    optimal_lyapunov as optimal_lyapunov,
-    rate_of as rate_of,
-    tangent_metric as tangent_metric,
-)
-from ._virtual import virtual as virtual
 
 __all__ = [
     "Hypothesis",
@@ -91,6 +109,7 @@ __all__ = [
     "certify",
     "check",
     "contraction",
+    "implicit_gains",
     "lyapunov",
     "observability",
     "virtual",

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from covariant import certificates, models
-from covariant.certificates import Attempt, Checked, CheckerName, Claim, ContractionCertificate, Document, Start
+from covariant.certificates import AbstractClaim, Attempt, Checked, CheckerName, ContractionCertificate, Document, Start
 from covariant.models import MechanicalSystem, Overrides, input_count
 from covariant.proofs import read_file
 from covariant.workflow._arguments import Amounts, Region, above_zero, amounts, bounds, gain_pair, numbers
@@ -485,7 +485,7 @@ def _start(start: Start) -> dict[str, dict[str, float]]:
     return {name: {"together": a, "alone": b, "farthest": c} for name, a, b, c in rows}
 
 
-def _undecided(certificate: ContractionCertificate) -> list[Claim]:
+def _undecided(certificate: ContractionCertificate) -> list[AbstractClaim]:
     return [claim for claim in certificate.claims if claim.proof.verdict == "undecided"]
 
 

@@ -408,7 +408,9 @@ def _certified(
                 f"{path}: the certificate is for {sampling.substeps} Runge–Kutta steps in each sample; what is written "
                 f"takes {steps}"
             )
-    attribute = document.recipe.get("attribute")  # code that is trusted: the exported model was just built with it
+    attribute = (document.recipe or {}).get(
+        "attribute"
+    )  # code that is trusted: the exported model was just built with it
     checked = certificates.check(document, model=attribute)
     return "\n".join(
         [

@@ -5,24 +5,8 @@ from ._contracting import (
 )
 from ._copy import Copy as Copy
 from ._geodesic import Geodesic as Geodesic, GeodesicInfo as GeodesicInfo, GeodesicState as GeodesicState
-from ._implicit_distances import (
-    DistanceBounds as DistanceBounds,
-    DistanceDecay as DistanceDecay,
-    distance_decay as distance_decay,
-)
 from ._implicit_geodesic import ImplicitGeodesic as ImplicitGeodesic
-from ._implicit_limits import (
-    CurvedErrors as CurvedErrors,
-    ImplicitGains as ImplicitGains,
-    PartLimits as PartLimits,
-    ProvedDecay as ProvedDecay,
-    implicit_gains as implicit_gains,
-    longest_interval as longest_interval,
-    part_limits as part_limits,
-    proved_decay as proved_decay,
-)
 from ._intrinsic import Intrinsic as Intrinsic, second_order as second_order
-from ._least_gain import ContinuousGains as ContinuousGains, least_gain as least_gain
 from ._passive_ship import (
     PassiveGains as PassiveGains,
     PassiveShip as PassiveShip,

@@ -1,0 +1,113 @@
+from ._assumed import ASSUMED as ASSUMED
+from ._box import (
+    Given as Given,
+    first_velocity as first_velocity,
+    prediction_places as prediction_places,
+    prediction_variables as prediction_variables,
+)
+from ._claims import (
+    CLAIMS as CLAIMS,
+    UNPROVED as UNPROVED,
+    AbstractClaim as AbstractClaim,
+    AnyClaim as AnyClaim,
+    ContractionClaim as ContractionClaim,
+    CorrectionClaim as CorrectionClaim,
+    DisturbanceClaim as DisturbanceClaim,
+    MissingClaim as MissingClaim,
+    PredictionClaim as PredictionClaim,
+    ReachClaim as ReachClaim,
+    Setting as Setting,
+    StartClaim as StartClaim,
+    Terms as Terms,
+    reach_squares as reach_squares,
+    select as select,
+)
+from ._contraction import (
+    Flow as Flow,
+    StateMetric as StateMetric,
+    contraction_matrix as contraction_matrix,
+    contraction_rate as contraction_rate,
+    generalised_jacobian as generalised_jacobian,
+    in_coordinates as in_coordinates,
+    in_frame as in_frame,
+    log_norm as log_norm,
+    rates_along as rates_along,
+)
+from ._contraction_statement import contraction_statement as contraction_statement
+from ._document import (
+    FORMAT as FORMAT,
+    MOST_LOST as MOST_LOST,
+    Document as Document,
+    Resolved as Resolved,
+    parse as parse,
+    write as write,
+)
+from ._effort import Effort as Effort
+from ._error_system import (
+    ErrorSystem as ErrorSystem,
+    Point as Point,
+    corrections as corrections,
+    entries_read as entries_read,
+    need_steady as need_steady,
+    value_graph as value_graph,
+    values as values,
+)
+from ._force_bounds import force_bounds as force_bounds, force_slopes as force_slopes
+from ._inequalities import (
+    FORMS as FORMS,
+    at_correction as at_correction,
+    at_noisy_correction as at_noisy_correction,
+    contraction as contraction,
+    correction as correction,
+    disturbance_bound as disturbance_bound,
+    in_frame_along as in_frame_along,
+    joint_force_bound as joint_force_bound,
+    length_change as length_change,
+    missing_bound as missing_bound,
+    squared_widths as squared_widths,
+    start_bound as start_bound,
+    width_bound as width_bound,
+)
+from ._intrinsic import (
+    OBSERVER_KINDS as OBSERVER_KINDS,
+    OBSERVERS as OBSERVERS,
+    Intrinsics as Intrinsics,
+    any_configuration as any_configuration,
+    check_unique as check_unique,
+    configuration_shape as configuration_shape,
+    dimension as dimension,
+    error_system as error_system,
+    frame_of as frame_of,
+    friction_of as friction_of,
+    need_joint_friction as need_joint_friction,
+    need_steady_friction as need_steady_friction,
+    observer_document as observer_document,
+    with_model as with_model,
+)
+from ._noise import (
+    error_bounds as error_bounds,
+    noise_disturbance as noise_disturbance,
+    steady_distance as steady_distance,
+)
+from ._radius_recursion import Recursion as Recursion
+from ._region import Bounds as Bounds, Region as Region, amount as amount, positive as positive, region_of as region_of
+from ._sampling import Loss as Loss, Sampling as Sampling, unit_reach as unit_reach
+from ._start import Start as Start, start_claim as start_claim, start_of as start_of
+from ._statement import (
+    Evidence as Evidence,
+    Hypothesis as Hypothesis,
+    Statement as Statement,
+    Verdict as Verdict,
+    lines as lines,
+)
+from ._steady import disturbance_sizes as disturbance_sizes, loss_of as loss_of, steady_of as steady_of
+from ._tangent_metric import (
+    TwoByTwo as TwoByTwo,
+    check_q as check_q,
+    conditioning as conditioning,
+    error_matrix as error_matrix,
+    lyapunov as lyapunov,
+    optimal_lyapunov as optimal_lyapunov,
+    rate_of as rate_of,
+    tangent_metric as tangent_metric,
+)

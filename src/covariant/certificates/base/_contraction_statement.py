@@ -1,0 +1,225 @@
+"""The statement of a proof of contraction: its claim in words with all numbers, and its hypotheses."""
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+
+from covariant.certificates.base._assumed import ASSUMED, ASSUMED_WITH_SAMPLES
+from covariant.certificates.base._claims import CLAIMS, MissingClaim, PredictionClaim, Terms, select
+from covariant.certificates.base._document import Document, Resolved
+from covariant.certificates.base._intrinsic import observer_document
+from covariant.certificates.base._sampling import Sampling
+from covariant.certificates.base._start import start_of
+from covariant.certificates.base._statement import Evidence, Hypothesis, Statement, exact, rounded_down
+from covariant.models import recipe_text
+
+
+def contraction_statement(of: Resolved, evidence: Evidence, checker: Hypothesis | None = None) -> Statement:
+    """Write the statement of a proof, with its verdict.
+
+    Args:
+        of: the claims with their proofs, and the observer.
+        evidence: that of the claims, "proved" or "claimed" by a file.
+        checker: the result of the checker, as from `judged`; None where it did not run.
+
+    Returns:
+        The statement, with the rate λ [1/s] of squared lengths as margin.
+    """
+    document = of.document
+    hypotheses = (*_hypotheses(of, evidence), *(() if checker is None else (checker,)), *_assumed(document))
+    counterexample = next((c.proof.counterexample for c in document.claims if c.proof.counterexample is not None), None)
+    point = () if counterexample is None else tuple(counterexample.mean(axis=0).tolist())
+    draft = Statement("", (), hypotheses, document.rate, str(of.domain), point)
+    # There is no tube without a proof, so its radius is not printed.
+    data = tuple(_description(of, document.radius if draft.verdict == "holds" else 0.0))
+    claim = (
+        _converges(document)
+        if draft.verdict == "holds"
+        else f"squared lengths shrink at {document.rate:.4g} 1/s or faster on the region"
+    )
+    if draft.verdict == "undecided":
+        reasons = [h.place for h in hypotheses if h.verdict == "undecided" and h.place]
+        claim += f"; {reasons[0]}" if reasons else ""
+    return draft._replace(claim=claim, about=data)
+
+
+def _converges(document: Document) -> str:
+    speeds, conditions = ", ".join(f"{v:.4g}" for v in document.velocity), []
+    given = document.given
+    for bounds, label in ((given.noise, "measurement errors"), (given.disturbance, "unknown forces")):
+        if bounds.any():
+            conditions.append(f"{label} up to {', '.join(f'{bound:.4g}' for bound in bounds)}")
+    end = f" to {document.steady:.4g} or less" if document.steady else ""
+    if document.sampling is not None:
+        conditions.append(_samples(document.sampling))
+    return (
+        f"estimates within {rounded_down(document.radius)} of a solution with velocities up to {speeds} stay so, and "
+        f"their distance falls at {rounded_down(document.decay)} 1/s or faster{end}"
+        + (f", under {' and '.join(conditions)}" if conditions else "")
+    )
+
+
+def _samples(sampling: Sampling) -> str:
+    """When measurements come, in words."""
+    shortest, longest = (exact(h) for h in sampling.interval)
+    every = f"samples {shortest} s apart" if shortest == longest else f"samples {shortest} to {longest} s apart"
+    return f"{every}, of which at most {sampling.lost} in a row are lost"
+
+
+def _hypotheses(facts: Resolved, evidence: Evidence) -> Iterator[Hypothesis]:
+    document, names = facts.document, facts.domain.names
+    n, start = len(document.velocity), document.first_velocity
+    # Errors of the position come first, then the velocities.
+    entries = (*names[start + n : start + 2 * n], *names[start : start + n])
+    terms = Terms(document.rate, document.radius, document.sampling, entries)
+    yield from (claim.hypothesis(terms, evidence) for claim in document.claims)
+    if all(claim.proof.verdict == "holds" for claim in document.claims):
+        yield _radius(document, evidence)
+        if select(document.claims, MissingClaim):
+            yield _factor(document, evidence)
+        if select(document.claims, PredictionClaim):
+            yield _steps(document, evidence)
+    if document.sampling is None:
+        yield Hypothesis(
+            "over these positions, inputs and times the force stays within the bounds of the domain", evidence
+        )
+    if document.sampling is not None or len(facts.domain.names) > 4 * n:
+        read, acting = ("velocities", "friction") if document.sampling is None else ("inputs and velocities", "forces")
+        yield Hypothesis(
+            f"over these {read}, {acting} and the slopes of friction stay within the bounds of the domain",
+            evidence,
+        )
+    yield Hypothesis(
+        "the errors are below half a turn, so that the shortest path to the measurement is unique", evidence
+    )
+    described = "flow" if document.sampling is None else "prediction and correction"
+    yield Hypothesis(
+        f"the observer is {type(facts.observer).__name__} itself, whose {described} is the one described", evidence
+    )
+
+
+def _assumed(document: Document) -> Iterator[Hypothesis]:
+    yield from (
+        Hypothesis(line, "assumed") for line in (ASSUMED if document.sampling is None else ASSUMED_WITH_SAMPLES)
+    )
+    if document.sampling is not None:
+        absent = (kind for kind in CLAIMS.values() if kind.assumed_without and not select(document.claims, kind))
+        yield from (Hypothesis(kind.assumed_without, "assumed") for kind in absent)
+
+
+def _factor(document: Document, evidence: Evidence) -> Hypothesis:
+    """That the correction that runs, with its factor, is close to the one that is proved, and never restarts."""
+    loss = document.loss
+    text = "the factor 1/(1 + s/18) of the correction that runs leaves a positive rate, and no sample restarts it"
+    if loss.allowed(document.rate):
+        return Hypothesis(f"{text}: it takes {loss.rate:.2g} 1/s", evidence, margin=document.decay)
+    reason = (
+        f"the factor takes up to {loss.rate:.4g} 1/s of {document.rate / 2:.4g} 1/s, and s is up to {loss.restart:.4g} "
+        "of where a sample restarts the estimate; make the interval shorter"
+    )
+    return Hypothesis(text, evidence, "undecided", None, reason)
+
+
+def _steps(document: Document, evidence: Evidence) -> Hypothesis:
+    """That the errors of the Runge–Kutta steps alone do not lead out of the tube."""
+    text = "the errors of the Runge–Kutta steps of predictions do not lead out of the tube"
+    if document.drift < document.radius:
+        return Hypothesis(
+            f"{text}: alone they lead at most {document.drift:.2g} away",
+            evidence,
+            margin=document.radius - document.drift,
+        )
+    reason = f"alone they may lead {document.drift:.4g} away, out of the tube; use more substeps or a shorter interval"
+    return Hypothesis(text, evidence, "undecided", None, reason)
+
+
+def _radius(document: Document, evidence: Evidence) -> Hypothesis:
+    """That the tube is there, and that noise does not lead out of it."""
+    if document.radius > document.steady:
+        return Hypothesis(
+            "the tube has a radius, and noise and unknown forces alone do not lead out of it",
+            evidence,
+            margin=document.radius - document.steady,
+        )
+    reason = f"noise and disturbance alone lead {document.steady:.4g} away, out of the tube; make them smaller"
+    return Hypothesis("noise and unknown forces alone do not lead out of the tube", evidence, "undecided", None, reason)
+
+
+def _description(facts: Resolved, radius: float) -> Iterator[str]:
+    """Lines from which the claim can be repeated."""
+    document, model = facts.document, facts.observer.model
+    n, given = len(document.velocity), document.given
+    fields, unit_of = observer_document(facts.observer), dict(zip(facts.domain.names, facts.domain.units, strict=True))
+    kind, frame = fields.pop("kind"), fields.pop("frame")
+    alpha, beta = (exact(fields.pop(name)) for name in ("alpha", "beta"))
+    options = "".join(f", {name} = {value}" for name, value in fields.items())
+    yield f"model: {'one that was given as an object' if document.recipe is None else recipe_text(document.recipe)}"
+    gains = f"alpha = {alpha} 1/s, beta = {beta} 1/s²"
+    yield f"observer: {kind} in the frame of {frame}, {gains}{options}; {_time(document)}"
+    yield from _metric(document)
+    if radius:
+        rate = document.rate if document.sampling is None else 2 * document.decay
+        right_after = "" if document.sampling is None else " right after a measurement"
+        yield (
+            f"rate λ = {rounded_down(rate)} 1/s of squared lengths, radius ε = {rounded_down(radius)} in this metric"
+            f"{right_after}"
+        )
+    start = start_of(radius, facts.domain, document.claims) if radius else None
+    if start is not None:
+        yield f"errors of a start that are within ε, all at once: {start}"
+    if model.manifold.commuting:
+        named = zip(model.coordinates, *given.positions.tolist(), strict=True)
+        yield "true positions: " + ", ".join(
+            _between(name, low, high, unit_of.get(name, "")) for name, low, high in named
+        )
+    else:
+        yield f"true positions: entries of the matrices from {_list(given.positions[0])} to {_list(given.positions[1])}"
+    first = document.first_velocity
+    speeds, errors = facts.domain.names[first : first + n], facts.domain.names[first + n : first + 2 * n]
+    yield "true velocities up to: " + _up_to(speeds, document.velocity, unit_of)
+    yield "errors of the estimated position up to: " + _up_to(
+        errors, facts.domain.high[first + n : first + 2 * n], unit_of
+    )
+    pairs = enumerate(zip(*given.inputs.tolist(), strict=True), start=1)
+    yield f"inputs: {', '.join(_between(f'u{i}', low, high, '') for i, (low, high) in pairs) or 'none'}"
+    first, last = given.times
+    yield f"times: {exact(first)} to {exact(last)} s" + (
+        ", or any, where the force does not read them" if first == last else ""
+    )
+    yield f"errors of the measured position up to: {_list(given.noise)}"
+    yield f"unknown forces up to: {_list(given.disturbance)}"
+    yield f"domain of the proofs: {facts.domain}"
+
+
+def _time(document: Document) -> str:
+    if document.sampling is None:
+        return "continuous time"
+    substeps = document.sampling.substeps
+    count = "as many Runge–Kutta steps as it chooses" if substeps is None else f"{substeps} Runge–Kutta steps"
+    return f"predictions in {count} between {_samples(document.sampling)}"
+
+
+def _metric(document: Document) -> Iterator[str]:
+    if document.sampling is None:
+        yield f"metric: Q = {_rows(document.q)}"
+        return
+    terms = [_rows(document.q), *(f"{_rows(r)} τ^{k}" for k, r in enumerate(document.sampling.slopes, start=1))]
+    sheared = ", in a frame that is sheared with τ" if document.sampling.shear else ""
+    yield f"metric: R(τ) = {' + '.join(terms)} at the age τ of the last measurement{sheared}"
+
+
+def _between(name: str, low: float, high: float, unit: str) -> str:
+    return f"{name} {exact(low)} to {exact(high)} {unit}".rstrip()
+
+
+def _up_to(names: Sequence[str], bounds: Sequence[float] | np.ndarray, units: dict[str, str]) -> str:
+    return ", ".join(f"{name} {exact(b)} {units[name]}".rstrip() for name, b in zip(names, bounds, strict=True))
+
+
+def _rows(matrix: np.ndarray) -> str:
+    return _list([_list(row) for row in np.asarray(matrix).tolist()])
+
+
+def _list(values: Sequence[Any] | np.ndarray) -> str:
+    return "[" + ", ".join(v if isinstance(v, str) else exact(v) for v in values) + "]"

@@ -1,0 +1,375 @@
+"""The file format of certificates: its required content, read into checked numbers, and written.
+
+Nothing in a file is trusted: whether its numbers make a proof is decided by `check`.
+"""
+
+import dataclasses
+import json
+import re
+from fractions import Fraction
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from covariant._files import write_atomically
+from covariant.certificates.base._box import Given, first_velocity
+from covariant.certificates.base._claims import CLAIMS, AbstractClaim, Setting, reach_squares
+from covariant.certificates.base._error_system import ErrorSystem
+from covariant.certificates.base._intrinsic import OBSERVERS, Intrinsics
+from covariant.certificates.base._sampling import Loss, Sampling, unit_reach
+from covariant.certificates.base._steady import claimed_drift, loss_of, steady_of
+from covariant.proofs import (
+    LETTERS,
+    MOST_LETTERS,
+    Box,
+    Field,
+    Proof,
+    digest,
+    from_letters,
+    parse_file,
+    read_file,
+    saved_graph,
+)
+
+FORMAT = "covariant certificate 2"
+MOST_PARTS = len(LETTERS) // 3
+"""Largest number of velocities, so that each variable of a group has a letter; it also limits sizes of parameters."""
+KEYS = [
+    *("format", "recipe", "observer", "q", "rate", "radius", "velocity", "given", "box", "claims", "graph", "digest"),
+]
+MOST_LOST = 1000
+"""Largest number of lost samples that a file may state."""
+FRAMES = ("coordinates", "body")
+"""Frames of the vectors. In the "body" frame the configuration is not a variable of the region."""
+
+
+class Document(NamedTuple):
+    """The content of a certificate file, with checked types and sizes.
+
+    Attributes:
+        file: name of the file, for messages.
+        recipe: {"system": name} or {"attribute": "module:attribute"}, and its "parameters". Names are not resolved yet.
+            None for a model that only this process knows.
+        observer: "kind", "frame", "alpha" [1/s], "beta" [1/s²] and the options of that kind.
+        q: the matrix (2, 2) of its metric.
+        rate: rate λ [1/s] of squared lengths.
+        radius: radius of the tube in the metric; 0 where a claim is open.
+        velocity: bounds (n,) of the true velocities.
+        given: bounds of positions, inputs, times, noise and disturbance.
+        low, high: the box (d,) of all claims.
+        claims: the claims, "contraction" first.
+        graph: {"nodes": rows, "outputs": integers}, a graph of scalars in which every node follows its arguments.
+        sampling: when measurements come, and the metric between them; None for an observer in continuous time.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant.certificates import Document
+        >>> entries = np.eye(2), 2.0, 0.1, np.ones(1), None, -np.ones(4), np.ones(4)
+        >>> document = Document("proved.json", {"system": "oscillator"}, {"kind": "intrinsic"}, *entries, (), {})
+        >>> document.rate, document.open
+        (2.0, False)
+    """
+
+    file: str
+    recipe: dict[str, Any] | None
+    observer: dict[str, Any]
+    q: Float[np.ndarray, "2 2"]
+    rate: float
+    radius: float
+    velocity: Float[np.ndarray, "n"]
+    given: Given
+    low: Float[np.ndarray, "d"]
+    high: Float[np.ndarray, "d"]
+    claims: tuple[AbstractClaim, ...]
+    graph: dict[str, list]
+    sampling: Sampling | None = None
+
+    @property
+    def joint_friction(self) -> bool:
+        """Whether friction and its slopes are variables of the box, in continuous time."""
+        return self.sampling is None and len(self.low) == 6 * len(self.velocity)
+
+    @property
+    def forces(self) -> slice:
+        """Places of the force in the box."""
+        n = len(self.velocity)
+        start = self.first_velocity + 2 * n
+        return slice(start, start + n)
+
+    @property
+    def open(self) -> bool:
+        """Whether any claim has undecided boxes."""
+        return any(claim.open for claim in self.claims)
+
+    @property
+    def first_velocity(self) -> int:
+        """Place of the first velocity in the box, behind the variables of the configuration."""
+        return first_velocity(len(self.low), len(self.velocity), self.sampling is not None)
+
+    @property
+    def unit_reach(self) -> Float[np.ndarray, "n"]:
+        """Bounds (n,) of each position error, for a curve of unit length, as the claims on reach state them."""
+        return unit_reach(reach_squares(self.claims))
+
+    @property
+    def loss(self) -> Loss:
+        """What the factor of the correction that runs takes from the rate; nothing where no claim bounds it."""
+        return loss_of(self.sampling, self.q, self.rate, self.claims)
+
+    @property
+    def decay(self) -> float:
+        """Rate [1/s] at which distances decrease."""
+        return self.rate / 2 - self.loss.rate
+
+    @property
+    def steady(self) -> float:
+        """The distance to which noise and disturbance alone may lead."""
+        return steady_of(self.sampling, self.q, self.rate, self.given, self.claims)
+
+    @property
+    def drift(self) -> float:
+        """The distance to which errors of Runge–Kutta steps alone may lead; 0 where no claim bounds them."""
+        return claimed_drift(self.sampling, self.q, self.rate, self.claims)
+
+    def bounds(self, claim: AbstractClaim) -> tuple[Float[np.ndarray, "d"], Float[np.ndarray, "d"]]:
+        """Bounds (d,) of the box of one claim.
+
+        Args:
+            claim: the claim.
+        """
+        return claim.bounds(self.low, self.high, len(self.velocity), self.sampling)
+
+
+class Resolved(NamedTuple):
+    """A document with the observer that it is about.
+
+    Attributes:
+        document: the content of a file, or what a file would state.
+        observer: the observer, with its model.
+        about: observer and metric as functions of a box.
+    """
+
+    document: Document
+    observer: Intrinsics
+    about: ErrorSystem
+
+    @property
+    def domain(self) -> Box:
+        """The box, with names and units of its variables."""
+        return Box(self.about.names, self.about.units, self.document.low, self.document.high)
+
+    def stated(self) -> "Resolved":
+        """Take the trees of the file as proofs of its claims. They are stated, not verified."""
+        claims = tuple(self._stated(claim) for claim in self.document.claims)
+        return self._replace(document=self.document._replace(claims=claims))
+
+    def _stated(self, claim: AbstractClaim) -> AbstractClaim:
+        low, high = self.document.bounds(claim)
+        names, units = claim.variables(self.about.names, self.about.units, len(self.document.velocity))
+        return dataclasses.replace(
+            claim, proof=Proof.stated(Box(names, units, low, high), from_letters(claim.levels)), letters=()
+        )
+
+
+def parse(path: str | Path, content: bytes | None = None) -> Document:
+    """Read a certificate file.
+
+    Only types, sizes and the digest are checked here; whether its numbers are a proof is decided by `check`.
+
+    Args:
+        path: the file.
+        content: its bytes, where it has been read already.
+
+    Returns:
+        The content, with checked types.
+
+    Raises:
+        ValueError: the file cannot be read or is no certificate; the message is one line.
+
+    Example:
+        >>> from covariant.certificates import parse
+        >>> parse("proved.json", b'{"format": "other"}')
+        Traceback (most recent call last):
+        ...
+        ValueError: proved.json: ...
+    """
+    top = parse_file(path, read_file(path) if content is None else content)
+    top.need(isinstance(top.value, dict) and "format" in top.value, "a certificate with a format")
+    top.at("format").need(top.value["format"] == FORMAT, f"{FORMAT!r}; this version reads no other")
+    sampled = "sampling" in top.value
+    fields = top.record([*KEYS, "sampling"] if sampled else KEYS)
+    expected = digest(top.value)
+    message = f"{expected} for what the file says; it was changed since it was saved"
+    fields["digest"].need(fields["digest"].value == expected, message)
+    observer, velocity = _observer(fields["observer"]), fields["velocity"].vector(1, MOST_PARTS, least=0.0)
+    fields["velocity"].need((velocity > 0).all(), "positive numbers")
+    n = len(velocity)
+    sampling = _sampling(fields["sampling"]) if sampled else None
+    in_coordinates = observer["frame"] == "coordinates"
+    if sampled:  # on rotations those entries of the matrix are variables that the potential reads
+        counts = [6 * n + 1] if in_coordinates else list(range(5 * n + 1, len(LETTERS) + 1))
+    else:  # in coordinates friction and its slopes may be variables too, which their number says
+        counts = [4 * n, 6 * n] if in_coordinates else [3 * n]
+    fields["velocity"].need(
+        bool(counts) and counts[0] <= len(LETTERS), f"fewer velocities: there are letters for {len(LETTERS)} variables"
+    )
+    low, high = fields["box"].pair(counts[0], counts[-1])
+    variables = len(low)
+    fields["box"].need(variables in counts, f"bounds of {' or '.join(map(str, counts))} variables")
+    fields["velocity"].need(
+        variables <= len(LETTERS), f"fewer velocities: there are letters for {len(LETTERS)} variables"
+    )
+    given = _given(fields["given"], n)
+    claims = _claims(fields["claims"], Setting(low, high, n, sampling, given, observer.get("order")))
+    return Document(
+        top.file,
+        _recipe(fields["recipe"]),
+        observer,
+        _metric(fields["q"]),
+        fields["rate"].positive(),
+        _radius(fields["radius"], any(claim.open for claim in claims)),
+        velocity,
+        given,
+        low,
+        high,
+        claims,
+        saved_graph(fields["graph"]),
+        sampling,
+    )
+
+
+def write(path: str | Path, document: dict[str, Any]) -> Path:
+    """Write a certificate file.
+
+    Args:
+        path: the file.
+        document: its content, as data for JSON.
+
+    Returns:
+        The path.
+
+    Raises:
+        ValueError: `parse` would not read the content; nothing is written then.
+    """
+    try:
+        # What is written is parsed first, so that a file that was saved can always be read again.
+        content = json.dumps(document, indent=1, ensure_ascii=False).encode("utf-8")
+        parse(path, content)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"nothing is written, since it could not be read again: {error}") from error
+    return write_atomically(path, lambda file: file.write(content))
+
+
+def _recipe(field: Field) -> dict[str, Any]:
+    field.need(isinstance(field.value, dict), "an object with a system, or an attribute, and its parameters")
+    source = "attribute" if "attribute" in field.value else "system"
+    fields = field.record([source, "parameters"])
+    text = fields[source].text(200)
+    if source == "attribute":
+        fields[source].need(re.fullmatch(r"[^:]+:[^:]+", text), "module:attribute")
+    parameters = fields["parameters"]
+    parameters.need(
+        isinstance(parameters.value, dict) and len(parameters.value) <= 64, "an object of 64 values at most"
+    )
+    for key in parameters.value:
+        Field(field.file, f"the name of a parameter in {parameters.key}", key).need(key.isidentifier(), "a name")
+    most_entries = MOST_PARTS if source == "system" else 100
+    return {source: text, "parameters": {key: _parameter(parameters.at(key), most_entries) for key in parameters.value}}
+
+
+def _parameter(field: Field, most_entries: int, depth: int = 2) -> Any:
+    """A number, a truth value, a text, or numbers in a list, a list of lists or by names, of at most `most` entries."""
+    if depth == 2 and isinstance(field.value, dict):
+        field.need(len(field.value) <= 64, "an object of 64 values at most")
+        names = [Field(field.file, f"a name in {field.key}", key).text(200) for key in field.value]
+        return {name: _parameter(field.at(name), most_entries, 1) for name in names}
+    if depth == 2 and isinstance(field.value, bool):
+        return field.value
+    if depth == 2 and isinstance(field.value, str):
+        return field.text(200)
+    if depth and isinstance(field.value, list):
+        return [_parameter(row, most_entries, depth - 1) for row in field.rows(0, most_entries)]
+    field.number()
+    return field.value
+
+
+def _observer(field: Field) -> dict[str, Any]:
+    field.need(isinstance(field.value, dict) and "kind" in field.value, "an object with the kind of the observer")
+    kind = field.at("kind").one_of(tuple(OBSERVERS))
+    schema = OBSERVERS[kind]
+    fields = field.record(["kind", "frame", "alpha", "beta", *schema])
+    frame = fields["frame"].one_of(FRAMES)
+    options = {
+        key: fields[key].one_of((True, False) if choices is bool else choices) for key, choices in schema.items()
+    }
+    gains = {key: fields[key].positive() for key in ("alpha", "beta")}
+    return {"kind": kind, "frame": frame, **gains, **options}
+
+
+def _metric(field: Field) -> np.ndarray:
+    q = np.stack([row.vector(2, 2) for row in field.rows(2, 2)])
+    # Fractions decide positive definiteness of these very doubles, without rounding in a b > c².
+    (a, c), (d, b) = [[Fraction(number) for number in row] for row in q.tolist()]
+    field.need(c == d and a > 0 and a * b > c * c, "a positive definite matrix [[a, c], [c, b]]")
+    return q
+
+
+def _radius(field: Field, is_open: bool) -> float:
+    if not is_open:
+        return field.positive()
+    field.need(field.number() == 0, "0 where a claim has open leaves")
+    return 0.0
+
+
+def _given(field: Field, n: int) -> Given:
+    fields = field.record(["positions", "inputs", "times", "noise", "disturbance", "slopes"])
+    times = fields["times"].vector(2, 2)
+    fields["times"].need(times[0] <= times[1], "two times, the earlier one first")
+    noise, disturbance = (fields[key].vector(n, n, least=0.0) for key in ("noise", "disturbance"))
+    slopes = np.stack([row.vector(n, n, least=0.0) for row in fields["slopes"].rows(n, n)])
+    return Given(fields["positions"].pair(1, 400), fields["inputs"].pair(0, 100), times, noise, disturbance, slopes)
+
+
+def _sampling(field: Field) -> Sampling:
+    fields = field.record(["interval", "lost", "slopes", "shear", "substeps"])
+    interval = fields["interval"].vector(2, 2)
+    fields["interval"].need(0 < interval[0] <= interval[1], "two positive times, the shorter one first")
+    slopes = np.array([[row.vector(2, 2) for row in slope.rows(2, 2)] for slope in fields["slopes"].rows(0, 8)])
+    slopes = slopes.reshape(-1, 2, 2)
+    fields["slopes"].need((slopes == np.swapaxes(slopes, 1, 2)).all(), "symmetric matrices (2, 2)")
+    lost, shear = fields["lost"].whole(0, MOST_LOST), fields["shear"].one_of((True, False))
+    return Sampling(interval, lost, slopes, shear, fields["substeps"].whole(0, 10_000) or None)
+
+
+def _claims(field: Field, setting: Setting) -> tuple[AbstractClaim, ...]:
+    """The claims kind by kind, each as often as it must be there, and those that may be there where they are."""
+    counts = {name: kind.count(setting) for name, kind in CLAIMS.items()}
+    least, most = (sum(each) for each in zip(*counts.values(), strict=True))
+    rows = field.rows(1, most)
+    optional = [row.value.get("kind") for row in rows[least:] if isinstance(row.value, dict)]
+    # Whether a kind is there is decided by its name; that it stands at its place is checked below.
+    numbers = {name: b if name in optional else a for name, (a, b) in counts.items()}
+    order = [name for name, count in numbers.items() for _ in range(count)]
+    rows[-1].need(len(rows) <= len(order), "the last claim")
+    claims = [
+        _claim(row, name, k - order.index(name), setting)
+        for k, (row, name) in enumerate(zip(rows, order, strict=False))
+    ]
+    if sum(len(level) for claim in claims for level in claim.levels) > MOST_LETTERS:
+        raise ValueError(
+            f"{field.file}: the levels of {field.key} hold more than {MOST_LETTERS} letters; ask for the file as it "
+            "was saved, or certify again"
+        )
+    samples = numbers["correction"]
+    more = f", and correction after 0 to {samples - 1} lost samples, and what they lack" if samples else ""
+    complete = len(rows) >= least or (len(rows) == 1 and claims[0].open)
+    field.need(complete, f"contraction, and reach of rows 0 to {2 * setting.n - 1}{more}")
+    return tuple(claims)
+
+
+def _claim(field: Field, name: str, index: int, setting: Setting) -> AbstractClaim:
+    field.need(isinstance(field.value, dict) and "kind" in field.value, "an object with the kind of the claim")
+    field.at("kind").one_of((name,))
+    return CLAIMS[name].read(field, index, setting)

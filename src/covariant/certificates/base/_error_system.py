@@ -1,0 +1,198 @@
+"""The system of a statement about contraction: a flow and a metric, as functions of variables in a box."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from covariant._typing import Matrix, Scalar, Vector
+from covariant.certificates.base._contraction import StateMetric
+from covariant.lowering import lower
+from covariant.proofs import Box, graph_rows
+
+
+def _empty() -> Matrix:
+    return jnp.zeros((0, 0))
+
+
+class Point(NamedTuple):
+    """The system at one point z of a region.
+
+    Attributes:
+        flow: `(t, x (2n,)) -> x' (2n,)`, with the measurement held constant.
+        metric: the metric on states.
+        x: the state (2n,) that belongs to z.
+        error_jacobian: `() -> (2n, 2n)`: changes of position error and velocity by the vectors of the metric's frame;
+            for intrinsic observers only.
+        noise_jacobian: `() -> (n, n)`: change of the position error by an error of the measurement; for intrinsic
+            observers only.
+        corrected: `x (2n,) -> x (2n,)`: the correction by a measurement, which is held constant; for observers with
+            samples only, as is `after`.
+        after: the metric on states right after a correction.
+        missing: `x (2n,) -> (n,)`: the acceleration that a prediction lacks, of observers with samples.
+        inertias: `x (2n,) -> (n, n), (n, n)`: the metric at the estimated and at the measured configuration, of
+            observers with samples.
+    """
+
+    flow: Callable[[Scalar, Vector], Array]
+    metric: StateMetric
+    x: Vector
+    error_jacobian: Callable[[], Matrix] = _empty
+    noise_jacobian: Callable[[], Matrix] = _empty
+    corrected: Callable[[Vector], Array] | None = None
+    after: StateMetric | None = None
+    missing: Callable[[Vector], Array] = lambda x: x
+    inertias: Callable[[Vector], tuple[Array, Array]] = lambda x: (x, x)
+
+    @property
+    def sampled(self) -> tuple[Callable[[Vector], Array], StateMetric]:
+        """The correction, and the metric after it, of an observer with samples."""
+        assert self.corrected is not None
+        assert self.after is not None
+        return self.corrected, self.after
+
+
+class ErrorSystem(NamedTuple):
+    """A dynamic system and a metric on a region, which is a box of variables: what a proof of contraction needs.
+
+    Attributes:
+        names: names of the variables (d). For an intrinsic observer these are, n each, the estimated position (not on a
+            group) and velocity, the error of the position, and the force on the system; where friction is a variable
+            too, also friction and its slopes.
+        units: their units.
+        at: `z (d,) -> Point`: flow, metric and state at a point z of the box.
+        at_rest: the same with a constant measurement, where `at` lets one change with time; None where it does not.
+            Each instant is then the first instant at another z. Nothing else may depend on time.
+        has_samples: whether measurements are sampled, so that points have a correction.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant import models, observers
+        >>> from covariant.certificates import error_system
+        >>> system = error_system(observers.Intrinsic(models.oscillator(), 2.0, 2.0), np.eye(2))
+        >>> system.names, system.units
+        (('q', 'v_q', 'e_q', 'f_q'), ('m', 'm/s', 'm', ''))
+    """
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    at: Callable[[Vector], Point]
+    at_rest: Callable[[Vector], Point] | None = None
+    has_samples: bool = False
+
+    def errors(self, n: int) -> range:
+        """Places of the position errors among the variables of a system with samples.
+
+        Args:
+            n: number of velocities.
+        """
+        # Behind them are three kinds of forces and slopes, and the age.
+        first = len(self.names) - 4 * n - 1
+        return range(first, first + n)
+
+
+def entries_read(function, *arguments: Array) -> set[int]:
+    """Determine on which entries of its arguments a function depends.
+
+    Args:
+        function: a function of arrays that can be lowered.
+        arguments: example arguments, whose shapes count.
+
+    Returns:
+        Indices of the entries, numbered consecutively over all arguments, which the value or its domain reads.
+    """
+    lowered = lower(function, *arguments, real=True)
+    assert lowered.conditions is not None
+    # What a condition depends on is read as well: such an entry may decide where the function is defined.
+    graphs = lowered.graph, lowered.conditions.graph
+    return {int(node.value or 0) for graph in graphs for node in graph.nodes if node.op == "input"}
+
+
+def need_steady(what: str, error_system: ErrorSystem, domain: Box) -> None:
+    """Check that flow and metric do not depend on time.
+
+    Args:
+        what: name of the calling function, for the message.
+        error_system: the system.
+        domain: the box of its variables.
+
+    Raises:
+        ValueError: flow or metric depends on time, whereas the statement covers one instant only.
+    """
+    # At the golden section of every variable no term vanishes by chance, as it may in the middle.
+    point = (error_system.at_rest or error_system.at)(jnp.asarray(0.618 * domain.low + 0.382 * domain.high))
+    x, metric = point.x, point.metric
+
+    def parts(t):
+        pieces = point.flow(t, x), metric.coframe(t, x), metric.frame(t, x), metric.gram(t, x)
+        return jnp.concatenate([jnp.ravel(part) for part in pieces])
+
+    if entries_read(parts, jnp.zeros(())):
+        raise ValueError(
+            f"{what}: the flow or the metric depends on time, and the statement would be about one instant; make time "
+            "a variable of the box, or leave it out"
+        )
+
+
+def values(error_system: ErrorSystem) -> Callable[[Scalar, Vector, Vector], tuple[Array, ...]]:
+    """Collect the functions from which, with their derivatives, all claims are made.
+
+    Args:
+        error_system: the system.
+
+    Returns:
+        `(t, x, z) -> (flow, Θ, Θ⁻¹, N, error Jacobian, noise Jacobian)`.
+    """
+
+    def at(t, x, z):
+        point = error_system.at(z)
+        metric = point.metric
+        parts = point.flow(t, x), metric.coframe(t, x), metric.frame(t, x), metric.gram(t, x)
+        return *parts, point.error_jacobian(), point.noise_jacobian()
+
+    return at
+
+
+def corrections(error_system: ErrorSystem) -> Callable[[Scalar, Vector, Vector], tuple[Array, ...]]:
+    """Collect the functions from which, with their derivatives, claims about the correction are made.
+
+    Args:
+        error_system: the system, with samples.
+
+    Returns:
+        `(t, x, z) -> (C x, Θ_0(C x), N_0(C x), Θ_h⁻¹, N_h, missing acceleration, g(q), g(y))`, for the correction C by
+        a measurement y of age h.
+    """
+
+    def at(t, x, z):
+        point = error_system.at(z)
+        corrected, after = point.sampled
+        before, new = point.metric, corrected(x)
+        now = jnp.zeros_like(t)
+        frames = after.coframe(now, new), after.gram(now, new), before.frame(t, x), before.gram(t, x)
+        return new, *frames, point.missing(x), *point.inertias(x)
+
+    return at
+
+
+def value_graph(about: ErrorSystem) -> dict[str, list]:
+    """Convert the functions that the claims depend on to a graph of scalars, for readers without JAX.
+
+    Args:
+        about: observer and metric as functions of a box.
+
+    Returns:
+        The graph. Its inputs are time, state and the variables of the box; its outputs are the entries of `values`,
+        and of `corrections` where measurements are sampled.
+    """
+    d = len(about.names)
+    states = jax.eval_shape(lambda z: about.at(z).x, jnp.zeros(d)).shape[0]
+    sampled = about.has_samples
+
+    def everything(t, x, z):
+        return (*values(about)(t, x, z), *(corrections(about)(t, x, z) if sampled else ()))
+
+    lowered = lower(everything, jnp.zeros(()), jnp.zeros(states), jnp.zeros(d), real=True)
+    return graph_rows(lowered)

@@ -1,0 +1,120 @@
+"""Bounds of the force on a mechanical system, and of its derivatives by the position, by interval arithmetic."""
+
+import functools
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from covariant.certificates.base._intrinsic import configuration_shape, entries_read
+from covariant.lowering import Conditions, enclose, expand, lower
+from covariant.models import MechanicalSystem, applied_force, input_count
+from covariant.proofs import Box, check_box, show_conditions
+
+
+def force_bounds(
+    model: MechanicalSystem, places: Box, inputs: Float[np.ndarray, "2 m"], times: tuple[float, float]
+) -> Float[np.ndarray, "2 n"]:
+    """Bound `force − grad U` over boxes of inputs, times, and positions.
+
+    The bounds come from interval arithmetic with outward rounding. The force may jump within the boxes.
+
+    Args:
+        model: the mechanical system.
+        places: box of positions, on a group of the entries of its matrices.
+        inputs: least and largest inputs (2, m).
+        times: first and last time [s].
+
+    Returns:
+        Least and largest force (2, n), in the units of the model.
+
+    Raises:
+        ValueError: the force has no bound or is not defined everywhere.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant.certificates import force_bounds
+        >>> from covariant.models import oscillator
+        >>> from covariant.proofs import box
+        >>> inputs = np.array([[-0.5], [0.5]])
+        >>> force_bounds(oscillator(), box(q=(-1.0, 1.0)), inputs, (0.0, 0.0)).round(6).tolist()  # u − q
+        [[-1.5], [1.5]]
+    """
+    region, shape = _force_box(places, inputs, times), configuration_shape(model, len(places.low))
+    force = functools.partial(applied_force, model)
+    lowered = lower(force, jnp.zeros(()), jnp.zeros(shape), jnp.zeros(inputs.shape[1]), real=True)
+    assert lowered.conditions is not None
+    # Conditions on smoothness are dropped: the bound of a force that jumps is a bound all the same.
+    defined = lowered.conditions._replace(
+        conditions=tuple(c for c in lowered.conditions.conditions if c.kind in ("true", "finite"))
+    )
+    _need_conditions("the force of the model is not defined", defined, region)
+    enclosure = enclose(lowered, region.low[None], region.high[None])
+    bounds = np.concatenate([enclosure.low, enclosure.high])
+    if not np.isfinite(bounds).all():
+        raise ValueError(f"the force of the model has no bound over {places}; make the box smaller")
+    return bounds
+
+
+def force_slopes(
+    model: MechanicalSystem, places: Box, inputs: Float[np.ndarray, "2 m"], times: tuple[float, float]
+) -> Float[np.ndarray, "n n"]:
+    """Bound |∂f_i/∂q_j| over boxes of inputs, times and positions; on a group along the directions of the body frame.
+
+    Args:
+        model: the mechanical system.
+        places: box of positions, on a group of the entries of its matrices.
+        inputs: least and largest inputs (2, m).
+        times: first and last time [s].
+
+    Returns:
+        Bounds (n, n), with the force in rows and the position in columns.
+
+    Raises:
+        ValueError: the force has no such bound, for instance where it jumps.
+    """
+    region, shape = _force_box(places, inputs, times), configuration_shape(model, len(places.low))
+    n = model.manifold.zero(jnp.zeros(shape)).size
+
+    def force(t, q, u, step):
+        return applied_force(model, t, model.manifold.nudged(q, step), u)
+
+    lowered = lower(force, jnp.zeros(()), jnp.zeros(shape), jnp.zeros(inputs.shape[1]), jnp.zeros(n), real=True)
+    assert lowered.conditions is not None
+    # The step from the position is fixed at 0; it is there so that derivatives by it can be bounded.
+    whole = region.with_fixed(np.zeros(n))
+    _need_conditions("the force of the model jumps, or is not defined", lowered.conditions, whole)
+    steps = range(len(region.low), len(whole.low))
+    enclosure = enclose(expand(lowered._replace(conditions=None), steps, 1), whole.low[None], whole.high[None])
+    # The derivatives are listed step by step; transposed, the rows are those of the force.
+    bounds = np.maximum(np.abs(enclosure.low), np.abs(enclosure.high))[0, n:].reshape(n, n).T
+    if not np.isfinite(bounds).all():
+        raise ValueError(f"the slope of the model's force has no bound over {places}; make the box smaller")
+    return bounds
+
+
+def force_reads_time(model: MechanicalSystem, n: int) -> bool:
+    """Test whether `force − grad U`, or where it is defined, depends on time.
+
+    Args:
+        model: the mechanical system.
+        n: number of velocities.
+    """
+    q = jnp.zeros(configuration_shape(model, n))
+    read = entries_read(functools.partial(applied_force, model), jnp.zeros(()), q, jnp.zeros(input_count(model, n)))
+    return 0 in read
+
+
+def _force_box(places: Box, inputs: Float[np.ndarray, "2 m"], times: tuple[float, float]) -> Box:
+    """Time, positions and inputs as one box."""
+    names = ("t", *places.names, *(f"u{i + 1}" for i in range(inputs.shape[1])))
+    low, high = (
+        np.concatenate([[t], ends, u]) for t, ends, u in zip(times, (places.low, places.high), inputs, strict=True)
+    )
+    return check_box(Box(names, ("s", *places.units, *("",) * inputs.shape[1]), low, high))
+
+
+def _need_conditions(what: str, conditions: Conditions, domain: Box) -> None:
+    reason = show_conditions(conditions, domain)
+    if reason:
+        raise ValueError(f"{what} everywhere in the region: {reason}")

@@ -1,0 +1,372 @@
+"""The inequalities to be proved of a system: symmetric matrices that must be positive definite on its region."""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from covariant._linalg import solve
+from covariant._typing import Vector
+from covariant.certificates.base._box import first_velocity
+from covariant.certificates.base._claims import (
+    reach_squares,
+)
+from covariant.certificates.base._contraction import contraction_matrix, lengths
+from covariant.certificates.base._document import Resolved
+from covariant.certificates.base._error_system import ErrorSystem, corrections, values
+from covariant.proofs import Form, as_form, derivative_form
+
+
+def contraction(error_system: ErrorSystem, rate: float) -> Form:
+    """Build the matrix `−(F_ΘᵀN + Ṅ + N F_Θ) − rate N`, whose positive definiteness is contraction.
+
+    Args:
+        error_system: the system, as from `error_system` or `virtual`.
+        rate: rate [1/s] at which squared lengths have to decrease.
+
+    Returns:
+        The matrix as a function of the variables z of the region, for `proofs.prove`.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> import numpy as np
+        >>> from covariant.certificates import contraction, virtual
+        >>> from covariant.models import StateSpace
+        >>> from covariant.observers import Contracting
+        >>> model = StateSpace(lambda t, x, u: -x, lambda t, x, u: x, coordinates=("x",))
+        >>> system = virtual(Contracting(model, jnp.eye(1), jnp.zeros(1)), np.eye(1))  # x' = −x + (z − x)
+        >>> contraction(system, rate=3.0)(jnp.zeros(3)).tolist()
+        [[1.0]]
+    """
+
+    def numbers(z):
+        point, t = error_system.at(z), jnp.zeros((), z.dtype)
+        return -contraction_matrix(point.flow, point.metric, t, point.x) - rate * point.metric.gram(t, point.x)
+
+    return length_change(error_system, lambda coframe, gram, change: -change - rate * gram, numbers)
+
+
+def length_change(
+    error_system: ErrorSystem, formula: Callable[[Array, Array, Array], Array], numbers: Callable
+) -> Form:
+    """Build the form of a formula of Θ, of N and of `F_ΘᵀN + Ṅ + N F_Θ`, the rate of change of squared lengths.
+
+    Args:
+        error_system: the system.
+        formula: `(Θ, N, F_ΘᵀN + Ṅ + N F_Θ) -> matrix`.
+        numbers: the same matrix as a function of z, computed by derivatives of JAX.
+
+    Returns:
+        The form that proofs need: a graph whose derivatives are its own.
+    """
+
+    def whole(coframe, gram, change, jacobian):
+        return formula(coframe, gram, lengths(gram, change, jacobian))
+
+    return in_frame_along(error_system, whole, numbers)
+
+
+def in_frame_along(
+    error_system: ErrorSystem, formula: Callable[[Array, Array, Array, Array], Array], numbers: Callable
+) -> Form:
+    """Build the form of a formula of Θ, N, Ṅ and `F_Θ = (Θ̇ + Θ ∂f/∂x)Θ⁻¹`, with rates of change along the flow.
+
+    Args:
+        error_system: the system.
+        formula: `(Θ, N, Ṅ, F_Θ) -> matrix`.
+        numbers: the same matrix as a function of z, computed by derivatives of JAX.
+
+    Returns:
+        The form that proofs need: a graph whose derivatives are its own.
+    """
+
+    def parts(derivatives, nodes, count):
+        flow, coframe, frame, gram, *_ = nodes
+        state = range(1, count + 1)
+        # The derivative along the flow: time runs at rate 1, the state at x'; z is constant.
+        along = {0: derivatives.graph.constant(1.0), **dict(zip(state, flow.tolist(), strict=True))}
+        return (
+            coframe,
+            frame,
+            gram,
+            derivatives.each(flow, state, frame),
+            derivatives.along(coframe, along),
+            derivatives.along(gram, along),
+        )
+
+    def whole(coframe, frame, gram, image, turn, change):
+        return formula(coframe, gram, change, turn @ frame + coframe @ image)
+
+    return derivative_form(values(error_system), lambda z: error_system.at(z).x, parts, whole, numbers)
+
+
+def width_bound(error_system: ErrorSystem, row: int, square: float) -> Form:
+    """Build the matrix `square N − r rᵀ`, where r is one row of the Jacobian of (error, velocity).
+
+    It is positive definite where a curve of length ℓ changes that entry of (error, velocity) by less than `ℓ √square`.
+
+    Args:
+        error_system: the system.
+        row: index of the entry, from 0 to 2n − 1.
+        square: square of the bound, for a curve of unit length.
+
+    Returns:
+        The matrix (2n, 2n) as a function of z.
+    """
+
+    def matrix(z):
+        point, t = error_system.at(z), jnp.zeros((), z.dtype)
+        r = point.error_jacobian()[row]
+        # r rᵀ ≤ square N means |r·δ| ≤ √square |δ| for all δ, by Cauchy and Schwarz.
+        return square * point.metric.gram(t, point.x) - jnp.outer(r, r)
+
+    return as_form(matrix)
+
+
+def squared_widths(error_system: ErrorSystem, z: Vector) -> Float[Array, "two_n"]:
+    """Compute for each row the least `square` for which `width_bound` is positive semidefinite at z.
+
+    Args:
+        error_system: the system.
+        z: point (d,) of the region.
+
+    Returns:
+        The squares `r N⁻¹ rᵀ` (2n,).
+    """
+    point = error_system.at(z)
+    gram, rows = point.metric.gram(jnp.zeros((), z.dtype), point.x), point.error_jacobian()
+    return jnp.sum(rows * solve(gram, rows.T).T, axis=1)
+
+
+def disturbance_bound(error_system: ErrorSystem, sizes: Float[np.ndarray, "two_n"], square: float) -> Form:
+    """Build the matrix `square I − BᵀMB`, with B the Jacobian of the flow in errors of measurement and force.
+
+    It is positive definite where errors `δ = sizes w` with |w| ≤ 1 (in the Euclidean norm) change the flow by a vector
+    shorter than `√square`.
+
+    Args:
+        error_system: the system.
+        sizes: factors (2n,) of the columns of B: n for the measured position, then n for the force.
+        square: square of the bound.
+
+    Returns:
+        The matrix (2n, 2n) as a function of z.
+    """
+    n = len(sizes) // 2
+
+    def parts(derivatives, nodes, count):
+        # The inputs of the graph are time, state and z, in which error and force follow the velocities.
+        start = 1 + count + first_velocity(len(error_system.names), n) + n
+        flow, coframe, _, gram, _, noise = nodes
+        return coframe, gram, noise, derivatives.each(flow, range(start, start + 2 * n))
+
+    def formula(coframe, gram, noise, change):
+        # The metric is given by Θ and N, M = ΘᵀNΘ, hence the coframe before the columns of B.
+        b = jnp.concatenate([change[:, :n] @ noise, change[:, n:]], axis=1) * jnp.asarray(sizes)[None]
+        return square * jnp.eye(2 * n) - (coframe @ b).T @ gram @ (coframe @ b)
+
+    def numbers(z):
+        point, t = error_system.at(z), jnp.zeros((), z.dtype)
+        start = first_velocity(len(error_system.names), n) + n
+        change = jax.jacfwd(lambda z: error_system.at(z).flow(t, point.x))(z)[:, start : start + 2 * n]
+        return formula(point.metric.coframe(t, point.x), point.metric.gram(t, point.x), point.noise_jacobian(), change)
+
+    return derivative_form(values(error_system), lambda z: error_system.at(z).x, parts, formula, numbers)
+
+
+def correction(
+    error_system: ErrorSystem, noise: Float[np.ndarray, "n"] | None = None, squares: Sequence[float] = ()
+) -> Form:
+    """Build the matrix `N_h − JᵀN_0J`, with J the Jacobian of the correction by a measurement of age h in the frames.
+
+    It is positive definite where the correction shortens all curves, from the metric M_h before it to M_0 after it.
+    With measurement errors it is `diag(N_h, Γ) − [J B]ᵀN_0[J B]`: where it is positive definite, a curve of length ℓ
+    between the truth and an estimate has at most the length `√(ℓ² + ΣΓ)` after a correction by an erroneous
+    measurement.
+
+    The inequality is one for Lipschitz corrections too: −JᵀN_0J is concave in J, so that it holds for the means of
+    Jacobians by which chords change, as in `derivative_form`.
+
+    Args:
+        error_system: the system, as from `sampled_system`.
+        noise: bounds (n,) of the errors of the measured positions, which scale the columns of B; None without errors.
+        squares: diagonal of Γ, one for each bound that is not zero.
+
+    Returns:
+        The matrix (2n + len(squares), the same) as a function of z.
+    """
+    if noise is None:
+        return at_correction(error_system, lambda before, after, jacobian: before - jacobian.T @ after @ jacobian)
+    columns, scale = np.flatnonzero(noise), jnp.asarray(noise[noise != 0])
+
+    def formula(before, after, jacobian, errors):
+        both = jnp.concatenate([jacobian, errors[:, columns] * scale[None]], axis=1)
+        return jax.scipy.linalg.block_diag(before, jnp.diag(jnp.asarray(squares))) - both.T @ after @ both
+
+    return at_noisy_correction(error_system, formula)
+
+
+def at_correction(error_system: ErrorSystem, formula: Callable[[Array, Array, Array], Array]) -> Form:
+    """Build the form of a formula of N_h before a correction C, of N_0 after it, and of J.
+
+    In the frames J = Θ_0(C x) (∂C/∂x) Θ_h(x)⁻¹, while the measurement is held constant.
+
+    Args:
+        error_system: the system, as from `sampled_system`.
+        formula: `(N_h, N_0, J) -> matrix`.
+
+    Returns:
+        The form that proofs need: a graph whose derivatives are its own.
+    """
+
+    def parts(derivatives, nodes, count):
+        new, coframe, after, frame, before, *_ = nodes
+        return coframe, after, derivatives.each(new, range(1, 1 + count)), frame, before
+
+    def whole(coframe, after, slope, frame, before):
+        return formula(before, after, coframe @ slope @ frame)
+
+    def numbers(z):
+        point = error_system.at(z)
+        _, coframe, after, frame, before, *_ = corrections(error_system)(jnp.zeros((), z.dtype), point.x, z)
+        return whole(coframe, after, jax.jacfwd(point.sampled[0])(point.x), frame, before)
+
+    return derivative_form(corrections(error_system), lambda z: error_system.at(z).x, parts, whole, numbers)
+
+
+def at_noisy_correction(error_system: ErrorSystem, formula: Callable[[Array, Array, Array, Array], Array]) -> Form:
+    """Build the form of a formula of N_h, N_0, J, as in `at_correction`, and of `B = Θ_0(C x) ∂C/∂y`.
+
+    Args:
+        error_system: the system, as from `sampled_system`.
+        formula: `(N_h, N_0, J, B) -> matrix`, where B (2n, n) is the change by an error of the measurement.
+
+    Returns:
+        The form that proofs need: a graph whose derivatives are its own.
+    """
+
+    def parts(derivatives, nodes, count):
+        new, coframe, after, frame, before, *_ = nodes
+        n = count // 2
+        # The measurement is the estimated position less its error, both of which are variables in z.
+        errors = derivatives.each(new, range(1 + count + 2 * n, 1 + count + 3 * n))
+        return coframe, after, derivatives.each(new, range(1, 1 + count)), errors, frame, before
+
+    def whole(coframe, after, slope, errors, frame, before):
+        return formula(before, after, coframe @ slope @ frame, -coframe @ errors)
+
+    def numbers(z):
+        x = error_system.at(z).x
+        n = x.shape[0] // 2
+        _, coframe, after, frame, before, *_ = corrections(error_system)(jnp.zeros((), z.dtype), x, z)
+        slope = jax.jacfwd(error_system.at(z).sampled[0])(x)
+        errors = jax.jacfwd(lambda z: error_system.at(z).sampled[0](x))(z)[:, 2 * n : 3 * n]
+        return whole(coframe, after, slope, errors, frame, before)
+
+    return derivative_form(corrections(error_system), lambda z: error_system.at(z).x, parts, whole, numbers)
+
+
+def joint_force_bound(error_system: ErrorSystem, sizes: Float[np.ndarray, "n"], square: float) -> Form:
+    """Build the matrix `square I − BᵀMB`, with B the Jacobian of the flow between samples in the joint force.
+
+    Args:
+        error_system: the system, as from `sampled_system`.
+        sizes: factors (n,) of the columns of B: the largest unknown force of each joint.
+        square: square of the bound of the length of what a force within the unit ball of these factors adds to the
+            flow.
+
+    Returns:
+        The matrix (n, n) as a function of z.
+    """
+    n = len(sizes)
+
+    def parts(derivatives, nodes, count):
+        flow, coframe, _, gram, *_ = nodes
+        # The joint force follows estimate, velocity, position error and input force in z.
+        return coframe, gram, derivatives.each(flow, range(1 + count + 4 * n, 1 + count + 5 * n))
+
+    def formula(coframe, gram, change):
+        b = coframe @ (change * jnp.asarray(sizes)[None])
+        return square * jnp.eye(n) - b.T @ gram @ b
+
+    def numbers(z):
+        point, t = error_system.at(z), jnp.zeros((), z.dtype)
+        change = jax.jacfwd(lambda z: error_system.at(z).flow(t, point.x))(z)[:, 4 * n : 5 * n]
+        return formula(point.metric.coframe(t, point.x), point.metric.gram(t, point.x), change)
+
+    return derivative_form(values(error_system), lambda z: error_system.at(z).x, parts, formula, numbers)
+
+
+def start_bound(error_system: ErrorSystem, squares: Float[np.ndarray, "two_n"], square: float) -> Form:
+    """Build the matrix `square diag(1/squares) − M`, with M the metric in coordinates, right after a measurement.
+
+    Where it is positive definite everywhere, an error with the components δ_i is at most `√(square Σ δ_i²/squares_i)`
+    long.
+
+    Args:
+        error_system: the system, in coordinates.
+        squares: squares (2n,) of the claims on reach.
+        square: the factor.
+
+    Returns:
+        The matrix (2n, 2n) as a function of z.
+    """
+
+    def matrix(z):
+        point, t = error_system.at(z), jnp.zeros((), z.dtype)
+        metric = point.metric if point.after is None else point.after
+        return square * jnp.diag(1 / jnp.asarray(squares)) - metric(t, point.x)
+
+    return as_form(matrix)
+
+
+def missing_bound(error_system: ErrorSystem, square: float, limit: float, reach: Float[np.ndarray, "n"]) -> Form:
+    """Build the matrix of what bounds the acceleration that a prediction lacks, in three blocks (n, n).
+
+    With D the derivative of the missing acceleration by the position error e, at a constant estimate, the blocks are
+    `square g(q) − Dᵀg(q)D`, `4 g(q) − g(q − e)` and `limit²/n I − W g(q) W`, W = diag(reach). Where they are positive
+    definite, the missing acceleration is shorter than `√square |e|`, lengths of vectors at most double over an error,
+    and a curve of length ℓ, which changes e by at most `ℓ reach`, makes |e| at most `ℓ limit`.
+
+    Args:
+        error_system: the system, as from `sampled_system`.
+        square: square of the bound [1/s⁴] of the missing acceleration.
+        limit: bound of |e| for a curve of unit length.
+        reach: bounds (n,) of each position error for a curve of unit length.
+
+    Returns:
+        The matrix (3n, 3n) as a function of z.
+    """
+    n = len(reach)
+
+    def parts(derivatives, nodes, count):
+        *_, missing, here, there = nodes
+        return derivatives.each(missing, [1 + count + k for k in error_system.errors(n)]), here, there
+
+    def whole(slope, here, there):
+        weighted = here * jnp.asarray(np.outer(reach, reach))
+        blocks = square * here - slope.T @ here @ slope, 4 * here - there, limit**2 / n * jnp.eye(n) - weighted
+        return jax.scipy.linalg.block_diag(*blocks)
+
+    def numbers(z):
+        x = error_system.at(z).x
+        *_, here, there = corrections(error_system)(jnp.zeros((), z.dtype), x, z)
+        slope = jax.jacfwd(lambda z: error_system.at(z).missing(x))(z)[:, np.array(error_system.errors(n))]
+        return whole(slope, here, there)
+
+    return derivative_form(corrections(error_system), lambda z: error_system.at(z).x, parts, whole, numbers)
+
+
+FORMS: dict[str, Callable[[Resolved, Any], Form]] = {
+    "contraction": lambda of, claim: contraction(of.about, of.document.rate),
+    "reach": lambda of, claim: width_bound(of.about, claim.row, claim.square),
+    "correction": lambda of, claim: correction(
+        of.about, of.document.given.noise if claim.squares else None, claim.squares
+    ),
+    "missing": lambda of, claim: missing_bound(of.about, claim.square, claim.limit, of.document.unit_reach),
+    "start": lambda of, claim: start_bound(of.about, reach_squares(of.document.claims), claim.square),
+}
+"""What is to be proved for each kind of claim of a document."""

@@ -1,0 +1,385 @@
+"""An intrinsic observer on a region, as the system of proofs: its flow and metric as functions of variables in a box.
+
+The variables are the estimate, the error of its position, and the force on the system. Nothing else enters: the source
+`S = g⁻¹ f` at the measured position is a known function of the force f, whatever the input, potential and time that
+cause it. On a group the estimated configuration does not enter either, by symmetry; a model whose friction breaks this
+symmetry is refused.
+
+Friction in joints may be two further variables for each joint, its force and its slope, in place of the function. Every
+flow with a friction within these bounds is then covered, so that no box has to resolve how steep it is near rest.
+"""
+
+import dataclasses
+import functools
+import math
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from covariant._typing import Vector
+from covariant.certificates.base._contraction import StateMetric
+from covariant.certificates.base._error_system import ErrorSystem, Point, entries_read
+from covariant.certificates.base._tangent_metric import TwoByTwo, tangent_metric
+from covariant.lowering import expand, lower, numbers
+from covariant.models import MechanicalSystem, input_count, resistance
+from covariant.observers import Geodesic, Intrinsic, second_order
+
+Intrinsics = Intrinsic | Geodesic
+OBSERVERS: dict[str, dict[str, Any]] = {
+    "intrinsic": {"order": (1, 2), "coefficients": ("measured", "estimated"), "curvature": bool},
+    "geodesic": {"curvature": bool},
+}
+"""The fields of each kind of observer beside the gains, with their possible values."""
+OBSERVER_KINDS = {"intrinsic": Intrinsic, "geodesic": Geodesic}
+"""The observers that there are certificates for, by their name in a file."""
+
+
+def error_system(observer: Intrinsics, q: TwoByTwo, joint_friction: bool = False) -> ErrorSystem:
+    """Describe an intrinsic observer on any region, with a metric on states, for `contraction`, `prove` and `falsify`.
+
+    Args:
+        observer: an `Intrinsic` or a `Geodesic` (in coordinates), no subclass.
+        q: matrix Q (2, 2) that makes the metric on states from that of the model, as from `lyapunov`.
+        joint_friction: whether friction and its slopes are variables too, independent of the velocity. It then has to
+            act in each joint by its own velocity, in coordinates.
+
+    Returns:
+        Flow and metric as functions of estimate, error and force, and with `joint_friction` of friction and its slopes.
+
+    Raises:
+        TypeError: another kind of observer.
+        ValueError: a space or a friction that is not covered.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant import models, observers
+        >>> from covariant.certificates import error_system
+        >>> system = error_system(observers.Intrinsic(models.oscillator(), 2.0, 2.0), np.eye(2))
+        >>> system.names
+        ('q', 'v_q', 'e_q', 'f_q')
+    """
+    # The flow is written anew for the proof, from the equations of these two classes. A subclass may run another one.
+    if type(observer) not in (Intrinsic, Geodesic):
+        raise TypeError(
+            f"certificates are about the flows of Intrinsic and Geodesic themselves; got {type(observer).__name__}, "
+            "whose flow may be another one"
+        )
+    need_steady_friction(observer.model)
+    space = observer.model.space
+    if space.manifold.commuting:
+        return _in_coordinates(observer, q, joint_friction)
+    if joint_friction:
+        raise ValueError("friction as variables of its own needs coordinates")
+    if space.homogeneous and isinstance(observer, Intrinsic):
+        return _in_the_body(observer, q)
+    raise ValueError(
+        "a region is a box of coordinates, or for Intrinsic of velocities alone where the metric is the same "
+        f"everywhere; {type(observer).__name__} on {space.manifold} is not covered"
+    )
+
+
+def configuration_shape(model: MechanicalSystem, n: int) -> tuple[int, ...]:
+    """Return the shape of a configuration: (n,) coordinates, or that of a matrix of the group.
+
+    Args:
+        model: the mechanical system.
+        n: number of velocities.
+    """
+    return (n,) if model.manifold.commuting else jax.eval_shape(model.manifold.origin).shape
+
+
+def _in_coordinates(observer: Intrinsics, q: TwoByTwo, joint_friction: bool) -> ErrorSystem:
+    model = observer.model
+    n = dimension(model)
+    if joint_friction:
+        need_joint_friction(model)
+    metric = tangent_metric(model.space, q)
+
+    def at(z):
+        place, velocity, error, force, *joints = jnp.split(z, 6 if joint_friction else 4)
+        measured = place - error
+
+        def friction(place, v):
+            if not joint_friction:
+                return friction_of(model, place, v)
+            # Its value at this velocity, with any slope that it has within its bounds.
+            value, drag = joints
+            return value - drag * (v - velocity)
+
+        # Force and potential are left out: the force is a variable of the box, which enters as the input.
+        bare = with_model(observer, MechanicalSystem(model.space, None, None, friction))
+
+        def flow(t, x):
+            state = bare.init(x[:n])._replace(q=x[:n], v=x[n:], t=t)
+            change = bare.flow(t, state, force, measured)
+            return jnp.concatenate([change.q, change.v])
+
+        x = jnp.concatenate([place, velocity])
+        return Point(
+            flow,
+            metric,
+            x,
+            lambda: metric.frame(jnp.zeros((), z.dtype), x),
+            # The error is estimate minus measurement, hence the minus sign.
+            lambda: -jnp.eye(n, dtype=z.dtype),
+        )
+
+    names = model.coordinates
+    units = model.units or ("",) * n
+    rates = tuple(f"{unit}/s" if unit else "" for unit in units)
+    prefixes = ("", "v_", "e_", "f_", "r_", "d_")[: 6 if joint_friction else 4]
+    return ErrorSystem(
+        tuple(f"{prefix}{name}" for prefix in prefixes for name in names),
+        (*units, *rates, *units, *("",) * (n * (len(prefixes) - 3))),
+        at,
+    )
+
+
+def _in_the_body(observer: Intrinsic, q: TwoByTwo) -> ErrorSystem:
+    model, space, manifold = observer.model, observer.model.space, observer.model.manifold
+    _need_symmetry(model)
+    origin = manifold.origin()
+    inertia = np.array(space(origin))
+    n = len(inertia)
+
+    def each(linear, dtype):
+        return jax.vmap(linear, out_axes=1)(jnp.eye(n, dtype=dtype))
+
+    # Around an estimate the chart is that of the retraction, with coordinates θ; everything is evaluated at θ = 0.
+    def frames(x, sign):
+        theta, v = jnp.split(x, 2)
+        body = each(functools.partial(manifold.frame_velocity, origin, theta), x.dtype)
+        turn = each(lambda e: space.connection(origin, e, v), x.dtype)
+        # [[E, 0], [ΓE, I]]⁻¹ = [[E⁻¹, 0], [−Γ, I]], with E the body velocity of a rate of θ.
+        lower = turn @ body if sign > 0 else -turn
+        upper = body if sign > 0 else each(functools.partial(manifold.local_rate, origin, theta), x.dtype)
+        return jnp.block([[upper, jnp.zeros((n, n), x.dtype)], [lower, jnp.eye(n, dtype=x.dtype)]])
+
+    def gram(t, x):
+        return jnp.asarray(np.kron(q / 2, inertia), x.dtype)
+
+    length = StateMetric(lambda t, x: frames(x, 1), lambda t, x: frames(x, -1), gram)
+
+    def at(z):
+        velocity, error, force = jnp.split(z, 3)
+
+        def flow(t, x):
+            theta, v = jnp.split(x, 2)
+            # log(exp(−θ) exp(−e)) to first order in θ, without a logarithm, whose computation branches on matrix
+            # entries. It is an identity for errors whose logarithm is unique.
+            correction = -error - manifold.local_rate(origin, error, theta)
+            at = manifold.origin(z.dtype)
+            xi = -correction if observer.order == 1 else second_order(space, at, -correction)
+            source = space.raise_(at, force)
+            resistance_vector = space.raise_(at, friction_of(model, at, v))
+            drive = observer.bend(at, source - space.connection(at, xi, source), xi, v)
+            w, v_dot = observer.rates(at, v, xi, drive + resistance_vector)
+            return jnp.concatenate([manifold.local_rate(origin, theta, w), v_dot])
+
+        x = jnp.concatenate([jnp.zeros(n, z.dtype), velocity])
+
+        def error_jacobian():
+            rates = each(functools.partial(manifold.local_rate, origin, error), z.dtype)
+            rows = jnp.concatenate([rates, jnp.zeros((n, n), z.dtype)], axis=1)
+            return jnp.concatenate([rows, length.frame(jnp.zeros((), z.dtype), x)[n:]])
+
+        def noise_jacobian():
+            return -each(functools.partial(manifold.local_rate, origin, -error), z.dtype)
+
+        return Point(flow, length, x, error_jacobian, noise_jacobian)
+
+    names, units = model.velocities, model.velocity_units
+    position_units = tuple(unit.removesuffix("/s") for unit in units)
+    return ErrorSystem(
+        (*names, *(f"e_{k}" for k in names), *(f"f_{k}" for k in names)),
+        (*units, *position_units, *("",) * n),
+        at,
+    )
+
+
+def with_model(observer: Any, model: MechanicalSystem) -> Any:
+    """Return an observer of the same kind, with the same fields, for another model.
+
+    Args:
+        observer: the observer.
+        model: the other model.
+    """
+    fields = {name: getattr(observer, name) for name in type(observer).__dataclass_fields__}
+    return type(observer)(**(fields | {"model": model}))
+
+
+def dimension(model: MechanicalSystem) -> int:
+    """Return the number of coordinates of a model, which must have names.
+
+    Args:
+        model: the mechanical system.
+
+    Raises:
+        ValueError: they have none.
+    """
+    if not model.coordinates:
+        raise ValueError("the model must name its coordinates, so that a region can; give Lagrangian(coordinates=...)")
+    return len(model.coordinates)
+
+
+def friction_of(model: MechanicalSystem, q: Array, v: Vector) -> Vector:
+    """Evaluate the dissipation (n,) of a model in which it depends on neither time nor input.
+
+    Args:
+        model: the mechanical system.
+        q: configuration.
+        v: velocity (n,).
+    """
+    n = v.shape[0]
+    return resistance(model, jnp.zeros((), v.dtype), q, v, jnp.zeros(input_count(model, n), v.dtype))
+
+
+def need_steady_friction(model: MechanicalSystem) -> None:
+    """Check that the dissipation depends on neither time nor input, which are no variables of a region.
+
+    Args:
+        model: the mechanical system.
+
+    Raises:
+        ValueError: it depends on one of them.
+    """
+    if not model.dissipation_is_driven:
+        return
+    q = jnp.zeros(dimension(model)) if model.manifold.commuting else model.manifold.origin()
+    v = model.manifold.zero(q)
+    u = jnp.zeros(input_count(model, v.size))
+    read = entries_read(functools.partial(resistance, model), jnp.zeros(()), q, v, u)
+    first = 1 + q.size + v.size
+    dependences = ["time"] * (0 in read) + [f"u{i + 1}" for i in range(u.size) if first + i in read]
+    if dependences:
+        raise ValueError(
+            f"the dissipation of this model depends on {', '.join(dependences)}; only friction of position and "
+            "velocity is covered by a proof"
+        )
+
+
+def any_configuration(model: MechanicalSystem) -> Array:
+    """Return a configuration, for what does not depend on it.
+
+    Args:
+        model: the mechanical system.
+    """
+    return jnp.zeros(dimension(model)) if model.manifold.commuting else model.manifold.origin()
+
+
+def need_joint_friction(model: MechanicalSystem) -> None:
+    """Check that friction acts in each joint, or about each axis of a body, by its own velocity.
+
+    Args:
+        model: the mechanical system, with friction of position and velocity.
+
+    Raises:
+        ValueError: it depends on the position, or couples velocities.
+    """
+    n = dimension(model) if model.manifold.commuting else len(model.velocities)
+    q = any_configuration(model)
+    friction = functools.partial(friction_of, model)
+    if any(i < q.size for i in entries_read(friction, q, jnp.zeros(n))):
+        raise ValueError(
+            "the friction of this model depends on the position; covered here is friction of the velocity alone"
+        )
+    expansion = expand(lower(functools.partial(friction, q), jnp.zeros(n)), range(n), 1)
+    slopes = expansion.nodes()[1].reshape(n, n)
+    if any(not expansion.graph.is_zero(int(slopes[i, j])) for i in range(n) for j in range(n) if i != j):
+        raise ValueError(
+            "the friction of this model couples joints; covered here is friction that acts in each joint by its own "
+            "velocity"
+        )
+
+
+def _need_symmetry(model: MechanicalSystem) -> None:
+    """Raise `ValueError` where friction or inertia depend on the estimated configuration."""
+    origin = model.manifold.origin()
+    entries, rest = origin.size, model.manifold.zero(origin)
+    read = entries_read(functools.partial(friction_of, model), origin, rest)
+    indices = [np.unravel_index(k, origin.shape) for k in range(entries) if k in read]
+    labels = ["g" + "".join(str(i + 1) for i in index) for index in indices]
+    if labels:
+        raise ValueError(
+            f"the friction of this model depends on where the body is, on {', '.join(labels)} of its matrix; on a "
+            "group that is not covered: write the system as a Lagrangian in coordinates"
+        )
+    momentum = lower(lambda a: model.space.lower(origin, a), rest)
+    expansion = expand(momentum, range(rest.size), 2)
+    second = np.ravel(expansion.nodes()[2]).tolist()
+    if numbers(momentum, np.zeros(rest.size)).any() or not all(expansion.graph.is_zero(node) for node in second):
+        raise ValueError("the inertia of this model is not a linear map; on a group that is not covered")
+
+
+def check_unique(observer: Intrinsics, error: Float[np.ndarray, "n"]) -> None:
+    """Check that the shortest path to the measurement is unique for errors up to a bound.
+
+    Errors must be below half a turn, in each circle, and in each rotation at the farthest corner of the box.
+
+    Args:
+        observer: the observer.
+        error: bounds (n,) of the position error [unit].
+
+    Raises:
+        ValueError: errors are larger, or uniqueness is not known for the observer or its space.
+    """
+    if isinstance(observer, Geodesic):
+        raise ValueError(
+            "the exact observer searches its geodesic, and that it finds the shortest one is not proved; certify the "
+            "approximate one, Intrinsic"
+        )
+    model = observer.model
+    if model.manifold.rotations is None:
+        raise ValueError(
+            f"how far the logarithm of {type(model.manifold).__name__} is unique is not known; no proof there"
+        )
+    for turn in model.manifold.rotations:
+        # The factors cover the rounding of norm and π: the comparison is on the safe side.
+        farthest = math.sqrt(math.fsum(float(error[i]) ** 2 for i in turn)) * (1 + 1e-12)
+        if not farthest < math.pi * (1 - 1e-12):
+            names = model.coordinates or model.velocities
+            raise ValueError(
+                f"the error of {', '.join(names[i] for i in turn)} must be below π, at the farthest corner of its box; "
+                f"it is up to {farthest:g} there"
+            )
+
+
+def observer_document(observer: Intrinsics) -> dict[str, Any]:
+    """Convert an observer without its model to data.
+
+    Args:
+        observer: the observer.
+
+    Returns:
+        Its kind, frame, gains and options.
+
+    Raises:
+        ValueError: a field cannot be saved, such as a budget that is not the default.
+    """
+    kind = next(name for name, cls in OBSERVER_KINDS.items() if type(observer) is cls)
+    frame = frame_of(observer.model)
+    content: dict[str, Any] = {
+        "kind": kind,
+        "frame": frame,
+        "alpha": float(observer.alpha),
+        "beta": float(observer.beta),
+    }
+    for field in dataclasses.fields(observer):
+        value = getattr(observer, field.name)
+        if field.name in OBSERVERS[kind]:
+            content[field.name] = value
+        elif field.name not in ("model", "alpha", "beta", "substeps") and value != field.default:
+            raise ValueError(f"an observer with {field.name} = {value!r} cannot be written into a certificate")
+    return content
+
+
+def frame_of(model: MechanicalSystem) -> str:
+    """Return the frame of the vectors of a model, as named in a certificate: "coordinates" or "body".
+
+    Args:
+        model: the mechanical system.
+    """
+    return "coordinates" if model.manifold.commuting else "body"

@@ -1,0 +1,109 @@
+"""Bounds of the effect of noise that follow from a rate of contraction: for any noise, not only for white noise.
+
+Source: Lohmiller & Slotine 1998, section 3.7 (robustness). For white noise see `calibration.predict_errors`.
+"""
+
+import math
+
+import numpy as np
+
+from covariant._typing import Number
+from covariant.certificates.base._tangent_metric import TwoByTwo, check_q, rate_of
+
+
+def steady_distance(rate: float, disturbance: float) -> float:
+    """Compute the largest final distance between solutions of a contracting flow and of a disturbed one: `2 D / λ`.
+
+    Args:
+        rate: rate λ [1/s] of squared lengths, positive.
+        disturbance: D, the largest length in the metric of what is added to x'.
+
+    Returns:
+        The distance, in the metric.
+
+    Raises:
+        ValueError: a rate that is not positive.
+
+    Example:
+        >>> from covariant.certificates import steady_distance
+        >>> steady_distance(rate=4.0, disturbance=0.1)
+        0.05
+    """
+    if not rate > 0:
+        raise ValueError(f"a bound needs a positive rate; got {rate:g}")
+    # d' ≤ −(λ/2) d + D comes to rest at d = 2D/λ.
+    return 2 * disturbance / rate
+
+
+def noise_disturbance(alpha: Number, beta: Number, q: TwoByTwo, noise: float, slope: float) -> float:
+    """Compute the length, in the metric of q, of what a measurement error adds to the observer's flow.
+
+    To first order an error b adds `αb` to q̂' and `βb` to ∇v̂, a vector of length `|b| √½(aα² + 2cαβ + bβ²)`. Since
+    force and curvature are evaluated at the measured position, it adds up to `slope |b|` more to ∇v̂.
+
+    Args:
+        alpha: gain α [1/s].
+        beta: gain β [1/s²].
+        q: matrix Q (2, 2) of the metric.
+        noise: length of the measurement error, in the metric on configurations.
+        slope: upper bound [1/s²] of the gradient of acceleration and curvature, as for `error_bounds`.
+
+    Returns:
+        The length D, an argument of `steady_distance`.
+
+    Raises:
+        ValueError: a q that is not symmetric positive definite.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant.certificates import noise_disturbance
+        >>> round(noise_disturbance(3.0, 4.0, 2 * np.eye(2), noise=0.1, slope=0.0), 6)
+        0.5
+    """
+    q, gains = check_q("noise_disturbance", q), np.array([alpha, beta])
+    # Q has half the squared length: ½ vᵀQv for the vector (α, β), and ½b for the change of ∇v̂ alone.
+    return noise * (math.sqrt(gains @ q @ gains / 2) + slope * math.sqrt(q[1, 1] / 2))
+
+
+def error_bounds(
+    alpha: Number, beta: Number, q: TwoByTwo, rate: float, noise: float, slope: float
+) -> tuple[float, float]:
+    """Bound the steady errors |ξ| and |ζ| for measurement errors no longer than `noise`.
+
+    They follow from `steady_distance`: a state at distance d has `|ξ| ≤ d √2(Q⁻¹)₁₁` and `|ζ| ≤ d √2(Q⁻¹)₂₂`. They hold
+    to first order in the error; `certify(noise=...)` proves a bound for all errors of that size, and computes the slope
+    itself.
+
+    Args:
+        alpha: gain α [1/s].
+        beta: gain β [1/s²].
+        q: matrix Q (2, 2) of the metric.
+        rate: rate λ [1/s] of squared lengths, at most `rate_of(alpha, beta, q)`.
+        noise: largest length of the measurement error, in the metric on configurations.
+        slope: an upper bound [1/s²] of `‖∇S‖ + ‖R(·, v)v‖`, of the gradient of the acceleration at rest and the
+            curvature at the largest speed. For a spring it is k/m; it is 0 only without force and curvature.
+
+    Returns:
+        Bounds of |ξ| and |ζ|, in units of the metric on configurations, and these per second.
+
+    Raises:
+        ValueError: a slope or a noise that is not a finite number ≥ 0; a rate that is not positive or larger than that
+            of the gains in this metric; a q that is not symmetric positive definite.
+
+    Example:
+        >>> from covariant.certificates import error_bounds, lyapunov
+        >>> position, velocity = error_bounds(2.0, 2.0, lyapunov(2.0, 2.0), rate=0.5, noise=0.01, slope=1.0)
+        >>> position > 0 and velocity > 0
+        True
+    """
+    for name, value in (("slope", slope), ("noise", noise)):
+        if not (math.isfinite(value) and value >= 0):
+            raise ValueError(f"error_bounds: {name} must be a finite number, zero or more; got {value!r}")
+    fastest = rate_of(alpha, beta, q)
+    # A rate that `rate_of` itself returned is accepted in spite of rounding.
+    if rate > fastest * (1 + 1e-9):
+        raise ValueError(f"error_bounds: the gains contract the metric q at {fastest:.6g} 1/s at most; got {rate:g}")
+    distance = steady_distance(rate, noise_disturbance(alpha, beta, q, noise, slope))
+    inverse = np.linalg.inv(check_q("error_bounds", q))
+    # ½ vᵀQv ≤ d² bounds an entry of v by d√(2 (Q⁻¹)ᵢᵢ), the half width of this ellipse.
+    return distance * math.sqrt(2 * inverse[0, 0]), distance * math.sqrt(2 * inverse[1, 1])

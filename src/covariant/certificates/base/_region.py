@@ -1,0 +1,133 @@
+"""The region of a certificate: positions, inputs and times, as they are given, checked."""
+
+import itertools
+import math
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import ArrayLike, Float
+
+from covariant.certificates.base._force_bounds import force_reads_time
+from covariant.geometry.lie import SO2, SO3
+from covariant.models import MechanicalSystem, input_count
+from covariant.proofs import Box, check_box
+
+Bounds = tuple[ArrayLike, ArrayLike]
+
+
+def positive(name: str, value: ArrayLike, n: int) -> Float[np.ndarray, "n"]:
+    """Check bounds that must be positive.
+
+    Args:
+        name: name of the argument.
+        value: one number for all, or n of them.
+        n: number of velocities.
+
+    Returns:
+        The bounds (n,).
+
+    Raises:
+        ValueError: naming the argument.
+    """
+    bounds = _amounts(name, value, n)
+    if not (np.isfinite(bounds).all() and (bounds > 0).all()):
+        raise ValueError(
+            f"certify: {name} must be a positive, finite bound; got {bounds.tolist()}. No contraction holds at all "
+            "speeds and errors, so there is no certificate without such a bound"
+        )
+    return bounds
+
+
+def amount(name: str, value: ArrayLike, n: int) -> Float[np.ndarray, "n"]:
+    """Check bounds that may be zero; arguments and result are those of `positive`."""
+    bounds = _amounts(name, value, n)
+    if not (np.isfinite(bounds).all() and (bounds >= 0).all()):
+        raise ValueError(f"certify: {name} must be a finite bound, zero or more; got {bounds.tolist()}")
+    return bounds
+
+
+def _amounts(name: str, value: ArrayLike, n: int) -> Float[np.ndarray, "n"]:
+    amounts = np.broadcast_to(np.asarray(value, float), (n,)) if np.ndim(value) == 0 else np.asarray(value, float)
+    if amounts.shape != (n,):
+        raise ValueError(f"certify: {name} needs one number, or {n} of them; got {amounts.size}")
+    return amounts.copy()
+
+
+class Region(NamedTuple):
+    """Where the system is: the box of true positions, the bounds (2, m) of inputs, and first and last time [s]."""
+
+    true: Box
+    inputs: Float[np.ndarray, "2 m"]
+    times: tuple[float, float]
+
+
+def region_of(
+    model: MechanicalSystem, position: Bounds | None, inputs: Bounds | ArrayLike, times: tuple[float, float] | None
+) -> Region:
+    """Check the bounds of positions, inputs and times.
+
+    Args:
+        model: the mechanical system.
+        position: lower and upper ends; on rotations none are needed.
+        inputs: one bound, one for each, or lower and upper ends.
+        times: first and last time [s], where the force depends on it.
+
+    Raises:
+        ValueError: naming the argument.
+    """
+    n = len(model.coordinates or model.velocities)
+    true = _coordinates(model, position, n) if model.manifold.commuting else _elements(model, position)
+    return Region(check_box(true), _inputs(model, inputs, n), _times(model, n, times))
+
+
+def _coordinates(model: MechanicalSystem, position: Bounds | None, n: int) -> Box:
+    if position is None:
+        raise ValueError(f"certify: position needs bounds of {', '.join(model.coordinates)}")
+    low, high = (np.broadcast_to(np.asarray(side, float), (n,)).copy() for side in position)
+    return Box(model.coordinates, model.units, low, high)
+
+
+def _elements(model: MechanicalSystem, position: Bounds | None) -> Box:
+    order = model.manifold.origin().shape[0]
+    names = tuple(f"g{i + 1}{j + 1}" for i, j in itertools.product(range(order), repeat=2))
+    if position is None:
+        if model.manifold not in (SO2, SO3):
+            raise ValueError("certify: on this group position needs bounds of the entries of its matrices (N, N)")
+        position = (-np.ones((order, order)), np.ones((order, order)))
+    low, high = (np.broadcast_to(np.asarray(side, float), (order, order)).ravel().copy() for side in position)
+    return Box(names, ("",) * len(names), low, high)
+
+
+def _inputs(model, bounds, n: int) -> Float[np.ndarray, "2 m"]:
+    m = input_count(model, n)
+    sides = bounds if isinstance(bounds, tuple) else (-np.asarray(bounds, float), np.asarray(bounds, float))
+    if len(sides) != 2:
+        raise ValueError(
+            f"certify: input as a tuple is a pair of bounds, lower and upper; got {len(sides)} entries; "
+            "write a list for one bound of each input"
+        )
+    try:
+        stacked = np.stack([np.broadcast_to(np.asarray(side, float), (m,)) for side in sides])
+    except ValueError:
+        raise ValueError(f"certify: input needs one bound, or {m} of them; got {np.size(sides[0])}") from None
+    if not (np.isfinite(stacked).all() and (stacked[0] <= stacked[1]).all()):
+        raise ValueError(f"certify: input must have finite bounds; got {stacked.tolist()}")
+    return stacked
+
+
+def _times(model: MechanicalSystem, n: int, times: tuple[float, float] | None) -> tuple[float, float]:
+    """First and last time; where the force does not depend on it, any one instant stands for all."""
+    if times is None:
+        if force_reads_time(model, n):
+            raise ValueError(
+                "certify: the force of this model depends on time; give times=(first, last) [s], between which the "
+                "statement is to hold"
+            )
+        return 0.0, 0.0
+    try:
+        first, last = (float(t) for t in times)
+    except (TypeError, ValueError):
+        raise ValueError(f"certify: times needs two instants; got {times!r}") from None
+    if not (math.isfinite(first) and math.isfinite(last) and first <= last):
+        raise ValueError(f"certify: times must be finite, the earlier one first; got {first:g} and {last:g}")
+    return first, last

@@ -1,0 +1,159 @@
+"""The common form of verdicts: a claim in words, the numbers it is based on, and the hypotheses it rests on."""
+
+import math
+from collections.abc import Iterable
+from typing import Any, Literal, NamedTuple
+
+Verdict = Literal["holds", "fails", "undecided"]
+Evidence = Literal["proved", "sampled", "claimed", "assumed"]
+
+MEANING: dict[Evidence, str] = {
+    "proved": "by arithmetic with outward rounding, everywhere in the domain, or by a condition on numbers",
+    "sampled": "at points or along motions that were tried, between which nothing is known",
+    "claimed": "by a file that was read and not verified",
+    "assumed": "not checked by computation",
+}
+"""Meaning of each kind of evidence, the strongest first."""
+
+
+class Hypothesis(NamedTuple):
+    """A premise of a claim, with the evidence for it.
+
+    Attributes:
+        text: the premise in words.
+        evidence: "proved", "sampled", "claimed" or "assumed", with the meanings of `MEANING`.
+        verdict: "holds", "fails" (which refutes the claim) or "undecided". An assumed premise is taken to hold.
+        margin: amount by which the premise holds, in the unit of its text; None where no number says it.
+        place: where the margin is least, or where the premise fails, in words; may be empty.
+
+    Example:
+        >>> from covariant.certificates import Hypothesis
+        >>> print(Hypothesis("V decreases", "sampled", margin=0.25))
+        sampled: V decreases, margin 0.25
+    """
+
+    text: str
+    evidence: Evidence
+    verdict: Verdict = "holds"
+    margin: float | None = None
+    place: str = ""
+
+    def __str__(self) -> str:
+        label = self.evidence if self.verdict == "holds" else self.verdict
+        margin = "" if self.margin is None else f", margin {self.margin:.4g}"
+        return f"{label}: {self.text}{margin}{f', at {self.place}' if self.place else ''}"
+
+
+class Statement(NamedTuple):
+    """A claim with its hypotheses, from which verdict and evidence are computed.
+
+    Attributes:
+        claim: one sentence.
+        about: lines with everything that the claim depends on: the model and its parameters, gains, region and bounds.
+        hypotheses: all premises. The claim is proved if each of them is, apart from those that are assumed.
+        margin: the number that decides; the claim gives its meaning and unit.
+        domain: the states that the claim covers, as text.
+        point: the state at which the margin is least, or a counterexample; may be empty.
+
+    Example:
+        >>> from covariant.certificates import Hypothesis, Statement
+        >>> premises = (Hypothesis("M is positive definite", "proved"), Hypothesis("M decreases", "sampled"))
+        >>> statement = Statement("errors vanish", (), premises, 1.0)
+        >>> statement.verdict, statement.evidence, statement.short
+        ('holds', 'sampled', 'holds (sampled)')
+    """
+
+    claim: str
+    about: tuple[str, ...]
+    hypotheses: tuple[Hypothesis, ...]
+    margin: float
+    domain: str = ""
+    point: tuple[float, ...] = ()
+
+    @property
+    def verdict(self) -> Verdict:
+        """The verdict that follows from the hypotheses.
+
+        Returns:
+            "fails" if a hypothesis fails; "holds" if all hold and at least one is more than assumed; else "undecided".
+        """
+        present = {hypothesis.verdict for hypothesis in self.hypotheses}
+        # Assumptions alone support no claim: at least one hypothesis has to be examined.
+        examined = any(hypothesis.evidence != "assumed" for hypothesis in self.hypotheses)
+        # One failure refutes; one open premise leaves the claim open.
+        return "fails" if "fails" in present else "holds" if present == {"holds"} and examined else "undecided"
+
+    @property
+    def evidence(self) -> Evidence:
+        """The weakest evidence among the hypotheses that were examined; "assumed" where none was."""
+        present = {hypothesis.evidence for hypothesis in self.hypotheses}
+        # "assumed" is left out: it is listed with the statement, but does not lower its evidence.
+        weakest_first: tuple[Evidence, ...] = ("claimed", "sampled", "proved")
+        for evidence in weakest_first:
+            if evidence in present:
+                return evidence
+        return "assumed"
+
+    @property
+    def proved(self) -> bool:
+        """Whether the claim holds and every hypothesis that can be checked is proved."""
+        return self.verdict == "holds" and self.evidence == "proved"
+
+    @property
+    def short(self) -> str:
+        """The verdict in words, with its evidence where it holds."""
+        return f"holds ({self.evidence})" if self.verdict == "holds" else self.verdict
+
+    def document(self) -> dict[str, Any]:
+        """Convert the statement to data for JSON.
+
+        Returns:
+            The claim, the verdict and its evidence, the lines `about`, and a dictionary of fields for each hypothesis.
+        """
+        premises = [hypothesis._asdict() for hypothesis in self.hypotheses]
+        return {
+            "claim": self.claim,
+            "verdict": self.verdict,
+            "evidence": self.evidence,
+            "about": list(self.about),
+            "hypotheses": premises,
+        }
+
+    def __str__(self) -> str:
+        return "\n".join([f"{self.short}: {self.claim}", *self.about, "hypotheses:", *lines(self.hypotheses)])
+
+
+def lines(hypotheses: Iterable[Hypothesis]) -> list[str]:
+    """Format each hypothesis as one line of a list.
+
+    Args:
+        hypotheses: the premises, such as those of a `Statement`.
+
+    Returns:
+        One line for each, which begins with "- ".
+    """
+    return [f"- {hypothesis}" for hypothesis in hypotheses]
+
+
+def exact(value: float) -> str:
+    """The shortest text that is this number."""
+    return repr(float(value)).removesuffix(".0")
+
+
+def rounded_up(value: float) -> str:
+    """A positive number of four digits that is no smaller."""
+    text = f"{value:.4g}"
+    if float(text) >= value:
+        return text
+    last = math.floor(math.log10(abs(value))) - 3
+    return f"{float(text) + 10.0**last:.4g}"
+
+
+def rounded_down(value: float) -> str:
+    """A number of four digits that is no larger: what is claimed is never more than what is proved."""
+    text = f"{value:.4g}"
+    if float(text) <= value:
+        return text
+    # `.4g` rounds to nearest; one unit of the last of four digits less is below the value.
+    last = math.floor(math.log10(abs(value))) - 3
+    return f"{float(text) - 10.0**last:.4g}"

@@ -1,0 +1,251 @@
+"""The metric on the tangent bundle in which an intrinsic observer contracts.
+
+A variation (δq, δv) of a state (q, v) has the components `ξ = δq` and `ζ = δv + Γ(v, δq)`, both tangent vectors at q.
+The squared length is `½(a<ξ,ξ> + 2c<ξ,ζ> + b<ζ,ζ>)`, with a matrix `Q = [[a, c], [c, b]]` chosen for the gains.
+
+Source: Aghannan & Rouchon 2003, section IV and equations (6), (11); their dV/dt lacks a factor ½.
+"""
+
+import contextlib
+import math
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from covariant._typing import MatrixField, Number, Numbers
+from covariant.certificates.base._contraction import StateMetric
+from covariant.geometry import as_space
+
+TwoByTwo = Float[np.ndarray, "2 2"]
+
+
+def error_matrix(alpha: Number, beta: Number) -> TwoByTwo:
+    """Return the matrix A of the error law ξ' = ζ − αξ, ζ' = −βξ of a small error in a parallel frame, equation (10).
+
+    Args:
+        alpha: gain α [1/s].
+        beta: gain β [1/s²].
+
+    Returns:
+        `A = [[−α, 1], [−β, 0]]`.
+
+    Example:
+        >>> from covariant.certificates import error_matrix
+        >>> error_matrix(2.0, 3.0).tolist()
+        [[-2.0, 1.0], [-3.0, 0.0]]
+    """
+    return np.array([[-alpha, 1.0], [-beta, 0.0]])
+
+
+def lyapunov(alpha: Number, beta: Number, rate: float = 0.0, weight: float = 1.0) -> TwoByTwo:
+    """Solve `AᵀQ + QA + rate Q = −diag(1, weight)` for Q, where A is `error_matrix(alpha, beta)`.
+
+    With rate 0 and weight 1, the defaults, Q is the metric of the paper.
+
+    Args:
+        alpha: gain α [1/s].
+        beta: gain β [1/s²].
+        rate: rate [1/s] of squared lengths, below twice the decay rate of the slower pole.
+        weight: positive weight of the velocity error.
+
+    Returns:
+        Q (2, 2), symmetric positive definite.
+
+    Raises:
+        ValueError: gains that do not converge, or converge no faster than `e^(−rate t/2)`; a weight that is not
+            positive; or rounding leaves no positive definite matrix.
+
+    Example:
+        >>> from covariant.certificates import lyapunov
+        >>> lyapunov(1.0, 1.0).round(6).tolist()
+        [[1.0, -0.5], [-0.5, 1.5]]
+    """
+    _check_finite("lyapunov", alpha=alpha, beta=beta, rate=rate, weight=weight)
+    if weight <= 0:
+        raise ValueError(f"lyapunov: weight must be a positive number; got {weight:g}")
+    return _solutions(alpha, beta, rate, np.array([weight]))[0]
+
+
+def _solutions(alpha: Number, beta: Number, rate: Number, weights: np.ndarray) -> np.ndarray:
+    """The matrices (k, 2, 2) of `lyapunov` for weights (k,)."""
+    # A + λ/2 I has to be stable: AᵀQ + QA + λQ = (A + λ/2 I)ᵀQ + Q(A + λ/2 I).
+    shifted = error_matrix(alpha, beta) + rate / 2 * np.eye(2)
+    if not (np.linalg.eigvals(shifted).real < 0).all():
+        slowest = -2 * np.linalg.eigvals(error_matrix(alpha, beta)).real.max()
+        raise ValueError(
+            f"gains alpha {alpha:g}, beta {beta:g} shrink squared lengths at {slowest:.4g} 1/s at best; "
+            f"ask for a rate below that; got {rate:g}"
+        )
+    # The Lyapunov equation as a linear system in the entries of Q, row by row, solved for all weights at once.
+    operator = np.kron(shifted.T, np.eye(2)) + np.kron(np.eye(2), shifted.T)
+    zero = np.zeros_like(weights)
+    right = np.stack([np.ones_like(weights), zero, zero, weights], axis=1)
+    with contextlib.suppress(np.linalg.LinAlgError):
+        q = np.linalg.solve(operator, -right[..., None]).reshape(-1, 2, 2)
+        q = (q + q.transpose(0, 2, 1)) / 2
+        np.linalg.cholesky(q)
+        if np.isfinite(q).all():
+            return q
+    raise ValueError(
+        f"gains alpha {alpha:g}, beta {beta:g} at rate {rate:g} 1/s: rounding leaves no positive definite matrix; "
+        "ask for a lower rate, or for gains of less different size"
+    )
+
+
+def rate_of(alpha: Number, beta: Number, q: Numbers) -> float:
+    """Compute the largest λ with `AᵀQ + QA ≤ −λQ`: the rate of squared lengths at q̂ = q.
+
+    Args:
+        alpha: gain α [1/s].
+        beta: gain β [1/s²].
+        q: matrix Q (2, 2) of the metric.
+
+    Returns:
+        λ [1/s].
+
+    Raises:
+        ValueError: a gain that is not finite, or a q that is not symmetric positive definite.
+
+    Example:
+        >>> from covariant.certificates import lyapunov, rate_of
+        >>> round(rate_of(1.0, 1.0, lyapunov(1.0, 1.0)), 4)
+        0.5528
+    """
+    _check_finite("rate_of", alpha=alpha, beta=beta)
+    q = check_q("rate_of", q)
+    a = error_matrix(alpha, beta)
+    # With Q = LLᵀ, the eigenvalues of L⁻¹(AᵀQ + QA)L⁻ᵀ are those relative to Q; the largest one decides.
+    half = np.linalg.inv(np.linalg.cholesky(q))
+    return float(-np.linalg.eigvalsh(half @ (a.T @ q + q @ a) @ half.T)[-1])
+
+
+def conditioning(beta: Number, q: Numbers) -> float:
+    """Compute the condition number of Q, with velocities in units of √β times those of positions.
+
+    With these units it is dimensionless.
+
+    Args:
+        beta: gain β [1/s²], positive.
+        q: matrix Q (2, 2) of the metric.
+
+    Returns:
+        The condition number, at least 1.
+
+    Raises:
+        ValueError: a beta that is not positive, or a q that is not symmetric positive definite.
+
+    Example:
+        >>> from covariant.certificates import conditioning
+        >>> round(conditioning(4.0, [[4.0, 0.0], [0.0, 1.0]]), 6)
+        1.0
+    """
+    if not 0 < beta < math.inf:
+        raise ValueError(f"conditioning: beta must be a positive number; got {beta:g}")
+    return float(_conditions(beta, check_q("conditioning", q)[None])[0])
+
+
+def _conditions(beta: Number, q: np.ndarray) -> np.ndarray:
+    """`conditioning` of matrices (k, 2, 2)."""
+    scale = np.diag([1.0, math.sqrt(beta)])
+    return np.linalg.cond(scale @ q @ scale)
+
+
+def check_q(whose: str, q: Any) -> TwoByTwo:
+    """Convert the matrix Q to an array, and check it.
+
+    Args:
+        whose: name of the calling function, for the message.
+        q: the matrix.
+
+    Returns:
+        The symmetric matrix (2, 2).
+
+    Raises:
+        ValueError: it is not a symmetric positive definite matrix (2, 2) of finite numbers.
+    """
+    try:
+        matrix = np.asarray(q, float)
+    except (TypeError, ValueError):
+        matrix = np.zeros(0)
+    if matrix.shape == (2, 2) and np.isfinite(matrix).all():
+        with contextlib.suppress(np.linalg.LinAlgError):
+            # The off-diagonal entries may differ by rounding, as after products of matrices.
+            if abs(matrix[0, 1] - matrix[1, 0]) <= 1e-12 * np.abs(matrix).max():
+                np.linalg.cholesky(matrix)
+                return (matrix + matrix.T) / 2
+    shown = " ".join(str(q).split())
+    raise ValueError(f"{whose}: q must be a symmetric positive definite matrix (2, 2) of finite numbers; got {shown}")
+
+
+def _check_finite(whose: str, **arguments: Number) -> None:
+    for name, value in arguments.items():
+        if not math.isfinite(value):
+            raise ValueError(f"{whose}: {name} must be a finite number; got {value:g}")
+
+
+def optimal_lyapunov(alpha: Number, beta: Number, rate: float) -> TwoByTwo:
+    """Find the best conditioned matrix of `lyapunov` for a rate, over a grid of weights.
+
+    Args:
+        alpha: gain α [1/s].
+        beta: gain β [1/s²].
+        rate: rate [1/s] of squared lengths, below twice the decay rate of the slower pole.
+
+    Returns:
+        Q (2, 2) with the smallest condition number.
+
+    Raises:
+        ValueError: as for `lyapunov`.
+
+    Example:
+        >>> from covariant.certificates import conditioning, lyapunov, optimal_lyapunov
+        >>> conditioning(2.0, optimal_lyapunov(2.0, 2.0, 1.0)) <= conditioning(2.0, lyapunov(2.0, 2.0, 1.0))
+        True
+    """
+    alpha, beta = float(alpha), float(beta)
+    lyapunov(alpha, beta, rate)
+    # A weight of 1/β weighs both errors equally in the units of `conditioning`; the grid is around it.
+    # 241 weights in twelve decades are 12 % apart, so that the best of them is close to the optimum, which is flat.
+    matrices = _solutions(alpha, beta, rate, np.logspace(-6, 6, 241) / beta)
+    return matrices[np.argmin(_conditions(beta, matrices))]
+
+
+def tangent_metric(metric: MatrixField, q: TwoByTwo) -> StateMetric:
+    """Build the metric on states x = (q, v) from a metric on configurations and a matrix Q, in the frame (ξ, ζ).
+
+    Args:
+        metric: metric `q (n,) -> (n, n)` on configurations, or a space of `covariant.geometry`.
+        q: matrix Q (2, 2), as from `lyapunov`.
+
+    Returns:
+        The metric on states (2n,).
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> import numpy as np
+        >>> from covariant.certificates import tangent_metric
+        >>> metric = tangent_metric(lambda q: jnp.eye(1), 2 * np.eye(2))
+        >>> metric(jnp.array(0.0), jnp.zeros(2)).tolist()
+        [[1.0, 0.0], [0.0, 1.0]]
+    """
+    geometry = as_space(metric)
+    lower = np.array([[0.0, 0.0], [1.0, 0.0]])
+
+    def connection(x):
+        position, v = jnp.split(x, 2)
+        return jax.vmap(lambda e: geometry.connection(position, v, e), out_axes=1)(
+            jnp.eye(position.shape[0], dtype=x.dtype)
+        )
+
+    # Θ = [[I, 0], [Γ, I]], whose inverse has −Γ: hence the sign.
+    def coframe(t, x, sign=1.0):
+        return jnp.eye(x.shape[0], dtype=x.dtype) + sign * jnp.kron(jnp.asarray(lower, x.dtype), connection(x))
+
+    def gram(t, x):
+        # V = ½(a|ξ|² + 2c<ξ, ζ> + b|ζ|²) is the squared length, hence the half.
+        return jnp.kron(jnp.asarray(q / 2, x.dtype), geometry(jnp.split(x, 2)[0]))
+
+    return StateMetric(coframe, lambda t, x: coframe(t, x, -1.0), gram)

@@ -1,0 +1,339 @@
+"""An independent check of a saved certificate, from the file alone: do its claims hold, and does its statement follow?
+
+It shares with the prover the model as JAX functions, and the description of the observer. The matrices of the claims
+are formed here, and shown to be positive definite by Taylor models on each leaf of the saved tree.
+"""
+
+import contextlib
+import functools
+import math
+import multiprocessing
+import pickle
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from covariant.certificates.base import (
+    AbstractClaim,
+    DisturbanceClaim,
+    Document,
+    PredictionClaim,
+    ReachClaim,
+    Resolved,
+    StartClaim,
+    check_unique,
+    configuration_shape,
+    parse,
+    select,
+    value_graph,
+)
+from covariant.certificates.checking import _check_sampled as sampled, _matrices as matrices
+from covariant.certificates.checking._saved import observer_from, system_of
+from covariant.models import input_count
+from covariant.proofs.checker import ROUND, TaylorEnclosure, leaves, show_definite
+
+DEPTH, DEEPEST, SHARE = 24, 200, 1024
+"""How often a leaf may be halved; how often the box of inputs may be; number of leaves in a job of one process."""
+
+
+class Shown(NamedTuple):
+    """Result of showing the claims of a certificate.
+
+    Attributes:
+        resolved: its document, with the observer.
+        leaves: number of leaves of its claims.
+        shown: number of those that were shown, which is all unless time ran out.
+        seconds: time it took [s].
+    """
+
+    resolved: Resolved
+    leaves: int
+    shown: int
+    seconds: float
+
+
+def show(
+    source: str | Path | Document,
+    *,
+    model: Any = None,
+    processes: int = 1,
+    progress: Callable[[int, int], None] | None = None,
+) -> Shown:
+    """Show that the claims of a file hold; the arguments are those of `check`.
+
+    Args:
+        source: the file, or the result of `parse`.
+        model: used in place of the model that the file names.
+        processes: number of processes; `SHARE` leaves and fewer are shown in this one.
+        progress: called with the number of leaves done and of all leaves.
+
+    Raises:
+        ValueError: saying what is wrong, or what cannot be shown, and where.
+    """
+    start = time.monotonic()
+    document = source if isinstance(source, Document) else parse(source)
+    opened = [k for k, claim in enumerate(document.claims) if claim.open]
+    _need(not opened, f"{document.file}: claims{opened} must have no open leaves; nothing is claimed to hold")
+    resolved = follows(document, model)
+    jobs = list(_jobs(document))
+    done, total = 0, sum(len(low) for *_, low, _ in jobs)
+    for count in _results(resolved, jobs, processes, model):
+        done += count
+        if progress is not None:
+            progress(done, total)
+    return Shown(resolved, _leaves(jobs), _leaves(jobs), time.monotonic() - start)
+
+
+def show_found(resolved: Resolved, seconds: float) -> Shown:
+    """Show that claims that were proved in this process hold, within a time.
+
+    Args:
+        resolved: their document, with the observer.
+        seconds: time [s]; leaves that are not shown by then are left out.
+
+    Raises:
+        ValueError: saying what is wrong, or what cannot be shown, and where.
+    """
+    start = time.monotonic()
+    _complete(resolved)
+    jobs, judge, shown = list(_jobs(resolved.document)), Judge(resolved, start + seconds), []
+    with contextlib.suppress(TimeoutError):
+        for job in jobs:
+            judge(job)
+            shown.append(job)
+    return Shown(resolved, _leaves(jobs), _leaves(shown), time.monotonic() - start)
+
+
+def _leaves(jobs: list[tuple]) -> int:
+    """The number of leaves of the claims."""
+    return sum(len(low) for what, low, _ in jobs if isinstance(what, int))
+
+
+def _need(holds: Any, otherwise: str) -> None:
+    if not holds:
+        raise ValueError(otherwise)
+
+
+def follows(document: Document, model: Any = None) -> Resolved:
+    """Resolve a document, and check that its statement follows from its claims.
+
+    Args:
+        document: the parsed file.
+        model: used in place of the model that the file names.
+
+    Returns:
+        The document with its observer.
+
+    Raises:
+        ValueError: the statement does not follow from the claims, or the model fails.
+    """
+    try:
+        with np.errstate(all="ignore"):
+            observer, q = observer_from(document, model)
+            resolved = Resolved(document, observer, system_of(observer, q, document.sampling, document.joint_friction))
+            _complete(resolved)
+            # The comparison that takes longest comes last.
+            expected = value_graph(resolved.about)
+            _need(document.graph == expected, "graph: it must be the one that the observer has")
+            return resolved
+    except Exception as error:  # the model of a user may fail in any way while it is traced
+        kind = "" if isinstance(error, ValueError) else f"recipe: the model fails: {type(error).__name__}: "
+        raise ValueError(f"{document.file}: {kind}{_first_line(error)}") from error
+
+
+def _first_line(error: Exception) -> str:
+    return next(iter(str(error).strip().splitlines()), "")
+
+
+def _complete(resolved: Resolved) -> None:
+    """Raise `ValueError` unless claims, region and radius fit the model and each other."""
+    (document, observer, system), n = resolved, len(resolved.document.velocity)
+    model, low, high, claims = observer.model, document.low, document.high, document.claims
+    _need(len(system.names) == len(low), f"box: the model has {len(system.names)} variables; the box bounds {len(low)}")
+    names = system.names
+    # What follows is about positions, velocities, errors and forces; further forces and the age come after them.
+    part = sampled.need_sampled_box(document, model.manifold.commuting)
+    names, low, high = names[part], low[part], high[part]
+    m, places = input_count(model, n), math.prod(configuration_shape(model, n))
+    for key, expected in (("positions", places), ("inputs", m)):
+        columns = getattr(document.given, key).shape[1]
+        _need(columns == expected, f"given.{key}: the model has {expected}; bounds are there of {columns}")
+    check_unique(observer, np.maximum(high, -low)[-2 * n : -n])
+    noise, disturbance = document.given.noise, select(claims, DisturbanceClaim)
+    sloped = noise.any() and document.sampling is None
+    _need(sloped or not document.given.slopes.any(), "given.slopes: they must be 0 where there is no noise")
+    started = bool(select(claims, StartClaim))
+    _need(model.manifold.commuting or not started, "claims: one about a start is for coordinates")
+
+    # By assumption solutions are in `truth`; a curve of length `radius` leads no farther than `away` from them.
+    if document.open:
+        return
+    speed, radius = document.velocity, document.radius
+    acts = matrices.sizes(document).any() if document.sampling is None else document.given.disturbance.any()
+    _need(bool(disturbance) == bool(acts), "claims: one about a disturbance must be there, if there is any")
+    # The error is measured from the measured position, so it exceeds that from the true one by up to the noise.
+    start = document.given.positions[:, : places * model.manifold.commuting]
+    truth = [np.concatenate([p, v, b]) for p, v, b in zip(start, (-speed, speed), (-noise, noise), strict=True)]
+    reaches = select(claims, ReachClaim)
+    widths = [radius * math.sqrt(claim.square) * (1 + ROUND) for claim in reaches]
+    # In the order of the box. The measurement is fixed, so that position and error move together: the first n rows.
+    reach = [*widths[: len(start[0])], *widths[n:], *widths[:n]]
+    for name, a, b, c, d, r in zip(names[:-n], low[:-n], high[:-n], *truth, reach, strict=True):
+        # `fsum` rounds the exact sum once, which keeps its sign.
+        fits = c <= d and math.fsum([a, r, -c]) <= 0 and math.fsum([d, r, -b]) <= 0
+        excess = f"{name} may be {r:.6g} outside of {c:.6g} to {d:.6g}"
+        _need(fits, f"box: {excess}, which its box {a:.6g} to {b:.6g} does not hold")
+    slack = np.minimum(high[:-n] - truth[1], truth[0] - low[:-n])
+    limits = [*slack[-n:], *slack[-2 * n : -n]]
+    for row, (claim, r, available) in enumerate(zip(reaches, widths, limits, strict=True)):
+        what = f"claims[{row + 1}].limit: row {row} reaches {r:.6g}, may reach {claim.limit:.6g}"
+        _need(r <= claim.limit <= available, f"{what}, and has {available:.6g} of room")
+    if document.sampling is not None:
+        sampled.need_sampled_rate_and_radius(document)
+    elif disturbance:
+        count = np.count_nonzero(matrices.sizes(document))
+        # The steady distance 2D/λ: the box of scaled errors lies in the ball of radius √count, so D² = count · square.
+        steady = 2 * math.sqrt(count * disturbance[0].square) / document.rate * (1 + ROUND)
+        _need(steady < radius, f"radius: noise alone leads {steady:.6g} away, and the radius is {radius:.6g}")
+
+
+def _jobs(document: Document) -> Iterator[tuple]:
+    """Everything to be shown, with its boxes: the bounds of the force, definedness, and the leaves of the claims."""
+    region, n = _force_box(document), len(document.velocity)
+    if document.sampling is None:
+        for what in ("the bound of the force", "the definedness of the force"):
+            yield what, *region[:, None]
+    if document.given.noise.any() and document.sampling is None:
+        pinned = np.concatenate([region, np.zeros((2, n))], axis=1)
+        for what in ("the bound of the force's slopes", "the smoothness of the force"):
+            yield what, *pinned[:, None]
+    # Time and state, which every claim holds fixed at these zeros, see `everything`.
+    pins = np.zeros((2, 2 * n + 1))
+    yield (
+        "the definedness of the observer, without jumps,",
+        *np.concatenate([[document.low, document.high], pins], axis=1)[:, None],
+    )
+    if document.joint_friction:
+        yield from sampled.friction_jobs(document)
+    yield from sampled.sampled_jobs(document, pins)
+    for index, claim in enumerate(document.claims):
+        boxes = leaves(*document.bounds(claim), claim.levels, f"claim {index}")
+        for k in range(0, len(boxes[0]), SHARE):
+            yield index, *(side[k : k + SHARE] for side in boxes)
+
+
+def _force_box(document: Document) -> np.ndarray:
+    """Least and largest time, measured position and input: (2, 1 + places + m). On a group `positions` are measured."""
+    given, positions = document.given, document.given.positions
+    if document.observer["frame"] == "coordinates":
+        # The force is taken at the measured position, which lies farther out than the true one by up to the noise.
+        positions = positions + np.outer([-1, 1], given.noise)
+    return np.concatenate([given.times[:, None], positions, given.inputs], axis=1)
+
+
+def _matrix(resolved: Resolved, what: int | str) -> TaylorEnclosure:
+    """The matrix to be shown positive definite, for a claim by its index or for a further condition by its name."""
+    (document, _, system), model = resolved, resolved.observer.model
+    low, high, n, region = document.low, document.high, len(document.velocity), _force_box(document)
+    shape = configuration_shape(model, n)
+    if isinstance(what, int):
+        claim = document.claims[what]
+        matrix = matrices.MATRICES[claim.kind](resolved, claim)
+        return TaylorEnclosure(matrix, *document.bounds(claim), _slack(document, claim))
+    if what in sampled.FRICTION_JOBS:
+        return sampled.friction_matrix(document, model, what)
+    if what == sampled.PREDICTED:
+        return sampled.predicted_values(document, resolved.observer)
+    if document.sampling is not None and what != "the definedness of the observer, without jumps,":
+        return sampled.sampled_matrix(document, system, model, what)
+    unmoved = np.concatenate([region, np.zeros((2, n))], axis=1)
+    pinned = np.concatenate([[low, high], np.zeros((2, 2 * n + 1))], axis=1)
+    force, slopes = matrices.force(model, shape), matrices.slopes(model, shape, n)
+    # Forces are shown within the box and half the slack, claims for forces within all of it: the rest covers rounding.
+    force_at, unknown, steep = document.forces, document.given.disturbance, document.given.slopes.ravel()
+    slack, allowed = matrices.slack_of(low, high)[force_at] / 2, steep * (1 + matrices.SLACK) + 1e-200
+    claimed = low[force_at] + unknown - slack, high[force_at] - unknown + slack
+    function, box, watch = {
+        "the bound of the force": (matrices.within(force, *claimed), region, ""),
+        "the definedness of the force": (force, region, "defined"),
+        "the bound of the force's slopes": (matrices.within(slopes, -allowed, allowed), unmoved, ""),
+        "the smoothness of the force": (matrices.stepped(model, shape, n), unmoved, "smooth"),
+        "the definedness of the observer, without jumps,": (matrices.everything(system), pinned, "smooth"),
+    }[what]
+    least, largest = box
+    return TaylorEnclosure(function, least, largest, np.zeros(len(least)), watch)
+
+
+def _slack(document: Document, claim: AbstractClaim) -> np.ndarray:
+    """By how much (d,) the variables of a claim that are forces, or slopes of friction, may exceed their bounds."""
+    low, high = document.bounds(claim)
+    place, n = np.arange(len(low)), len(document.velocity)
+    if isinstance(claim, PredictionClaim):  # its force, age and lengths of steps, where they are no constants
+        return np.where((place >= len(low) - n - 3) & (low < high), matrices.slack_of(low, high), 0.0)
+    # All that follows the errors, but for the age.
+    forces = (document.forces.start <= place) & (place < len(low) - (document.sampling is not None))
+    return np.where(forces, matrices.slack_of(low, high), 0.0)
+
+
+class Judge:
+    """Shows that leaves of one statement are right; each matrix is built once."""
+
+    def __init__(self, resolved: Resolved, until: float = math.inf):
+        """Prepare to judge the jobs of one document.
+
+        Args:
+            resolved: the document, with its observer.
+            until: time of `time.monotonic` [s] at which `TimeoutError` is raised.
+        """
+        self.until = until
+        self.file, self.matrix = resolved.document.file, functools.cache(functools.partial(_matrix, resolved))
+
+    def __call__(self, job: tuple) -> int:
+        """Show the leaves of one job to be right.
+
+        Args:
+            job: the claim by its index, or a further condition by its name; then low and high ends of its boxes.
+
+        Returns:
+            The number of leaves.
+
+        Raises:
+            ValueError: naming the leaf that cannot be shown.
+        """
+        index, low, high = job
+        what, depth = (f"claims[{index}]", DEPTH) if isinstance(index, int) else (index, DEEPEST)
+        try:
+            show_definite(self.matrix(index), low, high, depth, what, self.until)
+        except (ValueError, TypeError, LookupError, ArithmeticError, AttributeError) as error:
+            raise ValueError(f"{self.file}: {_first_line(error)}") from error
+        return len(low)
+
+
+_worker: list[Judge] = []
+"""The judge of this worker process."""
+
+
+def _begin(document: Document, model: Any) -> None:
+    _worker[:] = [Judge(follows(document, model))]
+
+
+def _work(job: tuple) -> int:
+    return _worker[0](job)
+
+
+def _results(resolved: Resolved, jobs: list[tuple], processes: int, model: Any) -> Iterator[int]:
+    # Each worker imports and traces before its first result, which takes longer than the leaves of a single job.
+    if processes == 1 or _leaves(jobs) <= SHARE:
+        yield from map(Judge(resolved), jobs)
+        return
+    try:
+        pickle.dumps(model)
+    except Exception as error:
+        raise ValueError("a model that is shared with processes is given as 'module:attribute'") from error
+    arguments, context = (resolved.document, model), multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(processes, context, initializer=_begin, initargs=arguments) as pool:
+        yield from pool.map(_work, jobs)

@@ -1,0 +1,203 @@
+"""What a certificate of the sampled step needs besides its claims: bounds of forces and friction, and definedness.
+
+The bounds of friction serve certificates in continuous time too, where friction and its slopes are variables.
+"""
+
+from collections.abc import Iterator
+from typing import Any, Literal
+
+import numpy as np
+
+from covariant.certificates.base import (
+    CorrectionClaim,
+    Document,
+    ErrorSystem,
+    PredictionClaim,
+    Recursion,
+    first_velocity,
+    select,
+)
+from covariant.certificates.checking import _matrices as matrices
+from covariant.certificates.sampled import step_values
+from covariant.models import MechanicalSystem
+from covariant.proofs.checker import TaylorEnclosure
+
+PREDICTED = "the definedness of predictions, without jumps,"
+FRICTION_JOBS = "the bound of the friction", "the bound of the friction's slopes", "the smoothness of the friction"
+"""What is to be shown where friction and its slopes are variables; with samples their sum with the force is bounded."""
+
+
+def friction_jobs(document: Document) -> Iterator[tuple]:
+    """List what is to be shown where friction and its slopes are variables in continuous time, with its boxes.
+
+    Args:
+        document: the parsed file.
+    """
+    for what in FRICTION_JOBS:
+        yield what, *_speeds(document)[:, None]
+
+
+def friction_matrix(document: Document, model: MechanicalSystem, what: str) -> TaylorEnclosure:
+    """Build the matrix of one of `FRICTION_JOBS`, which is to be shown positive definite.
+
+    Args:
+        document: the parsed file.
+        model: the mechanical system.
+        what: name of the job.
+    """
+    n, speeds = len(document.velocity), _speeds(document)
+    watch: Literal["", "smooth"] = ""
+    friction = matrices.friction(model, n)
+    if what == FRICTION_JOBS[0]:
+        function = _within(document, friction, 4)
+    elif what == FRICTION_JOBS[1]:
+        function = _within(document, matrices.friction_slopes(model, n), 5)
+    else:
+        function, watch = friction, "smooth"
+    return TaylorEnclosure(function, speeds[0], speeds[1], np.zeros(n), watch)
+
+
+def _within(document: Document, function: Any, k: int, unknown: Any = 0.0, chosen: slice = slice(None)) -> Any:
+    """That a function stays within the bounds, with half the slack and less `unknown`, of n variables of the box.
+
+    They are the k-th group of n variables, the velocities being the first, or those `chosen` of it.
+    """
+    n = len(document.velocity)
+    start = first_velocity(len(document.low), n, document.sampling is not None) + (k - 1) * n
+    low, high = document.low[start : start + n], document.high[start : start + n]
+    slack = matrices.slack_of(low, high) / 2
+    least, most = (low + unknown - slack)[chosen], (high - unknown + slack)[chosen]
+    return matrices.within(lambda y: function(y)[chosen], least, most)
+
+
+def sampled_jobs(document: Document, pins: np.ndarray) -> Iterator[tuple]:
+    """List what is to be shown besides the claims, with its boxes: forces and friction, and ages of corrections.
+
+    Args:
+        document: the parsed file.
+        pins: zeros (2, 2n + 1) at which time and state are held.
+    """
+    if document.sampling is None:
+        return
+    inputs, speeds = document.given.inputs, _speeds(document)
+    both = np.concatenate([inputs, speeds], axis=1)
+    yield "the bound of the input's force", *inputs[:, None]
+    yield "the definedness of the input's force", *inputs[:, None]
+    # Joint by joint: where all are shown together, the boxes that each of them needs multiply.
+    for joint in range(1, len(document.velocity) + 1):
+        yield f"the bound of the joint force {joint}", *both[:, None]
+        yield f"the bound of the friction's slope {joint}", *speeds[:, None]
+    yield FRICTION_JOBS[2], *speeds[:, None]
+    for claim in document.claims:
+        if isinstance(claim, PredictionClaim):
+            yield PREDICTED, *np.array(document.bounds(claim))[:, None]
+        if isinstance(claim, CorrectionClaim):
+            ends = np.concatenate([np.array(document.bounds(claim)), pins], axis=1)
+            yield f"the definedness of the correction after {claim.row} lost, without jumps,", *ends[:, None]
+
+
+def _speeds(document: Document) -> np.ndarray:
+    """Bounds (2, n) of the estimated velocity."""
+    n = len(document.velocity)
+    start = first_velocity(len(document.low), n, document.sampling is not None)
+    return np.stack([document.low[start : start + n], document.high[start : start + n]])
+
+
+def sampled_matrix(document: Document, system: ErrorSystem, model: MechanicalSystem, what: str) -> TaylorEnclosure:
+    """Build the matrix of one of `sampled_jobs`, which is to be shown positive definite.
+
+    Args:
+        document: the parsed file.
+        system: observer and metric as functions of a box.
+        model: the mechanical system.
+        what: name of the job.
+    """
+    n = len(document.velocity)
+    inputs, speeds = document.given.inputs, _speeds(document)
+    if what.startswith("the definedness of the correction"):
+        claim = next(c for c in select(document.claims, CorrectionClaim) if f"after {c.row} lost" in what)
+        ends = np.concatenate([np.array(document.bounds(claim)), np.zeros((2, 2 * n + 1))], axis=1)
+        return TaylorEnclosure(matrices.all_corrections(system), ends[0], ends[1], np.zeros(ends.shape[1]), "smooth")
+    joint = int(what.rpartition(" ")[2]) - 1 if what[-1].isdigit() else 0
+    one = slice(joint, joint + 1)
+    force, friction = matrices.input_force(model, n), matrices.friction(model, n)
+    kinds: dict[str, tuple[Any, np.ndarray, Literal["", "defined", "smooth"]]] = {
+        "the bound of the input's force": (_within(document, force, 3), inputs, ""),
+        "the definedness of the input's force": (force, inputs, "defined"),
+        f"the bound of the joint force {joint + 1}": (
+            # A force that the model lacks may be added to both.
+            _within(document, lambda y: force(y[:-n]) + friction(y[-n:]), 4, document.given.disturbance, one),
+            np.concatenate([inputs, speeds], axis=1),
+            "",
+        ),
+        f"the bound of the friction's slope {joint + 1}": (
+            _within(document, matrices.friction_slopes(model, n), 5, chosen=one),
+            speeds,
+            "",
+        ),
+    }
+    function, box, watch = kinds[what]
+    return TaylorEnclosure(function, box[0], box[1], np.zeros(box.shape[1]), watch)
+
+
+def predicted_values(document: Document, observer: Any) -> TaylorEnclosure:
+    """Build what is to be defined and smooth of a prediction.
+
+    Args:
+        document: the parsed file.
+        observer: its observer.
+    """
+    low, high = document.bounds(select(document.claims, PredictionClaim)[0])
+    return TaylorEnclosure(
+        step_values(matrices.prediction_of_steps(document, observer)), low, high, np.zeros(len(low)), "smooth"
+    )
+
+
+def need_sampled_box(document: Document, in_coordinates: bool) -> slice:
+    """Check that the box holds all ages, and on rotations all entries of their matrices.
+
+    Args:
+        document: the parsed file.
+        in_coordinates: whether the configuration has coordinates.
+
+    Returns:
+        The part of the variables that has velocities, errors and forces, in coordinates also the positions.
+
+    Raises:
+        ValueError: saying what is wrong.
+    """
+    low, high, stop = document.low, document.high, document.forces.stop
+    if document.sampling is None:
+        return slice(0, stop)
+    oldest = document.sampling.oldest
+    if not (low[-1] <= 0 and oldest <= high[-1]):
+        raise ValueError(f"box: it must hold the ages from 0 to {oldest:.6g} s of measurements")
+    entries = 0 if in_coordinates else first_velocity(len(low), len(document.velocity), sampled=True)
+    if not ((low[:entries] <= -1).all() and (high[:entries] >= 1).all()):
+        raise ValueError("box: it must hold all entries of rotations, from -1 to 1")
+    return slice(entries, stop)
+
+
+def need_sampled_rate_and_radius(document: Document) -> None:
+    """Check that a rate is left, and that noise and unknown forces do not lead out of the radius.
+
+    Args:
+        document: the parsed file, all of whose claims are there.
+
+    Raises:
+        ValueError: saying what is wrong.
+    """
+    assert document.sampling is not None
+    rate, radius, loss = document.rate, document.radius, document.loss
+    if not loss.allowed(rate):
+        slower = f"{loss.rate:.6g} 1/s by the factor of the correction, up to {loss.restart:.6g} of a restart"
+        raise ValueError(f"rate: nothing is left of {rate / 2:.6g} 1/s, less {slower}")
+    steps = document.drift
+    if not steps < radius:
+        count = document.sampling.substeps
+        away = f"errors of {count} steps lead {steps:.6g} away, and the radius is {radius:.6g}"
+        raise ValueError(f"sampling.substeps: {away}")
+    recursion = Recursion.of(document.sampling, document.q, rate, document.given, document.claims)
+    if recursion.disturbed and not recursion.keeps(radius):
+        farthest = recursion.largest(radius)
+        raise ValueError(f"radius: noise and disturbance lead out of {radius:.6g}, to {farthest:.6g}")

@@ -1,0 +1,99 @@
+"""Check of a saved certificate, with its result as a statement."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from covariant.certificates.base import Document, Hypothesis, Resolved, Statement, contraction_statement
+from covariant.certificates.checking._check import Shown, show, show_found
+
+CHECKER = "the checker, which forms the matrices of the claims anew and bounds them in another way, accepts"
+
+
+class Checked(NamedTuple):
+    """Result of a successful check of a certificate.
+
+    Attributes:
+        statement: the whole claim, as it is verified.
+        rate: rate λ of the certificate [1/s], of squared lengths.
+        radius: its radius ε, in the metric.
+        leaves: number of leaves of its trees of boxes that were shown to be right.
+        seconds: time it took [s].
+        model_given: whether the caller provided the model, in place of the one that the file names.
+
+    Example:
+        >>> from covariant.certificates import Checked, Hypothesis, Statement
+        >>> statement = Statement("the observer contracts", (), (Hypothesis("all leaves", "proved"),), 2.0)
+        >>> result = Checked(statement, 2.0, 0.1, 12, 0.5)  # usually from `check`
+        >>> result.statement.short, result.leaves
+        ('holds (proved)', 12)
+    """
+
+    statement: Statement
+    rate: float
+    radius: float
+    leaves: int
+    seconds: float
+    model_given: bool = False
+
+
+def check(
+    source: str | Path | Document,
+    *,
+    model: Any = None,
+    processes: int = 1,
+    progress: Callable[[int, int], None] | None = None,
+) -> Checked:
+    """Check a saved certificate: that its claims hold, and that its statement follows from them.
+
+    Args:
+        source: the file, or the result of `parse`.
+        model: for a certificate about a model that is not of this library, whose code the file cannot give: a model, a
+            function that creates one from the recipe's parameters, or the `module:attribute` of either.
+        processes: largest number of processes; with several, a script needs the `if __name__ == "__main__"` guard. A
+            certificate of no more than 1024 leaves is checked in this process, since others take longer to start.
+        progress: called with the number of leaves done and of all leaves.
+
+    Returns:
+        The statement as verified, and the number of leaves.
+
+    Raises:
+        ValueError: saying what is wrong, or what cannot be shown, and where.
+
+    Example:
+        >>> from covariant.certificates import check
+        >>> check("missing.json")
+        Traceback (most recent call last):
+        ...
+        ValueError: missing.json does not exist; give the path of a saved certificate
+    """
+    shown = show(source, model=model, processes=processes, progress=progress)
+    document = shown.resolved.document
+    statement = contraction_statement(shown.resolved.stated(), "proved", _accepted(shown))
+    return Checked(statement, document.rate, document.radius, shown.leaves, shown.seconds, model is not None)
+
+
+def judged(resolved: Resolved, seconds: float) -> Hypothesis:
+    """Check claims that were proved in this process, as a hypothesis of their statement.
+
+    Args:
+        resolved: the document of the claims, with its observer.
+        seconds: time [s] after which the check stops; what remains is "assumed".
+
+    Returns:
+        What the checker accepts; "undecided" where it finds an error, with the message as place.
+    """
+    try:
+        return _accepted(show_found(resolved, seconds))
+    except ValueError as error:
+        return Hypothesis(f"{CHECKER} the proofs", "proved", "undecided", place=str(error))
+
+
+def _accepted(shown: Shown) -> Hypothesis:
+    if shown.shown == shown.leaves:
+        return Hypothesis(f"{CHECKER} all {shown.leaves} leaves", "proved")
+    text = (
+        f"{CHECKER} all {shown.leaves} leaves; it was stopped after {shown.seconds:.0f} s with {shown.shown} of them "
+        "shown, and `covariant certify --check` takes the time that it needs"
+    )
+    return Hypothesis(text, "assumed")

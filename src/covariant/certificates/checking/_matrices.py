@@ -1,0 +1,425 @@
+"""The claims of a certificate in the form of the checker: JAX functions that must be positive definite, or defined.
+
+They are built from the observer's flow and the frame of the metric, as those of the prover are, but in another way: by
+derivatives of JAX, for functions without the custom derivative rules that JAX was given.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from covariant.certificates.base import (
+    DisturbanceClaim,
+    Document,
+    ErrorSystem,
+    Resolved,
+    corrections,
+    first_velocity,
+    friction_of,
+    reach_squares,
+    values,
+)
+from covariant.certificates.sampled import Prediction, defect_matrix, sampled_prediction
+from covariant.models import applied_force
+from covariant.proofs.checker import ROUND, plain
+
+Matrix = Callable[[Any], Any]
+SLACK = 2.0**-20
+"""Relative margin by which forces may exceed their bounds, so that bounds that are attained can be shown quickly."""
+
+
+def contraction(about: ErrorSystem, rate: float) -> Matrix:
+    """Build `−(FᵀN + Ṅ + NF) − rate N`.
+
+    Args:
+        about: the observer and its metric.
+        rate: rate λ [1/s] of squared lengths.
+
+    Returns:
+        A function z (d,) -> (2n, 2n).
+    """
+
+    def matrix(z):
+        point, t = about.at(z), jnp.zeros(())
+        x, flow = point.x, plain(point.flow)
+        # x' comes with the Jacobian, so that the flow is evaluated once.
+        slope, velocity = jax.jacfwd(lambda y: (flow(t, y),) * 2, has_aux=True)(x)
+
+        def metric_along(s):
+            at = x + s * velocity
+            return plain(point.metric.coframe)(s, at), plain(point.metric.gram)(s, at)
+
+        # Total derivatives: time runs and the state moves with the flow. t is 0, so that t + 1 is the tangent 1.
+        (coframe, gram), (turn, change) = jax.jvp(metric_along, (t,), (t + 1,))
+        product = gram @ (turn + coframe @ slope) @ point.metric.frame(t, x)
+        return -(product + product.T + change) - rate * gram
+
+    return matrix
+
+
+def width_bound(about: ErrorSystem, row: int, square: float) -> Matrix:
+    """Build `square N − r rᵀ` for a row r of the Jacobian of error and velocity.
+
+    Args:
+        about: the observer and its metric.
+        row: index of the row, from 0 to 2n − 1.
+        square: square of the bound.
+
+    Returns:
+        A function z (d,) -> (2n, 2n).
+    """
+
+    def matrix(z):
+        point = about.at(z)
+        r = point.error_jacobian()[row]
+        return square * point.metric.gram(jnp.zeros(()), point.x) - jnp.outer(r, r)
+
+    return matrix
+
+
+def disturbance(about: ErrorSystem, sizes: np.ndarray, square: float) -> Matrix:
+    """Build `square I − BᵀMB`, where B is the scaled Jacobian of the flow in errors of measurement and force.
+
+    Args:
+        about: the observer and its metric.
+        sizes: factors (2n,) of the columns of B.
+        square: square of the bound.
+
+    Returns:
+        A function z (d,) -> (2n, 2n).
+    """
+    n = len(sizes) // 2
+
+    def matrix(z):
+        point, t = about.at(z), jnp.zeros(())
+        slope = jax.jacfwd(plain(lambda at: about.at(at).flow(t, point.x)))(z)
+        # Error and force follow the velocities; an error of the measurement acts through the position error.
+        start = first_velocity(len(about.names), n) + n
+        of_error, of_force = slope[:, start : start + n], slope[:, start + n : start + 2 * n]
+        b = jnp.concatenate([of_error @ point.noise_jacobian(), of_force], axis=1) * sizes[None]
+        b = point.metric.coframe(t, point.x) @ b
+        return square * jnp.eye(2 * n) - b.T @ point.metric.gram(t, point.x) @ b
+
+    return matrix
+
+
+def correction(about: ErrorSystem, noise: np.ndarray | None = None, squares: tuple[float, ...] = ()) -> Matrix:
+    """Build `N_h − JᵀN_0J`, with J the Jacobian of the correction between the frames before and after it.
+
+    With measurement errors it is `diag(N_h, Γ) − [J B]ᵀN_0[J B]`, with B that of the correction in the measurement.
+
+    Args:
+        about: the observer and its metric.
+        noise: bounds (n,) of the measurement errors; None without.
+        squares: diagonal of Γ, one for each bound that is not zero.
+
+    Returns:
+        A function z (d,) -> (2n + k, 2n + k) for k squares.
+    """
+
+    def matrix(z):
+        point, t = about.at(z), jnp.zeros(())
+        corrected, after = point.sampled
+        corrected = plain(corrected)
+        slope, new = jax.jacfwd(lambda y: (corrected(y),) * 2, has_aux=True)(point.x)
+        coframe, gram, before = after.coframe(t, new), after.gram(t, new), point.metric.gram(t, point.x)
+        jacobian = coframe @ slope @ point.metric.frame(t, point.x)
+        if noise is None:
+            return before - jacobian.T @ gram @ jacobian
+        n = len(noise)
+        # An error of the measurement is one of the position error, with the other sign.
+        moved = plain(lambda e: about.at(jnp.concatenate([z[: 2 * n], e, z[3 * n :]])).sampled[0](point.x))
+        # A product with a matrix of constants selects the columns of joints with an error, and scales them.
+        selected = np.diag(-noise)[:, noise != 0]
+        errors = coframe @ jax.jacfwd(moved)(z[2 * n : 3 * n]) @ selected
+        cross = -jacobian.T @ gram @ errors
+        rows = [before - jacobian.T @ gram @ jacobian, cross], [cross.T, np.diag(squares) - errors.T @ gram @ errors]
+        return jnp.concatenate([jnp.concatenate(row, axis=1) for row in rows])
+
+    return matrix
+
+
+def joint_force(about: ErrorSystem, sizes: np.ndarray, square: float) -> Matrix:
+    """Build `square I − BᵀMB`, where B is the scaled Jacobian of the flow between samples in the joint force.
+
+    Args:
+        about: the observer and its metric.
+        sizes: factors (n,) of the columns of B.
+        square: square of the bound.
+
+    Returns:
+        A function z (d,) -> (n, n).
+    """
+    n = len(sizes)
+
+    def matrix(z):
+        point, t = about.at(z), jnp.zeros(())
+        pushed = plain(lambda w: about.at(jnp.concatenate([z[: 4 * n], w, z[5 * n :]])).flow(t, point.x))
+        b = point.metric.coframe(t, point.x) @ (jax.jacfwd(pushed)(z[4 * n : 5 * n]) * sizes[None])
+        return square * jnp.eye(n) - b.T @ point.metric.gram(t, point.x) @ b
+
+    return matrix
+
+
+def start(about: ErrorSystem, squares: np.ndarray, square: float) -> Matrix:
+    """Build `square diag(1/squares) − M`, with M the metric in coordinates right after a measurement.
+
+    Args:
+        about: the observer and its metric.
+        squares: squares (2n,) of the claims on reach.
+        square: the factor.
+
+    Returns:
+        A function z (d,) -> (2n, 2n).
+    """
+
+    def matrix(z):
+        point, t = about.at(z), jnp.zeros(())
+        metric = point.metric if point.after is None else point.after
+        theta = metric.coframe(t, point.x)
+        return np.diag(square / squares) - theta.T @ metric.gram(t, point.x) @ theta
+
+    return matrix
+
+
+def everything(about: ErrorSystem) -> Matrix:
+    """Collect everything that the claims are computed from.
+
+    Args:
+        about: the observer and its metric.
+
+    Returns:
+        A function of z (d,) and 2n + 1 zeros. The zeros are added to time and state: what a claim holds fixed is a
+        variable here, so that jumps in it are detected.
+    """
+
+    def parts(y):
+        z, t, zeros = jnp.split(y, (len(about.names), len(about.names) + 1))
+        return jnp.concatenate([part.ravel() for part in values(about)(t[0], about.at(z).x + zeros, z)])
+
+    return parts
+
+
+def missing(about: ErrorSystem, square: float, limit: float, reach: np.ndarray) -> Matrix:
+    """Build the three blocks that bound the missing acceleration.
+
+    Args:
+        about: the observer and its metric.
+        square: square of the bound [1/s⁴] of the missing acceleration.
+        limit: bound of the length of the position error, for a curve of unit length.
+        reach: bounds (n,) of the position errors, for a curve of unit length.
+
+    Returns:
+        A function z (d,) -> (3n, 3n).
+    """
+    n = len(reach)
+
+    def matrix(z):
+        point, places = about.at(z), about.errors(n)
+        before, e, behind = jnp.split(z, (places.start, places.stop))
+
+        def lacking(e):
+            return about.at(jnp.concatenate([before, e, behind])).missing(point.x)
+
+        (g, there), slope = point.inertias(point.x), jax.jacfwd(plain(lacking))(e)
+        ratio, doubled = square * g - slope.T @ g @ slope, 4 * g - there
+        size = limit**2 / n * jnp.eye(n) - g * np.outer(reach, reach)
+        rows = [[ratio, 0 * g, 0 * g], [0 * g, doubled, 0 * g], [0 * g, 0 * g, size]]
+        return jnp.concatenate([jnp.concatenate(row, axis=1) for row in rows])
+
+    return matrix
+
+
+def all_corrections(about: ErrorSystem) -> Matrix:
+    """Collect everything that the claims on corrections are computed from, as `everything` does.
+
+    Args:
+        about: the observer and its metric.
+
+    Returns:
+        A function of z (d,) and 2n + 1 zeros, which are added to time and state.
+    """
+
+    def parts(y):
+        z, t, zeros = jnp.split(y, (len(about.names), len(about.names) + 1))
+        return jnp.concatenate([part.ravel() for part in corrections(about)(t[0], about.at(z).x + zeros, z)])
+
+    return parts
+
+
+def _anywhere(model: Any, n: int) -> Any:
+    return jnp.zeros(n) if model.manifold.commuting else model.manifold.origin()
+
+
+def input_force(model: Any, n: int) -> Matrix:
+    """Build the force of the input alone.
+
+    Args:
+        model: a mechanical system whose force depends on the input alone.
+        n: number of velocities.
+
+    Returns:
+        A function of the input (m,) -> (n,).
+    """
+    return lambda u: model.force(jnp.zeros(()), _anywhere(model, n), u)
+
+
+def friction(model: Any, n: int) -> Matrix:
+    """Build the friction.
+
+    Args:
+        model: a mechanical system whose friction depends on the velocity alone.
+        n: number of velocities.
+
+    Returns:
+        A function of the velocity (n,) -> (n,).
+    """
+    return lambda v: friction_of(model, _anywhere(model, n), v)
+
+
+def friction_slopes(model: Any, n: int) -> Matrix:
+    """Build −∂f_i/∂v_i of the friction f.
+
+    Args:
+        model: a mechanical system whose friction depends on the velocity alone, in each joint on its own.
+        n: number of velocities.
+
+    Returns:
+        A function of the velocity (n,) -> (n,).
+    """
+    # Entry i depends on velocity i alone, so that the sum over a column is the entry of the diagonal.
+    return lambda v: -jax.jvp(plain(friction(model, n)), (v,), (jnp.ones_like(v),))[1]
+
+
+def force(model: Any, shape: tuple[int, ...]) -> Matrix:
+    """Build the force on the system.
+
+    Args:
+        model: the mechanical system.
+        shape: shape of a configuration.
+
+    Returns:
+        A function of time, position and input, in one vector, -> (n,).
+    """
+
+    def applied(y):
+        t, q, u = jnp.split(y, (1, 1 + int(np.prod(shape))))
+        return applied_force(model, t[0], q.reshape(shape), u)
+
+    return applied
+
+
+def within(function: Matrix, low: np.ndarray, high: np.ndarray) -> Matrix:
+    """Build a matrix that is positive definite where a function is within bounds.
+
+    Args:
+        function: a function of a vector -> (n,).
+        low, high: bounds (n,).
+
+    Returns:
+        A function -> (2n, 2n), diagonal.
+    """
+
+    def matrix(y):
+        value = function(y)
+        return jnp.diag(jnp.concatenate([value - low, high - value]))
+
+    return matrix
+
+
+def slopes(model: Any, shape: tuple[int, ...], n: int) -> Matrix:
+    """Build the derivatives of the force by the position, on a group along the directions of the body frame.
+
+    Args:
+        model: the mechanical system.
+        shape: shape of a configuration.
+        n: number of velocities.
+
+    Returns:
+        A function of time, position, input and n zeros, in one vector, -> (n²,).
+    """
+
+    def derivatives(y):
+        t, q, u = jnp.split(y[:-n], (1, 1 + int(np.prod(shape))))
+        applied = plain(lambda step: applied_force(model, t[0], model.manifold.nudged(q.reshape(shape), step), u))
+        return jax.jacfwd(applied)(y[-n:]).ravel()
+
+    return derivatives
+
+
+def stepped(model: Any, shape: tuple[int, ...], n: int) -> Matrix:
+    """Build the force at a small step from the position, as in `slopes`.
+
+    Args:
+        model: the mechanical system.
+        shape: shape of a configuration.
+        n: number of velocities.
+
+    Returns:
+        A function of time, position, input and a step (n,), in one vector, -> (n,).
+    """
+
+    def applied(y):
+        t, q, u = jnp.split(y[:-n], (1, 1 + int(np.prod(shape))))
+        return applied_force(model, t[0], model.manifold.nudged(q.reshape(shape), y[-n:]), u)
+
+    return applied
+
+
+def sizes(document: Document) -> np.ndarray:
+    """Compute the largest errors of measured position and force, the latter unmodelled or due to a wrong position.
+
+    Args:
+        document: the parsed file.
+
+    Returns:
+        Sizes (2n,): those of the measured position, then those of the force.
+    """
+    given = document.given
+    # The slopes that are shown may exceed the stated ones by the slack.
+    steepest = given.slopes * (1 + SLACK)
+    return np.concatenate([given.noise, (given.disturbance + steepest @ given.noise) * (1 + ROUND)])
+
+
+def prediction_of_steps(document: Document, observer: Any) -> Prediction:
+    """Describe the Runge–Kutta steps of an observer with samples.
+
+    Args:
+        document: the parsed file.
+        observer: its observer.
+    """
+    assert document.sampling is not None
+    return sampled_prediction(observer, document.q, document.sampling)
+
+
+def slack_of(low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """Return by how much (d,) variables that are forces may exceed their bounds.
+
+    Args:
+        low, high: bounds (d,).
+    """
+    # The last term serves bounds that are zero.
+    return SLACK * np.maximum(abs(low), abs(high)) + 1e-200
+
+
+def _disturbance(of: Resolved, claim: DisturbanceClaim) -> Matrix:
+    if of.document.sampling is None:
+        return disturbance(of.about, sizes(of.document), claim.square)
+    return joint_force(of.about, of.document.given.disturbance, claim.square)
+
+
+MATRICES: dict[str, Callable[[Resolved, Any], Matrix]] = {
+    "contraction": lambda of, claim: contraction(of.about, of.document.rate),
+    "reach": lambda of, claim: width_bound(of.about, claim.row, claim.square),
+    "disturbance": _disturbance,
+    "correction": lambda of, claim: correction(
+        of.about, of.document.given.noise if claim.squares else None, claim.squares
+    ),
+    "missing": lambda of, claim: missing(of.about, claim.square, claim.limit, of.document.unit_reach),
+    "prediction": lambda of, claim: defect_matrix(prediction_of_steps(of.document, of.observer), claim.square),
+    "start": lambda of, claim: start(of.about, reach_squares(of.document.claims), claim.square),
+}
+"""What must be positive definite, for each kind of claim."""

@@ -1,0 +1,109 @@
+"""A check of random leaves of a saved certificate in ball arithmetic with many digits: a third, independent one."""
+
+import time
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from covariant._optional import load_optional
+from covariant.certificates.base import (
+    FORMS,
+    DisturbanceClaim,
+    Document,
+    Resolved,
+    disturbance_bound,
+    joint_force_bound,
+    parse,
+)
+from covariant.certificates.checking._check import follows
+from covariant.certificates.checking._matrices import prediction_of_steps, sizes
+from covariant.certificates.sampled import defect_bound
+from covariant.proofs import BITS, MOST_DERIVED, BallMatrix, Form
+from covariant.proofs.checker import leaves
+
+PART = 64
+"""Factor by which the examined part of a leaf with many variables is smaller, in every direction."""
+
+
+class Sampled(NamedTuple):
+    """Result of a successful check of random leaves.
+
+    Attributes:
+        leaves: number of leaves that were examined, all shown to be right.
+        total: number of all leaves.
+        boxes: number of boxes that this took.
+        seconds: time it took [s].
+
+    Example:
+        >>> from covariant.certificates import Sampled
+        >>> result = Sampled(leaves=20, total=400, boxes=35, seconds=1.5)  # usually from `check_sample`
+        >>> result.leaves / result.total
+        0.05
+    """
+
+    leaves: int
+    total: int
+    boxes: int
+    seconds: float
+
+
+def check_sample(source: str | Path | Document, count: int = 20, seed: int = 0, *, model: Any = None) -> Sampled:
+    """Check random leaves of a saved certificate, drawn from all its claims, in ball arithmetic with many digits.
+
+    Balls bound derivatives, one operation after the other. Of a leaf with more than `MOST_DERIVED` variables, which is
+    proved by Taylor models, only a random part is small enough for that, and shown.
+
+    Args:
+        source: the file, or its content from `parse`.
+        count: number of leaves.
+        seed: of the random numbers.
+        model: as for `check`.
+
+    Returns:
+        Numbers of leaves and boxes.
+
+    Raises:
+        ValueError: naming a box that is not shown to be right.
+        ImportError: python-flint is missing.
+    """
+    start = time.monotonic()
+    flint = load_optional("flint", use="checking in balls needs python-flint, imported as", extra="balls")
+    document = source if isinstance(source, Document) else parse(source)
+    resolved, claims = follows(document, model), document.claims
+    boxes = [leaves(*document.bounds(claim), claim.levels, f"claims[{index}]") for index, claim in enumerate(claims)]
+    ends = np.cumsum([len(low) for low, _ in boxes])
+    rng = np.random.default_rng(seed)
+    # Without repetition, and over all claims together, so that each leaf is drawn with the same probability.
+    drawn = np.sort(rng.permutation(ends[-1])[:count])
+    done = 0
+    with flint.ctx.workprec(BITS):
+        for index, claim in enumerate(claims):
+            chosen = drawn[(drawn < ends[index]) & (drawn >= ends[index] - len(boxes[index][0]))]
+            if not len(chosen):
+                continue
+            form = BallMatrix(flint, _FORMS[claim.kind](resolved, claim), *document.bounds(claim))
+            for k in chosen - (ends[index] - len(boxes[index][0])):
+                leaf = boxes[index][0][k], boxes[index][1][k]
+                piece = _part(*leaf, rng) if form.reads > MOST_DERIVED else leaf
+                done += form.show(*piece, f"{document.file}: leaf {k} of claims[{index}]")
+    return Sampled(len(drawn), int(ends[-1]), done, time.monotonic() - start)
+
+
+def _part(low: np.ndarray, high: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """A random part of a box."""
+    start = low + rng.uniform(size=len(low)) * (1 - 1 / PART) * (high - low)
+    return start, np.minimum(start + (high - low) / PART, high)
+
+
+def _disturbance(of: Resolved, claim: DisturbanceClaim) -> Form:
+    if of.document.sampling is None:
+        return disturbance_bound(of.about, sizes(of.document), claim.square)
+    return joint_force_bound(of.about, of.document.given.disturbance, claim.square)
+
+
+_FORMS = FORMS | {
+    "disturbance": _disturbance,
+    "prediction": lambda of, claim: defect_bound(prediction_of_steps(of.document, of.observer), claim.square),
+}
+"""Those that need the checker's bounds of noise, or the observer that runs, too."""

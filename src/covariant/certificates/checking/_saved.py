@@ -1,0 +1,71 @@
+"""The observer of a saved certificate."""
+
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from covariant import models
+from covariant.certificates.base import (
+    OBSERVER_KINDS,
+    Document,
+    ErrorSystem,
+    Intrinsics,
+    Sampling,
+    error_system,
+    frame_of,
+)
+from covariant.certificates.sampled import sampled_system
+from covariant.models import MechanicalSystem
+from covariant.observers import Intrinsic
+
+
+def observer_from(document: Document, model: Any = None) -> tuple[Intrinsics, Float[np.ndarray, "2 2"]]:
+    """Build the observer of a certificate.
+
+    Args:
+        document: the parsed file.
+        model: used in place of the recipe, as for `models.from_recipe`.
+
+    Returns:
+        The observer, and the matrix Q (2, 2) of its metric.
+
+    Raises:
+        ValueError: naming what fails.
+    """
+    try:
+        system = models.from_recipe(document.recipe or {}, model)
+    except ValueError as error:
+        raise ValueError(f"recipe: {error}") from error
+    fields = dict(document.observer)
+    kind, frame = fields.pop("kind"), fields.pop("frame")
+    # A file may name any model, so its kind has to be checked here.
+    actual = frame_of(system) if isinstance(system, MechanicalSystem) else ""
+    if actual != frame:
+        described = f"a model in {actual}" if actual else f"a {type(system).__name__}"
+        raise ValueError(f"observer.frame {frame!r} needs a mechanical system in it; the recipe makes {described}")
+    if document.sampling is not None:
+        fields["substeps"] = document.sampling.substeps
+    return OBSERVER_KINDS[kind](system, **fields), document.q
+
+
+def system_of(
+    observer: Intrinsics, q: Float[np.ndarray, "2 2"], sampling: Sampling | None, joint_friction: bool = False
+) -> ErrorSystem:
+    """Describe an observer and its metric as functions of a box, in continuous time or with samples.
+
+    Args:
+        observer: the observer.
+        q: the matrix Q (2, 2) of the metric.
+        sampling: when measurements come; None for continuous time.
+        joint_friction: whether friction and its slopes are variables in continuous time.
+
+    Raises:
+        TypeError: another kind of observer.
+        ValueError: a space, a force or a friction that is not covered.
+    """
+    if sampling is None:
+        return error_system(observer, q, joint_friction)
+    if not isinstance(observer, Intrinsic):
+        raise TypeError(f"sampling is covered for Intrinsic alone; got {type(observer).__name__}")
+    return sampled_system(observer, q, sampling)

@@ -1,0 +1,5 @@
+"""The prover of contraction, and what its certificates are used for."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,0 +1,440 @@
+"""Proof that an intrinsic observer converges: at which rate, and from within which radius.
+
+Three claims are proved, each over the whole region. First, the flow contracts the metric of the tangent bundle at the
+rate λ, whatever the measured trajectory. Second, a curve of length ε changes no position error and no velocity by more
+than the region allows. Third, the force on the system stays within the assumed bounds. As in Theorem 1 it follows that
+along every solution whose velocity keeps its bound, an estimate that begins within ε of it stays within ε, and the
+distance decreases as `e^(−λt/2)`.
+
+With bounds of the measurement error and of an unmodelled force there is a fourth claim: what these add to the flow has
+at most the length D. Then the true motion is a solution of the observer's own flow up to D, so that the distance ends
+below 2D/λ. An estimate within ε stays so where 2D/λ < ε.
+Source: Aghannan & Rouchon 2003, Theorems 1 and 2, and Fig. 2; Lohmiller & Slotine 1998, section 3.7 for D.
+"""
+
+import contextlib
+import dataclasses
+import functools
+import math
+import time
+import typing
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, Literal, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import ArrayLike, Float
+
+from covariant._typing import Numbers
+from covariant.certificates.base import (
+    UNPROVED,
+    AbstractClaim,
+    Bounds,
+    ContractionClaim,
+    DisturbanceClaim,
+    Document,
+    Effort,
+    ErrorSystem,
+    Given,
+    Intrinsics,
+    ReachClaim,
+    Region,
+    Resolved,
+    Sampling,
+    TwoByTwo,
+    amount,
+    check_unique,
+    contraction,
+    contraction_statement,
+    disturbance_bound,
+    disturbance_sizes,
+    error_system,
+    first_velocity,
+    force_bounds,
+    force_slopes,
+    observer_document,
+    positive,
+    reach_squares,
+    region_of,
+    squared_widths,
+    start_claim,
+    steady_of,
+    width_bound,
+)
+from covariant.certificates.checking import judged
+from covariant.certificates.proving._contraction_certificate import ContractionCertificate
+from covariant.certificates.proving._joint_bounds import friction_bounds, has_dry_friction, joint_bounds
+from covariant.certificates.proving._rates import metric_and_rates
+from covariant.certificates.sampled import (
+    check_sampling,
+    force_claim,
+    missing_claims,
+    prediction_claims,
+    sampled_claims,
+)
+from covariant.lowering import Lowered, lower, numbers
+from covariant.models import MechanicalSystem
+from covariant.proofs import MOST_BOXES, Box, check_box
+
+CheckerName = Literal["auto", "all", "off"]
+CHECKERS = typing.get_args(CheckerName)
+PATIENCE = 10.0
+"""Time [s] that the checker has even where the proof took less."""
+SLACK = 1.05
+"""Factor of margin on the square of a sampled width, so that the bound can be proved quickly."""
+WIDENINGS = 8
+"""How often a bound that a counterexample refutes is tried again with a larger square."""
+
+
+def certify(
+    observer: Intrinsics,
+    *,
+    velocity: ArrayLike,
+    error: ArrayLike,
+    position: Bounds | None = None,
+    input: Bounds | ArrayLike = 0.0,
+    times: tuple[float, float] | None = None,
+    rate: float | None = None,
+    q: Numbers | None = None,
+    noise: ArrayLike = 0.0,
+    disturbance: ArrayLike = 0.0,
+    interval: tuple[float, float] | None = None,
+    lost: int = 0,
+    recipe: dict[str, Any] | None = None,
+    boxes: int = MOST_BOXES,
+    seconds: float | None = None,
+    processes: int = 1,
+    checker: CheckerName = "auto",
+    progress: Callable[[str, float, int], None] | None = None,
+) -> ContractionCertificate:
+    """Prove that an intrinsic observer converges at a rate, from within a radius, on a region.
+
+    Args:
+        observer: the observer, with model and gains.
+        velocity: bound of each true velocity [unit/s], a number or (n,). There is no certificate without it: the tube
+            of Theorem 1 shrinks as the velocity grows.
+        error: bound of the error of the estimated position [unit], in coordinates or as `log(g⁻¹ g̃)`, a number or
+            (n,).
+        position: least and largest true positions, (n,) each; on a group the entries of its matrices (N, N), where
+            rotations need no bounds.
+        input: bound of each input, a number or (m,), or a pair of bounds.
+        times: first and last time [s] of the statement; needed where the force depends on time.
+        rate: λ [1/s] to prove, of squared lengths; by default half of the rate that Q allows at q̂ = q, with
+            `interval` a tenth of that of the gains, and with noise as well one to six tenths, whichever leaves the
+            smallest bound of the velocity error.
+        q: matrix (2, 2) of the metric; by default the best conditioned one for two thirds of the rate of the gains.
+        noise: bound of the error of each measured position [unit], a number or (n,), in coordinates or as `log(q⁻¹ y)`
+            in the body frame. Bounds of matrix entries that `position` gives on a group then apply to the measured
+            ones.
+        disturbance: bound of each component of an unmodelled force, a number or (n,).
+        interval: shortest and longest time [s] between two samples: the statement is then about the observer that
+            predicts between samples and corrects at each of them, in a metric that is searched (with clarabel). It
+            covers systems in coordinates and on rotations whose force depends on the input alone, on rotations without
+            noise and disturbance. Without it the observer runs in continuous time.
+        lost: with `interval`, the largest number of samples that may be lost in a row.
+        recipe: where the model comes from, as from `models.recipe`; needed to save the certificate.
+        boxes: largest number of boxes for all proofs together, which is the same effort on every machine.
+        seconds: an additional limit of time [s] for each proof, which starts when its matrix has been written as a
+            graph.
+        processes: number of processes, as for `prove`.
+        progress: called with what is proved, the share that is done, and the number of boxes, as for `prove`.
+        checker: "auto" runs the checker on what was proved for as long as the proof took, or `PATIENCE`; "all" until it
+            is through; "off" not at all. The statement says how much it covered; what it does not accept is
+            "undecided".
+
+    Returns:
+        The certificate, whose statement "holds", "fails" or is "undecided".
+
+    Raises:
+        ValueError: an argument without its bound, an error up to which a logarithm is not unique, friction or force
+            that are not covered, a `q` that is not symmetric positive definite, or another word for `checker`; with
+            `interval`, two times that are not positive and in order, or `q`.
+        TypeError: another kind of observer.
+        ImportError: with `interval`, the solver clarabel is missing.
+    """
+    if checker not in CHECKERS:
+        raise ValueError(f"certify: checker must be one of {', '.join(CHECKERS)}; got {checker!r}")
+    start = time.monotonic()
+    assumed = _assumed(observer, velocity, error, noise, disturbance)
+    matrix, target, *slower = metric_and_rates(observer, q, rate, interval is not None, bool(assumed.noise.any()))
+    sampling = None if interval is None else check_sampling(observer, interval, lost, q, len(assumed.velocity))
+    if (
+        sampling is not None
+        and (assumed.noise.any() or assumed.disturbance.any())
+        and not observer.model.manifold.commuting
+    ):
+        raise ValueError(
+            "certify: with interval, noise and disturbance are covered in coordinates only; leave them out"
+        )
+    region = region_of(observer.model, position, input, times)
+    effort = Effort(Box((), (), np.zeros(0), np.zeros(0)), boxes, seconds, processes, progress)
+    if sampling is None:
+        system, domain, bounds, first = _in_continuous_time(observer, matrix, target, assumed, region, effort)
+        corrections = []
+    else:
+        # The force depends on the input alone, so that no error of the position changes it.
+        bounds = _given(region, assumed, np.zeros((len(assumed.velocity),) * 2))
+        place = functools.partial(_sampled_domain, observer.model, assumed, region, sampling)
+        target, matrix, sampling, system, domain, (first, *corrections) = sampled_claims(
+            observer, sampling, [target, *slower], matrix, assumed.noise, place, effort
+        )
+    claims: list[AbstractClaim] = [first]
+    radius = 0.0
+    if first.proof.verdict == "holds":
+        limits = limits_of(domain, assumed.velocity, assumed.noise, sampled=sampling is not None)
+        claims += _reach(system, limits, effort)
+        sizes = disturbance_sizes(bounds)
+        if sampling is not None and assumed.disturbance.any():
+            claims.append(force_claim(system, assumed.disturbance, effort))
+        elif sampling is None and sizes.any():
+            square = SLACK * _sampled_disturbance(system, domain, sizes)
+            claims.append(DisturbanceClaim(effort.prove("noise", disturbance_bound(system, sizes, square)), square))
+        claims += corrections
+        if sampling is not None and len(corrections) > sampling.lost:
+            claims += missing_claims(observer, system, sampling, matrix, target, claims, effort)
+            allowed = _radius(claims, limits, 0.0)
+            claims += prediction_claims(observer, sampling, matrix, target, claims, allowed, effort)
+        claims += start_claim(observer.model, system, claims, effort)
+        radius = _radius(claims, limits, steady_of(sampling, matrix, target, bounds, claims))
+    document = Document(
+        "the proof",
+        recipe,
+        observer_document(observer),
+        matrix,
+        target,
+        radius,
+        assumed.velocity,
+        bounds,
+        domain.low,
+        domain.high,
+        tuple(claims),
+        {},
+        sampling,
+    )
+    facts = Resolved(document, observer, system)
+    statement = contraction_statement(facts, "proved")
+    elapsed, check_start = time.monotonic() - start, time.monotonic()
+    if checker != "off" and statement.verdict == "holds":
+        effort.report("by the checker", 0.0, sum(claim.proof.boxes for claim in claims))
+        result = judged(facts, max(elapsed, PATIENCE) if checker == "auto" else math.inf)
+        statement = contraction_statement(facts, "proved", result)
+    if statement.verdict != "holds":
+        facts = facts._replace(document=document._replace(radius=0.0))
+    return ContractionCertificate.of(facts, statement, verified=True, checker_seconds=time.monotonic() - check_start)
+
+
+class _Assumed(NamedTuple):
+    """Bounds (n,) of velocity, of the errors of the estimate and of a measurement, and of an unmodelled force."""
+
+    velocity: Float[np.ndarray, "n"]
+    error: Float[np.ndarray, "n"]
+    noise: Float[np.ndarray, "n"]
+    disturbance: Float[np.ndarray, "n"]
+
+
+def _assumed(
+    observer: Intrinsics, velocity: ArrayLike, error: ArrayLike, noise: ArrayLike, disturbance: ArrayLike
+) -> _Assumed:
+    n = len(observer.model.coordinates or observer.model.velocities)
+    speeds, errors = positive("velocity", velocity, n), positive("error", error, n)
+    assumed = _Assumed(speeds, errors, amount("noise", noise, n), amount("disturbance", disturbance, n))
+    if not (assumed.noise < errors).all():
+        raise ValueError(
+            f"certify: noise must be below the error {errors.tolist()}, which includes it; got {assumed.noise.tolist()}"
+        )
+    check_unique(observer, errors)
+    return assumed
+
+
+def _reach(system: ErrorSystem, limits: np.ndarray, effort: Effort) -> Iterator[ReachClaim]:
+    """Claims on how far a curve of unit length changes each position error and each velocity."""
+    sampled = sampled_widths(system, effort.domain)
+
+    def wider(claim: ReachClaim, point: np.ndarray) -> ReachClaim:
+        square = float(squared_widths(system, jnp.asarray(point))[claim.row])
+        return dataclasses.replace(claim, square=SLACK * max(claim.square, square))
+
+    for row, limit in enumerate(limits.tolist()):
+        yield effort.prove_claim(
+            f"reach {row + 1} of {len(limits)}",
+            ReachClaim(UNPROVED, row, float(SLACK * sampled[row]), limit),
+            lambda claim: width_bound(system, claim.row, claim.square),
+            wider,
+            WIDENINGS,
+        )
+
+
+def _radius(claims: Sequence[AbstractClaim], limits: np.ndarray, steady: float) -> float:
+    """Largest radius that all claims allow; zero where one is not proved or estimates may end beyond it."""
+    if any(claim.proof.verdict != "holds" for claim in claims):
+        return 0.0
+    # Rounded down: the statement also holds for a smaller radius.
+    radius = float((limits / np.sqrt(reach_squares(claims))).min())
+    radius *= 1 - 1e-9
+    return radius if steady < radius else 0.0
+
+
+def _in_continuous_time(
+    observer: Intrinsics, matrix: TwoByTwo, target: float, assumed: _Assumed, region: Region, effort: Effort
+) -> tuple[ErrorSystem, Box, Given, ContractionClaim]:
+    """System, domain, given bounds, and the claim that the flow contracts.
+
+    Dry friction is first bounded, with its slopes, independently of the velocity; where that does not suffice, it is a
+    function of the velocity.
+    """
+    model = observer.model
+    if has_dry_friction(model, assumed.velocity):
+        # An error is that of friction without bounds over the region. The function of the velocity may still do.
+        with contextlib.suppress(ValueError):
+            system = error_system(observer, matrix, joint_friction=True)
+            effort.domain, bounds = _domain(observer, system, assumed, region, joint_friction=True)
+            proof = effort.prove("contraction", contraction(system, target))
+            # A friction that refutes the claim may be another one than that of the model.
+            if proof.verdict != "fails":
+                return system, effort.domain, bounds, ContractionClaim(proof)
+    system = error_system(observer, matrix)
+    effort.domain, bounds = _domain(observer, system, assumed, region)
+    return system, effort.domain, bounds, ContractionClaim(effort.prove("contraction", contraction(system, target)))
+
+
+def _given(region: Region, assumed: _Assumed, slopes: np.ndarray) -> Given:
+    """The bounds that a certificate states, with those (n, n) of the slopes of the force."""
+    ends = np.stack([region.true.low, region.true.high])
+    return Given(ends, region.inputs, np.array(region.times, float), assumed.noise, assumed.disturbance, slopes)
+
+
+def _domain(
+    observer: Intrinsics, system: ErrorSystem, assumed: _Assumed, region: Region, joint_friction: bool = False
+) -> tuple[Box, Given]:
+    """The box of estimate, error and force, perhaps friction, and what the bounds of the force follow from."""
+    model, true, n = observer.model, region.true, len(assumed.velocity)
+    noise, disturbance, inputs, times = assumed.noise, assumed.disturbance, region.inputs, region.times
+    measured = true
+    if model.manifold.commuting and noise.any():
+        measured = true._replace(low=_sum(true.low, -noise, -1), high=_sum(true.high, noise, 1))
+    # The true force and the one that the observer uses may differ by the whole disturbance, in either direction.
+    force = force_bounds(model, measured, inputs, times)
+    if disturbance.any():
+        force = np.stack([_sum(force[0], -disturbance, -1), _sum(force[1], disturbance, 1)])
+    slopes = force_slopes(model, measured, inputs, times) if noise.any() else np.zeros((n, n))
+    bounds = _given(region, assumed, slopes)
+    estimates = _around(true, assumed.error) if model.manifold.commuting else np.zeros((2, 0))
+
+    def rest(speed):
+        return np.concatenate([force, *(friction_bounds(model, speed) if joint_friction else ())], axis=1)
+
+    return _widened(system, assumed, estimates, rest), bounds
+
+
+def _sampled_domain(
+    model: MechanicalSystem, assumed: _Assumed, region: Region, sampling: Sampling, system: ErrorSystem
+) -> Box:
+    """The box of the variables of a sampled system."""
+
+    def rest(speed):
+        joints = joint_bounds(model, region.inputs, speed, assumed.disturbance)
+        return np.concatenate([joints.force, joints.total, joints.slopes, [[0.0], [sampling.oldest]]], axis=1)
+
+    if model.manifold.commuting:
+        estimates = _around(region.true, assumed.error)
+    else:  # entries of rotations are at most 1, wherever true motion and estimate are
+        ones = np.ones(first_velocity(len(system.names), len(assumed.velocity), sampled=True))
+        estimates = np.stack([-ones, ones])
+    return _widened(system, assumed, estimates, rest)
+
+
+def _around(true: Box, error: np.ndarray) -> np.ndarray:
+    """Bounds (2, n) of estimates within the error of the true positions, in coordinates."""
+    # Rounded outward: the region has to contain every estimate within the error.
+    return np.stack([_sum(true.low, -error, -1), _sum(true.high, error, 1)])
+
+
+def _widened(
+    system: ErrorSystem, assumed: _Assumed, estimates: np.ndarray, rest: Callable[[np.ndarray], np.ndarray]
+) -> Box:
+    """The box of estimates, of their velocities, of errors and of forces.
+
+    `estimates` are bounds (2, p) of the variables of the configuration. `rest` gives the bounds (2, k) of the variables
+    that follow the error, for a bound of the velocities.
+    """
+    velocity, error, noise, _ = assumed
+    low, high = estimates
+
+    def box(excess):
+        speed = _sum(velocity, excess, 1)
+        force = rest(speed)
+        return Box(
+            system.names,
+            system.units,
+            np.concatenate([low, -speed, -error, force[0]]),
+            np.concatenate([high, speed, error, force[1]]),
+        )
+
+    # The velocity error that corresponds to the position error, so that both limit the tube equally.
+    excess = np.zeros(len(velocity))
+    # The widths depend on the box, and the box on them: a few fixed-point iterations, with a margin of a tenth.
+    for _ in range(3):
+        roots = np.sqrt(sampled_widths(system, box(excess)))
+        # The radius is the least (error − noise)/width of a position; times its width it is how far a velocity goes.
+        excess = 1.1 * roots[len(velocity) :] * ((error - noise) / roots[: len(velocity)]).min()
+    return check_box(box(excess))
+
+
+def limits_of(domain: Box, velocity, noise, sampled: bool = False) -> Float[np.ndarray, "two_n"]:
+    """Compute how far errors and velocities may go within the region.
+
+    Position errors are measured from the measured position, so the noise is subtracted.
+
+    Args:
+        domain: the box of estimate, error and force.
+        velocity: bounds (n,) of the true velocities.
+        noise: bounds (n,) of the errors of measured positions.
+        sampled: whether measurements are sampled, so that the box has further variables.
+
+    Returns:
+        The largest position errors, then the largest velocities beyond their bound, that stay within the region (2n,).
+    """
+    n = len(velocity)
+    start = first_velocity(len(domain.low), n, sampled)
+    speed, error = slice(start, start + n), slice(start + n, start + 2 * n)
+    most = np.minimum(domain.high, -domain.low)
+    # Rounded down: a limit may not exceed the exact difference.
+    return np.concatenate([_sum(most[error], -noise, -1), _sum(most[speed], -velocity, -1)])
+
+
+def _sum(a: np.ndarray, b: np.ndarray, side: int) -> np.ndarray:
+    """a + b, rounded up (`side` 1) or down (−1); the rounding error is known exactly (D. E. Knuth, TAOCP 2, 4.2.2)."""
+    total = a + b
+    part = total - a
+    lost = (a - (total - part)) + (b - part)
+    return np.where(side * lost > 0, np.nextafter(total, side * np.inf), total)
+
+
+def sampled_widths(about: ErrorSystem, domain: Box, count: int = 2000) -> Float[np.ndarray, "two_n"]:
+    """Compute the largest `squared_widths` at random points and corners of the region.
+
+    Args:
+        about: observer and metric as functions of the region.
+        domain: the region.
+        count: number of points, half of them corners.
+
+    Returns:
+        The squares (2n,).
+    """
+    return _sampled(lambda z: squared_widths(about, z), domain, count).max(axis=0)
+
+
+def _sampled_disturbance(about: ErrorSystem, domain: Box, sizes: np.ndarray, count: int = 2000) -> float:
+    """The largest squared change of the flow by errors in the unit ball, at such points."""
+    matrices = _sampled(disturbance_bound(about, sizes, 0.0).graph(jnp.asarray(domain.low)).entries, domain, count)
+    # With square = 0 the matrix is −BᵀMB, whose least eigenvalue is minus the largest squared length.
+    return float(-np.linalg.eigvalsh(matrices).min())
+
+
+def _sampled(function: Callable | Lowered, domain: Box, count: int) -> np.ndarray:
+    """A function at random points of a box, every second one a corner."""
+    share = np.random.default_rng(0).uniform(size=(count, len(domain.low)))
+    # Extremes of such functions often are at corners, which uniform points do not reach.
+    share[::2] = np.round(share[::2])
+    points = domain.low + share * (domain.high - domain.low)
+    return numbers(function if isinstance(function, Lowered) else lower(function, points[0]), points)

@@ -1,0 +1,295 @@
+"""Proved contraction of an intrinsic observer on a region: a statement and its claims, which can be saved and read."""
+
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from covariant.certificates.base import (
+    FORMAT,
+    AbstractClaim,
+    ErrorSystem,
+    Given,
+    Intrinsics,
+    Recursion,
+    Resolved,
+    Sampling,
+    Start,
+    StartClaim,
+    Statement,
+    TwoByTwo,
+    contraction_statement,
+    first_velocity,
+    loss_of,
+    observer_document,
+    parse,
+    reach_squares,
+    select,
+    start_of,
+    steady_of,
+    value_graph,
+    write,
+)
+from covariant.certificates.checking import follows
+from covariant.certificates.sampled import ROUND, SampledBound
+from covariant.proofs import Box, digest
+
+SAMPLED_ROLES = ("joint force", "friction slope")
+"""Kinds of variables that a box has with samples only, beside the age."""
+
+
+class ContractionCertificate(NamedTuple):
+    """Result of a proof that an intrinsic observer contracts on a region.
+
+    Attributes:
+        statement: the claim and its hypotheses, from which the verdict follows; its margin is the rate λ.
+        rate: rate λ [1/s] at which squared lengths decrease.
+        radius: radius ε of the tube, in the metric of Q on states; 0 unless the verdict is "holds".
+        observer: the observer.
+        q: the matrix Q (2, 2) of the metric.
+        error_system: observer and metric as functions of a box.
+        domain: the box of estimate, error and force.
+        velocity: bound (n,) of each true velocity [unit/s].
+        given: the bounds of positions, inputs and times, from which those of the force follow, and of noise and
+            disturbance.
+        claims: the inequalities, with their proofs.
+        recipe: where the model comes from, as from `models.recipe`; None for a model that only this process knows.
+        verified: whether it was proved in this process. A certificate that was read from a file is only as trustworthy
+            as the file, until `covariant certify --check` has verified it.
+        checker_seconds: time [s] that the checker spent on it in this process.
+        sampling: when measurements come, and the metric between them; None for an observer in continuous time.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant.certificates import ContractionCertificate, Given, Hypothesis, Statement
+        >>> from covariant.proofs import box
+        >>> statement = Statement("the observer contracts", (), (Hypothesis("it contracts", "proved"),), 2.0)
+        >>> domain = box(v=(-1.0, 1.0), e=(-0.1, 0.1), f=(0.0, 0.0))
+        >>> given = Given(*np.zeros((2, 2, 1)), np.zeros(2), *np.zeros((2, 1)), np.zeros((1, 1)))
+        >>> entries = statement, 2.0, 0.1, None, np.eye(2), None, domain, np.ones(1), given, (), None
+        >>> certificate = ContractionCertificate(*entries)  # usually from `certify`
+        >>> certificate.decay, certificate.steady, certificate.kinds
+        (1.0, 0.0, ('velocity', 'error', 'force'))
+    """
+
+    statement: Statement
+    rate: float
+    radius: float
+    observer: Intrinsics
+    q: TwoByTwo
+    error_system: ErrorSystem
+    domain: Box
+    velocity: Float[np.ndarray, "n"]
+    given: Given
+    claims: tuple[AbstractClaim, ...]
+    recipe: dict[str, Any] | None
+    verified: bool = False
+    checker_seconds: float = 0.0
+    sampling: Sampling | None = None
+
+    @classmethod
+    def of(
+        cls, facts: Resolved, statement: Statement, verified: bool = False, checker_seconds: float = 0.0
+    ) -> "ContractionCertificate":
+        """Collect a certificate.
+
+        Args:
+            facts: what was proved or read, with the observer.
+            statement: the statement about it.
+            verified, checker_seconds: as in the attributes.
+        """
+        document = facts.document
+        return cls(
+            statement,
+            document.rate,
+            document.radius,
+            facts.observer,
+            document.q,
+            facts.about,
+            facts.domain,
+            document.velocity,
+            document.given,
+            document.claims,
+            document.recipe,
+            verified,
+            checker_seconds,
+            document.sampling,
+        )
+
+    @property
+    def decay(self) -> float:
+        """Decay rate μ [1/s]: distances decrease as `e^(−μt)`.
+
+        Returns:
+            λ/2, and with sampled measurements less what the factor of the correction takes.
+        """
+        return self.rate / 2 - loss_of(self.sampling, self.q, self.rate, self.claims).rate
+
+    @property
+    def steady(self) -> float:
+        """The final distance, at most.
+
+        Returns:
+            `2D/λ` under the noise and disturbance of the certificate; with sampled measurements the fixed point of the
+            recursion that `bound` runs, under these and the errors of the prediction's Runge–Kutta steps, where a claim
+            bounds them; 0 without all of these.
+        """
+        return steady_of(self.sampling, self.q, self.rate, self.given, self.claims)
+
+    @property
+    def boxes(self) -> int:
+        """Number of boxes evaluated, over all claims."""
+        return sum(claim.proof.boxes for claim in self.claims)
+
+    @property
+    def seconds(self) -> float:
+        """Time of the proofs [s]; NaN for a certificate that was read from a file."""
+        return sum(claim.proof.seconds for claim in self.claims)
+
+    @property
+    def counterexample(self) -> Float[np.ndarray, "2 d"] | None:
+        """A box (2, d), low then high ends, on which the statement was proved wrong, or None."""
+        return next((c.proof.counterexample for c in self.claims if c.proof.counterexample is not None), None)
+
+    @property
+    def half_widths(self) -> Float[np.ndarray, "two_n"]:
+        """Half widths of the proved tube, (2n,).
+
+        Returns:
+            Those in each position error [unit], then in each velocity error [unit/s].
+
+        Raises:
+            ValueError: no tube is proved.
+        """
+        if self.statement.verdict != "holds":
+            raise ValueError("no tube, since nothing is proved on the region")
+        return self.radius * np.sqrt(reach_squares(self.claims))
+
+    @property
+    def start(self) -> Start | None:
+        """The initial errors that the radius covers, in the units of the model.
+
+        Returns:
+            Errors in positions and velocities; None where nothing is proved, or on a group.
+        """
+        if self.statement.verdict != "holds":
+            return None
+        return start_of(self.radius, self.domain, self.claims)
+
+    def bound(self) -> SampledBound:
+        """Build what bounds the error of the estimate beside every sample, for an observer with sampled measurements.
+
+        Returns:
+            The recursion of the certificate as pure functions, `init`, `within` and `step`.
+
+        Raises:
+            ValueError: nothing is proved, or the certificate is one in continuous time.
+        """
+        if self.sampling is None:
+            raise ValueError(
+                "bounds beside every sample need certify(..., interval=...); this one is in continuous time"
+            )
+        if self.statement.verdict != "holds":
+            raise ValueError("no bound beside every sample, since nothing is proved on the region")
+        squares, factors = reach_squares(self.claims), select(self.claims, StartClaim)
+        circles = self.observer.model.circles
+        return SampledBound(
+            Recursion.of(self.sampling, self.q, self.rate, self.given, self.claims),
+            self.radius,
+            np.sqrt(squares) * (1 + ROUND),
+            factors[0].square / squares if factors else np.full(len(squares), np.inf),
+            self.given.positions,
+            self.velocity,
+            self.given.inputs,
+            tuple(i in circles for i in range(len(self.velocity))),
+        )
+
+    @property
+    def kinds(self) -> tuple[str, ...]:
+        """The kind of each variable of the domain.
+
+        Returns:
+            "estimate", "velocity" (estimated), "error" or "force" for each; with samples also "joint force", "friction
+            slope" and "age"; where friction is a variable too, "friction" and "friction slope".
+        """
+        n = len(self.velocity)
+        roles = ("estimate", "velocity", "error", "force")
+        parts = {3 * n: roles[1:], 4 * n: roles}.get(len(self.domain.low), (*roles, "friction", "friction slope"))
+        if self.sampling is not None:
+            estimate = ("estimate",) * first_velocity(len(self.domain.low), n, sampled=True)
+            return (*estimate, *(role for role in (*roles[1:], *SAMPLED_ROLES) for _ in range(n)), "age")
+        return tuple(role for role in parts for _ in range(n))
+
+    @property
+    def open(self) -> Float[np.ndarray, "k 2 d"]:
+        """Boxes (k, 2, d), low then high ends, that were left undecided."""
+        return np.concatenate([claim.proof.open for claim in self.claims])
+
+    def document(self) -> dict[str, Any]:
+        """Convert the certificate to data for the file.
+
+        Returns:
+            A dictionary of plain numbers and texts, with a digest of its content.
+
+        Raises:
+            ValueError: the model has no recipe, nothing is proved, or the statement was proved wrong.
+        """
+        if self.recipe is None:
+            raise ValueError("a certificate is saved with its model; give certify(..., recipe=models.recipe(spec))")
+        if self.statement.verdict == "undecided" and not len(self.open):
+            raise ValueError(f"nothing is proved that could be saved: {self.statement.claim}")
+        if self.counterexample is not None:
+            raise ValueError("the statement is wrong, and a counter-example is printed, not saved; certify another one")
+        content = {
+            "format": FORMAT,
+            "recipe": {"parameters": {}} | self.recipe,
+            "observer": observer_document(self.observer),
+            "q": self.q.tolist(),
+            "rate": self.rate,
+            "radius": self.radius,
+            "velocity": self.velocity.tolist(),
+            "given": self.given.document(),
+            "box": {"low": self.domain.low.tolist(), "high": self.domain.high.tolist()},
+            "claims": [claim.document() for claim in self.claims],
+            "graph": value_graph(self.error_system),
+        }
+        content |= {} if self.sampling is None else {"sampling": self.sampling.document()}
+        return content | {"digest": digest(content)}
+
+    def save(self, path: str | Path) -> Path:
+        """Write the certificate with all its boxes as JSON, as data that executes nothing when it is read.
+
+        Args:
+            path: the file.
+
+        Returns:
+            The path.
+
+        Raises:
+            ValueError: the model has no recipe, nothing is proved, or the statement was proved wrong.
+        """
+        return write(path, self.document())
+
+    @classmethod
+    def load(cls, path: str | Path, *, model: Any = None) -> "ContractionCertificate":
+        """Read a saved certificate with all its boxes.
+
+        Two things are checked: that the boxes cover the region, and that the statement follows from the claims. Whether
+        the claims hold is checked only by `covariant certify --check`; until then the certificate is not `verified`.
+        The time of the proofs is not in the file (NaN).
+
+        Args:
+            path: the file.
+            model: for a recipe that names a model that is not of this library: the model, a function that creates it
+                from the recipe's parameters, or the `module:attribute` of either.
+
+        Returns:
+            The certificate, whose claims have the evidence "claimed".
+
+        Raises:
+            ValueError: naming file and key.
+        """
+        facts = follows(parse(path), model).stated()
+        statement = contraction_statement(facts, "claimed")
+        return cls.of(facts, statement._replace(claim=f"{statement.claim} (read from a file, not verified again)"))

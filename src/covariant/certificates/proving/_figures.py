@@ -1,0 +1,136 @@
+"""Data for drawing a certificate: its boxes projected on two variables, and the rates that its gains allow.
+
+Source: Aghannan & Rouchon 2003, Fig. 2.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from covariant.certificates.base import conditioning, error_matrix, lyapunov, optimal_lyapunov, rate_of
+from covariant.certificates.proving._contraction_certificate import ContractionCertificate
+from covariant.proofs import OPEN, PROVED, leaves
+
+
+class Projection(NamedTuple):
+    """The boxes of one proof, projected on two variables.
+
+    Attributes:
+        claim: kind of the claim: "contraction", "reach" or "disturbance".
+        kind: kind of each of the two variables: "estimate", "velocity", "error" or "force".
+        names, units: name and unit of each, as in the certificate.
+        proved: distinct rectangles (k, 2, 2) that are proved, as low then high ends of both variables.
+        open: distinct rectangles (j, 2, 2) that are undecided.
+        domain: low then high ends (2, 2) of both variables.
+        counterexample: point (2,) at which the statement was proved wrong, or None.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant.certificates import Projection
+        >>> square = np.array([[-1.0, -1.0], [1.0, 1.0]])
+        >>> labels = "contraction", ("velocity", "error"), ("v", "e"), ("m/s", "m")
+        >>> picture = Projection(*labels, square[None], np.zeros((0, 2, 2)), square, None)
+        >>> len(picture.proved), len(picture.open)
+        (1, 0)
+    """
+
+    claim: str
+    kind: tuple[str, str]
+    names: tuple[str, str]
+    units: tuple[str, str]
+    proved: Float[np.ndarray, "k 2 2"]
+    open: Float[np.ndarray, "j 2 2"]
+    domain: Float[np.ndarray, "2 2"]
+    counterexample: Float[np.ndarray, "2"] | None
+
+
+class TradeOff(NamedTuple):
+    """Rates λ [1/s] that the gains allow at q̂ = q, and the condition numbers of the metrics for them.
+
+    Attributes:
+        rate: rates (k,) [1/s], in rising order.
+        condition: condition number (k,) of the best conditioned Q for each rate.
+        used: rate and condition number of the certificate's Q.
+        paper: rate and condition number of the Q of the paper.
+        certified: rate of the certificate [1/s].
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant.certificates import TradeOff
+        >>> curve = TradeOff(np.array([0.5, 1.0]), np.array([2.0, 3.0]), (0.9, 2.5), (0.4, 4.0), 0.45)
+        >>> curve.certified <= curve.used[0]
+        True
+    """
+
+    rate: Float[np.ndarray, "k"]
+    condition: Float[np.ndarray, "k"]
+    used: tuple[float, float]
+    paper: tuple[float, float]
+    certified: float
+
+
+def projection(certificate: ContractionCertificate) -> Projection:
+    """Project the boxes of a certificate on the two variables that were halved most often.
+
+    Args:
+        certificate: a certificate.
+
+    Returns:
+        The boxes of the first claim that is not proved, or of the contraction where all are.
+    """
+    undecided = [claim for claim in certificate.claims if claim.proof.verdict != "holds"]
+    claim = (undecided or certificate.claims)[0]
+    domain, proof = claim.proof.box, claim.proof
+    codes = np.concatenate(proof.levels)
+    # Of variables that were never halved, those with a width come before fixed ones, hence half a split for them.
+    splits = np.bincount(codes[codes >= 0], minlength=len(domain.low)) + 0.5 * (domain.high > domain.low)
+    i, j = sorted(np.argsort(-splits, kind="stable")[:2].tolist())
+    rectangles = {PROVED: [np.zeros((0, 2, 2))], OPEN: [np.zeros((0, 2, 2))]}
+    for state, low, high in leaves(domain, proof.levels):
+        for code, group in rectangles.items():
+            rows = state == code
+            group.append(np.stack([low[rows][:, [i, j]], high[rows][:, [i, j]]], axis=1))
+    proved, remaining = (np.unique(np.concatenate(rectangles[code]), axis=0) for code in (PROVED, OPEN))
+    counterexample = certificate.counterexample
+    kinds = certificate.kinds
+    return Projection(
+        claim.kind,
+        (kinds[i], kinds[j]),
+        (domain.names[i], domain.names[j]),
+        (domain.units[i], domain.units[j]),
+        proved,
+        remaining,
+        np.stack([domain.low[[i, j]], domain.high[[i, j]]]),
+        None if counterexample is None else counterexample.mean(axis=0)[[i, j]],
+    )
+
+
+def trade_off(certificate: ContractionCertificate, count: int = 40) -> TradeOff:
+    """Compute the rates that the gains of a certificate's observer allow, and the best condition number for each.
+
+    Args:
+        certificate: a certificate, of which observer, Q and rate are used.
+        count: number of rates k, from 2 % to 98 % of the fastest one.
+
+    Returns:
+        The curve, and the points of the certificate's Q and of the paper's Q.
+    """
+    alpha, beta = float(certificate.observer.alpha), float(certificate.observer.beta)
+    # Twice the slower pole, since λ is the rate of squared lengths.
+    fastest = -2 * float(np.linalg.eigvals(error_matrix(alpha, beta)).real.max())
+    # Towards the fastest rate Q grows without bound.
+    rates = fastest * np.linspace(0.02, 0.98, count)
+    matrices = [optimal_lyapunov(alpha, beta, rate) for rate in rates]
+
+    def rate_and_condition(q) -> tuple[float, float]:
+        return rate_of(alpha, beta, q), conditioning(beta, q)
+
+    pairs = np.array(sorted(rate_and_condition(q) for q in matrices))
+    return TradeOff(
+        pairs[:, 0],
+        pairs[:, 1],
+        rate_and_condition(certificate.q),
+        rate_and_condition(lyapunov(alpha, beta)),
+        certificate.rate,
+    )

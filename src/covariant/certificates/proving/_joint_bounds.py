@@ -1,0 +1,131 @@
+"""Bounds of the forces in joints, and of the slopes of friction, by interval arithmetic."""
+
+import functools
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from covariant.certificates.base import any_configuration, friction_of, need_joint_friction
+from covariant.lowering import enclose, expand, lower
+from covariant.models import MechanicalSystem
+from covariant.proofs import Box, check_box, show_conditions
+
+
+class JointBounds(NamedTuple):
+    """Least and largest values of what acts in the joints.
+
+    Attributes:
+        force: generalised force (2, n) of the input.
+        total: its sum with the friction and an unknown force (2, n).
+        slopes: −∂f_i/∂v_i (2, n) of the friction f, which are not negative where it opposes the motion.
+    """
+
+    force: Float[np.ndarray, "2 n"]
+    total: Float[np.ndarray, "2 n"]
+    slopes: Float[np.ndarray, "2 n"]
+
+
+def joint_bounds(
+    model: MechanicalSystem,
+    inputs: Float[np.ndarray, "2 m"],
+    speed: Float[np.ndarray, "n"],
+    unknown: Float[np.ndarray, "n"],
+) -> JointBounds:
+    """Bound input forces, friction, and the slopes of the friction.
+
+    Args:
+        model: a mechanical system that `sampled_system` covers.
+        inputs: least and largest inputs (2, m).
+        speed: bounds (n,) of the velocities.
+        unknown: bounds (n,) of a force that the model lacks.
+
+    Returns:
+        The bounds, rounded outward.
+
+    Raises:
+        ValueError: a force has no bound or is not defined everywhere, or the friction jumps.
+    """
+    m, q = inputs.shape[1], any_configuration(model)
+    force = lower(lambda u: model.force(jnp.zeros(()), q, u), jnp.zeros(m), real=True)
+    acting = check_box(Box(tuple(f"u{i + 1}" for i in range(m)), ("",) * m, inputs[0], inputs[1]))
+    assert force.conditions is not None
+    # A force that jumps is covered, since it is only bounded.
+    defined = tuple(c for c in force.conditions.conditions if c.kind in ("true", "finite"))
+    _need(
+        "the force of the model is not defined", show_conditions(force.conditions._replace(conditions=defined), acting)
+    )
+    acted = enclose(force._replace(conditions=None), acting.low[None], acting.high[None])
+    both = np.concatenate([acted.low, acted.high])
+    friction, slopes = friction_bounds(model, speed)
+    outward = [[-np.inf], [np.inf]]
+    total = np.nextafter(both + friction, outward)
+    total = np.where(unknown > 0, np.nextafter(total + [[-1.0], [1.0]] * unknown, outward), total)
+    bounds = JointBounds(both, total, slopes)
+    if not all(np.isfinite(each).all() for each in bounds):
+        raise ValueError("the force, the friction or its slope has no bound over the velocities; make them smaller")
+    return bounds
+
+
+def friction_bounds(
+    model: MechanicalSystem, speed: Float[np.ndarray, "n"]
+) -> tuple[Float[np.ndarray, "2 n"], Float[np.ndarray, "2 n"]]:
+    """Bound friction that acts in each joint by its own velocity, and its slopes.
+
+    Args:
+        model: a mechanical system, as `need_joint_friction` accepts it.
+        speed: bounds (n,) of the velocities.
+
+    Returns:
+        Least and largest friction f (2, n), and the same of −∂f_i/∂v_i (2, n), rounded outward; perhaps infinite.
+
+    Raises:
+        ValueError: the friction jumps, or is not defined everywhere.
+    """
+    n = len(speed)
+    friction = lower(functools.partial(friction_of, model, any_configuration(model)), jnp.zeros(n), real=True)
+    moving = Box(model.velocities or tuple(f"v_{name}" for name in model.coordinates), ("",) * n, -speed, speed)
+    assert friction.conditions is not None
+    # A slope of the friction is one of a continuous function.
+    _need("the friction of the model jumps, or is not defined", show_conditions(friction.conditions, moving))
+    rubbed = enclose(expand(friction._replace(conditions=None), range(n), 1), moving.low[None], moving.high[None])
+    # The derivatives are listed velocity by velocity; those of friction i by velocity i are on the diagonal.
+    diagonal = n + np.arange(n) * (n + 1)
+    slopes = np.stack([0.0 - rubbed.high[0, diagonal], 0.0 - rubbed.low[0, diagonal]])
+    return np.concatenate([rubbed.low[:, :n], rubbed.high[:, :n]]), slopes
+
+
+def has_dry_friction(model: MechanicalSystem, speed: Float[np.ndarray, "n"]) -> bool:
+    """Test whether friction of joints is steep near rest, so that a box of velocities says little about its slope.
+
+    Args:
+        model: the mechanical system, with friction of position and velocity.
+        speed: bounds (n,) of the velocities.
+
+    Returns:
+        Whether friction acts in each joint by its own velocity, and within a tenth of the bound of a velocity its slope
+        falls by half. A jump counts as a slope here; `friction_bounds` refuses it.
+    """
+    if not model.manifold.commuting:
+        return False
+    try:
+        need_joint_friction(model)
+    except ValueError:
+        return False
+    n = len(speed)
+    step, friction = 1e-6 * speed, functools.partial(friction_of, model, jnp.zeros(n))
+
+    def drag(v):
+        change = np.asarray(friction(jnp.asarray(v + step))) - np.asarray(friction(jnp.asarray(v - step)))
+        with np.errstate(all="ignore"):  # velocities may be denormal
+            return -change / (2 * step)
+
+    # Nothing is proved by this, so that differences suffice.
+    at_rest, moving = drag(np.zeros(n)), drag(speed / 10)
+    return bool((at_rest > 2 * moving).any())
+
+
+def _need(what: str, reason: str) -> None:
+    if reason:
+        raise ValueError(f"{what} everywhere in the region: {reason}")

@@ -1,0 +1,140 @@
+"""Search for the largest number for which something is proved, by bisection over certificates."""
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+from covariant.certificates.base import Verdict
+from covariant.certificates.proving._contraction_certificate import ContractionCertificate
+
+RUNS = 10
+"""Largest number of certificates that a search tries."""
+STEP = 1.05
+"""Ratio of neighbouring values at which a search ends."""
+
+
+class Attempt(NamedTuple):
+    """One value that was tried.
+
+    Attributes:
+        value: the value.
+        verdict: that of its certificate; "undecided" where the value was refused.
+        boxes: number of boxes that its proofs took.
+        radius: its radius; 0 unless it holds.
+        refusal: why there is no certificate, or "".
+
+    Example:
+        >>> from covariant.certificates import Attempt
+        >>> str(Attempt(2.5, "holds", 120, 0.01))
+        '2.5: holds, 120 boxes'
+    """
+
+    value: float
+    verdict: Verdict
+    boxes: int
+    radius: float
+    refusal: str = ""
+
+    def __str__(self) -> str:
+        return f"{self.value:.6g}: " + (self.refusal or f"{self.verdict}, {self.boxes} boxes")
+
+
+class Largest(NamedTuple):
+    """Result of a search.
+
+    Attributes:
+        certificate: the certificate of the largest value that was proved, or that of the last attempt where none was.
+        attempts: what was tried, in this order.
+
+    Example:
+        >>> from covariant.certificates import Attempt, Largest
+        >>> found = Largest(None, (Attempt(1.0, "holds", 9, 0.1), Attempt(2.0, "undecided", 100, 0.0)))
+        >>> found.value, found.refused
+        (1.0, 2.0)
+    """
+
+    certificate: ContractionCertificate | None
+    attempts: tuple[Attempt, ...]
+
+    @property
+    def value(self) -> float | None:
+        """The largest value that was proved, or None."""
+        return max((a.value for a in self.attempts if a.verdict == "holds"), default=None)
+
+    @property
+    def refused(self) -> float | None:
+        """The least value that was tried and not proved, or None where all were."""
+        return min((a.value for a in self.attempts if a.verdict != "holds"), default=None)
+
+
+def largest(
+    prove: Callable[[float], ContractionCertificate],
+    first: float,
+    *,
+    least: float = 0.0,
+    runs: int = RUNS,
+    step: float = STEP,
+) -> Largest:
+    """Search for the largest value for which a certificate holds: doubling or halving, then bisection of logarithms.
+
+    The effort is stated by `runs` and by the boxes of each certificate, so that the result is the same on every
+    machine. That larger values are harder is not assumed of what is returned, which is proved, but of the search: a
+    value beyond one that was not proved is not tried.
+
+    Args:
+        prove: a value -> its certificate, such as `lambda rate: certify(observer, rate=rate, …)`. A `ValueError` of
+            any but the first value counts as not proved.
+        first: the value to begin with, positive.
+        least: no smaller value is tried.
+        runs: largest number of certificates.
+        step: the search ends where the least value that was not proved is at most this multiple of the largest that
+            was.
+
+    Returns:
+        The certificate of the largest value that was proved, and all attempts.
+
+    Raises:
+        ValueError: `first` is not a positive number or below `least`, `runs` is below 1, or `step` not above 1.
+
+    Example:
+        >>> from covariant import models, observers
+        >>> from covariant.certificates import certify, largest
+        >>> observer = observers.Intrinsic(models.oscillator(), 10.0, 50.0)
+        >>> def at(rate):
+        ...     region = {"position": (-1.0, 1.0), "velocity": 1.0, "error": 0.1}
+        ...     return certify(observer, rate=rate, checker="off", boxes=1000, **region)
+        >>> found = largest(at, 4.0, runs=3, step=1.5)
+        >>> [(each.value, each.verdict) for each in found.attempts]
+        [(4.0, 'holds'), (8.0, 'fails'), (5.656854249492381, 'holds')]
+        >>> found.certificate.rate == found.value
+        True
+    """
+    if not (math.isfinite(first) and first > 0 and first >= least):
+        raise ValueError(f"largest: the first value must be a positive number, {least:g} or more; got {first!r}")
+    if runs < 1:
+        raise ValueError(f"largest: runs must be 1 or more; got {runs!r}")
+    if not step > 1:
+        raise ValueError(f"largest: step must be above 1; got {step!r}")
+    best, attempts, value = prove(first), [], first
+    attempts.append(_attempt(value, best))
+    while len(attempts) < runs:
+        found = Largest(best, tuple(attempts))
+        low, high = found.value, found.refused
+        if low is not None and high is not None and high <= step * low:
+            break
+        if low is None and value <= least:
+            break
+        value = max(value / 2, least) if low is None else 2 * low if high is None else math.sqrt(low * high)
+        try:
+            certificate = prove(value)
+        except ValueError as error:
+            attempts.append(Attempt(value, "undecided", 0, 0.0, f"refused: {str(error).splitlines()[0]}"))
+            continue
+        attempts.append(_attempt(value, certificate))
+        if attempts[-1].verdict == "holds" or low is None:
+            best = certificate
+    return Largest(best, tuple(attempts))
+
+
+def _attempt(value: float, certificate: ContractionCertificate) -> Attempt:
+    return Attempt(value, certificate.statement.verdict, certificate.boxes, float(certificate.radius))

@@ -1,0 +1,243 @@
+"""How far Runge–Kutta steps of a prediction lead from the motion of the model: one more claim of the sampled step.
+
+Let P_s be a step of length s from a state x of the region, and f the model's vector field, with the input held. The
+curve `s ↦ φ_(h−s)(P_s x)`, φ the exact flow, leads from the exact to the computed state after a step h. It has the
+velocity `Dφ_(h−s) δ(s)` with the defect `δ(s) = ∂_s P_s − f(P_s)`, and φ shortens lengths, so that its length is at
+most `∫₀^h |δ(s)|_M ds`. The step is of fourth order: δ and its first three derivatives vanish at s = 0, and
+
+    δ(s) = s⁴ · (mean of δ⁗(r)/4! over r in [0, s])
+
+The claim is that `|δ⁗(r)/4!|` is less than `√square` in the metric at P_s x, at all ages, for all r and s up to the
+longest step. The matrix below is positive definite for a convex set of vectors, so for their mean where it is for all
+r. A prediction over h in steps of length σ is then off by at most `h σ⁴ √square / 5`.
+
+On rotations the steps are those of the coordinates and the momentum in the chart around the start of the step.
+"""
+
+import functools
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from covariant._typing import Scalar, Vector
+from covariant.certificates.base import StateMetric, first_velocity, prediction_variables
+from covariant.lowering import lower
+from covariant.models import MechanicalSystem, MomentumChart, acceleration
+from covariant.proofs import Form, derivative_form
+from covariant.proofs.checker import series
+
+ORDER = 4
+"""Order of the Runge–Kutta steps, at which derivatives of the defect are bounded."""
+ANALYTIC = {
+    *("input", "constant", "add", "sub", "neg", "mul", "div", "sin", "cos", "exp", "log", "sqrt", "atan", "stumpff"),
+}
+"""Operations with derivatives of all orders, wherever they are defined."""
+
+
+class Step(NamedTuple):
+    """Runge–Kutta steps from one state.
+
+    Attributes:
+        state: `step length () -> state (2n,)` after the step.
+        field: `state (2n,) -> rate (2n,)` of the model.
+        image: `state (2n,) -> (2n, 2n)`: takes rates to the frame of the metric.
+        gram: the metric (2n, 2n) in this frame.
+    """
+
+    state: Callable[[Scalar], Array]
+    field: Callable[[Vector], Array]
+    image: Callable[[Vector], Array]
+    gram: Callable[[Vector], Array]
+
+
+class Prediction(NamedTuple):
+    """The steps of a prediction as functions of the variables of a box.
+
+    Attributes:
+        names, units: the variables: the configuration, the velocity, the force of the input, the age, and two lengths
+            of a step.
+        at: `z (d,) -> Step`, which does not depend on the last two variables.
+        size: number 2n of entries of a state.
+    """
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    at: Callable[[Vector], Step]
+    size: int
+
+    @property
+    def has_series(self) -> bool:
+        """Whether the steps have derivatives of all orders."""
+        z = jnp.zeros(len(self.names))
+        graph = lower(lambda r, z: _defect(self.at(z), r), jnp.zeros(()), z, real=True).graph
+        return {node.op for node in graph.nodes} <= ANALYTIC
+
+
+def prediction_of(
+    model: MechanicalSystem,
+    n: int,
+    names: tuple[str, ...],
+    units: tuple[str, ...],
+    metric: Callable[[Array, Scalar], StateMetric],
+    configuration: Callable[[Vector], Array],
+) -> Prediction:
+    """Describe the steps of a prediction.
+
+    Args:
+        model: the mechanical system, whose input is the force, with its friction.
+        n: number of velocities.
+        names: names of the variables of the whole box.
+        units: their units.
+        metric: `(configuration, age) -> StateMetric` around this configuration, on a group in its chart.
+        configuration: the configuration of the variables that come before the velocities.
+    """
+    commuting = model.manifold.commuting
+    count = first_velocity(len(names), n, sampled=True)
+
+    def at(z):
+        place, v, force = z[:count], z[count : count + n], z[count + n : count + 2 * n]
+        age, still = z[count + 2 * n], jnp.zeros((), z.dtype)
+        q = configuration(place)
+        steps = _in_coordinates if commuting else _in_chart
+        return steps(model, q, v, force, lambda x: metric(x, age), still)
+
+    return Prediction(*prediction_variables(names, units, n), at, 2 * n)
+
+
+def _runge_kutta(field: Callable[[Vector], Array], x: Vector, h: Scalar) -> Array:
+    """One step of the classical method, as that of `covariant._integrate` without its loop."""
+    k1 = field(x)
+    k2 = field(x + h / 2 * k1)
+    k3 = field(x + h / 2 * k2)
+    k4 = field(x + h * k3)
+    # The weights are 1/6 and 1/3 exactly, of which those of the program are the nearest doubles.
+    return x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+
+
+def _in_coordinates(model, q, v, force, metric, still) -> Step:
+    n = v.shape[0]
+
+    @jax.jit  # traced once, not at each slope
+    def field(x):
+        return jnp.concatenate([x[n:], acceleration(model, still, x[:n], x[n:], force)])
+
+    start = jnp.concatenate([q, v])
+    return Step(
+        lambda h: _runge_kutta(field, start, h),
+        field,
+        lambda x: metric(x[:n]).coframe(still, x),
+        lambda x: metric(x[:n]).gram(still, x),
+    )
+
+
+def _in_chart(model, g, v, force, metric, still) -> Step:
+    chart, n = MomentumChart(model, g), v.shape[0]
+
+    @jax.jit
+    def field(x):
+        rates, _ = chart.flow(still, (x[:n], x[n:]), lambda t, motion: force)
+        return jnp.concatenate(rates)
+
+    def image(x):
+        here = chart.motion(x[:n], x[n:])
+        body = jax.vmap(functools.partial(model.manifold.frame_velocity, g, x[:n]), out_axes=1)(jnp.eye(n))
+        faster = jax.jacfwd(lambda y: chart.motion(y[:n], y[n:]).v)(x)
+        moved = jnp.concatenate([jnp.concatenate([body, jnp.zeros((n, n))], axis=1), faster])
+        return metric(here.q).coframe(still, jnp.concatenate([jnp.zeros_like(v), here.v])) @ moved
+
+    start = jnp.concatenate([jnp.zeros_like(v), model.space.lower(g, v)])
+    return Step(
+        lambda h: _runge_kutta(field, start, h),
+        field,
+        image,
+        lambda x: metric(g).gram(still, jnp.concatenate([jnp.zeros_like(v), v])),
+    )
+
+
+def _defect(step: Step, r: Scalar) -> Array:
+    state, rate = jax.jvp(step.state, (r,), (jnp.ones_like(r),))
+    return rate - step.field(state)
+
+
+def _matrix(square: float, image: Array, gram: Array, derivative: Array) -> Array:
+    """A matrix that is positive definite where a vector is shorter than `√square`, by Schur's complement."""
+    pulled = gram @ (image @ derivative)
+    top = jnp.concatenate([jnp.full((1,), square, gram.dtype), pulled])
+    return jnp.concatenate([top[None], jnp.concatenate([pulled[:, None], gram], axis=1)])
+
+
+def defect_bound(prediction: Prediction, square: float, order: int = ORDER) -> Form:
+    """Build the matrix whose positive definiteness is `|δ⁽ᵏ⁾(r)/k!|² < square` in the metric at P_s x.
+
+    Args:
+        prediction: the steps.
+        square: square of the bound.
+        order: order k of the derivative; 0 for the defect itself.
+    """
+
+    def values(t, x, z):
+        step = prediction.at(z)
+        moved, there = step.state(x[0]), step.state(z[-2])
+        return moved, step.field(moved), step.image(there), step.gram(there)
+
+    def parts(derivatives, nodes, count):
+        moved, field, image, gram = nodes
+        along = {1: derivatives.graph.constant(1.0)}
+        rate = derivatives.along(moved, along)
+        both = zip(rate.tolist(), field.tolist(), strict=True)
+        defect = np.array([derivatives.graph.apply("sub", a, b) for a, b in both])
+        for _ in range(order):
+            defect = derivatives.along(defect, along)
+        return image, gram, defect
+
+    def whole(image, gram, derivative):
+        return _matrix(square, image, gram, derivative / math.factorial(order))
+
+    return derivative_form(values, lambda z: z[-1:], parts, whole, defect_matrix(prediction, square, order))
+
+
+def defect_matrix(prediction: Prediction, square: float, order: int = ORDER) -> Callable[[Array], Array]:
+    """Build the same matrix by Taylor coefficients of the program, as the checker does.
+
+    Args:
+        prediction: the steps.
+        square: square of the bound.
+        order: order of the derivative.
+
+    Returns:
+        A function z (d,) -> (1 + 2n, 1 + 2n).
+    """
+
+    def matrix(z):
+        step, r = prediction.at(z), z[-1]
+        there = step.state(z[-2])
+        moved = series(step.state, order + 1)(r)[order + 1]
+        field = series(lambda h: step.field(step.state(h)), order)(r)[order]
+        # (k + 1) c_(k+1) is the coefficient of the derivative.
+        return _matrix(square, step.image(there), step.gram(there), (order + 1) * moved - field)
+
+    return matrix
+
+
+def step_values(prediction: Prediction) -> Callable[[Array], Array]:
+    """Collect what the claim is computed from, to show that it is defined.
+
+    Args:
+        prediction: the steps.
+
+    Returns:
+        A function z (d,) -> vector.
+    """
+
+    def parts(z):
+        step = prediction.at(z)
+        state = step.state(z[-1])
+        pieces = state, step.field(state), step.image(state), step.gram(state)
+        return jnp.concatenate([piece.ravel() for piece in pieces])
+
+    return parts

@@ -1,0 +1,364 @@
+"""The claims of a certificate of the sampled step, with a metric that is searched, and again where a proof fails."""
+
+import dataclasses
+import math
+from collections.abc import Callable, Sequence
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from covariant._typing import Numbers
+from covariant.certificates.base import (
+    MOST_LOST,
+    UNPROVED,
+    AbstractClaim,
+    ContractionClaim,
+    CorrectionClaim,
+    DisturbanceClaim,
+    Effort,
+    ErrorSystem,
+    Intrinsics,
+    Loss,
+    MissingClaim,
+    PredictionClaim,
+    Recursion,
+    Sampling,
+    TwoByTwo,
+    contraction,
+    correction,
+    joint_force_bound,
+    missing_bound,
+    reach_squares,
+    select,
+    unit_reach,
+)
+from covariant.certificates.sampled._prediction import defect_bound
+from covariant.certificates.sampled._sampled_metric import Found, SampledMetric, random_points
+from covariant.certificates.sampled._sampled_step import sampled_prediction, sampled_system
+from covariant.lowering import Lowered, numbers
+from covariant.observers import Intrinsic
+from covariant.proofs import LETTERS, Box, Form, Proof
+
+SEARCHES = 4
+"""How often the metric is searched again with the counter-examples of a proof."""
+WIDER, TINY = (64.0, 16.0, 4.0, 2.0, 1.3), 1e-12
+"""Factors of margin on sampled squares, so that they can be proved quickly, and a square for what is zero."""
+MUCH_WIDER = (1e6, 1e5, 1e4, 1e3, 250.0)
+"""The same for errors of Runge–Kutta steps, which often are many times as small as matters."""
+LITTLE, PART = 0.02, 0.25
+"""Fraction of the rate that a wider bound may take, and where that is too little. The square of the first is that of
+the radius for errors of predictions."""
+PREDICTION_WORK = 4_000_000
+"""Largest number of boxes for the errors of Runge–Kutta steps, times the operations of their matrix: some hundred for a
+pendulum, and thirty thousand for a heavy top."""
+POINTS = 2000
+"""Number of points at which they are sampled."""
+ENOUGH = 0.5
+"""Margin of a metric without shear, as a fraction of the rate, below which one with shear is tried as well."""
+
+
+def check_sampling(
+    observer: Intrinsics,
+    interval: tuple[float, float],
+    lost: int,
+    q: Numbers | None,
+    n: int,
+) -> Sampling:
+    """Check the arguments of `certify` that concern samples.
+
+    Args:
+        observer: the observer.
+        interval: shortest and longest time [s] between two samples.
+        lost: number of samples that may be lost in a row.
+        q: the metric, which is searched and must not be given.
+        n: number of velocities.
+
+    Returns:
+        The samples, without a metric yet.
+
+    Raises:
+        ValueError: naming what is wrong.
+        TypeError: another kind of observer.
+    """
+    if type(observer) is not Intrinsic:
+        raise TypeError(f"certify: interval is for Intrinsic alone; got {type(observer).__name__}")
+    try:
+        shortest, longest = (float(h) for h in interval)
+    except (TypeError, ValueError):
+        raise ValueError(f"certify: interval needs two times [s]; got {interval!r}") from None
+    if not 0 < shortest <= longest < math.inf:
+        raise ValueError(
+            f"certify: interval must be positive times [s], the shorter one first; got {shortest:g} and {longest:g}"
+        )
+    if not 0 <= lost <= MOST_LOST:
+        raise ValueError(f"certify: lost must be from 0 to {MOST_LOST}; got {lost}")
+    if q is not None:
+        raise ValueError("certify: with interval the metric is searched; leave q out")
+    # Six variables a coordinate and the age; on rotations up to nine entries and five variables a velocity.
+    most = (len(LETTERS) - 1) // 6
+    if n > most:
+        raise ValueError(f"certify: with interval at most {most} coordinates are covered; got {n}")
+    return Sampling(np.array([shortest, longest]), lost, np.zeros((0, 2, 2)), False, observer.substeps)
+
+
+def sampled_claims(
+    observer: Intrinsics,
+    sampling: Sampling,
+    rates: Sequence[float],
+    q: TwoByTwo,
+    noise: Float[np.ndarray, "n"],
+    domain_of: Callable[[ErrorSystem], Box],
+    effort: Effort,
+) -> tuple[float, TwoByTwo, Sampling, ErrorSystem, Box, list[AbstractClaim]]:
+    """Search a metric, and prove that flow and correction contract it.
+
+    Args:
+        observer: the observer.
+        sampling: the samples.
+        rates: rates λ [1/s] of squared lengths; with noise the one with the smallest bound of the velocity is taken.
+        q: matrix (2, 2) of the metric of the continuous observer, for a first region.
+        noise: bounds (n,) of the errors of the measured positions.
+        domain_of: the box of a system, whose metric relates errors of position and velocity.
+        effort: the effort; its region is set here.
+
+    Returns:
+        The rate, R_0, the samples with the rest of the metric, system and region, and the claims "contraction" and
+        "correction".
+    """
+    domain = domain_of(sampled_system(observer, q, sampling))
+    effort.report("searching the metric", 0.0, 0)
+    search, metric = _search(observer, sampling, rates, noise, domain)
+    rate = search.rate
+    # How errors of position and velocity compare depends on the metric, and the region on that: a second time.
+    domain = domain_of(sampled_system(observer, metric.q, search.sampling._replace(slopes=metric.slopes)))
+    effort.domain = domain
+    for search_again in (*[True] * SEARCHES, False):
+        metric = search.solve(domain)
+        sampling = search.sampling._replace(slopes=metric.slopes)
+        system = sampled_system(observer, metric.q, sampling)
+        claims = _prove(system, sampling, rate, effort, noise, metric.squares)
+        wrong = _counterexamples(claims)
+        if not (wrong and search_again) or metric.margin <= 0:
+            return rate, metric.q, sampling, system, domain, claims
+        search.add(wrong)
+    raise AssertionError
+
+
+def _search(
+    observer: Intrinsics, sampling: Sampling, rates: Sequence[float], noise: Float[np.ndarray, "n"], domain: Box
+) -> tuple[SampledMetric, Found]:
+    """The metric with the largest margin, or with noise the smallest bound, without or with shear."""
+    search = SampledMetric(observer, sampling, rates[0], noise)
+    if not noise.any():
+        metric = search.solve(domain)
+        if metric.margin < ENOUGH * search.rate:
+            sheared = SampledMetric(observer, sampling._replace(shear=True), search.rate, noise)
+            other = sheared.solve(domain)
+            if other.margin > metric.margin:
+                return sheared, other
+        return search, metric
+    best, metric = search, Found(q=np.eye(2), slopes=np.zeros((0, 2, 2)), margin=-np.inf)
+    for each in (search, SampledMetric(observer, sampling._replace(shear=True), rates[0], noise)):
+        for rate in rates:
+            other = each.at_rate(rate)
+            found = other.solve(domain)
+            if metric.margin <= 0 or (found.margin > 0 and found.velocity < metric.velocity):
+                best, metric = other, found
+    return best, metric
+
+
+def _counterexamples(claims: Sequence[AbstractClaim]) -> list[tuple[bool, np.ndarray]]:
+    """Whether a claim that was refuted is one on a correction, and the point (d,)."""
+    wrong: list[tuple[bool, np.ndarray]] = []
+    for claim in claims:
+        if claim.proof.counterexample is not None:
+            wrong.append((isinstance(claim, CorrectionClaim), claim.proof.counterexample.mean(axis=0)))
+    return wrong
+
+
+def _prove(
+    system: ErrorSystem,
+    sampling: Sampling,
+    rate: float,
+    effort: Effort,
+    noise: Float[np.ndarray, "n"],
+    squares: Sequence[Float[np.ndarray, "k"]],
+) -> list[AbstractClaim]:
+    """The claims on flow and correction; after one that does not hold the others are not tried."""
+    claims: list[AbstractClaim] = [ContractionClaim(effort.prove("contraction", contraction(system, rate)))]
+    for lost in range(sampling.lost + 1):
+        if claims[-1].proof.verdict != "holds":
+            break
+        claim = CorrectionClaim(UNPROVED, lost, tuple(np.asarray(squares[lost]).tolist()) if noise.any() else ())
+        claims.append(
+            effort.prove_claim(
+                f"correction after {lost} lost",
+                claim,
+                lambda claim: correction(system, noise if claim.squares else None, claim.squares),
+                lambda claim, point: dataclasses.replace(claim, squares=tuple(1.2 * s for s in claim.squares)),
+                SEARCHES if claim.squares else 0,
+                _domain_of(claim, effort.domain, len(noise), sampling),
+            )
+        )
+    return claims
+
+
+def _domain_of(claim: AbstractClaim, domain: Box, n: int, sampling: Sampling) -> Box:
+    """The box of one claim, of that of the certificate."""
+    low, high = claim.bounds(domain.low, domain.high, n, sampling)
+    return Box(*claim.variables(domain.names, domain.units, n), low, high)
+
+
+def prediction_claims(
+    observer: Intrinsics,
+    sampling: Sampling,
+    q: TwoByTwo,
+    rate: float,
+    claims: Sequence[AbstractClaim],
+    radius: float,
+    effort: Effort,
+) -> list[AbstractClaim]:
+    """Prove a bound of the errors of the Runge–Kutta steps of predictions.
+
+    Args:
+        observer: the observer.
+        sampling: the samples.
+        q: R_0 (2, 2).
+        rate: rate λ of squared lengths [1/s].
+        claims: the other claims.
+        radius: radius of the tube that they allow.
+        effort: the effort.
+
+    Returns:
+        One claim. None where the number of steps is not fixed, where the model is not smooth, where the division by
+        `1 + s/18` takes all of the rate, so that nothing holds, and where the bound is too wide or not proved although
+        the errors themselves are small at all points tried: they are then assumed.
+    """
+    missing = select(claims, MissingClaim)[0]
+    left = Loss.of(sampling, q, rate, missing.square, missing.limit).allowed(rate)
+    if sampling.substeps is None or not radius > 0 or not left:
+        return []
+    prediction = sampled_prediction(observer, q, sampling)
+    if not prediction.has_series:
+        return []
+    domain = _domain_of(PredictionClaim(UNPROVED, 0.0), effort.domain, prediction.size // 2, sampling)
+    points = random_points(np.random.default_rng(0), domain, POINTS)
+
+    def drift(square: float) -> float:
+        return Recursion.of(sampling, q, rate, None, [*claims, PredictionClaim(UNPROVED, square)]).steady
+
+    unit = defect_bound(prediction, 1.0).graph(jnp.asarray(points[0])).entries
+    boxes = PREDICTION_WORK // len(unit.graph.nodes)
+    least = _sampled_square(unit, points)
+    squares = [factor * max(least, TINY) for factor in (*MUCH_WIDER, *WIDER)]
+    if drift(squares[-1]) < radius:
+        # The widest bound that moves the estimate little within the tube needs the fewest boxes.
+        square = next((each for each in squares if drift(each) < LITTLE**2 * radius), squares[-1])
+        proof = _proved_within(effort, defect_bound(prediction, square), domain, boxes)
+        return [PredictionClaim(proof, square)] if proof.verdict == "holds" else []
+    # The defect itself, at the end of the longest step.
+    points[:, -2:] = sampling.longest_step
+    whole = defect_bound(prediction, 1.0, 0).graph(jnp.asarray(points[0])).entries
+    if drift(_sampled_square(whole, points) / sampling.longest_step**8) < radius:
+        return []
+    proof = _proved_within(effort, defect_bound(prediction, squares[-1]), domain, boxes)
+    return [PredictionClaim(proof, squares[-1])]
+
+
+def _sampled_square(matrix: Lowered, points: np.ndarray) -> float:
+    """The largest squared length of the vector of a matrix [[1, vᵀN], [Nv, N]] at some points."""
+    entries = np.asarray(numbers(matrix, points))
+    size = math.isqrt(entries.size // len(points))
+    matrices = entries.reshape(-1, size, size)
+    pulled = matrices[:, 1:, :1]
+    return float((pulled * np.linalg.solve(matrices[:, 1:, 1:], pulled)).sum((1, 2)).max())
+
+
+def _proved_within(effort: Effort, bound: Form, domain: Box, boxes: int) -> Proof:
+    """A proof with a part of the boxes that are left, so that one that is too hard takes no more."""
+    left = effort.boxes
+    effort.boxes = min(left, boxes)
+    proof = effort.prove("predictions", bound, domain)
+    effort.boxes = max(left - proof.boxes, 0)
+    return proof
+
+
+def force_claim(system: ErrorSystem, disturbance: Float[np.ndarray, "n"], effort: Effort) -> DisturbanceClaim:
+    """Prove a bound of what an unknown force adds to the flow between samples.
+
+    Args:
+        system: the system.
+        disturbance: bounds (n,) of the force.
+        effort: the effort.
+
+    Returns:
+        The claim "disturbance".
+    """
+    rng = np.random.default_rng(0)
+    graph = joint_force_bound(system, disturbance, 0.0).graph(jnp.asarray(effort.domain.high)).entries
+    n = len(disturbance)
+    values = np.asarray(numbers(graph, random_points(rng, effort.domain, POINTS))).reshape(-1, n, n)
+    # With square = 0 the matrix is −BᵀMB.
+    square = WIDER[-1] * -float(np.linalg.eigvalsh(values).min())
+    return effort.prove_claim(
+        "unknown forces",
+        DisturbanceClaim(UNPROVED, square),
+        lambda claim: joint_force_bound(system, disturbance, claim.square),
+        lambda claim, point: dataclasses.replace(claim, square=2 * claim.square),
+        SEARCHES,
+    )
+
+
+def missing_claims(
+    observer: Intrinsics,
+    system: ErrorSystem,
+    sampling: Sampling,
+    q: TwoByTwo,
+    rate: float,
+    claims: Sequence[AbstractClaim],
+    effort: Effort,
+) -> list[AbstractClaim]:
+    """Prove a bound of the acceleration that a prediction lacks, and of the position error.
+
+    Args:
+        observer: the observer.
+        system: the system.
+        sampling: the samples.
+        q: R_0 (2, 2).
+        rate: rate λ of squared lengths [1/s].
+        claims: the other claims, of which those on reach are used.
+        effort: the effort.
+
+    Returns:
+        One claim, or none for errors of second order, whose lengths it does not concern.
+    """
+    if isinstance(observer, Intrinsic) and observer.order != 1:
+        return []
+    reach = unit_reach(reach_squares(claims))
+    n = len(reach)
+    domain = _domain_of(MissingClaim(UNPROVED, 0.0, 0.0), effort.domain, n, sampling)
+    # With square = 1 and limit = 0 the first block is g − DᵀgD, and the last −WgW.
+    graph = missing_bound(system, 1.0, 0.0, reach).graph(jnp.asarray(domain.high)).entries
+    blocks = np.asarray(numbers(graph, random_points(np.random.default_rng(0), domain, POINTS)))
+    blocks = blocks.reshape(-1, 3 * n, 3 * n)
+    weighted = -blocks[:, 2 * n :, 2 * n :]
+    metric = weighted / np.outer(reach, reach)
+    inner = np.linalg.inv(np.linalg.cholesky(metric))
+    ratio = inner @ (metric - blocks[:, :n, :n]) @ np.swapaxes(inner, 1, 2)
+    square, length = (float(np.linalg.eigvalsh(each)[:, -1].max()) for each in (ratio, weighted))
+    limit = math.sqrt(WIDER[-1] * n * length)
+    squares = [factor * max(square, TINY) for factor in WIDER]
+    # The widest bound that takes little of the rate needs the fewest boxes; where none does, one that takes a part.
+    shares = [Loss.of(sampling, q, rate, each, limit).rate / (rate / 2) for each in squares]
+    affordable = [each for part in (LITTLE, PART) for each, share in zip(squares, shares, strict=True) if share < part]
+    square = affordable[0] if affordable else squares[-1]
+    claim = effort.prove_claim(
+        "what predictions lack",
+        MissingClaim(UNPROVED, square, limit),
+        lambda claim: missing_bound(system, claim.square, claim.limit, reach),
+        lambda claim, point: dataclasses.replace(claim, square=2 * claim.square, limit=2 * claim.limit),
+        SEARCHES,
+        domain,
+    )
+    return [claim]

@@ -1,0 +1,454 @@
+"""What is proved about the sampled error of `ImplicitGeodesic`: how long the interval, how small the gain, how fast.
+
+Let ξ be the error of the position, ζ of the velocity, `w = ζ − σξ`, `K = R(·, v)v − ∇S` with its spectrum in [k₋, k₊],
+F = ∇_v of the friction in [f₋, f₊], f₊ ≤ 0, and 0 ≤ ρ < σ. Along the model `ξ' = w + σξ` and
+`w' = −(K + σ² − σF)ξ − (σ − F)w`, so that `V = m|ξ|² + |w|²` falls as e^(−2ρt) where
+
+    m' = −2(σ + ρ)m − max |m − σ² − k + σf|² / (2(σ − ρ − f))        over k in [k₋, k₊] and f in [f₋, f₊]
+
+(complete the square in w). A sample takes ξ to (1 − θ)ξ and leaves w, so that `m₀|ξ|² + |w|²` falls by e^(−2ρh) in
+each step for all θ with `(1 − θ)² ≤ m_h/m₀`: an interval [θ_min, 2 − θ_min], whatever the size of the errors.
+
+The maximum is at a corner, since the quotient is convex in (k, f). At each corner m obeys a Riccati equation with
+constant coefficients, `m' = −((m + b)² + D)/2g`, with a solution in closed form. For F = 0, k₋ = k₊ = k and ρ = 0 the
+largest h is `(2/√k) atan(√k/σ)`, which is where the step with θ = 1 turns unstable: the bound is tight. With friction
+it is not: the range of f is one more thing that is not known, and may raise θ_min.
+
+On a curved space errors up to d are corrected to `ξ⁺ = J(θ)`, `w⁺ = Π(w + ∫₀^θ R(γ', J)(v̂ + σsγ') ds)`, where J is the
+Jacobi field along the geodesic γ from q̂ to y with J(0) = ξ and J(1) = 0. With sectional curvature ≤ κ and x = √κ d < π,
+`|J(s)| ≤ |ξ| sin((1 − s)x)/sin x` (Rauch), (1 − s)|ξ| where κ ≤ 0. With |R| ≤ r therefore |ξ⁺| ≤ j|ξ| and
+|w⁺ − Πw| ≤ E|ξ|.
+
+Source: an addition. Simpson-Porco & Bullo 2014, Contraction theory on Riemannian manifolds, Systems & Control Letters
+65, for lengths of curves; do Carmo 1992, Riemannian Geometry, chapter 10, for Rauch's theorem.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+
+class CurvedErrors(NamedTuple):
+    """Bounds of the errors, and of the curvature where they are.
+
+    Attributes:
+        distance: Largest distance d from an estimate to a measurement, in the metric.
+        curvature: Largest sectional curvature κ; zero or less where none is positive.
+        riemann: Bound r of the curvature tensor, `|R(a, b)c| ≤ r|a||b||c|`.
+        speed: Largest estimated speed |v̂|, in the metric.
+
+    Example:
+        >>> from covariant.certificates import CurvedErrors
+        >>> CurvedErrors(distance=0.2, curvature=1.0, riemann=1.0, speed=0.5).distance  # on the unit sphere
+        0.2
+    """
+
+    distance: float
+    curvature: float
+    riemann: float
+    speed: float
+
+
+class PartLimits(NamedTuple):
+    """Parts θ of an error that a sample may take away, with the metric that proves it.
+
+    Attributes:
+        least: The least θ.
+        most: The largest, `2 − least`; `ImplicitGeodesic` itself stays below 1.
+        before: Weight m₀ of |ξ|² after a correction [1/s²].
+        after: Weight m_h of |ξ|² before the next [1/s²].
+
+    Example:
+        >>> from covariant.certificates import part_limits
+        >>> limits = part_limits(0.1, sigma=2.0, k_minus=-1.0, k_plus=1.0)
+        >>> abs((1 - limits.least) ** 2 - limits.after / limits.before) < 1e-12
+        True
+    """
+
+    least: float
+    most: float
+    before: float
+    after: float
+
+
+class ProvedDecay(NamedTuple):
+    """Rate at which an error is proved to fall, with the metric that proves it.
+
+    Attributes:
+        rate: Rate [1/s] of the length `√(m₀|ξ|² + |w|²)`; negative where it may grow, at −rate at most; −infinity where
+            nothing is proved.
+        before: Weight m₀ of |ξ|² after a correction [1/s²].
+        after: Weight m_h of |ξ|² before the next [1/s²].
+
+    Example:
+        >>> from covariant.certificates import proved_decay
+        >>> decay = proved_decay(0.05, part=0.5, sigma=4.0, k_minus=-1.0, k_plus=1.0)
+        >>> decay.rate > 0, decay.before > decay.after
+        (True, True)
+    """
+
+    rate: float
+    before: float
+    after: float
+
+
+class ImplicitGains(NamedTuple):
+    """Gains of `ImplicitGeodesic` for a rate of the error.
+
+    Attributes:
+        alpha: Gain α [1/s].
+        beta: Gain β [1/s²].
+        part: Part θ of the error that a sample takes away.
+        rate: Rate ρ [1/s] at which the error falls at least.
+        longest: Interval [s] from which on ρ = 0 is not proved for any α.
+
+    Example:
+        >>> from covariant.certificates import implicit_gains
+        >>> gains = implicit_gains(0.05, sigma=5.0, k_minus=-9.81, k_plus=9.81)
+        >>> abs(gains.alpha * 0.05 / (1 + gains.alpha * 0.05) - gains.part) < 1e-12, gains.beta == 5.0 * gains.alpha
+        (True, True)
+    """
+
+    alpha: float
+    beta: float
+    part: float
+    rate: float
+    longest: float
+
+
+class _Corner(NamedTuple):
+    """A corner of the ranges of k and f, at which `m' = −((m + b)² + D)/2g`."""
+
+    a: float
+    g: float
+    b: float
+    d: float
+
+    def square(self, m: float) -> float:
+        """The square that the maximum compares."""
+        return (m - self.a) ** 2 / self.g
+
+    def time(self, high: float, low: float) -> float:
+        """Time [s] in which m falls from `high`, which may be infinite, to `low`."""
+        x0, x1, root = high + self.b, low + self.b, math.sqrt(abs(self.d))
+        # (x0 − x1)/(D + x0 x1), the tangent of the difference of two angles over √|D|
+        above, below = (1.0, x1) if math.isinf(x0) else (x0 - x1, self.d + x0 * x1)
+        if self.d > 0:
+            return 2 * self.g / root * math.atan2(root * above, below)
+        if root * above >= below:  # at the root of the square itself, where m takes forever
+            return math.inf
+        return 2 * self.g / root * math.atanh(root * above / below) if root > 0 else 2 * self.g * above / below
+
+    def after(self, high: float, time: float) -> float:
+        """What m is some time after it was `high`."""
+        x, angle = high + self.b, math.sqrt(abs(self.d)) * time / (2 * self.g)
+        if self.d > 0:
+            c, s = math.cos(angle), math.sin(angle) / math.sqrt(self.d)
+        elif self.d < 0:
+            c, s = math.cosh(angle), math.sinh(angle) / math.sqrt(-self.d)
+        else:
+            c, s = 1.0, time / (2 * self.g)
+        return (x * c - self.d * s) / (x * s + c) - self.b
+
+
+class _Weight(NamedTuple):
+    """The weight m as a function of time: the corner that counts below each of some values, largest first."""
+
+    tops: tuple[float, ...]
+    corners: tuple[_Corner, ...]
+
+    def longest(self) -> float:
+        """Time in which m falls from infinity to 0."""
+        ends = (*self.tops[1:], 0.0)
+        return sum(c.time(top, end) for c, top, end in zip(self.corners, self.tops, ends, strict=True))
+
+    def after(self, m: float, time: float) -> float:
+        """What m is some time after it was m; 0 where it has fallen to 0 before."""
+        for corner, end in zip(self.corners, (*self.tops[1:], 0.0), strict=True):
+            if m > end:
+                spent = corner.time(m, end)
+                if spent > time:
+                    return max(corner.after(m, time), 0.0)
+                m, time = end, time - spent
+        return 0.0
+
+
+def weight_of(sigma: float, rate: float, k: Sequence[float], f: Sequence[float] = (0.0, 0.0)) -> _Weight:
+    """The weight m of |ξ|² between samples.
+
+    Args:
+        sigma: Ratio σ of the gains [1/s].
+        rate: Rate ρ [1/s], 0 ≤ ρ < σ.
+        k: Bounds of the spectrum of K [1/s²].
+        f: Bounds of the derivative of the friction in the velocity [1/s].
+    """
+    corners = []
+    for stiffness in set(k):
+        for slope in set(f):
+            a, g = sigma**2 + stiffness - sigma * slope, sigma - rate - slope
+            b = 2 * g * (sigma + rate) - a
+            corners.append(_Corner(a, g, b, a * a - b * b))
+    crossings = {math.inf}
+    for i, one in enumerate(corners):
+        for two in corners[:i]:
+            for sign in (1.0, -1.0):  # |m − a₁|/√g₁ = |m − a₂|/√g₂
+                p, q = math.sqrt(two.g), sign * math.sqrt(one.g)
+                m = (one.a * p - two.a * q) / (p - q) if p != q else 0.0
+                crossings |= {m} if m > 0 else set()
+    tops = sorted(crossings, reverse=True)
+    # One corner counts on all of an interval between crossings, so that any point inside tells which.
+    inner = [min((top + end) / 2, 2 * end + 1) for top, end in zip(tops, (*tops[1:], 0.0), strict=True)]
+    return _Weight(tuple(tops), tuple(max(corners, key=lambda c: c.square(m)) for m in inner))
+
+
+def longest_interval(
+    sigma: float, k_minus: float, k_plus: float, rate: float = 0.0, friction: tuple[float, float] = (0.0, 0.0)
+) -> float:
+    """Sampling interval below which some gain α makes the error fall at a rate, for any α above it.
+
+    Args:
+        sigma: Ratio σ = β/α of the gains [1/s].
+        k_minus: Least eigenvalue of `K = R(·, v)v − ∇S` [1/s²].
+        k_plus: Largest eigenvalue of K [1/s²].
+        rate: Rate ρ [1/s], 0 ≤ ρ < σ; 0 by default, for errors that do not grow.
+        friction: Bounds [1/s] of the derivative of the friction in the velocity, both ≤ 0; no friction by default. For
+            n > 1 it must be the same in all directions.
+
+    Returns:
+        The interval [s], infinite where there is no limit. For k₋ = k₊ = k, ρ = 0 and no friction it is
+        `(2/√k) atan(√k/σ)`, 2/σ at k = 0, and `(2/√−k) artanh(min(σ, √−k)/max(σ, √−k))` for k < 0.
+
+    Raises:
+        ValueError: A number is not finite, bounds are in the wrong order, or ρ is not in [0, σ).
+
+    Example:
+        Where K vanishes, as for a body that is free:
+
+        >>> from covariant.certificates import longest_interval
+        >>> longest_interval(sigma=4.0, k_minus=0.0, k_plus=0.0)
+        0.5
+    """
+    check_limits("longest_interval", sigma, k_minus, k_plus, rate, friction)
+    return weight_of(sigma, rate, (k_minus, k_plus), friction).longest()
+
+
+def part_limits(
+    h: float,
+    sigma: float,
+    k_minus: float,
+    k_plus: float,
+    rate: float = 0.0,
+    friction: tuple[float, float] = (0.0, 0.0),
+) -> PartLimits:
+    """Parts θ of the error that samples may take away so that the error falls at a rate, for n = 1 or a flat metric.
+
+    The length `√(m₀|ξ|² + |w|²)` between two estimates, or an estimate and the truth, then falls by e^(−ρh) from sample
+    to sample, however large it is. It is assumed that n = 1 or the metric is flat, that measurements are unwrapped
+    (angles are numbers, not circles), without noise and at intervals of h at most, that K is symmetric (forces without
+    friction have a potential at each time), and that its spectrum is within the bounds wherever the errors are.
+
+    Args:
+        h: Time between two measurements [s].
+        sigma: Ratio σ = β/α of the gains [1/s].
+        k_minus: Least eigenvalue of `K = R(·, v)v − ∇S` [1/s²]; −9.81 for a pendulum of 1 m.
+        k_plus: Largest eigenvalue of K [1/s²].
+        rate: Rate ρ [1/s], 0 ≤ ρ < σ; 0 by default.
+        friction: As for `longest_interval`.
+
+    Returns:
+        The least and the largest θ, and the weights m₀ and m_h of the metric.
+
+    Raises:
+        ValueError: As for `longest_interval`, and where h is not below it.
+
+    Example:
+        A body that is free, for which θ_min = 2σh/(2 + σh) and m₀ m_h = σ⁴:
+
+        >>> from covariant.certificates import part_limits
+        >>> limits = part_limits(0.1, sigma=4.0, k_minus=0.0, k_plus=0.0)
+        >>> round(limits.before * limits.after, 4), round(limits.least, 6)
+        (256.0, 0.333333)
+    """
+    check_limits("part_limits", sigma, k_minus, k_plus, rate, friction, h)
+    weight = weight_of(sigma, rate, (k_minus, k_plus), friction)
+    if h >= weight.longest():
+        raise ValueError(
+            f"part_limits: h must be below {weight.longest():.4g} s at this σ and rate; got {h} s. Sample faster, or "
+            "choose another sigma or a smaller rate"
+        )
+    before, after = _best(weight, h, sigma, lambda m0, m: m / m0)
+    least = 1 - math.sqrt(after / before)
+    return PartLimits(least, 2 - least, before, after)
+
+
+def proved_decay(
+    h: float,
+    part: float,
+    sigma: float,
+    k_minus: float,
+    k_plus: float,
+    friction: tuple[float, float] = (0.0, 0.0),
+    curved: CurvedErrors | None = None,
+) -> ProvedDecay:
+    """Rate at which the error is proved to fall from sample to sample.
+
+    Args:
+        h: Time between two measurements [s].
+        part: Part θ of the error that a sample takes away, αh/(1 + αh) for `ImplicitGeodesic`.
+        sigma: Ratio σ = β/α of the gains [1/s].
+        k_minus: Least eigenvalue of `K = R(·, v)v − ∇S` [1/s²].
+        k_plus: Largest eigenvalue of K [1/s²].
+        friction: As for `longest_interval`.
+        curved: Bounds of errors and curvature for n > 1; None (default) for n = 1 or a flat metric. Then the result
+            is about lengths of curves of estimates, all of which stay within the bounds.
+
+    Returns:
+        The rate, and the metric for which it holds, under the assumptions of `part_limits`. It is a lower bound: where
+        it is 0 it cannot be improved for one k, but at half of the longest interval the length falls up to twice as
+        fast.
+
+    Raises:
+        ValueError: As for `longest_interval`; also where d reaches a conjugate point, π/√κ, or θ > 1 on a curved space.
+
+    Example:
+        On the unit sphere less is proved than in the plane:
+
+        >>> from covariant.certificates import CurvedErrors, proved_decay
+        >>> flat = proved_decay(0.05, 0.5, sigma=4.0, k_minus=0.0, k_plus=0.3)
+        >>> bent = proved_decay(0.05, 0.5, 4.0, 0.0, 0.3, curved=CurvedErrors(0.2, 1.0, 1.0, 0.5))
+        >>> 0 < bent.rate < flat.rate
+        True
+    """
+    check_limits("proved_decay", sigma, k_minus, k_plus, 0.0, friction, h)
+    left, added = (abs(1 - part), 0.0) if curved is None else _correction(part, sigma, curved)
+
+    def decay(rho: float) -> ProvedDecay:
+        weight = weight_of(sigma, rho, (k_minus, k_plus), friction)
+        if h >= weight.longest():
+            return ProvedDecay(-math.inf, math.nan, math.nan)
+        before, after = _best(weight, h, sigma, lambda m0, m: 1 / _growth(m0, m, left, added))
+        return ProvedDecay(rho - math.log(_growth(before, after, left, added)) / (2 * h), before, after)
+
+    tried = [decay(sigma * i / 40) for i in range(40)]
+    best = max(range(40), key=lambda i: tried[i].rate)
+    around = (1 - 1e-9) * sigma * np.array([max(best - 1, 0), best + 1]) / 40
+
+    from scipy.optimize import minimize_scalar
+
+    def loss(rho: float) -> float:
+        return -max(decay(rho).rate, -1e9)  # finite, for the parabolas of the search
+
+    refined = minimize_scalar(loss, bounds=around, method="bounded", options={"xatol": 1e-9})
+    return max(tried[best], decay(float(refined.x)))
+
+
+def implicit_gains(
+    h: float,
+    sigma: float,
+    k_minus: float,
+    k_plus: float,
+    rate: float | None = None,
+    friction: tuple[float, float] = (0.0, 0.0),
+) -> ImplicitGains:
+    """The least gains of `ImplicitGeodesic` that prove a rate of the error, for n = 1 or a flat metric.
+
+    The least, since a smaller part θ of each sample lets less of its noise in.
+
+    Args:
+        h: Time between two measurements [s].
+        sigma: Ratio σ = β/α of the gains [1/s].
+        k_minus: Least eigenvalue of `K = R(·, v)v − ∇S` [1/s²].
+        k_plus: Largest eigenvalue of K [1/s²].
+        rate: Rate ρ [1/s]; half of the fastest one that any α proves by default.
+        friction: As for `longest_interval`.
+
+    Returns:
+        The gains, and what is proved about them under the assumptions of `part_limits`.
+
+    Raises:
+        ValueError: As for `part_limits`.
+
+    Example:
+        A pendulum of 1 m, seen 20 times a second:
+
+        >>> from covariant.certificates import implicit_gains, proved_decay
+        >>> gains = implicit_gains(0.05, sigma=6.0, k_minus=-9.81, k_plus=9.81, rate=0.5)
+        >>> round(proved_decay(0.05, gains.part, 6.0, -9.81, 9.81).rate, 4)
+        0.5
+    """
+    check_limits("implicit_gains", sigma, k_minus, k_plus, 0.0 if rate is None else rate, friction, h)
+    longest = longest_interval(sigma, k_minus, k_plus, 0.0, friction)
+    if rate is None and h < longest:
+        rate = _fastest(h, sigma, k_minus, k_plus, friction) / 2
+    part = part_limits(h, sigma, k_minus, k_plus, rate or 0.0, friction).least
+    alpha = part / (h * (1 - part))
+    return ImplicitGains(alpha, sigma * alpha, part, rate or 0.0, longest)
+
+
+def _fastest(h: float, sigma: float, k_minus: float, k_plus: float, friction: tuple[float, float]) -> float:
+    """The largest ρ that θ = 1 proves: where the longest interval is h."""
+
+    low, high = 0.0, sigma
+    for _ in range(60):  # it falls with ρ
+        middle = (low + high) / 2
+        enough = middle < sigma and longest_interval(sigma, k_minus, k_plus, middle, friction) > h
+        low, high = (middle, high) if enough else (low, middle)
+    return low
+
+
+def _best(weight: _Weight, h: float, sigma: float, merit) -> tuple[float, float]:
+    """Weights m₀ and m_h of the largest merit, which has one maximum in log m₀."""
+    from scipy.optimize import minimize_scalar
+
+    scale = math.log(sigma**2 + max(abs(corner.a) for corner in weight.corners))
+
+    def loss(x: float) -> float:
+        m0 = math.exp(x)
+        m = weight.after(m0, h)
+        # Below the m₀ from which m falls to 0 within h nothing is proved: slope up, so that the search leaves.
+        return -math.log(merit(m0, m)) if m > 0 else 1e3 - x
+
+    x = minimize_scalar(loss, bounds=(scale - 25, scale + 25), method="bounded", options={"xatol": 1e-10}).x
+    return math.exp(x), weight.after(math.exp(x), h)
+
+
+def _growth(before: float, after: float, left: float, added: float) -> float:
+    """Largest growth c of `m₀|ξ⁺|² + |w⁺|²` over `m_h|ξ|² + |w|²`, with |ξ⁺| ≤ j|ξ| and |w⁺| ≤ |w| + E|ξ|, at least 1.
+
+    It is the larger root of `m_h c² − (m_h + m₀j² + E²)c + m₀j² = 0`.
+    """
+    if after <= 0:
+        return math.inf
+    half, product = (1 + (before * left**2 + added**2) / after) / 2, before * left**2 / after
+    return half + math.sqrt(max(half * half - product, 0.0))
+
+
+def _correction(part: float, sigma: float, errors: CurvedErrors) -> tuple[float, float]:
+    """The bounds j and E of a correction on a curved space."""
+    d, curvature, riemann, speed = errors
+    x = math.sqrt(max(curvature, 0.0)) * d
+    if not (0 <= part <= 1 and x < math.pi):
+        raise ValueError(
+            f"proved_decay: on a curved space the part must be in [0, 1] and the distance below π/√κ; got {part}, {d}"
+        )
+    if x < 1e-4:  # the series of what follows
+        return 1 - part, riemann * d * (speed * part * (1 - part / 2) + sigma * d * part**2 * (0.5 - part / 3))
+    rest, sine = (1 - part) * x, math.sin(x)
+    first = (math.cos(rest) - math.cos(x)) / (x * sine)  # ∫₀^θ sin((1 − s)x)/sin x ds
+    second = (part * math.cos(rest) / x + (math.sin(rest) - sine) / x**2) / sine  # the same times s
+    return math.sin(rest) / sine, riemann * d * (speed * first + sigma * d * second)
+
+
+def check_limits(
+    whose: str, sigma: float, k_minus: float, k_plus: float, rate: float, friction: tuple[float, float], h: float = 1.0
+) -> None:
+    """Raise `ValueError` in the name of a function where its numbers are out of range."""
+    numbers = (sigma, k_minus, k_plus, rate, *friction, h)
+    fine = np.isfinite(numbers).all() and h > 0 and 0 <= rate < sigma
+    if not (fine and k_minus <= k_plus and friction[0] <= friction[1] <= 0):
+        raise ValueError(
+            f"{whose}: needs finite numbers, h > 0, 0 ≤ rate < sigma, k_minus ≤ k_plus and friction (low, high) ≤ 0; "
+            f"got h = {h}, sigma = {sigma}, rate = {rate}, k = ({k_minus}, {k_plus}), friction = {friction}"
+        )

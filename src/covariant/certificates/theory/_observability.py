@@ -1,0 +1,401 @@
+"""Conditions under which a metric makes an observer converge, locally or from any distance.
+
+There are two conditions. The first, inequality (2): f contracts the metric in all directions that do not change the
+output. It gives an observer that converges locally. The second, G-9: the output is monotonic along geodesics, which
+requires that the level sets of the output are totally geodesic. Only with it can a larger gain make the observer
+converge from farther away.
+
+Source: Sanfelice & Praly 2015, section I; Sanfelice & Praly 2012, Convergence of nonlinear observers on Rⁿ with a
+Riemannian metric (Part I), IEEE TAC 57(7).
+"""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from covariant._linalg import half_solve, solve, whiten
+from covariant._typing import MatrixField, Scalar, Vector
+from covariant.certificates.base import Hypothesis, Statement
+from covariant.geometry import Budget, christoffel, exp
+from covariant.lowering import LoweringError
+from covariant.metrics import lie_derivative
+from covariant.models import StateSpace
+from covariant.proofs import Box, prove
+
+DEPENDENT = 1e-9
+"""Least ratio of the singular values of dh from which its rows count as independent."""
+RANK_BOXES = 2000
+"""Boxes after which the proof that the rows of dh are independent is given up; only the points speak for it then."""
+ROUNDING = 1e-7
+"""Bending below this fraction of the terms whose difference it is counts as zero."""
+
+
+class Observability(NamedTuple):
+    """Statements about both conditions, and a geodesic on which the second fails.
+
+    Attributes:
+        condition_1: the statement of inequality (2), with the contraction rate [1/s] as margin.
+        condition_2: the statement that level sets of the output are totally geodesic, with their bending as margin.
+        witness: three successive states (3, n) on a minimising geodesic, where the output of the first is closer to
+            that of the last than to that of the middle. None where the second condition does not fail.
+        outputs: their outputs (3, p), or None.
+
+    Example:
+        >>> from covariant.certificates import Hypothesis, Observability, Statement
+        >>> premises = (Hypothesis("it holds at the points", "sampled"),)
+        >>> first = Statement("f contracts", (), premises, 2.0, "3 states")
+        >>> second = Statement("level sets are totally geodesic", (), premises, 0.0, "3 states")
+        >>> print(Observability(first, second, None, None).verdict)  # usually from `observability`
+        local, and from any distance for a large enough gain, as sampled at 3 states
+    """
+
+    condition_1: Statement
+    condition_2: Statement
+    witness: Float[np.ndarray, "3 n"] | None
+    outputs: Float[np.ndarray, "3 p"] | None
+
+    @property
+    def verdict(self) -> str:
+        """The result in one sentence."""
+        if self.condition_1.verdict != "holds":
+            return f"no observer from this metric: {self.condition_1.claim}, margin {self.condition_1.margin:.3g}"
+        if self.condition_2.verdict == "fails":
+            at = ", ".join(f"{entry:.3g}" for entry in self.condition_2.point)
+            return f"local only: the output's level sets bend by {self.condition_2.margin:.3g} at ({at})"
+        where = f"as sampled at {self.condition_1.domain}"
+        if self.condition_2.verdict == "undecided":
+            return f"at least local, {where}: the second condition was not decided"
+        return f"local, and from any distance for a large enough gain, {where}"
+
+
+def detectability_rate(model: StateSpace, metric: MatrixField, x: Vector, u: Float[Array, "m"] | None = None) -> Scalar:
+    """Compute the largest q with which inequality (2), `L_f P ≤ ρ dh⊗dh − q P`, holds at x for some ρ [1/s].
+
+    This is differential detectability: q is the least rate at which f contracts the squared length of vectors in the
+    kernel of dh (Finsler's lemma).
+
+    Args:
+        model: the system, with its output h.
+        metric: `x -> P (n, n)`.
+        x: state (n,).
+        u: constant input (m,), zero by default.
+
+    Returns:
+        q [1/s]; infinite where the output determines every direction, and −∞ where the rows of dh are dependent: then
+        fewer directions are seen than there are outputs, and the kernel is larger than it seems.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant.certificates import detectability_rate
+        >>> from covariant.models import StateSpace
+        >>> model = StateSpace(lambda t, x, u: -x, lambda t, x, u: x[:1], coordinates=("a", "b"))
+        >>> float(detectability_rate(model, lambda x: jnp.eye(2), jnp.zeros(2)))
+        2.0
+    """
+    hidden, dh = _directions(model, x, u)
+    sizes = jnp.linalg.svd(dh, compute_uv=False)
+    # More outputs than states are always dependent, which the singular values alone do not show.
+    independent = (sizes[-1] > DEPENDENT * sizes[0]) & (dh.shape[0] <= dh.shape[1])
+    if not hidden.shape[1]:
+        # Without hidden directions (2) holds for every q with a large enough ρ.
+        return jnp.where(independent, jnp.inf, -jnp.inf).astype(x.dtype)
+    change = hidden.T @ lie_derivative(model, metric, x, u) @ hidden
+    # Finsler's lemma: a ρ exists exactly where the inequality holds on the kernel of dh.
+    rate = -jnp.linalg.eigvalsh(whiten(hidden.T @ metric(x) @ hidden, change))[-1]
+    return jax.lax.select(independent, rate, jnp.full_like(rate, -jnp.inf))
+
+
+def bending(
+    model: StateSpace, metric: MatrixField, x: Vector, u: Float[Array, "m"] | None = None
+) -> tuple[Scalar, Vector]:
+    """Compute the curvature of the level set of the output through x in the metric.
+
+    It is the largest principal curvature |II(v, v)|. The second fundamental form II is the component of
+    `∂²h(v, v) − dh Γ(v, v)` along grad h; it is 0 where the level set is totally geodesic. With several outputs it is a
+    lower bound.
+
+    Args:
+        model: the system, with its output h.
+        metric: `x -> P (n, n)`.
+        x: state (n,).
+        u: constant input (m,), zero by default.
+
+    Returns:
+        The curvature, in the inverse of the metric's unit of length, and the unit direction (n,) of most curvature.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant.certificates import bending
+        >>> from covariant.models import StateSpace
+        >>> model = StateSpace(lambda t, x, u: -x, lambda t, x, u: x[:1] ** 2 + x[1:] ** 2, coordinates=("a", "b"))
+        >>> curvature, direction = bending(model, lambda x: jnp.eye(2), jnp.array([2.0, 0.0]))
+        >>> round(float(curvature), 6)  # a circle of radius 2
+        0.5
+    """
+    curvature, _, direction = _bending(model, metric, x, u)
+    return curvature, direction
+
+
+def _bending(model: StateSpace, metric: MatrixField, x: Vector, u: Array | None) -> tuple[Scalar, Scalar, Vector]:
+    """The bending, the size of the terms whose difference it is, and the direction."""
+    hidden, dh = _directions(model, x, u)
+    if not hidden.shape[1]:  # level sets are points
+        return jnp.zeros((), x.dtype), jnp.zeros((), x.dtype), jnp.zeros_like(x)
+    p = metric(x)
+    unit = half_solve(hidden.T @ p @ hidden, hidden.T).T  # orthonormal in the metric
+    t0, _, u0 = _arguments(model, x, u)
+
+    def second(v, w):
+        # Second covariant derivative of h: ∇²h(v, w) = ∂²h(v, w) − dh(Γ(v, w)).
+        of_output = jax.jvp(lambda y: jax.jvp(lambda z: model.h(t0, z, u0), (y,), (v,))[1], (x,), (w,))[1]
+        of_connection = dh @ christoffel(metric, x, v, w)
+        return of_output - of_connection, jnp.abs(of_output) + jnp.abs(of_connection)
+
+    forms, sizes = jax.vmap(lambda v: jax.vmap(lambda w: second(v, w))(unit.T))(unit.T)  # (k, k, p)
+    # Lengths of normal vectors: |a dh|² = aᵀ (dh P⁻¹ dhᵀ)⁻¹ a for the normal vector with dh(normal) = a.
+    normal = half_solve(dh @ solve(p, dh.T), jnp.moveaxis(forms, -1, 0).reshape(dh.shape[0], -1))
+    normal = jnp.moveaxis(normal.reshape(dh.shape[0], *forms.shape[:2]), 0, -1)
+    scale = jnp.sqrt(jnp.trace(jnp.linalg.inv(dh @ solve(p, dh.T))))
+    # The largest |II(v, v)| over unit v, output by output: exact for one output, a lower bound for more.
+    values, vectors = jnp.linalg.eigh(jnp.moveaxis(normal + jnp.swapaxes(normal, 0, 1), -1, 0) / 2)
+    best = jnp.argmax(jnp.abs(values))
+    k = values.shape[1]
+    direction = unit @ vectors[best // k][:, best % k]
+    return jnp.abs(values).reshape(-1)[best], scale * jnp.max(sizes), direction
+
+
+def observability(
+    model: StateSpace,
+    metric: MatrixField,
+    points: Float[np.ndarray, "k n"],
+    *,
+    u: Float[Array, "m"] | None = None,
+    rate: float = 0.0,
+    budget: Budget = Budget(),
+) -> Observability:
+    """Test both conditions at given states.
+
+    The second condition fails where `bending` does not vanish; then a geodesic shows it. With several outputs a
+    vanishing bending decides nothing.
+
+    Args:
+        model: the system, with its output h.
+        metric: `x -> P (n, n)`.
+        points: states (k, n), at least one.
+        u: constant input (m,), zero by default.
+        rate: rate [1/s]; the first condition holds where `detectability_rate` exceeds it at all points.
+        budget: work spent on the geodesic of the witness.
+
+    Returns:
+        A statement for each condition, and the witness.
+
+    Raises:
+        ValueError: the metric is not finite or not positive definite at a point, the outputs are dependent, or there
+            are no points.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> import numpy as np
+        >>> from covariant.certificates import observability
+        >>> from covariant.models import StateSpace
+        >>> model = StateSpace(lambda t, x, u: -x, lambda t, x, u: x[:1], coordinates=("a", "b"))
+        >>> result = observability(model, lambda x: jnp.eye(2), np.zeros((1, 2)))
+        >>> result.condition_1.margin, result.condition_2.verdict
+        (2.0, 'holds')
+    """
+    points = np.asarray(points, float)
+    if points.ndim != 2 or not len(points):
+        raise ValueError(f"observability needs states `points` (k, n), at least one; got {points.shape}")
+    if not np.isfinite(points).all():
+        raise ValueError("observability: the points must be finite numbers")
+    _check_premises(model, metric, points, u)
+    sampled = _sampled(model, metric, points, u)
+    premises = (
+        Hypothesis("the metric is positive definite at each of the points", "sampled"),
+        _independence(model, points, u),
+        Hypothesis("what holds at the points holds between them", "assumed"),
+        Hypothesis("it holds at other times, and under other inputs than the constant one given", "assumed"),
+    )
+    first = _contracting(sampled, rate, _hidden(model, points, u), premises)
+    single_output = jax.eval_shape(model.h, *_arguments(model, jnp.asarray(points[0]), u)).shape == (1,)
+    second = _totally_geodesic(sampled, single_output, premises)
+    if not sampled.bent:
+        return Observability(first, second, None, None)
+    k = sampled.worst
+    shift = 0.1 / sampled.bends[k] * sampled.directions[k]
+    states = _witness(metric, jnp.asarray(points[k]), jnp.asarray(shift), budget)
+    outputs = jax.vmap(lambda x: model.h(*_arguments(model, x, u)))(states)
+    return Observability(first, second, np.asarray(states), np.asarray(outputs))
+
+
+class _Sampled(NamedTuple):
+    """Both conditions at the points (k, n).
+
+    Attributes:
+        points: The states.
+        rates: `detectability_rate` at each.
+        bends: Largest principal curvature of the level sets of the output at each.
+        sizes: Sizes of the terms of which these are sums.
+        directions: The directions (k, n) in which the level sets bend most.
+    """
+
+    points: np.ndarray
+    rates: np.ndarray
+    bends: np.ndarray
+    sizes: np.ndarray
+    directions: np.ndarray
+
+    @property
+    def domain(self) -> str:
+        return f"{len(self.points)} states between {_text(self.points.min(0))} and {_text(self.points.max(0))}"
+
+    @property
+    def worst(self) -> int:
+        """The point where the bending exceeds rounding most."""
+        return int((self.bends - ROUNDING * self.sizes).argmax())
+
+    @property
+    def bent(self) -> bool:
+        return bool(self.bends[self.worst] > ROUNDING * self.sizes[self.worst])
+
+
+def _sampled(model: StateSpace, metric: MatrixField, points: np.ndarray, u: Array | None) -> _Sampled:
+    @eqx.filter_jit
+    def conditions_at(x):
+        return detectability_rate(model, metric, x, u), *_bending(model, metric, x, u)
+
+    values = jax.lax.map(conditions_at, jnp.asarray(points), batch_size=64)
+    sampled = _Sampled(points, *(np.asarray(a) for a in values))
+    for name, numbers in (("contraction rate", sampled.rates), ("bending", sampled.bends)):
+        if np.isnan(numbers).any():
+            raise ValueError(f"the {name} is not a number at {_text(points[int(np.isnan(numbers).argmax())])}")
+    return sampled
+
+
+def _contracting(sampled: _Sampled, rate: float, hidden: str, premises: tuple[Hypothesis, ...]) -> Statement:
+    """The first condition."""
+    k = int(sampled.rates.argmin())
+    slowest, point = float(sampled.rates[k]), sampled.points[k]
+    contracts = Hypothesis(
+        f"f contracts the hidden directions faster than {rate:.4g} 1/s at each of the points",
+        "sampled",
+        "holds" if slowest > rate else "fails",
+        slowest - rate,
+        _text(point),
+    )
+    return Statement(
+        "f contracts the metric in the directions the output does not see, at the rate of the margin [1/s]",
+        (f"states: {sampled.domain}", f"directions that the output does not see: {hidden}"),
+        (contracts, *premises),
+        slowest,
+        sampled.domain,
+        tuple(point.tolist()),
+    )
+
+
+def _totally_geodesic(sampled: _Sampled, single_output: bool, premises: tuple[Hypothesis, ...]) -> Statement:
+    """The second condition."""
+    largest, point = float(sampled.bends[sampled.worst]), sampled.points[sampled.worst]
+    geodesic_levels = Hypothesis(
+        "the level sets of the output do not bend at any of the points"
+        + ("" if single_output else "; of several outputs this is known of one at a time only"),
+        "sampled",
+        "fails" if sampled.bent else "holds" if single_output else "undecided",
+        largest,
+        _text(point),
+    )
+    return Statement(
+        "level sets of the output are totally geodesic; the margin is their largest principal curvature",
+        (f"states: {sampled.domain}",),
+        (geodesic_levels, *premises),
+        largest,
+        sampled.domain,
+        tuple(point.tolist()),
+    )
+
+
+def _check_premises(model: StateSpace, metric: MatrixField, points: np.ndarray, u: Array | None) -> None:
+    """Raise `ValueError` where outputs are dependent, or the metric is none, at one of the points."""
+
+    @eqx.filter_jit
+    def at(x):
+        dh = jax.jacfwd(model.h, 1)(*_arguments(model, x, u))
+        return jnp.linalg.svd(dh, compute_uv=False), jnp.linalg.eigvalsh(metric(x))[0]
+
+    sizes, least = (np.asarray(a) for a in jax.lax.map(at, jnp.asarray(points), batch_size=64))
+    dependent = ~(sizes[:, -1] > DEPENDENT * sizes[:, 0])
+    outputs = jax.eval_shape(model.h, *_arguments(model, jnp.asarray(points[0]), u)).shape[0]
+    dependent |= outputs > points.shape[1]
+    if dependent.any() and np.isfinite(sizes).all():
+        k = int(dependent.argmax())
+        rank = int((sizes[k] > DEPENDENT * sizes[k, 0]).sum())
+        raise ValueError(
+            f"observability: the {outputs} outputs see only {rank} directions at {_text(points[k])}; leave out "
+            "outputs that follow from others"
+        )
+    if not (least > 0).all():  # NaN is no metric either
+        raise ValueError(f"the metric is not positive definite at {_text(points[int((~(least > 0)).argmax())])}")
+
+
+def _independence(model: StateSpace, points: np.ndarray, u: Array | None) -> Hypothesis:
+    """That the rows of dh are independent: proved between the points where a proof is found, else as sampled at them.
+
+    The determinant of dh dhᵀ is the sum of the squares of all p × p minors of dh (Cauchy–Binet), so it is positive
+    exactly where one of them does not vanish; not the same one need do everywhere.
+    """
+
+    def products(x):
+        dh = jax.jacfwd(model.h, 1)(*_arguments(model, x, u))
+        return dh @ dh.T
+
+    names = _names(model, points.shape[1])
+    hull = Box(names, model.units or ("",) * len(names), points.min(0), points.max(0))
+    try:
+        proved = prove(products, hull, boxes=RANK_BOXES).verdict == "holds"
+    except LoweringError:  # an output that is no graph of scalars, like one that is read from a table
+        proved = False
+    if proved:
+        return Hypothesis(f"the rows of dh are independent: dh dhᵀ is positive definite for {hull}", "proved")
+    return Hypothesis("the rows of dh are independent at each of the points", "sampled")
+
+
+def _hidden(model: StateSpace, points: np.ndarray, u: Array | None) -> str:
+    """The kernel of dh in words: the coordinates that no output depends on, and how many directions among others."""
+    dh = np.asarray(jax.lax.map(lambda x: jax.jacfwd(model.h, 1)(*_arguments(model, x, u)), jnp.asarray(points)))
+    unseen = (dh == 0).all((0, 1))
+    names = np.array(_names(model, points.shape[1]))
+    remaining = len(names) - dh.shape[1] - int(unseen.sum())
+    parts = [*names[unseen], *([f"{remaining} among {', '.join(names[~unseen])}"] if remaining else [])]
+    return ", ".join(parts) or "none"
+
+
+def _names(model: StateSpace, n: int) -> tuple[str, ...]:
+    return model.coordinates or tuple(f"x{k + 1}" for k in range(n))
+
+
+@eqx.filter_jit
+def _witness(metric: MatrixField, x: Vector, velocity: Vector, budget: Budget) -> Float[Array, "3 n"]:
+    """States before, at and after x on the geodesic with that velocity, which touches the level set at x."""
+    # Tangent to the level set, so that outputs of both ends differ little from each other, and more from that of x.
+    ends = jax.vmap(lambda v: exp(metric, x, v, budget))(jnp.stack([-velocity, 0.9 * velocity]))
+    return jnp.stack([ends[0], x, ends[1]])
+
+
+def _directions(model: StateSpace, x: Vector, u: Array | None) -> tuple[Float[Array, "n k"], Float[Array, "p n"]]:
+    """A basis of the kernel of dh, and dh."""
+    dh = jax.jacfwd(model.h, 1)(*_arguments(model, x, u))
+    # Of the complete QR of dhᵀ the first columns span its range; the others are orthogonal to it: the kernel of dh.
+    return jnp.linalg.qr(dh.T, mode="complete")[0][:, dh.shape[0] :], dh
+
+
+def _arguments(model: StateSpace, x: Vector, u: Array | None) -> tuple[Scalar, Vector, Array]:
+    """Arguments of f and h at time zero, with a zero input where none is given."""
+    return jnp.zeros((), x.dtype), x, jnp.zeros(model.inputs, x.dtype) if u is None else u
+
+
+def _text(x: np.ndarray) -> str:
+    return f"({', '.join(f'{entry:.3g}' for entry in x)})"
