@@ -408,9 +408,8 @@ def _certified(
                 f"{path}: the certificate is for {sampling.substeps} Runge–Kutta steps in each sample; what is written "
                 f"takes {steps}"
             )
-    attribute = (document.recipe or {}).get(
-        "attribute"
-    )  # code that is trusted: the exported model was just built with it
+    # Code that is trusted: the exported model was just built with it.
+    attribute = (document.recipe or {}).get("attribute")
     checked = certificates.check(document, model=attribute)
     return "\n".join(
         [
