@@ -75,24 +75,6 @@ def solve(
     """Integrate adaptively (Dormand–Prince 8), and return the state at every stamp.
 
     Steps end at the stamps. Differentiable forward.
-
-    Args:
-        flow: Vector field `(t, x) -> dx/dt`.
-        x0: State at the first stamp, a pytree of arrays.
-        ts: Stamps (T,).
-        rtol: Relative tolerance.
-        atol: Absolute tolerance.
-        max_steps: Largest number of steps between two stamps.
-
-    Returns:
-        The states, time first. Where a solution escapes in finite time, or uses `max_steps` between two stamps, the
-        states at the remaining stamps are infinite.
-
-    Example:
-        >>> import jax.numpy as jnp
-        >>> from covariant._adaptive import solve
-        >>> solve(lambda t, x: x**2, jnp.ones(()), jnp.array([0.0, 0.5, 2.0])).round(6).tolist()
-        [1.0, 2.0, inf]
     """
     start, unravel = jax.flatten_util.ravel_pytree(x0)
     slope = flat(flow, unravel)
@@ -127,18 +109,6 @@ def solve_until(
     """Integrate adaptively (Dormand–Prince 8) from time 0 to where a condition holds.
 
     The end is that of the first step where `stop` holds, or the point where `border` falls to zero.
-
-    Args:
-        flow: Vector field `(t, x) -> dx/dt`.
-        x0: Initial state, a pytree of arrays.
-        stop: `x -> ` whether the integration stops.
-        border: Function of x that is positive inside the domain; None for no border.
-        rtol: Relative tolerance.
-        atol: Absolute tolerance.
-        max_steps: Largest number of steps.
-
-    Returns:
-        Time and state at the end, or after `max_steps` steps where neither happens.
     """
     start, unravel = jax.flatten_util.ravel_pytree(x0)
     slope, zero, tiny = flat(flow, unravel), jnp.zeros((), start.dtype), jnp.finfo(start.dtype).tiny

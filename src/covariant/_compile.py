@@ -74,17 +74,7 @@ def zig() -> list[str] | None:
 
 
 def built(command: Sequence[str], flags: Sequence[str], files: Mapping[str, str | bytes], what: str) -> bytes:
-    """Compile the C sources among some files into one library, and return its content.
-
-    Args:
-        command: Command of the compiler.
-        flags: Its flags.
-        files: Sources and headers by path.
-        what: What is compiled, for the message.
-
-    Raises:
-        OSError: The compiler does not accept the sources.
-    """
+    """Compile the C sources among some files into one library, and return its content."""
     with tempfile.TemporaryDirectory() as place:
         for path, content in files.items():
             (Path(place) / path).parent.mkdir(exist_ok=True)
@@ -122,12 +112,7 @@ def compiled(source: str, flags: Sequence[str], load: Callable[[str], Library]) 
 
 
 def is_kept(source: str, flags: Sequence[str]) -> bool:
-    """Whether a source is compiled and cached, so that it is only loaded.
-
-    Args:
-        source: Text of the C file.
-        flags: Flags of the compiler.
-    """
+    """Whether a source is compiled and cached, so that it is only loaded."""
     path = _cached_path(source, flags)
     return path is not None and path.exists()
 

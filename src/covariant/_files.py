@@ -24,21 +24,6 @@ def write_atomically(path: str | os.PathLike[str], write: Callable[[BinaryIO], o
     """Write a file atomically: into a temporary file beside it, which is then renamed.
 
     A writer that is killed leaves its temporary file, and the next writer to the same path removes it.
-
-    Args:
-        path: The file; its folder must exist.
-        write: Writes the content to an open binary file. Its exceptions pass on and leave the old file unchanged.
-
-    Returns:
-        The path.
-
-    Raises:
-        FileNotFoundError: The folder does not exist.
-
-    Example:
-        >>> from covariant._files import write_atomically
-        >>> write_atomically("note.txt", lambda file: file.write(b"done")).read_text()
-        'done'
     """
     path = Path(path)
     # A plain `open`, not `tempfile`, so that the file gets the permissions any other new file would.
@@ -52,20 +37,7 @@ def write_atomically(path: str | os.PathLike[str], write: Callable[[BinaryIO], o
 
 
 def zipped(files: Mapping[str, bytes]) -> bytes:
-    """A zip archive of files, the same bytes for the same files.
-
-    Args:
-        files: Contents by their path in the archive.
-
-    Returns:
-        The archive.
-
-    Example:
-        >>> import io, zipfile
-        >>> from covariant._files import zipped
-        >>> zipfile.ZipFile(io.BytesIO(zipped({"a/b.txt": b"done"}))).read("a/b.txt")
-        b'done'
-    """
+    """A zip archive of files, the same bytes for the same files."""
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, content in files.items():
@@ -82,13 +54,6 @@ def temporary(path: Path, make: Callable[[Path], object]) -> Iterator[Path]:
 
     Its writer holds a lock on it, which the system releases when the writer dies, so that nobody removes the file of a
     living writer.
-
-    Args:
-        path: The final path.
-        make: Creates the new file or folder at a path.
-
-    Yields:
-        Path of the new file or folder.
     """
     sweep(path)
     fresh, lock = _locked(path, make)
@@ -101,11 +66,7 @@ def temporary(path: Path, make: Callable[[Path], object]) -> Iterator[Path]:
 
 
 def sweep(path: Path) -> None:
-    """Remove the temporary files of `path` whose writers were killed; those of living writers stay.
-
-    Args:
-        path: The final path of the writers.
-    """
+    """Remove the temporary files of `path` whose writers were killed; those of living writers stay."""
     ours = re.compile(rf"\.{re.escape(path.name)}\.[0-9a-f]{{32}}\.tmp")
     with contextlib.suppress(OSError):
         for left in [other for other in path.parent.iterdir() if ours.fullmatch(other.name)]:
@@ -116,12 +77,7 @@ def sweep(path: Path) -> None:
 
 @contextlib.contextmanager
 def attended(folder: Path, tidy: Callable[[], object]) -> Iterator[None]:
-    """Context with a shared lock on a folder into which several processes may write.
-
-    Args:
-        folder: The folder.
-        tidy: Called first where no other process holds the lock; none can call it until this context ends.
-    """
+    """Context with a shared lock on a folder into which several processes may write."""
     with _opened(folder) as lock:
         if _take(lock, "EX", wait=False):
             tidy()

@@ -6,15 +6,7 @@ from covariant._typing import Scalar
 
 
 def gauss_markov(steps: Scalar) -> tuple[Scalar, Scalar, Scalar]:
-    """Mean, end and added variance of a process `x' = −x/τ + white noise` over a step of length h.
-
-    Args:
-        steps: The length h/τ ≥ 0.
-
-    Returns:
-        The mean of x over the step, `(1 − e⁻ˢ)/s`, and x at its end, `e⁻ˢ`, both relative to x at its start; and the
-        variance that the noise adds, `1 − e⁻²ˢ`, relative to that in the long run.
-    """
+    """Mean, end and added variance of a process `x' = −x/τ + white noise` over a step of length h."""
     safe = jnp.where(steps > 0, steps, 1.0)  # no step has no mean
     # By expm1, since for a large τ these are differences of equal numbers.
     return jnp.where(steps > 0, -jnp.expm1(-safe) / safe, 1.0), jnp.exp(-steps), -jnp.expm1(-2 * steps)

@@ -46,17 +46,7 @@ def _as_array(leaf: Any) -> Any:
 
 
 def rk4_step(flow: Flow, t, x, dt):
-    """One classical Runge–Kutta step of fourth order.
-
-    Args:
-        flow: Vector field `(t, x) -> dx/dt`.
-        t: Time at the start of the step.
-        x: State there, a pytree of arrays.
-        dt: Length of the step.
-
-    Returns:
-        The state at t + dt.
-    """
+    """One classical Runge–Kutta step of fourth order."""
 
     real = jax.tree.leaves(x)[0].dtype
     # The slope before the first stage is zero and unused, as `ahead` is 0 there: four stages are one loop.
@@ -72,24 +62,7 @@ def rk4_step(flow: Flow, t, x, dt):
 
 
 def rk4(flow: Flow, t, x, dt, steps):
-    """Advance a state by classical Runge–Kutta steps of fourth order.
-
-    Args:
-        flow: Vector field `(t, x) -> dx/dt`.
-        t: Initial time.
-        x: Initial state, a pytree of arrays.
-        dt: Time by which it advances, all steps together.
-        steps: Number of equal steps, a Python int or a traced integer.
-
-    Returns:
-        The state at t + dt.
-
-    Example:
-        >>> import jax.numpy as jnp
-        >>> from covariant._integrate import rk4
-        >>> round(float(rk4(lambda t, x: -x, jnp.zeros(()), jnp.ones(()), 1.0, 10)), 5)
-        0.36788
-    """
+    """Advance a state by classical Runge–Kutta steps of fourth order."""
     real = jax.tree.leaves(x)[0].dtype
     # A traced integer would not divide a real number where promotion of types is strict.
     h = dt / jnp.asarray(steps, real)
@@ -98,18 +71,7 @@ def rk4(flow: Flow, t, x, dt, steps):
 
 
 def rk8(flow: Flow, t, x, dt, steps: int = 1):
-    """Advance a state by steps of Dormand and Prince's eighth-order method, for work offline.
-
-    Args:
-        flow: Vector field `(t, x) -> dx/dt`.
-        t: Initial time.
-        x: Initial state, a pytree of arrays.
-        dt: Time by which it advances, all steps together.
-        steps: Number of equal steps.
-
-    Returns:
-        The state at t + dt.
-    """
+    """Advance a state by steps of Dormand and Prince's eighth-order method, for work offline."""
     start, unravel = jax.flatten_util.ravel_pytree(x)
     slope, h = flat(flow, unravel), dt / steps
     a, b, c = (jnp.asarray(part, start.dtype) for part in dormand_prince())
@@ -126,12 +88,7 @@ def rk8(flow: Flow, t, x, dt, steps: int = 1):
 
 @functools.cache
 def dormand_prince() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Coefficients of Dormand and Prince's eighth-order method.
-
-    Returns:
-        The matrix A (13, 13), the weights b (13,) of order eight, and the nodes c (13,). The last of the fourteen
-        stages, which only estimates the error of the following step, is left out.
-    """
+    """Coefficients of Dormand and Prince's eighth-order method."""
     import diffrax  # a quarter of a second, which only work offline has to wait
 
     tableau = diffrax.Dopri8.tableau
@@ -142,13 +99,5 @@ def dormand_prince() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def flat(flow: Flow, unravel: Callable[[Array], Any]) -> Callable[[Any, Array], Array]:
-    """Vector field of the state as one array, traced once by all that transforms it: most of the compile time.
-
-    Args:
-        flow: Vector field `(t, x) -> dx/dt` over a pytree.
-        unravel: Converts an array (n,) to the pytree, as from `ravel_pytree`.
-
-    Returns:
-        The vector field `(t, (n,)) -> (n,)`.
-    """
+    """Vector field of the state as one array, traced once by all that transforms it: most of the compile time."""
     return jax.jit(lambda t, x: jax.flatten_util.ravel_pytree(flow(t, unravel(x)))[0])

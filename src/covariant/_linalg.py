@@ -45,14 +45,7 @@ BLOCK = 10
 
 
 def ldl(a: Matrix) -> list[Pivot]:
-    """Factor `a = L diag(d) Lᵀ` with a unit lower triangular L, without pivoting.
-
-    Args:
-        a: Symmetric matrix (n, n) whose leading minors are not zero.
-
-    Returns:
-        The n steps of the elimination, first column first.
-    """
+    """Factor `a = L diag(d) Lᵀ` with a unit lower triangular L, without pivoting."""
     # A positive definite matrix needs no pivoting: its pivots are positive and its Schur complements do not grow.
     steps, rest = [], a
     for _ in range(a.shape[0]):
@@ -96,40 +89,13 @@ batching.primitive_batchers[MIRRORED] = _mirrored_side_by_side
 
 @traced_once
 def pivots(a: Matrix) -> Vector:
-    """Pivots of `ldl`; by Sylvester's law of inertia as many are negative as `a` has negative eigenvalues.
-
-    Args:
-        a: Symmetric matrix (n, n).
-
-    Returns:
-        The pivots (n,).
-
-    Example:
-        >>> import jax.numpy as jnp
-        >>> from covariant._linalg import pivots
-        >>> pivots(jnp.array([[2.0, 4.0], [4.0, 3.0]])).tolist()
-        [2.0, -5.0]
-    """
+    """Pivots of `ldl`; by Sylvester's law of inertia as many are negative as `a` has negative eigenvalues."""
     return jnp.concatenate([step.d for step in ldl(a)])[:, 0]
 
 
 @traced_once
 def solve(a: Matrix, b: Float[Array, "n *k"]) -> Float[Array, "n *k"]:
-    """Solve `a x = b` for symmetric positive definite `a`.
-
-    Args:
-        a: Matrix (n, n).
-        b: Right side (n,) or (n, k), whose columns are solved together.
-
-    Returns:
-        The solution x, of the shape of b.
-
-    Example:
-        >>> import jax.numpy as jnp
-        >>> from covariant._linalg import solve
-        >>> solve(jnp.diag(jnp.array([2.0, 4.0])), jnp.array([2.0, 2.0])).tolist()
-        [1.0, 0.5]
-    """
+    """Solve `a x = b` for symmetric positive definite `a`."""
     return _solve(a, b)
 
 
@@ -214,29 +180,13 @@ def _(primals, tangents):
 
 
 def solve_square(a: Matrix, b: Float[Array, "n *k"]) -> Float[Array, "n *k"]:
-    """Solve `a x = b` for any invertible a, by the normal equations, which lose no accuracy where a is orthogonal.
-
-    Args:
-        a: Matrix (n, n).
-        b: Right side (n,) or (n, k).
-
-    Returns:
-        The solution x, of the shape of b.
-    """
+    """Solve `a x = b` for any invertible a, by the normal equations, which lose no accuracy where a is orthogonal."""
     return solve(a.T @ a, a.T @ b)
 
 
 @traced_once
 def half_solve(a: Matrix, b: Float[Array, "n k"]) -> Float[Array, "n k"]:
-    """Solve `L x = b`, where `a = L Lᵀ`: b in the basis in which a is the identity.
-
-    Args:
-        a: Symmetric positive definite matrix (n, n).
-        b: Right side (n, k).
-
-    Returns:
-        `L⁻¹ b` (n, k).
-    """
+    """Solve `L x = b`, where `a = L Lᵀ`: b in the basis in which a is the identity."""
     steps = ldl(a)
     # The Cholesky factor is the unit lower triangular one times diag(√d), so each row is divided by √d as well.
     return jnp.concatenate([row / jnp.sqrt(step.d) for step, row in zip(steps, _forward(steps, b), strict=True)])
@@ -244,28 +194,13 @@ def half_solve(a: Matrix, b: Float[Array, "n k"]) -> Float[Array, "n k"]:
 
 @traced_once
 def whiten(a: Matrix, b: Matrix) -> Matrix:
-    """Whiten one symmetric matrix by another: `L⁻¹ b L⁻ᵀ` with `a = L Lᵀ`, which has the eigenvalues of `a⁻¹ b`.
-
-    Args:
-        a: Symmetric positive definite matrix (n, n).
-        b: Symmetric matrix (n, n).
-
-    Returns:
-        The whitened matrix (n, n).
-    """
+    """Whiten one symmetric matrix by another: `L⁻¹ b L⁻ᵀ` with `a = L Lᵀ`, which has the eigenvalues of `a⁻¹ b`."""
     return half_solve(a, half_solve(a, b).T)
 
 
 @traced_once
 def cholesky(a: Matrix) -> Matrix:
-    """Cholesky factor: lower triangular L with `a = L Lᵀ`.
-
-    Args:
-        a: Symmetric positive definite matrix (n, n).
-
-    Returns:
-        The factor (n, n).
-    """
+    """Cholesky factor: lower triangular L with `a = L Lᵀ`."""
     columns = []
     for k, step in enumerate(ldl(a)):
         columns.append(
@@ -276,14 +211,7 @@ def cholesky(a: Matrix) -> Matrix:
 
 @traced_once
 def semidefinite_root(a: Matrix) -> Matrix:
-    """Cholesky factor of a matrix that may be singular: lower triangular L with `a = L Lᵀ`.
-
-    Args:
-        a: Symmetric positive semidefinite matrix (n, n).
-
-    Returns:
-        The factor (n, n), with a zero column for each pivot that is not positive.
-    """
+    """Cholesky factor of a matrix that may be singular: lower triangular L with `a = L Lᵀ`."""
     columns, rest = [], a
     for k in range(a.shape[0]):
         positive = rest[0, 0] > 0
@@ -303,12 +231,6 @@ def triangular(a: Float[Array, "n k"]) -> Matrix:
     """Lower triangular L with `L Lᵀ = a aᵀ`: a square root of a covariance from a wide one, without squaring it.
 
     It uses Gram–Schmidt orthogonalisation of the rows, which may be linearly dependent.
-
-    Args:
-        a: Square root (n, k) of the covariance.
-
-    Returns:
-        The factor L (n, n).
     """
     return _triangular(a, 0.0)
 
@@ -319,12 +241,6 @@ def triangular_with_rank(a: Float[Array, "n k"]) -> Matrix:
 
     Without that the rounding errors of such a row would be an axis of their own, along which later rows have parts: of
     no matter for the product, but not for a solution by L.
-
-    Args:
-        a: Square root (n, k) of the covariance.
-
-    Returns:
-        The factor L (n, n).
     """
     return _triangular(a, ROUNDING * a.shape[1] * float(jnp.finfo(a.dtype).eps))
 
@@ -347,16 +263,7 @@ def _triangular(a: Float[Array, "n k"], rounding: float) -> Matrix:
 
 @traced_once
 def lower_solve(root: Matrix, b: Float[Array, "n k"]) -> Float[Array, "n k"]:
-    """Solve `L x = b` by forward substitution, without squaring the condition of L.
-
-    Args:
-        root: Lower triangular matrix L (n, n). Where a pivot is zero, as `triangular_with_rank` makes it, that entry of
-            the solution is zero.
-        b: Right side (n, k).
-
-    Returns:
-        The solution x (n, k).
-    """
+    """Solve `L x = b` by forward substitution, without squaring the condition of L."""
     inverse = _inverse_pivots(root)
     x = jnp.zeros_like(b)
     for i in range(len(root)):
@@ -366,16 +273,7 @@ def lower_solve(root: Matrix, b: Float[Array, "n k"]) -> Float[Array, "n k"]:
 
 @traced_once
 def upper_solve(root: Matrix, b: Float[Array, "n k"]) -> Float[Array, "n k"]:
-    """Solve `Lᵀ x = b` by backward substitution, without squaring the condition of L.
-
-    Args:
-        root: Lower triangular matrix L (n, n). Where a pivot is zero, as `triangular_with_rank` makes it, that entry of
-            the solution is zero.
-        b: Right side (n, k).
-
-    Returns:
-        The solution x (n, k).
-    """
+    """Solve `Lᵀ x = b` by backward substitution, without squaring the condition of L."""
     # Counted from the last row, the upper triangular Lᵀ is a lower one.
     return lower_solve(root.T[::-1, ::-1], b[::-1])[::-1]
 
@@ -388,13 +286,5 @@ def _inverse_pivots(root: Matrix) -> Vector:
 
 
 def at_places(array: Inexact[Array, "..."], places: Int[np.ndarray, "*k"]) -> Inexact[Array, "*k"]:
-    """Entries of an array at known indices within it, counted as if its axes were one: a single operation.
-
-    Args:
-        array: An array of any shape.
-        places: Indices into the flattened array, of any shape, not negative.
-
-    Returns:
-        The entries, of the shape of `places`.
-    """
+    """Entries of an array at known indices within it, counted as if its axes were one: a single operation."""
     return array.reshape(-1).at[places].get(mode="promise_in_bounds", wrap_negative_indices=False)

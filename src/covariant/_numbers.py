@@ -11,22 +11,7 @@ _NUMBER = re.compile(NUMBER)
 
 
 def number(text: str) -> float:
-    """Decimal number in a text, with spaces around it allowed.
-
-    Args:
-        text: As "-1.5e3", "nan" or "inf".
-
-    Returns:
-        The number.
-
-    Raises:
-        ValueError: The text holds anything else.
-
-    Example:
-        >>> from covariant._numbers import number
-        >>> number(" 1.5e3 ")
-        1500.0
-    """
+    """Decimal number in a text, with spaces around it allowed."""
     plain = text.strip()
     if not _NUMBER.fullmatch(plain):
         raise ValueError(f"{text!r} is not a decimal number")
@@ -34,22 +19,7 @@ def number(text: str) -> float:
 
 
 def integer(text: str) -> int:
-    """Integer in a text, without point or exponent, with spaces around it allowed.
-
-    Args:
-        text: As "-12".
-
-    Returns:
-        The integer.
-
-    Raises:
-        ValueError: The text holds anything else.
-
-    Example:
-        >>> from covariant._numbers import integer
-        >>> integer("12")
-        12
-    """
+    """Integer in a text, without point or exponent, with spaces around it allowed."""
     plain = text.strip()
     if not re.fullmatch(r"[+-]?[0-9]+", plain):
         raise ValueError(f"{text!r} is not a whole number")

@@ -47,9 +47,6 @@ def cache_folder() -> Path | None:
     """Cache folder for this kind of processor, created where it is missing.
 
     It is one per instruction set, since a program may not run on another processor.
-
-    Returns:
-        The folder; None where `COVARIANT_CACHE` is off or the folder cannot be written.
     """
     chosen = os.environ.get("COVARIANT_CACHE", "")
     if chosen.lower() in OFF:
@@ -63,11 +60,7 @@ def cache_folder() -> Path | None:
 
 
 def evict_unused(folder: Path) -> None:
-    """Remove cached programs, of JAX and of this library, that were neither written nor read for `UNUSED` seconds.
-
-    Args:
-        folder: As from `cache_folder`.
-    """
+    """Remove cached programs, of JAX and of this library, that were neither written nor read for `UNUSED` seconds."""
     for file in folder.glob("*"):
         if file.name.endswith((".so", ".json", ".made", "-cache")):  # .made: of versions before this one
             with contextlib.suppress(OSError):  # another process was faster, or may

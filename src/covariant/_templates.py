@@ -17,25 +17,7 @@ PLACEHOLDER = re.compile(rf"^ *(?:/\* {_NAME} \*/|#: {_NAME}|<!-- {_NAME} -->)\n
 
 
 def fill(room: str, file: str, words: Words) -> str:
-    """Fill in the placeholders of a template.
-
-    Args:
-        room: Room that has the template in its folder `templates`, such as "codegen".
-        file: Name of the template, such as "observer.c".
-        words: Their texts. Names that the template does not have are skipped, and filled-in texts are not searched for
-            placeholders.
-
-    Returns:
-        The text.
-
-    Raises:
-        KeyError: A placeholder has no text.
-
-    Example:
-        >>> from covariant._templates import fill
-        >>> fill("codegen", "__main__.py", {"NAME": "speed"}).partition(chr(10))[0]
-        '\"\"\"Build the library of speed from its C: `python -m speed`.\"\"\"'
-    """
+    """Fill in the placeholders of a template."""
 
     def text(match: re.Match[str]) -> str:
         name = match[match.lastindex or 0]

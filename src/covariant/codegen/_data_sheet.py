@@ -63,17 +63,7 @@ class Size(NamedTuple):
 
 
 def data_sheet(program: Program, source: Source, about: str, facts: Facts) -> str:
-    """The data sheet of an observer as Markdown.
-
-    Args:
-        program: The observer as graphs.
-        source: Its C.
-        about: A line that says what the observer is, for comments and texts.
-        facts: Further facts on it.
-
-    Returns:
-        The text. Sizes are those of the compilers that are there, and are left out without one.
-    """
+    """The data sheet of an observer as Markdown."""
     width = {"double": 8, "float": 4}[program.real]
     state = sum(leaf.size for leaf in (*program.state, *program.reported)) * width
     numbers = sum(np.size(value) for value in program.numbers.values())
@@ -149,11 +139,7 @@ def _substeps(facts: Facts) -> str:
 
 
 def sizes(source: Source) -> list[Size]:
-    """The sizes with each compiler of `COMPILERS` that is there.
-
-    Args:
-        source: The C of the observer.
-    """
+    """The sizes with each compiler of `COMPILERS` that is there."""
     return [size for name in COMPILERS if (size := _size(source, name)) is not None]
 
 

@@ -129,21 +129,12 @@ def _written(program: Program, name: str, about: str, tables: Tables) -> Source:
 
 
 def entries(owner: str, leaf: Leaf) -> list[str]:
-    """The C expressions of the entries of an array of a structure.
-
-    Args:
-        owner: Expression of the structure with its operator, such as `state->`.
-        leaf: The array; one without axes is a plain variable.
-    """
+    """The C expressions of the entries of an array of a structure."""
     return [f"{owner}{field(leaf)}[{i}]" for i in range(leaf.size)] if leaf.shape else [f"{owner}{field(leaf)}"]
 
 
 def field(leaf: Leaf) -> str:
-    """The name of an array in C, with an underscore where it is a keyword.
-
-    Args:
-        leaf: The array.
-    """
+    """The name of an array in C, with an underscore where it is a keyword."""
     return f"{leaf.name}_" if leaf.name in KEYWORDS else leaf.name
 
 
@@ -205,11 +196,7 @@ def _init(program: Program, name: str) -> tuple[Lowered, Signature]:
 
 
 def step_of(part: str) -> str:
-    """Name of the step in which only one part of a measurement was read.
-
-    Args:
-        part: Name of the part, as `Program.parts` has it.
-    """
+    """Name of the step in which only one part of a measurement was read."""
     return f"step_{re.sub(r'[^A-Za-z0-9_]', '_', part)}"
 
 

@@ -86,17 +86,7 @@ def _flat(x: Any) -> Any:
 
 
 def backend(observer: Any, y: np.ndarray, inputs: int, asked: EngineName) -> tuple[str, CBackend | JaxBackend]:
-    """Engine and backend for a stream of an observer.
-
-    Args:
-        observer: Any observer.
-        y: A measurement (n,) or (N, N), of which only the shape counts.
-        inputs: Number of inputs m.
-        asked: "auto", "c" or "jax".
-
-    Returns:
-        The name of the engine, with the reason where it is not C, and its backend.
-    """
+    """Engine and backend for a stream of an observer."""
     # A stream has no last row.
     chosen, (numbers,) = choose_open([observer], KernelForm(y.shape, inputs), math.inf, asked)
     return str(chosen), JaxBackend(observer, y, inputs) if chosen.kernel is None else CBackend(chosen.kernel, numbers)

@@ -29,16 +29,7 @@ WRITTEN_BY = hashlib.sha256(b"\n".join(path.read_bytes() for path in _WRITERS)).
 
 
 def cache_key(traced: TracedProgram, lanes: int) -> str | None:
-    """Cache key of the C text of a traced observer.
-
-    Args:
-        traced: The observer, traced by `codegen.trace_program`.
-        lanes: Number of runs that the compiled observer does at once.
-
-    Returns:
-        A hash of its operations and constants, of the packages and files that write the text, and of the lanes. None
-        where there is no cache folder, or the observer has no fingerprint.
-    """
+    """Cache key of the C text of a traced observer."""
     if cache_folder() is None:
         return None
     functions = (traced.init.jaxpr, traced.step.jaxpr, traced.estimate.jaxpr)
@@ -53,18 +44,7 @@ def result_index(traced: TracedProgram) -> int:
 
 
 def cached_text(key: str | None, write: Callable[[], str]) -> str:
-    """C text under a cache key, written now where it is not cached.
-
-    Args:
-        key: As from `cache_key`; with None nothing is cached.
-        write: Function that writes the text.
-
-    Returns:
-        The cached text, of this process or an earlier one, or the result of `write`.
-
-    Raises:
-        LoweringError: `write` raised it, now or earlier: the refusal takes as long to compute, so it is cached too.
-    """
+    """C text under a cache key, written now where it is not cached."""
     folder = cache_folder()
     if folder is None or key is None:
         return write()
@@ -82,11 +62,7 @@ def cached_text(key: str | None, write: Callable[[], str]) -> str:
 
 
 def cached_layout(description: str | None) -> tuple[str, Layout] | None:
-    """Key of a C text and the layout of its observer, cached under the observer's description; None where not cached.
-
-    Args:
-        description: As from `description_key`.
-    """
+    """Key of a C text and the layout of its observer, cached under the observer's description; None where not cached."""
     folder = cache_folder()
     if folder is None or description is None:
         return None
@@ -98,13 +74,7 @@ def cached_layout(description: str | None) -> tuple[str, Layout] | None:
 
 
 def cache_layout(description: str | None, key: str | None, layout: Layout) -> None:
-    """Cache the key of a C text and the layout under the description of an observer, where it has both.
-
-    Args:
-        description: As from `description_key`.
-        key: As from `cache_key`.
-        layout: Layout of the observer.
-    """
+    """Cache the key of a C text and the layout under the description of an observer, where it has both."""
     folder, data = cache_folder(), layout.data()
     if folder is not None and description is not None and key is not None and data is not None:
         entry = json.dumps({"traced": [key, *data]}).encode()

@@ -97,18 +97,6 @@ def choose_open(
 
     Where there is no such code, as of a model whose numbers decide which entries of an array it takes, those of the
     model stay in the code unless they differ.
-
-    Args:
-        observers: N observers.
-        form: As for `choose`, without open numbers.
-        rows: As for `choose`.
-        asked: As for `choose`.
-
-    Returns:
-        The engine, and the open numbers (N, K).
-
-    Raises:
-        ValueError: For an unknown engine, and where the observers differ in more than their numbers.
     """
     opened = open_numbers(observers)
     chosen = choose(observers[0], form._replace(opened=opened.places), rows, asked)

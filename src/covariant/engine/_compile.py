@@ -19,18 +19,7 @@ def missing() -> str | None:
 
 
 def library(source: str, declarations: str) -> tuple[Any, Any]:
-    """Compile a C source and load it.
-
-    Args:
-        source: Text of the C file.
-        declarations: C declarations of the functions to call, as `cffi.FFI.cdef` reads them.
-
-    Returns:
-        The `cffi.FFI` and the loaded library.
-
-    Raises:
-        OSError: The compiler does not accept the source.
-    """
+    """Compile a C source and load it."""
     import cffi
 
     ffi = cffi.FFI()

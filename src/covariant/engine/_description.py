@@ -35,17 +35,7 @@ class _UnknownError(Exception):
 
 
 def description_key(observer: Any, places: Places, *form: Any) -> str | None:
-    """Key of a compiled observer, by what the observer is made of.
-
-    Args:
-        observer: The observer.
-        places: Its open numbers, as in `OpenNumbers`; their values are not in the key.
-        form: What else the code is compiled for: numbers, strings, and tuples of these.
-
-    Returns:
-        The hash in hexadecimal digits; None where a part of the observer is not of this library, where a file of the
-        library was changed since this process imported it, or where nothing is cached.
-    """
+    """Key of a compiled observer, by what the observer is made of."""
     if _programs.cache_folder() is None or _changed():
         return None
     leaves = jax.tree.leaves(eqx.filter(observer, eqx.is_inexact_array))

@@ -100,15 +100,7 @@ class KernelForm(NamedTuple):
 
 
 def prepared(observer: AbstractObserver, form: KernelForm) -> "Prepared":
-    """Trace an observer for compilation, with the numbers of its closed arrays written into the code.
-
-    Args:
-        observer: Any observer.
-        form: What it is compiled for.
-
-    Returns:
-        The traced observer; the same object for an equal observer and form.
-    """
+    """Trace an observer for compilation, with the numbers of its closed arrays written into the code."""
     key = _KernelKey(observer, form)
     try:
         return _prepared(key)
@@ -179,11 +171,7 @@ class Prepared:
 
     @property
     def kernel(self) -> Kernel:
-        """Compiled observer.
-
-        Raises:
-            NoKernelError: The observer is no graph of scalars, or the compiler does not accept its text.
-        """
+        """Compiled observer."""
         if isinstance(self._outcome, str):
             raise NoKernelError(self._outcome)
         return self._outcome

@@ -37,15 +37,7 @@ class OpenNumbers(NamedTuple):
 
 
 def open_numbers(observers: Sequence[AbstractObserver], models: bool = True) -> OpenNumbers:
-    """Decide which numbers of observers are arguments of their code.
-
-    Args:
-        observers: N observers of one kind.
-        models: Whether numbers of a model are among them that are the same in all observers.
-
-    Raises:
-        ValueError: The observers differ in more than the values of their arrays.
-    """
+    """Decide which numbers of observers are arguments of their code."""
     leaves, trees = zip(*map(jax.tree.flatten, observers), strict=True)
     real = [eqx.is_inexact_array(leaf) and not np.iscomplexobj(leaf) for leaf in leaves[0]]
     for k, (tree, others) in enumerate(zip(trees, leaves, strict=True)):
@@ -95,13 +87,7 @@ def _alike(real: bool, leaf: Any, first: Any) -> bool:
 
 
 def filled(leaves: Sequence[Any], places: Places, numbers: Any) -> list[Any]:
-    """Arrays of an observer with its open numbers in their places.
-
-    Args:
-        leaves: The arrays.
-        places: As in `OpenNumbers`.
-        numbers: The open numbers (K,).
-    """
+    """Arrays of an observer with its open numbers in their places."""
     # One array for those that hold the same numbers: each takes as long to trace as a step of a model.
     made: dict[tuple[Any, ...], Any] = {}
     results = []

@@ -191,17 +191,7 @@ def follow(space: Curved, p: Configuration, ray: Ray, budget: Budget, fraction: 
 
 @eqx.filter_jit  # called in many places of a search: each of its derivatives is traced once
 def arrive(space: Curved, p: Configuration, velocity: Vector, budget: Budget) -> Ray:
-    """End of the unit-time geodesic from p.
-
-    Args:
-        space: the space.
-        p: configuration at which the geodesic starts.
-        velocity: its velocity (n,) at p.
-        budget: rule and number of the integration steps.
-
-    Returns:
-        The ray at the end, without transported vectors.
-    """
+    """End of the unit-time geodesic from p."""
     none = jnp.zeros((0, *velocity.shape), velocity.dtype)
     return follow(space, p, Ray(jnp.zeros_like(velocity), velocity, none), budget)
 
@@ -244,16 +234,7 @@ def aim(space: Curved, p: Configuration, s: Vector) -> Target:
 
 
 def metric_in_retraction(space: Curved, p: Configuration, s: Vector) -> Matrix:
-    """The metric's matrix in the coordinates of the retraction around p.
-
-    Args:
-        space: the space.
-        p: configuration at which s = 0.
-        s: coordinates (n,) of the point at which the metric is evaluated.
-
-    Returns:
-        Matrix (n, n).
-    """
+    """The metric's matrix in the coordinates of the retraction around p."""
     axes = jnp.eye(s.shape[0], dtype=s.dtype)
     return space.gram(space.manifold.retract(p, s), jax.vmap(lambda a: space.manifold.frame_velocity(p, s, a))(axes))
 
@@ -300,20 +281,7 @@ def shoot(space: Curved, p: Configuration, q: Configuration, guess: Vector | Non
 
 
 def shoot_near(space: Curved, p: Configuration, q: Configuration, budget: Budget) -> Shot:
-    """Geodesic from p to a q close to it, corrected by the derivative of the second-order expansion of its end.
-
-    Args:
-        space: the space.
-        p: configuration at which the geodesic starts.
-        q: configuration at which it ends.
-        budget: number of corrections, and of integration steps.
-
-    Returns:
-        Velocities at both ends, residual and result code.
-
-    Raises:
-        ValueError: where the budget specifies no number of corrections.
-    """
+    """Geodesic from p to a q close to it, corrected by the derivative of the second-order expansion of its end."""
     if budget.newton is None:
         raise ValueError("Budget: near=True makes a fixed number of corrections; name it, as in newton=1")
     d = space.manifold.local(p, q)
@@ -334,18 +302,7 @@ def shoot_near(space: Curved, p: Configuration, q: Configuration, budget: Budget
 
 
 def found(space: Curved, p: Configuration, velocity: Vector, residual: Scalar, part: float) -> Code:
-    """Result code of a search: `OK` where the geodesic misses its target by no more than a part of its length.
-
-    Args:
-        space: the space.
-        p: configuration at which the geodesic starts.
-        velocity: its velocity (n,) at p.
-        residual: length by which it misses.
-        part: tolerated fraction of its length; a few rounding errors are tolerated beside it.
-
-    Returns:
-        `OK` or `NOT_CONVERGED`.
-    """
+    """Result code of a search: `OK` where the geodesic misses its target by no more than a part of its length."""
     # The absolute part decides where p = q: the geodesic has length zero, of which every fraction is zero.
     close = residual <= part * space.norm(p, velocity) + 64 * epsilon(velocity)
     return jnp.where(close, Result.OK, Result.NOT_CONVERGED)
@@ -355,16 +312,6 @@ def first_guess(space: Curved, p: Configuration, target: Target, guess: Vector |
     """The candidate for the initial velocity whose geodesic ends closest to q.
 
     The second-order candidate is best near p, but overshoots at a distance.
-
-    Args:
-        space: the space.
-        p: configuration at which the geodesic starts.
-        target: the target q.
-        guess: a candidate (n,) of the caller's, or None.
-        budget: work of the search.
-
-    Returns:
-        Velocity (n,) at p.
     """
     d = target.s
     second_order = space.connection(p, d, d) + space.manifold.retraction_acceleration(p, d)
@@ -384,16 +331,6 @@ def newton_step(space: Curved, p: Configuration, target: Target, velocity: Vecto
     """Newton correction of the initial velocity.
 
     The normal equations in the metric keep the matrix symmetric positive definite, so no pivoting is needed.
-
-    Args:
-        space: the space.
-        p: configuration at which the geodesic starts.
-        target: the target q.
-        velocity: the velocity (n,) to correct.
-        budget: rule and number of the integration steps.
-
-    Returns:
-        The correction (n,), and the squared distance (metric at q) to the target that it should remove.
     """
 
     def end(v):
@@ -421,18 +358,7 @@ class _Search(NamedTuple):
 
 
 def damped_newton(space: Curved, p: Configuration, target: Target, start: Vector, budget: Budget) -> Vector:
-    """Newton's method with each step shortened until the residual decreases.
-
-    Args:
-        space: the space.
-        p: configuration at which the geodesic starts.
-        target: the target q.
-        start: first guess of the velocity (n,) at p.
-        budget: rule and number of the integration steps.
-
-    Returns:
-        Velocity (n,) at p, the best one where the method does not converge.
-    """
+    """Newton's method with each step shortened until the residual decreases."""
 
     def far(s: _Search):
         # Convergence is quadratic: below this the last correction leaves only rounding errors.
@@ -464,16 +390,6 @@ def find_geodesic(space: Curved, p: Configuration, target: Target, start: Vector
     """Initial velocity by a direct search, and where that fails by continuation.
 
     The continuation searches for a sequence of targets that move from p to q in small steps.
-
-    Args:
-        space: the space.
-        p: configuration at which the geodesic starts.
-        target: the target q.
-        start: first guess of the velocity (n,) at p.
-        budget: rule and number of the integration steps.
-
-    Returns:
-        Velocity (n,) at p.
     """
 
     def stage(carry: tuple[Scalar, Vector, Flag]):
@@ -496,18 +412,7 @@ def find_geodesic(space: Curved, p: Configuration, target: Target, start: Vector
 
 
 def implicit_newton(space: Curved, p: Configuration, target: Target, start: Vector, budget: Budget) -> Vector:
-    """`find_geodesic`, differentiable by the implicit function theorem in p, q and the metric's own parameters.
-
-    Args:
-        space: the space.
-        p: configuration at which the geodesic starts.
-        target: the target q.
-        start: first guess of the velocity (n,) at p; not differentiated.
-        budget: rule and number of the integration steps.
-
-    Returns:
-        Velocity (n,) at p.
-    """
+    """`find_geodesic`, differentiable by the implicit function theorem in p, q and the metric's own parameters."""
 
     def miss(velocity):
         return target.s - arrive(space, p, velocity, budget).s
@@ -523,15 +428,7 @@ def implicit_newton(space: Curved, p: Configuration, target: Target, start: Vect
 
 
 def least_squares(a: Matrix, b: Vectors) -> Vectors:
-    """Solution of the square system `a x = b` through its normal equations.
-
-    Args:
-        a: matrix (n, n).
-        b: right-hand side (n, k).
-
-    Returns:
-        The solution (n, k).
-    """
+    """Solution of the square system `a x = b` through its normal equations."""
     return solve(a.T @ a, a.T @ b)
 
 
@@ -541,15 +438,6 @@ def conjugate_points(space: Curved, p: Configuration, velocity: Vector, budget: 
     By the index theorem this is the index of the second variation of the energy. Over fields that are Jacobi fields on
     each of the budget's steps, that form is block tridiagonal. With A, B the derivatives of a step's end point by its
     start point and velocity, and J the Jacobi fields that vanish at p, its pivots are `g B⁻¹ J_next J⁻¹`.
-
-    Args:
-        space: the space.
-        p: configuration at which the geodesic starts.
-        velocity: its velocity (n,) at p.
-        budget: rule and number of the integration steps.
-
-    Returns:
-        The number, an integer scalar.
     """
     n = velocity.shape[0]
     none = jnp.zeros((0, n), velocity.dtype)

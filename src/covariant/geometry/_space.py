@@ -278,16 +278,6 @@ def differential(manifold: AbstractManifold, f: Callable[[Array], Array], x: Con
 
 
 def coadjoint(manifold: AbstractManifold, x: Configuration, a: Vector, mu: Vector) -> Vector:
-    """Coadjoint operator of the frame, `ad*_a μ`, with `<ad*_a μ, b> = <μ, [a, b]>`.
-
-    Args:
-        manifold: manifold with the frame.
-        x: configuration.
-        a: vector (n,).
-        mu: covector μ (n,).
-
-    Returns:
-        Covector (n,).
-    """
+    """Coadjoint operator of the frame, `ad*_a μ`, with `<ad*_a μ, b> = <μ, [a, b]>`."""
     # The second argument of `linear_transpose` is an example of b; its numbers are not used.
     return jax.linear_transpose(lambda b: manifold.bracket(x, a, b), a)(mu)[0]

@@ -28,17 +28,7 @@ TWIST = ("vx", "vy", "vz", "wx", "wy", "wz")
 
 
 def joints(message: Any) -> dict[str, float]:
-    """Numbers of a JointState message, by name.
-
-    Args:
-        message: A message with the fields `name`, `position`, `velocity` and `effort`.
-
-    Returns:
-        Numbers under names as `shoulder/position`; those of fields that are empty are absent.
-
-    Raises:
-        ValueError: A field has another count of numbers than there are joints.
-    """
+    """Numbers of a JointState message, by name."""
     numbers = {}
     for field in FIELDS:
         values = getattr(message, field)
@@ -83,19 +73,7 @@ class _Place(NamedTuple):
 
 
 def bag_columns(path: Path) -> dict[str, bool]:
-    """Names of the columns of a log of messages.
-
-    Args:
-        path: An MCAP file, a rosbag1 file, or the file or folder of a rosbag2.
-
-    Returns:
-        For each name whether it is the shortest for what it denotes. A name that two topics share is left out, but not
-        with its topic.
-
-    Raises:
-        LogError: There is no message that can be read.
-        ImportError: rosbags is not installed.
-    """
+    """Names of the columns of a log of messages."""
     with _messages(path) as (topics, messages):
         places = _places(_named(path, topics, messages()))
     first = {place: name for name, place in reversed(places.items())}
@@ -106,20 +84,6 @@ def read_bag(path: Path, wanted: Sequence[str], held: Sequence[str], beside: Seq
     """Read columns of a log of messages, with a row for each stamp of a topic that holds one of them.
 
     Rows before all columns have a number are left out.
-
-    Args:
-        path: As for `bag_columns`.
-        wanted: Names of columns.
-        held: Those of them that repeat their latest number where they have none at a stamp, as every column does in the
-            first row; topics that hold only these make no rows.
-        beside: Further columns whose stamps are rows too; they may be without a number in any row, the first one too.
-
-    Returns:
-        Columns (T,) by name; NaN where a topic has no message at a stamp. Stamps are Arrow durations [ns].
-
-    Raises:
-        LogError: No row has all columns, two messages of a topic have one stamp, or the file cannot be read.
-        ImportError: rosbags is not installed.
     """
     with _messages(path) as (topics, messages):
         places = _places(_named(path, topics, messages()))

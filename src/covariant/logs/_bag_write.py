@@ -19,19 +19,7 @@ JOINTS, POSE, VALUES = "/joint_states", "/pose", "/values"
 
 
 def write_bag(path: Path, columns: Mapping[str, np.ndarray], origin_ns: int | None) -> None:
-    """Write columns as ROS messages, to an MCAP file or the folder of a rosbag2.
-
-    Args:
-        path: The file or folder, which appears complete.
-        columns: Arrays (T,) by name, the first of which are the stamps [s]. `shoulder/position`, `shoulder/velocity`
-            and `shoulder/effort` make a JointState, where the first may be called `shoulder`; px, py, pz, qw, qx, qy,
-            qz make a PoseStamped; other columns are positions of joints of their names.
-        origin_ns: Time [ns since 1970] from which the stamps count; None for 0.
-
-    Raises:
-        LogError: ROS cannot represent the stamps.
-        ImportError: rosbags is not installed.
-    """
+    """Write columns as ROS messages, to an MCAP file or the folder of a rosbag2."""
     (_, stamps), *others = columns.items()
     # Integers of Python, since nanoseconds since 1970 need more than the 53 bits of a float.
     ns = np.array([round(t * 1e9) for t in stamps.tolist()], dtype=object) + (origin_ns or 0)

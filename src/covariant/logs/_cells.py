@@ -68,17 +68,7 @@ def floats(column: Any) -> np.ndarray:
 
 
 def fault(where: str, row: int, cell: str | float | None, needed: bool) -> LogError:
-    """Error for a cell that is no finite number.
-
-    Args:
-        where: Log and column.
-        row: Row of the cell, from 0.
-        cell: Its content.
-        needed: Whether an empty cell is an error too.
-
-    Returns:
-        The error, to be raised.
-    """
+    """Error for a cell that is no finite number."""
     content = "an empty cell" if cell is None or not str(cell).strip() else repr(cell)
     remedy = "only positions may be missing; fill it or cut the row" if needed else "leave it empty if it is missing"
     return LogError(f"{where}, row {row + 1}: found {content}, needs a finite number; {remedy}")

@@ -154,17 +154,7 @@ BAGS = (".mcap", ".db3", ".bag")
 
 
 def kind(path: Path) -> str:
-    """Type of a log by its ending.
-
-    Args:
-        path: Path of a file or folder; only a folder is looked into.
-
-    Returns:
-        The ending in lower case, or "bag" for a file or folder of ROS messages.
-
-    Raises:
-        LogError: The ending is that of no log.
-    """
+    """Type of a log by its ending."""
     suffix = path.suffix.lower()
     if suffix in BAGS or (path / "metadata.yaml").is_file():
         return "bag"
@@ -177,11 +167,7 @@ def kind(path: Path) -> str:
 
 
 def pyarrow() -> Any:
-    """The package pyarrow, imported with what reads and writes files.
-
-    Raises:
-        ImportError: It is not installed; the message has the command that installs it.
-    """
+    """The package pyarrow, imported with what reads and writes files."""
     try:
         import pyarrow
         import pyarrow.compute

@@ -90,20 +90,7 @@ def _bodies(columns: Columns) -> tuple[tuple[Body, ...], tuple[Body, ...]]:
 
 
 def from_cells(name: str, columns: Columns, cells: Float[np.ndarray, "T k"]) -> np.ndarray:
-    """Configurations from the cells of their columns.
-
-    Args:
-        name: Name of the log in error messages.
-        columns: Names of the columns.
-        cells: Cells (T, k) of `columns.measured`, in SI units and radians.
-
-    Returns:
-        Configurations (T, n), (T, N, N) or (T, m). Where a cell of a body or a wheel is NaN, all of these are NaN in
-        that row; a ball joint is missing by itself.
-
-    Raises:
-        LogError: A quaternion or matrix is no rotation.
-    """
+    """Configurations from the cells of their columns."""
     together, balls = _bodies(columns)
     if not together:
         return cells

@@ -54,19 +54,7 @@ def source_name(log: Any) -> str:
 
 
 def table_source(name: str, log: Any) -> LogSource:
-    """Columns of a data frame or dataset.
-
-    Args:
-        name: Name of the log in error messages.
-        log: A data frame that narwhals knows, or a dataset of xarray.
-
-    Returns:
-        Its columns.
-
-    Raises:
-        LogError: The object is neither.
-        ImportError: narwhals is not installed.
-    """
+    """Columns of a data frame or dataset."""
     if _is_dataset(log):
         return _dataset_source(name, log)
     narwhals = load_optional("narwhals", use="reading data frames needs", extra="logs")

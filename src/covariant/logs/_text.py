@@ -34,18 +34,7 @@ class Sheet(NamedTuple):
 
 
 def sheet(path: Path) -> Sheet:
-    """Read a text file, and detect its delimiter and header.
-
-    Args:
-        path: The file.
-
-    Returns:
-        Its parts.
-
-    Raises:
-        LogError: The file is empty.
-        UnicodeDecodeError: The file is not in Unicode.
-    """
+    """Read a text file, and detect its delimiter and header."""
     text = _unix(path.read_bytes())
     remark = _remark(text)
     text = _NOTHING.sub(b"", text)
@@ -71,20 +60,7 @@ def sheet(path: Path) -> Sheet:
 
 
 def read_text(pa: Any, path: Path, found: Sheet, wanted: Sequence[str]) -> Any:
-    """Read columns of a sheet as text.
-
-    Args:
-        pa: The package pyarrow.
-        path: The file, for error messages.
-        found: The sheet.
-        wanted: Names of the columns.
-
-    Returns:
-        A table of Arrow with one column of text for each.
-
-    Raises:
-        LogError: A row is longer or shorter than the header, or a comma may be a decimal mark.
-    """
+    """Read columns of a sheet as text."""
     if not found.rows.strip():
         raise LogError(f"{path}: the file has a header and no rows")
     ragged = []
@@ -122,19 +98,7 @@ def read_text(pa: Any, path: Path, found: Sheet, wanted: Sequence[str]) -> Any:
 
 
 def with_points(pa: Any, log: str, table: Any) -> Any:
-    """Replace decimal commas by decimal points.
-
-    Args:
-        pa: The package pyarrow.
-        log: Name of the log in error messages.
-        table: A table of Arrow.
-
-    Returns:
-        The table, whose columns of text have decimal points.
-
-    Raises:
-        LogError: The table has decimal commas and decimal points.
-    """
+    """Replace decimal commas by decimal points."""
     texts = [name for name in table.column_names if pa.types.is_string(table.schema.field(name).type)]
     commas = {name: _matching(pa, table.column(name), _COMMA) for name in texts}
     commas = {name: row for name, row in commas.items() if row is not None}

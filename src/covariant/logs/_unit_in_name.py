@@ -177,12 +177,7 @@ def words_of(name: str) -> set[str]:
 
 
 def is_unit_of(text: str, meant: Sequence[str]) -> bool:
-    """Whether a text is a unit of the same kind as one of several units.
-
-    Args:
-        text: A unit, as "deg/s".
-        meant: The units it is compared with.
-    """
+    """Whether a text is a unit of the same kind as one of several units."""
     for unit in meant:
         with contextlib.suppress(ValueError):
             check_unit(text, unit)

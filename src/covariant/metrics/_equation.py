@@ -109,17 +109,7 @@ def right_side(
 
 
 def coefficients(model: StateSpace, equation: Equation, x: Vector, u: Array):
-    """Coefficients of the Riccati equation at a state.
-
-    Args:
-        model: system with state x (n,) and output y (p,).
-        equation: the equation.
-        x: state (n,).
-        u: input (m,).
-
-    Returns:
-        `f_x + λ/2` (n, n), Q (n, n) or None, and `R^{-1/2} h_x` (p, n); the shift by λ/2 accounts for the term −λP.
-    """
+    """Coefficients of the Riccati equation at a state."""
     a, c = model.jacobians(jnp.zeros((), x.dtype), x, u)
     eye = jnp.eye(x.shape[0], dtype=x.dtype)
     if equation.measurement_cov is not None:
@@ -136,15 +126,7 @@ def model_input(model: StateSpace, u: Array | None, dtype) -> Array:
 
 
 def check_state(model: StateSpace, x: Array) -> None:
-    """Check the shape of a state.
-
-    Args:
-        model: the system.
-        x: array to check.
-
-    Raises:
-        ValueError: unless it has the shape (n,), with the number of states of the model.
-    """
+    """Check the shape of a state."""
     n = len(model.coordinates)
     if x.ndim != 1 or (n and x.shape[0] != n):
         raise ValueError(f"x must be a state ({n or 'n'},); it has shape {x.shape}")

@@ -111,33 +111,14 @@ class Blocks(NamedTuple):
         return math.prod(part.stop - part.start for part in self.region(index))
 
     def points(self, index: tuple[int, ...]) -> Float[np.ndarray, "points n"]:
-        """Coordinates of the points of a block.
-
-        Args:
-            index: index of the block along each axis.
-
-        Returns:
-            Coordinates (points, n); beyond the grid its last points are repeated, so that all blocks have the same
-            size.
-        """
+        """Coordinates of the points of a block."""
         parts = zip(index, self.sides, self.axes, strict=True)
         lines = [axis[np.minimum(k * side + np.arange(side), len(axis) - 1)] for k, side, axis in parts]
         return np.stack(np.meshgrid(*lines, indexing="ij"), -1).reshape(-1, len(lines))
 
 
 def cut(grid: Grid, points: int) -> Blocks:
-    """Cut a grid into blocks, as close to cubes as the counts allow.
-
-    Args:
-        grid: the grid.
-        points: largest number of points of a block.
-
-    Returns:
-        The blocks.
-
-    Raises:
-        ValueError: for less than one point.
-    """
+    """Cut a grid into blocks, as close to cubes as the counts allow."""
     if points < 1:
         raise ValueError(f"a block needs at least one point; got {points}")
     sides, left, shape = [1] * len(grid.shape), points, grid.shape

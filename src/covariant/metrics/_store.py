@@ -87,20 +87,7 @@ def open_grid(path: str | os.PathLike[str], *, complete: bool = False) -> "xarra
 
 
 def configuration(grid: Grid, blocks: Blocks, variables: Any, provenance: Any) -> dict[str, Any]:
-    """Settings that two runs must have in common to work on one store, with a content hash of them.
-
-    Args:
-        grid: the grid.
-        blocks: the blocks of the grid.
-        variables: description, shape and type of each variable.
-        provenance: where the function comes from.
-
-    Returns:
-        The settings in the form that JSON gives back; their hash is the entry `digest`.
-
-    Raises:
-        ValueError: for a provenance that JSON cannot represent.
-    """
+    """Settings that two runs must have in common to work on one store, with a content hash of them."""
     low, high = grid.ends
     box = {"names": tuple(grid.names), "units": tuple(grid.units), "low": low, "high": high, "counts": grid.shape}
     whole = {"grid": box, "variables": variables, "provenance": provenance, "block": blocks.sides}
@@ -113,17 +100,7 @@ def configuration(grid: Grid, blocks: Blocks, variables: Any, provenance: Any) -
 
 
 def prepare(path: Path, settings: dict[str, Any], blocks: Blocks) -> None:
-    """Create the store, or check that an existing one has the same configuration.
-
-    Args:
-        path: path of the store.
-        settings: what `configuration` returned.
-        blocks: the blocks of the grid.
-
-    Raises:
-        ValueError: one line, where the path holds anything else.
-        FileNotFoundError: where the folder of the path does not exist.
-    """
+    """Create the store, or check that an existing one has the same configuration."""
     sweep(path)
     if not os.path.lexists(path):
         return _create(path, settings, blocks)
@@ -140,11 +117,7 @@ def prepare(path: Path, settings: dict[str, Any], blocks: Blocks) -> None:
 
 @contextlib.contextmanager
 def tidied(path: Path) -> Iterator[None]:
-    """Context in which a map is written; on entry it removes the files of killed writers, where nobody else writes.
-
-    Args:
-        path: path of the store.
-    """
+    """Context in which a map is written; on entry it removes the files of killed writers, where nobody else writes."""
 
     def tidy():
         for partial in path.rglob("*.partial"):  # Zarr moves each chunk from such a file to its place
@@ -160,15 +133,7 @@ def finish(path: Path) -> None:
 
 
 def written(path: Path, n: int) -> set[tuple[int, ...]]:
-    """Indices of the blocks that are done: a chunk of `done` exists only where the flag is set.
-
-    Args:
-        path: path of the store.
-        n: number of axes of the grid.
-
-    Returns:
-        Set of indices, one integer for each axis.
-    """
+    """Indices of the blocks that are done: a chunk of `done` exists only where the flag is set."""
     # The chunks are listed, not read: reading would open every chunk of the grid, of which only a few exist at first.
     chunks = path.joinpath(DONE, "c").glob("/".join("*" * n))
     # A name that is no number is a file that a writer has not moved to its place yet.

@@ -142,17 +142,7 @@ def window_at(
 
 
 def backward(model: StateSpace, equation: Equation, u: Array | None, dtype):
-    """Flow of a `Window` whose beginning moves back by s seconds.
-
-    Args:
-        model: system with state x (n,) and output y (p,).
-        equation: the Riccati equation.
-        u: constant input (m,), or None for zero.
-        dtype: precision.
-
-    Returns:
-        A function `(s, window) -> rate of change`, itself a `Window`, for the integrators.
-    """
+    """Flow of a `Window` whose beginning moves back by s seconds."""
     input_held, t0 = model_input(model, u, dtype), jnp.zeros((), dtype)
 
     def flow(s, window: Window) -> Window:

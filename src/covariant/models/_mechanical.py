@@ -374,16 +374,7 @@ def check_model(model: MechanicalSystem, dimension: int | None = None) -> None:
 
 
 def check_shapes(functions, given: str, whom: str) -> None:
-    """Check the shapes of functions without evaluating them.
-
-    Args:
-        functions: Tuples (name, function, arguments, shape), the arguments as `jax.ShapeDtypeStruct`.
-        given: What the arguments are, for the message.
-        whom: What the shape is needed for, for the message.
-
-    Raises:
-        ValueError: Names the first function that cannot be evaluated or returns another shape.
-    """
+    """Check the shapes of functions without evaluating them."""
     for name, function, arguments, wanted in functions:
         try:
             shape = jax.eval_shape(function, *arguments).shape

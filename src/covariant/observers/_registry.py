@@ -64,22 +64,7 @@ def intrinsic_kalman(
     slow: tuple[Slow, ...] = (),
     sensors: tuple[Sensor, ...] = (),
 ) -> IntrinsicKalman:
-    """Intrinsic Kalman filter, for encoders that count ticks where their tick is known, else for Gaussian noise.
-
-    Args:
-        model: Mechanical system.
-        process: Spectral density (n, n) of the acceleration noise [(rad/s²)² s, or (m/s²)² s], or a function of the
-            configuration.
-        measurement: Covariance (n, n) of the noise of one sample [rad² or m²]; not used where ticks are counted.
-        speed: Standard deviation of the initial velocity [rad/s or m/s].
-        quantum: One tick of the encoders, one for all or n of them [rad or m]; None for sensors with noise. It is
-            ignored on a group.
-        slow: Slow states that are estimated; none by default.
-        sensors: Sensors beside the measured configuration; none by default.
-
-    Returns:
-        The filter.
-    """
+    """Intrinsic Kalman filter, for encoders that count ticks where their tick is known, else for Gaussian noise."""
     n = measurement.shape[0]
     velocity = jnp.asarray(speed**2 * np.eye(n))
     if quantum is None or not model.manifold.commuting:

@@ -24,14 +24,7 @@ HUGE = 1e100
 
 
 def places(n: int) -> Int[np.ndarray, "n n"]:
-    """The place of each entry of a symmetric matrix among those on and below its diagonal.
-
-    Args:
-        n: Number of rows.
-
-    Returns:
-        Indices (n, n) into K = n (n + 1)/2 entries, in the order of `numpy.tril_indices`.
-    """
+    """The place of each entry of a symmetric matrix among those on and below its diagonal."""
     rows, columns = np.tril_indices(n)
     positions = np.empty((n, n), int)
     positions[rows, columns] = positions[columns, rows] = np.arange(len(rows))
@@ -39,34 +32,17 @@ def places(n: int) -> Int[np.ndarray, "n n"]:
 
 
 def size_of(entries: np.ndarray) -> int:
-    """Number of rows n of symmetric matrices, from K = n (n + 1)/2.
-
-    Args:
-        entries: Entries (..., K, B) on and below the diagonal.
-    """
+    """Number of rows n of symmetric matrices, from K = n (n + 1)/2."""
     return (math.isqrt(8 * entries.shape[-2] + 1) - 1) // 2
 
 
 def symmetric(entries: np.ndarray) -> Float[np.ndarray, "B n n"]:
-    """Symmetric matrices from their entries on and below the diagonal.
-
-    Args:
-        entries: Entries (K, B).
-    """
+    """Symmetric matrices from their entries on and below the diagonal."""
     return entries.T[:, places(size_of(entries))]
 
 
 def congruent(c: np.ndarray, entries: np.ndarray) -> np.ndarray:
-    """The entries of CᵀSC on and below the diagonal.
-
-    Args:
-        c: Factors C (n, n, B).
-        entries: Entries (..., K, B) of symmetric S on and below the diagonal.
-
-    Returns:
-        Entries (..., K, B). The sums are in the order of the C of `_tests_in_c`, so that both are equal to the last
-        bit.
-    """
+    """The entries of CᵀSC on and below the diagonal."""
     n, result = len(c), np.empty_like(entries)
     at = places(n)
     for b in range(n):
@@ -77,11 +53,7 @@ def congruent(c: np.ndarray, entries: np.ndarray) -> np.ndarray:
 
 
 def sum_of(arrays: Iterable[np.ndarray]) -> np.ndarray:
-    """The sum of new arrays, one after the other; the first of them is overwritten.
-
-    Args:
-        arrays: One array or more, of one shape.
-    """
+    """The sum of new arrays, one after the other; the first of them is overwritten."""
     total, *rest = arrays
     for array in rest:
         total += array
@@ -89,11 +61,7 @@ def sum_of(arrays: Iterable[np.ndarray]) -> np.ndarray:
 
 
 def sum_over(rows: np.ndarray) -> np.ndarray:
-    """The sum over the first axis, one row after the other, from zero.
-
-    Args:
-        rows: Array (m, ...); without rows the sum is zero.
-    """
+    """The sum over the first axis, one row after the other, from zero."""
     total = np.zeros(rows.shape[1:])
     for row in rows:
         total += row
@@ -103,24 +71,7 @@ def sum_over(rows: np.ndarray) -> np.ndarray:
 def definite(
     middle: np.ndarray, radius: np.ndarray, terms: np.ndarray | None = None
 ) -> tuple[Bool[np.ndarray, "B"], np.ndarray]:
-    """Whether all symmetric matrices in an enclosure are positive definite.
-
-    Args:
-        middle: Middles (K, B) of the entries on and below the diagonal, on B boxes.
-        radius: Radii (K, B) around them.
-        terms: Optional further terms (m, K, B): the matrices are those within `middle + Σ wₘ terms[m] ± radius`, |wₘ| ≤
-            1.
-
-    Returns:
-        The verdict (B,), where False says nothing, and the factors C (n, n, B) that were used.
-
-    Example:
-        >>> import numpy as np
-        >>> from covariant.proofs._definite import definite
-        >>> middle = np.array([[2.0, 2.0], [1.0, 1.0], [2.0, 2.0]])  # two matrices [[2, 1], [1, 2]]
-        >>> definite(middle, np.array([[0.1, 0.9]] * 3))[0].tolist()
-        [True, False]
-    """
+    """Whether all symmetric matrices in an enclosure are positive definite."""
     c, positive = factors(middle)
     n, at = len(c), places(len(c))
     with np.errstate(all="ignore"):
@@ -144,16 +95,7 @@ def definite(
 
 
 def weights(c: np.ndarray, terms: np.ndarray, shares: np.ndarray) -> Float[np.ndarray, "m B"]:
-    """How much each term of an enclosure and its share widen it, after the congruence by C.
-
-    Args:
-        c: Factors C (n, n, B), as from `definite`.
-        terms: Terms (m, K, B) of the entries on and below the diagonal.
-        shares: Contributions (m, K, B) to the remainder.
-
-    Returns:
-        Weights (m, B): sums over all entries. They guide the search alone; no rounding of them matters.
-    """
+    """How much each term of an enclosure and its share widen it, after the congruence by C."""
     n = len(c)
     rows, columns = np.tril_indices(n)
     with np.errstate(all="ignore"):
@@ -166,15 +108,7 @@ def weights(c: np.ndarray, terms: np.ndarray, shares: np.ndarray) -> Float[np.nd
 
 
 def indefinite(middle: np.ndarray, radius: np.ndarray) -> Bool[np.ndarray, "B"]:
-    """Whether no symmetric matrix in an enclosure is positive definite: xᵀSx < 0 for some x and all of them.
-
-    Args:
-        middle: Middles (K, B) of the entries on and below the diagonal.
-        radius: Radii (K, B) around them.
-
-    Returns:
-        The verdict (B,), where False says nothing.
-    """
+    """Whether no symmetric matrix in an enclosure is positive definite: xᵀSx < 0 for some x and all of them."""
     middle, radius = symmetric(middle), symmetric(radius)
     finite = np.asarray(((np.abs(middle) < HUGE) & np.isfinite(radius)).all(axis=(1, 2)))
     safe = np.where(finite[:, None, None], middle, 0.0)
@@ -191,13 +125,6 @@ def factors(middle: np.ndarray) -> tuple[Float[np.ndarray, "n n B"], Bool[np.nda
     """Factors C with `CᵀSC` near the identity, for entries of S in any units.
 
     Of all such factors it is the inverse square root: it rotates least, and rotation increases sums of absolute values.
-
-    Args:
-        middle: Entries (K, B) of S on and below the diagonal.
-
-    Returns:
-        C (n, n, B), and whether S appears positive definite and not too large (B,). Neither has to be exact: `definite`
-        proves its verdict for the C that it gets.
     """
     n, full = size_of(middle), symmetric(middle)
     diagonal = np.abs(np.diagonal(full, axis1=1, axis2=2))

@@ -63,18 +63,7 @@ class Expansions(NamedTuple):
         engine: Arithmetic = "auto",
         form: Literal["auto", "derivatives", "models"] = "auto",
     ) -> "Expansions":
-        """The expansions of the graph of all entries.
-
-        Args:
-            entries: Graph of a matrix (n, n), of which the symmetric part counts.
-            domain: Bounds of the inputs.
-            engine: Arithmetic that bounds the graphs, as for `lowering.enclose`.
-            form: "derivatives" or "models" leave no choice; "auto" takes Taylor models of more than `MOST_DERIVED`
-                variables.
-
-        Raises:
-            ValueError: The matrix is not square.
-        """
+        """The expansions of the graph of all entries."""
         shape = entries.results[0].shape
         if len(shape) != 2 or shape[0] != shape[1] or not shape[0]:
             raise ValueError(f"the matrix must be square; it has shape {shape}")
@@ -134,34 +123,14 @@ class EnclosedMatrices(NamedTuple):
 
 
 def half_widths(matrix: Expansions, low: np.ndarray, high: np.ndarray) -> Float[np.ndarray, "f B"]:
-    """Half widths of boxes in the free variables, rounded up.
-
-    Args:
-        matrix: The matrix, whose `free` variables count.
-        low: Lower corners (B, d).
-        high: Upper corners (B, d).
-
-    Returns:
-        Half widths (f, B).
-    """
+    """Half widths of boxes in the free variables, rounded up."""
     centre = middle_of(low, high)
     # The middle is rounded, so the two sides differ by roundings: the larger one, rounded up, covers the box.
     return np.ascontiguousarray((np.maximum(high - centre, centre - low)[:, matrix.free] * (1 + ROUND)).T)
 
 
 def enclosed_by(at: Enclosure, on: Enclosure, half: np.ndarray, k: int) -> EnclosedMatrices:
-    """Enclosures of symmetric matrices on boxes, from bounds of their graphs.
-
-    Args:
-        at: Bounds of the entries and their first derivatives at the centres of B boxes.
-        on: Bounds of the entries, first and second derivatives on these boxes.
-        half: Half widths (f, B) of the boxes, rounded up.
-        k: Number of entries on and below the diagonal, K.
-
-    Returns:
-        The enclosures. Bounds of the entries are the intersection of natural interval evaluation, the mean-value form
-        and Taylor's form.
-    """
+    """Enclosures of symmetric matrices on boxes, from bounds of their graphs."""
     f, boxes = half.shape
     with np.errstate(invalid="ignore", over="ignore"):  # the middle of bounds −∞ and ∞ is NaN
         value, terms, shares = taylor_form(at, on, half, k)
@@ -204,12 +173,7 @@ class Ball(NamedTuple):
 
     @classmethod
     def of(cls, low: np.ndarray, high: np.ndarray) -> "Ball":
-        """The balls of numbers between bounds.
-
-        Args:
-            low: Lower bounds, an array of any shape.
-            high: Upper bounds in the same shape.
-        """
+        """The balls of numbers between bounds."""
         middle = middle_of(low, high)
         # Rounded up, so that both bounds lie inside the ball although its middle is rounded.
         return cls(middle, np.maximum(high - middle, middle - low) * (1 + ROUND) + TINY)
@@ -219,16 +183,6 @@ def taylor_form(at: Enclosure, on: Enclosure, half: np.ndarray, k: int) -> tuple
     """Taylor's form `S(c) + Σ Sᵢ(c) δᵢ + ½ Σ Sᵢⱼ δᵢδⱼ` over all δ within ± half.
 
     Since δᵢ² is never negative, half of its largest contribution shifts the value, and bounds the deviation from it.
-
-    Args:
-        at: Bounds of the entries and their first derivatives at the centres of B boxes.
-        on: Bounds of the entries, first and second derivatives on these boxes.
-        half: Half widths (f, B).
-        k: Number of entries, K.
-
-    Returns:
-        The shifted value (K, B), the terms (f + p, K, B) of variables and pairs, and their contributions to the
-        remainder in the same shape.
     """
     f, boxes = half.shape
     first = k + f * k

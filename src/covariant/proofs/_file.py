@@ -59,16 +59,7 @@ def read_file(path: str | Path) -> bytes:
 
 
 def file_name(path: str | Path) -> str:
-    """A path as one printable line, for messages.
-
-    Args:
-        path: Any path; one with characters that are not printable is shown with escapes.
-
-    Example:
-        >>> from covariant.proofs._file import file_name
-        >>> file_name("proofs/drone.json")
-        'proofs/drone.json'
-    """
+    """A path as one printable line, for messages."""
     return str(path) if str(path).isprintable() else ascii(str(path))
 
 
@@ -170,16 +161,7 @@ def _whole(digits: str) -> int | float:
 
 
 def brief(value: Any) -> str:
-    """A value as one short line, for messages.
-
-    Args:
-        value: Any value of JSON; long strings, numbers and containers are abbreviated.
-
-    Example:
-        >>> from covariant.proofs._file import brief
-        >>> brief([1, 2, 3, 4, 5, 6, 7, 8])
-        '[1, 2, 3, 4, 5, 6, ...]'
-    """
+    """A value as one short line, for messages."""
     short = reprlib.Repr()
     short.maxstring = short.maxother = short.maxlong = 60
     return short.repr(value)
@@ -348,15 +330,6 @@ class Field(NamedTuple):
 
 
 def is_number(value: Any) -> bool:
-    """Whether a value is a finite number; a truth value is not one.
-
-    Args:
-        value: A value of JSON; an integer or a float of magnitude `LARGEST` at most is a number.
-
-    Example:
-        >>> from covariant.proofs._file import is_number
-        >>> is_number(2), is_number(True), is_number(float("inf"))
-        (True, False, False)
-    """
+    """Whether a value is a finite number; a truth value is not one."""
     # The exact type excludes bool, a subclass of int; NaN fails the comparison.
     return type(value) in (int, float) and abs(value) <= LARGEST

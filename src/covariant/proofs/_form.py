@@ -138,28 +138,11 @@ class NodeDerivatives:
         self.graph = graph
 
     def along(self, nodes: np.ndarray, direction: Mapping[int, int]) -> np.ndarray:
-        """Derivatives along a direction.
-
-        Args:
-            nodes: Nodes to differentiate, an array of any shape.
-            direction: For the position of each input that changes, the node of its change.
-
-        Returns:
-            Nodes of the derivatives, in the same shape.
-        """
+        """Derivatives along a direction."""
         return np.vectorize(Derivative(self.graph, direction), otypes=[int])(nodes)
 
     def each(self, nodes: np.ndarray, inputs: Sequence[int], sides: np.ndarray | None = None) -> np.ndarray:
-        """Derivatives in several inputs, or along several directions.
-
-        Args:
-            nodes: Nodes to differentiate, an array of any shape.
-            inputs: Positions of k inputs.
-            sides: Nodes (k, m) whose columns are m directions in these inputs; by default the k unit vectors.
-
-        Returns:
-            Nodes of the derivatives, with a new last axis of length k or m.
-        """
+        """Derivatives in several inputs, or along several directions."""
         one, zero = self.graph.constant(1.0), self.graph.constant(0.0)
         columns = np.where(np.eye(len(inputs), dtype=bool), one, zero) if sides is None else sides
         derivatives = [self.along(nodes, dict(zip(inputs, side, strict=True))) for side in columns.T.tolist()]

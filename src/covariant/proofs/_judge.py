@@ -19,17 +19,7 @@ MODELLED = 128
 
 
 def judge(matrix: Expansions, low: np.ndarray, high: np.ndarray) -> tuple[Int[np.ndarray, "B"], np.ndarray | None]:
-    """Evaluate boxes: prove each, choose the variable across which to halve it, or find a counter-example.
-
-    Args:
-        matrix: The matrix as graphs.
-        low: Lower corners (B, d).
-        high: Upper corners (B, d).
-
-    Returns:
-        A code (B,) for each box, `PROVED`, the variable to halve, or `OPEN` where it cannot be halved; and a point (2,
-        d) at which the matrix is not positive definite, else None. With a counter-example the codes say nothing.
-    """
+    """Evaluate boxes: prove each, choose the variable across which to halve it, or find a counter-example."""
     proved, weight, smooth = _tested(matrix, low, high)
     codes = np.full(len(low), PROVED)
     rest = np.flatnonzero(~proved)
@@ -103,16 +93,7 @@ def _tested_by_models(
 
 
 def look_around(matrix: Expansions, domain: Box, count: int = 4096) -> np.ndarray | None:
-    """Search random points of a box for one at which the matrix is not positive definite.
-
-    Args:
-        matrix: The matrix as graphs.
-        domain: The box.
-        count: Number of points; every other one is a corner. They are the same in every call.
-
-    Returns:
-        The point as a box (2, d), or None.
-    """
+    """Search random points of a box for one at which the matrix is not positive definite."""
     rng = np.random.default_rng(0)
     inside = rng.uniform(size=(count, len(domain.low)))
     inside[::2] = np.round(inside[::2])  # corners, where the smallest eigenvalue often is
@@ -121,15 +102,7 @@ def look_around(matrix: Expansions, domain: Box, count: int = 4096) -> np.ndarra
 
 
 def counterexample_at(matrix: Expansions, points: np.ndarray) -> np.ndarray | None:
-    """The first of some points at which the matrix is shown not to be positive definite.
-
-    Args:
-        matrix: The matrix as graphs.
-        points: Points (k, d).
-
-    Returns:
-        The point as a box (2, d), or None.
-    """
+    """The first of some points at which the matrix is shown not to be positive definite."""
     at = enclose(matrix.value, points, points, matrix.engine)
     wrong = np.flatnonzero(indefinite(*Ball.of(at.low.T, at.high.T)))
     # A box of one point: its two corners are equal.

@@ -62,23 +62,14 @@ class TaylorModel:
 
     @classmethod
     def number(cls, at: Any, rest: Any = 0.0) -> "TaylorModel":
-        """A number of which nothing is known but that it is within `rest` of `at`.
-
-        Args:
-            at: Middle, a number or an array (B,).
-            rest: Radius, broadcast to the same shape; by default 0.
-        """
+        """A number of which nothing is known but that it is within `rest` of `at`."""
         at = np.atleast_1d(np.asarray(at, float))
         none = np.empty((0, 1))
         return cls((), at, none, none, np.broadcast_to(rest, at.shape), none)
 
     @classmethod
     def within(cls, found: Interval) -> "TaylorModel":
-        """A number between two bounds.
-
-        Args:
-            found: Its bounds, numbers or arrays (B,).
-        """
+        """A number between two bounds."""
         low, high = (np.atleast_1d(np.asarray(end, float)) for end in found)
         at = middle_of(low, high)
         return cls.number(at, np.maximum(high - at, at - low) * (1 + ROUND) + TINY)
@@ -101,14 +92,7 @@ class TaylorModel:
         return np.abs(self.line) + _each(self.bend, len(self.on)) + self.shares
 
     def over(self, on: Support) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """`line`, `bend` and `shares` as terms of more variables, with zeros for the new ones.
-
-        Args:
-            on: Variables that include those of the model.
-
-        Returns:
-            Arrays (t, B), (q, B) and (t, B) for t variables and their q pairs.
-        """
+        """`line`, `bend` and `shares` as terms of more variables, with zeros for the new ones."""
         if on == self.on:
             return self.line, self.bend, self.shares
         places, paired = _places(self.on, on)
@@ -121,11 +105,7 @@ class TaylorModel:
         return tuple(found)
 
     def times(self, k: np.ndarray) -> "TaylorModel":
-        """The number times a known one, with its roundings in the remainder.
-
-        Args:
-            k: Factors (B,) or (1,), which are exact.
-        """
+        """The number times a known one, with its roundings in the remainder."""
         size = np.abs(k)
         rest = (size * (self.rest + ROUND * self.size)) * (1 + ROUND)
         return TaylorModel(self.on, self.at * k, self.line * k, self.bend * k, rest, self.shares * size)
@@ -161,12 +141,7 @@ class TaylorModel:
         )
 
     def where(self, chosen: np.ndarray, other: "TaylorModel") -> "TaylorModel":
-        """The number on the chosen boxes, another one on the others.
-
-        Args:
-            chosen: Mask (B,) of the boxes.
-            other: The number on all other boxes.
-        """
+        """The number on the chosen boxes, another one on the others."""
         on = _union(self.on, other.on)
         (line, bend, due), (slope, turn, owed) = self.over(on), other.over(on)
         parts = (self.at, other.at), (line, slope), (bend, turn), (self.rest, other.rest), (due, owed)
@@ -241,14 +216,6 @@ def curve(op: str, x: TaylorModel, *given: float) -> TaylorModel:
     """A function of one number: `f(c) + f'(c) d + ½ f''(c) d² + ⅙ f'''(ξ) d³`, with d the distance from c.
 
     Where that is wider than the bounds of f over the range, or derivatives do not exist, the result is these bounds.
-
-    Args:
-        op: Operation of a graph, such as "sin".
-        x: Its argument.
-        *given: Further arguments that are numbers, such as the exponent of "pow".
-
-    Returns:
-        The function of x; its `rest` is NaN or infinite on boxes where nothing is known.
     """
     graph, outputs = _with_derivatives(op, given)
     whole = TaylorModel.within(_enclosed(graph, outputs[:1], x.bounds)[0])
@@ -367,17 +334,7 @@ class Polynomials(NamedTuple):
 def polynomials(
     lowered: Lowered, low: Float[np.ndarray, "B d"], high: Float[np.ndarray, "B d"], free: Int[np.ndarray, "f"]
 ) -> Polynomials:
-    """The values of a graph on boxes, as polynomials in the free variables.
-
-    Args:
-        lowered: The graph of K numbers.
-        low: Lower corners (B, d) of the boxes.
-        high: Upper corners (B, d).
-        free: Indices (f,) of the variables of the polynomials; all others are numbers within their bounds.
-
-    Returns:
-        The polynomials. Where nothing is known of a value its `rest` is NaN or infinite.
-    """
+    """The values of a graph on boxes, as polynomials in the free variables."""
     nodes, uses = lowered.graph.nodes, Counter(lowered.outputs)
     uses.update(a for node in lowered.graph.nodes for a in node.arguments)
     variable = {int(i): k for k, i in enumerate(free)}

@@ -48,14 +48,7 @@ class CompiledTests:
             raise OSError(f"{compiler()} rounds in another way than NumPy, so NumPy does the work")
 
     def enclosed(self, at: Enclosure, on: Enclosure, half: np.ndarray, k: int) -> EnclosedMatrices:
-        """The enclosures of `enclosed_by`.
-
-        Args:
-            at: Bounds of the entries and their first derivatives at the centres of B boxes.
-            on: Bounds of the entries, first and second derivatives on these boxes.
-            half: Half widths (f, B) of the boxes.
-            k: Number of entries on and below the diagonal, K.
-        """
+        """The enclosures of `enclosed_by`."""
         f, boxes = half.shape
         m = f + f * (f + 1) // 2
         result = [np.empty(shape) for shape in [(k, boxes), (m, k, boxes), *[(k, boxes)] * 3, (m, k, boxes)]]
@@ -66,13 +59,7 @@ class CompiledTests:
     def definite(
         self, middle: np.ndarray, radius: np.ndarray, terms: np.ndarray | None = None
     ) -> tuple[Bool[np.ndarray, "B"], np.ndarray]:
-        """The verdict and the factors of the function of this name in NumPy.
-
-        Args:
-            middle: Middles (K, B) of the entries on and below the diagonal.
-            radius: Radii (K, B) around them.
-            terms: Optional further terms (m, K, B).
-        """
+        """The verdict and the factors of the function of this name in NumPy."""
         c, positive = factors(middle)
         n, boxes, below = len(c), c.shape[2], np.empty(c.shape[2])
         terms = np.empty((0, *middle.shape)) if terms is None else terms
@@ -80,13 +67,7 @@ class CompiledTests:
         return (below != 0) & positive, c
 
     def weights(self, c: np.ndarray, terms: np.ndarray, shares: np.ndarray) -> np.ndarray:
-        """The weights (m, B) of the function of this name in NumPy.
-
-        Args:
-            c: Factors C (n, n, B).
-            terms: Terms (m, K, B).
-            shares: Contributions (m, K, B) to the remainder.
-        """
+        """The weights (m, B) of the function of this name in NumPy."""
         n, boxes, m = len(c), c.shape[2], len(terms)
         result = np.empty((m, boxes))
         _call(self._library.weights, n, m, boxes, c, terms, shares, result)
@@ -139,15 +120,7 @@ LARGEST = 16
 
 
 def tests_in_c(engine: Arithmetic, n: int) -> CompiledTests | None:
-    """The compiled tests of matrices (n, n), where compiled C bounds the graphs too.
-
-    Args:
-        engine: Arithmetic, as for `lowering.enclose`.
-        n: Number of rows; above `LARGEST` NumPy does the work.
-
-    Returns:
-        The tests, or None where NumPy does the work.
-    """
+    """The compiled tests of matrices (n, n), where compiled C bounds the graphs too."""
     return _loaded() if n <= LARGEST and in_c(engine) else None
 
 

@@ -44,29 +44,12 @@ def leaves(domain: Box, levels: list[np.ndarray]) -> Iterator[tuple[np.ndarray, 
 
 
 def open_boxes(domain: Box, levels: list[np.ndarray]) -> Float[np.ndarray, "k 2 d"]:
-    """Corners of the leaves that are not decided.
-
-    Args:
-        domain: The whole box, of d variables.
-        levels: One array of integers for each level, as in `Proof.levels`.
-
-    Returns:
-        Lower and upper corners (k, 2, d).
-    """
+    """Corners of the leaves that are not decided."""
     return np.concatenate([np.stack([low, high], 1)[codes == OPEN] for codes, low, high in leaves(domain, levels)])
 
 
 def halves(low, high, axes) -> tuple[np.ndarray, np.ndarray]:
-    """Both halves of boxes, lower before upper. Both include the middle, so that no point is lost.
-
-    Args:
-        low: Lower corners (k, d).
-        high: Upper corners (k, d).
-        axes: The variable (k,) across whose middle each box is halved.
-
-    Returns:
-        Lower and upper corners (2k, d).
-    """
+    """Both halves of boxes, lower before upper. Both include the middle, so that no point is lost."""
     rows = np.arange(len(low))
     middle = middle_of(low[rows, axes], high[rows, axes])
     low, high = np.repeat(low, 2, axis=0), np.repeat(high, 2, axis=0)
@@ -76,12 +59,7 @@ def halves(low, high, axes) -> tuple[np.ndarray, np.ndarray]:
 
 
 def middle_of(low, high):
-    """The midpoint, without overflow.
-
-    Args:
-        low: Lower bounds, an array of any shape.
-        high: Upper bounds in the same shape.
-    """
+    """The midpoint, without overflow."""
     # low + high may overflow where their halves do not.
     return low / 2 + high / 2
 
@@ -119,11 +97,7 @@ class Tree:
         ]
 
     def next(self) -> tuple | None:
-        """Boxes to evaluate, `CHUNK` at most; small lots are combined.
-
-        Returns:
-            Numbers (B,), low (B, d), high (B, d) and depths (B,); None where no box waits.
-        """
+        """Boxes to evaluate, `CHUNK` at most; small lots are combined."""
         if not self.waiting:
             return None
         lots, count = [], 0
@@ -137,12 +111,7 @@ class Tree:
         return tuple(part[:CHUNK] for part in whole)
 
     def take(self, lot: tuple, codes: Int[np.ndarray, "B"]) -> None:
-        """Store the codes of a lot of boxes, and add the halves of those that are halved.
-
-        Args:
-            lot: The boxes, as from `next`.
-            codes: Their codes (B,).
-        """
+        """Store the codes of a lot of boxes, and add the halves of those that are halved."""
         numbers, low, high, depth = lot
         self.evaluated += len(numbers)
         # A box at depth k has 2^−k of the volume of the domain.
@@ -162,11 +131,7 @@ class Tree:
             self.waiting.append((np.arange(first, first + new), *children, np.repeat(depth[split] + 1, 2)))
 
     def levels(self) -> tuple[list[np.ndarray], Float[np.ndarray, "k 2 d"]]:
-        """The tree, level by level, and its open boxes.
-
-        Returns:
-            Arrays of codes as in `Proof.levels`, and the corners (k, 2, d) of the k open boxes.
-        """
+        """The tree, level by level, and its open boxes."""
         by_level, numbers = [], np.zeros(1, int)
         while len(numbers):
             by_level.append(self.code[numbers])

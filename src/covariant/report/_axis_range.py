@@ -55,13 +55,6 @@ def axis_range(quantity: Quantity, column: int) -> AxisRange | None:
 
     Backdrops are shown in full. An estimate is shown from the end of its transient (on a log axis, from the start),
     except single spikes farther from its central 99.5 % than the width of these, and unless it has diverged.
-
-    Args:
-        quantity: The kind of panel.
-        column: Which of its columns, from 0.
-
-    Returns:
-        The limits, or None where there is nothing to draw.
     """
     ranges = _ranges(quantity, column)
     if not ranges:

@@ -33,12 +33,6 @@ def condensed(found: dict[str, Quantity]) -> dict[str, Quantity]:
     Positions and velocities become bands, those of the backdrops and of the first estimate: the others are compared by
     their errors. Errors become their running RMS: of one estimate with its band behind, of several on a logarithmic
     axis, which shows small beside large.
-
-    Args:
-        found: The panels by name.
-
-    Returns:
-        The panels by name; those of a short log unchanged.
     """
     samples = len(next(iter(found.values())).curves[0].t)
     whole = sum(len(quantity.curves) * len(quantity.labels) for quantity in found.values())

@@ -20,15 +20,7 @@ _PANELS = {"Innovation": "innovation"}
 
 
 def glossary(report: EstimateReport, panels: Container[str]) -> dict[str, str]:
-    """Explain the terms that a report uses.
-
-    Args:
-        report: The report; its headline, notes, warnings, table and labels are searched.
-        panels: Names of the panels that are drawn.
-
-    Returns:
-        The meaning of each term.
-    """
+    """Explain the terms that a report uses."""
     texts = (report.headline, report.v_reference_label, *report.notes, *report.warnings)
     text = " ".join((*texts, *(key for row in report.rows for key in row)))
     return {

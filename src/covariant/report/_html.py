@@ -77,15 +77,7 @@ def write_report(report: EstimateReport, path: str | os.PathLike[str]) -> list[P
 
 
 def page(report: EstimateReport) -> str:
-    """Compose the text of the page of a report.
-
-    Args:
-        report: What is drawn.
-
-    Raises:
-        ValueError: The report is not consistent: see `EstimateReport.check`.
-        ImportError: plotly is not installed.
-    """
+    """Compose the text of the page of a report."""
     report.check()
     library = _library(optional("plotly.offline").get_plotlyjs)
     panels, styled = condensed(quantities(report)), styles(report)
@@ -174,15 +166,7 @@ def _notes(report: EstimateReport, panels: dict[str, Quantity]) -> str:
 
 
 def table_html(rows: Sequence[Mapping[str, object]], mark_best: bool) -> str:
-    """Format a table in HTML.
-
-    Args:
-        rows: Rows, each with its cells by heading.
-        mark_best: Whether the first row is highlighted.
-
-    Returns:
-        The table, or "" where there are no rows.
-    """
+    """Format a table in HTML."""
     if not rows:
         return ""
     header, body, numeric = cells(rows)

@@ -54,14 +54,7 @@ class Quantity(NamedTuple):
 
 
 def quantities(report: EstimateReport) -> dict[str, Quantity]:
-    """Collect the panels of a report.
-
-    Args:
-        report: The report, with consistent shapes.
-
-    Returns:
-        Those of the panels position, velocity, error, innovation and distance that have curves, by name.
-    """
+    """Collect the panels of a report."""
     n = len(report.coordinates)
     t = np.asarray(report.t, float)
     states = {label: np.asarray(x, float) for label, x in report.estimates.items()}
@@ -121,14 +114,7 @@ and the suffix of its unit."""
 
 
 def span(values: Float[np.ndarray, "T c"]) -> Float[np.ndarray, "c"]:
-    """Range of each column.
-
-    Args:
-        values: Samples (T, c); those that are not finite do not count.
-
-    Returns:
-        Largest minus smallest sample (c,), 0 for a column without any.
-    """
+    """Range of each column."""
     finite = np.isfinite(values)
     # With infinities, since nanmax warns of a column without a finite sample.
     high = np.where(finite, values, -np.inf).max(axis=0)
@@ -141,13 +127,6 @@ def depths(quantity: Quantity, column: int) -> list[int]:
 
     Bands of errors and what was measured are behind; then come the estimates, the first or the smallest in front; then
     a reference, a dashed line whose gaps show the estimate under it.
-
-    Args:
-        quantity: The kind of panel.
-        column: Which of its columns, from 0.
-
-    Returns:
-        The place of each curve in the order, 0 at the back.
     """
     size = [_size(c.values[:, column]) if quantity.deviation else rank for rank, c in enumerate(quantity.curves)]
     layers = [_layer(curve, quantity.deviation) for curve in quantity.curves]
@@ -163,12 +142,7 @@ def _layer(curve: Curve, deviation: bool) -> int:
 
 
 def shorten(text: str, most: int) -> str:
-    """Shorten a text; an ellipsis marks the cut.
-
-    Args:
-        text: The text.
-        most: Largest number of characters, the ellipsis included.
-    """
+    """Shorten a text; an ellipsis marks the cut."""
     return text if len(text) <= most else text[: most - 1] + "…"
 
 

@@ -20,13 +20,7 @@ _ROW, _GAP, _TOP, _BOTTOM = 170, 46, 58, 44
 
 
 def stack(shown: list[Quantity], column: int, styled: dict[str, Style]) -> "plotly.graph_objects.Figure":
-    """Draw one column of several quantities above a common time axis, with a common zoom in time.
-
-    Args:
-        shown: The quantities, top to bottom.
-        column: Which of their columns, from 0.
-        styled: Style of each label.
-    """
+    """Draw one column of several quantities above a common time axis, with a common zoom in time."""
     inner = len(shown) * (_ROW + _GAP) - _GAP
     layout: dict[str, Any] = {
         "template": "none",

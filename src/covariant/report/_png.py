@@ -50,11 +50,7 @@ def write_png(report: EstimateReport, path: str | os.PathLike[str]) -> list[Path
 
 
 def draw_png(report: EstimateReport, path: str | os.PathLike[str]) -> dict[Path, bytes]:
-    """Draw the figures of `write_png`, which also describes the arguments.
-
-    Returns:
-        The content of each file, by its path.
-    """
+    """Draw the figures of `write_png`, which also describes the arguments."""
     panels, styled = condensed(quantities(report.check())), styles(report)
     path = Path(path)
     stem = path.with_suffix("") if path.suffix.lower() == ".png" else path
@@ -69,14 +65,7 @@ def draw_png(report: EstimateReport, path: str | os.PathLike[str]) -> dict[Path,
 
 
 def write_all(files: dict[Path, bytes]) -> list[Path]:
-    """Write files that are complete in memory, each whole or not at all.
-
-    Args:
-        files: The content of each file, by its path.
-
-    Returns:
-        The paths.
-    """
+    """Write files that are complete in memory, each whole or not at all."""
     return [
         write_atomically(path, lambda file, content=content: file.write(content)) for path, content in files.items()
     ]

@@ -25,13 +25,7 @@ class Polyline(NamedTuple):
 
 
 def polyline(t: Samples, values: Samples, log: bool) -> Polyline:
-    """Split a curve into a line and dots.
-
-    Args:
-        t: Stamps (T,) [s].
-        values: Samples (T,); NaN, infinity and what cannot be drawn are gaps.
-        log: Whether the axis is logarithmic; then a value that is not positive is a gap as well.
-    """
+    """Split a curve into a line and dots."""
     shown = np.where(drawable(values, log), values, np.nan)
     alone = _alone(~np.isnan(shown))
     joined = np.where(alone, np.nan, shown)
@@ -40,24 +34,12 @@ def polyline(t: Samples, values: Samples, log: bool) -> Polyline:
 
 
 def outline(t: Samples, low: Samples, high: Samples) -> Points:
-    """Join the lower and the upper edge of a band to one line with a gap.
-
-    Args:
-        t: Stamps (T,) [s].
-        low: Lower edge (T,).
-        high: Upper edge (T,).
-    """
+    """Join the lower and the upper edge of a band to one line with a gap."""
     return np.concatenate([t, t[-1:], t]), np.concatenate([low, [np.nan], high])
 
 
 def polygons(t: Samples, low: Samples, high: Samples) -> Points:
-    """Convert a band to closed polygons with gaps between them, one for each run of samples that are there.
-
-    Args:
-        t: Stamps (T,) [s].
-        low: Lower edge (T,).
-        high: Upper edge (T,).
-    """
+    """Convert a band to closed polygons with gaps between them, one for each run of samples that are there."""
     there = np.pad(np.isfinite(low) & np.isfinite(high), 1).astype(int)
     ends = zip(np.flatnonzero(np.diff(there) > 0), np.flatnonzero(np.diff(there) < 0), strict=True)
     x, y = [], []
@@ -70,15 +52,7 @@ def polygons(t: Samples, low: Samples, high: Samples) -> Points:
 
 
 def drawable(values: Float[np.ndarray, "*T"], log: bool) -> Bool[np.ndarray, "*T"]:
-    """Mask of the samples that can be drawn.
-
-    Args:
-        values: Samples, of any shape.
-        log: Whether the axis is logarithmic; then a sample must be positive.
-
-    Returns:
-        The mask, of the same shape; NaN and samples beyond 1e30 are False.
-    """
+    """Mask of the samples that can be drawn."""
     least = 1 / _DRAWABLE if log else -_DRAWABLE
     # NaN is neither larger nor smaller than anything, so it is not drawable.
     return (values > least) & (values < _DRAWABLE)

@@ -67,9 +67,6 @@ def styles(report: EstimateReport) -> dict[str, Style]:
 
     What was measured is wide and grey, a reference a thin dashed line in the colour of the text, and the first estimate
     slightly wide.
-
-    Returns:
-        The style by label, in the order of the legend.
     """
     styled = {}
     if report.q_measured is not None:
@@ -157,14 +154,7 @@ def save_figure(figure: "matplotlib.figure.Figure", path: str | os.PathLike[str]
 
 
 def figure_format(path: str | os.PathLike[str]) -> str:
-    """Format of a figure by the suffix of its file, for a check before the figure is computed.
-
-    Args:
-        path: The file.
-
-    Raises:
-        ValueError: There is no suffix.
-    """
+    """Format of a figure by the suffix of its file, for a check before the figure is computed."""
     suffix = Path(path).suffix.removeprefix(".")
     if not suffix:
         raise ValueError(f"{path}: name the format by a suffix, such as .png, .pdf or .svg")

@@ -25,11 +25,7 @@ class Cells(NamedTuple):
 
 
 def cells(rows: Sequence[Mapping[str, object]]) -> Cells:
-    """Convert rows to text, with numbers to four digits.
-
-    Args:
-        rows: Rows, each with its cells by heading; a missing key, None and NaN become a dash.
-    """
+    """Convert rows to text, with numbers to four digits."""
     header = list(dict.fromkeys(key for row in rows for key in row))
     columns = [[row.get(key) for row in rows] for key in header]
     numeric = [any(map(_is_number, column)) and all(v is None or _is_number(v) for v in column) for column in columns]

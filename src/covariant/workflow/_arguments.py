@@ -55,11 +55,7 @@ def numbers(
 
 
 def finite(argument: str, given: Amounts | None) -> None:
-    """Check that an argument is finite numbers, of any count, or None.
-
-    Raises:
-        ValueError: One line that names the argument.
-    """
+    """Check that an argument is finite numbers, of any count, or None."""
     try:
         values = np.atleast_1d(np.asarray(0.0 if given is None else given, float))
     except (TypeError, ValueError):
@@ -69,19 +65,7 @@ def finite(argument: str, given: Amounts | None) -> None:
 
 
 def amounts(argument: str, given: Amounts, names: Sequence[str]) -> Float[np.ndarray, "n"]:
-    """Convert an argument to one bound ≥ 0 for each name.
-
-    Args:
-        argument: The argument that holds the bounds, for messages.
-        given: One bound for all names, or one each.
-        names: What the bounds are for, n names.
-
-    Returns:
-        The bounds (n,).
-
-    Raises:
-        ValueError: One line that names the argument, for a bound that is negative or not finite, or another count.
-    """
+    """Convert an argument to one bound ≥ 0 for each name."""
     finite(argument, given)
     limits = numbers(argument, given, names, one=True)
     # As above: there may be no bound at all.
@@ -93,21 +77,7 @@ def amounts(argument: str, given: Amounts, names: Sequence[str]) -> Float[np.nda
 def bounds(
     argument: str, given: Region, names: Sequence[str], what: str = "state", *, equal: bool = False
 ) -> dict[str, tuple[float, float]]:
-    """Convert an argument to low and high ends by name.
-
-    Args:
-        argument: The argument that holds the ends, for messages.
-        given: Low and high end by name; not all names need be there.
-        names: The names that there are.
-        what: What the names are of, for messages.
-        equal: Whether both ends may be the same.
-
-    Returns:
-        The ends by name, in the order of `given`.
-
-    Raises:
-        ValueError: One line that names the argument, and an unknown name or a pair of ends that is none.
-    """
+    """Convert an argument to low and high ends by name."""
     intervals = {}
     for name, pair in given.items():
         if name not in names:
@@ -121,32 +91,14 @@ def bounds(
 
 
 def above_zero(argument: str, value: float | int) -> float:
-    """Check that an argument is a positive finite number.
-
-    Returns:
-        The value as a `float`.
-
-    Raises:
-        ValueError: One line that names the argument.
-    """
+    """Check that an argument is a positive finite number."""
     if not 0 < value < math.inf:  # false for NaN too
         raise ValueError(f"{argument} must be a positive number; got {value:g}")
     return float(value)
 
 
 def gain_pair(alpha: float | int | None, beta: float | int | None) -> tuple[float, float] | None:
-    """Check the gains α and β, which belong together.
-
-    Args:
-        alpha: α [1/s], or None.
-        beta: β [1/s²], or None.
-
-    Returns:
-        Both gains, or None where neither is given.
-
-    Raises:
-        ValueError: For one without the other, and for a gain that is not positive and finite.
-    """
+    """Check the gains α and β, which belong together."""
     if (alpha is None) != (beta is None):
         raise ValueError("`alpha` and `beta` belong together: give both or neither")
     if alpha is None or beta is None:

@@ -226,11 +226,7 @@ class CompareResult(AbstractComparison):
 
 
 def line_up(loaded: Loaded) -> tuple[dict[str, AbstractObserver], str, np.ndarray]:
-    """Tune all observers that fit a model.
-
-    Returns:
-        The observers by name, sentences on how they are tuned, and the rows (T,) on which filters were tuned.
-    """
+    """Tune all observers that fit a model."""
     kind, sheet = loaded.kind, functools.cache(lambda: log_sheet(loaded.file, loaded))
     note = kind.note(sheet, loaded.rate, every=True) + loaded.note
     trial, tuned_on = trial_part(loaded)
@@ -246,12 +242,7 @@ def line_up(loaded: Loaded) -> tuple[dict[str, AbstractObserver], str, np.ndarra
 
 
 def ranked_by(loaded: Loaded, predicted: Ahead | None) -> str:
-    """Say what the order of the estimators is by.
-
-    Args:
-        loaded: Model and log.
-        predicted: Errors of predicted positions; None where there are none.
-    """
+    """Say what the order of the estimators is by."""
     if predicted is None:
         return f"errors against the {scored_against(loaded)}"
     return (
@@ -261,27 +252,12 @@ def ranked_by(loaded: Loaded, predicted: Ahead | None) -> str:
 
 
 def scored_against(loaded: Loaded) -> str:
-    """Name what errors are computed against.
-
-    Returns:
-        The label of the reference velocity, or without one "outputs, one sample ahead".
-    """
+    """Name what errors are computed against."""
     return "outputs, one sample ahead" if loaded.reference is None else loaded.reference.label
 
 
 def rank(outcomes: dict[str, Outcome], loaded: Loaded, predicted: Ahead | None = None) -> list[str]:
-    """Order estimators by error, diverged ones last.
-
-    Args:
-        outcomes: Run and score of each estimator by name.
-        loaded: Model and log.
-        predicted: Errors of predicted positions to order by; by default by those of `rmse`.
-
-    Returns:
-        The names. The error is the RMS over the columns of `rmse`, each relative to the RMS of the reference velocity,
-        or without one to the standard deviation of the output; of predictions each relative to the least one. Equal
-        errors stay in the order of `outcomes`.
-    """
+    """Order estimators by error, diverged ones last."""
     reference = loaded.reference
     if predicted is not None:
         finite = np.array([np.where(np.isfinite(e), e, np.inf) for e in predicted.errors.values()])
@@ -302,12 +278,7 @@ def rank(outcomes: dict[str, Outcome], loaded: Loaded, predicted: Ahead | None =
 
 
 def rmse(outcome: Outcome) -> np.ndarray:
-    """Root mean square errors that estimators are ranked by.
-
-    Returns:
-        Errors (n,) of the velocities or states; without a reference the innovations (p,), errors of the outputs
-        predicted one sample ahead.
-    """
+    """Root mean square errors that estimators are ranked by."""
     if outcome.score is not None:
         return outcome.score.rmse
     innovation = np.asarray(outcome.run.info.innovation)

@@ -103,23 +103,7 @@ def design(
     metric: str | Path | None = None,
     spec: str | None = None,
 ) -> Design:
-    """Design the observer of a model file: the same one for every verb.
-
-    Args:
-        file: The model file.
-        name: Name of the observer; by default the first that fits the model.
-        gains: Gains α [1/s] and β [1/s²] in place of the designed ones.
-        rate: Sampling rate [Hz]; needed without gains.
-        log: A log and the model, for the usual speeds by which a gate judges, and for the sensors that were read.
-        metric: A metric on a grid that `riccati` looks up; by default it is computed at run time.
-        spec: What messages call the model, its name by default.
-
-    Returns:
-        The observer with its gate. With given gains it has none if the model file tells no noise.
-
-    Raises:
-        ValueError: The observer does not fit the model, or the model file lacks numbers.
-    """
+    """Design the observer of a model file: the same one for every verb."""
     model: Any = file.model
     fitting = estimators(model)
     name, spec = name or fitting[0], spec or file.name
@@ -164,11 +148,7 @@ def log_sensors(file: ModelFile, log: Loaded | None) -> tuple[FileSensor, ...]:
 
 
 def log_sheet(file: ModelFile, log: Loaded | None) -> DataSheet:
-    """The data sheet of a model file, with its sensors, and the usual speeds in a log, zero where there is none.
-
-    Raises:
-        ValueError: Where numbers are missing: it names all of them, and suggests what the log shows.
-    """
+    """The data sheet of a model file, with its sensors, and the usual speeds in a log, zero where there is none."""
     speed = (0.0,) * file.dimension if log is None else usual_speeds(log.model, log.record)
     sheet = data_sheet(file, None if log is None else log.log.record)
     return sheet._replace(speed=speed, sensors=tuple(part.sensor for part in log_sensors(file, log)))

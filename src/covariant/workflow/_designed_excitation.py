@@ -43,23 +43,7 @@ def designed_excitation(
     rate: float,
     progress: Progress,
 ) -> tuple[logs.Columns, dict[str, np.ndarray], dict[str, str], dict[str, Any]]:
-    """Design a motion of a robot.
-
-    Args:
-        model: What `models.robot_family` takes.
-        names: Names of the numbers.
-        overrides: Values that replace those of the model file.
-        given: Limits that replace those of the robot's file.
-        plan: What the motion is like.
-        rate: Rows in a second [Hz].
-        progress: Called with a description and a fraction as the work goes on.
-
-    Returns:
-        The fields of an `ExcitationResult`, in their order.
-
-    Raises:
-        ValueError: For a model or limits that cannot be used.
-    """
+    """Design a motion of a robot."""
     progress("reading the model")
     family = models.robot_family(model, names, overrides)
     file = family.file

@@ -337,12 +337,7 @@ def choose_observer(
 
 
 def error_lines(result: Mapping[str, Any], loaded: Loaded) -> list[str]:
-    """Sentences on the errors, and on the innovations, which need no reference.
-
-    Args:
-        result: Summary of an `EstimateResult`.
-        loaded: Model and log.
-    """
+    """Sentences on the errors, and on the innovations, which need no reference."""
     lines = []
     what = loaded.kind.what
     if f"{what}_rmse" in result:

@@ -19,20 +19,7 @@ FIND = {
 def largest_proved(
     find: str, settings: dict[str, Any], prove: Callable[..., ContractionCertificate], runs: int
 ) -> tuple[ContractionCertificate, tuple[Attempt, ...]]:
-    """Search the largest value of a setting that is proved.
-
-    Args:
-        find: What is varied, a key of `FIND`.
-        settings: Arguments of `certificates.certify`.
-        prove: Changes of these -> a certificate.
-        runs: Largest number of certificates that are tried.
-
-    Returns:
-        The certificate of the largest value, examined by the checker as the settings ask, and the attempts.
-
-    Raises:
-        ValueError: For another word, or a setting without a value to begin with.
-    """
+    """Search the largest value of a setting that is proved."""
     if find not in FIND:
         raise ValueError(f"find: choose one of {', '.join(FIND)}; got {find!r}")
     if find != "error" and settings[find] is None:

@@ -55,19 +55,7 @@ def rivals(
     true: Float[np.ndarray, "T n"],
     scored: Bool[np.ndarray, "T"],
 ) -> list[Rival]:
-    """Estimate forces by the rivals of a filter.
-
-    Args:
-        model: Mechanical system.
-        record: The log, with the inputs that act in each step.
-        sheet: Data sheet, by which the velocity filter is tuned.
-        rate: Sampling rate [Hz].
-        true: True forces (T, n), to which two of them are tuned.
-        scored: Rows (T,) that count.
-
-    Returns:
-        The rivals; none for a system that is not in coordinates, where positions have no filtered derivative.
-    """
+    """Estimate forces by the rivals of a filter."""
     if not model.manifold.commuting:
         return []
     log = record._replace(u=_held(np.asarray(record.u)))

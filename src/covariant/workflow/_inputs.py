@@ -201,11 +201,7 @@ def _whole(job: Job, log: logs.Log, columns: logs.Columns) -> logs.Log:
 
 
 def column_names(columns: str | Sequence[str]) -> tuple[str, ...]:
-    """Convert names of columns to a tuple.
-
-    Args:
-        columns: A sequence of names, or one text with names separated by commas.
-    """
+    """Convert names of columns to a tuple."""
     return tuple(name.strip() for name in columns.split(",") if name) if isinstance(columns, str) else tuple(columns)
 
 
@@ -213,16 +209,6 @@ def with_sensor_delays(observers: Mapping[str, AbstractObserver], loaded: Loaded
     """Make observers account for the delay of the log's positions.
 
     Filters without a model take a reading as current: as in a drive, their velocities are late by the same time.
-
-    Args:
-        observers: Observers by name.
-        loaded: Model and log; `measurement.delay` of the model file is the delay [s].
-
-    Returns:
-        The observers by name, those that use the model wrapped in `Delayed`.
-
-    Raises:
-        ValueError: For a delay in a state-space model.
     """
     sensors = max((part.delay for part in loaded.sensors), default=0.0)
     longest = max(float(np.max(loaded.file.delay)), sensors)
@@ -245,17 +231,7 @@ def with_sensor_delays(observers: Mapping[str, AbstractObserver], loaded: Loaded
 
 
 def refuse_delays(job: Job, loaded: Loaded, observer: AbstractObserver, why: str) -> None:
-    """Refuse a log whose positions, or readings of the sensors of an observer, are late.
-
-    Args:
-        job: The model and the log, for the message.
-        loaded: Both as they were read.
-        observer: The observer that is to run over it.
-        why: What cannot be done with such a log, for the message.
-
-    Raises:
-        ValueError: One is late; the message names it and what to do.
-    """
+    """Refuse a log whose positions, or readings of the sensors of an observer, are late."""
     delays = {"measurement.delay": loaded.file.delay}
     if getattr(observer, "sensors", ()):
         delays |= {f"sensors.{part.sensor.name}.delay": part.delay for part in loaded.sensors}

@@ -211,15 +211,7 @@ def _check_rates(rate: float, window: float | None, process_cov: Amounts | None)
 
 
 def system_in_coordinates(name: str, file: ModelFile) -> StateSpace:
-    """The model as a state-space model with names of its states.
-
-    Args:
-        name: Name of the model, for messages.
-        file: The model.
-
-    Raises:
-        ValueError: For a model on a group, or without names of its states.
-    """
+    """The model as a state-space model with names of its states."""
     if not file.model.manifold.commuting:
         raise ValueError(
             f"{name} is on a group, and metrics are designed in coordinates; give a StateSpace or a Lagrangian, or use "
@@ -232,16 +224,7 @@ def system_in_coordinates(name: str, file: ModelFile) -> StateSpace:
 
 
 def box_of(name: str, model: StateSpace, region: Region | None) -> dict[str, tuple[float, float]]:
-    """Ends of all states by name: those of a region, or the model's own.
-
-    Args:
-        name: Name of the model, for messages.
-        model: The model, with names of its states.
-        region: Ends of some states by name.
-
-    Raises:
-        ValueError: For a state that has no ends, or ends that are none.
-    """
+    """Ends of all states by name: those of a region, or the model's own."""
     # The box is empty where the model has none, so its length is not checked.
     defaults = {
         each: (float(low), float(high)) for each, (low, high) in zip(model.coordinates, model.box, strict=False)

@@ -13,12 +13,7 @@ OF_ROBOTS = (".urdf", ".xml")
 
 
 def as_logs(log: Any) -> tuple[Any, ...]:
-    """Convert an argument that is one log, or a list or tuple of them, to a tuple.
-
-    Raises:
-        FileNotFoundError: Where the path of one does not exist.
-        ValueError: For an empty list.
-    """
+    """Convert an argument that is one log, or a list or tuple of them, to a tuple."""
     each = tuple(log) if type(log) in (list, tuple) else (log,)  # a Record is a tuple of another type
     if not each:
         raise ValueError("log: no log is given; give a path, a Record, a table, or a list of them")
@@ -93,19 +88,6 @@ def write_model(model: Any, path: str | Path, overwrite: bool, head: str, conten
     """Write the file of a model with other numbers, and for a robot with new inertias another URDF file beside it.
 
     Comments and layout stay.
-
-    Args:
-        model: The model whose file is written anew.
-        path: The file to write (.toml).
-        overwrite: Whether a file that exists may be replaced, the model file itself included.
-        head: Comment lines that come first.
-        content: The numbers, as for `models.rewrite`.
-
-    Returns:
-        The path.
-
-    Raises:
-        ValueError: As `check_model_output`; also where the URDF file would replace the one that the robot is read from.
     """
     from covariant import models
     from covariant._files import write_atomically
@@ -123,14 +105,7 @@ def write_model(model: Any, path: str | Path, overwrite: bool, head: str, conten
 
 
 def model_text(model: str | os.PathLike[str]) -> str:
-    """Read the text of a model file whose numbers are to be changed.
-
-    Args:
-        model: The path of the file, or the name of a system or a robot of the library.
-
-    Returns:
-        The text; for a robot or a system of the library, a line that names it.
-    """
+    """Read the text of a model file whose numbers are to be changed."""
     spec = os.fspath(model)
     if spec in ROBOTS or spec.endswith(OF_ROBOTS):
         return 'system = "robot"\n'
@@ -138,16 +113,7 @@ def model_text(model: str | os.PathLike[str]) -> str:
 
 
 def robot_content(content: dict[str, Any], path: Path) -> tuple[dict[str, Any], tuple[Path, str] | None]:
-    """Content of a robot's model file for the place where it is written.
-
-    Args:
-        content: Tables and keys of a model file, with the path of the robot's file from the current folder.
-        path: The model file to write.
-
-    Returns:
-        The content with that path from the folder of the file; and, where inertias of a URDF file are new, the path and
-        the text of another URDF file that has them, to which the content then refers. Other content is unchanged.
-    """
+    """Content of a robot's model file for the place where it is written."""
     parameters = content.get("parameters", {})
     if content.get("system") != "robot" or (parameters.get("path") in ROBOTS and "inertia" not in parameters):
         return content, None

@@ -75,17 +75,7 @@ class Outcome(NamedTuple):
 
 
 def drive(observer: AbstractObserver, loaded: Loaded, engine: Engine = "auto", timed: bool = False) -> Outcome:
-    """Run an observer on a log and score it.
-
-    Args:
-        observer: The observer.
-        loaded: Model and log.
-        engine: What computes: "c", "jax", or "auto" for C where it pays.
-        timed: Whether it is run three more times, to measure its time without compilation.
-
-    Returns:
-        The run with its score.
-    """
+    """Run an observer on a log and score it."""
     run, by = run_log(observer, loaded.record_for(observer), KEPT, engine)
     run = jax.block_until_ready(run)
     spent = float("inf")
@@ -100,18 +90,7 @@ def drive(observer: AbstractObserver, loaded: Loaded, engine: Engine = "auto", t
 def scored(
     observer: AbstractObserver, run: Run, loaded: Loaded, engine: str, microseconds: float = math.nan
 ) -> Outcome:
-    """Score a run of an observer on a log.
-
-    Args:
-        observer: The observer.
-        run: Its run, with the fields `KEPT` of its info.
-        loaded: Model and log.
-        engine: What computed it, as in `Outcome.engine`.
-        microseconds: Computing time of a sample [µs].
-
-    Returns:
-        The run with its score.
-    """
+    """Score a run of an observer on a log."""
     velocity = np.asarray(loaded.model.sought.of(run.estimate))
     score = None if loaded.reference is None else _score(velocity, run.info, loaded.reference)
     # Behind a gate or a delay, too.
@@ -120,37 +99,17 @@ def scored(
 
 
 def engine_is_notable(by: str, asked: Engine) -> bool:
-    """Whether a result names its engine: where one was asked for, and where C could not do the work.
-
-    Args:
-        by: The engine that computed, as in `Outcome.engine`.
-        asked: The engine that was asked for.
-    """
+    """Whether a result names its engine: where one was asked for, and where C could not do the work."""
     return asked != "auto" or not (by == "c" or by.startswith("jax: fewer than"))
 
 
 def known(info: Any, name: str) -> np.ndarray | None:
-    """Read a field of an observer's info.
-
-    Args:
-        info: The info of a run, a NamedTuple.
-        name: Name of the field.
-
-    Returns:
-        The field as a NumPy array, time first; None where the info has no such field.
-    """
+    """Read a field of an observer's info."""
     return np.asarray(getattr(info, name)) if name in info._fields else None
 
 
 def deviations(info: Any) -> np.ndarray | None:
-    """Read standard deviations from an observer's info.
-
-    Args:
-        info: The info of a run, a NamedTuple.
-
-    Returns:
-        Those of the velocities or states (T, n), in their units; None for an observer without a covariance.
-    """
+    """Read standard deviations from an observer's info."""
     fields = [known(info, name) for name in ("velocity_std", "state_std")]
     return next((std for std in fields if std is not None), None)
 
@@ -166,13 +125,6 @@ def mean_nis(info: Any, loaded: Loaded) -> float:
     """Mean normalised innovation squared for each measured number.
 
     Refused measurements are left out, and so is the first, from which the state starts.
-
-    Args:
-        info: The info of a run, with its results and NIS.
-        loaded: Model and log.
-
-    Returns:
-        The mean; NaN for an observer without a covariance, or where nothing was measured.
     """
     nis = known(info, "nis")
     if nis is None:
@@ -182,15 +134,7 @@ def mean_nis(info: Any, loaded: Loaded) -> float:
 
 
 def counted(info: Any, loaded: Loaded) -> tuple[np.ndarray, int]:
-    """Samples whose innovations count.
-
-    Args:
-        info: The info of a run, with its results.
-        loaded: Model and log.
-
-    Returns:
-        Which rows (T,) count, and the number of numbers that were measured in them.
-    """
+    """Samples whose innovations count."""
     measured = ~np.asarray(jax.vmap(loaded.model.manifold.missing)(jnp.asarray(loaded.record.y)))
     accepted = np.asarray(info.result) < Result.OUTLIER  # codes grow with how bad a sample is
     accepted[0] = False
@@ -198,15 +142,7 @@ def counted(info: Any, loaded: Loaded) -> tuple[np.ndarray, int]:
 
 
 def summary(outcome: Outcome, what: str = "velocity") -> dict[str, Any]:
-    """Convert the accuracy of an outcome to JSON data.
-
-    Args:
-        outcome: The outcome.
-        what: What is estimated, "velocity" or "state", for the key of its error.
-
-    Returns:
-        RMSE where there is a reference, RMS innovation, NIS and NEES (None where unknown), and counts of results.
-    """
+    """Convert the accuracy of an outcome to JSON data."""
     innovation = np.asarray(outcome.run.info.innovation)
     scored = {} if outcome.score is None else {f"{what}_rmse": rounded(outcome.score.rmse)}
     consistency = {"nis": outcome.nis} | ({} if outcome.score is None else {"nees": outcome.score.nees})
@@ -219,11 +155,7 @@ def summary(outcome: Outcome, what: str = "velocity") -> dict[str, Any]:
 
 
 def rounded(values: np.ndarray) -> list[float | None]:
-    """Round numbers to six significant digits.
-
-    Returns:
-        The numbers as a list; None stands for NaN and infinities, which JSON does not know.
-    """
+    """Round numbers to six significant digits."""
     return [float(f"{v:.6g}") if np.isfinite(v) else None for v in np.asarray(values)]
 
 
@@ -233,12 +165,7 @@ def plain(value: float) -> float | None:
 
 
 def with_units(values: Iterable[float | None], units: tuple[str, ...]) -> str:
-    """Format numbers in one line, each with its unit.
-
-    Args:
-        values: The numbers; None becomes a dash.
-        units: A unit for each, "1" or "" for none.
-    """
+    """Format numbers in one line, each with its unit."""
     written = (
         "—" if v is None else f"{v:.4g} {unit}".removesuffix(" 1").rstrip()
         for v, unit in zip(values, units, strict=True)
@@ -247,14 +174,7 @@ def with_units(values: Iterable[float | None], units: tuple[str, ...]) -> str:
 
 
 def report_curves(outcomes: dict[str, Outcome]) -> dict[str, Any]:
-    """Collect the curves of several outcomes for a page.
-
-    Args:
-        outcomes: The outcomes by label.
-
-    Returns:
-        The fields `estimates`, `innovation` and `distance` of an `EstimateReport`, each by label.
-    """
+    """Collect the curves of several outcomes for a page."""
     infos = {name: outcome.run.info for name, outcome in outcomes.items()}
     return {
         "estimates": {name: _drawn(outcome) for name, outcome in outcomes.items()},
@@ -308,22 +228,13 @@ def force_names(file: ModelFile, names: tuple[str, ...]) -> tuple[str, ...]:
     """Which slow states are forces that push.
 
     Beside forces on links, an external force is what the model does not know of the joints.
-
-    Args:
-        file: The model file.
-        names: Names of all slow states.
     """
     linked = {f"{axis}_{name}" for name in file.wrenches for axis in AXES}
     return tuple(name for name in names if (name in linked if linked else name.startswith("external_force")))
 
 
 def pushes(file: ModelFile, outcome: Outcome) -> Pushes | None:
-    """Rows in which something pushes; None of an observer that estimates no force.
-
-    Args:
-        file: The model file.
-        outcome: The run of the observer.
-    """
+    """Rows in which something pushes; None of an observer that estimates no force."""
     slow, std = (known(outcome.run.info, name) for name in ("slow", "slow_std"))
     names = force_names(file, outcome.slow_names)
     if slow is None or std is None or not names:
@@ -339,12 +250,6 @@ def unexplained(job: Job, loaded: Loaded, observer: str, outcome: Outcome) -> st
 
     The NIS of a right model with right noise, summed over N measured numbers, is χ²-distributed with N degrees of
     freedom. Said is what exceeds `MARGIN` times its 99.9 % quantile.
-
-    Args:
-        job: The model and the log, for the message.
-        loaded: Both as they were read.
-        observer: Name of the observer.
-        outcome: Its run.
     """
     informed = any(entry.name == observer and entry.knows_model for entry in REGISTRY)
     if not (informed and loaded.file.mechanical and math.isfinite(outcome.nis)):

@@ -55,15 +55,7 @@ def check_output(
 
 
 def write_table(path: Path, columns: Mapping[str, Any]) -> Path:
-    """Write columns as a table of text, whole or not at all; a number that is not known (NaN) is left empty.
-
-    Args:
-        path: The table to write (.csv).
-        columns: Arrays (T,) by name.
-
-    Returns:
-        The path.
-    """
+    """Write columns as a table of text, whole or not at all; a number that is not known (NaN) is left empty."""
     text = io.StringIO()
     rows = csv.writer(text, lineterminator="\n")
     rows.writerow(columns)

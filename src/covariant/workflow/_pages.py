@@ -23,20 +23,7 @@ def estimate_report(
     headline: str = "",
     warnings: tuple[str, ...] = (),
 ) -> EstimateReport:
-    """Collect what a page of estimates shows.
-
-    Args:
-        title: The title.
-        loaded: The model and the log.
-        curves: Fields of the report with the curves of each estimator, from `report_curves`.
-        notes: Sentences under the title.
-        rows: Rows of a table.
-        headline: The result in one line.
-        warnings: Sentences on what was unusual.
-
-    Returns:
-        The report, with the reference of the velocities where there is one.
-    """
+    """Collect what a page of estimates shows."""
     kind, y = loaded.kind, np.asarray(loaded.record.y)
     missing = int(np.isnan(y.reshape(len(y), -1)).any(1).sum())
     notes = (

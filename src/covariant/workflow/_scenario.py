@@ -45,11 +45,7 @@ class Scenario(NamedTuple):
 
 
 def check_scenario(scenario: Scenario) -> None:
-    """Check what makes no sense for any model, before one is loaded.
-
-    Raises:
-        ValueError: One line that names the argument and its value.
-    """
+    """Check what makes no sense for any model, before one is loaded."""
     PositionSensor(scenario.rate, 0.0, 0.0, scenario.jitter, scenario.dropout).check()
     if not math.isfinite(scenario.frequency) or scenario.frequency < 0:
         raise ValueError(f"frequency must be a finite number ≥ 0 [Hz]; got {scenario.frequency}")

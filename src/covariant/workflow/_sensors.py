@@ -60,17 +60,7 @@ class FileSensor(NamedTuple):
 
 
 def file_sensors(file: ModelFile) -> tuple[FileSensor, ...]:
-    """The sensors of a model file.
-
-    Args:
-        file: The model file.
-
-    Returns:
-        The sensors, in the order of their tables; none of a model file without the table.
-
-    Raises:
-        ValueError: One makes no sense for the model; the message names its table.
-    """
+    """The sensors of a model file."""
     if not file.sensors:
         return ()
     file.need_mechanical(file.name, "sensors are those of")
@@ -109,16 +99,7 @@ def _sensor(name: str, file: ModelFile, content: Mapping[str, Any]) -> FileSenso
 
 
 def readings(parts: Sequence[FileSensor], log: logs.Log) -> tuple[Float[np.ndarray, "T K"] | None, str]:
-    """Readings of all sensors in the rows of a log.
-
-    Args:
-        parts: Sensors of a model file.
-        log: The log, read with their columns.
-
-    Returns:
-        Readings (T, K), NaN where there is none, or None where the log has no column of any sensor; and a sentence that
-        says which sensors it lacks.
-    """
+    """Readings of all sensors in the rows of a log."""
     absent = [part.sensor.name for part, each in zip(parts, log.readings, strict=True) if each is None]
     note = f" The log has no column of {' or '.join(absent)}: the filter does without." if absent else ""
     if len(absent) == len(parts):
@@ -131,17 +112,7 @@ def readings(parts: Sequence[FileSensor], log: logs.Log) -> tuple[Float[np.ndarr
 
 
 def reading_delays(observer: Any, delay: Any, parts: Sequence[FileSensor], y: np.ndarray) -> Any:
-    """Delay [s] of a measurement of an observer: one for all, or with sensors one for each of its entries.
-
-    Args:
-        observer: The observer.
-        delay: Delay of the measured configuration, one number or one for each coordinate.
-        parts: Sensors of the model file.
-        y: A measurement of the observer, of which only the shape counts.
-
-    Returns:
-        A number or numbers.
-    """
+    """Delay [s] of a measurement of an observer: one for all, or with sensors one for each of its entries."""
     if not getattr(observer, "sensors", ()):
         return delay
     late = [np.full(part.sensor.count, part.delay) for part in parts]
@@ -164,16 +135,7 @@ class SensorCount(NamedTuple):
 
 
 def sensor_counts(parts: Sequence[FileSensor], readings: np.ndarray, info: Any) -> dict[str, SensorCount]:
-    """Count what a run used of the readings of each sensor.
-
-    Args:
-        parts: The sensors.
-        readings: Their readings (T, K), NaN where there is none.
-        info: Field `sensors` of the info of the run, a `SensorInfo` of all rows.
-
-    Returns:
-        The counts by the name of the sensor.
-    """
+    """Count what a run used of the readings of each sensor."""
     innovation, std, used = (np.asarray(field)[1:] for field in info)
     found, at, i = {}, 0, 0
     for part in parts:
@@ -196,19 +158,7 @@ def sensed(
     t: Float[np.ndarray, "T"],
     seed: Sequence[int],
 ) -> Float[np.ndarray, "T k"]:
-    """What a sensor reads of a motion, with noise and a constant bias that are drawn as the model file says.
-
-    Args:
-        model: The mechanical system.
-        part: The sensor.
-        x: True states at the times t, stacked.
-        u: Inputs (T, m) that act then.
-        t: Times (T,) [s].
-        seed: Seed of noise and bias.
-
-    Returns:
-        Readings (T, k), in SI units and radians.
-    """
+    """What a sensor reads of a motion, with noise and a constant bias that are drawn as the model file says."""
     sensor, rng, motion = part.sensor, np.random.default_rng(seed), model.motion(x)
     kind: Any = sensor.h
     first = np.zeros((0, 0)) if sensor.slow is None else np.asarray(sensor.slow.first_cov)
@@ -223,16 +173,7 @@ def sensed(
 
 
 def with_readings(file: ModelFile, parts: Sequence[FileSensor], y: np.ndarray) -> np.ndarray:
-    """Measurements of a filter with sensors, from configurations at rest and what the sensors read there.
-
-    Args:
-        file: The model file.
-        parts: Its sensors.
-        y: Configurations (T, *n).
-
-    Returns:
-        Measurements (T, size of a configuration + K), without noise.
-    """
+    """Measurements of a filter with sensors, from configurations at rest and what the sensors read there."""
     model = file.need_mechanical(file.name, "sensors are those of")
     x = model.state(Motion(jnp.asarray(y), jnp.zeros((len(y), file.dimension))))
     u, t = np.zeros((len(y), input_count(model, file.dimension))), np.zeros(len(y))

@@ -13,18 +13,7 @@ from covariant.signals import Record
 
 
 def data_sheet(file: ModelFile, record: Record | None = None) -> DataSheet:
-    """Collect the data sheet for a design from a model file.
-
-    Args:
-        file: The model file.
-        record: A log; where a number is missing the message suggests what this log shows.
-
-    Returns:
-        Noise, quantum, damping and the other numbers that the file has, in SI units.
-
-    Raises:
-        ValueError: Where numbers are missing: it names all of them.
-    """
+    """Collect the data sheet for a design from a model file."""
     missing = [
         key
         for value, key in ((file.typical_std, "measurement.std"), (file.acceleration_std, "uncertainty.acceleration"))
@@ -92,18 +81,7 @@ def _stands_for(key: str, name: str) -> bool:
 
 
 def state_noise(file: ModelFile, rate: float) -> Noise:
-    """Collect the noise of a state-space model from its model file.
-
-    Args:
-        file: The model file.
-        rate: Sampling rate [Hz].
-
-    Returns:
-        Covariances of process and measurement, and the first estimate with its covariance.
-
-    Raises:
-        ValueError: Where the model file lacks numbers; it names all of them.
-    """
+    """Collect the noise of a state-space model from its model file."""
     numbers = (file.measurement_std, "measurement.std"), (file.process_std, "uncertainty.process")
     missing = [key for value, key in numbers if value is None]
     if missing:
@@ -129,9 +107,6 @@ def first_estimate(file: ModelFile) -> tuple[jnp.ndarray, jnp.ndarray]:
 
     Both are from the model file, or where it has none from the model's box: its centre, and the standard deviation of a
     uniform distribution over it.
-
-    Raises:
-        ValueError: Where neither knows the standard deviation.
     """
     model: Any = file.model
     low, high = np.asarray(model.box, float).T if model.box else (0.0, np.nan)

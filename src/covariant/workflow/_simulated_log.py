@@ -41,20 +41,7 @@ def simulated_log(
     dict[str, str],
     tuple[FileSensor, ...],
 ]:
-    """Simulate a model and its sensors.
-
-    Args:
-        model: What `models.load` takes.
-        overrides: Values that replace those of the model file.
-        scenario: Motion and sensors.
-        progress: Called with a description as the work goes on.
-
-    Returns:
-        The fields of a `SimulateResult`, in their order.
-
-    Raises:
-        ValueError: For arguments that do not fit the model, and a motion that leaves the finite numbers.
-    """
+    """Simulate a model and its sensors."""
     progress("reading the model")
     name, file = models.spec_name(model), models.load(model, overrides)
     kind = kind_of(file)

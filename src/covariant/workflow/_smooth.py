@@ -89,15 +89,7 @@ def smooth(
 
 
 def lag_rows(t: np.ndarray, lag: float) -> int | None:
-    """Number of rows within a time at the median interval; None for all of the log.
-
-    Args:
-        t: Stamps (T,) [s].
-        lag: The time [s].
-
-    Raises:
-        ValueError: The time is less than half a row, and not zero.
-    """
+    """Number of rows within a time at the median interval; None for all of the log."""
     if lag >= t[-1] - t[0]:
         return None
     spacing = float(np.median(np.diff(t)))

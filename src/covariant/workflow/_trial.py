@@ -40,13 +40,6 @@ def trial_part(loaded: Loaded) -> tuple[Trial | None, Bool[np.ndarray, "T"]]:
     """Cut the rows from a log on which filters without a model are tuned.
 
     Of parts as long as a third of the log that move, it is the one with the fewest faults, and of equal ones the first.
-
-    Args:
-        loaded: Model and log.
-
-    Returns:
-        The rows with finite velocities, at most `LONGEST_TRIAL`, their outliers missing, or None for a model that such
-        filters do not fit, and for a log too short to tune on; and which rows (T,) of the log they span.
     """
     t = np.asarray(loaded.record.t)
     none, reference = np.zeros(len(t), bool), loaded.reference
@@ -69,14 +62,7 @@ def trial_part(loaded: Loaded) -> tuple[Trial | None, Bool[np.ndarray, "T"]]:
 def moving_part(
     t: Float[np.ndarray, "T"], v: Float[np.ndarray, "T n"], known: Bool[np.ndarray, "T"], faulty: Bool[np.ndarray, "T"]
 ) -> Bool[np.ndarray, "T"]:
-    """Rows (T,) of a third of a log that moves and has the fewest faults.
-
-    Args:
-        t: Stamps (T,) [s].
-        v: Reference velocities (T, n).
-        known: Where these are finite (T,).
-        faulty: Rows (T,) that are missing or outliers.
-    """
+    """Rows (T,) of a third of a log that moves and has the fewest faults."""
     square = np.where(known[:, None], v, 0.0) ** 2
     # Of each coordinate relative to its mean over the log; capped, for a fault of the reference is no motion.
     size = np.mean(np.minimum(square, np.quantile(square[known], 0.99, axis=0)), axis=0) if known.any() else 1.0
@@ -88,17 +74,7 @@ def moving_part(
 
 
 def ahead(outcomes: dict[str, Outcome], loaded: Loaded, tuned_on: Bool[np.ndarray, "T"]) -> Ahead | None:
-    """Predict positions by the model from the estimates of each estimator, on rows on which none was tuned.
-
-    Args:
-        outcomes: Run of each estimator by name.
-        loaded: Model and log.
-        tuned_on: Rows (T,) on which filters were tuned.
-
-    Returns:
-        The errors; None where the truth is known, for a state-space model, for positions that are read late, and for a
-        log too short.
-    """
+    """Predict positions by the model from the estimates of each estimator, on rows on which none was tuned."""
     if loaded.reference is None or loaded.log.truth is not None or np.any(loaded.file.delay):
         return None
     t = np.asarray(loaded.record.t)

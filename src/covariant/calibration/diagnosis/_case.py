@@ -132,15 +132,7 @@ def in_coordinates(file: ModelFile) -> bool:
 
 
 def busiest(record: Record, rows: int) -> Record:
-    """Stretch of a record in which the positions move most.
-
-    Args:
-        record: The log, with positions (T, n).
-        rows: Number of rows of the stretch.
-
-    Returns:
-        That many consecutive rows, or the whole record where it is shorter.
-    """
+    """Stretch of a record in which the positions move most."""
     if len(record.t) <= rows:
         return record
     travel = np.nan_to_num(np.abs(np.diff(np.asarray(record.y), axis=0)))
@@ -164,17 +156,7 @@ def case_without_outliers(
     rows: Rows | None = None,
     quantum: float | tuple[float, ...] | None = None,
 ) -> tuple[Case, list[Finding]]:
-    """Record prepared for the comparison: outliers are set to NaN and reported.
-
-    Args:
-        file: The model file, of a mechanical system in coordinates.
-        record: The log.
-        rows: How messages name the rows; by default they count from 1.
-        quantum: Ticks that the model file states, where `file` no longer has them.
-
-    Returns:
-        The case to compare, and a finding for each column with outliers.
-    """
+    """Record prepared for the comparison: outliers are set to NaN and reported."""
     model, names = file.need_mechanical(file.name, "accelerations are compared with those of"), names_of(file)
     t, y = np.asarray(record.t), np.asarray(record.y)
     ticks = known_ticks(record, model.circles, file.quantum if quantum is None else quantum)
@@ -207,14 +189,7 @@ def long_enough(case: Case, half: float) -> bool:
 
 
 def clearly(case: Case) -> Smooth | None:
-    """Smooth a record by the narrowest window whose accelerations exceed the noise, or else by the widest one.
-
-    Args:
-        case: The record.
-
-    Returns:
-        The smoothed log; None where the record is too short for any.
-    """
+    """Smooth a record by the narrowest window whose accelerations exceed the noise, or else by the widest one."""
     log = None
     for half in (w * case.file.reference_half for w in WIDER):
         if not long_enough(case, half):
@@ -232,14 +207,7 @@ def compared(case: Case) -> Residual | None:
 
 
 def best_window(case: Case) -> tuple[float, Residual] | None:
-    """Half width of the smoothing window with which the model explains most.
-
-    Args:
-        case: The record and the model to compare.
-
-    Returns:
-        The half width [s] and the residual accelerations; None where the accelerations of no coordinate exceed noise.
-    """
+    """Half width of the smoothing window with which the model explains most."""
     halves = [half for half in (w * case.file.reference_half for w in WINDOWS) if long_enough(case, half)]
     tried = [(half, residual(case.model, smoothed(case, half))) for half in halves]
     if not any(left.told.any() for _, left in tried) and (log := clearly(case)) is not None:

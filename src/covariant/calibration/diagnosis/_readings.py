@@ -229,16 +229,7 @@ def outlier_findings(
 def still_findings(
     y: Float[np.ndarray, "T n"], names: tuple[str, ...], units: tuple[str, ...]
 ) -> tuple[list[Finding], bool]:
-    """Findings on positions that have one value in all rows.
-
-    Args:
-        y: Positions (T, n).
-        names: Their columns.
-        units: Their units.
-
-    Returns:
-        At most one finding, and whether no position moves at all.
-    """
+    """Findings on positions that have one value in all rows."""
     still = [i for i, column in enumerate(y.T) if np.nanmin(column) == np.nanmax(column)]
     if not still:
         return [], False
@@ -330,15 +321,7 @@ class Readings(NamedTuple):
 
 
 def readings(record: Record, circles: tuple[int, ...]) -> Readings:
-    """Estimate noise and ticks of each position of a record.
-
-    Args:
-        record: The log, with positions (T, n) in coordinates.
-        circles: Indices of the coordinates that are angles.
-
-    Returns:
-        Noise and ticks of each.
-    """
+    """Estimate noise and ticks of each position of a record."""
     t, y = np.asarray(record.t), unwrap(np.asarray(record.y), circles)
     noise, white = np.full(y.shape[1], np.nan), np.zeros(y.shape[1], bool)
     for i, column in enumerate(y.T):
@@ -367,16 +350,7 @@ def known_ticks(
 
 
 def one_or_each(values: Float[np.ndarray, "n"], units: Sequence[str], digits: int) -> float | tuple[float, ...]:
-    """Round the numbers of the coordinates, and merge those that are nearly equal.
-
-    Args:
-        values: A number (n,) of each coordinate.
-        units: Their units.
-        digits: Significant digits.
-
-    Returns:
-        The largest where all have one unit and differ by less than `ALIKE`, else one number for each.
-    """
+    """Round the numbers of the coordinates, and merge those that are nearly equal."""
     rounded = tuple(float(f"{value:.{digits}g}") for value in values)
     alike = len(set(units)) <= 1 and np.ptp(values) <= ALIKE * np.max(values)
     return rounded[int(np.argmax(values))] if alike else rounded

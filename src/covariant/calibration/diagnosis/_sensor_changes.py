@@ -84,16 +84,7 @@ class _Data(NamedTuple):
 
 
 def judged(pair: Pair, vector: bool, offset: bool) -> Verdict:
-    """Find the change that makes readings those that are predicted.
-
-    Args:
-        pair: Predicted and measured readings.
-        vector: Whether the numbers are the components of one vector, of one unit.
-        offset: Whether a constant offset is free; without, as for what feels gravity, the constant part counts too.
-
-    Returns:
-        The change with its numbers.
-    """
+    """Find the change that makes readings those that are predicted."""
     data = _Data(pair, vector, offset)
     delays = np.unique(np.append(np.arange(EARLIEST, LATEST + EVERY / 2, EVERY).round(6), 0.0))
     changes = list(_changes(data))
@@ -138,15 +129,7 @@ def _changes(data: _Data) -> Iterator[Change]:
 
 
 def best_rotation(pair: Pair, offset: bool) -> tuple[Float[np.ndarray, "3 3"], bool]:
-    """Rotation that takes predicted vectors to measured ones, and whether the motion determines it.
-
-    Args:
-        pair: Predicted and measured readings, of three numbers.
-        offset: Whether a constant offset is free.
-
-    Returns:
-        The rotation (3, 3), the least one where the motion is about one axis only; and whether it is determined.
-    """
+    """Rotation that takes predicted vectors to measured ones, and whether the motion determines it."""
     predicted, read = (each[pair.used] for each in (pair.predicted, pair.read))
     if offset:
         predicted, read = predicted - predicted.mean(axis=0), read - read.mean(axis=0)

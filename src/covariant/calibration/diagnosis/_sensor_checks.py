@@ -40,17 +40,7 @@ OTHER_ORDER = {"quaternion_wxyz": "quaternion_xyzw", "quaternion_xyzw": "quatern
 
 
 def sensor_checks(case: Case, t: Float[np.ndarray, "T"], sensors: Sequence[Beside], late: Any = 0.0) -> list[Finding]:
-    """Judge each sensor beside the positions by what the positions predict of it.
-
-    Args:
-        case: The log without outliers, in the units of the model, and the model.
-        t: Stamps (T,) of the readings [s].
-        sensors: The sensors and their readings.
-        late: Delays (n,) of the positions [s], beyond those that the model file states.
-
-    Returns:
-        For each sensor at most one finding that is wrong, and a note on what the motion does not show.
-    """
+    """Judge each sensor beside the positions by what the positions predict of it."""
     return [finding for each in sensors for finding in _findings(case, np.asarray(t, float), each, late)]
 
 

@@ -18,18 +18,7 @@ def sensor_findings(
     stated: float | tuple[float, ...] | None,
     std: float | tuple[float, ...] | None,
 ) -> list[Finding]:
-    """Findings on ticks and noise, in the units of the model.
-
-    Args:
-        record: The log, with positions (T, n) in coordinates.
-        circles: Indices of the coordinates that are angles.
-        columns: Columns and units of the log.
-        stated: Ticks according to the model file; None for none.
-        std: Standard deviation of the noise according to the model file; None for unknown.
-
-    Returns:
-        At most one finding of each kind.
-    """
+    """Findings on ticks and noise, in the units of the model."""
     sensor, names, units = readings(record, circles), columns.q, columns.units
     if not sensor.known:
         return []
@@ -73,14 +62,7 @@ def sensor_findings(
 
 
 def standstill(record: Record, circles: tuple[int, ...], columns: Names, ticks: np.ndarray) -> Finding:
-    """Finding for a log whose motion is too small or too short for the comparison.
-
-    Args:
-        record: The log, with positions (T, n) in coordinates.
-        circles: Indices of the coordinates that are angles.
-        columns: Columns and units of the log.
-        ticks: Known ticks (n,); 0 for none.
-    """
+    """Finding for a log whose motion is too small or too short for the comparison."""
     t, y = np.asarray(record.t), unwrap(np.asarray(record.y), circles)
     ranges = [
         f"{name} by {np.nanmax(c) - np.nanmin(c):.3g} {unit}".rstrip()

@@ -119,17 +119,7 @@ def _clear(values: np.ndarray, noise: np.ndarray) -> np.ndarray:
 
 
 def pair(case: Case, t: Float[np.ndarray, "T"], beside: Beside, late: Any = 0.0) -> Pair | None:
-    """Predict the readings of a sensor from the positions of a log, and smooth both.
-
-    Args:
-        case: The log without outliers, in the units of the model, and the model.
-        t: Stamps (T,) of the readings [s].
-        beside: The sensor and its readings.
-        late: Delays (n,) of the positions [s], beyond those that the model file states.
-
-    Returns:
-        Both on one grid, in the narrowest windows that show all that any shows; None where there are too few.
-    """
+    """Predict the readings of a sensor from the positions of a log, and smooth both."""
     readings, at = _without_outliers(beside, t), t - beside.delay
     spacings = [np.median(np.diff(at[np.isfinite(c)])) for c in readings.T if np.isfinite(c).sum() > FEWEST_ROWS]
     if len(spacings) < readings.shape[1]:

@@ -108,17 +108,7 @@ def _tick_noise(t, y, grid, c, delay, half, ticks, used):
 
 
 def held_inputs(t, u, grid, step):
-    """Average, around each point of the grid, inputs that act from their stamp to the next.
-
-    Args:
-        t: Stamps (T,) [s].
-        u: Inputs (T, m).
-        grid: Times (K,) [s].
-        step: Time between points of the grid [s].
-
-    Returns:
-        The means (K, m) over one step around each point.
-    """
+    """Average, around each point of the grid, inputs that act from their stamp to the next."""
     summed = np.concatenate([np.zeros((1, u.shape[1])), np.cumsum(u[:-1] * np.diff(t)[:, None], axis=0)])
 
     def integral(at):
@@ -129,15 +119,7 @@ def held_inputs(t, u, grid, step):
 
 
 def second_derivative_weights(offsets, half):
-    """Weights of samples at some offsets in the second derivative at zero of the polynomial through a window.
-
-    Args:
-        offsets: Times (k,) of the samples since the middle of the window [s].
-        half: Half width of the window [s].
-
-    Returns:
-        The weights (k,) [1/s²].
-    """
+    """Weights of samples at some offsets in the second derivative at zero of the polynomial through a window."""
     return 2 * scoring.local_polynomials(offsets, np.eye(len(offsets)), np.zeros(1), half, ORDER)[0, 2]
 
 
@@ -154,10 +136,6 @@ def acceleration_kernel(half: float, count: int) -> np.ndarray:
 
     A sum of positions that is zero for motions at constant velocity is a sum of their second differences; its weights
     are the double sums of those of the positions.
-
-    Args:
-        half: Half width of the window [s].
-        count: Steps of the grid in it.
     """
     weights = second_derivative_weights(half / count * np.arange(-count, count + 1), half)
     # Two sums by parts turn Σ w y into Σ (ΣΣw) Δ²y, and Δ²y ≈ step² a.

@@ -128,14 +128,7 @@ def judge(
     compare: Callable[[Case], Unexplained | None],
     subject: str = "accelerations",
 ) -> tuple[Suspicion, Finding] | None:
-    """The suspicion that explains a case best, with the finding on it; None where none passes its threshold.
-
-    Args:
-        case: The log and the model.
-        suspicions: What may be wrong, the simplest first.
-        compare: Function from a case to what its model leaves; None where the log is too short.
-        subject: What it leaves it of, for the evidence.
-    """
+    """The suspicion that explains a case best, with the finding on it; None where none passes its threshold."""
     now, tried = compare(case), []
     for each in suspicions:
         limit = THRESHOLDS[each.threshold]

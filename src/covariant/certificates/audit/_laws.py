@@ -36,11 +36,7 @@ _Function = TypeVar("_Function", bound=Callable[..., Any])
 
 
 def compiled_quickly(function: _Function) -> _Function:
-    """Compile a function that runs once, with little optimisation: most of the time of an audit is compilation.
-
-    Args:
-        function: a function of arrays.
-    """
+    """Compile a function that runs once, with little optimisation: most of the time of an audit is compilation."""
     options = {"xla_backend_optimization_level": 0}
     return eqx.filter_jit(function, compiler_options=options)  # pyright: ignore[reportCallIssue]
 
@@ -96,51 +92,27 @@ class GeometryDeviations(NamedTuple):
 
 
 def own(given: Any, name: str) -> Any:
-    """Look up a field of an observer or a model.
-
-    Args:
-        given: an observer or a model.
-        name: name of the field.
-
-    Returns:
-        Its value, or None where there is no such field.
-    """
+    """Look up a field of an observer or a model."""
     return getattr(given, name) if name in getattr(type(given), "__dataclass_fields__", {}) else None
 
 
 def mechanical(model: Any) -> bool:
-    """Test whether this is the model of a mechanical system: one with a configuration space.
-
-    Args:
-        model: any model, or None.
-    """
+    """Test whether this is the model of a mechanical system: one with a configuration space."""
     return own(model, "space") is not None
 
 
 def exact(observer: AbstractObserver) -> bool:
-    """Test whether an observer uses geodesics, and therefore has a budget for them.
-
-    Args:
-        observer: any observer.
-    """
+    """Test whether an observer uses geodesics, and therefore has a budget for them."""
     return own(observer, "budget") is not None
 
 
 def exchange(observer: Any, model: MechanicalSystem) -> Any:
-    """Return the observer with another model.
-
-    Args:
-        observer, model: the observer, and its new model.
-    """
+    """Return the observer with another model."""
     return dataclasses.replace(observer, model=model)
 
 
 def traced_once(model: MechanicalSystem) -> MechanicalSystem:
-    """Return the model with the matrix of a numerical metric traced only once, not once for every derivative.
-
-    Args:
-        model: a mechanical system.
-    """
+    """Return the model with the matrix of a numerical metric traced only once, not once for every derivative."""
     if type(model.space) is not Metric:  # a subclass may have closed forms
         return model
     matrix = jax.jit(model.space.matrix)
@@ -154,23 +126,12 @@ def _both_once(model: MechanicalSystem, observer: Any) -> tuple[MechanicalSystem
 
 
 def configuration(model: MechanicalSystem, s: Vector) -> Array:
-    """Return the configuration with these coordinates; on a group, those of the retraction at the origin.
-
-    Args:
-        model: a mechanical system.
-        s: coordinates (n,).
-    """
+    """Return the configuration with these coordinates; on a group, those of the retraction at the origin."""
     return s if model.manifold.commuting else model.manifold.retract(model.manifold.origin(), s)
 
 
 def bracket(model: MechanicalSystem, x: Array, a: Vector, b: Vector) -> Vector:
-    """Compute `[a, b]` by derivatives of the frame, so that the manifold's own formula is tested too.
-
-    Args:
-        model: a mechanical system.
-        x: configuration.
-        a, b: constant components (n,) of two vector fields in the frame.
-    """
+    """Compute `[a, b]` by derivatives of the frame, so that the manifold's own formula is tested too."""
 
     def along(one, two):
         field = lambda y: model.manifold.tangent(y, two)  # noqa: E731
@@ -180,36 +141,19 @@ def bracket(model: MechanicalSystem, x: Array, a: Vector, b: Vector) -> Vector:
 
 
 def counterpart(observer: AbstractFlowObserver, model: MechanicalSystem, alpha, beta) -> AbstractFlowObserver:
-    """Return the approximate observer `Intrinsic` for an exact one, and the exact `Geodesic` for any other.
-
-    Args:
-        observer, model: the observer, and its model.
-        alpha, beta: gains [1/s] and [1/s²].
-    """
+    """Return the approximate observer `Intrinsic` for an exact one, and the exact `Geodesic` for any other."""
     return Intrinsic(model, alpha, beta) if exact(observer) else Geodesic(model, alpha, beta, NEAR)
 
 
 def slope(observer: AbstractFlowObserver, x: Array, v: Vector, u: Array, y: Array) -> tuple[Vector, Vector]:
-    """Compute the velocity in the frame and v̂' of an estimate.
-
-    Args:
-        observer: the observer.
-        x, v: the estimate.
-        u: input (m,).
-        y: measurement.
-    """
+    """Compute the velocity in the frame and v̂' of an estimate."""
     state = observer.init(y)._replace(q=x, v=v)
     rates = observer.flow(jnp.zeros((), v.dtype), state, u, y)
     return rates.q, rates.v
 
 
 def change(function, *, aux: bool = False):
-    """Compute the value and derivative at zero of a function of one number.
-
-    Args:
-        function: a function of a scalar.
-        aux: whether it returns further values that are not differentiated.
-    """
+    """Compute the value and derivative at zero of a function of one number."""
     return jax.jvp(function, (jnp.zeros(()),), (jnp.ones(()),), has_aux=aux)
 
 
@@ -222,14 +166,7 @@ def along_the_flow(
     q: Float[Array, "2 2"],
     states: States,
 ) -> FlowDeviations:
-    """Measure deviations at q̂ = q and any velocity: the estimate moves as the plant; law (10); V' for the matrix Q.
-
-    Args:
-        model, observer: the mechanical system, and the observer.
-        alpha, beta: gains [1/s] and [1/s²].
-        q: matrix Q (2, 2) of the Lyapunov function.
-        states: random states.
-    """
+    """Measure deviations at q̂ = q and any velocity: the estimate moves as the plant; law (10); V' for the matrix Q."""
     model, observer = _both_once(model, observer)
     space = model.space
 
@@ -285,12 +222,7 @@ def along_the_flow(
 
 @compiled_quickly
 def of_the_geometry(model: MechanicalSystem, states: States) -> GeometryDeviations:
-    """Measure deviations of the connection (metric, symmetric), of transport (isometric) and of separating geodesics.
-
-    Args:
-        model: the mechanical system.
-        states: random states.
-    """
+    """Measure deviations of the connection (metric, symmetric), of transport (isometric) and of separating geodesics."""
     model = traced_once(model)
     space = model.space
 
@@ -377,12 +309,6 @@ def between_charts(
 
     They are compared in the first chart. The second is `q = y + ψ(z) − ψ(centre)` with `ψ(z) = z + A z² + B z³`, with
     powers taken by components.
-
-    Args:
-        model, observer: the mechanical system, and the observer.
-        gains: α and β.
-        states: random states.
-        errors: sizes (e,) of the position error.
     """
     model, observer = _both_once(model, observer)
     space = model.space
@@ -414,14 +340,7 @@ def between_observers(
     states: States,
     errors: Float[Array, "e"],
 ) -> Float[Array, "e k"]:
-    """Measure relative differences between the slopes of the observer and of its counterpart, approximate or exact.
-
-    Args:
-        model, observer: the mechanical system, and the observer.
-        gains: α and β.
-        states: random states.
-        errors: sizes (e,) of the position error.
-    """
+    """Measure relative differences between the slopes of the observer and of its counterpart, approximate or exact."""
     model, observer = _both_once(model, observer)
     space = model.space
     pair = observer, counterpart(observer, model, *gains)
@@ -436,16 +355,7 @@ def between_observers(
 
 
 def order_of(relative: Float[np.ndarray, "e k"], errors: Float[np.ndarray, "e"], floor: float) -> float | None:
-    """Fit the order in the error with which differences vanish.
-
-    Args:
-        relative: differences (e, k), relative to the error.
-        errors: sizes (e,) of the error.
-        floor: differences below this are rounding.
-
-    Returns:
-        The order; None where fewer than two sizes are above the floor, NaN where a difference is not finite.
-    """
+    """Fit the order in the error with which differences vanish."""
     typical = np.sqrt(np.mean(relative**2, axis=1))
     clear = ~(typical < floor)
     if clear.sum() < 2:

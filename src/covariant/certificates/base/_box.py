@@ -48,34 +48,18 @@ class Given(NamedTuple):
 
 
 def first_velocity(variables: int, n: int, sampled: bool = False) -> int:
-    """Return the place of the first velocity in the box, behind the variables of the configuration.
-
-    Args:
-        variables: number of variables of the box.
-        n: number of velocities.
-        sampled: whether measurements are sampled.
-    """
+    """Return the place of the first velocity in the box, behind the variables of the configuration."""
     # Without samples the coordinates are variables, but not on a group: velocities, errors and forces are 3n.
     return variables - (5 * n + 1) if sampled else n * (variables > 3 * n)
 
 
 def prediction_variables(names: Sequence[str], units: Sequence[str], n: int) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return names and units of the variables of the claim "prediction".
-
-    Args:
-        names, units: those of the box of the certificate.
-        n: number of velocities.
-    """
+    """Return names and units of the variables of the claim "prediction"."""
     places = prediction_places(len(names), n)
     return (*(names[k] for k in places), *STEPS), (*(units[k] for k in places), "s", "s")
 
 
 def prediction_places(variables: int, n: int) -> list[int]:
-    """Return the places in the box of configuration, velocity, force of the input and age.
-
-    Args:
-        variables: number of variables of the box, of a system with samples.
-        n: number of velocities.
-    """
+    """Return the places in the box of configuration, velocity, force of the input and age."""
     count = first_velocity(variables, n, sampled=True)
     return [*range(count + n), *range(count + 2 * n, count + 3 * n), variables - 1]

@@ -388,21 +388,12 @@ AnyClaim = TypeVar("AnyClaim", bound=AbstractClaim)
 
 
 def select(claims: Sequence[AbstractClaim], kind: type[AnyClaim]) -> list[AnyClaim]:
-    """Return the claims of one kind.
-
-    Args:
-        claims: claims of all kinds.
-        kind: the class.
-    """
+    """Return the claims of one kind."""
     return [claim for claim in claims if isinstance(claim, kind)]
 
 
 def reach_squares(claims: Sequence[AbstractClaim]) -> Float[np.ndarray, "two_n"]:
-    """Return the squares (2n,) of the claims on reach, positions first.
-
-    Args:
-        claims: claims of all kinds.
-    """
+    """Return the squares (2n,) of the claims on reach, positions first."""
     return np.array([claim.square for claim in select(claims, ReachClaim)])
 
 

@@ -155,13 +155,7 @@ def contraction_matrix(flow: Flow, metric: StateMetric, t: Scalar, x: Vector) ->
 
 
 def lengths(gram: Matrix, change: Matrix, jacobian: Matrix) -> Matrix:
-    """Compute `FᵀN + Ṅ + NF`, the rate of change of squared lengths.
-
-    Args:
-        gram: N (n, n).
-        change: Ṅ (n, n), the derivative of N along the flow.
-        jacobian: F (n, n), the generalised Jacobian.
-    """
+    """Compute `FᵀN + Ṅ + NF`, the rate of change of squared lengths."""
     product = gram @ jacobian
     return product + product.T + change
 

@@ -16,16 +16,7 @@ from covariant.models import recipe_text
 
 
 def contraction_statement(of: Resolved, evidence: Evidence, checker: Hypothesis | None = None) -> Statement:
-    """Write the statement of a proof, with its verdict.
-
-    Args:
-        of: the claims with their proofs, and the observer.
-        evidence: that of the claims, "proved" or "claimed" by a file.
-        checker: the result of the checker, as from `judged`; None where it did not run.
-
-    Returns:
-        The statement, with the rate λ [1/s] of squared lengths as margin.
-    """
+    """Write the statement of a proof, with its verdict."""
     document = of.document
     hypotheses = (*_hypotheses(of, evidence), *(() if checker is None else (checker,)), *_assumed(document))
     counterexample = next((c.proof.counterexample for c in document.claims if c.proof.counterexample is not None), None)

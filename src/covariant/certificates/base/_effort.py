@@ -37,24 +37,12 @@ class Effort:
     progress: Callable[[str, float, int], None] | None
 
     def report(self, what: str, share: float, boxes: int) -> None:
-        """Report progress.
-
-        Args:
-            what: what is proved.
-            share: share that is done.
-            boxes: number of boxes.
-        """
+        """Report progress."""
         if self.progress is not None:
             self.progress(what, share, boxes)
 
     def prove(self, what: str, matrix: Form, domain: Box | None = None) -> Proof:
-        """Prove that a matrix is positive definite, with the boxes that are left.
-
-        Args:
-            what: name of the proof, for the report.
-            matrix: the matrix.
-            domain: another region than that of the certificate.
-        """
+        """Prove that a matrix is positive definite, with the boxes that are left."""
         proof = prove(
             matrix,
             self.domain if domain is None else domain,
@@ -75,19 +63,7 @@ class Effort:
         tries: int = 0,
         domain: Box | None = None,
     ) -> AnyClaim:
-        """Prove a claim, again with wider bounds where a point refutes it that was not sampled.
-
-        Args:
-            what: name of the proof, for the report.
-            claim: the claim with its numbers.
-            form: its matrix.
-            wider: the claim with other numbers, from the claim and a point (d,) at which it is wrong.
-            tries: how often it is widened.
-            domain: another region than that of the certificate.
-
-        Returns:
-            The claim with its last proof.
-        """
+        """Prove a claim, again with wider bounds where a point refutes it that was not sampled."""
         claim = dataclasses.replace(claim, proof=self.prove(what, form(claim), domain))
         for _ in range(tries):
             if wider is None or claim.proof.counterexample is None:

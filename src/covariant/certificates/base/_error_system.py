@@ -94,15 +94,7 @@ class ErrorSystem(NamedTuple):
 
 
 def entries_read(function, *arguments: Array) -> set[int]:
-    """Determine on which entries of its arguments a function depends.
-
-    Args:
-        function: a function of arrays that can be lowered.
-        arguments: example arguments, whose shapes count.
-
-    Returns:
-        Indices of the entries, numbered consecutively over all arguments, which the value or its domain reads.
-    """
+    """Determine on which entries of its arguments a function depends."""
     lowered = lower(function, *arguments, real=True)
     assert lowered.conditions is not None
     # What a condition depends on is read as well: such an entry may decide where the function is defined.
@@ -111,16 +103,7 @@ def entries_read(function, *arguments: Array) -> set[int]:
 
 
 def need_steady(what: str, error_system: ErrorSystem, domain: Box) -> None:
-    """Check that flow and metric do not depend on time.
-
-    Args:
-        what: name of the calling function, for the message.
-        error_system: the system.
-        domain: the box of its variables.
-
-    Raises:
-        ValueError: flow or metric depends on time, whereas the statement covers one instant only.
-    """
+    """Check that flow and metric do not depend on time."""
     # At the golden section of every variable no term vanishes by chance, as it may in the middle.
     point = (error_system.at_rest or error_system.at)(jnp.asarray(0.618 * domain.low + 0.382 * domain.high))
     x, metric = point.x, point.metric
@@ -137,14 +120,7 @@ def need_steady(what: str, error_system: ErrorSystem, domain: Box) -> None:
 
 
 def values(error_system: ErrorSystem) -> Callable[[Scalar, Vector, Vector], tuple[Array, ...]]:
-    """Collect the functions from which, with their derivatives, all claims are made.
-
-    Args:
-        error_system: the system.
-
-    Returns:
-        `(t, x, z) -> (flow, Θ, Θ⁻¹, N, error Jacobian, noise Jacobian)`.
-    """
+    """Collect the functions from which, with their derivatives, all claims are made."""
 
     def at(t, x, z):
         point = error_system.at(z)
@@ -156,15 +132,7 @@ def values(error_system: ErrorSystem) -> Callable[[Scalar, Vector, Vector], tupl
 
 
 def corrections(error_system: ErrorSystem) -> Callable[[Scalar, Vector, Vector], tuple[Array, ...]]:
-    """Collect the functions from which, with their derivatives, claims about the correction are made.
-
-    Args:
-        error_system: the system, with samples.
-
-    Returns:
-        `(t, x, z) -> (C x, Θ_0(C x), N_0(C x), Θ_h⁻¹, N_h, missing acceleration, g(q), g(y))`, for the correction C by
-        a measurement y of age h.
-    """
+    """Collect the functions from which, with their derivatives, claims about the correction are made."""
 
     def at(t, x, z):
         point = error_system.at(z)
@@ -178,15 +146,7 @@ def corrections(error_system: ErrorSystem) -> Callable[[Scalar, Vector, Vector],
 
 
 def value_graph(about: ErrorSystem) -> dict[str, list]:
-    """Convert the functions that the claims depend on to a graph of scalars, for readers without JAX.
-
-    Args:
-        about: observer and metric as functions of a box.
-
-    Returns:
-        The graph. Its inputs are time, state and the variables of the box; its outputs are the entries of `values`,
-        and of `corrections` where measurements are sampled.
-    """
+    """Convert the functions that the claims depend on to a graph of scalars, for readers without JAX."""
     d = len(about.names)
     states = jax.eval_shape(lambda z: about.at(z).x, jnp.zeros(d)).shape[0]
     sampled = about.has_samples

@@ -59,20 +59,7 @@ def force_bounds(
 def force_slopes(
     model: MechanicalSystem, places: Box, inputs: Float[np.ndarray, "2 m"], times: tuple[float, float]
 ) -> Float[np.ndarray, "n n"]:
-    """Bound |∂f_i/∂q_j| over boxes of inputs, times and positions; on a group along the directions of the body frame.
-
-    Args:
-        model: the mechanical system.
-        places: box of positions, on a group of the entries of its matrices.
-        inputs: least and largest inputs (2, m).
-        times: first and last time [s].
-
-    Returns:
-        Bounds (n, n), with the force in rows and the position in columns.
-
-    Raises:
-        ValueError: the force has no such bound, for instance where it jumps.
-    """
+    """Bound |∂f_i/∂q_j| over boxes of inputs, times and positions; on a group along the directions of the body frame."""
     region, shape = _force_box(places, inputs, times), configuration_shape(model, len(places.low))
     n = model.manifold.zero(jnp.zeros(shape)).size
 
@@ -94,12 +81,7 @@ def force_slopes(
 
 
 def force_reads_time(model: MechanicalSystem, n: int) -> bool:
-    """Test whether `force − grad U`, or where it is defined, depends on time.
-
-    Args:
-        model: the mechanical system.
-        n: number of velocities.
-    """
+    """Test whether `force − grad U`, or where it is defined, depends on time."""
     q = jnp.zeros(configuration_shape(model, n))
     read = entries_read(functools.partial(applied_force, model), jnp.zeros(()), q, jnp.zeros(input_count(model, n)))
     return 0 in read

@@ -52,16 +52,7 @@ def contraction(error_system: ErrorSystem, rate: float) -> Form:
 def length_change(
     error_system: ErrorSystem, formula: Callable[[Array, Array, Array], Array], numbers: Callable
 ) -> Form:
-    """Build the form of a formula of Θ, of N and of `F_ΘᵀN + Ṅ + N F_Θ`, the rate of change of squared lengths.
-
-    Args:
-        error_system: the system.
-        formula: `(Θ, N, F_ΘᵀN + Ṅ + N F_Θ) -> matrix`.
-        numbers: the same matrix as a function of z, computed by derivatives of JAX.
-
-    Returns:
-        The form that proofs need: a graph whose derivatives are its own.
-    """
+    """Build the form of a formula of Θ, of N and of `F_ΘᵀN + Ṅ + N F_Θ`, the rate of change of squared lengths."""
 
     def whole(coframe, gram, change, jacobian):
         return formula(coframe, gram, lengths(gram, change, jacobian))
@@ -72,16 +63,7 @@ def length_change(
 def in_frame_along(
     error_system: ErrorSystem, formula: Callable[[Array, Array, Array, Array], Array], numbers: Callable
 ) -> Form:
-    """Build the form of a formula of Θ, N, Ṅ and `F_Θ = (Θ̇ + Θ ∂f/∂x)Θ⁻¹`, with rates of change along the flow.
-
-    Args:
-        error_system: the system.
-        formula: `(Θ, N, Ṅ, F_Θ) -> matrix`.
-        numbers: the same matrix as a function of z, computed by derivatives of JAX.
-
-    Returns:
-        The form that proofs need: a graph whose derivatives are its own.
-    """
+    """Build the form of a formula of Θ, N, Ṅ and `F_Θ = (Θ̇ + Θ ∂f/∂x)Θ⁻¹`, with rates of change along the flow."""
 
     def parts(derivatives, nodes, count):
         flow, coframe, frame, gram, *_ = nodes
@@ -107,14 +89,6 @@ def width_bound(error_system: ErrorSystem, row: int, square: float) -> Form:
     """Build the matrix `square N − r rᵀ`, where r is one row of the Jacobian of (error, velocity).
 
     It is positive definite where a curve of length ℓ changes that entry of (error, velocity) by less than `ℓ √square`.
-
-    Args:
-        error_system: the system.
-        row: index of the entry, from 0 to 2n − 1.
-        square: square of the bound, for a curve of unit length.
-
-    Returns:
-        The matrix (2n, 2n) as a function of z.
     """
 
     def matrix(z):
@@ -127,15 +101,7 @@ def width_bound(error_system: ErrorSystem, row: int, square: float) -> Form:
 
 
 def squared_widths(error_system: ErrorSystem, z: Vector) -> Float[Array, "two_n"]:
-    """Compute for each row the least `square` for which `width_bound` is positive semidefinite at z.
-
-    Args:
-        error_system: the system.
-        z: point (d,) of the region.
-
-    Returns:
-        The squares `r N⁻¹ rᵀ` (2n,).
-    """
+    """Compute for each row the least `square` for which `width_bound` is positive semidefinite at z."""
     point = error_system.at(z)
     gram, rows = point.metric.gram(jnp.zeros((), z.dtype), point.x), point.error_jacobian()
     return jnp.sum(rows * solve(gram, rows.T).T, axis=1)
@@ -146,14 +112,6 @@ def disturbance_bound(error_system: ErrorSystem, sizes: Float[np.ndarray, "two_n
 
     It is positive definite where errors `δ = sizes w` with |w| ≤ 1 (in the Euclidean norm) change the flow by a vector
     shorter than `√square`.
-
-    Args:
-        error_system: the system.
-        sizes: factors (2n,) of the columns of B: n for the measured position, then n for the force.
-        square: square of the bound.
-
-    Returns:
-        The matrix (2n, 2n) as a function of z.
     """
     n = len(sizes) // 2
 
@@ -213,13 +171,6 @@ def at_correction(error_system: ErrorSystem, formula: Callable[[Array, Array, Ar
     """Build the form of a formula of N_h before a correction C, of N_0 after it, and of J.
 
     In the frames J = Θ_0(C x) (∂C/∂x) Θ_h(x)⁻¹, while the measurement is held constant.
-
-    Args:
-        error_system: the system, as from `sampled_system`.
-        formula: `(N_h, N_0, J) -> matrix`.
-
-    Returns:
-        The form that proofs need: a graph whose derivatives are its own.
     """
 
     def parts(derivatives, nodes, count):
@@ -238,15 +189,7 @@ def at_correction(error_system: ErrorSystem, formula: Callable[[Array, Array, Ar
 
 
 def at_noisy_correction(error_system: ErrorSystem, formula: Callable[[Array, Array, Array, Array], Array]) -> Form:
-    """Build the form of a formula of N_h, N_0, J, as in `at_correction`, and of `B = Θ_0(C x) ∂C/∂y`.
-
-    Args:
-        error_system: the system, as from `sampled_system`.
-        formula: `(N_h, N_0, J, B) -> matrix`, where B (2n, n) is the change by an error of the measurement.
-
-    Returns:
-        The form that proofs need: a graph whose derivatives are its own.
-    """
+    """Build the form of a formula of N_h, N_0, J, as in `at_correction`, and of `B = Θ_0(C x) ∂C/∂y`."""
 
     def parts(derivatives, nodes, count):
         new, coframe, after, frame, before, *_ = nodes
@@ -270,17 +213,7 @@ def at_noisy_correction(error_system: ErrorSystem, formula: Callable[[Array, Arr
 
 
 def joint_force_bound(error_system: ErrorSystem, sizes: Float[np.ndarray, "n"], square: float) -> Form:
-    """Build the matrix `square I − BᵀMB`, with B the Jacobian of the flow between samples in the joint force.
-
-    Args:
-        error_system: the system, as from `sampled_system`.
-        sizes: factors (n,) of the columns of B: the largest unknown force of each joint.
-        square: square of the bound of the length of what a force within the unit ball of these factors adds to the
-            flow.
-
-    Returns:
-        The matrix (n, n) as a function of z.
-    """
+    """Build the matrix `square I − BᵀMB`, with B the Jacobian of the flow between samples in the joint force."""
     n = len(sizes)
 
     def parts(derivatives, nodes, count):
@@ -305,14 +238,6 @@ def start_bound(error_system: ErrorSystem, squares: Float[np.ndarray, "two_n"], 
 
     Where it is positive definite everywhere, an error with the components δ_i is at most `√(square Σ δ_i²/squares_i)`
     long.
-
-    Args:
-        error_system: the system, in coordinates.
-        squares: squares (2n,) of the claims on reach.
-        square: the factor.
-
-    Returns:
-        The matrix (2n, 2n) as a function of z.
     """
 
     def matrix(z):
@@ -330,15 +255,6 @@ def missing_bound(error_system: ErrorSystem, square: float, limit: float, reach:
     `square g(q) − Dᵀg(q)D`, `4 g(q) − g(q − e)` and `limit²/n I − W g(q) W`, W = diag(reach). Where they are positive
     definite, the missing acceleration is shorter than `√square |e|`, lengths of vectors at most double over an error,
     and a curve of length ℓ, which changes e by at most `ℓ reach`, makes |e| at most `ℓ limit`.
-
-    Args:
-        error_system: the system, as from `sampled_system`.
-        square: square of the bound [1/s⁴] of the missing acceleration.
-        limit: bound of |e| for a curve of unit length.
-        reach: bounds (n,) of each position error for a curve of unit length.
-
-    Returns:
-        The matrix (3n, 3n) as a function of z.
     """
     n = len(reach)
 

@@ -82,12 +82,7 @@ def error_system(observer: Intrinsics, q: TwoByTwo, joint_friction: bool = False
 
 
 def configuration_shape(model: MechanicalSystem, n: int) -> tuple[int, ...]:
-    """Return the shape of a configuration: (n,) coordinates, or that of a matrix of the group.
-
-    Args:
-        model: the mechanical system.
-        n: number of velocities.
-    """
+    """Return the shape of a configuration: (n,) coordinates, or that of a matrix of the group."""
     return (n,) if model.manifold.commuting else jax.eval_shape(model.manifold.origin).shape
 
 
@@ -201,51 +196,26 @@ def _in_the_body(observer: Intrinsic, q: TwoByTwo) -> ErrorSystem:
 
 
 def with_model(observer: Any, model: MechanicalSystem) -> Any:
-    """Return an observer of the same kind, with the same fields, for another model.
-
-    Args:
-        observer: the observer.
-        model: the other model.
-    """
+    """Return an observer of the same kind, with the same fields, for another model."""
     fields = {name: getattr(observer, name) for name in type(observer).__dataclass_fields__}
     return type(observer)(**(fields | {"model": model}))
 
 
 def dimension(model: MechanicalSystem) -> int:
-    """Return the number of coordinates of a model, which must have names.
-
-    Args:
-        model: the mechanical system.
-
-    Raises:
-        ValueError: they have none.
-    """
+    """Return the number of coordinates of a model, which must have names."""
     if not model.coordinates:
         raise ValueError("the model must name its coordinates, so that a region can; give Lagrangian(coordinates=...)")
     return len(model.coordinates)
 
 
 def friction_of(model: MechanicalSystem, q: Array, v: Vector) -> Vector:
-    """Evaluate the dissipation (n,) of a model in which it depends on neither time nor input.
-
-    Args:
-        model: the mechanical system.
-        q: configuration.
-        v: velocity (n,).
-    """
+    """Evaluate the dissipation (n,) of a model in which it depends on neither time nor input."""
     n = v.shape[0]
     return resistance(model, jnp.zeros((), v.dtype), q, v, jnp.zeros(input_count(model, n), v.dtype))
 
 
 def need_steady_friction(model: MechanicalSystem) -> None:
-    """Check that the dissipation depends on neither time nor input, which are no variables of a region.
-
-    Args:
-        model: the mechanical system.
-
-    Raises:
-        ValueError: it depends on one of them.
-    """
+    """Check that the dissipation depends on neither time nor input, which are no variables of a region."""
     if not model.dissipation_is_driven:
         return
     q = jnp.zeros(dimension(model)) if model.manifold.commuting else model.manifold.origin()
@@ -262,23 +232,12 @@ def need_steady_friction(model: MechanicalSystem) -> None:
 
 
 def any_configuration(model: MechanicalSystem) -> Array:
-    """Return a configuration, for what does not depend on it.
-
-    Args:
-        model: the mechanical system.
-    """
+    """Return a configuration, for what does not depend on it."""
     return jnp.zeros(dimension(model)) if model.manifold.commuting else model.manifold.origin()
 
 
 def need_joint_friction(model: MechanicalSystem) -> None:
-    """Check that friction acts in each joint, or about each axis of a body, by its own velocity.
-
-    Args:
-        model: the mechanical system, with friction of position and velocity.
-
-    Raises:
-        ValueError: it depends on the position, or couples velocities.
-    """
+    """Check that friction acts in each joint, or about each axis of a body, by its own velocity."""
     n = dimension(model) if model.manifold.commuting else len(model.velocities)
     q = any_configuration(model)
     friction = functools.partial(friction_of, model)
@@ -318,13 +277,6 @@ def check_unique(observer: Intrinsics, error: Float[np.ndarray, "n"]) -> None:
     """Check that the shortest path to the measurement is unique for errors up to a bound.
 
     Errors must be below half a turn, in each circle, and in each rotation at the farthest corner of the box.
-
-    Args:
-        observer: the observer.
-        error: bounds (n,) of the position error [unit].
-
-    Raises:
-        ValueError: errors are larger, or uniqueness is not known for the observer or its space.
     """
     if isinstance(observer, Geodesic):
         raise ValueError(
@@ -348,17 +300,7 @@ def check_unique(observer: Intrinsics, error: Float[np.ndarray, "n"]) -> None:
 
 
 def observer_document(observer: Intrinsics) -> dict[str, Any]:
-    """Convert an observer without its model to data.
-
-    Args:
-        observer: the observer.
-
-    Returns:
-        Its kind, frame, gains and options.
-
-    Raises:
-        ValueError: a field cannot be saved, such as a budget that is not the default.
-    """
+    """Convert an observer without its model to data."""
     kind = next(name for name, cls in OBSERVER_KINDS.items() if type(observer) is cls)
     frame = frame_of(observer.model)
     content: dict[str, Any] = {
@@ -377,9 +319,5 @@ def observer_document(observer: Intrinsics) -> dict[str, Any]:
 
 
 def frame_of(model: MechanicalSystem) -> str:
-    """Return the frame of the vectors of a model, as named in a certificate: "coordinates" or "body".
-
-    Args:
-        model: the mechanical system.
-    """
+    """Return the frame of the vectors of a model, as named in a certificate: "coordinates" or "body"."""
     return "coordinates" if model.manifold.commuting else "body"

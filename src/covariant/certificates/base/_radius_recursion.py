@@ -77,15 +77,7 @@ class Recursion(NamedTuple):
     def of(
         cls, sampling: Sampling, q: TwoByTwo, rate: float, given: Given | None, claims: Sequence[AbstractClaim]
     ) -> "Recursion":
-        """Collect the numbers from what is proved.
-
-        Args:
-            sampling: when measurements come.
-            q: R_0 (2, 2).
-            rate: rate λ = 2μ of squared lengths [1/s].
-            given: the bounds of a certificate; None for errors of predictions alone.
-            claims: its claims.
-        """
+        """Collect the numbers from what is proved."""
         noise, force = (np.zeros(1),) * 2 if given is None else (given.noise, given.disturbance)
         missing = select(claims, MissingClaim)
         loss = Loss(0.0, 0.0) if not missing else Loss.of(sampling, q, rate, missing[0].square, missing[0].limit)
@@ -106,22 +98,12 @@ class Recursion(NamedTuple):
         )
 
     def predicted(self, radius: Any, age: Any, numpy: Any = math) -> Any:
-        """Bound the distance before a correction.
-
-        Args:
-            radius: the distance after the last measurement.
-            age: its age [s].
-            numpy: module with `exp` and `expm1`, which decides on the type of the result.
-        """
+        """Bound the distance before a correction."""
         shrunk, added = numpy.exp(-self.decay * age), -numpy.expm1(-self.decay * age) * self.force / self.decay
         return (shrunk * radius + added + age * self.steps) * (1 + ROUND)
 
     def largest(self, radius: float) -> float:
-        """Bound the distances after a correction, at all ages that occur, for distances up to a radius before.
-
-        Args:
-            radius: largest distance after the last measurement.
-        """
+        """Bound the distances after a correction, at all ages that occur, for distances up to a radius before."""
 
         def corrected(added: float, age: float) -> float:
             # With `radius` in place of a in the last term this is convex in the age: a is convex and enters through an
@@ -133,11 +115,7 @@ class Recursion(NamedTuple):
         return max(corrected(added, age) for added, both in ends for age in both)
 
     def keeps(self, radius: float) -> bool:
-        """Whether distances up to a radius stay so, between samples and at them.
-
-        Args:
-            radius: the radius.
-        """
+        """Whether distances up to a radius stay so, between samples and at them."""
         # Between samples the bound is convex in the age, so that it is largest at an end.
         oldest = float(np.max(self.ages))
         return self.predicted(radius, oldest) < radius and self.largest(radius) < radius

@@ -16,19 +16,7 @@ Bounds = tuple[ArrayLike, ArrayLike]
 
 
 def positive(name: str, value: ArrayLike, n: int) -> Float[np.ndarray, "n"]:
-    """Check bounds that must be positive.
-
-    Args:
-        name: name of the argument.
-        value: one number for all, or n of them.
-        n: number of velocities.
-
-    Returns:
-        The bounds (n,).
-
-    Raises:
-        ValueError: naming the argument.
-    """
+    """Check bounds that must be positive."""
     bounds = _amounts(name, value, n)
     if not (np.isfinite(bounds).all() and (bounds > 0).all()):
         raise ValueError(
@@ -64,17 +52,7 @@ class Region(NamedTuple):
 def region_of(
     model: MechanicalSystem, position: Bounds | None, inputs: Bounds | ArrayLike, times: tuple[float, float] | None
 ) -> Region:
-    """Check the bounds of positions, inputs and times.
-
-    Args:
-        model: the mechanical system.
-        position: lower and upper ends; on rotations none are needed.
-        inputs: one bound, one for each, or lower and upper ends.
-        times: first and last time [s], where the force depends on it.
-
-    Raises:
-        ValueError: naming the argument.
-    """
+    """Check the bounds of positions, inputs and times."""
     n = len(model.coordinates or model.velocities)
     true = _coordinates(model, position, n) if model.manifold.commuting else _elements(model, position)
     return Region(check_box(true), _inputs(model, inputs, n), _times(model, n, times))

@@ -102,12 +102,6 @@ class Loss(NamedTuple):
         changes the velocity by κ s/(18 + s) |missing| less, with κ ≤ h, which has at most the length `h D r`,
         D = S/(18 + S) N `limit` 2 √(½ R_0[1, 1]); the 2 bounds how much longer a vector may be at the new position.
         From `e^(−μh) + hD ≤ e^(−(μ − D e^(μh))h)` the loss is D e^(μh), at the oldest age.
-
-        Args:
-            sampling: when measurements come.
-            q: R_0 (2, 2).
-            rate: rate λ = 2μ of squared lengths [1/s].
-            square, limit: numbers of the claim.
         """
         stiffness, oldest = math.sqrt(square), sampling.oldest
         s = stiffness * oldest**2
@@ -117,18 +111,10 @@ class Loss(NamedTuple):
         return cls(loss, s / (math.pi / 2) ** 2 * (1 + 1e-6), change * (1 + 1e-9))
 
     def allowed(self, rate: float) -> bool:
-        """Whether a rate λ [1/s] is left, and nothing restarts.
-
-        Args:
-            rate: rate of squared lengths.
-        """
+        """Whether a rate λ [1/s] is left, and nothing restarts."""
         return self.rate < rate / 2 and self.restart < 1
 
 
 def unit_reach(squares: Float[np.ndarray, "two_n"]) -> Float[np.ndarray, "n"]:
-    """Bounds (n,) of each position error for a curve of unit length.
-
-    Args:
-        squares: squares of the claims on reach (2n), positions first.
-    """
+    """Bounds (n,) of each position error for a curve of unit length."""
     return np.sqrt(squares[: len(squares) // 2]) * (1 + 1e-12)

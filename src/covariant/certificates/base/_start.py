@@ -80,16 +80,7 @@ def _down(value: float) -> float:
 
 
 def start_of(radius: float, domain: Box, claims: Sequence[AbstractClaim]) -> Start | None:
-    """Compute the initial errors that a radius covers.
-
-    Args:
-        radius: radius of the tube.
-        domain: the box of the certificate, which begins with positions and velocities.
-        claims: the claims, of which those on reach and on a start are used.
-
-    Returns:
-        The errors; None without a claim on a start.
-    """
+    """Compute the initial errors that a radius covers."""
     proved, squares = select(claims, StartClaim), reach_squares(claims)
     if not proved:
         return None
@@ -104,17 +95,7 @@ def start_of(radius: float, domain: Box, claims: Sequence[AbstractClaim]) -> Sta
 def start_claim(
     model: MechanicalSystem, system: ErrorSystem, claims: Sequence[AbstractClaim], effort: Effort
 ) -> list[StartClaim]:
-    """Prove how long errors are at most, in coordinates.
-
-    Args:
-        model: the mechanical system.
-        system: the system.
-        claims: the other claims, of which those on reach are used.
-        effort: the effort.
-
-    Returns:
-        One claim; none on a group, where other claims do not hold, or where it is not proved.
-    """
+    """Prove how long errors are at most, in coordinates."""
     if not model.manifold.commuting or any(claim.proof.verdict != "holds" for claim in claims):
         return []
     squares, domain = reach_squares(claims), effort.domain

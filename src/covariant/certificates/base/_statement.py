@@ -124,14 +124,7 @@ class Statement(NamedTuple):
 
 
 def lines(hypotheses: Iterable[Hypothesis]) -> list[str]:
-    """Format each hypothesis as one line of a list.
-
-    Args:
-        hypotheses: the premises, such as those of a `Statement`.
-
-    Returns:
-        One line for each, which begins with "- ".
-    """
+    """Format each hypothesis as one line of a list."""
     return [f"- {hypothesis}" for hypothesis in hypotheses]
 
 

@@ -16,14 +16,7 @@ from covariant.certificates.base._sampling import Loss, Sampling
 def loss_of(
     sampling: Sampling | None, q: Float[np.ndarray, "2 2"], rate: float, claims: Sequence[AbstractClaim]
 ) -> Loss:
-    """Compute what the factor of the correction that runs takes from the rate.
-
-    Args:
-        sampling: when measurements come; None in continuous time.
-        q: the matrix R_0 (2, 2).
-        rate: rate λ of squared lengths [1/s].
-        claims: the claims; without one of the kind "missing" nothing is known, and nothing subtracted.
-    """
+    """Compute what the factor of the correction that runs takes from the rate."""
     missing = select(claims, MissingClaim)
     if sampling is None or not missing:
         return Loss(0.0, 0.0)
@@ -33,14 +26,7 @@ def loss_of(
 def claimed_drift(
     sampling: Sampling | None, q: Float[np.ndarray, "2 2"], rate: float, claims: Sequence[AbstractClaim]
 ) -> float:
-    """Compute the distance to which errors of Runge–Kutta steps alone may lead.
-
-    Args:
-        sampling: when measurements come; None in continuous time.
-        q: the matrix R_0 (2, 2).
-        rate: rate λ of squared lengths [1/s].
-        claims: the claims; without one of the kind "prediction" nothing is known, and the distance is taken as 0.
-    """
+    """Compute the distance to which errors of Runge–Kutta steps alone may lead."""
     return 0.0 if sampling is None else Recursion.of(sampling, q, rate, None, claims).steady
 
 
@@ -51,18 +37,7 @@ def steady_of(
     given: Given,
     claims: Sequence[AbstractClaim],
 ) -> float:
-    """Compute the distance to which noise, disturbance and errors of predictions alone may lead.
-
-    Args:
-        sampling: when measurements come; None in continuous time.
-        q: the matrix Q (2, 2), with samples R_0.
-        rate: rate λ of squared lengths [1/s].
-        given: the bounds of a certificate.
-        claims: its claims.
-
-    Returns:
-        The distance, in the metric; 0 without all of these, ∞ where it is not proved.
-    """
+    """Compute the distance to which noise, disturbance and errors of predictions alone may lead."""
     if sampling is None:
         return steady_distance(rate, disturbance_length(given, claims))
     disturbed = given.noise.any() or given.disturbance.any()
@@ -77,12 +52,6 @@ def disturbance_sizes(given: Given) -> Float[np.ndarray, "two_n"]:
     The error of the force is the unmodelled force, plus the change of the force where it is evaluated at a position
     with an error. Together the errors lie in a ball of radius √m relative to these sizes, where m is the number of
     sizes that are not zero.
-
-    Args:
-        given: the bounds `noise` (n,), `disturbance` (n,) and `slopes` (n, n) of a certificate.
-
-    Returns:
-        Sizes (2n,): those of the measured position, then those of the force.
     """
     noise, unknown, slopes = given.noise, given.disturbance, given.slopes
     # Σ_j |∂f_i/∂q_j| · noise_j bounds the change of force i; the factor covers the rounding of this sum.
@@ -91,15 +60,7 @@ def disturbance_sizes(given: Given) -> Float[np.ndarray, "two_n"]:
 
 
 def disturbance_length(given: Given, claims: Sequence[AbstractClaim]) -> float:
-    """Bound the length D that noise and disturbance add to the flow.
-
-    Args:
-        given: the bounds of a certificate, as for `disturbance_sizes`.
-        claims: its claims, of which the one about the disturbance is used.
-
-    Returns:
-        D, in the metric; 0 where no noise and no disturbance are given, ∞ if the bound is not proved.
-    """
+    """Bound the length D that noise and disturbance add to the flow."""
     count = np.count_nonzero(disturbance_sizes(given))
     squares = [claim.square for claim in select(claims, DisturbanceClaim)]
     # The errors lie in a ball of radius √count, not in the unit ball of the claim; the factor covers rounding.

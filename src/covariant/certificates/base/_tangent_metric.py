@@ -154,18 +154,7 @@ def _conditions(beta: Number, q: np.ndarray) -> np.ndarray:
 
 
 def check_q(whose: str, q: Any) -> TwoByTwo:
-    """Convert the matrix Q to an array, and check it.
-
-    Args:
-        whose: name of the calling function, for the message.
-        q: the matrix.
-
-    Returns:
-        The symmetric matrix (2, 2).
-
-    Raises:
-        ValueError: it is not a symmetric positive definite matrix (2, 2) of finite numbers.
-    """
+    """Convert the matrix Q to an array, and check it."""
     try:
         matrix = np.asarray(q, float)
     except (TypeError, ValueError):

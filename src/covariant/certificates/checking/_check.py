@@ -63,17 +63,7 @@ def show(
     processes: int = 1,
     progress: Callable[[int, int], None] | None = None,
 ) -> Shown:
-    """Show that the claims of a file hold; the arguments are those of `check`.
-
-    Args:
-        source: the file, or the result of `parse`.
-        model: used in place of the model that the file names.
-        processes: number of processes; `SHARE` leaves and fewer are shown in this one.
-        progress: called with the number of leaves done and of all leaves.
-
-    Raises:
-        ValueError: saying what is wrong, or what cannot be shown, and where.
-    """
+    """Show that the claims of a file hold; the arguments are those of `check`."""
     start = time.monotonic()
     document = source if isinstance(source, Document) else parse(source)
     opened = [k for k, claim in enumerate(document.claims) if claim.open]
@@ -89,15 +79,7 @@ def show(
 
 
 def show_found(resolved: Resolved, seconds: float) -> Shown:
-    """Show that claims that were proved in this process hold, within a time.
-
-    Args:
-        resolved: their document, with the observer.
-        seconds: time [s]; leaves that are not shown by then are left out.
-
-    Raises:
-        ValueError: saying what is wrong, or what cannot be shown, and where.
-    """
+    """Show that claims that were proved in this process hold, within a time."""
     start = time.monotonic()
     _complete(resolved)
     jobs, judge, shown = list(_jobs(resolved.document)), Judge(resolved, start + seconds), []
@@ -119,18 +101,7 @@ def _need(holds: Any, otherwise: str) -> None:
 
 
 def follows(document: Document, model: Any = None) -> Resolved:
-    """Resolve a document, and check that its statement follows from its claims.
-
-    Args:
-        document: the parsed file.
-        model: used in place of the model that the file names.
-
-    Returns:
-        The document with its observer.
-
-    Raises:
-        ValueError: the statement does not follow from the claims, or the model fails.
-    """
+    """Resolve a document, and check that its statement follows from its claims."""
     try:
         with np.errstate(all="ignore"):
             observer, q = observer_from(document, model)
@@ -283,27 +254,12 @@ class Judge:
     """Shows that leaves of one statement are right; each matrix is built once."""
 
     def __init__(self, resolved: Resolved, until: float = math.inf):
-        """Prepare to judge the jobs of one document.
-
-        Args:
-            resolved: the document, with its observer.
-            until: time of `time.monotonic` [s] at which `TimeoutError` is raised.
-        """
+        """Prepare to judge the jobs of one document."""
         self.until = until
         self.file, self.matrix = resolved.document.file, functools.cache(functools.partial(_matrix, resolved))
 
     def __call__(self, job: tuple) -> int:
-        """Show the leaves of one job to be right.
-
-        Args:
-            job: the claim by its index, or a further condition by its name; then low and high ends of its boxes.
-
-        Returns:
-            The number of leaves.
-
-        Raises:
-            ValueError: naming the leaf that cannot be shown.
-        """
+        """Show the leaves of one job to be right."""
         index, low, high = job
         what, depth = (f"claims[{index}]", DEPTH) if isinstance(index, int) else (index, DEEPEST)
         try:

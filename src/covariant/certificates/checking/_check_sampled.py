@@ -28,23 +28,13 @@ FRICTION_JOBS = "the bound of the friction", "the bound of the friction's slopes
 
 
 def friction_jobs(document: Document) -> Iterator[tuple]:
-    """List what is to be shown where friction and its slopes are variables in continuous time, with its boxes.
-
-    Args:
-        document: the parsed file.
-    """
+    """List what is to be shown where friction and its slopes are variables in continuous time, with its boxes."""
     for what in FRICTION_JOBS:
         yield what, *_speeds(document)[:, None]
 
 
 def friction_matrix(document: Document, model: MechanicalSystem, what: str) -> TaylorEnclosure:
-    """Build the matrix of one of `FRICTION_JOBS`, which is to be shown positive definite.
-
-    Args:
-        document: the parsed file.
-        model: the mechanical system.
-        what: name of the job.
-    """
+    """Build the matrix of one of `FRICTION_JOBS`, which is to be shown positive definite."""
     n, speeds = len(document.velocity), _speeds(document)
     watch: Literal["", "smooth"] = ""
     friction = matrices.friction(model, n)
@@ -71,12 +61,7 @@ def _within(document: Document, function: Any, k: int, unknown: Any = 0.0, chose
 
 
 def sampled_jobs(document: Document, pins: np.ndarray) -> Iterator[tuple]:
-    """List what is to be shown besides the claims, with its boxes: forces and friction, and ages of corrections.
-
-    Args:
-        document: the parsed file.
-        pins: zeros (2, 2n + 1) at which time and state are held.
-    """
+    """List what is to be shown besides the claims, with its boxes: forces and friction, and ages of corrections."""
     if document.sampling is None:
         return
     inputs, speeds = document.given.inputs, _speeds(document)
@@ -104,14 +89,7 @@ def _speeds(document: Document) -> np.ndarray:
 
 
 def sampled_matrix(document: Document, system: ErrorSystem, model: MechanicalSystem, what: str) -> TaylorEnclosure:
-    """Build the matrix of one of `sampled_jobs`, which is to be shown positive definite.
-
-    Args:
-        document: the parsed file.
-        system: observer and metric as functions of a box.
-        model: the mechanical system.
-        what: name of the job.
-    """
+    """Build the matrix of one of `sampled_jobs`, which is to be shown positive definite."""
     n = len(document.velocity)
     inputs, speeds = document.given.inputs, _speeds(document)
     if what.startswith("the definedness of the correction"):
@@ -141,12 +119,7 @@ def sampled_matrix(document: Document, system: ErrorSystem, model: MechanicalSys
 
 
 def predicted_values(document: Document, observer: Any) -> TaylorEnclosure:
-    """Build what is to be defined and smooth of a prediction.
-
-    Args:
-        document: the parsed file.
-        observer: its observer.
-    """
+    """Build what is to be defined and smooth of a prediction."""
     low, high = document.bounds(select(document.claims, PredictionClaim)[0])
     return TaylorEnclosure(
         step_values(matrices.prediction_of_steps(document, observer)), low, high, np.zeros(len(low)), "smooth"
@@ -154,18 +127,7 @@ def predicted_values(document: Document, observer: Any) -> TaylorEnclosure:
 
 
 def need_sampled_box(document: Document, in_coordinates: bool) -> slice:
-    """Check that the box holds all ages, and on rotations all entries of their matrices.
-
-    Args:
-        document: the parsed file.
-        in_coordinates: whether the configuration has coordinates.
-
-    Returns:
-        The part of the variables that has velocities, errors and forces, in coordinates also the positions.
-
-    Raises:
-        ValueError: saying what is wrong.
-    """
+    """Check that the box holds all ages, and on rotations all entries of their matrices."""
     low, high, stop = document.low, document.high, document.forces.stop
     if document.sampling is None:
         return slice(0, stop)
@@ -179,14 +141,7 @@ def need_sampled_box(document: Document, in_coordinates: bool) -> slice:
 
 
 def need_sampled_rate_and_radius(document: Document) -> None:
-    """Check that a rate is left, and that noise and unknown forces do not lead out of the radius.
-
-    Args:
-        document: the parsed file, all of whose claims are there.
-
-    Raises:
-        ValueError: saying what is wrong.
-    """
+    """Check that a rate is left, and that noise and unknown forces do not lead out of the radius."""
     assert document.sampling is not None
     rate, radius, loss = document.rate, document.radius, document.loss
     if not loss.allowed(rate):

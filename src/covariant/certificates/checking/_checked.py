@@ -74,15 +74,7 @@ def check(
 
 
 def judged(resolved: Resolved, seconds: float) -> Hypothesis:
-    """Check claims that were proved in this process, as a hypothesis of their statement.
-
-    Args:
-        resolved: the document of the claims, with its observer.
-        seconds: time [s] after which the check stops; what remains is "assumed".
-
-    Returns:
-        What the checker accepts; "undecided" where it finds an error, with the message as place.
-    """
+    """Check claims that were proved in this process, as a hypothesis of their statement."""
     try:
         return _accepted(show_found(resolved, seconds))
     except ValueError as error:

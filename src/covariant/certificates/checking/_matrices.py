@@ -61,16 +61,7 @@ def contraction(about: ErrorSystem, rate: float) -> Matrix:
 
 
 def width_bound(about: ErrorSystem, row: int, square: float) -> Matrix:
-    """Build `square N − r rᵀ` for a row r of the Jacobian of error and velocity.
-
-    Args:
-        about: the observer and its metric.
-        row: index of the row, from 0 to 2n − 1.
-        square: square of the bound.
-
-    Returns:
-        A function z (d,) -> (2n, 2n).
-    """
+    """Build `square N − r rᵀ` for a row r of the Jacobian of error and velocity."""
 
     def matrix(z):
         point = about.at(z)
@@ -81,16 +72,7 @@ def width_bound(about: ErrorSystem, row: int, square: float) -> Matrix:
 
 
 def disturbance(about: ErrorSystem, sizes: np.ndarray, square: float) -> Matrix:
-    """Build `square I − BᵀMB`, where B is the scaled Jacobian of the flow in errors of measurement and force.
-
-    Args:
-        about: the observer and its metric.
-        sizes: factors (2n,) of the columns of B.
-        square: square of the bound.
-
-    Returns:
-        A function z (d,) -> (2n, 2n).
-    """
+    """Build `square I − BᵀMB`, where B is the scaled Jacobian of the flow in errors of measurement and force."""
     n = len(sizes) // 2
 
     def matrix(z):
@@ -143,16 +125,7 @@ def correction(about: ErrorSystem, noise: np.ndarray | None = None, squares: tup
 
 
 def joint_force(about: ErrorSystem, sizes: np.ndarray, square: float) -> Matrix:
-    """Build `square I − BᵀMB`, where B is the scaled Jacobian of the flow between samples in the joint force.
-
-    Args:
-        about: the observer and its metric.
-        sizes: factors (n,) of the columns of B.
-        square: square of the bound.
-
-    Returns:
-        A function z (d,) -> (n, n).
-    """
+    """Build `square I − BᵀMB`, where B is the scaled Jacobian of the flow between samples in the joint force."""
     n = len(sizes)
 
     def matrix(z):
@@ -165,16 +138,7 @@ def joint_force(about: ErrorSystem, sizes: np.ndarray, square: float) -> Matrix:
 
 
 def start(about: ErrorSystem, squares: np.ndarray, square: float) -> Matrix:
-    """Build `square diag(1/squares) − M`, with M the metric in coordinates right after a measurement.
-
-    Args:
-        about: the observer and its metric.
-        squares: squares (2n,) of the claims on reach.
-        square: the factor.
-
-    Returns:
-        A function z (d,) -> (2n, 2n).
-    """
+    """Build `square diag(1/squares) − M`, with M the metric in coordinates right after a measurement."""
 
     def matrix(z):
         point, t = about.at(z), jnp.zeros(())
@@ -186,15 +150,7 @@ def start(about: ErrorSystem, squares: np.ndarray, square: float) -> Matrix:
 
 
 def everything(about: ErrorSystem) -> Matrix:
-    """Collect everything that the claims are computed from.
-
-    Args:
-        about: the observer and its metric.
-
-    Returns:
-        A function of z (d,) and 2n + 1 zeros. The zeros are added to time and state: what a claim holds fixed is a
-        variable here, so that jumps in it are detected.
-    """
+    """Collect everything that the claims are computed from."""
 
     def parts(y):
         z, t, zeros = jnp.split(y, (len(about.names), len(about.names) + 1))
@@ -204,17 +160,7 @@ def everything(about: ErrorSystem) -> Matrix:
 
 
 def missing(about: ErrorSystem, square: float, limit: float, reach: np.ndarray) -> Matrix:
-    """Build the three blocks that bound the missing acceleration.
-
-    Args:
-        about: the observer and its metric.
-        square: square of the bound [1/s⁴] of the missing acceleration.
-        limit: bound of the length of the position error, for a curve of unit length.
-        reach: bounds (n,) of the position errors, for a curve of unit length.
-
-    Returns:
-        A function z (d,) -> (3n, 3n).
-    """
+    """Build the three blocks that bound the missing acceleration."""
     n = len(reach)
 
     def matrix(z):
@@ -234,14 +180,7 @@ def missing(about: ErrorSystem, square: float, limit: float, reach: np.ndarray) 
 
 
 def all_corrections(about: ErrorSystem) -> Matrix:
-    """Collect everything that the claims on corrections are computed from, as `everything` does.
-
-    Args:
-        about: the observer and its metric.
-
-    Returns:
-        A function of z (d,) and 2n + 1 zeros, which are added to time and state.
-    """
+    """Collect everything that the claims on corrections are computed from, as `everything` does."""
 
     def parts(y):
         z, t, zeros = jnp.split(y, (len(about.names), len(about.names) + 1))
@@ -255,15 +194,7 @@ def _anywhere(model: Any, n: int) -> Any:
 
 
 def input_force(model: Any, n: int) -> Matrix:
-    """Build the force of the input alone.
-
-    Args:
-        model: a mechanical system whose force depends on the input alone.
-        n: number of velocities.
-
-    Returns:
-        A function of the input (m,) -> (n,).
-    """
+    """Build the force of the input alone."""
     return lambda u: model.force(jnp.zeros(()), _anywhere(model, n), u)
 
 
@@ -281,29 +212,13 @@ def friction(model: Any, n: int) -> Matrix:
 
 
 def friction_slopes(model: Any, n: int) -> Matrix:
-    """Build −∂f_i/∂v_i of the friction f.
-
-    Args:
-        model: a mechanical system whose friction depends on the velocity alone, in each joint on its own.
-        n: number of velocities.
-
-    Returns:
-        A function of the velocity (n,) -> (n,).
-    """
+    """Build −∂f_i/∂v_i of the friction f."""
     # Entry i depends on velocity i alone, so that the sum over a column is the entry of the diagonal.
     return lambda v: -jax.jvp(plain(friction(model, n)), (v,), (jnp.ones_like(v),))[1]
 
 
 def force(model: Any, shape: tuple[int, ...]) -> Matrix:
-    """Build the force on the system.
-
-    Args:
-        model: the mechanical system.
-        shape: shape of a configuration.
-
-    Returns:
-        A function of time, position and input, in one vector, -> (n,).
-    """
+    """Build the force on the system."""
 
     def applied(y):
         t, q, u = jnp.split(y, (1, 1 + int(np.prod(shape))))
@@ -313,15 +228,7 @@ def force(model: Any, shape: tuple[int, ...]) -> Matrix:
 
 
 def within(function: Matrix, low: np.ndarray, high: np.ndarray) -> Matrix:
-    """Build a matrix that is positive definite where a function is within bounds.
-
-    Args:
-        function: a function of a vector -> (n,).
-        low, high: bounds (n,).
-
-    Returns:
-        A function -> (2n, 2n), diagonal.
-    """
+    """Build a matrix that is positive definite where a function is within bounds."""
 
     def matrix(y):
         value = function(y)
@@ -331,16 +238,7 @@ def within(function: Matrix, low: np.ndarray, high: np.ndarray) -> Matrix:
 
 
 def slopes(model: Any, shape: tuple[int, ...], n: int) -> Matrix:
-    """Build the derivatives of the force by the position, on a group along the directions of the body frame.
-
-    Args:
-        model: the mechanical system.
-        shape: shape of a configuration.
-        n: number of velocities.
-
-    Returns:
-        A function of time, position, input and n zeros, in one vector, -> (n²,).
-    """
+    """Build the derivatives of the force by the position, on a group along the directions of the body frame."""
 
     def derivatives(y):
         t, q, u = jnp.split(y[:-n], (1, 1 + int(np.prod(shape))))
@@ -351,16 +249,7 @@ def slopes(model: Any, shape: tuple[int, ...], n: int) -> Matrix:
 
 
 def stepped(model: Any, shape: tuple[int, ...], n: int) -> Matrix:
-    """Build the force at a small step from the position, as in `slopes`.
-
-    Args:
-        model: the mechanical system.
-        shape: shape of a configuration.
-        n: number of velocities.
-
-    Returns:
-        A function of time, position, input and a step (n,), in one vector, -> (n,).
-    """
+    """Build the force at a small step from the position, as in `slopes`."""
 
     def applied(y):
         t, q, u = jnp.split(y[:-n], (1, 1 + int(np.prod(shape))))
@@ -370,14 +259,7 @@ def stepped(model: Any, shape: tuple[int, ...], n: int) -> Matrix:
 
 
 def sizes(document: Document) -> np.ndarray:
-    """Compute the largest errors of measured position and force, the latter unmodelled or due to a wrong position.
-
-    Args:
-        document: the parsed file.
-
-    Returns:
-        Sizes (2n,): those of the measured position, then those of the force.
-    """
+    """Compute the largest errors of measured position and force, the latter unmodelled or due to a wrong position."""
     given = document.given
     # The slopes that are shown may exceed the stated ones by the slack.
     steepest = given.slopes * (1 + SLACK)
@@ -385,22 +267,13 @@ def sizes(document: Document) -> np.ndarray:
 
 
 def prediction_of_steps(document: Document, observer: Any) -> Prediction:
-    """Describe the Runge–Kutta steps of an observer with samples.
-
-    Args:
-        document: the parsed file.
-        observer: its observer.
-    """
+    """Describe the Runge–Kutta steps of an observer with samples."""
     assert document.sampling is not None
     return sampled_prediction(observer, document.q, document.sampling)
 
 
 def slack_of(low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """Return by how much (d,) variables that are forces may exceed their bounds.
-
-    Args:
-        low, high: bounds (d,).
-    """
+    """Return by how much (d,) variables that are forces may exceed their bounds."""
     # The last term serves bounds that are zero.
     return SLACK * np.maximum(abs(low), abs(high)) + 1e-200
 

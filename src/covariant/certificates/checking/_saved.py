@@ -21,18 +21,7 @@ from covariant.observers import Intrinsic
 
 
 def observer_from(document: Document, model: Any = None) -> tuple[Intrinsics, Float[np.ndarray, "2 2"]]:
-    """Build the observer of a certificate.
-
-    Args:
-        document: the parsed file.
-        model: used in place of the recipe, as for `models.from_recipe`.
-
-    Returns:
-        The observer, and the matrix Q (2, 2) of its metric.
-
-    Raises:
-        ValueError: naming what fails.
-    """
+    """Build the observer of a certificate."""
     try:
         system = models.from_recipe(document.recipe or {}, model)
     except ValueError as error:
@@ -52,18 +41,7 @@ def observer_from(document: Document, model: Any = None) -> tuple[Intrinsics, Fl
 def system_of(
     observer: Intrinsics, q: Float[np.ndarray, "2 2"], sampling: Sampling | None, joint_friction: bool = False
 ) -> ErrorSystem:
-    """Describe an observer and its metric as functions of a box, in continuous time or with samples.
-
-    Args:
-        observer: the observer.
-        q: the matrix Q (2, 2) of the metric.
-        sampling: when measurements come; None for continuous time.
-        joint_friction: whether friction and its slopes are variables in continuous time.
-
-    Raises:
-        TypeError: another kind of observer.
-        ValueError: a space, a force or a friction that is not covered.
-    """
+    """Describe an observer and its metric as functions of a box, in continuous time or with samples."""
     if sampling is None:
         return error_system(observer, q, joint_friction)
     if not isinstance(observer, Intrinsic):

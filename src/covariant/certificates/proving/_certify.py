@@ -384,15 +384,6 @@ def limits_of(domain: Box, velocity, noise, sampled: bool = False) -> Float[np.n
     """Compute how far errors and velocities may go within the region.
 
     Position errors are measured from the measured position, so the noise is subtracted.
-
-    Args:
-        domain: the box of estimate, error and force.
-        velocity: bounds (n,) of the true velocities.
-        noise: bounds (n,) of the errors of measured positions.
-        sampled: whether measurements are sampled, so that the box has further variables.
-
-    Returns:
-        The largest position errors, then the largest velocities beyond their bound, that stay within the region (2n,).
     """
     n = len(velocity)
     start = first_velocity(len(domain.low), n, sampled)
@@ -411,16 +402,7 @@ def _sum(a: np.ndarray, b: np.ndarray, side: int) -> np.ndarray:
 
 
 def sampled_widths(about: ErrorSystem, domain: Box, count: int = 2000) -> Float[np.ndarray, "two_n"]:
-    """Compute the largest `squared_widths` at random points and corners of the region.
-
-    Args:
-        about: observer and metric as functions of the region.
-        domain: the region.
-        count: number of points, half of them corners.
-
-    Returns:
-        The squares (2n,).
-    """
+    """Compute the largest `squared_widths` at random points and corners of the region."""
     return _sampled(lambda z: squared_widths(about, z), domain, count).max(axis=0)
 
 

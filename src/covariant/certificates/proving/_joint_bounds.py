@@ -33,20 +33,7 @@ def joint_bounds(
     speed: Float[np.ndarray, "n"],
     unknown: Float[np.ndarray, "n"],
 ) -> JointBounds:
-    """Bound input forces, friction, and the slopes of the friction.
-
-    Args:
-        model: a mechanical system that `sampled_system` covers.
-        inputs: least and largest inputs (2, m).
-        speed: bounds (n,) of the velocities.
-        unknown: bounds (n,) of a force that the model lacks.
-
-    Returns:
-        The bounds, rounded outward.
-
-    Raises:
-        ValueError: a force has no bound or is not defined everywhere, or the friction jumps.
-    """
+    """Bound input forces, friction, and the slopes of the friction."""
     m, q = inputs.shape[1], any_configuration(model)
     force = lower(lambda u: model.force(jnp.zeros(()), q, u), jnp.zeros(m), real=True)
     acting = check_box(Box(tuple(f"u{i + 1}" for i in range(m)), ("",) * m, inputs[0], inputs[1]))
@@ -71,18 +58,7 @@ def joint_bounds(
 def friction_bounds(
     model: MechanicalSystem, speed: Float[np.ndarray, "n"]
 ) -> tuple[Float[np.ndarray, "2 n"], Float[np.ndarray, "2 n"]]:
-    """Bound friction that acts in each joint by its own velocity, and its slopes.
-
-    Args:
-        model: a mechanical system, as `need_joint_friction` accepts it.
-        speed: bounds (n,) of the velocities.
-
-    Returns:
-        Least and largest friction f (2, n), and the same of −∂f_i/∂v_i (2, n), rounded outward; perhaps infinite.
-
-    Raises:
-        ValueError: the friction jumps, or is not defined everywhere.
-    """
+    """Bound friction that acts in each joint by its own velocity, and its slopes."""
     n = len(speed)
     friction = lower(functools.partial(friction_of, model, any_configuration(model)), jnp.zeros(n), real=True)
     moving = Box(model.velocities or tuple(f"v_{name}" for name in model.coordinates), ("",) * n, -speed, speed)
@@ -97,16 +73,7 @@ def friction_bounds(
 
 
 def has_dry_friction(model: MechanicalSystem, speed: Float[np.ndarray, "n"]) -> bool:
-    """Test whether friction of joints is steep near rest, so that a box of velocities says little about its slope.
-
-    Args:
-        model: the mechanical system, with friction of position and velocity.
-        speed: bounds (n,) of the velocities.
-
-    Returns:
-        Whether friction acts in each joint by its own velocity, and within a tenth of the bound of a velocity its slope
-        falls by half. A jump counts as a slope here; `friction_bounds` refuses it.
-    """
+    """Test whether friction of joints is steep near rest, so that a box of velocities says little about its slope."""
     if not model.manifold.commuting:
         return False
     try:

@@ -11,21 +11,7 @@ from covariant.certificates.base import Intrinsics, TwoByTwo, check_q, error_mat
 def metric_and_rates(
     observer: Intrinsics, q: Numbers | None, rate: float | None, sampled: bool, noisy: bool
 ) -> tuple[TwoByTwo, *tuple[float, ...]]:
-    """Choose the metric and the rate to prove.
-
-    Args:
-        observer: the observer.
-        q: the matrix Q (2, 2) that is asked for, or None.
-        rate: the rate λ [1/s] that is asked for, or None.
-        sampled: whether measurements are sampled.
-        noisy: whether they have errors.
-
-    Returns:
-        The matrix, and the rate; with samples and noise further rates to try, unless one is asked for.
-
-    Raises:
-        ValueError: a gain that is not finite, a rate that is not positive, or a matrix that is not positive definite.
-    """
+    """Choose the metric and the rate to prove."""
     alpha, beta = float(observer.alpha), float(observer.beta)
     for name, gain in (("alpha", alpha), ("beta", beta)):
         if not math.isfinite(gain):

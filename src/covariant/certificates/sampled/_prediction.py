@@ -86,16 +86,7 @@ def prediction_of(
     metric: Callable[[Array, Scalar], StateMetric],
     configuration: Callable[[Vector], Array],
 ) -> Prediction:
-    """Describe the steps of a prediction.
-
-    Args:
-        model: the mechanical system, whose input is the force, with its friction.
-        n: number of velocities.
-        names: names of the variables of the whole box.
-        units: their units.
-        metric: `(configuration, age) -> StateMetric` around this configuration, on a group in its chart.
-        configuration: the configuration of the variables that come before the velocities.
-    """
+    """Describe the steps of a prediction."""
     commuting = model.manifold.commuting
     count = first_velocity(len(names), n, sampled=True)
 
@@ -172,13 +163,7 @@ def _matrix(square: float, image: Array, gram: Array, derivative: Array) -> Arra
 
 
 def defect_bound(prediction: Prediction, square: float, order: int = ORDER) -> Form:
-    """Build the matrix whose positive definiteness is `|δ⁽ᵏ⁾(r)/k!|² < square` in the metric at P_s x.
-
-    Args:
-        prediction: the steps.
-        square: square of the bound.
-        order: order k of the derivative; 0 for the defect itself.
-    """
+    """Build the matrix whose positive definiteness is `|δ⁽ᵏ⁾(r)/k!|² < square` in the metric at P_s x."""
 
     def values(t, x, z):
         step = prediction.at(z)
@@ -202,16 +187,7 @@ def defect_bound(prediction: Prediction, square: float, order: int = ORDER) -> F
 
 
 def defect_matrix(prediction: Prediction, square: float, order: int = ORDER) -> Callable[[Array], Array]:
-    """Build the same matrix by Taylor coefficients of the program, as the checker does.
-
-    Args:
-        prediction: the steps.
-        square: square of the bound.
-        order: order of the derivative.
-
-    Returns:
-        A function z (d,) -> (1 + 2n, 1 + 2n).
-    """
+    """Build the same matrix by Taylor coefficients of the program, as the checker does."""
 
     def matrix(z):
         step, r = prediction.at(z), z[-1]
@@ -225,14 +201,7 @@ def defect_matrix(prediction: Prediction, square: float, order: int = ORDER) -> 
 
 
 def step_values(prediction: Prediction) -> Callable[[Array], Array]:
-    """Collect what the claim is computed from, to show that it is defined.
-
-    Args:
-        prediction: the steps.
-
-    Returns:
-        A function z (d,) -> vector.
-    """
+    """Collect what the claim is computed from, to show that it is defined."""
 
     def parts(z):
         step = prediction.at(z)

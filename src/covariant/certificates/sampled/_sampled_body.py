@@ -47,14 +47,7 @@ class BodyVariables(NamedTuple):
 
 
 def body_variables(model: MechanicalSystem) -> BodyVariables:
-    """Determine the variables of a region for a system on rotations.
-
-    Args:
-        model: the mechanical system.
-
-    Raises:
-        ValueError: another group.
-    """
+    """Determine the variables of a region for a system on rotations."""
     manifold = model.manifold
     if manifold not in (SO2, SO3):
         raise ValueError(
@@ -77,18 +70,7 @@ def body_variables(model: MechanicalSystem) -> BodyVariables:
 def body_point(
     observer: Intrinsic, bare: Intrinsic, variables: BodyVariables, q: TwoByTwo, sampling: Sampling
 ) -> Callable[..., Point]:
-    """Build the system on rotations as a function of a point of the box.
-
-    Args:
-        observer: the observer.
-        bare: the same observer of a model without force and friction, whose input is the whole force.
-        variables: the variables of the box.
-        q: matrix R_0 (2, 2) of the metric right after a measurement.
-        sampling: the samples and the metric between them.
-
-    Returns:
-        `(z, running=1) -> Point`, with an age that runs or rests.
-    """
+    """Build the system on rotations as a function of a point of the box."""
     model, space, manifold = bare.model, bare.model.space, bare.model.manifold
     origin = manifold.origin()
     inertia = np.array(space(origin))
@@ -163,29 +145,14 @@ def _each(linear: Callable[[Vector], Array], n: int, dtype) -> Array:
 
 
 def body_matrix(model: MechanicalSystem, variables: BodyVariables, entries: Vector) -> Array:
-    """Build the matrix of an estimate from the entries that are variables.
-
-    Args:
-        model: the mechanical system.
-        variables: the variables of the box.
-        entries: the entries.
-    """
+    """Build the matrix of an estimate from the entries that are variables."""
     return _matrix(variables.entries, entries, model.manifold.origin().shape)
 
 
 def body_metric(
     model: MechanicalSystem, q: TwoByTwo, sampling: Sampling, g: Array, age: Scalar, running: float = 0.0
 ) -> StateMetric:
-    """Build the metric M_τ of an age, in the chart around a configuration.
-
-    Args:
-        model: the mechanical system, without force and friction.
-        q: matrix R_0 (2, 2).
-        sampling: R_1, R_2, … and whether the coframe is sheared.
-        g: the configuration (N, N).
-        age: age [s] at t = 0.
-        running: 0 for an age that does not grow.
-    """
+    """Build the metric M_τ of an age, in the chart around a configuration."""
     inertia = model.space(model.manifold.origin())
     space, manifold = model.space, model.manifold
     origin, n = manifold.origin(), len(inertia)

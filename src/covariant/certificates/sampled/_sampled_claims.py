@@ -65,22 +65,7 @@ def check_sampling(
     q: Numbers | None,
     n: int,
 ) -> Sampling:
-    """Check the arguments of `certify` that concern samples.
-
-    Args:
-        observer: the observer.
-        interval: shortest and longest time [s] between two samples.
-        lost: number of samples that may be lost in a row.
-        q: the metric, which is searched and must not be given.
-        n: number of velocities.
-
-    Returns:
-        The samples, without a metric yet.
-
-    Raises:
-        ValueError: naming what is wrong.
-        TypeError: another kind of observer.
-    """
+    """Check the arguments of `certify` that concern samples."""
     if type(observer) is not Intrinsic:
         raise TypeError(f"certify: interval is for Intrinsic alone; got {type(observer).__name__}")
     try:
@@ -111,21 +96,7 @@ def sampled_claims(
     domain_of: Callable[[ErrorSystem], Box],
     effort: Effort,
 ) -> tuple[float, TwoByTwo, Sampling, ErrorSystem, Box, list[AbstractClaim]]:
-    """Search a metric, and prove that flow and correction contract it.
-
-    Args:
-        observer: the observer.
-        sampling: the samples.
-        rates: rates λ [1/s] of squared lengths; with noise the one with the smallest bound of the velocity is taken.
-        q: matrix (2, 2) of the metric of the continuous observer, for a first region.
-        noise: bounds (n,) of the errors of the measured positions.
-        domain_of: the box of a system, whose metric relates errors of position and velocity.
-        effort: the effort; its region is set here.
-
-    Returns:
-        The rate, R_0, the samples with the rest of the metric, system and region, and the claims "contraction" and
-        "correction".
-    """
+    """Search a metric, and prove that flow and correction contract it."""
     domain = domain_of(sampled_system(observer, q, sampling))
     effort.report("searching the metric", 0.0, 0)
     search, metric = _search(observer, sampling, rates, noise, domain)
@@ -219,22 +190,7 @@ def prediction_claims(
     radius: float,
     effort: Effort,
 ) -> list[AbstractClaim]:
-    """Prove a bound of the errors of the Runge–Kutta steps of predictions.
-
-    Args:
-        observer: the observer.
-        sampling: the samples.
-        q: R_0 (2, 2).
-        rate: rate λ of squared lengths [1/s].
-        claims: the other claims.
-        radius: radius of the tube that they allow.
-        effort: the effort.
-
-    Returns:
-        One claim. None where the number of steps is not fixed, where the model is not smooth, where the division by
-        `1 + s/18` takes all of the rate, so that nothing holds, and where the bound is too wide or not proved although
-        the errors themselves are small at all points tried: they are then assumed.
-    """
+    """Prove a bound of the errors of the Runge–Kutta steps of predictions."""
     missing = select(claims, MissingClaim)[0]
     left = Loss.of(sampling, q, rate, missing.square, missing.limit).allowed(rate)
     if sampling.substeps is None or not radius > 0 or not left:
@@ -285,16 +241,7 @@ def _proved_within(effort: Effort, bound: Form, domain: Box, boxes: int) -> Proo
 
 
 def force_claim(system: ErrorSystem, disturbance: Float[np.ndarray, "n"], effort: Effort) -> DisturbanceClaim:
-    """Prove a bound of what an unknown force adds to the flow between samples.
-
-    Args:
-        system: the system.
-        disturbance: bounds (n,) of the force.
-        effort: the effort.
-
-    Returns:
-        The claim "disturbance".
-    """
+    """Prove a bound of what an unknown force adds to the flow between samples."""
     rng = np.random.default_rng(0)
     graph = joint_force_bound(system, disturbance, 0.0).graph(jnp.asarray(effort.domain.high)).entries
     n = len(disturbance)
@@ -319,20 +266,7 @@ def missing_claims(
     claims: Sequence[AbstractClaim],
     effort: Effort,
 ) -> list[AbstractClaim]:
-    """Prove a bound of the acceleration that a prediction lacks, and of the position error.
-
-    Args:
-        observer: the observer.
-        system: the system.
-        sampling: the samples.
-        q: R_0 (2, 2).
-        rate: rate λ of squared lengths [1/s].
-        claims: the other claims, of which those on reach are used.
-        effort: the effort.
-
-    Returns:
-        One claim, or none for errors of second order, whose lengths it does not concern.
-    """
+    """Prove a bound of the acceleration that a prediction lacks, and of the position error."""
     if isinstance(observer, Intrinsic) and observer.order != 1:
         return []
     reach = unit_reach(reach_squares(claims))

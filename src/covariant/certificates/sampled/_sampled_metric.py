@@ -133,32 +133,17 @@ class SampledMetric:
         self.wrong: list[tuple[bool, np.ndarray]] = []
 
     def at_rate(self, rate: float) -> "SampledMetric":
-        """Return the same search at another rate.
-
-        Args:
-            rate: rate λ [1/s] of squared lengths.
-        """
+        """Return the same search at another rate."""
         other = copy.copy(self)
         other.rate, other.wrong = rate, []
         return other
 
     def add(self, wrong: Sequence[tuple[bool, np.ndarray]]) -> None:
-        """Add counter-examples of proofs, which the next metric has to satisfy.
-
-        Args:
-            wrong: whether the claim is one on the correction, and the point (d,).
-        """
+        """Add counter-examples of proofs, which the next metric has to satisfy."""
         self.wrong += wrong
 
     def solve(self, domain: Box) -> Found:
-        """Search for the metric on a region.
-
-        Args:
-            domain: the box of the variables of `sampled_system`.
-
-        Raises:
-            ImportError: the solver clarabel is missing.
-        """
+        """Search for the metric on a region."""
         rng = np.random.default_rng(0)  # fixed, so that equal regions have equal metrics
         flow, step = self._both(rng, domain, POINTS)
         for corrects, z in self.wrong:
@@ -315,13 +300,7 @@ class SampledMetric:
 
 
 def random_points(rng: np.random.Generator, domain: Box, count: int) -> Float[np.ndarray, "count d"]:
-    """Draw points of a box, every second one a corner.
-
-    Args:
-        rng: the source of random numbers.
-        domain: the box.
-        count: number of points.
-    """
+    """Draw points of a box, every second one a corner."""
     share = rng.uniform(size=(count, len(domain.low)))
     share[::2] = np.round(share[::2])
     return domain.low + share * (domain.high - domain.low)

@@ -134,13 +134,7 @@ def sampled_system(observer: Intrinsics, q: TwoByTwo, sampling: Sampling) -> Err
 
 
 def sampled_prediction(observer: Intrinsics, q: TwoByTwo, sampling: Sampling) -> Prediction:
-    """Describe the Runge–Kutta steps between samples, for `defect_bound`.
-
-    Args:
-        observer: an observer that `sampled_system` covers.
-        q: matrix R_0 (2, 2).
-        sampling: the samples and the metric between them.
-    """
+    """Describe the Runge–Kutta steps between samples, for `defect_bound`."""
     model, system = observer.model, sampled_system(observer, q, sampling)
     n = len(model.coordinates or model.velocities)
     free = MechanicalSystem(model.space, model.potential, None, None)
@@ -158,18 +152,7 @@ def sampled_prediction(observer: Intrinsics, q: TwoByTwo, sampling: Sampling) ->
 def aged_metric(
     model: MechanicalSystem, q: Array | TwoByTwo, sampling: Sampling, age: Array, running: float = 1.0
 ) -> StateMetric:
-    """Build the metric M_τ of an age that grows with time.
-
-    Args:
-        model: the mechanical system, in coordinates, whose force is its input.
-        q: matrix R_0 (2, 2).
-        sampling: R_1, R_2, … and whether the coframe is sheared.
-        age: age [s] at t = 0.
-        running: 0 for an age that does not grow.
-
-    Returns:
-        The metric on states (2n,).
-    """
+    """Build the metric M_τ of an age that grows with time."""
     space = model.space
 
     def turn(t, x):

@@ -110,29 +110,13 @@ class Pencil(NamedTuple):
 
 
 def pencil(value: Lowered, domain: Box) -> Pencil:
-    """Prepare the graph of N and K for searches over boxes with the same free variables as the domain.
-
-    Args:
-        value: the graph of their entries (2 k²,).
-        domain: a box.
-    """
+    """Prepare the graph of N and K for searches over boxes with the same free variables as the domain."""
     free = np.flatnonzero(domain.high > domain.low).tolist()
     return Pencil(value, expand(value, free, 1), free)
 
 
 def slowest(form: Pencil, domain: Box, attempts: int, starts: int, seed: int) -> tuple[float, Float[np.ndarray, "d"]]:
-    """Search for the least value of −λmax(N⁻¹K) over a box.
-
-    Args:
-        form: the matrices N and K.
-        domain: the box.
-        attempts: number of random points.
-        starts: number of the slowest of these from which a descent starts.
-        seed: of the random numbers.
-
-    Returns:
-        The value, and its point (d,).
-    """
+    """Search for the least value of −λmax(N⁻¹K) over a box."""
     rng, d = np.random.default_rng(seed), len(domain.low)
     width = domain.high - domain.low
     least, best_points = np.zeros(0), np.zeros((0, d))

@@ -193,15 +193,7 @@ def _decay(h: float, part: float, sigma: float, bounds: DistanceBounds, before: 
 
 
 def contracted(part: float, x: float) -> tuple[float, float]:
-    """How a cone of geodesics shrinks where its curves move towards its apex.
-
-    Args:
-        part: Part θ of each geodesic that is taken away.
-        x: Length of the longest geodesic times √κ, below π; 0 for κ ≤ 0.
-
-    Returns:
-        Bounds j of the lengths that are left, and ϑ of the area that was passed over, both as parts of the former.
-    """
+    """How a cone of geodesics shrinks where its curves move towards its apex."""
     if x < 1e-4:  # Their limits, with the terms of order x² on the safe side.
         return (1 - part) * (1 + x * x), part * (2 - part) * (1 + x * x)
     rest = (1 - part) * x

@@ -176,14 +176,7 @@ class _Weight(NamedTuple):
 
 
 def weight_of(sigma: float, rate: float, k: Sequence[float], f: Sequence[float] = (0.0, 0.0)) -> _Weight:
-    """The weight m of |ξ|² between samples.
-
-    Args:
-        sigma: Ratio σ of the gains [1/s].
-        rate: Rate ρ [1/s], 0 ≤ ρ < σ.
-        k: Bounds of the spectrum of K [1/s²].
-        f: Bounds of the derivative of the friction in the velocity [1/s].
-    """
+    """The weight m of |ξ|² between samples."""
     corners = []
     for stiffness in set(k):
         for slope in set(f):

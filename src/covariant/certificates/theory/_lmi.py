@@ -166,20 +166,12 @@ def _statement(m: np.ndarray, k: np.ndarray, f: np.ndarray, h: np.ndarray, rate:
 
 
 def rational(matrix: np.ndarray) -> np.ndarray:
-    """Convert a matrix of floats to one of fractions that are equal to them.
-
-    Args:
-        matrix: finite numbers (n, m).
-    """
+    """Convert a matrix of floats to one of fractions that are equal to them."""
     return np.vectorize(Fraction, otypes=[object])(matrix)
 
 
 def is_definite(matrix: np.ndarray) -> bool:
-    """Test whether a symmetric matrix of fractions is positive definite, by elimination without rounding.
-
-    Args:
-        matrix: fractions (n, n), as from `rational`.
-    """
+    """Test whether a symmetric matrix of fractions is positive definite, by elimination without rounding."""
     if not len(matrix):
         return True
     # Sylvester's criterion: all pivots are positive; the rest is the Schur complement of the first one.
@@ -230,19 +222,7 @@ def _solved(f: np.ndarray, h: np.ndarray, rate: float, effort: float) -> tuple[n
 def minimise(
     cost: Float[np.ndarray, "d"], forms: list[AffineMatrix], tolerance: float = 1e-8
 ) -> Float[np.ndarray, "d"] | None:
-    """Minimise a linear cost over unknowns for which all affine forms are positive semidefinite.
-
-    Args:
-        cost: vector c (d,) of the cost `c @ x`.
-        forms: symmetric matrices, affine in the unknowns.
-        tolerance: of the solver, for residuals and for the gap of the cost.
-
-    Returns:
-        The unknowns x (d,), or None where there are none.
-
-    Raises:
-        ImportError: the solver clarabel is missing.
-    """
+    """Minimise a linear cost over unknowns for which all affine forms are positive semidefinite."""
     clarabel, sparse = (
         load_optional(m, use="designing a metric needs", extra="lmi") for m in ("clarabel", "scipy.sparse")
     )

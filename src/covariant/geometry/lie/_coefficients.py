@@ -21,12 +21,6 @@ def inverse_jacobian_coefficient(x: Scalar) -> Scalar:
     """Coefficient `(1 − (θ/2) cot(θ/2))/θ²` of the inverse Jacobians of rotations.
 
     It is computed as `(c₂ − c₃)/(4c₁)` of the half angle, without cancellation.
-
-    Args:
-        x: squared angle θ² [rad²].
-
-    Returns:
-        The coefficient, a scalar; 1/12 at θ = 0.
     """
     x = x / 4
     # With h = θ/2: 1 − h cot h = (c₁ − c₀)/c₁, and c₁ − c₀ = h²(c₂ − c₃), whose h² cancels that of θ² = 4h².
@@ -34,15 +28,7 @@ def inverse_jacobian_coefficient(x: Scalar) -> Scalar:
 
 
 def angle_over_half_sine(squared_sine: Scalar, cosine: Scalar) -> Scalar:
-    """Factor `θ / sin(θ/2)` that takes a quaternion's vector part to a rotation vector.
-
-    Args:
-        squared_sine: sin²(θ/2).
-        cosine: cos(θ/2) ≥ 0.
-
-    Returns:
-        The factor, a scalar; 2 at θ = 0.
-    """
+    """Factor `θ / sin(θ/2)` that takes a quaternion's vector part to a rotation vector."""
     # tan²(θ/2) < 0.01: the first term left out of the series, of order 9 in it, is below 1e-19.
     small = squared_sine < 0.01 * cosine**2
     # At half a turn the cosine is 0: replaced there, so that no derivative of the unused branch is NaN.

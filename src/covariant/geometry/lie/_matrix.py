@@ -234,29 +234,13 @@ def _su_layout(n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def matrix_bracket(group: AbstractGroup, x: Vector, y: Vector) -> Vector:
-    """Lie bracket `[x, y]` from one commutator of matrices, for a group of any dimension.
-
-    Args:
-        group: the group.
-        x: coordinates (n,).
-        y: coordinates (n,).
-
-    Returns:
-        Coordinates (n,).
-    """
+    """Lie bracket `[x, y]` from one commutator of matrices, for a group of any dimension."""
     a, b = group.hat(x), group.hat(y)
     return group.vee(a @ b - b @ a)
 
 
 def matrix_exp(a: Element) -> Element:
-    """Matrix exponential by scaling and squaring of exp − 1, so that small steps from the identity lose no digits.
-
-    Args:
-        a: matrix (N, N).
-
-    Returns:
-        Matrix (N, N).
-    """
+    """Matrix exponential by scaling and squaring of exp − 1, so that small steps from the identity lose no digits."""
     # The number of halvings is no smooth function; the result does not depend on it.
     norm = jax.lax.stop_gradient(jnp.max(jnp.sum(jnp.abs(a), axis=0)))
     # Scaled to norm ≤ 1, where the series is exact to rounding.
@@ -273,16 +257,7 @@ def matrix_exp(a: Element) -> Element:
 
 @eqx.filter_custom_jvp
 def differentiable_log(group: AbstractGroup, algorithm: Callable[[Element], Element], g: Element) -> Vector:
-    """Logarithm by any algorithm, with a derivative that does not differentiate the algorithm.
-
-    Args:
-        group: the group.
-        algorithm: function from an element (N, N) to its logarithm, a matrix (N, N).
-        g: element (N, N).
-
-    Returns:
-        Coordinates (n,) in the algebra.
-    """
+    """Logarithm by any algorithm, with a derivative that does not differentiate the algorithm."""
     return group.vee(algorithm(g))
 
 
@@ -297,12 +272,6 @@ def unitary_log(g: Element) -> Element:
     """Logarithm of a unitary matrix of determinant 1, with the smallest angles whose sum is zero.
 
     It comes from the Schur form, which is diagonal for a unitary matrix.
-
-    Args:
-        g: unitary matrix (N, N).
-
-    Returns:
-        Anti-Hermitian matrix (N, N).
     """
     # A normal matrix has a diagonal Schur form, with orthonormal vectors also where eigenvalues are equal.
     form, vectors = jax.scipy.linalg.schur(g, output="complex")
@@ -319,13 +288,6 @@ def principal_log(group: AbstractGroup, g: Element) -> Element:
     """Logarithm by inverse scaling and squaring, and one Newton step that leaves rounding errors only.
 
     Where the square roots do not converge (an eigenvalue −1, to rounding) the last iterate is used.
-
-    Args:
-        group: the group, on whose algebra the result is projected before the Newton step.
-        g: element (N, N).
-
-    Returns:
-        Matrix (N, N).
     """
     root = jax.lax.fori_loop(0, HALVINGS, lambda _, root: _square_root(root), g)
     one = jnp.eye(g.shape[0], dtype=g.dtype)

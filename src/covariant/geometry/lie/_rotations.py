@@ -145,14 +145,7 @@ SO3 = SpecialOrthogonal3()
 
 
 def rotation_defect(g: Element) -> Array:
-    """Distance of a matrix from the rotations.
-
-    Args:
-        g: matrix (2, 2) or (3, 3).
-
-    Returns:
-        Largest entry of |gᵀg − 1|, or infinity for a reflection.
-    """
+    """Distance of a matrix from the rotations."""
     size = g.shape[0]
     # |gᵀg − 1| alone is zero for reflections as well.
     determinant = g[0, 0] * g[1, 1] - g[0, 1] * g[1, 0] if size == 2 else jnp.dot(jnp.cross(g[0], g[1]), g[2])

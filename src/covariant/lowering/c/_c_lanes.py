@@ -177,26 +177,12 @@ OF_TWO = ("pow", "atan2")
 
 
 def head(scalar: str, kind: str, lanes: int) -> str:
-    """Write the types and the functions that every text needs.
-
-    Args:
-        scalar: C type of one number, `double` or `float`.
-        kind: Name of the type of a vector.
-        lanes: Number of entries of a vector.
-    """
+    """Write the types and the functions that every text needs."""
     return _filled(HEAD, scalar, kind, lanes)
 
 
 def helper(op: str, function: str, scalar: str, kind: str, lanes: int) -> str:
-    """Write an operation on vectors as a function in C.
-
-    Args:
-        op: Name of the operation.
-        function: Its name in <math.h>, or "".
-        scalar: C type of one number, `double` or `float`.
-        kind: Name of the type of a vector.
-        lanes: Number of entries of a vector.
-    """
+    """Write an operation on vectors as a function in C."""
     if op in OTHERS:
         return _filled(OTHERS[op], scalar, kind, lanes)
     if op in ("sin", "cos"):

@@ -37,14 +37,7 @@ LIBRARY = frozenset(_OTHERS.split() + [f"{name}{suffix}" for name in _MATH.split
 
 
 def check_name(name: str) -> None:
-    """Check that a function of C may have a name.
-
-    Args:
-        name: The name.
-
-    Raises:
-        ValueError: It is no identifier, or a keyword of C or C++, or a name of the C library.
-    """
+    """Check that a function of C may have a name."""
     if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name):
         raise ValueError(f"{name!r} is no name in C; take letters, digits and underscores, beginning with a letter")
     for names, kind in ((C_KEYWORDS, "a keyword of C or C++"), (LIBRARY, "a name of the C library")):

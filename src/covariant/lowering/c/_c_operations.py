@@ -89,14 +89,7 @@ HELPERS = {
 
 
 def expression(op: str, operands: Sequence[str], words: Words, truth: bool = False) -> str:
-    """Write an operation on operands in C.
-
-    Args:
-        op: Name of the operation, a key of `FOLD`.
-        operands: C expressions, each of them one name, one number, one call, or in brackets.
-        words: How numbers are written.
-        truth: Whether the result is a truth value; only a choice in lanes depends on it.
-    """
+    """Write an operation on operands in C."""
     if op == "stumpff":
         order = round(float(_plain(operands[0])))
         return f"{words.owner}stumpff{order}({_unwrapped(operands[1])})"
@@ -111,26 +104,14 @@ def expression(op: str, operands: Sequence[str], words: Words, truth: bool = Fal
 
 
 def looked_up(table: str, place: str, last: int, words: Words) -> str:
-    """Write the lookup of an entry of an array in C.
-
-    Args:
-        table: Name of the array.
-        place: C expression of the index, a real number that is a whole number up to rounding.
-        last: Last index, to which larger ones are clipped.
-        words: How numbers are written.
-    """
+    """Write the lookup of an entry of an array in C."""
     if words.lanes > 1:
         return f"{words.owner}table({table}, {place}, {last})"
     return f"{table}[{words.owner}table({place}, {last})]"
 
 
 def of_truth(value: str, words: Words) -> str:
-    """Write a truth value as the number 0 or 1 in C.
-
-    Args:
-        value: C expression of the truth value.
-        words: How numbers are written.
-    """
+    """Write a truth value as the number 0 or 1 in C."""
     if words.lanes > 1:
         return f"{words.real}_choose({value}, {literal(1.0, words)}, {literal(0.0, words)})"
     return f"({words.real})({value})"
@@ -152,12 +133,7 @@ def _unwrapped(operand: str) -> str:
 
 
 def literal(value: float | bool, words: Words) -> str:
-    """Write a number in C, in the fewest digits that identify it, in every lane; a truth value as 0 or 1.
-
-    Args:
-        value: The number or truth value.
-        words: How numbers are written; `float` rounds it to single precision.
-    """
+    """Write a number in C, in the fewest digits that identify it, in every lane; a truth value as 0 or 1."""
     if words.lanes > 1 and isinstance(value, bool):
         return f"{'~' if value else ''}({words.truth}){{0}}"
     if words.lanes > 1:
@@ -175,12 +151,7 @@ def literal(value: float | bool, words: Words) -> str:
 
 
 def helpers(names: Iterable[str], words: Words) -> str:
-    """Write the types and helper functions in C, each once, those that others call first.
-
-    Args:
-        names: Names of the operations: keys of `HELPERS`, for lanes of `LIBRARY` too, or "stumpff" with its order.
-        words: How numbers are written.
-    """
+    """Write the types and helper functions in C, each once, those that others call first."""
     needed = set(names)
     orders = {int(name.removeprefix("stumpff")) for name in needed if name.startswith("stumpff")}
     orders = sorted(orders.union(*(_below(k) for k in orders)))

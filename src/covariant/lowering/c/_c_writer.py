@@ -277,13 +277,7 @@ class Writer:
 
 
 def number_array(name: str, numbers: Sequence[float], words: Words) -> str:
-    """C of a constant array.
-
-    Args:
-        name: Name of the array.
-        numbers: Its entries (N,).
-        words: How numbers are written.
-    """
+    """C of a constant array."""
     text = textwrap.fill(
         ", ".join(literal(float(x), words._replace(lanes=1)) for x in numbers), 116, break_long_words=False
     )
@@ -356,11 +350,7 @@ _SIMPLE = {"add", "sub", "mul", "neg", "abs", *TRUTHS}
 
 
 def bracketed(text: str) -> str:
-    """An operand in brackets, unless it is one name, one number or one call.
-
-    Args:
-        text: A C expression.
-    """
+    """An operand in brackets, unless it is one name, one number or one call."""
     # A leading sign is bracketed too: two of them would be a decrement.
     return f"({text})" if " " in _outside(text) or text[0] in "-!~" else text
 
@@ -382,11 +372,7 @@ def _mentions(body: str, name: str) -> bool:
 
 
 def truths(graph: Graph) -> list[bool]:
-    """For each node of a graph, whether it is a truth value and not a number.
-
-    Args:
-        graph: The graph; a choice has the kind of its alternatives.
-    """
+    """For each node of a graph, whether it is a truth value and not a number."""
     kinds: list[bool] = []
     for node in graph.nodes:
         if node.op == "constant":
@@ -430,13 +416,7 @@ def _order(graph: Graph, outputs: Sequence[int]) -> list[int]:
 
 
 def in_parts(graph: Graph, statements: list[int], most: int) -> list[list[int]]:
-    """Cut statements into parts of about equal length, at least one part; a loop and its results stay together.
-
-    Args:
-        graph: The graph.
-        statements: Nodes, in order.
-        most: Longest part in statements.
-    """
+    """Cut statements into parts of about equal length, at least one part; a loop and its results stay together."""
     count = max(1, -(-len(statements) // most))
     cuts = [len(statements) * k // count for k in range(count + 1)]
     for k, cut in enumerate(cuts[1:-1], start=1):

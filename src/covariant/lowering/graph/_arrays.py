@@ -24,12 +24,7 @@ Value = Scalars | np.ndarray
 
 
 def nodes_of(graph: Graph, value: Value) -> np.ndarray:
-    """Return the nodes of an array; known numbers become constants.
-
-    Args:
-        graph: The graph, to which constants are added.
-        value: Nodes, or known numbers.
-    """
+    """Return the nodes of an array; known numbers become constants."""
     if isinstance(value, Scalars):
         return value.ids
     flat = [graph.constant(v) for v in np.asarray(value).ravel().tolist()]
@@ -48,12 +43,7 @@ class Writer:
         self.graph, self.tables = graph, tables
 
     def map(self, op: str, *values: Value) -> Scalars:
-        """Apply an operation entry by entry.
-
-        Args:
-            op: Name of the operation, a key of `FOLD`.
-            values: Arrays of shapes that broadcast to one.
-        """
+        """Apply an operation entry by entry."""
         arrays = [nodes_of(self.graph, value) for value in values]
         shape = arrays[0].shape
         if any(array.shape != shape for array in arrays):  # most are equal, and broadcasting takes longer than to look
@@ -64,13 +54,7 @@ class Writer:
         return Scalars(np.array(flat, int).reshape(shape))
 
     def reduce(self, op: str, ids: np.ndarray, axes: Sequence[int]) -> Scalars:
-        """Reduce over some axes by recursive halving, which rounds less than a loop does.
-
-        Args:
-            op: Name of the operation; over no entries its neutral element results.
-            ids: Array of nodes.
-            axes: Axes to reduce over; the others stay in their order.
-        """
+        """Reduce over some axes by recursive halving, which rounds less than a loop does."""
         remaining = [axis for axis in range(ids.ndim) if axis not in axes]
         shape = [ids.shape[axis] for axis in remaining]
         rows = np.transpose(ids, [*remaining, *axes]).reshape(math.prod(shape), math.prod(ids.shape[a] for a in axes))
@@ -85,21 +69,13 @@ class Writer:
         return Scalars(np.array([together(row) for row in rows.tolist()], int).reshape(shape))
 
     def stack(self, values: list[Value]) -> Value:
-        """Stack arrays along a new first axis.
-
-        Args:
-            values: Arrays of one shape.
-        """
+        """Stack arrays along a new first axis."""
         if not any(isinstance(value, Scalars) for value in values):
             return np.stack(values)
         return Scalars(np.stack([nodes_of(self.graph, value) for value in values]))
 
     def truth(self, value: Value) -> np.ndarray | None:
-        """Return the values of statements, or None where one of them depends on the arguments.
-
-        Args:
-            value: An array of statements.
-        """
+        """Return the values of statements, or None where one of them depends on the arguments."""
         if not isinstance(value, Scalars):
             return np.asarray(value, bool)
         nodes = [self.graph.nodes[i] for i in value.ids.ravel().tolist()]
@@ -108,13 +84,7 @@ class Writer:
         return np.array([bool(node.value) for node in nodes]).reshape(value.ids.shape)
 
     def chosen(self, first: np.ndarray, a: Value, b: Value) -> Value:
-        """Choose rows of two arrays.
-
-        Args:
-            first: Mask on the leading axes, known truth values.
-            a: Array whose rows are taken where the mask holds.
-            b: Array whose rows are taken elsewhere.
-        """
+        """Choose rows of two arrays."""
         # The mask covers the leading axes and is broadcast along the others.
         mask = first.reshape(first.shape + (1,) * (np.ndim(getattr(a, "ids", a)) - first.ndim))
         if isinstance(a, Scalars) or isinstance(b, Scalars):
@@ -122,13 +92,7 @@ class Writer:
         return np.where(mask, a, b)
 
     def within(self, value: Scalars, low: float, high: float) -> None:
-        """Add the condition that all entries are strictly between two numbers.
-
-        Args:
-            value: Array of nodes.
-            low: Lower bound.
-            high: Upper bound.
-        """
+        """Add the condition that all entries are strictly between two numbers."""
         for node in set(value.ids.ravel().tolist()):
             self.graph.need_between(low, node, high)
 

@@ -16,12 +16,7 @@ from covariant.lowering.graph._jax_forms import JaxprEquation
 
 
 def compute(eqn: JaxprEquation, values: Sequence[Any]) -> list[Any]:
-    """Compute the outputs of an equation of a jaxpr whose inputs are known.
-
-    Args:
-        eqn: The equation.
-        values: Known values of its inputs.
-    """
+    """Compute the outputs of an equation of a jaxpr whose inputs are known."""
     rule = None if eqn.unknown else _RULES.get(eqn.name)
     outputs = [atom.aval for atom in eqn.outvars]
     if rule is not None and all(_plain(aval) for aval in outputs):
@@ -80,14 +75,7 @@ def _iota(parameters: dict) -> np.ndarray:
 
 
 def padded(parameters: dict, value: np.ndarray, fill: np.ndarray) -> np.ndarray:
-    """Pad an array as the primitive `pad` does.
-
-    Args:
-        parameters: Parameters of the primitive: `padding_config`, with (low, high, interior) for each axis. Negative
-            low and high cut entries off.
-        value: The array.
-        fill: The number that is put before, after and between the entries.
-    """
+    """Pad an array as the primitive `pad` does."""
     config = parameters["padding_config"]
     # A negative low or high cuts entries off, which is done last, on the array that is already spread out.
     slots = [slice(max(low, 0), None, inside + 1) for low, _, inside in config]
@@ -106,38 +94,19 @@ def _window(value: np.ndarray, starts: Sequence[np.ndarray], sizes: Sequence[int
 
 
 def part_at(parameters: dict, value: np.ndarray, *starts: np.ndarray) -> np.ndarray:
-    """Take a slice of an array, as the primitive `dynamic_slice` does.
-
-    Args:
-        parameters: Parameters of the primitive: `slice_sizes`.
-        value: The array.
-        starts: First index along each axis, clipped to where the slice fits.
-    """
+    """Take a slice of an array, as the primitive `dynamic_slice` does."""
     return value[_window(value, starts, parameters["slice_sizes"])]
 
 
 def updated_at(parameters: dict, value: np.ndarray, update: np.ndarray, *starts: np.ndarray) -> np.ndarray:
-    """Replace a slice of an array, as the primitive `dynamic_update_slice` does.
-
-    Args:
-        parameters: Parameters of the primitive, which are not read.
-        value: The array, which is not changed.
-        update: The new entries.
-        starts: First index along each axis, clipped to where the update fits.
-    """
+    """Replace a slice of an array, as the primitive `dynamic_update_slice` does."""
     changed = value.copy()
     changed[_window(value, starts, update.shape)] = update
     return changed
 
 
 def gather_places(parameters: dict, shape: Sequence[int], starts: np.ndarray) -> np.ndarray:
-    """Where the entries of a `gather` come from: places in the flat array, −1 for those out of bounds.
-
-    Args:
-        parameters: Parameters of the primitive.
-        shape: Shape of the array from which slices are taken.
-        starts: First indices of the slices, along the last axis.
-    """
+    """Where the entries of a `gather` come from: places in the flat array, −1 for those out of bounds."""
     numbers, sizes = parameters["dimension_numbers"], parameters["slice_sizes"]
     dropped = (*numbers.collapsed_slice_dims, *numbers.operand_batching_dims)
     batching = zip(numbers.operand_batching_dims, numbers.start_indices_batching_dims, strict=True)
@@ -147,14 +116,7 @@ def gather_places(parameters: dict, shape: Sequence[int], starts: np.ndarray) ->
 
 
 def scatter_places(parameters: dict, shape: Sequence[int], starts: np.ndarray, updates: Sequence[int]) -> np.ndarray:
-    """Where the entries of the updates of a `scatter` go: places in the flat array, −1 for those that are dropped.
-
-    Args:
-        parameters: Parameters of the primitive.
-        shape: Shape of the array that is changed.
-        starts: First indices of the windows, along the last axis.
-        updates: Shape of the updates, and of the result.
-    """
+    """Where the entries of the updates of a `scatter` go: places in the flat array, −1 for those that are dropped."""
     numbers = parameters["dimension_numbers"]
     dropped = (*numbers.inserted_window_dims, *numbers.operand_batching_dims)
     window = iter(updates[k] for k in numbers.update_window_dims)

@@ -67,12 +67,7 @@ class Table:
         return isinstance(other, Table) and self._bits == other._bits
 
     def at(self, place: Any) -> Any:
-        """Return the number at an index.
-
-        Args:
-            place: Index, a whole number up to rounding; a scalar or an array. It is clipped to 0 … N − 1, and NaN
-                counts as 0.
-        """
+        """Return the number at an index."""
         with np.errstate(all="ignore"):
             # NaN becomes 0, and infinities the nearest end: an index is always inside, as in the C of a table.
             index = np.clip(np.nan_to_num(np.rint(place)), 0, len(self.numbers) - 1)

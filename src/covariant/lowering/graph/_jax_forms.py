@@ -240,14 +240,7 @@ def equations(jaxpr: Any) -> Iterator[JaxprEquation]:
 
 
 def need_pure(equation: JaxprEquation) -> None:
-    """Refuse a call of Python, which may return another value every time, even for known arguments.
-
-    Args:
-        equation: The equation.
-
-    Raises:
-        LoweringError: The equation calls Python.
-    """
+    """Refuse a call of Python, which may return another value every time, even for known arguments."""
     if equation.name in CALLBACKS:
         raise LoweringError(f"the primitive '{equation.name}' has no graph of scalars; write the function without it")
 
@@ -271,14 +264,7 @@ def needed(closed: Any) -> ClosedJaxpr:
 
 
 def expanded(equation: JaxprEquation) -> Call:
-    """Expand a primitive without a rule into others, as JAX implements it.
-
-    Args:
-        equation: The equation of the primitive.
-
-    Raises:
-        LoweringError: JAX has no such expansion, as for a factorisation by LAPACK.
-    """
+    """Expand a primitive without a rule into others, as JAX implements it."""
     name, primitive = equation.name, equation.primitive
     by_jax = primitive.to_lojax if name == "call_hi_primitive" else primitive.impl
     refusal = LoweringError(f"the primitive '{name}' has no graph of scalars; write the function without it")

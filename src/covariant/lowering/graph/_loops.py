@@ -46,11 +46,7 @@ class Repetition(NamedTuple):
         return (self.body,) if self.going is None else (self.body, self.going)
 
     def over(self, change: Callable[[Lowered], Lowered]) -> "Repetition":
-        """Return the loop with its graphs changed.
-
-        Args:
-            change: Function that is applied to the body and to the condition.
-        """
+        """Return the loop with its graphs changed."""
         return self._replace(body=change(self.body), going=None if self.going is None else change(self.going))
 
     def key(self) -> tuple:
@@ -67,24 +63,12 @@ def _keyed(node: Node) -> tuple:
 
 
 def add_loop(graph: Graph, loop: Repetition, arguments: Sequence[int]) -> int:
-    """Return the node of a loop, adding it to the graph unless an equal one is there.
-
-    Args:
-        graph: The graph.
-        loop: The loop.
-        arguments: Nodes of the fixed numbers, then of the initial carried ones.
-    """
+    """Return the node of a loop, adding it to the graph unless an equal one is there."""
     return graph.block("loop", loop.key(), tuple(arguments), loop)
 
 
 def part_of(graph: Graph, loop: int, k: int) -> int:
-    """Return the node of a carried number after the last turn.
-
-    Args:
-        graph: The graph.
-        loop: Node of the loop.
-        k: Which of the carried numbers.
-    """
+    """Return the node of a carried number after the last turn."""
     return graph.block("part", k, (loop,), k)
 
 
@@ -100,18 +84,6 @@ def loop_of(
 
     Entries that a turn does not change count as fixed, so that what is known of them is known in the loop too. At first
     all count as such; those that a turn changes no longer do, until there are no more.
-
-    Args:
-        graph: The graph, which is changed.
-        turn: `(graph, [*fixed, *carry]) -> (carry, going)`, which adds one turn to another graph; `going` is a
-            statement on the values that the turn starts with, or None with a `count` of turns.
-        fixed: Arrays that are the same in every turn.
-        carry: Initial values of the carried arrays.
-        count: Number of turns, if it is known.
-        least: Smallest number of operations of a turn that becomes a loop.
-
-    Returns:
-        The carried arrays after the last turn; None where a turn is less than `least` operations.
     """
     starts = _flat(graph, carry)
     changes = np.zeros(len(starts), bool)

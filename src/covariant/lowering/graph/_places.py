@@ -27,20 +27,7 @@ MOST_ENTRIES = 2_000_000
 
 
 def at_places(write: Writer, eqn: JaxprEquation, values: list) -> list[Value]:
-    """Apply a primitive that takes entries from places, or sets or adds them there.
-
-    Args:
-        write: Adds operations to the graph.
-        eqn: The equation of the primitive.
-        values: Values of its inputs.
-
-    Returns:
-        Values of its outputs: one array.
-
-    Raises:
-        LoweringError: There are more possible places than `MOST_PLACES`, or a table of more than `MOST_ENTRIES`
-            numbers.
-    """
+    """Apply a primitive that takes entries from places, or sets or adds them there."""
     name = eqn.name
     move = _added if name == "scatter-add" else _moved
     where, ends = _places(name, eqn.params, [atom.aval.shape for atom in eqn.invars])

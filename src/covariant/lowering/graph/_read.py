@@ -48,14 +48,7 @@ def evaluate(lowered: Lowered, domain: Domain, inputs: Sequence[Any]) -> list[An
 
 
 def evaluate_nodes(graph: Graph, outputs: Sequence[int], domain: Domain, inputs: Sequence[Any]) -> list[Any]:
-    """Evaluate some nodes of a graph in an arithmetic; values are released after their last use, to save memory.
-
-    Args:
-        graph: The graph.
-        outputs: Nodes whose values are returned.
-        domain: The arithmetic.
-        inputs: Value of each scalar input.
-    """
+    """Evaluate some nodes of a graph in an arithmetic; values are released after their last use, to save memory."""
     nodes = graph.nodes
     last = [-1] * len(nodes)
     for i, node in enumerate(nodes):

@@ -98,12 +98,7 @@ def _closed(k: int, x: jax.Array) -> jax.Array:
 
 
 def values(k: Any, x: Any) -> Any:
-    """Values of Stumpff's function c_k, by NumPy.
-
-    Args:
-        k: Order.
-        x: Numbers (...) from `LEAST` on; lower ones count as `LEAST`.
-    """
+    """Values of Stumpff's function c_k, by NumPy."""
     x = np.asarray(x, float)
     series = _horner(stumpff_coefficients(int(k)), np.clip(x, LEAST, FALLS_UNTIL), -1.0)
     safe = np.maximum(x, FALLS_UNTIL)
@@ -116,11 +111,7 @@ def values(k: Any, x: Any) -> Any:
 
 
 def stumpff_coefficients(k: int) -> list[float]:
-    """Coefficients of the power series of c_k, without their signs: 1/k!, 1/(k + 2)!, …, `STUMPFF_TERMS` of them.
-
-    Args:
-        k: Order.
-    """
+    """Coefficients of the power series of c_k, without their signs: 1/k!, 1/(k + 2)!, …, `STUMPFF_TERMS` of them."""
     return [1 / math.factorial(2 * j + k) for j in range(STUMPFF_TERMS)]
 
 
@@ -131,14 +122,6 @@ def stumpff_bounds(series: Sequence[Any], low: Any, high: Any) -> tuple[Any, Any
     ±1/k!. Squares are not negative, but their enclosures may reach below 0: the series is used from `LEAST` on. The
     relative error of the sum is at most 3·STUMPFF_TERMS·u of the sum of the absolute terms (N. J. Higham, Accuracy and
     Stability of Numerical Algorithms, 2002, section 5.1); the last term is added for those left out.
-
-    Args:
-        series: The `stumpff_coefficients` of c_k.
-        low: Lower bounds of x (B,).
-        high: Upper bounds of x (B,).
-
-    Returns:
-        Lower and upper bounds (B,), NaN where x may be below `LEAST`, or negative and beyond π² as well.
     """
     most = series[0] * (1 + 4 * U)
     inside = (low >= LEAST) & (high <= FALLS_UNTIL)

@@ -29,13 +29,7 @@ LANES = 128
 
 
 def kernel_text(text: Text, kernel: Kernel, name: str) -> str:
-    """Write a kernel as a C function of the work array and the places of a step.
-
-    Args:
-        text: The C that the formula is written into, with the tables of all kernels.
-        kernel: The kernel.
-        name: Name of the C function.
-    """
+    """Write a kernel as a C function of the work array and the places of a step."""
     start, arguments = 2, []
     for kind, width in zip(kernel.arguments, kernel.widths, strict=True):
         ends = []
@@ -102,15 +96,7 @@ class Library:
             raise OSError(f"numbers below {SMALLEST:.0e} count as zero in this process, so NumPy does the work")
 
     def run(self, made: "Steps", ends: np.ndarray) -> np.ndarray:
-        """Carry out the steps of a tape.
-
-        Args:
-            made: The steps.
-            ends: The numbers at the places of the inputs (N, B), for B boxes.
-
-        Returns:
-            The numbers at the places of the outputs (K, B).
-        """
+        """Carry out the steps of a tape."""
         ends, results = np.ascontiguousarray(ends), np.empty((len(made.outputs), ends.shape[1]))
         work = made.idle.pop() if made.idle else made.work.copy()  # another thread may be at the same steps
         arrays = (made.steps, made.length, work, made.inputs, len(made.inputs), made.outputs, len(made.outputs))
@@ -205,13 +191,7 @@ class Steps(NamedTuple):
 
     @classmethod
     def of(cls, tape: Tape, inputs: Sequence[int], outputs: Sequence[int]) -> "Steps":
-        """Translate a tape, using places again after their values were read for the last time.
-
-        Args:
-            tape: The tape.
-            inputs: Places of the inputs.
-            outputs: Places of the outputs.
-        """
+        """Translate a tape, using places again after their values were read for the last time."""
         done = fused(tape, outputs)
         last = {place: k for k, step in enumerate(done) for place in (*step.results, *step.arguments)}
         # Outputs are read at the end and constants in the next block of boxes too: their places are never used again.

@@ -39,34 +39,21 @@ JUMPS = ("select", "either", "sign", "floor", "ceil", "round", "atan2")
 
 @kernel
 def decided(p: Truth) -> Truth:
-    """Boxes on which a choice by a statement does not jump: it holds on all of the box, or nowhere on it.
-
-    Args:
-        p: The statement.
-    """
+    """Boxes on which a choice by a statement does not jump: it holds on all of the box, or nowhere on it."""
     known = p.must | ~p.may
     return Truth(known, known)
 
 
 @kernel
 def unequal(a: Interval, b: Interval) -> Truth:
-    """Boxes on which two numbers are nowhere equal.
-
-    Args:
-        a: First number.
-        b: Second number; the intervals of the two are disjoint.
-    """
+    """Boxes on which two numbers are nowhere equal."""
     known = (a.high < b.low) | (a.low > b.high)
     return Truth(known, known)
 
 
 @kernel
 def not_zero(a: Interval) -> Truth:
-    """Boxes on which a sign does not jump: zero has the sign 0, which is neither of the others.
-
-    Args:
-        a: The number.
-    """
+    """Boxes on which a sign does not jump: zero has the sign 0, which is neither of the others."""
     known = (a.low > 0) | (a.high < 0)
     return Truth(known, known)
 
@@ -76,10 +63,6 @@ def off_the_cut(y: Interval, x: Interval) -> Truth:
     """Boxes on which the angle atan2(y, x) does not jump.
 
     The cut is the negative half-axis with the origin; values on it belong to the upper side.
-
-    Args:
-        y: Second coordinate of the point.
-        x: First coordinate of the point.
     """
     # The cut is y = 0, x ≤ 0. From y ≥ 0 the angle is continuous onto it for x < 0, hence the second part.
     known = ~((y.low <= 0) & (y.high >= 0) & (x.low <= 0)) | (y.low >= 0) & (x.high < 0)
@@ -88,11 +71,7 @@ def off_the_cut(y: Interval, x: Interval) -> Truth:
 
 @kernel
 def one_value(found: Interval) -> Truth:
-    """Boxes on which a function that is constant between its jumps, such as floor, has one value.
-
-    Args:
-        found: Bounds of its values.
-    """
+    """Boxes on which a function that is constant between its jumps, such as floor, has one value."""
     known = found.low == found.high
     return Truth(known, known)
 
@@ -112,13 +91,7 @@ def _no_jump(op: str, arguments: tuple, result: Any) -> Truth:
 
 
 def by_numpy(lowered: Lowered, low: np.ndarray, high: np.ndarray) -> Enclosure:
-    """Bound the values of a function over boxes by NumPy.
-
-    Args:
-        lowered: The function.
-        low: Lower corners (B, inputs), from `corners`.
-        high: Upper corners (B, inputs).
-    """
+    """Bound the values of a function over boxes by NumPy."""
     inputs = [Interval(a, b) for a, b in zip(low.T.copy(), high.T.copy(), strict=True)]
     with np.errstate(all="ignore"):
         values, smooth = bounds(lowered, inputs)
@@ -129,18 +102,7 @@ def by_numpy(lowered: Lowered, low: np.ndarray, high: np.ndarray) -> Enclosure:
 
 
 def bounds(lowered: Lowered, inputs: Sequence[Interval]) -> tuple[list[Interval], Truth]:
-    """Bound the values of a function, in NumPy or as steps of a tape.
-
-    Args:
-        lowered: The function.
-        inputs: Interval of each scalar input.
-
-    Returns:
-        Interval of each scalar output, with statements as the numbers 0 and 1, and where the function does not jump.
-
-    Raises:
-        ValueError: The function has loops or tables.
-    """
+    """Bound the values of a function, in NumPy or as steps of a tape."""
     # A loop in intervals may never end, since its condition stays undecided; a table would be read at one place only.
     if odd := {node.op for node in lowered.graph.nodes} & {"loop", "table"}:
         raise ValueError(f"a function with a {min(odd)} has no bounds; lower it with loops='unrolled'")
@@ -164,16 +126,7 @@ def bounds(lowered: Lowered, inputs: Sequence[Interval]) -> tuple[list[Interval]
 
 
 def corners(low: np.ndarray, high: np.ndarray, inputs: int) -> tuple[np.ndarray, np.ndarray]:
-    """Check corners of boxes and convert them to arrays of doubles (B, inputs).
-
-    Args:
-        low: Lower corners.
-        high: Upper corners.
-        inputs: Number of scalar inputs of the function.
-
-    Raises:
-        ValueError: The corners have another shape, are NaN, or low exceeds high.
-    """
+    """Check corners of boxes and convert them to arrays of doubles (B, inputs)."""
     low, high = np.asarray(low, float), np.asarray(high, float)
     if low.ndim != 2 or low.shape != high.shape or low.shape[1] != inputs:
         raise ValueError(f"boxes of this graph have corners (B, {inputs}); got {low.shape} and {high.shape}")

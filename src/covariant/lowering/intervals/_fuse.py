@@ -80,12 +80,7 @@ WAYS = {outer: _fusions(outer) for outer, _ in PAIRS}
 
 
 def fused(tape: Tape, outputs: Sequence[int]) -> list[Step]:
-    """Return the steps of a tape with some of them joined.
-
-    Args:
-        tape: The tape.
-        outputs: Places whose numbers are needed.
-    """
+    """Return the steps of a tape with some of them joined."""
     uses = Counter(itertools.chain(outputs, *(step.arguments for step in tape.steps)))
     # A result that is read once vanishes into the step that reads it; one that others read too must be stored.
     unshared = {step.results: step for step in tape.steps if uses[step.results[0]] <= 1 >= uses[step.results[1]]}

@@ -36,11 +36,7 @@ MOST_PRODUCTS = 32
 
 
 def constant(value: float | bool | int) -> Interval | Truth:
-    """Interval, or statement, of a known value, shared by all boxes.
-
-    Args:
-        value: A number or truth value; numbers are taken as exactly these doubles.
-    """
+    """Interval, or statement, of a known value, shared by all boxes."""
     if isinstance(value, bool | np.bool_):
         return Truth(np.bool_(value), np.bool_(value))
     return Interval(np.float64(value), np.float64(value))
@@ -98,34 +94,20 @@ def _is_number(a: Interval) -> bool:
 
 @kernel
 def neg(a: Interval) -> Interval:
-    """Interval of −a; a change of sign is exact.
-
-    Args:
-        a: Interval of the argument.
-    """
+    """Interval of −a; a change of sign is exact."""
     return Interval(-a.high, -a.low)
 
 
 @kernel
 def add(a: Interval, b: Interval) -> Interval:
-    """Interval of a + b; each bound is moved outward by the rounding error of its sum.
-
-    Args:
-        a: First term.
-        b: Second term.
-    """
+    """Interval of a + b; each bound is moved outward by the rounding error of its sum."""
     # A sum that underflows is exact in IEEE arithmetic, so that a relative step is enough.
     return Interval(_down(a.low + b.low), _up(a.high + b.high))
 
 
 @kernel
 def sub(a: Interval, b: Interval) -> Interval:
-    """Interval of a − b; each bound is moved outward by the rounding error of its difference.
-
-    Args:
-        a: Minuend.
-        b: Subtrahend; its upper bound gives the lower bound of the difference.
-    """
+    """Interval of a − b; each bound is moved outward by the rounding error of its difference."""
     return Interval(_down(a.low - b.high), _up(a.high - b.low))
 
 
@@ -133,10 +115,6 @@ def mul(a: Interval, b: Interval) -> Interval:
     """Interval of a·b, with the tightest rule that applies.
 
     The same node on both sides gives a square; where one factor is a number, each end needs one product.
-
-    Args:
-        a: First factor.
-        b: Second factor.
     """
     if a is b:
         return square(a)
@@ -178,23 +156,13 @@ def _turned(a: Interval, k: Any) -> Interval:
 
 @kernel
 def times_number(ends: Interval, k: Interval) -> Interval:
-    """Interval of a·k.
-
-    Args:
-        ends: The interval a, with its ends exchanged where k < 0: first that of the least product.
-        k: A number as an interval, of which the lower bound is read.
-    """
+    """Interval of a·k."""
     return _scaled(np.multiply, ends, k.low)
 
 
 @kernel
 def over_number(ends: Interval, k: Interval) -> Interval:
-    """Interval of a/k.
-
-    Args:
-        ends: The interval a, with its ends exchanged where k < 0: first that of the least quotient.
-        k: A number other than 0 as an interval, of which the lower bound is read.
-    """
+    """Interval of a/k."""
     return _scaled(np.divide, ends, k.low)
 
 
@@ -208,11 +176,7 @@ def _scaled(operation: np.ufunc, ends: Interval, k: Any) -> Interval:
 
 @kernel
 def square(a: Interval) -> Interval:
-    """Interval of a², which is not negative even where a·a of two independent factors would be.
-
-    Args:
-        a: Interval of the argument.
-    """
+    """Interval of a², which is not negative even where a·a of two independent factors would be."""
     size = absolute(a)
     # By |a|, whose ends are in order, so that both bounds are squares of one end each.
     low, high = size.low * size.low, size.high * size.high
@@ -222,12 +186,7 @@ def square(a: Interval) -> Interval:
 
 
 def div(a: Interval, b: Interval) -> Interval:
-    """Interval of a/b, NaN where b may be zero; one quotient for each end where one of them is a number.
-
-    Args:
-        a: Dividend.
-        b: Divisor.
-    """
+    """Interval of a/b, NaN where b may be zero; one quotient for each end where one of them is a number."""
     if _is_number(b) and b.low != 0:
         return over_number(_turned(a, b.low), b)
     if _is_number(a):
@@ -247,24 +206,13 @@ quotients = _pair("quotients", lambda extremes, a, b: where((b.low > 0) | (b.hig
 
 @kernel
 def number_over(k: Interval, b: Interval, ends: Interval) -> Interval:
-    """Interval of k/b, NaN where b may be zero.
-
-    Args:
-        k: A number as an interval, of which the lower bound is read.
-        b: Divisor.
-        ends: The ends of b in the order of the least and the largest quotient.
-    """
+    """Interval of k/b, NaN where b may be zero."""
     quotient = _product(k.low / ends.low, k.low / ends.high, k, b)
     return where((b.low > 0) | (b.high < 0), quotient)
 
 
 def where(defined: Any, a: Interval) -> Interval:
-    """An interval where the function is defined, and NaN bounds elsewhere.
-
-    Args:
-        defined: Truth values (B,).
-        a: The interval.
-    """
+    """An interval where the function is defined, and NaN bounds elsewhere."""
     if defined.all():
         return a
     return Interval(np.where(defined, a.low, np.nan), np.where(defined, a.high, np.nan))
@@ -272,22 +220,13 @@ def where(defined: Any, a: Interval) -> Interval:
 
 @kernel
 def absolute(a: Interval) -> Interval:
-    """Interval of |a|, exact; its lower bound is 0 where a contains 0.
-
-    Args:
-        a: Interval of the argument.
-    """
+    """Interval of |a|, exact; its lower bound is 0 where a contains 0."""
     nearest = np.maximum(a.low, -a.high)
     return Interval(np.maximum(nearest, 0.0), np.maximum(-a.low, a.high))
 
 
 def minimum(a: Any, b: Any) -> Any:
-    """Interval of min(a, b), or the statement "a and b".
-
-    Args:
-        a: First argument, interval or statement.
-        b: Second argument, of the same kind.
-    """
+    """Interval of min(a, b), or the statement "a and b"."""
     return both(a, b) if isinstance(a, Truth) else smaller(a, b)
 
 
@@ -298,12 +237,7 @@ def smaller(a: Interval, b: Interval) -> Interval:
 
 
 def maximum(a: Any, b: Any) -> Any:
-    """Interval of max(a, b), or the statement "a or b".
-
-    Args:
-        a: First argument, interval or statement.
-        b: Second argument, of the same kind.
-    """
+    """Interval of max(a, b), or the statement "a or b"."""
     return either(a, b) if isinstance(a, Truth) else larger(a, b)
 
 
@@ -315,11 +249,7 @@ def larger(a: Interval, b: Interval) -> Interval:
 
 @kernel
 def sqrt(a: Interval) -> Interval:
-    """Interval of √a, NaN where a may be negative; a correctly rounded root is off by half a unit in the last place.
-
-    Args:
-        a: Interval of the argument.
-    """
+    """Interval of √a, NaN where a may be negative; a correctly rounded root is off by half a unit in the last place."""
     return where(a.low >= 0, Interval(_down(np.sqrt(a.low)), _up(np.sqrt(a.high))))
 
 
@@ -349,10 +279,6 @@ def power(a: Interval, b: Interval) -> Interval:
 
     Constant exponents that are multiples of ½ give products and roots, up to `MOST_PRODUCTS`; others go by the
     logarithm, for a ≥ 0.
-
-    Args:
-        a: Base.
-        b: Exponent.
     """
     if _is_number(b) and (2 * b.low).is_integer() and abs(b.low) <= MOST_PRODUCTS:
         whole = b.low.is_integer()
@@ -374,11 +300,7 @@ def _product_of_many(a: Interval, count: int) -> Interval:
 
 @kernel
 def one(a: Interval) -> Interval:
-    """The number 1 where a is known, and NaN elsewhere.
-
-    Args:
-        a: Any interval.
-    """
+    """The number 1 where a is known, and NaN elsewhere."""
     # 0·NaN and 0·∞ are NaN: an unknown base stays unknown.
     return Interval(1.0 + 0.0 * a.low, 1.0 + 0.0 * a.high)
 
@@ -414,11 +336,7 @@ def nearest(a: Interval) -> Interval:
 
 
 def as_number(a: Interval | Truth) -> Interval:
-    """A truth value as the number 0 or 1; an interval stays as it is.
-
-    Args:
-        a: Interval or statement.
-    """
+    """A truth value as the number 0 or 1; an interval stays as it is."""
     return number_of(a) if isinstance(a, Truth) else a
 
 
@@ -429,77 +347,43 @@ def number_of(a: Truth) -> Interval:
 
 
 def lt(a: Interval | Truth, b: Interval | Truth) -> Truth:
-    """Statement a < b.
-
-    Args:
-        a: Left side, interval or statement; statements count as the numbers 0 and 1.
-        b: Right side.
-    """
+    """Statement a < b."""
     return less(as_number(a), as_number(b))
 
 
 @kernel
 def less(a: Interval, b: Interval) -> Truth:
-    """Statement a < b; bounds that are NaN leave it undecided.
-
-    Args:
-        a: Left side.
-        b: Right side.
-    """
+    """Statement a < b; bounds that are NaN leave it undecided."""
     return Truth(a.high < b.low, ~(a.low >= b.high))
 
 
 def le(a: Interval | Truth, b: Interval | Truth) -> Truth:
-    """Statement a ≤ b.
-
-    Args:
-        a: Left side, interval or statement; statements count as the numbers 0 and 1.
-        b: Right side.
-    """
+    """Statement a ≤ b."""
     return at_most(as_number(a), as_number(b))
 
 
 @kernel
 def at_most(a: Interval, b: Interval) -> Truth:
-    """Statement a ≤ b; bounds that are NaN leave it undecided.
-
-    Args:
-        a: Left side.
-        b: Right side.
-    """
+    """Statement a ≤ b; bounds that are NaN leave it undecided."""
     return Truth(a.high <= b.low, ~(a.low > b.high))
 
 
 def eq(a: Interval | Truth, b: Interval | Truth) -> Truth:
-    """Statement a = b, where the same node on both sides equals itself wherever it is defined.
-
-    Args:
-        a: Left side, interval or statement.
-        b: Right side.
-    """
+    """Statement a = b, where the same node on both sides equals itself wherever it is defined."""
     a, b = as_number(a), as_number(b)
     return equal_to_itself(a) if a is b else equal(a, b)
 
 
 @kernel
 def equal_to_itself(a: Interval) -> Truth:
-    """Statement a = a, the usual test for a missing (NaN) measurement: a number equals itself where it is defined.
-
-    Args:
-        a: The interval on both sides.
-    """
+    """Statement a = a, the usual test for a missing (NaN) measurement: a number equals itself where it is defined."""
     defined = ~(np.isnan(a.low) & np.isnan(a.high))
     return Truth(defined, np.ones_like(defined))
 
 
 @kernel
 def equal(a: Interval, b: Interval) -> Truth:
-    """Statement a = b: proved where both are one same number, refuted where their intervals are disjoint.
-
-    Args:
-        a: Left side.
-        b: Right side.
-    """
+    """Statement a = b: proved where both are one same number, refuted where their intervals are disjoint."""
     return Truth((a.high <= b.low) & (b.high <= a.low), ~((a.high < b.low) | (b.high < a.low)))
 
 
@@ -524,23 +408,13 @@ def opposite(a: Truth) -> Truth:
 
 @kernel
 def is_finite(a: Interval) -> Truth:
-    """Statement that a number is finite: proved where its bounds are finite, never refuted.
-
-    Args:
-        a: Interval of the number.
-    """
+    """Statement that a number is finite: proved where its bounds are finite, never refuted."""
     known = np.isfinite(a.low) & np.isfinite(a.high)
     return Truth(known, np.ones_like(known))
 
 
 def select(p: Truth, a: Any, b: Any) -> Any:
-    """Values of a where p must hold, of b where it cannot, and the hull of both where it is undecided.
-
-    Args:
-        p: The statement.
-        a: Interval or statement chosen where p holds.
-        b: Interval or statement chosen where p does not hold.
-    """
+    """Values of a where p must hold, of b where it cannot, and the hull of both where it is undecided."""
     if isinstance(a, Truth):
         # With p undecided, "a and b" still follows, which the other two terms miss.
         return either(both(a, b), either(both(p, a), both(opposite(p), b)))
@@ -549,13 +423,7 @@ def select(p: Truth, a: Any, b: Any) -> Any:
 
 @kernel
 def chosen(p: Truth, a: Interval, b: Interval) -> Interval:
-    """Interval of `p ? a : b`, the hull of a and b where p is undecided.
-
-    Args:
-        p: The statement.
-        a: Interval chosen where p holds.
-        b: Interval chosen where p does not hold.
-    """
+    """Interval of `p ? a : b`, the hull of a and b where p is undecided."""
     result = Interval(np.where(p.must, a.low, b.low), np.where(p.must, a.high, b.high))
     undecided = p.may & ~p.must
     if not undecided.any():
@@ -566,14 +434,7 @@ def chosen(p: Truth, a: Interval, b: Interval) -> Interval:
 
 @kernel
 def kinked(a: Interval, b: Interval, x: Interval, y: Interval) -> Interval:
-    """Interval of a derivative at a kink: x where a < b, y where b < a, and the hull of both where they may be equal.
-
-    Args:
-        a: Left side of the comparison.
-        b: Right side.
-        x: Derivative where a < b.
-        y: Derivative where b < a.
-    """
+    """Interval of a derivative at a kink: x where a < b, y where b < a, and the hull of both where they may be equal."""
     return chosen(Truth(a.high < b.low, ~(a.low > b.high)), x, y)
 
 

@@ -83,28 +83,15 @@ class Text:
         self._known: dict[tuple[str, str], str] = {}
 
     def name(self, kind: str, expression: str) -> str:
-        """Return the variable that holds an expression, adding its assignment where needed.
-
-        Args:
-            kind: C type of the expression: `REAL`, `TRUTH` or `BITS`.
-            expression: The C expression.
-        """
+        """Return the variable that holds an expression, adding its assignment where needed."""
         return self._known.setdefault((kind, expression), f"{kind[0]}{len(self._known)}")
 
     def table(self, values: Sequence[float]) -> str:
-        """Return the name of a table, adding it where needed.
-
-        Args:
-            values: Its entries.
-        """
+        """Return the name of a table, adding it where needed."""
         return self.tables.setdefault(", ".join(map(literal, values)), f"table{len(self.tables)}")
 
     def lines(self, results: Iterable[str]) -> list[str]:
-        """Return the assignments that some expressions need, in order.
-
-        Args:
-            results: The C expressions.
-        """
+        """Return the assignments that some expressions need, in order."""
         needed, lines = set(NAMES.findall(" ".join(results))), []
         for (kind, expression), name in reversed(self._known.items()):
             if name in needed:
@@ -146,24 +133,13 @@ class Traced:
         return FUNCTIONS[function](*arguments, **options)
 
     def of(self, value: Any, kind: str) -> "Traced":
-        """Convert a known number to a symbol; a symbol stays as it is.
-
-        Args:
-            value: A symbol or a number.
-            kind: C type of the number.
-        """
+        """Convert a known number to a symbol; a symbol stays as it is."""
         if isinstance(value, Traced):
             return value
         return Traced(self.text, kind, (literal(float(value) if kind == REAL else value),))
 
     def each(self, kind: str, expression: str, *arguments: "Traced") -> "Traced":
-        """Add an expression for each stacked entry.
-
-        Args:
-            kind: C type of the result.
-            expression: Format of the C expression, with a field for each argument.
-            arguments: Symbols; one with a single entry serves for all.
-        """
+        """Add an expression for each stacked entry."""
         count = max(len(a.parts) for a in arguments)
         rows = zip(*(a.parts * (count if len(a.parts) == 1 else 1) for a in arguments), strict=True)
         return Traced(self.text, kind, tuple(self.text.name(kind, expression.format(*row)) for row in rows))
@@ -187,12 +163,7 @@ class Traced:
         return self._ends(np.maximum)
 
     def all(self, axis: int | None = None) -> "Traced | bool":
-        """Whether both of two stacked entries are true.
-
-        Args:
-            axis: The axis of the stack. For None, a question about the whole array, it is False, so that nothing is
-                left out.
-        """
+        """Whether both of two stacked entries are true."""
         return False if axis is None else self._ends(np.bitwise_and)
 
     def any(self) -> bool:
@@ -200,19 +171,11 @@ class Traced:
         return True
 
     def view(self, kind: type) -> "Traced":
-        """The bits of a double as an int64, or back.
-
-        Args:
-            kind: `numpy.int64` or `float`.
-        """
+        """The bits of a double as an int64, or back."""
         return self.each(BITS, "bits_of({})", self) if kind is np.int64 else self.each(REAL, "double_of({})", self)
 
     def astype(self, kind: type) -> "Traced":
-        """Convert to another type.
-
-        Args:
-            kind: `bool` or `float`.
-        """
+        """Convert to another type."""
         return self.each(TRUTH, "{} != 0", self) if kind is bool else self.each(REAL, "(double){}", self)
 
 
@@ -249,20 +212,12 @@ for _name, _function in {
 
 
 def kind_of(value: Any) -> str:
-    """C type of a known number.
-
-    Args:
-        value: A truth value, an integer or a real number.
-    """
+    """C type of a known number."""
     return TRUTH if isinstance(value, bool | np.bool_) else BITS if isinstance(value, int | np.integer) else REAL
 
 
 def literal(value: Any) -> str:
-    """Write a known number in C, exactly: real numbers in hexadecimal.
-
-    Args:
-        value: A truth value, an integer or a real number, NaN and infinities included.
-    """
+    """Write a known number in C, exactly: real numbers in hexadecimal."""
     if kind_of(value) != REAL:
         return f"{int(value)}" if kind_of(value) == TRUTH else f"INT64_C({int(value)})"
     number = float(value)

@@ -84,12 +84,7 @@ ATAN = [(-1) ** i / (2 * i + 3) for i in range(9, -1, -1)]
 
 
 def horner(coefficients: Sequence[float], x: Any) -> Any:
-    """Evaluate a polynomial by Horner's rule.
-
-    Args:
-        coefficients: At least two coefficients, highest power first.
-        x: The argument (...).
-    """
+    """Evaluate a polynomial by Horner's rule."""
     total = x * coefficients[0]
     total += coefficients[1]
     for coefficient in coefficients[2:]:
@@ -99,14 +94,7 @@ def horner(coefficients: Sequence[float], x: Any) -> Any:
 
 
 def whole(x: Any) -> tuple[Any, Any]:
-    """Round to the nearest integer.
-
-    Args:
-        x: Numbers well below 2⁵¹ in size.
-
-    Returns:
-        The integer as a double, and an int64 whose last bits are those of the integer.
-    """
+    """Round to the nearest integer."""
     shifted = x + MAGIC
     # The sum rounds to nearest in its last bit, whose unit is 1; the difference is exact.
     return shifted - MAGIC, shifted.view(np.int64)
@@ -131,9 +119,6 @@ def exp_reduced(r: Any) -> Any:
     """exp r − 1 for |r| ≤ 0.34658.
 
     The remainder is below r¹⁴/14!·1.03, that is 0.12 u |r|.
-
-    Args:
-        r: Reduced argument.
     """
     # r is added last: the quadratic rest is at most a fifth of it, so that its rounding counts little.
     return r + r * r * horner(EXP, r)
@@ -159,11 +144,7 @@ def exp(x: Any, shift: float = 0.0, rest: Any = None) -> Any:
 
 
 def expm1(x: Any) -> Any:
-    """exp x − 1, infinite where it overflows.
-
-    Args:
-        x: The argument; below −40 the result is −1, to the nearest double.
-    """
+    """exp x − 1, infinite where it overflows."""
     # exp(−40) = 4e-18 is below half a unit of 1, so that the result is −1 from there on.
     k, q = _exp_parts(np.minimum(np.maximum(x, -40.0), 712.0))
     return _scaled((1.0 - _scaled(1.0, -k)) + q, k)
@@ -173,9 +154,6 @@ def sinh(x: Any) -> Any:
     """sinh x as (q + q/(q + 1))/2 for q = exp |x| − 1, or half the exponential for |x| > 20, with the sign of x.
 
     It does not magnify a relative error of q, since q d/dq of its logarithm is at most 1.
-
-    Args:
-        x: The argument.
     """
     size = np.abs(x)
     q = expm1(np.minimum(size, 20.0))
@@ -184,21 +162,13 @@ def sinh(x: Any) -> Any:
 
 
 def cosh(x: Any) -> Any:
-    """cosh x as h + 1/(4h) for h = exp |x|/2, which overflows no sooner than the result.
-
-    Args:
-        x: The argument.
-    """
+    """cosh x as h + 1/(4h) for h = exp |x|/2, which overflows no sooner than the result."""
     half = exp(np.abs(x), -1.0)
     return half + 0.25 / half
 
 
 def tanh(x: Any) -> Any:
-    """tanh x as q/(q + 2) for q = exp 2|x| − 1, which magnifies no relative error. For |x| ≥ 22 it is 1 within u/4.
-
-    Args:
-        x: The argument.
-    """
+    """tanh x as q/(q + 2) for q = exp 2|x| − 1, which magnifies no relative error. For |x| ≥ 22 it is 1 within u/4."""
     q = expm1(2.0 * np.minimum(np.abs(x), 22.0))
     return np.copysign(q / (q + 2.0), x)
 
@@ -211,9 +181,6 @@ def log_tail(f: Any) -> Any:
 
     It is s (f − R) for log(1 + f) = 2s + s R, since s (2 + f) = f. The remainder is below s²³/23·2.1, below 0.01 u of
     the logarithm.
-
-    Args:
-        f: Mantissa minus 1.
     """
     # The caller adds f, which is exact, so that only the small tail carries the errors of this function.
     s = f / (2.0 + f)
@@ -247,11 +214,7 @@ def log(x: Any, shift: float = 0.0) -> Any:
 
 
 def log1p(x: Any) -> Any:
-    """log(1 + x). The rounding error of the sum 1 + x is computed exactly; divided by 1 + x, it is added.
-
-    Args:
-        x: The argument; −∞ at −1, NaN below.
-    """
+    """log(1 + x). The rounding error of the sum 1 + x is computed exactly; divided by 1 + x, it is added."""
     total = 1.0 + x
     k, f = _mantissa(total)
     # 1 + x is then between √½ and √2, where k = 0 and f is x itself: nothing of x is lost in the sum.
@@ -274,14 +237,7 @@ def _at_ends(x: Any, value: Any) -> Any:
 
 
 def log_parts(x: Any) -> tuple[Any, Any, Any]:
-    """The logarithm of a positive number as the sum of two doubles, with a bound on its error.
-
-    Args:
-        x: The argument, positive and finite.
-
-    Returns:
-        The two doubles, the larger one first, and a bound on the absolute error of their sum.
-    """
+    """The logarithm of a positive number as the sum of two doubles, with a bound on its error."""
     k, f = _mantissa(x)
     tail = log_tail(f) - k * LN2_LOW
     first = k * LN2_HIGH
@@ -291,15 +247,7 @@ def log_parts(x: Any) -> tuple[Any, Any, Any]:
 
 
 def power(parts: tuple[Any, Any, Any], y: Any) -> tuple[Any, Any]:
-    """xʸ from the logarithm of x.
-
-    Args:
-        parts: The logarithm of x, from `log_parts`.
-        y: The exponent, |y| < 2⁹⁰⁰.
-
-    Returns:
-        The value, and a bound on its relative error.
-    """
+    """xʸ from the logarithm of x."""
     head, rest, error = parts
     more = y * rest
     product, lost = _product(y, head)
@@ -327,9 +275,6 @@ def asinh(x: Any) -> Any:
     """asinh x as log1p(a + a²/(1 + √(1 + a²))) for a = |x|, or log 2a where a > 2²⁸, with the sign of x.
 
     log1p does not magnify relative errors.
-
-    Args:
-        x: The argument.
     """
     a = np.abs(x)
     b = np.minimum(a, 2.0**28)
@@ -338,21 +283,13 @@ def asinh(x: Any) -> Any:
 
 
 def acosh(x: Any) -> Any:
-    """acosh x as log1p(t + √(t (t + 2))) for t = x − 1, or log 2x where x > 2²⁸.
-
-    Args:
-        x: The argument, ≥ 1.
-    """
+    """acosh x as log1p(t + √(t (t + 2))) for t = x − 1, or log 2x where x > 2²⁸."""
     t = np.minimum(x, 2.0**28) - 1.0
     return np.where(x > 2.0**28, log(x, 1.0), log1p(t + np.sqrt(t * (t + 2.0))))
 
 
 def atanh(x: Any) -> Any:
-    """atanh x as ½ log1p(2a/(1 − a)) for a = |x|, with the sign of x.
-
-    Args:
-        x: The argument, −1 … 1.
-    """
+    """atanh x as ½ log1p(2a/(1 − a)) for a = |x|, with the sign of x."""
     a = np.abs(x)
     return np.copysign(0.5 * log1p(2.0 * a / (1.0 - a)), x)
 
@@ -364,12 +301,6 @@ def atan_reduced(t: Any, c: Any, high: Any, low: Any) -> Any:
     """atan t from that of a nearby c; the difference t − c is exact.
 
     The remainder is below z²³/23 for a quotient |z| ≤ 0.1875, that is 0.05 u of z.
-
-    Args:
-        t: The argument, 0 … 1.
-        c: One of 0, ¼, ½, ¾ and 1, with −0.0625 ≤ t − c ≤ 0.1875.
-        high: atan c, to the nearest double.
-        low: The rest of atan c.
     """
     z = (t - c) / (1.0 + c * t)
     w = z * z
@@ -377,22 +308,12 @@ def atan_reduced(t: Any, c: Any, high: Any, low: Any) -> Any:
 
 
 def from_axis(theta: Any, turns: int) -> Any:
-    """The angle from an axis: a number of quarter turns minus theta.
-
-    Args:
-        theta: Angle [rad].
-        turns: Number of quarter turns.
-    """
+    """The angle from an axis: a number of quarter turns minus theta."""
     return turns * HALF_PI_HIGH - (theta - turns * HALF_PI_LOW)
 
 
 def angle(y: Any, x: Any) -> Any:
-    """The angle of the point (x, y) [rad]: 0 at the origin, π on the negative half-axis.
-
-    Args:
-        y: Second coordinate, ≥ 0.
-        x: First coordinate.
-    """
+    """The angle of the point (x, y) [rad]: 0 at the origin, π on the negative half-axis."""
     size = np.abs(x)
     largest = np.maximum(y, size)
     # The quotient of the smaller by the larger is at most 1; the octant is put back by the two reflections below.
@@ -406,41 +327,24 @@ def angle(y: Any, x: Any) -> Any:
 
 
 def atan(x: Any) -> Any:
-    """atan x as the angle of the point (1, |x|), with the sign of x.
-
-    Args:
-        x: The argument.
-    """
+    """atan x as the angle of the point (1, |x|), with the sign of x."""
     return np.copysign(angle(np.abs(x), np.ones_like(x)), x)
 
 
 def atan2(y: Any, x: Any) -> Any:
-    """The angle of the point (x, y) in −π … π [rad]; on the negative half-axis it is π, for y = −0 too.
-
-    Args:
-        y: Second coordinate.
-        x: First coordinate.
-    """
+    """The angle of the point (x, y) in −π … π [rad]; on the negative half-axis it is π, for y = −0 too."""
     # −0 + 0 is +0: the cut belongs to the upper side.
     return np.copysign(angle(np.abs(y), x), y + 0.0)
 
 
 def asin(x: Any) -> Any:
-    """asin x as the angle of the point (√((1 − x)(1 + x)), x).
-
-    Args:
-        x: The argument, −1 … 1.
-    """
+    """asin x as the angle of the point (√((1 − x)(1 + x)), x)."""
     # (1 − x)(1 + x) and not 1 − x², which would lose the digits of 1 − x near 1.
     return np.copysign(angle(np.abs(x), np.sqrt((1.0 - x) * (1.0 + x))), x)
 
 
 def acos(x: Any) -> Any:
-    """acos x as twice the angle whose tangent is √(1 − x)/√(1 + x).
-
-    Args:
-        x: The argument, −1 … 1.
-    """
+    """acos x as twice the angle whose tangent is √(1 − x)/√(1 + x)."""
     # tan(½ acos x) = √((1 − x)/(1 + x)); 1 − x and 1 + x lose no digits at either end.
     return 2.0 * angle(np.sqrt(1.0 - x), np.sqrt(1.0 + x))
 
@@ -458,12 +362,6 @@ def quarters(x: Any) -> tuple[Any, Any, Any, Any]:
 
     The products with the first two parts of π/2, of 33 bits, and the first difference are exact. The error of r is at
     most |k|·QUARTER_ERROR plus u² times r.
-
-    Args:
-        x: The argument, with |k| ≤ 2²⁰.
-
-    Returns:
-        The integer k, an int64 with its last bits, and r as the sum of two doubles.
     """
     k, bits = whole(x * (2 / math.pi))
     # Cody and Waite: products of k with the leading words are exact, so that the cancellation in x − kπ/2 is too.
@@ -478,10 +376,6 @@ def sin_cos_reduced(r: Any, rest: Any) -> tuple[Any, Any]:
     """sin and cos of r + rest.
 
     The remainders are below r¹⁹/19! and r¹⁸/18!; rest·r⁴/24 and rest·r³/6 are left out too: 0.03 u and 0.12 u in all.
-
-    Args:
-        r: Reduced argument, |r| ≤ 0.7854.
-        rest: Correction of r, from `quarters`.
     """
     z = r * r
     half = 0.5 * z

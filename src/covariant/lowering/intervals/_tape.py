@@ -125,11 +125,7 @@ class Tape:
         return Place(self, self.count - 1)
 
     def number_of(self, value: Any) -> int:
-        """Return the place of a value, adding a constant where needed.
-
-        Args:
-            value: A `Place`, or a number that all boxes share.
-        """
+        """Return the place of a value, adding a constant where needed."""
         if type(value) is Place:
             return value.number
         # By bits, so that 0.0 and −0.0 stay apart and NaN equals itself.
@@ -139,15 +135,7 @@ class Tape:
         return self.constants[bits]
 
     def step(self, name: str, arguments: Sequence[Any]) -> Any:
-        """Append a step.
-
-        Args:
-            name: Name of the kernel.
-            arguments: Its arguments, whose parts are places or numbers.
-
-        Returns:
-            The result of the kernel, an `Interval` or `Truth` of new places.
-        """
+        """Append a step."""
         read = tuple(self.number_of(end) for ends in arguments for end in ends)
         bounds = self.place(), self.place()
         self.steps.append(Step(name, (bounds[0].number, bounds[1].number), read))
@@ -155,13 +143,7 @@ class Tape:
 
 
 def as_kernel(name: str, kernel: Kernel, compute: Callable[..., Any]) -> Callable[..., Any]:
-    """Register a kernel, and return a function that computes on arrays and appends a step on places.
-
-    Args:
-        name: Name of the kernel.
-        kernel: The kernel.
-        compute: Function of arrays with the values of its formula, possibly faster.
-    """
+    """Register a kernel, and return a function that computes on arrays and appends a step on places."""
     KERNELS[name] = kernel
 
     def apply(*arguments: Any) -> Any:
@@ -175,11 +157,7 @@ def as_kernel(name: str, kernel: Kernel, compute: Callable[..., Any]) -> Callabl
 
 
 def kernel(formula: Callable[..., Any]) -> Callable[..., Any]:
-    """Decorator that registers a formula as a kernel of its own name.
-
-    Args:
-        formula: The formula; its annotations are the kinds of its arguments and of its result.
-    """
+    """Decorator that registers a formula as a kernel of its own name."""
     kinds = inspect.get_annotations(formula)
     result = kinds.pop("return")
     return as_kernel(formula.__name__, Kernel(formula, tuple(kinds.values()), result), formula)

@@ -81,18 +81,7 @@ def submerged_body(
     quadratic_drag: Sequence[Number],
     parameters: dict[str, Parameter],
 ) -> GroupSystem:
-    """Rigid body in water, on SE(3), with drag in each component of its twist (v, ω).
-
-    Args:
-        inertia: Inertia (6, 6), added mass included.
-        potential: Potential energy `g -> ()` [J] of the pose (4, 4).
-        drag: Coefficients (6,) of the linear drag [N s/m, N m s].
-        quadratic_drag: Coefficients (6,) of the quadratic drag [N s²/m², N m s²].
-        parameters: A `Parameter` for each name, as documentation.
-
-    Returns:
-        The system with six velocities and six inputs.
-    """
+    """Rigid body in water, on SE(3), with drag in each component of its twist (v, ω)."""
     return GroupSystem(
         SE3,
         inertia,

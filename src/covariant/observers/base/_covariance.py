@@ -19,18 +19,7 @@ same in every direction; a matrix (n, n) is the same at every configuration; or 
 
 
 def check_covariance(whose: str, name: str, covariance: Any, positive: bool = False) -> None:
-    """Check that a number or matrix is a covariance; a traced value and a function are not checked.
-
-    Args:
-        whose: Name of the observer, for the message.
-        name: Name of the argument, for the message.
-        covariance: A number, a matrix (n, n), or a function `q -> (n, n)`.
-        positive: True demands a covariance that is not singular; False by default.
-
-    Raises:
-        ValueError: An entry is not finite, the shape is another one, or the matrix is not symmetric or has a negative
-            eigenvalue, or with `positive` one that is zero.
-    """
+    """Check that a number or matrix is a covariance; a traced value and a function are not checked."""
     if callable(covariance) or isinstance(covariance, Tracer):
         return
     check_finite(whose, **{name: covariance})
@@ -50,26 +39,12 @@ def check_covariance(whose: str, name: str, covariance: Any, positive: bool = Fa
 
 
 def isotropic(std: Scalar, like: Vector) -> Matrix:
-    """Covariance (n, n) of n independent numbers of one standard deviation.
-
-    Args:
-        std: The standard deviation.
-        like: A vector (n,), of which only shape and precision count.
-    """
+    """Covariance (n, n) of n independent numbers of one standard deviation."""
     return jnp.eye(like.shape[0], dtype=like.dtype) * std**2
 
 
 def covariance_at(covariance: Covariance, space: AbstractSpace, q: Array) -> Float[Array, "n n"]:
-    """Covariance matrix at a configuration.
-
-    Args:
-        covariance: A number, a matrix (n, n), or a function `q -> (n, n)`; see `Covariance`.
-        space: Configuration space, whose metric defines the unit of a number.
-        q: Configuration.
-
-    Returns:
-        Matrix (n, n), in the frame at q.
-    """
+    """Covariance matrix at a configuration."""
     if callable(covariance):
         return covariance(q)
     covariance = jnp.asarray(covariance)

@@ -156,16 +156,7 @@ def _mean_squares(cov: Matrix, vectors: Float[Array, "n k"]) -> Float[Array, "k"
 
 
 def _shape(line: Line, noise: Matrix) -> tuple[Flag, Flag]:
-    """Whether the last three readings of a block are on a line that moves, and whether it starts at the last used one.
-
-    Args:
-        line: The line of the block.
-        noise: Covariance of the noise of a reading of the block.
-
-    Returns:
-        Whether three readings are on a line whose neighbours are apart; whether that line passes the last used reading
-        between the time of that reading and now.
-    """
+    """Whether the last three readings of a block are on a line that moves, and whether it starts at the last used one."""
     step, length = line.step[0], line.length[0]
     columns = half_solve(noise, jnp.stack([line.slope, line.bend, line.change], axis=1)) / len(noise) ** 0.5
     slope, bend, change = columns.T
@@ -199,33 +190,13 @@ def _credible(manifold: AbstractManifold, line: Line, predicted: Velocity, usual
 
 
 def with_block(cov: Matrix, block: Matrix, places: Bool[Array, "n"]) -> Matrix:
-    """A covariance with a block replaced by that of another one, uncorrelated with the rest.
-
-    Args:
-        cov: Covariance (n, n).
-        block: The other covariance (n, n).
-        places: Which entries (n,) are in the block.
-
-    Returns:
-        Covariance (n, n).
-    """
+    """A covariance with a block replaced by that of another one, uncorrelated with the rest."""
     inside, outside = places[:, None] & places[None], ~places[:, None] & ~places[None]
     return jnp.where(inside, block, jnp.where(outside, cov, 0.0))
 
 
 def start(manifold: AbstractManifold, q: Array, innovation: Vector, y: Array, anew: Bool[Array, "n"]) -> Array:
-    """The configuration of a new start.
-
-    Args:
-        manifold: Manifold of the configurations.
-        q: Predicted configuration.
-        innovation: Innovation (n,) of the measurement there.
-        y: Measurement, NaN where missing.
-        anew: Which components (n,) are taken from it; the others stay where they are predicted.
-
-    Returns:
-        The configuration.
-    """
+    """The configuration of a new start."""
     partly = manifold.retract(q, jnp.where(anew, innovation, 0.0))
     # In coordinates the two are the same. A group element is taken as it is, without a logarithm in between.
     return partly if manifold.commuting else jnp.where(jnp.all(anew), manifold.measured(q, y), partly)
@@ -239,19 +210,7 @@ def judged(
     predicted: Velocity,
     usual: Matrix | None,
 ) -> Judged:
-    """Verdict of a gate, or of no gate, which refuses nothing.
-
-    Args:
-        gate: The gate, or None.
-        manifold: Manifold of the measured configurations.
-        sample: The innovation.
-        memory: Field `memory` of the verdict on the previous sample, advanced.
-        predicted: Velocity of the estimate.
-        usual: Covariance (n, n) of the velocities of the system, or None; see `Gate.judge`.
-
-    Returns:
-        The verdict of `Gate.judge`; without a gate, one that refuses nothing and leaves the memory as it is.
-    """
+    """Verdict of a gate, or of no gate, which refuses nothing."""
     if gate is None:
         nothing = jnp.zeros_like(sample.present)
         velocity = predicted if usual is None else predicted._replace(cov=usual)

@@ -35,16 +35,7 @@ class Line(NamedTuple):
     length: Vector
 
     def slope_cov(self, noise: Matrix, scale: Vector) -> Matrix:
-        """Covariance (n, n) of the slope.
-
-        Args:
-            noise: Covariance (n, n) of the noise of a reading.
-            scale: Factor (n,) of its variances.
-
-        Returns:
-            That of a difference of two readings, one or two steps apart, and of the bend of the line: the one between
-            three readings, and `BEND` as expected of any line.
-        """
+        """Covariance (n, n) of the slope."""
         over = jnp.sqrt(jnp.where(self.refused > 1, scale / 2, 2 * scale)) / self.step
         # The bends of joints that are hit together tell nothing of each other.
         return noise * jnp.outer(over, over) + jnp.diag((self.bend / self.step) ** 2 + (BEND * self.slope) ** 2)

@@ -408,19 +408,7 @@ class AbstractMechanicalObserver(AbstractFlowObserver):
 
 
 def at_rest(model: MechanicalSystem, y: Array, t: Number) -> SampledState:
-    """State at rest at the first measurement.
-
-    Args:
-        model: Mechanical system.
-        y: First measurement: coordinates (n,), or on a group a matrix (N, N).
-        t: Time [s].
-
-    Returns:
-        The state, with zero velocity, zero as last input, and age zero.
-
-    Raises:
-        ValueError: y is no configuration; see `AbstractManifold.checked`.
-    """
+    """State at rest at the first measurement."""
     q = model.manifold.checked(y)
     rest = model.manifold.zero(q)
     t = jnp.asarray(t, rest.dtype)
@@ -428,43 +416,17 @@ def at_rest(model: MechanicalSystem, y: Array, t: Number) -> SampledState:
 
 
 def since(state: Any, dt: Scalar) -> Scalar:
-    """Time since the last measurement at the end of a prediction.
-
-    Args:
-        state: State before the prediction, with the field `age` [s] or None there.
-        dt: Length of the prediction [s].
-
-    Returns:
-        Time [s]: the age plus dt, or dt where the state has no age.
-    """
+    """Time since the last measurement at the end of a prediction."""
     return dt if state.age is None else state.age + dt
 
 
 def aged(model: MechanicalSystem, state: Any, y: Array) -> Scalar:
-    """Field `age` of a predicted state after the measurement y.
-
-    Args:
-        model: Mechanical system, which says which entries of y are missing.
-        state: Predicted state.
-        y: Measurement, NaN where missing.
-
-    Returns:
-        Time since the last measurement [s]: unchanged where all of y is missing, else zero.
-    """
+    """Field `age` of a predicted state after the measurement y."""
     return state.age * jnp.all(model.manifold.missing(y)).astype(state.age.dtype)
 
 
 def uniqueness(model: MechanicalSystem, q: Array, y: Array) -> Code:
-    """Whether the shortest path from the estimate to the measurement is unique.
-
-    Args:
-        model: Mechanical system.
-        q: Estimated configuration.
-        y: Measurement, NaN where missing.
-
-    Returns:
-        The code `OK`, or `CUT_LOCUS` where two shortest paths lead from q to the measurement.
-    """
+    """Whether the shortest path from the estimate to the measurement is unique."""
     unique = model.manifold.unique(q, model.manifold.measured(q, y))
     return jnp.where(unique, int(Result.OK), int(Result.CUT_LOCUS)).astype(jnp.int32)
 
@@ -473,77 +435,33 @@ def as_gain(value: Any) -> Any:
     """Convert a gain to an array, so that a program is compiled once for all gains.
 
     The array adopts the precision of the other operands.
-
-    Args:
-        value: A number, or anything else.
-
-    Returns:
-        The number as an array (). Anything that is not a number is returned unchanged, so that the checks can name it.
     """
     return jnp.asarray(float(value)) if isinstance(value, int | float | np.generic) else value
 
 
 def check_positive(whose: str, **gains: Any) -> None:
-    """Check that gains are positive, finite numbers; a traced gain has no value to check.
-
-    Args:
-        whose: Name of the observer, for the message.
-        **gains: Gains by name, numbers or arrays.
-
-    Raises:
-        ValueError: A gain is not positive and finite; the message names it.
-    """
+    """Check that gains are positive, finite numbers; a traced gain has no value to check."""
     for name, gain in gains.items():
         if not _satisfied(gain, lambda a: np.isfinite(a) & (a > 0)):
             raise ValueError(f"{whose}: {name} must be a positive, finite number; got {_on_one_line(gain)}")
 
 
 def check_not_negative(whose: str, **gains: Any) -> None:
-    """Check that gains are finite numbers ≥ 0; a traced gain has no value to check.
-
-    Args:
-        whose: Name of the observer, for the message.
-        **gains: Gains by name, numbers or arrays.
-
-    Raises:
-        ValueError: A gain is negative or not finite; the message names it.
-    """
+    """Check that gains are finite numbers ≥ 0; a traced gain has no value to check."""
     for name, gain in gains.items():
         if not _satisfied(gain, lambda a: np.isfinite(a) & (a >= 0)):
             raise ValueError(f"{whose}: {name} must be a finite number, 0 or more; got {_on_one_line(gain)}")
 
 
 def check_finite(whose: str, **given: Any) -> None:
-    """Check that arrays have finite entries; a traced array has no values to check.
-
-    Args:
-        whose: Name of the observer, for the message.
-        **given: Arrays by name.
-
-    Raises:
-        ValueError: An array has an entry that is not finite; the message names it.
-    """
+    """Check that arrays have finite entries; a traced array has no values to check."""
     for name, array in given.items():
         if not _satisfied(array, np.isfinite):
             raise ValueError(f"{whose}: {name} must have finite entries; got {_on_one_line(array)}")
 
 
 def as_numbers(whose: str, what: str, value: Any, count: int, least: float = -np.inf) -> np.ndarray:
-    """So many numbers, from one or as many.
-
-    Args:
-        whose: Name of the function, for the message.
-        what: Name of the argument, for the message.
-        value: One number, or `count` of them.
-        count: How many numbers there are.
-        least: The least that they may be; any finite number by default.
-
-    Returns:
-        The numbers (count,).
-
-    Raises:
-        ValueError: There are another number of them, or one is not finite or below `least`.
-    """
+    """So many numbers, from one or as many."""
     try:
         numbers = np.broadcast_to(np.asarray(value, float), (count,))
     except (TypeError, ValueError):
@@ -593,14 +511,7 @@ def step_length(state: Any) -> Scalar:
 
 
 def still(kept: LastInput | Scalar) -> Any:
-    """Time derivative of what is remembered between samples: zero, in the same form.
-
-    Args:
-        kept: An array, or None.
-
-    Returns:
-        Zeros of the same shape, or None.
-    """
+    """Time derivative of what is remembered between samples: zero, in the same form."""
     return jax.tree.map(jnp.zeros_like, kept)
 
 
@@ -666,15 +577,6 @@ def outcome(q: Array, v: Array, y: Array, result: Code | int = Result.OK) -> Cod
 
     A position so large that floating-point numbers cannot resolve one unit counts as not finite: differences of such
     positions mean nothing.
-
-    Args:
-        q: Estimated configuration after the step.
-        v: Estimated velocity (n,) after the step.
-        y: Measurement, NaN where missing.
-        result: Code of the step itself, `OK` by default.
-
-    Returns:
-        The code.
     """
     # Beyond 1/ε neighbouring floating-point numbers are 1 or more apart.
     finite = jnp.all(jnp.abs(q) < 1 / jnp.finfo(q.dtype).eps) & jnp.all(jnp.isfinite(v))
@@ -703,16 +605,7 @@ class Rows(NamedTuple):
 
 
 def scan(observer: AbstractObserver, state: Any, rows: Rows) -> tuple[Any, tuple[Any, Any]]:
-    """Run an observer over rows from a state on.
-
-    Args:
-        observer: The observer.
-        state: State after the row before.
-        rows: The rows.
-
-    Returns:
-        The state after the last row, and the estimates and infos, stacked.
-    """
+    """Run an observer over rows from a state on."""
 
     def step(state, row):
         state, info = observer.step(state, *row)

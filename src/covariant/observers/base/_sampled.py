@@ -37,37 +37,13 @@ the error may have changed its sign."""
 def predict(
     model: MechanicalSystem, t: Number, q: Array, v: Vector, u: Float[Array, "m"], dt: Number, substeps: int | None
 ) -> Motion:
-    """Integrate the model over dt with the input held constant.
-
-    Args:
-        model: Mechanical system.
-        t: Time [s] at the start.
-        q: Configuration at the start.
-        v: Velocity (n,) at the start.
-        u: Input (m,).
-        dt: Length [s].
-        substeps: Number of Runge–Kutta steps; None uses as many as friction and dt need.
-
-    Returns:
-        The motion at t + dt.
-    """
+    """Integrate the model over dt with the input held constant."""
     count = needed_substeps(model, t, q, v, u, dt) if substeps is None else substeps
     return advance(model, t, Motion(q, v), u, dt, count)
 
 
 def predicted(model: MechanicalSystem, state: Any, u: Float[Array, "m"], dt: Scalar, substeps: int | None) -> Any:
-    """State of a mechanical observer predicted by the model over dt; see `predict`.
-
-    Args:
-        model: Mechanical system.
-        state: State with the fields q, v, t and `age`.
-        u: Input (m,), constant.
-        dt: Length [s].
-        substeps: Number of Runge–Kutta steps; None uses as many as friction and dt need.
-
-    Returns:
-        The state at t + dt.
-    """
+    """State of a mechanical observer predicted by the model over dt; see `predict`."""
     q, v = predict(model, state.t, state.q, state.v, u, dt, substeps)
     return state._replace(q=q, v=v, t=state.t + dt, age=since(state, dt))
 
@@ -166,15 +142,7 @@ def with_fixed_substeps(
 
 
 def steps_for(dt: Number, rate: Number) -> Code:
-    """Number of equal steps in dt that keep h·rate ≤ 1, at most `MOST_SUBSTEPS`.
-
-    Args:
-        dt: Length [s].
-        rate: Fastest rate [1/s].
-
-    Returns:
-        The number, at least 1.
-    """
+    """Number of equal steps in dt that keep h·rate ≤ 1, at most `MOST_SUBSTEPS`."""
     # A NaN has no integer; one step keeps it in the state, where the result code reports it.
     count = jnp.ceil(jnp.nan_to_num(jnp.asarray(dt * rate), nan=1.0))
     return jnp.clip(count, 1, MOST_SUBSTEPS).astype(jnp.int32)
@@ -184,14 +152,6 @@ def sampled_gains(alpha: Number, beta: Number, dt: Number) -> tuple[Scalar, Scal
     """Position and velocity gains of one sample: `k1 = 1 − ab`, `k2 = (1 − a)(1 − b)/dt`, for sampled poles a and b.
 
     Complex poles `√p exp(±iφ)`, p = exp(−α dt), give `k2 = (1 − √p)²/dt + 2√p (1 − cos φ)/dt`.
-
-    Args:
-        alpha: Gain α [1/s].
-        beta: Gain β [1/s²].
-        dt: Time since the last measurement [s].
-
-    Returns:
-        k1 [1] and k2 [1/s], both 0 for dt ≤ 0.
     """
     # Where dt ≤ 0 the 1 keeps the branch that is not taken finite, and so its derivative.
     positive_dt = jnp.where(dt > 0, dt, 1.0)
@@ -209,16 +169,7 @@ def sampled_gains(alpha: Number, beta: Number, dt: Number) -> tuple[Scalar, Scal
 
 
 def acceleration_gain(k1: Scalar, k2: Scalar, dt: Number) -> Scalar:
-    """Gain `κ = ½(1 + ab) dt − k2 dt²/6` of the acceleration that is missing in a prediction, to first order in N.
-
-    Args:
-        k1: Position gain, as from `sampled_gains`.
-        k2: Velocity gain [1/s].
-        dt: Time since the last measurement [s].
-
-    Returns:
-        κ [s].
-    """
+    """Gain `κ = ½(1 + ab) dt − k2 dt²/6` of the acceleration that is missing in a prediction, to first order in N."""
     # ½(1 + ab) dt, since k1 = 1 − ab.
     return dt * (1 - k1 / 2) - k2 * dt * dt / 6
 
@@ -244,18 +195,6 @@ def sampled_correction(
     """Correction of a predicted motion by the error ξ.
 
     N is an operator and known in the direction of ξ only; terms beyond first order in `|N| dt²` use its size instead.
-
-    Args:
-        space: Configuration space.
-        motion: Predicted motion.
-        alpha: Gain α [1/s].
-        beta: Gain β [1/s²].
-        dt: Time since the last measurement [s].
-        xi: Error ξ (n,) from the measurement to the estimate.
-        missing: −Nξ (n,), the acceleration missing in the prediction, which was computed at the estimate.
-
-    Returns:
-        The correction.
     """
     k1, k2 = sampled_gains(alpha, beta, dt)
     size, gap = space.norm(motion.q, xi), space.norm(motion.q, missing) * dt * dt
@@ -269,13 +208,5 @@ def sampled_correction(
 
 
 def step_result(correction: Correction, result: Code) -> Code:
-    """Result code of a step: its own, or `RESTARTED`, whichever is worse.
-
-    Args:
-        correction: Correction of the step.
-        result: Code of the step itself.
-
-    Returns:
-        The code.
-    """
+    """Result code of a step: its own, or `RESTARTED`, whichever is worse."""
     return jnp.where(correction.restarted, jnp.maximum(result, int(Result.RESTARTED)), result)

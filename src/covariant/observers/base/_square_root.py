@@ -11,30 +11,14 @@ from covariant._typing import Matrix, Scalar, Vector
 
 
 def diagonal(a: Array, b: Array) -> Array:
-    """Block-diagonal matrix of two blocks.
-
-    Args:
-        a: First block (i, j), which sets the precision.
-        b: Second block (k, l).
-
-    Returns:
-        The matrix (i + k, j + l).
-    """
+    """Block-diagonal matrix of two blocks."""
     top = jnp.concatenate([a, jnp.zeros((a.shape[0], b.shape[1]), a.dtype)], axis=1)
     bottom = jnp.concatenate([jnp.zeros((b.shape[0], a.shape[1]), a.dtype), b.astype(a.dtype)], axis=1)
     return jnp.concatenate([top, bottom])
 
 
 def white_acceleration(density: Matrix, h: Scalar) -> Float[Array, "two_n two_n"]:
-    """Square root of the covariance that white acceleration noise adds to position and velocity.
-
-    Args:
-        density: Spectral density (n, n) of the noise [(rad/s²)² s, or (m/s²)² s].
-        h: Time over which it acts [s].
-
-    Returns:
-        The root (2n, 2n), positions first.
-    """
+    """Square root of the covariance that white acceleration noise adds to position and velocity."""
     # The double and the single integral of white noise over h have the covariance h³/3, h²/2; h²/2, h.
     integrals = jnp.sqrt(h) * jnp.array([[h / 3**0.5, 0.0], [0.75**0.5, 0.5]])
     return jnp.kron(integrals, semidefinite_root(density))
@@ -43,17 +27,7 @@ def white_acceleration(density: Matrix, h: Scalar) -> Float[Array, "two_n two_n"
 def updated(
     root: Float[Array, "k k"], shown: Float[Array, "n k"], noise: Float[Array, "n n"], used: Array
 ) -> tuple[Float[Array, "k n"], Float[Array, "k k"]]:
-    """Correction of a square root by a measurement of n linear functions H of the state, in array form.
-
-    Args:
-        root: Square root (k, k) of the covariance before the measurement.
-        shown: Output matrix H (n, k) times this root.
-        noise: Covariance (n, n) of the measurement noise.
-        used: Which of the n measurements are used (n,).
-
-    Returns:
-        The gain (k, n), and the root (k, k) of the covariance after the correction.
-    """
+    """Correction of a square root by a measurement of n linear functions H of the state, in array form."""
     n = noise.shape[0]
     both = used[:, None] & used[None, :]
     # An unused entry gets unit noise and no output: its gain is zero, and the matrix to be solved stays regular.
@@ -69,16 +43,7 @@ def updated(
 
 
 def normalised_square(spread: Matrix, innovation: Vector, present: Bool[Array, "n"]) -> Scalar:
-    """Normalised square `rᵀS⁻¹r` of the measured components of an innovation.
-
-    Args:
-        spread: Covariance S (n, n) of the innovation.
-        innovation: Innovation r (n,).
-        present: Which components are measured (n,).
-
-    Returns:
-        The square, 0 where nothing is measured.
-    """
+    """Normalised square `rᵀS⁻¹r` of the measured components of an innovation."""
     both = present[:, None] & present[None, :]
     r = jnp.where(present, innovation, 0.0)
     # A component that is not measured has unit variance and r = 0: it adds nothing, and the matrix stays regular.

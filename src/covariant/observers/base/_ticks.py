@@ -76,16 +76,7 @@ class Encoded(NamedTuple):
 def take(
     prior: Float[Array, "N N"], rows: tuple[Float[Array, "n N"], Float[Array, "n N"]], encoded: Encoded
 ) -> Believed:
-    """Posterior of an error of mean zero after readings of encoders that count ticks.
-
-    Args:
-        prior: Square root (N, N) of the covariance of the error.
-        rows: Positions and velocities as linear functions (n, N) of the error.
-        encoded: The readings.
-
-    Returns:
-        Mean (N,) and square root (N, N) of the covariance of the error.
-    """
+    """Posterior of an error of mean zero after readings of encoders that count ticks."""
     offset, moved, age, speed, step, noise, used = encoded
     state = Believed(jnp.zeros_like(prior[0]), prior)
     for i in range(len(step)):

@@ -106,16 +106,6 @@ def path_to(model: MechanicalSystem, q: Array, guess: Vector, y: Array, budget: 
     """Path between an estimate and a measurement.
 
     The search starts at the measurement, so that its geodesic is also the one along which vectors come from there.
-
-    Args:
-        model: Mechanical system.
-        q: Estimated configuration.
-        guess: First guess (n,) of the velocity at the measurement that leads to q.
-        y: Measurement, NaN where missing.
-        budget: Work spent on the search.
-
-    Returns:
-        The geodesic, or the straight path where the search finds none.
     """
     space = model.space
     measured = space.manifold.measured(q, y)

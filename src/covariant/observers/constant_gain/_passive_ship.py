@@ -150,27 +150,12 @@ class PassiveShip(AbstractFlowObserver):
 
 
 def position_matrix(station: Station, heading: Scalar) -> Matrix:
-    """Matrix `A1(ψ) = −M⁻¹ Rᵀ(ψ) K`: the ship's acceleration per position, (40)–(41).
-
-    Args:
-        station: The ship with its disturbances.
-        heading: Heading ψ [rad].
-
-    Returns:
-        Matrix (3, 3).
-    """
+    """Matrix `A1(ψ) = −M⁻¹ Rᵀ(ψ) K`: the ship's acceleration per position, (40)–(41)."""
     return _station_matrix(station, heading, "eta")
 
 
 def velocity_matrix(station: Station) -> Matrix:
-    """Matrix `A2 = −M⁻¹ D`: the ship's acceleration per velocity, at rest, (40)–(41).
-
-    Args:
-        station: The ship with its disturbances.
-
-    Returns:
-        Matrix (3, 3) [1/s].
-    """
+    """Matrix `A2 = −M⁻¹ D`: the ship's acceleration per velocity, at rest, (40)–(41)."""
     return _station_matrix(station, jnp.zeros(()), "nu")
 
 

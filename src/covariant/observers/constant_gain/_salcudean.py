@@ -166,14 +166,6 @@ def of_mean_inertia(model: MechanicalSystem, alpha: Number, beta: Number) -> Sal
     """Salcudean's observer with the gains of the error law s² + αs + β for the mean of the principal inertias.
 
     The law is exact for an inertia that is the same in all directions.
-
-    Args:
-        model: Mechanical system on SO(3).
-        alpha: α [1/s] of the error law.
-        beta: β [1/s²] of the error law.
-
-    Returns:
-        The observer, with `kp = 4J²β` and `kv = 2Jα` for the mean inertia J.
     """
     inertia = float(jnp.trace(model.space(SO3.identity()))) / 3
     return Salcudean(model, 4 * inertia**2 * beta, 2 * inertia * alpha)

@@ -69,13 +69,6 @@ def response(step: Float[np.ndarray, "k k"], gain: Float[np.ndarray, "k"]) -> Fl
 
     The filter is `x ← step x; x ← x + gain (y − x₀)`, and its weights are its impulse response, cut off where the
     slowest pole has decayed to 1e-10, or at `MOST_WEIGHTS`.
-
-    Args:
-        step: Transition (k, k) over one sample.
-        gain: Gain (k,) of the correction.
-
-    Returns:
-        Weights (w,), newest first, w ≥ 4.
     """
     closed_loop = step - np.outer(gain, step[0])
     # At least 1e-300, so that its logarithm is finite for a filter whose poles are all zero.

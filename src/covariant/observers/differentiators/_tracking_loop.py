@@ -69,55 +69,21 @@ class AbstractTrackingLoop(AbstractObserver):
 
     @abc.abstractmethod
     def gains(self, dt: Vector, error: Vector) -> Float[Array, "k n"]:
-        """Gains of the correction, for each coordinate.
-
-        Args:
-            dt: Time (n,) since the last measurement [s].
-            error: Measured minus extrapolated position (n,) [rad or m].
-
-        Returns:
-            Factors (k, n) of the error in the correction of position, velocity and so on: 1, 1/s, ….
-        """
+        """Gains of the correction, for each coordinate."""
 
     def init(self, y: Vector, t: Number = 0.0) -> LoopState:
-        """State of the loop at rest at the measured positions.
-
-        Args:
-            y: Measured positions (n,) [rad or m].
-            t: Time [s], without influence.
-
-        Returns:
-            The state, with all derivatives zero.
-        """
+        """State of the loop at rest at the measured positions."""
         return standing(self.order, y)
 
     def estimate(self, state: LoopState) -> Float[Array, "two_n"]:
         return jnp.concatenate([state.x[0], state.x[1]])
 
     def predict(self, state: LoopState, u: Float[Array, "m"], dt: Scalar) -> LoopState:
-        """Extrapolate the polynomial of each coordinate.
-
-        Args:
-            state: State after the sample before.
-            u: Input (m,), without influence.
-            dt: Length of the step [s].
-
-        Returns:
-            The state dt later, before a measurement.
-        """
+        """Extrapolate the polynomial of each coordinate."""
         return LoopState(extrapolated(state.x, dt), state.age + dt)
 
     def correct(self, state: LoopState, u: Float[Array, "m"], y: Vector) -> tuple[LoopState, FilterInfo]:
-        """Correct each measured coordinate by its gains times its innovation.
-
-        Args:
-            state: What `predict` returned.
-            u: Input (m,), without influence.
-            y: Measured positions (n,) [rad or m], NaN where missing.
-
-        Returns:
-            The new state and the info.
-        """
+        """Correct each measured coordinate by its gains times its innovation."""
         # A coordinate measured at this very stamp is not measured anew: its gains would divide by zero.
         present, error = ~jnp.isnan(y) & (state.age > 0), self.innovation(state, u, y)
         x = state.x + self.gains(jnp.where(present, state.age, 1.0), error) * error[None]
@@ -129,57 +95,25 @@ class AbstractTrackingLoop(AbstractObserver):
 
 
 def standing(order: int, y: Vector) -> LoopState:
-    """State of a loop at rest.
-
-    Args:
-        order: Number of integrators k.
-        y: Position (n,) of each coordinate.
-
-    Returns:
-        The state at y with all derivatives zero, as if y had just been measured.
-    """
+    """State of a loop at rest."""
     return LoopState(jnp.concatenate([y[None], jnp.zeros((order - 1, y.shape[0]), y.dtype)]), jnp.zeros_like(y))
 
 
 def extrapolated(x: Float[Array, "k n"], dt: Scalar) -> Float[Array, "k n"]:
-    """Value and derivatives of a polynomial after a time, by its Taylor series.
-
-    Args:
-        x: Value and the k − 1 derivatives (k, n) at the start.
-        dt: Time [s].
-
-    Returns:
-        The value and derivatives (k, n) after dt.
-    """
+    """Value and derivatives of a polynomial after a time, by its Taylor series."""
     k = x.shape[0]
     return jnp.stack([sum(x[j] * dt ** (j - i) / math.factorial(j - i) for j in range(i, k)) for i in range(k)])
 
 
 @eqx.filter_jit
 def sampled(gains: Gains, dt: Scalar) -> tuple[Array, Array]:
-    """Transition and gain over one sample of a loop whose gains do not depend on the error.
-
-    Args:
-        gains: The gains of the loop.
-        dt: Time between two samples [s].
-
-    Returns:
-        The transition (k, k) over dt, and the gain (k,) of the correction at its end.
-    """
+    """Transition and gain over one sample of a loop whose gains do not depend on the error."""
     gain = gains(dt[None], jnp.zeros(1))[:, 0]
     return extrapolated(jnp.eye(len(gain)), dt), gain
 
 
 def loop_weights(gains: Gains, rate: float) -> Float[np.ndarray, "k"]:
-    """Weights of the positions in the velocity of a loop whose gains do not depend on the error.
-
-    Args:
-        gains: The gains of the loop.
-        rate: Rate of even sampling [Hz].
-
-    Returns:
-        Weights (k,) [1/s], newest first.
-    """
+    """Weights of the positions in the velocity of a loop whose gains do not depend on the error."""
     return response(*map(np.asarray, sampled(gains, jnp.asarray(1 / rate))))
 
 
@@ -187,13 +121,6 @@ def triple_pole(decay: Vector, dt: Vector) -> Float[Array, "3 n"]:
     """Gains that give a loop of three integrators three equal sampled poles `p = exp(−decay)`.
 
     They are `1 − p³`, `3(1 − p)²(1 + p)/2dt` and `(1 − p)³/dt²`.
-
-    Args:
-        decay: Decay (n,) over the step, −log p: the pole in continuous time, times dt.
-        dt: Length (n,) of the step [s].
-
-    Returns:
-        Gains (3, n) on position, velocity and acceleration: 1, 1/s, 1/s².
     """
     # 1 − p by expm1, and 1 − p³ as its multiple, lose no digits for a small decay.
     p, complement = jnp.exp(-decay), -jnp.expm1(-decay)

@@ -211,17 +211,7 @@ class EKF(AbstractMechanicalFilter):
 
 
 def moved(model: MechanicalSystem, state: Any, error: Float[Array, "two_n"]) -> Moved:
-    """Move the estimate of a filter with the error of the EKF.
-
-    Args:
-        model: Mechanical system.
-        state: State with the fields q and v.
-        error: Error (2n,) `(local(q̂, q), v − v̂)` by which it is moved.
-
-    Returns:
-        The moved state. The covariance stays in the frame of the prediction, as published: the reset is the identity.
-        `IntrinsicKalman` moves it too.
-    """
+    """Move the estimate of a filter with the error of the EKF."""
     n = state.v.shape[0]
     q, v = model.manifold.retract(state.q, error[:n]), state.v + error[n:]
     return Moved(state._replace(q=q, v=v), jnp.eye(2 * n, dtype=error.dtype))
@@ -230,18 +220,7 @@ def moved(model: MechanicalSystem, state: Any, error: Float[Array, "two_n"]) -> 
 def ekf_info(
     model: MechanicalSystem, q: Array, expected: Expectation, deviations: dict[str, Vector], result: Code
 ) -> EKFInfo:
-    """Diagnostics of a correction, for filters with the error of the EKF.
-
-    Args:
-        model: Mechanical system, whose metric measures the innovation.
-        q: Predicted configuration, at which the metric is evaluated.
-        expected: The measurement beside what the filter expects of it.
-        deviations: Standard deviations (n,) of the velocity after the correction, by the name of the field.
-        result: Result code of the correction.
-
-    Returns:
-        The `EKFInfo`, with the normalised innovation squared of the measured components.
-    """
+    """Diagnostics of a correction, for filters with the error of the EKF."""
     _, innovation, cov, _, present, *_ = expected
     nis = normalised_square(cov, innovation, present)
     return EKFInfo(innovation, model.space.norm(q, innovation), cov, nis, **deviations, result=result)

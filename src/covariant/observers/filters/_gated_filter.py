@@ -111,60 +111,23 @@ class AbstractGatedFilter(AbstractObserver):
 
     @final
     def predict(self, state: Any, u: Float[Array, "m"], dt: Scalar) -> Any:
-        """Integrate the model and the covariance over one step.
-
-        Args:
-            state: State after the sample before.
-            u: Input (m,), constant over the step.
-            dt: Length of the step [s].
-
-        Returns:
-            The state dt later, before a measurement.
-        """
+        """Integrate the model and the covariance over one step."""
         return self._predicted(state, u, dt, carry=False)[0]
 
     @final
     def carried(self, state: Any, u: Float[Array, "m"], dt: Scalar) -> tuple[Any, Float[Array, "N N"]]:
-        """Predict, and show where the transition Φ takes the square root S of the covariance before.
-
-        Args:
-            state: State after the sample before.
-            u: Input (m,), constant over the step.
-            dt: Length of the step [s].
-
-        Returns:
-            The state that `predict` returns, and ΦS (N, N): its product with Sᵀ is the covariance between the errors
-            after and before the step.
-        """
+        """Predict, and show where the transition Φ takes the square root S of the covariance before."""
         return self._predicted(state, u, dt, carry=True)
 
     @final
     def correct(self, state: Any, u: Float[Array, "m"], y: Array) -> tuple[Any, Any]:
-        """Correct a predicted state by a measurement that passes the gate.
-
-        Args:
-            state: State that `predict` returned.
-            u: Input (m,) that acted over the prediction.
-            y: Measurement. Missing entries (NaN) are left out; on a group one NaN makes all of it missing.
-
-        Returns:
-            The corrected state, or the one of a new start, and the info.
-        """
+        """Correct a predicted state by a measurement that passes the gate."""
         state, info, *_ = self.corrected(state, u, y)
         return state, info
 
     @final
     def corrected(self, state: Any, u: Float[Array, "m"], y: Array) -> Corrected:
-        """Correct as `correct` does, and show the correction and the reset.
-
-        Args:
-            state: State that `predict` returned.
-            u: Input (m,) that acted over the prediction.
-            y: Measurement, NaN where missing.
-
-        Returns:
-            What `correct` returns, with the correction.
-        """
+        """Correct as `correct` does, and show the correction and the reset."""
         # A field `gate` of this class would come before those of a filter, which are its arguments in their order.
         gate: Gate | None = self.gate  # pyright: ignore[reportAttributeAccessIssue]
         expected = self._expected(state, u, y)

@@ -139,15 +139,7 @@ class MeasuredOutput(NamedTuple):
     slope: Float[Array, "n k"] | None
 
     def projected(self, root: Float[Array, "N N"], n: int) -> Float[Array, "n N"]:
-        """Product of the output matrix H (n, N), from the error to the measurement, with a root of the covariance.
-
-        Args:
-            root: Square root (N, N) of the covariance of the error (ε, ν, slow), N = 2n + k.
-            n: Number of measured components.
-
-        Returns:
-            H times the root, (n, N).
-        """
+        """Product of the output matrix H (n, N), from the error to the measurement, with a root of the covariance."""
         return root[:n] if self.slope is None else root[:n] + self.slope @ root[2 * n :]
 
 
@@ -502,33 +494,14 @@ def _with_slow(matrix: Array, state: KalmanState) -> Array:
 
 
 def parallel(space: AbstractSpace, q: Array, v: Vector, sign: int = 1) -> Float[Array, "two_n two_n"]:
-    """Matrix `[[I, 0], [B(·, v), I]]` from small differences (s, δv) of motions at (q, v), in the frame, to (ε, ν).
-
-    Args:
-        space: Space with the connection B.
-        q: Configuration: coordinates (n,), or a group element (N, N).
-        v: Velocity (n,) in the frame.
-        sign: Sign of B: 1 by default; −1 gives the inverse.
-
-    Returns:
-        The matrix (2n, 2n).
-    """
+    """Matrix `[[I, 0], [B(·, v), I]]` from small differences (s, δv) of motions at (q, v), in the frame, to (ε, ν)."""
     axes = jnp.eye(v.shape[0], dtype=v.dtype)
     connections = jax.vmap(lambda a: space.connection(q, a, v), out_axes=1)(axes)
     return jnp.block([[axes, jnp.zeros_like(axes)], [sign * connections, axes]])
 
 
 def apart(space: AbstractSpace, q: Array, v: Vector) -> Float[Array, "two_n two_n"]:
-    """Inverse (2n, 2n) of `parallel`, from (ε, ν) to small differences (s, δv) in the frame.
-
-    Args:
-        space: Space with the connection B.
-        q: Configuration: coordinates (n,), or a group element (N, N).
-        v: Velocity (n,) in the frame.
-
-    Returns:
-        The matrix `[[I, 0], [−B(·, v), I]]`.
-    """
+    """Inverse (2n, 2n) of `parallel`, from (ε, ν) to small differences (s, δv) in the frame."""
     return parallel(space, q, v, -1)
 
 

@@ -268,12 +268,6 @@ def singer(theta: Scalar) -> tuple[Matrix, Matrix]:
 
     An acceleration of 1 changes the velocity by `f(x) = 1 − e⁻ˣ` and the position by `g(x) = x − f(x)` in the time x;
     the covariance is twice the integral of the products of g, f and e⁻ˣ from 0 to θ, where `g' = f`, `f' = e⁻ˣ`.
-
-    Args:
-        theta: Length θ = dt/τ of the step, ≥ 0.
-
-    Returns:
-        The transition (3, 3) of position, velocity and acceleration, and the covariance (3, 3) that the noise adds.
     """
     large = theta > 1
     small = jnp.where(large, 1.0, theta)  # where the closed forms would be differences of equal numbers

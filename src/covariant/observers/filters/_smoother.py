@@ -162,19 +162,7 @@ def recorded(
     u: Float[Array, "m"],
     y: Inexact[Array, "*n"],
 ) -> tuple[Any, Any, Step]:
-    """Correct a predicted state, and record what prediction and correction did to the error.
-
-    Args:
-        observer: The filter.
-        root: Square root S (N, N) of the covariance before the prediction.
-        carried: ΦS (N, N), of the prediction.
-        predicted: The predicted state.
-        u: Input (m,) that acted over the prediction.
-        y: Measurement, NaN where missing.
-
-    Returns:
-        The corrected state, its info, and the step.
-    """
+    """Correct a predicted state, and record what prediction and correction did to the error."""
     new, info, used, restarted = observer.corrected(predicted, u, y)
     # An estimate that left the finite numbers says nothing of those before.
     restarted = restarted | (info.result == int(Result.NOT_FINITE))
@@ -246,19 +234,7 @@ def smoothed(
     lag: int | None = None,
     keep: Collection[str] | None = None,
 ) -> Smoothed:
-    """Smooth arrays that need no check, such as those of many runs at once under `jax.vmap`; see `smooth`.
-
-    Args:
-        observer: The filter.
-        t: Stamps (T,) [s], which rise.
-        u: Inputs (T, m).
-        y: Measurements (T, *n).
-        lag: Number of rows after each row from which it is estimated; None for all.
-        keep: Names of what is stored, as for `smooth`; None for all.
-
-    Returns:
-        What `smooth` returns.
-    """
+    """Smooth arrays that need no check, such as those of many runs at once under `jax.vmap`; see `smooth`."""
     count = len(t)
     lag = None if lag is None or lag >= count - 1 else int(lag)
     ahead = 1 if lag is None else lag + 1
@@ -386,27 +362,14 @@ def _lagged(roots: Float[Array, "M N N"], maps: Backward, size: int, lag: int) -
 
 
 def smoothed_state(observer: AbstractGatedFilter, state: Any, smoothing: Smoothing) -> tuple[Any, Matrix]:
-    """The state of a filter moved to the smoothed estimate, as a correction moves it.
-
-    Args:
-        observer: The filter.
-        state: State of the row, of the filter.
-        smoothing: What is known of its error.
-
-    Returns:
-        The moved state with its covariance, and a square root (N, N) of that.
-    """
+    """The state of a filter moved to the smoothed estimate, as a correction moves it."""
     new, reset = observer.moved(state, smoothing.error)
     root = reset @ smoothing.root
     return observer.with_root(new, root), root
 
 
 def backward_map(step: Step) -> Backward:
-    """What a step says of the error before it, given the error after it.
-
-    Args:
-        step: What the step did to the error.
-    """
+    """What a step says of the error before it, given the error after it."""
     n = len(step.error)
     # With P⁻ = L Lᵀ and M = L⁻¹ΦS: C = S Mᵀ L⁻¹, and P − CP⁻Cᵀ = S(I − MᵀM)Sᵀ, which no difference of covariances is.
     ratio = lower_solve(step.predicted, step.carried)
@@ -419,11 +382,6 @@ def backward_map(step: Step) -> Backward:
 
 
 def error_before(after: Smoothing, step: Backward) -> Smoothing:
-    """What is known of the error before a step.
-
-    Args:
-        after: What is known of the error after it.
-        step: What the step says of the one, given the other.
-    """
+    """What is known of the error before a step."""
     root = triangular(jnp.concatenate([step.noise, step.gain @ after.root], axis=1))
     return Smoothing(step.shift + step.gain @ after.error, root)

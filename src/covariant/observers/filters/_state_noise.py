@@ -53,28 +53,12 @@ class Noise(NamedTuple):
 
 
 def covariance_ekf(model: StateSpace, noise: Noise) -> StateEKF:
-    """Extended Kalman filter in covariance form.
-
-    Args:
-        model: State-space model.
-        noise: Noise and initial uncertainty.
-
-    Returns:
-        The filter.
-    """
+    """Extended Kalman filter in covariance form."""
     return StateEKF(model, noise.process_cov, noise.measurement_cov, noise.start, noise.start_cov)
 
 
 def information_ekf(model: StateSpace, noise: Noise) -> InformationEKF:
-    """Extended Kalman filter in information form, with measurements as in continuous time.
-
-    Args:
-        model: State-space model.
-        noise: Noise and initial uncertainty; `start_cov` must be regular.
-
-    Returns:
-        The filter.
-    """
+    """Extended Kalman filter in information form, with measurements as in continuous time."""
     return InformationEKF(model, noise.equation, noise.start, jnp.linalg.inv(noise.start_cov))
 
 
@@ -82,16 +66,6 @@ def riccati(model: StateSpace, noise: Noise) -> Riccati:
     """Observer with a contraction metric that is computed along the past of the estimate.
 
     The past is as long as states around the first estimate need.
-
-    Args:
-        model: State-space model.
-        noise: Noise and initial uncertainty; `start_cov` must be regular.
-
-    Returns:
-        The observer.
-
-    Raises:
-        ValueError: The past outputs determine none of these states.
     """
     equation, first = noise.equation, jnp.linalg.inv(noise.start_cov)
     spread = np.sqrt(np.diag(np.asarray(noise.start_cov)))

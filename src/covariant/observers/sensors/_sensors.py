@@ -187,15 +187,7 @@ class Sensed(NamedTuple):
     gates: tuple[GateMemory, ...]
 
     def posterior(self, error: Float[Array, "N"], root: Float[Array, "N N"]) -> tuple[Array, Array]:
-        """Mean error and square root of its covariance, after the readings too.
-
-        Args:
-            error: Mean (N,) of the error, given the measured configuration.
-            root: Square root (N, N) of its covariance.
-
-        Returns:
-            Both after the readings that are used, which are linear in the error here.
-        """
+        """Mean error and square root of its covariance, after the readings too."""
         gain, root = updated(root, self.slope @ root, self.cov, self.info.used)
         left = jnp.where(self.info.used, self.info.innovation - self.slope @ error, 0.0)
         return error + gain @ left, root
@@ -211,14 +203,7 @@ class Sensors(NamedTuple):
     each: tuple[Sensor, ...]
 
     def check(self, whose: str) -> None:
-        """Check that there are sensors, each with its own name.
-
-        Args:
-            whose: Name of the filter, for messages.
-
-        Raises:
-            ValueError: One is no `Sensor`, or two have the same name.
-        """
+        """Check that there are sensors, each with its own name."""
         for sensor in self.each:
             if not isinstance(sensor, Sensor):
                 raise ValueError(f"{whose}: sensors must be one Sensor or several, such as gyro(...); got {sensor!r}")
@@ -238,19 +223,7 @@ class Sensors(NamedTuple):
         return tuple(sensor.slow for sensor in self.each if sensor.slow is not None)
 
     def split(self, y: Any, shape: tuple[int | None, ...]) -> tuple[Any, Any]:
-        """Measured configuration and readings of a measurement y.
-
-        Args:
-            y: Measurement, an array of any type: the entries of the configuration, then the readings; without sensors a
-                configuration.
-            shape: Shape of configurations, None where any length will do.
-
-        Returns:
-            The configuration in its shape, and the readings (K,).
-
-        Raises:
-            ValueError: y has another length.
-        """
+        """Measured configuration and readings of a measurement y."""
         if not self.each:
             return y, y.reshape(-1)[:0]
         size = (y.shape[0] if y.ndim == 1 else 0) - self.size
@@ -264,15 +237,7 @@ class Sensors(NamedTuple):
         return (configuration if None in shape else configuration.reshape(shape)), y[size:]
 
     def joined(self, configuration: Any, readings: Any) -> Any:
-        """Measurements y of configurations and readings: the inverse of `split`, for one row or for all.
-
-        Args:
-            configuration: Configurations (*T, *n), one or T of them.
-            readings: Readings (*T, K).
-
-        Returns:
-            Measurements (*T, size of a configuration + K); without sensors the configurations.
-        """
+        """Measurements y of configurations and readings: the inverse of `split`, for one row or for all."""
         if not self.each:
             return configuration
         rows = readings.shape[:-1]
@@ -297,20 +262,7 @@ class Sensors(NamedTuple):
         readings: Readings,
         with_slow: Callable[[SlowVector], MechanicalSystem],
     ) -> Sensed:
-        """Compare readings with what the estimate predicts of them.
-
-        Args:
-            model: Mechanical system, for its manifold.
-            state: Predicted state of the filter: its fields q, v, t, slow, root and sensor_gates are used. Of the slow
-                states those of the sensors come last.
-            u: Input (m,) that acted over the prediction.
-            frame: Matrix (N, N) from the error of the filter to differences (s, δv, δslow) in the frame.
-            readings: Readings (K,), NaN where there is none.
-            with_slow: The model with given slow states in it.
-
-        Returns:
-            Innovations, their slope, and which numbers are to be used.
-        """
+        """Compare readings with what the estimate predicts of them."""
         n, first = state.v.shape[0], state.slow.shape[0] - sum(len(group.names) for group in self.slow)
         parts = jnp.split(readings, np.cumsum([sensor.count for sensor in self.each])[:-1].tolist())
 

@@ -122,14 +122,7 @@ class SlowStates(NamedTuple):
         return any(group.offset is not None for group in self.groups)
 
     def first(self, like: Vector) -> SlowVector:
-        """Values (k,) at the start.
-
-        Args:
-            like: Array of one axis, whose precision they get.
-
-        Returns:
-            The values of all groups, one after the other; (0,) without groups.
-        """
+        """Values (k,) at the start."""
         return jnp.concatenate([like[:0], *(group.first.astype(like.dtype) for group in self.groups)])
 
     def first_root(self) -> Float[Array, "k k"]:
@@ -137,14 +130,7 @@ class SlowStates(NamedTuple):
         return functools.reduce(diagonal, [semidefinite_root(group.first_cov) for group in self.groups])
 
     def walk_root(self, h: Scalar) -> Float[Array, "k k"]:
-        """Square root of the covariance that is added in a step; at least one group is needed.
-
-        Args:
-            h: Length of the step [s].
-
-        Returns:
-            The square root (k, k): of `walk_cov h`, or of `walk_cov τ/2 (1 − exp(−2h/τ))` with a time constant.
-        """
+        """Square root of the covariance that is added in a step; at least one group is needed."""
 
         def spread(group: Slow) -> Array:
             # The variance in the long run is walk_cov τ/2.
@@ -158,13 +144,6 @@ class SlowStates(NamedTuple):
 
         Those with a time constant τ return towards their first values, by the factor `exp(−h/τ)`, and by
         `τ/h (1 − exp(−h/τ))` in the mean; the others stay.
-
-        Args:
-            s: States of all groups (k,), one group after the other.
-            h: Length of the step [s].
-
-        Returns:
-            The mean (k,), which acts over the step, and the states (k,) at its end.
         """
         means, ends = [s[:0]], [s[:0]]
         for group, part in zip(self.groups, self.parts(s), strict=True):
@@ -177,27 +156,12 @@ class SlowStates(NamedTuple):
         return jnp.concatenate(means), jnp.concatenate(ends)
 
     def parts(self, s: SlowVector) -> list[Array]:
-        """Split of the states into those of each group.
-
-        Args:
-            s: States of all groups (k,), one group after the other.
-
-        Returns:
-            An array for each group.
-        """
+        """Split of the states into those of each group."""
         ends = np.cumsum([len(group.names) for group in self.groups])
         return jnp.split(s, ends[:-1].tolist()) if self.groups else []
 
     def in_model(self, model: MechanicalSystem, s: SlowVector) -> MechanicalSystem:
-        """Model with these states in it, and their forces added to its dissipation.
-
-        Args:
-            model: Mechanical system without slow states; a group with a `model` replaces it.
-            s: States of all groups (k,), one group after the other.
-
-        Returns:
-            The mechanical system.
-        """
+        """Model with these states in it, and their forces added to its dissipation."""
         pairs = list(zip(self.groups, self.parts(s), strict=True))
         # The model first, since forces are added to the dissipation of the one that takes its place.
         for group, part in pairs:
@@ -211,43 +175,19 @@ class SlowStates(NamedTuple):
         return eqx.tree_at(lambda m: m.dissipation, model, dissipation) if forces else model
 
     def offset(self, s: SlowVector, like: Vector) -> Vector:
-        """Offset of measured configurations, the sum over all groups.
-
-        Args:
-            s: States of all groups (k,), one group after the other.
-            like: Vector (n,), whose shape and precision the offset gets.
-
-        Returns:
-            The offset (n,), zero without a group that has one.
-        """
+        """Offset of measured configurations, the sum over all groups."""
         pairs = zip(self.groups, self.parts(s), strict=True)
         return sum((group.offset(part) for group, part in pairs if group.offset is not None), jnp.zeros_like(like))
 
     def values(self, s: SlowVector) -> SlowVector:
-        """Values that are reported, by `Slow.values` where a group has it.
-
-        Args:
-            s: States of all groups (k,), one group after the other.
-
-        Returns:
-            The values (k,).
-        """
+        """Values that are reported, by `Slow.values` where a group has it."""
         pairs = zip(self.groups, self.parts(s), strict=True)
         return jnp.concatenate(
             [s[:0], *(part if group.values is None else group.values(part) for group, part in pairs)]
         )
 
     def check(self, whose: str, model: MechanicalSystem) -> None:
-        """Check that the groups fit each other, and a model whose dimension is known.
-
-        Args:
-            whose: Name of the filter, for messages.
-            model: Mechanical system of the filter.
-
-        Raises:
-            ValueError: A group is no `Slow`, nothing depends on it, two states have the same name, two groups replace
-                the model, or a function has the wrong shape.
-        """
+        """Check that the groups fit each other, and a model whose dimension is known."""
         for group in self.groups:
             if not isinstance(group, Slow):
                 raise ValueError(f"{whose}: slow must be one Slow or several, such as sensor_bias(0.01); got {group!r}")
@@ -265,14 +205,7 @@ class SlowStates(NamedTuple):
             _check_shapes(whose, self, model)
 
     def check_names(self, whose: str) -> None:
-        """Check that no two states have the same name.
-
-        Args:
-            whose: Name of the filter, for messages.
-
-        Raises:
-            ValueError: Two states have; the message names it.
-        """
+        """Check that no two states have the same name."""
         duplicate = next((name for name in self.names if self.names.count(name) > 1), None)
         if duplicate is not None:
             raise ValueError(f"{whose}: two slow states are called {duplicate!r}; give each its own name")
@@ -325,14 +258,7 @@ def external_force(
 
 
 def forgotten_force(names: tuple[str, ...], stds: np.ndarray, time: Number, force: Callable[..., Vector]) -> Slow:
-    """A force whose independent components are as uncertain at the start as in the long run, and are forgotten.
-
-    Args:
-        names: Names (k) of the components.
-        stds: Their usual sizes (k,).
-        time: Time constant τ [s].
-        force: `(q, v, s) -> (n,)`, the generalised force of the components.
-    """
+    """A force whose independent components are as uncertain at the start as in the long run, and are forgotten."""
     cov = jnp.diag(jnp.asarray(stds**2))
     # Stationary: density · τ/2 is the covariance in the long run.
     return Slow(names, jnp.zeros(len(stds)), cov, 2 / time * cov, force=force, time=time)

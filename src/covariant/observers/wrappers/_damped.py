@@ -295,19 +295,7 @@ def damping_step(
     bias_gain: Readings,
     residual: Readings,
 ) -> tuple[Vector, Readings]:
-    """Implicit Euler step of the damper, with its offsets; see this file's head.
-
-    Args:
-        model: Mechanical system, for its metric.
-        q: Configuration.
-        slope: Derivative J (K, n) of the readings in the velocity.
-        coefficients: Γ dt (K,), 0 where nothing was read.
-        bias_gain: Gains γ (K,) of the offsets.
-        residual: `r = J v̂ + b̂ − w` (K,).
-
-    Returns:
-        Changes of the velocity (n,) and of the offsets (K,).
-    """
+    """Implicit Euler step of the damper, with its offsets; see this file's head."""
     raised = jax.vmap(lambda row: model.space.raise_(q, row))(slope)  # rows of (M⁻¹Jᵀ)ᵀ
     # With s² = Γ dt, (Γ⁻¹/dt + G)⁻¹ = s (1 + s G s)⁻¹ s, which also holds for coefficients of zero.
     used = coefficients > 0

@@ -24,15 +24,6 @@ def definite(
 
     A matrix `Σ Sₘeₘ` with e₀ = 1 and all other |eₘ| ≤ 1 is positive definite if, for some C, the spectral radius of `E
     = |CᵀS₀C − I| + Σ|CᵀSₘC|` is below one, that is, if Ex < x for some positive x.
-
-    Args:
-        matrix: Array (n, n) of `Taylor`.
-        width: Widths (B, d) of the boxes.
-        kinks: By how much each variable keeps choices open (B, d); it is halved where these weigh more than the rest.
-        left: The fraction of each width that halvings have left (B, d).
-
-    Returns:
-        The verdict (B,), where False says nothing, and the index (B,) of the variable to halve.
     """
     keys = sorted({m for entry in matrix.flat for part in entry.terms for m in part})
     s, radius = np.zeros((len(keys), len(width), *matrix.shape)), np.zeros((len(width), *matrix.shape))
@@ -85,30 +76,7 @@ def definite(
 def show_definite(
     matrix: TaylorEnclosure, low: np.ndarray, high: np.ndarray, depth: int, what: str, until: float = math.inf
 ) -> None:
-    """Show that `matrix + matrixᵀ` is positive definite on all boxes, which are halved where needed.
-
-    Args:
-        matrix: The matrix (n, n) over boxes of d variables.
-        low: Lower corners (B, d).
-        high: Upper corners (B, d).
-        depth: Largest number of halvings of a box.
-        what: Name of the claim, for the messages.
-        until: Time of `time.monotonic` [s] at which to give up; by default never.
-
-    Raises:
-        ValueError: It is not shown; the message names the claim and a box.
-        TimeoutError: It is not settled by `until`.
-
-    Example:
-        >>> import jax.numpy as jnp, numpy as np
-        >>> from covariant.proofs.checker import TaylorEnclosure, show_definite
-        >>> low, high = np.array([-1.9]), np.array([1.0])
-        >>> matrix = TaylorEnclosure(lambda z: jnp.array([[2.0 + z[0], 1.0], [1.0, 2.0]]), low, high, np.zeros(1))
-        >>> show_definite(matrix, np.array([[-1.0]]), high[None], 3, "claim 1")
-        >>> show_definite(matrix, low[None], high[None], 3, "claim 1")
-        Traceback (most recent call last):
-        ValueError: claim 1 is not shown to hold where the variables are -1.9 to -1.71875
-    """
+    """Show that `matrix + matrixᵀ` is positive definite on all boxes, which are halved where needed."""
     left, most, size = np.full(len(low), depth), len(low) + MOST, CHUNK
     whole = np.where(high > low, high - low, 1.0)
     while len(low):

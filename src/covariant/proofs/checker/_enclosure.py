@@ -35,11 +35,7 @@ def _refuse_shortened(eqn: JaxprEquation) -> None:
 
 
 def is_whole(atom: Any) -> bool:
-    """Whether a variable or literal of a jaxpr holds integers.
-
-    Args:
-        atom: The variable or literal.
-    """
+    """Whether a variable or literal of a jaxpr holds integers."""
     return jnp.issubdtype(atom.aval.dtype, jnp.integer)
 
 
@@ -91,19 +87,7 @@ class TaylorEnclosure:
         self.free, self.slack, self._places = high > low, slack, {}
 
     def __call__(self, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-        """The function over boxes.
-
-        Args:
-            low: Lower corners (B, d).
-            high: Upper corners (B, d).
-
-        Returns:
-            Array of `Taylor` in the shape of the result of the function, or (1, 1) with `watch`.
-
-        Raises:
-            UndecidedError: Boxes take different branches.
-            ValueError: An operation is not known; the message names it.
-        """
+        """The function over boxes."""
         forget()
         middle = low / 2 + high / 2
         # Outward: the middle is rounded, so the larger side counts, rounded up; then |ε| ≤ 1 covers the whole box.

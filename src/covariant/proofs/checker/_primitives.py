@@ -76,11 +76,7 @@ ENTRIES: dict[str, Callable] = {
 
 
 def nonzero(a: Taylor) -> Any:
-    """Whether a number differs from zero on all of each box (B,).
-
-    Args:
-        a: The number.
-    """
+    """Whether a number differs from zero on all of each box (B,)."""
     # `away` is rounded up, so a strict comparison shows that zero lies outside the range; NaN shows nothing.
     return abs(a.middle) > a.away
 
@@ -98,15 +94,7 @@ def _between(a: Taylor) -> Any:
 
 
 def settled(which: Any, *cases: Taylor) -> Any:
-    """Whether a truth is known, or the choice between two numbers that it makes does not jump.
-
-    Args:
-        which: The truth value.
-        *cases: The two numbers between which it chooses, or none.
-
-    Returns:
-        A mask (B,), or True where it is so on all boxes.
-    """
+    """Whether a truth is known, or the choice between two numbers that it makes does not jump."""
     if isinstance(which, bool | np.bool_) or (len(cases) == 2 and continuous(which, *cases)):
         return True
     return abs(which.middle - 0.5) > which.away
@@ -134,15 +122,7 @@ STAYS: dict[str, Callable] = {
 
 
 def each(function: Callable, *x: Any) -> np.ndarray:
-    """Apply a function entry by entry.
-
-    Args:
-        function: Function of as many numbers as there are arrays.
-        *x: Arrays, which are broadcast.
-
-    Returns:
-        Array of objects.
-    """
+    """Apply a function entry by entry."""
     return np.asarray(np.frompyfunc(function, len(x), 1)(*x), object)
 
 
@@ -224,11 +204,7 @@ MOVES = {
 
 
 def is_real(atom: Any) -> bool:
-    """Whether a variable or literal of a jaxpr holds real numbers.
-
-    Args:
-        atom: The variable or literal.
-    """
+    """Whether a variable or literal of a jaxpr holds real numbers."""
     return _is_floating(atom.aval.dtype)
 
 
@@ -238,17 +214,7 @@ def _is_floating(dtype: Any) -> bool:
 
 
 def unrolled(scan: Scan, x: list, run: Callable[[ClosedJaxpr, list], list], stack: Callable) -> list:
-    """The results of a scan, one turn after the other.
-
-    Args:
-        scan: The scan.
-        x: Its arguments: fixed ones, carried ones, and arrays with a row for each turn.
-        run: Function `(body, arguments) -> results` of one turn.
-        stack: Function that makes an array of rows.
-
-    Returns:
-        The carried values after the last turn, then the stacked results of all turns.
-    """
+    """The results of a scan, one turn after the other."""
     first, last = scan.fixed, scan.fixed + scan.carried
     carry, rows = x[first:last], []
     # A reversed scan runs from the last row; its stacked results are in the order of the rows again.

@@ -15,22 +15,7 @@ Coefficients = list[Array]
 
 
 def series(function: Callable[[Array], Array], order: int) -> Callable[[Array], Coefficients]:
-    """The Taylor coefficients of a function at each point.
-
-    Args:
-        function: JAX function of a number, to an array.
-        order: Order of the last coefficient.
-
-    Returns:
-        A function of a number r, to the coefficients c₀ … of `function(r + s) = Σ c_k s^k`. It raises `ValueError`
-        naming an operation that has no such expansion, as |x|, or whose expansion is not known.
-
-    Example:
-        >>> import jax.numpy as jnp
-        >>> from covariant.proofs.checker import series
-        >>> [float(c) for c in series(lambda r: r**3 + 1, 3)(jnp.array(1.0))]
-        [2.0, 3.0, 3.0, 1.0]
-    """
+    """The Taylor coefficients of a function at each point."""
 
     def coefficients(r: Array) -> Coefficients:
         closed = jax.make_jaxpr(plain(function))(r)

@@ -131,23 +131,12 @@ def _product(a: Taylor, b: Taylor) -> Taylor:
 
 
 def number(middle: Any, radius: Any = 0.0) -> Taylor:
-    """A number between `middle − radius` and `middle + radius`, without terms.
-
-    Args:
-        middle: Middle, a number or an array (B,).
-        radius: Radius; by default 0.
-    """
+    """A number between `middle − radius` and `middle + radius`, without terms."""
     return Taylor([{(): middle}, {}, {}], radius)
 
 
 def narrower(a: Taylor, b: Taylor, among: Any) -> Taylor:
-    """The narrower one of two enclosures of one number, box by box.
-
-    Args:
-        a: The first enclosure.
-        b: The second, which has no terms.
-        among: Mask (B,) of the boxes on which the second may be taken.
-    """
+    """The narrower one of two enclosures of one number, box by box."""
     better = among & np.asarray(b.away < a.away)
     if not better.any():
         return a
@@ -160,11 +149,7 @@ ZERO, ONE, HALF, RIGHT = number(0.0), number(1.0), number(0.5), number(math.pi /
 
 @functools.cache
 def exact(x: float | int) -> Taylor:
-    """A known number, whose radius covers underflow alone.
-
-    Args:
-        x: The number.
-    """
+    """A known number, whose radius covers underflow alone."""
     return ZERO if x == 0 else ONE if x == 1 else number(np.float64(x))
 
 
@@ -179,12 +164,7 @@ def forget() -> None:
 
 
 def points(name: str, x: np.ndarray) -> np.ndarray:
-    """A function at points. Its error is below ROUND/2: relative, but absolute for sine and logarithm.
-
-    Args:
-        name: "inv", "sqrt", "exp", "log", "sin", "atan", or "stumpff" followed by its order.
-        x: Arguments, an array of any shape; NaN gives NaN.
-    """
+    """A function at points. Its error is below ROUND/2: relative, but absolute for sine and logarithm."""
     if name in ("inv", "sqrt"):
         return 1 / x if name == "inv" else np.sqrt(x)
     if name.startswith("stumpff"):
@@ -214,16 +194,7 @@ def points(name: str, x: np.ndarray) -> np.ndarray:
 
 
 def bounds(name: str, a: Taylor) -> Taylor:
-    """A function over the range of a number, from its values at the ends; for the sine, from that at the middle.
-
-    Args:
-        name: Name of the function, as for `points`. All but the sine are monotone on each range that is covered here;
-            Stumpff's functions decrease up to π².
-        a: The argument.
-
-    Returns:
-        The function, without terms; NaN where it is not defined on all of the range, or not covered here.
-    """
+    """A function over the range of a number, from its values at the ends; for the sine, from that at the middle."""
     if name.startswith("stumpff"):
         low, high = a.middle - a.away, a.middle + a.away
         # c_k falls from below 0 up to π² > 9.8, so that its range is between its values at the ends.
@@ -274,15 +245,7 @@ def _stumpff(k: int) -> Callable[[Taylor, Taylor], tuple[Taylor, Taylor]]:
 
 @functools.cache
 def curve(name: str, a: Taylor) -> Taylor:
-    """A function by Taylor's formula `f(c) + f'(c) d + ½ f''(ξ) d²`, with c the middle, d the rest, ξ in the range.
-
-    Args:
-        name: Name of the function, as for `points`.
-        a: The argument.
-
-    Returns:
-        The function with terms; NaN on boxes where it is not defined or not covered.
-    """
+    """A function by Taylor's formula `f(c) + f'(c) d + ½ f''(ξ) d²`, with c the middle, d the rest, ξ in the range."""
     at, around = number(a.middle), number(a.middle, a.away)
     value, deviation = bounds(name, at), Taylor([{(): 0.0 * a.middle}, *a.terms[1:]], a.radius)
     slopes = CURVES[name] if name in CURVES else _stumpff(int(name[7:]))
@@ -300,15 +263,7 @@ open_choices: list[tuple[Taylor, np.ndarray]] = []
 
 
 def less(a: Taylor, b: Taylor) -> bool | Taylor:
-    """Whether a < b. It is decided only where they are strictly apart: where both may be equal there may be a kink.
-
-    Args:
-        a: Left side.
-        b: Right side.
-
-    Returns:
-        A `bool` where all boxes decide alike; otherwise 1, 0 or, where undecided, [0, 1] on each box.
-    """
+    """Whether a < b. It is decided only where they are strictly apart: where both may be equal there may be a kink."""
     gap = a - b
     # Strict, and `away` is rounded up: a sign is known only where zero lies outside the range of the difference.
     known = abs(gap.middle) > gap.away
@@ -348,25 +303,14 @@ def choose(which: bool | Taylor, a: Taylor, b: Taylor) -> Taylor:
 
 
 def decided(truth: bool | Taylor) -> bool:
-    """A truth value that must be the same on all boxes.
-
-    Args:
-        truth: The truth value.
-
-    Raises:
-        UndecidedError: It is not a `bool`.
-    """
+    """A truth value that must be the same on all boxes."""
     if isinstance(truth, Taylor):
         raise UndecidedError("a branch is not decided")
     return truth
 
 
 def floor(a: Taylor) -> Taylor:
-    """The largest integer below; where it is the same on all boxes it is known, elsewhere a range of integers.
-
-    Args:
-        a: The argument.
-    """
+    """The largest integer below; where it is the same on all boxes it is known, elsewhere a range of integers."""
     # Both ends go outward: 3 − 1e-18 rounds to 3, whose floor is not that of the number. Constants are what they are.
     away = np.where(a.away > 8 * TINY, a.away + ROUND * (abs(a.middle) + a.away), 0.0)
     low, high = np.floor(a.middle - away), np.floor(a.middle + away)
@@ -376,22 +320,13 @@ def floor(a: Taylor) -> Taylor:
 
 
 def finite(a: Taylor) -> bool | Taylor:
-    """Whether a number is finite: known where it is far from overflow, and never known to be false.
-
-    Args:
-        a: The number.
-    """
+    """Whether a number is finite: known where it is far from overflow, and never known to be false."""
     known = abs(a.middle) + a.away < 1e150
     return True if np.all(known) else number(np.where(known, 1.0, 0.5), np.where(known, 0.0, 0.5))
 
 
 def unequal(a: Taylor, b: Taylor) -> bool | Taylor:
-    """Whether a ≠ b. For a is b it is known: comparison with itself is the test for a missing value (NaN).
-
-    Args:
-        a: Left side.
-        b: Right side.
-    """
+    """Whether a ≠ b. For a is b it is known: comparison with itself is the test for a missing value (NaN)."""
     known = less(a, b)
     if a is b or isinstance(known, bool):
         return a is not b
@@ -399,11 +334,7 @@ def unequal(a: Taylor, b: Taylor) -> bool | Taylor:
 
 
 def opposite(truth: bool | Taylor) -> bool | Taylor:
-    """The negation of a truth value, undecided on the same boxes.
-
-    Args:
-        truth: The truth value.
-    """
+    """The negation of a truth value, undecided on the same boxes."""
     if not isinstance(truth, Taylor):
         return not truth
     negation = ONE - truth

@@ -7,23 +7,7 @@ import numpy as np
 
 
 def halves(low: np.ndarray, high: np.ndarray, axes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Both halves of boxes, lower before upper, along one axis each. Both include the middle, so that no point is lost.
-
-    Args:
-        low: Lower corners (B, d).
-        high: Upper corners (B, d).
-        axes: The variable (B,) across whose middle each box is halved.
-
-    Returns:
-        Lower and upper corners (2B, d).
-
-    Example:
-        >>> import numpy as np
-        >>> from covariant.proofs.checker import halves
-        >>> low, high = halves(np.array([[0.0, 0.0]]), np.array([[1.0, 2.0]]), np.array([1]))
-        >>> low.tolist(), high.tolist()
-        ([[0.0, 0.0], [0.0, 1.0]], [[1.0, 1.0], [1.0, 2.0]])
-    """
+    """Both halves of boxes, lower before upper, along one axis each. Both include the middle, so that no point is lost."""
     rows = np.arange(len(low))
     # Rounded, but the same number in both halves, so that together they still cover the box.
     middle = low[rows, axes] / 2 + high[rows, axes] / 2
