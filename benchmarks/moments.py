@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from covariant import models
-from covariant.observers import EKF, AbstractObserver, Copy, Intrinsic
+from covariant.observers import EKF, AbstractObserver, Intrinsic, ModelCopy
 
 SIZES = (2, 4, 7)
 BATCH = 1000
@@ -36,7 +36,7 @@ def moment(name: str, n: int) -> Moment:
     )
     one = jnp.eye(n)
     observer = {
-        "copy": Copy(model, 100.0, 5000.0, substeps=1),
+        "copy": ModelCopy(model, 100.0, 5000.0, substeps=1),
         "intrinsic": Intrinsic(model, 100.0, 5000.0, substeps=1),
         "ekf": EKF(model, 0.1 * one, 1e-6 * one, substeps=1),
     }[name]

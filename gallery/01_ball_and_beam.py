@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from covariant.models import ball_and_beam
-from covariant.observers import Copy, Intrinsic
+from covariant.observers import Intrinsic, ModelCopy
 from covariant.report import new_figure, save_figure
 from covariant.simulation import observe
 
@@ -27,7 +27,7 @@ plant = ball_and_beam()
 observers = {
     "intrinsic": Intrinsic(plant, alpha, beta),
     "intrinsic, curvature left out": Intrinsic(plant, alpha, beta, curvature=False),
-    "copy": Copy(plant, alpha, beta),
+    "copy": ModelCopy(plant, alpha, beta),
 }
 
 truth = jnp.array([0.02, 0.0, 0.05, 0.0])  # r, θ, dr/dt, dθ/dt

@@ -16,7 +16,7 @@ import numpy as np
 from covariant import calibration, models, simulation
 from covariant.observers import FilteredDerivative, Intrinsic, run
 from covariant.report import PALETTE, new_figure, save_figure
-from covariant.signals import Record, Result
+from covariant.signals import Record, StepCode
 
 FIGURE = Path(__file__).parent / "out" / "05_missing_samples.png"
 
@@ -44,7 +44,7 @@ observers = {
 runs = {name: run(observer, record) for name, observer in observers.items()}
 
 codes = np.asarray(runs["intrinsic"].info.result)
-for code in Result:
+for code in StepCode:
     if count := int((codes == code).sum()):
         print(f"{count} of {len(codes)} samples: {code.message}")
 

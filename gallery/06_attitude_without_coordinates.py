@@ -18,7 +18,7 @@ from covariant.geometry.lie import SO3
 from covariant.models import Motion, free_body
 from covariant.observers import EKF, Intrinsic, Salcudean, run
 from covariant.report import PALETTE, new_figure, save_figure
-from covariant.signals import Record, Result
+from covariant.signals import Record, StepCode
 from covariant.simulation import simulate
 
 FIGURE = Path(__file__).parent / "out" / "06_attitude_without_coordinates.png"
@@ -62,7 +62,7 @@ for name, result in runs.items():
     error = np.linalg.norm(result.estimate.v - truth.x.v, axis=1)
     bottom.semilogy(t, error, label=name)
     settled = np.sqrt(np.mean(error[np.asarray(t) > 8] ** 2))
-    coasted = int((result.info.result == Result.COASTED).sum())
+    coasted = int((result.info.result == StepCode.COASTED).sum())
     print(f"{name}: {settled:.4f} rad/s RMSE after 8 s, {coasted} samples coasted")
 for ax in (middle, bottom):
     ax.axvspan(*SILENT, color="0.93", zorder=0)

@@ -20,7 +20,7 @@ import numpy as np
 from covariant import certificates, metrics, models, simulation
 from covariant.observers import InformationEKF, Riccati, run
 from covariant.report import new_figure, save_figure
-from covariant.signals import Record, Result
+from covariant.signals import Record, StepCode
 
 OUT = Path(__file__).parent / "out"
 FIGURE, STORE = OUT / "09_frequency_of_a_pendulum.png", OUT / "09_metric.zarr"
@@ -43,7 +43,7 @@ equation = metrics.Equation(process_cov=process, measurement_cov=noise)
 metric_at = jax.jit(lambda x: metrics.metric_at(model, equation, x, tolerance=1e-4, start=1e-6))
 for x in ([-0.066, 0.0, truth], [0.0, 0.0, truth]):
     found = metric_at(jnp.array(x))
-    print(f"at {np.round(x, 3)}: past of {found.horizon:.2f} s, {Result(int(found.result)).message}")
+    print(f"at {np.round(x, 3)}: past of {found.horizon:.2f} s, {StepCode(int(found.result)).message}")
 
 # The metric on a grid, and as a function.
 grid = metrics.Grid(model.coordinates, model.units, (-0.08, -0.64, 30.0), (0.08, 0.64, 90.0), (17, 17, 5))

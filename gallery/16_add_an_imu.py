@@ -40,7 +40,7 @@ u = np.asarray(motion.u)
 
 # The angles are relative, and both joints turn about the same axis. The last argument is the bias, which is estimated.
 unknown = jnp.diag(jnp.full(3, 0.2**2))
-bias = observers.Slow(("bias_x", "bias_y", "bias_z"), jnp.zeros(3), unknown, jnp.zeros((3, 3)))
+bias = observers.SlowVariables(("bias_x", "bias_y", "bias_z"), jnp.zeros(3), unknown, jnp.zeros((3, 3)))
 gyro = observers.Sensor("gyro", lambda now, b: b.at[1].add(jnp.sum(now.v)), jnp.full(3, GYRO_NOISE**2), bias)
 # Unknown friction is a force that stays for a while, not white noise of the accelerations.
 force = observers.external_force(std=(0.06, 0.05), time=0.3)

@@ -16,7 +16,7 @@ from covariant import models, simulation
 from covariant.models import marine
 from covariant.models.files._source import system
 from covariant.models.files._systems import SYSTEMS
-from covariant.observers import EKF, Copy, FilteredDerivative, Geodesic, Intrinsic, run
+from covariant.observers import EKF, FilteredDerivative, Geodesic, Intrinsic, ModelCopy, run
 
 FACTORIES = {name: system(name) for name in SYSTEMS} | {
     name: getattr(marine, name) for name in ("cybership", "odin", "odin_on_group", "supply_vessel")
@@ -111,7 +111,7 @@ def top(inertia: float):
 OBSERVERS = {
     "intrinsic": lambda model, gain, n: Intrinsic(model, gain, gain**2, substeps=1),
     "geodesic": lambda model, gain, n: Geodesic(model, gain, gain**2, substeps=1),
-    "copy": lambda model, gain, n: Copy(model, gain, gain**2, substeps=1),
+    "copy": lambda model, gain, n: ModelCopy(model, gain, gain**2, substeps=1),
     "ekf": lambda model, gain, n: EKF(model, gain * jnp.eye(n), 1e-6 * jnp.eye(n), gain, substeps=1),
     "filtered derivative": lambda model, gain, n: FilteredDerivative(gain),
 }

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from covariant.signals import Record, Result, Run, acting_inputs, lag_inputs, read_together
+from covariant.signals import Record, Run, StepCode, acting_inputs, lag_inputs, read_together
 
 T = np.array([0.0, 0.1, 0.3, 0.4])
 GOOD = Record(T, np.zeros((4, 1)), np.arange(8.0).reshape(4, 2))
@@ -77,8 +77,8 @@ def test_time_going_back_is_told_before_equal_stamps():
 
 
 def test_every_result_has_its_sentence():
-    assert len({result.message for result in Result}) == len(Result)
-    assert Result.OK == 0
+    assert len({result.message for result in StepCode}) == len(StepCode)
+    assert StepCode.OK == 0
 
 
 def test_no_lag_is_the_record_itself():

@@ -124,7 +124,7 @@ def api_page() -> str:
         "# API\n\nThe names for users. The changelog says when one of them changes. Other names can be imported too, "
         "but serve the library itself.\n\n"
     )
-    front = ["Record", "Result", "Run", *covariant.VERBS]
+    front = ["Record", "StepCode", "Run", *covariant.VERBS]
     parts = [_api_of("covariant", covariant, front)]
     for room in ROOMS:
         module = importlib.import_module(f"covariant.{room}")

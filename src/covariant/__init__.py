@@ -31,7 +31,7 @@ if TYPE_CHECKING:
         simulation,
         workflow,
     )
-    from covariant.signals import Record, Result, Run
+    from covariant.signals import Record, Run, StepCode
     from covariant.workflow import (
         certify,
         check,
@@ -58,8 +58,8 @@ VERBS = ("check", "certify", "compare", "design_excitation", "estimate", "export
 
 __all__ = [
     "Record",
-    "Result",
     "Run",
+    "StepCode",
     "__version__",
     "calibration",
     "certificates",
@@ -94,7 +94,7 @@ __all__ = [
 def __getattr__(name: str) -> Any:
     if name == "__version__":
         return importlib.import_module("importlib.metadata").version("covariant")
-    if name in ("Record", "Result", "Run"):
+    if name in ("Record", "StepCode", "Run"):
         return getattr(importlib.import_module("covariant.signals"), name)
     if name in __all__ and name in VERBS:
         return getattr(importlib.import_module("covariant.workflow"), name)

@@ -10,12 +10,12 @@ import numpy as np
 from jaxtyping import Array, Float, Inexact
 
 
-class Result(enum.IntEnum):
+class StepCode(enum.IntEnum):
     """Outcome of a numerical step, stored in `info.result`; zero is good, and a larger code is worse.
 
     Example:
-        >>> from covariant import Result
-        >>> Result(1).name, Result.COASTED.message
+        >>> from covariant import StepCode
+        >>> StepCode(1).name, StepCode.COASTED.message
         ('COASTED', 'no measurement: the model ran on alone')
     """
 
@@ -45,24 +45,24 @@ class Result(enum.IntEnum):
 
 
 _MESSAGES = {
-    Result.OK: "ok",
-    Result.COASTED: "no measurement: the model ran on alone",
-    Result.INPUT_HELD: "an input is not finite: the last finite one was held",
-    Result.REPEATED: "the stamp is that of the sample before: the state was left as it was",
-    Result.OUTLIER: "a measurement is too far from what is expected: it was refused, as if it were missing",
-    Result.TOO_LATE: "a measurement came too late, beyond what is kept of the past: it was left out",
-    Result.RESTARTED: "the estimate started anew: what came before tells too little of the motion now",
-    Result.ASTRAY: "the estimate does not follow the measurements: its velocity is off by more than the usual speed",
-    Result.CUT_LOCUS: "two ways to the measurement are equally short, as after half a turn: one of them was taken",
-    Result.LEFT_DOMAIN: "the past of the point leaves the domain: its metric starts at the border",
-    Result.ESCAPED: "the past of the point escapes to infinity: its metric starts far away",
-    Result.NOT_SETTLED: "the metric still depends on how it was started: take a larger rate or more steps",
-    Result.NOT_RECONSTRUCTIBLE: "not reconstructible: the past output does not determine the state there",
-    Result.OUT_OF_DOMAIN: "outside the domain: there is no metric",
-    Result.NOT_CONVERGED: "the geodesic to the measurement was not found: allow more Newton iterations or steps",
-    Result.CONJUGATE_POINT: "the geodesic found passes a conjugate point and is not the shortest one",
-    Result.STEP_REFUSED: "the step in time is negative or not finite: the state was left as it was; mend the stamps",
-    Result.NOT_FINITE: "the state is not finite: lower the gains or the step",
+    StepCode.OK: "ok",
+    StepCode.COASTED: "no measurement: the model ran on alone",
+    StepCode.INPUT_HELD: "an input is not finite: the last finite one was held",
+    StepCode.REPEATED: "the stamp is that of the sample before: the state was left as it was",
+    StepCode.OUTLIER: "a measurement is too far from what is expected: it was refused, as if it were missing",
+    StepCode.TOO_LATE: "a measurement came too late, beyond what is kept of the past: it was left out",
+    StepCode.RESTARTED: "the estimate started anew: what came before tells too little of the motion now",
+    StepCode.ASTRAY: "the estimate does not follow the measurements: its velocity is off by more than the usual speed",
+    StepCode.CUT_LOCUS: "two ways to the measurement are equally short, as after half a turn: one of them was taken",
+    StepCode.LEFT_DOMAIN: "the past of the point leaves the domain: its metric starts at the border",
+    StepCode.ESCAPED: "the past of the point escapes to infinity: its metric starts far away",
+    StepCode.NOT_SETTLED: "the metric still depends on how it was started: take a larger rate or more steps",
+    StepCode.NOT_RECONSTRUCTIBLE: "not reconstructible: the past output does not determine the state there",
+    StepCode.OUT_OF_DOMAIN: "outside the domain: there is no metric",
+    StepCode.NOT_CONVERGED: "the geodesic to the measurement was not found: allow more Newton iterations or steps",
+    StepCode.CONJUGATE_POINT: "the geodesic found passes a conjugate point and is not the shortest one",
+    StepCode.STEP_REFUSED: "the step in time is negative or not finite: the state was left as it was; mend the stamps",
+    StepCode.NOT_FINITE: "the state is not finite: lower the gains or the step",
 }
 
 
@@ -287,7 +287,7 @@ def _codes(result: Any) -> str:
     except TypeError:
         return ""
     order = np.argsort(-counts, kind="stable")
-    return ", " + ", ".join(f"{counts[k]} {Result(int(codes[k])).name.lower()}" for k in order)
+    return ", " + ", ".join(f"{counts[k]} {StepCode(int(codes[k])).name.lower()}" for k in order)
 
 
 def _count(number: int, word: str) -> str:

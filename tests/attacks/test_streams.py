@@ -25,7 +25,6 @@ from covariant.observers import (
     UKF,
     AbstractObserver,
     Contracting,
-    Copy,
     FilteredDerivative,
     Geodesic,
     HighGain,
@@ -34,6 +33,7 @@ from covariant.observers import (
     IntrinsicKalman,
     JointKalman,
     Levant,
+    ModelCopy,
     PassiveShip,
     Riccati,
     Salcudean,
@@ -42,7 +42,7 @@ from covariant.observers import (
     craft_observer,
     lyapunov_gains,
 )
-from covariant.signals import Result
+from covariant.signals import StepCode
 from covariant.simulation import hold, simulate
 
 ROWS = 400
@@ -96,7 +96,7 @@ WATCHED: dict[str, tuple[Callable[[], AbstractObserver], Callable[[], Stream], f
     "intrinsic": (lambda: Intrinsic(BEAM, 40.0, 600.0), beam, 0.3, 1e-5),
     "intrinsic, second order": (lambda: Intrinsic(PENDULUM, 20.0, 150.0, order=2), pendulum, 1e3, 1e-5),
     "geodesic": (lambda: Geodesic(BEAM, 40.0, 600.0), beam, 0.3, 1e-5),
-    "copy": (lambda: Copy(PENDULUM, 20.0, 150.0), pendulum, 1e3, 1e-5),
+    "copy": (lambda: ModelCopy(PENDULUM, 20.0, 150.0), pendulum, 1e3, 1e-5),
     "ekf": (lambda: EKF(BEAM, 10.0 * jnp.eye(2), 1e-6 * jnp.eye(2)), beam, 0.3, 1e-5),
     "intrinsic kalman": (lambda: IntrinsicKalman(BEAM, 1.0, 1e-4, 1.0, substeps=1), beam, 1e3, 1e-4),
     "intrinsic kalman, body": (lambda: IntrinsicKalman(BODY, 1e-2, 1e-4, 1.0, substeps=1), body, 1e3, 1e-3),
@@ -175,10 +175,10 @@ def expected(stream: Stream) -> np.ndarray:
     """The least code of every row, counted a second time and plainly."""
     codes = np.zeros(ROWS, int)
     y = stream.y.reshape(ROWS, -1)
-    codes[np.isnan(y).all(1) | np.isinf(y).any(1)] = Result.COASTED
-    codes[~np.isfinite(stream.u).all(1)] = Result.INPUT_HELD
-    codes[stream.dt == 0] = Result.REPEATED
-    codes[~np.isfinite(stream.dt) | (stream.dt < 0)] = Result.STEP_REFUSED
+    codes[np.isnan(y).all(1) | np.isinf(y).any(1)] = StepCode.COASTED
+    codes[~np.isfinite(stream.u).all(1)] = StepCode.INPUT_HELD
+    codes[stream.dt == 0] = StepCode.REPEATED
+    codes[~np.isfinite(stream.dt) | (stream.dt < 0)] = StepCode.STEP_REFUSED
     return codes
 
 
@@ -220,9 +220,9 @@ def test_no_stream_spoils_an_observer(name):
         assert np.isfinite(x).all()
         least = expected(stream)
         assert (codes >= least).all()
-        np.testing.assert_array_equal(codes == Result.STEP_REFUSED, least == Result.STEP_REFUSED)
-        np.testing.assert_array_equal(codes[FAULTY.stop :][-100:], Result.OK)
-        kept = least >= Result.REPEATED
+        np.testing.assert_array_equal(codes == StepCode.STEP_REFUSED, least == StepCode.STEP_REFUSED)
+        np.testing.assert_array_equal(codes[FAULTY.stop :][-100:], StepCode.OK)
+        kept = least >= StepCode.REPEATED
         np.testing.assert_array_equal(x[kept], np.concatenate([x[:1], x])[:-1][kept])
         np.testing.assert_allclose(x[-1], watched.sound[-1], rtol=0, atol=watched.close)
 
@@ -258,14 +258,14 @@ def test_the_last_finite_input_is_held_entry_by_entry_and_zero_before_the_first(
         state, info = stepped(state, jnp.asarray(u), jnp.array([1.0]), dt)
         twin, _ = stepped(twin, jnp.asarray(sound), jnp.array([1.0]), dt)
         same(state, twin)
-        assert info.result == (Result.OK if np.isfinite(u).all() else Result.INPUT_HELD)
+        assert info.result == (StepCode.OK if np.isfinite(u).all() else StepCode.INPUT_HELD)
 
 
 @pytest.mark.parametrize("dt", [np.nan, np.inf, -np.inf, -0.1, -1e-300])
 def test_a_step_that_is_none_is_refused_whatever_else_arrives(dt):
     state, info = stepped(moving(), jnp.array([7.0, np.nan]), NOTHING, jnp.asarray(dt))
     same(state, moving())
-    assert info.result == Result.STEP_REFUSED
+    assert info.result == StepCode.STEP_REFUSED
     assert all(np.isfinite(np.asarray(part)).all() for part in info)
 
 
@@ -276,7 +276,7 @@ def test_a_repeated_stamp_changes_nothing_and_is_said():
         state = observer.init(jnp.array([1.0]))
         after, info = eqx.filter_jit(observer.step)(state, jnp.ones(2), jnp.array([4.0]), jnp.zeros(()))
         same(after, state)
-        assert info.result == Result.REPEATED
+        assert info.result == StepCode.REPEATED
         assert info.innovation[0] == pytest.approx(3.0)
 
 
@@ -286,7 +286,7 @@ def test_infinite_measurements_are_missing_ones():
     for y in (np.inf, -np.inf):
         state, info = stepped(moving(), u, jnp.array([y]), dt)
         same(state, missing)
-        assert info.result == Result.COASTED
+        assert info.result == StepCode.COASTED
 
 
 @pytest.mark.exhaustive
@@ -303,7 +303,7 @@ def test_a_state_made_by_hand_without_a_held_input_takes_zero_and_keeps_its_form
     twin, _ = stepped(bare, jnp.array([0.0, 1.0]), NOTHING, jnp.asarray(0.1))
     same(state, twin)
     assert state.last_input is None
-    assert info.result == Result.INPUT_HELD
+    assert info.result == StepCode.INPUT_HELD
 
 
 def test_streams_may_be_mapped_and_stay_single():
@@ -312,7 +312,7 @@ def test_streams_may_be_mapped_and_stay_single():
     assert {leaf.dtype for leaf in jax.tree.leaves((state, info.innovation, info.distance))} == {np.dtype(np.float32)}
     dts = jnp.array([0.1, jnp.nan, 0.0, -1.0])
     states, info = jax.vmap(lambda dt: stepped(moving(), jnp.ones(2), jnp.array([1.0]), dt))(dts)
-    assert list(info.result) == [Result.OK, Result.STEP_REFUSED, Result.REPEATED, Result.STEP_REFUSED]
+    assert list(info.result) == [StepCode.OK, StepCode.STEP_REFUSED, StepCode.REPEATED, StepCode.STEP_REFUSED]
     np.testing.assert_array_equal(states.t, [2.1, 2.0, 2.0, 2.0])
 
 
@@ -334,7 +334,7 @@ BAD_GAINS = (np.nan, np.inf, -np.inf, -1.0, 0.0)
 @pytest.mark.parametrize("gain", BAD_GAINS)
 @pytest.mark.parametrize("name", ["alpha", "beta"])
 def test_gains_that_are_not_positive_and_finite_are_refused_in_one_line(name, gain):
-    kinds = {Intrinsic: ONE, Geodesic: ONE, Copy: ONE}
+    kinds = {Intrinsic: ONE, Geodesic: ONE, ModelCopy: ONE}
     for kind, model in kinds.items():
         for written in (gain, np.float64(gain), jnp.asarray(gain)):
             with pytest.raises(

@@ -33,7 +33,6 @@ from covariant.models import Lagrangian, heavy_top, oscillator, underwater_vehic
 from covariant.observers import (
     EKF,
     PLL,
-    Copy,
     FilteredDerivative,
     Gated,
     Geodesic,
@@ -43,6 +42,7 @@ from covariant.observers import (
     IntrinsicKalman,
     JointKalman,
     Levant,
+    ModelCopy,
     SavitzkyGolay,
     run,
 )
@@ -182,7 +182,7 @@ def test_all_estimators_come_from_one_data_sheet():
         "intrinsic2": Intrinsic,
         "geodesic": Geodesic,
         "implicit-geodesic": ImplicitGeodesic,
-        "copy": Copy,
+        "copy": ModelCopy,
     }.items():
         assert isinstance(estimators[name], kind)
         assert (estimators[name].alpha, estimators[name].beta) == (chosen.alpha, chosen.beta)

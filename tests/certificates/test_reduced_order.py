@@ -13,7 +13,7 @@ from covariant.certificates import reduced_order
 from covariant.certificates.theory import _reduced_order
 from covariant.cli import main
 from covariant.observers import Contracting, ReducedOrder
-from covariant.signals import Result
+from covariant.signals import StepCode
 from covariant.workflow import design_reduced_order
 
 BOXES = {
@@ -107,7 +107,7 @@ def test_missing_outputs_correct_nothing_and_angles_are_wrapped():
     state = observer.predict(observer.init(jnp.array([3.1])), jnp.zeros(0), jnp.asarray(0.01))
     unseen, info = observer.correct(state, jnp.zeros(0), jnp.array([jnp.nan]))
     assert (unseen.x == state.x).all()
-    assert info.result == int(Result.COASTED)
+    assert info.result == int(StepCode.COASTED)
     seen, _ = observer.correct(state, jnp.zeros(0), jnp.array([-3.1]))
     turn = 2 * np.pi - 6.2
     np.testing.assert_allclose(seen.x - state.x, [turn, 3 * turn], atol=2e-3)

@@ -16,7 +16,7 @@ from covariant.certificates.base._radius_recursion import Recursion
 from covariant.certificates.checking import _check
 from covariant.observers import Intrinsic
 from covariant.proofs import digest
-from covariant.signals import Result
+from covariant.signals import StepCode
 
 RECIPE = {"system": "pendulum_chain", "parameters": {"mass": [1.0], "length": [0.5]}}
 BOUNDS = {"position": (-3.0, 3.0), "velocity": 4.0, "error": 0.1, "input": 0.5}
@@ -167,20 +167,20 @@ def test_the_steady_radius_is_where_the_recursion_ends():
         ({"y": np.nan}, Premise.HOLDS),  # within the ages, nothing is corrected
         ({"y": 1e30}, Premise.HOLDS),  # the observer takes it as missing
         ({"y": np.inf}, Premise.HOLDS),
-        ({"y": 0.1, "result": Result.OUTLIER}, Premise.HOLDS),  # refused by a gate
-        ({"y": np.nan, "result": Result.COASTED}, Premise.HOLDS),
-        ({"result": Result.OK}, Premise.HOLDS),
-        ({"y": 1e30, "result": Result.OK}, Premise.MEASUREMENT),  # not what the observer does
-        ({"result": Result.RESTARTED}, Premise.STEP),
-        ({"result": Result.ASTRAY}, Premise.STEP),
-        ({"result": Result.TOO_LATE}, Premise.STEP),
-        ({"result": Result.REPEATED}, Premise.STEP),  # the truth moved on
+        ({"y": 0.1, "result": StepCode.OUTLIER}, Premise.HOLDS),  # refused by a gate
+        ({"y": np.nan, "result": StepCode.COASTED}, Premise.HOLDS),
+        ({"result": StepCode.OK}, Premise.HOLDS),
+        ({"y": 1e30, "result": StepCode.OK}, Premise.MEASUREMENT),  # not what the observer does
+        ({"result": StepCode.RESTARTED}, Premise.STEP),
+        ({"result": StepCode.ASTRAY}, Premise.STEP),
+        ({"result": StepCode.TOO_LATE}, Premise.STEP),
+        ({"result": StepCode.REPEATED}, Premise.STEP),  # the truth moved on
         ({"dt": 0.0}, Premise.HOLDS),  # a stamp that repeats
-        ({"dt": 0.0, "result": Result.REPEATED}, Premise.HOLDS),
+        ({"dt": 0.0, "result": StepCode.REPEATED}, Premise.HOLDS),
         ({"dt": 1e-310}, Premise.HOLDS),
-        ({"dt": -0.01, "result": Result.STEP_REFUSED}, Premise.AGE),
+        ({"dt": -0.01, "result": StepCode.STEP_REFUSED}, Premise.AGE),
         ({"dt": np.inf}, Premise.AGE),
-        ({"u": np.nan, "result": Result.INPUT_HELD}, Premise.INPUT),
+        ({"u": np.nan, "result": StepCode.INPUT_HELD}, Premise.INPUT),
         ({"dt": 0.02}, Premise.AGE),
         ({"dt": 0.002}, Premise.AGE),
         ({"dt": 0.02, "y": np.nan}, Premise.AGE),
@@ -224,7 +224,7 @@ def after(bound, *samples):
 
 @pytest.mark.parametrize(
     "sample",
-    [(1e30, 0.011), (-np.inf, 0.011), (1e30, 0.011, Result.COASTED), (0.6, 0.011, Result.OUTLIER), (7e9, 0.011)],
+    [(1e30, 0.011), (-np.inf, 0.011), (1e30, 0.011, StepCode.COASTED), (0.6, 0.011, StepCode.OUTLIER), (7e9, 0.011)],
     ids=str,
 )
 def test_what_the_observer_does_not_use_is_a_lost_sample(sample):
@@ -300,9 +300,9 @@ def test_a_tube_that_is_left_and_a_part_of_a_measurement_are_premises():
         assert int(two.step(two.init(0.001), *part)[1].premise) == Premise.MEASUREMENT
     # A gate says that it refused something, and not which of the positions.
     whole = jnp.zeros(4), jnp.zeros(0), jnp.zeros(2), 0.011
-    assert int(two.step(two.init(0.001), *whole, Result.OUTLIER)[1].premise) == Premise.MEASUREMENT
+    assert int(two.step(two.init(0.001), *whole, StepCode.OUTLIER)[1].premise) == Premise.MEASUREMENT
     none = jnp.zeros(4), jnp.zeros(0), jnp.full(2, jnp.nan), 0.011
-    assert int(two.step(two.init(0.001), *none, Result.COASTED)[1].premise) == Premise.HOLDS
+    assert int(two.step(two.init(0.001), *none, StepCode.COASTED)[1].premise) == Premise.HOLDS
 
 
 def test_lost_samples_choose_the_errors_that_belong_to_their_age():
@@ -333,7 +333,7 @@ def test_a_bound_in_c_takes_the_result_code():
     bound = bound_of(LOST_ONCE)
     arguments = bound.init(0.01), jnp.array([0.1, 1.0]), jnp.array([0.2]), jnp.array([0.1]), jnp.asarray(0.011)
     graph = lowering.lower(bound.step, *arguments, jnp.asarray(0.0))
-    for result in (Result.OK, Result.OUTLIER, Result.RESTARTED):
+    for result in (StepCode.OK, StepCode.OUTLIER, StepCode.RESTARTED):
         by_graph = lowering.numbers(graph, *arguments, jnp.asarray(float(result)))
         for mine, other in zip(jax.tree.leaves(by_graph), jax.tree.leaves(bound.step(*arguments, result)), strict=True):
             assert np.allclose(mine, other, rtol=1e-14)

@@ -17,7 +17,7 @@ import pytest
 import covariant
 from covariant.calibration import usual_speeds
 from covariant.codegen import _wasm
-from covariant.signals import Record, Result
+from covariant.signals import Record, StepCode
 from covariant.workflow._export import beyond_proof
 
 MODEL = """system = "pendulum_chain"
@@ -85,13 +85,13 @@ def ran(request, folder):
 
 
 def same(result, codes, estimates, atol=1e-9):
-    assert [Result(c).name for c in codes] == [Result(c).name for c in result.codes]
+    assert [StepCode(c).name for c in codes] == [StepCode(c).name for c in result.codes]
     np.testing.assert_allclose(estimates, np.asarray(result.run.estimate), rtol=0, atol=atol)
 
 
 def test_the_log_has_what_the_law_is_about(ran):
     name, result, _ = ran
-    codes = [Result(c).name for c in result.codes]
+    codes = [StepCode(c).name for c in result.codes]
     assert codes[40] == codes[90] == "OUTLIER"
     assert codes[50] == codes[150] == codes[200] == "COASTED"
     assert codes[:40] == ["OK"] * 40
@@ -220,7 +220,7 @@ def test_header_data_sheet_and_readme_tell_the_gate_the_units_and_each_code(tmp_
     assert "y: hip [rad]" in header
     assert "- u: motor [N m]" in sheet
     assert "- v: v1 [rad/s]" in sheet
-    for code in Result:
+    for code in StepCode:
         assert f"SPEED_{code.name} = {int(code)}" in header
         assert f"/* {code.message} */" in header
         assert f"| {int(code)} | `SPEED_{code.name}` | {code.message} |" in sheet

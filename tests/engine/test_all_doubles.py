@@ -14,7 +14,7 @@ from hypothesis import example, given, settings
 from covariant import models, observers
 from covariant.engine import Stream, run_log
 from covariant.engine._backends import backend
-from covariant.signals import Record, Result
+from covariant.signals import Record, StepCode
 
 pytestmark = pytest.mark.skipif(shutil.which("cc") is None, reason="there is no C compiler, `cc`")
 SPECIAL = (math.nan, math.inf, -math.inf, 5e-324, -1e-323, 1e-310, -0.0, 0.0, 3e9, 7e9, 1e22, -1e22, 1e154, -1.7e308)
@@ -80,7 +80,7 @@ def test_a_step_by_either_engine_is_the_same(name, log):
         codes = []
         for work in both:
             work.y[:], work.u[:] = y, inputs[: len(complete)]
-            codes.append(Result(work.advance(dt)))
+            codes.append(StepCode(work.advance(dt)))
         measured = np.abs(y[np.abs(y) <= observer.largest(complete).ravel()])
         largest = max(largest, *measured, 0.0)
         if not all((np.abs(work.x) < RESOLVED).all() for work in both):
@@ -100,10 +100,10 @@ def test_an_angle_of_too_many_turns_is_missing_and_spoils_nothing(engine, far):
     observer, y = cases()["gated"]
     stream = Stream(observer, y, 100.0, engine=engine)
     assert np.isnan(stream.step(0.0, [far, 0.2])).all()
-    assert stream.result == Result.COASTED
+    assert stream.result == StepCode.COASTED
     for k in range(1, 30):
         x = stream.step(0.01 * k, [far, 0.2] if k == 10 else y, [0.0, 0.0])
-        assert stream.result == (Result.COASTED if k == 10 else Result.OK)
+        assert stream.result == (StepCode.COASTED if k == 10 else StepCode.OK)
         assert np.abs(x[:2] - y).max() < 0.1
 
 
@@ -114,7 +114,7 @@ def test_a_log_with_angles_of_too_many_turns(engine):
     t, u, rows = np.arange(20) / 100, np.zeros((20, 2)), np.tile(y, (20, 1))
     rows[5, 0] = 1e22
     done, _ = run_log(observer, Record(t, u, rows), engine=engine)
-    assert done.info.result.tolist() == [int(Result.COASTED) if k == 5 else int(Result.OK) for k in range(20)]
+    assert done.info.result.tolist() == [int(StepCode.COASTED) if k == 5 else int(StepCode.OK) for k in range(20)]
     rows[0, 0] = 1e22
     with pytest.raises(ValueError, match="row 1: the measurement is too large"):
         run_log(observer, Record(t, u, rows), engine=engine)
@@ -130,7 +130,7 @@ def test_an_angle_of_many_turns_is_followed():
     in_c.start(0.0)
     for _ in range(5):
         in_c.y[:] = y + turns
-        assert in_c.advance(0.01) == Result.OK
+        assert in_c.advance(0.01) == StepCode.OK
     np.testing.assert_allclose(in_c.x[:2], y, atol=1e-6)
 
 

@@ -218,7 +218,7 @@ def test_complex_numbers_and_zeros_are_no_arguments_unless_they_differ():
 def test_a_layout_is_read_as_it_was_written(name):
     model = models.load(name).need_mechanical(name, "These")
     y = model.manifold.origin()
-    copied = observers.Copy(model, 5.0, 8.0)
+    copied = observers.ModelCopy(model, 5.0, 8.0)
     for observer in (copied, observers.Gated(copied, model, noise=1e-3, speed=1.0)):
         layout = Layout.of(trace_program(_KernelKey(observer, KernelForm(y.shape, 1)).recipe(), y))
         assert Layout.from_data(layout.data()) == layout

@@ -16,7 +16,7 @@ from covariant import models, observers
 from covariant.engine import FEWEST_ROWS, KernelForm, Stream, _choice, _log, choose, run_log, run_logs
 from covariant.engine._kernel import _prepared, prepared
 from covariant.observers import run
-from covariant.signals import Record, Result
+from covariant.signals import Record, StepCode
 
 RATE = 250.0
 needs_compiler = pytest.mark.skipif(shutil.which("cc") is None, reason="there is no C compiler, `cc`")
@@ -55,7 +55,7 @@ def test_a_log_through_c_is_that_through_jax():
         np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-9)
         assert (type(ours), ours.dtype, ours.flags.writeable) == (np.ndarray, theirs.dtype, theirs.flags.writeable)
         assert type(theirs) is np.ndarray
-    assert {Result.OK, Result.COASTED, Result.OUTLIER} <= set(np.asarray(through_c.info.result))
+    assert {StepCode.OK, StepCode.COASTED, StepCode.OUTLIER} <= set(np.asarray(through_c.info.result))
 
 
 def parts(lengths) -> list[Record]:
@@ -114,7 +114,7 @@ def test_runs_in_lanes_are_those_of_jax_each(monkeypatch):
     assert engine == "c"
     same(told, [run(gated(), log) for log in logs])
     results = [set(np.asarray(one.info.result).tolist()) for one in told]
-    assert [Result.NOT_FINITE in each for each in results] == [k == 5 for k in range(10)]
+    assert [StepCode.NOT_FINITE in each for each in results] == [k == 5 for k in range(10)]
 
 
 @pytest.mark.long
@@ -194,7 +194,7 @@ def test_after_another_number_in_the_model_file_nothing_is_compiled(tmp_path, mo
     counts, path = [], tmp_path / "pendulum.toml"
     for mass, length in ((1.5, 0.6), (1.7, 0.8)):
         path.write_text(MODEL_FILE.format(mass=mass, length=length))
-        observer = observers.Copy(models.load(path).model, 8.0, 20.0)
+        observer = observers.ModelCopy(models.load(path).model, 8.0, 20.0)
         done, engine = run_log(observer, log, engine="c")
         assert engine == "c"
         stream = Stream(observer, log.y[0], 50.0, 1)

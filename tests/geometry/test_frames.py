@@ -25,7 +25,7 @@ from covariant.geometry import (
     lie,
 )
 from covariant.observers import second_order
-from covariant.signals import Result
+from covariant.signals import StepCode
 
 BUDGET = Budget(steps=12)
 
@@ -334,7 +334,7 @@ def test_transport_is_an_isometry(name):
 def test_geodesics_are_found_again(name):
     at, (_, end) = sample(name), carried(name)
     shot = jax.jit(lambda x, y: at.space.shoot(x, y, None, Budget(newton=4, steps=12)))(at.x, end.q)
-    assert shot.result == Result.OK
+    assert shot.result == StepCode.OK
     close(shot.velocity, 0.5 * at.a, 1e-6)
     close(shot.arrival, end.velocity, 1e-6)
 

@@ -14,7 +14,7 @@ import pytest
 
 from covariant import geometry
 from covariant.geometry import lie
-from covariant.signals import Result
+from covariant.signals import StepCode
 
 GROUPS = {
     "SO3": lie.SO3,
@@ -317,7 +317,7 @@ def test_velocity_is_carried_along(flights):
 def test_shooting_undoes_exp(fly, shoot):
     flights = make_flights(fly, "SO3")
     shot = shoot(flights.inertia, flights.end.q)
-    assert (shot.result == Result.OK).all()
+    assert (shot.result == StepCode.OK).all()
     close(shot.velocity, flights.velocity, 1e-9)
     close(shot.arrival, flights.end.velocity, 1e-9)
 
@@ -359,7 +359,7 @@ def group_and_riemannian(shoot, axes, angle):
     x = angle * axes / np.linalg.norm(axes, axis=1)[:, None]
     inertia = np.tile(TOP, (BATCH, 1, 1))
     shot = shoot(inertia, jax.vmap(lie.SO3.exp)(x))
-    assert (shot.result == Result.OK).all()
+    assert (shot.result == StepCode.OK).all()
     v = np.asarray(shot.velocity)
     long, short = (np.sqrt(inner(inertia, a, a)) for a in (x, v))
     return long / short - 1, np.degrees(np.arccos(np.minimum(1, inner(inertia, x, v) / long / short)))

@@ -10,7 +10,7 @@ from covariant.geometry import Budget, Metric, _geodesics
 from covariant.geometry._geodesics import conjugate_points
 from covariant.geometry.lie import SO3
 from covariant.models import ball_and_beam
-from covariant.signals import Result
+from covariant.signals import StepCode
 
 SPHERE = geometry.sphere()
 NUMERIC = Metric(SPHERE)
@@ -37,7 +37,7 @@ def the_long_way(p, q):
 @pytest.mark.exhaustive
 def test_short_geodesic_is_ok():
     shot = shoot(P, Q, jnp.zeros(2))
-    assert shot.result == Result.OK
+    assert shot.result == StepCode.OK
     close(shot.velocity, geometry.log(SPHERE, P, Q), 1e-12)
 
 
@@ -46,19 +46,19 @@ def test_far_target_is_found():
     """Too far for Newton's method from the first guess: nearly a half turn, which chart lines do not resemble."""
     p, q = jnp.array([[0.78, -0.01], [-0.97, 0.29]])
     shot = shoot(p, q, jnp.zeros(2))
-    assert shot.result == Result.OK
+    assert shot.result == StepCode.OK
     close(shot.velocity, geometry.log(SPHERE, p, q), 1e-6)
 
 
 def test_useless_guess_does_no_harm():
-    assert shoot(P, Q, jnp.array([20.0, -7.0])).result == Result.OK
-    assert shoot(P, Q, jnp.array([jnp.nan, jnp.nan])).result == Result.OK
+    assert shoot(P, Q, jnp.array([20.0, -7.0])).result == StepCode.OK
+    assert shoot(P, Q, jnp.array([jnp.nan, jnp.nan])).result == StepCode.OK
 
 
 @pytest.mark.exhaustive
 def test_target_outside_the_ball_is_not_converged():
     shot = shoot_hyperbolic(jnp.array([0.1, 0.2]), jnp.array([1.2, 0.1]))
-    assert shot.result == Result.NOT_CONVERGED
+    assert shot.result == StepCode.NOT_CONVERGED
     assert not shot.residual < 1e-3
 
 
@@ -69,7 +69,7 @@ def test_log_is_nan_where_not_converged():
     shot, log = jax.jit(lambda p, q: (geometry.shoot(metric, p, q, None, budget), geometry.log(metric, p, q, budget)))(
         *far
     )
-    assert shot.result == Result.NOT_CONVERGED
+    assert shot.result == StepCode.NOT_CONVERGED
     assert np.isnan(log).all()
 
 
@@ -115,7 +115,7 @@ def test_each_stage_of_a_search_starts_where_the_one_before_points(monkeypatch):
 
 def test_missing_measurement_is_not_converged():
     shot = shoot(P, jnp.array([jnp.nan, jnp.nan]), jnp.zeros(2))
-    assert shot.result == Result.NOT_CONVERGED
+    assert shot.result == StepCode.NOT_CONVERGED
 
 
 @pytest.mark.long
@@ -123,7 +123,7 @@ def test_geodesic_beyond_a_conjugate_point_is_flagged():
     p, q = jnp.array([[0.9, 0.1], [0.5, 0.7]])  # on a great circle that stays in the middle of the chart
     long = the_long_way(p, q)
     shot = shoot(p, q, 1.001 * long)
-    assert shot.result == Result.CONJUGATE_POINT
+    assert shot.result == StepCode.CONJUGATE_POINT
     close(shot.velocity, long, 1e-6)  # what twelve steps leave of a geodesic this long
 
 
@@ -202,7 +202,7 @@ def test_shooting_is_the_same_under_jit_and_vmap():
     alone = jnp.stack([shoot(p, Q, jnp.zeros(2)).velocity for p in points])
     mapped = jax.vmap(shoot, (0, None, None))(points, Q, jnp.zeros(2))
     close(mapped.velocity, alone, 1e-13)
-    assert (mapped.result == Result.OK).all()
+    assert (mapped.result == StepCode.OK).all()
 
 
 # The fixed budget
@@ -263,10 +263,10 @@ def test_near_searches_gain_two_orders_a_correction_where_the_frame_is_no_chart(
         return [space.shoot(p, q, None, budget) for budget in budgets]
 
     exact, *near = found(jnp.asarray(scales))
-    assert (exact.result == Result.OK).all()
+    assert (exact.result == StepCode.OK).all()
     for shot, order in zip(near, (3, 5), strict=True):
         errors = np.linalg.norm(shot.velocity - exact.velocity, axis=1)
-        assert (shot.result == Result.OK).all()
+        assert (shot.result == StepCode.OK).all()
         assert slope(scales, errors) == pytest.approx(order, abs=0.3)
         assert (np.abs(shot.residual / errors - 1) < 2).all(), "the residual is the length that is missed"
 
@@ -289,6 +289,6 @@ def test_fixed_budget_reports_what_it_left():
         return shot, geometry.exp(NUMERIC, p, shot.velocity, budget)
 
     shot, end = there(P, near)
-    assert shot.result == Result.OK
+    assert shot.result == StepCode.OK
     assert 0 < shot.residual < 1e-3
     close(shot.residual, geometry.norm(SPHERE, near, near - end), 1e-12)

@@ -12,7 +12,7 @@ import pytest
 from covariant import geometry
 from covariant.geometry import Budget, Metric
 from covariant.geometry._spaces import _NEAR
-from covariant.signals import Result
+from covariant.signals import StepCode
 
 EXACT = 1e-10
 """What sixteen eighth-order steps leave of geodesics of order one."""
@@ -265,7 +265,7 @@ def test_log_is_nan_where_there_is_none(space, p, q):
 
 @pytest.mark.parametrize(("space", "p", "q"), OUTSIDE.values(), ids=OUTSIDE)
 def test_shoot_says_where_there_is_no_log(space, p, q):
-    assert geometry.shoot(space, jnp.array(p), jnp.array(q)).result == Result.NOT_CONVERGED
+    assert geometry.shoot(space, jnp.array(p), jnp.array(q)).result == StepCode.NOT_CONVERGED
 
 
 # Putting spaces together
@@ -304,12 +304,12 @@ def test_product_of_a_lost_and_a_found_geodesic_is_lost():
     from covariant.geometry import Shot
 
     class Says(geometry.Euclidean):
-        result: Result
+        result: StepCode
 
         def shoot(self, p, q, guess, budget):
             return Shot(q - p, q - p, jnp.zeros(()), jnp.asarray(self.result))
 
-    both = geometry.Product((Says(Result.CONJUGATE_POINT), Says(Result.NOT_CONVERGED)), (1, 1))
+    both = geometry.Product((Says(StepCode.CONJUGATE_POINT), Says(StepCode.NOT_CONVERGED)), (1, 1))
     assert np.isnan(geometry.log(both, jnp.zeros(2), jnp.ones(2))).all()
 
 
@@ -320,7 +320,7 @@ def test_product_misses_by_the_root_of_the_squares():
         by: float
 
         def shoot(self, p, q, guess, budget):
-            return Shot(q - p, q - p, jnp.asarray(self.by), jnp.asarray(Result.OK))
+            return Shot(q - p, q - p, jnp.asarray(self.by), jnp.asarray(StepCode.OK))
 
     both = geometry.Product((Misses(0.3), Misses(0.4)), (1, 1))
     assert geometry.shoot(both, jnp.zeros(2), jnp.ones(2)).residual == pytest.approx(0.5, rel=1e-15)

@@ -19,7 +19,7 @@ from covariant.engine import run_log
 from covariant.models import MechanicalSystem, Motion, ball_and_beam, duffing, free_body
 from covariant.observers import REGISTRY, AbstractObserver
 from covariant.observers.base._protocol import _scan
-from covariant.signals import Record, Result, Run
+from covariant.signals import Record, Run, StepCode
 from covariant.simulation import hold, simulate
 
 ROWS, RATE = 240, 100.0
@@ -134,15 +134,15 @@ def test_from_rest_it_finds_the_motion_at_irregular_stamps(entry, name):
     v, _, codes = followed(entry, name, seen(name).y)
     assert relative_error(entry, name, v, slice(1)) > 0.1
     assert relative_error(entry, name, v) < allowed(entry)
-    assert set(codes) == {Result.OK}
+    assert set(codes) == {StepCode.OK}
 
 
 @pytest.mark.exhaustive("body on SO(3)", "ekf", "geodesic", "intrinsic", "intrinsic2", "kalman", "ukf")
 @each
 def test_missing_measurements_are_coasted_and_said(entry, name):
     v, innovation, codes = followed(entry, name, with_a_gap(name))
-    expected = np.full(ROWS, int(Result.OK))
-    expected[GAP] = Result.COASTED
+    expected = np.full(ROWS, int(StepCode.OK))
+    expected[GAP] = StepCode.COASTED
     np.testing.assert_array_equal(codes, expected[1:])
     np.testing.assert_array_equal(innovation[GAP.start - 1 : GAP.stop - 1], 0.0)
     assert np.isfinite(v).all()

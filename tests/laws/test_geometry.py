@@ -11,7 +11,7 @@ import pytest
 
 from covariant._integrate import rk8
 from covariant.geometry import Budget, christoffel, curvature, exp, gradient, inner
-from covariant.signals import Result
+from covariant.signals import StepCode
 
 POINTWISE = 1e-11
 GEODESIC = 1e-9
@@ -257,7 +257,7 @@ def test_geodesic_deviation(space):
 )
 def test_geodesic_is_found(space):
     shot = space.shoot(space.p, space.q)
-    np.testing.assert_array_equal(shot.result, Result.OK)
+    np.testing.assert_array_equal(shot.result, StepCode.OK)
     assert shot.residual.max() < 1e-13
 
 

@@ -22,7 +22,7 @@ from covariant.metrics import (
     spd_distance,
 )
 from covariant.papers.sanfelice_praly import analytic_metric, grid, quadrature
-from covariant.signals import Result
+from covariant.signals import StepCode
 
 MODEL = models.unknown_frequency()
 RATES = np.array([1.0, 2.0, 4.0, 8.0])
@@ -120,7 +120,7 @@ def two_passes(x, rate):
 @pytest.mark.exhaustive
 def test_one_pass_backward_gives_the_printed_metric_on_the_whole_grid():
     distances, result = one_pass(jnp.asarray(GRID), jnp.asarray(RATES))
-    assert (result == Result.OK).all()
+    assert (result == StepCode.OK).all()
     assert distances.max() < 1e-8
 
 

@@ -13,7 +13,7 @@ from scipy import linalg
 from covariant import models
 from covariant.metrics import Equation, Solution, Window, metric_at, metric_through, window_at
 from covariant.models import StateSpace
-from covariant.signals import Result
+from covariant.signals import StepCode
 
 TIME = jnp.zeros(())
 
@@ -282,7 +282,7 @@ def found(request) -> Found:
 @pytest.mark.exhaustive
 def test_solutions_are_found_and_are_metrics(found):
     for name, answer in found.answers.items():
-        assert (answer.solution.result == Result.OK).all(), name
+        assert (answer.solution.result == StepCode.OK).all(), name
         assert (answer.solution.error_bound < found.case.tolerance).all(), name
         assert np.linalg.eigvalsh(answer.metric).min() > 0, name
         np.testing.assert_allclose(answer.metric, answer.metric.swapaxes(1, 2), rtol=1e-10)
@@ -490,7 +490,7 @@ def test_the_error_is_below_its_bound_and_that_below_the_tolerance(tolerance):
 
     found, exact = at(states)
     error = distances(exact, found.metric)
-    assert (found.result == Result.OK).all()
+    assert (found.result == StepCode.OK).all()
     assert (error <= found.error_bound + 1e-9).all()
     assert (found.error_bound < tolerance).all()
     assert error.max() > 1e-2 * tolerance  # no longer a past than needed

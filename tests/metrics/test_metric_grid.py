@@ -8,7 +8,7 @@ import pytest
 
 from covariant import calibration, metrics, models
 from covariant.metrics import _metric_on_grid, metric_summary
-from covariant.signals import Result
+from covariant.signals import StepCode
 
 MODEL = models.duffing()
 EQUATION = metrics.Equation(rate=4.0, measurement_cov=jnp.array([[0.5]]))
@@ -39,8 +39,8 @@ def test_values_are_those_of_the_solver(store):
     solve = jax.vmap(lambda x: metrics.metric_at(MODEL, EQUATION, x, start=2.0, tolerance=1e-6, domain=DOMAIN, u=U))
     expected = jax.device_get(jax.jit(solve)(jnp.asarray(points)))._asdict()
     assert set(expected) == set(store)
-    assert set(expected["result"]) >= {Result.OUT_OF_DOMAIN, Result.LEFT_DOMAIN, Result.OK}
-    settled = expected["result"] == Result.OK
+    assert set(expected["result"]) >= {StepCode.OUT_OF_DOMAIN, StepCode.LEFT_DOMAIN, StepCode.OK}
+    settled = expected["result"] == StepCode.OK
     # Rounding may move the steps of the integration, and with them the end of a past, but not the border.
     tolerances = {"metric": (1e-9, 1e-7), "result": (0.0, 0.0)}
     for name, values in expected.items():
@@ -78,11 +78,11 @@ def test_a_summary_covers_the_whole_grid(path, store, monkeypatch):
     found, known = metric_summary(path), np.isfinite(store["metric"].values).all(axis=(-2, -1))
     eigenvalues = np.linalg.eigvalsh(store["metric"].values[known])
     codes, counts = np.unique(store["result"].values, return_counts=True)
-    assert found.results == {Result(c): n for c, n in zip(codes.tolist(), counts.tolist(), strict=True)}
-    assert found.results[Result.OUT_OF_DOMAIN] == 18
+    assert found.results == {StepCode(c): n for c, n in zip(codes.tolist(), counts.tolist(), strict=True)}
+    assert found.results[StepCode.OUT_OF_DOMAIN] == 18
     assert (found.low, found.high) == pytest.approx((eigenvalues.min(), eigenvalues.max()), rel=1e-12)
     assert found.error_bound == np.nanmax(store["error_bound"].values[known])
-    inside = store["result"].values != Result.OUT_OF_DOMAIN
+    inside = store["result"].values != StepCode.OUT_OF_DOMAIN
     assert found.reconstructibility == store["reconstructibility"].values[inside].min()
     # The same in parts, as it is read where memory does not hold the grid.
     parts = list(_metric_on_grid._regions(metrics.open_grid(path).chunk({"q": 5, "q_dot": 4})))

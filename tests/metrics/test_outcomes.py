@@ -25,7 +25,7 @@ from covariant.metrics import (
 from covariant.models import StateSpace
 from covariant.observers import Estimate, Riccati
 from covariant.papers.sanfelice_praly import analytic_metric, quadrature
-from covariant.signals import Result
+from covariant.signals import StepCode
 
 OSCILLATOR, OTHER = models.unknown_frequency(), models.van_der_pol()
 ZERO, NONE = jnp.zeros(()), jnp.zeros(0)
@@ -53,23 +53,23 @@ def answers(request):
 @pytest.mark.parametrize(
     ("name", "result"),
     [
-        ("at rest", Result.NOT_RECONSTRUCTIBLE),
-        ("outside", Result.OUT_OF_DOMAIN),
-        ("not a number", Result.NOT_FINITE),
+        ("at rest", StepCode.NOT_RECONSTRUCTIBLE),
+        ("outside", StepCode.OUT_OF_DOMAIN),
+        ("not a number", StepCode.NOT_FINITE),
     ],
 )
 def test_where_there_is_no_metric_it_is_nan_and_says_why(answers, name, result):
     found = answers[1][name]
     assert found.result == result
     assert np.isnan(found.metric).all()
-    assert answers[1]["good"].result == Result.OK
+    assert answers[1]["good"].result == StepCode.OK
 
 
 @pytest.mark.exhaustive
 def test_a_past_that_leaves_the_domain_starts_at_its_border(answers):
     equation, all_found = answers
     found = all_found["leaves"]
-    assert found.result == Result.LEFT_DOMAIN
+    assert found.result == StepCode.LEFT_DOMAIN
     passage = metric_through(OSCILLATOR, equation, jnp.array([1.9, 1.9, 1.0]), found.horizon, 200)
     assert spd_distance(passage.metric[-1], found.metric) < 1e-4
     assert jnp.abs(passage.x[0]).max() > 2.0 - 1e-5
@@ -93,7 +93,7 @@ def test_a_solution_that_came_from_infinity_has_escaped():
     """Outside its limit cycle van der Pol's oscillator came from infinity in finite time."""
     at = jax.jit(jax.vmap(lambda x: metric_at(OTHER, Equation(process_cov=jnp.eye(2)), x, max_steps=500)))
     found = at(jnp.array([[3.0, 0.0], [1.0, 0.5]]))
-    np.testing.assert_array_equal(found.result, [Result.ESCAPED, Result.OK])
+    np.testing.assert_array_equal(found.result, [StepCode.ESCAPED, StepCode.OK])
     assert np.isfinite(found.metric).all()
     assert 1.0 < found.horizon[0] < 1.5
 
@@ -103,7 +103,7 @@ def test_one_coordinate_that_came_from_infinity_is_enough():
     """a' = −a³ began at infinity half a second before a = 1; b stayed where it is, and both are seen."""
     model = StateSpace(lambda t, x, u: jnp.stack([-(x[0] ** 3), 0 * x[1]]), lambda t, x, u: x, coordinates=("a", "b"))
     found = jax.jit(lambda x: metric_at(model, Equation(1.0), x, max_steps=500))(jnp.array([1.0, 0.5]))
-    assert found.result == Result.ESCAPED
+    assert found.result == StepCode.ESCAPED
     assert found.horizon == pytest.approx(0.5, rel=1e-3)
 
 
@@ -139,8 +139,8 @@ def test_a_rate_that_is_too_small_does_not_settle():
     """The Gramian of a stable system needs λ above twice its fastest decay: 4; there it solves Lyapunov's equation."""
     at = jax.jit(jax.vmap(lambda rate: metric_at(STABLE, Equation(rate), jnp.zeros(2), max_steps=300), 0))
     found = at(jnp.array([1.0, 3.5, 4.5, 8.0]))
-    np.testing.assert_array_equal(found.result[2:], Result.OK)
-    assert set(found.result[:2].tolist()) <= {int(Result.NOT_SETTLED), int(Result.NOT_RECONSTRUCTIBLE)}
+    np.testing.assert_array_equal(found.result[2:], StepCode.OK)
+    assert set(found.result[:2].tolist()) <= {int(StepCode.NOT_SETTLED), int(StepCode.NOT_RECONSTRUCTIBLE)}
     a, c = np.array([[0.0, 1.0], [-2.0, -3.0]]), np.array([[1.0, 0.0]])
     for rate, metric in zip((4.5, 8.0), found.metric[2:], strict=True):
         exact = linalg.solve_continuous_lyapunov((a + rate / 2 * np.eye(2)).T, c.T @ c)
@@ -169,7 +169,7 @@ def test_single_precision_stays_single():
     for equation in (Equation(2.0), Equation(2.0, process_cov=jnp.eye(3))):
         found = jax.jit(lambda x, equation=equation: metric_at(OSCILLATOR, equation, x))(x)
         assert {leaf.dtype for leaf in found[:4]} == {jnp.dtype(jnp.float32)}
-        assert found.result == Result.OK
+        assert found.result == StepCode.OK
         assert found.error_bound < 1e-3
         if equation.process_cov is None:
             exact = analytic_metric(2.0)(x.astype(float))

@@ -10,7 +10,7 @@ from covariant.certificates import certify
 from covariant.certificates.audit import audit
 from covariant.geometry.lie import SE2
 from covariant.models import GroupSystem, Lagrangian, Motion, acceleration, friction, resistance
-from covariant.observers import EKF, Copy, Geodesic, Intrinsic, run
+from covariant.observers import EKF, Geodesic, Intrinsic, ModelCopy, run
 
 ZERO = jnp.zeros(())
 STAMPS = np.linspace(0.0, 6.0, 601)
@@ -108,7 +108,7 @@ def test_a_simulated_motion_is_that_of_a_plain_integration(motions):
 OBSERVERS = {
     "intrinsic": lambda model, n: Intrinsic(model, 8.0, 32.0, substeps=1),
     "geodesic": lambda model, n: Geodesic(model, 8.0, 32.0, substeps=1),
-    "copy": lambda model, n: Copy(model, 8.0, 32.0, substeps=1),
+    "copy": lambda model, n: ModelCopy(model, 8.0, 32.0, substeps=1),
     "ekf": lambda model, n: EKF(model, 1e-2 * jnp.eye(n), 1e-6 * jnp.eye(n), substeps=1),
 }
 

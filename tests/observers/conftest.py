@@ -13,11 +13,11 @@ from covariant.models import Lagrangian, ball_and_beam, pendulum_chain
 from covariant.observers import (
     EKF,
     AbstractObserver,
-    Copy,
     FilteredDerivative,
     Geodesic,
     ImplicitGeodesic,
     Intrinsic,
+    ModelCopy,
     SavitzkyGolay,
 )
 
@@ -101,7 +101,7 @@ MODEL_BASED = {
     "intrinsic": _with_gains(Intrinsic),
     "geodesic": _with_gains(Geodesic),
     "implicit-geodesic": _with_gains(ImplicitGeodesic),
-    "copy": _with_gains(Copy),
+    "copy": _with_gains(ModelCopy),
     "ekf": lambda model: EKF(model, jnp.array([[4.0]]), jnp.array([[1e-6]])),
 }
 FILTERS = {

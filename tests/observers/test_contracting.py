@@ -19,7 +19,7 @@ from covariant.observers import (
     printed_rate,
     run,
 )
-from covariant.signals import Record, Result
+from covariant.signals import Record, StepCode
 from covariant.simulation import observe, simulate
 
 ZERO = jnp.zeros(())
@@ -85,7 +85,7 @@ def test_missing_samples_are_coasted_and_gains_of_any_size_are_stable():
     observer = Contracting(model, jnp.array([[1e4], [1e4]]), jnp.array([0.3, 0.1]))
     state = observer.init(jnp.array([1.0]))
     moved, info = step(observer, state, jnp.zeros(1), jnp.array([jnp.nan]), jnp.asarray(0.1))
-    assert int(info.result) == Result.COASTED
+    assert int(info.result) == StepCode.COASTED
     np.testing.assert_allclose(moved.unmeasured, 0.1)
     alone = simulate(model, state.x, jnp.array([0.0, 0.1])).x[-1]
     np.testing.assert_allclose(moved.x, alone, atol=1e-6)

@@ -12,7 +12,7 @@ from covariant.engine import Stream
 from covariant.geometry.lie import SO3
 from covariant.models import GroupSystem, Lagrangian, Motion, Parametric, chart_velocity, in_chart, robots
 from covariant.observers import Damped, Delayed, Gated, Instant, Intrinsic, Sensor, damping_margin, run
-from covariant.signals import Record, Result
+from covariant.signals import Record, StepCode
 
 STEP = 0.01
 
@@ -156,9 +156,9 @@ def test_without_a_reading_it_is_the_inner_observer(gated):
     damped = run(Damped(inner, oblique(), 3.0, 0.5), Record(t, u, np.column_stack([y, read])))
     np.testing.assert_array_equal(damped.estimate[:40], plain.estimate[:40])
     np.testing.assert_array_equal(damped.info.result[:40], plain.info.result[:40])
-    assert (Result.OUTLIER in plain.info.result) == gated
+    assert (StepCode.OUTLIER in plain.info.result) == gated
     assert np.abs(damped.estimate - plain.estimate)[40:].max() > 1e-3
-    assert (np.asarray(damped.info.result)[45:48] == Result.OK).all()
+    assert (np.asarray(damped.info.result)[45:48] == StepCode.OK).all()
 
 
 def shaken_body(rows=1500):

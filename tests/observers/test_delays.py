@@ -13,7 +13,7 @@ from covariant.engine import run_log
 from covariant.models import MechanicalSystem, Motion, free_body, pendulum_chain
 from covariant.observers import EKF, Delayed, FilteredDerivative, Intrinsic, IntrinsicKalman, run
 from covariant.scoring import rmse
-from covariant.signals import Record, Result
+from covariant.signals import Record, StepCode
 from covariant.simulation import hold, simulate
 from covariant.workflow import export
 from covariant.workflow._inputs import Job, Loaded, data_sheet, load, with_sensor_delays
@@ -106,9 +106,9 @@ def test_every_reading_counts_at_the_time_at_which_it_was_true(step, delays):
     untold = np.abs([state.v - x[2:] for state, x in zip(along(step, FILTER, record)[0], record.x, strict=True)])[20:]
     assert error < 0.08 < 0.2 < untold.max()
     codes = [int(info.result) for info in infos]
-    assert [k + 1 for k, code in enumerate(codes) if code == Result.COASTED] == [20]
+    assert [k + 1 for k, code in enumerate(codes) if code == StepCode.COASTED] == [20]
     # While the velocity is being found, a late joint may be refused once.
-    assert [code for code in codes if code not in (Result.OK, Result.COASTED)] in ([], [Result.OUTLIER])
+    assert [code for code in codes if code not in (StepCode.OK, StepCode.COASTED)] in ([], [StepCode.OUTLIER])
     np.testing.assert_allclose(infos[40].velocity_std, FILTER.velocity_std(states[41].now), rtol=1e-12)
     assert np.abs([info.innovation for info in infos[20:]]).max() < 2e-3
 
@@ -148,7 +148,7 @@ def test_compiled_c_equals_jax(name, rows):
     np.testing.assert_array_equal(by_c.info.result, by_jax.info.result)
     np.testing.assert_allclose(by_c.info.innovation, by_jax.info.innovation, rtol=0, atol=1e-13)
     # Where the delays are not those of the log, the gate may refuse readings.
-    assert {int(code) for code in by_c.info.result} >= {Result.OK, Result.COASTED}
+    assert {int(code) for code in by_c.info.result} >= {StepCode.OK, StepCode.COASTED}
 
 
 def test_a_buffer_holds_what_waits_and_no_more():
@@ -167,14 +167,14 @@ def test_a_sample_that_comes_after_later_ones_counts_as_in_order(step, late):
     gaps, _ = along(step, observer, record, held_back=(57, 58))
     state, info = late(observer, gaps[-1], record.y[58], record.t[58])
     state, info = late(observer, state, record.y[57], record.t[57])
-    assert info.result == Result.OK
+    assert info.result == StepCode.OK
     for found, true in ((state.now.q, straight.now.q), (state.now.v, straight.now.v)):
         np.testing.assert_allclose(found, true, rtol=0, atol=1e-9)
     assert np.abs(gaps[-1].now.v - straight.now.v).max() > 1e-6
     after, info = late(observer, state, record.y[40], record.t[40])
-    assert info.result == Result.TOO_LATE
+    assert info.result == StepCode.TOO_LATE
     np.testing.assert_array_equal(after.now.v, state.now.v)
-    assert late(observer, state, record.y[40], record.t[59] + 1.0)[1].result == Result.STEP_REFUSED
+    assert late(observer, state, record.y[40], record.t[59] + 1.0)[1].result == StepCode.STEP_REFUSED
 
 
 @pytest.mark.exhaustive
@@ -182,7 +182,7 @@ def test_too_short_a_buffer_says_what_it_leaves_out(step):
     delays = (0.0, 0.1)
     observer = delayed(FILTER, delays)  # twelve samples, and in a tenth of a second come twenty
     results = [int(info.result) for info in along(step, observer, swing(delays))[1]]
-    assert results.count(Result.TOO_LATE) > 30
+    assert results.count(StepCode.TOO_LATE) > 30
 
 
 @pytest.mark.exhaustive
@@ -202,7 +202,7 @@ def test_without_delay_it_is_the_observer_itself(pendulum, regular):
 def test_an_angle_of_too_many_turns_is_missing_to_the_observer_inside_too(delay):
     late, huge = Delayed(FilteredDerivative(50.0, circles=(0,)), delay, 100.0), jnp.array([1e12])
     _, info = late.step(late.init(jnp.zeros(1)), jnp.zeros(0), huge, 0.01)
-    assert info.result == Result.COASTED
+    assert info.result == StepCode.COASTED
 
 
 @pytest.mark.exhaustive

@@ -17,7 +17,7 @@ from covariant.calibration import DataSheet, gated, observer_gains, tuned_estima
 from covariant.geometry.lie import SO3
 from covariant.models import Motion, free_body
 from covariant.observers import Gated, run
-from covariant.signals import Record, Result, lag_inputs
+from covariant.signals import Record, StepCode, lag_inputs
 from covariant.simulation import hold, simulate
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -134,8 +134,8 @@ def test_outliers_and_missing_measurements_cost_little(tried):
     clean = rms(error["clean"][:, first["clean"] :])
     for kind, most in allowed.items():
         assert rms(error[kind][:, first[kind] :]) < most * clean, kind
-    assert (code["outliers"] == Result.OUTLIER).any()
-    assert np.isin(code["clean"][:, first["clean"] :], [Result.OK, Result.OUTLIER]).all()
+    assert (code["outliers"] == StepCode.OUTLIER).any()
+    assert np.isin(code["clean"][:, first["clean"] :], [StepCode.OK, StepCode.OUTLIER]).all()
 
 
 @pytest.mark.long("copy", "ekf", "multiarm_double")
@@ -163,9 +163,9 @@ def test_a_first_row_that_is_wrong_is_said(tried):
     """And the estimates that it spoils are, but for three rows at most, in which the wrong position is believed."""
     _, (error, code, speed, _) = tried
     said = code["first row"]
-    assert (said.max(axis=1) >= Result.OUTLIER).all()
+    assert (said.max(axis=1) >= StepCode.OUTLIER).all()
     spoiled = error["first row"] > np.maximum(2 * speed, 1.5 * error["clean"].max())
-    assert (spoiled & (said < Result.OUTLIER)).sum(axis=1).max() <= 3
+    assert (spoiled & (said < StepCode.OUTLIER)).sum(axis=1).max() <= 3
 
 
 TURNING = 80.0  # rad/s
@@ -188,7 +188,7 @@ def test_a_body_that_is_lost_is_said(name):
     error = np.linalg.norm(np.asarray(found.estimate.v - true.x.v), axis=1)
     usual = SHEET.motion_std * SHEET.motion_time
     assert (error > 2 * usual).sum() > 20
-    assert ((np.asarray(found.info.result) == Result.OK) & (error > 2 * usual)).sum() < 10
+    assert ((np.asarray(found.info.result) == StepCode.OK) & (error > 2 * usual)).sum() < 10
 
 
 @pytest.mark.exhaustive
@@ -213,6 +213,6 @@ def test_a_gate_makes_the_step_of_the_observer_when_nothing_is_wrong():
     b = b._replace(gate=b.gate._replace(left=BODY.manifold.towards(a.q, y[0])))
     for each in y[1:]:
         a, b, i, j = both(a, b, each)
-        assert int(j.result) == Result.OK
+        assert int(j.result) == StepCode.OK
         np.testing.assert_allclose(b.inner.v, a.v, rtol=1e-9, atol=1e-9)
         np.testing.assert_allclose(j.innovation, i.innovation, atol=1e-9)

@@ -10,7 +10,7 @@ import pytest
 from covariant import models, observers
 from covariant.codegen import trace_program, with_open_numbers
 from covariant.observers import FixedLag, Gate, IntrinsicKalman, JointKalman, smooth
-from covariant.signals import Record, Result
+from covariant.signals import Record, StepCode
 
 ROWS, LAG, TICK = 60, 7, 0.02
 
@@ -43,7 +43,7 @@ def test_it_is_the_smoother_of_a_log_with_this_lag(name):
     observer = FILTERS[name]()
     expected, late = smooth(observer, log(), lag=LAG), FixedLag(observer, LAG)
     results = np.asarray(expected.filtered.info.result)
-    assert {Result.COASTED, Result.OUTLIER, Result.RESTARTED} <= set(results.tolist())
+    assert {StepCode.COASTED, StepCode.OUTLIER, StepCode.RESTARTED} <= set(results.tolist())
 
     @jax.jit
     def streamed(record):

@@ -8,9 +8,9 @@ import pytest
 
 from covariant.geometry import Euclidean
 from covariant.models import Motion, advance, pendulum_chain
-from covariant.observers import EKF, Copy, Geodesic, Intrinsic, IntrinsicKalman
+from covariant.observers import EKF, Geodesic, Intrinsic, IntrinsicKalman, ModelCopy
 from covariant.observers.base._sampled import LONGEST_GAP, sampled_correction
-from covariant.signals import Result
+from covariant.signals import StepCode
 
 ALPHA, BETA = 20.0, 200.0
 
@@ -74,7 +74,7 @@ BELIEVED = pendulum_chain(**LENGTHS, gravity=9.81 * 1.02)
 OBSERVERS = {
     "intrinsic": lambda model: Intrinsic(model, ALPHA, BETA),
     "geodesic": lambda model: Geodesic(model, ALPHA, BETA),
-    "copy": lambda model: Copy(model, ALPHA, BETA),
+    "copy": lambda model: ModelCopy(model, ALPHA, BETA),
     "intrinsic-kalman": lambda model: IntrinsicKalman(
         model, 0.05 * jnp.eye(2), NOISE**2 * jnp.eye(2), 9.0 * jnp.eye(2)
     ),
@@ -150,7 +150,7 @@ def test_after_a_long_gap_the_velocity_is_no_worse_than_the_model_alone(name, sw
     assert (found <= 1.5 * rms(model)).all() or (found <= 1.5 * model).all()
     assert np.isfinite(rest).all()
     if name in ("intrinsic", "geodesic", "copy"):
-        assert (codes >= Result.RESTARTED).all()
+        assert (codes >= StepCode.RESTARTED).all()
 
 
 @pytest.mark.long

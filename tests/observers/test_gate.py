@@ -9,8 +9,8 @@ from scipy import stats
 from covariant.geometry import Coordinates, ProductManifold
 from covariant.geometry.lie import SE3, SO3
 from covariant.models import Lagrangian, Motion, advance, free_body, oscillator, pendulum_chain
-from covariant.observers import Copy, Gate, Gated, Intrinsic, IntrinsicKalman, run
-from covariant.signals import Record, Result
+from covariant.observers import Gate, Gated, Intrinsic, IntrinsicKalman, ModelCopy, run
+from covariant.signals import Record, StepCode
 
 NOISE = 1e-3
 ROWS = 500
@@ -50,7 +50,7 @@ def test_one_outlier_in_a_hundred_costs_less_than_a_tenth(swing, follow):
     hit[:20] = False
     spoiled = y + 0.5 * hit * rng.choice([-1, 1], y.shape)
     clean, found = follow(kalman(), t, y), follow(kalman(), t, spoiled)
-    assert (codes(found) == Result.OUTLIER).tolist() == hit.any(axis=1)[1:].tolist()
+    assert (codes(found) == StepCode.OUTLIER).tolist() == hit.any(axis=1)[1:].tolist()
     assert velocity_error(found, x) < 1.1 * velocity_error(clean, x)
     assert velocity_error(follow(kalman(gate=None), t, spoiled), x) > 10 * velocity_error(clean, x)
 
@@ -58,7 +58,7 @@ def test_one_outlier_in_a_hundred_costs_less_than_a_tenth(swing, follow):
 @pytest.mark.long
 def test_a_clean_log_is_never_refused(swing, follow):
     t, _, y = swing
-    assert set(codes(follow(kalman(), t, y))) == {Result.OK}
+    assert set(codes(follow(kalman(), t, y))) == {StepCode.OK}
 
 
 @pytest.mark.long
@@ -68,9 +68,9 @@ def test_a_jump_that_stays_is_believed_after_a_while(swing, follow):
     moved[250:, 0] += 0.4
     found = codes(follow(kalman(gate=Gate(patience=10)), t, moved))
     first = 249
-    assert (found[first : first + 10] == Result.OUTLIER).all()
-    assert found[first + 10] == Result.RESTARTED
-    assert (found[first + 30 :] == Result.OK).all()
+    assert (found[first : first + 10] == StepCode.OUTLIER).all()
+    assert found[first + 10] == StepCode.RESTARTED
+    assert (found[first + 30 :] == StepCode.OK).all()
 
 
 @pytest.mark.exhaustive
@@ -81,7 +81,7 @@ def test_many_joints_with_an_outlier_each_now_and_then_do_not_start_it_anew(swin
     spoiled[200:230:2, 0] += 0.5
     spoiled[201:230:2, 1] += 0.5
     found = codes(follow(kalman(gate=Gate(patience=5)), t, spoiled))
-    assert (found[199:229] == Result.OUTLIER).all()
+    assert (found[199:229] == StepCode.OUTLIER).all()
 
 
 @pytest.mark.exhaustive
@@ -91,8 +91,8 @@ def test_a_joint_that_is_missing_delays_the_new_start(swing, follow):
     moved[250:, 0] += 0.4
     moved[255:275, 1] = np.nan
     found = codes(follow(kalman(gate=Gate(patience=10)), t, moved))
-    assert Result.RESTARTED not in found[249:274]
-    assert found[274] == Result.RESTARTED
+    assert StepCode.RESTARTED not in found[249:274]
+    assert found[274] == StepCode.RESTARTED
 
 
 @pytest.mark.long
@@ -100,7 +100,7 @@ def test_noise_told_ten_times_too_small_does_not_shut_the_gate(swing, follow):
     t, x, _ = swing
     y = x[:, :2] + 10 * NOISE * np.random.default_rng(2).normal(size=(ROWS, 2))
     found, free = follow(kalman(), t, y), follow(kalman(gate=None), t, y)
-    assert (codes(found)[150:] == Result.OK).all()
+    assert (codes(found)[150:] == StepCode.OK).all()
     assert velocity_error(found, x) < 1.3 * velocity_error(free, x)
 
 
@@ -153,8 +153,8 @@ def test_a_velocity_that_is_off_by_more_than_twice_the_usual_one_is_said(speed, 
     record = Record(dt * np.arange(100), np.zeros((100, 1)), speed * dt * np.arange(100)[:, None])
     observer = Gated(Intrinsic(mass, 0.02, 1e-4, substeps=1), mass, noise=1e-4, speed=1.0)
     found = np.asarray(run(observer, record).info.result)
-    assert (found[-20:] == (Result.ASTRAY if astray else Result.OK)).all()
-    assert (found[:5] == Result.OK).all()
+    assert (found[-20:] == (StepCode.ASTRAY if astray else StepCode.OK)).all()
+    assert (found[:5] == StepCode.OK).all()
 
 
 @pytest.mark.exhaustive
@@ -178,8 +178,8 @@ def test_a_burst_of_outliers_does_not_open_the_gate_for_its_last_ones(size):
     t = 0.01 * np.arange(400)
     y = np.cos(t) + NOISE * np.random.default_rng(0).normal(size=400)
     y[300:310] += size
-    observer = Gated(Copy(oscillator(), 20.0, 100.0, substeps=1), oscillator(), noise=NOISE, speed=1.0)
+    observer = Gated(ModelCopy(oscillator(), 20.0, 100.0, substeps=1), oscillator(), noise=NOISE, speed=1.0)
     followed = run(observer, Record(t, np.zeros((400, 1)), y[:, None]))
-    assert (codes(followed)[300:310] == Result.OUTLIER).all()
-    assert (codes(followed)[310:] == Result.OK).all()
+    assert (codes(followed)[300:310] == StepCode.OUTLIER).all()
+    assert (codes(followed)[310:] == StepCode.OK).all()
     assert np.abs(np.asarray(followed.estimate)[300:, 1] + np.sin(t[300:])).max() < 0.05

@@ -11,7 +11,7 @@ from covariant.geometry import Budget
 from covariant.geometry.lie import SE3, SO3, quaternion_from_rotation, rotation_from_quaternion
 from covariant.models import Motion, free_body, heavy_top, satellite_arm, underwater_vehicle
 from covariant.observers import EKF, Delayed, Geodesic, Intrinsic, Salcudean, run
-from covariant.signals import Record, Result
+from covariant.signals import Record, StepCode
 from covariant.simulation import simulate
 
 BODY = free_body((1.0, 2.0, 3.5))
@@ -48,7 +48,7 @@ def test_velocity_is_found_from_rest(runs, log, name):
     error = velocity_error(runs[name], log)
     assert error[0] > 1.0
     assert error[-1] < 1e-4
-    assert (np.asarray(runs[name].info.result) == Result.OK).all()
+    assert (np.asarray(runs[name].info.result) == StepCode.OK).all()
     assert max(float(SO3.defect(g)) for g in runs[name].estimate.q[::50]) < 1e-13
 
 
@@ -59,8 +59,8 @@ def test_a_missing_frame_is_coasted_as_a_whole(log, name):
     y = log.y.at[200:260, 1, 2].set(jnp.nan)
     result = run(OBSERVERS[name], Record(log.t, log.u, y))
     codes = np.asarray(result.info.result)
-    assert (codes[200:260] == Result.COASTED).all()
-    assert (np.delete(codes, np.s_[200:260]) == Result.OK).all()
+    assert (codes[200:260] == StepCode.COASTED).all()
+    assert (np.delete(codes, np.s_[200:260]) == StepCode.OK).all()
     assert (np.asarray(result.info.innovation)[200:260] == 0).all()
     assert np.isfinite(velocity_error(result, log)).all()
     assert velocity_error(result, log)[-1] < 1e-3
@@ -72,7 +72,7 @@ def test_a_start_half_a_turn_away_is_said_and_overcome(log, name):
     """Exactly antipodal: two ways are as short, one is taken, the result says so, and the observer converges."""
     turned = log.y.at[0].set(log.y[0] @ SO3.exp(jnp.array([0.0, 0.0, np.pi]))).at[1].set(log.y[0])
     result = run(OBSERVERS[name], Record(log.t, log.u, turned))
-    assert result.info.result[1] == Result.CUT_LOCUS
+    assert result.info.result[1] == StepCode.CUT_LOCUS
     assert np.isfinite(np.asarray(result.estimate.q)).all()
     assert velocity_error(result, log)[-1] < 0.05
 
@@ -83,7 +83,7 @@ def test_where_no_geodesic_is_found_the_group_logarithm_stands_in(log):
     observer = Geodesic(free_body((0.1, 2.0, 20.0)), 2.0, 3.0)
     state = observer.init(log.y[0] @ SO3.exp(jnp.array([1.9, 1.4, 1.6])))._replace(log=jnp.array([40.0, -50.0, 60.0]))
     new, info = eqx.filter_jit(observer.step)(state, jnp.zeros(3), log.y[0], jnp.asarray(STEP))
-    assert info.result == Result.NOT_CONVERGED
+    assert info.result == StepCode.NOT_CONVERGED
     assert all(np.isfinite(np.asarray(part)).all() for part in new)
 
 

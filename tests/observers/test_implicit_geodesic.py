@@ -9,7 +9,7 @@ import pytest
 from covariant.geometry import Budget, Euclidean, Pullback, distance, exp, log, sphere, transport
 from covariant.models import Lagrangian, in_chart, pendulum_chain
 from covariant.observers import ImplicitGeodesic, Intrinsic
-from covariant.signals import Result
+from covariant.signals import StepCode
 
 ALPHA, BETA = 12.0, 60.0
 
@@ -31,9 +31,9 @@ def test_a_sample_counts_for_the_time_since_the_last_one():
     state, u, y = observer.init(jnp.zeros(1)), jnp.zeros(1), jnp.array([8.0])
     once, _ = observer.step(state, u, y, 0.5)
     state, info = observer.step(state, u, jnp.array([jnp.nan]), 0.3)
-    assert int(info.result) == Result.COASTED
+    assert int(info.result) == StepCode.COASTED
     state, info = observer.step(state, u, y, 0.2)
-    assert int(info.result) == Result.OK
+    assert int(info.result) == StepCode.OK
     np.testing.assert_allclose([state.q, state.v], [once.q, once.v], rtol=1e-14)
 
 

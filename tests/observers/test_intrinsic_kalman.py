@@ -16,7 +16,7 @@ from covariant.geometry.lie import SO3
 from covariant.models import GroupSystem, Lagrangian, Motion, Parametric, chart_jacobian, chart_velocity, in_chart
 from covariant.models.marine import euler_rotation
 from covariant.observers import EKF, IntrinsicKalman
-from covariant.signals import Result
+from covariant.signals import StepCode
 
 ROWS = 60
 INERTIA = jnp.diag(jnp.array([1.0, 2.0, 3.5]))
@@ -69,7 +69,7 @@ def test_an_angle_starts_anew_where_it_is_uncertain_by_more_than_its_noise_expla
     for noise, dt, restarts in ((0.01, 0.4, False), (0.01, 0.6, True), (1.0, 0.4, False), (1.0, 0.6, False)):
         found, result = stepped(jnp.asarray(noise), jnp.asarray(dt))
         gain = np.array([dt**2 + noise**2, dt]) / (dt**2 + 2 * noise**2)
-        assert result == (Result.RESTARTED if restarts else Result.OK)
+        assert result == (StepCode.RESTARTED if restarts else StepCode.OK)
         np.testing.assert_allclose(found, [0.1, 0.0] if restarts else 0.1 * gain, atol=1e-5)
 
 

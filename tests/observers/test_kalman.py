@@ -9,7 +9,7 @@ from scipy import linalg
 
 from covariant.models import Lagrangian
 from covariant.observers import EKF
-from covariant.signals import Result
+from covariant.signals import StepCode
 
 MASS = np.array([[2.0, 0.5], [0.5, 1.0]])
 STIFFNESS = np.array([[30.0, -10.0], [-10.0, 20.0]])
@@ -84,5 +84,5 @@ def test_covariances_stay_symmetric_and_positive(followed):
 def test_what_is_missing_is_reported(case, followed):
     gaps = np.isnan(case.y[1:])
     np.testing.assert_array_equal(np.asarray(followed.info.innovation)[gaps], 0.0)
-    np.testing.assert_array_equal(followed.info.result, np.where(gaps.any(1), Result.COASTED, Result.OK))
+    np.testing.assert_array_equal(followed.info.result, np.where(gaps.any(1), StepCode.COASTED, StepCode.OK))
     assert np.isfinite(followed.info.innovation_cov).all()

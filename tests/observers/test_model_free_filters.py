@@ -11,7 +11,7 @@ from covariant.observers import PLL, FilteredDerivative, HighGain, JointKalman, 
 from covariant.observers.differentiators._levant import MARGIN
 from covariant.observers.differentiators._tracking_loop import sampled
 from covariant.observers.filters._joint_kalman import singer
-from covariant.signals import Record, Result
+from covariant.signals import Record, StepCode
 
 ROWS, RATE = 400, 200.0
 LINEAR = {
@@ -88,7 +88,7 @@ def test_a_missing_entry_is_a_sample_that_was_never_taken(name):
     holed = y.copy()
     holed[gone, 1] = np.nan
     done = run(LOOPS[name], Record(IRREGULAR, np.zeros((ROWS, 0)), holed))
-    np.testing.assert_array_equal(np.asarray(done.info.result) == Result.COASTED, gone)
+    np.testing.assert_array_equal(np.asarray(done.info.result) == StepCode.COASTED, gone)
     np.testing.assert_array_equal(np.asarray(done.info.innovation)[gone, 1], 0.0)
     _, whole = states(LOOPS[name], IRREGULAR, y)
     # The samples that were taken, and behind them others, which make the log as long as the rest.

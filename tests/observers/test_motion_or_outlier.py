@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from covariant.geometry.lie import SE3
 from covariant.models import GroupSystem, Lagrangian, Motion, advance, pendulum_chain
 from covariant.observers import EKF, UKF, Gate, Gated, GateMemory, Intrinsic, IntrinsicKalman, JointKalman, run
-from covariant.signals import Record, Result
+from covariant.signals import Record, StepCode
 
 NOISE = 1e-3
 ROD, CHAIN = pendulum_chain((1.0,), (0.5,)), pendulum_chain((1.0, 0.7), (0.5, 0.4))
@@ -98,9 +98,9 @@ def test_a_gate_takes_an_impact_for_motion(kind):
     speed = float(np.sqrt(np.mean(v**2)))
     estimates, codes = followed(estimator(kind, ROD, speed), t, y)
     free, _ = followed(estimator(kind, ROD, speed, gate=None), t, y)
-    assert (codes == Result.RESTARTED).sum() >= 3
+    assert (codes == StepCode.RESTARTED).sum() >= 3
     # An impact costs the readings that show it, and gives its velocity at once: one refused reading for each new start.
-    assert (codes == Result.OUTLIER).sum() <= 1.5 * (codes == Result.RESTARTED).sum()
+    assert (codes == StepCode.OUTLIER).sum() <= 1.5 * (codes == StepCode.RESTARTED).sum()
     # A filter without a model follows an impact by itself within two rows, of which the gate refuses one.
     assert error(estimates, v) < (1.12 if kind == "JointKalman" else 1.05) * error(free, v)
 
@@ -161,7 +161,7 @@ def test_a_gate_leaves_a_late_joint_alone():
     for kind in ("EKF", "Intrinsic", "JointKalman"):
         estimates, codes = followed(estimator(kind, CHAIN, 3.0, density=1e-2), t, y)
         free, _ = followed(estimator(kind, CHAIN, 3.0, gate=None, density=1e-2), t, y)
-        assert (codes == Result.OUTLIER).sum() == 0
+        assert (codes == StepCode.OUTLIER).sum() == 0
         assert error(estimates, x[:, 2:]) <= 1.05 * error(free, x[:, 2:])
 
 
@@ -171,7 +171,7 @@ def test_a_start_at_full_speed_is_motion():
     y, v = noisy(x), x[:, 2:]
     observer = JointKalman(motion_std=30.0, motion_time=0.1, measurement_std=NOISE)
     estimates, codes = followed(observer, t, y)
-    assert (codes == Result.OUTLIER).sum() <= 2
+    assert (codes == StepCode.OUTLIER).sum() <= 2
     assert np.abs(estimates[3, 2:] - v[3]).max() < 2.0
 
 
@@ -188,7 +188,7 @@ def test_a_burst_costs_no_more_than_the_same_rows_missing(kind, length):
         missing[k : k + length] = np.nan
     gated = estimator(kind, CHAIN, 3.0, density=1e-2)
     estimates, codes = followed(gated, t, spoiled)
-    assert Result.RESTARTED not in codes
+    assert StepCode.RESTARTED not in codes
     assert error(estimates, v) < 1.02 * error(followed(gated, t, missing)[0], v)
     assert error(estimates, v) < 1.25 * error(followed(gated, t, y)[0], v)
 
@@ -237,11 +237,11 @@ def two_masses(hit: bool) -> tuple[Lagrangian, np.ndarray, np.ndarray, np.ndarra
 def test_a_new_start_takes_no_outlier_of_another_joint(kind, hit):
     masses, t, x, y = two_masses(hit)
     observer = estimator(kind, masses, 2.0, density=1e-2)
-    row = np.flatnonzero(followed(observer, t, y)[1][100:] == Result.RESTARTED)[0] + 100
+    row = np.flatnonzero(followed(observer, t, y)[1][100:] == StepCode.RESTARTED)[0] + 100
     y[row, 1] += 0.4
     estimates, codes = followed(observer, t, y)
-    assert codes[row] == Result.RESTARTED
-    assert (codes[row + 1 : row + 15] == Result.OK).all()
+    assert codes[row] == StepCode.RESTARTED
+    assert (codes[row + 1 : row + 15] == StepCode.OK).all()
     assert np.abs(estimates[row:, 1] - x[row:, 1]).max() < 5 * NOISE
 
 
@@ -249,7 +249,7 @@ def test_a_new_start_takes_no_outlier_of_another_joint(kind, hit):
 def test_a_joint_whose_outlier_is_left_out_stays_as_uncertain_as_predicted():
     masses, t, _, y = two_masses(hit=True)
     observer = estimator("EKF", masses, 4.0)
-    row = np.flatnonzero(followed(observer, t, y)[1][100:] == Result.RESTARTED)[0] + 100
+    row = np.flatnonzero(followed(observer, t, y)[1][100:] == StepCode.RESTARTED)[0] + 100
     y[row - 8 : row + 1, 1] += 0.5 * (-1.0) ** np.arange(9)
     state = observer.init(jnp.array(y[0]))
     step = jax.jit(observer.step)
@@ -257,7 +257,7 @@ def test_a_joint_whose_outlier_is_left_out_stays_as_uncertain_as_predicted():
         before = state
         state, info = step(state, jnp.zeros(2), jnp.array(y[k]), 0.005)
     predicted = observer.predict(before, jnp.zeros(2), jnp.asarray(0.005))
-    assert int(info.result) == Result.RESTARTED
+    assert int(info.result) == StepCode.RESTARTED
     assert float(predicted.cov[1, 1]) > 30 * NOISE**2
     assert float(state.cov[1, 1]) == pytest.approx(float(predicted.cov[1, 1]))
     assert state.gate.refused.tolist() == [0, 9]
@@ -269,7 +269,7 @@ def test_an_impact_is_seen_where_joints_are_read_in_turn(kind):
     y[1::2, 0] = np.nan
     y[2::2, 1] = np.nan
     estimates, codes = followed(estimator(kind, masses, 4.0), t, y)
-    assert (codes[140:150] == Result.RESTARTED).any()
+    assert (codes[140:150] == StepCode.RESTARTED).any()
     assert np.abs(estimates[150:, 2] + 5).max() < 1.0
 
 
@@ -286,4 +286,4 @@ def test_a_gap_widens_the_gate_of_each_component_by_its_own_speed():
     noise, speed = (jnp.array([a] * 3 + [b] * 3) for a, b in ((0.02, 1e-3), (0.05, 3.0)))
     observer = Gated(Intrinsic(body, 20.0, 200.0, substeps=1), body, noise, speed)
     codes = np.asarray(run(observer, Record(t, np.zeros((150, 0)), y)).info.result)
-    assert (codes[130:] == Result.OK).all()
+    assert (codes[130:] == StepCode.OK).all()

@@ -14,7 +14,7 @@ from covariant.models import StateSpace
 from covariant.observers import Estimate, InformationEKF, Riccati, run
 from covariant.papers import sanfelice_praly
 from covariant.papers.sanfelice_praly import analytic_metric
-from covariant.signals import Record, Result
+from covariant.signals import Record, StepCode
 from covariant.simulation import observe
 
 OSCILLATOR = models.unknown_frequency()
@@ -190,7 +190,7 @@ def test_no_gain_makes_a_sampled_step_unstable():
     observer = Riccati(OSCILLATOR, metric, jnp.array([0.9, 0.1, 1.1]), 1e8)
     states, info = follow(observer, observer.init(NONE), jnp.asarray(np.cos(t)[:, None]), jnp.asarray(0.2))
     assert np.isfinite(states.x).all()
-    assert (info.result == Result.OK).all()
+    assert (info.result == StepCode.OK).all()
     np.testing.assert_allclose(states.x[:, 0], np.cos(t), rtol=0, atol=1e-6)
     assert np.abs(states.x[-1, 2] - truth[2]) < 0.05
 
@@ -218,7 +218,7 @@ def test_without_a_measurement_the_model_runs_on():
     ):
         y = jnp.full(len(observer.model.outputs), jnp.nan)
         x, info = one_step(observer, y)
-        assert info.result == Result.COASTED
+        assert info.result == StepCode.COASTED
         np.testing.assert_allclose(x, alone(observer.model, observer.start), rtol=1e-8)
         np.testing.assert_array_equal(info.innovation, 0.0)
         assert info.distance == 0.0
@@ -237,7 +237,7 @@ def test_a_missing_output_is_as_if_it_were_not_there(missing):
     one, info = one_step(Riccati(PLANT, constant, jnp.asarray(X), 0.5, cov), y)
     other, _ = one_step(Riccati(less, constant, jnp.asarray(X), 0.5, part), jnp.asarray(Y[kept : kept + 1]))
     np.testing.assert_allclose(one, other, rtol=1e-12)
-    assert info.result == Result.OK
+    assert info.result == StepCode.OK
     assert info.innovation[missing] == 0.0
 
     start = jnp.asarray(X), 3 * jnp.eye(3)
@@ -290,12 +290,12 @@ def field() -> geometry.Interpolated:
 def test_outside_a_field_the_model_runs_on_alone(field):
     start = jnp.array([1.5, 0.0, 1.0])
     x, info = one_step(Riccati(OSCILLATOR, field, start), jnp.array([0.9]))
-    assert info.result == Result.OUT_OF_DOMAIN
+    assert info.result == StepCode.OUT_OF_DOMAIN
     np.testing.assert_allclose(x, alone(OSCILLATOR, start), rtol=1e-8)
     rate = Riccati(OSCILLATOR, field, start).flow(ZERO, Estimate(start, ZERO), NONE, jnp.array([0.9])).x
     np.testing.assert_array_equal(rate, OSCILLATOR.f(ZERO, start, NONE))
     x, info = one_step(Riccati(OSCILLATOR, field, jnp.array([0.8, 0.3, 1.5])), jnp.array([0.9]))
-    assert info.result == Result.OK
+    assert info.result == StepCode.OK
     assert x[0] > alone(OSCILLATOR, jnp.array([0.8, 0.3, 1.5]))[0]
 
 
@@ -305,7 +305,7 @@ def test_a_metric_that_is_not_positive_definite_is_not_used():
 
     start = jnp.array([0.8, 0.3, 1.5])
     x, info = one_step(Riccati(OSCILLATOR, wrong, start), jnp.array([0.9]))
-    assert info.result == Result.OUT_OF_DOMAIN
+    assert info.result == StepCode.OUT_OF_DOMAIN
     np.testing.assert_allclose(x, alone(OSCILLATOR, start), rtol=1e-8)
 
 

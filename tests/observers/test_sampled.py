@@ -10,10 +10,19 @@ from covariant import geometry
 from covariant._integrate import rk8
 from covariant.geometry import Budget
 from covariant.models import Lagrangian, pendulum_chain
-from covariant.observers import EKF, Copy, FilteredDerivative, Geodesic, ImplicitGeodesic, Intrinsic, SavitzkyGolay, run
+from covariant.observers import (
+    EKF,
+    FilteredDerivative,
+    Geodesic,
+    ImplicitGeodesic,
+    Intrinsic,
+    ModelCopy,
+    SavitzkyGolay,
+    run,
+)
 from covariant.observers.base._protocol import outcome
 from covariant.observers.base._sampled import predict
-from covariant.signals import Record, Result
+from covariant.signals import Record, StepCode
 
 X0 = np.array([0.7, 4.0])
 
@@ -29,7 +38,7 @@ def test_an_observer_on_the_truth_stays_there(model_based, pendulum, irregular, 
     followed = follow(model_based, irregular, x[:, :1], v0=x[0, 1:], u=u)
     np.testing.assert_allclose(followed.x, x[1:], rtol=0, atol=1e-6)
     np.testing.assert_allclose(followed.info.innovation, 0.0, atol=1e-8)
-    assert set(codes(followed.info)) == {Result.OK}
+    assert set(codes(followed.info)) == {StepCode.OK}
 
 
 @pytest.mark.long("ekf", "geodesic", "intrinsic")
@@ -63,11 +72,11 @@ def test_a_gap_is_coasted_along_the_model(model_based, pendulum, irregular, foll
     coasted = pendulum.truth(irregular[last : GAP.stop], followed.x[last - 1])
     assert np.abs(coasted[0] - x[last]).max() > 1e-3, "it must coast from its own estimate, not from the truth"
     np.testing.assert_allclose(followed.x[last : GAP.stop - 1], coasted[1:], rtol=0, atol=1e-6)
-    expected = np.full(len(y), int(Result.OK))
-    expected[GAP] = Result.COASTED
+    expected = np.full(len(y), int(StepCode.OK))
+    expected[GAP] = StepCode.COASTED
     # The first sample after it may come too late; and the noise is ten times what the filter is told.
     found = codes(followed.info)
-    found = np.where(np.isin(found, [Result.OUTLIER, Result.RESTARTED]), Result.OK, found)
+    found = np.where(np.isin(found, [StepCode.OUTLIER, StepCode.RESTARTED]), StepCode.OK, found)
     np.testing.assert_array_equal(found, expected[1:])
     np.testing.assert_array_equal(followed.info.innovation[last : GAP.stop - 1], 0.0)
     np.testing.assert_array_equal(followed.info.distance[last : GAP.stop - 1], 0.0)
@@ -83,7 +92,7 @@ def test_a_gap_is_coasted_along_a_straight_line_without_a_model(filter_only, pen
     q, v = followed.x[first : GAP.stop - 1].T
     np.testing.assert_allclose(v, v[0], rtol=0, atol=1e-9)
     np.testing.assert_allclose(q, q[0] + v[0] * (irregular[first + 1 : GAP.stop] - irregular[first + 1]), atol=1e-9)
-    assert set(codes(followed.info)[GAP.start - 1 : GAP.stop - 1]) == {Result.COASTED}
+    assert set(codes(followed.info)[GAP.start - 1 : GAP.stop - 1]) == {StepCode.COASTED}
     assert np.isfinite(followed.x).all()
     np.testing.assert_array_equal(followed.info.innovation[GAP.start - 1 : GAP.stop - 1], 0.0)
 
@@ -95,13 +104,13 @@ def test_every_second_measurement_is_enough(observer, pendulum, irregular, follo
     followed = follow(observer, irregular, y)
     lag = {"FilteredDerivative": 0.4, "SavitzkyGolay": 0.1}.get(type(observer).__name__, 0.01)
     np.testing.assert_allclose(followed.x[250:, 1], x[251:, 1], rtol=0, atol=lag * np.abs(x[:, 1]).max())
-    np.testing.assert_array_equal(codes(followed.info)[::2], Result.COASTED)
-    np.testing.assert_array_equal(codes(followed.info)[1::2], Result.OK)
+    np.testing.assert_array_equal(codes(followed.info)[::2], StepCode.COASTED)
+    np.testing.assert_array_equal(codes(followed.info)[1::2], StepCode.OK)
 
 
 PLANAR = {
     "intrinsic": lambda model: Intrinsic(model, 40.0, 600.0, order=2),
-    "copy": lambda model: Copy(model, 40.0, 600.0),
+    "copy": lambda model: ModelCopy(model, 40.0, 600.0),
     "ekf": lambda model: EKF(model, 10.0 * jnp.eye(2), 1e-6 * jnp.eye(2)),
 }
 
@@ -125,7 +134,7 @@ def test_one_of_two_joints_may_be_missing(on_the_beam, beam, regular, follow, jo
     assert np.isfinite(followed.x).all()
     assert np.abs(followed.x[0, 2:] - x[1, 2:]).max() > 0.05
     np.testing.assert_allclose(followed.x[300:], x[301:], rtol=0, atol=0.02)
-    expected = np.where(np.isnan(y).any(1), Result.COASTED, Result.OK)
+    expected = np.where(np.isnan(y).any(1), StepCode.COASTED, StepCode.OK)
     np.testing.assert_array_equal(codes(followed.info), expected[1:])
     np.testing.assert_array_equal(np.asarray(followed.info.innovation)[np.isnan(y[1:])], 0.0)
 
@@ -156,9 +165,9 @@ def test_single_precision_finds_the_motion_too(pendulum, regular, follow):
 
 def test_a_state_lost_in_part_is_lost():
     fine, lost = jnp.zeros(2), jnp.array([0.0, jnp.nan])
-    assert outcome(fine, fine, fine) == Result.OK
+    assert outcome(fine, fine, fine) == StepCode.OK
     for q, v in ((lost, fine), (fine, lost), (lost, lost)):
-        assert outcome(q, v, fine) == outcome(q, v, lost) == Result.NOT_FINITE
+        assert outcome(q, v, fine) == outcome(q, v, lost) == StepCode.NOT_FINITE
 
 
 def test_an_observer_that_is_told_no_time_starts_at_zero(model_based):
@@ -182,9 +191,9 @@ def test_gains_that_blow_up_are_reported_and_raise_nothing(with_gains, pendulum,
     unstable = eqx.tree_at(lambda o: o.alpha, with_gains, jnp.array(-1e4))
     followed = follow(unstable, regular, x[:, :1])
     result = codes(followed.info)
-    assert result[-1] == Result.NOT_FINITE
+    assert result[-1] == StepCode.NOT_FINITE
     lost = ~(np.abs(followed.x[:, :1]) < 1 / np.finfo(float).eps).all(1) | ~np.isfinite(followed.x).all(1)
-    np.testing.assert_array_equal(result == Result.NOT_FINITE, lost)
+    np.testing.assert_array_equal(result == StepCode.NOT_FINITE, lost)
 
 
 @pytest.mark.parametrize(("alpha", "beta"), [(1e6, 1e12), (1e200, 1e200), (1.0, 1e300)])
@@ -192,7 +201,7 @@ def test_gains_of_any_size_leave_a_stable_loop(with_gains, pendulum, regular, fo
     x = pendulum.truth(regular, X0)
     absurd = eqx.tree_at(lambda o: (o.alpha, o.beta), with_gains, (jnp.array(alpha), jnp.array(beta)))
     followed = follow(absurd, regular, x[:, :1])
-    assert set(codes(followed.info)) == {Result.OK}
+    assert set(codes(followed.info)) == {StepCode.OK}
     assert np.isfinite(followed.x).all()
 
 
@@ -204,7 +213,7 @@ CURVED = Lagrangian(
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("kind", [Intrinsic, Geodesic, ImplicitGeodesic, Copy])
+@pytest.mark.parametrize("kind", [Intrinsic, Geodesic, ImplicitGeodesic, ModelCopy])
 def test_fine_samples_follow_the_flow_to_first_order(kind):
     """The error of the sampled observer against the integrated flow, both fed the same smooth measurement."""
     observer = kind(CURVED, 3.0, 4.0, substeps=1)
@@ -295,14 +304,14 @@ def record(irregular):
 
 PLAIN = Lagrangian(geometry.Euclidean(), lambda q: -9.0 * jnp.cos(q[0]), circles=(0,))
 LOOPS = [
-    Copy(PLAIN, 20.0, 150.0),
+    ModelCopy(PLAIN, 20.0, 150.0),
     EKF(PLAIN, jnp.eye(1), 1e-4 * jnp.eye(1), substeps=2),
     FilteredDerivative(60.0),
     SavitzkyGolay(9, 2),
 ]
 
 
-@pytest.mark.long("Copy", "EKF")
+@pytest.mark.long("ModelCopy", "EKF")
 @pytest.mark.parametrize("observer", LOOPS, ids=lambda o: type(o).__name__)
 def test_run_is_the_loop_written_by_hand(observer, record):
     done = run(observer, record)
@@ -333,7 +342,7 @@ def test_a_run_is_traced_once_a_shape(record):
         return -jnp.cos(q[0])
 
     model = Lagrangian(geometry.Euclidean(), potential, circles=(0,))
-    observer = Copy(model, jnp.array(20.0), jnp.array(150.0))
+    observer = ModelCopy(model, jnp.array(20.0), jnp.array(150.0))
     run(observer, record)
     once = len(traces)
     assert once > 0
@@ -351,10 +360,10 @@ def test_gains_may_be_mapped_and_compiled(record):
     @jax.jit
     @jax.vmap
     def velocities(alpha):
-        return run(Copy(PLAIN, alpha, alpha**2 / 2), record).estimate[:, 1]
+        return run(ModelCopy(PLAIN, alpha, alpha**2 / 2), record).estimate[:, 1]
 
     for alpha, v in zip(alphas, velocities(alphas), strict=True):
-        alone = run(Copy(PLAIN, alpha, alpha**2 / 2), record).estimate[:, 1]
+        alone = run(ModelCopy(PLAIN, alpha, alpha**2 / 2), record).estimate[:, 1]
         np.testing.assert_allclose(v, alone, rtol=0, atol=1e-10)
 
 
@@ -401,7 +410,7 @@ def test_an_observer_of_a_machine_with_stiff_friction_is_as_good_as_its_predicti
     record = Record(t, np.zeros((300, 1)), x[:, :1])
     error = {}
     for substeps in (None, 1):
-        done = run(Copy(rubbing, 20.0, 200.0, substeps=substeps), record)
+        done = run(ModelCopy(rubbing, 20.0, 200.0, substeps=substeps), record)
         error[substeps] = np.abs(np.asarray(done.estimate)[50:, 1] - x[50:, 1]).max()
     assert error[None] < 0.01 * np.abs(x[:, 1]).max()
     assert not error[1] < 20 * error[None]

@@ -15,7 +15,7 @@ from covariant.engine._kernel import _KernelKey
 from covariant.geometry.lie import SO3
 from covariant.models import GroupSystem, Lagrangian, acceleration, robots
 from covariant.observers import Delayed, FixedLag, Instant, IntrinsicKalman, Sensor, run, smooth
-from covariant.signals import Record, Result
+from covariant.signals import Record, StepCode
 
 ARM = """
 <mujoco>
@@ -132,7 +132,7 @@ def spaces(arms):
 
 def bias(k):
     names = tuple(f"b{i}" for i in range(k))
-    return observers.Slow(names, jnp.zeros(k), jnp.eye(k), jnp.zeros((k, k)))
+    return observers.SlowVariables(names, jnp.zeros(k), jnp.eye(k), jnp.zeros((k, k)))
 
 
 @pytest.mark.exhaustive
@@ -258,7 +258,7 @@ def test_a_row_is_missing_only_where_nothing_is_read():
     y, read = log.y[:, :2], np.isfinite(log.y[:, 2])
     empty = np.isnan(y).all(1)
     partly = np.isnan(y).any(1) & ~empty
-    assert (codes == Result.COASTED).tolist() == ((empty & ~read) | partly).tolist()
+    assert (codes == StepCode.COASTED).tolist() == ((empty & ~read) | partly).tolist()
 
 
 @pytest.mark.exhaustive
@@ -268,7 +268,7 @@ def test_outliers_of_a_sensor_are_refused_and_what_lasts_is_used():
     y[:, 2] = 0.0
     y[40, 2] = 100.0
     once = run(fused(), log._replace(y=y))
-    assert once.info.result[40] == Result.OUTLIER
+    assert once.info.result[40] == StepCode.OUTLIER
     assert not once.info.sensors.used[40, 0]
     y[41:, 2] = 100.0
     lasting = run(fused(), log._replace(y=y)).info.sensors.used[40:, 0]
@@ -325,7 +325,7 @@ def test_sensors_of_other_rates_and_late_ones_give_what_all_give_in_order():
         state, _ = step(state, jnp.zeros(2), reading, STEP)
         if held and k - held[0] == 2:
             state, info = arrive(state, jnp.asarray(late[held[0]]), t[held.pop(0)])
-            assert info.result < Result.OUTLIER
+            assert info.result < StepCode.OUTLIER
     in_order = run(delayed, Record(t, np.zeros((60, 2)), late))
     np.testing.assert_allclose(delayed.estimate(state), in_order.estimate[-1], rtol=0, atol=1e-12)
     used = np.asarray(in_order.info.sensors.used)
@@ -343,7 +343,7 @@ def test_a_sensor_that_is_late_leaves_the_start_where_the_positions_are():
     t = STEP * np.arange(20)
     y = np.stack([5.0 * t, 5.0 * (t - 0.05)], axis=1)
     done = run(Delayed(kalman, [0.0, 0.05], rate=1 / STEP), Record(t, np.zeros((20, 1)), y))
-    assert (np.asarray(done.info.result) == Result.OK).all()
+    assert (np.asarray(done.info.result) == StepCode.OK).all()
     np.testing.assert_allclose(done.estimate[1:, 1], 5.0, rtol=0.01)
     # Until it reads what was true after the start it corrects nothing.
     assert done.info.sensors.used[:, 0].tolist() == [False] * 5 + [True] * 15

@@ -10,7 +10,7 @@ import pytest
 from covariant import models
 from covariant.geometry.lie import SO3
 from covariant.models import Lagrangian, Motion, Parametric, heavy_top, pendulum_chain
-from covariant.observers import IntrinsicKalman, Slow, external_force, run, sensor_bias, uncertain_parameters
+from covariant.observers import IntrinsicKalman, SlowVariables, external_force, run, sensor_bias, uncertain_parameters
 from covariant.signals import Record
 from covariant.simulation import hold, simulate
 
@@ -29,7 +29,7 @@ def noise(n: int) -> np.ndarray:
     return NOISE * np.random.default_rng(0).normal(size=(ROWS, n))
 
 
-def kalman(model, n: int, *slow: Slow, **named) -> IntrinsicKalman:
+def kalman(model, n: int, *slow: SlowVariables, **named) -> IntrinsicKalman:
     return IntrinsicKalman(model, 1e-4, NOISE**2 * jnp.eye(n), 4 * jnp.eye(n), slow, substeps=1, **named)
 
 
@@ -173,7 +173,7 @@ def test_a_sensor_that_is_mounted_askew_on_a_body_is_found():
 def test_a_force_of_your_own():
     """A level of friction, written as a force."""
     one = jnp.eye(1)
-    slow = Slow(("friction",), jnp.zeros(1), one, 0 * one, force=_friction)
+    slow = SlowVariables(("friction",), jnp.zeros(1), one, 0 * one, force=_friction)
     t = STAMPS
     y = np.exp(-0.3 * t) * np.cos(2.0 * t)  # q'' + .6 q' + 4.09 q = 0
     found = run(kalman(mass_on_a_spring(4.09), 1, slow), Record(t, np.zeros((ROWS, 1)), y[:, None] + noise(1)))
@@ -192,7 +192,7 @@ ONE = jnp.eye(1)
 # Forces that are forgotten.
 
 
-def spring_with(slow: Slow, substeps: int = 1) -> IntrinsicKalman:
+def spring_with(slow: SlowVariables, substeps: int = 1) -> IntrinsicKalman:
     spring = mass_on_a_spring(6.0)
     return IntrinsicKalman(spring, 1e-6, NOISE**2 * jnp.eye(1), 4 * jnp.eye(1), (slow,), gate=None, substeps=substeps)
 
@@ -292,17 +292,26 @@ REFUSED = [
     (lambda: external_force(std=1.0), "give a density, or both std and time"),
     (lambda: external_force(std=1.0, time=0.0), "time must be a positive, finite number; got 0"),
     (lambda: external_force(std=-1.0, time=1.0), "external_force: std must be numbers ≥ 0"),
-    (lambda: Slow(("a",), jnp.zeros(1), ONE, ONE, offset=wrong_shape, time=-1.0), "Slow: time must be a positive"),
+    (
+        lambda: SlowVariables(("a",), jnp.zeros(1), ONE, ONE, offset=wrong_shape, time=-1.0),
+        "SlowVariables: time must be a positive",
+    ),
     (lambda: uncertain_parameters(models.family(*FAMILY_ARGUMENTS), (0.1, 0.2)), "std must be one number, or 1"),
-    (lambda: Slow((), jnp.zeros(0), ONE, ONE, offset=wrong_shape), "names must be different names"),
-    (lambda: Slow(("a",), jnp.zeros(2), ONE, ONE, offset=wrong_shape), "first must be 1 finite numbers"),
-    (lambda: Slow(("a",), jnp.zeros(1), jnp.eye(2), ONE, offset=wrong_shape), r"first_cov must be a matrix \(1, 1\)"),
-    (lambda: kalman(CHAIN, 2, Slow(("a",), jnp.zeros(1), ONE, ONE)), "give a force, a model or an offset .* states a$"),
+    (lambda: SlowVariables((), jnp.zeros(0), ONE, ONE, offset=wrong_shape), "names must be different names"),
+    (lambda: SlowVariables(("a",), jnp.zeros(2), ONE, ONE, offset=wrong_shape), "first must be 1 finite numbers"),
+    (
+        lambda: SlowVariables(("a",), jnp.zeros(1), jnp.eye(2), ONE, offset=wrong_shape),
+        r"first_cov must be a matrix \(1, 1\)",
+    ),
+    (
+        lambda: kalman(CHAIN, 2, SlowVariables(("a",), jnp.zeros(1), ONE, ONE)),
+        "give a force, a model or an offset .* states a$",
+    ),
     (lambda: kalman(CHAIN, 2, sensor_bias((0.1,))), r"offset of the slow states bias1 must have shape \(2,\)"),
     (lambda: kalman(CHAIN, 2, external_force(jnp.eye(3))), "force of the slow states external_force1, external_force2"),
     (lambda: kalman(CHAIN, 2, *(external_force(jnp.eye(2)),) * 2), "two slow states are called 'external_force1'"),
-    (lambda: kalman(CHAIN, 2, "bias"), "slow must be one Slow or several"),
-    (lambda: dataclasses.replace(kalman(CHAIN, 2), slow="bias"), "slow must be one Slow or several"),
+    (lambda: kalman(CHAIN, 2, "bias"), "slow must be one SlowVariables or several"),
+    (lambda: dataclasses.replace(kalman(CHAIN, 2), slow="bias"), "slow must be one SlowVariables or several"),
 ]
 
 

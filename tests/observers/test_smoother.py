@@ -28,7 +28,7 @@ from covariant.models import (
 from covariant.observers import EKF, UKF, IntrinsicKalman, JointKalman, smooth
 from covariant.observers.filters import _smoother
 from covariant.observers.filters._smoother import Step, backward_map, smoothed as smoothed_arrays
-from covariant.signals import Record, Result
+from covariant.signals import Record, StepCode
 
 # Where everything is linear: the smoother is the least-squares solution over all rows.
 
@@ -284,7 +284,7 @@ def test_where_the_filter_starts_anew_rows_before_know_nothing_of_those_after():
     other = np.array(y)
     other[31:] += 0.01
     slipped, changed = (smooth(rod_filter("intrinsic-kalman"), swing()._replace(y=y)) for y in (y, other))
-    restarted = np.flatnonzero(np.asarray(slipped.run.info.result) == Result.RESTARTED)
+    restarted = np.flatnonzero(np.asarray(slipped.run.info.result) == StepCode.RESTARTED)
     assert restarted.tolist() == [30]
     np.testing.assert_array_equal(slipped.run.estimate[:30], changed.run.estimate[:30])
     assert (np.abs(slipped.run.estimate - changed.run.estimate)[30] > 1e-4).all()
@@ -312,7 +312,7 @@ def test_blocks_make_no_difference(monkeypatch, ticks, lag):
     observer, record = rod_filter("intrinsic-kalman", gate=observers.Gate(patience=4), **encoder), faulty(ticks)
     whole = smooth(observer, record, lag=lag)
     results = np.asarray(whole.filtered.info.result)
-    assert {Result.COASTED, Result.OUTLIER, Result.RESTARTED} <= set(results.tolist())
+    assert {StepCode.COASTED, StepCode.OUTLIER, StepCode.RESTARTED} <= set(results.tolist())
     monkeypatch.setattr("covariant.observers.filters._smoother.BLOCK", SIZE)
     lengths = []
     block = _smoother._block
@@ -348,7 +348,7 @@ def test_missing_rows_are_smoothed_across():
     y = np.array(swing().y)
     y[12:24] = np.nan
     smoothed = smooth(rod_filter("intrinsic-kalman"), swing()._replace(y=y))
-    assert (smoothed.run.info.result[12:24] == Result.COASTED).all()
+    assert (smoothed.run.info.result[12:24] == StepCode.COASTED).all()
     assert (np.abs(smoothed.run.estimate - swing().x) < 4 * smoothed.std).all()
     # Both ends of the gap count: its middle is the least certain, and less certain than either end.
     spread = np.asarray(smoothed.run.info.velocity_std)[:, 0]

@@ -7,7 +7,7 @@ from scipy.linalg import expm
 
 from covariant.models import StateSpace
 from covariant.observers import StateEKF, run
-from covariant.signals import Record, Result
+from covariant.signals import Record, StepCode
 
 A, C = np.array([[0.0, 1.0], [-4.0, -0.3]]), np.array([[1.0, 0.0], [0.5, 1.0]])
 Q, R = np.diag([0.02, 0.3]), np.array([[0.01, 0.004], [0.004, 0.04]])
@@ -57,8 +57,8 @@ def test_it_is_the_kalman_filter_on_a_linear_system(record):
     np.testing.assert_allclose(done.estimate, plain[:, :2], rtol=0, atol=1e-4)
     np.testing.assert_allclose(done.info.state_std, plain[:, 2:], rtol=1e-4)
     codes = np.asarray(done.info.result)
-    assert (codes[100:110] == Result.COASTED).all()
-    assert (codes[110:] == Result.OK).all()
+    assert (codes[100:110] == StepCode.COASTED).all()
+    assert (codes[110:] == StepCode.OK).all()
     assert 0.5 < np.mean(np.asarray(done.info.nis)[150:]) / 2 < 3.0
 
 
@@ -66,10 +66,10 @@ def test_an_outlier_is_refused_and_one_that_stays_is_believed(record):
     y = record.y.copy()
     y[200, 0] += 50.0
     clean, spoiled = run(FILTER, record), run(FILTER, record._replace(y=y))
-    assert int(spoiled.info.result[200]) == Result.OUTLIER
+    assert int(spoiled.info.result[200]) == StepCode.OUTLIER
     np.testing.assert_allclose(spoiled.estimate[200:], clean.estimate[200:], rtol=0, atol=0.1)
     y[200:, :] += [50.0, 25.0]
-    assert Result.RESTARTED in np.asarray(run(FILTER, record._replace(y=y)).info.result)
+    assert StepCode.RESTARTED in np.asarray(run(FILTER, record._replace(y=y)).info.result)
 
 
 def test_numbers_that_are_not_finite_are_refused():

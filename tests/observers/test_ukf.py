@@ -10,7 +10,7 @@ from covariant import models
 from covariant.geometry.lie import SO3
 from covariant.models import GroupSystem, Lagrangian, Motion
 from covariant.observers import EKF, UKF, run
-from covariant.signals import Record, Result
+from covariant.signals import Record, StepCode
 
 MASS = np.array([[2.0, 0.5], [0.5, 1.0]])
 STIFFNESS = np.array([[30.0, -10.0], [-10.0, 20.0]])
@@ -50,7 +50,7 @@ def test_where_all_is_linear_it_is_the_kalman_filter(spread):
     innovation_cov = np.asarray(done.info.innovation_cov[-1])
     before = np.linalg.inv(np.linalg.inv(cov[:2, :2]) - np.linalg.inv(MEASUREMENT)) + MEASUREMENT
     np.testing.assert_allclose(innovation_cov, before, rtol=1e-8)
-    np.testing.assert_array_equal(np.asarray(done.info.result)[20:25], Result.COASTED)
+    np.testing.assert_array_equal(np.asarray(done.info.result)[20:25], StepCode.COASTED)
 
 
 def swings(count: int, dt: float):

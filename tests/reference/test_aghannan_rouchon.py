@@ -75,10 +75,10 @@ def test_tutorial(reproduced):
 def test_the_scenario_is_the_papers():
     """The truth stays within the bounds found independently."""
     from covariant.models import ball_and_beam
-    from covariant.observers import Copy
+    from covariant.observers import ModelCopy
     from covariant.papers import aghannan_rouchon as paper
 
-    x = paper.figure4(Copy(ball_and_beam(), paper.ALPHA, paper.BETA), np.linspace(0, 40, 401), rtol=1e-8).x
+    x = paper.figure4(ModelCopy(ball_and_beam(), paper.ALPHA, paper.BETA), np.linspace(0, 40, 401), rtol=1e-8).x
     assert np.abs(x[:, 0]).max() <= 0.109
     assert np.abs(x[:, 1]).max() <= 0.859
     assert np.abs(x[:, 3]).max() <= 2.31

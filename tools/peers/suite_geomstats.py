@@ -30,7 +30,7 @@ from outcome import Outcome, command_line
 
 from covariant import geometry, models
 from covariant.geometry import Budget
-from covariant.signals import Result
+from covariant.signals import StepCode
 
 SIZES = {"n_points": (1, 3), "n_times": (1, 4), "n_reps": (2,), "atol": (1e-6,)}
 """What the tests are asked with: numbers of points, times and repetitions, and its usual tolerance."""
@@ -102,7 +102,7 @@ class Adapter(RiemannianMetric):
 
     def log(self, point, base_point):
         shot = self._shoot(base_point, point)
-        if not np.all(shot.result == int(Result.OK)):
+        if not np.all(shot.result == int(StepCode.OK)):
             raise ValueError("no geodesic was found between two of the points")
         return shot.velocity
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from covariant.codegen._program import Program
 from covariant.codegen._source import Source, step_of
-from covariant.signals import Result
+from covariant.signals import StepCode
 
 ARITHMETIC = ("add", "sub", "mul", "div", "neg", "abs", "min", "max", "sign", "sqrt")
 LOGIC = ("lt", "le", "eq", "and", "or", "not", "is_finite", "select", "either")
@@ -99,7 +99,7 @@ def data_sheet(program: Program, source: Source, about: str, facts: Facts) -> st
         lines += ["", "## What goes in and out", "", "In this order and in these units, whatever those of a log.", ""]
         lines += [f"- {line}" for line in program.signals.lines]
     lines += ["", "## Result codes", "", "| code | name | meaning |", "|---|---|---|"]
-    lines += [f"| {int(result)} | `{source.name.upper()}_{result.name}` | {result.message} |" for result in Result]
+    lines += [f"| {int(result)} | `{source.name.upper()}_{result.name}` | {result.message} |" for result in StepCode]
     for title, text in (("Certificate", facts.certificate), ("Audit", facts.audit)):
         lines += ["", f"## {title}", "", text] if text else []
     lines += ["", "## Origin", "", f"- SHA-256 of header and source: `{digest(source)}`"]

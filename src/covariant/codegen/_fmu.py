@@ -23,7 +23,7 @@ from covariant._templates import Words, fill, template
 from covariant.codegen._program import Program
 from covariant.codegen._source import common_words, entries, write_source
 from covariant.lowering import c_number
-from covariant.signals import Result
+from covariant.signals import StepCode
 
 Version = Literal["3.0", "2.0"]
 FLAGS = ("-std=c99", "-O2", "-fPIC", "-shared", "-fvisibility=hidden")
@@ -45,7 +45,7 @@ SPELLINGS = {
 ABLE = ("canGetAndSet", "canSerialize")
 OUTCOME = {
     "name": "outcome",
-    "description": "; ".join(f"{int(result)} {result.name}: {result.message}" for result in Result),
+    "description": "; ".join(f"{int(result)} {result.name}: {result.message}" for result in StepCode),
     "causality": "output",
     "variability": "discrete",
 }

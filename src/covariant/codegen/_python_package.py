@@ -19,7 +19,7 @@ from covariant._files import zipped
 from covariant._templates import Words, fill
 from covariant.codegen._program import DTYPES, Leaf, Program
 from covariant.codegen._source import common_words
-from covariant.signals import Result
+from covariant.signals import StepCode
 
 FLAGS = ("-std=c99", "-O2", "-fno-math-errno", "-ffp-contract=off", "-fPIC", "-shared")
 """Flags of the compiler, for all processors of a kind: results are the same on all of them, but for `<math.h>`."""
@@ -123,8 +123,8 @@ def _words(program: Program, about: str, rate: float, token: str, version: str) 
         "STATE": _shapes(program.stored),
         "OUTPUT": _shapes(program.output),
         "REPORTED_LEAVES": _shapes(program.reported),
-        "CODES": [f"    {result.name} = {int(result)}" for result in Result],
-        "MESSAGES": [f"    Result.{result.name}: {result.message!r}," for result in Result],
+        "CODES": [f"    {result.name} = {int(result)}" for result in StepCode],
+        "MESSAGES": [f"    Result.{result.name}: {result.message!r}," for result in StepCode],
         "ESTIMATE_FIELDS": [_annotated(leaf, ()) for leaf in program.output if leaf.size],
         "RUN_FIELDS": [_annotated(leaf, ("T",)) for leaf in columns.values() if leaf.size],
     }

@@ -15,7 +15,7 @@ import numpy as np
 from covariant._templates import Words, fill
 from covariant.codegen._program import Leaf, Program, Real, part_text
 from covariant.lowering import C_KEYWORDS, CText, Lowered, Signature, c_function, c_helpers, c_number
-from covariant.signals import Result
+from covariant.signals import StepCode
 
 KEYWORDS = C_KEYWORDS | {"info"}
 """Words that are no names of an export or of its numbers; the info of a step is called so."""
@@ -163,12 +163,12 @@ def _header(program: Program, words: Words) -> str:
     order = [f" * {line}" for line in program.signals.lines]
     title = "/* Numbers in their order, in these units, whatever those of a log:"
     rows = f"numbers of a measurement, {' x '.join(map(str, program.y))} by rows"
-    last = max(Result)
+    last = max(StepCode)
     own = {
         "SIGNALS": [title, *order, " */"] if order else [],
         "MEASURED": f"numbers of a measurement: {program.parts_text}" if program.sensors else rows,
         "STARTED": "the configuration in y" if program.sensors else "y",
-        "CODES": [f"    {upper}_{r.name} = {int(r)}{'' if r is last else ','} /* {r.message} */" for r in Result],
+        "CODES": [f"    {upper}_{r.name} = {int(r)}{'' if r is last else ','} /* {r.message} */" for r in StepCode],
         "PARAMS": members(program.parameters),
         "STATE": members(program.stored),
         "OUTPUT": members(program.output),

@@ -13,7 +13,7 @@ from covariant._templates import Words, fill
 from covariant.codegen._program import Leaf, Program
 from covariant.codegen._source import common_words
 from covariant.codegen._vectors import Vectors
-from covariant.signals import Result
+from covariant.signals import StepCode
 
 FLAGS = (
     "--target=wasm32-wasi",
@@ -97,8 +97,8 @@ def _words(program: Program, rate: float) -> Words:
         "SIGNALS": "".join(f" * {line}\n" for line in program.signals.lines),
         "FIRST": program.x[-1].name,
         "RATE": repr(float(rate)),
-        "RESULTS": json.dumps([result.name for result in Result]),
-        "MESSAGES": json.dumps([result.message for result in Result], ensure_ascii=False),
+        "RESULTS": json.dumps([result.name for result in StepCode]),
+        "MESSAGES": json.dumps([result.message for result in StepCode], ensure_ascii=False),
         "PARAMS": _sizes(program.parameters),
         "STATE": _sizes(program.stored),
         "OUTPUT": _sizes(program.output),

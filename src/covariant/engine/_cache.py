@@ -62,7 +62,9 @@ def cached_text(key: str | None, write: Callable[[], str]) -> str:
 
 
 def cached_layout(description: str | None) -> tuple[str, Layout] | None:
-    """Key of a C text and the layout of its observer, cached under the observer's description; None where not cached."""
+    """Key of a C text and the layout of its observer, cached under the observer's description; None
+    where not cached.
+    """
     folder = cache_folder()
     if folder is None or description is None:
         return None

@@ -13,7 +13,7 @@ from covariant._compile import vector_bytes
 from covariant.engine._choice import EngineName, choose_open
 from covariant.engine._kernel import Kernel, KernelForm
 from covariant.observers import AbstractObserver, checked, run
-from covariant.signals import Record, Result, Run
+from covariant.signals import Record, Run, StepCode
 
 RUNS_A_CORE = 4
 """Runs per core above which they go through lanes: a step in all lanes takes about as long as four of one run."""
@@ -205,8 +205,8 @@ def _through(kernel: Kernel, form: _Columns, numbers: np.ndarray, logs: Sequence
 
 def _run(form: _Columns, t: np.ndarray, x: np.ndarray, info: np.ndarray) -> Run:
     infos = form.told(info)
-    if infos.result is not None and infos.result[0] == Result.REPEATED:
-        infos.result[0] = Result.OK  # the first row is no step
+    if infos.result is not None and infos.result[0] == StepCode.REPEATED:
+        infos.result[0] = StepCode.OK  # the first row is no step
     return Run(t, form.estimate(x), infos)
 
 

@@ -10,7 +10,7 @@ from covariant.engine._backends import backend
 from covariant.engine._choice import EngineName
 from covariant.models import Motion
 from covariant.observers import AbstractObserver
-from covariant.signals import Result
+from covariant.signals import StepCode
 
 LONGEST_GAP = 1.0
 """Longest gap [s] between samples that the model predicts over; after a longer one the estimate starts anew."""
@@ -19,8 +19,8 @@ LEAST_RATE = 1.25 / LONGEST_GAP
 SET_BACK = 5
 """Number of samples in a row with stamps before the last used one after which the clock counts as set back."""
 
-CODES = tuple(Result)
-NOT_FINITE = int(Result.NOT_FINITE)
+CODES = tuple(StepCode)
+NOT_FINITE = int(StepCode.NOT_FINITE)
 NUMBERS = "iufO"
 """Kinds of NumPy arrays of real numbers, or of objects that may be some, as None for a missing one."""
 DOUBLE, ndarray = np.dtype(float), np.ndarray
@@ -121,12 +121,12 @@ class Stream:
     @property
     def health(self) -> Health:
         """Counts of samples, results and faults so far."""
-        named = {Result(code).name.lower(): count for code, count in enumerate(self._results) if count}
+        named = {StepCode(code).name.lower(): count for code, count in enumerate(self._results) if count}
         c = self._counts
         return Health(sum(self._results), named, c["late"], c["unstamped"], c["misshapen"], c["restarts"])
 
     @property
-    def result(self) -> Result:
+    def result(self) -> StepCode:
         """Result of the last sample."""
         return CODES[self._last]
 
@@ -134,7 +134,7 @@ class Stream:
         """Discard all samples and counts, so that the next complete measurement starts the estimate."""
         self._started, self._t, self._back = False, math.nan, 0
         self._counts, self._results = Counter[str](), [0] * len(CODES)
-        self._last = Result.OK
+        self._last = StepCode.OK
         self._backend.x[:] = math.nan
 
     def step(self, t: Any, y: Any, u: Any = None) -> Any:
@@ -181,11 +181,11 @@ class Stream:
         """Handle the first sample, one without a stamp, a late one, and one after a gap."""
         if not math.isfinite(t):
             self._counts["unstamped"] += 1
-            return self._outcome(Result.STEP_REFUSED)
+            return self._outcome(StepCode.STEP_REFUSED)
         if not self._started or self._anew(dt):
             return self._begin(t)
         self._counts["late"] += 1
-        return self._outcome(Result.STEP_REFUSED)
+        return self._outcome(StepCode.STEP_REFUSED)
 
     def _anew(self, dt: float) -> bool:
         """Whether a gap or a clock that was set back makes the estimate start anew; otherwise the sample is late."""
@@ -197,12 +197,12 @@ class Stream:
     def _begin(self, t: float) -> Any:
         """Start at a measurement that is complete and a configuration; otherwise wait for one."""
         self._t, self._back = t, 0
-        result = Result.COASTED
+        result = StepCode.COASTED
         # NaN compares as false: a measurement with a missing entry starts nothing.
         if (np.abs(self._backend.y) <= self._largest)[self._first].all():
             self._backend.start(t)
-            result = Result.OK if np.isfinite(self._backend.x).all() else Result.NOT_FINITE
-        self._started = result == Result.OK
+            result = StepCode.OK if np.isfinite(self._backend.x).all() else StepCode.NOT_FINITE
+        self._started = result == StepCode.OK
         if not self._started:
             self._backend.x[:] = math.nan
         return self._outcome(result)

@@ -11,7 +11,7 @@ from covariant.geometry._geodesics import Budget, Shot, Transported
 from covariant.geometry._manifold import Configuration
 from covariant.geometry._metric import as_space
 from covariant.geometry._space import AbstractSpace
-from covariant.signals import Result
+from covariant.signals import StepCode
 
 Space = AbstractSpace | MatrixField
 
@@ -232,10 +232,10 @@ def shoot(
 
     Example:
         >>> import jax.numpy as jnp
-        >>> from covariant import Result
+        >>> from covariant import StepCode
         >>> from covariant.geometry import shoot, sphere
         >>> shot = shoot(sphere(), jnp.zeros(2), jnp.array([1.0, 0.0]))
-        >>> Result(int(shot.result)).name
+        >>> StepCode(int(shot.result)).name
         'OK'
     """
     return as_space(space).shoot(p, q, guess, budget)
@@ -266,7 +266,7 @@ def log(space: Space, p: Configuration, q: Configuration, budget: Budget = Budge
     """
     shot = shoot(space, p, q, None, budget)
     # Only this code: with `CONJUGATE_POINT` the velocity still leads to q.
-    return jnp.where(shot.result == Result.NOT_CONVERGED, jnp.nan, shot.velocity)
+    return jnp.where(shot.result == StepCode.NOT_CONVERGED, jnp.nan, shot.velocity)
 
 
 def distance(space: Space, p: Configuration, q: Configuration, budget: Budget = Budget()) -> Scalar:

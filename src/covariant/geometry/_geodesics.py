@@ -17,7 +17,7 @@ from covariant._integrate import rk4, rk8
 from covariant._linalg import pivots, solve
 from covariant._typing import Code, Flag, Matrix, Scalar, Vector, Vectors
 from covariant.geometry._manifold import AbstractManifold, Configuration
-from covariant.signals import Result
+from covariant.signals import StepCode
 
 NEWTON_LIMIT = 40
 """Damped Newton iterations after which a search stops without success."""
@@ -85,7 +85,7 @@ class Shot(NamedTuple):
         velocity: its velocity (n,) at p, `log_p q`.
         arrival: its velocity (n,) at q.
         residual: length in the metric by which it misses q.
-        result: a `covariant.Result` code.
+        result: a `covariant.StepCode` code.
 
     Example:
         >>> import jax.numpy as jnp
@@ -276,7 +276,7 @@ def shoot(space: Curved, p: Configuration, q: Configuration, guess: Vector | Non
     if budget.newton is None and budget.conjugate:
         # A count has no derivative; without `stop_gradient` the one of this whole recursion would be traced.
         is_conjugate = conjugate_points(space, p, jax.lax.stop_gradient(velocity), budget) > 0
-        result = jnp.where((result == Result.OK) & is_conjugate, Result.CONJUGATE_POINT, result)
+        result = jnp.where((result == StepCode.OK) & is_conjugate, StepCode.CONJUGATE_POINT, result)
     return Shot(velocity, end.velocity, residual, result)
 
 
@@ -305,7 +305,7 @@ def found(space: Curved, p: Configuration, velocity: Vector, residual: Scalar, p
     """Result code of a search: `OK` where the geodesic misses its target by no more than a part of its length."""
     # The absolute part decides where p = q: the geodesic has length zero, of which every fraction is zero.
     close = residual <= part * space.norm(p, velocity) + 64 * epsilon(velocity)
-    return jnp.where(close, Result.OK, Result.NOT_CONVERGED)
+    return jnp.where(close, StepCode.OK, StepCode.NOT_CONVERGED)
 
 
 def first_guess(space: Curved, p: Configuration, target: Target, guess: Vector | None, budget: Budget) -> Vector:

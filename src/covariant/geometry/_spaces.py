@@ -15,12 +15,14 @@ from covariant._typing import Flag, Matrix, Scalar, Vector, Vectors
 from covariant.geometry._geodesics import Budget, Shot, Transported
 from covariant.geometry._manifold import split
 from covariant.geometry._metric import AbstractMetric
-from covariant.signals import Result
+from covariant.signals import StepCode
 
 
 def _found(velocity: Vector, arrival: Vector) -> Shot:
     finite = jnp.all(jnp.isfinite(velocity)) & jnp.all(jnp.isfinite(arrival))
-    return Shot(velocity, arrival, jnp.zeros_like(velocity[0]), jnp.where(finite, int(Result.OK), Result.NOT_CONVERGED))
+    return Shot(
+        velocity, arrival, jnp.zeros_like(velocity[0]), jnp.where(finite, int(StepCode.OK), StepCode.NOT_CONVERGED)
+    )
 
 
 class Euclidean(AbstractMetric):

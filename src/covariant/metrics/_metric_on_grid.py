@@ -18,7 +18,7 @@ from covariant._typing import Bounds
 from covariant.geometry import Interpolated
 from covariant.metrics import Equation, Grid, Variable, map_grid, metric_at, open_grid
 from covariant.models import StateSpace
-from covariant.signals import Result
+from covariant.signals import StepCode
 
 
 def metric_on_grid(
@@ -111,7 +111,7 @@ VARIABLES = {
     "error_bound": Variable((), "1", "bound on the affine-invariant distance to the metric of an endless past"),
     "horizon": Variable((), "s", "length of the past that was used"),
     "reconstructibility": Variable((), "1", "least eigenvalue of the Gramian scaled to a diagonal of ones"),
-    "result": Variable((), "1", "; ".join(f"{code.value} {code.name.lower()}" for code in Result)),
+    "result": Variable((), "1", "; ".join(f"{code.value} {code.name.lower()}" for code in StepCode)),
 }
 
 
@@ -140,7 +140,7 @@ class MetricSummary(NamedTuple):
     """Summary of a finished store of `metric_on_grid`; NaN for a number that no point has.
 
     Attributes:
-        results: number of points with each `covariant.signals.Result`; results without points are left out.
+        results: number of points with each `covariant.signals.StepCode`; results without points are left out.
         reconstructibility: the smallest in the domain.
         low: lower bound of equation (9), `low I ≤ P ≤ high I`, over the points that have a metric; it depends on the
             units of the coordinates.
@@ -157,7 +157,7 @@ class MetricSummary(NamedTuple):
         ({'OK': 5}, 0.5)
     """
 
-    results: dict[Result, int]
+    results: dict[StepCode, int]
     reconstructibility: float
     low: float
     high: float
@@ -181,7 +181,7 @@ def metric_summary(path: str | os.PathLike[str]) -> MetricSummary:
     counts = np.sum([counts for counts, _ in parts], axis=0)
     reconstructibility, low, high, error_bound = np.array([values for _, values in parts]).T
     return MetricSummary(
-        {code: int(count) for code, count in zip(Result, counts, strict=True) if count},
+        {code: int(count) for code, count in zip(StepCode, counts, strict=True) if count},
         float(np.fmin.reduce(reconstructibility)),
         float(np.fmin.reduce(low)),
         float(np.fmax.reduce(high)),
@@ -224,11 +224,11 @@ def _part(store: Any) -> tuple[np.ndarray, tuple[float, ...]]:
     known = np.isfinite(metric).all(axis=(-2, -1))
     # A block without any metric: NaN, which `fmin` and `fmax` ignore.
     values = np.linalg.eigvalsh(metric[known]) if known.any() else np.full((1, 1), np.nan)
-    inside = np.where(result != Result.OUT_OF_DOMAIN, store["reconstructibility"].values, np.nan)
+    inside = np.where(result != StepCode.OUT_OF_DOMAIN, store["reconstructibility"].values, np.nan)
     error_bound = np.where(known, store["error_bound"].values, np.nan)
     ends = (np.fmin.reduce(inside, axis=None), values.min(), values.max(), np.fmax.reduce(error_bound, axis=None))
     # Of the same length in every block, so that the counts of blocks add up.
-    return np.bincount(result.ravel(), minlength=len(Result)), tuple(map(float, ends))
+    return np.bincount(result.ravel(), minlength=len(StepCode)), tuple(map(float, ends))
 
 
 def _finite_or_none(bound: Array) -> list[float | None]:

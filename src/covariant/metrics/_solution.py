@@ -14,7 +14,7 @@ from covariant._typing import Bounds, Code, Matrix, Number, Scalar, Vector
 from covariant.metrics._equation import Equation, check_state
 from covariant.metrics._window import Window, backward, no_past, window_at
 from covariant.models import StateSpace
-from covariant.signals import Result
+from covariant.signals import StepCode
 
 MOST_STEPS = 1024
 """Integration steps after which the past counts as too short in any case."""
@@ -35,17 +35,17 @@ class Solution(NamedTuple):
             `Window.error_bound`.
         horizon: length of the past that was used [s].
         reconstructibility: 0 … 1, smallest eigenvalue of W with its diagonal scaled to one; independent of units.
-        result: a `covariant.signals.Result` code. With `LEFT_DOMAIN` and `ESCAPED` the metric is the solution that
+        result: a `covariant.signals.StepCode` code. With `LEFT_DOMAIN` and `ESCAPED` the metric is the solution that
             equals `start` where the past begins.
 
     Example:
         >>> import jax.numpy as jnp
-        >>> from covariant import Result
+        >>> from covariant import StepCode
         >>> from covariant.metrics import Equation, metric_at
         >>> from covariant.models import StateSpace
         >>> constant = StateSpace(lambda t, x, u: 0.0 * x, lambda t, x, u: x)
         >>> solution = metric_at(constant, Equation(rate=2.0), jnp.zeros(1))
-        >>> Result(int(solution.result)).name, float(solution.error_bound) < 1e-7
+        >>> StepCode(int(solution.result)).name, float(solution.error_bound) < 1e-7
         ('OK', True)
     """
 
@@ -134,17 +134,17 @@ def metric_at(
     # The threshold grows with the root of the rounding unit, for single precision.
     none = SINGULAR * (eps / float(jnp.finfo(jnp.float64).eps)) ** 0.5
     outcomes = (  # the first true condition determines the result
-        (outside, Result.OUT_OF_DOMAIN),
-        (~finite, Result.NOT_FINITE),
+        (outside, StepCode.OUT_OF_DOMAIN),
+        (~finite, StepCode.NOT_FINITE),
         # Where the information is singular to rounding, its bound is rounding noise and may have any sign.
-        ((error_bound < wanted) & (index > none), Result.OK),
-        (inside(window.x) < ON_BORDER if domain is not None else outside, Result.LEFT_DOMAIN),
-        (escaped(window.x), Result.ESCAPED),
-        (~(index > none), Result.NOT_RECONSTRUCTIBLE),
+        ((error_bound < wanted) & (index > none), StepCode.OK),
+        (inside(window.x) < ON_BORDER if domain is not None else outside, StepCode.LEFT_DOMAIN),
+        (escaped(window.x), StepCode.ESCAPED),
+        (~(index > none), StepCode.NOT_RECONSTRUCTIBLE),
     )
-    result = jnp.select([when for when, _ in outcomes], [int(code) for _, code in outcomes], int(Result.NOT_SETTLED))
+    result = jnp.select([when for when, _ in outcomes], [int(code) for _, code in outcomes], int(StepCode.NOT_SETTLED))
     # Codes are in order of severity; from this one on there is no metric.
-    metric = jnp.where(result >= int(Result.NOT_RECONSTRUCTIBLE), jnp.nan, metric)
+    metric = jnp.where(result >= int(StepCode.NOT_RECONSTRUCTIBLE), jnp.nan, metric)
     return Solution(metric, error_bound, horizon, index, result.astype(jnp.int32))
 
 

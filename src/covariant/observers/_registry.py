@@ -15,7 +15,14 @@ from covariant._typing import Matrix
 from covariant.geometry.lie import SO3
 from covariant.models import MechanicalSystem
 from covariant.observers.base import AbstractObserver, Covariance
-from covariant.observers.constant_gain import Copy, Geodesic, ImplicitGeodesic, Intrinsic, Salcudean, of_mean_inertia
+from covariant.observers.constant_gain import (
+    Geodesic,
+    ImplicitGeodesic,
+    Intrinsic,
+    ModelCopy,
+    Salcudean,
+    of_mean_inertia,
+)
 from covariant.observers.differentiators import PLL, FilteredDerivative, HighGain, Levant, SavitzkyGolay
 from covariant.observers.filters import (
     EKF,
@@ -29,7 +36,7 @@ from covariant.observers.filters import (
     information_ekf,
     riccati,
 )
-from covariant.observers.sensors import Sensor, Slow
+from covariant.observers.sensors import Sensor, SlowVariables
 
 EDGE = 0.1
 """Standard deviation of the position of an encoder's edge, as a fraction of a tick: the manufacturing tolerance."""
@@ -61,7 +68,7 @@ def intrinsic_kalman(
     measurement: Matrix,
     speed: float,
     quantum: float | tuple[float, ...] | None,
-    slow: tuple[Slow, ...] = (),
+    slow: tuple[SlowVariables, ...] = (),
     sensors: tuple[Sensor, ...] = (),
 ) -> IntrinsicKalman:
     """Intrinsic Kalman filter, for encoders that count ticks where their tick is known, else for Gaussian noise."""
@@ -85,12 +92,12 @@ class Entry(NamedTuple):
             "gains" are α [1/s] and β [1/s²].
             "noise" are the process covariance (n, n), the measurement covariance (n, n) and the standard deviation of
             the initial velocity; "noise or ticks" are these, one tick of the encoders or None, and the slow states that
-            are estimated, a tuple of `Slow`, and the sensors beside the configuration, a tuple of `Sensor`.
+            are estimated, a tuple of `SlowVariables`, and the sensors beside the configuration, a tuple of `Sensor`.
             Of filters that use no model: "bandwidth" is the bandwidth [rad/s] of a linear filter; "window" are a window
             [samples] and the degree of a polynomial; "motion" are the standard deviation [rad/s²] and the correlation
             time [s] of the accelerations, and the standard deviation of a sample; "jerk" is a bound on the jerk
             [rad/s³].
-            For a state-space model "state noise" is its `Noise`.
+            For a state-space model "state noise" is its `StateNoise`.
         about: Short description of the observer.
         when: When to choose it.
         source: Where it was published.
@@ -172,8 +179,8 @@ REGISTRY = (
     ),
     Entry(
         name="copy",
-        observer=Copy,
-        make=Copy,
+        observer=ModelCopy,
+        make=ModelCopy,
         tuned_by="gains",
         about="the model with output injection",
         when="high gain on nearly flat metrics",

@@ -13,7 +13,7 @@ import numpy as np
 
 from covariant import models
 from covariant.geometry import Budget
-from covariant.observers import AbstractFlowObserver, Copy, Geodesic, Intrinsic
+from covariant.observers import AbstractFlowObserver, Geodesic, Intrinsic, ModelCopy
 from covariant.papers._errata import PrintedBallAndBeam
 from covariant.simulation import observe
 
@@ -70,7 +70,7 @@ def figure4_observers() -> dict[str, AbstractFlowObserver]:
         "approximate": Intrinsic(plant, ALPHA, BETA),
         "corrected14": Intrinsic(plant, ALPHA, BETA, coefficients="estimated"),
         "printed14": PrintedBallAndBeam(ALPHA, BETA),
-        "copy": Copy(plant, ALPHA, BETA),
+        "copy": ModelCopy(plant, ALPHA, BETA),
         "no_curvature": Intrinsic(plant, ALPHA, BETA, curvature=False),
     }
 

@@ -19,7 +19,7 @@ from covariant.certificates import observability
 from covariant.geometry import distance
 from covariant.metrics import Equation, RiccatiMetric, metric_at, metric_through, spd_distance
 from covariant.observers import Estimate, InformationEKF, Riccati, run
-from covariant.signals import Record, Result
+from covariant.signals import Record, StepCode
 from covariant.simulation import observe, simulate
 
 RATES = (1.0, 2.0, 4.0, 6.0, 8.0, 10.0)
@@ -297,7 +297,7 @@ def reproduce(progress: Callable[[str], None] = lambda stage: None) -> dict[str,
     }
     progress("a state that is not observable")
     origin = eqx.filter_jit(metric_at)(model, Equation(1.0), jnp.array([0.0, 0.0, 1.0]))
-    results["origin"] = Result(int(origin.result)).message
+    results["origin"] = StepCode(int(origin.result)).message
     progress("beside the extended Kalman filter: a gap in the log")
     curves = gap()
     after = curves["t"] > 25.0

@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 
 from covariant import models
 from covariant.models import Overrides
-from covariant.observers import AbstractWrapper, IntrinsicKalman, KalmanState, Slow, run
+from covariant.observers import AbstractWrapper, IntrinsicKalman, KalmanState, SlowVariables, run
 from covariant.scoring import rmse, scored_window
 from covariant.workflow._compare import AbstractComparison
 from covariant.workflow._design import design, log_sheet
@@ -277,7 +277,7 @@ def _filters(job: Job, loaded: Loaded) -> dict[str, _Force]:
     return filters | {"intrinsic-kalman, random walk": _Force(walking, scored)}
 
 
-def _walking(group: Slow) -> Slow:
+def _walking(group: SlowVariables) -> SlowVariables:
     """The same states, as uncertain at the start and by as much more in a moment, that do not return."""
     return dataclasses.replace(group, time=None)
 

@@ -13,7 +13,7 @@ from covariant.engine import EngineName
 from covariant.models import Overrides
 from covariant.observers import AbstractObserver
 from covariant.scoring import rmse
-from covariant.signals import Result, Run
+from covariant.signals import Run, StepCode
 from covariant.workflow._arguments import gain_pair
 from covariant.workflow._design import design, tells_noise
 from covariant.workflow._determined import Determinacy, determined
@@ -135,7 +135,7 @@ class EstimateResult(AbstractEstimates):
         <EstimateResult: velocity from 201 rows by intrinsic>
         >>> list(result.columns), result.units["v1"]
         (['t', 'q1', 'v1'], 'm/s')
-        >>> bool((result.codes == covariant.Result.OK).all())
+        >>> bool((result.codes == covariant.StepCode.OK).all())
         True
     """
 
@@ -169,7 +169,7 @@ class EstimateResult(AbstractEstimates):
 
     @property
     def codes(self) -> np.ndarray:
-        """Result code (T,) of every sample, an integer that is a `covariant.Result`."""
+        """Result code (T,) of every sample, an integer that is a `covariant.StepCode`."""
         return np.asarray(self.outcome.run.info.result)
 
     @property
@@ -273,8 +273,8 @@ class EstimateResult(AbstractEstimates):
         counts, rows = self.outcome.counts, len(self.t)
         doubt = unexplained(self.job, self.loaded, self.observer_name, self.outcome)
         return (() if doubt is None else (doubt,)) + tuple(
-            f"{count} of {rows} samples: {Result[name.upper()].message}"
-            + (f" ({_longest(self.t, self.codes == Result.COASTED)})" if name == "coasted" else "")
+            f"{count} of {rows} samples: {StepCode[name.upper()].message}"
+            + (f" ({_longest(self.t, self.codes == StepCode.COASTED)})" if name == "coasted" else "")
             for name, count in counts.items()
             if name != "ok"
         )

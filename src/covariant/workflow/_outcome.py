@@ -13,7 +13,7 @@ import numpy as np
 from covariant.engine import EngineName as Engine, run_log
 from covariant.models import ModelFile, Motion
 from covariant.observers import REGISTRY, AbstractObserver
-from covariant.signals import Result, Run
+from covariant.signals import Run, StepCode
 from covariant.workflow._inputs import Job, Loaded, ReferenceVelocity
 
 KEPT = ("innovation", "distance", "result", "nis", "velocity_std", "state_std", "slow", "slow_std", "sensors")
@@ -65,8 +65,8 @@ class Outcome(NamedTuple):
     @property
     def counts(self) -> dict[str, int]:
         """Number of samples with each result, by its name."""
-        codes = np.bincount(np.asarray(self.run.info.result), minlength=len(Result))
-        return {Result(i).name.lower(): int(count) for i, count in enumerate(codes) if count}
+        codes = np.bincount(np.asarray(self.run.info.result), minlength=len(StepCode))
+        return {StepCode(i).name.lower(): int(count) for i, count in enumerate(codes) if count}
 
     @property
     def failed(self) -> bool:
@@ -136,7 +136,7 @@ def mean_nis(info: Any, loaded: Loaded) -> float:
 def counted(info: Any, loaded: Loaded) -> tuple[np.ndarray, int]:
     """Samples whose innovations count."""
     measured = ~np.asarray(jax.vmap(loaded.model.manifold.missing)(jnp.asarray(loaded.record.y)))
-    accepted = np.asarray(info.result) < Result.OUTLIER  # codes grow with how bad a sample is
+    accepted = np.asarray(info.result) < StepCode.OUTLIER  # codes grow with how bad a sample is
     accepted[0] = False
     return accepted, int(measured[accepted].sum())
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from covariant.calibration import DataSheet, suggest_noise
 from covariant.models import ModelFile
-from covariant.observers import Noise, Slow, sensor_bias, uncertain_parameters, wrench
+from covariant.observers import SlowVariables, StateNoise, sensor_bias, uncertain_parameters, wrench
 from covariant.signals import Record
 
 
@@ -53,7 +53,7 @@ def _remedy(file: ModelFile, missing: Sequence[str], record: Record | None) -> s
     return f"this log suggests `overrides={options}` ({evidence}), or put {them} in the model file"
 
 
-def _slow(file: ModelFile) -> tuple[Slow, ...]:
+def _slow(file: ModelFile) -> tuple[SlowVariables, ...]:
     """What the model file has estimated along with the motion, beside an external force."""
     components = ()
     if file.family is not None:
@@ -66,7 +66,7 @@ def _slow(file: ModelFile) -> tuple[Slow, ...]:
     return components + tuple(_wrench(file, name, given) for name, given in file.wrenches.items())
 
 
-def _wrench(file: ModelFile, name: str, given: Mapping[str, Any]) -> Slow:
+def _wrench(file: ModelFile, name: str, given: Mapping[str, Any]) -> SlowVariables:
     """A force on a link, which the model file names."""
     try:
         return wrench(file.need_mechanical(file.name, "links are those of").space, name=name, **given)  # pyright: ignore[reportArgumentType]
@@ -80,7 +80,7 @@ def _stands_for(key: str, name: str) -> bool:
     return name == plain or name.startswith(f"{plain}[")
 
 
-def state_noise(file: ModelFile, rate: float) -> Noise:
+def state_noise(file: ModelFile, rate: float) -> StateNoise:
     """Collect the noise of a state-space model from its model file."""
     numbers = (file.measurement_std, "measurement.std"), (file.process_std, "uncertainty.process")
     missing = [key for value, key in numbers if value is None]
@@ -93,7 +93,7 @@ def state_noise(file: ModelFile, rate: float) -> Noise:
         )
     states, outputs = file.dimension, len(file.columns.q)
     start, deviation = first_estimate(file)
-    return Noise(
+    return StateNoise(
         jnp.diag(_each(file.process_std, states) ** 2),
         jnp.diag(_each(file.measurement_std, outputs) ** 2),
         start,

@@ -229,7 +229,7 @@ def forgotten(dt: Scalar, time: Scalar | float) -> tuple[Scalar, Scalar, Scalar]
 
     Its mean over the step and its value at the end, as fractions of the value before, `(1 − e)/(dt/τ)` and
     `e = exp(−dt/τ)`; and the variance that is added, as a fraction of that in the long run, `1 − e²`, or for a walk of
-    that in one second, dt. As in `observers.Slow`.
+    that in one second, dt. As in `observers.SlowVariables`.
     """
     steps = dt / time
     mean, end, added = gauss_markov(steps)

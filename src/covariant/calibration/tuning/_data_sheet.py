@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from covariant.observers import Sensor, Slow
+from covariant.observers import Sensor, SlowVariables
 
 
 class DataSheet(NamedTuple):
@@ -55,7 +55,7 @@ class DataSheet(NamedTuple):
     external_force: float | None = None
     speed: tuple[float, ...] | None = None
     natural_frequency: float | None = None
-    slow: tuple[Slow, ...] = ()
+    slow: tuple[SlowVariables, ...] = ()
     external_force_std: float | tuple[float, ...] | None = None
     external_force_time: float | None = None
     sensors: tuple[Sensor, ...] = ()

@@ -23,7 +23,7 @@ from covariant.observers import (
     AbstractObserver,
     Entry,
     Gated,
-    Noise,
+    StateNoise,
     external_force,
 )
 
@@ -153,7 +153,7 @@ def tuned_estimators(
 
 
 def tuned_state_estimators(
-    model: StateSpace, noise: Noise, names: Collection[str] = STATE_ESTIMATORS
+    model: StateSpace, noise: StateNoise, names: Collection[str] = STATE_ESTIMATORS
 ) -> dict[str, AbstractObserver]:
     """Estimators of a state-space model by name, for its noise.
 
@@ -173,8 +173,8 @@ def tuned_state_estimators(
     import jax.numpy as jnp
             >>> from covariant.calibration import tuned_state_estimators
             >>> from covariant.models import duffing
-            >>> from covariant.observers import Noise
-            >>> noise = Noise(0.1 * jnp.eye(2), 1e-4 * jnp.eye(1), jnp.zeros(2), jnp.eye(2), 100.0)
+            >>> from covariant.observers import StateNoise
+            >>> noise = StateNoise(0.1 * jnp.eye(2), 1e-4 * jnp.eye(1), jnp.zeros(2), jnp.eye(2), 100.0)
             >>> list(tuned_state_estimators(duffing(), noise, names=("covariance-ekf",)))
             ['covariance-ekf']
     """

@@ -222,7 +222,9 @@ def along_the_flow(
 
 @compiled_quickly
 def of_the_geometry(model: MechanicalSystem, states: States) -> GeometryDeviations:
-    """Measure deviations of the connection (metric, symmetric), of transport (isometric) and of separating geodesics."""
+    """Measure deviations of the connection (metric, symmetric), of transport (isometric) and of
+    separating geodesics.
+    """
     model = traced_once(model)
     space = model.space
 

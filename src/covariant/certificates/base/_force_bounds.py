@@ -59,7 +59,9 @@ def force_bounds(
 def force_slopes(
     model: MechanicalSystem, places: Box, inputs: Float[np.ndarray, "2 m"], times: tuple[float, float]
 ) -> Float[np.ndarray, "n n"]:
-    """Bound |∂f_i/∂q_j| over boxes of inputs, times and positions; on a group along the directions of the body frame."""
+    """Bound |∂f_i/∂q_j| over boxes of inputs, times and positions; on a group along the directions of
+    the body frame.
+    """
     region, shape = _force_box(places, inputs, times), configuration_shape(model, len(places.low))
     n = model.manifold.zero(jnp.zeros(shape)).size
 

@@ -16,7 +16,7 @@ from jaxtyping import Array, ArrayLike, Float
 
 from covariant._typing import Code, Number, Scalar, Vector
 from covariant.certificates.base import Recursion
-from covariant.signals import Result, largest_measurement
+from covariant.signals import StepCode, largest_measurement
 
 ROUND = 1e-9
 """Relative margin that covers the rounding of the recursion, which runs in doubles."""
@@ -283,5 +283,5 @@ class _Judged(NamedTuple):
     proved: Array
 
 
-_PROVED = Result.OK, Result.COASTED, Result.OUTLIER, Result.REPEATED
+_PROVED = StepCode.OK, StepCode.COASTED, StepCode.OUTLIER, StepCode.REPEATED
 """Result codes of steps that are proved: a correction, two of a lost measurement, and one of a repeated stamp."""

@@ -434,7 +434,9 @@ def chosen(p: Truth, a: Interval, b: Interval) -> Interval:
 
 @kernel
 def kinked(a: Interval, b: Interval, x: Interval, y: Interval) -> Interval:
-    """Interval of a derivative at a kink: x where a < b, y where b < a, and the hull of both where they may be equal."""
+    """Interval of a derivative at a kink: x where a < b, y where b < a, and the hull of both where they
+    may be equal.
+    """
     return chosen(Truth(a.high < b.low, ~(a.low > b.high)), x, y)
 
 

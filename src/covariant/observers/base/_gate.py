@@ -156,7 +156,9 @@ def _mean_squares(cov: Matrix, vectors: Float[Array, "n k"]) -> Float[Array, "k"
 
 
 def _shape(line: Line, noise: Matrix) -> tuple[Flag, Flag]:
-    """Whether the last three readings of a block are on a line that moves, and whether it starts at the last used one."""
+    """Whether the last three readings of a block are on a line that moves, and whether it starts at the
+    last used one.
+    """
     step, length = line.step[0], line.length[0]
     columns = half_solve(noise, jnp.stack([line.slope, line.bend, line.change], axis=1)) / len(noise) ** 0.5
     slope, bend, change = columns.T

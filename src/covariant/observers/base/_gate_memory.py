@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Int
 
 from covariant._typing import Code, Flag, Matrix, Scalar, Vector
-from covariant.signals import Result
+from covariant.signals import StepCode
 
 BEND = 0.1
 """Change of the slope along a line, as a fraction of it: a motion that accelerates has a bent one."""
@@ -191,11 +191,11 @@ class Judged(NamedTuple):
 
     Example:
         >>> import jax.numpy as jnp
-        >>> from covariant import Result, models, observers
+        >>> from covariant import StepCode, models, observers
         >>> sample = observers.Sample(jnp.array([40.0]), jnp.eye(1), jnp.eye(1), jnp.ones(1, bool))
         >>> memory, rest = observers.GateMemory.at_start(jnp.zeros(1)), observers.Velocity(jnp.zeros(1), jnp.eye(1))
         >>> verdict = observers.Gate().judge(models.oscillator().manifold, sample, memory, rest)
-        >>> Result(verdict.result(jnp.asarray(0)).item()).name
+        >>> StepCode(verdict.result(jnp.asarray(0)).item()).name
         'OUTLIER'
     """
 
@@ -215,5 +215,5 @@ class Judged(NamedTuple):
         Returns:
             `RESTARTED`, `OUTLIER` or `OK` by what the gate did, or `otherwise` where that is worse.
         """
-        code = jnp.where(self.restart, int(Result.RESTARTED), jnp.where(jnp.any(self.far), int(Result.OUTLIER), 0))
+        code = jnp.where(self.restart, int(StepCode.RESTARTED), jnp.where(jnp.any(self.far), int(StepCode.OUTLIER), 0))
         return jnp.maximum(code, otherwise)

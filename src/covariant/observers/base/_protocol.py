@@ -35,7 +35,7 @@ from jaxtyping import Array, Float, Inexact
 from covariant._functional import Functional
 from covariant._typing import Code, Number, Scalar, Vector
 from covariant.models import MechanicalSystem, Motion, input_count
-from covariant.signals import Record, Result, Run, largest_measurement
+from covariant.signals import Record, Run, StepCode, largest_measurement
 
 LastInput = Float[Array, "m"] | None
 """The last finite input, in the field `last_input` of a state; None where the state stores none."""
@@ -76,7 +76,7 @@ class SampledState(NamedTuple):
     Example:
         >>> import jax.numpy as jnp
         >>> from covariant import models, observers
-        >>> observer = observers.Copy(models.oscillator(), alpha=2.0, beta=4.0)
+        >>> observer = observers.ModelCopy(models.oscillator(), alpha=2.0, beta=4.0)
         >>> state = observer.init(jnp.array([0.5]), t=1.0)
         >>> state.v.tolist(), state.t.item(), state.last_input.tolist(), state.age.item()
         ([0.0], 1.0, [0.0], 0.0)
@@ -96,15 +96,15 @@ class Info(NamedTuple):
         innovation: Difference (n,) from q̂ to y before the correction: y − q̂ in coordinates, with angles wrapped. 0
             for a missing measurement.
         distance: Its length in the metric.
-        result: A `covariant.signals.Result` code.
+        result: A `covariant.signals.StepCode` code.
 
     Example:
         >>> import jax.numpy as jnp
-        >>> from covariant import Result, models, observers
-        >>> observer = observers.Copy(models.oscillator(), alpha=2.0, beta=4.0)
+        >>> from covariant import StepCode, models, observers
+        >>> observer = observers.ModelCopy(models.oscillator(), alpha=2.0, beta=4.0)
         >>> state = observer.init(jnp.zeros(1))
         >>> _, info = observer.step(state, jnp.zeros(1), jnp.array([0.5]), 0.01)
-        >>> info.innovation.tolist(), info.distance.item(), Result(int(info.result)).name
+        >>> info.innovation.tolist(), info.distance.item(), StepCode(int(info.result)).name
         ([0.5], 0.5, 'OK')
     """
 
@@ -127,7 +127,7 @@ class AbstractObserver(Functional):
         >>> from typing import NamedTuple
         >>> import jax
         >>> import jax.numpy as jnp
-        >>> from covariant import Result, observers
+        >>> from covariant import StepCode, observers
         >>> class Position(NamedTuple):
         ...     q: jax.Array
         >>> class Halving(observers.AbstractObserver):
@@ -138,7 +138,7 @@ class AbstractObserver(Functional):
         ...     def correct(self, state, u, y):
         ...         missing = jnp.isnan(y)
         ...         innovation = jnp.where(missing, 0.0, y - state.q)
-        ...         result = jnp.where(jnp.any(missing), int(Result.COASTED), int(Result.OK))
+        ...         result = jnp.where(jnp.any(missing), int(StepCode.COASTED), int(StepCode.OK))
         ...         info = observers.Info(innovation, jnp.linalg.norm(innovation), result)
         ...         return Position(state.q + innovation / 2), info
         ...     def estimate(self, state):
@@ -149,7 +149,7 @@ class AbstractObserver(Functional):
         >>> observer.estimate(state).tolist(), info.innovation.tolist()
         ([4.0], [8.0])
         >>> state, info = observer.step(state, no_input, jnp.array([jnp.inf]), 0.1)  # counts as missing
-        >>> observer.estimate(state).tolist(), Result(int(info.result)).name
+        >>> observer.estimate(state).tolist(), StepCode(int(info.result)).name
         ([4.0], 'COASTED')
     """
 
@@ -203,7 +203,7 @@ class AbstractObserver(Functional):
         new_state = jax.tree.map(
             lambda new, old: jnp.where(advances, new, old), _with_last_input(advanced, state, valid_u), state
         )
-        # A larger code is worse: see `Result`.
+        # A larger code is worse: see `StepCode`.
         result = jnp.maximum(info.result, _input_fault(u, too_large, dt).astype(info.result.dtype))
         return new_state, info._replace(result=result)
 
@@ -355,7 +355,7 @@ class AbstractFlowObserver(AbstractObserver):
     Example:
         >>> import jax.numpy as jnp
         >>> from covariant import models, observers
-        >>> observer = observers.Copy(models.oscillator(), alpha=2.0, beta=4.0)
+        >>> observer = observers.ModelCopy(models.oscillator(), alpha=2.0, beta=4.0)
         >>> isinstance(observer, observers.AbstractFlowObserver)
         True
         >>> state = observers.continuous(observer.init(jnp.zeros(1)))
@@ -428,7 +428,7 @@ def aged(model: MechanicalSystem, state: Any, y: Array) -> Scalar:
 def uniqueness(model: MechanicalSystem, q: Array, y: Array) -> Code:
     """Whether the shortest path from the estimate to the measurement is unique."""
     unique = model.manifold.unique(q, model.manifold.measured(q, y))
-    return jnp.where(unique, int(Result.OK), int(Result.CUT_LOCUS)).astype(jnp.int32)
+    return jnp.where(unique, int(StepCode.OK), int(StepCode.CUT_LOCUS)).astype(jnp.int32)
 
 
 def as_gain(value: Any) -> Any:
@@ -527,7 +527,7 @@ def continuous(state: Any) -> Any:
     Example:
         >>> import jax.numpy as jnp
         >>> from covariant import models, observers
-        >>> state = observers.Copy(models.oscillator(), alpha=2.0, beta=4.0).init(jnp.zeros(1))
+        >>> state = observers.ModelCopy(models.oscillator(), alpha=2.0, beta=4.0).init(jnp.zeros(1))
         >>> observers.continuous(state).last_input is None
         True
     """
@@ -560,19 +560,19 @@ def _input_fault(u: Array, too_large: Array, dt: Scalar) -> Code:
     # The least normal number: processors that flush subnormal numbers to zero see no step below it.
     tiny = jnp.finfo(dt.dtype).tiny
     faults = (
-        (jnp.any(too_large), Result.COASTED),
-        (~jnp.all(jnp.isfinite(u)), Result.INPUT_HELD),
-        (jnp.abs(dt) < tiny, Result.REPEATED),
-        (~(jnp.isfinite(dt) & (dt > -tiny)), Result.STEP_REFUSED),
+        (jnp.any(too_large), StepCode.COASTED),
+        (~jnp.all(jnp.isfinite(u)), StepCode.INPUT_HELD),
+        (jnp.abs(dt) < tiny, StepCode.REPEATED),
+        (~(jnp.isfinite(dt) & (dt > -tiny)), StepCode.STEP_REFUSED),
     )
-    code = jnp.asarray(int(Result.OK))
+    code = jnp.asarray(int(StepCode.OK))
     # In the order of severity: a later fault replaces an earlier one.
     for occurred, result in faults:
         code = jnp.where(occurred, int(result), code)
     return code
 
 
-def outcome(q: Array, v: Array, y: Array, result: Code | int = Result.OK) -> Code:
+def outcome(q: Array, v: Array, y: Array, result: Code | int = StepCode.OK) -> Code:
     """Result code of a step, by the precedence `NOT_FINITE`, `COASTED`, `result`.
 
     A position so large that floating-point numbers cannot resolve one unit counts as not finite: differences of such
@@ -580,8 +580,8 @@ def outcome(q: Array, v: Array, y: Array, result: Code | int = Result.OK) -> Cod
     """
     # Beyond 1/ε neighbouring floating-point numbers are 1 or more apart.
     finite = jnp.all(jnp.abs(q) < 1 / jnp.finfo(q.dtype).eps) & jnp.all(jnp.isfinite(v))
-    measured = jnp.where(jnp.any(jnp.isnan(y)), int(Result.COASTED), result)
-    return jnp.where(finite, measured, int(Result.NOT_FINITE)).astype(jnp.int32)
+    measured = jnp.where(jnp.any(jnp.isnan(y)), int(StepCode.COASTED), result)
+    return jnp.where(finite, measured, int(StepCode.NOT_FINITE)).astype(jnp.int32)
 
 
 class Rows(NamedTuple):
@@ -610,8 +610,8 @@ def scan(observer: AbstractObserver, state: Any, rows: Rows) -> tuple[Any, tuple
     def step(state, row):
         state, info = observer.step(state, *row)
         # The first row starts the state: it is not a step, and repeats no earlier stamp.
-        first = (row.dt == 0) & (info.result == int(Result.REPEATED))
-        info = info._replace(result=jnp.where(first, int(Result.OK), info.result))
+        first = (row.dt == 0) & (info.result == int(StepCode.REPEATED))
+        info = info._replace(result=jnp.where(first, int(StepCode.OK), info.result))
         return state, (observer.estimate(state), info)
 
     return jax.lax.scan(step, state, rows)
@@ -645,7 +645,7 @@ def checked(observer: AbstractObserver, record: Record) -> Record:
     Example:
         >>> import numpy as np
         >>> from covariant import Record, models, observers
-        >>> observer = observers.Copy(models.oscillator(), alpha=2.0, beta=4.0)
+        >>> observer = observers.ModelCopy(models.oscillator(), alpha=2.0, beta=4.0)
         >>> record = Record(np.array([0.0, 0.1]), np.zeros((2, 1)), np.zeros((2, 1)))
         >>> observers.checked(observer, record) is record
         True

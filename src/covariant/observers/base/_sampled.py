@@ -22,7 +22,7 @@ from covariant._typing import Code, Flag, Number, Scalar, Vector
 from covariant.geometry import AbstractSpace
 from covariant.models import MechanicalSystem, Motion, advance, friction
 from covariant.observers.base._protocol import since
-from covariant.signals import Result
+from covariant.signals import StepCode
 
 Observer = TypeVar("Observer", bound=Any)
 
@@ -94,9 +94,9 @@ def chooses_substeps(observer: Any) -> bool:
     Example:
         >>> from covariant import models, observers
         >>> model = models.oscillator()
-        >>> observers.chooses_substeps(observers.Copy(model, 2.0, 4.0))
+        >>> observers.chooses_substeps(observers.ModelCopy(model, 2.0, 4.0))
         True
-        >>> observers.chooses_substeps(observers.Copy(model, 2.0, 4.0, substeps=2))
+        >>> observers.chooses_substeps(observers.ModelCopy(model, 2.0, 4.0, substeps=2))
         False
     """
     return getattr(observer, "substeps", 0) is None and isinstance(observer.model, MechanicalSystem)
@@ -127,7 +127,7 @@ def with_fixed_substeps(
     Example:
         >>> import jax.numpy as jnp
         >>> from covariant import models, observers
-        >>> observer = observers.Copy(models.oscillator(), 2.0, 4.0)
+        >>> observer = observers.ModelCopy(models.oscillator(), 2.0, 4.0)
         >>> zeros = jnp.zeros((5, 1))
         >>> observers.with_fixed_substeps(observer, 25.0, zeros, zeros, zeros).substeps
         4
@@ -209,4 +209,4 @@ def sampled_correction(
 
 def step_result(correction: Correction, result: Code) -> Code:
     """Result code of a step: its own, or `RESTARTED`, whichever is worse."""
-    return jnp.where(correction.restarted, jnp.maximum(result, int(Result.RESTARTED)), result)
+    return jnp.where(correction.restarted, jnp.maximum(result, int(StepCode.RESTARTED)), result)

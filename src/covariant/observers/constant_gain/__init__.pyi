@@ -3,7 +3,7 @@ from ._contracting import (
     ContractingState as ContractingState,
     craft_observer as craft_observer,
 )
-from ._copy import Copy as Copy
+from ._copy import ModelCopy as ModelCopy
 from ._geodesic import Geodesic as Geodesic, GeodesicInfo as GeodesicInfo, GeodesicState as GeodesicState
 from ._implicit_geodesic import ImplicitGeodesic as ImplicitGeodesic
 from ._intrinsic import Intrinsic as Intrinsic, second_order as second_order

@@ -19,7 +19,7 @@ from covariant._typing import Number, Numbers, Scalar, Vector
 from covariant.models import StateSpace, state_space
 from covariant.models.marine import Craft
 from covariant.observers.base import AbstractFlowObserver, Info, LastInput, as_gain, check_finite, no_input, still
-from covariant.signals import Result
+from covariant.signals import StepCode
 
 Injected = Callable[[Array, Array, Array, Array], Array]
 """`(t, x, u, z) -> (n,)`: the model's f with measured outputs z replacing states; it equals f where z = h(x)."""
@@ -170,8 +170,8 @@ class Contracting(AbstractFlowObserver):
         # The matrix is not symmetric, so its normal equations are solved; it is small.
         correction = correction_gain @ solve(effect.T @ effect, effect.T @ error)
         corrected = x - correction
-        result = jnp.where(jnp.all(missing), int(Result.COASTED), int(Result.OK))
-        result = jnp.where(jnp.all(jnp.isfinite(corrected)), result, int(Result.NOT_FINITE)).astype(jnp.int32)
+        result = jnp.where(jnp.all(missing), int(StepCode.COASTED), int(StepCode.OK))
+        result = jnp.where(jnp.all(jnp.isfinite(corrected)), result, int(StepCode.NOT_FINITE)).astype(jnp.int32)
         new_state = state._replace(x=corrected, unmeasured=jnp.where(missing, elapsed, 0.0))
         return new_state, Info(-error, jnp.sqrt(correction @ correction), result)
 

@@ -27,7 +27,7 @@ from covariant.observers.base import (
 )
 
 
-class Copy(AbstractMechanicalObserver):
+class ModelCopy(AbstractMechanicalObserver):
     """Observer (15) of Aghannan & Rouchon 2003: a copy of the model with output injection, in the frame of the space.
 
     With the error e = −local(q̂, q) it is
@@ -49,7 +49,7 @@ class Copy(AbstractMechanicalObserver):
         >>> from covariant import Record, models, observers
         >>> t = np.linspace(0.0, 4.0, 401)
         >>> record = Record(t, np.zeros((401, 1)), np.cos(t)[:, None])  # a unit mass on a unit spring
-        >>> run = observers.run(observers.Copy(models.oscillator(), alpha=4.0, beta=8.0), record)
+        >>> run = observers.run(observers.ModelCopy(models.oscillator(), alpha=4.0, beta=8.0), record)
         >>> bool(abs(run.estimate[-1, 1] + np.sin(4.0)) < 1e-3)
         True
     """
@@ -60,7 +60,7 @@ class Copy(AbstractMechanicalObserver):
     substeps: int | None = eqx.field(default=None, static=True)
 
     def __check_init__(self):
-        check_positive("Copy", alpha=self.alpha, beta=self.beta)
+        check_positive("ModelCopy", alpha=self.alpha, beta=self.beta)
 
     def init(self, y: Array, t: Number = 0.0) -> SampledState:
         return at_rest(self.model, y, t)

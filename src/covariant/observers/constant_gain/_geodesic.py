@@ -28,7 +28,7 @@ from covariant.observers.base import (
     time_since_measurement,
     uniqueness,
 )
-from covariant.signals import Result
+from covariant.signals import StepCode
 
 
 class GeodesicState(NamedTuple):
@@ -65,7 +65,7 @@ class GeodesicInfo(NamedTuple):
         innovation: Difference (n,) from q̂ to y before the correction, as in `Info`.
         distance: Length of the geodesic to the measurement, in the metric.
         residual: Length in the metric by which the geodesic misses the measurement; infinite where there is none.
-        result: A `covariant.signals.Result` code.
+        result: A `covariant.signals.StepCode` code.
 
     Example:
         >>> import jax.numpy as jnp
@@ -89,7 +89,7 @@ class Path(NamedTuple):
         log: Velocity (n,) at the estimate that leads to the measurement in unit time.
         back: Velocity (n,) at the measurement that leads to the estimate in unit time.
         residual: Length in the metric by which the geodesic misses the estimate; infinite where there is none.
-        result: A `covariant.signals.Result` code.
+        result: A `covariant.signals.StepCode` code.
         exact: Whether it is a geodesic; otherwise it is the first-order error.
         measured: Measured configuration, with the estimate's entries where the measurement is missing.
     """
@@ -110,7 +110,7 @@ def path_to(model: MechanicalSystem, q: Array, guess: Vector, y: Array, budget: 
     space = model.space
     measured = space.manifold.measured(q, y)
     shot = space.shoot(measured, q, guess, budget)
-    exact = (shot.result != Result.NOT_CONVERGED) & jnp.all(jnp.isfinite(shot.velocity))
+    exact = (shot.result != StepCode.NOT_CONVERGED) & jnp.all(jnp.isfinite(shot.velocity))
     straight = space.manifold.towards(q, y)
     # A geodesic from q to q̂ arrives with −log_q̂(q).
     log, back = jnp.where(exact, jnp.stack([-shot.arrival, shot.velocity]), jnp.stack([straight, -straight]))

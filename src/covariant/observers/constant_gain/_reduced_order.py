@@ -16,7 +16,7 @@ from covariant._integrate import rk4
 from covariant._typing import Number, Scalar, Vector
 from covariant.models import StateSpace
 from covariant.observers.base import AbstractObserver, Info, LastInput, check_finite, no_input
-from covariant.signals import Result
+from covariant.signals import StepCode
 
 Outputs = Float[Array, "p"]
 
@@ -127,8 +127,8 @@ class ReducedOrder(AbstractObserver):
         """
         correction, error = self._correction(state.t, state.x, u, y)
         corrected = state.x - correction
-        result = jnp.where(jnp.all(jnp.isnan(y)), int(Result.COASTED), int(Result.OK))
-        result = jnp.where(jnp.all(jnp.isfinite(corrected)), result, int(Result.NOT_FINITE)).astype(jnp.int32)
+        result = jnp.where(jnp.all(jnp.isnan(y)), int(StepCode.COASTED), int(StepCode.OK))
+        result = jnp.where(jnp.all(jnp.isfinite(corrected)), result, int(StepCode.NOT_FINITE)).astype(jnp.int32)
         return state._replace(x=corrected), Info(-error, jnp.sqrt(correction @ correction), result)
 
     def innovation(self, state: ReducedOrderState, u: Float[Array, "m"], y: Float[Array, "p"]) -> Vector:

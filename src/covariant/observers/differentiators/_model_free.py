@@ -18,7 +18,7 @@ class FilterInfo(NamedTuple):
 
     Attributes:
         innovation: Measured minus extrapolated position (n,) [rad or m], 0 where it is missing.
-        result: A `covariant.signals.Result` code.
+        result: A `covariant.signals.StepCode` code.
 
     Example:
         >>> import numpy as np

@@ -12,7 +12,7 @@ from ._riccati import (
 from ._smoother import Smoothed as Smoothed, smooth as smooth
 from ._state_ekf import StateEKF as StateEKF, StateEKFInfo as StateEKFInfo, StateEKFState as StateEKFState
 from ._state_noise import (
-    Noise as Noise,
+    StateNoise as StateNoise,
     covariance_ekf as covariance_ekf,
     information_ekf as information_ekf,
     riccati as riccati,

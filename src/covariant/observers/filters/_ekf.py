@@ -71,7 +71,7 @@ class EKFInfo(NamedTuple):
         nis: Normalised innovation squared, `rᵀS⁻¹r` of the measured components. Where the model is right, it is
             χ²-distributed with as many degrees of freedom as there are measured components.
         velocity_std: Standard deviations (n,) of the velocity after the correction.
-        result: A `covariant.signals.Result` code.
+        result: A `covariant.signals.StepCode` code.
 
     Example:
         >>> import numpy as np

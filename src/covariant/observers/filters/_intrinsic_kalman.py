@@ -45,8 +45,17 @@ from covariant.observers.base import (
     with_block,
 )
 from covariant.observers.filters._gated_filter import AbstractMechanicalFilter, Expectation, Moved, Used
-from covariant.observers.sensors import Sensed, Sensor, SensorInfo, Sensors, Slow, SlowStates, SlowVector, as_groups
-from covariant.signals import Result
+from covariant.observers.sensors import (
+    Sensed,
+    Sensor,
+    SensorInfo,
+    Sensors,
+    SlowStates,
+    SlowVariables,
+    SlowVector,
+    as_groups,
+)
+from covariant.signals import StepCode
 
 # Three such deviations are about a quarter turn, where sin has its maximum and no linearisation is left.
 FARTHEST_TURN = 0.5
@@ -60,7 +69,7 @@ class KalmanState(NamedTuple):
         q: Estimated configuration q̂: coordinates (n,), or a group element (N, N).
         v: Estimated velocity v̂ (n,) in the frame of the space.
         t: Time [s] of the estimate.
-        slow: Estimated slow states (k,), before `Slow.values` is applied.
+        slow: Estimated slow states (k,), before `SlowVariables.values` is applied.
         root: Square root S (2n + k, 2n + k) of the covariance `S Sᵀ` of (ε, ν) in the parallel frame, followed by the
             slow states.
         gate: Memory of the gate.
@@ -101,7 +110,7 @@ class KalmanInfo(NamedTuple):
         velocity_std: Standard deviations (n,) of the velocity after the correction.
         slow: Estimated slow states (k,), in the order of the observer's `slow_names`.
         slow_std: Standard deviations (k,) of the slow states.
-        result: A `covariant.signals.Result` code.
+        result: A `covariant.signals.StepCode` code.
         sensors: Diagnostics of further sensors; None where the filter has none.
 
     Example:
@@ -163,7 +172,7 @@ class IntrinsicKalman(AbstractMechanicalFilter):
         process_cov: Spectral density of the white acceleration noise [(rad/s²)² s, or (m/s²)² s].
         measurement_cov: Covariance of the noise of one sample [rad² or m²].
         initial_velocity_cov: Covariance of the initial velocity, whose mean is zero [(rad/s)² or (m/s)²].
-        slow: Slow states that are estimated along with the motion, a `Slow` or several: `external_force`,
+        slow: Slow states that are estimated along with the motion, a `SlowVariables` or several: `external_force`,
             `sensor_bias`, `uncertain_parameters`, or one that you define. A constant one leaves no bias where the
             measurements show it. None by default.
         quantum: One tick of each encoder (n,), in coordinates [their unit]. A reading is then an interval, and a change
@@ -194,7 +203,7 @@ class IntrinsicKalman(AbstractMechanicalFilter):
     process_cov: Covariance = eqx.field(converter=as_gain)
     measurement_cov: Covariance = eqx.field(converter=as_gain)
     initial_velocity_cov: Covariance = eqx.field(converter=as_gain)
-    slow: tuple[Slow, ...] = eqx.field(default=(), converter=as_groups)
+    slow: tuple[SlowVariables, ...] = eqx.field(default=(), converter=as_groups)
     quantum: Vector | None = eqx.field(default=None, converter=as_quantum)
     gate: Gate | None = Gate()
     budget: Budget = eqx.field(default=Budget(newton=1, steps=2), static=True)
@@ -339,7 +348,7 @@ class IntrinsicKalman(AbstractMechanicalFilter):
         between = sensed.read & jnp.all(self.model.manifold.missing(configuration))
         measured: Any = jnp.where(between, state.q, configuration)
         code = super()._result(state, new, measured, expected, verdict)
-        return jnp.maximum(code, jnp.where(sensed.refused, int(Result.OUTLIER), 0).astype(code.dtype))
+        return jnp.maximum(code, jnp.where(sensed.refused, int(StepCode.OUTLIER), 0).astype(code.dtype))
 
     @property
     def _sensors(self) -> Sensors:
@@ -350,7 +359,7 @@ class IntrinsicKalman(AbstractMechanicalFilter):
         return SlowStates(self.slow + self._sensors.slow)
 
     def _slow_estimates(self, state: KalmanState) -> tuple[SlowVector, SlowVector]:
-        """Values of the slow states (k,) as `Slow.values` reports them, and their standard deviations (k,)."""
+        """Values of the slow states (k,) as `SlowVariables.values` reports them, and their standard deviations (k,)."""
         values = self._slow.values(state.slow)
         slope = jax.jacfwd(self._slow.values)(state.slow)
         return values, jnp.sqrt(jnp.sum((slope @ state.root[2 * state.v.shape[0] :]) ** 2, axis=1))
@@ -409,7 +418,7 @@ class IntrinsicKalman(AbstractMechanicalFilter):
     def _displacement(self, state: KalmanState, y: Array, straight: Vector, used: Array) -> Vector:
         """Geodesic `log_q̂ y` (n,); where an entry of y is not used, the coordinate difference `straight` instead."""
         geodesic = self.model.space.shoot(state.q, self.model.manifold.measured(state.q, y), straight, self.budget)
-        reached = jnp.all(jnp.isfinite(geodesic.velocity)) & (geodesic.result != Result.NOT_CONVERGED)
+        reached = jnp.all(jnp.isfinite(geodesic.velocity)) & (geodesic.result != StepCode.NOT_CONVERGED)
         # Without a converged geodesic the coordinate difference replaces it, which equals it to first order.
         return jnp.where(reached & jnp.all(used), geodesic.velocity, straight)
 

@@ -71,7 +71,7 @@ class JointInfo(NamedTuple):
         innovation: Measured minus extrapolated position (n,), 0 where it is missing.
         nis: Normalised innovation squared: the sum of the squared innovations over their predicted variances.
         velocity_std: Standard deviations (n,) of the velocity after the correction.
-        result: A `covariant.signals.Result` code.
+        result: A `covariant.signals.StepCode` code.
 
     Example:
         >>> import numpy as np

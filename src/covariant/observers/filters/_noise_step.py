@@ -33,7 +33,7 @@ from covariant.observers.filters._ekf import EKF
 from covariant.observers.filters._intrinsic_kalman import IntrinsicKalman
 from covariant.observers.filters._smoother import Recorder, Smoothing, Step, backward_map, error_before
 from covariant.observers.filters._ukf import UKF
-from covariant.signals import Record, Result
+from covariant.signals import Record, StepCode
 
 
 class NoiseStep(NamedTuple):
@@ -165,7 +165,7 @@ def _statistics(observer: Any, parts: Array, t: Array, u: Array, y: Array) -> St
     process: Any = jax.lax.map(lambda row: _of_step(observer, parts, *row), (before, after, following, errors))
     everywhere = jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), first, errors)
     judged = recorded.result
-    used = (judged == int(Result.OK)) | (judged == int(Result.COASTED)) | (jnp.arange(len(t)) == 0)
+    used = (judged == int(StepCode.OK)) | (judged == int(StepCode.COASTED)) | (jnp.arange(len(t)) == 0)
     missing: Any = jax.vmap(observer.model.manifold.missing)(y)
     seen = ~missing & used[:, None]
     squares = jax.vmap(lambda *row: _of_reading(observer, *row))(states, y, everywhere)

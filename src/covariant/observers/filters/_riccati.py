@@ -27,7 +27,7 @@ from covariant.observers.base import (
     steps_for,
     still,
 )
-from covariant.signals import Result
+from covariant.signals import StepCode
 
 
 class Estimate(NamedTuple):
@@ -343,9 +343,11 @@ def _correct(x: Vector, p: Matrix, weight: Number, output: _Output) -> tuple[Vec
     corrected = x - correction
     result = jnp.where(
         ~jnp.all(jnp.isfinite(corrected)),
-        int(Result.NOT_FINITE),
+        int(StepCode.NOT_FINITE),
         jnp.where(
-            jnp.all(output.missing), int(Result.COASTED), jnp.where(positive, int(Result.OK), int(Result.OUT_OF_DOMAIN))
+            jnp.all(output.missing),
+            int(StepCode.COASTED),
+            jnp.where(positive, int(StepCode.OK), int(StepCode.OUT_OF_DOMAIN)),
         ),
     )
     # A product with zero is not zero where p is not finite: p is replaced first.

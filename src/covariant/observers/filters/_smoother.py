@@ -42,7 +42,7 @@ from covariant._linalg import (
 from covariant._typing import Code, Flag, Matrix, Number, Scalar, Vector
 from covariant.observers.base import AbstractObserver, AbstractWrapper, Rows, checked, kept, scan
 from covariant.observers.filters._gated_filter import AbstractGatedFilter
-from covariant.signals import Record, Result, Run
+from covariant.signals import Record, Run, StepCode
 
 FARTHEST = 1e3
 """Size of smoothed estimates, relative to those of the filter, from which a covariance was singular up to rounding."""
@@ -165,7 +165,7 @@ def recorded(
     """Correct a predicted state, and record what prediction and correction did to the error."""
     new, info, used, restarted = observer.corrected(predicted, u, y)
     # An estimate that left the finite numbers says nothing of those before.
-    restarted = restarted | (info.result == int(Result.NOT_FINITE))
+    restarted = restarted | (info.result == int(StepCode.NOT_FINITE))
     step = Step(root, carried, triangular_with_rank(observer.root(predicted)), used.error, used.reset, restarted)
     return new, info, step
 

@@ -27,7 +27,7 @@ from covariant.observers.base import (
     steps_for,
 )
 from covariant.observers.filters._gated_filter import AbstractGatedFilter, Expectation, Moved, Used
-from covariant.signals import Result
+from covariant.signals import StepCode
 
 
 class StateEKFState(NamedTuple):
@@ -66,16 +66,16 @@ class StateEKFInfo(NamedTuple):
         innovation_cov: Predicted covariance (p, p) of the innovation.
         nis: Normalised innovation squared, `rᵀS⁻¹r` of the measured outputs.
         state_std: Standard deviations (n,) of the state after the correction.
-        result: A `covariant.signals.Result` code.
+        result: A `covariant.signals.StepCode` code.
 
     Example:
         >>> import numpy as np
-        >>> from covariant import Record, Result, models, observers
+        >>> from covariant import Record, StepCode, models, observers
         >>> start = np.array([1.0, 0.0])
         >>> ekf = observers.StateEKF(models.duffing(), np.eye(2), np.array([[1e-4]]), start, np.eye(2), substeps=1)
         >>> record = Record(np.array([0.0, 0.01]), np.zeros((2, 1)), np.array([[1.0], [np.nan]]))
         >>> run = observers.run(ekf, record)
-        >>> run.info.nis[1].item(), Result(run.info.result[1].item()).name
+        >>> run.info.nis[1].item(), StepCode(run.info.result[1].item()).name
         (0.0, 'COASTED')
     """
 
@@ -224,9 +224,9 @@ class StateEKF(AbstractGatedFilter):
     def _result(
         self, state: StateEKFState, new: StateEKFState, y: Float[Array, "p"], expected: Expectation, verdict: Judged
     ) -> Code:
-        code = jnp.where(jnp.any(expected.present), int(Result.OK), int(Result.COASTED)).astype(jnp.int32)
+        code = jnp.where(jnp.any(expected.present), int(StepCode.OK), int(StepCode.COASTED)).astype(jnp.int32)
         finite = jnp.all(jnp.isfinite(new.x)) & jnp.all(jnp.isfinite(new.cov))
-        return jnp.where(finite, verdict.result(code), int(Result.NOT_FINITE)).astype(jnp.int32)
+        return jnp.where(finite, verdict.result(code), int(StepCode.NOT_FINITE)).astype(jnp.int32)
 
     def _info(self, state: StateEKFState, new: StateEKFState, expected: Expectation, result: Code) -> StateEKFInfo:
         _, innovation, cov, _, present, *_ = expected

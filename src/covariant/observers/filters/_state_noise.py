@@ -12,7 +12,7 @@ from covariant.metrics import Equation, RiccatiMetric, metric_at
 from covariant.models import StateSpace
 from covariant.observers.filters._riccati import InformationEKF, Riccati
 from covariant.observers.filters._state_ekf import StateEKF
-from covariant.signals import Result
+from covariant.signals import StepCode
 
 SETTLED = 0.1
 """Largest affine-invariant distance to the metric of an infinite past at which a past counts as long enough."""
@@ -22,7 +22,7 @@ FEWEST_STEPS, MOST_STEPS = 16, 256
 """Bounds on the number of Runge–Kutta steps along the past in every sample."""
 
 
-class Noise(NamedTuple):
+class StateNoise(NamedTuple):
     """Noise and initial uncertainty of a state-space model.
 
     Attributes:
@@ -35,7 +35,7 @@ class Noise(NamedTuple):
     Example:
         >>> import numpy as np
         >>> from covariant import observers
-        >>> noise = observers.Noise(np.eye(2), np.array([[0.5]]), np.zeros(2), np.eye(2), rate=100.0)
+        >>> noise = observers.StateNoise(np.eye(2), np.array([[0.5]]), np.zeros(2), np.eye(2), rate=100.0)
         >>> noise.equation.measurement_cov.tolist()  # a spectral density
         [[0.005]]
     """
@@ -52,17 +52,17 @@ class Noise(NamedTuple):
         return Equation(process_cov=self.process_cov, measurement_cov=self.measurement_cov / self.rate)
 
 
-def covariance_ekf(model: StateSpace, noise: Noise) -> StateEKF:
+def covariance_ekf(model: StateSpace, noise: StateNoise) -> StateEKF:
     """Extended Kalman filter in covariance form."""
     return StateEKF(model, noise.process_cov, noise.measurement_cov, noise.start, noise.start_cov)
 
 
-def information_ekf(model: StateSpace, noise: Noise) -> InformationEKF:
+def information_ekf(model: StateSpace, noise: StateNoise) -> InformationEKF:
     """Extended Kalman filter in information form, with measurements as in continuous time."""
     return InformationEKF(model, noise.equation, noise.start, jnp.linalg.inv(noise.start_cov))
 
 
-def riccati(model: StateSpace, noise: Noise) -> Riccati:
+def riccati(model: StateSpace, noise: StateNoise) -> Riccati:
     """Observer with a contraction metric that is computed along the past of the estimate.
 
     The past is as long as states around the first estimate need.
@@ -74,9 +74,9 @@ def riccati(model: StateSpace, noise: Noise) -> Riccati:
     points = jnp.asarray(np.asarray(noise.start) + off * spread)
     solve = jax.jit(jax.vmap(lambda x: metric_at(model, equation, x, start=first, tolerance=SETTLED)))
     found = solve(points)
-    settled = np.asarray(found.result) == int(Result.OK)
+    settled = np.asarray(found.result) == int(StepCode.OK)
     if not settled.any():
-        worst = Result(int(np.min(np.asarray(found.result)))).message
+        worst = StepCode(int(np.min(np.asarray(found.result)))).message
         raise ValueError(f"riccati has no metric near the first estimate ({worst}); take a filter that needs none")
     length = float(np.max(np.asarray(found.horizon)[settled]))
     zero, u = jnp.zeros(()), jnp.zeros(model.inputs)

@@ -25,8 +25,8 @@ from ._sensors import (
     Sensors as Sensors,
 )
 from ._slow import (
-    Slow as Slow,
     SlowStates as SlowStates,
+    SlowVariables as SlowVariables,
     SlowVector as SlowVector,
     as_groups as as_groups,
     external_force as external_force,

@@ -22,7 +22,7 @@ from covariant.models import ModelFile
 from covariant.models.robots import RobotSpace
 from covariant.observers.base import as_numbers, check_positive
 from covariant.observers.sensors._sensors import Instant, Sensor
-from covariant.observers.sensors._slow import Slow, SlowVector
+from covariant.observers.sensors._slow import SlowVariables, SlowVector
 
 STANDARD_GRAVITY = (0.0, 0.0, -9.80665)
 """Gravity in the frame of the world [m/s²] of an accelerometer, by default."""
@@ -505,7 +505,7 @@ def _sensor(
         first, walk = (as_numbers(whose, *each, k, 0.0) for each in (("bias_std", std), ("bias_drift", drift)))
         check_positive(whose, bias_std=float(first.min()))
         names = tuple(f"{name}_bias{i + 1}" for i in range(k)) if k > 1 else (f"{name}_bias",)
-        slow = Slow(names, jnp.zeros(k), jnp.diag(jnp.asarray(first**2)), jnp.diag(jnp.asarray(walk**2)))
+        slow = SlowVariables(names, jnp.zeros(k), jnp.diag(jnp.asarray(first**2)), jnp.diag(jnp.asarray(walk**2)))
     return Sensor(name, h, jnp.asarray(stds**2), slow, period=period)
 
 

@@ -25,7 +25,7 @@ from covariant._typing import Scalar, Vector
 from covariant.geometry import Coordinates
 from covariant.models import MechanicalSystem, acceleration
 from covariant.observers.base import Gate, GateMemory, Sample, Velocity, check_covariance, diagonal, judged, updated
-from covariant.observers.sensors._slow import Slow, SlowVector
+from covariant.observers.sensors._slow import SlowVariables, SlowVector
 
 Readings = Float[Array, "K"]
 """Readings of all sensors, one after the other; NaN where there is none."""
@@ -101,7 +101,7 @@ class Sensor(Functional):
     name: str = eqx.field(static=True)
     h: Callable[[Instant, SlowVector], Vector]
     cov: Float[Array, "i i"] = eqx.field(converter=_as_matrix)
-    slow: Slow | None = None
+    slow: SlowVariables | None = None
     difference: Callable[[Vector, Vector], Vector] | None = None
     period: tuple[float, ...] | None = eqx.field(default=None, static=True)
     numbers: int | None = eqx.field(default=None, static=True)
@@ -218,7 +218,7 @@ class Sensors(NamedTuple):
         return sum(sensor.count for sensor in self.each)
 
     @property
-    def slow(self) -> tuple[Slow, ...]:
+    def slow(self) -> tuple[SlowVariables, ...]:
         """The slow states of all sensors, a group for each sensor that has some."""
         return tuple(sensor.slow for sensor in self.each if sensor.slow is not None)
 

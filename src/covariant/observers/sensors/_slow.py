@@ -34,7 +34,7 @@ from covariant.observers.base import as_gain, check_covariance, check_positive, 
 SlowVector = Float[Array, "k"]
 
 
-class Slow(Functional):
+class SlowVariables(Functional):
     """A group of k slow states s: constants, random walks, or Gauss–Markov processes.
 
     In the field `slow` of a filter at least one of `force`, `model` and `offset` is required; the slow states of a
@@ -61,7 +61,8 @@ class Slow(Functional):
     Example:
         >>> import numpy as np
         >>> from covariant import models, observers
-        >>> drag = observers.Slow(("drag",), np.zeros(1), np.eye(1), np.zeros((1, 1)), force=lambda q, v, s: -s * v)
+        >>> one = np.eye(1)
+        >>> drag = observers.SlowVariables(("drag",), np.zeros(1), one, 0 * one, force=lambda q, v, s: -s * v)
         >>> observers.IntrinsicKalman(models.oscillator(), 1e-3, 1e-4, 1.0, drag).slow_names
         ('drag',)
     """
@@ -78,17 +79,17 @@ class Slow(Functional):
 
     def __check_init__(self):
         if self.time is not None:
-            check_positive("Slow", time=self.time)
+            check_positive("SlowVariables", time=self.time)
         k = len(self.names)
         if not k or len(set(self.names)) < k:
-            raise ValueError(f"Slow: names must be different names, one for each state; got {self.names}")
+            raise ValueError(f"SlowVariables: names must be different names, one for each state; got {self.names}")
         if np.shape(self.first) != (k,) or not _finite(self.first):
-            raise ValueError(f"Slow: first must be {k} finite numbers, one for each name; got {self.first}")
+            raise ValueError(f"SlowVariables: first must be {k} finite numbers, one for each name; got {self.first}")
         for name in ("first_cov", "walk_cov"):
             cov = getattr(self, name)
             if np.shape(cov) != (k, k):
-                raise ValueError(f"Slow: {name} must be a matrix ({k}, {k}); its shape is {np.shape(cov)}")
-            check_covariance("Slow", name, cov)
+                raise ValueError(f"SlowVariables: {name} must be a matrix ({k}, {k}); its shape is {np.shape(cov)}")
+            check_covariance("SlowVariables", name, cov)
 
 
 def as_groups(given: Any) -> tuple[Any, ...]:
@@ -109,7 +110,7 @@ class SlowStates(NamedTuple):
         ('external_force1', 'bias1')
     """
 
-    groups: tuple[Slow, ...]
+    groups: tuple[SlowVariables, ...]
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -132,7 +133,7 @@ class SlowStates(NamedTuple):
     def walk_root(self, h: Scalar) -> Float[Array, "k k"]:
         """Square root of the covariance that is added in a step; at least one group is needed."""
 
-        def spread(group: Slow) -> Array:
+        def spread(group: SlowVariables) -> Array:
             # The variance in the long run is walk_cov τ/2.
             added = h if group.time is None else group.time / 2 * gauss_markov(h / group.time)[2]
             return jnp.sqrt(added) * semidefinite_root(group.walk_cov).astype(h.dtype)
@@ -180,7 +181,7 @@ class SlowStates(NamedTuple):
         return sum((group.offset(part) for group, part in pairs if group.offset is not None), jnp.zeros_like(like))
 
     def values(self, s: SlowVector) -> SlowVector:
-        """Values that are reported, by `Slow.values` where a group has it."""
+        """Values that are reported, by `SlowVariables.values` where a group has it."""
         pairs = zip(self.groups, self.parts(s), strict=True)
         return jnp.concatenate(
             [s[:0], *(part if group.values is None else group.values(part) for group, part in pairs)]
@@ -189,8 +190,10 @@ class SlowStates(NamedTuple):
     def check(self, whose: str, model: MechanicalSystem) -> None:
         """Check that the groups fit each other, and a model whose dimension is known."""
         for group in self.groups:
-            if not isinstance(group, Slow):
-                raise ValueError(f"{whose}: slow must be one Slow or several, such as sensor_bias(0.01); got {group!r}")
+            if not isinstance(group, SlowVariables):
+                raise ValueError(
+                    f"{whose}: slow must be one SlowVariables or several, such as sensor_bias(0.01); got {group!r}"
+                )
             if group.force is None and group.model is None and group.offset is None:
                 raise ValueError(
                     f"{whose}: give a force, a model or an offset that depends on the slow states "
@@ -217,7 +220,7 @@ def external_force(
     *,
     std: Numbers | None = None,
     time: Number | None = None,
-) -> Slow:
+) -> SlowVariables:
     """A generalised force that the model does not contain, such as a push, a disturbance, or friction that is wrong.
 
     With `std` and `time` it is a Gauss–Markov process, which pushes that end and errors of friction resemble: through a
@@ -249,7 +252,7 @@ def external_force(
     """
     if density is not None and std is None and time is None:
         cov = _square("external_force", "density", density)
-        return Slow(_numbered(name, len(cov)), jnp.zeros(len(cov)), cov, cov, force=_itself)
+        return SlowVariables(_numbered(name, len(cov)), jnp.zeros(len(cov)), cov, cov, force=_itself)
     if density is not None or std is None or time is None:
         raise ValueError("external_force: give a density, or both std and time")
     check_positive("external_force", time=time)
@@ -257,14 +260,16 @@ def external_force(
     return forgotten_force(_numbered(name, len(stds)), stds, time, _itself)
 
 
-def forgotten_force(names: tuple[str, ...], stds: np.ndarray, time: Number, force: Callable[..., Vector]) -> Slow:
+def forgotten_force(
+    names: tuple[str, ...], stds: np.ndarray, time: Number, force: Callable[..., Vector]
+) -> SlowVariables:
     """A force whose independent components are as uncertain at the start as in the long run, and are forgotten."""
     cov = jnp.diag(jnp.asarray(stds**2))
     # Stationary: density · τ/2 is the covariance in the long run.
-    return Slow(names, jnp.zeros(len(stds)), cov, 2 / time * cov, force=force, time=time)
+    return SlowVariables(names, jnp.zeros(len(stds)), cov, 2 / time * cov, force=force, time=time)
 
 
-def sensor_bias(std: Numbers, drift: Numbers = 0.0, name: str = "bias") -> Slow:
+def sensor_bias(std: Numbers, drift: Numbers = 0.0, name: str = "bias") -> SlowVariables:
     """An offset of each measured position, or in the body frame of a measured configuration on a group.
 
     Positions alone do not show a constant offset: gravity does, or another force that depends on the position. Where
@@ -297,10 +302,12 @@ def sensor_bias(std: Numbers, drift: Numbers = 0.0, name: str = "bias") -> Slow:
     # Numbered by position, counted from 1, so that a name says which position it belongs to.
     names = tuple(f"{name}{i + 1}" for i in biased)
     covs = jnp.diag(jnp.asarray(stds[biased] ** 2)), jnp.diag(jnp.asarray(drifts[biased] ** 2))
-    return Slow(names, jnp.zeros(biased.size), *covs, offset=Parametric(_along, axes=np.eye(stds.size)[:, biased]))
+    return SlowVariables(
+        names, jnp.zeros(biased.size), *covs, offset=Parametric(_along, axes=np.eye(stds.size)[:, biased])
+    )
 
 
-def uncertain_parameters(family: Family, std: Numbers, drift: Numbers = 0.0) -> Slow:
+def uncertain_parameters(family: Family, std: Numbers, drift: Numbers = 0.0) -> SlowVariables:
     """Parameters of the model that are not well known or that change, such as a payload or a level of friction.
 
     Parameters that the model refuses when they are negative stay positive.
@@ -338,7 +345,7 @@ def uncertain_parameters(family: Family, std: Numbers, drift: Numbers = 0.0) -> 
 
     # The states are relative changes, so that both covariances are relative too.
     covs = jnp.diag(jnp.asarray(stds**2)), jnp.diag(jnp.asarray(drifts**2))
-    return Slow(family.names, jnp.zeros(p), *covs, model=model, values=parameters)
+    return SlowVariables(family.names, jnp.zeros(p), *covs, model=model, values=parameters)
 
 
 def _itself(q, v, s):
@@ -411,7 +418,9 @@ def _check_shapes(whose: str, states: SlowStates, model: MechanicalSystem) -> No
             _need(whose, group, "offset", group.offset, (s,), (n,))
 
 
-def _need(whose: str, group: Slow, what: str, function: Any, arguments: tuple, expected: tuple[int, ...]) -> None:
+def _need(
+    whose: str, group: SlowVariables, what: str, function: Any, arguments: tuple, expected: tuple[int, ...]
+) -> None:
     names = ", ".join(group.names)
     try:
         shape = eqx.filter_eval_shape(function, *arguments).shape

@@ -15,7 +15,7 @@ from covariant._typing import Number, Numbers, Vector
 from covariant.geometry import AbstractSpace
 from covariant.models.robots import RobotSpace
 from covariant.observers.base import as_numbers, check_positive
-from covariant.observers.sensors._slow import Slow, forgotten_force
+from covariant.observers.sensors._slow import SlowVariables, forgotten_force
 
 FRAMES = ("link", "world")
 _AXES = ("fx", "fy", "fz", "tx", "ty", "tz")
@@ -51,7 +51,7 @@ def wrench(
     name: str | None = None,
     frame: str = "link",
     point: Numbers = (0.0, 0.0, 0.0),
-) -> Slow:
+) -> SlowVariables:
     """A force and a torque that act on a link of a robot from outside, and that are forgotten: a push, a contact.
 
     Each component is a Gauss–Markov process about zero. Beside it give an `external_force` of the size of what the

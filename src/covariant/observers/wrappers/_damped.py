@@ -40,7 +40,7 @@ from covariant.observers.base import (
 )
 from covariant.observers.sensors import Instant, Readings, Sensor, Sensors, as_groups
 from covariant.observers.wrappers._gated import Gated, without_last_input
-from covariant.signals import Result
+from covariant.signals import StepCode
 
 
 class DampedState(NamedTuple):
@@ -79,7 +79,7 @@ class DampedInfo(NamedTuple):
         sensor_innovation: Differences (K,) from the expected readings to those that were read, after the correction by
             the configuration; 0 where nothing was read.
         bias: Estimated offsets (K,) of the readings.
-        result: A `covariant.signals.Result` code.
+        result: A `covariant.signals.StepCode` code.
 
     Example:
         >>> import jax.numpy as jnp
@@ -149,7 +149,7 @@ class Damped(AbstractObserver):
         inner = self.observer.observer if isinstance(self.observer, Gated) else self.observer
         if not isinstance(inner, AbstractMechanicalObserver):
             raise ValueError(
-                f"Damped: observer must be Intrinsic, Geodesic or Copy, or one of them behind Gated; got "
+                f"Damped: observer must be Intrinsic, Geodesic or ModelCopy, or one of them behind Gated; got "
                 f"{type(inner).__name__}. A filter with a covariance has sensors of its own"
             )
         if not self.sensors:
@@ -232,10 +232,10 @@ class Damped(AbstractObserver):
         bias = jnp.where(read, state.bias + bias_change, state.bias)
         waited = jnp.where(present, 0.0, state.waited)
         # Where sensors are read between two measured configurations, nothing is missing.
-        between = read & jnp.all(self.model.manifold.missing(configuration)) & (info.result == int(Result.COASTED))
-        code = jnp.where(between, int(Result.OK), jnp.asarray(info.result))
+        between = read & jnp.all(self.model.manifold.missing(configuration)) & (info.result == int(StepCode.COASTED))
+        code = jnp.where(between, int(StepCode.OK), jnp.asarray(info.result))
         finite = jnp.all(jnp.isfinite(v)) & jnp.all(jnp.isfinite(bias))
-        result = jnp.where(finite, code, int(Result.NOT_FINITE)).astype(info.result.dtype)
+        result = jnp.where(finite, code, int(StepCode.NOT_FINITE)).astype(info.result.dtype)
         new = state._replace(inner=_with_velocity(inner, v), bias=bias, waited=waited)
         return new, DampedInfo(info.innovation, info.distance, -residual, bias, result)
 

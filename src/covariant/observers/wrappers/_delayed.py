@@ -26,7 +26,7 @@ from jaxtyping import Array, Bool, Float, Inexact
 from covariant._typing import Number, Scalar, Vector
 from covariant.observers.base import AbstractObserver, AbstractWrapper, LastInput
 from covariant.observers.sensors import Sensors
-from covariant.signals import Result
+from covariant.signals import StepCode
 
 SAME_TIME = 1e-6
 """Times [s] closer than this count as equal: coordinates that were true then are processed together."""
@@ -229,7 +229,7 @@ class Delayed(AbstractWrapper):
         in_past = sample_age > -SAME_TIME
         measured = jnp.where(in_past & jnp.isfinite(y), y, jnp.nan)
         new_state, info = self._replay(state, measured, jnp.where(in_past, jnp.maximum(sample_age, 0.0), 0.0))
-        return new_state, info._replace(result=jnp.where(in_past, info.result, int(Result.STEP_REFUSED)))
+        return new_state, info._replace(result=jnp.where(in_past, info.result, int(StepCode.STEP_REFUSED)))
 
     def _replay(self, state: DelayedState, y: Array, sample_age: Scalar) -> tuple[DelayedState, Any]:
         """The state after a sample whose stamp is `sample_age` [s] old, and the info."""
@@ -245,7 +245,7 @@ class Delayed(AbstractWrapper):
         start = _Replay(state.known, state.age_of_known, state.known, state.age_of_known, blank, _std_of(blank))
         carry, _ = jax.lax.scan(self._scan_reading, start, (age, row_u, readings, current, settled))
         carry = self._to_now(carry, state, y)
-        result = jnp.where(too_late, jnp.maximum(carry.info.result, int(Result.TOO_LATE)), carry.info.result)
+        result = jnp.where(too_late, jnp.maximum(carry.info.result, int(StepCode.TOO_LATE)), carry.info.result)
         info = carry.info._replace(result=result)
         if carry.std is not None:
             info = info._replace(velocity_std=carry.std)
@@ -268,7 +268,7 @@ class Delayed(AbstractWrapper):
             new, info = self.observer.advance(carry.state, u, jnp.full(y.shape, jnp.nan, y.dtype), carry.age - age)
             code = jnp.asarray(info.result, carry.info.result.dtype)
             # That nothing is measured here is no fault.
-            worse = jnp.where(code == int(Result.NOT_FINITE), jnp.maximum(carry.info.result, code), carry.info.result)
+            worse = jnp.where(code == int(StepCode.NOT_FINITE), jnp.maximum(carry.info.result, code), carry.info.result)
             return carry._replace(state=new, age=age, info=carry.info._replace(result=worse), std=_std_of(info))
 
         def turn(carry, item):
@@ -316,8 +316,8 @@ class Delayed(AbstractWrapper):
         )
         # Coordinates that are read at other times are not missing: only what the sample itself lacks is.
         complete = ~jnp.any(jnp.isnan(y) & _with_axes(current, y))
-        code = jnp.where(complete & (info.result == int(Result.COASTED)), int(Result.OK), info.result)
-        counts = jnp.any(current) | (code == int(Result.NOT_FINITE))
+        code = jnp.where(complete & (info.result == int(StepCode.COASTED)), int(StepCode.OK), info.result)
+        counts = jnp.any(current) | (code == int(StepCode.NOT_FINITE))
         before = carry.info.result
         result = jnp.where(counts, jnp.maximum(before, jnp.asarray(code, before.dtype)), before)
         # One flag for all where there is one delay; else one for each entry of a measurement.

@@ -44,7 +44,7 @@ from covariant.observers.base import (
     start,
     step_length,
 )
-from covariant.signals import Result
+from covariant.signals import StepCode
 
 
 class GatedState(NamedTuple):
@@ -62,7 +62,7 @@ class GatedState(NamedTuple):
         >>> import jax.numpy as jnp
         >>> from covariant import models, observers
         >>> model = models.oscillator()
-        >>> observer = observers.Gated(observers.Copy(model, 2.0, 4.0), model, noise=1e-3, speed=1.0)
+        >>> observer = observers.Gated(observers.ModelCopy(model, 2.0, 4.0), model, noise=1e-3, speed=1.0)
         >>> state = observer.init(jnp.array([0.5]))
         >>> state.inner.q.tolist(), state.gate.refused.tolist()
         ([0.5], [0])
@@ -98,12 +98,12 @@ class Gated(AbstractObserver):
     Example:
         >>> import jax
         >>> import jax.numpy as jnp
-        >>> from covariant import Result, models, observers
+        >>> from covariant import StepCode, models, observers
         >>> model = models.oscillator()
-        >>> observer = observers.Gated(observers.Copy(model, 2.0, 4.0), model, noise=1e-3, speed=1.0)
+        >>> observer = observers.Gated(observers.ModelCopy(model, 2.0, 4.0), model, noise=1e-3, speed=1.0)
         >>> state = observer.init(jnp.zeros(1))
         >>> state, info = jax.jit(observer.step)(state, jnp.zeros(1), jnp.array([5.0]), 0.01)
-        >>> Result(int(info.result)).name, observer.estimate(state).tolist()
+        >>> StepCode(int(info.result)).name, observer.estimate(state).tolist()
         ('OUTLIER', [0.0, 0.0])
     """
 
@@ -168,7 +168,7 @@ class Gated(AbstractObserver):
         # A scale above 1 still holds after a new start; a smaller one would make the gate too narrow.
         fresh = fresh._replace(gate=fresh.gate._replace(scale=jnp.maximum(memory.scale, 1.0)))
         new = jax.tree.map(lambda a, b: jnp.where(restart, a, b), fresh, new)
-        astray = jnp.any(slip > 1).astype(jnp.int32) * int(Result.ASTRAY)
+        astray = jnp.any(slip > 1).astype(jnp.int32) * int(StepCode.ASTRAY)
         result = jnp.maximum(jnp.maximum(info.result, verdict.result(info.result)), astray)
         return new, info._replace(innovation=innovation, result=result.astype(info.result.dtype))
 

@@ -7,7 +7,9 @@ import numpy as np
 
 
 def halves(low: np.ndarray, high: np.ndarray, axes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Both halves of boxes, lower before upper, along one axis each. Both include the middle, so that no point is lost."""
+    """Both halves of boxes, lower before upper, along one axis each. Both include the middle, so that
+    no point is lost.
+    """
     rows = np.arange(len(low))
     # Rounded, but the same number in both halves, so that together they still cover the box.
     middle = low[rows, axes] / 2 + high[rows, axes] / 2
