@@ -111,6 +111,16 @@ def test_rooms_import_only_from_their_left():
     assert not {file: rooms for file, rooms in wrong.items() if rooms}, "these imports go to the right of the plan"
 
 
+def test_what_passes_through_the_rooms_enters_none_twice():
+    """The ways that `docs/contributing.md` draws follow the order of the plan."""
+    page = (ROOT / "docs" / "contributing.md").read_text(encoding="utf-8")
+    drawn = re.findall(r'title="Ways through the rooms"\n(.*?)```', page, re.DOTALL)[0]
+    ways = [re.findall(r"\w+", line.split("  ")[-1]) for line in drawn.splitlines()]
+    places = [[PLAN.split().index(room) for room in way] for way in ways]
+    assert len(ways) == 3
+    assert all(way == sorted(set(way)) for way in places)
+
+
 def test_proofs_know_functions_and_boxes_and_no_model():
     rooms = set().union(*(imported_rooms(path) for path in (SOURCE / "proofs").rglob("*.py")))
     assert rooms == {"_compile", "_rooms", "_templates", "_typing", "lowering", "proofs"}
