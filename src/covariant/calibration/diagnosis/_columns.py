@@ -99,7 +99,7 @@ def swaps(case: Case) -> Iterator[Suspicion]:
     """Columns in each other's place: two positions, two inputs, or both of two joints."""
     (q, u), none = (case.names.q, case.names.u), _none(case)
     for i, j in itertools.combinations(range(len(q)), 2):
-        positions, inputs = (_swapped(columns, i, j) for columns in (q, u))
+        positions, inputs = (_transposition(columns, i, j) for columns in (q, u))
         in_q = f"q = {quoted_list(q[k] for k in positions)}"
         words = f"with {q[i]} and {q[j]} in each other's place"
         change = none._replace(order=positions)
@@ -160,7 +160,7 @@ def _one_by_one(names: tuple[str, ...], factor: float) -> Iterator[tuple[str, np
         yield name, np.where(np.arange(len(names)) == i, factor, 1.0)
 
 
-def _swapped(columns: tuple[str, ...], i: int, j: int) -> np.ndarray:
+def _transposition(columns: tuple[str, ...], i: int, j: int) -> np.ndarray:
     order = np.arange(len(columns))
     if j < len(order):
         order[[i, j]] = j, i

@@ -118,7 +118,7 @@ class _Regression(NamedTuple):
         torques = (-log.v, -np.tanh(log.v / _speeds(log)), -log.a)
         columns = []
         for kind, torque in zip(KINDS, torques, strict=True):
-            raised = np.asarray(_raised(model, log.q, torque))  # (K, n, n): of each joint alone
+            raised = np.asarray(_accelerations_by_torque(model, log.q, torque))  # (K, n, n): of each joint alone
             # Measured accelerations are averages already.
             smooth = (lambda values: values) if kind == "rotor inertia" else (lambda values: averaged(log, values))
             columns += [smooth(raised[:, i])[before.used][:, told] / scale for i in range(log.q.shape[1])]
@@ -164,7 +164,7 @@ def _speeds(log: Smooth) -> Float[np.ndarray, "n"]:
 
 
 @eqx.filter_jit
-def _raised(model: MechanicalSystem, q, torque):
+def _accelerations_by_torque(model: MechanicalSystem, q, torque):
     """Accelerations (K, n, n) by the torque of each joint alone."""
 
     def at(q, torque):

@@ -113,7 +113,7 @@ def outliers(
         if len(removed):
             sampled = np.arange(0, len(error), max(1, len(error) // SAMPLED))
             scale = float(np.median(np.maximum(floor[sampled], _local_std(error, sampled))))
-            wrong[_readmitted(t, column, remaining, removed, scale), i] = False
+            wrong[_readmit_rows(t, column, remaining, removed, scale), i] = False
             places = np.flatnonzero(wrong[:, i])
             sizes[i] = (
                 np.median(np.abs(column[places] - np.interp(t[places], t[remaining], column[remaining])))
@@ -143,7 +143,7 @@ def _errors(t, y, neighbours, at, value) -> np.ndarray:
     return (value - np.sum(weights * y[neighbours], axis=1)) / np.sqrt(1 + np.sum(weights**2, axis=1))
 
 
-def _readmitted(t, y, remaining: np.ndarray, removed: np.ndarray, scale: float) -> np.ndarray:
+def _readmit_rows(t, y, remaining: np.ndarray, removed: np.ndarray, scale: float) -> np.ndarray:
     """Removed rows that agree with the remaining ones after all: they were between two outliers."""
     # Two rows on either side of the removed one; at the ends the nearest four.
     place = np.clip(np.searchsorted(remaining, removed), 2, len(remaining) - 2)
@@ -257,7 +257,7 @@ def repeated_findings(
     moving = _moving(y, ticks)
     if not moving:
         return []
-    same = _repeated(y, moving)[1:]
+    same = _find_repeats(y, moving)[1:]
     places = np.flatnonzero(same) + 1
     share = float(same.mean())
     if share <= FEW_REPEATED and len(places) <= MOST_NAMED:
@@ -282,7 +282,7 @@ def without_repeated(y: Float[np.ndarray, "T n"], ticks: Float[np.ndarray, "n"])
     """Positions whose readings are missing where they repeat those of the row before."""
     kept = y.copy()
     for i in _moving(y, ticks):
-        kept[_repeated(y, [i]), i] = np.nan
+        kept[_find_repeats(y, [i]), i] = np.nan
     return kept
 
 
@@ -291,7 +291,7 @@ def _moving(y: np.ndarray, ticks: np.ndarray) -> list[int]:
     return [i for i in range(y.shape[1]) if ticks[i] == 0 and np.nanmin(y[:, i]) < np.nanmax(y[:, i])]
 
 
-def _repeated(y: np.ndarray, moving: list[int]) -> Bool[np.ndarray, "T"]:
+def _find_repeats(y: np.ndarray, moving: list[int]) -> Bool[np.ndarray, "T"]:
     """Rows (T,) whose readings of these positions are those of the row before."""
     return np.concatenate([[False], (np.diff(y[:, moving], axis=0) == 0).all(axis=1)])
 
@@ -393,7 +393,7 @@ def usual_speeds(model: MechanicalSystem, record: Record) -> tuple[float, ...]:
     if manifold.commuting:
         columns = [(t[seen], column[seen, None]) for column in y.T for seen in (np.isfinite(column),)]
         circles = manifold.circles
-        speeds = [np.abs(_wrapped(np.diff(q[:, 0]), i in circles) / np.diff(s)) for i, (s, q) in enumerate(columns)]
+        speeds = [np.abs(_wrap_change(np.diff(q[:, 0]), i in circles) / np.diff(s)) for i, (s, q) in enumerate(columns)]
         return tuple(_usual(rates) for rates in speeds)
     complete = np.isfinite(y).reshape(len(t), -1).all(axis=1)
     displacement = jax.jit(jax.vmap(manifold.local))(jnp.asarray(y[complete][:-1]), jnp.asarray(y[complete][1:]))
@@ -401,7 +401,7 @@ def usual_speeds(model: MechanicalSystem, record: Record) -> tuple[float, ...]:
     return tuple(_usual(column) for column in rates.T)
 
 
-def _wrapped(change: np.ndarray, circle: bool) -> np.ndarray:
+def _wrap_change(change: np.ndarray, circle: bool) -> np.ndarray:
     # Onto [−π, π): a step of more than half a turn is one the other way.
     return (change + np.pi) % (2 * np.pi) - np.pi if circle else change
 

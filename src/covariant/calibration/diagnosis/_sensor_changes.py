@@ -89,7 +89,7 @@ def judged(pair: Pair, vector: bool, offset: bool) -> Verdict:
     delays = np.unique(np.append(np.arange(EARLIEST, LATEST + EVERY / 2, EVERY).round(6), 0.0))
     changes = list(_changes(data))
     zero = int(np.flatnonzero(delays == 0)[0])
-    shares = np.array([[_share(data, each, s) for each in changes] for s in (_shifted(data, d) for d in delays)]).T
+    shares = np.array([[_share(data, each, s) for each in changes] for s in (_shift_pair(data, d) for d in delays)]).T
     # A delay beside another change is searched only where nothing else explains the readings.
     at = np.full(len(changes), zero)
     if shares[:, zero].min() > FLOOR:
@@ -102,7 +102,7 @@ def judged(pair: Pair, vector: bool, offset: bool) -> Verdict:
         first, alike = 0, np.array([0])
     chosen = changes[first]
     rivals = tuple(changes[i] for i in alike[1:] if changes[i].kind == chosen.kind)
-    fit = _fitted(data, chosen, float(delays[at[first]]))
+    fit = _fit_change(data, chosen, float(delays[at[first]]))
     before = _residual_share(data, changes[0], np.ones(data.size), 0.0)
     after = _residual_share(data, chosen, fit[0], fit[2])
     return Verdict(chosen, before, after, *fit, rivals)
@@ -159,7 +159,7 @@ class _Shifted(NamedTuple):
     rows: np.ndarray
 
 
-def _shifted(data: _Data, delay: float) -> _Shifted:
+def _shift_pair(data: _Data, delay: float) -> _Shifted:
     pair = data.pair
     step, size = float(pair.t[1] - pair.t[0]), len(pair.t)
     x = np.arange(size) - delay / step
@@ -180,7 +180,7 @@ def _shifted(data: _Data, delay: float) -> _Shifted:
     return _Shifted(moved[rows], slope[rows] / step, pair.read[rows], rows)  # pyright: ignore[reportIndexIssue,reportOperatorIssue]
 
 
-def _read_and_predicted(data: _Data, change: Change, shifted: _Shifted) -> tuple[np.ndarray, np.ndarray]:
+def _readings_and_predictions(data: _Data, change: Change, shifted: _Shifted) -> tuple[np.ndarray, np.ndarray]:
     """Readings and what a change makes of their predictions, less their means where an offset is free."""
     read, predicted = shifted.read, shifted.predicted @ change.matrix.T
     return (read - read.mean(axis=0), predicted - predicted.mean(axis=0)) if data.offset else (read, predicted)
@@ -190,7 +190,7 @@ def _share(data: _Data, change: Change, shifted: _Shifted) -> float:
     """Unexplained fraction of the readings with the best scale of a change."""
     if len(shifted.read) < 2 * BLOCKS:
         return 1.0
-    read, predicted = _read_and_predicted(data, change, shifted)
+    read, predicted = _readings_and_predictions(data, change, shifted)
     product, squares, total = (read * predicted).sum(axis=0), (predicted**2).sum(axis=0), (read**2).sum(axis=0)
     if data.vector:  # one scale, and its sign is among the changes
         return float(1 - max(product.sum(), 0.0) ** 2 / max(squares.sum() * total.sum(), 1e-300))
@@ -201,7 +201,7 @@ def _share(data: _Data, change: Change, shifted: _Shifted) -> float:
 
 def _residual_share(data: _Data, change: Change, scale: np.ndarray, delay: float) -> float:
     """Unexplained fraction of the readings with a change, its scales and its delay."""
-    read, predicted = _read_and_predicted(data, change, _shifted(data, delay))
+    read, predicted = _readings_and_predictions(data, change, _shift_pair(data, delay))
     left, total = ((read - scale * predicted) ** 2).sum(axis=0), (read**2).sum(axis=0)
     if data.vector:
         return float(left.sum() / max(total.sum(), 1e-300))
@@ -209,7 +209,7 @@ def _residual_share(data: _Data, change: Change, scale: np.ndarray, delay: float
     return float(np.mean((left / np.maximum(total, 1e-300))[shown])) if shown.any() else 0.0
 
 
-def _fitted(
+def _fit_change(
     data: _Data, change: Change, delay: float
 ) -> tuple[np.ndarray, np.ndarray, float, float, np.ndarray, np.ndarray]:
     """Scales, delay and offsets by Gauss–Newton steps, each with its standard error."""
@@ -218,7 +218,7 @@ def _fitted(
     groups = np.ones((1, k)) if data.vector else np.eye(k)[data.shown(change)]
     scale, cov, bias = _first_scale(data, change, delay, groups), np.zeros((1, 1)), np.zeros(k)
     for _ in range(ROUNDS):
-        shifted = _shifted(data, delay)
+        shifted = _shift_pair(data, delay)
         predicted, slope = (each @ change.matrix.T for each in (shifted.predicted, shifted.slope))
         columns = [-scale * slope, *(group * predicted for group in groups)]
         if data.offset:
@@ -238,7 +238,7 @@ def _fitted(
     if data.offset:
         return scale, scale_std, delay, float(std[0]), bias, std[1 + len(groups) :]
     # What feels gravity has its offset found with the scale as it should be: a constant hides either.
-    left = _shifted(data, delay)
+    left = _shift_pair(data, delay)
     left = left.read - left.predicted @ change.matrix.T
     means = np.array([part.mean(axis=0) for part in np.array_split(left, BLOCKS)])
     return scale, scale_std, delay, float(std[0]), left.mean(axis=0), means.std(axis=0) / np.sqrt(BLOCKS)
@@ -246,7 +246,7 @@ def _fitted(
 
 def _first_scale(data: _Data, change: Change, delay: float, groups: np.ndarray) -> np.ndarray:
     """Scales (k,) by least squares at a delay."""
-    read, predicted = _read_and_predicted(data, change, _shifted(data, delay))
+    read, predicted = _readings_and_predictions(data, change, _shift_pair(data, delay))
     scale = np.ones(data.size)
     for group in groups:
         product, squares = ((group * each * predicted).sum() for each in (read, predicted))

@@ -57,11 +57,11 @@ def _findings(case: Case, t: np.ndarray, beside: Beside, late: Any) -> list[Find
         if turned is not None:
             return [turned]
         seen = _first(seen, 3)
-    notes = _not_shown(seen, beside)
+    notes = _unjudged_findings(seen, beside)
     verdict = judged(seen, beside.checks.vector, beside.checks.offset)
     found = _wrong(seen, beside, verdict, spacing) if seen.shown.any() else None
     if found is None:
-        found = _biased(seen, beside, verdict) or _noisy(seen, beside)
+        found = _bias_finding(seen, beside, verdict) or _noisy(seen, beside)
     return [*([] if found is None else [found]), *notes]
 
 
@@ -82,26 +82,26 @@ def _wrong(seen: Pair, beside: Beside, verdict: Verdict, spacing: float) -> Find
         "scale": verdict.scale.tolist(),
     }
     if verdict.change.kind:
-        return _changed(seen, beside, verdict, after, numbers)
-    turned = _turned(seen, beside)
+        return _change_finding(seen, beside, verdict, after, numbers)
+    turned = _rotation_finding(seen, beside)
     if turned is not None:
         return turned
     off = shown & (np.abs(verdict.scale - 1) > np.maximum(OFF_SCALE, SIGNIFICANT * verdict.scale_std))
     if off.any():
-        return _scaled(beside, verdict, off, after, numbers)
+        return _scale_finding(beside, verdict, off, after, numbers)
     if abs(verdict.delay) > max(LATE * spacing, SIGNIFICANT * verdict.delay_std):
         return _late(beside, verdict, spacing, after, numbers)
     return None
 
 
-def _changed(seen: Pair, beside: Beside, verdict: Verdict, after: str, numbers: dict[str, Any]) -> Finding:
+def _change_finding(seen: Pair, beside: Beside, verdict: Verdict, after: str, numbers: dict[str, Any]) -> Finding:
     """The finding on signs, columns or axes."""
     name, matrix = beside.sensor.name, verdict.change.matrix
     numbers = numbers | {"matrix": matrix.tolist()}
     where = f"[sensors.{name}]"
     if verdict.change.kind == "sign":
         turned = np.diag(matrix) < 0
-        which = "all signs" if turned.all() else f"the sign of {_listed(beside.names, turned)}"
+        which = "all signs" if turned.all() else f"the sign of {_list_names(beside.names, turned)}"
         line = f"{where} {_units_line(beside, np.where(turned, -1.0, 1.0))}"
         return Finding("sign of a sensor", name, f"{after} with {which} reversed", line, True, numbers)
     line = ""
@@ -113,13 +113,13 @@ def _changed(seen: Pair, beside: Beside, verdict: Verdict, after: str, numbers: 
         if beside.checks.own_axes and np.linalg.det(matrix) > 0:
             line += f", or {_axes_line(beside, matrix)}"
         what = f"{after} with the columns in the order {', '.join(beside.names[i] for i in order)}"
-        return Finding("axes of a sensor", name, what + _undetermined(seen, beside), line, True, numbers)
+        return Finding("axes of a sensor", name, what + _single_axis_note(seen, beside), line, True, numbers)
     line = f"{where} {_axes_line(beside, matrix)}" if beside.checks.own_axes else _frame_line(matrix)
-    evidence = f"{after} with its axes turned by {_degrees(matrix):.3g}°{_undetermined(seen, beside)}"
+    evidence = f"{after} with its axes turned by {_degrees(matrix):.3g}°{_single_axis_note(seen, beside)}"
     return Finding("axes of a sensor", name, evidence, line, True, numbers)
 
 
-def _turned(seen: Pair, beside: Beside) -> Finding | None:
+def _rotation_finding(seen: Pair, beside: Beside) -> Finding | None:
     """The finding on axes that are turned by a smaller angle."""
     if not beside.checks.vector:
         return None
@@ -139,7 +139,7 @@ def _turned(seen: Pair, beside: Beside) -> Finding | None:
     where = f"[sensors.{beside.sensor.name}] "
     line = where + _axes_line(beside, matrix) if beside.checks.own_axes else _frame_line(matrix)
     evidence = f"its axes are turned by {np.rad2deg(angle):.3g}° against those of the model file"
-    evidence += "" if known else _undetermined(seen, beside)
+    evidence += "" if known else _single_axis_note(seen, beside)
     return Finding("axes of a sensor", beside.sensor.name, evidence, line, True, {"matrix": matrix.tolist()})
 
 
@@ -151,7 +151,7 @@ def _turned_pose(seen: Pair, beside: Beside) -> Finding | None:
         return None
     other = next((other for one, other in OTHER_ORDER.items() if getattr(beside.columns, one)), None)
     if other is not None:
-        again, share = _common_turn(predicted, _reordered(read, other))
+        again, share = _common_turn(predicted, _reorder_quaternions(read, other))
         if share > 1 - UNEXPLAINED / 2 and _degrees(again) < np.rad2deg(TURNED):
             evidence = (
                 f"its attitudes are {_degrees(turn):.3g}° off, and {_degrees(again):.2g}° in the order of {other}"
@@ -175,7 +175,7 @@ def _common_turn(predicted: np.ndarray, read: np.ndarray) -> tuple[np.ndarray, f
     return u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt, float(s.sum() / 3)
 
 
-def _reordered(read: np.ndarray, other: str) -> np.ndarray:
+def _reorder_quaternions(read: np.ndarray, other: str) -> np.ndarray:
     """Attitudes (K, 3, 3) whose quaternions are in another order than they were read in."""
     from scipy.spatial.transform import Rotation
 
@@ -185,10 +185,10 @@ def _reordered(read: np.ndarray, other: str) -> np.ndarray:
     return Rotation.from_quat(cells).as_matrix()
 
 
-def _scaled(beside: Beside, verdict: Verdict, off: np.ndarray, after: str, numbers: dict[str, Any]) -> Finding:
+def _scale_finding(beside: Beside, verdict: Verdict, off: np.ndarray, after: str, numbers: dict[str, Any]) -> Finding:
     """The finding on scales: a sign, a unit, or a gear."""
     name, scale = beside.sensor.name, np.where(off, verdict.scale, 1.0)
-    where, which = f"[sensors.{name}]", _listed(beside.names, off)
+    where, which = f"[sensors.{name}]", _list_names(beside.names, off)
     if (np.abs(scale + 1) < OFF_SCALE)[off].all():
         alone = "all signs" if off.all() and len(off) > 1 else f"the sign of {which}"
         evidence, line = f"{after} with {alone} reversed", f"{where} {_units_line(beside, scale)}"
@@ -219,7 +219,7 @@ def _late(beside: Beside, verdict: Verdict, spacing: float, after: str, numbers:
     return Finding("delay of a sensor", name, evidence, line, True, numbers)
 
 
-def _biased(seen: Pair, beside: Beside, verdict: Verdict) -> Finding | None:
+def _bias_finding(seen: Pair, beside: Beside, verdict: Verdict) -> Finding | None:
     """The finding on a bias that the table does not allow for."""
     sensor, bias = beside.sensor, np.array(verdict.bias)
     std = np.sqrt(np.diag(np.asarray(sensor.cov)))[: len(bias)]
@@ -262,16 +262,16 @@ def _noisy(seen: Pair, beside: Beside) -> Finding | None:
     return Finding("noise of a sensor", beside.sensor.name, evidence, line, True, numbers)
 
 
-def _not_shown(seen: Pair, beside: Beside) -> list[Finding]:
+def _unjudged_findings(seen: Pair, beside: Beside) -> list[Finding]:
     """A note on what the motion does not show of a sensor."""
     if seen.shown.all():
         return []
-    which = _listed(beside.names, ~seen.shown)
+    which = _list_names(beside.names, ~seen.shown)
     evidence = f"the motion hardly changes what {which} should read: sign, axes, unit and delay of that are not judged"
     return [Finding("sensor not judged", beside.sensor.name, evidence, "", False, {"columns": which})]
 
 
-def _undetermined(seen: Pair, beside: Beside) -> str:
+def _single_axis_note(seen: Pair, beside: Beside) -> str:
     known = best_rotation(seen, beside.checks.offset)[1] if beside.checks.vector else True
     return "" if known else "; the motion is about one axis, so that a turn about that axis is not determined"
 
@@ -330,7 +330,7 @@ def _number_or_list(values: np.ndarray) -> str:
     return texts[0] if len(set(texts)) == 1 else f"[{', '.join(texts)}]"
 
 
-def _listed(names: Sequence[str], which: np.ndarray) -> str:
+def _list_names(names: Sequence[str], which: np.ndarray) -> str:
     return ", ".join(name for name, each in zip(names, which, strict=False) if each)
 
 

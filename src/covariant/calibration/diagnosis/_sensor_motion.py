@@ -188,7 +188,7 @@ def _at(
 ) -> tuple[Pair, Bool[np.ndarray, "k"]]:
     """The pair at one width of the windows, and which numbers no motion changes there."""
     predicted = output.along(log, PIECE)
-    read, used, noise = _smoothed(log, readings, at, beside.checks.derivative)
+    read, used, noise = _smooth_readings(log, readings, at, beside.checks.derivative)
     spacing, mean = float(np.median(np.diff(at))), _gain(log.half, float(np.median(np.diff(at))), 0)
     points = np.flatnonzero(log.used)
     if not len(points):
@@ -207,7 +207,7 @@ def _at(
     return Pair(log.t, predicted, read, used, whole, np.nan_to_num(noise) * mean, noise, log.half), never
 
 
-def _smoothed(
+def _smooth_readings(
     log: Smooth, readings: np.ndarray, at: np.ndarray, order: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Readings (K, k) on the grid of a smoothed log, the times with full windows, and the noise (k,) of a reading."""

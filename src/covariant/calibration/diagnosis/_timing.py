@@ -98,10 +98,10 @@ def fit_timing(case: Case, half: float) -> Timing:
     start = Timing(_long_delay(case, half), np.ones(m), np.zeros(n, int))
     # First scales, then the common delay: a wrong sign or size of an input looks like a delay, and a delay of all
     # positions like one of some of them.
-    first, _ = _settled(case, half, start, delays=False)
+    first, _ = _iterate_fit(case, half, start, delays=False)
     start = start._replace(scale=np.where(first.off, first.scale, 1.0))
     common, std = _common_delay(case, half, start) if m else (0.0, 0.0)
-    estimates, timing = _settled(case, half, start._replace(delay=start.delay + common), delays=True)
+    estimates, timing = _iterate_fit(case, half, start._replace(delay=start.delay + common), delays=True)
     timing = timing._replace(rows=_whole_rows(case, half, timing, estimates))
     return timing._replace(suspicions=tuple(_suspicions(case, timing, estimates, common, std)))
 
@@ -134,7 +134,7 @@ class _Estimates(NamedTuple):
         return cls(later, std, late, scale, scale_std, off)
 
 
-def _settled(case: Case, half: float, timing: Timing, delays: bool) -> tuple[_Estimates, Timing]:
+def _iterate_fit(case: Case, half: float, timing: Timing, delays: bool) -> tuple[_Estimates, Timing]:
     """Iterate the fit to convergence; the least of the delays, that of all against the inputs, stays subtracted."""
     base = timing.delay.min()
     estimates = _Estimates.of(_fit_once(case, half, timing)[0], timing, case.spacing)
@@ -384,9 +384,9 @@ def _least_squares(left, columns):
     """Minimiser θ (p,) of the squares of `left + columns θ`, its covariance, and the weight (n, n) of the squares."""
     rest = left
     for _ in range(ROUNDS - 1):  # the weight is the inverse covariance of the final residual
-        rest = left + columns @ _solved(left, columns, _weight(rest))[0]
+        rest = left + columns @ _solve_normal_equations(left, columns, _weight(rest))[0]
     weight = _weight(rest)
-    theta, inverse, weighted = _solved(left, columns, weight)
+    theta, inverse, weighted = _solve_normal_equations(left, columns, weight)
     scores = np.einsum("kjp,kj->kp", weighted, left + columns @ theta)
     sums = np.array([part.sum(axis=0) for part in np.array_split(scores, BLOCKS)])
     # B/(B − 1): the scores sum to zero over all blocks, which makes their squares too small by that.
@@ -398,7 +398,7 @@ def _weight(rest):
     return np.linalg.pinv(rest.T @ rest / len(rest), rcond=1e-9)
 
 
-def _solved(left, columns, weight):
+def _solve_normal_equations(left, columns, weight):
     """θ, the inverse of the normal matrix, and the weighted columns."""
     weighted = np.einsum("kip,ij->kjp", columns, weight)
     inverse = np.linalg.pinv(np.einsum("kjp,kjq->pq", weighted, columns), rcond=1e-12)
@@ -418,5 +418,5 @@ def _gains(left, scales, weight):
 
 def _squares(left, columns, weight):
     """Weighted sum of squares that remains with the best multiples of the columns."""
-    rest = left + columns @ _solved(left, columns, weight)[0] if columns.shape[2] else left
+    rest = left + columns @ _solve_normal_equations(left, columns, weight)[0] if columns.shape[2] else left
     return np.einsum("ki,ij,kj->", rest, weight, rest)

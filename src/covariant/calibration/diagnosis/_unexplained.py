@@ -41,7 +41,7 @@ def unexplained(case: Case, left: Residual, half: float | None = None) -> list[F
     if not beyond.any() or (stated is None and left.misfit < BARELY):
         return []
     usual = _left_by_a_right_model(case, half)
-    if usual is not None and not (_part_left(left)[beyond] > TWIN * _part_left(usual)[beyond]).any():
+    if usual is not None and not (_residual_fraction(left)[beyond] > TWIN * _residual_fraction(usual)[beyond]).any():
         return []
     worst = int(np.argmax(np.where(beyond, size, 0.0)))
     unit = f"{names.units[worst]}/s²".lstrip("/") if names.units[worst] else ""
@@ -58,7 +58,7 @@ def unexplained(case: Case, left: Residual, half: float | None = None) -> list[F
     return [Finding("uncertainty", names.q[worst], evidence, line, True, numbers)]
 
 
-def _part_left(left: Residual) -> np.ndarray:
+def _residual_fraction(left: Residual) -> np.ndarray:
     """What the model leaves of the accelerations (n,), the noise included, as a fraction of their squares."""
     return np.mean(left.left**2, axis=0) / np.maximum(np.mean(left.measured[left.used] ** 2, axis=0), 1e-300)
 
@@ -86,7 +86,7 @@ def twin(model: MechanicalSystem, log: Smooth, record: Record, ticks: Float[np.n
     at = int(np.argmin(np.abs(log.t - t[0])))
     missing = ROWS - len(t)
     steps = np.clip(np.ceil(np.median(np.diff(t)) / STEP), 1, MOST_STEPS).astype(int)
-    q = _simulated(
+    q = _simulate_positions(
         model,
         np.concatenate([t, np.full(missing, t[-1])]),
         np.concatenate([u, np.repeat(u[-1:], missing, axis=0)]),
@@ -103,7 +103,7 @@ def twin(model: MechanicalSystem, log: Smooth, record: Record, ticks: Float[np.n
 
 
 @eqx.filter_jit
-def _simulated(model, t, u, start, steps):
+def _simulate_positions(model, t, u, start, steps):
     def row(motion, item):
         begin, dt, u = item
         motion = advance(model, begin, motion, u, dt, steps)

@@ -205,7 +205,7 @@ def design_excitation(
 
         report(0)
         start = problem.start(places[k % len(places)], k)
-        motion = problem.motion(_searched(problem, evaluate, start, report))
+        motion = problem.motion(_maximise_information(problem, evaluate, start, report))
         if problem.used(motion.scaled(0.0), problem.limits, FINE).max() >= 1:  # its middle is no place to hold
             motion = problem.motion(start)
         motion = problem.enlarged(motion, LARGEST)
@@ -236,7 +236,7 @@ class _Point(NamedTuple):
     slack_slope: np.ndarray
 
 
-def _searched(
+def _maximise_information(
     problem: "_Problem", evaluate: Callable[..., _Point], start: np.ndarray, report: Callable[[int], None]
 ) -> np.ndarray:
     """The unknowns with the most information that sequential quadratic programming reaches from a start."""

@@ -229,7 +229,7 @@ class _Search(NamedTuple):
         model = family.file.model
         total = sum(float(record.t[-1] - record.t[0]) for record in records)
         tracks = tuple(_track(record, half, model.circles, total) for record in records)
-        paths = [_smoothed(track, track.half, None) for track in tracks]
+        paths = [_smooth_positions(track, track.half, None) for track in tracks]
         q, v, a = (np.concatenate([getattr(p, name)[p.used] for p in paths]) for name in ("q", "v", "residual"))
         u = np.concatenate([track.u[path.used] for track, path in zip(tracks, paths, strict=True)])
         if len(v) < FEWEST_BLOCKS * BLOCK * FINE:
@@ -248,10 +248,10 @@ class _Search(NamedTuple):
         model = self.compiled.model(x)
         motions = []
         for i, track in enumerate(self.tracks):
-            path = before[i] if before else _smoothed(track, track.half, None)
+            path = before[i] if before else _smooth_positions(track, track.half, None)
             moving = 1.0 - self._still(track, path.v)
             modelled = in_batches(_accelerations, model, path.q, path.v, track.u, moving)
-            motions.append(_smoothed(track, half, np.where(np.isfinite(modelled), modelled, 0.0)))
+            motions.append(_smooth_positions(track, half, np.where(np.isfinite(modelled), modelled, 0.0)))
         if not any(motion.used.any() for motion in motions):
             raise ValueError("no window of the logs is complete; give logs with fewer gaps")
         return _Point(x, half, tuple(motions))
@@ -294,7 +294,7 @@ class _Search(NamedTuple):
         np.add.at(scores, numbering, thinned * np.einsum("kjp,kj->kp", z, counts * weight * relative, optimize=True))
         gradient = np.sum(scores, axis=0) + prior @ (point.x / self.sizes)
         covariance = block_covariance(scores, curvature, np.linalg.inv(curvature + prior), prior)
-        dz = _bounded(information + prior, gradient, (self.family.least - point.x) / self.sizes)
+        dz = _minimise_above_bounds(information + prior, gradient, (self.family.least - point.x) / self.sizes)
         dz *= min(1.0, LONGEST_STEP / max(np.abs(dz).max(), 1e-300))
         settled = bool(np.all(np.abs(dz) < CONVERGED * np.sqrt(np.diagonal(covariance))))
         outer = np.outer(self.sizes, self.sizes)
@@ -328,7 +328,7 @@ def _track(record: Record, half: float, circles: tuple[int, ...], total: float) 
     return _Track(t, scoring.unwrap(np.asarray(record.y, float), circles), grid, held_inputs(t, u, grid, step), half)
 
 
-def _smoothed(track: _Track, half: float, modelled: np.ndarray | None) -> _Path:
+def _smooth_positions(track: _Track, half: float, modelled: np.ndarray | None) -> _Path:
     """Smooth what accelerations along the grid leave of the positions; without them the positions themselves."""
     t, y, grid, step = track.t, track.y, track.grid, track.step
     if modelled is None:
@@ -366,7 +366,7 @@ def _scale(values: np.ndarray) -> float:
     return float(max(STD_OF_MEDIAN * np.median(np.abs(values)), 1e-12)) if len(values) else 1.0
 
 
-def _bounded(matrix: np.ndarray, gradient: np.ndarray, least: np.ndarray) -> np.ndarray:
+def _minimise_above_bounds(matrix: np.ndarray, gradient: np.ndarray, least: np.ndarray) -> np.ndarray:
     """The step that minimises a quadratic function above bounds: those that it would violate are held, one by one."""
     held = np.zeros(len(gradient), bool)
     step = np.zeros(len(gradient))

@@ -50,13 +50,13 @@ def robot_misfit(family: RobotFamily, file: ModelFile, record: Record) -> Findin
     model, scaled = family.make(np.zeros(len(family.names))), any(n.group == "torque_constants" for n in family.numbers)
 
     # As the log is, a rotor or load of any size is granted.
-    now = _unexplained(model, log, scaled, np.inf)
+    now = _unexplained_torques(model, log, scaled, np.inf)
 
     def compare(changed: Case) -> Unexplained | None:
         if changed is case:
             return now
         smoothed = clearly(changed)
-        return None if smoothed is None else _unexplained(model, smoothed, scaled, HEAVIEST)
+        return None if smoothed is None else _unexplained_torques(model, smoothed, scaled, HEAVIEST)
 
     if now is None or not now.blocks.mean() > BARELY:
         return None
@@ -70,7 +70,7 @@ def robot_misfit(family: RobotFamily, file: ModelFile, record: Record) -> Findin
     return None
 
 
-def _unexplained(model: MechanicalSystem, log: Smooth, scaled: bool, heaviest: float) -> Unexplained | None:
+def _unexplained_torques(model: MechanicalSystem, log: Smooth, scaled: bool, heaviest: float) -> Unexplained | None:
     """What of the torques of the joints that move no friction, rotor and weight of a right sign explains.
 
     Rotors and loads are at most `heaviest`, relative to the robot's.

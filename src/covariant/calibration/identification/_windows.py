@@ -149,7 +149,7 @@ def cut_windows(
             f"{FEWEST_WINDOWS} are needed; give a longer log, or a shorter horizon"
         )
     offsets = np.concatenate([[0], np.cumsum([len(np.asarray(record.t)) for record in records])])
-    index = np.stack([_padded(piece, longest) for _, piece in selected])
+    index = np.stack([_pad_rows(piece, longest) for _, piece in selected])
     real = np.arange(longest) < np.array([len(piece) for _, piece in selected])[:, None]
     rows = index + np.array([offsets[k] for k, _ in selected])[:, None]
     t, y, v, u = (
@@ -185,7 +185,7 @@ def _pieces(t: np.ndarray, whole: np.ndarray, length: float, begin: float, end: 
     return pieces
 
 
-def _padded(rows: np.ndarray, length: int) -> np.ndarray:
+def _pad_rows(rows: np.ndarray, length: int) -> np.ndarray:
     return np.concatenate([rows, np.full(length - len(rows), rows[-1])])
 
 

@@ -81,13 +81,15 @@ def jerk_bound(sheet: DataSheet, trial: Trial | None = None) -> float:
     bounds = typical * np.geomspace(1e-3, 1e3, 61)
     y, late = trial.y.copy(), _late(trial.t)
     y[0] = [column[np.isfinite(column)][0] for column in y.T]  # from where it starts
-    velocities = _run(Levant, *map(jnp.asarray, (bounds, np.diff(trial.t), y)))
+    velocities = _run_filters(Levant, *map(jnp.asarray, (bounds, np.diff(trial.t), y)))
     errors = [relative_error(v[late], trial.v[late]) for v in np.asarray(velocities)]
     return float(bounds[np.argmin(errors)])
 
 
 @eqx.filter_jit
-def _run(kind: Callable[[Array], AbstractObserver], numbers: Array, dt: Array, y: Array) -> Float[Array, "k T n"]:
+def _run_filters(
+    kind: Callable[[Array], AbstractObserver], numbers: Array, dt: Array, y: Array
+) -> Float[Array, "k T n"]:
     """Velocities of the filters that each number parametrises, along positions y (T, n) with steps dt (T − 1,)."""
 
     def follow(number):

@@ -174,15 +174,15 @@ def tune(
         gains = observer_gains(before, rate)
         old = gains.beta**0.5, gains.alpha / (2 * gains.beta**0.5)
         proposed = {"model file": old} | proposed
-        baseline = _judged(errors, followed(model, logs, *old, runner), noise_levels(before, rate, n), speed)
-        if _judged(errors, estimates, noise, speed).likelihood < baseline.likelihood:
+        baseline = _held_out_errors(errors, followed(model, logs, *old, runner), noise_levels(before, rate, n), speed)
+        if _held_out_errors(errors, estimates, noise, speed).likelihood < baseline.likelihood:
             kept, noise = True, noise_levels(before, rate, n)
     smooth = None
     if np.any(noise.force):
         smooth = [each.corrected(smoothed_errors(each.system, noise, speed)) for each in errors]
     best, compared, horizon = best_gains(model, logs, proposed, [each.substeps for each in errors], runner, smooth)
     chosen = followed(model, logs, best.natural_frequency, best.damping, runner)
-    after = _judged(errors, chosen, noise, speed)
+    after = _held_out_errors(errors, chosen, noise, speed)
     progress("filters without a model")
     free = _best_model_free(model, logs, noise, before)
     known = None if window is None else _reference_noise(errors, noise, speed, *window)
@@ -213,7 +213,7 @@ def noise_levels(sheet: DataSheet, rate: float, n: int) -> NoiseLevels:
     return NoiseLevels(acceleration, std, force, forgotten)
 
 
-def _judged(errors: list[RunErrors], gained: list[Any], noise: NoiseLevels, speed: Any) -> HeldOut:
+def _held_out_errors(errors: list[RunErrors], gained: list[Any], noise: NoiseLevels, speed: Any) -> HeldOut:
     """Errors on the held-out rows: of the runs `gained` with constant gains, and of a noise by the errors of a run."""
     parts = []
     for each, (_, gains_v, r) in zip(errors, gained, strict=True):
