@@ -18,7 +18,7 @@ from covariant.models import recipe_text
 def contraction_statement(of: Resolved, evidence: Evidence, checker: Hypothesis | None = None) -> Statement:
     """Write the statement of a proof, with its verdict."""
     document = of.document
-    hypotheses = (*_hypotheses(of, evidence), *(() if checker is None else (checker,)), *_assumed(document))
+    hypotheses = (*_hypotheses(of, evidence), *(() if checker is None else (checker,)), *_assumptions(document))
     counterexample = next((c.proof.counterexample for c in document.claims if c.proof.counterexample is not None), None)
     point = () if counterexample is None else tuple(counterexample.mean(axis=0).tolist())
     draft = Statement("", (), hypotheses, document.rate, str(of.domain), point)
@@ -90,7 +90,7 @@ def _hypotheses(facts: Resolved, evidence: Evidence) -> Iterator[Hypothesis]:
     )
 
 
-def _assumed(document: Document) -> Iterator[Hypothesis]:
+def _assumptions(document: Document) -> Iterator[Hypothesis]:
     yield from (
         Hypothesis(line, "assumed") for line in (ASSUMED if document.sampling is None else ASSUMED_WITH_SAMPLES)
     )
@@ -162,7 +162,7 @@ def _description(facts: Resolved, radius: float) -> Iterator[str]:
     if model.manifold.commuting:
         named = zip(model.coordinates, *given.positions.tolist(), strict=True)
         yield "true positions: " + ", ".join(
-            _between(name, low, high, unit_of.get(name, "")) for name, low, high in named
+            _range_line(name, low, high, unit_of.get(name, "")) for name, low, high in named
         )
     else:
         yield f"true positions: entries of the matrices from {_list(given.positions[0])} to {_list(given.positions[1])}"
@@ -173,7 +173,7 @@ def _description(facts: Resolved, radius: float) -> Iterator[str]:
         errors, facts.domain.high[first + n : first + 2 * n], unit_of
     )
     pairs = enumerate(zip(*given.inputs.tolist(), strict=True), start=1)
-    yield f"inputs: {', '.join(_between(f'u{i}', low, high, '') for i, (low, high) in pairs) or 'none'}"
+    yield f"inputs: {', '.join(_range_line(f'u{i}', low, high, '') for i, (low, high) in pairs) or 'none'}"
     first, last = given.times
     yield f"times: {exact(first)} to {exact(last)} s" + (
         ", or any, where the force does not read them" if first == last else ""
@@ -200,7 +200,7 @@ def _metric(document: Document) -> Iterator[str]:
     yield f"metric: R(τ) = {' + '.join(terms)} at the age τ of the last measurement{sheared}"
 
 
-def _between(name: str, low: float, high: float, unit: str) -> str:
+def _range_line(name: str, low: float, high: float, unit: str) -> str:
     return f"{name} {exact(low)} to {exact(high)} {unit}".rstrip()
 
 

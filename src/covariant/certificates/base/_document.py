@@ -221,7 +221,7 @@ def parse(path: str | Path, content: bytes | None = None) -> Document:
     fields["velocity"].need(
         variables <= len(LETTERS), f"fewer velocities: there are letters for {len(LETTERS)} variables"
     )
-    given = _given(fields["given"], n)
+    given = _read_bounds(fields["given"], n)
     claims = _claims(fields["claims"], Setting(low, high, n, sampling, given, observer.get("order")))
     return Document(
         top.file,
@@ -323,7 +323,7 @@ def _radius(field: Field, is_open: bool) -> float:
     return 0.0
 
 
-def _given(field: Field, n: int) -> Given:
+def _read_bounds(field: Field, n: int) -> Given:
     fields = field.record(["positions", "inputs", "times", "noise", "disturbance", "slopes"])
     times = fields["times"].vector(2, 2)
     fields["times"].need(times[0] <= times[1], "two times, the earlier one first")

@@ -69,19 +69,19 @@ def check(
     """
     shown = show(source, model=model, processes=processes, progress=progress)
     document = shown.resolved.document
-    statement = contraction_statement(shown.resolved.stated(), "proved", _accepted(shown))
+    statement = contraction_statement(shown.resolved.stated(), "proved", _checker_hypothesis(shown))
     return Checked(statement, document.rate, document.radius, shown.leaves, shown.seconds, model is not None)
 
 
 def judged(resolved: Resolved, seconds: float) -> Hypothesis:
     """Check claims that were proved in this process, as a hypothesis of their statement."""
     try:
-        return _accepted(show_found(resolved, seconds))
+        return _checker_hypothesis(show_found(resolved, seconds))
     except ValueError as error:
         return Hypothesis(f"{CHECKER} the proofs", "proved", "undecided", place=str(error))
 
 
-def _accepted(shown: Shown) -> Hypothesis:
+def _checker_hypothesis(shown: Shown) -> Hypothesis:
     if shown.shown == shown.leaves:
         return Hypothesis(f"{CHECKER} all {shown.leaves} leaves", "proved")
     text = (

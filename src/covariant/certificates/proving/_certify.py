@@ -155,7 +155,7 @@ def certify(
     if checker not in CHECKERS:
         raise ValueError(f"certify: checker must be one of {', '.join(CHECKERS)}; got {checker!r}")
     start = time.monotonic()
-    assumed = _assumed(observer, velocity, error, noise, disturbance)
+    assumed = _check_assumptions(observer, velocity, error, noise, disturbance)
     matrix, target, *slower = metric_and_rates(observer, q, rate, interval is not None, bool(assumed.noise.any()))
     sampling = None if interval is None else check_sampling(observer, interval, lost, q, len(assumed.velocity))
     if (
@@ -173,7 +173,7 @@ def certify(
         corrections = []
     else:
         # The force depends on the input alone, so that no error of the position changes it.
-        bounds = _given(region, assumed, np.zeros((len(assumed.velocity),) * 2))
+        bounds = _stated_bounds(region, assumed, np.zeros((len(assumed.velocity),) * 2))
         place = functools.partial(_sampled_domain, observer.model, assumed, region, sampling)
         target, matrix, sampling, system, domain, (first, *corrections) = sampled_claims(
             observer, sampling, [target, *slower], matrix, assumed.noise, place, effort
@@ -232,7 +232,7 @@ class _Assumed(NamedTuple):
     disturbance: Float[np.ndarray, "n"]
 
 
-def _assumed(
+def _check_assumptions(
     observer: Intrinsics, velocity: ArrayLike, error: ArrayLike, noise: ArrayLike, disturbance: ArrayLike
 ) -> _Assumed:
     n = len(observer.model.coordinates or observer.model.velocities)
@@ -297,7 +297,7 @@ def _in_continuous_time(
     return system, effort.domain, bounds, ContractionClaim(effort.prove("contraction", contraction(system, target)))
 
 
-def _given(region: Region, assumed: _Assumed, slopes: np.ndarray) -> Given:
+def _stated_bounds(region: Region, assumed: _Assumed, slopes: np.ndarray) -> Given:
     """The bounds that a certificate states, with those (n, n) of the slopes of the force."""
     ends = np.stack([region.true.low, region.true.high])
     return Given(ends, region.inputs, np.array(region.times, float), assumed.noise, assumed.disturbance, slopes)
@@ -317,13 +317,13 @@ def _domain(
     if disturbance.any():
         force = np.stack([_sum(force[0], -disturbance, -1), _sum(force[1], disturbance, 1)])
     slopes = force_slopes(model, measured, inputs, times) if noise.any() else np.zeros((n, n))
-    bounds = _given(region, assumed, slopes)
+    bounds = _stated_bounds(region, assumed, slopes)
     estimates = _around(true, assumed.error) if model.manifold.commuting else np.zeros((2, 0))
 
     def rest(speed):
         return np.concatenate([force, *(friction_bounds(model, speed) if joint_friction else ())], axis=1)
 
-    return _widened(system, assumed, estimates, rest), bounds
+    return _widen_box(system, assumed, estimates, rest), bounds
 
 
 def _sampled_domain(
@@ -340,7 +340,7 @@ def _sampled_domain(
     else:  # entries of rotations are at most 1, wherever true motion and estimate are
         ones = np.ones(first_velocity(len(system.names), len(assumed.velocity), sampled=True))
         estimates = np.stack([-ones, ones])
-    return _widened(system, assumed, estimates, rest)
+    return _widen_box(system, assumed, estimates, rest)
 
 
 def _around(true: Box, error: np.ndarray) -> np.ndarray:
@@ -349,7 +349,7 @@ def _around(true: Box, error: np.ndarray) -> np.ndarray:
     return np.stack([_sum(true.low, -error, -1), _sum(true.high, error, 1)])
 
 
-def _widened(
+def _widen_box(
     system: ErrorSystem, assumed: _Assumed, estimates: np.ndarray, rest: Callable[[np.ndarray], np.ndarray]
 ) -> Box:
     """The box of estimates, of their velocities, of errors and of forces.
@@ -403,17 +403,19 @@ def _sum(a: np.ndarray, b: np.ndarray, side: int) -> np.ndarray:
 
 def sampled_widths(about: ErrorSystem, domain: Box, count: int = 2000) -> Float[np.ndarray, "two_n"]:
     """Compute the largest `squared_widths` at random points and corners of the region."""
-    return _sampled(lambda z: squared_widths(about, z), domain, count).max(axis=0)
+    return _sample_function(lambda z: squared_widths(about, z), domain, count).max(axis=0)
 
 
 def _sampled_disturbance(about: ErrorSystem, domain: Box, sizes: np.ndarray, count: int = 2000) -> float:
     """The largest squared change of the flow by errors in the unit ball, at such points."""
-    matrices = _sampled(disturbance_bound(about, sizes, 0.0).graph(jnp.asarray(domain.low)).entries, domain, count)
+    matrices = _sample_function(
+        disturbance_bound(about, sizes, 0.0).graph(jnp.asarray(domain.low)).entries, domain, count
+    )
     # With square = 0 the matrix is −BᵀMB, whose least eigenvalue is minus the largest squared length.
     return float(-np.linalg.eigvalsh(matrices).min())
 
 
-def _sampled(function: Callable | Lowered, domain: Box, count: int) -> np.ndarray:
+def _sample_function(function: Callable | Lowered, domain: Box, count: int) -> np.ndarray:
     """A function at random points of a box, every second one a corner."""
     share = np.random.default_rng(0).uniform(size=(count, len(domain.low)))
     # Extremes of such functions often are at corners, which uniform points do not reach.

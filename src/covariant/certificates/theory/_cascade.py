@@ -369,7 +369,7 @@ def _forms(controller, observer, coupling) -> dict[str, _Form]:
             return jnp.concatenate([jnp.diag(whole[start:end]).ravel(), -((matrix_value + matrix_value.T) / 2).ravel()])
 
         graph = matrix.beside(pencil_of).graph(jnp.concatenate([jnp.asarray(box.low), *map(jnp.ones, sizes)])).entries
-        return _Form(matrix, into, pencil(graph, _scaled(box, np.ones(sum(sizes)))), box)
+        return _Form(matrix, into, pencil(graph, _add_scales(box, np.ones(sum(sizes)))), box)
 
     return {
         "small": with_pencil(metric(plant, plant_box, 1.0), "e", plant_box),
@@ -398,7 +398,7 @@ def _constants(forms: dict[str, _Form], scales, search: _Search) -> tuple[Consta
 def _least(form: _Form, scales, search: _Search) -> tuple[float, np.ndarray]:
     """The smallest eigenvalue over the box, or where proved a lower bound of it, and the point."""
     squares = [scale**2 for scale in scales]
-    box, whole = form.box, _scaled(form.box, np.concatenate(squares))
+    box, whole = form.box, _add_scales(form.box, np.concatenate(squares))
     value, where = slowest(form.graph, whole, search.attempts, search.starts, search.seed)
     if search.proved:
         # A margin, without which a bound that is attained could not be proved with a finite number of boxes.
@@ -410,7 +410,7 @@ def _least(form: _Form, scales, search: _Search) -> tuple[float, np.ndarray]:
     return value, where[: len(box.low)]
 
 
-def _scaled(box: Box, squares: np.ndarray) -> Box:
+def _add_scales(box: Box, squares: np.ndarray) -> Box:
     """The box extended by the squares of the scales, as variables that are held fixed."""
     return box.with_fixed(squares, tuple(f"scale_{i}" for i in range(len(squares))))
 

@@ -212,7 +212,7 @@ def decay(
         raise ValueError("decay needs at least two stamps t [s], each later than the one before")
     if not np.isfinite(rate):
         raise ValueError(f"decay: the rate must be a finite number; got {rate}")
-    low, high, least = (np.asarray(a) for a in _followed(flow, metric, x0, x1, t))
+    low, high, least = (np.asarray(a) for a in _bound_distances(flow, metric, x0, x1, t))
     if np.isfinite(high).all() and not (least > 0).all():
         k = int((~(least > 0).all(axis=1)).argmax())
         raise ValueError(
@@ -229,7 +229,7 @@ def decay(
 
 
 @eqx.filter_jit  # compiled once for any rate, starts and stamps of the same shapes
-def _followed(flow: Flow, metric: StateMetric, x0: Array, x1: Array, t: Array) -> tuple[Array, Array, Array]:
+def _bound_distances(flow: Flow, metric: StateMetric, x0: Array, x1: Array, t: Array) -> tuple[Array, Array, Array]:
     """Lower and upper bounds (k, T) of the distances between the solutions of each pair, and the least eigenvalue of
     the metric's matrix at both."""
 

@@ -230,9 +230,9 @@ def minimise(
     blocks, constants, cones = [], [], []
     for form in forms:
         at_zero = form(np.zeros(d))
-        slopes = np.stack([_packed(form(unit) - at_zero) for unit in np.eye(d)], axis=1)
+        slopes = np.stack([_pack_triangle(form(unit) - at_zero) for unit in np.eye(d)], axis=1)
         blocks.append(-slopes)
-        constants.append(_packed(at_zero))
+        constants.append(_pack_triangle(at_zero))
         cones.append(clarabel.PSDTriangleConeT(len(at_zero)))
     settings = clarabel.DefaultSettings()
     settings.verbose = False
@@ -250,7 +250,7 @@ def minimise(
     return np.asarray(solution.x) if solved else None
 
 
-def _packed(matrix: np.ndarray) -> np.ndarray:
+def _pack_triangle(matrix: np.ndarray) -> np.ndarray:
     """The upper triangle, column by column, with off-diagonal entries times √2, as the solver's cone needs it."""
     columns, rows = np.tril_indices(len(matrix))
     return matrix[rows, columns] * np.where(rows == columns, 1.0, math.sqrt(2))

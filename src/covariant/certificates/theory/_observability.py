@@ -213,14 +213,14 @@ def observability(
     if not np.isfinite(points).all():
         raise ValueError("observability: the points must be finite numbers")
     _check_premises(model, metric, points, u)
-    sampled = _sampled(model, metric, points, u)
+    sampled = _sample_conditions(model, metric, points, u)
     premises = (
         Hypothesis("the metric is positive definite at each of the points", "sampled"),
         _independence(model, points, u),
         Hypothesis("what holds at the points holds between them", "assumed"),
         Hypothesis("it holds at other times, and under other inputs than the constant one given", "assumed"),
     )
-    first = _contracting(sampled, rate, _hidden(model, points, u), premises)
+    first = _contracting(sampled, rate, _describe_kernel(model, points, u), premises)
     single_output = jax.eval_shape(model.h, *_arguments(model, jnp.asarray(points[0]), u)).shape == (1,)
     second = _totally_geodesic(sampled, single_output, premises)
     if not sampled.bent:
@@ -263,7 +263,7 @@ class _Sampled(NamedTuple):
         return bool(self.bends[self.worst] > ROUNDING * self.sizes[self.worst])
 
 
-def _sampled(model: StateSpace, metric: MatrixField, points: np.ndarray, u: Array | None) -> _Sampled:
+def _sample_conditions(model: StateSpace, metric: MatrixField, points: np.ndarray, u: Array | None) -> _Sampled:
     @eqx.filter_jit
     def conditions_at(x):
         return detectability_rate(model, metric, x, u), *_bending(model, metric, x, u)
@@ -363,7 +363,7 @@ def _independence(model: StateSpace, points: np.ndarray, u: Array | None) -> Hyp
     return Hypothesis("the rows of dh are independent at each of the points", "sampled")
 
 
-def _hidden(model: StateSpace, points: np.ndarray, u: Array | None) -> str:
+def _describe_kernel(model: StateSpace, points: np.ndarray, u: Array | None) -> str:
     """The kernel of dh in words: the coordinates that no output depends on, and how many directions among others."""
     dh = np.asarray(jax.lax.map(lambda x: jax.jacfwd(model.h, 1)(*_arguments(model, x, u)), jnp.asarray(points)))
     unseen = (dh == 0).all((0, 1))

@@ -315,11 +315,16 @@ def _statement(
         Hypothesis(f"the motion stays in the box; estimates may be {where}", "assumed"),
         Hypothesis("the output is known at all times, and without noise", "assumed"),
     )
-    about = (f"L = {injection.tolist()}", f"P = {metric.tolist()}", f"w = z - Ly, {_named(split)}", split.motion)
+    about = (
+        f"L = {injection.tolist()}",
+        f"P = {metric.tolist()}",
+        f"w = z - Ly, {_describe_split(split)}",
+        split.motion,
+    )
     return Statement(claim, about, hypotheses, rate, str(proof.box.free))
 
 
-def _named(split: _Split) -> str:
+def _describe_split(split: _Split) -> str:
     y, z = (", ".join(split.names[i] for i in part) for part in (split.measured, split.unmeasured))
     return f"y = ({y}), z = ({z})"
 
@@ -360,7 +365,7 @@ def _impossible(
     )
     claim = f"squared distances of some reduced-order observer with a constant metric shrink at {rate:g} 1/s"
     about = (
-        _named(split),
+        _describe_split(split),
         "along that direction the outputs do not change, and it grows at its margin [1/s]",
         split.motion,
     )
