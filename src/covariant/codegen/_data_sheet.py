@@ -84,7 +84,7 @@ def data_sheet(program: Program, source: Source, about: str, facts: Facts) -> st
         if compiled.stack is not None:
             lines.append(f"| deepest stack of a step, {compiled.compiler} | {compiled.stack} |")
     lines += ["", "## Numbers that may be changed", "", "| name | default |", "|---|---|"]
-    lines += [f"| `{key}` | {_shown(value)} |" for key, value in program.numbers.items()] or ["| none | |"]
+    lines += [f"| `{key}` | {_format_values(value)} |" for key, value in program.numbers.items()] or ["| none | |"]
     lines += ["", "## Limits", ""]
     lines.append(f"- Made for samples at {facts.rate:g} Hz{_substeps(facts)}; slower ones are predicted less exactly.")
     lines.append("- Give a sample that is lost as one whose numbers are missing, not as a longer step.")
@@ -127,7 +127,7 @@ def _counts(operations) -> list[tuple[str, int]]:
     return [*((label, count) for label, count in rows if count), ("all together", sum(operations.values()))]
 
 
-def _shown(value: np.ndarray) -> str:
+def _format_values(value: np.ndarray) -> str:
     flat = np.ravel(value)
     return ", ".join(f"{v:.6g}" for v in flat[:9]) + (", …" if flat.size > 9 else "")
 

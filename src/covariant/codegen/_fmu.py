@@ -185,10 +185,10 @@ def write_fmu(unit: Unit, path: Path, overwrite: bool = False) -> None:
 def _variables(program: Program, y: np.ndarray) -> Iterator[UnitVariable]:
     """The variables in the order of their numbers in C."""
     beside = "".join(f", then {count} of {name}" for name, count in program.sensors)
-    about = f"measured configuration{beside}{_listed(program, 'y')}; NaN where missing"
+    about = f"measured configuration{beside}{_signal_list(program, 'y')}; NaN where missing"
     yield UnitVariable("y", "input", program.y, tuple(np.ravel(y).tolist()), about)
     if program.u:
-        about = f"input of the model{_listed(program, 'u')}, held over a step"
+        about = f"input of the model{_signal_list(program, 'u')}, held over a step"
         yield UnitVariable("u", "input", (program.u,), (0.0,) * program.u, about)
     for key, value in program.numbers.items():
         unit = program.units.get(key, "1")
@@ -199,7 +199,7 @@ def _variables(program: Program, y: np.ndarray) -> Iterator[UnitVariable]:
             yield UnitVariable(leaf.name, "output", leaf.shape, about=program.signals.of(leaf.name))
 
 
-def _listed(program: Program, array: str) -> str:
+def _signal_list(program: Program, array: str) -> str:
     names = program.signals.of(array)
     return f": {names}" if names else ""
 
@@ -230,10 +230,10 @@ def _unit_source(program: Program, words: Words, variables: Sequence[UnitVariabl
     kind = f"fmi{version[0]}"
     refused = re.findall(r"^(void \*|int )(\w+)\(([^)]*)\);$", template("codegen", f"{kind}_refused.h"), re.MULTILINE)
     texts = [fill("codegen", "fmu.c", words), fill("codegen", f"{kind}.c", words)]
-    return "".join(texts) + "\n".join(_refused(*declared) for declared in refused)
+    return "".join(texts) + "\n".join(_refusing_function(*declared) for declared in refused)
 
 
-def _refused(kind: str, name: str, declared: str) -> str:
+def _refusing_function(kind: str, name: str, declared: str) -> str:
     """A function that this unit does not have: it returns an error or, where nothing is asked for, none."""
     types = [text.strip() for text in declared.split(",")]
     arguments = ", ".join(f"{text} a{i}".replace("* ", "*") for i, text in enumerate(types))

@@ -225,7 +225,7 @@ def with_open_numbers(observer: AbstractObserver, fixed: Sequence[str] = ()) -> 
     dynamic, static = eqx.partition(observer, eqx.is_inexact_array)
     paths, tree = jax.tree_util.tree_flatten_with_path(dynamic)
     arrays = [np.asarray(leaf) for _, leaf in paths]
-    names = _named([_path_keys(path) for path, _ in paths], arrays)
+    names = _shortest_names([_path_keys(path) for path, _ in paths], arrays)
     closed = [any(fnmatchcase(name, pattern) for pattern in fixed) for name in names]
     numbers = {name: a for name, a, fix in zip(names, arrays, closed, strict=True) if a.size and not fix}
 
@@ -268,7 +268,7 @@ def of_family(observer: AbstractObserver, family: Family) -> Recipe:
     outside = [(path, leaf) for path, leaf in paths if id(leaf) not in index_in_model]
     if len(outside) == len(paths):
         raise ValueError("of_family: the observer is not one of family.file.model; make it of that model")
-    names = _named([_path_keys(path) for path, _ in outside], [np.asarray(leaf) for _, leaf in outside])
+    names = _shortest_names([_path_keys(path) for path, _ in outside], [np.asarray(leaf) for _, leaf in outside])
     groups: dict[str, list[int]] = {}
     for k, name in enumerate(family.names):
         groups.setdefault(name.partition("[")[0], []).append(k)
@@ -370,7 +370,7 @@ class TracedProgram(NamedTuple):
             lower_traced(self.estimate, loops=loop_kinds),
         )
         alone = tuple((name, lower_traced(step, loops=loop_kinds)) for name, step in self.alone)
-        used = _used(lowered, self.given)
+        used = _find_used_numbers(lowered, self.given)
         numbers = {leaf.name: value for leaf, value in zip(self.given, self.values, strict=True) if leaf.name in used}
         structure = (self.state, self.info, self.x, self.y, self.u, self.real, self.told_as)
         return Program(*lowered, numbers, self.given, self.values, *structure, self.sensors, alone, units=self.units)
@@ -519,14 +519,14 @@ def _real(tree: Any, dtype: Any) -> Any:
     return jax.tree.map(lambda a: jnp.asarray(a).astype(dtype), tree)
 
 
-def _used(graphs: Sequence[Lowered], leaves: Sequence[Leaf]) -> set[str]:
+def _find_used_numbers(graphs: Sequence[Lowered], leaves: Sequence[Leaf]) -> set[str]:
     """The open numbers that a graph uses."""
-    inputs = {node.value for lowered in graphs for node in _reached(lowered) if node.op == "input"}
+    inputs = {node.value for lowered in graphs for node in _reachable_nodes(lowered) if node.op == "input"}
     owners = [leaf.name for leaf in leaves for _ in range(leaf.size)]
     return {name for k, name in enumerate(owners) if k in inputs}
 
 
-def _reached(lowered: Lowered):
+def _reachable_nodes(lowered: Lowered):
     return lowered.graph.pruned(lowered.outputs)[0].nodes
 
 
@@ -552,7 +552,7 @@ def _identifier(text: str) -> str:
     return f"n{plain}" if plain[:1].isdigit() else plain or "n"
 
 
-def _named(paths: Sequence[Sequence[str]], arrays: Sequence[np.ndarray]) -> list[str]:
+def _shortest_names(paths: Sequence[Sequence[str]], arrays: Sequence[np.ndarray]) -> list[str]:
     """The shortest names by which arrays of different values differ."""
 
     def same(i: int, j: int) -> bool:

@@ -125,8 +125,8 @@ def _words(program: Program, about: str, rate: float, token: str, version: str) 
         "REPORTED_LEAVES": _shapes(program.reported),
         "CODES": [f"    {result.name} = {int(result)}" for result in StepCode],
         "MESSAGES": [f"    Result.{result.name}: {result.message!r}," for result in StepCode],
-        "ESTIMATE_FIELDS": [_annotated(leaf, ()) for leaf in program.output if leaf.size],
-        "RUN_FIELDS": [_annotated(leaf, ("T",)) for leaf in columns.values() if leaf.size],
+        "ESTIMATE_FIELDS": [_field_line(leaf, ()) for leaf in program.output if leaf.size],
+        "RUN_FIELDS": [_field_line(leaf, ("T",)) for leaf in columns.values() if leaf.size],
     }
 
 
@@ -139,6 +139,6 @@ def _shapes(leaves: Sequence[Leaf]) -> str:
     return f"({pairs}\n)" if pairs else "()"
 
 
-def _annotated(leaf: Leaf, rows: tuple[str, ...]) -> str:
+def _field_line(leaf: Leaf, rows: tuple[str, ...]) -> str:
     sides = [*rows, *map(str, leaf.shape)]
     return f"    {_field(leaf)}: np.ndarray  # ({', '.join(sides)}{',' if len(sides) == 1 else ''})"

@@ -204,7 +204,7 @@ def _step(program: Program, name: str, step: Lowered, measured: int) -> tuple[Lo
     state = [e for leaf in program.state for e in entries("state->", leaf)]
     u, y = ([f"{n}[{i}]" for i in range(k)] for n, k in (("u", program.u), ("y", measured)))
     after = [e for leaf in program.state for e in entries("next->", leaf)]
-    lowered, info = _only_reported(program, step)
+    lowered, info = _drop_unread_results(program, step)
     slots = ["*result" if leaf.name == "result" else None for leaf in info]
     outputs = [*after]
     for leaf, result in zip(info, slots, strict=True):
@@ -219,7 +219,7 @@ def _step(program: Program, name: str, step: Lowered, measured: int) -> tuple[Lo
     return lowered, Signature(declared, passed, inputs, tuple(outputs))
 
 
-def _only_reported(program: Program, step: Lowered) -> tuple[Lowered, list[Leaf]]:
+def _drop_unread_results(program: Program, step: Lowered) -> tuple[Lowered, list[Leaf]]:
     """A step without the results that nothing reads."""
     wanted = [*program.reported, *(leaf for leaf in program.info if leaf.name == "result")]
     count = sum(leaf.size for leaf in program.state)

@@ -97,7 +97,7 @@ def vectors(program: Program, measured: np.ndarray, rate: float) -> Vectors:
     u[9, :1] = np.nan
     # Rounded to the type of the code, so that C reads the same numbers as are followed here.
     dt, u = dt.astype(dtype).astype(float), u.astype(dtype).astype(float)
-    lanes, codes = _followed(program, start, np.where(missing, np.nan, y), u, dt)
+    lanes, codes = _run_with_roundings(program, start, np.where(missing, np.nan, y), u, dt)
     expected = lanes[:, :, 0]
     deviation = np.abs(lanes - expected[:, :, None]).max(axis=2)
     # The last term covers underflow; one unit of the last digit counts where roundings change nothing.
@@ -107,7 +107,7 @@ def vectors(program: Program, measured: np.ndarray, rate: float) -> Vectors:
     return Vectors(start, dt, u, y, missing, expected, allowed, result.astype(int))
 
 
-def _followed(program: Program, start, y, u, dt) -> tuple[np.ndarray, np.ndarray]:
+def _run_with_roundings(program: Program, start, y, u, dt) -> tuple[np.ndarray, np.ndarray]:
     """Estimates (T, j, LANES) and result codes (T, LANES) of a run under roundings at random."""
     domain = perturbed(UNITS[program.real], LANES)
     dtype = DTYPES[program.real]

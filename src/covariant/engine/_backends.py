@@ -57,7 +57,7 @@ class JaxBackend:
         self._shape, self._observer = y.shape, observer
         self.y, self.u = np.zeros(y.size), np.zeros(inputs)
         self.places: Any = tuple(map(memoryview, (self.y, self.u)))  # pyright: ignore[reportArgumentType]
-        self._step = eqx.filter_jit(_stepped)
+        self._step = eqx.filter_jit(_step_observer)
         self._begin = eqx.filter_jit(lambda observer, y, t: observer.init(y, t))
         self._state = self._begin(observer, jnp.asarray(y), jnp.asarray(0.0))
         self._estimate = eqx.filter_jit(lambda observer, state: _flat(observer.estimate(state)))
@@ -76,7 +76,7 @@ class JaxBackend:
         return int(code)
 
 
-def _stepped(observer, state, u, y, dt):
+def _step_observer(observer, state, u, y, dt):
     state, info = observer.step(state, u, y, dt)
     return state, _flat(observer.estimate(state)), info.result
 

@@ -50,9 +50,9 @@ def cached_text(key: str | None, write: Callable[[], str]) -> str:
         return write()
     # 128 bits of the hash: two texts of one name are beyond all chance.
     path = folder / f"{key[:32]}.json"
-    entry = _read(path)
+    entry = _read_entry(path)
     if entry is None:
-        entry = _written_or_refused(write)
+        entry = _write_or_refuse(write)
         with contextlib.suppress(OSError):  # such as a full disk
             write_atomically(path, lambda file: file.write(json.dumps(entry).encode()))
             evict_unused(folder)
@@ -84,7 +84,7 @@ def cache_layout(description: str | None, key: str | None, layout: Layout) -> No
             write_atomically(folder / f"{description[:32]}.json", lambda file: file.write(entry))
 
 
-def _read(path: Path) -> dict[str, str] | None:
+def _read_entry(path: Path) -> dict[str, str] | None:
     """An entry; None where there is none, or the file was cut short."""
     try:
         entry = json.loads(path.read_bytes())
@@ -95,7 +95,7 @@ def _read(path: Path) -> dict[str, str] | None:
     return entry if valid else None
 
 
-def _written_or_refused(write: Callable[[], str]) -> dict[str, str]:
+def _write_or_refuse(write: Callable[[], str]) -> dict[str, str]:
     try:
         return {"c": write()}
     except LoweringError as error:

@@ -36,7 +36,7 @@ class _UnknownError(Exception):
 
 def description_key(observer: Any, places: Places, *form: Any) -> str | None:
     """Key of a compiled observer, by what the observer is made of."""
-    if _programs.cache_folder() is None or _changed():
+    if _programs.cache_folder() is None or _source_may_differ():
         return None
     leaves = jax.tree.leaves(eqx.filter(observer, eqx.is_inexact_array))
     opened: dict[int, tuple[int, ...] | None] = {}
@@ -127,7 +127,7 @@ def _files() -> tuple[Path, ...]:
     return tuple(sorted({*ROOT.rglob("*.py"), *ROOT.rglob("templates/*")}))
 
 
-def _changed() -> bool:
+def _source_may_differ() -> bool:
     """Whether a file may be another one than was imported: then its content does not say what is traced."""
     try:
         return max(path.stat().st_mtime for path in _files()) > _programs.IMPORTED

@@ -40,7 +40,7 @@ def compiled(function: Callable, *arguments: Any) -> Callable:
     """
     if compiler() is None:
         raise OSError("there is no C compiler `cc`: install one, or call the function itself under jax.jit")
-    shapes, kinds = _shapes(arguments), _described(arguments)
+    shapes, kinds = _shapes(arguments), _describe_shapes(arguments)
     types = {leaf.dtype for leaf in jax.tree.leaves(shapes)}
     if len(types) != 1 or not types <= set(REALS):
         names = ", ".join(sorted(map(str, types))) or "none"
@@ -49,12 +49,14 @@ def compiled(function: Callable, *arguments: Any) -> Callable:
     lowered = lower(function, *shapes, loops="any")
     if not lowered.inputs * len(lowered.outputs):
         raise ValueError("compiled: the function needs at least one number as argument and one as result")
-    rows_of = _rows(_registered(lowered, REALS[dtype]), len(lowered.outputs), getattr(function, "__name__", "function"))
+    rows_of = _rows(
+        _register_target(lowered, REALS[dtype]), len(lowered.outputs), getattr(function, "__name__", "function")
+    )
 
     @functools.wraps(function)
     def call(*values: Any) -> Any:
-        if _described(values) != kinds:
-            raise ValueError(f"compiled: the arguments are {_described(values)}; it was compiled for {kinds}")
+        if _describe_shapes(values) != kinds:
+            raise ValueError(f"compiled: the arguments are {_describe_shapes(values)}; it was compiled for {kinds}")
         row = rows_of(jnp.concatenate([jnp.ravel(leaf) for leaf in jax.tree.leaves(values)]))
         ends = np.cumsum([leaf.size for leaf in lowered.results])[:-1].tolist()
         parts = zip(jnp.split(row, ends), lowered.results, strict=True)
@@ -67,7 +69,7 @@ def _shapes(arguments: Any) -> Any:
     return jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(jnp.shape(leaf), jnp.result_type(leaf)), arguments)
 
 
-def _described(arguments: Any) -> str:
+def _describe_shapes(arguments: Any) -> str:
     """The types, shapes and structure of arguments."""
     return str(jax.tree.map(lambda leaf: f"{leaf.dtype}{list(leaf.shape)}", _shapes(arguments))).replace("'", "")
 
@@ -88,17 +90,17 @@ def _rows(target: str, width: int, name: str) -> Callable:
     return rows_of
 
 
-def _registered(lowered: Lowered, real: Literal["double", "float"]) -> str:
+def _register_target(lowered: Lowered, real: Literal["double", "float"]) -> str:
     """Register the compiled function with XLA, and return the name of the target."""
     lanes = vector_bytes() // {"double": 8, "float": 4}[real]
     # The version is in the text, so that another release, with other headers, gets another library.
-    return _loaded(
+    return _load_library(
         fill("engine", "ffi.c", {"ROWS": [c_rows(lowered, "rows", lanes, real)], "VERSION": version("jaxlib")})
     )
 
 
 @functools.cache
-def _loaded(source: str) -> str:
+def _load_library(source: str) -> str:
     name = f"covariant_{hashlib.sha256(source.encode()).hexdigest()[:32]}"
     library = load(source, (*FAST, f"-I{jax.ffi.include_dir()}"), ctypes.CDLL)
     jax.ffi.register_ffi_target(name, jax.ffi.pycapsule(library.call), platform="cpu")

@@ -161,7 +161,11 @@ class _Columns(NamedTuple):
         names = [path[0].name for path, leaf in paths for _ in range(leaf.size)]
         kept = np.flatnonzero([keep is None or name in keep for name in names])
         dropped = () if keep is None else set(made.layout.info._fields) - set(keep)
-        return cls(kept, _split(made.layout.estimate), _split(made.layout.info._replace(**dict.fromkeys(dropped))))
+        return cls(
+            kept,
+            _make_splitter(made.layout.estimate),
+            _make_splitter(made.layout.info._replace(**dict.fromkeys(dropped))),
+        )
 
 
 class _Rows(NamedTuple):
@@ -178,7 +182,7 @@ class _Rows(NamedTuple):
         """Rows of a log as contiguous arrays."""
         t, u, y = map(np.ascontiguousarray, record[:3])
         acting = np.concatenate([u[:1], u[:-1]])  # the input that acted since the previous stamp
-        # The first dt is 0, a step of zero length, so that the first row is the estimate at rest; see `_run`.
+        # The first dt is 0, a step of zero length, so that the first row is the estimate at rest; see `_make_run`.
         return cls(t.copy(), float(t[0]), acting, y.reshape(len(t), -1), np.diff(t, prepend=t[:1]))
 
 
@@ -200,17 +204,17 @@ def _through(kernel: Kernel, form: _Columns, numbers: np.ndarray, logs: Sequence
         len(columns),
         kernel.pointers([a for k in lanes for a in outputs[k]]),
     )
-    return [_run(form, log.t, x, info) for log, (x, info) in zip(logs, outputs, strict=True)]
+    return [_make_run(form, log.t, x, info) for log, (x, info) in zip(logs, outputs, strict=True)]
 
 
-def _run(form: _Columns, t: np.ndarray, x: np.ndarray, info: np.ndarray) -> Run:
+def _make_run(form: _Columns, t: np.ndarray, x: np.ndarray, info: np.ndarray) -> Run:
     infos = form.told(info)
     if infos.result is not None and infos.result[0] == StepCode.REPEATED:
         infos.result[0] = StepCode.OK  # the first row is no step
     return Run(t, form.estimate(x), infos)
 
 
-def _split(kinds: Any) -> Callable[[np.ndarray], Any]:
+def _make_splitter(kinds: Any) -> Callable[[np.ndarray], Any]:
     """A function that splits the columns of an array into the leaves of a pytree."""
     leaves, tree = jax.tree.flatten(kinds)
     ends = np.cumsum([leaf.size for leaf in leaves], dtype=int)

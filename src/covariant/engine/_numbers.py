@@ -96,13 +96,13 @@ def filled(leaves: Sequence[Any], places: Places, numbers: Any) -> list[Any]:
             known = np.asarray(leaf)
             key = at, known.shape, known.dtype.str, known.ravel()[np.array(at, int) < 0].tobytes()
             if key not in made:
-                made[key] = _filled(known, np.array(at), numbers)
+                made[key] = _fill_leaf(known, np.array(at), numbers)
             leaf = made[key]
         results.append(leaf)
     return results
 
 
-def _filled(leaf: np.ndarray, at: np.ndarray, numbers: Any) -> Any:
+def _fill_leaf(leaf: np.ndarray, at: np.ndarray, numbers: Any) -> Any:
     if (at == np.arange(at[0], at[0] + len(at))).all() and at[0] >= 0:
         entries = jax.lax.slice(numbers, (int(at[0]),), (int(at[0]) + len(at),))
     else:
