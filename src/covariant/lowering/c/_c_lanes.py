@@ -178,23 +178,23 @@ OF_TWO = ("pow", "atan2")
 
 def head(scalar: str, kind: str, lanes: int) -> str:
     """Write the types and the functions that every text needs."""
-    return _filled(HEAD, scalar, kind, lanes)
+    return _fill_template(HEAD, scalar, kind, lanes)
 
 
 def helper(op: str, function: str, scalar: str, kind: str, lanes: int) -> str:
     """Write an operation on vectors as a function in C."""
     if op in OTHERS:
-        return _filled(OTHERS[op], scalar, kind, lanes)
+        return _fill_template(OTHERS[op], scalar, kind, lanes)
     if op in ("sin", "cos"):
         precision = PRECISIONS[scalar]
         series = {"sine": _horner(precision.sine), "cosine": _horner(precision.cosine)}
         fields = precision._asdict() | series | {"half": _number(0.5, scalar), "ahead": " + 1" if op == "cos" else ""}
-        return _filled(CIRCULAR, scalar, kind, lanes, op=op, function=function, **fields)
+        return _fill_template(CIRCULAR, scalar, kind, lanes, op=op, function=function, **fields)
     # One call of <math.h> for each lane: only sine and cosine have a polynomial here.
-    return _filled(EACH_OF_TWO if op in OF_TWO else EACH, scalar, kind, lanes, op=op, function=function)
+    return _fill_template(EACH_OF_TWO if op in OF_TWO else EACH, scalar, kind, lanes, op=op, function=function)
 
 
-def _filled(text: str, scalar: str, kind: str, lanes: int, **fields: object) -> str:
+def _fill_template(text: str, scalar: str, kind: str, lanes: int, **fields: object) -> str:
     plain = {"type": kind, "scalar": scalar, "lanes": lanes, "bytes": lanes * BYTES[scalar], "whole": WHOLE[scalar]}
     return Template(text).substitute(plain, zero=_number(0.0, scalar), one=_number(1.0, scalar), **fields)
 

@@ -92,11 +92,11 @@ def expression(op: str, operands: Sequence[str], words: Words, truth: bool = Fal
     """Write an operation on operands in C."""
     if op == "stumpff":
         order = round(float(_plain(operands[0])))
-        return f"{words.owner}stumpff{order}({_unwrapped(operands[1])})"
+        return f"{words.owner}stumpff{order}({_strip_brackets(operands[1])})"
     if op in HELPERS or (op in LIBRARY and words.lanes > 1):
-        return f"{words.owner}{op}({', '.join(map(_unwrapped, operands))})"
+        return f"{words.owner}{op}({', '.join(map(_strip_brackets, operands))})"
     if op in LIBRARY:
-        return f"{LIBRARY[op]}{words.suffix}({', '.join(map(_unwrapped, operands))})"
+        return f"{LIBRARY[op]}{words.suffix}({', '.join(map(_strip_brackets, operands))})"
     if words.lanes > 1:
         chosen = "choose_truth" if op == "select" and truth else op
         return _c_lanes.OPERATORS.get(chosen, OPERATORS[op]).format(*operands, type=words.real)
@@ -122,7 +122,7 @@ def _plain(text: str) -> str:
     return text.rpartition("(")[2].rstrip(")").removesuffix("f")
 
 
-def _unwrapped(operand: str) -> str:
+def _strip_brackets(operand: str) -> str:
     """An operand as an argument of a call, without the brackets around all of it."""
     depth = 0
     for k, letter in enumerate(operand):

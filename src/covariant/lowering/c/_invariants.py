@@ -31,22 +31,22 @@ def split(lowered: Lowered, count: int) -> tuple[Lowered, Lowered]:
         >>> [node.op for node in first.graph.nodes], [node.op for node in rest.graph.nodes]
         (['input', 'sqrt'], ['input', 'input', 'mul'])
     """
-    lowered = _hoisted(lowered)
+    lowered = _hoist_invariants(lowered)
     graph = lowered.graph
-    taken = _decided(graph, count, lowered.outputs)
+    taken = _invariant_nodes(graph, count, lowered.outputs)
     rest = Graph()
     values = [rest.input(k) for k in range(len(taken) + lowered.inputs - count)]
     known = dict(zip(taken, _as_kinds(graph, taken, rest, values), strict=False))
-    outputs = _copied(graph, lowered.outputs, rest, dict(enumerate(values[len(taken) :], start=count)), known)
+    outputs = _copy_nodes(graph, lowered.outputs, rest, dict(enumerate(values[len(taken) :], start=count)), known)
     first, results = graph.pruned(taken)
     numbers = (jax.ShapeDtypeStruct((len(taken),), float),)
     return (
         Lowered(first, ((count,),), tuple(results), numbers, jax.tree.structure(0)),
-        _cut(lowered, rest, outputs, len(values)),
+        _prune_graph(lowered, rest, outputs, len(values)),
     )
 
 
-def _decided(graph: Graph, count: int, outputs: Sequence[int]) -> list[int]:
+def _invariant_nodes(graph: Graph, count: int, outputs: Sequence[int]) -> list[int]:
     """The nodes that the first inputs decide and that the rest, or a result, uses; without constants."""
     decided: list[bool] = []
     used = set(outputs)
@@ -59,28 +59,28 @@ def _decided(graph: Graph, count: int, outputs: Sequence[int]) -> list[int]:
     return [i for i in sorted(used) if decided[i] and graph.nodes[i].op not in ("constant", "loop")]
 
 
-def _hoisted(lowered: Lowered) -> Lowered:
+def _hoist_invariants(lowered: Lowered) -> Lowered:
     """The same function, with what no turn of a loop changes computed before the loop."""
     if not any(node.op == "loop" for node in lowered.graph.nodes):
         return lowered
     graph = Graph()
-    outputs = _copied(lowered.graph, lowered.outputs, graph, {k: graph.input(k) for k in range(lowered.inputs)}, {})
-    return _cut(lowered, graph, outputs, lowered.inputs)
+    outputs = _copy_nodes(lowered.graph, lowered.outputs, graph, {k: graph.input(k) for k in range(lowered.inputs)}, {})
+    return _prune_graph(lowered, graph, outputs, lowered.inputs)
 
 
-def _copied(
+def _copy_nodes(
     graph: Graph, nodes: Sequence[int], into: Graph, inputs: Mapping[int, int], known: Mapping[int, int]
 ) -> list[int]:
     """Copies of nodes in another graph, with nodes there for inputs and known nodes; loops are hoisted."""
     place = dict(known)
-    for i in _needed(graph, nodes, place):
+    for i in _required_nodes(graph, nodes, place):
         op, arguments, value = graph.nodes[i]
         if op == "input":
             place[i] = inputs[value]  # pyright: ignore[reportArgumentType]
         elif op == "constant":
             place[i] = into.constant(value)  # pyright: ignore[reportArgumentType]
         elif op == "loop":
-            place[i] = _add_hoisted(into, value.over(_hoisted), [place[a] for a in arguments])
+            place[i] = _add_hoisted_loop(into, value.over(_hoist_invariants), [place[a] for a in arguments])
         elif op == "part":
             place[i] = part_of(into, place[arguments[0]], value)  # pyright: ignore[reportArgumentType]
         elif op == "table":
@@ -90,7 +90,7 @@ def _copied(
     return [place[i] for i in nodes]
 
 
-def _needed(graph: Graph, nodes: Sequence[int], known: Mapping[int, int]) -> list[int]:
+def _required_nodes(graph: Graph, nodes: Sequence[int], known: Mapping[int, int]) -> list[int]:
     """The nodes that others need, each after its arguments, but for the known ones and what only these need."""
     needed, stack = set(), list(nodes)
     while stack:
@@ -101,13 +101,14 @@ def _needed(graph: Graph, nodes: Sequence[int], known: Mapping[int, int]) -> lis
     return sorted(needed)
 
 
-def _add_hoisted(graph: Graph, loop: Repetition, arguments: Sequence[int]) -> int:
+def _add_hoisted_loop(graph: Graph, loop: Repetition, arguments: Sequence[int]) -> int:
     """The node of a loop whose turns get, as further fixed numbers, what its fixed numbers decide."""
     fixed = dict(enumerate(arguments[: loop.fixed]))
     taken = [
-        [i for i in _decided(g.graph, loop.fixed, g.outputs) if g.graph.nodes[i].op != "input"] for g in loop.graphs
+        [i for i in _invariant_nodes(g.graph, loop.fixed, g.outputs) if g.graph.nodes[i].op != "input"]
+        for g in loop.graphs
     ]
-    outside = [_copied(each.graph, some, graph, fixed, {}) for each, some in zip(loop.graphs, taken, strict=True)]
+    outside = [_copy_nodes(each.graph, some, graph, fixed, {}) for each, some in zip(loop.graphs, taken, strict=True)]
     # A truth value is a number where it enters the loop, whose numbers are one array.
     one, zero = graph.constant(1.0), graph.constant(0.0)
     passed = [
@@ -123,7 +124,7 @@ def _add_hoisted(graph: Graph, loop: Repetition, arguments: Sequence[int]) -> in
         inputs = {p: values[order[node]] for p, node in fixed.items()}
         inputs |= dict(enumerate(values[len(order) :], start=loop.fixed))
         known = dict(zip(some, _as_kinds(each.graph, some, inner, [values[order[n]] for n in nodes]), strict=True))
-        return _cut(each, inner, _copied(each.graph, each.outputs, inner, inputs, known), len(values))
+        return _prune_graph(each, inner, _copy_nodes(each.graph, each.outputs, inner, inputs, known), len(values))
 
     graphs = [turn(*each) for each in zip(loop.graphs, taken, passed, strict=True)]
     hoisted = loop._replace(body=graphs[0], going=graphs[1] if loop.going is not None else None, fixed=len(order))
@@ -136,7 +137,7 @@ def _as_kinds(graph: Graph, nodes: Sequence[int], into: Graph, values: Sequence[
     return [into.apply("lt", into.constant(0.0), v) if kinds[i] else v for i, v in zip(nodes, values, strict=False)]
 
 
-def _cut(lowered: Lowered, graph: Graph, outputs: Sequence[int], inputs: int) -> Lowered:
+def _prune_graph(lowered: Lowered, graph: Graph, outputs: Sequence[int], inputs: int) -> Lowered:
     """A function with another graph, of one array of inputs."""
     small, places = graph.pruned(outputs)
     return Lowered(small, ((inputs,),), tuple(places), lowered.results, lowered.tree)

@@ -30,7 +30,7 @@ def simplified(lowered: Lowered) -> Lowered:
         >>> [node.op for node in lowering.simplified(lowered).graph.nodes]
         ['input', 'cos']
     """
-    outward = _rewritten(lowered, lambda graph, node, x: _outward(graph, node.op, x))
+    outward = _rewrite(lowered, lambda graph, node, x: _outward(graph, node.op, x))
     nodes = outward.graph.nodes
     divisors = Counter(node.arguments[1] for node in nodes if node.op == "div")
     # A quotient by a constant keeps its one rounding; a/b as a · (1/b) has two.
@@ -41,10 +41,10 @@ def simplified(lowered: Lowered) -> Lowered:
             return graph.apply("mul", x[0], graph.apply("div", graph.constant(1.0), x[1]))
         return graph.apply(node.op, *x)
 
-    return _rewritten(outward, divide_once)
+    return _rewrite(outward, divide_once)
 
 
-def _rewritten(lowered: Lowered, rule: Callable[[Graph, Node, tuple[int, ...]], int]) -> Lowered:
+def _rewrite(lowered: Lowered, rule: Callable[[Graph, Node, tuple[int, ...]], int]) -> Lowered:
     """The function with each operation added anew by a rule, from the old node and its arguments in the new graph."""
     graph, place = Graph(), []
     for node in lowered.graph.nodes:
@@ -79,7 +79,7 @@ def _outward(graph: Graph, op: str, x: tuple[int, ...]) -> int:
             return neg(_outward(graph, op, (a,)))
         case _, _, (int(a),) if op in EVEN:
             return _outward(graph, op, (a,))
-        case _, (a,), _ if op in ODD | EVEN and (swapped := _swapped(graph, a)) is not None:
+        case _, (a,), _ if op in ODD | EVEN and (swapped := _find_mirror(graph, a)) is not None:
             # b - a where a - b is there already: one sine serves both.
             return neg(graph.apply(op, swapped)) if op in ODD else graph.apply(op, swapped)
         case "mul" | "div", _, (int(a), int(b)):
@@ -118,7 +118,7 @@ def _opposite(graph: Graph, node: int) -> int | None:
     return graph.nodes[node].arguments[0] if graph.nodes[node].op == "neg" else None
 
 
-def _swapped(graph: Graph, node: int) -> int | None:
+def _find_mirror(graph: Graph, node: int) -> int | None:
     """The node b − a for a node a − b, where the graph has it and it came first."""
     op, arguments, _ = graph.nodes[node]
     mirror = graph.find("sub", *arguments[::-1]) if op == "sub" else None

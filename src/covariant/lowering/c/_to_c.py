@@ -75,8 +75,10 @@ def to_c(function: Callable, *examples: Any, name: str = "f", real: Real = "doub
     lowered = lower(function, *shapes, loops="any")
     if not lowered.results:
         raise ValueError(f"{name}: the function returns no array, so there is nothing to compute")
-    ins = _passed("in", [pair for label, tree in zip(labels, shapes, strict=True) for pair in _labelled(label, tree)])
-    outs = _passed("out", _labelled("result", jax.tree.unflatten(lowered.tree, lowered.results)))
+    ins = _name_arguments(
+        "in", [pair for label, tree in zip(labels, shapes, strict=True) for pair in _label_arrays(label, tree)]
+    )
+    outs = _name_arguments("out", _label_arrays("result", jax.tree.unflatten(lowered.tree, lowered.results)))
     declared = ", ".join(
         [*(f"const {real} *{array.name}" for array in ins), *(f"{real} *{array.name}" for array in outs)]
     )
@@ -111,7 +113,7 @@ def _shapes(example: Any, label: str, real: Real) -> Any:
     """The shapes of the arrays of an example, all with the type of the generated code."""
     dtype = {"double": jnp.float64, "float": jnp.float32}[real]
     # For JAX, None is a pytree without arrays, and would be skipped.
-    for where, leaf in [(label, None)] if example is None else _labelled(label, example):
+    for where, leaf in [(label, None)] if example is None else _label_arrays(label, example):
         dtype_of_leaf = getattr(leaf, "dtype", None)
         if not jnp.issubdtype(np.asarray(leaf).dtype if dtype_of_leaf is None else dtype_of_leaf, jnp.floating):
             raise TypeError(
@@ -121,12 +123,12 @@ def _shapes(example: Any, label: str, real: Real) -> Any:
     return jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(np.shape(leaf), dtype), example)
 
 
-def _labelled(label: str, tree: Any) -> list[tuple[str, Any]]:
+def _label_arrays(label: str, tree: Any) -> list[tuple[str, Any]]:
     """The arrays of a pytree, each with the keys that lead to it behind a label."""
     return [(label + jax.tree_util.keystr(path), leaf) for path, leaf in jax.tree_util.tree_leaves_with_path(tree)]
 
 
-def _passed(role: str, arrays: Sequence[tuple[str, jax.ShapeDtypeStruct]]) -> list[_Passed]:
+def _name_arguments(role: str, arrays: Sequence[tuple[str, jax.ShapeDtypeStruct]]) -> list[_Passed]:
     names = [role] if len(arrays) == 1 else [f"{role}{k + 1}" for k in range(len(arrays))]
     return [_Passed(name, *array) for name, array in zip(names, arrays, strict=True)]
 

@@ -63,7 +63,7 @@ def _slice(parameters: dict, value: np.ndarray) -> np.ndarray:
     return value[tuple(slice(*end) for end in ends)]
 
 
-def _split(parameters: dict, value: np.ndarray) -> list[np.ndarray]:
+def _split_array(parameters: dict, value: np.ndarray) -> list[np.ndarray]:
     return np.split(value, np.cumsum(parameters["sizes"])[:-1], axis=parameters["axis"])
 
 
@@ -239,7 +239,7 @@ _RULES: dict[str, Rule] = {
     "slice": _slice,
     "pad": padded,
     **SLICES,
-    "split": _split,
+    "split": _split_array,
     "gather": _gather,
     "scatter": _scatter,
     "scatter-add": _scatter_add,

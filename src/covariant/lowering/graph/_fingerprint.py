@@ -98,7 +98,7 @@ class _Keys:
         for variables in (body.jaxpr.constvars, body.jaxpr.invars):
             yield from ("variables", *(_new(variable, numbers) for variable in variables))
         for eqn in equations(body.jaxpr):
-            yield from ("equation", eqn.name, *(_read(atom, numbers) for atom in eqn.invars))
+            yield from ("equation", eqn.name, *(_atom_text(atom, numbers) for atom in eqn.invars))
             if eqn.form is not None:
                 yield from ("form", self.of(eqn.form))
             elif eqn.primitive in KNOWN or eqn.name in BY_NAME:
@@ -108,7 +108,7 @@ class _Keys:
             else:
                 raise _UnknownError
             yield from ("results", *(_new(variable, numbers) for variable in eqn.outvars))
-        yield from ("outputs", *(_read(atom, numbers) for atom in body.jaxpr.outvars))
+        yield from ("outputs", *(_atom_text(atom, numbers) for atom in body.jaxpr.outvars))
 
 
 def _hash(*parts: str) -> str:
@@ -140,7 +140,7 @@ def _new(variable: Any, numbers: dict[Any, int]) -> str:
     return f"{numbers[variable]} {_kind(variable.aval)}"
 
 
-def _read(atom: Any, numbers: dict[Any, int]) -> str:
+def _atom_text(atom: Any, numbers: dict[Any, int]) -> str:
     if isinstance(atom, core.Literal):
         aval: Any = atom.aval
         return f"literal {_kind(aval)} {np.asarray(atom.val, aval.dtype).tobytes().hex()}"

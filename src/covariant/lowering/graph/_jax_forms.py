@@ -269,7 +269,7 @@ def expanded(equation: JaxprEquation) -> Call:
     by_jax = primitive.to_lojax if name == "call_hi_primitive" else primitive.impl
     refusal = LoweringError(f"the primitive '{name}' has no graph of scalars; write the function without it")
     try:
-        call = _traced(equation, lambda *x: by_jax(*x, **equation.params))
+        call = _trace_replacement(equation, lambda *x: by_jax(*x, **equation.params))
     except Exception as error:  # JAX documents no type of error for a primitive that it cannot expand
         raise refusal from error
     # An expansion into itself would never end.
@@ -351,7 +351,7 @@ def _scan(equation: JaxprEquation) -> Scan:
         fixed, carried = p["num_consts"], p["num_carry"]
         rows = len(equation.invars) - fixed - carried
         known = {"num_consts", "num_carry", "linear", "_split_transpose"}
-    _all_known(equation, {"jaxpr", "length", "reverse", "unroll", *known})
+    _refuse_unknown_parameters(equation, {"jaxpr", "length", "reverse", "unroll", *known})
     scan = Scan(ClosedJaxpr.of(p["jaxpr"]), fixed, carried, p["length"], p["reverse"])
     count, results = fixed + carried + rows, len(scan.body.results)
     if min(rows, results - carried) < 0 or {len(equation.invars), len(scan.body.jaxpr.invars)} != {count}:
@@ -374,12 +374,12 @@ def _sizes(equation: JaxprEquation, parameter: str, count: int) -> list[int]:
 
 def _while(equation: JaxprEquation) -> While:
     p = equation.params
-    _all_known(equation, {"cond_nconsts", "cond_jaxpr", "body_nconsts", "body_jaxpr"})
+    _refuse_unknown_parameters(equation, {"cond_nconsts", "cond_jaxpr", "body_nconsts", "body_jaxpr"})
     return While(ClosedJaxpr.of(p["cond_jaxpr"]), ClosedJaxpr.of(p["body_jaxpr"]), p["cond_nconsts"], p["body_nconsts"])
 
 
 def _branch(equation: JaxprEquation) -> Branch:
-    _all_known(equation, {"branches", "linear", "branches_platforms"})
+    _refuse_unknown_parameters(equation, {"branches", "linear", "branches_platforms"})
     return Branch(tuple(ClosedJaxpr.of(branch) for branch in equation.params["branches"]))
 
 
@@ -387,7 +387,7 @@ FORMS: dict[str, Callable[[JaxprEquation], Form]] = {"scan": _scan, "while": _wh
 """Primitives that hold functions and do not just call one."""
 
 
-def _all_known(equation: JaxprEquation, known: set[str]) -> None:
+def _refuse_unknown_parameters(equation: JaxprEquation, known: set[str]) -> None:
     for parameter, value in equation.params.items():
         if parameter not in known and value is not None:
             raise _odd(equation, parameter)
@@ -435,7 +435,7 @@ def _log2(x: jax.Array, *, accuracy: Any = None) -> jax.Array:
     return jax.lax.log(x) * jnp.asarray(1.4426950408889634, x.dtype)
 
 
-def _unchanged(*x: jax.Array, **_: Any) -> list[jax.Array]:
+def _identity(*x: jax.Array, **_: Any) -> list[jax.Array]:
     return list(x)
 
 
@@ -446,7 +446,7 @@ def _empty(*, shape: Sequence[int] = (), dtype: Any, **_: Any) -> jax.Array:
 
 REPLACED: dict[str, Callable[..., Any]] = {
     # Where an array lies does not change its entries.
-    **dict.fromkeys(("device_put", "sharding_constraint", "layout_constraint", "reshard", "pvary", "name"), _unchanged),
+    **dict.fromkeys(("device_put", "sharding_constraint", "layout_constraint", "reshard", "pvary", "name"), _identity),
     "stack": _stack,  # from 0.11 on
     "unstack": _unstack,
     "empty": _empty,
@@ -462,7 +462,7 @@ def _replacement(equation: JaxprEquation) -> Call:
     key = tuple(sorted(equation.params.items()))
     avals = tuple((atom.aval.shape, atom.aval.dtype) for atom in equation.invars)
     try:
-        return _replaced(equation.name, key, avals)
+        return _make_replacement(equation.name, key, avals)
     except TypeError as error:  # an argument that the replacement does not have
         raise LoweringError(
             f"the primitive '{equation.name}' of JAX {jax.__version__} has parameters that are not known: "
@@ -471,14 +471,14 @@ def _replacement(equation: JaxprEquation) -> Call:
 
 
 @functools.lru_cache(maxsize=4096)
-def _replaced(name: str, parameters: tuple, avals: tuple) -> Call:
+def _make_replacement(name: str, parameters: tuple, avals: tuple) -> Call:
     shapes = [jax.ShapeDtypeStruct(shape, dtype) for shape, dtype in avals]
     return Call(
         ClosedJaxpr.of(jax.make_jaxpr(functools.partial(REPLACED[name], **dict(parameters)))(*shapes)), replaces=True
     )
 
 
-def _traced(equation: JaxprEquation, function: Callable[..., Any]) -> Call:
+def _trace_replacement(equation: JaxprEquation, function: Callable[..., Any]) -> Call:
     shapes = [jax.ShapeDtypeStruct(atom.aval.shape, atom.aval.dtype) for atom in equation.invars]
     return _fits_replacement(equation, Call(ClosedJaxpr.of(jax.make_jaxpr(function)(*shapes)), replaces=True))
 

@@ -332,14 +332,14 @@ class _Interpreter:
         """
         rows, count = over or [], scan.fixed + scan.carried
         if scan.reverse:
-            rows = [_reversed(value) for value in rows]
+            rows = [_reverse_rows(value) for value in rows]
 
         def turn(graph: Graph, values: list[Value]):
             left = values[count:]
             results = _Interpreter(graph, self.loops).run(
                 scan.body, [*values[:count], *(_take(value, 0) for value in left)]
             )
-            return [*results, *(_rotated(value) for value in left)], None
+            return [*results, *(_rotate_rows(value) for value in left)], None
 
         types = [atom.aval.dtype for atom in scan.body.jaxpr.invars]
         try:
@@ -504,11 +504,11 @@ def _number(write: Writer, value: Value, is_truth: bool) -> Value:
     return np.asarray(value, float)
 
 
-def _reversed(value: Value) -> Value:
+def _reverse_rows(value: Value) -> Value:
     return Scalars(value.ids[::-1]) if isinstance(value, Scalars) else np.asarray(value)[::-1]
 
 
-def _rotated(value: Value) -> Value:
+def _rotate_rows(value: Value) -> Value:
     """The rows with the first one last."""
     return Scalars(np.roll(value.ids, -1, 0)) if isinstance(value, Scalars) else np.roll(value, -1, 0)
 

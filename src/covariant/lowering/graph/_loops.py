@@ -54,11 +54,11 @@ class Repetition(NamedTuple):
 
         Loops with equal keys do the same.
         """
-        graphs = ((tuple(map(_keyed, each.graph.nodes)), each.outputs) for each in self.graphs)
+        graphs = ((tuple(map(_node_key, each.graph.nodes)), each.outputs) for each in self.graphs)
         return self.turns, self.fixed, *graphs
 
 
-def _keyed(node: Node) -> tuple:
+def _node_key(node: Node) -> tuple:
     return node.op, node.arguments, node.value.key() if isinstance(node.value, Repetition) else node.value
 
 
@@ -98,8 +98,8 @@ def loop_of(
             return inner.input(2 * i)  # odd positions are those of what is carried; numbered anew below
 
         begins = [inner.input(2 * k + 1) if changes[k] else outer(i) for k, i in enumerate(starts)]
-        fixed_values = _filled([outer(i) for i in _flat(graph, fixed)], fixed)
-        carried, going = turn(inner, [*fixed_values, *_filled(begins, carry, changes)])
+        fixed_values = _fill_values([outer(i) for i in _flat(graph, fixed)], fixed)
+        carried, going = turn(inner, [*fixed_values, *_fill_values(begins, carry, changes)])
         ends = _flat(inner, carried)
         # Entries only ever leave the fixed set, so that this ends.
         now = changes | (np.array(ends, int) != np.array(begins, int))
@@ -122,7 +122,7 @@ def loop_of(
     loop = Repetition(body, stop, count, len(used))
     node_of_loop = add_loop(graph, loop, [*used, *(starts[k] for k in places)])
     parts = {k: part_of(graph, node_of_loop, n) for n, k in enumerate(places)}
-    return _filled([parts.get(k, start) for k, start in enumerate(starts)], carry, changes)
+    return _fill_values([parts.get(k, start) for k, start in enumerate(starts)], carry, changes)
 
 
 def operations(nodes: Sequence[Node]) -> int:
@@ -145,7 +145,7 @@ def _flat(graph: Graph, values: Sequence[Value]) -> list[int]:
     return [int(i) for value in values for i in nodes_of(graph, value).ravel()]
 
 
-def _filled(ids: Sequence[int], like: Sequence[Value], changes: np.ndarray | None = None) -> list[Value]:
+def _fill_values(ids: Sequence[int], like: Sequence[Value], changes: np.ndarray | None = None) -> list[Value]:
     """Values of the shapes of others with these nodes; known numbers that do not change stay known numbers."""
     filled, start = [], 0
     for value in like:

@@ -29,7 +29,7 @@ MOST_ENTRIES = 2_000_000
 def at_places(write: Writer, eqn: JaxprEquation, values: list) -> list[Value]:
     """Apply a primitive that takes entries from places, or sets or adds them there."""
     name = eqn.name
-    move = _added if name == "scatter-add" else _moved
+    move = _add_updates if name == "scatter-add" else _move_nodes
     where, ends = _places(name, eqn.params, [atom.aval.shape for atom in eqn.invars])
     fills = name == "gather" and eqn.params["mode"] == jax.lax.GatherScatterMode.FILL_OR_DROP
     drops = name.startswith("scatter") and eqn.params["mode"] == jax.lax.GatherScatterMode.FILL_OR_DROP
@@ -126,7 +126,7 @@ def _places(name: str, p: dict, shapes: Sequence[tuple[int, ...]]) -> tuple[rang
     return range(1, 2), [operand[d] - window.get(d, 1) for d in numbers.scatter_dims_to_operand_dims]
 
 
-def _moved(write: Writer, eqn: JaxprEquation, arguments: list[np.ndarray]) -> np.ndarray:
+def _move_nodes(write: Writer, eqn: JaxprEquation, arguments: list[np.ndarray]) -> np.ndarray:
     """Nodes moved by the primitive itself, applied to their indices."""
     if eqn.name in SLICES:
         return SLICES[eqn.name](eqn.params, *arguments)
@@ -142,7 +142,7 @@ def _moved(write: Writer, eqn: JaxprEquation, arguments: list[np.ndarray]) -> np
     return moved.reshape(operand.shape)
 
 
-def _added(write: Writer, eqn: JaxprEquation, arguments: list[np.ndarray]) -> np.ndarray:
+def _add_updates(write: Writer, eqn: JaxprEquation, arguments: list[np.ndarray]) -> np.ndarray:
     operand, places, updates = arguments
     total = operand.ravel().copy()
     for target, node in _targets(eqn, operand, places, updates):

@@ -71,7 +71,7 @@ def _extreme(comparison: Callable[[Graph, int, int], int]) -> Rule:
     return rule
 
 
-def _split(write: Writer, eqn: JaxprEquation, values: list) -> list[Value]:
+def _split_nodes(write: Writer, eqn: JaxprEquation, values: list) -> list[Value]:
     ends = np.cumsum(eqn.params["sizes"])[:-1]
     return [Scalars(part) for part in np.split(values[0].ids, ends, axis=eqn.params["axis"])]
 
@@ -123,7 +123,7 @@ def _integer_pow(write: Writer, eqn: JaxprEquation, values: list) -> list[Value]
     return [write.map("div", np.array(1.0), result) if exponent < 0 else result]
 
 
-def _swapped(op: str, negate: bool = False) -> Rule:
+def _swap_sides(op: str, negate: bool = False) -> Rule:
     """A comparison with its sides exchanged, or negated."""
 
     def rule(write: Writer, eqn: JaxprEquation, values: list) -> list[Value]:
@@ -164,13 +164,13 @@ def _convert(write: Writer, eqn: JaxprEquation, values: list) -> list[Value]:
     return [values[0]]
 
 
-def _shortened(write: Writer, eqn: JaxprEquation, values: list) -> list[Value]:
+def _reduce_precision(write: Writer, eqn: JaxprEquation, values: list) -> list[Value]:
     if write.graph.real and eqn.params["mantissa_bits"] < jnp.finfo(eqn.invars[0].aval.dtype).nmant:
         raise LoweringError("'reduce_precision' is no function of real numbers")
     return [values[0]]
 
 
-def _rounded(write: Writer, eqn: JaxprEquation, values: list) -> list[Value]:
+def _round_to_even(write: Writer, eqn: JaxprEquation, values: list) -> list[Value]:
     if eqn.params["rounding_method"] != jax.lax.RoundingMethod.TO_NEAREST_EVEN:
         raise LoweringError("'round' away from zero has no graph; jnp.round goes to the nearest even number")
     return [write.map("round", values[0])]
@@ -181,7 +181,7 @@ def _logistic(write: Writer, eqn: JaxprEquation, values: list) -> list[Value]:
     return [write.map("div", np.array(1.0), below)]
 
 
-def _mirrored(write: Writer, eqn: JaxprEquation, values: list) -> list[Value]:
+def _mirror_upper(write: Writer, eqn: JaxprEquation, values: list) -> list[Value]:
     """The first matrix, or its upper triangle twice, where the second has the same node on both sides everywhere."""
     matrix, source = (nodes_of(write.graph, value) for value in values)
     if not np.array_equal(source, source.swapaxes(-1, -2)):
@@ -199,10 +199,10 @@ NOT_ON_INTEGERS = {"div", "pow", "and", "or", "not", "reduce_and", "reduce_or"}
 RULES: dict[str, Rule] = {
     **{name: _entrywise(name) for name in _ENTRYWISE.split()},
     "add_any": _entrywise("add"),
-    "gt": _swapped("lt"),
-    "ge": _swapped("le"),
-    "ne": _swapped("eq", negate=True),
-    "round": _rounded,
+    "gt": _swap_sides("lt"),
+    "ge": _swap_sides("le"),
+    "ne": _swap_sides("eq", negate=True),
+    "round": _round_to_even,
     "logistic": _logistic,
     "rsqrt": lambda write, eqn, values: [write.map("div", np.array(1.0), write.map("sqrt", values[0]))],
     "exp2": lambda write, eqn, values: [write.map("pow", np.array(2.0), values[0])],
@@ -211,11 +211,11 @@ RULES: dict[str, Rule] = {
     "select_n": _select,
     "clamp": _clamp,
     "convert_element_type": _convert,
-    "mirrored": _mirrored,
+    "mirrored": _mirror_upper,
     "copy": _same,
     "copy_p": _same,
     "stop_gradient": _same,
-    "reduce_precision": _shortened,
+    "reduce_precision": _reduce_precision,
     "optimization_barrier": _same,
     "broadcast_in_dim": _rearrangement(_broadcast),
     "reshape": _rearrangement(lambda p, ids: ids.reshape(p["new_sizes"])),
@@ -225,7 +225,7 @@ RULES: dict[str, Rule] = {
     "rev": _rearrangement(lambda p, ids: np.flip(ids, p["dimensions"])),
     "slice": _rearrangement(_slice),
     "concatenate": _rearrangement(lambda p, *ids: np.concatenate(ids, p["dimension"])),
-    "split": _split,
+    "split": _split_nodes,
     "pad": _rearrangement(padded),
     "dynamic_slice": at_places,
     "dynamic_update_slice": at_places,

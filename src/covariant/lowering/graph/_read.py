@@ -70,14 +70,14 @@ def evaluate_nodes(graph: Graph, outputs: Sequence[int], domain: Domain, inputs:
             elif node.op == "table":
                 values[i] = node.value.at(operands[0])  # pyright: ignore[reportOptionalMemberAccess]
             else:
-                values[i] = _looped(node.value, domain, operands) if node.op == "loop" else domain[node.op](*operands)
+                values[i] = _run_loop(node.value, domain, operands) if node.op == "loop" else domain[node.op](*operands)
             for a in node.arguments:
                 if last[a] == i:
                     values[a] = None
     return [values[i] for i in outputs]
 
 
-def _looped(loop: Repetition, domain: Domain, values: Sequence[Any]) -> list[Any]:
+def _run_loop(loop: Repetition, domain: Domain, values: Sequence[Any]) -> list[Any]:
     """Values that a loop carries after its last turn; lanes of a batch that have ended wait for the others."""
     fixed, carried = list(values[: loop.fixed]), list(values[loop.fixed :])
     if loop.going is None:

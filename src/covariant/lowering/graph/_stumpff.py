@@ -62,7 +62,7 @@ def _values(x, *, k: int):
     small = x < threshold
     series_x, closed_x = jnp.asarray(jnp.where(small, x, 0.0)), jnp.asarray(jnp.where(small, threshold, x))
     # Where the other branch is chosen, each gets a harmless argument: the closed form is 0/0 at 0.
-    return jnp.where(small, _series(k, threshold, series_x), _closed(k, closed_x))
+    return jnp.where(small, _series(k, threshold, series_x), _closed_form(k, closed_x))
 
 
 mlir.register_lowering(STUMPFF, mlir.lower_fun(_values, multiple_results=False))
@@ -82,7 +82,7 @@ def _series(k: int, threshold: float, x: jax.Array) -> jax.Array:
     return total
 
 
-def _closed(k: int, x: jax.Array) -> jax.Array:
+def _closed_form(k: int, x: jax.Array) -> jax.Array:
     if k == 0:
         return jnp.cos(jnp.sqrt(x))
     if k == 1:
@@ -90,8 +90,8 @@ def _closed(k: int, x: jax.Array) -> jax.Array:
         return jnp.sin(theta) / theta
     if k == 2:
         # 1 − cos θ = 2 sin²(θ/2): no cancellation, unlike (1 − cos θ)/θ².
-        return _closed(1, x / 4) ** 2 / 2
-    return (1 / math.factorial(k - 2) - _closed(k - 2, x)) / x
+        return _closed_form(1, x / 4) ** 2 / 2
+    return (1 / math.factorial(k - 2) - _closed_form(k - 2, x)) / x
 
 
 # In NumPy: values, and bounds of them.

@@ -100,7 +100,7 @@ class Library:
         ends, results = np.ascontiguousarray(ends), np.empty((len(made.outputs), ends.shape[1]))
         work = made.idle.pop() if made.idle else made.work.copy()  # another thread may be at the same steps
         arrays = (made.steps, made.length, work, made.inputs, len(made.inputs), made.outputs, len(made.outputs))
-        self._enclose(*map(_passed, (*arrays, ends.shape[1], ends, results)))
+        self._enclose(*map(_c_argument, (*arrays, ends.shape[1], ends, results)))
         made.idle.append(work)
         return results
 
@@ -128,7 +128,7 @@ SMALLEST = 2.0**-1022
 """The smallest normal double. Libraries for fast arithmetic make a process flush those below to zero."""
 
 
-def _passed(value: Any) -> Any:
+def _c_argument(value: Any) -> Any:
     return ctypes.c_int64(value) if isinstance(value, int) else ctypes.c_void_p(value.ctypes.data)
 
 

@@ -32,7 +32,7 @@ def _relative(op: str) -> float:
     return (UNITS[op] + 1.25) * U
 
 
-def _known(defined: Any, bounds: Bounds) -> Bounds:
+def _mask_undefined(defined: Any, bounds: Bounds) -> Bounds:
     """The bounds where the function is defined, NaN elsewhere."""
     if defined.all():
         return bounds
@@ -118,7 +118,7 @@ def _tan(low: Any, high: Any) -> Bounds:
     step = size * _relative("tan") + 2.0 * error * (1.0 + size * size) + np.minimum(size, TINY)
     # Odd quarter turns are poles; an end whose error the derivative magnifies too much counts as one.
     pole = _within(first, last, 1, 2) | ~(size * error < 2.0**-20).all(axis=0)
-    return _known((largest <= points.MOST_QUARTERS) & ~pole, (value[0] - step[0], value[1] + step[1]))
+    return _mask_undefined((largest <= points.MOST_QUARTERS) & ~pole, (value[0] - step[0], value[1] + step[1]))
 
 
 def _exp(low: Any, high: Any) -> Bounds:
@@ -144,7 +144,7 @@ def _power(x_low: Any, x_high: Any, y_low: Any, y_high: Any) -> Bounds:
     defined = (x_low > 0) | (x_low == 0) & (y_low > 0)
     # Beyond 1e-3 the bound of the error, which is linear in it, no longer holds.
     defined = defined & (x_high < np.inf) & (functools.reduce(np.maximum, errors) < 1e-3)
-    return _known(defined, (low.min(axis=0), high.max(axis=0)))
+    return _mask_undefined(defined, (low.min(axis=0), high.max(axis=0)))
 
 
 def _cosh(low: Any, high: Any) -> Bounds:
@@ -158,7 +158,7 @@ def _acos(low: Any, high: Any) -> Bounds:
     # acos decreases: its lower bound is at the upper end.
     value = points.acos(np.stack([high, low]))
     step = value * _relative("acos")
-    return _known((low >= -1) & (high <= 1), (value[0] - step[0], value[1] + step[1]))
+    return _mask_undefined((low >= -1) & (high <= 1), (value[0] - step[0], value[1] + step[1]))
 
 
 def _atan2(y_low: Any, y_high: Any, x_low: Any, x_high: Any) -> Bounds:
@@ -206,7 +206,7 @@ def _cbrt(low: Any, high: Any) -> Bounds:
 
 
 def _inside(rule: Rule, defined: Callable[[Any, Any], Any]) -> Rule:
-    return lambda low, high: _known(defined(low, high), rule(low, high))
+    return lambda low, high: _mask_undefined(defined(low, high), rule(low, high))
 
 
 ELEMENTARY: dict[str, Rule] = {

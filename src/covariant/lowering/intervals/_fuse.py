@@ -40,7 +40,7 @@ def _name(outer: str, inner: Sequence[str]) -> str:
     return "_of_".join([outer, "_and_".join(name or "it" for name in inner)])
 
 
-def _joined(outer: str, inner: Sequence[str]) -> Kernel:
+def _compose_kernel(outer: str, inner: Sequence[str]) -> Kernel:
     formulas = [KERNELS[name].formula if name else None for name in inner]
     counts = [len(KERNELS[name].arguments) if name else 1 for name in inner]
 
@@ -55,7 +55,7 @@ def _joined(outer: str, inner: Sequence[str]) -> Kernel:
     return Kernel(formula, (Interval,) * sum(counts), KERNELS[outer].result)
 
 
-KERNELS.update({_name(outer, inner): _joined(outer, inner) for outer, inner in PAIRS})
+KERNELS.update({_name(outer, inner): _compose_kernel(outer, inner) for outer, inner in PAIRS})
 
 
 class _Fusion(NamedTuple):

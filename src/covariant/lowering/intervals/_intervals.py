@@ -157,16 +157,16 @@ def _turned(a: Interval, k: Any) -> Interval:
 @kernel
 def times_number(ends: Interval, k: Interval) -> Interval:
     """Interval of a·k."""
-    return _scaled(np.multiply, ends, k.low)
+    return _scale_ends(np.multiply, ends, k.low)
 
 
 @kernel
 def over_number(ends: Interval, k: Interval) -> Interval:
     """Interval of a/k."""
-    return _scaled(np.divide, ends, k.low)
+    return _scale_ends(np.divide, ends, k.low)
 
 
-def _scaled(operation: np.ufunc, ends: Interval, k: Any) -> Interval:
+def _scale_ends(operation: np.ufunc, ends: Interval, k: Any) -> Interval:
     """a·k or a/k for a number k and the ends of a turned to its sign."""
     first, last = ends
     low, high = operation(first, k), operation(last, k)

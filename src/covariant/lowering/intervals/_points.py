@@ -105,7 +105,7 @@ def _power_of_two(bits: Any) -> Any:
     return ((bits + 1023) << 52).view(float)
 
 
-def _scaled(x: Any, k: Any) -> Any:
+def _scale_by_power(x: Any, k: Any) -> Any:
     """x·2ᵏ for integers |k| ≤ 2000, as two products, of which one may underflow or overflow."""
     # One factor 2ᵏ would overflow itself before the product does.
     half, bits = whole(0.5 * k)
@@ -140,14 +140,14 @@ def exp(x: Any, shift: float = 0.0, rest: Any = None) -> Any:
     """
     # exp(−746) is below half of the smallest subnormal number, exp(712) above the largest double.
     k, q = _exp_parts(np.minimum(np.maximum(x, -746.0), 712.0), rest)
-    return _scaled(1.0 + q, k + shift)
+    return _scale_by_power(1.0 + q, k + shift)
 
 
 def expm1(x: Any) -> Any:
     """exp x − 1, infinite where it overflows."""
     # exp(−40) = 4e-18 is below half a unit of 1, so that the result is −1 from there on.
     k, q = _exp_parts(np.minimum(np.maximum(x, -40.0), 712.0))
-    return _scaled((1.0 - _scaled(1.0, -k)) + q, k)
+    return _scale_by_power((1.0 - _scale_by_power(1.0, -k)) + q, k)
 
 
 def sinh(x: Any) -> Any:
