@@ -64,7 +64,7 @@ class Interpolated(eqx.Module):
         _check_axes(axes, values)
         _check_symmetry(axes, values)
         # A valid matrix replaces each unknown one, so that a factorisation that fails means a wrong value.
-        known = _known(values)[..., None, None]
+        known = _metric_mask(values)[..., None, None]
         filled = np.where(known, values, np.eye(n, dtype=values.dtype))
         # Entries of L and log D may have any value, so every interpolation of them is a positive definite matrix.
         factors = np.asarray(_to_factors(jnp.asarray(filled.reshape(-1, n, n))))
@@ -135,7 +135,7 @@ def _from_factors(factors: Float[Array, "k"], n: int) -> Matrix:
     return jnp.sum(half[:, None, :] * half[None, :, :], axis=-1)
 
 
-def _known(values: np.ndarray) -> np.ndarray:
+def _metric_mask(values: np.ndarray) -> np.ndarray:
     """Mask of the grid points that have a metric."""
     return np.asarray(np.isfinite(values).all(axis=(-2, -1)))
 
@@ -157,7 +157,7 @@ def _check_axes(axes: tuple[np.ndarray, ...], values: np.ndarray) -> None:
 
 
 def _check_symmetry(axes: tuple[np.ndarray, ...], values: np.ndarray) -> None:
-    known = _known(values)
+    known = _metric_mask(values)
     if not known.any():
         raise ValueError("there is no metric at any point of the grid")
     filled = np.where(known[..., None, None], values, 0)

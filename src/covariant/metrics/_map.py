@@ -96,7 +96,7 @@ def map_grid(
         work = _Work(function, str(path), blocks)
         pool = _threads(work, workers or os.cpu_count() or 1) if scheduler is None else _cluster(work, scheduler)
         with _store.tidied(path), pool as (submit, limit):
-            for index in _finished(submit, todo, limit):
+            for index in _run_blocks(submit, todo, limit):
                 done += blocks.size(index)
                 report(done, grid.size)
     _store.finish(path)
@@ -151,7 +151,7 @@ def _cluster(work: _Work, scheduler: str) -> Iterator[tuple[Submit, int]]:
 
 def _compute_pickled(pickled: bytes, index: Index) -> None:
     with _COMPILING:
-        work, program = _compiled(pickled)
+        work, program = _compile_work(pickled)
     work.compute(program, index)
 
 
@@ -160,12 +160,12 @@ _COMPILING = threading.Lock()
 
 
 @functools.lru_cache(maxsize=4)
-def _compiled(pickled: bytes) -> tuple[_Work, Callable[[Any], Any]]:
+def _compile_work(pickled: bytes) -> tuple[_Work, Callable[[Any], Any]]:
     work = optional("cloudpickle").loads(pickled)
     return work, work.compile()
 
 
-def _finished(submit: Submit, todo: Iterable[Index], limit: int) -> Iterator[Index]:
+def _run_blocks(submit: Submit, todo: Iterable[Index], limit: int) -> Iterator[Index]:
     """Submit blocks, at most `most` at a time, and yield the index of each one when it is written."""
     pending: dict[Future, Index] = {}
     todo = iter(todo)

@@ -86,7 +86,7 @@ def metric_on_grid(
     provenance = {
         "model": name,
         "parameters": {key: np.asarray(parameter.value).tolist() for key, parameter in model.parameters.items()},
-        "equation": _described(equation),
+        "equation": _describe_equation(equation),
         "start": start,
         "tolerance": tolerance,
         "domain": None if domain is None else [_finite_or_none(bound) for bound in domain],
@@ -236,7 +236,7 @@ def _finite_or_none(bound: Array) -> list[float | None]:
     return [value if math.isfinite(value) else None for value in np.asarray(bound).tolist()]
 
 
-def _described(equation: Equation) -> dict[str, Any]:
+def _describe_equation(equation: Equation) -> dict[str, Any]:
     """An equation as JSON can hold it, with the name of a field Q."""
 
     def as_json(cov: Any) -> Any:

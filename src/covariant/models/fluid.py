@@ -131,7 +131,7 @@ def vorticity_modes(n: int, v: Vector) -> Modes:
         >>> fluid.vorticity_modes(3, fluid.velocity_coordinates(3, stream))[1, 0].real.round(6).item()
         -0.5
     """
-    return _times(-_wave_numbers_squared(n), stream_modes(n, v))
+    return _times(-_squared_wave_numbers(n), stream_modes(n, v))
 
 
 def stream_function(n: int, v: Vector, points: int) -> Grid:
@@ -338,7 +338,7 @@ class Laplacian(AbstractInertia):
     n: int = eqx.field(static=True)
 
     def __call__(self, x: Vector) -> Vector:
-        return self.scale * _filtered(self.n, _nonzero_squares(self.n), x)
+        return self.scale * _scale_modes(self.n, _nonzero_squares(self.n), x)
 
     def solve(self, mu: Vector) -> Vector:
         """Velocity (n² − 1,) whose momentum is mu, with one step of iterative refinement."""
@@ -348,7 +348,7 @@ class Laplacian(AbstractInertia):
         return x + self._rounded_solution(mu - self(x))
 
     def _rounded_solution(self, mu: Vector) -> Vector:
-        return _filtered(self.n, 1 / _nonzero_squares(self.n), mu) / self.scale
+        return _scale_modes(self.n, 1 / _nonzero_squares(self.n), mu) / self.scale
 
     @property
     def scale(self) -> float:
@@ -395,18 +395,18 @@ def _frequencies(n: int) -> np.ndarray:
     return np.rint(np.fft.fftfreq(n, 1 / n)).astype(int)
 
 
-def _wave_numbers_squared(n: int) -> np.ndarray:
+def _squared_wave_numbers(n: int) -> np.ndarray:
     squares = _frequencies(n) ** 2.0
     return squares[:, None] + squares
 
 
-def _filtered(n: int, factors: np.ndarray, x: Vector) -> Vector:
+def _scale_modes(n: int, factors: np.ndarray, x: Vector) -> Vector:
     """x with its modes multiplied by real factors."""
     return SU(n).vee(_matrix(n, _times(factors, _coefficients(n, SU(n).hat(x)))))
 
 
 def _nonzero_squares(n: int) -> np.ndarray:
-    squares = _wave_numbers_squared(n)
+    squares = _squared_wave_numbers(n)
     squares[0, 0] = 1.0  # the mean, which no velocity has
     return squares
 

@@ -38,12 +38,12 @@ def model_columns(model: Any, loaded: Columns, given: dict[str, Any]) -> Columns
         # The file's representation replaces the loaded one: two kinds of columns for one attitude would contradict.
         loaded = loaded._replace(**dict.fromkeys(ATTITUDES, ()))
     given = {key: value for key, value in loaded._asdict().items() if value} | given
-    columns = _named(model, given)
+    columns = _name_columns(model, given)
     _check_units(model, columns)
     return columns
 
 
-def _named(model: Any, names: dict[str, Any]) -> Columns:
+def _name_columns(model: Any, names: dict[str, Any]) -> Columns:
     """Columns with names derived from the model where the document has none."""
     if not model.manifold.commuting:
         return _on_manifold(model, names)
@@ -66,7 +66,7 @@ def _in_coordinates(model: MechanicalSystem, names: dict[str, Any]) -> Columns:
         raise ValueError("the model names no coordinates; give it some, or columns.q")
     check_model(model, n)
     m = input_count(model, n)
-    columns = Columns(q=model.coordinates, u=_numbered("u", m))._replace(**names)
+    columns = Columns(q=model.coordinates, u=_numbered_names("u", m))._replace(**names)
     _check_count("q", columns.q, n, "coordinates")
     _check_count("u", columns.u, m, "inputs")
     _check_count("v", columns.v or columns.q, n, "coordinates")
@@ -79,7 +79,7 @@ def _of_outputs(model: StateSpace, names: dict[str, Any]) -> Columns:
         raise ValueError("the model names no coordinates; give it some: they say how many states it has")
     if names.get("v"):
         raise ValueError("columns.v: a state-space model has no velocities; name its outputs in columns.q")
-    columns = Columns(q=model.outputs, u=_numbered("u", model.inputs))._replace(**names)
+    columns = Columns(q=model.outputs, u=_numbered_names("u", model.inputs))._replace(**names)
     _check_count("q", columns.q, len(model.outputs), "outputs")
     _check_count("u", columns.u, model.inputs, "inputs")
     _check_count("truth", columns.truth or model.coordinates, len(model.coordinates), "states")
@@ -98,9 +98,9 @@ def _on_manifold(model: MechanicalSystem, names: dict[str, Any]) -> Columns:
         raise ValueError(f"columns.{attitudes[0]}: the model has no attitude in space; {needs.remedy}")
     columns = Columns(
         q=model.coordinates if needs.q else (),
-        u=_numbered("u", inputs),
+        u=_numbered_names("u", inputs),
         position=("px", "py", "pz")[: needs.position],
-        angle=_numbered("angle", needs.angle) if needs.angle != 1 else ("angle",),
+        angle=_numbered_names("angle", needs.angle) if needs.angle != 1 else ("angle",),
     )._replace(**names)
     for kind in attitudes:
         whole = "this way to write an attitude" if needs.attitudes == 1 else f"so written {needs.attitudes} attitudes"
@@ -109,7 +109,7 @@ def _on_manifold(model: MechanicalSystem, names: dict[str, Any]) -> Columns:
     _check_count("angle", columns.angle, needs.angle, "angles")
     _check_count("q", columns.q, needs.q, "coordinates")
     # A body in free flight has no force to log: with u = [] its inputs are zero.
-    _check_count("u", columns.u or _numbered("u", inputs), inputs, "inputs")
+    _check_count("u", columns.u or _numbered_names("u", inputs), inputs, "inputs")
     _check_count("v", columns.v or model.velocities, n, "velocities")
     _check_count("truth", columns.truth or model.velocities, n, "velocities")
     return columns
@@ -155,7 +155,7 @@ def _check_units(model: Model, columns: Columns) -> None:
                 raise ValueError(f"units.{key}: {error}") from error
 
 
-def _numbered(letter: str, count: int) -> tuple[str, ...]:
+def _numbered_names(letter: str, count: int) -> tuple[str, ...]:
     return tuple(f"{letter}{i + 1}" for i in range(count))
 
 

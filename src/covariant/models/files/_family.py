@@ -94,7 +94,7 @@ def _family(spec: str, names: Sequence[str], content: dict[str, Any]) -> Family:
     file = finish(spec, content)
     file.need_mechanical(spec, "numbers are fitted for")
     numbers = {_name(place): place for place in _numbers(content)}
-    chosen = [name for pattern in names for name in _chosen(pattern, numbers)]
+    chosen = [name for pattern in names for name in _match_names(pattern, numbers)]
     twice = next((name for name in chosen if chosen.count(name) > 1), None)
     if twice is not None:
         raise ValueError(f"{twice} is named twice; name it once")
@@ -109,7 +109,7 @@ def _family(spec: str, names: Sequence[str], content: dict[str, Any]) -> Family:
 
     positive = tuple(
         # The model's own refusal of −value says that a number is positive: no list of such names can go stale.
-        _refused(spec, _with(content, (place,), [-abs(value) or -1.0]))  # −0.0 is no negative number: −1 in its place
+        _refuses(spec, _with(content, (place,), [-abs(value) or -1.0]))  # −0.0 is no negative number: −1 in its place
         for place, value in zip(places, first, strict=True)
     )
     for name, value, refused in zip(chosen, first, positive, strict=True):
@@ -153,7 +153,7 @@ def _name(place: Place) -> str:
     return ("" if table == "parameters" else f"{table}.") + str(key) + "".join(f"[{i}]" for i in indices)
 
 
-def _chosen(pattern: str, numbers: dict[str, Place]) -> list[str]:
+def _match_names(pattern: str, numbers: dict[str, Place]) -> list[str]:
     """The numbers that a name stands for: itself, or all entries of the list."""
     plain = pattern.strip().removeprefix("parameters.")
     matches = [name for name in numbers if name == plain or re.fullmatch(re.escape(plain) + r"(\[\w+\])+", name)]
@@ -176,7 +176,7 @@ def _with(content: dict[str, Any], places: Sequence[Place], values: Sequence[Any
     return filled
 
 
-def _refused(spec: str, content: dict[str, Any]) -> bool:
+def _refuses(spec: str, content: dict[str, Any]) -> bool:
     """Whether the model refuses these numbers."""
     try:
         finish(spec, content)

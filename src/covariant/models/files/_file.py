@@ -20,7 +20,7 @@ from covariant.models.robots import ROBOTS
 def finish(spec: str, content: dict[str, Any]) -> ModelFile:
     """Build the model file of a document and check it."""
     loaded = made(spec, content)
-    return _finished(loaded, Path(spec).stem if is_file(spec) else loaded.name, content)
+    return _complete_file(loaded, Path(spec).stem if is_file(spec) else loaded.name, content)
 
 
 def finish_object(given: Any, content: dict[str, Any]) -> ModelFile:
@@ -29,10 +29,10 @@ def finish_object(given: Any, content: dict[str, Any]) -> ModelFile:
         if table in content:
             raise ValueError(f"{table} is for models that are made from a file or by name; this one is made already")
     loaded = _build(type(given).__name__, given, {})
-    return _finished(loaded, loaded.name, content)
+    return _complete_file(loaded, loaded.name, content)
 
 
-def _finished(loaded: ModelFile, name: str, content: dict[str, Any]) -> ModelFile:
+def _complete_file(loaded: ModelFile, name: str, content: dict[str, Any]) -> ModelFile:
     columns = model_columns(loaded.model, loaded.columns, _toml.columns(content))
     model: Any = loaded.model
     if loaded.mechanical and model.manifold.commuting:

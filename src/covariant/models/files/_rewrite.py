@@ -40,10 +40,10 @@ def rewrite(text: str, content: dict[str, Any]) -> str:
         if not isinstance(values, dict):
             continue
         for key in [key for key in old if key not in values]:
-            text = _replaced(text, table, key, None)
+            text = _replace_value(text, table, key, None)
         for key, value in values.items():
             if key not in old or old[key] != value:
-                text = _replaced(text, table, key, value, old.get(key))
+                text = _replace_value(text, table, key, value, old.get(key))
     try:
         after = _toml.parse(text)
     except ValueError:  # a table written as parameters.mass = 1 has become two
@@ -54,7 +54,7 @@ def rewrite(text: str, content: dict[str, Any]) -> str:
     return text
 
 
-def _replaced(text: str, table: str, key: str, value: Any, old: Any = None) -> str:
+def _replace_value(text: str, table: str, key: str, value: Any, old: Any = None) -> str:
     """The text with one value changed, removed where it is None, or put at the end of its table."""
     begin, end = _span(text, table)
     if begin is None:

@@ -258,7 +258,7 @@ def _family(spec: str, names: Sequence[str], content: dict[str, Any]) -> RobotFa
             raise ValueError(f"{number.name} is named twice; name it once")
     resting = _resting(robot, numbers)
     at = tuple(resting.get(name, 0.0) for name in file.model.coordinates)
-    family = RobotFamily(file, _filled(content, robot, numbers), tuple(numbers), spec, at)
+    family = RobotFamily(file, _fill_laws(content, robot, numbers), tuple(numbers), spec, at)
     return family._replace(document=family.with_values(family.first))
 
 
@@ -269,7 +269,7 @@ def _resting(robot: Description, numbers: list[OpenNumber]) -> dict[str, float]:
     return {name: float(law.smoothing) for name, law in laws.items() if name in opened or law.coulomb or law.stribeck}
 
 
-def _filled(content: dict[str, Any], robot: Description, numbers: list[OpenNumber]) -> dict[str, Any]:
+def _fill_laws(content: dict[str, Any], robot: Description, numbers: list[OpenNumber]) -> dict[str, Any]:
     """The document with all numbers of each law that is opened: in it a law takes the place of damping and friction."""
     content = copy.deepcopy(content)
     for joint in robot.joints:
@@ -331,7 +331,7 @@ class _Scene(NamedTuple):
         return [n for n, body in zip(links.names, links.bodies, strict=True) if body >= 0 and self.robot.links[n].mass]
 
 
-def _done(rest: list[str], where: str, known: Sequence[str] = ()) -> None:
+def _refuse_rest(rest: list[str], where: str, known: Sequence[str] = ()) -> None:
     if rest:
         raise ValueError(
             f"{where} has no {'.'.join(rest)!r}; " + (f"there are {', '.join(known)}" if known else "drop it")
@@ -343,8 +343,8 @@ def _friction(scene: _Scene, rest: list[str]) -> list[OpenNumber]:
     joints, rest = scene.of_joints(rest, fields)
     kinds = USUAL_FRICTION if not rest else tuple(rest[:1])
     if kinds[0] not in fields:
-        _done(rest, f"friction.{joints[0]}", fields)
-    _done(rest[1:], f"friction.{kinds[0]}")
+        _refuse_rest(rest, f"friction.{joints[0]}", fields)
+    _refuse_rest(rest[1:], f"friction.{kinds[0]}")
     opened = []
     for name in joints:
         joint, i, unit = scene.joint(name), scene.place(name), scene.unit(name)
@@ -367,7 +367,7 @@ def _of_joint(attribute: str, least: float, size: float, unit: Callable[[str], s
 
     def opened(scene: _Scene, rest: list[str]) -> list[OpenNumber]:
         joints, rest = scene.of_joints(rest, ())
-        _done(rest, f"{scene.group}.{joints[0]}")
+        _refuse_rest(rest, f"{scene.group}.{joints[0]}")
         return [
             OpenNumber(
                 *(scene.group, name, "", float(getattr(scene.joint(name), attribute)), least),
@@ -384,7 +384,7 @@ def _payload(scene: _Scene, rest: list[str]) -> list[OpenNumber]:
     last = scene.moving_links[-1:] or list(scene.robot.links)[-1:]
     links, rest = scene.of_links(rest, tuple(known) or tuple(last))
     if rest and rest[0] not in OF_PAYLOAD:
-        _done(rest, f"payload.{links[0]}", OF_PAYLOAD)
+        _refuse_rest(rest, f"payload.{links[0]}", OF_PAYLOAD)
     kinds = OF_PAYLOAD if not rest else tuple(rest[:1])
     units, sizes = (
         dict(zip(OF_PAYLOAD, ("kg", "m", "m", "m"), strict=True)),
@@ -430,7 +430,7 @@ def _inertia(scene: _Scene, rest: list[str]) -> list[OpenNumber]:
 
 
 def _gravity(scene: _Scene, rest: list[str]) -> list[OpenNumber]:
-    _done(rest, "gravity")
+    _refuse_rest(rest, "gravity")
     size = float(np.linalg.norm(scene.robot.gravity))
     if not size:
         raise ValueError("gravity: its direction is not known where it is zero; give [parameters] gravity = [x, y, z]")

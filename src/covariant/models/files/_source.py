@@ -101,7 +101,7 @@ def typed(name: str, factory: Callable[..., Any], parameters: dict[str, Any]) ->
     for key in converted.keys() & declared.keys():
         kind = declared[key].annotation
         try:
-            converted[key] = _typed(converted[key], kind)
+            converted[key] = _convert_to_type(converted[key], kind)
         except TypeError as error:
             open_too = inspect.formatannotation(Number)  # a number may be open, but not one from a file
             expected = inspect.formatannotation(kind).replace(open_too, "float").replace("collections.abc.", "")
@@ -110,18 +110,18 @@ def typed(name: str, factory: Callable[..., Any], parameters: dict[str, Any]) ->
     return converted
 
 
-def _typed(value: Any, declared: Any) -> Any:
+def _convert_to_type(value: Any, declared: Any) -> Any:
     choices = get_args(declared)
     if isinstance(value, jax.Array | np.floating):  # possibly traced: its value cannot be converted
         return value
     if get_origin(declared) in (Union, UnionType):
         for choice in choices:
             with contextlib.suppress(TypeError):
-                return _typed(value, choice)
+                return _convert_to_type(value, choice)
     elif get_origin(declared) is Mapping and isinstance(value, dict):
-        return {_typed(key, choices[0]): _typed(entry, choices[1]) for key, entry in value.items()}
+        return {_convert_to_type(key, choices[0]): _convert_to_type(entry, choices[1]) for key, entry in value.items()}
     elif get_origin(declared) is Sequence and isinstance(value, list | tuple):
-        return [_typed(entry, choices[0]) for entry in value]
+        return [_convert_to_type(entry, choices[0]) for entry in value]
     # `type`, not `isinstance`: in Python True is an int.
     elif type(value) is declared or (type(value), declared) == (int, float):
         return declared(value)

@@ -42,7 +42,7 @@ def surface_ship(
     """
     return Craft(
         mass,
-        _turned,
+        _yaw_matrix,
         damping if callable(damping) else Parametric(_constant, matrix=damping),
         None if mooring is None else Parametric(_mooring, stiffness=mooring),
         coriolis,
@@ -54,7 +54,7 @@ def surface_ship(
     )
 
 
-def _turned(eta):
+def _yaw_matrix(eta):
     return yaw_rotation(eta[2])
 
 

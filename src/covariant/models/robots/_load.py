@@ -35,7 +35,7 @@ def read(path: str | Path, *, motor_torques: bool = False) -> Description:
         2
     """
     try:
-        return _read(located(path), motor_torques)
+        return _read_description(located(path), motor_torques)
     except OSError as error:
         raise ValueError(
             f"{path}: {error.strerror or error}; give the path of a URDF or MJCF file, or one of {', '.join(ROBOTS)}"
@@ -44,7 +44,7 @@ def read(path: str | Path, *, motor_torques: bool = False) -> Description:
         raise ValueError(f"{path}: {error}") from error
 
 
-def _read(path: Path, motor_torques: bool) -> Description:
+def _read_description(path: Path, motor_torques: bool) -> Description:
     outermost = parse(path)
     if outermost.tag == "mujoco":
         if motor_torques:

@@ -74,7 +74,7 @@ def read_mjcf(path: Path) -> Description:
     joints: list[Joint] = []
     for i in range(1, model.nbody):
         _body(read, i, links, joints)
-    joints = _coupled(read, joints)
+    joints = _couple_joints(read, joints)
     for size, what in IGNORED.items():
         if getattr(model, size):
             read.ignored[what] += int(getattr(model, size))
@@ -214,7 +214,7 @@ def _joint(read: _Reader, k: int, parent: str, child: str, rotation: np.ndarray,
     return joint
 
 
-def _coupled(read: _Reader, joints: list[Joint]) -> list[Joint]:
+def _couple_joints(read: _Reader, joints: list[Joint]) -> list[Joint]:
     """The joints, with the constraints of equalities by which they follow another joint or stand still."""
     model, coupled = read.model, {joint.name: joint for joint in joints}
     for i in range(model.neq):

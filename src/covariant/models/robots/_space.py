@@ -125,7 +125,7 @@ class RobotSpace(AbstractSpace):
         """
         joints = self.joints(x)
         twists, gathered = jax.vjp(lambda b: self.twists(joints, b), a)
-        momenta = jnp.concatenate(_momentum(self._bodies(x), *_split(twists)), axis=1)
+        momenta = jnp.concatenate(_momentum(self._bodies(x), *_split_twists(twists)), axis=1)
         # The transpose of velocity ↦ twists sums the momenta along the tree.
         return gathered(momenta)[0] + self._rotors(a)
 
@@ -244,14 +244,14 @@ class RobotSpace(AbstractSpace):
             field = self._accelerations(joints, along, c, spin, spin_c, twists[0, :3])
             # The part along the motions is what the constraint forces leave: its momentum is the gathered resistance.
             within = _solve_leaves_first(matrix, gathered(_wrench(_resistance(moments, field)))[0])
-            speed, twist = _split(self._all_twists(joints, within))
+            speed, twist = _split_twists(self._all_twists(joints, within))
             return _resistance(inertia, PointField(field.offset - speed, _plus_cross(field.gradient, -1, twist)))
 
         # The second term of Gauss's equation has a minus sign, which negated moments carry.
         onto = normal(b, spin_b, moments), normal(a, spin_a, jax.tree.map(jnp.negative, moments))
 
         def moved(w):
-            speed, spin = _split(self._all_twists(joints, w))
+            speed, spin = _split_twists(self._all_twists(joints, w))
             return tuple(
                 self._accelerations(joints, e, w, turn, spin, speed[0]) for e, turn in ((a, spin_a), (b, spin_b))
             )
@@ -362,7 +362,7 @@ class RobotSpace(AbstractSpace):
         rotation, place, joints = rotation.astype(x.dtype), place.astype(x.dtype), self.joints(x)
 
         def twist(a: Vector) -> Float[Array, "6"]:
-            speed, spin = _split(self.twists(joints, a)[body + 1])
+            speed, spin = _split_twists(self.twists(joints, a)[body + 1])
             # v @ R is Rᵀ v: from the frame of the body to that of the link.
             return jnp.concatenate([(speed + jnp.cross(spin, place)) @ rotation, spin @ rotation])
 
@@ -574,7 +574,7 @@ def _product(a: Array, b: Array) -> Array:
     return jnp.sum(a[:, :, :, None] * b[:, None, :, :], axis=2)
 
 
-def _split(twists: Array) -> tuple[Array, Array]:
+def _split_twists(twists: Array) -> tuple[Array, Array]:
     return twists[..., :3], twists[..., 3:]
 
 
