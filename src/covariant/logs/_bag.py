@@ -75,7 +75,7 @@ class _Place(NamedTuple):
 def bag_columns(path: Path) -> dict[str, bool]:
     """Names of the columns of a log of messages."""
     with _messages(path) as (topics, messages):
-        places = _places(_named(path, topics, messages()))
+        places = _places(_find_places(path, topics, messages()))
     first = {place: name for name, place in reversed(places.items())}
     return {name: first[place] == name != RECEIVED for name, place in places.items()}
 
@@ -86,7 +86,7 @@ def read_bag(path: Path, wanted: Sequence[str], held: Sequence[str], beside: Seq
     Rows before all columns have a number are left out.
     """
     with _messages(path) as (topics, messages):
-        places = _places(_named(path, topics, messages()))
+        places = _places(_find_places(path, topics, messages()))
         further = {name: places[name] for name in beside}
         places = {name: places[name] for name in wanted if name not in (HEADER, RECEIVED)}
         topics = {place.topic for place in (*places.values(), *further.values())}
@@ -174,7 +174,7 @@ def _numbers(path: Path, topic: str, count: int, message: Any) -> dict[str, floa
         raise LogError(f"{path}: message {count + 1} of {topic} {error}") from error
 
 
-def _named(path: Path, topics: Mapping[str, int], messages: Iterator[tuple[str, int, Any]]) -> list[_Place]:
+def _find_places(path: Path, topics: Mapping[str, int], messages: Iterator[tuple[str, int, Any]]) -> list[_Place]:
     """All numbers in the first messages of each topic."""
     left, places = {topic: min(LOOKED_AT, count) for topic, count in topics.items()}, {}
     for topic, _, message in messages:

@@ -96,13 +96,15 @@ def from_cells(name: str, columns: Columns, cells: Float[np.ndarray, "T k"]) -> 
         return cells
     named = dict(zip(columns.measured, cells.T, strict=True))
     groups = [together, *((ball,) for ball in balls)]
-    parts = [_from_named(name, group, named) for group in groups]
+    parts = [_matrices_from_columns(name, group, named) for group in groups]
     if len(parts) == 1 and not columns.q:
         return parts[0]
     return np.concatenate([*(part.reshape(len(cells), -1) for part in parts), cells[:, : len(columns.q)]], axis=1)
 
 
-def _from_named(name: str, parts: tuple[Body, ...], named: dict[str, np.ndarray]) -> Float[np.ndarray, "T N N"]:
+def _matrices_from_columns(
+    name: str, parts: tuple[Body, ...], named: dict[str, np.ndarray]
+) -> Float[np.ndarray, "T N N"]:
     """The block-diagonal matrices of these bodies."""
     order = sum(body.order for body in parts)
     cells = np.stack([named[name] for body in parts for name in (*body.rotation, *body.position)], axis=1)

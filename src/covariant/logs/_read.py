@@ -108,7 +108,7 @@ def read(
         whole = _of_record(log, columns)._replace(readings=(None,) * len(sensors))
     else:
         whole = _of_columns(name, log, columns, optional, sensors)
-    return _cut(name, whole, every, until, start)
+    return _select_rows(name, whole, every, until, start)
 
 
 def record(
@@ -183,7 +183,7 @@ def _of_columns(
     u, y = stack(columns, "u", needed=True), from_cells(name, columns, stack(columns, *MEASURED, empty=False))
     v, truth = (stack(columns, field) if getattr(columns, field) else None for field in OPTIONAL)
     read = tuple(readings(each, si) if each in present else None for each, si in sensors)
-    return Log(_checked(name, Record(t, u, y)), v, truth, origin, readings=read)
+    return Log(_check_record(name, Record(t, u, y)), v, truth, origin, readings=read)
 
 
 def _need_units(log: str, columns: Columns, field: str, units: Mapping[str, str], si: str | None = None) -> None:
@@ -213,7 +213,7 @@ def _need_units(log: str, columns: Columns, field: str, units: Mapping[str, str]
 
 def _of_record(log: Record, columns: Columns) -> Log:
     """A log that is a record already, with as many positions and inputs as there are columns of them."""
-    log = _checked("record", log)
+    log = _check_record("record", log)
     log = log._replace(t=np.asarray(log.t), u=np.asarray(log.u), y=np.asarray(log.y))
     if not bodies(columns) and log.y.shape[1:] != (len(columns.q),):
         raise LogError(f"record: it has positions of shape {log.y.shape[1:]}, needs {len(columns.q)} of them")
@@ -222,7 +222,7 @@ def _of_record(log: Record, columns: Columns) -> Log:
     return Log(log)
 
 
-def _cut(name: str, log: Log, every: int, until: float | None, start: float | None) -> Log:
+def _select_rows(name: str, log: Log, every: int, until: float | None, start: float | None) -> Log:
     """Every k-th row of a log between two times since its first row."""
     t = log.record.t
     since = t - t[0]
@@ -273,7 +273,7 @@ def survey(log: str | PathLike[str] | Any) -> dict[str, Float[np.ndarray, "T"]]:
     """
     name = source_name(log)
     with _legible(name, log):
-        _, shown, load, _ = _opened(name, log)
+        _, shown, load, _ = _open_source(name, log)
         # A name of two columns denotes neither.
         alone = [column for column, count in Counter(shown).items() if column and count == 1]
         table = with_points(pyarrow(), name, load(alone, (), ()))
@@ -289,7 +289,7 @@ def _where(name: str, column: str, unit: str | None) -> str:
     return f"{name}: column {column!r}" + (f" [{unit}]" if unit else "")
 
 
-def _checked(name: str, record: Record) -> Record:
+def _check_record(name: str, record: Record) -> Record:
     """The record after `Record.check`, before rows are dropped, so that messages count rows as in the log."""
     try:
         return record.check()
@@ -306,7 +306,7 @@ def _columns_and_table(
     the units that the log states.
     """
     with _legible(name, log):
-        names, shown, load, units = _opened(name, log)
+        names, shown, load, units = _open_source(name, log)
         # A field of which some columns are there is not absent: the others are an error below.
         absent = [field for field in optional if not set(getattr(columns, field)) & set(names)]
         columns = columns._replace(**dict.fromkeys(absent, ()))
@@ -334,7 +334,7 @@ def _legible(name: str, log: Any) -> Iterator[None]:
         raise LogError(f"{name}: cannot be read as {what}: {str(error).splitlines()[0]}") from error
 
 
-def _opened(name: str, log: Any) -> LogSource:
+def _open_source(name: str, log: Any) -> LogSource:
     if not isinstance(log, (str, PathLike)):
         return table_source(name, log)
     path = Path(log)

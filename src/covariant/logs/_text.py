@@ -42,10 +42,10 @@ def sheet(path: Path) -> Sheet:
     if not first.strip(b" \t"):
         raise LogError(f"{path}: the file is empty; its first line must name the columns")
     lines = [first.decode(), *(line.decode() for line in rows.split(b"\n", SAMPLE)[:SAMPLE] if line)]
-    delimiter = next((d for d in DELIMITERS if _agrees(_split(lines, d))), None) or _of_header(lines[0])
-    header, *sample = _split(lines, delimiter)
+    delimiter = next((d for d in DELIMITERS if _agrees(_split_cells(lines, d))), None) or _of_header(lines[0])
+    header, *sample = _split_cells(lines, delimiter)
     if remark and all(is_number(cell) for cell in header if cell):  # as numpy.savetxt writes its header
-        names = _split([remark], delimiter)[0]
+        names = _split_cells([remark], delimiter)[0]
         if len(names) == len(header):
             # The last comment has as many cells as the first line, which holds numbers only: it is the header.
             header, sample, rows = names, [header, *sample], text
@@ -144,7 +144,7 @@ def _remark(text: bytes) -> str:
     return last.lstrip(b"#% \t").decode()
 
 
-def _split(lines: Sequence[str], delimiter: str) -> list[list[str]]:
+def _split_cells(lines: Sequence[str], delimiter: str) -> list[list[str]]:
     """The cells of each line, without the spaces around them."""
     if delimiter == " ":
         lines = [" ".join(line.split()) for line in lines]

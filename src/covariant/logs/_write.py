@@ -45,7 +45,7 @@ def write(path: str | PathLike[str], columns: Mapping[str, np.ndarray], origin_n
         raise LogError(f"{path}: a log to write must end in {', '.join(WRITTEN)}; this one ends in {ending}")
     if not path.parent.is_dir():
         raise LogError(f"{path}: there is no folder {path.parent}; make it first")
-    checked = _checked(path, columns)
+    checked = _check_columns(path, columns)
     try:
         if path.suffix.lower() in MESSAGES:
             if path.is_dir():
@@ -60,7 +60,7 @@ def write(path: str | PathLike[str], columns: Mapping[str, np.ndarray], origin_n
         raise LogError(f"{path}: cannot be written: {error.strerror or error}") from error
 
 
-def _checked(path: Path, columns: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+def _check_columns(path: Path, columns: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     arrays = {name: np.asarray(column) for name, column in columns.items()}
     if not arrays:
         raise LogError(f"{path}: there are no columns to write")

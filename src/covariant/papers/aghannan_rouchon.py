@@ -193,14 +193,14 @@ def _chart_differences(
     differences = []
     for error in errors:
         x0, start = jnp.array([0.3, 0.0]), jnp.array([0.3 + error, error])
-        q, v = np.split(_oscillator_run(in_q, x0, start), 2, axis=1)
-        r, w = np.split(_oscillator_run(in_r, chart_r(x0), chart_r(start)), 2, axis=1)
+        q, v = np.split(_simulate_oscillator(in_q, x0, start), 2, axis=1)
+        r, w = np.split(_simulate_oscillator(in_r, chart_r(x0), chart_r(start)), 2, axis=1)
         differences.append(float(max(np.abs(np.log(r) - q).max(), np.abs(w / r - v).max()) / error))
     return differences
 
 
 @eqx.filter_jit
-def _oscillator_run(observer, x0, start):
+def _simulate_oscillator(observer, x0, start):
     state = observer.init(start[:1])._replace(v=start[1:])
     t = jnp.linspace(0.0, 10.0, 41)
     estimates = observe(observer.model, observer, x0, state, t, rtol=1e-11, atol=1e-13)[1]

@@ -155,12 +155,12 @@ def conserved(duration: float = 60.0) -> dict[str, float]:
         Changes of `energy` [J], `vertical_momentum` [N m s], and `casimir` `|Rᵀe₃|²`, which would show a drift off the
         group.
     """
-    change = _conserved(jnp.linspace(0.0, duration, 601))
+    change = _invariant_drift(jnp.linspace(0.0, duration, 601))
     return dict(zip(("energy", "vertical_momentum", "casimir"), (float(a) for a in change), strict=True))
 
 
 @eqx.filter_jit
-def _conserved(t):
+def _invariant_drift(t):
     top = models.heavy_top(TOP)
     x = simulate(top, models.Motion(SO3.exp(jnp.array(TILT)), jnp.array(SPINNING)), t).x
 

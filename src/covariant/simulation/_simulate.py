@@ -115,7 +115,7 @@ def _simulate_in_charts(model: Any, x0: Any, t: Float[Array, "T"], input_at: Inp
         return moved, moved
 
     start = model.motion(x0)
-    return _joined(start, jax.lax.scan(interval, start, (t[:-1], t[1:]))[1])
+    return _prepend(start, jax.lax.scan(interval, start, (t[:-1], t[1:]))[1])
 
 
 def position(t, q):
@@ -227,7 +227,7 @@ def _observe_in_charts(model: Any, observer: AbstractFlowObserver, answer, x0: M
         return moved, moved
 
     first = (x0.q, model.space.lower(*x0), state0)
-    q, momentum, state = _joined(first, jax.lax.scan(interval, first, (t[:-1], t[1:]))[1])
+    q, momentum, state = _prepend(first, jax.lax.scan(interval, first, (t[:-1], t[1:]))[1])
     return Motion(q, jax.vmap(model.space.raise_)(q, momentum)), state
 
 
@@ -279,7 +279,7 @@ def _zero_order_hold(t, u, s, x):
     return u[jnp.clip(jnp.searchsorted(t, s, side="right") - 1, 0, t.shape[0] - 1)]
 
 
-def _joined(first: Any, after: Any) -> Any:
+def _prepend(first: Any, after: Any) -> Any:
     return jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), first, after)
 
 

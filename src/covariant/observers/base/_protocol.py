@@ -442,21 +442,21 @@ def as_gain(value: Any) -> Any:
 def check_positive(whose: str, **gains: Any) -> None:
     """Check that gains are positive, finite numbers; a traced gain has no value to check."""
     for name, gain in gains.items():
-        if not _satisfied(gain, lambda a: np.isfinite(a) & (a > 0)):
+        if not _satisfies(gain, lambda a: np.isfinite(a) & (a > 0)):
             raise ValueError(f"{whose}: {name} must be a positive, finite number; got {_on_one_line(gain)}")
 
 
 def check_not_negative(whose: str, **gains: Any) -> None:
     """Check that gains are finite numbers ≥ 0; a traced gain has no value to check."""
     for name, gain in gains.items():
-        if not _satisfied(gain, lambda a: np.isfinite(a) & (a >= 0)):
+        if not _satisfies(gain, lambda a: np.isfinite(a) & (a >= 0)):
             raise ValueError(f"{whose}: {name} must be a finite number, 0 or more; got {_on_one_line(gain)}")
 
 
 def check_finite(whose: str, **given: Any) -> None:
     """Check that arrays have finite entries; a traced array has no values to check."""
     for name, array in given.items():
-        if not _satisfied(array, np.isfinite):
+        if not _satisfies(array, np.isfinite):
             raise ValueError(f"{whose}: {name} must have finite entries; got {_on_one_line(array)}")
 
 
@@ -473,7 +473,7 @@ def as_numbers(whose: str, what: str, value: Any, count: int, least: float = -np
     return numbers
 
 
-def _satisfied(value: Any, condition: Callable[[np.ndarray], Any]) -> bool:
+def _satisfies(value: Any, condition: Callable[[np.ndarray], Any]) -> bool:
     if isinstance(value, Tracer):
         return True
     try:

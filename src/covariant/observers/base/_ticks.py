@@ -99,7 +99,7 @@ def take(
         # The edge is half a tick before the new reading, at the position that was `back` seconds ago.
         measured = offset[i] - jnp.where(edge, jnp.sign(moved[i]) * half - back * speed[i], 0.0)
         state = _scalar(state, position - back * velocity, measured, r, used[i] & (wider | ~still))
-        state = _clamped(state, position, offset[i], half + jnp.sqrt(noise[i]), used[i])
+        state = _clamp_mean(state, position, offset[i], half + jnp.sqrt(noise[i]), used[i])
     return state
 
 
@@ -113,7 +113,7 @@ def _scalar(state: Believed, row: Vector, value: Scalar, noise: Scalar, used: Ar
     return Believed(state.error + gain * weight * (value - row @ state.error), root)
 
 
-def _clamped(state: Believed, row: Vector, centre: Scalar, half: Scalar, used: Array) -> Believed:
+def _clamp_mean(state: Believed, row: Vector, centre: Scalar, half: Scalar, used: Array) -> Believed:
     """Shift of the mean into the interval, along the gain of a measurement of this position; the covariance stays."""
     residual = centre - row @ state.error
     outside = jnp.where(used, residual - jnp.clip(residual, -half, half), 0.0)

@@ -241,7 +241,7 @@ def smoothed(
     blocks = -(-count // BLOCK)
     size = -(-count // blocks)
     # The rows added at the end are no steps: nothing of this reaches a row of the log.
-    rows, state, later = _begun(observer, t, u, y, blocks * size + ahead - count)
+    rows, state, later = _begin_smoothing(observer, t, u, y, blocks * size + ahead - count)
     fields = None if keep is None else frozenset(keep)
 
     def block(k, state, later):
@@ -257,11 +257,11 @@ def smoothed(
     else:
         for k in range(blocks):
             parts[k], _, state = block(k, state, later)
-    estimate, info, std, root, filtered, filter_info = _joined(parts, count)
+    estimate, info, std, root, filtered, filter_info = _join_blocks(parts, count)
     return Smoothed(Run(t, estimate, info), Run(t, filtered, filter_info), std, root)
 
 
-def _joined(parts: list[Any], count: int) -> Any:
+def _join_blocks(parts: list[Any], count: int) -> Any:
     """The first `count` rows of all blocks; `parts` is emptied, so that hardly anything is in memory twice."""
     tree = jax.tree.structure(parts[0])
     pieces = [list(each) for each in zip(*map(jax.tree.leaves, parts), strict=True)]
@@ -274,14 +274,16 @@ def _joined(parts: list[Any], count: int) -> Any:
 
 
 @eqx.filter_jit  # one program in place of some twenty small ones
-def _begun(observer: AbstractGatedFilter, t: Array, u: Array, y: Array, more: int) -> tuple[Rows, Any, Smoothing]:
+def _begin_smoothing(
+    observer: AbstractGatedFilter, t: Array, u: Array, y: Array, more: int
+) -> tuple[Rows, Any, Smoothing]:
     """The rows of a record and `more`, the state at the first, and as much knowledge of the error after the last."""
     state = observer.init(y[0], t[0])
     root = observer.root(state)
-    return _lengthened(Rows.of(t, u, y), more), state, Smoothing(jnp.zeros_like(root[0]), jnp.zeros_like(root))
+    return _lengthen_rows(Rows.of(t, u, y), more), state, Smoothing(jnp.zeros_like(root[0]), jnp.zeros_like(root))
 
 
-def _lengthened(rows: Rows, more: int) -> Rows:
+def _lengthen_rows(rows: Rows, more: int) -> Rows:
     """Rows with as many `more` at the end that are no steps."""
     return Rows(
         *(
@@ -329,7 +331,7 @@ def _block(
     if lag is None:
         first, smoothed = jax.lax.scan(earlier, later, maps, reverse=True)
     else:
-        first, smoothed = later, _lagged(following.root, maps, size, lag)
+        first, smoothed = later, _smooth_with_lag(following.root, maps, size, lag)
     states = jax.tree.map(lambda a: a[:size], states)
 
     def moved(state, smoothing):
@@ -345,7 +347,7 @@ def _block(
     return part, first, jax.tree.map(lambda a: a[-1], states)
 
 
-def _lagged(roots: Float[Array, "M N N"], maps: Backward, size: int, lag: int) -> Smoothing:
+def _smooth_with_lag(roots: Float[Array, "M N N"], maps: Backward, size: int, lag: int) -> Smoothing:
     """What is known of the errors of the first `size` rows, from `lag` rows after each.
 
     Map k leads from row k + 1 to row k, and root k is that of row k.

@@ -170,7 +170,7 @@ class Encoder(_AbstractComponents):
         model: Any = file.model
         if not model.manifold.commuting:
             raise ValueError("an encoder is of coordinates, and the model is on a group; give a pose or a point")
-        places, settings = _named(table, model.coordinates, file.columns.q)
+        places, settings = _resolve_names(table, model.coordinates, file.columns.q)
         reduction = np.abs(np.broadcast_to(np.asarray(table.get("reduction", 1.0), float), len(places)))
         # A reading at the joint is an angle within a turn; one behind a gear counts turns.
         period = np.where(np.isin(places, model.circles) & (reduction == 1), 2 * np.pi, 0.0)
@@ -222,7 +222,7 @@ class Tachometer(_AbstractComponents):
         model: Any = file.model
         charted = model.manifold.commuting
         joints = (model.coordinates, file.columns.q) if charted else ()
-        places, settings = _named(table, *joints, model.velocities)
+        places, settings = _resolve_names(table, *joints, model.velocities)
         units = model.units if charted else model.velocity_units
         unit = units[places[0]] if units else ""
         return tachometer(places, name=name, **settings), f"{unit}/s" if charted and unit else unit
@@ -455,7 +455,7 @@ SENSOR_KINDS = {
 """The kinds of sensors of a model file, by what their tables call them."""
 
 
-def _named(table: Mapping[str, Any], *lists: Sequence[str]) -> tuple[list[int], dict[str, Any]]:
+def _resolve_names(table: Mapping[str, Any], *lists: Sequence[str]) -> tuple[list[int], dict[str, Any]]:
     """Places of the names in `of` in the first list that has each, and the other settings of the table."""
     places = []
     for each in table["of"]:

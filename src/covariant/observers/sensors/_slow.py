@@ -252,12 +252,12 @@ def external_force(
     """
     if density is not None and std is None and time is None:
         cov = _square("external_force", "density", density)
-        return SlowVariables(_numbered(name, len(cov)), jnp.zeros(len(cov)), cov, cov, force=_itself)
+        return SlowVariables(_numbered_names(name, len(cov)), jnp.zeros(len(cov)), cov, cov, force=_itself)
     if density is not None or std is None or time is None:
         raise ValueError("external_force: give a density, or both std and time")
     check_positive("external_force", time=time)
     stds = _deviations("external_force", "std", std)
-    return forgotten_force(_numbered(name, len(stds)), stds, time, _itself)
+    return forgotten_force(_numbered_names(name, len(stds)), stds, time, _itself)
 
 
 def forgotten_force(
@@ -368,7 +368,7 @@ def _relative(positive: tuple[bool, ...]) -> Callable[..., Array]:
     return parameters
 
 
-def _numbered(name: str, n: int) -> tuple[str, ...]:
+def _numbered_names(name: str, n: int) -> tuple[str, ...]:
     return tuple(f"{name}{i + 1}" for i in range(n))
 
 

@@ -300,8 +300,8 @@ class Delayed(AbstractWrapper):
             readings, current = jnp.where(fill, part[None], readings), current | (same_time[:, None] & in_group[None])
             at = jnp.where(completes | too_old, jnp.inf, at)
             older = age >= at
-            readings, current = _inserted(readings, part, older), _inserted(current, in_group, older)
-            age = _inserted(age, at, older)
+            readings, current = _insert_row(readings, part, older), _insert_row(current, in_group, older)
+            age = _insert_row(age, at, older)
         return age, readings, current, too_late
 
     def _scan_reading(self, carry: "_Replay", item):
@@ -357,7 +357,7 @@ def _rows(time: float, rate: float) -> int:
     return math.ceil(time * rate - 1e-9)
 
 
-def _inserted(rows: Array, row: Array, older: Bool[Array, "L"]) -> Array:
+def _insert_row(rows: Array, row: Array, older: Bool[Array, "L"]) -> Array:
     """The rows with another one behind those that are `older`, which come first."""
     stays = _with_axes(jnp.pad(older, (0, 1)), rows)
     # The first place is free for a row that is older than all others.

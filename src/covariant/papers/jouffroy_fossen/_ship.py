@@ -49,7 +49,7 @@ def ship_decay(duration: float = 600.0) -> dict[str, Any]:
         Stamps `t` (T,), `lyapunov` V (T,), the guaranteed `rate` α of `V ≤ e^(−2αt) V(0)`, the rate `printed` in (47),
         and the `fitted` one [1/s].
     """
-    station = _moored()
+    station = _moored_vessel()
     mass = np.asarray(station.ship.mass)
     gains = lyapunov_gains(station, mass * 1e-2, mass * 1e-3)
     t = jnp.linspace(0.0, duration, 301)
@@ -64,7 +64,7 @@ def ship_decay(duration: float = 600.0) -> dict[str, Any]:
 
 
 @functools.cache  # one object, so that compiled programs are reused
-def _moored() -> marine.Station:
+def _moored_vessel() -> marine.Station:
     return marine.Station(marine.supply_vessel(mooring=np.diag([5e4, 5e4, 5e7])))
 
 
