@@ -84,7 +84,7 @@ class Form(NamedTuple):
             grown = Graph.of(formed.entries.graph.nodes)
             place = np.array([grown.input(i) for i in range(formed.entries.inputs)], int)
             entries = graft(grown, formula, formed.entries.nodes(), place)
-            return formed._replace(entries=_lowered(grown, entries, formed.entries.arguments))
+            return formed._replace(entries=_lower_entries(grown, entries, formed.entries.arguments))
 
         return Form(lambda z: formula(self.numbers(z), z), graph)
 
@@ -228,7 +228,7 @@ def _at_state(value: Lowered, grown: Graph, outputs: np.ndarray, at: Lowered) ->
     nodes = substitute(noted.graph, [c.node for c in noted.conditions], free, inputs(free, pinned))
     unmet = [c._replace(node=i) for c, i in zip(noted.conditions, nodes, strict=True) if not _is_met(free, c, i)]
     conditions = Conditions.of(free, unmet, d + len(pins))
-    return Formed(_lowered(small, entries.reshape(outputs.shape), at.arguments), conditions, np.array(pins))
+    return Formed(_lower_entries(small, entries.reshape(outputs.shape), at.arguments), conditions, np.array(pins))
 
 
 def _is_met(graph: Graph, condition: Condition, node: int) -> bool:
@@ -240,7 +240,7 @@ def _is_met(graph: Graph, condition: Condition, node: int) -> bool:
     return abs(float(value or 0)) < LARGEST if condition.kind == "finite" else bool(value)
 
 
-def _lowered(graph: Graph, entries: np.ndarray, arguments: tuple[tuple[int, ...], ...]) -> Lowered:
+def _lower_entries(graph: Graph, entries: np.ndarray, arguments: tuple[tuple[int, ...], ...]) -> Lowered:
     small, outputs = graph.pruned(entries.ravel().tolist())
     result = jax.ShapeDtypeStruct(entries.shape, jnp.float64)
     return Lowered(small, arguments, tuple(outputs), (result,), jax.tree.structure(result))

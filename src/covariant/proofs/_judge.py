@@ -20,7 +20,7 @@ MODELLED = 128
 
 def judge(matrix: Expansions, low: np.ndarray, high: np.ndarray) -> tuple[Int[np.ndarray, "B"], np.ndarray | None]:
     """Evaluate boxes: prove each, choose the variable across which to halve it, or find a counter-example."""
-    proved, weight, smooth = _tested(matrix, low, high)
+    proved, weight, smooth = _test_boxes(matrix, low, high)
     codes = np.full(len(low), PROVED)
     rest = np.flatnonzero(~proved)
     if not len(rest):
@@ -46,12 +46,12 @@ def judge(matrix: Expansions, low: np.ndarray, high: np.ndarray) -> tuple[Int[np
     return codes, None
 
 
-def _tested(
+def _test_boxes(
     matrix: Expansions, low: np.ndarray, high: np.ndarray
 ) -> tuple[Bool[np.ndarray, "B"], Float[np.ndarray, "B f"], Bool[np.ndarray, "B"]]:
     """Which boxes are proved, how much each variable widens the enclosures of the others, and which are smooth."""
     if matrix.first is None or matrix.second is None:
-        return _tested_by_models(matrix, low, high)
+        return _test_by_models(matrix, low, high)
     centre = middle_of(low, high)
     at = enclose(matrix.first, centre, centre, matrix.engine)
     on = enclose(matrix.second, low, high, matrix.engine)
@@ -72,7 +72,7 @@ def _tested(
     return proved, _weight(parts, np.arange(f), f), enclosures.smooth
 
 
-def _tested_by_models(
+def _test_by_models(
     matrix: Expansions, low: np.ndarray, high: np.ndarray
 ) -> tuple[Bool[np.ndarray, "B"], Float[np.ndarray, "B f"], Bool[np.ndarray, "B"]]:
     """The same by Taylor models, some boxes after the other. They hold at kinks too, where they are the hulls."""

@@ -200,7 +200,7 @@ def _with_derivatives(op: str, constants: tuple[float, ...]) -> tuple[Graph, tup
     return small, tuple(outputs)
 
 
-def _enclosed(graph: Graph, outputs: Sequence[int], x: Interval) -> list[Interval]:
+def _enclose_outputs(graph: Graph, outputs: Sequence[int], x: Interval) -> list[Interval]:
     values: list[Any] = []
     for node in graph.nodes:
         if node.op == "input":
@@ -218,11 +218,13 @@ def curve(op: str, x: TaylorModel, *given: float) -> TaylorModel:
     Where that is wider than the bounds of f over the range, or derivatives do not exist, the result is these bounds.
     """
     graph, outputs = _with_derivatives(op, given)
-    whole = TaylorModel.within(_enclosed(graph, outputs[:1], x.bounds)[0])
+    whole = TaylorModel.within(_enclose_outputs(graph, outputs[:1], x.bounds)[0])
     if not x.on:
         return whole
-    value, slope, bend = (TaylorModel.within(result) for result in _enclosed(graph, outputs[:3], Interval(x.at, x.at)))
-    third = TaylorModel.within(_enclosed(graph, outputs[3:], x.bounds)[0])
+    value, slope, bend = (
+        TaylorModel.within(result) for result in _enclose_outputs(graph, outputs[:3], Interval(x.at, x.at))
+    )
+    third = TaylorModel.within(_enclose_outputs(graph, outputs[3:], x.bounds)[0])
     deviation = TaylorModel(x.on, np.zeros_like(x.at), x.line, x.bend, x.rest, x.shares)
     # `bend.rest` is not halved: the remainder may only be too large.
     result = value + deviation * slope + deviation * deviation * TaylorModel.number(bend.at / 2, bend.rest)
@@ -236,7 +238,7 @@ def curve(op: str, x: TaylorModel, *given: float) -> TaylorModel:
     return result.where(result.rest <= whole.rest, hull)
 
 
-def _divided(a: TaylorModel, b: TaylorModel) -> TaylorModel:
+def _divide_models(a: TaylorModel, b: TaylorModel) -> TaylorModel:
     # A quotient as a product with 1/b, which is a function of one number; it has no bound where b may be zero.
     return a * curve("div", b, 1.0)
 
@@ -254,16 +256,16 @@ def _smaller(a: TaylorModel, b: TaylorModel) -> TaylorModel:
     return a.where(gap.high <= 0, b.where(gap.low >= 0, hull))
 
 
-def _chosen(which: Truth, a: TaylorModel, b: TaylorModel) -> TaylorModel:
+def _choose_model(which: Truth, a: TaylorModel, b: TaylorModel) -> TaylorModel:
     """a where a statement must hold, b where it cannot, and the hull of both where it is undecided."""
     hull = TaylorModel.within(INTERVALS["select"](which, a.bounds, b.bounds))
     return a.where(np.atleast_1d(which.must), b.where(np.atleast_1d(~which.may), hull))
 
 
-def _kinked(a: TaylorModel, b: TaylorModel, x: TaylorModel, y: TaylorModel) -> TaylorModel:
+def _kink_derivative(a: TaylorModel, b: TaylorModel, x: TaylorModel, y: TaylorModel) -> TaylorModel:
     """The derivative at a kink: x where a < b, y where b < a, and the hull of both where they may be equal."""
     gap = (a + -b).bounds
-    return _chosen(Truth(gap.high < 0, ~(gap.low > 0)), x, y)
+    return _choose_model(Truth(gap.high < 0, ~(gap.low > 0)), x, y)
 
 
 OPERATIONS: dict[str, Callable[..., Any]] = {
@@ -271,12 +273,12 @@ OPERATIONS: dict[str, Callable[..., Any]] = {
     "sub": lambda a, b: a + -b,
     "neg": lambda a: -a,
     "mul": lambda a, b: a * b,
-    "div": _divided,
+    "div": _divide_models,
     "abs": _size,
     "min": _smaller,
     "max": lambda a, b: -_smaller(-a, -b),
-    "select": _chosen,
-    "either": _kinked,
+    "select": _choose_model,
+    "either": _kink_derivative,
     **{
         op: functools.partial(curve, op)
         for op in (
@@ -359,7 +361,7 @@ def polynomials(
                 uses[a] -= 1
                 if not uses[a]:
                     del values[a]
-        return _gathered([values[i] for i in lowered.outputs], owners, blame)
+        return _gather_polynomials([values[i] for i in lowered.outputs], owners, blame)
 
 
 def _blame(blame: np.ndarray, owners: Sequence[int], result: Any, arguments: Sequence[Any]) -> None:
@@ -404,7 +406,7 @@ def _variable(low: np.ndarray, high: np.ndarray, number: int | None) -> TaylorMo
     return TaylorModel((number,), centre, half[None], np.zeros((1, 1)), np.zeros(1), np.zeros((1, 1)))
 
 
-def _gathered(models: Sequence[TaylorModel], owners: Sequence[int], blame: np.ndarray) -> Polynomials:
+def _gather_polynomials(models: Sequence[TaylorModel], owners: Sequence[int], blame: np.ndarray) -> Polynomials:
     s, (f, boxes), count = len(owners), blame.shape, len(models)
     square = np.array([i == j for i, j in pairs(s)], bool)
     centre, rest = np.empty((2, count, boxes))

@@ -225,8 +225,8 @@ def prove_at_corners(
     while (counterexample := _search_together(expansions, trees, effort, progress)) is not None:
         at = counterexample[0][indices]
         k = next(k for k, tree in enumerate(trees) if np.array_equal(tree.domain.low[indices], at))
-        failed, trees = [_concluded(trees[k], effort, reason, counterexample)], trees[:k]
-    proofs = [_concluded(tree, effort, reason) for tree in trees] + failed
+        failed, trees = [_conclude(trees[k], effort, reason, counterexample)], trees[:k]
+    proofs = [_conclude(tree, effort, reason) for tree in trees] + failed
     holding = next((k for k, proof in enumerate(proofs) if proof.verdict != "holds"), len(proofs))
     return proofs[: holding + 1]
 
@@ -315,7 +315,7 @@ def _decide(matrix: "Expansions", domain: Box, effort: _Effort, processes: int, 
             processes, context, initializer=_set_matrix, initargs=(matrix,)
         ) as pool:
             counterexample = _search(functools.partial(pool.map, _judge_here), tree, effort, progress)
-    return _concluded(tree, effort, reason, counterexample)
+    return _conclude(tree, effort, reason, counterexample)
 
 
 def _failed_at_once(domain: Box, counterexample: np.ndarray, effort: _Effort, reason: str) -> Proof:
@@ -323,7 +323,7 @@ def _failed_at_once(domain: Box, counterexample: np.ndarray, effort: _Effort, re
     return Proof("fails", domain, [np.array([OPEN])], counterexample, none, 1, effort.spent, reason)
 
 
-def _concluded(tree: Tree, effort: _Effort, reason: str, counterexample: np.ndarray | None = None) -> Proof:
+def _conclude(tree: Tree, effort: _Effort, reason: str, counterexample: np.ndarray | None = None) -> Proof:
     """The proof stated by a tree of boxes and, where there is one, a counter-example."""
     levels, remaining = tree.levels()
     verdict = "fails" if counterexample is not None else "undecided" if len(remaining) else "holds"

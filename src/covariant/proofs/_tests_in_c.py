@@ -121,11 +121,11 @@ LARGEST = 16
 
 def tests_in_c(engine: Arithmetic, n: int) -> CompiledTests | None:
     """The compiled tests of matrices (n, n), where compiled C bounds the graphs too."""
-    return _loaded() if n <= LARGEST and in_c(engine) else None
+    return _load_tests() if n <= LARGEST and in_c(engine) else None
 
 
 @functools.cache
-def _loaded() -> CompiledTests | None:
+def _load_tests() -> CompiledTests | None:
     try:
         return CompiledTests()
     except OSError:

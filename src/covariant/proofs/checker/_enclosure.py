@@ -25,7 +25,7 @@ from covariant.proofs.checker._primitives import (
 from covariant.proofs.checker._taylor import ROUND, Taylor, UndecidedError, curve, exact, forget, open_choices
 
 
-def _refuse_shortened(eqn: JaxprEquation) -> None:
+def _refuse_shorter_types(eqn: JaxprEquation) -> None:
     """Refuse results of a shorter type than the arguments, which are no function of real numbers."""
     if eqn.name == "reduce_precision":
         raise ValueError("the model makes numbers shorter, by 'reduce_precision'")
@@ -39,7 +39,7 @@ def is_whole(atom: Any) -> bool:
     return jnp.issubdtype(atom.aval.dtype, jnp.integer)
 
 
-def _settled(value: Any, atom: Any) -> np.ndarray:
+def _result_array(value: Any, atom: Any) -> np.ndarray:
     """A result as an array: of Taylor models, or of known truth values or integers."""
     value = np.asarray(value, getattr(value, "dtype", object))
     if value.dtype != object or is_real(atom):
@@ -143,7 +143,7 @@ class TaylorEnclosure:
 
         for eqn in equations(body.jaxpr):
             x = list(map(read, eqn.invars))
-            _refuse_shortened(eqn)
+            _refuse_shorter_types(eqn)
             if self.needs is not None and any(a.dtype == object for a in x):
                 self._look(eqn, x)
             match eqn.form:
@@ -157,7 +157,7 @@ class TaylorEnclosure:
                     out = self._move(eqn, x)
                 case _:
                     out = self._work(eqn, x)
-            known |= {v: _settled(value, v) for v, value in zip(eqn.outvars, out, strict=True)}
+            known |= {v: _result_array(value, v) for v, value in zip(eqn.outvars, out, strict=True)}
         return [read(atom) for atom in body.jaxpr.outvars]
 
     def _look(self, eqn: JaxprEquation, x: list) -> None:

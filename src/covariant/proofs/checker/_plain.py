@@ -19,7 +19,7 @@ def plain(function: Callable) -> Callable:
     def inlined(*x: Any) -> Any:
         closed, shape = jax.make_jaxpr(function, return_shape=True)(*x)
         try:
-            results = _inlined(ClosedJaxpr(closed.jaxpr, closed.consts), jax.tree.leaves(x))
+            results = _evaluate_body(ClosedJaxpr(closed.jaxpr, closed.consts), jax.tree.leaves(x))
         except LoweringError as error:
             raise ValueError(f"{error}") from error
         return jax.tree.unflatten(jax.tree.structure(shape), results)
@@ -39,7 +39,7 @@ CHOICES: dict[str, Callable] = {
 }
 
 
-def _inlined(body: ClosedJaxpr, x: Sequence) -> list:
+def _evaluate_body(body: ClosedJaxpr, x: Sequence) -> list:
     known = dict(zip([*body.jaxpr.constvars, *body.jaxpr.invars], [*body.consts, *x], strict=True))
 
     def read(atom: Any) -> Any:
@@ -49,9 +49,9 @@ def _inlined(body: ClosedJaxpr, x: Sequence) -> list:
         x = list(map(read, eqn.invars))
         match eqn.form:
             case Call(inner):
-                out = _inlined(inner, x)
+                out = _evaluate_body(inner, x)
             case Scan():
-                out = unrolled(eqn.form, x, _inlined, jnp.stack)
+                out = unrolled(eqn.form, x, _evaluate_body, jnp.stack)
             case Branch() | While():
                 raise ValueError(f"the operation '{eqn.name}' is not known to the check")
             case None if eqn.name in CHOICES and is_real(eqn.invars[0]):

@@ -65,7 +65,8 @@ ENTRIES: dict[str, Callable] = {
     "abs": lambda a: choose(less(a, ZERO), -a, a),
     # At zero the hull [−1, 1] holds both values and 0.
     "sign": lambda a: choose(less(a, ZERO), -ONE, ONE),
-    # It differs from rounding to even half-way between integers alone: a jump, of which `_between` shows nothing.
+    # It differs from rounding to even half-way between integers alone: a jump, of which `_contains_no_integer`
+    # shows nothing.
     "round": lambda a: floor(a + HALF),
     "floor": floor,
     "is_finite": finite,
@@ -85,7 +86,7 @@ def _positive(a: Taylor) -> Any:
     return a.middle > a.away
 
 
-def _between(a: Taylor) -> Any:
+def _contains_no_integer(a: Taylor) -> Any:
     """Whether the range, including its ends, contains no integer."""
     # Rounding is monotone: an integer k in the exact range also lies between the rounded ends, and one that is an end
     # itself fails the strict comparison. So no integer is missed.
@@ -111,8 +112,8 @@ NEEDS: dict[str, Callable] = {
 }
 STAYS: dict[str, Callable] = {
     "sign": nonzero,
-    **dict.fromkeys(("floor", "ceil"), _between),
-    "round": lambda a: _between(a + HALF),
+    **dict.fromkeys(("floor", "ceil"), _contains_no_integer),
+    "round": lambda a: _contains_no_integer(a + HALF),
     "select_n": settled,
 }
 """Conditions under which each primitive is defined, and under which it does not jump; all others always are."""

@@ -21,7 +21,7 @@ def series(function: Callable[[Array], Array], order: int) -> Callable[[Array], 
         closed = jax.make_jaxpr(plain(function))(r)
         start = [r, jnp.ones_like(r), *[jnp.zeros_like(r)] * (order - 1)][: order + 1]
         try:
-            (result,) = _run(ClosedJaxpr(closed.jaxpr, closed.consts), [start])
+            (result,) = _expand_body(ClosedJaxpr(closed.jaxpr, closed.consts), [start])
         except LoweringError as error:
             raise ValueError(f"{error}") from error
         return _all(result, order + 1)
@@ -34,7 +34,7 @@ def _all(x: Any, count: int) -> Coefficients:
     return x if isinstance(x, list) else [jnp.asarray(x), *[jnp.zeros_like(x)] * (count - 1)]
 
 
-def _run(body: ClosedJaxpr, arguments: Sequence) -> list:
+def _expand_body(body: ClosedJaxpr, arguments: Sequence) -> list:
     known = dict(zip([*body.jaxpr.constvars, *body.jaxpr.invars], [*body.consts, *arguments], strict=True))
 
     def read(atom: Any) -> Any:
@@ -44,19 +44,19 @@ def _run(body: ClosedJaxpr, arguments: Sequence) -> list:
         x = [read(atom) for atom in eqn.invars]
         moving = [a for a in x if isinstance(a, list)]
         if isinstance(eqn.form, Call):
-            out = _run(eqn.form.body, x)
+            out = _expand_body(eqn.form.body, x)
         elif not moving:
             out = eqn.primitive.bind(*x, **eqn.params)
             out = out if eqn.primitive.multiple_results else [out]
         elif eqn.form is not None:
             raise ValueError(f"the operation '{eqn.name}' has no known expansion")
         else:
-            out = _applied(eqn, x, len(moving[0]))
+            out = _apply_primitive(eqn, x, len(moving[0]))
         known |= dict(zip(eqn.outvars, out, strict=True))
     return [read(atom) for atom in body.jaxpr.outvars]
 
 
-def _applied(eqn: Any, x: list, count: int) -> list[Coefficients]:
+def _apply_primitive(eqn: Any, x: list, count: int) -> list[Coefficients]:
     """The coefficients of the results of a primitive."""
     if eqn.name in LINEAR:
         whole = [
