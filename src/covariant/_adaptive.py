@@ -49,7 +49,9 @@ class _Limits(NamedTuple):
     shortest: Any
 
 
-def _run(slope: Callable[[Any, Array], Array], x0: Array, span: tuple[Any, Any], limits: _Limits, event=None) -> _Run:
+def _integrate_span(
+    slope: Callable[[Any, Array], Array], x0: Array, span: tuple[Any, Any], limits: _Limits, event=None
+) -> _Run:
     """Integrate over a span of time from x0 to its end, to an event, or to where steps are shorter than allowed."""
     rtol, atol, max_steps, shortest = limits
     # Nothing is raised: callers see by the last time whether the run came to its end.
@@ -87,7 +89,7 @@ def solve(
         end = jnp.where(escaped, begin, end)
         # A step of four roundings of the time, shortened by a tenth, is rounded to four: it would be tried for ever.
         shortest = 10 * jnp.finfo(ts.dtype).eps * jnp.maximum(jnp.abs(begin), jnp.abs(end))
-        run = _run(slope, x, (begin, end), _Limits(rtol, atol, max_steps, shortest))
+        run = _integrate_span(slope, x, (begin, end), _Limits(rtol, atol, max_steps, shortest))
         # A run that stopped before its end ran out of steps, or they became too short: it has no state at the stamp.
         x = jnp.where(escaped | (run.t != end), jnp.inf, run.x)
         return x, x
@@ -118,7 +120,7 @@ def solve_until(
 
     over = jax.jit(lambda x: stop(unravel(x)) | (ahead(x) <= 0))
     event = dfx.Event(lambda t, y, args, **_: over(y))
-    run = _run(slope, start, (zero, zero + jnp.inf), _Limits(rtol, atol, max_steps, tiny), event)
+    run = _integrate_span(slope, start, (zero, zero + jnp.inf), _Limits(rtol, atol, max_steps, tiny), event)
     if border is None:
         return run.t, unravel(run.x)
     # The last step is repeated in part: interpolation within a step is a hundred times less accurate than its end.

@@ -56,7 +56,7 @@ def temporary(path: Path, make: Callable[[Path], object]) -> Iterator[Path]:
     living writer.
     """
     sweep(path)
-    fresh, lock = _locked(path, make)
+    fresh, lock = _create_locked_file(path, make)
     try:
         yield fresh
     finally:
@@ -70,7 +70,7 @@ def sweep(path: Path) -> None:
     ours = re.compile(rf"\.{re.escape(path.name)}\.[0-9a-f]{{32}}\.tmp")
     with contextlib.suppress(OSError):
         for left in [other for other in path.parent.iterdir() if ours.fullmatch(other.name)]:
-            with _opened(left) as lock:
+            with _lock_descriptor(left) as lock:
                 if _take(lock, "EX", wait=False):
                     _remove(left)
 
@@ -78,7 +78,7 @@ def sweep(path: Path) -> None:
 @contextlib.contextmanager
 def attended(folder: Path, tidy: Callable[[], object]) -> Iterator[None]:
     """Context with a shared lock on a folder into which several processes may write."""
-    with _opened(folder) as lock:
+    with _lock_descriptor(folder) as lock:
         if _take(lock, "EX", wait=False):
             tidy()
         # Shared from here on: others may write too, and none of them tidies while this process writes.
@@ -86,7 +86,7 @@ def attended(folder: Path, tidy: Callable[[], object]) -> Iterator[None]:
         yield
 
 
-def _locked(path: Path, make: Callable[[Path], object]) -> tuple[Path, int | None]:
+def _create_locked_file(path: Path, make: Callable[[Path], object]) -> tuple[Path, int | None]:
     """A new file or folder, and its lock where the system has locks."""
     while True:
         fresh = path.with_name(f".{path.name}.{uuid.uuid4().hex}.tmp")
@@ -106,7 +106,7 @@ def _open(path: Path) -> int | None:
 
 
 @contextlib.contextmanager
-def _opened(path: Path) -> Iterator[int | None]:
+def _lock_descriptor(path: Path) -> Iterator[int | None]:
     lock = _open(path)
     try:
         yield lock

@@ -49,12 +49,12 @@ def ldl(a: Matrix) -> list[Pivot]:
     # A positive definite matrix needs no pivoting: its pivots are positive and its Schur complements do not grow.
     steps, rest = [], a
     for _ in range(a.shape[0]):
-        step, rest = _eliminated(rest)
+        step, rest = _eliminate_first(rest)
         steps.append(step)
     return steps
 
 
-def _eliminated(a: Matrix) -> tuple[Pivot, Float[Array, "k k"]]:
+def _eliminate_first(a: Matrix) -> tuple[Pivot, Float[Array, "k k"]]:
     """First step of the elimination of a, and the remaining Schur complement, a matrix smaller by one."""
     k = a.shape[0] - 1
     top, low = jax.lax.split(a, (1, k), 0)
@@ -102,10 +102,10 @@ def solve(a: Matrix, b: Float[Array, "n *k"]) -> Float[Array, "n *k"]:
 @jax.custom_jvp
 def _solve(a: Matrix, b: Float[Array, "n *k"]) -> Float[Array, "n *k"]:
     right = b.reshape(b.shape[0], -1)
-    return (_unrolled if b.shape[0] <= WHOLE else _in_loops)(a, right).reshape(b.shape)
+    return (_solve_unrolled_rows if b.shape[0] <= WHOLE else _in_loops)(a, right).reshape(b.shape)
 
 
-def _unrolled(a: Matrix, b: Float[Array, "n k"]) -> Float[Array, "n k"]:
+def _solve_unrolled_rows(a: Matrix, b: Float[Array, "n k"]) -> Float[Array, "n k"]:
     steps, x = ldl(a), b[:0]
     # Back substitution starts at the last row.
     for step, row in zip(steps[::-1], _forward(steps, b)[::-1], strict=True):
@@ -122,7 +122,7 @@ def _in_loops(a: Matrix, b: Float[Array, "n k"]) -> Float[Array, "n k"]:
     """
 
     def shrink(rest, _):
-        step, rest = _eliminated(rest)
+        step, rest = _eliminate_first(rest)
         # Padded to the size it had: a scan carries arrays of one shape.
         return jnp.pad(rest, ((0, 1), (0, 1))), step
 

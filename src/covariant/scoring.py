@@ -95,7 +95,7 @@ def _coefficients(t, y, at, half, order, wanted: slice):
     together: dict[bytes, list[int]] = {}  # columns that are measured in the same rows have the same windows
     for column, rows in enumerate(measured.T):
         together.setdefault(rows.tobytes(), []).append(column)
-    shared = _shared(t, measured, at, half, order) if len(together) > 1 else np.zeros(len(at), bool)
+    shared = _complete_window_mask(t, measured, at, half, order) if len(together) > 1 else np.zeros(len(at), bool)
     every = list(range(y.shape[1]))
     asked = [(columns, measured[:, columns[0]], ~shared) for columns in together.values()]
     for columns, rows, stamps in [(every, measured.all(axis=1), shared), *asked]:
@@ -110,7 +110,7 @@ def _coefficients(t, y, at, half, order, wanted: slice):
     return result
 
 
-def _shared(t, measured, at, half, order):
+def _complete_window_mask(t, measured, at, half, order):
     """Mask (K,) of the stamps whose windows are complete and long enough, and so are the same for all columns."""
     reach = half * (1 + 1e-9)
     whole = measured.all(axis=1)
@@ -177,7 +177,7 @@ def _turning(t, rotation, at, half, order):
             smooth[fit.at], rate[fit.at] = np.einsum("kcw,kw->ck", fit.weights[fit.same, :2], angle[fit.rows])
         c, s = np.cos(smooth), np.sin(smooth)
         return np.moveaxis(np.array(((c, -s), (s, c))), 2, 0), rate[:, None]
-    speed = np.linalg.norm(_log(_between(rotation[:-1], rotation[1:])), axis=1) / np.diff(t)
+    speed = np.linalg.norm(_log(_relative_rotation(rotation[:-1], rotation[1:])), axis=1) / np.diff(t)
     # A quantile, so that a few wrong attitudes do not shorten every window.
     half = min(half, FARTHEST_TURN / max(float(np.quantile(speed, 0.95)), 1e-9))
     attitude, turning = np.empty((len(at), 3, 3)), np.empty((len(at), 3))
@@ -191,7 +191,7 @@ def _turning(t, rotation, at, half, order):
 
 def _polynomial(fit, base, measured):
     """Offset and slope (2, k, 3) of the rotation vectors from `base` to the measured rotations."""
-    return np.einsum("kcw,kwi->cki", fit.weights[fit.same, :2], _log(_between(base[:, None], measured)))
+    return np.einsum("kcw,kwi->cki", fit.weights[fit.same, :2], _log(_relative_rotation(base[:, None], measured)))
 
 
 class _Fit(NamedTuple):
@@ -287,7 +287,7 @@ def _inverses(matrices):
     return np.where((condition < MOST_CONDITION)[:, None, None], inverse, np.nan)
 
 
-def _between(a, b):
+def _relative_rotation(a, b):
     return np.einsum("...ji,...jk->...ik", a, b)
 
 

@@ -402,12 +402,12 @@ def read_together(record: Record, delay: Float[np.ndarray, "n"]) -> Record:
     later = np.max(delay) - np.asarray(delay, float)
     for i in np.flatnonzero(later > 0):
         # At the stamp t, y_i is the position at t − delay_i; the sample of t − later_i is that at t − max delay.
-        y[:, i] = _between(t, y[:, i], t - later[i])
+        y[:, i] = _interpolate_samples(t, y[:, i], t - later[i])
     begin = int(np.argmax(np.isfinite(y).all(axis=1)))
     return Record(t[begin:], np.asarray(record.u)[begin:], y[begin:])
 
 
-def _between(t: np.ndarray, y: np.ndarray, at: np.ndarray) -> np.ndarray:
+def _interpolate_samples(t: np.ndarray, y: np.ndarray, at: np.ndarray) -> np.ndarray:
     """Values between samples; NaN before the first."""
     slope = np.gradient(y, t)
     k = np.clip(np.searchsorted(t, at, side="right") - 1, 0, len(t) - 2)

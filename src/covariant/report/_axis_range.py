@@ -59,10 +59,10 @@ def axis_range(quantity: Quantity, column: int) -> AxisRange | None:
     ranges = _ranges(quantity, column)
     if not ranges:
         return None
-    shown = ranges if quantity.log else _not_diverged(ranges, quantity.scale[column])
-    low, high = _padded(min(r.wanted_low for r in shown), max(r.wanted_high for r in shown), quantity.log)
-    lowest, highest = _padded(min(r.low for r in shown), max(r.high for r in shown), quantity.log)
-    if not _GAIN[0] < (highest - lowest) / (high - low) < _GAIN[1]:  # _padded makes both differences positive
+    shown = ranges if quantity.log else _drop_diverged(ranges, quantity.scale[column])
+    low, high = _pad_range(min(r.wanted_low for r in shown), max(r.wanted_high for r in shown), quantity.log)
+    lowest, highest = _pad_range(min(r.low for r in shown), max(r.high for r in shown), quantity.log)
+    if not _GAIN[0] < (highest - lowest) / (high - low) < _GAIN[1]:  # _pad_range makes both differences positive
         low, high = lowest, highest
     outside = _outside(ranges, low, high, quantity.log)
     return AxisRange(10**low, 10**high, outside) if quantity.log else AxisRange(low, high, outside)
@@ -96,14 +96,14 @@ def _core(y: Samples) -> tuple[float, float]:
     return float(max(y.min(), 2 * low - high)), float(min(y.max(), 2 * high - low))
 
 
-def _not_diverged(ranges: list[_Range], scale: float) -> list[_Range]:
+def _drop_diverged(ranges: list[_Range], scale: float) -> list[_Range]:
     """The backdrops, the first estimate, and those whose range is not far larger than that of these and the motion."""
     first = next((r for r in ranges if not r.backdrop), ranges[0])
     most = _LOST * max(first.wanted_high - first.wanted_low, scale)
     return [r for r in ranges if r.backdrop or r is first or r.wanted_high - r.wanted_low <= most]
 
 
-def _padded(low: float, high: float, log: bool) -> tuple[float, float]:
+def _pad_range(low: float, high: float, log: bool) -> tuple[float, float]:
     """Ends with a margin; equal ends, or ends that differ by rounding only, with a margin that shows their level."""
     size = max(abs(low), abs(high))
     level = 0.5 if log else 0.1 * size or 1.0

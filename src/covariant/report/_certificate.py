@@ -141,7 +141,7 @@ def _draw_region(ax: "matplotlib.axes.Axes", projected: Projection, certificate:
             (left, bottom), (right, top) = shown[:, 0].T, shown[:, 1].T
             corners = np.stack([left, bottom, right, bottom, right, top, left, top], axis=1).reshape(-1, 4, 2)
             # Boxes that differ only in other variables overlap in the figure: all fills are drawn before the edges.
-            thinned = _mixed(colour, fill)
+            thinned = _mix_with_white(colour, fill)
             ax.add_collection(collection(list(corners), facecolor=thinned, edgecolor="none", zorder=order))
             ax.add_collection(collection(list(corners), facecolor="none", edgecolor=colour, linewidth=0.6, zorder=3))
             ax.plot([], [], "s", color=thinned, markeredgecolor=colour, markersize=8, label=label)
@@ -171,7 +171,7 @@ def _draw_region(ax: "matplotlib.axes.Axes", projected: Projection, certificate:
         _legend(ax, loc="upper right", ncols=3)
 
 
-def _mixed(colour: str, share: float) -> tuple[float, float, float]:
+def _mix_with_white(colour: str, share: float) -> tuple[float, float, float]:
     """A colour mixed with white; it is opaque, so that overlapping boxes look like one."""
     rgb = optional("matplotlib.colors").to_rgb(colour)
     return tuple(1 - share * (1 - part) for part in rgb)  # pyright: ignore[reportReturnType]
@@ -188,7 +188,7 @@ def _draw_tube(ax: "matplotlib.axes.Axes", motion: Trajectories, certificate: Co
     middles = np.stack([np.interp(dense, steps, x), np.interp(dense, steps, y)], axis=1)
     around = middles[:, None] + half * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
     patches = optional("matplotlib.collections").PolyCollection
-    tube = _mixed(_TUBE, 0.35)
+    tube = _mix_with_white(_TUBE, 0.35)
     of = f" {units[i]}" if units[i] else ""
     ax.add_collection(patches(list(around), facecolor=tube, edgecolor="none", zorder=1))
     ax.plot([], [], "s", color=tube, markersize=9, label=f"proved tube, ± {half[0]:.2g}{of} and ± {half[1]:.2g}{of}/s")
@@ -216,7 +216,7 @@ def _draw_velocity(ax: "matplotlib.axes.Axes", motion: Trajectories, certificate
     i, n = motion.shown, motion.positions.shape[1]
     names, units = _names(certificate)
     v, half = motion.velocities[:, i], motion.half_widths[i + n]
-    tube = _mixed(_TUBE, 0.35)
+    tube = _mix_with_white(_TUBE, 0.35)
     ax.fill_between(
         motion.t, v - half, v + half, color=tube, linewidth=0, label=f"proved tube, ± {half:.2g} {units[i]}", zorder=1
     )

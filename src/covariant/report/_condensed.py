@@ -38,14 +38,14 @@ def condensed(found: dict[str, Quantity]) -> dict[str, Quantity]:
     whole = sum(len(quantity.curves) * len(quantity.labels) for quantity in found.values())
     if samples <= min(MOST_SAMPLES, max(FEWEST_INTERVALS, NUMBERS // whole)):
         return found
-    found = {name: quantity._replace(curves=_compared(quantity)) for name, quantity in found.items()}
+    found = {name: quantity._replace(curves=_curves_to_draw(quantity)) for name, quantity in found.items()}
     numbers = sum((2 + len(quantity.curves)) * len(quantity.labels) for quantity in found.values())
     # −(−a // b) rounds a/b up, so that there are no more intervals than allowed.
     size = max(LEAST, -(-samples // min(MOST_INTERVALS, max(FEWEST_INTERVALS, NUMBERS // numbers))))
-    return {name: _condensed(quantity, size) for name, quantity in found.items()}
+    return {name: _condense_quantity(quantity, size) for name, quantity in found.items()}
 
 
-def _compared(quantity: Quantity) -> tuple[Curve, ...]:
+def _curves_to_draw(quantity: Quantity) -> tuple[Curve, ...]:
     """The curves that are drawn of a long log."""
     if quantity.deviation:
         return quantity.curves
@@ -53,7 +53,7 @@ def _compared(quantity: Quantity) -> tuple[Curve, ...]:
     return quantity.curves[: first + 1]
 
 
-def _condensed(quantity: Quantity, size: int) -> Quantity:
+def _condense_quantity(quantity: Quantity, size: int) -> Quantity:
     t = quantity.curves[0].t
     length = (t[-1] - t[0]) * size / len(t)
     bands = tuple(_band(curve, size, quantity.log) for curve in quantity.curves)

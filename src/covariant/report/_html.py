@@ -99,7 +99,7 @@ def page(report: EstimateReport) -> str:
         "LEGEND": _legend(styled),
         "COLUMNS": len(report.coordinates),
         "SECTIONS": sections,
-        "FIGURES": _packed("figures", f"[{data}]"),
+        "FIGURES": _pack_text("figures", f"[{data}]"),
         "LIBRARY": library,
         "SCRIPT": template("report", "page.js"),
     }
@@ -116,10 +116,10 @@ def _section(heading: str, description: str, kind: str = "") -> str:
 
 @functools.cache
 def _library(source: Callable[[], str]) -> str:
-    return _packed("plotly", source())
+    return _pack_text("plotly", source())
 
 
-def _packed(name: str, text: str) -> str:
+def _pack_text(name: str, text: str) -> str:
     """An element with a text for `unpack` in page.js: compressed, in base 85 without the character that opens a tag."""
     squeezed = gzip.compress(text.encode(), mtime=0)  # no time stamp: equal texts give equal bytes
     # The alphabet of base 85 has "<" and no comma, so that the page can put it back.

@@ -129,10 +129,10 @@ def _traces(curve: Curve, column: int, quantity: Quantity, style: Style, axis: s
             (line, {"mode": "lines", "line": stroke}),
             (dots, {"mode": "markers", "marker": {"color": style.color, "size": 2 + style.width}}),
         ]
-    return [{**shared, **look, "x": t, "y": _rounded(y)} for (t, y), look in drawn if len(t)]
+    return [{**shared, **look, "x": t, "y": _round_values(y)} for (t, y), look in drawn if len(t)]
 
 
-def _rounded(values: np.ndarray) -> np.ndarray:
+def _round_values(values: np.ndarray) -> np.ndarray:
     """Values to 3 digits, as on a screen: single precision with a short mantissa, which compresses well."""
     bits = values.astype(np.float32).view(np.uint32)
     # Half of the last digit that stays is added before the 12 low bits are cut: this rounds to nearest.

@@ -50,7 +50,7 @@ def numbers(
         whose = f", for {', '.join(names)}" if names else ""
         needed = "one number, or " if one and len(names) > 1 else ""
         kind = "positive" if positive else "finite"
-        raise ValueError(f"{argument} needs {needed}{len(names)} {kind} numbers{whose}; got {_shown(values)}")
+        raise ValueError(f"{argument} needs {needed}{len(names)} {kind} numbers{whose}; got {_format_values(values)}")
     return np.full(len(names), values[0]) if len(values) < len(names) else values
 
 
@@ -61,7 +61,7 @@ def finite(argument: str, given: Amounts | None) -> None:
     except (TypeError, ValueError):
         raise ValueError(f"{argument}: {given!r} is not a list of numbers") from None
     if not np.isfinite(values).all():
-        raise ValueError(f"{argument} must be finite numbers; got {_shown(values)}")
+        raise ValueError(f"{argument} must be finite numbers; got {_format_values(values)}")
 
 
 def amounts(argument: str, given: Amounts, names: Sequence[str]) -> Float[np.ndarray, "n"]:
@@ -70,7 +70,7 @@ def amounts(argument: str, given: Amounts, names: Sequence[str]) -> Float[np.nda
     limits = numbers(argument, given, names, one=True)
     # As above: there may be no bound at all.
     if limits.min(initial=0.0) < 0:
-        raise ValueError(f"{argument}: bounds must not be negative; got {_shown(limits)}")
+        raise ValueError(f"{argument}: bounds must not be negative; got {_format_values(limits)}")
     return limits
 
 
@@ -108,5 +108,5 @@ def gain_pair(alpha: float | int | None, beta: float | int | None) -> tuple[floa
     return float(alpha), float(beta)
 
 
-def _shown(values: Float[np.ndarray, "..."]) -> str:
+def _format_values(values: Float[np.ndarray, "..."]) -> str:
     return ", ".join(f"{value:g}" for value in values.ravel()) or "none"

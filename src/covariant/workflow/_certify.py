@@ -234,7 +234,7 @@ class CertifyResult(AbstractResult):
             "seconds": cert.seconds,
             "checker_seconds": cert.checker_seconds,
             "open": len(cert.open),
-            "open_share": {claim.kind: claim.proof.open_share for claim in _undecided(cert)},
+            "open_share": {claim.kind: claim.proof.open_share for claim in _undecided_claims(cert)},
             "counterexample": wrong,
         }
 
@@ -265,7 +265,7 @@ class CertifyResult(AbstractResult):
         lines += [
             f"{claim.kind}: {len(claim.proof.open)} boxes remain, {claim.proof.open_share:.2%} of the domain; more "
             "boxes, smaller bounds or a lower rate may decide it"
-            for claim in _undecided(cert)
+            for claim in _undecided_claims(cert)
         ]
         lines.append(f"{cert.boxes} boxes, {cert.seconds:.1f} s; checker {cert.checker_seconds:.1f} s")
         if self.wrong:
@@ -485,7 +485,7 @@ def _start(start: Start) -> dict[str, dict[str, float]]:
     return {name: {"together": a, "alone": b, "farthest": c} for name, a, b, c in rows}
 
 
-def _undecided(certificate: ContractionCertificate) -> list[AbstractClaim]:
+def _undecided_claims(certificate: ContractionCertificate) -> list[AbstractClaim]:
     return [claim for claim in certificate.claims if claim.proof.verdict == "undecided"]
 
 

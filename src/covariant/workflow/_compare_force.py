@@ -85,7 +85,7 @@ def compare_force(
     true = np.asarray(loaded.log.truth)
     scored = scored_window(np.asarray(loaded.record.t)) & np.isfinite(true).all(axis=1)
     progress("estimating with intrinsic-kalman")
-    by = {name: _filtered(filter_, loaded) for name, filter_ in _filters(job, loaded).items()}
+    by = {name: _run_filter(filter_, loaded) for name, filter_ in _filters(job, loaded).items()}
     progress("estimating with rivals")
     for rival in rivals(loaded.model, loaded.record, log_sheet(loaded.file, loaded), loaded.rate, true, scored):
         by[rival.name] = ForceEstimate(rival.force, None, np.nan, rival.design)
@@ -282,7 +282,7 @@ def _walking(group: SlowVariables) -> SlowVariables:
     return dataclasses.replace(group, time=None)
 
 
-def _filtered(filter_: _Force, loaded: Loaded) -> ForceEstimate:
+def _run_filter(filter_: _Force, loaded: Loaded) -> ForceEstimate:
     done = jax.tree.map(np.asarray, run(filter_, loaded.record_for(filter_), ("result", "nis")))
     force, std = np.split(done.estimate, 2, axis=1)
     forgotten = any(group.time is not None for group in filter_.observer.slow)

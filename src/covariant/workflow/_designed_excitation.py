@@ -91,7 +91,7 @@ def designed_excitation(
         "seed": plan.seed,
         "motors": motors.tolist(),
         "joints": _joints(file, limits, sensing, found),
-        **_expected(family, found),
+        **_expected_errors(family, found),
     }
     return file.columns, columns, units, details
 
@@ -215,7 +215,7 @@ def _joints(file: ModelFile, limits: JointLimits, sensing: Sensing, found: Excit
     return rows
 
 
-def _expected(family: RobotFamily, found: Excitation) -> dict[str, Any]:
+def _expected_errors(family: RobotFamily, found: Excitation) -> dict[str, Any]:
     """Standard errors to expect, and what is not determined."""
     after, before = found.expected, found.expected_reference
     unknown = [name for name, error in zip(family.names, after.errors, strict=True) if np.isnan(error)]
@@ -232,8 +232,8 @@ def _expected(family: RobotFamily, found: Excitation) -> dict[str, Any]:
                 "name": number.name,
                 "unit": number.unit,
                 "value": number.first,
-                "reference_error": _known(before.errors[i]),
-                "error": _known(after.errors[i]),
+                "reference_error": _number_or_none(before.errors[i]),
+                "error": _number_or_none(after.errors[i]),
             }
             for i, number in enumerate(family.numbers)
         ],
@@ -246,7 +246,7 @@ def _expected(family: RobotFamily, found: Excitation) -> dict[str, Any]:
     }
 
 
-def _known(error: float) -> float | None:
+def _number_or_none(error: float) -> float | None:
     return None if np.isnan(error) else float(error)
 
 

@@ -158,7 +158,9 @@ def export(
     description = f"{designed.name} observer of {file.name}. {chosen} {refusals}"
     # A simulator asks a unit for steps of any length; firmware has one step length, and must do the same work in each.
     fixed = designed.observer if unit else designed.with_fixed_substeps(rate, measured)
-    proved = "" if certificate is None else _certified(Path(certificate), model, overrides, designed, fixed, rate)
+    proved = (
+        "" if certificate is None else _certificate_lines(Path(certificate), model, overrides, designed, fixed, rate)
+    )
     substeps = getattr(getattr(fixed, "observer", fixed), "substeps", None)
     # Only an observer with a model can predict from the time of a late reading to the present.
     delay = reading_delays(fixed, file.delay, designed.sensors, measured[0])
@@ -376,7 +378,7 @@ def _open_numbers(parameters: dict[str, Any]) -> tuple[str, ...]:
     return tuple(place for key, value in parameters.items() for place in places(key, value))
 
 
-def _certified(
+def _certificate_lines(
     path: Path, model: Any, overrides: Overrides, designed: Design, fixed: AbstractObserver, rate: float
 ) -> str:
     """Lines on what a saved certificate says of this observer; raises `ValueError` where it is of another."""

@@ -65,12 +65,12 @@ def rivals(
     motions = {multiple * bandwidth: _motion(model, log, sheet, multiple * bandwidth) for multiple in BANDWIDTHS}
     return [
         Rival("momentum observer, usual", usual, f"{_of(bandwidth)}; gain {USUAL_GAIN:g} 1/s"),
-        _tuned("momentum observer", MomentumObserver, model, log, motions, true, scored),
-        _tuned("inverse dynamics", InverseDynamics, model, log, motions, true, scored),
+        _tune_rival("momentum observer", MomentumObserver, model, log, motions, true, scored),
+        _tune_rival("inverse dynamics", InverseDynamics, model, log, motions, true, scored),
     ]
 
 
-def _tuned(
+def _tune_rival(
     name: str,
     kind: Callable[..., AbstractForceObserver],
     model: MechanicalSystem,

@@ -155,7 +155,7 @@ def _model_file(name: str, guess: Draft, machine: list[str]) -> str:
         *machine,
         "",
         "[columns]",
-        f"t = {_quoted(guess.t)}",
+        f"t = {_quote_name(guess.t)}",
         f"q = {_names(guess.q)}  # in this log {spans}",
         f"u = {_names(guess.u)}" + ("" if guess.u else "  # no input was found"),
         *([f"v = {_names(guess.v)}  # only compared with, never used"] if guess.v else []),
@@ -187,12 +187,12 @@ def _chain(guess: Draft) -> list[str]:
         'angles = "relative"  # or "absolute": each link from the vertical',
         'zero = "hanging"  # or "upright": where the angles are 0',
         "gravity = 9.81",
-        _guessed("mass", 1.0, n, "kg"),
+        _guess_line("mass", 1.0, n, "kg"),
         f"length = {_list(0.3, n)}  {between}m, from joint to joint; that of the last link does not matter",
-        _guessed("com", 0.15, n, "m, from joint to centre of mass"),
-        _guessed("inertia", 0.01, n, "kg m^2, about the centre of mass"),
-        _guessed("viscous", 0.01, n, "N m s/rad, friction in each joint"),
-        _guessed("coulomb", 0.01, n, "N m, times atan(100 v): dry friction, divided by pi/2"),
+        _guess_line("com", 0.15, n, "m, from joint to centre of mass"),
+        _guess_line("inertia", 0.01, n, "kg m^2, about the centre of mass"),
+        _guess_line("viscous", 0.01, n, "N m s/rad, friction in each joint"),
+        _guess_line("coulomb", 0.01, n, "N m, times atan(100 v): dry friction, divided by pi/2"),
     ]
     if len(guess.u) < n:
         lines.append(
@@ -202,7 +202,7 @@ def _chain(guess: Draft) -> list[str]:
     return lines
 
 
-def _guessed(key: str, value: float, n: int, what: str) -> str:
+def _guess_line(key: str, value: float, n: int, what: str) -> str:
     """The line of a parameter of n entries, or of one number where n is 0, whose value is a guess."""
     return f"{key} = {_list(value, n) if n else value}  {marked([value] * max(n, 1))}; {what}"
 
@@ -213,20 +213,22 @@ def _written_out_machine(guess: Draft, module: str) -> list[str]:
     lines = [f'system = "{module}:make"  # the function make of {module}.py, beside this file', "", "[parameters]"]
     if _is_cart_pole(guess):
         lines += [
-            _guessed("cart_mass", 1.0, 0, "kg"),
-            _guessed("pole_mass", 0.1, 0, "kg"),
-            _guessed("com", 0.15, 0, "m, from the pivot to the centre of mass of the pole"),
-            _guessed("inertia", 0.001, 0, "kg m^2, of the pole about its centre of mass"),
+            _guess_line("cart_mass", 1.0, 0, "kg"),
+            _guess_line("pole_mass", 0.1, 0, "kg"),
+            _guess_line("com", 0.15, 0, "m, from the pivot to the centre of mass of the pole"),
+            _guess_line("inertia", 0.001, 0, "kg m^2, of the pole about its centre of mass"),
         ]
     else:
         lines += [
-            _guessed("mass", 1.0, n, f"{_both(guess, 'kg', 'kg m^2')}, what moves with each position"),
-            _guessed("weight", 0.0, n, f"{_both(guess, 'N', 'N m')}, against which each position rises"),
+            _guess_line("mass", 1.0, n, f"{_both(guess, 'kg', 'kg m^2')}, what moves with each position"),
+            _guess_line("weight", 0.0, n, f"{_both(guess, 'N', 'N m')}, against which each position rises"),
         ]
     return [
         *lines,
-        _guessed("viscous", 0.01, n, f"{_both(guess, 'N s/m', 'N m s/rad')}, friction"),
-        _guessed("coulomb", 0.01, n, f"{_both(guess, 'N', 'N m')}, times atan(100 v): dry friction, divided by pi/2"),
+        _guess_line("viscous", 0.01, n, f"{_both(guess, 'N s/m', 'N m s/rad')}, friction"),
+        _guess_line(
+            "coulomb", 0.01, n, f"{_both(guess, 'N', 'N m')}, times atan(100 v): dry friction, divided by pi/2"
+        ),
     ]
 
 
@@ -245,7 +247,7 @@ def _equations(guess: Draft) -> str:
     n, m = len(guess.q), len(guess.u)
     trailing = "," if n == 1 else ""
     words = {
-        "POSITIONS": ", ".join(map(_quoted, guess.plain_names)) + trailing,
+        "POSITIONS": ", ".join(map(_quote_name, guess.plain_names)) + trailing,
         "UNITS": ", ".join('"m"' if is_length else '"rad"' for is_length in guess.lengths) + trailing,
         "CIRCLES": tuple(i for i, is_length in enumerate(guess.lengths) if not is_length),
         "INPUTS": m,
@@ -276,7 +278,7 @@ def _units(guess: Draft) -> list[str]:
         return []
     lines = ["", "[units]"]
     for field, texts in guess.units.items():
-        written = _quoted(texts[0]) if len(set(texts)) == 1 else _names(texts)
+        written = _quote_name(texts[0]) if len(set(texts)) == 1 else _names(texts)
         why = (
             "guessed from the numbers: `covariant check` looks closer"
             if field in guess.guessed
@@ -290,9 +292,9 @@ def _list(value: float, n: int) -> str:
     return str([value] * n)
 
 
-def _quoted(name: str) -> str:
+def _quote_name(name: str) -> str:
     return json.dumps(name, ensure_ascii=False)
 
 
 def _names(names: Sequence[str]) -> str:
-    return "[" + ", ".join(map(_quoted, names)) + "]"
+    return "[" + ", ".join(map(_quote_name, names)) + "]"

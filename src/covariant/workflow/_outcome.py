@@ -177,13 +177,13 @@ def report_curves(outcomes: dict[str, Outcome]) -> dict[str, Any]:
     """Collect the curves of several outcomes for a page."""
     infos = {name: outcome.run.info for name, outcome in outcomes.items()}
     return {
-        "estimates": {name: _drawn(outcome) for name, outcome in outcomes.items()},
+        "estimates": {name: _curves_to_draw(outcome) for name, outcome in outcomes.items()},
         "innovation": {name: np.asarray(info.innovation) for name, info in infos.items()},
         "distance": {name: np.asarray(info.distance) for name, info in infos.items() if "distance" in info._fields},
     }
 
 
-def _drawn(outcome: Outcome) -> np.ndarray:
+def _curves_to_draw(outcome: Outcome) -> np.ndarray:
     """The curves to draw: states in coordinates (T, 2n), velocities (T, n) where the estimate is on a group."""
     x = outcome.run.estimate
     return outcome.velocity if isinstance(x, Motion) else np.asarray(x)

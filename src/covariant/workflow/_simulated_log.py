@@ -53,7 +53,7 @@ def simulated_log(
     read = np.round([t - delay for delay in late], DIGITS)
     u, acting = _inputs(file, scenario, t, read)
     progress("simulating")
-    machine, force = _pushed(name, file, scenario)
+    machine, force = _add_push(name, file, scenario)
     everything = jax.tree.map(np.asarray, simulation.simulate_piecewise(machine, x0, acting))
     # Both sides are rounded to DIGITS, so that each time is exactly one of the beginnings.
     now, rows = (np.searchsorted(acting.begin, times) for times in (np.round(t, DIGITS), read))
@@ -107,7 +107,7 @@ def _inputs(
     return u, simulation.logged_inputs(stamps, u, file.input_between, file.input_delay, file.input_lag, times)
 
 
-def _pushed(name: str, file: ModelFile, scenario: Scenario) -> tuple[Any, Callable[[Any], Any] | None]:
+def _add_push(name: str, file: ModelFile, scenario: Scenario) -> tuple[Any, Callable[[Any], Any] | None]:
     """The model with pushes that act on it, and these as a function of time; None where nothing pushes."""
     if scenario.push is None:
         return file.model, None

@@ -181,21 +181,21 @@ def _details(jobs: list[Job], loaded: list[Loaded], tuning: Tuning, tables: dict
         "velocities": list(loaded[0].model.sought.names or (f"d{name}/dt" for name in names)),
         "units": [unit.removesuffix("/s") for unit in units],
         "held_out": {
-            when: None if judged is None else _judged(judged)
+            when: None if judged is None else _round_errors(judged)
             for when, judged in (("before", tuning.before), ("after", tuning.after))
         },
         "model_free": None if free is None else {"estimator": free[0], "relative": rounded(np.array([free[1]]))[0]},
         "gains": {
             "from": tuning.source,
             "horizon": tuning.horizon,
-            "candidates": [_rounded(each._asdict()) for each in tuning.candidates],
+            "candidates": [_round_numbers(each._asdict()) for each in tuning.candidates],
         },
         "notes": notes(tuning, loaded[0].rate, units),
         "warning": warning(tuning, np.atleast_1d(np.equal(delay, np.max(delay)))),
     }
 
 
-def _rounded(numbers: dict[str, Any]) -> dict[str, Any]:
+def _round_numbers(numbers: dict[str, Any]) -> dict[str, Any]:
     return {key: value if isinstance(value, str) else _short(value) for key, value in numbers.items()}
 
 
@@ -227,7 +227,7 @@ def notes(found: Tuning, rate: float, units: Sequence[str]) -> list[str]:
     return said
 
 
-def _judged(judged: HeldOut) -> dict[str, Any]:
+def _round_errors(judged: HeldOut) -> dict[str, Any]:
     return {name: (rounded(np.atleast_1d(value))) for name, value in judged._asdict().items()}
 
 
