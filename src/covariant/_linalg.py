@@ -76,7 +76,7 @@ mlir.register_lowering(MIRRORED, mlir.lower_fun(lambda matrix, _: matrix, multip
 ad.primitive_jvps[MIRRORED] = lambda primals, tangents: (MIRRORED.bind(*primals), tangents[0])
 
 
-def _mirrored_side_by_side(values, axes):
+def _mirror_batch(values, axes):
     (matrix, source), (axis, other) = values, axes
     if axis is None:
         return MIRRORED.bind(matrix, source), None
@@ -84,7 +84,7 @@ def _mirrored_side_by_side(values, axes):
     return MIRRORED.bind(jnp.moveaxis(matrix, axis, 0), source), 0
 
 
-batching.primitive_batchers[MIRRORED] = _mirrored_side_by_side
+batching.primitive_batchers[MIRRORED] = _mirror_batch
 
 
 @traced_once

@@ -218,7 +218,7 @@ def prove_at_corners(
     for k, at in enumerate(corners):
         counterexample = look_around(expansions, at)
         if counterexample is not None:
-            failed, corners = [_failed_at_once(at, counterexample, effort, reason)], corners[:k]
+            failed, corners = [_failure_proof(at, counterexample, effort, reason)], corners[:k]
             break
     trees = [Tree(at) for at in corners]
     # A counter-example at one corner leaves those before it in the search: the first corner that fails is reported.
@@ -300,7 +300,7 @@ def _decide(matrix: "Expansions", domain: Box, effort: _Effort, processes: int, 
     # A point where the matrix is not positive definite refutes the claim, even if conditions are open elsewhere.
     counterexample = look_around(matrix, domain)
     if counterexample is not None:
-        return _failed_at_once(domain, counterexample, effort, reason)
+        return _failure_proof(domain, counterexample, effort, reason)
     if reason:
         whole = np.stack([domain.low, domain.high])[None]
         return Proof("undecided", domain, [np.array([OPEN])], None, whole, 1, effort.spent, reason)
@@ -318,7 +318,7 @@ def _decide(matrix: "Expansions", domain: Box, effort: _Effort, processes: int, 
     return _conclude(tree, effort, reason, counterexample)
 
 
-def _failed_at_once(domain: Box, counterexample: np.ndarray, effort: _Effort, reason: str) -> Proof:
+def _failure_proof(domain: Box, counterexample: np.ndarray, effort: _Effort, reason: str) -> Proof:
     none = np.zeros((0, 2, len(domain.low)))
     return Proof("fails", domain, [np.array([OPEN])], counterexample, none, 1, effort.spent, reason)
 

@@ -85,7 +85,7 @@ class InitResult(AbstractResult):
         module = f"_{module}" if module[0].isdigit() else module
         if not any(self.draft.lengths):
             return {f"{stem}.toml": _model_file(log, self.draft, _chain(self.draft))}
-        model = _model_file(log, self.draft, _written_out_machine(self.draft, module))
+        model = _model_file(log, self.draft, _python_system_lines(self.draft, module))
         return {f"{module}.py": _equations(self.draft), f"{stem}.toml": model}
 
     @property
@@ -207,7 +207,7 @@ def _guess_line(key: str, value: float, n: int, what: str) -> str:
     return f"{key} = {_list(value, n) if n else value}  {marked([value] * max(n, 1))}; {what}"
 
 
-def _written_out_machine(guess: Draft, module: str) -> list[str]:
+def _python_system_lines(guess: Draft, module: str) -> list[str]:
     """The system and its parameters where its equations of motion are in a Python file."""
     n = len(guess.q)
     lines = [f'system = "{module}:make"  # the function make of {module}.py, beside this file', "", "[parameters]"]

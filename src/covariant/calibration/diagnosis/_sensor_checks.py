@@ -53,7 +53,7 @@ def _findings(case: Case, t: np.ndarray, beside: Beside, late: Any) -> list[Find
         evidence = "too few readings, or too short a motion, to compare it with the positions"
         return [Finding("sensor not judged", name, evidence, "", False, {})]
     if beside.pose:
-        turned = _turned_pose(seen, beside)
+        turned = _pose_rotation_finding(seen, beside)
         if turned is not None:
             return [turned]
         seen = _first(seen, 3)
@@ -143,7 +143,7 @@ def _rotation_finding(seen: Pair, beside: Beside) -> Finding | None:
     return Finding("axes of a sensor", beside.sensor.name, evidence, line, True, {"matrix": matrix.tolist()})
 
 
-def _turned_pose(seen: Pair, beside: Beside) -> Finding | None:
+def _pose_rotation_finding(seen: Pair, beside: Beside) -> Finding | None:
     """The finding on the attitude of a pose, whose twelve numbers are a position and a rotation."""
     predicted, read = (each[seen.used][:, 3:].reshape(-1, 3, 3) for each in (seen.predicted, seen.read))
     turn, explained = _common_turn(predicted, read)

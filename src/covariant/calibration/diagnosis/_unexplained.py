@@ -40,7 +40,7 @@ def unexplained(case: Case, left: Residual, half: float | None = None) -> list[F
     beyond = clear & (size > FARTHEST * (stated or 0.0))
     if not beyond.any() or (stated is None and left.misfit < BARELY):
         return []
-    usual = _left_by_a_right_model(case, half)
+    usual = _exact_model_residual(case, half)
     if usual is not None and not (_residual_fraction(left)[beyond] > TWIN * _residual_fraction(usual)[beyond]).any():
         return []
     worst = int(np.argmax(np.where(beyond, size, 0.0)))
@@ -63,7 +63,7 @@ def _residual_fraction(left: Residual) -> np.ndarray:
     return np.mean(left.left**2, axis=0) / np.maximum(np.mean(left.measured[left.used] ** 2, axis=0), 1e-300)
 
 
-def _left_by_a_right_model(case: Case, half: float | None) -> Residual | None:
+def _exact_model_residual(case: Case, half: float | None) -> Residual | None:
     """The residual of a log that the model itself makes, smoothed in the same way; None where there is none."""
     log = clearly(case) if half is None else smoothed(case, half)
     made = None if log is None else twin(case.model, log, acting(case), case.ticks)

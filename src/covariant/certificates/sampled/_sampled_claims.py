@@ -206,23 +206,23 @@ def prediction_claims(
 
     unit = defect_bound(prediction, 1.0).graph(jnp.asarray(points[0])).entries
     boxes = PREDICTION_WORK // len(unit.graph.nodes)
-    least = _sampled_square(unit, points)
+    least = _largest_squared_length(unit, points)
     squares = [factor * max(least, TINY) for factor in (*MUCH_WIDER, *WIDER)]
     if drift(squares[-1]) < radius:
         # The widest bound that moves the estimate little within the tube needs the fewest boxes.
         square = next((each for each in squares if drift(each) < LITTLE**2 * radius), squares[-1])
-        proof = _proved_within(effort, defect_bound(prediction, square), domain, boxes)
+        proof = _prove_with_boxes(effort, defect_bound(prediction, square), domain, boxes)
         return [PredictionClaim(proof, square)] if proof.verdict == "holds" else []
     # The defect itself, at the end of the longest step.
     points[:, -2:] = sampling.longest_step
     whole = defect_bound(prediction, 1.0, 0).graph(jnp.asarray(points[0])).entries
-    if drift(_sampled_square(whole, points) / sampling.longest_step**8) < radius:
+    if drift(_largest_squared_length(whole, points) / sampling.longest_step**8) < radius:
         return []
-    proof = _proved_within(effort, defect_bound(prediction, squares[-1]), domain, boxes)
+    proof = _prove_with_boxes(effort, defect_bound(prediction, squares[-1]), domain, boxes)
     return [PredictionClaim(proof, squares[-1])]
 
 
-def _sampled_square(matrix: Lowered, points: np.ndarray) -> float:
+def _largest_squared_length(matrix: Lowered, points: np.ndarray) -> float:
     """The largest squared length of the vector of a matrix [[1, vᵀN], [Nv, N]] at some points."""
     entries = np.asarray(numbers(matrix, points))
     size = math.isqrt(entries.size // len(points))
@@ -231,7 +231,7 @@ def _sampled_square(matrix: Lowered, points: np.ndarray) -> float:
     return float((pulled * np.linalg.solve(matrices[:, 1:, 1:], pulled)).sum((1, 2)).max())
 
 
-def _proved_within(effort: Effort, bound: Form, domain: Box, boxes: int) -> Proof:
+def _prove_with_boxes(effort: Effort, bound: Form, domain: Box, boxes: int) -> Proof:
     """A proof with a part of the boxes that are left, so that one that is too hard takes no more."""
     left = effort.boxes
     effort.boxes = min(left, boxes)

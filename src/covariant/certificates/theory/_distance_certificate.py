@@ -135,7 +135,7 @@ def certify_distance(
     region = region_of(model, position, input, None)
     speeds, errors = positive("velocity", velocity, 2), amount("error", error, 2)
     known = _Model.of(model, region.true._replace(units=model.units or ("", "")), region.inputs)
-    found = _proved_bounds(known, speeds, errors, boxes)
+    found = _prove_bounds(known, speeds, errors, boxes)
     bounds = found.bounds if velocity_error is None else found.bounds._replace(velocity_error=float(velocity_error))
     alpha, beta = float(observer.alpha), float(observer.beta)
     part = alpha * interval / (1 + alpha * interval)
@@ -269,7 +269,7 @@ class _Found(NamedTuple):
     proofs: dict[str, Proof]
 
 
-def _proved_bounds(known: _Model, speeds: np.ndarray, errors: np.ndarray, boxes: int) -> _Found:
+def _prove_bounds(known: _Model, speeds: np.ndarray, errors: np.ndarray, boxes: int) -> _Found:
     """Guess bounds at points, and prove them."""
     points, space = known.points(), known.model.space
     metrics = np.asarray(jax.vmap(space)(points[:, :2]))

@@ -55,7 +55,7 @@ def at_places(write: Writer, eqn: JaxprEquation, values: list) -> list[Value]:
     if count > FEW_PLACES and name == "dynamic_slice" and write.tables:
         table = _table(write, nodes_of(write.graph, values[0]))
         if table is not None:
-            return [Scalars(_looked_up(write, table, eqn, flat, largest))]
+            return [Scalars(_look_up_slice(write, table, eqn, flat, largest))]
         size = math.prod(eqn.invars[0].aval.shape)
         if size > MOST_ENTRIES:
             raise LoweringError(
@@ -94,7 +94,7 @@ def _table(write: Writer, operand: np.ndarray) -> Table | None:
     return Table(np.array([node.value for node in nodes], float))
 
 
-def _looked_up(
+def _look_up_slice(
     write: Writer, table: Table, eqn: JaxprEquation, starts: Sequence[int], ends: Sequence[int]
 ) -> np.ndarray:
     """A slice of a table that starts where the arguments say, clipped to where it fits."""

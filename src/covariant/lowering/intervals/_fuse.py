@@ -97,13 +97,13 @@ def fused(tape: Tape, outputs: Sequence[int]) -> list[Step]:
             for fusion in WAYS[step.kernel]:
                 if all(kinds[k] == name for k, name in fusion.inner):
                     done.update(below[k].results for k, _ in fusion.inner)  # pyright: ignore[reportOptionalMemberAccess]
-                    step = _joined_step(step, fusion, below)
+                    step = _join_step(step, fusion, below)
                     break
         steps.append(step)
     return steps[::-1]
 
 
-def _joined_step(step: Step, fusion: _Fusion, inner: Sequence[Step | None]) -> Step:
+def _join_step(step: Step, fusion: _Fusion, inner: Sequence[Step | None]) -> Step:
     parts = [step.arguments[k : k + 2] for k in range(0, len(step.arguments), 2)]
     for k, _ in fusion.inner:
         parts[k] = inner[k].arguments  # pyright: ignore[reportOptionalMemberAccess]

@@ -56,7 +56,7 @@ def assemble(
         >>> robots.assemble(robots.read("double_pendulum"), lock={"elbow": 0.0}).coordinates
         ('shoulder',)
     """
-    loads = _checked_payload(payload or {})
+    loads = _check_payload(payload or {})
     # `_check_inertia` needs the numbers of the inertia, also inside a compiled function.
     traced = not known(jnp.zeros(()))
     with jax.ensure_compile_time_eval() if traced and known((loads, robot)) else contextlib.nullcontext():
@@ -183,7 +183,7 @@ def _product(floating: bool, balls: int, joints: Coordinates) -> AbstractManifol
     return ProductManifold(tuple(factors)) if len(factors) > 1 else factors[0]
 
 
-def _checked_payload(payload: Mapping[str, Any]) -> dict[str, Any]:
+def _check_payload(payload: Mapping[str, Any]) -> dict[str, Any]:
     """Mass and place (3,) of the load on each link."""
     loads = {}
     for link, load in payload.items():
