@@ -135,6 +135,11 @@ def encoder(
 ) -> Sensor:
     """Positions of some coordinates, at the joint or, with a reduction, at the motor.
 
+    The measured configuration of a record needs no sensor. Add an encoder where a second one reads the same joint, such
+    as one at the motor side of a gear, or where some joints are read at another rate. A reading is `reduction` times
+    the coordinate, and `std` is in the unit of the reading. It is for systems in coordinates; use `pose_sensor` for the
+    pose of a link.
+
     Args:
         places: Indices (k,) of the coordinates.
         std: Standard deviation of a reading, one number or (k,) [rad or m, of the motor where there is a reduction].
@@ -189,6 +194,9 @@ def tachometer(
 ) -> Sensor:
     """Some components of the velocity: joint rates, and on a group the body's rates, as of a gyro on an aircraft.
 
+    It reads the velocity in the frame of the configuration space: in coordinates the rates of these, on a group the
+    body's rates. Use `gyro` for a sensor that sits on a link of a robot, and has axes of its own.
+
     Args:
         places: Indices (k,) of the components, in the frame of the configuration space.
         std: Standard deviation of a reading, one number or (k,) [rad/s or m/s].
@@ -239,6 +247,10 @@ def gyro(
     bias_drift: Numbers = 0.0,
 ) -> Sensor:
     """Angular velocity of a link of a robot, in the axes of the sensor.
+
+    Use it on a robot, at any of its links. It shows a velocity without differentiation, and reduces the noise and lag
+    of velocities from positions alone. Give `bias_std` for a sensor of low cost, whose offset is then estimated. For a
+    body whose configuration is itself an attitude, use `tachometer`.
 
     Args:
         space: The configuration space of the robot, `model.space`.
@@ -406,6 +418,9 @@ def point_sensor(
     bias_drift: Numbers = 0.0,
 ) -> Sensor:
     """Position in the world of a point on a link of a robot, as from a marker or a tracker.
+
+    A reading is three numbers in metres, in the axes of the world. It shows no rotation of the link about the point:
+    use `pose_sensor` where the attitude is measured as well.
 
     Args:
         space: The configuration space of the robot, `model.space`.

@@ -34,6 +34,10 @@ Readings = Float[Array, "K"]
 class Instant(NamedTuple):
     """The motion at one instant, of which the output of a sensor is a function.
 
+    It is the first argument of the function of a `Sensor`; the second is the sensor's slow states. Write that function
+    in JAX, since filters differentiate it. Call `acceleration` only where the sensor feels it, because each call
+    evaluates the dynamics.
+
     Attributes:
         q: Configuration: coordinates (n,), or on a group a matrix (N, N).
         v: Velocity (n,), in the frame of the configuration space [rad/s or m/s].
