@@ -345,6 +345,10 @@ def check_certificate(
 ) -> "CertificateCheckResult":
     """Verify a saved certificate: all leaves of its proofs, and some of them again in ball arithmetic.
 
+    A certificate that is not verified gives a result with the reason, rather than an exception. `model` runs code of
+    the person who checks, and never code from the file. `certificates.check` is the same without ball arithmetic, and
+    returns the statement.
+
     Args:
         path: The certificate (.json), as `certify` saves it.
         model: The `module:attribute` of a model that is not of this library, given by the person who checks.

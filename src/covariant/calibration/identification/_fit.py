@@ -48,8 +48,8 @@ class Fit(NamedTuple):
     """Result of a fit of p parameters to windows of logs.
 
     Read `determined` before you use `values`: a parameter that the logs do not determine has its first value there, and
-    no standard error. The standard errors allow for errors that persist within a window, but not for an effect that the model lacks in all
-    windows.
+    no standard error. The standard errors allow for errors that persist within a window, but not for an effect that the
+    model lacks in all windows.
 
     Attributes:
         names: Names of the parameters.

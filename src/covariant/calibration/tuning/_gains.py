@@ -54,9 +54,10 @@ def gains(
 ) -> Gains:
     """Gains α = 2ζω, β = ω² with ω = (S_a/S_m)^¼, for the noise of a sensor and the error of a model.
 
-    They are the gains of the stationary Kalman filter of the error law, for `Intrinsic` and its relatives. Only the ratio S_a/S_m decides ω: a better sensor or a worse model makes the observer faster. The design is in continuous time,
-    so ω should be well below the sampling rate. `tune` finds the numbers from logs, and `observer_gains` reads them
-    from a data sheet.
+    They are the gains of the stationary Kalman filter of the error law, for `Intrinsic` and its relatives. Only the
+    ratio S_a/S_m decides ω: a better sensor or a worse model makes the observer faster. The design is in continuous
+    time, so ω should be well below the sampling rate. `tune` finds the numbers from logs, and `observer_gains` reads
+    them from a data sheet.
 
     Args:
         measurement_std: Standard deviation of one position sample [rad or m]; for an encoder, one step divided by √12.

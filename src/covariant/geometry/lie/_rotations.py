@@ -191,6 +191,10 @@ def quaternion_from_rotation(g: Float[Array, "3 3"]) -> Quaternion:
 def rotation_from_quaternion(q: Quaternion) -> Float[Array, "3 3"]:
     """Rotation matrix of a quaternion.
 
+    Use it for readings of attitude sensors. The scalar part comes first; many drivers put it last, which gives another
+    rotation without an error. The quaternion is normalised. The matrix takes body components to space components if the
+    quaternion does.
+
     Args:
         q: quaternion wxyz (4,) of any length but zero; q and −q have the same matrix.
 
