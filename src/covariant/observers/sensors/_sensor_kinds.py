@@ -303,6 +303,9 @@ def accelerometer(
     The acceleration is that of the model with its estimated forces. White acceleration noise, `process_cov`, is not
     part of it: describe unknown forces by `external_force`, and give a `std` that covers what is left.
 
+    At rest it reads gravity with the opposite sign, so a sensor whose z axis points up reads +9.81 m/s². Use it
+    together with `gyro` for an inertial unit on a link.
+
     Args:
         space: The configuration space of the robot, `model.space`.
         link: Name of the link.
