@@ -293,7 +293,7 @@ def distance(space: Space, p: Configuration, q: Configuration, budget: Budget = 
 
     Use it to measure an error independently of coordinates. Its unit is that of the metric, such as √kg m for the
     kinetic-energy metric. Without a closed form each call searches a geodesic, which costs far more than a norm. The
-    geodesic that is found need not be the shortest one; `shoot` says so.
+    geodesic that is found need not be the shortest one: `shoot` flags it where it passes a conjugate point.
 
     Args:
         space: a space, or a metric in coordinates as a function `q -> (n, n)`.

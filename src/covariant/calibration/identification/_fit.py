@@ -101,6 +101,10 @@ def fit(
     Positive parameters are searched by their logarithms. What the log does not determine keeps its first value, and is
     listed in `Fit.undetermined`.
 
+    Use it where you have cut the windows yourself. The verb `covariant.fit` starts from files, holds out rows, and
+    tries both held and linear inputs where the model file does not say which. `fit_robot` is faster for many numbers of
+    a robot. Every step simulates all windows, so start with a few parameters.
+
     Args:
         family: The model as a function of its p open parameters, from `models.family`.
         windows: Windows of one log or several, from `cut_windows`.

@@ -73,6 +73,11 @@ class Sensor(Functional):
 
     The ready ones are `encoder`, `tachometer`, `gyro`, `accelerometer`, `pose_sensor` and `point_sensor`.
 
+    Use it for a sensor that the ready ones do not cover, such as a strain gauge or a laser range finder: write its
+    output as a function in JAX. Pass it as `sensors` of `IntrinsicKalman`; its readings follow the configuration in a
+    measurement, NaN where there is none. Give its bias as `slow`. `Damped` uses sensors in an observer with constant
+    gains.
+
     Attributes:
         name: Name of the sensor.
         h: Output `(now, s) -> (j,)`, the reading expected at an `Instant` with the sensor's own slow states s (k,).
