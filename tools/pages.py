@@ -162,7 +162,14 @@ def _documentation(module: ModuleType, name: str) -> str:
 def _prose(text: str) -> str:
     """What a docstring says before its first section, as one paragraph."""
     prose = re.split(r"\n(?:Args|Attributes|Returns|Raises|Example|Source|References?):|\n+- `|\n+::|\n *>>>", text)[0]
-    return " ".join(prose.split())
+    blocks = re.split(r"\n\n", prose)
+    return " ".join(_equations(block) if block.startswith("    ") else " ".join(block.split()) for block in blocks)
+
+
+def _equations(block: str) -> str:
+    """An indented block of equations as code within a sentence; three spaces or a new line separate two of them."""
+    equations = [part.strip().removesuffix(",") for part in re.split(r" {3,}|\n", block.strip())]
+    return ", ".join(f"`{equation}`" for equation in equations if equation) + "."
 
 
 def navigation() -> list[str]:

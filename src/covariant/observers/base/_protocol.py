@@ -675,10 +675,10 @@ def checked(observer: AbstractObserver, record: Record) -> Record:
 def run(observer: AbstractObserver, record: Record, keep: Collection[str] | None = None) -> Run:
     """Run an observer over a record. Row k of the run depends on the measurements up to row k only.
 
-    Use it for a log that is complete, in a script or under `jax.jit`. `engine.run_log` gives the same numbers by
-    compiled C and is faster on long logs. `engine.Stream` takes samples one by one, and the verb `covariant.estimate`
-    starts from files. The first row starts the estimate, so its measurement should be complete. A step never raises an
-    error: read `info.result`.
+    Use it for a log that is complete, in a script or under `jax.jit`. `engine.run_log` gives the same numbers, up to
+    rounding, by compiled C and is faster on long logs. `engine.Stream` takes samples one by one, and the verb
+    `covariant.estimate` starts from files. The first row starts the estimate, so its measurement should be complete. A
+    step never raises an error: read `info.result`.
 
     Args:
         observer: The observer.

@@ -47,8 +47,9 @@ class ReducedOrder(AbstractObserver):
 
     An output that is missing corrects nothing. The noise of a measurement goes straight into the estimate.
 
-    Use it with a `certificates.reduced_order` design where the outputs are states that are measured accurately. It
-    converges from any distance within the design's region. For noisy outputs choose `StateEKF` or `Contracting`.
+    Use it where the outputs are states that are measured accurately. `workflow.design_reduced_order` computes the
+    direction. It converges from any distance within the design's region. For noisy outputs choose `StateEKF` or
+    `Contracting`.
 
     Attributes:
         model: The system, with n states, of which the p outputs are some.

@@ -60,8 +60,8 @@ class Riccati(AbstractFlowObserver):
     so no gain makes it unstable, and for dt → 0 it is the differential equation. Where the metric is not positive
     definite, as outside the grid of a field, the model runs without correction and `result` says `OUT_OF_DOMAIN`.
 
-    Its gain depends on the estimate alone, and not on the past of the estimate, as in `StateEKF`. Take the metric from
-    `metrics.RiccatiMetric`, `metrics.load_metric` or `metrics.high_gain`.
+    Its gain depends on the estimate alone. The gain of `StateEKF` depends on all earlier estimates. Take the metric
+    from `metrics.RiccatiMetric`, `metrics.load_metric` or `metrics.high_gain`.
 
     Attributes:
         model: The system, with n states and p outputs.

@@ -194,8 +194,8 @@ def tachometer(
 ) -> Sensor:
     """Some components of the velocity: joint rates, and on a group the body's rates, as of a gyro on an aircraft.
 
-    It reads the velocity in the frame of the configuration space: in coordinates the rates of these, on a group the
-    body's rates. Use `gyro` for a sensor that sits on a link of a robot, and has axes of its own.
+    A reading is direct knowledge of the velocity, and reduces lag and noise. Use `gyro` for a sensor that sits on a
+    link of a robot, and has axes of its own.
 
     Args:
         places: Indices (k,) of the components, in the frame of the configuration space.
