@@ -11,6 +11,7 @@ import inspect
 import re
 from collections.abc import Callable
 from functools import partial
+from itertools import pairwise
 from pathlib import Path
 from types import ModuleType
 
@@ -134,7 +135,7 @@ def api_page() -> str:
 
 
 def _api_of(title: str, module: ModuleType, names: list[str]) -> str:
-    entries = [f"- **`{name}`**: {_prose(getattr(module, name))}" for name in sorted(names, key=str.lower)]
+    entries = [f"- **`{name}`**: {_prose(_documentation(module, name))}" for name in sorted(names, key=str.lower)]
     return "\n".join([f"## {title}", "", _about_room(module), "", *entries])
 
 
@@ -144,11 +145,31 @@ def _about_room(module: ModuleType) -> str:
     return f"{subject[:1].upper()}{subject[1:]}."
 
 
-def _prose(value: object) -> str:
+def _documentation(module: ModuleType, name: str) -> str:
+    """Docstring of a public name; of a constant, the string after its assignment in one of the room's files."""
+    value = getattr(module, name)
+    if not isinstance(value, tuple) or isinstance(value, type):
+        return inspect.getdoc(value) or ""
+    for path in sorted(Path(module.__file__ or "").parent.rglob("*.py")):
+        for assignment, text in pairwise(ast.parse(path.read_text(encoding="utf-8")).body):
+            match assignment, text:
+                case ast.Assign(targets=[ast.Name(id=target)]), ast.Expr(value=ast.Constant(value=str(words))):
+                    if target == name:
+                        return inspect.cleandoc(words)
+    return ""
+
+
+def _prose(text: str) -> str:
     """What a docstring says before its first section, as one paragraph."""
-    text = inspect.getdoc(value) or ""
     prose = re.split(r"\n(?:Args|Attributes|Returns|Raises|Example|Source|References?):|\n+- `|\n+::|\n *>>>", text)[0]
-    return " ".join(prose.split())
+    blocks = re.split(r"\n\n", prose)
+    return " ".join(_equations(block) if block.startswith("    ") else " ".join(block.split()) for block in blocks)
+
+
+def _equations(block: str) -> str:
+    """An indented block of equations as code within a sentence; three spaces or a new line separate two of them."""
+    equations = [part.strip().removesuffix(",") for part in re.split(r" {3,}|\n", block.strip())]
+    return ", ".join(f"`{equation}`" for equation in equations if equation) + "."
 
 
 def navigation() -> list[str]:

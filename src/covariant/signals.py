@@ -13,6 +13,9 @@ from jaxtyping import Array, Float, Inexact
 class StepCode(enum.IntEnum):
     """Outcome of a numerical step, stored in `info.result`; zero is good, and a larger code is worse.
 
+    The codes stand in arrays, so that a compiled step never raises an error. `StepCode(int(code)).message` is the text
+    of one. Codes up to `TOO_LATE` are normal in operation; `NOT_FINITE` means that the estimate is lost.
+
     Example:
         >>> from covariant import StepCode
         >>> StepCode(1).name, StepCode.COASTED.message
@@ -243,6 +246,10 @@ def largest_measurement(y: Inexact[AnyArray, "*n"], circles: Collection[int] = (
 
 class Run(NamedTuple):
     """Result of an observer's pass over a record, stacked along time.
+
+    Each observer has its own `info`; all of them have `info.result`, whose codes are those of `StepCode`. Look at these
+    codes before you trust the estimates: the printed form counts them. The velocities are in the frame of the
+    configuration space, which on a group is the body frame.
 
     Attributes:
         t: Stamps (T,) [s].

@@ -159,6 +159,9 @@ def fmu(program: Program, name: str, about: str, rate: float, y: np.ndarray, ver
 def write_fmu(unit: Unit, path: Path, overwrite: bool = False) -> None:
     """Write a unit as one file, whole or not at all.
 
+    Pass it the unit of `fmu`. The file runs only on the operating system and processor for which its binary was
+    compiled. `covariant.export` builds and writes it in one call.
+
     Args:
         unit: The unit.
         path: Path of the file, which ends in .fmu.

@@ -112,6 +112,9 @@ class Signals(NamedTuple):
 class Program(NamedTuple):
     """An observer as graphs of scalars. Counts and truth values of its state are real numbers in them.
 
+    It is the form between an observer and its C, for tools that write another language. `write_source` generates C from
+    it. Use `covariant.export` to get complete files with a self-test.
+
     Attributes:
         init: Graph of `(numbers, y, t) -> state`.
         step: Graph of `(numbers, state, u, y, dt) -> (state, info)`.
@@ -384,7 +387,11 @@ def program(
     loops: bool = False,
     alone: bool = False,
 ) -> Program:
-    """The graphs of an observer.
+    """Trace an observer to graphs of scalars, from which code is written.
+
+    Use it for the steps before `write_source`, or to count operations. The observer needs a fixed amount of work: give
+    it `substeps`, and a `Budget` with a number of `newton` corrections. `real="float"` halves memory, and errors then
+    grow to about seven digits. `covariant.export` does all of this.
 
     Args:
         recipe: The observer and its open numbers.

@@ -110,6 +110,10 @@ def closed_loop(
 ) -> Any:
     """Plant, observer and controller as one `control.NonlinearIOSystem` without inputs; its outputs are x, x̂ and u.
 
+    Use it to examine a loop with tools of python-control, such as linearisation or simulation. Everything is in
+    continuous time, so it needs an observer that has a `flow`, such as `Contracting`. The measurement must not depend
+    on the input. Use `simulation.observe` for a simulation alone.
+
     Args:
         model: The plant.
         observer: The observer of its state.

@@ -66,7 +66,11 @@ class Source(NamedTuple):
 
 
 def write_source(program: Program, name: str, about: str, flash: int | float = math.inf) -> Source:
-    """The header and the source of an observer, in C99.
+    """Generate the header and the source of an observer, in C99.
+
+    Use it where the C goes into a build of your own. It allocates no memory and has no global variables. On a small
+    controller set `flash`; smaller code is slower. `covariant.export` adds a self-test and a data sheet, and
+    is the better start.
 
     Args:
         program: The observer as graphs.

@@ -24,6 +24,9 @@ def compiled(function: Callable, *arguments: Any) -> Callable:
     The results are those of the function up to rounding; errors at run time (`equinox.error_if`) are left out. It has
     no derivative.
 
+    Use it where one function is called often under `jit` on a CPU and XLA is slow for it, as for many scalar
+    operations. It does not speed up large matrices. For a whole log use `run_log`.
+
     Args:
         function: A function of pytrees of arrays that is a graph of scalars.
         *arguments: Pytrees of arrays of one real type, float64 or float32, or of their shapes (`jax.ShapeDtypeStruct`),

@@ -24,6 +24,10 @@ def run_log(
 ) -> tuple[Run, str]:
     """Run an observer over a log, as `observers.run` does, by compiled C where it pays.
 
+    Use it for long logs and repeated runs. "auto" compiles only where the log is long enough to pay, or where a
+    compiled observer is cached; the second result says which engine ran and why. It is not for `jit` or derivatives:
+    use `observers.run` there.
+
     Args:
         observer: Any observer.
         record: The log: stamps (T,) [s], inputs (T, m), measurements (T, n) or (T, N, N). It is taken in double
@@ -62,6 +66,9 @@ def run_logs(
     repeats: int = 1,
 ) -> tuple[list[Run], str]:
     """Run observers over logs: one over many logs, many over one log, or as many observers as logs in pairs.
+
+    Use it for searches and Monte Carlo studies: one program is compiled for all, and C runs them on every core.
+    Observers have to differ in numbers only, and not in kind or shape. `run_log` is for a single run.
 
     Args:
         observers: Of one kind, distinguished by their numbers, such as gains or masses. All are one compiled program,

@@ -91,6 +91,10 @@ def connection(space: Space, q: Configuration, x: Vector, y: Vector) -> Vector:
 def christoffel(space: Space, q: Vector, x: Vector, y: Vector) -> Vector:
     """Christoffel symbols `Γ(q)(x, y)` contracted with x and y: the `connection` in coordinates, symmetric in both.
 
+    Use it for the terms of a geodesic equation, `q'' = −Γ(q)(q', q')`, or for Coriolis forces, which are the inertia
+    matrix times these. It is for coordinates: in the frame of a group the connection is not symmetric, and
+    `space.connection` is the right one.
+
     Args:
         space: a space, or a metric in coordinates as a function `q -> (n, n)`.
         q: coordinates (n,).
@@ -116,6 +120,10 @@ def curvature(space: Space, q: Configuration, x: Vector, y: Vector, z: Vector) -
     """Riemann curvature `R(x, y)z = ∇_x∇_y z − ∇_y∇_x z − ∇_[x,y] z` at q.
 
     On the unit sphere `R(x, y)z = <y, z>x − <x, z>y`.
+
+    Its sign decides how errors between neighbouring motions grow: negative curvature makes them diverge. `Intrinsic`
+    and `Geodesic` compensate the term `R(ξ, v)v`. Conventions of the sign differ between books; this is that of the
+    formula above. Use `sectional_curvature` for one number.
 
     Args:
         space: a space, or a metric in coordinates as a function `q -> (n, n)`.
@@ -190,6 +198,10 @@ def gradient(space: Space, q: Configuration, covector: Vector) -> Vector:
 def exp(space: Space, q: Configuration, v: Vector, budget: Budget = Budget()) -> Configuration:
     """Riemannian exponential: the end, after unit time, of the geodesic from q with velocity v.
 
+    Use it to move a configuration along a vector without leaving the space, as for a correction or a sample around a
+    mean. It is the inverse of `log` up to the first conjugate point. Without a closed form it integrates the geodesic
+    equation; `manifold.retract` is cheaper where first order is enough.
+
     Args:
         space: a space, or a metric in coordinates as a function `q -> (n, n)`.
         q: configuration at which the geodesic starts.
@@ -216,6 +228,10 @@ def shoot(
     budget: Budget = Budget(),
 ) -> Shot:
     """Geodesic from p to q in unit time, with its residual and a result code.
+
+    Use it in place of `log` where you must know whether the search succeeded, or what the geodesic's velocity at the
+    end is. `OK` is not proof of the shortest geodesic: a numerical search returns one geodesic, and only conjugate
+    points are counted. Pass the previous solution as `guess` when p and q move slowly.
 
     Args:
         space: a space, or a metric in coordinates as a function `q -> (n, n)`.
@@ -247,6 +263,9 @@ def log(space: Space, p: Configuration, q: Configuration, budget: Budget = Budge
     A geodesic beyond a conjugate point is returned too, and `shoot` flags it: it is a geodesic, but not the shortest
     one.
 
+    Use it as the error vector from p to q: `exp(space, p, log(space, p, q))` is q. It is a vector at p, so transport it
+    before you compare it with one elsewhere.
+
     Args:
         space: a space, or a metric in coordinates as a function `q -> (n, n)`.
         p: configuration at which the geodesic starts.
@@ -272,6 +291,10 @@ def log(space: Space, p: Configuration, q: Configuration, budget: Budget = Budge
 def distance(space: Space, p: Configuration, q: Configuration, budget: Budget = Budget()) -> Scalar:
     """Geodesic distance between p and q: the length of `log`.
 
+    Use it to measure an error independently of coordinates. Its unit is that of the metric, such as √kg m for the
+    kinetic-energy metric. Without a closed form each call searches a geodesic, which costs far more than a norm. The
+    geodesic that is found need not be the shortest one: `shoot` flags it where it passes a conjugate point.
+
     Args:
         space: a space, or a metric in coordinates as a function `q -> (n, n)`.
         p: configuration.
@@ -295,6 +318,10 @@ def distance(space: Space, p: Configuration, q: Configuration, budget: Budget = 
 
 def transport(space: Space, p: Configuration, v: Vector, q: Configuration, budget: Budget = Budget()) -> Vector:
     """Parallel transport of v from p to q along the geodesic between them: a linear isometry.
+
+    Use it to compare or add velocities at different configurations, such as an estimated and a true one. The result
+    depends on the path, and the geodesic is the usual choice. It costs a search of the geodesic besides; where the
+    velocity of this is known, `space.transport_along` saves it.
 
     Args:
         space: a space, or a metric in coordinates as a function `q -> (n, n)`.

@@ -49,6 +49,10 @@ class Curved(Protocol):
 class Budget(NamedTuple):
     """Work that a numerical `exp` or `log` may do. Closed forms ignore it.
 
+    Keep the default for work offline. Give numbers for an observer that runs in real time or is exported, where every
+    step must take the same time. Then check the residual of `shoot`: too few corrections return a geodesic that misses
+    its end.
+
     Attributes:
         newton: None, the default, for work offline, iterates Newton shooting until it converges, with `steps`
             eighth-order steps along the unit-time geodesic. A number, for real time, makes exactly that many

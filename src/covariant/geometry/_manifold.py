@@ -295,6 +295,10 @@ class AbstractManifold(eqx.Module):
 class Coordinates(AbstractManifold):
     """Configurations written as coordinates q (n,), some of which may be angles on a full circle.
 
+    It is the manifold of a machine with joints. Declare an angle as a circle only where it can turn fully. In a joint
+    that is limited to ±200° a difference of more than half a turn would be wrapped wrongly. `ProductManifold` joins
+    coordinates with groups.
+
     Attributes:
         circles: indices of the coordinates that are such angles [rad]; differences of them are wrapped to ±π. None of
             them by default.

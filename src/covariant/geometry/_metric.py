@@ -48,6 +48,10 @@ class AbstractMetric(AbstractSpace):
 class Metric(AbstractMetric):
     """A metric defined only by its matrix `x -> (n, n)`; every operation is derived from it.
 
+    Use it for an inertia matrix in coordinates. `Lagrangian` accepts the plain function and wraps it so. For a chain of
+    many bodies `KineticEnergy` is cheaper, and a space with closed forms, such as `sphere`, is faster and exact. The
+    matrix must be positive definite everywhere, which is not checked.
+
     Attributes:
         matrix: function of a configuration, with a symmetric positive definite matrix (n, n) as its value. It is in the
             frame of `manifold`, as for a machine whose inertia depends on its configuration; in coordinates by default.
@@ -98,6 +102,9 @@ class KineticEnergy(AbstractSpace):
 
 def as_space(metric: AbstractSpace | MatrixField, manifold: AbstractManifold | None = None) -> AbstractSpace:
     """Space from a metric: a plain callable `q -> (n, n)` gets the derived operations.
+
+    Use it at the entry of a function that takes either a space or a matrix field; the functions of this room call it
+    themselves. A plain function has no circles: pass a `manifold` where coordinates are angles.
 
     Args:
         metric: a space, or a function of coordinates (n,) with a symmetric positive definite matrix (n, n) as its

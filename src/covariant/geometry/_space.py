@@ -33,6 +33,10 @@ class AbstractSpace(Functional):
 
     A subclass defines `lower`; every other operation is derived from it.
 
+    Subclass it where the metric has a closed form or a structure of its own. Otherwise use a ready space, `Metric` for
+    a matrix, or `KineticEnergy` for an energy; `LeftInvariant` is for Lie groups. Operations that are derived cost
+    automatic differentiation and numerical geodesics, so define them in the subclass where a closed form is known.
+
     Attributes:
         manifold: the manifold of the configurations, with its frame.
 

@@ -194,6 +194,10 @@ _ARCTAN = [(-1.0) ** k / (2 * k + 1) for k in range(_TERMS)]
 def sphere(radius: float = 1.0) -> ConstantCurvature:
     """Sphere in the stereographic chart, which leaves out one point, opposite the origin.
 
+    Use it to test methods against known geometry. The point opposite the origin is at infinity, so keep motions away
+    from it. Near the origin lengths are twice those of the coordinates. For attitudes use `lie.SO3` with
+    `LeftInvariant`, which has no such point.
+
     Args:
         radius: its radius, 1 by default; coordinates are in the same unit.
 
@@ -214,6 +218,9 @@ def sphere(radius: float = 1.0) -> ConstantCurvature:
 def hyperbolic(radius: float = 1.0) -> ConstantCurvature:
     """Hyperbolic space of curvature −1/radius², in the Poincaré ball |q| < radius.
 
+    Use it to test methods where negative curvature makes motions diverge. Points outside the ball are not in the space.
+    Near the origin lengths are twice those of the coordinates.
+
     Args:
         radius: radius of the ball, 1 by default.
 
@@ -231,7 +238,11 @@ def hyperbolic(radius: float = 1.0) -> ConstantCurvature:
 
 
 class Pullback(AbstractMetric):
-    """A space in another chart.
+    """A space in other coordinates, with the operations of the original one.
+
+    Use it where a space has closed forms in one chart and a model is written in another. Geodesics and distances are
+    the same in both. `forward` must be smooth and invertible where it is used, and errors of `inverse` go into the
+    results unnoticed.
 
     Attributes:
         space: the space in its original coordinates.
@@ -303,6 +314,10 @@ class Pullback(AbstractMetric):
 
 class Product(AbstractMetric):
     """Product of spaces, with their coordinates side by side.
+
+    Use it for machines that do not influence each other, or a flat part beside a curved one: closed forms of the
+    factors are used, and geodesics are those of each factor. Inertia that couples the parts needs a `Metric` of the
+    whole. Factors on groups need a `ProductManifold`.
 
     Attributes:
         spaces: the factors.

@@ -14,6 +14,9 @@ from covariant.signals import Record
 class LogError(ValueError):
     """A log that cannot be used. The message is one line: the file, column and row, the fault, and the remedy.
 
+    It is a `ValueError`. Values that are wrong but readable, such as degrees for radians, do not raise it: `check`
+    finds them.
+
     Example:
         >>> import numpy as np
         >>> from covariant import logs, signals

@@ -46,6 +46,9 @@ def read(
     or matrix that is off by less than 5 % is replaced by the nearest rotation. Dates, and times since 1970, count from
     the first of them, `Log.origin_ns`.
 
+    Use it to get a `Record` with units, attitudes and missing values treated right. The verbs call it with the columns
+    of the model file; `covariant.logs.record` is the short form for a few named columns.
+
     Args:
         log: One of
 

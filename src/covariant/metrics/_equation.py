@@ -15,6 +15,10 @@ class Equation(eqx.Module):
 
     It is equation (8) of the paper with Q alone and (15) with λ alone.
 
+    A rate λ gives a metric that contracts at a known rate, and Q gives that of a Kalman–Bucy filter with this noise.
+    Use it in `metric_at` and `RiccatiMetric`. Q and R are densities: for a sensor with samples R is the variance of one
+    divided by the sampling rate, as `observers.StateNoise` computes it.
+
     Attributes:
         rate: λ [1/s], 0 by default; the observer with gain ¼ contracts the distance in P at the rate λ/2.
         process_cov: Q, a symmetric positive matrix (n, n), or a field `x -> (n, n)`; none by default. Under a change of

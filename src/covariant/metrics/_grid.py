@@ -14,6 +14,9 @@ from jaxtyping import Float
 class Grid:
     """A box of n axes with equally spaced points, both ends included.
 
+    Use it for the states at which a metric is tabulated, as by `workflow.design_metric`. The number of points is the
+    product of all counts, so it grows fast with the number of axes. The names are those of the states, in their order.
+
     Attributes:
         names: name of each axis, an identifier; all different.
         units: unit of each axis.

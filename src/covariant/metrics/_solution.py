@@ -71,6 +71,10 @@ def metric_at(
 
     Works under `jit` and `vmap`.
 
+    Use it to examine a metric at a few states, with an error bound and a result code. The amount of work depends on the
+    state, so it is no function for real time: use `RiccatiMetric` with a fixed past or `load_metric` there. Where the
+    past output does not determine the state, the code says so.
+
     Args:
         model: system with state x (n,) and output y (p,).
         equation: the Riccati equation.
@@ -331,6 +335,10 @@ def spd_distance(a: Matrix, b: Matrix) -> Scalar:
 
 class RiccatiMetric(eqx.Module):
     """The metric of the Riccati equation as a function `x (n,) -> (n, n)`, computed along the characteristic through x.
+
+    Use it for `observers.Riccati` where a table over all states would be too large. Each call integrates over the past
+    `length` in `steps` steps. A past that is too short leaves an influence of `start`: compare with `metric_at`, which
+    reports what is needed. `load_metric` is cheaper for up to about three states.
 
     Attributes:
         model: the system.

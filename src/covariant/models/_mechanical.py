@@ -27,6 +27,9 @@ from covariant.models._parameters import Parameter, Parametric
 class Motion(NamedTuple):
     """Configuration and velocity of a mechanical system.
 
+    It is the state of a system on a group, where the configuration is a matrix and cannot stand in one vector with the
+    velocity. For a system in coordinates a state is the vector (q, v) instead; `model.state(motion)` converts to it.
+
     Attributes:
         q: Configuration: coordinates (n,) [their units], or on a group the matrix (N, N).
         v: Velocity (n,), in the frame of the configuration space; on a group `q' = q hat(v)`.
@@ -217,6 +220,11 @@ class Lagrangian(MechanicalSystem):
 
     All functions are checked at once where the coordinates are named.
 
+    Use it for a machine with joints, such as a pendulum, a crane or an arm, whose equations follow from inertia and
+    potential. The equations of motion are derived from these by automatic differentiation. Name the coordinates, so
+    that mistakes in shapes are found at once. Use `GroupSystem` for a body that turns freely, `models.robots.load` for
+    a robot file, and `StateSpace` where the system is not mechanical.
+
     Args:
         metric: Inertia matrix `q (n,) -> (n, n)`, or a space in coordinates from `covariant.geometry`.
         potential: Potential energy `q -> ()` [J]; zero by default.
@@ -266,6 +274,10 @@ class Lagrangian(MechanicalSystem):
 
 class GroupSystem(MechanicalSystem):
     """A mechanical system on a Lie group, `g' = g hat(v)`, `I v' = ad*_v I v + force + dissipation` in the body frame.
+
+    Use it for a body that turns freely, such as a satellite, an aircraft or a vehicle under water. It has no singular
+    attitude, as Euler angles have. The velocity is in the body frame, and the input is by default a force or torque in
+    that frame. Use `Lagrangian` for machines whose joints have coordinates.
 
     Args:
         group: Lie group of the configurations, such as `lie.SO3` or `lie.SE3`.
@@ -504,6 +516,10 @@ def input_count(model: Any, n: int) -> int:
 def acceleration(model: MechanicalSystem, t: Scalar, q: Array, v: Vector, u: Float[Array, "m"]) -> Vector:
     """Forward dynamics `v' = raise(−∂U + force + dissipation − M B(v, v))` (Hamel's equations).
 
+    Use it to write a simulation, a controller or a test of a model by hand; it works under `jit`, `vmap` and `grad`.
+    Each call solves a system with the inertia matrix. `simulation.simulate` integrates it, with adaptive steps. On a
+    group v' is the rate of the components in the body frame, and not a coordinate acceleration.
+
     Args:
         model: Mechanical system.
         t: Time [s].
@@ -526,6 +542,9 @@ def acceleration(model: MechanicalSystem, t: Scalar, q: Array, v: Vector, u: Flo
 
 def energy(model: MechanicalSystem, q: Array, v: Vector) -> Scalar:
     """Kinetic plus potential energy [J].
+
+    Use it to check a model or an integration: without force and dissipation the energy stays constant, and friction
+    must never let it grow. The potential is defined up to a constant, so only differences have a meaning.
 
     Args:
         model: Mechanical system.
@@ -613,6 +632,10 @@ def advance(
     rule=rk4_step,
 ) -> Motion:
     """Integrate the system over dt [s] in equal steps.
+
+    Use it for one sample of a loop, in real time or inside a compiled function: the work is fixed. The error of the
+    default rule is of order (dt/steps)⁴, and stiff friction needs more steps. Use `simulation.simulate` for a whole
+    motion to a tolerance.
 
     Args:
         system: Mechanical system.

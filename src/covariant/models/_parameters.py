@@ -26,6 +26,9 @@ class Parameter(eqx.Module):
 
     The value is a leaf of the model's pytree: the same model with other values needs no new compilation.
 
+    Use it in a model of your own, so that files, tables and messages name the number with its unit. Pass the values to
+    the functions through `Parametric`, so that `covariant.fit` can open them.
+
     Attributes:
         value: The number or array, converted to real floating point.
         unit: Unit, such as "kg m^2"; "1" where it has none.

@@ -20,6 +20,11 @@ from covariant.models._parameters import Parameter
 class StateSpace(Functional):
     """A nonlinear system `x' = f(t, x, u)`, `y = h(t, x, u)` with measured outputs; its Jacobians are automatic.
 
+    Use it for systems that are not mechanical, such as tanks, reactors or electric machines, and for mechanical ones
+    with other measurements than positions. Use `Lagrangian` or `GroupSystem` where positions are measured: observers
+    then have geometry, and constant gains with a known error law. `f` and `h` must be JAX functions. Mark outputs that
+    are angles by `circles`, or a full turn counts as an error.
+
     Attributes:
         f: State derivative `(t, x, u) -> (n,)` of the time t [s], the state x (n,) and the input u (m,).
         h: Output `(t, x, u) -> (p,)`.
@@ -140,6 +145,10 @@ class StateSpace(Functional):
 @functools.singledispatch
 def state_space(model: MechanicalSystem) -> StateSpace:
     """Convert a model to state-space form.
+
+    Use it where an observer or a design needs x and y: `Contracting`, `StateEKF`, `Riccati` and the metrics. The result
+    has lost the geometry, so that `Intrinsic` and the certificates of intrinsic observers do not accept it. A system on
+    a group has no such form.
 
     Args:
         model: A mechanical system in coordinates, with x = (q, v) and y = q; a `marine.Craft`, with x = (η, ν) and y =

@@ -318,4 +318,8 @@ REGISTRY = (
         fits=states,
     ),
 )
-"""All entries; the first that fits a model is the default choice."""
+"""The observers that the verbs know by name, with what each needs and when to choose it.
+
+The first entry that fits a model is the default choice. Use it to loop over all observers for a model, as
+`calibration.tuned_estimators` does.
+"""

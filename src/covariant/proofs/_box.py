@@ -9,6 +9,9 @@ from jaxtyping import Float
 class Box(NamedTuple):
     """Bounds of named variables: the domain of a proof. A variable with equal bounds is fixed.
 
+    Fixed variables are constants, such as a mass, that stay in the statement and cost no effort. `box` builds one with
+    checked bounds; the class itself checks nothing. The unit is text for people and has no effect.
+
     Attributes:
         names: Names of the d variables.
         units: Their units as text; "" for none.
@@ -57,6 +60,9 @@ class Box(NamedTuple):
 
 def box(**bounds: tuple[float, float] | tuple[float, float, str]) -> Box:
     """A box from one keyword for each variable.
+
+    Use it to write a domain by hand. The order of the keywords is the order of the variables z of the matrix. Each free
+    variable can double the effort of a proof several times, so fix what need not vary.
 
     Args:
         **bounds: `name=(low, high)` or `name=(low, high, unit)`, in the order of the variables.

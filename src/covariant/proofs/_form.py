@@ -92,6 +92,9 @@ class Form(NamedTuple):
 def as_form(matrix: Callable[[Array], Array]) -> Form:
     """A JAX function as a form, with the conditions that it is defined and does not jump.
 
+    `prove` calls it itself. Use it to see the graph that a proof is about, or the conditions under which it is defined.
+    The graph is built only when it is asked for, so that an error in the function appears late.
+
     Args:
         matrix: Function `z (d,) -> (n, n)`; a `Form` is returned unchanged.
 

@@ -40,6 +40,10 @@ MOST_BOXES = 200_000
 class Proof(NamedTuple):
     """Result of branch and bound on one matrix and one box.
 
+    Read `verdict` first. With "fails" the `counterexample` shows where to look, and with "undecided" the boxes in
+    `open` show which part of the domain needs more effort or has too small a margin. `reason` names a part of the
+    function that may be undefined.
+
     Attributes:
         verdict: "holds"; "fails", where the matrix is not positive definite at `counterexample`; or "undecided", where
             the boxes `open` remain.

@@ -37,6 +37,10 @@ _MOST_RECTANGLES = 20_000
 def draw_certificate(certificate: ContractionCertificate, path: str | os.PathLike[str]) -> Path:
     """Draw the figure of a certificate into a file.
 
+    It shows the region, a simulated motion with the proved tube, distances of estimates below the certified line, and
+    the rates that the gains allow. Use it to explain a certificate; it proves nothing. Without a proof the two panels
+    with motions give the reason instead. It simulates motions, so it takes some seconds.
+
     Args:
         certificate: The certificate, such as that of a `covariant.workflow.CertifyResult`.
         path: The file; its suffix is the format, such as .png, .pdf or .svg.

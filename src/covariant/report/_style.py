@@ -90,6 +90,9 @@ def new_figure(
 ) -> "tuple[matplotlib.figure.Figure, np.ndarray]":
     """Create a figure in the common style, whose lines take the colours of `PALETTE`.
 
+    Use it for plots that shall look like those of the library, in scripts and in notebooks. It opens no window: write
+    it by `save_figure`.
+
     Args:
         rows: Number of rows of panels.
         cols: Number of columns of panels.
@@ -132,6 +135,9 @@ def new_figure(
 
 def save_figure(figure: "matplotlib.figure.Figure", path: str | os.PathLike[str]) -> Path:
     """Write a figure to a file, whole or not at all.
+
+    A failure leaves an existing file as it was. Choose .svg or .pdf for print and .png for the screen; the resolution
+    of bitmaps is fixed. Figures that were made elsewhere with matplotlib are accepted too.
 
     Args:
         figure: The figure.

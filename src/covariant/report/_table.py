@@ -35,6 +35,10 @@ def cells(rows: Sequence[Mapping[str, object]]) -> Cells:
 def table(rows: Sequence[Mapping[str, object]]) -> str:
     """Format a table in GitHub's Markdown, with right-aligned numbers to four digits.
 
+    Use it for results in Markdown pages, issues and notebooks. Columns are in the order in which their headings first
+    occur, and a column of numbers is aligned to the right. It rounds, so use the numbers themselves for further
+    computations.
+
     Args:
         rows: Rows, each with its cells by heading; a missing key, None and NaN become a dash.
 

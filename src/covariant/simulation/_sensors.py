@@ -12,7 +12,11 @@ PerPosition = float | Sequence[float] | NumpyArray
 
 
 class PositionSensor(NamedTuple):
-    """A position sensor.
+    """A position sensor, as numbers: sampling rate, noise, quantisation, jitter and dropouts.
+
+    It describes the instrument in a simulation: `stamps` gives its sampling instants, and `sense` its readings. Noise
+    and quantum are in the unit of the position. The sensors of filters, such as `observers.encoder`, are something
+    else: they tell an estimator how to use a reading.
 
     Args:
         rate: Samples per second [Hz].
@@ -57,6 +61,9 @@ class PositionSensor(NamedTuple):
 def stamps(sensor: PositionSensor, duration: float, seed: int = 0) -> Float[NumpyArray, "T"]:
     """Sampling instants of a sensor.
 
+    Use the same sensor and seed as for `sense`, and simulate the model at these instants. With jitter the stamps are
+    the true instants, and not those of an ideal clock.
+
     Args:
         sensor: Its `rate` and `jitter` count.
         duration: Length of the log [s].
@@ -87,6 +94,9 @@ def stamps(sensor: PositionSensor, duration: float, seed: int = 0) -> Float[Nump
 
 def sense(sensor: PositionSensor, q: Float[NumpyArray, "T n"], seed: int = 0) -> Float[NumpyArray, "T n"]:
     """Measurements of positions by a sensor, with noise, quantisation and dropouts.
+
+    Use it to make the measurements of a simulated log, with a seed for repeatable noise. Noise is added before
+    quantisation, as in a real encoder. Dropouts take away whole rows.
 
     Args:
         sensor: The sensor.

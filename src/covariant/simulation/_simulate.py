@@ -75,6 +75,10 @@ def simulate(
 ) -> Record:
     """Integrate a model from an initial state, and record its noise-free state and inputs at the stamps.
 
+    Use it as the truth in tests and studies: its tolerance is tight, and its y has no noise. Add a sensor by
+    `stamps` and `sense`. The verb `covariant.simulate` does all of this for a model file. The input is a function of
+    time and state; use `observe` for a loop that is closed through an observer.
+
     Args:
         model: A mechanical system, or a `StateSpace`.
         x0: Initial state: (q, v) (2n,) in coordinates, a `Motion` on another manifold; for a `StateSpace` the state
@@ -139,6 +143,10 @@ def observe(
     controller: Controller | None = None,
 ) -> tuple[Any, Any]:
     """Integrate plant and observer as one system in continuous time.
+
+    It shows an observer without sampling, so that its error law can be compared with theory. Use it also for a loop
+    closed through the estimate. It needs an observer with a `flow`; a Kalman filter with sampled measurements has none.
+    Use `observers.run` on a simulated log for the effects of sampling and noise.
 
     Args:
         model: The plant, a mechanical system or a `StateSpace`.

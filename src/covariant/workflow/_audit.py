@@ -40,6 +40,10 @@ def audit_observer(
 ) -> "AuditResult":
     """Measure the laws that an observer's convergence rests on, at random states.
 
+    Use it after you have changed a model or written an observer, to find mistakes before a proof. It measures and does
+    not prove: laws that hold at all sampled states may fail elsewhere. `certificates.audit.audit` takes an observer
+    that you have built.
+
     Args:
         model: A model file (.toml), a robot, `module:attribute`, the name of a system, a `ModelFile`, or a system.
         observer: `intrinsic`, `intrinsic2`, `geodesic`, `implicit-geodesic` or `copy`; by default the first that fits

@@ -67,6 +67,11 @@ def certify(
 ) -> "CertifyResult":
     """Prove that an intrinsic observer converges: on which region, at which rate, from how far.
 
+    Use it to state how far an estimate may start from the truth and still converge. The result holds for the whole
+    region and not only for motions that were simulated. The bounds decide whether a proof exists: a smaller region,
+    velocity or error makes it easier. The rate is that of squared lengths, so that errors decrease at half of it.
+    `certificates.certify` takes an observer that you have built yourself.
+
     Args:
         model: A model file (.toml), a robot, `module:attribute`, the name of a system, a `ModelFile`, or a system.
         velocity: Bound of the true velocities [unit/s], one for all or one each; required. There is no certificate
@@ -339,6 +344,10 @@ def check_certificate(
     path: str | Path, *, model: str | None = None, processes: int = 1, progress: Progress = silent
 ) -> "CertificateCheckResult":
     """Verify a saved certificate: all leaves of its proofs, and some of them again in ball arithmetic.
+
+    A certificate that is not verified gives a result with the reason, rather than an exception. `model` runs code of
+    the person who checks, and never code from the file. `certificates.check` is the same without ball arithmetic, and
+    returns the statement.
 
     Args:
         path: The certificate (.json), as `certify` saves it.

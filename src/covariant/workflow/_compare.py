@@ -44,6 +44,10 @@ def compare(
 ) -> "CompareResult":
     """Run all estimators that fit a model on a log, tuned from the same data sheet, and rank them.
 
+    Use it to choose an observer for a machine. A ranking on the true velocities is the more reliable one; without them
+    the estimators are ranked by how well the model predicts later positions from their estimates. The ranking is that
+    of one motion and one data sheet: call `tune` first where the noise is not known.
+
     Args:
         model, log, overrides, every, start, until, columns, anyway, engine, progress: As for `estimate`. Noise of the
             model file, or of `overrides`, is the data sheet.

@@ -66,6 +66,11 @@ def estimate(
 ) -> "EstimateResult":
     """Estimate velocities, or states of a state-space model, from the positions or outputs in a log.
 
+    It is causal: a row of the result depends on the rows up to it, as in real time. Use `smooth` where later rows may
+    be used too, and `Stream` of `covariant.engine` for samples that arrive one by one. The gains come from the noise in
+    the model file, unless `alpha` and `beta` are given. Call `check` on a new log first: a wrong unit, sign or delay
+    looks like a poor observer.
+
     Args:
         model: A model file (.toml), a robot (.urdf, .xml), `module:attribute`, the name of a system or a robot of the
             library, a `ModelFile`, or a system.

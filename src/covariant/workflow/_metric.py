@@ -52,6 +52,10 @@ def design_metric(
     A run that was stopped goes on where it was when the function is called again with the same arguments; of a
     finished store only the summary is computed.
 
+    Use it where `observers.Riccati` shall run in real time, since a look-up is cheap. Time and memory grow as the
+    product of the counts of the grid, so it suits systems of two to four states. `metrics.RiccatiMetric` needs no
+    store.
+
     Args:
         model: A model file (.toml), `module:attribute`, the name of a system, a `ModelFile`, or a system, with
             coordinates. A mechanical model becomes the system of its positions and velocities.

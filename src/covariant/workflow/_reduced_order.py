@@ -25,6 +25,10 @@ def design_reduced_order(
 ) -> "ReducedOrderResult":
     """Design an observer of the states that are not measured, and prove that it converges from any distance.
 
+    Use it where some states are measured with little noise and the others should converge from anywhere. The noise of a
+    measurement goes straight into the estimate, so choose `StateEKF` for noisy outputs. It solves linear matrix
+    inequalities, and proves them on the region of the states: take that large enough for the motion.
+
     Args:
         model: A model file (.toml), `module:attribute`, the name of a system, a `ModelFile`, or a system, with
             coordinates, whose outputs are some of its states. A mechanical model becomes the system of its positions

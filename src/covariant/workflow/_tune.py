@@ -27,6 +27,11 @@ def tune(
 ) -> "TuneResult":
     """Tune noise and gains to logs by the prediction of their measurements, and judge them on what was held out.
 
+    Use it where sensor noise and model error are not known. The result has lines for the model file, which `estimate`,
+    `compare` and `export` use once they are written there. Parameters of the model should be right before: noise that
+    is tuned with a wrong mass covers its error. Use `fit` for them. The motion in the logs should be like that of later
+    use.
+
     Args:
         model: A model file (.toml), a robot (.urdf, .xml), `module:attribute`, the name of a system or a robot of the
             library, a `ModelFile`, or a mechanical system.

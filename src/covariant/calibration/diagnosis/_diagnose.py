@@ -94,6 +94,10 @@ def diagnose(
 ) -> Diagnosis:
     """Compare a log with a model, and report what is wrong with the log, or with the model file for it.
 
+    Call it before any fit, tuning or estimate: a wrong unit, sign or delay looks like noise or a wrong parameter. Mend
+    the first finding first, since it can cause the later ones. Where the model explains nothing of the motion, begin
+    with the columns and units. The verb `covariant.check` does the same from files.
+
     Args:
         file: The model and its data sheet. For a machine that is not in coordinates, and for a `StateSpace`, only the
             stamps and missing measurements are checked.

@@ -20,6 +20,8 @@ KNOWN = {"s": ("s", "ms", "us", "ns"), "rad": ("rad", "deg", "turn")}
 class Finding(NamedTuple):
     """A defect or peculiarity of a log.
 
+    `line` is the remedy, and can be copied into the model file. Programs should read `numbers`, and people `evidence`.
+
     Attributes:
         what: Its name, as "unit of time" or "delay".
         where: The column concerned, or "".
@@ -45,6 +47,9 @@ class Finding(NamedTuple):
 
 class Diagnosis(NamedTuple):
     """Result of `diagnose`.
+
+    `wrong` decides whether to go on; other findings are notes. An empty list of findings says something only about the
+    checks in `looked_for`, since a short or quiet log does not allow all of them.
 
     Attributes:
         findings: The findings, the gravest first.

@@ -47,6 +47,10 @@ NumpyArray = np.ndarray
 class Fit(NamedTuple):
     """Result of a fit of p parameters to windows of logs.
 
+    Read `determined` before you use `values`: a parameter that the logs do not determine has its first value there, and
+    no standard error. The standard errors allow for errors that persist within a window, but not for an effect that the
+    model lacks in all windows.
+
     Attributes:
         names: Names of the parameters.
         first: Values (p,) before the fit.
@@ -96,6 +100,10 @@ def fit(
 
     Positive parameters are searched by their logarithms. What the log does not determine keeps its first value, and is
     listed in `Fit.undetermined`.
+
+    Use it where you have cut the windows yourself. The verb `covariant.fit` starts from files, holds out rows, and
+    tries both held and linear inputs where the model file does not say which. `fit_robot` is faster for many numbers of
+    a robot. Every step simulates all windows, so start with a few parameters.
 
     Args:
         family: The model as a function of its p open parameters, from `models.family`.

@@ -114,6 +114,11 @@ def fit_robot(
 ) -> RobotFit:
     """Fit open numbers of a robot to logs.
 
+    It fits masses, inertias, friction and gravity of a robot from residual torques, without a simulation of the motion,
+    so that many numbers at once are no problem. `fit` is for any other model, and compares predicted positions. Use a
+    motion that excites all joints, as from `covariant.design_excitation`: a slow log determines only gravity and
+    friction. The verb `covariant.fit` starts from files, and holds out rows to judge the result.
+
     Args:
         family: The robot as a function of its p open numbers, from `models.robot_family`.
         records: The logs, with the inputs that act in each step.

@@ -79,6 +79,9 @@ class DataSheet(NamedTuple):
 class Trial(NamedTuple):
     """Part of a log on which filters without a model are tuned.
 
+    Observers without a model have one bandwidth or window, and the best one depends on the motion. `tuned_estimators`
+    tries them on this part of a log. Take a part of typical motion, and judge the result on another one.
+
     Attributes:
         t: Stamps (T,) [s].
         y: Positions (T, n), continuous across full turns; NaN where missing.

@@ -36,6 +36,9 @@ STATE_ESTIMATORS = STATE_OBSERVER_NAMES
 def observer_gains(sheet: DataSheet, rate: float) -> Gains:
     """Gains α and β for a data sheet, by `gains`.
 
+    Use it where the numbers are in a `DataSheet` already, as `covariant.estimate` does with the numbers of a model
+    file. It returns one pair of gains for all coordinates. `tuned_estimators` returns complete observers.
+
     Args:
         sheet: The data sheet.
         rate: Sampling rate [Hz].
@@ -119,6 +122,9 @@ def tuned_estimators(
     names: Collection[str] = ESTIMATORS,
 ) -> dict[str, AbstractObserver]:
     """Estimators of a mechanical system by name, all tuned from one data sheet.
+
+    Use it for a fair comparison of observers: each gets the same knowledge of sensor, model and motion. The verb
+    `covariant.compare` runs and ranks them. Use `observer_gains` where you need the gains of one observer only.
 
     Args:
         model: The mechanical system.

@@ -15,6 +15,9 @@ from covariant._typing import Number
 class Gains(NamedTuple):
     """Constant gains of a mechanical observer, and the errors that they should leave.
 
+    Build an observer as `Intrinsic(model, gains.alpha, gains.beta)`. The predicted errors are for white noise and a
+    small error; use them to compare gains, rather than as bounds.
+
     Attributes:
         alpha: Position gain α [1/s].
         beta: Velocity gain β [1/s²].
@@ -50,6 +53,11 @@ def gains(
     natural_frequency: float | None = None,
 ) -> Gains:
     """Gains α = 2ζω, β = ω² with ω = (S_a/S_m)^¼, for the noise of a sensor and the error of a model.
+
+    They are the gains of the stationary Kalman filter of the error law, for `Intrinsic` and its relatives. Only the
+    ratio S_a/S_m decides ω: a better sensor or a worse model makes the observer faster. The design is in continuous
+    time, so ω should be well below the sampling rate. `tune` finds the numbers from logs, and `observer_gains` reads
+    them from a data sheet.
 
     Args:
         measurement_std: Standard deviation of one position sample [rad or m]; for an encoder, one step divided by √12.
@@ -97,6 +105,10 @@ def predict_errors(alpha: Number, beta: Number, measurement_density: float, acce
     """Stationary errors of an observer with gains α and β, in continuous time.
 
     `Var q̃ = (α²+β) S_m/2α + S_a/2αβ` and `Var ṽ = β² S_m/2α + (α²+β) S_a/2αβ`.
+
+    Use it to compare gains that you have chosen by hand with those of `gains`. Both densities belong to white noise: a
+    model error that persists for longer than 1/ω leaves larger errors. The result holds for a small error, and is in
+    metric units.
 
     Args:
         alpha: Position gain α [1/s].

@@ -56,6 +56,9 @@ class Suggestion(NamedTuple):
 def suggest_noise(file: ModelFile, record: Record) -> tuple[Suggestion, ...]:
     """Suggest the noise levels that a model file lacks and a log shows.
 
+    Use it where a new model file has no noise yet, to get numbers to start from. It changes nothing: copy the setting
+    of a suggestion into the file or pass it as an override. `tune` takes longer and is more accurate.
+
     Args:
         file: The model file. What it has is not suggested again.
         record: The log, as it was read.

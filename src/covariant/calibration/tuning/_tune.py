@@ -130,6 +130,10 @@ def tune(
 ) -> Tuning:
     """Tune gains and noise of a model on the first two thirds of each record, and confirm them on the rest.
 
+    Use it where the parameters of the model are right already; fit these first. A wrong mass or friction is
+    otherwise covered by noise. A log should be several times as long as the slowest motion in it. The verb
+    `covariant.tune` starts from files, and prints lines for the model file.
+
     Args:
         model: The mechanical system.
         records: The logs.

@@ -23,6 +23,10 @@ from covariant.proofs import Form, as_form, derivative_form
 def contraction(error_system: ErrorSystem, rate: float) -> Form:
     """Build the matrix `−(F_ΘᵀN + Ṅ + N F_Θ) − rate N`, whose positive definiteness is contraction.
 
+    Use it with `proofs.prove` for a proof by hand, where neither `certify` nor `cascade` fits. Everywhere that the
+    matrix is positive definite, squared lengths of small errors in the metric N decrease at least at `rate`, and
+    lengths at half of it. The distance of any two solutions does so where the region is convex in this metric.
+
     Args:
         error_system: the system, as from `error_system` or `virtual`.
         rate: rate [1/s] at which squared lengths have to decrease.

@@ -19,6 +19,9 @@ MEANING: dict[Evidence, str] = {
 class Hypothesis(NamedTuple):
     """A premise of a claim, with the evidence for it.
 
+    Use it in a `Statement` of your own. "proved" is for what arithmetic has shown on the whole domain, and "sampled"
+    for what was tried at points; an "assumed" premise is never checked, and has to be true of the machine.
+
     Attributes:
         text: the premise in words.
         evidence: "proved", "sampled", "claimed" or "assumed", with the meanings of `MEANING`.
@@ -46,6 +49,9 @@ class Hypothesis(NamedTuple):
 
 class Statement(NamedTuple):
     """A claim with its hypotheses, from which verdict and evidence are computed.
+
+    Read `short` for the verdict with its evidence, and the hypotheses for what it rests on. Use `proved` in programs:
+    `verdict` alone is "holds" also for claims that were only sampled.
 
     Attributes:
         claim: one sentence.

@@ -45,6 +45,10 @@ def lyapunov(alpha: Number, beta: Number, rate: float = 0.0, weight: float = 1.0
 
     With rate 0 and weight 1, the defaults, Q is the metric of the paper.
 
+    Use it to choose the metric of a certificate from the gains. A larger `rate` proves faster convergence, with a
+    metric that is worse conditioned and so a smaller region. The rate is that of squared lengths. The entries of Q
+    belong to position and velocity error, so they have different units.
+
     Args:
         alpha: gain α [1/s].
         beta: gain β [1/s²].

@@ -46,6 +46,11 @@ def check(
 ) -> Checked:
     """Check a saved certificate: that its claims hold, and that its statement follows from them.
 
+    Use it on a certificate that somebody else has made: it computes the proof again with a separate checker, and does
+    not believe the verdict in the file. The assumptions of the statement remain assumptions. It runs the model's code
+    where `model` is given. A fault raises `ValueError`; `workflow.check_certificate` returns it as a result, and checks
+    some leaves in ball arithmetic as well.
+
     Args:
         source: the file, or the result of `parse`.
         model: for a certificate about a model that is not of this library, whose code the file cannot give: a model, a

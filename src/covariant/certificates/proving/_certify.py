@@ -109,6 +109,12 @@ def certify(
 ) -> ContractionCertificate:
     """Prove that an intrinsic observer converges at a rate, from within a radius, on a region.
 
+    Use it for an observer that you have built, such as `Intrinsic` with gains of your own; the verb `covariant.certify`
+    starts from a model file and designs the gains. The result holds for every motion within the bounds, unlike a
+    simulation. λ is the rate of squared lengths, so that errors decrease at λ/2, and the radius is in the metric Q.
+    Effort grows steeply with the number of coordinates: begin with a small region. "undecided" asks for more boxes or
+    tighter bounds, and does not refute the claim.
+
     Args:
         observer: the observer, with model and gains.
         velocity: bound of each true velocity [unit/s], a number or (n,). There is no certificate without it: the tube

@@ -113,6 +113,10 @@ class SampledBound(eqx.Module):
     all. What can be seen from a sample is checked: the age of the measurement, the input, and that every state within
     the bound keeps to the region of positions and the bounds of velocity. Between samples the last is assumed.
 
+    Use it beside an observer, to know at every sample how far the estimate may be off: for a safety monitor rather than
+    for a design. The bound is a worst case, so that it exceeds the usual error many times; a filter reports standard
+    deviations.
+
     Attributes:
         recursion: the numbers of the recursion.
         radius: ε of the certificate.

@@ -211,6 +211,10 @@ def cascade(
 
     All constants come from Jacobians, so they hold for finite errors within the boxes, by the mean-value theorem.
 
+    Use it to show that a controller that is stable with the true state stays stable with the estimate of an observer.
+    The constants depend on the units of the states, and with `proved=False` they are samples. It is conservative: a
+    failure of the condition does not mean that the loop is unstable.
+
     Args:
         controller: the system `e' = a(e, t)` with the metric P of `V_con = ½eᵀPe`, and the box of its variables.
         observer: its virtual system with the metric M of `V_obs = x̃ᵀMx̃`, as from `virtual`, and a box.

@@ -349,6 +349,9 @@ def implicit_gains(
 
     The least, since a smaller part θ of each sample lets less of its noise in.
 
+    The ratio σ is for you to choose, by how fast the velocity should follow. The gain is then a compromise of rate and
+    noise. A result holds only for the eigenvalues of K in the given range, which limit speed and curvature.
+
     Args:
         h: Time between two measurements [s].
         sigma: Ratio σ = β/α of the gains [1/s].

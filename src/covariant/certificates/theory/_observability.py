@@ -177,10 +177,15 @@ def observability(
     rate: float = 0.0,
     budget: Budget = Budget(),
 ) -> Observability:
-    """Test both conditions at given states.
+    """Test at given states two conditions for a metric to make an observer converge: locally, and from any distance.
 
     The second condition fails where `bending` does not vanish; then a geodesic shows it. With several outputs a
     vanishing bending decides nothing.
+
+    The first condition asks that the metric contracts in directions that the output does not see; it is enough for
+    local convergence. The second asks that level sets of the output are totally geodesic, so that a larger gain can
+    help far away. The states are samples: a failure refutes the metric, but success at all of them proves nothing
+    between them.
 
     Args:
         model: the system, with its output h.

@@ -107,6 +107,10 @@ class LeftInvariant(AbstractSpace):
 
     In the body frame every operation is the same at all points.
 
+    Use it for the kinetic energy of a free rigid body or vehicle, whose inertia is constant in the body frame.
+    `models.GroupSystem` builds it from an inertia matrix. Its geodesics are the motions without force, and in general
+    they are not `group.exp` of a constant velocity.
+
     Args:
         group: the group.
         inertia: matrix (n, n) or an `AbstractInertia`.

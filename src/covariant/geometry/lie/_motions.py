@@ -18,6 +18,9 @@ from covariant.geometry.lie._rotations import SO2, SO3, no_half_turn, rotation_d
 class SpecialEuclidean2(AbstractGroup):
     """SE(2): rigid motions of the plane; x = (v₁, v₂, ω) in the body frame [m, m, rad]. `SE2` is its instance.
 
+    Use it for vehicles in the plane. Elements are matrices (3, 3), with the translation in the last column. Velocities
+    are in the body frame, so a forward motion keeps its components in a turn.
+
     Example:
         The pose after 1 m along x; the image of its origin:
 
@@ -81,6 +84,9 @@ class SpecialEuclidean2(AbstractGroup):
 
 class SpecialEuclidean3(AbstractGroup):
     """SE(3): rigid motions of space; x = (v, ω) in the body frame [m, rad]. `SE3` is its instance.
+
+    Use it for bodies that turn and move, such as vehicles under water or in the air. Elements are matrices (4, 4). The
+    translation comes first in x; many texts put the rotation first, so reorder their vectors and inertia matrices.
 
     Example:
         >>> import jax.numpy as jnp

@@ -18,6 +18,9 @@ Quaternion = Float[Array, "4"]
 class SpecialOrthogonal2(AbstractGroup):
     """SO(2): rotations of the plane; x = (ω,) is the angle [rad]. `SO2` is its instance.
 
+    Use it for one angle as a factor of a `ProductManifold`. For a machine with joints, `Coordinates` with circles is
+    simpler, and stores a number in place of a matrix.
+
     Example:
         >>> import jax.numpy as jnp
         >>> from covariant.geometry.lie import SO2
@@ -77,6 +80,9 @@ class SpecialOrthogonal3(AbstractGroup):
     """SO(3): rotations of space; x (3,) is a rotation vector [rad]. `SO3` is its instance.
 
     Velocities are angular velocities [rad/s] in the body frame.
+
+    Elements are matrices (3, 3) that take body components to space components. There is no singular attitude, as with
+    Euler angles; `log` is unique up to half a turn. Convert quaternions by `rotation_from_quaternion`.
 
     Example:
         A quarter turn about the z axis takes the x axis to the y axis:
@@ -190,6 +196,10 @@ def quaternion_from_rotation(g: Float[Array, "3 3"]) -> Quaternion:
 
 def rotation_from_quaternion(q: Quaternion) -> Float[Array, "3 3"]:
     """Rotation matrix of a quaternion.
+
+    Use it for readings of attitude sensors. The scalar part comes first; many drivers put it last, which gives another
+    rotation without an error. The quaternion is normalised. The matrix takes body components to space components if the
+    quaternion does.
 
     Args:
         q: quaternion wxyz (4,) of any length but zero; q and −q have the same matrix.

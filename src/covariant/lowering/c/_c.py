@@ -37,6 +37,10 @@ def c_function(
 ) -> CText:
     """Generate the C of a lowered function.
 
+    Use it for C of one function within a file of your own. `to_c` writes a complete file and is the simpler start. The
+    helpers that the text calls come from `c_helpers`, and "float" needs a function that was lowered in single
+    precision.
+
     Args:
         lowered: The function.
         name: Name of the C function.

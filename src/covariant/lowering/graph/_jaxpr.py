@@ -89,6 +89,10 @@ def lower(function: Callable, *arguments: Any, real: bool = False, loops: Loops 
 
     Run-time errors (`equinox.error_if`) are left out of the graph.
 
+    Use it once for a function, and then generate C, bounds or a count of operations from the result. It works for small
+    systems of scalars: a large matrix product gives a node for each scalar operation. Keep `real=False` for code, since
+    missing measurements are NaN, and take `real=True` for proofs.
+
     Args:
         function: A function of arrays, or pytrees of them, that JAX can trace.
         arguments: Arrays, or their shapes as `jax.ShapeDtypeStruct`; values do not matter.

@@ -15,6 +15,10 @@ from covariant.lowering.graph._graph import Condition, Graph
 class LoweringError(NotImplementedError):
     """A function cannot be written as a graph of scalars; the message names the operation and the reason.
 
+    It means that the number of operations depends on the values of the arguments, or that an operation has no scalar
+    form. Give an observer fixed `substeps` and a `Budget` with a number of corrections, or write the function with
+    other operations.
+
     Example:
         >>> import jax
         >>> from covariant import lowering
@@ -29,6 +33,9 @@ class LoweringError(NotImplementedError):
 
 class Lowered(NamedTuple):
     """A function as a graph of scalar operations.
+
+    `lower` makes it, and `evaluate`, `enclose` and `c_function` use it. Shapes of the arguments are fixed. The number
+    of nodes shows what a call costs on a controller.
 
     Attributes:
         graph: The nodes.

@@ -21,6 +21,10 @@ NUMBERS: Domain = {"constant": lambda value: value, **FOLD}
 def evaluate(lowered: Lowered, domain: Domain, inputs: Sequence[Any]) -> list[Any]:
     """Evaluate a lowered function in an arithmetic.
 
+    Use it to run a graph in an arithmetic of your own, such as intervals, strings or operation counts. An arithmetic is
+    a mapping from names of operations to functions. For numbers alone the JAX function is faster, and for rigorous
+    bounds `enclose` is.
+
     Args:
         lowered: The function.
         domain: The arithmetic, such as `NUMBERS` or `INTERVALS`.

@@ -27,6 +27,10 @@ _effort = 0.0
 def enclose(lowered: Lowered, low: np.ndarray, high: np.ndarray, engine: Arithmetic = "auto") -> Enclosure:
     """Bound the values of a function over boxes, rigorously.
 
+    Use it to bound a function over a region with certainty, which samples cannot give. The bounds are safe but may be
+    wide, since each variable counts as independent at each place where it occurs: halve the boxes for tighter ones.
+    `proofs.prove` does this for matrices until a verdict is reached.
+
     Args:
         lowered: The function, without loops or tables.
         low: Lower corners of the boxes (B, inputs).

@@ -15,6 +15,9 @@ import numpy as np
 class Interval(NamedTuple):
     """Real numbers between two bounds, for each box of a batch.
 
+    It is the number type of the arithmetic `INTERVALS`. Bounds are rounded outwards, so that the exact result always
+    lies between them. Work on a batch of boxes at once: the time of a single box is mostly overhead.
+
     Attributes:
         low: Lower bound (B,), or a scalar where all boxes share it; NaN where nothing is known.
         high: Upper bound, of the same shape.

@@ -67,6 +67,10 @@ class Family(NamedTuple):
 def family(spec: str, names: Sequence[str], overrides: Overrides = ()) -> Family:
     """Family of a mechanical model with the named numbers open.
 
+    Use it for `calibration.fit`, where the open numbers are searched. A number must be in [parameters] of the model
+    file, or `inputs.lag`. Use `robot_family` for masses, inertias and friction of a robot. The verb `covariant.fit`
+    builds either of them itself.
+
     Args:
         spec: As for `load`, except an object.
         names: `mass` for all entries of a list in [parameters], `mass[0]` for the first one; `inputs.lag` for the lag

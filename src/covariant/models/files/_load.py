@@ -12,7 +12,11 @@ from covariant.models.files._toml import Overrides
 
 
 def load(spec: str | PathLike[str] | Model | ModelFile, overrides: Overrides = ()) -> ModelFile:
-    """Load a model.
+    """Load a model: the system, the columns of its logs, and the numbers that a design starts from.
+
+    Use it to work with the system in Python, as `load(spec).model`. The verbs, such as `estimate`, take the same
+    specifications, and need no call of it. Loading `module:attribute` runs the code of that module, so load only what
+    you trust. Use `models.robots.load` for a robot with options of its own, and `family` where numbers shall be fitted.
 
     Args:
         spec: A `.toml` file; the `.urdf` or `.xml` file of a robot, or the name of one that comes with the library (see

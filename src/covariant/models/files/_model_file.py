@@ -23,6 +23,8 @@ class ModelError(ValueError):
 
     The message is one line: the file or module, what is wrong there, and what to do.
 
+    It is a `ValueError`, so that one `except` catches it with other faults of the arguments.
+
     Example:
         >>> from covariant import models
         >>> try:

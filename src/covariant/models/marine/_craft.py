@@ -24,6 +24,10 @@ from covariant.models._state_space import StateSpace, state_space
 class Craft(eqx.Module):
     """A marine craft `η' = J(η)ν`, `Mν' + C(ν)ν + D(ν)ν + g(η) = τ`, whose position η is measured; the input is τ.
 
+    It is the model form of marine engineering, in any number of degrees of freedom, for `craft_observer` and
+    `Backstepping`. ν is in the body frame and η in the earth frame, so ν is no derivative of η. `state_space` converts
+    it for Kalman filters, and `underwater_vehicle` is a vehicle on SE(3), without a singular attitude.
+
     Attributes:
         mass: Inertia matrix M (n, n), added mass included, symmetric positive definite.
         transform: `J(η)` (n, n).
@@ -224,6 +228,10 @@ def yaw_rotation(psi: Scalar) -> Matrix:
 
 def euler_rotation(angles: Float[Array, "3"]) -> Matrix:
     """Rotation R from the body frame to north, east and down, for Euler angles.
+
+    The order of the rotations is yaw, pitch, roll: `R = Rz(ψ) Ry(θ) Rx(φ)`. The matrix itself is smooth for all angles;
+    only the rates of the angles are singular, at a pitch of ±90°. The z axis points down, so a positive pitch raises
+    the bow.
 
     Args:
         angles: Roll φ, pitch θ and yaw ψ (3,) [rad].

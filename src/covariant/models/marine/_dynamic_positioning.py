@@ -22,6 +22,9 @@ class Waves(eqx.Module):
 
     `ξ₁' = ξ₂`, `ξ₂' = −ω²ξ₁ − 2ζωξ₂ + w`, of which ξ₂ is measured.
 
+    Give it to a `Station`, whose observer then separates this motion from that of the ship, so that thrusters do not
+    fight waves. Take the frequency from the peak of the wave spectrum. A smaller damping gives a narrower spectrum.
+
     Attributes:
         frequency: Frequencies ω (3,) [rad/s].
         damping: Damping ratios ζ (3,).

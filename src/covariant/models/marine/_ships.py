@@ -80,6 +80,8 @@ def supply_vessel(
     The dimensionless matrices were identified at sea, in the Bis system: lengths are scaled by L, times by √(L/g),
     masses by m.
 
+    Use it for low speed only. It gives a usual model to try `PassiveShip` and `Station` on.
+
     Args:
         length: Length L [m].
         mass: Mass m [kg].

@@ -10,6 +10,9 @@ ROBOTS = tuple(sorted(path.stem for path in FOLDER.glob("*.urdf")))
 def located(path: str | Path) -> Path:
     """Path of a robot's file.
 
+    The verbs and `load` resolve names themselves. Use it where another program needs the file, such as a viewer. A path
+    that is no name of a robot is returned unchanged, whether or not there is such a file.
+
     Args:
         path: A path, or a name of `ROBOTS`, which stands for the file of that robot.
 

@@ -17,6 +17,9 @@ from covariant.models.robots._xml import parse
 def read(path: str | Path, *, motor_torques: bool = False) -> Description:
     """Read the description of a robot from a URDF or MJCF file.
 
+    Use it to look at links, joints, limits and inertias, or to check a file, before mechanics are built. It returns
+    data only. `load` builds the mechanical system from the same file.
+
     Args:
         path: Path of the file, or the name of one of `ROBOTS`.
         motor_torques: Whether to read the reductions of a URDF file's transmissions too.

@@ -13,6 +13,10 @@ def duffing(damping: float = 0.25, stiffness: float = -1.0, cubic: float = 1.0) 
 
     The input u is a force [N], zero where none is given.
 
+    Use it to try observers of state-space models: with negative stiffness a periodic force can make it
+    chaotic. The
+    default values have two wells, at q = ±1 m.
+
     Args:
         damping: Viscous damping [N s/m], not negative.
         stiffness: Linear stiffness [N/m] of any sign; negative for two potential wells.

@@ -58,6 +58,10 @@ def heavy_top(
 def free_body(inertia: Sequence[Number] | Sequence[Sequence[Number]] = (1.0, 2.0, 3.5)) -> GroupSystem:
     """Freely rotating rigid body: a `heavy_top` without gravity. Inputs are three torques in the body frame [N m].
 
+    Use it for a satellite or a first try of observers on SO(3). Its rotation has no friction, so kinetic energy and
+    angular momentum are constant without inputs. Near the axis of the middle inertia the motion is unstable, which
+    makes it a hard test.
+
     Args:
         inertia: Inertia [kg m²]: three principal moments, or a matrix (3, 3).
 

@@ -52,6 +52,9 @@ def pendulum_chain(
     Coordinates are angles on full circles [rad]. The inertia is that of Wiebe et al. (double_pendulum), extended to n
     links.
 
+    Use it for swings, cranes and simple arms; two links are the double pendulum, whose free motion is chaotic. The
+    angles are relative by default, as encoders measure them at joints. Give measured parameters their `source`.
+
     Args:
         mass: Mass of each link [kg]; the number of entries is n.
         length: Length from joint to joint [m].

@@ -32,6 +32,10 @@ def underwater_vehicle(
 
     The input is the wrench (force, torque) at the origin, in the body frame [N, N m].
 
+    Use it to try observers on SE(3): the body turns freely and the added mass makes the inertia depend on the
+    direction. In a current the drag depends on the velocity relative to the water, which this model does not have.
+    `models.marine.odin` is a vehicle in Euler angles.
+
     Args:
         mass: Mass [kg].
         inertia: Moments of inertia (3,) about the axes through the origin of the body frame [kg m²].

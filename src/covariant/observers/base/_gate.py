@@ -35,6 +35,11 @@ MOVING = 4.0
 class Gate(eqx.Module):
     """Refuses a measurement that is too improbable, unless such measurements persist.
 
+    It keeps a single outlier, such as a bit error, from spoiling an estimate. The Kalman filters have one as their
+    field `gate`; put it around another observer by `Gated`. With the default of 8 deviations ordinary noise is
+    practically never refused, even if the assumed noise is somewhat too small. Lower `patience` where a jump of the
+    measurement is real, as after a re-homing, and should be followed sooner.
+
     Attributes:
         deviations: Threshold in standard deviations, 8 by default: a single number that is off by more is refused.
             Several numbers measured together, such as an attitude, are refused when they are as improbable as that.

@@ -92,6 +92,10 @@ class SampledState(NamedTuple):
 class Info(NamedTuple):
     """Diagnostics of a step.
 
+    It is the info of observers with constant gains; filters add fields such as standard deviations. A small `distance`
+    with a result of 0 says that the model explains the measurements. `distance` is a length in the kinetic-energy
+    metric, so its unit is not that of the coordinates.
+
     Attributes:
         innovation: Difference (n,) from q̂ to y before the correction: y − q̂ in coordinates, with angles wrapped. 0
             for a missing measurement.
@@ -670,6 +674,11 @@ def checked(observer: AbstractObserver, record: Record) -> Record:
 
 def run(observer: AbstractObserver, record: Record, keep: Collection[str] | None = None) -> Run:
     """Run an observer over a record. Row k of the run depends on the measurements up to row k only.
+
+    Use it for a log that is complete, in a script or under `jax.jit`. `engine.run_log` gives the same numbers, up to
+    rounding, by compiled C and is faster on long logs. `engine.Stream` takes samples one by one, and the verb
+    `covariant.estimate` starts from files. The first row starts the estimate, so its measurement should be complete. A
+    step never raises an error: read `info.result`.
 
     Args:
         observer: The observer.

@@ -58,6 +58,9 @@ class Contracting(AbstractFlowObserver):
     `x⁺ = x̂ + WK (I + h_x WK)⁻¹ (z − h)`, where W holds the weight [s] of each output: no gain makes it unstable by
     itself, and for dt → 0 it is the differential equation.
 
+    Use it for a model that is not mechanical, with a gain from `calibration.contracting_gain` or a design of your own.
+    `certificates.virtual` and `proofs.prove` show where it converges. `StateEKF` needs no design, but has no proof.
+
     Attributes:
         model: The system, with n states and p outputs.
         gain: K (n, p) [unit of the state / (s · unit of the output)], or a function `(t, z) -> (n, p)` of

@@ -34,6 +34,9 @@ class ModelCopy(AbstractMechanicalObserver):
 
         q̂' = E(q̂)(v̂ − αe),   v̂' = −B(q̂)(v̂, v̂) + S(q) − βe + friction
 
+    Use it at high gain on a nearly flat metric, where curvature does not matter; it is the cheapest observer with a
+    model. `Intrinsic` costs little more and has the full error law.
+
     Attributes:
         model: The mechanical system.
         alpha: Gain α [1/s], which must be high where curvature or velocity is.

@@ -48,6 +48,8 @@ class ImplicitGeodesic(AbstractMechanicalObserver):
     2/h. Where no geodesic is found, the first-order error of `Intrinsic` replaces it and `result` says
     `NOT_CONVERGED`.
 
+    Use it for a high gain at a low sampling rate, long gaps, or errors of any size.
+
     Attributes:
         model: The mechanical system.
         alpha: Gain α [1/s].

@@ -45,6 +45,10 @@ class Intrinsic(AbstractMechanicalObserver):
     On a group it is the observer of Maithripala, Berg & Dayawansa, whose published α is half of this one. Where two
     shortest paths lead to the measurement, as after half a turn, one of them is used and `result` says `CUT_LOCUS`.
 
+    It is the default choice for mechanical systems: cheap, with two constant gains, and with a known error law for
+    small errors. `calibration.gains` finds the gains, and `certify` proves how far it converges. Use `order=2` or
+    `Geodesic` for larger errors, and `IntrinsicKalman` where noise is known or measurements are missing for long.
+
     Attributes:
         model: The mechanical system.
         alpha: Gain α [1/s]; the error obeys s² + αs + β at any velocity.

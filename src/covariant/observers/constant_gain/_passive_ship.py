@@ -174,6 +174,9 @@ def lyapunov_gains(station: Station, stiffness: Numbers, q1: Numbers, q2: Number
 
     `K1 = P1⁻¹Q1`, and P2 solves `½(P2A2 + A2ᵀP2) = −Q2`.
 
+    Use it for a `PassiveShip` whose station has no waves and no slowly varying force: the gains of these are zero.
+    Larger matrices P1⁻¹Q1 correct the position faster and let more of its noise through.
+
     Args:
         station: The ship with its disturbances.
         stiffness: P1 (3, 3), symmetric positive definite.

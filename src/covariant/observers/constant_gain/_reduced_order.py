@@ -47,6 +47,10 @@ class ReducedOrder(AbstractObserver):
 
     An output that is missing corrects nothing. The noise of a measurement goes straight into the estimate.
 
+    Use it where the outputs are states that are measured accurately. `workflow.design_reduced_order` computes the
+    direction. It converges from any distance within the design's region. For noisy outputs choose `StateEKF` or
+    `Contracting`.
+
     Attributes:
         model: The system, with n states, of which the p outputs are some.
         direction: [I; L] (n, p) in the order of the states, `certificates.ReducedOrderDesign.direction`: what a

@@ -29,6 +29,10 @@ class Levant(AbstractTrackingLoop):
 
     Without noise the error of the velocity falls below a multiple of `L dt²` in finite time.
 
+    It needs a bound on the jerk, and no bandwidth: large errors are corrected fast and small ones slowly. Use it where
+    there is little noise. With much noise `JointKalman` or `SavitzkyGolay` is more accurate. The bound is one number
+    for all coordinates, so scale them alike.
+
     Attributes:
         jerk: Bound L on the jerk [rad/s³ or m/s³]. A larger one follows sooner and lets more noise through.
         circles: Indices of the coordinates that are angles on a full circle, which are followed modulo a turn; none by

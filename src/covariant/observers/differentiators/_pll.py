@@ -20,6 +20,9 @@ class PLL(AbstractTrackingLoop, AbstractLinearFilter):
 
     It is `q̂' = v̂ + 2ζω(y − q̂)`, `v̂' = ω²(y − q̂)`, sampled with the poles of this law.
 
+    It is the α-β tracking loop of drives. At a steady acceleration a the velocity lags by `2ζ a/ω`. Use `HighGain`
+    where speeds change often, and `FilteredDerivative` where the least work counts.
+
     Attributes:
         bandwidth: Natural frequency ω [rad/s].
         damping: Damping ratio ζ; 1/√2 by default.

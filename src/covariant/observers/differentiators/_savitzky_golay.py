@@ -43,6 +43,10 @@ class WindowState(NamedTuple):
 class SavitzkyGolay(AbstractLinearFilter):
     """Value and slope, at the last sample, of the least-squares polynomial over a window of samples.
 
+    It forgets a sample completely once that sample has left the window. A longer window reduces the noise of the slope
+    as its length to the power −3/2, and biases motions that are no polynomial of this order within it. It stores
+    `window` samples for each coordinate; a recursive filter such as `JointKalman` needs less memory.
+
     Attributes:
         window: Number of samples k in the window.
         order: Degree of the polynomial; 2 by default.

@@ -94,6 +94,11 @@ class EKFInfo(NamedTuple):
 class EKF(AbstractMechanicalFilter):
     """Extended Kalman filter whose Jacobians are those of the integrated model, by automatic differentiation.
 
+    It is the standard choice where the noise is known and the first velocity is not. Its gain follows from the
+    covariances, so that it adapts to gaps and to the sampling rate. It is cheaper than `UKF`, and in coordinates its
+    result depends on the chart. `IntrinsicKalman` does not depend on it, and also estimates forces, biases and
+    parameters. `StateEKF` is the filter of a model in state-space form.
+
     Attributes:
         model: Mechanical system, in coordinates or on a Lie group.
         process_cov: Spectral density (n, n) of the white acceleration noise, in the frame

@@ -108,6 +108,9 @@ class FixedLag(AbstractWrapper):
     sample. Up to the sample of number `lag` the estimate is of the first one. `window` has the samples since, for the
     end of a stream or a display. A step takes `lag` steps of the smoother besides one of the filter.
 
+    Use it where a delay of some samples is no harm, as in monitoring or a display: the errors are clearly smaller than
+    those of the filter. `smooth` is for logs that are complete.
+
     Args:
         observer: A filter with a covariance and a gate: `IntrinsicKalman`, `EKF`, `UKF`, `JointKalman` or `StateEKF`.
         lag: Number of samples L, 1 or more.

@@ -167,6 +167,10 @@ class IntrinsicKalman(AbstractMechanicalFilter):
     predicted velocity, its slow states as uncertain as at first, and `result` is `RESTARTED`. In other coordinates,
     with noise that is the same tensor, the estimate is the same to the accuracy of the budget.
 
+    It is the most accurate choice where the noise is known: for large first errors, gaps and outliers, and for further
+    sensors, external forces, biases and parameters. It costs more than observers with constant gains, and has no
+    certificate. `EKF` is the usual filter, for comparison.
+
     Attributes:
         model: Mechanical system, in coordinates or on a Lie group.
         process_cov: Spectral density of the white acceleration noise [(rad/s²)² s, or (m/s²)² s].

@@ -94,6 +94,9 @@ class JointKalman(AbstractGatedFilter, AbstractLinearFilter):
 
     At the start the velocity is zero with the standard deviation στ, and the acceleration zero with σ.
 
+    Use it where there is no model, but the size and the duration of usual accelerations are known: it is the best
+    linear filter for these. It needs a matrix for each coordinate, where `PLL` needs two numbers.
+
     Attributes:
         motion_std: Standard deviation σ of the accelerations [rad/s² or m/s²].
         motion_time: Correlation time τ of the accelerations [s].

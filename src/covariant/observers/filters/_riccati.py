@@ -60,6 +60,9 @@ class Riccati(AbstractFlowObserver):
     so no gain makes it unstable, and for dt → 0 it is the differential equation. Where the metric is not positive
     definite, as outside the grid of a field, the model runs without correction and `result` says `OUT_OF_DOMAIN`.
 
+    Its gain depends on the estimate alone. The gain of `StateEKF` depends on all earlier estimates. Take the metric
+    from `metrics.RiccatiMetric`, `metrics.load_metric` or `metrics.high_gain`.
+
     Attributes:
         model: The system, with n states and p outputs.
         metric: P, any function `x (n,) -> (n, n)`: `metrics.RiccatiMetric` computes it along the characteristic of the

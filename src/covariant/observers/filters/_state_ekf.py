@@ -90,6 +90,10 @@ class StateEKFInfo(NamedTuple):
 class StateEKF(AbstractGatedFilter):
     """Extended Kalman filter of `x' = f(t, x, u)`, `y = h(t, x, u)`, linearised along the integrated model.
 
+    It is the default filter of state-space models, and reports how certain each state is. It needs a first estimate
+    with its covariance, and is reliable only while the error stays small enough for a linearisation. Use `Contracting`
+    or `Riccati` where convergence should follow from a metric, and `EKF` or `IntrinsicKalman` for a mechanical system.
+
     Attributes:
         model: State-space model with n states, m inputs and p outputs.
         process_cov: Spectral density (n, n) of the white noise in f [(unit of x)²/s].

@@ -25,6 +25,10 @@ FEWEST_STEPS, MOST_STEPS = 16, 256
 class StateNoise(NamedTuple):
     """Noise and initial uncertainty of a state-space model.
 
+    It is what the observers of the registry that fit a state-space model are tuned by. Choose `process_cov` by what the
+    model leaves out, for each state and second. It is a density and `measurement_cov` a variance of one sample:
+    `equation` does the conversion by the rate.
+
     Attributes:
         process_cov: Spectral density (n, n) of the white noise in f [(unit of x)²/s].
         measurement_cov: Covariance (p, p) of one sample of the outputs [(unit of y)²].

@@ -78,6 +78,9 @@ class UKF(AbstractMechanicalFilter):
     Each covariance is a matrix (n, n) in the frame, the same everywhere; a function of the configuration; or a number,
     a variance in metric units, the same in every direction.
 
+    It uses no Jacobians of the model, and is better than `EKF` where the motion is strongly nonlinear between two
+    samples. Each step integrates the model 4n + 1 times, so it costs more.
+
     Attributes:
         model: Mechanical system, in coordinates or on a Lie group.
         process_cov: Spectral density of the white acceleration noise [(rad/s²)² s, or (m/s²)² s].

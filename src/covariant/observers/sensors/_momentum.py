@@ -186,6 +186,10 @@ def observed_forces(
 ) -> Float[Array, "_ n"]:
     """Run an observer of external forces over estimated motions.
 
+    Use it as a baseline for contact or collision forces, with velocities from any estimator. It takes these velocities
+    and the model as exact, so their errors appear as forces. An `IntrinsicKalman` with an `external_force` estimates
+    motion and force together, and gives standard deviations.
+
     Args:
         observer: A `MomentumObserver` or `InverseDynamics`.
         t: Stamps (T,) [s].

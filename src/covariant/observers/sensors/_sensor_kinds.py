@@ -135,6 +135,11 @@ def encoder(
 ) -> Sensor:
     """Positions of some coordinates, at the joint or, with a reduction, at the motor.
 
+    The measured configuration of a record needs no sensor. Add an encoder where a second one reads the same joint, such
+    as one at the motor side of a gear, or where some joints are read at another rate. A reading is `reduction` times
+    the coordinate, and `std` is in the unit of the reading. It is for systems in coordinates; use `pose_sensor` for the
+    pose of a link.
+
     Args:
         places: Indices (k,) of the coordinates.
         std: Standard deviation of a reading, one number or (k,) [rad or m, of the motor where there is a reduction].
@@ -189,6 +194,9 @@ def tachometer(
 ) -> Sensor:
     """Some components of the velocity: joint rates, and on a group the body's rates, as of a gyro on an aircraft.
 
+    A reading is direct knowledge of the velocity, and reduces lag and noise. Use `gyro` for a sensor that sits on a
+    link of a robot, and has axes of its own.
+
     Args:
         places: Indices (k,) of the components, in the frame of the configuration space.
         std: Standard deviation of a reading, one number or (k,) [rad/s or m/s].
@@ -240,6 +248,10 @@ def gyro(
 ) -> Sensor:
     """Angular velocity of a link of a robot, in the axes of the sensor.
 
+    Use it on a robot, at any of its links. It shows a velocity without differentiation, and reduces the noise and lag
+    of velocities from positions alone. Give `bias_std` for a sensor of low cost, whose offset is then estimated. For a
+    body whose configuration is itself an attitude, use `tachometer`.
+
     Args:
         space: The configuration space of the robot, `model.space`.
         link: Name of the link.
@@ -290,6 +302,9 @@ def accelerometer(
 
     The acceleration is that of the model with its estimated forces. White acceleration noise, `process_cov`, is not
     part of it: describe unknown forces by `external_force`, and give a `std` that covers what is left.
+
+    At rest it reads gravity with the opposite sign, so a sensor whose z axis points up reads +9.81 m/s². Use it
+    together with `gyro` for an inertial unit on a link.
 
     Args:
         space: The configuration space of the robot, `model.space`.
@@ -406,6 +421,9 @@ def point_sensor(
     bias_drift: Numbers = 0.0,
 ) -> Sensor:
     """Position in the world of a point on a link of a robot, as from a marker or a tracker.
+
+    A reading is three numbers in metres, in the axes of the world. It shows no rotation of the link about the point:
+    use `pose_sensor` where the attitude is measured as well.
 
     Args:
         space: The configuration space of the robot, `model.space`.

@@ -34,6 +34,10 @@ Readings = Float[Array, "K"]
 class Instant(NamedTuple):
     """The motion at one instant, of which the output of a sensor is a function.
 
+    It is the first argument of the function of a `Sensor`; the second is the sensor's slow states. Write that function
+    in JAX, since filters differentiate it. Call `acceleration` only where the sensor feels it, because each call
+    evaluates the dynamics.
+
     Attributes:
         q: Configuration: coordinates (n,), or on a group a matrix (N, N).
         v: Velocity (n,), in the frame of the configuration space [rad/s or m/s].
@@ -68,6 +72,11 @@ class Sensor(Functional):
     """A sensor whose readings are a function of the motion, with white noise.
 
     The ready ones are `encoder`, `tachometer`, `gyro`, `accelerometer`, `pose_sensor` and `point_sensor`.
+
+    Use it for a sensor that the ready ones do not cover, such as a strain gauge or a laser range finder: write its
+    output as a function in JAX. Pass it as `sensors` of `IntrinsicKalman`; its readings follow the configuration in a
+    measurement, NaN where there is none. Give its bias as `slow`. `Damped` uses sensors in an observer with constant
+    gains.
 
     Attributes:
         name: Name of the sensor.

@@ -40,6 +40,10 @@ class SlowVariables(Functional):
     In the field `slow` of a filter at least one of `force`, `model` and `offset` is required; the slow states of a
     `Sensor` need none.
 
+    Use it for a force or parameter of your own form. `external_force`, `sensor_bias`, `uncertain_parameters` and
+    `wrench` build the usual ones. A slow state that no measurement reveals keeps its first uncertainty: look at its
+    standard deviation.
+
     Attributes:
         names: Names (k) of the states in estimates and reports.
         first: Values (k,) at the start.
@@ -275,6 +279,8 @@ def sensor_bias(std: Numbers, drift: Numbers = 0.0, name: str = "bias") -> SlowV
     Positions alone do not show a constant offset: gravity does, or another force that depends on the position. Where
     nothing does, the estimate stays as uncertain as at the start.
 
+    Use it for an encoder whose zero is not exact. For a sensor beside the positions give its `bias_std` instead.
+
     Args:
         std: Standard deviations (n,) of the offsets at the start [rad or m]; zero for a position without an offset,
             which gets no state.
@@ -311,6 +317,10 @@ def uncertain_parameters(family: Family, std: Numbers, drift: Numbers = 0.0) -> 
     """Parameters of the model that are not well known or that change, such as a payload or a level of friction.
 
     Parameters that the model refuses when they are negative stay positive.
+
+    Use it to estimate a parameter together with the motion, while a machine runs. `covariant.fit` is the better choice
+    for a parameter that stays constant, since it uses complete logs. The motion must excite the parameter: a mass on a
+    level track at constant speed leaves it unchanged.
 
     Args:
         family: The model with p open parameters, from `models.family`.

@@ -76,6 +76,10 @@ class Delayed(AbstractWrapper):
     the newest reading of a sample, with the innovations of all its readings and, where the observer reports them, the
     standard deviations of the estimate now. Without delays and lateness it is the observer itself, to the last bit.
 
+    Use it where a camera or a slow bus delivers measurements late. A delay that is known and left out makes the
+    estimate late by as much, and in a loop unstable. It stores the past for as long as the delays, and repeats the
+    steps since then.
+
     Args:
         observer: Observer to which the readings are passed, in the order of the times at which they were true.
         delay: Delay [s]: coordinate i of a sample with the stamp t was true at t − delay[i]. One number for all
