@@ -26,7 +26,7 @@ def of_suffix(suffix: str) -> list[Path]:
 
 @functools.cache
 def modules(room: str) -> str:
-    return "\n".join(path.read_text(encoding="utf-8") for path in (SOURCE / room).glob("*.py"))
+    return "\n".join(path.read_text(encoding="utf-8") for path in (SOURCE / room).rglob("*.py"))
 
 
 def test_every_template_is_used_in_its_room():

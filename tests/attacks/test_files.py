@@ -17,7 +17,7 @@ from covariant import models
 from covariant.certificates import ContractionCertificate, check, parse
 from covariant.certificates.checking._check import follows
 from covariant.cli import main
-from covariant.models import _systems
+from covariant.models.files import _systems
 from covariant.proofs import digest
 from covariant.proofs._file import MOST_BYTES, MOST_VALUES
 

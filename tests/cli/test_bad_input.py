@@ -106,7 +106,7 @@ def test_a_bad_model(folder, monkeypatch, capsys, spec, named):
         ((*ESTIMATE, "--observer", "magic"), ["magic", "intrinsic", "geodesic"]),
         ((*ESTIMATE, "--observer", "salcudean"), ["salcudean does not fit model.toml", "intrinsic", "savitzky-golay"]),
         ((*ESTIMATE, "--set", 'columns.matrix=["a"]'), ["columns.matrix", "columns.q"]),
-        ((*ESTIMATE, "--alpha", "3"), ["alpha and beta", "both"]),
+        ((*ESTIMATE, "--alpha", "3"), ["--alpha and --beta", "both"]),
         ((*ESTIMATE, "--alpha", "-3", "--beta", "1"), ["positive", "-3"]),
         ((*ESTIMATE, "--alpha", "3", "--beta", "1", "--observer", "ekf"), ["ekf"]),
         ((*ESTIMATE, "--alpha", "inf", "--beta", "inf"), ["positive", "inf"]),

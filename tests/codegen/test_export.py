@@ -720,7 +720,7 @@ def test_a_table_that_no_program_should_hold_is_refused_by_its_size(tmp_path, mo
             (*STATES, "--observer", "intrinsic"),
             "observer intrinsic does not fit unknown_frequency; these do: covariance",
         ),
-        ((*STATES, "--alpha", "1", "--beta", "1"), "alpha and beta are for mechanical models"),
+        ((*STATES, "--alpha", "1", "--beta", "1"), "--alpha and --beta are for mechanical models"),
         ((*STATES, "--certificate", "c.json"), "certificate is for mechanical models"),
         ((*STATES, "--metric", "m.zarr"), "metric is for the observer riccati; covariance-ekf has no metric"),
         ((*STATES, "--observer", "riccati", "--metric", "m.zarr"), "m.zarr is not a map made by map_grid"),
