@@ -213,8 +213,9 @@ class SampledBound(eqx.Module):
         age = state.age + jnp.where(classified.repeated, 0.0, dt)
         before = self.recursion.predicted(state.radius, age, jnp) * (1 + ROUND)
         added, known_age = self._noise(age)
-        metric_growth = self.recursion.change * age * (before + self.recursion.error)
-        after = (jnp.sqrt(before**2 + added) + metric_growth) * (1 + ROUND)
+        # The term hD(a + β) of the recursion.
+        factor_term = self.recursion.change * age * (before + self.recursion.error)
+        after = (jnp.sqrt(before**2 + added) + factor_term) * (1 + ROUND)
         radius = jnp.where(measured, after, before)
         # A prediction in one step over lost samples has longer Runge–Kutta steps than those of the proof.
         short = classified.repeated | (dt >= 0) & (dt <= self.recursion.ages[0, 1])
