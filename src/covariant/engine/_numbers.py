@@ -1,8 +1,8 @@
-"""Which numbers of an observer are arguments of its compiled code, so that one code serves other numbers too.
+"""Choice of the numbers of an observer that are arguments of its compiled code, so that one code serves many values.
 
-A number that takes operations away stays in the code: zero, in the tables of a model ±1 too, and what is not finite.
-Numbers of a model that are equal in all observers, such as a mass that inertia and potential both hold, are one
-argument, so that what is computed of both is computed once.
+A number with which the compiler can omit operations stays in the code: zero, ±1 in the tables of a model, and numbers
+that are not finite. Entries of a model that are equal in each observer, such as a mass in both inertia and potential,
+share one argument, so that expressions that depend on both are computed once.
 """
 
 from collections.abc import Sequence
@@ -16,9 +16,9 @@ import numpy as np
 from covariant.observers import AbstractObserver
 
 MODEL = {"model", "metric"}
-"""Fields of observers that hold a model, or a metric designed for it, which stays in the code as tables do."""
+"""Fields of observers that hold a model, or a metric designed for it; a metric stays in the code, as tables do."""
 MOST_OPEN = 100
-"""Size of the largest array that is an argument, the covariance of ten joints; larger tables are constants."""
+"""Size of the largest array that is an argument, as the covariance of ten joints; larger tables are constants."""
 
 Places = tuple[tuple[int, ...] | None, ...]
 
@@ -56,12 +56,12 @@ def open_numbers(observers: Sequence[AbstractObserver], models: bool = True) -> 
         rows = np.stack([np.ravel(others[i]) for others in leaves]).astype(float)
         fields = {getattr(key, "name", None) for key in paths[i]}
         of_model = not fields.isdisjoint(MODEL)
-        varies = (rows != rows[0]).any(axis=0)  # so does NaN, which equals nothing
-        few = rows.shape[1] <= MOST_OPEN and "metric" not in fields and (models or not of_model)
-        opened = varies | (_usual(rows[0], of_model) & few)
+        varies = (rows != rows[0]).any(axis=0)  # NaN varies too, since it equals nothing
+        is_small = rows.shape[1] <= MOST_OPEN and "metric" not in fields and (models or not of_model)
+        opened = varies | (_keeps_operations(rows[0], of_model) & is_small)
         each = []
         for column, is_open in zip(rows.T, opened.tolist(), strict=True):
-            # Equal gains are equal by chance or by symmetry up to rounding: they are not told apart by that.
+            # Gains may be equal by chance, or by a symmetry that rounding breaks, so they never share an argument.
             key = column.tobytes() if of_model else len(columns).to_bytes(8)
             if is_open and key not in shared:
                 shared[key] = len(columns)
@@ -72,8 +72,8 @@ def open_numbers(observers: Sequence[AbstractObserver], models: bool = True) -> 
     return OpenNumbers(tuple(places), values)
 
 
-def _usual(values: np.ndarray, of_model: bool) -> np.ndarray:
-    """Which values take no operations away as constants."""
+def _keeps_operations(values: np.ndarray, of_model: bool) -> np.ndarray:
+    """Whether each value, as a constant, would let the compiler omit no operation."""
     return np.isfinite(values) & (values != 0) & ~(of_model & (np.abs(values) == 1))
 
 
@@ -87,22 +87,22 @@ def _alike(real: bool, leaf: Any, first: Any) -> bool:
 
 
 def filled(leaves: Sequence[Any], places: Places, numbers: Any) -> list[Any]:
-    """Arrays of an observer with its open numbers in their places."""
-    # One array for those that hold the same numbers: each takes as long to trace as a step of a model.
-    made: dict[tuple[Any, ...], Any] = {}
+    """Fill the open numbers into the arrays of an observer."""
+    # Arrays that hold the same numbers are built once, since one takes as long to trace as a step of a model.
+    built: dict[tuple[Any, ...], Any] = {}
     results = []
     for leaf, at in zip(leaves, places, strict=True):
         if at is not None:
-            known = np.asarray(leaf)
-            key = at, known.shape, known.dtype.str, known.ravel()[np.array(at, int) < 0].tobytes()
-            if key not in made:
-                made[key] = _filled(known, np.array(at), numbers)
-            leaf = made[key]
+            array = np.asarray(leaf)
+            key = at, array.shape, array.dtype.str, array.ravel()[np.array(at, int) < 0].tobytes()
+            if key not in built:
+                built[key] = _filled_array(array, np.array(at), numbers)
+            leaf = built[key]
         results.append(leaf)
     return results
 
 
-def _filled(leaf: np.ndarray, at: np.ndarray, numbers: Any) -> Any:
+def _filled_array(leaf: np.ndarray, at: np.ndarray, numbers: Any) -> Any:
     if (at == np.arange(at[0], at[0] + len(at))).all() and at[0] >= 0:
         entries = jax.lax.slice(numbers, (int(at[0]),), (int(at[0]) + len(at),))
     else:

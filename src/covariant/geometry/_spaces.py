@@ -69,7 +69,7 @@ class FlatTorus(Euclidean):
 
     def shoot(self, p: Vector, q: Vector, guess: Vector | None = None, budget: Budget = Budget()) -> Shot:
         periods = self.periods.astype(q.dtype)
-        # `round` goes to even numbers: of two paths of half a period the direct one is taken.
+        # `round` rounds ties to even, so that of two paths of half a period the direct one is taken.
         shortest = q - p - periods * jnp.round((q - p) / periods)
         return _found(shortest, shortest)
 
@@ -80,7 +80,7 @@ class ConstantCurvature(AbstractMetric):
     `sphere` and `hyperbolic` build it from a radius.
 
     Attributes:
-        k: curvature K, in units of the reciprocal of the metric.
+        k: curvature K, in the reciprocal unit of the metric.
 
     Example:
         >>> import jax.numpy as jnp
@@ -99,23 +99,23 @@ class ConstantCurvature(AbstractMetric):
         return -self.k * self._scale(x) * ((x @ a) * b + (x @ b) * a - (a @ b) * x)
 
     def curvature(self, x: Vector, a: Vector, b: Vector, c: Vector) -> Vector:
-        # R(a, b)c = K(<b, c>a − <a, c>b), and an inner product is σ² times the one of components.
+        # R(a, b)c = K(<b, c>a − <a, c>b), and an inner product is σ² times that of the components.
         return self.k * self._scale(x) ** 2 * ((b @ c) * a - (a @ c) * b)
 
     def transport_along(self, p: Vector, velocity: Vector, w: Vectors, budget: Budget = Budget()) -> Transported:
         middle, end = self._exponential(p, velocity / 2), self._exponential(p, velocity)
 
-        def carry(a):  # in two halves, since the formula for the transport to an antipode is 0/0
-            return self._carry(middle, self._carry(p, a, middle), end)
+        def transport(a):  # in two halves, since the formula for the transport to an antipode is 0/0
+            return self._transport(middle, self._transport(p, a, middle), end)
 
-        carried = jax.vmap(carry)(w.reshape(-1, p.shape[0])).reshape(w.shape)
-        return Transported(end, carry(velocity), carried)
+        carried = jax.vmap(transport)(w.reshape(-1, p.shape[0])).reshape(w.shape)
+        return Transported(end, transport(velocity), carried)
 
     def shoot(self, p: Vector, q: Vector, guess: Vector | None = None, budget: Budget = Budget()) -> Shot:
         # The isometry that takes p to 0 makes the geodesic a straight line through the origin of the chart.
         displacement = self._add(-p, q)
         velocity = 2 / self._scale(p) * displacement * self._arctan_ratio(displacement @ displacement)
-        return _found(velocity, self._carry(p, velocity, q))
+        return _found(velocity, self._transport(p, velocity, q))
 
     def _exponential(self, p: Vector, velocity: Vector) -> Vector:
         # A point at the distance r from the origin is at tan(√K r/2)/√K in the chart, hence the half of r = σ|v|.
@@ -127,11 +127,11 @@ class ConstantCurvature(AbstractMetric):
 
     def _add(self, x: Vector, y: Vector) -> Vector:
         """Möbius addition: the isometry that takes 0 to x, applied to y."""
-        # The denominator is zero only for y opposite −x on the sphere: the sum is the point that the chart leaves out.
+        # On a sphere, the denominator is zero only for y opposite −x; the sum is then the point that the chart omits.
         k, xy, xx, yy = self.k, x @ y, x @ x, y @ y
         return ((1 - 2 * k * xy - k * yy) * x + (1 + k * xx) * y) / (1 - 2 * k * xy + k**2 * xx * yy)
 
-    def _carry(self, p: Vector, w: Vector, q: Vector) -> Vector:
+    def _transport(self, p: Vector, w: Vector, q: Vector) -> Vector:
         """Parallel transport from p to q: the gyration of (q, −p), scaled to keep the length."""
         c, u, v = -self.k, q, -p
         uv, uu, vv, uw, vw = u @ v, u @ u, v @ v, u @ w, v @ w
@@ -157,20 +157,20 @@ class ConstantCurvature(AbstractMetric):
 
 
 _NEAR = 0.1
-"""Below this |K s²| a series replaces the closed form. The bound is generous: around s = 0 only the series is used."""
-# The first term left out is at most 0.1¹⁸/37 = 3e-20 of the sum, that of the arc tangent.
+"""Below this |K s²| a series replaces the closed form. The bound is generous: near s = 0 only the series is used."""
+# The first omitted term is at most 0.1¹⁸/37 = 3e-20 of the sum; the arc tangent has the largest.
 _TERMS = 18
 
 
 def _root(x: Scalar) -> tuple[Flag, Scalar]:
     """Whether the series applies at x, and `√|x|`; where the series applies, the root of `_NEAR` instead."""
     small = jnp.abs(x) < _NEAR
-    # Replaced before the root: `where` after it would leave an infinite derivative, and NaN, at zero.
+    # x is replaced before the root: a `where` after it would leave an infinite derivative, hence NaN, at zero.
     return small, jnp.sqrt(jnp.where(small, _NEAR, jnp.abs(x)))
 
 
 def _polynomial(coefficients: list[float], x: Scalar) -> Scalar:
-    # Where the series is not used its argument is 0: it cannot overflow, nor spoil a derivative.
+    # Outside its range the series gets the argument 0, so that it neither overflows nor spoils a derivative.
     near = jnp.where(jnp.abs(x) < _NEAR, x, 0.0)
     total = jnp.zeros_like(x)
     for coefficient in reversed(coefficients):
@@ -231,7 +231,7 @@ def hyperbolic(radius: float = 1.0) -> ConstantCurvature:
 
 
 class Pullback(AbstractMetric):
-    """A space in another chart.
+    """A space in other coordinates.
 
     Attributes:
         space: the space in its original coordinates.
@@ -274,30 +274,32 @@ class Pullback(AbstractMetric):
         """
         old, along_a, along_b = self.forward(x), self._pushforward(x, a), self._pushforward(x, b)
         second = jax.jvp(lambda p: self._pushforward(p, b), (x,), (a,))[1]
-        return self._pulled_back(old, self.space.connection(old, along_a, along_b) + second)
+        return self._pull_back(old, self.space.connection(old, along_a, along_b) + second)
 
     def curvature(self, x: Vector, a: Vector, b: Vector, c: Vector) -> Vector:
         old = self.forward(x)
-        turned = self.space.curvature(old, self._pushforward(x, a), self._pushforward(x, b), self._pushforward(x, c))
-        return self._pulled_back(old, turned)
+        old_curvature = self.space.curvature(
+            old, self._pushforward(x, a), self._pushforward(x, b), self._pushforward(x, c)
+        )
+        return self._pull_back(old, old_curvature)
 
     def transport_along(self, p: Vector, velocity: Vector, w: Vectors, budget: Budget = Budget()) -> Transported:
-        pushed = jax.vmap(lambda a: self._pushforward(p, a))(w.reshape(-1, p.shape[0]))
-        end = self.space.transport_along(self.forward(p), self._pushforward(p, velocity), pushed, budget)
-        pulled = jax.vmap(lambda a: self._pulled_back(end.q, a))(end.w)
-        return Transported(self.inverse(end.q), self._pulled_back(end.q, end.velocity), pulled.reshape(w.shape))
+        old_vectors = jax.vmap(lambda a: self._pushforward(p, a))(w.reshape(-1, p.shape[0]))
+        end = self.space.transport_along(self.forward(p), self._pushforward(p, velocity), old_vectors, budget)
+        pulled = jax.vmap(lambda a: self._pull_back(end.q, a))(end.w)
+        return Transported(self.inverse(end.q), self._pull_back(end.q, end.velocity), pulled.reshape(w.shape))
 
     def shoot(self, p: Vector, q: Vector, guess: Vector | None = None, budget: Budget = Budget()) -> Shot:
         old_p, old_q = self.forward(p), self.forward(q)
         shot = self.space.shoot(old_p, old_q, None if guess is None else self._pushforward(p, guess), budget)
         return shot._replace(
-            velocity=self._pulled_back(old_p, shot.velocity), arrival=self._pulled_back(old_q, shot.arrival)
+            velocity=self._pull_back(old_p, shot.velocity), arrival=self._pull_back(old_q, shot.arrival)
         )
 
     def _pushforward(self, q: Vector, x: Vector) -> Vector:
         return jax.jvp(self.forward, (q,), (x,))[1]
 
-    def _pulled_back(self, old: Vector, x: Vector) -> Vector:
+    def _pull_back(self, old: Vector, x: Vector) -> Vector:
         return jax.jvp(self.inverse, (old,), (x,))[1]
 
 
@@ -309,7 +311,7 @@ class Product(AbstractMetric):
         sizes: number of coordinates of each factor.
 
     Raises:
-        ValueError: where `spaces` and `sizes` are not of the same length.
+        ValueError: `spaces` and `sizes` differ in length.
 
     Example:
         >>> import jax.numpy as jnp

@@ -60,7 +60,7 @@ class Residual(NamedTuple):
 
     @property
     def scale(self) -> Float[np.ndarray, "n"]:
-        """Mean square of both accelerations together, so that a wrong unit of either cannot make residuals look small."""
+        """Mean square of both accelerations together, so that a wrong unit of either cannot hide the residuals."""
         size = np.mean((self.measured**2 + self.modelled**2)[self.used] / 2, axis=0)
         return np.where(size > 0, size, 1.0)
 

@@ -30,7 +30,7 @@ class Family(NamedTuple):
         file: The model file with the first values of these numbers.
         names: The p open numbers, such as `mass[0]` of [parameters], or `inputs.lag`.
         first: Their values (p,) in the file.
-        positive: Which of the p numbers the model refuses where they are negative.
+        positive: Whether each of the p numbers must be positive, because the model refuses negative values of it.
         make: `values (p,) -> (model, lag [s])`, which may be traced, differentiated and batched by JAX.
         document: The content of the file, with the first values, as nested dictionaries and lists.
         places: Table, key and list indices of each of the p numbers in the document.
@@ -61,7 +61,7 @@ class Family(NamedTuple):
         Returns:
             Tables and keys of a model file.
         """
-        return _with(self.document, self.places, np.asarray(values).tolist())
+        return _with_numbers(self.document, self.places, np.asarray(values).tolist())
 
 
 def family(spec: str, names: Sequence[str], overrides: Overrides = ()) -> Family:
@@ -78,7 +78,7 @@ def family(spec: str, names: Sequence[str], overrides: Overrides = ()) -> Family
 
     Raises:
         ModelError: One line that names the spec and the first thing wrong: a name that does not exist, a value that is
-            no number, a first value of zero where negative ones are refused, or a function that JAX cannot trace.
+            not a number, a first value of zero where negative ones are refused, or a function that JAX cannot trace.
 
     Example:
         >>> from covariant import models
@@ -94,39 +94,40 @@ def _family(spec: str, names: Sequence[str], content: dict[str, Any]) -> Family:
     file = finish(spec, content)
     file.need_mechanical(spec, "numbers are fitted for")
     numbers = {_name(place): place for place in _numbers(content)}
-    chosen = [name for pattern in names for name in _chosen(pattern, numbers)]
-    twice = next((name for name in chosen if chosen.count(name) > 1), None)
-    if twice is not None:
-        raise ValueError(f"{twice} is named twice; name it once")
-    if not chosen:
+    open_names = [name for pattern in names for name in _selected_names(pattern, numbers)]
+    duplicate = next((name for name in open_names if open_names.count(name) > 1), None)
+    if duplicate is not None:
+        raise ValueError(f"{duplicate} is named twice; name it once")
+    if not open_names:
         raise ValueError(f"no number is named; there are: {', '.join(numbers) or 'none'}")
-    places = tuple(numbers[name] for name in chosen)
+    places = tuple(numbers[name] for name in open_names)
     first = np.array([float(_value_at(content, place)) for place in places])
 
     def make(values):
-        filled = _with(content, places, list(values))
+        filled = _with_numbers(content, places, list(values))
         return made(spec, filled).model, filled.get(LAG[0], {}).get(LAG[1], file.input_lag)
 
     positive = tuple(
-        # The model's own refusal of −value says that a number is positive: no list of such names can go stale.
-        _refused(spec, _with(content, (place,), [-abs(value) or -1.0]))  # −0.0 is no negative number: −1 in its place
+        # A number must be positive if the model refuses its negative, so there is no list of such names to maintain.
+        # −0.0 is not negative, so −1 replaces it.
+        _is_refused(spec, _with_numbers(content, (place,), [-abs(value) or -1.0]))
         for place, value in zip(places, first, strict=True)
     )
-    for name, value, refused in zip(chosen, first, positive, strict=True):
+    for name, value, refused in zip(open_names, first, positive, strict=True):
         if refused and not 0 < value < math.inf:
             remedy = f"parameters.{name.partition('[')[0]}=NUMBER" if name != ".".join(LAG) else f"{name}=0.01"
             raise ValueError(
                 f"{name} must be positive and starts from {value:g}; give it a first value by `overrides={[remedy]}`"
             )
     try:
-        # Traced, not evaluated: a function that uses NumPy or branches on a number fails here, and not within a fit.
+        # Tracing makes a function that uses NumPy or branches on a number fail here, and not within a fit.
         eqx.filter_eval_shape(make, first)
     except (TypeError, ValueError) as error:  # building it from plain numbers succeeded above
         raise ValueError(
             f"the function that makes the model cannot be traced by JAX ({_source.first_line(error)[:80]}); compute "
             f"with jax.numpy in it, or leave {', '.join(names)} as they are"
         ) from error
-    return Family(file, tuple(chosen), first, positive, make, content, places)
+    return Family(file, tuple(open_names), first, positive, make, content, places)
 
 
 def _numbers(content: dict[str, Any]) -> Iterator[Place]:
@@ -153,8 +154,8 @@ def _name(place: Place) -> str:
     return ("" if table == "parameters" else f"{table}.") + str(key) + "".join(f"[{i}]" for i in indices)
 
 
-def _chosen(pattern: str, numbers: dict[str, Place]) -> list[str]:
-    """The numbers that a name stands for: itself, or all entries of the list."""
+def _selected_names(pattern: str, numbers: dict[str, Place]) -> list[str]:
+    """Names of the numbers that a pattern selects: the number itself, or all entries of a list."""
     plain = pattern.strip().removeprefix("parameters.")
     matches = [name for name in numbers if name == plain or re.fullmatch(re.escape(plain) + r"(\[\w+\])+", name)]
     if not matches:
@@ -168,7 +169,7 @@ def _value_at(content: Any, place: Place) -> Any:
     return content
 
 
-def _with(content: dict[str, Any], places: Sequence[Place], values: Sequence[Any]) -> dict[str, Any]:
+def _with_numbers(content: dict[str, Any], places: Sequence[Place], values: Sequence[Any]) -> dict[str, Any]:
     """A copy of the document with other numbers at these places."""
     filled = copy.deepcopy(content)
     for place, value in zip(places, values, strict=True):
@@ -176,7 +177,7 @@ def _with(content: dict[str, Any], places: Sequence[Place], values: Sequence[Any
     return filled
 
 
-def _refused(spec: str, content: dict[str, Any]) -> bool:
+def _is_refused(spec: str, content: dict[str, Any]) -> bool:
     """Whether the model refuses these numbers."""
     try:
         finish(spec, content)
