@@ -15,17 +15,17 @@ from covariant.certificates.base._statement import Evidence, Hypothesis, Stateme
 from covariant.models import recipe_text
 
 
-def contraction_statement(of: Resolved, evidence: Evidence, checker: Hypothesis | None = None) -> Statement:
+def contraction_statement(facts: Resolved, evidence: Evidence, checker: Hypothesis | None = None) -> Statement:
     """Write the statement of a proof, with its verdict."""
-    document = of.document
-    hypotheses = (*_hypotheses(of, evidence), *(() if checker is None else (checker,)), *_assumed(document))
+    document = facts.document
+    hypotheses = (*_hypotheses(facts, evidence), *(() if checker is None else (checker,)), *_assumed(document))
     counterexample = next((c.proof.counterexample for c in document.claims if c.proof.counterexample is not None), None)
     point = () if counterexample is None else tuple(counterexample.mean(axis=0).tolist())
-    draft = Statement("", (), hypotheses, document.rate, str(of.domain), point)
+    draft = Statement("", (), hypotheses, document.rate, str(facts.domain), point)
     # There is no tube without a proof, so its radius is not printed.
-    data = tuple(_description(of, document.radius if draft.verdict == "holds" else 0.0))
+    data = tuple(_description(facts, document.radius if draft.verdict == "holds" else 0.0))
     claim = (
-        _converges(document)
+        _convergence_text(document)
         if draft.verdict == "holds"
         else f"squared lengths shrink at {document.rate:.4g} 1/s or faster on the region"
     )
@@ -35,7 +35,7 @@ def contraction_statement(of: Resolved, evidence: Evidence, checker: Hypothesis 
     return draft._replace(claim=claim, about=data)
 
 
-def _converges(document: Document) -> str:
+def _convergence_text(document: Document) -> str:
     speeds, conditions = ", ".join(f"{v:.4g}" for v in document.velocity), []
     given = document.given
     for bounds, label in ((given.noise, "measurement errors"), (given.disturbance, "unknown forces")):
@@ -52,7 +52,7 @@ def _converges(document: Document) -> str:
 
 
 def _samples(sampling: Sampling) -> str:
-    """When measurements come, in words."""
+    """Describe in words when measurements come."""
     shortest, longest = (exact(h) for h in sampling.interval)
     every = f"samples {shortest} s apart" if shortest == longest else f"samples {shortest} to {longest} s apart"
     return f"{every}, of which at most {sampling.lost} in a row are lost"
@@ -66,11 +66,11 @@ def _hypotheses(facts: Resolved, evidence: Evidence) -> Iterator[Hypothesis]:
     terms = Terms(document.rate, document.radius, document.sampling, entries)
     yield from (claim.hypothesis(terms, evidence) for claim in document.claims)
     if all(claim.proof.verdict == "holds" for claim in document.claims):
-        yield _radius(document, evidence)
+        yield _radius_hypothesis(document, evidence)
         if select(document.claims, MissingClaim):
-            yield _factor(document, evidence)
+            yield _factor_hypothesis(document, evidence)
         if select(document.claims, PredictionClaim):
-            yield _steps(document, evidence)
+            yield _steps_hypothesis(document, evidence)
     if document.sampling is None:
         yield Hypothesis(
             "over these positions, inputs and times the force stays within the bounds of the domain", evidence
@@ -84,9 +84,9 @@ def _hypotheses(facts: Resolved, evidence: Evidence) -> Iterator[Hypothesis]:
     yield Hypothesis(
         "the errors are below half a turn, so that the shortest path to the measurement is unique", evidence
     )
-    described = "flow" if document.sampling is None else "prediction and correction"
+    algorithm = "flow" if document.sampling is None else "prediction and correction"
     yield Hypothesis(
-        f"the observer is {type(facts.observer).__name__} itself, whose {described} is the one described", evidence
+        f"the observer is {type(facts.observer).__name__} itself, whose {algorithm} is the one described", evidence
     )
 
 
@@ -99,8 +99,8 @@ def _assumed(document: Document) -> Iterator[Hypothesis]:
         yield from (Hypothesis(kind.assumed_without, "assumed") for kind in absent)
 
 
-def _factor(document: Document, evidence: Evidence) -> Hypothesis:
-    """That the correction that runs, with its factor, is close to the one that is proved, and never restarts."""
+def _factor_hypothesis(document: Document, evidence: Evidence) -> Hypothesis:
+    """Hypothesis that the correction in use, with its factor, is close to the proved one and never restarts."""
     loss = document.loss
     text = "the factor 1/(1 + s/18) of the correction that runs leaves a positive rate, and no sample restarts it"
     if loss.allowed(document.rate):
@@ -112,8 +112,8 @@ def _factor(document: Document, evidence: Evidence) -> Hypothesis:
     return Hypothesis(text, evidence, "undecided", None, reason)
 
 
-def _steps(document: Document, evidence: Evidence) -> Hypothesis:
-    """That the errors of the Runge–Kutta steps alone do not lead out of the tube."""
+def _steps_hypothesis(document: Document, evidence: Evidence) -> Hypothesis:
+    """Hypothesis that the errors of the Runge–Kutta steps alone do not lead out of the tube."""
     text = "the errors of the Runge–Kutta steps of predictions do not lead out of the tube"
     if document.drift < document.radius:
         return Hypothesis(
@@ -125,8 +125,8 @@ def _steps(document: Document, evidence: Evidence) -> Hypothesis:
     return Hypothesis(text, evidence, "undecided", None, reason)
 
 
-def _radius(document: Document, evidence: Evidence) -> Hypothesis:
-    """That the tube is there, and that noise does not lead out of it."""
+def _radius_hypothesis(document: Document, evidence: Evidence) -> Hypothesis:
+    """Hypothesis that the tube has a radius, and that noise does not lead out of it."""
     if document.radius > document.steady:
         return Hypothesis(
             "the tube has a radius, and noise and unknown forces alone do not lead out of it",
@@ -138,7 +138,7 @@ def _radius(document: Document, evidence: Evidence) -> Hypothesis:
 
 
 def _description(facts: Resolved, radius: float) -> Iterator[str]:
-    """Lines from which the claim can be repeated."""
+    """Yield the lines of data that are needed to repeat the proof."""
     document, model = facts.document, facts.observer.model
     n, given = len(document.velocity), document.given
     fields, unit_of = observer_document(facts.observer), dict(zip(facts.domain.names, facts.domain.units, strict=True))
@@ -151,10 +151,10 @@ def _description(facts: Resolved, radius: float) -> Iterator[str]:
     yield from _metric(document)
     if radius:
         rate = document.rate if document.sampling is None else 2 * document.decay
-        right_after = "" if document.sampling is None else " right after a measurement"
+        moment = "" if document.sampling is None else " right after a measurement"
         yield (
             f"rate λ = {rounded_down(rate)} 1/s of squared lengths, radius ε = {rounded_down(radius)} in this metric"
-            f"{right_after}"
+            f"{moment}"
         )
     start = start_of(radius, facts.domain, document.claims) if radius else None
     if start is not None:

@@ -1,4 +1,4 @@
-"""Taylor coefficients of a JAX function of one number, for bounds of remainders: by recurrences over its jaxpr."""
+"""Taylor coefficients of a JAX function of one number, by recurrences over its jaxpr, for bounds of remainders."""
 
 import functools
 from collections.abc import Callable, Sequence
@@ -24,12 +24,12 @@ def series(function: Callable[[Array], Array], order: int) -> Callable[[Array], 
             (result,) = _run(ClosedJaxpr(closed.jaxpr, closed.consts), [start])
         except LoweringError as error:
             raise ValueError(f"{error}") from error
-        return _all(result, order + 1)
+        return _as_series(result, order + 1)
 
     return coefficients
 
 
-def _all(x: Any, count: int) -> Coefficients:
+def _as_series(x: Any, count: int) -> Coefficients:
     """The coefficients of a series, or of a constant."""
     return x if isinstance(x, list) else [jnp.asarray(x), *[jnp.zeros_like(x)] * (count - 1)]
 
@@ -42,38 +42,40 @@ def _run(body: ClosedJaxpr, arguments: Sequence) -> list:
 
     for eqn in equations(body.jaxpr):
         x = [read(atom) for atom in eqn.invars]
-        moving = [a for a in x if isinstance(a, list)]
+        series_arguments = [a for a in x if isinstance(a, list)]
         if isinstance(eqn.form, Call):
             out = _run(eqn.form.body, x)
-        elif not moving:
+        elif not series_arguments:
             out = eqn.primitive.bind(*x, **eqn.params)
             out = out if eqn.primitive.multiple_results else [out]
         elif eqn.form is not None:
             raise ValueError(f"the operation '{eqn.name}' has no known expansion")
         else:
-            out = _applied(eqn, x, len(moving[0]))
+            out = _apply(eqn, x, len(series_arguments[0]))
         known |= dict(zip(eqn.outvars, out, strict=True))
     return [read(atom) for atom in body.jaxpr.outvars]
 
 
-def _applied(eqn: Any, x: list, count: int) -> list[Coefficients]:
+def _apply(eqn: Any, x: list, count: int) -> list[Coefficients]:
     """The coefficients of the results of a primitive."""
     if eqn.name in LINEAR:
         whole = [
-            _all(a, count) if isinstance(a, list) or jnp.issubdtype(jnp.result_type(a), jnp.floating) else [a] * count
+            _as_series(a, count)
+            if isinstance(a, list) or jnp.issubdtype(jnp.result_type(a), jnp.floating)
+            else [a] * count
             for a in x
         ]
         each = [eqn.primitive.bind(*(a[k] for a in whole), **eqn.params) for k in range(count)]
         return [list(result) for result in zip(*each, strict=True)] if eqn.primitive.multiple_results else [each]
     if eqn.name in ("mul", "dot_general"):
         product = functools.partial(eqn.primitive.bind, **eqn.params)
-        return [_product(_all(x[0], count), _all(x[1], count), product)]
+        return [_product(_as_series(x[0], count), _as_series(x[1], count), product)]
     if eqn.name == "integer_pow" and eqn.params["y"] > 0:
         return [functools.reduce(_product, [x[0]] * eqn.params["y"])]
     if eqn.primitive is STUMPFF:
         return [_stumpff(eqn.params["k"], x[0])]
     if eqn.name in RULES:
-        return [RULES[eqn.name](*(_all(a, count) for a in x))]
+        return [RULES[eqn.name](*(_as_series(a, count) for a in x))]
     raise ValueError(f"the operation '{eqn.name}' has no known expansion")
 
 
@@ -113,7 +115,7 @@ def _exponential(u: Coefficients) -> Coefficients:
     return y
 
 
-def _circle(u: Coefficients) -> tuple[Coefficients, Coefficients]:
+def _sine_and_cosine(u: Coefficients) -> tuple[Coefficients, Coefficients]:
     """Sine and cosine."""
     s, c = [jnp.sin(u[0])], [jnp.cos(u[0])]
     for k in range(1, len(u)):
@@ -128,7 +130,7 @@ def _one_plus_square(u: Coefficients) -> Coefficients:
 
 
 def _stumpff(k: int, u: Coefficients) -> Coefficients:
-    """By c_k' = (k c_(k+2) − c_(k+1))/2, one order less at each turn."""
+    """The series of c_k(u), by c_k' = (k c_(k+2) − c_(k+1))/2, with one order less in each recursion."""
     if len(u) == 1:
         return [stumpff(k, u[0])]
     first, second = (_stumpff(k + i, u[:-1]) for i in (1, 2))
@@ -146,11 +148,13 @@ RULES: dict[str, Callable] = {
     "div": _quotient,
     "square": lambda u: _product(u, u),
     "sqrt": _root,
-    "rsqrt": lambda u: _quotient(_all(jnp.ones_like(u[0]), len(u)), _root(u)),
+    "rsqrt": lambda u: _quotient(_as_series(jnp.ones_like(u[0]), len(u)), _root(u)),
     "exp": _exponential,
-    "log": lambda u: _integral(jnp.log(u[0]), u, _quotient(_all(jnp.ones_like(u[0]), len(u)), u)),
-    "sin": lambda u: _circle(u)[0],
-    "cos": lambda u: _circle(u)[1],
-    "atan": lambda u: _integral(jnp.arctan(u[0]), u, _quotient(_all(jnp.ones_like(u[0]), len(u)), _one_plus_square(u))),
+    "log": lambda u: _integral(jnp.log(u[0]), u, _quotient(_as_series(jnp.ones_like(u[0]), len(u)), u)),
+    "sin": lambda u: _sine_and_cosine(u)[0],
+    "cos": lambda u: _sine_and_cosine(u)[1],
+    "atan": lambda u: _integral(
+        jnp.arctan(u[0]), u, _quotient(_as_series(jnp.ones_like(u[0]), len(u)), _one_plus_square(u))
+    ),
 }
 """Series of the other primitives."""
