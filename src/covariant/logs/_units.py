@@ -8,7 +8,7 @@ from covariant._numbers import DECIMAL
 
 
 class _Unit(NamedTuple):
-    """A unit as a factor and exponents of s, rad, m, kg and A; exponents None for a bare number, which fits any unit."""
+    """A unit: factor and exponents of s, rad, m, kg and A; exponents None for a bare number, which fits any unit."""
 
     factor: float
     exponents: tuple[int, ...] | None
