@@ -1,4 +1,4 @@
-"""What the readings of positions show without a model: outliers, repeats, ticks, noise and speeds."""
+"""Analysis of position readings without a model: outliers, repeats, ticks, noise and speeds."""
 
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -30,11 +30,11 @@ SAMPLED = 20_000
 FEWEST = 50
 """Least number of readings of a position that show its noise and outliers."""
 ALIKE = 0.05
-"""Relative difference up to which the numbers of coordinates of one unit are reported as one."""
+"""Coordinates of one unit are reported with one number if their numbers differ relatively by less than this."""
 TOGETHER = 5
-"""Number of neighbouring speeds of which the median is taken: one wrong measurement spoils two."""
+"""Number of neighbouring speeds per median; one wrong measurement spoils only two speeds."""
 USUAL = 0.99
-"""Quantile of these medians: high, since a log may stand still for a long time."""
+"""Quantile of these medians that is reported; it is high, since a log may stand still for a long time."""
 
 
 def missing_cells(y: np.ndarray) -> list[Finding]:
@@ -43,7 +43,7 @@ def missing_cells(y: np.ndarray) -> list[Finding]:
     if not lost.any():
         return []
     share = float(lost.mean())
-    # The mask changes in pairs: where a gap begins, and where it ends.
+    # Changes of the mask come in pairs, at the beginning and the end of each gap.
     edges = np.flatnonzero(np.diff(np.concatenate([[False], lost, [False]])))
     longest = int(np.max(edges[1::2] - edges[::2]))
     return [
@@ -70,10 +70,11 @@ def outliers(
         t: Stamps (T,) [s].
         y: Measured coordinates (T, n); NaN where missing.
         circles: Indices of the coordinates that are angles.
-        ticks: Known ticks (n,) of the encoders, or one for all, 0 for none; others are looked for in the readings.
+        ticks: Known ticks (n,) of the encoders, or one for all; 0 for a tick that is unknown, and estimated from the
+            readings.
 
     Returns:
-        Which measurements are outliers (T, n), and their usual distance (n,) from their neighbours, 0 without outliers.
+        A mask (T, n) of the outliers, and their median distance (n,) from their neighbours, 0 without outliers.
 
     Example:
         >>> import numpy as np
@@ -95,7 +96,7 @@ def outliers(
                 break
             error = prediction_errors(t[remaining], column[remaining])
             floor = np.maximum(1.4826 * np.median(np.abs(error)), known or tick(column[remaining]))
-            # A cubic misses some of a sharp motion, in proportion to what happens among its points.
+            # A cubic misses a part of a sharp motion, in proportion to the range of its points.
             floor = np.maximum(floor, COARSE * _local_range(column[remaining]))
             size = np.zeros(len(remaining))
             candidates = np.flatnonzero(np.abs(error) > FAR * floor)  # few: only they need the local deviation
@@ -103,7 +104,7 @@ def outliers(
             size[candidates] = np.where(
                 np.abs(error[candidates]) > FAR * np.where(scale > 0, scale, np.inf), np.abs(error[candidates]), 0.0
             )
-            # Only the worst of seven neighbours is removed at a time: it spoils the predictions of the others.
+            # Only the worst of seven neighbours is removed at a time, since it spoils the predictions of the others.
             bad = (size > 0) & (size == np.max([np.roll(size, k) for k in (-3, -2, -1, 0, 1, 2, 3)], axis=0))
             if not bad.any():
                 break
@@ -124,7 +125,7 @@ def outliers(
 
 
 def prediction_errors(t: Float[np.ndarray, "T"], y: Float[np.ndarray, "T"]) -> Float[np.ndarray, "T"]:
-    """Errors of measurements against the cubic through their four neighbours, scaled to the noise of one."""
+    """Errors of measurements against the cubics through four neighbours, scaled to the noise of one measurement."""
     rows = np.arange(len(t))
     five = np.clip(rows - 2, 0, len(t) - 5)[:, None] + np.arange(5)  # at the ends the neighbours are on one side
     return _errors(t, y, five[five != rows[:, None]].reshape(-1, 4), t, y)
@@ -144,7 +145,7 @@ def _errors(t, y, neighbours, at, value) -> np.ndarray:
 
 
 def _readmitted(t, y, remaining: np.ndarray, removed: np.ndarray, scale: float) -> np.ndarray:
-    """Removed rows that agree with the remaining ones after all: they were between two outliers."""
+    """Removed rows that agree with the remaining ones, because only outliers beside them made them look wrong."""
     # Two rows on either side of the removed one; at the ends the nearest four.
     place = np.clip(np.searchsorted(remaining, removed), 2, len(remaining) - 2)
     error = _errors(t[remaining], y[remaining], place[:, None] + np.array([-2, -1, 0, 1]), t[removed], y[removed])
@@ -175,7 +176,7 @@ def tick(y: Float[np.ndarray, "T"]) -> float:
     # The least change in a log may be two or three ticks.
     for fraction in (1, 2, 3):
         step = smallest / fraction
-        # Over k ticks an error of the step grows k times, so that large changes are no test of it.
+        # Over k ticks an error of the step grows k times, so large changes cannot test it.
         small = changes[changes < 20.5 * step]
         whole = np.rint(small / step)
         if len(small) >= 20 and np.quantile(np.abs(small / step - whole), 0.95) < LATTICE and _gcd(whole) == 1:
@@ -279,7 +280,7 @@ def repeated_findings(
 
 
 def without_repeated(y: Float[np.ndarray, "T n"], ticks: Float[np.ndarray, "n"]) -> Float[np.ndarray, "T n"]:
-    """Positions whose readings are missing where they repeat those of the row before."""
+    """Replace readings that repeat those of the previous row by NaN."""
     kept = y.copy()
     for i in _moving(y, ticks):
         kept[_repeated(y, [i]), i] = np.nan
@@ -300,9 +301,11 @@ class Readings(NamedTuple):
     """Noise and ticks of each position, in its unit.
 
     Attributes:
-        noise: Standard deviation (n,) of the part of a reading that its neighbours do not predict; NaN for few.
-        white: Whether that is noise (n,); otherwise motion between the rows counts as well, and it is an upper bound.
-        ticks: One tick (n,) of the encoder; 0 where readings are no whole ticks apart, or noise hides them.
+        noise: Standard deviation (n,) of the part of a reading that its neighbours do not predict; NaN for too few
+            readings.
+        white: Whether this part is white noise (n,); otherwise it includes motion between the rows, and `noise` is an
+            upper bound.
+        ticks: One tick (n,) of the encoder; 0 if readings are not whole ticks apart, or noise hides the ticks.
     """
 
     noise: Float[np.ndarray, "n"]
@@ -330,7 +333,7 @@ def readings(record: Record, circles: tuple[int, ...]) -> Readings:
             error = prediction_errors(t[seen], column[seen])
             # The factor makes the median size of normal errors their standard deviation.
             noise[i] = 1.4826 * np.median(np.abs(error))
-            # Neighbouring errors share measurements with opposite signs: those of white noise alternate.
+            # Neighbouring errors share measurements with opposite signs, so that errors of white noise alternate.
             # At even stamps the weights are (1, −4, 6, −4, 1)/6: white noise has −0.8, smooth motion a positive number.
             white[i] = np.mean(error[1:] * error[:-1]) < ALTERNATES * np.mean(error**2)
     return Readings(noise, white, quanta(y, np.nan_to_num(noise)))
@@ -339,7 +342,7 @@ def readings(record: Record, circles: tuple[int, ...]) -> Readings:
 def known_ticks(
     record: Record, circles: tuple[int, ...], stated: float | Sequence[float] | None
 ) -> Float[np.ndarray, "n"]:
-    """Ticks of each position: those that the readings show, or where these are few, the stated ones that they fit."""
+    """Ticks of each position: those that the readings show, else the stated ones if the readings fit them."""
     ticks, y = readings(record, circles).ticks, unwrap(np.asarray(record.y), circles)
     for i, tick in enumerate(np.broadcast_to(0.0 if stated is None else stated, len(ticks))):
         if ticks[i] == 0 and tick > 0:
@@ -402,7 +405,7 @@ def usual_speeds(model: MechanicalSystem, record: Record) -> tuple[float, ...]:
 
 
 def _wrapped(change: np.ndarray, circle: bool) -> np.ndarray:
-    # Onto [−π, π): a step of more than half a turn is one the other way.
+    # Onto [−π, π): a step of more than half a turn is a shorter one in the other direction.
     return (change + np.pi) % (2 * np.pi) - np.pi if circle else change
 
 

@@ -1,10 +1,10 @@
 """Numbers of a robot from a log: residual accelerations over short windows, weighed as torques, by Gauss–Newton steps.
 
-Positions are smoothed by local polynomials, not themselves but what the model leaves of them: from the positions the
-twice integrated accelerations of the model are subtracted first, and added again afterwards. So a reversal, at which
-friction jumps, is not rounded off, and the curvature of a polynomial is the residual acceleration, averaged over the
-window. Times the inertia matrix it is a residual torque. The derivatives of torques in the numbers, at the model's
-accelerations, are the regressor; noise in measured accelerations is not in it, and so makes no number too small.
+Local polynomials smooth the difference between the positions and the twice integrated accelerations of the model, which
+are added again afterwards. So a reversal, at which friction jumps, is not rounded off. The curvature of a polynomial is
+the residual acceleration, averaged over the window; times the inertia matrix it is a residual torque. The regressor is
+the derivative of the torques in the numbers, at the model's accelerations. It is free of the noise in measured
+accelerations, which would bias the numbers towards zero.
 
 Source: Gautier, Janot & Vandanjon 2013, A New Closed-Loop Output Error Method, IEEE Transactions on Control Systems
 Technology 21(2), and Janot, Vandanjon & Gautier 2014, Robotica 32, on instruments from the model, section 3; Gautier
@@ -46,21 +46,21 @@ from covariant.signals import Record
 FINE = 12
 """Points of the grid in half of the shortest window."""
 MOST_POINTS = 40_000
-"""Largest number of points of the grid of all logs: beyond it the grid is coarser."""
+"""Largest number of grid points of all logs together; the grid is made coarser to keep it."""
 MOST_ROWS = 6_000
 """Largest number of points of the grid at which derivatives are computed."""
 ROUNDS, MORE_ROUNDS = 8, 4
-"""Most rounds with the shortest window, and after another one has been chosen."""
+"""Most rounds with the shortest window, and with the window that is chosen then."""
 CONVERGED = 0.05
 """A step is the last one when it changes no number by more than this fraction of its standard error."""
 LONGEST_STEP = 1.0
-"""Longest step of a coordinate in its usual size."""
+"""Longest step of a coordinate, in units of its usual size."""
 FULL = 0.6
 """Fraction of the usual number of samples that a window must hold to be used."""
 ROUNDING = 1e-10
-"""A value that has come below this fraction of its prior standard deviation is zero but for rounding."""
+"""A value that falls below this fraction of its prior standard deviation is zero up to rounding."""
 STILL, MOSTLY = 8.0, 0.9
-"""A joint that rests for this fraction of so many half windows is held by its friction: the model does not move it."""
+"""A joint that rests for 0.9 of 8 half windows is held by its friction, and the model does not move it."""
 ORDER = 3
 
 
@@ -71,11 +71,11 @@ class RobotFit(NamedTuple):
         names: Names (p,) of the numbers.
         first: First values (p,).
         values: Fitted values (p,).
-        standard_errors: Standard errors (p,), robust to residuals that are alike within a block; NaN for a number that
-            the log does not show by itself, which stays near its first value.
-        determined: Whether the log determines each number (p,) by itself: it shows the number, and can tell it, or else
-            a tenth of its usual size, from zero.
-        combinations: What the log determines of numbers that it cannot tell apart.
+        standard_errors: Standard errors (p,), robust to residuals that are correlated within a block; NaN for a number
+            that the log does not show by itself, which stays near its first value.
+        determined: Whether the log determines each number (p,) by itself: it shows the number, and distinguishes either
+            its value or a tenth of its usual size from zero.
+        combinations: Combinations that the log determines, of numbers that it cannot distinguish.
         torque: Robust standard deviation (n,) of the residual torques [N m or N].
         half: Half width [s] of the windows.
         rounds: Number of Gauss–Newton steps.
@@ -257,7 +257,7 @@ class _Search(NamedTuple):
         return _Point(x, half, tuple(motions))
 
     def _still(self, track: _Track, v: np.ndarray) -> np.ndarray:
-        """Joints (K, n) that friction holds, 1 where it does: at rest for long."""
+        """Joints (K, n) that friction holds because they rest for long, as 1 or 0."""
         box = np.ones(int(STILL * track.half / track.step) + 1)
         rests, rows = (convolved(each, box) for each in ((np.abs(v) < self.resting).astype(float), np.ones_like(v)))
         return (rests > MOSTLY * rows).astype(float)
@@ -283,7 +283,7 @@ class _Search(NamedTuple):
         relative = torque / scale
         loss, weight = robust(relative)
         z = slopes / scale[:, None] * self.sizes
-        # Neighbouring windows overlap: as many rows are independent as half windows fit into the log.
+        # Neighbouring windows overlap, so only one row per half window counts as independent.
         _, numbering = np.unique(blocks, return_inverse=True)
         thinned = min(1.0, BLOCK * (numbering.max() + 1) / len(blocks))
         information, curvature = (
@@ -329,7 +329,7 @@ def _track(record: Record, half: float, circles: tuple[int, ...], total: float) 
 
 
 def _smoothed(track: _Track, half: float, modelled: np.ndarray | None) -> _Path:
-    """Smooth what accelerations along the grid leave of the positions; without them the positions themselves."""
+    """Smooth the positions minus the integrated accelerations `modelled`, or the positions if that is None."""
     t, y, grid, step = track.t, track.y, track.grid, track.step
     if modelled is None:
         modelled = np.zeros((len(grid), y.shape[1]))
@@ -356,18 +356,18 @@ def _hermite(s: np.ndarray, left: np.ndarray, right: np.ndarray, slope_left: np.
 
 
 def _rounded(values: np.ndarray, first: np.ndarray, prior: np.ndarray) -> np.ndarray:
-    """The values, with zero for those that have become zero but for rounding; those that did not move are no such."""
+    """Replace values by zero that have fallen to rounding errors; a small value that did not move stays."""
     size = np.abs(values)
     return np.where((size < ROUNDING * prior) & (size <= np.abs(values - first)), 0.0, values)
 
 
 def _scale(values: np.ndarray) -> float:
-    """Robust standard deviation; 1 where there is nothing."""
+    """Robust standard deviation; 1 without values."""
     return float(max(STD_OF_MEDIAN * np.median(np.abs(values)), 1e-12)) if len(values) else 1.0
 
 
 def _bounded(matrix: np.ndarray, gradient: np.ndarray, least: np.ndarray) -> np.ndarray:
-    """The step that minimises a quadratic function above bounds: those that it would violate are held, one by one."""
+    """The step that minimises a quadratic function above lower bounds; components that violate one are fixed on it."""
     held = np.zeros(len(gradient), bool)
     step = np.zeros(len(gradient))
     for _ in range(len(gradient) + 1):
@@ -387,7 +387,7 @@ def _momentum(model: MechanicalSystem, q: Array, a: Array) -> Array:
 
 
 def _accelerations(model: MechanicalSystem, q: Array, v: Array, u: Array, moving: Array) -> Array:
-    """Accelerations (n,) of the joints that move; the others are held, by whatever torque that takes."""
+    """Accelerations (n,) of the joints that move; constraint torques hold the others."""
     t = jnp.zeros(())
     covector = applied_force(model, t, q, u) + resistance(model, t, q, v, u) - model.space.connection_force(q, v, v)
     held = model.space(q) * moving[:, None] * moving[None, :] + jnp.diag(1.0 - moving)

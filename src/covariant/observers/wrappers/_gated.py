@@ -6,14 +6,14 @@ error that the previous correction left behind, both from the estimate to the me
 
     d = r − e
 
-is what this measurement says that the previous one did not: noise, and the error of the velocity times the step,
-for any gains and any size of the error. It is refused where neither the noise s of a sample nor a velocity
-explains it, `d² > 2(ks)² + (cS dt)²`, with k the deviations of the gate, S the usual speed of the motion and c between
-4 at the start and 2 once smaller ones have been seen. An outlier that passes is no more than a velocity of cS over one
+is the new information of this measurement: noise, and the error of the velocity times the step, for any gains and any
+size of the error. It is refused if neither the noise s of a sample nor a velocity explains it:
+`d² > 2(ks)² + (cS dt)²`. Here k is the deviations of the gate, S is the usual speed of the motion, and c is 4 at the
+start and falls to 2 once smaller d have been seen. An outlier that passes is no more than a velocity of cS over one
 step.
 
 Readings that are refused one after the other and show a credible velocity, of less than cS with c = 4, give the state
-that velocity at the third of them; see `Gate`. Where measurements agree with each other and not with the estimate, as
+that velocity at the third of them; see `Gate`. If measurements agree with each other but not with the estimate, as
 after an observer has lost a spinning body, d stays large: once its square is more than that of a velocity error of 2S
 on average, the estimate is `ASTRAY`.
 
@@ -54,7 +54,7 @@ class GatedState(NamedTuple):
         inner: State of the observer behind the gate.
         t: Time [s] that it belongs to.
         gate: Memory of the gate.
-        slip: Average (n,) of d², relative to that of an estimate which is astray.
+        slip: Average (n,) of d², relative to its threshold for `ASTRAY`.
         last_input: The last finite input (m,).
         dt: Length of the last prediction [s].
 
@@ -77,13 +77,13 @@ class GatedState(NamedTuple):
 
 
 class Gated(AbstractObserver):
-    """An observer whose measurements pass a gate first, and which reports when its velocity is off.
+    """An observer behind a gate for its measurements, which also reports a wrong velocity.
 
     A measurement that is refused counts as missing, and `result` says `OUTLIER`. After `gate.patience` of them in a row
     the estimate starts anew from the measured configuration, and `result` says `RESTARTED`; a velocity that the state
     of the observer holds as `v` is kept, unless it is not credible. Refused readings that show a credible velocity
-    start the estimate anew at once, with that velocity in its `v`. Where the velocity is off by more than twice the
-    usual one, as far as measurements tell, `result` says `ASTRAY`.
+    start the estimate anew at once, with that velocity in its `v`. If the measurements show a velocity error of more
+    than twice the usual velocity, `result` says `ASTRAY`.
 
     Attributes:
         observer: Observer of a mechanical system, or filter of its coordinates. Its state is `state.inner`.
