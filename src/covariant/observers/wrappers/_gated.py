@@ -154,7 +154,7 @@ class Gated(AbstractObserver):
         manifold = self.model.manifold
         present, innovation = ~manifold.missing(y), self.innovation(state, u, y)
         verdict = self._judge(state, innovation, present)
-        # Without a velocity to correct, an estimate follows readings that show one by its ordinary correction.
+        # A state without a velocity follows readings that show one by its ordinary correction.
         outlying = verdict.far if self._holds_velocity(state) else verdict.far & ~verdict.moved
         inner, info = self.observer.correct(state.inner, u, self._without(y, outlying))
         used = present & ~outlying
@@ -164,10 +164,11 @@ class Gated(AbstractObserver):
             verdict = verdict._replace(far=outlying, restart=verdict.restart & ~jnp.any(verdict.moved))
         restart = verdict.restart
         memory = verdict.memory.used(used, manifold.towards(motion.q, y))
-        new, fresh = state._replace(inner=inner, gate=memory, slip=slip), self._restarted(state, motion, verdict, y)
-        # A scale above 1 still holds after a new start; a smaller one would make the gate too narrow.
-        fresh = fresh._replace(gate=fresh.gate._replace(scale=jnp.maximum(memory.scale, 1.0)))
-        new = jax.tree.map(lambda a, b: jnp.where(restart, a, b), fresh, new)
+        new = state._replace(inner=inner, gate=memory, slip=slip)
+        restarted = self._restarted(state, motion, verdict, y)
+        # A restart keeps a scale above 1; a smaller one would make the gate too narrow.
+        restarted = restarted._replace(gate=restarted.gate._replace(scale=jnp.maximum(memory.scale, 1.0)))
+        new = jax.tree.map(lambda a, b: jnp.where(restart, a, b), restarted, new)
         astray = jnp.any(slip > 1).astype(jnp.int32) * int(StepCode.ASTRAY)
         result = jnp.maximum(jnp.maximum(info.result, verdict.result(info.result)), astray)
         return new, info._replace(innovation=innovation, result=result.astype(info.result.dtype))
@@ -182,14 +183,14 @@ class Gated(AbstractObserver):
         return state.slip + jnp.where(used, change, 0.0) / (1 + self.gate.patience)
 
     def _judge(self, state: GatedState, innovation: Vector, present: Bool[Array, "n"]) -> Judged:
-        """The gate's verdict on d: whether noise and velocity explain it; see the head of this file."""
+        """The gate's verdict on whether noise and velocity explain d; see the head of this file."""
         dt, rate = step_length(state), CREDIBLE / self.gate.deviations * self.speed
         expected = 2 * self.noise**2 + (rate * dt) ** 2
-        # An error of the velocity has acted over a gap; readings that were refused do not widen the gate for the next.
+        # A velocity error acts over a gap without readings and widens the gate; refused readings do not widen it.
         least = (2 * self.noise**2 + (rate * (state.gate.idle - dt / 2)) ** 2) / expected
         cov, noise, usual = (self._diagonal(square, innovation) for square in (expected, self.noise**2, self.speed**2))
         predicted = Velocity(self.model.motion(self.observer.estimate(state.inner)).v, usual)
-        # What the last used reading left behind is in d already.
+        # d has the error that the last used reading left subtracted already, so `left` is zero here.
         sample = Sample(innovation - state.gate.left, cov, noise, present)
         memory = state.gate._replace(left=jnp.zeros_like(innovation))
         verdict = self.gate.judge(self.model.manifold, sample, memory, predicted, usual, least)
@@ -199,22 +200,22 @@ class Gated(AbstractObserver):
         return jnp.diag(jnp.broadcast_to(variances, like.shape).astype(like.dtype))
 
     def _without(self, y: Array, outlying: Bool[Array, "n"]) -> Array:
-        """The measurement with NaN for what is refused; one that is not in coordinates is missing as a whole."""
+        """The measurement with NaN in refused entries, or in all entries of one that is not in coordinates."""
         return jnp.where(outlying if self.model.manifold.commuting else jnp.any(outlying), jnp.nan, y)
 
     def _holds_velocity(self, state: GatedState) -> bool:
         return "v" in state.inner._fields
 
     def _restarted(self, state: GatedState, motion: Motion, verdict: Judged, y: Array) -> GatedState:
-        """The state at the measured configuration, with the velocity of the verdict where that is credible."""
+        """The state at the measured configuration, with the velocity of the verdict if that is credible."""
         manifold = self.model.manifold
         q = start(manifold, motion.q, manifold.towards(motion.q, y), y, verdict.anew)
-        fresh = self.init(q, state.t)._replace(last_input=state.last_input, dt=state.dt)
+        restarted = self.init(q, state.t)._replace(last_input=state.last_input, dt=state.dt)
         if not self._holds_velocity(state):
-            return fresh
+            return restarted
         v = verdict.velocity.mean
         credible = jnp.all(jnp.abs(v) <= CREDIBLE * self.speed)
-        return fresh._replace(inner=fresh.inner._replace(v=jnp.where(credible, v, 0.0)))
+        return restarted._replace(inner=restarted.inner._replace(v=jnp.where(credible, v, 0.0)))
 
 
 def without_last_input(state: Any) -> Any:
