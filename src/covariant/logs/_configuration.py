@@ -1,7 +1,7 @@
 """Measured configurations as columns and as arrays: coordinates unchanged, attitudes and poses as matrices.
 
-For a configuration of several kinds, each row (m,) of `y` is the block-diagonal matrix of a body and its wheels,
-flattened row by row, followed by the matrices of ball joints and by the coordinates.
+If a configuration has parts of several kinds, each row (m,) of `y` is the block-diagonal matrix of a body and its
+wheels, flattened row by row, followed by the matrices of ball joints and by the coordinates.
 """
 
 from typing import NamedTuple
@@ -54,22 +54,22 @@ def bodies(columns: Columns) -> tuple[Body, ...]:
 
     Returns:
         First the body with an attitude or a position, then a wheel for each angle, then a ball joint for each further
-        attitude; empty where the configuration has coordinates only.
+        attitude; empty if the configuration has coordinates only.
 
     Raises:
-        LogError: The columns make no configuration.
+        LogError: The columns do not form a configuration.
 
     Example:
         >>> from covariant import logs
         >>> [body.rotation for body in logs.bodies(logs.Columns(angle=("left", "right")))]
         [('left',), ('right',)]
     """
-    together, balls = _bodies(columns)
-    return together + balls
+    together, ball_joints = _bodies(columns)
+    return together + ball_joints
 
 
 def _bodies(columns: Columns) -> tuple[tuple[Body, ...], tuple[Body, ...]]:
-    """Bodies of one block-diagonal matrix, and ball joints, each with a matrix of its own."""
+    """Bodies that share one block-diagonal matrix, and ball joints, which have separate matrices."""
     attitudes = [kind for kind in ATTITUDES if getattr(columns, kind)]
     if len(attitudes) > 1:
         raise LogError(f"{' and '.join(attitudes)} both give the attitude; keep one")
@@ -78,24 +78,24 @@ def _bodies(columns: Columns) -> tuple[tuple[Body, ...], tuple[Body, ...]]:
     needed = ATTITUDES.get(kind, 1)
     each = [names[i : i + needed] for i in range(0, len(names), needed)] or [()]
     first = (Body(kind, each[0], columns.position),) if attitudes or columns.position else ()
-    balls = tuple(Body(kind, rotation) for rotation in each[1:])
-    if any(len(body.rotation) != needed or len(body.position) not in (0, body.space) for body in first + balls):
+    ball_joints = tuple(Body(kind, rotation) for rotation in each[1:])
+    if any(len(body.rotation) != needed or len(body.position) not in (0, body.space) for body in first + ball_joints):
         raise LogError(
             f"position ({', '.join(columns.position) or 'none'}) and {kind} ({', '.join(names) or 'none'}) make no "
             "pose; three names go with a quaternion of 4 or a matrix of 9 columns, two with an angle"
         )
     # Without an attitude the first angle is the heading of a body in the plane.
     wheels = columns.angle[1:] if first and not attitudes else columns.angle
-    return (*first, *(Body("angle", (name,)) for name in wheels)), balls
+    return (*first, *(Body("angle", (name,)) for name in wheels)), ball_joints
 
 
 def from_cells(name: str, columns: Columns, cells: Float[np.ndarray, "T k"]) -> np.ndarray:
     """Configurations from the cells of their columns."""
-    together, balls = _bodies(columns)
+    together, ball_joints = _bodies(columns)
     if not together:
         return cells
     named = dict(zip(columns.measured, cells.T, strict=True))
-    groups = [together, *((ball,) for ball in balls)]
+    groups = [together, *((ball,) for ball in ball_joints)]
     parts = [_from_named(name, group, named) for group in groups]
     if len(parts) == 1 and not columns.q:
         return parts[0]
@@ -107,7 +107,7 @@ def _from_named(name: str, parts: tuple[Body, ...], named: dict[str, np.ndarray]
     order = sum(body.order for body in parts)
     cells = np.stack([named[name] for body in parts for name in (*body.rotation, *body.position)], axis=1)
     y = np.full((len(cells), order, order), np.nan)
-    # A pose with one empty cell is no pose: all of it is missing.
+    # A pose with an empty cell counts as missing as a whole.
     present = np.isfinite(cells).all(axis=1)
     named = {name: column[present] for name, column in named.items()}
     y[present] = 0.0
@@ -115,7 +115,7 @@ def _from_named(name: str, parts: tuple[Body, ...], named: dict[str, np.ndarray]
         rotation = np.stack([named[name] for name in body.rotation], axis=1)
         _check(name, body, rotation, np.flatnonzero(present) + 1)
         turn, end = slice(corner, corner + body.space), corner + body.space
-        y[present, turn, turn] = KINDS[body.kind].matrices(rotation)  # after the check, so rounding only is removed
+        y[present, turn, turn] = KINDS[body.kind].matrices(rotation)  # after the check, so this removes rounding only
         if body.position:
             y[present, turn, end] = np.stack([named[name] for name in body.position], axis=1)
             y[present, end, end] = 1.0
@@ -130,8 +130,8 @@ def to_columns(columns: Columns, y: np.ndarray) -> dict[str, np.ndarray]:
         y: Configurations (T, n), (T, N, N) or (T, m); NaN stays.
 
     Returns:
-        Arrays (T,) in the order of `columns.measured`. Quaternions are without jumps of sign, and angles without jumps
-        of a whole turn.
+        Arrays (T,) in the order of `columns.measured`. Quaternions have no jumps of sign, and angles no jumps by a
+        whole turn.
 
     Example:
         >>> import numpy as np
@@ -149,7 +149,7 @@ def to_columns(columns: Columns, y: np.ndarray) -> dict[str, np.ndarray]:
         cells = np.full((len(g), len(body.rotation)), np.nan)
         cells[present] = KINDS[body.kind].cells(g[present, : body.space, : body.space])
         named |= dict(zip(body.rotation, cells.T, strict=True))
-        # A body without a position has no names here, and zip ends at once.
+        # A body without a position has no names here, so zip yields nothing.
         named |= dict(zip(body.position, g[:, : body.space, -1].T, strict=False))
     return {name: named[name] for name in columns.measured}
 
@@ -171,24 +171,24 @@ def matrices(columns: Columns, y: np.ndarray) -> list[np.ndarray]:
         >>> [wheel.shape for wheel in logs.matrices(columns, np.eye(4)[None])]
         [(1, 2, 2), (1, 2, 2)]
     """
-    parts, balls = _bodies(columns)
+    parts, ball_joints = _bodies(columns)
     order, y = sum(body.order for body in parts), np.asarray(y)
     flat = y.reshape(len(y), -1)
     together = flat[:, : order**2].reshape(-1, order, order)
     spans = [slice(corner, corner + body.order) for body, corner in zip(parts, _corners(parts), strict=True)]
-    after = [flat[:, order**2 + 9 * i : order**2 + 9 * (i + 1)].reshape(-1, 3, 3) for i in range(len(balls))]
+    after = [flat[:, order**2 + 9 * i : order**2 + 9 * (i + 1)].reshape(-1, 3, 3) for i in range(len(ball_joints))]
     return [together[:, span, span] for span in spans] + after
 
 
 def coordinates(columns: Columns, y: np.ndarray) -> Float[np.ndarray, "T n"]:
-    """Coordinates in configurations: all entries where there are no bodies, otherwise the last ones.
+    """Coordinates in configurations: all entries if there are no bodies, otherwise the last ones.
 
     Args:
         columns: Names of the columns.
         y: Configurations (T, n), (T, N, N) or (T, m).
 
     Returns:
-        Coordinates (T, n); (T, 0) where `columns.q` is empty.
+        Coordinates (T, n); (T, 0) if `columns.q` is empty.
 
     Example:
         >>> import numpy as np
