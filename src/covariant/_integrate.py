@@ -1,7 +1,7 @@
 """Numerical integration by Runge–Kutta methods with fixed steps.
 
-The stages of a step run in a loop, so that the vector field is compiled once: half a second against several where the
-program contains it fourteen times. Programs are compiled more often here than they run for long.
+The stages of a step run in a loop, so that the vector field is compiled once. This takes half a second, against several
+seconds if the program contains it fourteen times. Here programs are compiled often, and few run for long.
 """
 
 import functools
@@ -41,7 +41,7 @@ def compiled(function: Callable) -> Callable:
 
 
 def _as_array(leaf: Any) -> Any:
-    # A Python float would be a constant of the program, which each new number would compile again.
+    # A Python float would be a constant of the program, and each new number would compile it again.
     return jnp.asarray(leaf) if isinstance(leaf, float | np.ndarray) else leaf
 
 
@@ -49,7 +49,7 @@ def rk4_step(flow: Flow, t, x, dt):
     """One classical Runge–Kutta step of fourth order."""
 
     real = jax.tree.leaves(x)[0].dtype
-    # The slope before the first stage is zero and unused, as `ahead` is 0 there: four stages are one loop.
+    # The first stage gets a zero slope, unused since `ahead` is 0 there, so that all four stages are one loop.
     ahead, weight = jnp.array([0.0, 0.5, 0.5, 1.0], real), jnp.array([1 / 6, 1 / 3, 1 / 3, 1 / 6], real)
 
     def stage(i, carry):
@@ -64,7 +64,7 @@ def rk4_step(flow: Flow, t, x, dt):
 def rk4(flow: Flow, t, x, dt, steps):
     """Advance a state by classical Runge–Kutta steps of fourth order."""
     real = jax.tree.leaves(x)[0].dtype
-    # A traced integer would not divide a real number where promotion of types is strict.
+    # With strict type promotion, a traced integer cannot divide a real number.
     h = dt / jnp.asarray(steps, real)
     once = jax.jit(flow)  # traced once, not at each of the four slopes
     return jax.lax.fori_loop(0, steps, lambda i, y: rk4_step(once, t + jnp.asarray(i, real) * h, y, h), x)
@@ -89,7 +89,7 @@ def rk8(flow: Flow, t, x, dt, steps: int = 1):
 @functools.cache
 def dormand_prince() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Coefficients of Dormand and Prince's eighth-order method."""
-    import diffrax  # a quarter of a second, which only work offline has to wait
+    import diffrax  # imported here, since only offline work needs this quarter of a second
 
     tableau = diffrax.Dopri8.tableau
     # The last stage is the slope at the end of the step, for the error estimate alone: its weight here is zero.
@@ -99,5 +99,5 @@ def dormand_prince() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def flat(flow: Flow, unravel: Callable[[Array], Any]) -> Callable[[Any, Array], Array]:
-    """Vector field of the state as one array, traced once by all that transforms it: most of the compile time."""
+    """Vector field of the state as one array, traced only once, since tracing takes most of the compile time."""
     return jax.jit(lambda t, x: jax.flatten_util.ravel_pytree(flow(t, unravel(x)))[0])

@@ -1,7 +1,6 @@
 """Models, observers and closed loops as `control.NonlinearIOSystem` of the python-control package.
 
-Such a system takes and returns plain vectors, so a state that is a pytree, as that of an observer, is flattened into
-one vector.
+Such a system takes and returns plain vectors, so the state of an observer, a pytree, is flattened into one vector.
 """
 
 from typing import Any
@@ -37,7 +36,7 @@ def plant(model: StateSpace, name: str = "plant") -> Any:
         ...     assert codegen.plant(model).state_labels == ["q", "v"]
     """
     return _system(
-        # Functions around those of the model: a model whose parameters are a dictionary has no hash.
+        # Lambdas, since `jax.jit` hashes a bound function, and a model whose parameters are a dictionary has no hash.
         jax.jit(lambda t, x, u: model.f(t, x, u)),
         jax.jit(lambda t, x, u: model.h(t, x, u)),
         inputs=_inputs(model.inputs),
@@ -54,7 +53,7 @@ def observer_system(
 
     Args:
         observer: The observer.
-        model: Its model, which gives the names of the signals.
+        model: Model of the observer, which gives the names of the signals.
         y0: First measurement.
         t0: Its time [s].
         name: Name of the system, and prefix of its outputs.
@@ -142,21 +141,22 @@ def closed_loop(
     start, unravel = jax.flatten_util.ravel_pytree(continuous(observer.init(jnp.asarray(y0, float), t0)))
     n, zero = len(model.coordinates), jnp.zeros(model.inputs)
 
-    def parts(t, joint):
-        x, state = joint[:n], unravel(joint[n:])
-        # The controller needs y for u: an output that depended on u would be an algebraic loop.
+    def evaluate(t, stacked):
+        x, state = stacked[:n], unravel(stacked[n:])
+        # The controller computes u from y, so y is evaluated at u = 0: an output that depended on u would close an
+        # algebraic loop.
         y = model.h(t, x, zero)
         estimate = observer.estimate(state)
         return x, state, y, estimate, controller(t, y, estimate)
 
     @jax.jit
-    def update(t, joint, _):
-        x, state, y, _, u = parts(t, joint)
+    def update(t, stacked, _):
+        x, state, y, _, u = evaluate(t, stacked)
         return jnp.concatenate([model.f(t, x, u), jax.flatten_util.ravel_pytree(observer.flow(t, state, u, y))[0]])
 
     @jax.jit
-    def output(t, joint, _):
-        x, _, _, estimate, u = parts(t, joint)
+    def output(t, stacked, _):
+        x, _, _, estimate, u = evaluate(t, stacked)
         return jnp.concatenate([x, jnp.ravel(estimate), u])
 
     names = model.coordinates
@@ -179,7 +179,7 @@ def _inputs(count: int) -> list[str]:
 def _system(update, output, **named) -> Any:
     package = load_optional("control", use="such a system needs the package", extra="control")
 
-    def numpy(function):
+    def with_numpy(function):
         return lambda t, x, u, params: np.asarray(function(jnp.asarray(t, float), jnp.asarray(x), jnp.asarray(u)))
 
-    return package.NonlinearIOSystem(numpy(update), numpy(output), **named)
+    return package.NonlinearIOSystem(with_numpy(update), with_numpy(output), **named)

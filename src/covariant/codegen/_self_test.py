@@ -1,4 +1,4 @@
-"""The self-test of an exported observer: a program that follows the test vectors and compares."""
+"""The self-test of an exported observer: a program that runs the test vectors and compares the results."""
 
 import numpy as np
 
@@ -15,7 +15,7 @@ def write_test(program: Program, words: Words, vectors: Vectors) -> str:
     It prints the largest deviation as a fraction of the allowed one, and returns 0 where that is at most 1 and all
     outcomes are as expected.
     """
-    shown = [e for leaf in program.output for e in entries("output.", leaf)]
+    outputs = [e for leaf in program.output for e in entries("output.", leaf)]
 
     def row(values: np.ndarray) -> str:
         # C has no array of zero numbers.
@@ -29,9 +29,9 @@ def write_test(program: Program, words: Words, vectors: Vectors) -> str:
         ]
 
     missing = ",\n".join(f"    {{{', '.join(map(str, each))}}}" for each in vectors.missing.astype(int).tolist())
-    own = {
+    placeholders = {
         "ROWS": len(vectors.y),
-        "NUMBERS": len(shown),
+        "NUMBERS": len(outputs),
         "ZERO": c_number(0.0, program.real),
         "START": row(vectors.start),
         "STEPS": row(vectors.dt),
@@ -39,9 +39,10 @@ def write_test(program: Program, words: Words, vectors: Vectors) -> str:
         "MEASURED_ROWS": table("measured", vectors.y),
         "MISSING": [missing],
         "EXPECTED": table("expected", vectors.expected),
-        # A multiple, since a compiler may fuse products and sums, and so round differently from all of these runs.
+        # Allowed deviations are a multiple of those seen, since a compiler may fuse products and sums and round
+        # otherwise.
         "ALLOWED": table("allowed", vectors.allowed),
         "OUTCOMES": ", ".join(map(str, vectors.result.tolist())),
-        "READ": [f"        found[{i}] = {e};" for i, e in enumerate(shown)],
+        "READ": [f"        found[{i}] = {e};" for i, e in enumerate(outputs)],
     }
-    return fill("codegen", "self_test.c", words | own)
+    return fill("codegen", "self_test.c", words | placeholders)

@@ -15,23 +15,23 @@ from covariant.logs._columns import LogError
 VERSION = 8
 """Version of the layout of a rosbag2; ROS reads it since 2023."""
 JOINTS, POSE, VALUES = "/joint_states", "/pose", "/values"
-"""Topics of joints, of a pose, and of the numbers that are neither, as positions of joints of their names."""
+"""Topics of joints, of a pose, and of all other columns, which are written as positions of joints of the same name."""
 
 
 def write_bag(path: Path, columns: Mapping[str, np.ndarray], origin_ns: int | None) -> None:
     """Write columns as ROS messages, to an MCAP file or the folder of a rosbag2."""
     (_, stamps), *others = columns.items()
-    # Integers of Python, since nanoseconds since 1970 need more than the 53 bits of a float.
+    # Python integers, because nanoseconds since 1970 need more than the 53 bits of a float.
     ns = np.array([round(t * 1e9) for t in stamps.tolist()], dtype=object) + (origin_ns or 0)
-    # builtin_interfaces/Time has the seconds in 32 bits with a sign.
+    # builtin_interfaces/Time stores seconds as a signed 32-bit integer.
     if not 0 <= ns.min() <= ns.max() < 2**31 * 10**9:
         raise LogError(f"{path}: ROS counts seconds from 0 to 2147483647; these go from {ns.min()} to {ns.max()} ns")
     rosbag2 = load_optional("rosbags.rosbag2", use="writing messages of ROS needs", extra="ros")
     types = load_optional("rosbags.typesys", use="writing messages of ROS needs", extra="ros")
     known = types.get_typestore(types.Stores.ROS2_HUMBLE)
     storage = rosbag2.StoragePlugin.MCAP if path.suffix.lower() == ".mcap" else rosbag2.StoragePlugin.SQLITE3
-    with temporary(path, Path.mkdir) as fresh:
-        bag = fresh / path.stem
+    with temporary(path, Path.mkdir) as temporary_folder:
+        bag = temporary_folder / path.stem
         with rosbag2.Writer(bag, version=VERSION, storage_plugin=storage) as writer:
             topics = [
                 (writer.add_connection(topic, kind, typestore=known), messages)
@@ -42,15 +42,15 @@ def write_bag(path: Path, columns: Mapping[str, np.ndarray], origin_ns: int | No
                 header = known.types["std_msgs/msg/Header"](stamp, "")
                 for connection, message in topics:
                     writer.write(connection, now, known.serialize_cdr(message(header, k), connection.msgtype))
-        # A bag in MCAP is a folder too: of metadata and one file, which is all that a log needs.
+        # The writer makes a folder for MCAP too, with metadata and one .mcap file; a log needs only this file.
         os.replace(bag / f"{bag.name}.mcap" if path.suffix.lower() == ".mcap" else bag, path)
 
 
 def _topics(types: Mapping[str, Any], columns: dict[str, np.ndarray]) -> Iterator[tuple[str, str, Any]]:
-    """Topic, type, and `message(header, row)` of each topic that the columns make."""
+    """Yield topic, message type and function `message(header, row)` of each topic that the columns fill."""
     fields = {name: name.rpartition("/")[::2] for name in columns}
     joints = dict.fromkeys(joint for joint, field in fields.values() if joint and field in FIELDS)
-    inside = {
+    joint_columns = {
         (joint, field): columns[name]
         for joint in joints
         for field in FIELDS
@@ -58,23 +58,23 @@ def _topics(types: Mapping[str, Any], columns: dict[str, np.ndarray]) -> Iterato
         if name in columns
     }
     state, pose = "sensor_msgs/msg/JointState", (*POSITION, *QUATERNION)
-    if inside:
-        yield JOINTS, state, _joint_states(types[state], list(joints), inside)
-    posed = pose if set(pose) <= columns.keys() else ()
-    if posed:
+    if joint_columns:
+        yield JOINTS, state, _joint_states(types[state], list(joints), joint_columns)
+    pose_columns = pose if set(pose) <= columns.keys() else ()
+    if pose_columns:
         kind = "geometry_msgs/msg/PoseStamped"
         yield POSE, kind, _poses(types, types[kind], [columns[name] for name in pose])
-    used = {name for name in columns if name in joints or fields[name] in inside} | set(posed)
+    used = {name for name in columns if name in joints or fields[name] in joint_columns} | set(pose_columns)
     rest = [name for name in columns if name not in used]
     if rest:
         yield VALUES, state, _joint_states(types[state], rest, {(name, "position"): columns[name] for name in rest})
 
 
-def _joint_states(make: Any, names: list[str], inside: Mapping[tuple[str, str], np.ndarray]) -> Any:
-    empty = np.full(len(next(iter(inside.values()))), np.nan)
-    used = {field for _, field in inside}
+def _joint_states(make: Any, names: list[str], joint_columns: Mapping[tuple[str, str], np.ndarray]) -> Any:
+    empty = np.full(len(next(iter(joint_columns.values()))), np.nan)
+    used = {field for _, field in joint_columns}
     rows = [
-        np.column_stack([inside.get((name, field), empty) for name in names]) if field in used else None
+        np.column_stack([joint_columns.get((name, field), empty) for name in names]) if field in used else None
         for field in FIELDS
     ]
     return lambda header, k: make(header, names, *(np.zeros(0) if cells is None else cells[k] for cells in rows))

@@ -32,7 +32,7 @@ class Stamps(NamedTuple):
 def stamps(where: str, column: Any, given: str | None) -> Stamps:
     """Read the stamps in a column of numbers, of dates as 2024-05-01T12:00:00.25Z, or of Arrow's timestamps.
 
-    Dates, and times since 1970, count from the first of them, and none of their digits is lost.
+    Dates, and times since 1970, are counted from the first one, without loss of digits.
 
     Args:
         where: Log and column, the beginning of error messages.
@@ -43,7 +43,7 @@ def stamps(where: str, column: Any, given: str | None) -> Stamps:
         The stamps.
 
     Raises:
-        LogError: Names the first cell that is no stamp.
+        LogError: A cell is not a stamp; the message names the first one.
     """
     pa = pyarrow()
     if dated(column):
@@ -61,9 +61,9 @@ def stamps(where: str, column: Any, given: str | None) -> Stamps:
             check_rounding(values.astype(column.type.to_pandas_dtype()))
         except ValueError as error:
             raise LogError(f"{where}: {error}") from error
-    late = np.abs(values) * factor > LATEST_STAMP
-    if late.any():
-        row = int(late.argmax())
+    too_late = np.abs(values) * factor > LATEST_STAMP
+    if too_late.any():
+        row = int(too_late.argmax())
         unit = next((unit for unit in ("ms", "us") if abs(values[row]) * unit_factor(unit) < LATEST_STAMP), "ns")
         raise LogError(
             f"{where}, row {row + 1}: found {column[row].as_py()}, which in {given or 's'} is after the year 2200; "
@@ -71,13 +71,13 @@ def stamps(where: str, column: Any, given: str | None) -> Stamps:
         )
     if not len(values) or abs(values[0] * factor) < LATEST:
         return Stamps(values if factor == 1.0 else values * factor, None)
-    first, later = _since_first(pa, column, values)
-    # A fraction times a whole number of nanoseconds is exact.
-    return Stamps(later * factor, round(first * round(factor * 1e9)))
+    first, since_first = _since_first(pa, column, values)
+    # The product of a fraction and a whole number of nanoseconds is exact.
+    return Stamps(since_first * factor, round(first * round(factor * 1e9)))
 
 
 def _since_first(pa: Any, column: Any, values: np.ndarray) -> tuple[Fraction, np.ndarray]:
-    """The first number, and all of them since the first, subtracted as they are written: a float has 16 digits."""
+    """The first number, and all numbers minus the first, exactly if possible, since a float has 16 digits."""
     # int64 holds nanoseconds since 1970; decimals have 18 digits before the point, enough for microseconds.
     for exact in (pa.int64(), pa.decimal128(30, 12)):
         try:
@@ -85,8 +85,8 @@ def _since_first(pa: Any, column: Any, values: np.ndarray) -> tuple[Fraction, np
             digits = plain.cast(exact)
         except (pa.ArrowInvalid, pa.ArrowNotImplementedError):
             continue
-        later = pa.compute.subtract(digits, digits[0]).cast(pa.float64(), safe=False)
-        return Fraction(digits[0].as_py()), later.to_numpy()
+        since_first = pa.compute.subtract(digits, digits[0]).cast(pa.float64(), safe=False)
+        return Fraction(digits[0].as_py()), since_first.to_numpy()
     return Fraction(float(values[0])), values - values[0]
 
 
@@ -109,7 +109,7 @@ def _need_no_unit(where: str, unit: str | None, what: str) -> None:
 
 
 def _dates(pa: Any, where: str, column: Any) -> np.ndarray:
-    """Nanoseconds since 1970 (T,); a date without a zone is taken for UTC."""
+    """Nanoseconds since 1970 (T,); a date without a zone is read as UTC."""
     if pa.types.is_string(column.type):
         plain = pa.compute.utf8_trim_whitespace(column)
         # ISO 8601 also allows a comma before the fraction of a second; Arrow reads a point only.

@@ -8,7 +8,7 @@ from covariant._numbers import DECIMAL
 
 
 class _Unit(NamedTuple):
-    """A unit: its size in s, rad, m, kg, A, and the exponents of these; None for a bare number, which fits any."""
+    """A unit: factor and exponents of s, rad, m, kg and A; exponents None for a bare number, which fits any unit."""
 
     factor: float
     exponents: tuple[int, ...] | None
@@ -46,8 +46,8 @@ _FACTOR = re.compile(rf"(?P<number>{DECIMAL})|(?P<symbol>[^\W\d_²³]+|°)(?P<po
 
 
 def _unit(text: str) -> _Unit:
-    """Parse a unit: factors are multiplied, and one after a stroke divides; raises `ValueError`."""
-    size, exponents, named, rest, sign = 1.0, [0] * 5, False, text.strip(), 1
+    """Parse a unit: factors are multiplied, and one after a slash divides; raises `ValueError`."""
+    size, exponents, has_symbol, rest, sign = 1.0, [0] * 5, False, text.strip(), 1
     while rest or sign < 0 or not text.strip():
         match = _FACTOR.match(rest)
         part = None if match is None else _part(match)
@@ -56,21 +56,21 @@ def _unit(text: str) -> _Unit:
                 f"unit {text!r} is not understood at {rest[:12]!r}; write it as in ms, us, deg, deg/s, mm, mN m, "
                 "turn/4096 for ticks of a 4096th of a turn, or -1 N m for the other sign"
             )
-        # A stroke divides by the next factor only. Zero becomes infinity here, so that dividing by it is refused below.
+        # A slash divides by the next factor only. A zero divisor becomes infinity, so that the check below refuses it.
         size *= part.factor if sign > 0 else 1 / (part.factor or math.inf)
         if part.exponents is not None:
-            named = True
+            has_symbol = True
             exponents = [e + sign * more for e, more in zip(exponents, part.exponents, strict=True)]
         rest, sign = rest[match.end() :].strip(), 1
         if rest[:1] in ("/", "*", "·"):
             sign, rest = -1 if rest[0] == "/" else 1, rest[1:].strip()
     if not size or not math.isfinite(size):
         raise ValueError(f"unit {text!r} is {size:g}; a unit must be a finite number other than zero")
-    return _Unit(size, tuple(exponents) if named else None)
+    return _Unit(size, tuple(exponents) if has_symbol else None)
 
 
 def _part(match: re.Match[str]) -> _Unit | None:
-    """The unit that one factor of a text stands for; None where no unit is called so."""
+    """The unit of one factor of a text; None if no unit has this name."""
     if match["number"]:
         return _Unit(float(match["number"]), None)
     name, power = match["symbol"], _POWERS[(match["power"] or "").removeprefix("^")]
@@ -95,7 +95,7 @@ def unit_factor(text: str) -> float:
         The factor, finite and not zero.
 
     Raises:
-        ValueError: The text is no unit; the message is one line that quotes it.
+        ValueError: The text is not a unit; the message is one line that quotes it.
 
     Example:
         >>> from covariant.logs import unit_factor
@@ -108,14 +108,14 @@ def unit_factor(text: str) -> float:
 def check_unit(text: str, wanted: str) -> None:
     """Check that a unit measures the same kind of quantity as another.
 
-    A bare number fits, and so does anything where the other unit is unknown.
+    A bare number always fits, and every unit fits if `wanted` is unknown.
 
     Args:
         text: The unit.
         wanted: A unit of the kind that is needed.
 
     Raises:
-        ValueError: The text is no unit, or one of another kind.
+        ValueError: The text is not a unit, or the unit is of another kind.
 
     Example:
         >>> from covariant.logs import check_unit

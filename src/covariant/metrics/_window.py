@@ -22,7 +22,7 @@ from covariant.metrics._equation import Equation, check_state, coefficients, mod
 from covariant.models import StateSpace
 
 MARGIN = 10.0
-"""Largest ratio assumed of the metric before the window to that of the window, where Q gives no bound."""
+"""Largest assumed ratio of the metric before the window to that of the window, if Q gives no bound."""
 
 
 class Window(NamedTuple):
@@ -34,7 +34,7 @@ class Window(NamedTuple):
         x: state (n,) at its beginning.
         transition: Φ (n, n).
         information: W (n, n).
-        spread: V (n, n), or None where the equation has no Q and V is zero.
+        spread: V (n, n); None if the equation has no Q, so that V is zero.
 
     Example:
         A window without length leaves a metric unchanged:
@@ -60,7 +60,7 @@ class Window(NamedTuple):
         Returns:
             Matrix (n, n).
         """
-        return self.information + self._carried(start)
+        return self.information + self._propagate(start)
 
     def error_bound(self, start: Number | Matrix) -> Scalar:
         """Bound on the affine-invariant distance between the metrics that the unknown past permits.
@@ -72,33 +72,34 @@ class Window(NamedTuple):
             start: metric at the beginning of the window, a matrix (n, n) or a multiple of I.
 
         Returns:
-            The bound, a scalar; NaN where the window is too short.
+            The bound, a scalar; NaN if the window is too short.
         """
         known = jnp.all(pivots(self.information) > 0)
         if self.spread is None:
-            # Without Q nothing bounds π: it is assumed to be at most `MARGIN` times W, or `start` where that is more.
+            # Without Q nothing bounds π, so it is assumed to be at most `MARGIN` times W, or at most `start` if that is
+            # more.
             before = MARGIN * self.transition.T @ self.information @ self.transition
-            most = jnp.maximum(self._share(before), self._share(self._carried(start)))
+            most = jnp.maximum(self._distance_bound(before), self._distance_bound(self._propagate(start)))
         else:
             # Where Q is singular, V becomes positive as the window grows; until then it gives no bound.
             known = known & jnp.all(pivots(self.spread) > 0)
             # (π⁻¹ + V)⁻¹ ≤ V⁻¹ for every π, so this bounds what any past can add to W.
-            most = self._share(self.transition.T @ solve(self.spread, self.transition))
+            most = self._distance_bound(self.transition.T @ solve(self.spread, self.transition))
         return jnp.where(known, most, jnp.nan)
 
-    def _share(self, more: Matrix) -> Scalar:
-        """Bound on the distance from W to W + more: it is sqrt(Σ log²(1 + μ)) ≤ Σ μ, μ the eigenvalues of W⁻¹ more."""
+    def _distance_bound(self, addition: Matrix) -> Scalar:
+        """Bound Σ μ on the distance √(Σ log²(1 + μ)) from W to W + addition, with μ the eigenvalues of W⁻¹ addition."""
         # log(1 + μ) ≤ μ for μ ≥ 0, and the root of a sum of squares is at most the sum.
-        return jnp.trace(solve(self.information, more))
+        return jnp.trace(solve(self.information, addition))
 
-    def _carried(self, start: Number | Matrix) -> Matrix:
+    def _propagate(self, start: Number | Matrix) -> Matrix:
         eye = jnp.eye(self.x.shape[0], dtype=self.x.dtype)
         # With π = L Lᵀ: (π⁻¹ + V)⁻¹ = L (I + Lᵀ V L)⁻¹ Lᵀ, which needs no inverse of π and stays positive definite.
         half = jnp.sqrt(start) * eye if jnp.ndim(start) == 0 else cholesky(jnp.asarray(start))
-        carried = half.T @ self.transition
+        half_propagated = half.T @ self.transition
         if self.spread is None:
-            return carried.T @ carried
-        return carried.T @ solve(eye + half.T @ self.spread @ half, carried)
+            return half_propagated.T @ half_propagated
+        return half_propagated.T @ solve(eye + half.T @ self.spread @ half, half_propagated)
 
 
 def window_at(
@@ -123,7 +124,7 @@ def window_at(
         The window.
 
     Raises:
-        ValueError: where the length of x is not the number of states of the model.
+        ValueError: The length of x is not the number of states of the model.
 
     Example:
         For x' = −x, y = x and λ = 3 the solution is P = 1, for any metric 20 s ago:
@@ -151,7 +152,7 @@ def backward(model: StateSpace, equation: Equation, u: Array | None, dtype):
         output = _times(c, phi)
         propagated = _times(a, phi)
         if q is None or v is None:
-            # The beginning moves back in time: hence −f and −f_x, while information only accumulates.
+            # The beginning moves back in time, hence −f and −f_x; information only accumulates.
             return Window(-model.f(t0, x, input_held), -propagated, _times(output.T, output), None)
         correlation = _times(v, c.T)
         drift = _times(a, v)

@@ -28,13 +28,13 @@ class StateSpace(Functional):
     Attributes:
         f: State derivative `(t, x, u) -> (n,)` of the time t [s], the state x (n,) and the input u (m,).
         h: Output `(t, x, u) -> (p,)`.
-        coordinates: Names of the states; where given, both functions are checked at once.
+        coordinates: Names of the states. If they are given, the constructor checks the shapes of f and h.
         units: Units of the states.
-        outputs: Names of the outputs; y1, y2, … by default where coordinates are given.
+        outputs: Names of the outputs; y1, y2, … by default if coordinates are given.
         inputs: Number of inputs m; 0 by default.
         circles: Indices of outputs that are angles on a full circle [rad]; errors in them are wrapped to ±π.
         box: Lower and upper bound of each state within which the model is valid, for designs that need one.
-        parameters: A `Parameter` for each name, as documentation.
+        parameters: `Parameter` objects by name, which document the model.
 
     Raises:
         ValueError: A function has the wrong shape, or the names, units or box do not fit the state.
@@ -155,7 +155,7 @@ def state_space(model: MechanicalSystem) -> StateSpace:
             η; or a `StateSpace`, which is returned unchanged.
 
     Returns:
-        The state-space model, with the names, units, circles and parameters of the given one.
+        The state-space model, with the names, units, circles and parameters of `model`.
 
     Example:
         >>> from covariant import models
@@ -194,25 +194,25 @@ def _position(t: Scalar, x: Float[Array, "two_n"], u: Float[Array, "m"]) -> Vect
 
 
 def _check(model: StateSpace, box: Sequence[tuple[Any, Any]]) -> int:
-    """The number of outputs; raises `ValueError` for the first thing that does not fit the n coordinates."""
+    """Check shapes, circles, units and box against the n coordinates, and return the number of outputs."""
     n = len(model.coordinates)
     t, x, u = (jax.ShapeDtypeStruct(shape, jnp.float64) for shape in ((), (n,), (model.inputs,)))
-    arguments, whom = f"{n} states and {model.inputs} inputs", f"{n} states"
-    check_shapes((("f", model.f, (t, x, u), (n,)),), arguments, whom)
+    arguments_text, states_text = f"{n} states and {model.inputs} inputs", f"{n} states"
+    check_shapes((("f", model.f, (t, x, u), (n,)),), arguments_text, states_text)
     count = len(model.outputs)
     if not count:
         shape = getattr(jax.eval_shape(model.h, t, x, u), "shape", None)
         if shape is None or len(shape) != 1 or not shape[0]:
             raise ValueError(f"h must return a vector of outputs (p,), p ≥ 1; it returned {shape}")
         count = shape[0]
-    check_shapes((("h", model.h, (t, x, u), (count,)),), arguments, f"{count} outputs")
+    check_shapes((("h", model.h, (t, x, u), (count,)),), arguments_text, f"{count} outputs")
     if any(not 0 <= i < count for i in model.circles):
         raise ValueError(f"circles {model.circles} must be indices of the {count} outputs, 0 to {count - 1}")
     for name, entries in (("units", model.units), ("box", box)):
         if entries and len(entries) != n:
             raise ValueError(f"{name} needs one entry for each of the {n} states; it has {len(entries)}")
     for name, (low, high) in zip(model.coordinates, box, strict=False):
-        # A comparison of traced numbers has no truth value in Python: bounds that are being fitted go unchecked.
+        # Python cannot branch on traced numbers, so bounds that are being fitted are not checked.
         if not (isinstance(low, Tracer) or isinstance(high, Tracer) or low < high):
             raise ValueError(f"box of {name}: the lower bound {low:g} must be below the upper one {high:g}")
     return count

@@ -21,7 +21,7 @@ from covariant.proofs._definite import ROUND, TINY, sum_over
 from covariant.proofs._tree import middle_of
 
 MOST_DERIVED = 10
-"""Most variables for which derivatives are bounded; there are half as many second ones as the square of that number."""
+"""Largest number f of variables for which derivatives are bounded; there are about f²/2 second derivatives."""
 
 
 class Expansions(NamedTuple):
@@ -69,7 +69,7 @@ class Expansions(NamedTuple):
             raise ValueError(f"the matrix must be square; it has shape {shape}")
         rows, columns = np.tril_indices(shape[0])
         graph = Graph.of(entries.graph.nodes)
-        # xᵀMx sees the symmetric part alone; entries that are equal but computed in two ways become one.
+        # xᵀMx depends on the symmetric part only; two formulas of an entry and its mirror image become one entry.
         lower = graft(graph, lambda full: ((full + full.T) / 2)[rows, columns], entries.nodes())
         value = entries._replace(outputs=tuple(lower.tolist()))._replace(graph=graph)
         small, outputs = graph.pruned(value.outputs)
@@ -135,19 +135,19 @@ def enclosed_by(at: Enclosure, on: Enclosure, half: np.ndarray, k: int) -> Enclo
     with np.errstate(invalid="ignore", over="ignore"):  # the middle of bounds −∞ and ∞ is NaN
         value, terms, shares = taylor_form(at, on, half, k)
         # A form with derivatives holds where these exist everywhere in the box.
-        # The radii of all terms come together in one remainder, the middles stay apart so that they can cancel.
+        # The radii of all terms add up to one remainder; the middles stay separate, so that they can cancel.
         rest = np.where(on.smooth, (value.radius + sum_over(shares)) * (1 + ROUND) + TINY, np.inf)
         radius = rest + sum_over(np.abs(terms)) * (1 + ROUND)
         low, high = on.low.T[: k + f * k], on.high.T[: k + f * k]
-        # `fmax` and `fmin` ignore NaN, which bounds have where nothing is known: the other form then counts alone.
+        # `fmax` and `fmin` ignore NaN, the mark of an unknown bound, so that the other form alone gives the bound.
         lower_bound = np.fmax(_outward(value.middle - radius, -1), low[:k])
         upper_bound = np.fmin(_outward(value.middle + radius, 1), high[:k])
         # The mean-value form is around the value at the centre, which Taylor's form has shifted.
-        here, size = Ball.of(at.low.T[:k], at.high.T[:k]), np.maximum(np.abs(low[k:]), np.abs(high[k:]))
-        wide = sum_over(size.reshape(f, k, boxes) * half[:, None])
-        deviation = np.where(on.smooth, here.radius + wide * (1 + ROUND), np.inf)
-        lower_bound = np.fmax(lower_bound, _outward(here.middle - deviation, -1))
-        upper_bound = np.fmin(upper_bound, _outward(here.middle + deviation, 1))
+        centre_value, size = Ball.of(at.low.T[:k], at.high.T[:k]), np.maximum(np.abs(low[k:]), np.abs(high[k:]))
+        mean_value_term = sum_over(size.reshape(f, k, boxes) * half[:, None])
+        deviation = np.where(on.smooth, centre_value.radius + mean_value_term * (1 + ROUND), np.inf)
+        lower_bound = np.fmax(lower_bound, _outward(centre_value.middle - deviation, -1))
+        upper_bound = np.fmin(upper_bound, _outward(centre_value.middle + deviation, 1))
         middle = middle_of(lower_bound, upper_bound)
         radius = np.maximum(upper_bound - middle, middle - lower_bound) * (1 + ROUND) + TINY
     return EnclosedMatrices(value.middle, terms, rest, middle, radius, shares, on.smooth)
@@ -182,12 +182,12 @@ class Ball(NamedTuple):
 def taylor_form(at: Enclosure, on: Enclosure, half: np.ndarray, k: int) -> tuple[Ball, np.ndarray, np.ndarray]:
     """Taylor's form `S(c) + Σ Sᵢ(c) δᵢ + ½ Σ Sᵢⱼ δᵢδⱼ` over all δ within ± half.
 
-    Since δᵢ² is never negative, half of its largest contribution shifts the value, and bounds the deviation from it.
+    Since δᵢ² ≥ 0, half of its largest contribution shifts the value, and half bounds the deviation from there.
     """
     f, boxes = half.shape
     first = k + f * k
     value, slopes = (Ball.of(at.low.T[part], at.high.T[part]) for part in (slice(k), slice(k, first)))
-    bends = Ball.of(on.low.T[first:], on.high.T[first:])
+    second_derivatives = Ball.of(on.low.T[first:], on.high.T[first:])
     chosen = pairs(f)
     if not f:
         nothing = np.empty((0, k, boxes))
@@ -198,9 +198,11 @@ def taylor_form(at: Enclosure, on: Enclosure, half: np.ndarray, k: int) -> tuple
     # ½ Σ over all i, j: a pair i ≠ j occurs twice, a square once.
     size = np.stack([half[i] * half[j] / (2 if i == j else 1) for i, j in chosen])[:, None]
     square = np.array([i == j for i, j in chosen])
-    np.multiply(bends.middle.reshape(-1, k, boxes), size * np.where(square, 0.5, 1.0)[:, None, None], out=terms[f:])
-    np.multiply(bends.radius.reshape(-1, k, boxes), size * (1 + ROUND), out=shares[f:])
-    # ε² is in [0, 1], which is ½ ± ½: half of each square moves the centre, and half stays a term.
+    np.multiply(
+        second_derivatives.middle.reshape(-1, k, boxes), size * np.where(square, 0.5, 1.0)[:, None, None], out=terms[f:]
+    )
+    np.multiply(second_derivatives.radius.reshape(-1, k, boxes), size * (1 + ROUND), out=shares[f:])
+    # With δ = ε · half, ε² is in [0, 1] = ½ ± ½: half of each square shifts the centre, and half stays a term.
     shifted = value.middle + sum_over(terms[f:][square])
     rounding = ROUND * (np.abs(value.middle) + sum_over(np.abs(terms[f:])))
     return Ball(shifted, value.radius + rounding), terms, shares

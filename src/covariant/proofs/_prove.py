@@ -1,8 +1,8 @@
 """Proof by branch and bound that a matrix is positive definite everywhere in a box, with outward rounding.
 
 The matrix is enclosed on a box, and the enclosure tested for positive definiteness; boxes on which the test fails are
-halved. A matrix is not proved where its computation is undefined somewhere or jumps: the conditions for this are shown
-first, also by halving.
+halved. The proof also needs a computation of the matrix that is defined everywhere in the box and does not jump; the
+conditions for this are shown first, also by halving.
 
 Effort is counted in boxes, so that a verdict depends neither on the machine nor on its load.
 """
@@ -32,7 +32,7 @@ from covariant.proofs._tree import CHUNK, OPEN, Tree, open_boxes
 PATIENCE = 4 * CHUNK
 """Number of boxes that are evaluated by one process before the work is shared out."""
 ROUND_OF_LOTS = 4
-"""Number of lots of boxes that are evaluated before any of them is halved further, whichever process does it."""
+"""Number of lots of boxes that are evaluated before any of them is halved further, for any number of processes."""
 MOST_BOXES = 200_000
 """Default limit of the number of boxes of a proof."""
 
@@ -55,7 +55,7 @@ class Proof(NamedTuple):
         open: Corners (k, 2, d) of the k undecided boxes.
         boxes: Number of boxes evaluated.
         seconds: Time taken [s]; NaN for a proof read from a file.
-        reason: Where the matrix may be undefined or jump, which alone leaves the whole domain undecided; "" otherwise.
+        reason: Why the matrix may be undefined or jump, which leaves the whole domain undecided; "" if it cannot.
 
     Example:
         >>> import jax.numpy as jnp
@@ -225,7 +225,8 @@ def prove_at_corners(
             failed, corners = [_failure_proof(at, counterexample, effort, reason)], corners[:k]
             break
     trees = [Tree(at) for at in corners]
-    # A counter-example at one corner leaves those before it in the search: the first corner that fails is reported.
+    # After a counter-example at one corner, the search goes on at the corners before it, to report the first that
+    # fails.
     while (counterexample := _search_together(expansions, trees, effort, progress)) is not None:
         at = counterexample[0][indices]
         k = next(k for k, tree in enumerate(trees) if np.array_equal(tree.domain.low[indices], at))
@@ -236,7 +237,7 @@ def prove_at_corners(
 
 
 KINKS = {"abs", "sign", "floor", "ceil", "round", "min", "max", "select", "either", "cbrt", *TRUTHS}
-"""Operations whose second derivatives, as graphs of them say, vanish on either side of a place where they bend."""
+"""Operations with a kink, on both sides of which the graphs of their second derivatives vanish."""
 
 
 def _kink(entries: Lowered, variables: Sequence[int]) -> str | None:
@@ -259,7 +260,7 @@ def blocks(matrix: Callable[[Array], Array], domain: Box) -> list[Int[np.ndarray
 
     Args:
         matrix: JAX function `z (d,) -> (n, n)`, or a `Form`.
-        domain: Bounds of z, of which the number of variables counts.
+        domain: Bounds of z; only the number of variables is used.
 
     Returns:
         One array of ascending row indices for each block.
@@ -310,8 +311,8 @@ def _decide(matrix: "Expansions", domain: Box, effort: _Effort, processes: int, 
         return Proof("undecided", domain, [np.array([OPEN])], None, whole, 1, effort.spent, reason)
     tree = Tree(domain)
     # Most proofs are finished before worker processes have started.
-    alone = effort if processes == 1 else effort._replace(boxes=min(effort.boxes, PATIENCE))
-    counterexample = _search(functools.partial(map, functools.partial(judge, matrix)), tree, alone, progress)
+    first_effort = effort if processes == 1 else effort._replace(boxes=min(effort.boxes, PATIENCE))
+    counterexample = _search(functools.partial(map, functools.partial(judge, matrix)), tree, first_effort, progress)
     if processes > 1 and counterexample is None and tree.waiting and tree.evaluated < effort.boxes:
         # JAX has threads, and a forked copy of a process with threads may hang.
         context = multiprocessing.get_context("spawn")
@@ -335,7 +336,7 @@ def _conclude(tree: Tree, effort: _Effort, reason: str, counterexample: np.ndarr
 
 
 def _reason(formed: Formed, domain: Box) -> str:
-    """Why the conditions are not shown to hold over the domain; "" where they are."""
+    """Why the conditions are not shown to hold over the domain; "" if they are."""
     return show_conditions(formed.conditions, domain.with_fixed(formed.pins))
 
 
@@ -344,7 +345,7 @@ _matrix: Expansions | None = None
 
 
 def _set_matrix(matrix: Expansions) -> None:
-    """Initialise a worker process, which then gets boxes alone."""
+    """Store the matrix in a worker process, so that later messages to it hold boxes only."""
     global _matrix
     _matrix = matrix
 
@@ -354,17 +355,14 @@ def _judge_here(low: np.ndarray, high: np.ndarray) -> tuple[Int[np.ndarray, "B"]
     return judge(_matrix, low, high)
 
 
-def _search(judge: Callable, tree: Tree, effort: _Effort, progress) -> np.ndarray | None:
-    """Evaluate boxes until none is left, the effort is used up, or there is a counter-example.
-
-    `judge` maps boxes (low, high) to their codes, in this or in other processes.
-    """
+def _search(map_judge: Callable, tree: Tree, effort: _Effort, progress) -> np.ndarray | None:
+    """Evaluate boxes by `map_judge` until none is left, the effort is used up, or there is a counter-example."""
     while tree.evaluated < effort.boxes and time.monotonic() < effort.until:
         lots = [lot for _ in range(ROUND_OF_LOTS) if (lot := tree.next()) is not None]
         if not lots:
             return None
         for lot, (codes, counterexample) in zip(
-            lots, judge(*zip(*(lot[1:3] for lot in lots), strict=True)), strict=True
+            lots, map_judge(*zip(*(lot[1:3] for lot in lots), strict=True)), strict=True
         ):
             if counterexample is not None:
                 return counterexample
@@ -375,7 +373,7 @@ def _search(judge: Callable, tree: Tree, effort: _Effort, progress) -> np.ndarra
 
 
 def _search_together(matrix: Expansions, trees: Sequence[Tree], effort: _Effort, progress) -> np.ndarray | None:
-    """As `_search`, for several trees of one matrix: their boxes are evaluated side by side."""
+    """Run `_search` on several trees of one matrix together, with their boxes in common batches."""
     while sum(tree.evaluated for tree in trees) < effort.boxes and time.monotonic() < effort.until:
         lots = [(tree, lot) for tree in trees if (lot := tree.next()) is not None]
         if not lots:
@@ -383,12 +381,12 @@ def _search_together(matrix: Expansions, trees: Sequence[Tree], effort: _Effort,
         low, high = (np.concatenate([lot[side] for _, lot in lots]) for side in (1, 2))
         codes = []
         for begin in range(0, len(low), CHUNK):
-            some, counterexample = judge(matrix, low[begin : begin + CHUNK], high[begin : begin + CHUNK])
+            chunk_codes, counterexample = judge(matrix, low[begin : begin + CHUNK], high[begin : begin + CHUNK])
             if counterexample is not None:
                 for tree, lot in lots:
                     tree.waiting.append(lot)
                 return counterexample
-            codes.append(some)
+            codes.append(chunk_codes)
         ends = np.cumsum([len(lot[0]) for _, lot in lots])[:-1]
         for (tree, lot), lot_codes in zip(lots, np.split(np.concatenate(codes), ends), strict=True):
             tree.take(lot, lot_codes)

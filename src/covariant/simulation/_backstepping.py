@@ -20,7 +20,7 @@ from covariant.simulation._reference import Path
 class Backstepping(eqx.Module):
     """A tracking controller of a marine craft, by vectorial backstepping.
 
-    With V = ½(sᵀMs + η̃ᵀK_pη̃), `V' = −sᵀ(D̄ + K_d)s − η̃ᵀK_pΛη̃` where the state is known, (92). K_p, K_d and Λ must
+    With V = ½(sᵀMs + η̃ᵀK_pη̃), `V' = −sᵀ(D̄ + K_d)s − η̃ᵀK_pΛη̃` if the state is known, (92). K_p, K_d and Λ must
     be symmetric positive definite, with `K_pΛ + ΛᵀK_p` positive definite.
 
     Args:
@@ -31,7 +31,7 @@ class Backstepping(eqx.Module):
         lam: Gain Λ [1/s] of the virtual velocity, likewise.
 
     Raises:
-        ValueError: Names the gain that does not satisfy this.
+        ValueError: A gain violates these conditions; the message names it.
 
     Example:
         >>> import jax.numpy as jnp
@@ -55,8 +55,7 @@ class Backstepping(eqx.Module):
         n = len(craft.coordinates)
         self.kp, self.kd, self.lam = (_gain(name, g, n) for name, g in (("kp", kp), ("kd", kd), ("lam", lam)))
         product = np.asarray(self.kp @ self.lam)
-        # `not >` is true for NaN as well.
-        # V_con' has −η̃ᵀK_pΛη̃, of which only the symmetric part counts.
+        # V' has −η̃ᵀK_pΛη̃, of which only the symmetric part counts. `not … > 0` is true for NaN as well.
         if not np.linalg.eigvalsh(product + product.T)[0] > 0:
             raise ValueError("kp and lam: K_pΛ + ΛᵀK_p must be positive definite; choose both diagonal")
 
@@ -107,13 +106,13 @@ class Backstepping(eqx.Module):
 
     def _common(self, t: Scalar, z: Vector, eta: Vector, nu: Vector) -> tuple[Vector, Vector]:
         """ν_r, and the terms of τ common to both forms; `ν_r'` is the derivative along the motion `z' = J(z)ν`."""
-        j = self.craft.transform(z)
+        transform = self.craft.transform(z)
         # One Jacobian-vector product along (1, Jν) gives ν_r and its total time derivative, that of J included.
-        nu_r, change = jax.jvp(self.virtual_velocity, (t, z), (jnp.ones_like(t), j @ nu))
+        nu_r, nu_r_dot = jax.jvp(self.virtual_velocity, (t, z), (jnp.ones_like(t), transform @ nu))
         mass, kp, kd = (jnp.asarray(a, z.dtype) for a in (self.craft.mass, self.kp, self.kd))
         # Jᵀ turns a force in the frame of η into one of the body frame: the power η'ᵀF = νᵀJᵀF stays the same.
-        spring = j.T @ (kp @ self.error(t, eta))
-        return nu_r, mass @ change + self.craft.restoring(z) - spring - kd @ (nu - nu_r)
+        spring = transform.T @ (kp @ self.error(t, eta))
+        return nu_r, mass @ nu_r_dot + self.craft.restoring(z) - spring - kd @ (nu - nu_r)
 
 
 def _gain(name: str, values: Numbers, n: int) -> Matrix:

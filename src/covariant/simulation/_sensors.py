@@ -20,8 +20,8 @@ class PositionSensor(NamedTuple):
 
     Args:
         rate: Samples per second [Hz].
-        noise_std: Standard deviation of the noise [unit of the position], one or one for each position.
-        quantum: Quantisation step [unit of the position], one or one for each; 0 for none.
+        noise_std: Standard deviation of the noise [unit of the position], one number or one for each position.
+        quantum: Quantisation step [unit of the position], one number or one for each position; 0 for none.
         jitter: Standard deviation of a sampling instant [s], limited so that stamps keep their order.
         dropout: Probability that a sample is missing (NaN).
 
@@ -65,7 +65,7 @@ def stamps(sensor: PositionSensor, duration: float, seed: int = 0) -> Float[Nump
     the true instants, and not those of an ideal clock.
 
     Args:
-        sensor: Its `rate` and `jitter` count.
+        sensor: The sensor, of which `rate` and `jitter` are used.
         duration: Length of the log [s].
         seed: Seed of the random jitter.
 
@@ -85,11 +85,11 @@ def stamps(sensor: PositionSensor, duration: float, seed: int = 0) -> Float[Nump
     if not 1 <= steps < np.inf:
         raise ValueError(f"sensor: {duration} s at {sensor.rate} Hz do not hold two samples or more")
     count = int(steps) + 1
-    # Streams of their own for stamps (0) and values (1): one does not change with what the other draws.
-    late = np.random.default_rng([seed, 0]).normal(0, sensor.jitter, count) if sensor.jitter else np.zeros(count)
-    late[0] = 0.0
+    # Stamps (0) and values (1) have separate random streams, so that neither depends on the draws of the other.
+    offsets = np.random.default_rng([seed, 0]).normal(0, sensor.jitter, count) if sensor.jitter else np.zeros(count)
+    offsets[0] = 0.0
     # A jitter below half a sample on either side leaves the stamps strictly increasing.
-    return np.arange(count) / sensor.rate + np.clip(late, -0.45 / sensor.rate, 0.45 / sensor.rate)
+    return np.arange(count) / sensor.rate + np.clip(offsets, -0.45 / sensor.rate, 0.45 / sensor.rate)
 
 
 def sense(sensor: PositionSensor, q: Float[NumpyArray, "T n"], seed: int = 0) -> Float[NumpyArray, "T n"]:
@@ -108,7 +108,7 @@ def sense(sensor: PositionSensor, q: Float[NumpyArray, "T n"], seed: int = 0) ->
         from it.
 
     Raises:
-        ValueError: The sensor is invalid, or has another number of noises or quanta than there are positions.
+        ValueError: The sensor is invalid, or its number of noise levels or quanta is not that of the positions.
 
     Example:
         >>> import numpy as np

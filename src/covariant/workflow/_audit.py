@@ -50,7 +50,8 @@ def audit_observer(
             the model.
         alpha: Gain α [1/s]; √2 by default.
         beta: Gain β [1/s²]; 1 by default.
-        region: Ends of coordinates from which positions are drawn; on a group, of exponential coordinates x1, x2, ….
+        region: Lower and upper end of each coordinate between which positions are sampled; on a group, of the
+            exponential coordinates x1, x2, ….
         speed: Largest velocity of each coordinate [unit/s].
         points: Number of states.
         seed: Seed of the states.
@@ -61,7 +62,7 @@ def audit_observer(
         Each law with its largest deviation; `result.passed` says whether all hold.
 
     Raises:
-        ValueError: For an observer that does not fit, or a region of other coordinates.
+        ValueError: The observer does not fit the model, or the region names other coordinates.
 
     Example:
         >>> from covariant import workflow
@@ -86,8 +87,8 @@ class AuditResult(AbstractResult):
     """Laws of an observer, with the largest deviation from each.
 
     Attributes:
-        model_name: The model, by its path or name.
-        title: Its short name.
+        model_name: Path or name of the model.
+        title: Short name of the model.
         observer_name: Name of the observer.
         audit: The laws, a `covariant.certificates.audit.Audit`.
 
@@ -138,7 +139,7 @@ class AuditResult(AbstractResult):
 
 
 def _domain(file: ModelFile, region: Region | None) -> Box | None:
-    """The bounds of coordinates; on a group, of exponential coordinates."""
+    """Bounds of the sampled coordinates, or on a group of exponential coordinates; None if no region is given."""
     ends = bounds("region", region or {}, kind_of(file).chart, "coordinate")
     if not ends:
         return None
@@ -147,5 +148,5 @@ def _domain(file: ModelFile, region: Region | None) -> Box | None:
 
 
 def _plain(row: Law) -> dict[str, Any]:
-    """A row as plain data, with None for a deviation that is no finite number."""
+    """A row as plain data, with None for a deviation that is not finite."""
     return row._asdict() | {"deviation": row.deviation if math.isfinite(row.deviation) else None}

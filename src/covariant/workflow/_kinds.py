@@ -30,13 +30,13 @@ from covariant.workflow._kind import AbstractKind, Labels, numbered
 from covariant.workflow._sheet import data_sheet, first_estimate, state_noise
 
 CENTRE, SWING = 0.7, 0.2
-"""Where positions of the self-test are, and how far they swing, in units of the coordinates; circles start at π."""
+"""Centre and amplitude of the positions in the self-test, in units of the coordinates; on circles the centre is π."""
 OUTLIER_ROW, OUTLIER = 23, 1.5
 """The row of the self-test that a gate has to refuse, and how far it is off [rad or m]."""
 USE_TORQUES = "intrinsic-kalman", "ukf"
 """Observers whose noise may depend on the configuration, as that of torques does."""
 SPEED = 3.0
-"""Speed [unit/s] at which substeps are counted where the model file tells none."""
+"""Speed [unit/s] at which substeps are counted if the model file implies none."""
 
 
 class AbstractMechanical(AbstractKind):
@@ -64,7 +64,7 @@ class AbstractMechanical(AbstractKind):
 
     @abc.abstractmethod
     def _slopes(self, t: np.ndarray, y: np.ndarray, at: np.ndarray, half: float, order: int) -> np.ndarray:
-        """Slopes (S, n) at times (S,), each at the time at which a reading was true."""
+        """Velocities (S, n) at the times `at` (S,), from readings shifted back by their delays."""
 
     def tuned(
         self, sheet: Callable[[], DataSheet], rate: float, names: Collection[str], trial: Trial | None = None
@@ -96,8 +96,8 @@ class AbstractMechanical(AbstractKind):
 
     def self_test(self, rate: float, sheet: Callable[[], DataSheet] | None) -> np.ndarray:
         k, n = np.arange(ROWS + 1)[:, None], self.file.dimension
-        pace = math.inf if sheet is None else float(np.min(sheet().speeds)) / rate  # from row to row
-        # Each coordinate has another period and phase, so that no two are alike.
+        pace = math.inf if sheet is None else float(np.min(sheet().speeds)) / rate  # largest change between rows
+        # Each coordinate has a different period and phase, so that no two are equal.
         swing = min(SWING, 4.0 * pace) * np.sin(k / (4.0 + np.arange(n)) + np.arange(n))
         if sheet is not None:
             swing[OUTLIER_ROW, 0] += OUTLIER
@@ -105,7 +105,7 @@ class AbstractMechanical(AbstractKind):
 
     @abc.abstractmethod
     def _displaced(self, displacement: np.ndarray) -> np.ndarray:
-        """Configurations (T, *n) that are displaced (T, n) from the middle of the self-test."""
+        """Configurations (T, *n) at these displacements (T, n) from the centre of the self-test."""
 
     def with_fixed_substeps(self, observer: AbstractObserver, rate: float, y: np.ndarray) -> AbstractObserver:
         if not chooses_substeps(observer):
@@ -166,9 +166,9 @@ class InCoordinates(AbstractMechanical):
         delays = np.broadcast_to(np.asarray(self.file.delay, float), y.shape[1])
         slopes = np.empty((len(at), y.shape[1]))
         for delay in np.unique(delays):
-            alike = delays == delay
+            same_delay = delays == delay
             # A row at t shows the position at t − delay.
-            slopes[:, alike] = scoring.zero_phase_velocity(t - delay, y[:, alike], at, half, order)
+            slopes[:, same_delay] = scoring.zero_phase_velocity(t - delay, y[:, same_delay], at, half, order)
         return slopes
 
     def without_outliers(self, t: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -211,12 +211,12 @@ class OnGroup(AbstractMechanical):
     def with_inputs(self, log: logs.Log) -> logs.Log:
         if self.file.columns.u:
             return log
-        # Of a body in free flight the model file names no columns.
+        # The model file of a body in free flight names no input columns.
         count = models.input_count(self.model, self.file.dimension)
         return log._replace(record=log.record._replace(u=np.zeros((len(log.record.t), count))))
 
     def _slopes(self, t: np.ndarray, y: np.ndarray, at: np.ndarray, half: float, order: int) -> np.ndarray:
-        # All of a pose is read at once, so that there is one delay.
+        # All parts of a pose are read at the same time, so there is one delay.
         t, columns = t - np.max(self.file.delay), self.file.columns
         twists = [
             scoring.zero_phase_twist(t, g, at, half, order, body.space)
@@ -259,7 +259,7 @@ class InStates(AbstractKind):
 
     @property
     def innovation_units(self) -> tuple[str, ...]:
-        return ("",) * len(self.file.columns.q)  # a model does not say them of its outputs
+        return ("",) * len(self.file.columns.q)  # a model states no units of its outputs
 
     def slopes(self, log: logs.Log, whole: Callable[[], logs.Log]) -> None:
         return None
@@ -324,5 +324,5 @@ def _input_names(file: ModelFile, count: int) -> tuple[str, ...]:
 
 
 def or_zeros(argument: str, values: Amounts | None, names: Sequence[str]) -> Float[np.ndarray, "n"]:
-    """Numbers of an argument, one for each name; zeros where it is not given."""
+    """Numbers of an argument, one for each name; zeros if it is None."""
     return np.zeros(len(names)) if values is None else numbers(argument, values, names)

@@ -1,4 +1,4 @@
-"""`smooth`: velocities or states from a log afterwards, from the rows before and after each."""
+"""`smooth`: offline estimates of velocities or states, each from the rows before and after it."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -38,23 +38,23 @@ def smooth(
     anyway: bool = False,
     progress: Progress = silent,
 ) -> "SmoothResult":
-    """Estimate velocities, or states of a state-space model, afterwards: from the rows before and after each.
+    """Estimate velocities, or states of a state-space model, offline: each row from the rows before and after it.
 
-    A filter runs over the log, and then a Rauch–Tung–Striebel smoother back over what it stored; see
-    `observers.smooth`. It believes the model as the filter does, so that an error of the model is an error of both.
+    A filter runs over the log, and then a Rauch–Tung–Striebel smoother runs backwards over its results; see
+    `observers.smooth`. Filter and smoother rely on the same model, so a model error affects both.
 
     Args:
         model, log, score, overrides, every, start, until, columns, anyway, progress: As for `estimate`.
         observer: Name of the filter: `intrinsic-kalman` (default of a mechanical model), `ekf`, `ukf`, `joint-kalman`,
             or `covariance-ekf` (default of a state-space model).
-        lag: Time after each row [s] from which it is estimated, as rows at the median interval; all of the log by
-            default.
+        lag: Time [s] after each row from which its estimate uses later rows too, counted in rows at the median
+            interval; by default it uses all later rows.
 
     Returns:
-        The estimates with their standard deviations, and those of the filter beside them.
+        The smoothed estimates with their standard deviations, and those of the filter for comparison.
 
     Raises:
-        MisfitError: Where the model explains nothing of the motion in the log.
+        MisfitError: The model explains nothing of the motion in the log.
         ValueError: For an observer without a covariance, late readings, other bad arguments, a model or log that cannot
             be used, or an estimate that diverged.
 
@@ -75,21 +75,23 @@ def smooth(
     loaded = load(job, score)
     name = observer or next(name for name in SMOOTHED if name in estimators(loaded.model))
     chosen, notes = choose_observer(job, loaded, name)
-    refuse_delays(job, loaded, chosen, "a smoother does not make up for readings that are late")
+    refuse_delays(job, loaded, chosen, "a smoother does not compensate late readings")
     rows = None if lag is None else lag_rows(np.asarray(loaded.record.t), lag)
     progress(f"smoothing with {name}")
     smoothed = jax.block_until_ready(smooth_record(chosen, loaded.record_for(chosen), rows, KEPT))
-    after, before = (
+    smoothed_result, filtered_result = (
         EstimateResult(job, loaded, name, notes, scored(chosen, jax.tree.map(np.asarray, run), loaded, "jax"), "auto")
         for run in (smoothed.run, smoothed.filtered)
     )
-    if before.outcome.failed or not (np.isfinite(after.velocity).all() and np.isfinite(smoothed.std).all()):
+    if filtered_result.outcome.failed or not (
+        np.isfinite(smoothed_result.velocity).all() and np.isfinite(smoothed.std).all()
+    ):
         raise ValueError(f"{job.log_name}: the estimate left the finite numbers; check model and units")
-    return SmoothResult(after, before, np.asarray(smoothed.std), rows)
+    return SmoothResult(smoothed_result, filtered_result, np.asarray(smoothed.std), rows)
 
 
 def lag_rows(t: np.ndarray, lag: float) -> int | None:
-    """Number of rows within a time at the median interval; None for all of the log."""
+    """Number of rows within a lag at the median interval; None for the whole log."""
     if lag >= t[-1] - t[0]:
         return None
     spacing = float(np.median(np.diff(t)))
@@ -106,10 +108,10 @@ class SmoothResult(AbstractEstimates):
 
     Attributes:
         smoothed: The smoothed estimates.
-        filtered: The estimates of the filter, from the rows before each only.
+        filtered: The estimates of the filter, each from the rows up to it only.
         error_std: Standard deviations (T, N) of the error of the smoothed estimates, as in
             `observers.Smoothed.std`.
-        lag: Number of rows after each from which it is estimated; None for all.
+        lag: Number of later rows that each estimate uses; None for all.
 
     Example:
         >>> import covariant
@@ -173,12 +175,14 @@ class SmoothResult(AbstractEstimates):
     @property
     def summary(self) -> dict[str, Any]:
         what = self.smoothed.loaded.kind.what
-        before = {key: value for key, value in self.filtered.summary.items() if key in (f"{what}_rmse", "nis", "nees")}
-        std, before_std = (
+        filter_summary = {
+            key: value for key, value in self.filtered.summary.items() if key in (f"{what}_rmse", "nis", "nees")
+        }
+        std, filter_std = (
             {f"{what}_std": rounded(np.median(np.asarray(each.velocity_std), axis=0))}
             for each in (self.smoothed, self.filtered)
         )
-        return self.smoothed.summary | std | {"lag_rows": self.lag, "filter": before | before_std}
+        return self.smoothed.summary | std | {"lag_rows": self.lag, "filter": filter_summary | filter_std}
 
     @property
     def headline(self) -> str:
@@ -205,8 +209,8 @@ class SmoothResult(AbstractEstimates):
         ]
         if f"{what}_rmse" in result:
             lines.append(f"{what} RMSE of the filter: {with_units(result['filter'][f'{what}_rmse'], units)}")
-        spread = (with_units(each[f"{what}_std"], units) for each in (result, result["filter"]))
-        lines.append("median standard deviation of the {}: {}; of the filter {}".format(what, *spread))
+        stds = (with_units(each[f"{what}_std"], units) for each in (result, result["filter"]))
+        lines.append("median standard deviation of the {}: {}; of the filter {}".format(what, *stds))
         return "\n".join([*lines, *self.warnings])
 
     def _page(self) -> Any:

@@ -1,4 +1,4 @@
-"""A log beside its model: smoothed accelerations, those of the model along them, and what is left between the two."""
+"""Comparison of a log with its model: smoothed accelerations, those of the model along the log, and their residuals."""
 
 import functools
 from collections.abc import Callable
@@ -16,14 +16,14 @@ from covariant.models import MechanicalSystem, ModelFile, acceleration
 from covariant.signals import Record, acting_inputs, lag_inputs
 
 POINTS = 2048
-"""Points of the grid at once: for a model without a graph one compiled program serves all logs."""
+"""Grid points per batch. With a fixed number, one compiled program serves all logs of a model without a graph."""
 POINTS_OF_A_BLOCK = 30
 SHORTEST = 6.0
-"""Least length of a log that is compared with the model, in half windows."""
+"""Shortest log that is compared with the model, in half windows."""
 WINDOWS = (1.0, 2.0, 3.0)
-"""Half windows to try, in those of the reference of the model file; the one that explains most is used."""
+"""Half windows to try, in multiples of the model file's reference one; the one with the least misfit is used."""
 WIDER = (2.0, 4.0, 8.0, 16.0)
-"""Half windows to try until accelerations exceed the noise, as in a slow motion only wide ones show."""
+"""Half windows to try, in the same multiples, until accelerations exceed the noise; slow motions need wide windows."""
 
 
 class Residual(NamedTuple):
@@ -60,21 +60,20 @@ class Residual(NamedTuple):
 
     @property
     def scale(self) -> Float[np.ndarray, "n"]:
-        """Mean of the squares of measured and modelled accelerations, so that neither a tiny nor a huge unit of either
-        makes what is left small beside it."""
+        """Mean square of both accelerations together, so that a wrong unit of either cannot hide the residuals."""
         size = np.mean((self.measured**2 + self.modelled**2)[self.used] / 2, axis=0)
         return np.where(size > 0, size, 1.0)
 
     def misfits(self, blocks: int = 1) -> Float[np.ndarray, "b n"]:
-        """Squares of the residuals, without that of the noise, over `scale`, in blocks of equal length: 0 for a model
-        that is right, 1 or more for one that is unrelated."""
+        """Mean squares of the residuals minus those of the noise, relative to `scale`, in blocks of equal length: 0 for
+        a right model, 1 or more for an unrelated one."""
         # The expected square of a residual is that of the model's error plus that of the noise.
         parts = np.array_split(self.left**2 - self.noise**2, blocks)
         return np.array([part.mean(axis=0) for part in parts]) / self.scale
 
     @property
     def misfit(self) -> float:
-        """Mean unexplained fraction of the coordinates whose accelerations exceed the noise; NaN for none."""
+        """Mean of `misfits` over the coordinates whose accelerations exceed the noise; NaN if there are none."""
         told = self.told
         return float(np.maximum(self.misfits()[0, told], 0.0).mean()) if told.any() else float("nan")
 
@@ -88,7 +87,7 @@ def residual(model: MechanicalSystem, log: Smooth) -> Residual:
 
 def averaged(log: Smooth, values: Float[np.ndarray, "K n"]) -> Float[np.ndarray, "K n"]:
     """Average values on the grid with the weights that smoothing applies to the true accelerations."""
-    # The same weights on both sides: what smoothing does to a true acceleration it does to the model's.
+    # Smoothing then distorts measured and modelled accelerations alike, and the distortion cancels in the residual.
     return np.stack([np.convolve(column, log.kernel, "same") for column in values.T], axis=1)
 
 
@@ -132,11 +131,11 @@ def in_coordinates(file: ModelFile) -> bool:
 
 
 def busiest(record: Record, rows: int) -> Record:
-    """Stretch of a record in which the positions move most."""
+    """Return the stretch of a record, of at most `rows` rows, in which the positions move most."""
     if len(record.t) <= rows:
         return record
     travel = np.nan_to_num(np.abs(np.diff(np.asarray(record.y), axis=0)))
-    # Each coordinate counts in units of its fast steps; the floor is for one that stands still.
+    # Scale each coordinate by its fast steps; the floor avoids a division by zero if one stands still.
     travel = np.sum(travel / np.maximum(np.quantile(travel, 0.95, axis=0), 1e-300), axis=1)
     reached = np.append(0.0, np.cumsum(travel))  # from the first row to each
     start = int(np.argmax(reached[rows - 1 :] - reached[: len(reached) - rows + 1]))
@@ -156,17 +155,17 @@ def case_without_outliers(
     rows: Rows | None = None,
     quantum: float | tuple[float, ...] | None = None,
 ) -> tuple[Case, list[Finding]]:
-    """Record prepared for the comparison: outliers are set to NaN and reported."""
+    """Prepare a record for the comparison: set its outliers to NaN, and report them as findings."""
     model, names = file.need_mechanical(file.name, "accelerations are compared with those of"), names_of(file)
     t, y = np.asarray(record.t), np.asarray(record.y)
     ticks = known_ticks(record, model.circles, file.quantum if quantum is None else quantum)
-    wrong, sizes = outliers(t, y, model.circles, ticks)
-    case = Case(file, model, names, Record(t, np.asarray(record.u), np.where(wrong, np.nan, y)), ticks)
-    return case, outlier_findings(wrong, sizes, names.q, names.units, rows or Rows(t))
+    is_outlier, sizes = outliers(t, y, model.circles, ticks)
+    case = Case(file, model, names, Record(t, np.asarray(record.u), np.where(is_outlier, np.nan, y)), ticks)
+    return case, outlier_findings(is_outlier, sizes, names.q, names.units, rows or Rows(t))
 
 
 def smoothed(case: Case, half: float) -> Smooth:
-    """The record smoothed over windows of ±`half` [s], without the delays of the model file."""
+    """Smooth the record over windows of ±`half` [s], with the sensor delays of the model file removed."""
     return smooth(acting(case), half, case.model.circles, np.asarray(case.file.delay, float), case.ticks)
 
 
@@ -207,7 +206,7 @@ def compared(case: Case) -> Residual | None:
 
 
 def best_window(case: Case) -> tuple[float, Residual] | None:
-    """Half width of the smoothing window with which the model explains most."""
+    """Half window with the least misfit, and its residuals; None if no window has accelerations above the noise."""
     halves = [half for half in (w * case.file.reference_half for w in WINDOWS) if long_enough(case, half)]
     tried = [(half, residual(case.model, smoothed(case, half))) for half in halves]
     if not any(left.told.any() for _, left in tried) and (log := clearly(case)) is not None:

@@ -1,4 +1,4 @@
-"""Faults of the clock that stamps a log: stamps that repeat, missing rows, and a clock that is set meanwhile."""
+"""Faults of the clock that stamps a log: repeated stamps, missing rows, and a clock that was set during the log."""
 
 from typing import NamedTuple
 
@@ -13,11 +13,11 @@ MONOTONIC = "stamp rows by a clock that nobody sets, such as CLOCK_MONOTONIC or 
 
 
 class Mended(NamedTuple):
-    """A log whose stamps rise, with what was wrong with them.
+    """A log with rising stamps, and findings on the original ones.
 
     Attributes:
-        record: The log: rows with a repeated stamp are left out, and stamps after the clock was set back go on by the
-            usual step.
+        record: The log: rows with a repeated stamp are left out, and stamps continue by the usual step where the clock
+            was set back.
         findings: Findings on repeated stamps and on a clock that was set back.
 
     Example:
@@ -81,7 +81,7 @@ def stamps(t: Float[np.ndarray, "T"]) -> list[Finding]:
     """Findings on missing rows and irregular stamps."""
     steps = np.diff(t)
     usual = float(np.median(steps))
-    # 1.4826 makes the median deviation of normal steps their standard deviation; gaps do not enter it.
+    # 1.4826 makes the median deviation of normal steps their standard deviation; few gaps hardly change a median.
     jitter = 1.4826 * float(np.median(np.abs(steps - usual)))
     gaps = steps > max(GAP * usual, usual + FAR * jitter)
     findings = []
@@ -117,7 +117,7 @@ def stamps(t: Float[np.ndarray, "T"]) -> list[Finding]:
 def set_forward(
     t: Float[np.ndarray, "T"], y: Float[np.ndarray, "T n"], noise: Float[np.ndarray, "n"], rows: Rows
 ) -> list[Finding]:
-    """Findings on long steps in time over which the motion goes on as if no time had passed but the usual step."""
+    """Findings on long steps in time during which the motion advances only as in a usual step."""
     steps = np.diff(t)
     usual = float(np.median(steps))
     places = [int(k) for k in np.flatnonzero(steps > JUMP * usual) if 3 <= k < len(t) - 4]
@@ -127,11 +127,11 @@ def set_forward(
         after = (y[k + 4] - y[k + 1]) / (t[k + 4] - t[k + 1])
         rate, moved = (before + after) / 2, y[k + 1] - y[k]
         scale = np.where(noise > 0, noise, np.inf)
-        way = np.linalg.norm((rate * steps[k] / scale)[np.isfinite(rate + moved)])
+        displacement = np.linalg.norm((rate * steps[k] / scale)[np.isfinite(rate + moved)])
         usually, whole = (
             np.linalg.norm(((moved - rate * h) / scale)[np.isfinite(rate + moved)]) for h in (usual, steps[k])
         )
-        if way > SEEN and usually < CONTINUES * whole:
+        if displacement > SEEN and usually < CONTINUES * whole:
             jumps.append(k + 1)
     if not jumps:
         return []

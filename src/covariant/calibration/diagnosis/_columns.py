@@ -14,7 +14,7 @@ from covariant.signals import Record
 CLOCKS = {
     "seconds": 1.0,
     **{"milliseconds": 1e-3, "microseconds": 1e-6, "nanoseconds": 1e-9},
-    # Such stamps were multiplied by the size of the unit when they were read: this undoes it.
+    # Reading has multiplied such stamps by the size of the unit, which this factor undoes.
     **{f"seconds that were taken for {name}": 1 / size for name, size in (("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9))},
 }
 """Possible units of the stamps, and the factor that converts them, as they are read, to seconds."""
@@ -48,7 +48,7 @@ class Change(NamedTuple):
 
     @classmethod
     def none(cls, n: int, m: int) -> "Change":
-        """The change that leaves n positions and m inputs as they are."""
+        """The change that leaves n positions and m inputs unchanged."""
         return cls(np.ones(n), np.arange(n), np.zeros(n), np.ones(m), np.arange(m))
 
     def apply(self, case: Case) -> Case:
@@ -67,11 +67,11 @@ def units(case: Case) -> Iterator[Suspicion]:
     """Stamps that are not in seconds, angles that are not in radians, or both."""
     names, none = case.names, _none(case)
     step = float(np.median(np.diff(np.asarray(case.record.t))))
-    # A clock that makes the step implausible is not tried: it would match by chance and cost a smoothing.
+    # A clock that makes the step implausible is not tried: it could match by chance, and would cost a smoothing.
     clocks = {clock: factor for clock, factor in CLOCKS.items() if SHORTEST <= factor * step <= LONGEST or factor == 1}
     angles = dict(ANGLES) if names.angles.any() else {"radians": 1.0}
     y = np.asarray(case.record.y)[:, names.angles]
-    # Whole numbers beyond a turn: no angles in radians are logged so, but counts are.
+    # Whole numbers beyond a turn are not angles in radians, but may be encoder counts.
     if names.angles.any() and np.all(y[np.isfinite(y)] % 1 == 0) and np.nanmax(np.abs(y)) > 2 * np.pi:
         angles |= {f"counts of {count} a turn": 2 * np.pi / count for count in COUNTS}
     for (clock, time), (angle, size) in itertools.product(clocks.items(), angles.items()):
@@ -96,7 +96,7 @@ def input_signs(case: Case) -> Iterator[Suspicion]:
 
 
 def swaps(case: Case) -> Iterator[Suspicion]:
-    """Columns in each other's place: two positions, two inputs, or both of two joints."""
+    """Swapped columns: two positions, two inputs, or positions and inputs of two joints."""
     (q, u), none = (case.names.q, case.names.u), _none(case)
     for i, j in itertools.combinations(range(len(q)), 2):
         positions, inputs = (_transposition(columns, i, j) for columns in (q, u))
@@ -105,7 +105,7 @@ def swaps(case: Case) -> Iterator[Suspicion]:
         change = none._replace(order=positions)
         yield Suspicion("swapped positions", f"{q[i]}, {q[j]}", words, f"[columns] {in_q}", change.apply)
         if len(q) != len(u):
-            continue  # joint i has input i only where there are as many of both
+            continue  # input i belongs to joint i only if there are as many inputs as joints
         in_u = f"u = {quoted_list(u[k] for k in inputs)}"
         words = f"with {u[i]} and {u[j]} in each other's place"
         change = none._replace(input_order=inputs)
@@ -147,7 +147,7 @@ COLUMNS: tuple[Callable[[Case], Iterator[Suspicion]], ...] = (
     zeros,
     single_degrees,
 )
-"""What is suspected of columns: of suspicions that explain about as much the first one is reported."""
+"""Suspicions about columns, in order of preference: the first of several that explain about as much is reported."""
 
 
 def _none(case: Case) -> Change:
@@ -155,7 +155,7 @@ def _none(case: Case) -> Change:
 
 
 def _one_by_one(names: tuple[str, ...], factor: float) -> Iterator[tuple[str, np.ndarray]]:
-    """Each name, with factors of which its own is this one and the others are 1."""
+    """Each name, with factors that are `factor` for this name and 1 for the others."""
     for i, name in enumerate(names):
         yield name, np.where(np.arange(len(names)) == i, factor, 1.0)
 

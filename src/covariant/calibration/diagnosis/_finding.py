@@ -23,10 +23,10 @@ class Finding(NamedTuple):
     `line` is the remedy, and can be copied into the model file. Programs should read `numbers`, and people `evidence`.
 
     Attributes:
-        what: Its name, as "unit of time" or "delay".
+        what: Name of the finding, such as "unit of time" or "delay".
         where: The column concerned, or "".
         evidence: A sentence with the numbers, their units and their uncertainty.
-        line: What to write into the model file, or to do with the log; "" where nothing has to change.
+        line: Line to write into the model file, or change to make in the log; "" if nothing has to change.
         wrong: Whether estimates from the unchanged log are wrong; False for a note.
         numbers: The numbers of the evidence by name, in SI units.
 
@@ -102,7 +102,7 @@ class Names(NamedTuple):
         q: Columns of the positions.
         u: Columns of the inputs.
         units: Units of the positions in the model.
-        angles: Which positions (n,) are angles.
+        angles: Whether each position (n,) is an angle.
         stated: Units of the columns according to the model file, by the field t, q or u.
     """
 
@@ -114,7 +114,7 @@ class Names(NamedTuple):
     stated: Mapping[str, tuple[str, ...]] = MappingProxyType({})
 
     def after(self, orders: Mapping[str, Sequence[int]], factors: Mapping[str, np.ndarray]) -> "Names":
-        """Names and units once the columns of some fields are in another order, and then multiplied by factors."""
+        """Names and units after the columns of some fields are reordered, and then multiplied by factors."""
         declared = {field: tuple(self._stated(field, i) for i in order) for field, order in orders.items()}
         columns = {field: tuple(getattr(self, field)[i] for i in orders[field]) for field in ("q", "u")}
         reordered = self._replace(**columns, stated=declared)
@@ -128,7 +128,7 @@ class Names(NamedTuple):
         return f"[units] {field} = {quoted if len(set(texts)) == 1 else quoted_list(texts)}"
 
     def in_units(self, field: str, factors: Sequence[float] | np.ndarray) -> tuple[str, ...]:
-        """Units of the columns of a field that imply given factors."""
+        """Units to state for the columns of a field, so that their numbers are multiplied by these factors."""
         kinds = [self._kind(field, i) for i in range(len(factors))]
         return tuple(_unit_text(self._stated(field, i), float(factor), kinds[i]) for i, factor in enumerate(factors))
 
@@ -145,7 +145,7 @@ def _unit_text(stated: str, factor: float, kind: str) -> str:
     """Unit of a column that was read in the `stated` unit and whose numbers are to be multiplied by a factor."""
     if factor == 1:
         return stated
-    # The factor acts on numbers that were converted from the stated unit already.
+    # The factor applies after the conversion from the stated unit.
     total = factor * unit_factor(stated)
     named = next((text for text in KNOWN.get(kind, ()) if math.isclose(total, unit_factor(text), rel_tol=1e-9)), None)
     if named is not None:

@@ -1,6 +1,6 @@
-"""The size from which something in a log counts: one table for all suspicions and checks.
+"""Sizes above which an effect in a log is reported: one table for all suspicions and checks.
 
-How a number is searched (windows, rounds, candidates) stands beside the search.
+Settings of a search (windows, rounds, candidates) are in the file of the search.
 """
 
 from typing import NamedTuple
@@ -9,16 +9,17 @@ import numpy as np
 
 
 class Threshold(NamedTuple):
-    """What a suspicion has to achieve on rows held out before it is reported.
+    """Conditions on held-out rows under which a suspicion is reported.
 
     All shares are of the squares of the accelerations, without the noise.
 
     Attributes:
-        least: Share that the log as it is leaves unexplained; below it the suspicion is not tried.
-        falls: Fraction of that share which may be left if it were so.
-        most: Share that may be left at most.
+        least: Unexplained share of the unchanged log below which the suspicion is not tried.
+        falls: Largest fraction of that share that may remain unexplained after the change that the suspicion makes.
+        most: Largest share that may remain unexplained after this change.
         sure: Standard errors of the signed ranks of its falls in all blocks (if it falls in all of 30: 4.8).
-        alike: Ratio to the least share up to which an earlier suspicion of the list, a simpler one, is preferred.
+        alike: An earlier, simpler suspicion of the list is preferred if its share is at most this multiple of the least
+            one.
     """
 
     least: float
@@ -29,15 +30,16 @@ class Threshold(NamedTuple):
 
 
 THRESHOLDS = {
-    # A log with a wrong unit, order or sign is far off, and the right one is near; many are tried, so both are asked
-    # for. Of several that explain it the first one is reported, and the others are named as rivals.
+    # A log with a wrong unit, order or sign fits badly, and a corrected one fits well. Many corrections are tried, so
+    # both are required. The first of several that explain the log is reported, and the others are named as rivals.
     "columns": Threshold(0.15, 1 / 3, 0.5, alike=1.5),
     # Friction and rotors: 10 % of the size of the accelerations. A wrong mass or centre of mass, which a rotor
     # resembles, leaves more than 15 %.
     "torques": Threshold(0.01, 1 / 2, 0.15),
-    # Whole rows, and how inputs go from row to row: small faults. 1 % of the size of the accelerations.
+    # Delays by whole rows, and the course of inputs between rows, are small faults. 1 % of the size of the
+    # accelerations.
     "rows": Threshold(1e-4, 1 / 2),
-    # Whole rows in place of a delay that was accepted already: whichever predicts better.
+    # Whole rows in place of a delay that was accepted already: the one that predicts better wins.
     "rows for a delay": Threshold(0.0, 1.0, sure=-np.inf),
     # Delays and scales that least squares gave: their standard errors have judged them (below).
     "fitted": Threshold(0.0, np.inf, sure=-np.inf),
@@ -48,24 +50,24 @@ BARELY = THRESHOLDS["columns"].most
 FARTHEST = 3.0
 """Residual acceleration, as a multiple of the one that the data sheet states, from which it is a finding."""
 TWIN = 2.0
-"""Share that is left, as a multiple of that in a log of the model itself, from which it is a finding."""
+"""Unexplained share, as a multiple of that in a simulated log of the model, above which it is a finding."""
 
 # Numbers that least squares fit: standard errors, and the size that matters.
 DELAY_ERRORS, DELAY_ROWS = 4.0, 0.6
-"""A delay of one coordinate against another: below 0.6 rows an error of the model may look like one."""
+"""A delay of one coordinate against another; a model error may look like a delay below 0.6 rows."""
 COMMON_ERRORS, COMMON_ROWS, COMMON_GAIN = 5.0, 1.5, 0.4
 """A delay of all coordinates against the inputs, and by which fraction the unexplained squares fall: a wrong friction
 looks like it, but explains less."""
 SCALE_ERRORS, SCALE_OFF, SCALE_GAIN = 5.0, 0.25, 0.5
-"""A scale of an input: its deviation from 1, and the fraction of the squares that falls once the others are right."""
+"""A scale of an input: its deviation from 1, and the fraction by which it reduces the squares once others are right."""
 WHOLE_ROW = 0.2
 """Distance of a delay from a whole number of rows up to which its message says so, in rows."""
 NEEDED = 1.25
-"""A friction or rotor is named where the model leaves this many times as much without it as with all."""
+"""A friction or rotor is named if the unexplained share without it is this multiple of the share with all of them."""
 
 # The clock.
 GAP = 1.5
-"""Ratio of a step in time to the usual one from which rows are missing, where the jitter does not explain it."""
+"""Ratio of a step in time to the usual one above which rows are missing, unless jitter explains it."""
 JITTER = 0.02
 """Standard deviation of the steps in time, as a fraction of the usual one, from which they are called irregular."""
 JUMP = 4.0
@@ -74,17 +76,17 @@ CONTINUES = 0.2
 """Error of a motion that goes on as if no rows were missing, as a fraction of that over the whole step, up to which the
 clock was set forward."""
 SEEN = 10.0
-"""Least way over the whole step, as a multiple of the noise, that tells the one from the other."""
+"""Smallest displacement over the whole step, as a multiple of the noise, that distinguishes these two cases."""
 
 # The readings.
 FAR = 8.0
 """Standard deviations beyond which a measurement among its neighbours is an outlier, and a step in time a gap."""
 COARSE = 0.02
-"""Error of a local polynomial that is allowed for, as a fraction of the motion among the neighbours."""
+"""Allowed error of a local polynomial, as a fraction of the motion among the neighbours."""
 FEW_OUTLIERS = 5e-3
 """Fraction of outliers up to which they are only a note."""
 FEW_REPEATED = 0.02
-"""Fraction of rows that repeat the readings before, up to which they are no error."""
+"""Fraction of rows that repeat the previous readings, up to which they are not an error."""
 LATTICE = 0.05
 """Largest distance of changes from whole ticks, as a fraction of one."""
 STATED_LATTICE = 0.1

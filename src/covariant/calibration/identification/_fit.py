@@ -1,9 +1,9 @@
 """Parameters with which a model predicts a log best: multiple shooting with free initial states, robust to outliers.
 
-Over each window of the log the model predicts from an initial state that is free, and the innovations of the position
-errors decide: those of a filter that follows the errors, of the bandwidth that makes them least. Their scale is
-estimated along with the parameters; one program is compiled, for errors and derivatives together. The rest is least
-squares by blocks, the windows.
+Over each window of the log, the model predicts the motion from a free initial state. A filter follows the position
+errors, and the fit makes its innovations small; the filter has the bandwidth at which they are smallest. Their scale is
+estimated along with the parameters. The search is least squares with one block for each window. One compiled program
+gives errors and derivatives together.
 
 Source: Bock 1983 for multiple shooting; Huber 1981, Robust Statistics, sections 6.3 and 7.6, for the scale.
 """
@@ -25,12 +25,12 @@ from covariant.calibration.identification._windows import Windows
 from covariant.models import Family, Motion
 
 ROUNDS = 4
-"""Searches: without a filter, with one, twice with undetermined combinations fixed; scales are estimated after each."""
+"""Number of searches: without a filter, with one, and two with undetermined combinations fixed; scales follow each."""
 PURE = 0.2
-"""A parameter is determined by itself where all undetermined combinations, changed by all of their size, change it by a
-smaller fraction; its standard error grows by that change."""
+"""A parameter is determined by itself if the undetermined combinations, changed by their full size, change it by a
+smaller fraction; its standard error includes that change."""
 ROUGH = 0.2
-"""A parameter with a larger relative standard error may be zero: its influence need not be linear down to there."""
+"""A parameter with a larger relative standard error may be zero: its influence need not be linear down to zero."""
 CONFIDENCE = 2.0
 """Standard errors within which a parameter cannot be distinguished from zero."""
 
@@ -57,7 +57,7 @@ class Fit(NamedTuple):
         values: Values (p,) after it.
         standard_errors: Standard errors (p,), robust to errors that are alike within a window; NaN for a parameter that
             is not determined.
-        undetermined: Combinations of which the log shows nothing: relative changes of the parameters as rows (d, p);
+        undetermined: Combinations that the log does not determine: relative changes of the parameters as rows (d, p);
             each row has an entry of 1 in a parameter that is in no other row. Along them the parameters stay at their
             first values; but one that was reduced until the log could not distinguish it from zero keeps the reduced
             value.
@@ -98,8 +98,8 @@ def fit(
 ) -> Fit:
     """Fit the open parameters of a model to windows of logs.
 
-    Positive parameters are searched by their logarithms. What the log does not determine keeps its first value, and is
-    listed in `Fit.undetermined`.
+    Positive parameters are searched by their logarithms. Combinations that the log does not determine keep their first
+    values, and are listed in `Fit.undetermined`.
 
     Use it where you have cut the windows yourself. The verb `covariant.fit` starts from files, holds out rows, and
     tries both held and linear inputs where the model file does not say which. `fit_robot` is faster for many numbers of
@@ -137,24 +137,24 @@ def fit(
     for k in range(ROUNDS):
         point, steps = minimise(problem, point, fixed, functools.partial(progress, k))
         step_count += steps
-        among = candidates if k == 0 else np.atleast_1d(problem.weighing.frequency)
-        problem, point = problem.weighed(point, among)
+        trial_frequencies = candidates if k == 0 else np.atleast_1d(problem.weighing.frequency)
+        problem, point = problem.weighed(point, trial_frequencies)
         if 0 < k < ROUNDS - 1:  # with a new filter the parameters have not converged yet
-            fixed = Fixed(point.blocks.undetermined, problem.parameters.kept(point.z))
+            fixed = Fixed(point.blocks.undetermined, problem.parameters.fixed_at(point.z))
     covariance = point.blocks.covariance(fixed.directions)
-    # A large but finite weight fixes the undetermined combinations: remove the trace of motion that it leaves.
+    # The undetermined combinations are fixed by a large but finite weight: remove the small change that it permits.
     z = point.z - fixed.directions @ (point.z - fixed.at)
     values, slopes = map(np.asarray, _values_and_slopes(problem.parameters, jnp.asarray(z)))
     # Relative to the value, or for a value of zero to the unit.
     rows = combination_rows(fixed.directions, slopes / np.where(values == 0, 1.0, values))
-    part = np.sqrt(np.sum(rows**2, axis=0))
-    variance = slopes**2 * np.diagonal(covariance) + (values * part * UNKNOWN) ** 2
+    combined_change = np.sqrt(np.sum(rows**2, axis=0))
+    variance = slopes**2 * np.diagonal(covariance) + (values * combined_change * UNKNOWN) ** 2
     # The last search may have reduced a parameter so far that it has lost its influence.
-    separate = np.asarray(family.positive) & (part < PURE)
+    separate = np.asarray(family.positive) & (combined_change < PURE)
     small = separate & (np.diagonal(covariance) > UNKNOWN**2)
     small |= separate & ~small & _perhaps_zero(problem, point, fixed, covariance)
     rows = np.concatenate([rows, np.eye(len(small))[small]])
-    errors = np.where((part < PURE) & ~small, np.sqrt(np.maximum(variance, 0.0)), np.nan)
+    errors = np.where((combined_change < PURE) & ~small, np.sqrt(np.maximum(variance, 0.0)), np.nan)
     frequency, scale = problem.weighing
     return Fit(family.names, family.first, values, errors, rows, np.asarray(scale), float(frequency), step_count)
 
@@ -238,7 +238,7 @@ class _Parameters(NamedTuple):
 
     def values(self, z) -> Float[Array, "p"]:
         """Parameters at relative changes z (p,): logarithms of ratios for positive ones, for others the inverse
-        hyperbolic sine of the change in units of `size`, which is as broad far away."""
+        hyperbolic sine of the change in units of `size`, which grows as a logarithm too."""
         ratio = jnp.asarray(self.first * jnp.exp(z))
         return jnp.where(jnp.asarray(self.positive), ratio, jnp.asarray(self.first + self.size * jnp.sinh(z)))
 
@@ -248,8 +248,8 @@ class _Parameters(NamedTuple):
         change = np.arcsinh((values - self.first) / np.asarray(self.size))
         return np.where(np.asarray(self.positive), np.log(ratio), change)
 
-    def kept(self, z: NumpyArray) -> NumpyArray:
-        """Values (p,) of z that undetermined combinations keep: first values, or that of a vanishing parameter."""
+    def fixed_at(self, z: NumpyArray) -> NumpyArray:
+        """Values (p,) of z at which undetermined combinations are fixed: 0, or the z of a vanishing parameter."""
         return np.where(np.asarray(self.positive) & (z < -PRIOR), z, 0.0)
 
     def slopes(self, z) -> Float[Array, "p"]:
@@ -276,15 +276,15 @@ class _Predictions(NamedTuple):
         return jax.tree.map(np.asarray, blocks)
 
     def moved(self, z: NumpyArray, dz: NumpyArray) -> NumpyArray:
-        """Relative changes (p,) after a linearised step: it moves the values, or of a positive parameter that falls the
-        inverse, since forces are linear in friction and accelerations in inverse masses."""
+        """Relative changes (p,) after a step that is linear in the values, or for a positive parameter that falls in
+        its inverse, since forces are linear in friction and accelerations in inverse masses."""
         positive = z + np.sign(dz) * np.log1p(np.abs(dz))
         return np.where(np.asarray(self.parameters.positive), positive, np.arcsinh(np.sinh(z) + np.cosh(z) * dz))
 
-    def weighed(self, point: Point, among: Float[NumpyArray, "f"]) -> tuple["_Predictions", Point]:
-        """The same with errors weighed anew, by the best filter among some frequencies [rad/s]."""
+    def weighed(self, point: Point, trial_frequencies: Float[NumpyArray, "f"]) -> tuple["_Predictions", Point]:
+        """Weigh the errors again, by the filter with the best of some frequencies [rad/s]."""
         errors, seen = point.blocks.rest
-        problem = self._replace(weighing=weighing(self.windows, errors, seen, among))
+        problem = self._replace(weighing=weighing(self.windows, errors, seen, trial_frequencies))
         return problem, Point.at(problem, point.z, point.s)
 
 
@@ -332,7 +332,7 @@ def _perhaps_zero(
 ) -> Bool[NumpyArray, "p"]:
     """Parameters (p,) that may be zero: with one nearly zero and the rest refitted, the loss hardly rises."""
     possible = np.asarray(problem.parameters.positive) & (point.z < 0) & (np.diagonal(covariance) > ROUGH**2)
-    alone = np.diagonal(point.blocks.inverse(fixed.directions))
+    uncorrelated_variance = np.diagonal(point.blocks.inverse(fixed.directions))
     for j in np.flatnonzero(possible):
         unit = np.zeros(len(point.z))
         unit[j] = 1.0
@@ -342,6 +342,7 @@ def _perhaps_zero(
         # `at` acts only through directions @ at, so that any point with this goal will do: the pseudoinverse gives one.
         without, _ = minimise(problem, point, Fixed(directions, np.linalg.pinv(directions) @ goal))
         rise = float(np.sum(without.blocks.loss) - np.sum(point.blocks.loss))
-        # Errors alike within a window enlarge the variance, and by as much the rise that is still chance.
-        possible[j] = rise < CONFIDENCE**2 / 2 * covariance[j, j] / alone[j]
+        # Errors that are correlated within a window enlarge the variance, and by the same factor the rise due to
+        # chance.
+        possible[j] = rise < CONFIDENCE**2 / 2 * covariance[j, j] / uncorrelated_variance[j]
     return possible

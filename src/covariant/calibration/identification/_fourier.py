@@ -16,7 +16,7 @@ class FourierMotion(NamedTuple):
     Attributes:
         frequency: Frequency ω/2π [Hz] of the first harmonic.
         centre: Means (n,) of the positions.
-        coefficients: The coefficients (2 H, n): those of the H sines, then those of the cosines.
+        coefficients: Coefficients (2 H, n) of the H sines, then of the H cosines.
 
     Example:
         >>> import numpy as np
@@ -57,7 +57,7 @@ def fourier_basis(t: Float[np.ndarray, "T"], frequency: float, harmonics: int) -
 
 
 def resting_basis(harmonics: int) -> Float[np.ndarray, "h m"]:
-    """Orthonormal basis of the coefficients (2 H,) whose motions begin each period without velocity and acceleration.
+    """Orthonormal basis of the coefficients (2 H,) whose motions begin each period with zero velocity and acceleration.
 
     At t = 0 the velocity is `Σ k ω sₖ` and the acceleration `−Σ k² ω² cₖ`.
     """

@@ -1,8 +1,8 @@
 """Predictions of a model over windows of a log, or some rows ahead of estimates, and their errors.
 
-A good velocity estimate predicts later positions well. A measurement that is still to come has no part in the estimate,
-so the error of its prediction is that of the estimate, moved ahead, and an independent one of the sensor: errors of
-predictions judge estimates without a reference.
+A good velocity estimate predicts later positions well. A later measurement has no part in the estimate. The error of
+its prediction is thus that of the estimate, propagated to that time, plus an independent error of the sensor. So
+prediction errors judge estimates without a reference.
 """
 
 from collections.abc import Sequence
@@ -30,13 +30,13 @@ position alone decides, over a longer one the error of the model."""
 MOST_STARTS = 1000
 """Largest number of rows of a log from which the motion is predicted."""
 FAR = 16.0
-"""Cap on squared errors, as a multiple of their 90 % quantile: an outlier decides nothing."""
+"""Cap on squared errors, as a multiple of their 90 % quantile; it limits the influence of outliers."""
 
 
 class PredictionErrors(NamedTuple):
     """Root mean square errors of predictions from measured positions and reference velocities.
 
-    Squares are capped at a multiple of their 90 % quantile, so that an outlier decides nothing.
+    Squares are capped at a multiple of their 90 % quantile, which limits the influence of outliers.
 
     Attributes:
         one_step: Errors (n,) of the positions after one step [units of the frame].
@@ -121,7 +121,7 @@ def prediction_errors(model: MechanicalSystem, lag: Number, windows: Windows) ->
         windows: The windows of the log.
 
     Returns:
-        Root mean square errors after one step and over whole windows, of which outliers decide nothing.
+        Root mean square errors after one step and over whole windows, with limited influence of outliers.
 
     Example:
         >>> import numpy as np
@@ -138,7 +138,7 @@ def prediction_errors(model: MechanicalSystem, lag: Number, windows: Windows) ->
     u = np.asarray(lagged(jnp.asarray(windows.inputs), jnp.asarray(windows.steps), lag))[np.asarray(windows.rows)]
     data = (windows.t, u, windows.y, windows.v)
     errors = _errors(model, jax.tree.map(jnp.asarray, data), substeps)
-    single, whole, speed, seen, timed = jax.tree.map(np.asarray, errors)
+    single, whole, speed, seen, at_new_stamp = jax.tree.map(np.asarray, errors)
 
     def rms(errors, mask):
         columns = [errors[..., i][mask[..., i]] for i in range(errors.shape[-1])]
@@ -146,7 +146,7 @@ def prediction_errors(model: MechanicalSystem, lag: Number, windows: Windows) ->
 
     # The prediction starts from the first row, whose error is zero by construction.
     later = seen & (np.arange(seen.shape[1]) > 0)[:, None]
-    return PredictionErrors(rms(single, later[:, 1:] & seen[:, :-1]), rms(whole, later), rms(speed, timed))
+    return PredictionErrors(rms(single, later[:, 1:] & seen[:, :-1]), rms(whole, later), rms(speed, at_new_stamp))
 
 
 @eqx.filter_jit
@@ -156,20 +156,20 @@ def _errors(model: MechanicalSystem, data: Any, substeps: int):
     def window(t, u, y, v):
         def step(predicted, row):
             begin, end, input_, q, w = row
-            present = manifold.measured(predicted.q, q)  # where something is missing its error is masked
-            # Two motions in one: advanced apart, the model would be compiled twice.
+            present = manifold.measured(predicted.q, q)  # the error of a missing entry is masked
+            # Both motions advance in one batch: apart, the model would be compiled twice.
             both = jax.tree.map(lambda *parts: jnp.stack(parts), predicted, Motion(present, w))
             both = jax.vmap(lambda motion: advance(model, begin, motion, input_, end - begin, substeps))(both)
-            after, once = (jax.tree.map(lambda part, k=k: part[k], both) for k in range(2))
-            return after, (after, once.q)
+            after, one_step = (jax.tree.map(lambda part, k=k: part[k], both) for k in range(2))
+            return after, (after, one_step.q)
 
         start = Motion(y[0], v[0])
-        after, once = jax.lax.scan(step, start, (t[:-1], t[1:], u, y[:-1], v[:-1]))[1]
+        after, one_step = jax.lax.scan(step, start, (t[:-1], t[1:], u, y[:-1], v[:-1]))[1]
         predicted = jax.tree.map(lambda first, rest: jnp.concatenate([first[None], rest]), start, after)
         whole, seen = differences(model, predicted.q, y)
-        single, _ = differences(model, once, y[1:])
-        timed = jnp.concatenate([jnp.ones(1, bool), jnp.diff(t) > 0])[:, None]
-        return single, whole, v - predicted.v, seen, timed & jnp.ones_like(seen)
+        single, _ = differences(model, one_step, y[1:])
+        at_new_stamp = jnp.concatenate([jnp.ones(1, bool), jnp.diff(t) > 0])[:, None]
+        return single, whole, v - predicted.v, seen, at_new_stamp & jnp.ones_like(seen)
 
     return jax.vmap(window)(*data)
 
@@ -183,7 +183,7 @@ def error_growth(before: PredictionErrors, after: PredictionErrors) -> float:
 
 
 def rows_ahead(rate: float, frequency: float) -> int:
-    """Number of rows over which predictions tell what the velocity of an estimate is worth.
+    """Number of rows over which predictions show the quality of an estimated velocity.
 
     Args:
         rate: Sampling rate [Hz].
@@ -214,7 +214,7 @@ def errors_ahead(
         model: The mechanical system that predicts.
         record: The log, of T rows.
         motion: Estimated configurations and velocities (T, n) after each row.
-        rows: Rows (T,) of which the measurements are predicted; at most `MOST_STARTS` of them, evenly.
+        rows: Mask (T,) of the rows whose measurements are predicted, from at most `MOST_STARTS` rows at even distances.
         horizon: Number h of rows.
         substeps: Runge–Kutta steps in each sample; by default none is longer than 10 ms.
 
@@ -271,13 +271,13 @@ def _errors_ahead(
 
 
 def size(errors: Sequence[Float[np.ndarray, "_ _ n"]]) -> Float[np.ndarray, "n"]:
-    """Root mean squares of errors, which outliers do not decide."""
+    """Root mean squares of errors, with limited influence of outliers."""
     columns = np.concatenate([np.reshape(each, (-1, each.shape[-1])) for each in errors]).T
     return np.sqrt([mean_square(column[~np.isnan(column)]) for column in columns])
 
 
 def mean_square(r: np.ndarray) -> float:
-    """Mean square of errors, robust to outliers; infinite where one is not finite, or there is none."""
+    """Mean square of errors, robust to outliers; infinite if one is not finite, or there are none."""
     if not r.size or not np.isfinite(r).all():
         return float("inf")
     square = r**2

@@ -1,4 +1,4 @@
-"""Torques that a motion of a robot needs, their derivatives in open numbers of the robot, and what these determine."""
+"""Torques that a motion of a robot needs, their derivatives in its open numbers, and which numbers a log determines."""
 
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
@@ -17,23 +17,23 @@ from covariant.geometry import differential
 from covariant.models import MechanicalSystem, RobotFamily, applied_force, input_count, resistance
 
 KNOWN = 0.1
-"""A number is shown where its standard error is below this fraction of that of the prior."""
+"""The log shows a number if its standard error is below this fraction of its standard deviation in the prior."""
 USEFUL = 0.1
-"""Part of its usual size that is useful to know of a number: zero must be told from it."""
+"""Smallest useful value of a number, as a fraction of its usual size; the log must distinguish it from zero."""
 APART = 2.0, 3.0
-"""Standard errors by which zero is told from a useful size, and by which a value is told from zero."""
+"""Standard errors that must separate zero from the smallest useful value, and a value from zero."""
 WINDOWS = (1.0, 2.0, 4.0, 8.0)
-"""Half windows that are compared, in those of the shortest; the one with the smallest standard errors is used."""
+"""Half windows that are compared, in multiples of the shortest; the one with the smallest standard errors is used."""
 RESTING = 0.1
-"""Fraction of a window in which a joint may stick, from which its torque is not used: a joint that sticks holds any
+"""If a joint may stick in this fraction of a window or more, its torque is not used: a joint that sticks holds any
 torque up to the dry friction."""
 STICKING, SLOW = 3.0, 0.3
-"""Speed from which a joint does not stick, in that at which dry friction is smoothed: tanh(3) is 1 up to half a per
-cent. In a slow motion it is this fraction of the usual speed, or once the smoothing speed."""
+"""A joint sticks below 3 times the speed that smooths dry friction, as tanh(3) is 1 up to half a per cent. In a slow
+motion the limit is 0.3 times the usual speed, but at least the smoothing speed."""
 FEWEST = 5
 """Least number of samples in half a window."""
 BLOCK = 6.0
-"""Length of a block, in half windows, over which residuals may be alike."""
+"""Length of a block, in half windows, over which residuals may be correlated."""
 FEWEST_BLOCKS = 12
 BATCH = 1024
 
@@ -42,9 +42,10 @@ class Torques(NamedTuple):
     """The robot as compiled functions of the coordinates x.
 
     Attributes:
-        model: `x (p,) -> model`, without making it anew from its files.
+        model: `x (p,) -> model`, without building it from its files again.
         derivatives: Derivatives (K, n, p) of the torques in x, at x and K rows (q, v, a, u) of a motion.
-        slopes: Those of one row, and their derivatives (n, p, n + n + n + m) in the row, as functions of rows, at x.
+        slopes: `x -> function of rows` that returns these derivatives (n, p) of each row, and their derivatives (n, p,
+            n + n + n + m) in the row.
     """
 
     model: Callable[[np.ndarray], Any]
@@ -64,7 +65,8 @@ class Torques(NamedTuple):
 
         @jax.jit
         def batch(flat: Array, slopes: Array, *columns: Array) -> Array:
-            # Fewer torques than numbers: backwards from each torque to all arrays of the model, then to the numbers.
+            # Torques are fewer than numbers: reverse mode from each torque to the arrays of the model, then to the
+            # numbers.
             def one(*row: Array) -> Array:
                 return jax.jacrev(lambda part: _torque(eqx.combine(unravel(part), static), *row))(flat) @ slopes
 
@@ -80,9 +82,9 @@ class Torques(NamedTuple):
                 def torques(part: Array) -> Array:
                     return _torque(eqx.combine(unravel(part), static), *jnp.split(row, [n, 2 * n, 3 * n]))
 
-                # Forwards, here: to the numbers, and then to the row; backwards twice takes much longer to compile.
-                found = jax.vmap(lambda d: jax.jvp(torques, (flat,), (d,))[1], in_axes=1, out_axes=1)(slopes)
-                return found, found
+                # Forward mode to the numbers, and then to the row; reverse mode twice takes much longer to compile.
+                derivative = jax.vmap(lambda d: jax.jvp(torques, (flat,), (d,))[1], in_axes=1, out_axes=1)(slopes)
+                return derivative, derivative
 
             n = columns[0].shape[1]
             slope, value = jax.vmap(jax.jacfwd(lambda row: one(row, n), has_aux=True))(jnp.concatenate(columns, axis=1))
@@ -96,13 +98,13 @@ class Torques(NamedTuple):
 
 
 class Determined(NamedTuple):
-    """What a log determines of the numbers.
+    """Which numbers a log determines, and how well.
 
     Attributes:
         standard_errors: Standard errors (p,); NaN for a number that the log does not show by itself.
-        determined: Whether the log shows each number (p,), and can tell it, or else a tenth of its usual size, from
-            zero.
-        combinations: What it determines of numbers that it cannot tell apart.
+        determined: Whether the log shows each number (p,), and distinguishes either its value or a tenth of its usual
+            size from zero.
+        combinations: Combinations that the log determines, of numbers that it cannot distinguish.
         prior: Standard deviations (p,) of the numbers before the log.
     """
 
@@ -120,18 +122,18 @@ class Determined(NamedTuple):
         information: Float[np.ndarray, "p p"],
         covariance: Float[np.ndarray, "p p"],
     ) -> "Determined":
-        """What follows from information about coordinates x (p,), without the prior, and their covariance with it."""
+        """Evaluate the information on coordinates x (p,), without the prior, and their covariance, with the prior."""
         slopes = np.asarray(jax.jit(jax.jacfwd(family.values))(x))
         prior = np.sqrt(np.sum((slopes * sizes * PRIOR) ** 2, axis=1))
         errors = np.sqrt(np.einsum("ij,jk,ik->i", slopes, covariance, slopes))
         to_linear = np.asarray(jax.jit(jax.jacfwd(family.linear))(x))
-        found = combinations(family, information, to_linear, sizes * PRIOR, KNOWN)
+        undetermined = combinations(family, information, to_linear, sizes * PRIOR, KNOWN)
         # A number that only a combination shows, even one with a small part of others, is not known by itself.
-        combined = np.isin(family.names, found.leading)
+        combined = np.isin(family.names, undetermined.leading)
         shown = (errors < KNOWN * prior) & ~combined
         values = np.asarray(jax.jit(family.values)(x))
-        apart = _told_from_zero(values, errors, prior / PRIOR)
-        return cls(np.where(shown, errors, np.nan), shown & apart, found, prior)
+        nonzero = _told_from_zero(values, errors, prior / PRIOR)
+        return cls(np.where(shown, errors, np.nan), shown & nonzero, undetermined, prior)
 
 
 def _told_from_zero(values: np.ndarray, errors: np.ndarray, usual: np.ndarray) -> Bool[np.ndarray, "p"]:
@@ -207,12 +209,12 @@ def _torque(model: MechanicalSystem, q: Array, v: Array, a: Array, u: Array) -> 
 
 
 def in_batches(function: Callable[..., Array], model: MechanicalSystem, *columns: np.ndarray) -> np.ndarray:
-    """A function of a model and of one row, at all rows."""
+    """Evaluate a function of a model and one row at all rows, in batches."""
     return batched(lambda *part: mapped(function, model, *part), columns)
 
 
 def batched(function: Callable[..., Array], columns: Sequence[np.ndarray], batch: int = BATCH) -> np.ndarray:
-    """A function of so many rows at a time, at all rows."""
+    """Evaluate a function of `batch` rows at all rows."""
     count = len(columns[0])
     size = -(-count // batch) * batch
     padded = [np.concatenate([c, np.repeat(c[-1:], size - count, axis=0)]) for c in columns]
@@ -222,7 +224,7 @@ def batched(function: Callable[..., Array], columns: Sequence[np.ndarray], batch
 
 @eqx.filter_jit
 def mapped(function: Callable[..., Any], model: MechanicalSystem, *columns: Array) -> Any:
-    """A function of the model and of one row, at these rows."""
+    """Evaluate a function of the model and one row at these rows."""
     return jax.vmap(lambda *row: function(model, *row))(*columns)
 
 

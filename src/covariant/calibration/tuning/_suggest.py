@@ -19,16 +19,16 @@ from covariant.models import ModelFile
 from covariant.signals import Record
 
 FAINT = 0.5
-"""Ratio of the squares of the residual accelerations to those of the noise, below which they count as noise."""
+"""Residual accelerations count as noise if their mean square exceeds the noise variance by less than this fraction."""
 
 
 class Suggestion(NamedTuple):
     """A number for a model file, estimated from a log.
 
     Attributes:
-        key: Its table and key, as "measurement.std".
+        key: Table and key in the model file, such as "measurement.std".
         value: The number, or one for each coordinate.
-        evidence: Half a sentence on its source.
+        evidence: Source of the number, as half a sentence.
 
     Example:
         >>> from covariant.calibration import Suggestion
@@ -60,7 +60,7 @@ def suggest_noise(file: ModelFile, record: Record) -> tuple[Suggestion, ...]:
     of a suggestion into the file or pass it as an override. `tune` takes longer and is more accurate.
 
     Args:
-        file: The model file. What it has is not suggested again.
+        file: The model file. Noise levels that it has are not suggested.
         record: The log, as it was read.
 
     Returns:
@@ -71,8 +71,8 @@ def suggest_noise(file: ModelFile, record: Record) -> tuple[Suggestion, ...]:
         - "uncertainty.acceleration" [unit/s²], from the residual accelerations of the model along the smoothed log. It
           is as good as the parameters of the model: fitting these makes it smaller.
 
-        None for a machine on a group, nor for what the log is too short or too still to show. For a state-space model
-        only the noise of its outputs can be suggested.
+        Empty for a machine on a group. A level is left out if the log is too short, or moves too little, to show it.
+        For a state-space model only the noise of its outputs can be suggested.
 
     Example:
         >>> import numpy as np
@@ -91,37 +91,37 @@ def suggest_noise(file: ModelFile, record: Record) -> tuple[Suggestion, ...]:
         return ()
     record = busiest(record, MOST_ROWS)
     if file.measurement_std is None:
-        suggestions += _of_readings(file, record)
+        suggestions += _suggest_from_readings(file, record)
     if file.acceleration_std is None and in_coordinates(file):
-        suggestions += _of_accelerations(file, record)
+        suggestions += _suggest_from_accelerations(file, record)
     return tuple(suggestions)
 
 
-def _of_readings(file: ModelFile, record: Record) -> list[Suggestion]:
+def _suggest_from_readings(file: ModelFile, record: Record) -> list[Suggestion]:
     circles = file.model.circles if file.mechanical else ()  # pyright: ignore[reportAttributeAccessIssue]
     units = getattr(file.model, "units", ()) if file.mechanical else ()
     units = units or ("",) * np.asarray(record.y).shape[1]
-    seen = readings(record, circles)
-    if not seen.known:
+    readings_noise = readings(record, circles)
+    if not readings_noise.known:
         return []
-    if (seen.ticks > 0).all():
-        value = one_or_each(seen.ticks, units, 5)
+    if (readings_noise.ticks > 0).all():
+        value = one_or_each(readings_noise.ticks, units, 5)
         return [Suggestion("measurement.quantum", value, "positions of the log are whole ticks apart")]
-    if not (seen.std > 0).all():  # a constant position has no noise to report
+    if not (readings_noise.std > 0).all():  # a constant position shows no noise
         return []
-    caveat = "" if seen.white.all() else ", at most, since they move between the rows"
-    value = one_or_each(seen.std, units, 2)
+    caveat = "" if readings_noise.white.all() else ", at most, since they move between the rows"
+    value = one_or_each(readings_noise.std, units, 2)
     return [Suggestion("measurement.std", value, f"the noise of the positions in the log{caveat}")]
 
 
-def _of_accelerations(file: ModelFile, record: Record) -> list[Suggestion]:
+def _suggest_from_accelerations(file: ModelFile, record: Record) -> list[Suggestion]:
     case, _ = case_without_outliers(file, record)
     best = best_window(case)
     if best is None or not (significant := best[1].told).any():
         return []
     left = best[1]
     noise = np.asarray(left.noise)
-    # Noise is independent of what the model leaves, so the variances subtract.
+    # Noise is independent of the model's error, so the variances subtract.
     squares = np.mean(left.left**2, axis=0) - noise**2
     clear = squares > FAINT * noise**2
     size = np.where(clear, np.sqrt(np.maximum(squares, 0.0)), noise)

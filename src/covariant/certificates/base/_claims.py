@@ -1,8 +1,8 @@
-"""The kinds of claims of which a proof of contraction consists: the numbers of each, its file form, and its words.
+"""The kinds of claims in a proof of contraction: the numbers of each kind, its form in a file, and its text.
 
 The matrix of a claim, which must be positive definite on a box, is formed twice and independently: by the prover as a
-graph with derivatives of its own (`FORMS`), and by the checker as a JAX function (`MATRICES`). Both are listed by kind.
-What follows from all claims together is in `_radius_recursion` and in the checker.
+graph with its own derivatives (`FORMS`), and by the checker as a JAX function (`MATRICES`). Both are listed by kind.
+The consequences of all claims together are in `_radius_recursion` and in the checker.
 """
 
 import abc
@@ -27,7 +27,7 @@ UNPROVED = Proof("undecided", Box((), (), np.zeros(0), np.zeros(0)), [], None, n
 
 
 class Setting(NamedTuple):
-    """What the claims of a certificate are about, and with it how many there are of each kind.
+    """The problem of a certificate, which determines the boxes and the numbers of its claims.
 
     Attributes:
         low, high: the box (d,), whose last variable is the age where measurements are sampled.
@@ -46,7 +46,7 @@ class Setting(NamedTuple):
 
 
 class Terms(NamedTuple):
-    """What the words of a claim refer to.
+    """Quantities that the text of a claim names.
 
     Attributes:
         rate: rate λ [1/s] of squared lengths.
@@ -65,8 +65,8 @@ class Terms(NamedTuple):
 class AbstractClaim(abc.ABC):
     """One inequality of a certificate. The numbers of a kind are its further fields.
 
-    A new kind is a subclass here, listed in `CLAIMS` at its place in the file, a form of the prover and a matrix of the
-    checker. `read` and `document` follow from its fields.
+    A new kind needs a subclass here, listed in `CLAIMS` at its place in the file, a form for the prover, and a matrix
+    for the checker. `read` and `document` follow from its fields.
 
     Attributes:
         proof: the tree of boxes over which it was shown; `UNPROVED` for a claim of a file.
@@ -88,7 +88,7 @@ class AbstractClaim(abc.ABC):
 
     kind: ClassVar[str]
     assumed_without: ClassVar[str] = ""
-    """What a certificate with samples assumes where it has no claim of this kind."""
+    """Assumption of a certificate with samples that has no claim of this kind."""
 
     @classmethod
     @abc.abstractmethod
@@ -100,11 +100,11 @@ class AbstractClaim(abc.ABC):
         """Return what is assumed if this claim is a hypothesis.
 
         Args:
-            terms: what the words refer to.
+            terms: the quantities that the text names.
         """
 
     def margin(self, radius: float) -> float | None:
-        """Return by how much the claim leaves room for a tube of a radius; None where no number says it.
+        """Return the margin of the claim for a tube of a radius; None if the claim has no such number.
 
         Args:
             radius: the radius.
@@ -138,7 +138,7 @@ class AbstractClaim(abc.ABC):
         """Return this claim as a hypothesis of a statement.
 
         Args:
-            terms: what its words refer to.
+            terms: the quantities that its text names.
             evidence: "proved", or "claimed" by a file.
         """
         return Hypothesis(self.text(terms), evidence, self.proof.verdict, self.margin(terms.radius), self.proof.reason)
@@ -169,11 +169,11 @@ class AbstractClaim(abc.ABC):
 
         Args:
             field: the claim in the file.
-            index: how many of this kind there are before it, which a `row` must repeat.
-            setting: what the certificate is about.
+            index: number of claims of this kind before it, which its `row` must equal.
+            setting: the problem of the certificate.
 
         Raises:
-            ValueError: naming file and key.
+            ValueError: The claim is invalid; the message names file and key.
         """
         errors = int(np.count_nonzero(setting.given.noise))
         keys = [key for key in cls._keys() if key != "squares" or errors]
@@ -244,7 +244,7 @@ class DisturbanceClaim(AbstractClaim):
     """Errors of measurement and force, relative to their sizes and in the unit ball, add at most `√square` to the flow.
 
     Attributes:
-        square: square of the bound of the length. With samples it is one for the force alone.
+        square: square of the bound on this addition; with samples, of the force alone.
     """
 
     square: float
@@ -253,7 +253,7 @@ class DisturbanceClaim(AbstractClaim):
 
     @classmethod
     def count(cls, setting: Setting) -> tuple[int, int]:
-        # In continuous time noise makes it necessary too, which the checker decides.
+        # In continuous time noise requires this claim too; the checker decides whether it is missing.
         acts = int(setting.given.disturbance.any())
         return (0, 1) if setting.sampling is None else (acts, acts)
 
@@ -268,7 +268,7 @@ class CorrectionClaim(AbstractClaim):
 
     Attributes:
         row: number of samples lost before it.
-        squares: with noise, what the error of each measured position adds at most to a squared length.
+        squares: with noise, the largest addition of the error of each measured position to a squared length.
     """
 
     row: int
@@ -309,7 +309,7 @@ class MissingClaim(AbstractClaim):
 
     @classmethod
     def count(cls, setting: Setting) -> tuple[int, int]:
-        # It bounds the factor of the correction, which one of second order does not have.
+        # The claim bounds the factor in the correction; a correction of second order has no factor.
         count = int(setting.sampling is not None and setting.order == 1)
         return count, count
 
@@ -343,7 +343,7 @@ class PredictionClaim(AbstractClaim):
         return "the defect of the Runge–Kutta steps of a prediction keeps its bound"
 
     def bounds(self, low: np.ndarray, high: np.ndarray, n: int, sampling: Sampling | None) -> Ends:
-        # Instead of errors, joint forces and slopes, a prediction has two lengths of its steps.
+        # A prediction has two step lengths in place of errors, joint forces and slopes.
         assert sampling is not None
         places, longest = prediction_places(len(low), n), sampling.longest_step
         return np.append(low[places], [0.0, 0.0]), np.append(high[places], [longest, longest])

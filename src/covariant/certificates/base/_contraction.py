@@ -1,7 +1,8 @@
 """Contraction of a flow `x' = f(t, x)` in a metric: the generalised Jacobian, and the rate at which lengths decrease.
 
 A metric on states is represented as `M = ΘᵀNΘ`: a coframe Θ(t, x) with its inverse, and the Gram matrix N(t, x) of the
-frame. With N = I the condition is (8) of the paper, on the generalised Jacobian; with Θ = I it is (9), on M itself.
+frame. With N = I, contraction is condition (8) of Jouffroy & Fossen, on the generalised Jacobian; with Θ = I it is
+their condition (9), on M itself.
 
 Source: Jouffroy & Fossen 2004, equations (4)–(9); Lohmiller & Slotine 1998, On contraction analysis for nonlinear
 systems, Automatica 34(6); Theorem 2 of Aghannan & Rouchon 2003.
@@ -112,7 +113,7 @@ def generalised_jacobian(flow: Flow, metric: StateMetric, t: Scalar, x: Vector) 
         x: state (n,).
 
     Returns:
-        F_Θ (n, n) [1/s]: the Jacobian of components in the frame along the flow.
+        F_Θ (n, n) [1/s]; along the flow, the components `δz = Θ δx` of a variation change as `δz' = F_Θ δz`.
 
     Example:
         >>> import jax.numpy as jnp
@@ -122,11 +123,11 @@ def generalised_jacobian(flow: Flow, metric: StateMetric, t: Scalar, x: Vector) 
         >>> generalised_jacobian(flow, metric, jnp.array(0.0), jnp.zeros(2)).tolist()
         [[-1.0, 0.5], [0.0, -1.0]]
     """
-    # Θ̇ is the total derivative: along time and along the flow.
+    # Θ̇ is the total derivative along the flow: ∂Θ/∂t + (∂Θ/∂x) f.
     change = jax.jvp(metric.coframe, (t, x), (jnp.ones_like(t), flow(t, x)))[1]
     frame = metric.frame(t, x)
-    pushed = jax.vmap(lambda e: jax.jvp(lambda y: flow(t, y), (x,), (e,))[1], in_axes=1, out_axes=1)(frame)
-    return change @ frame + metric.coframe(t, x) @ pushed
+    jacobian_frame = jax.vmap(lambda e: jax.jvp(lambda y: flow(t, y), (x,), (e,))[1], in_axes=1, out_axes=1)(frame)
+    return change @ frame + metric.coframe(t, x) @ jacobian_frame
 
 
 def contraction_matrix(flow: Flow, metric: StateMetric, t: Scalar, x: Vector) -> Matrix:
@@ -163,7 +164,8 @@ def lengths(gram: Matrix, change: Matrix, jacobian: Matrix) -> Matrix:
 def contraction_rate(flow: Flow, metric: StateMetric | StateMatrix, t: Scalar, x: Vector) -> Scalar:
     """Compute the largest λ at (t, x) with `FᵀM + Ṁ + MF ≤ −λM`.
 
-    Distances between solutions decrease as `e^(−λt/2)` where λ is a lower bound along the geodesics between them.
+    Distances between solutions decrease at least as `e^(−λt/2)` if λ is a lower bound of the rate along the geodesics
+    between them.
 
     Args:
         flow: `(t, x) -> x'`, the right-hand side f.
@@ -172,8 +174,8 @@ def contraction_rate(flow: Flow, metric: StateMetric | StateMatrix, t: Scalar, x
         x: state (n,).
 
     Returns:
-        λ [1/s], of squared lengths: minus the largest generalised eigenvalue of both sides; negative where lengths
-        grow.
+        λ [1/s], the rate of squared lengths: minus the largest eigenvalue of the left side relative to M; negative if
+        some length grows.
 
     Example:
         >>> import jax.numpy as jnp
@@ -190,20 +192,20 @@ def contraction_rate(flow: Flow, metric: StateMetric | StateMatrix, t: Scalar, x
 def log_norm(matrix: Matrix, order: float | int = 2) -> Scalar:
     """Compute the logarithmic norm μ of a Jacobian for the vector norm ℓ1, ℓ2 or ℓ∞: `|δx|' ≤ μ |δx|`.
 
-    A quick test: where it is negative on a convex set, the flow contracts in that norm.
+    A quick test: if μ is negative everywhere on a convex set, the flow contracts in that norm.
 
     Source: Desoer & Haneda 1972, The measure of a matrix as a tool to analyze computer algorithms, IEEE Trans. Circuit
     Theory 19(5).
 
     Args:
         matrix: Jacobian (n, n) [1/s].
-        order: of the vector norm: 1, 2 (default) or infinity.
+        order: order of the vector norm: 1, 2 (default) or infinity.
 
     Returns:
         μ [1/s].
 
     Raises:
-        ValueError: another order.
+        ValueError: `order` is not 1, 2 or infinity.
 
     Example:
         >>> import jax.numpy as jnp

@@ -1,4 +1,4 @@
-"""The region of a certificate: positions, inputs and times, as they are given, checked."""
+"""The region of a certificate: the caller's bounds of positions, inputs and times, checked."""
 
 import itertools
 import math
@@ -42,7 +42,7 @@ def _amounts(name: str, value: ArrayLike, n: int) -> Float[np.ndarray, "n"]:
 
 
 class Region(NamedTuple):
-    """Where the system is: the box of true positions, the bounds (2, m) of inputs, and first and last time [s]."""
+    """Region of the true system: the box of positions, the bounds (2, m) of inputs, and first and last time [s]."""
 
     true: Box
     inputs: Float[np.ndarray, "2 m"]
@@ -94,7 +94,7 @@ def _inputs(model, bounds, n: int) -> Float[np.ndarray, "2 m"]:
 
 
 def _times(model: MechanicalSystem, n: int, times: tuple[float, float] | None) -> tuple[float, float]:
-    """First and last time; where the force does not depend on it, any one instant stands for all."""
+    """First and last time; if the force does not depend on time, one instant represents all."""
     if times is None:
         if force_reads_time(model, n):
             raise ValueError(

@@ -1,4 +1,4 @@
-"""The observer of a saved certificate."""
+"""Rebuild the observer of a saved certificate, and its error system."""
 
 from typing import Any
 
@@ -41,7 +41,7 @@ def observer_from(document: Document, model: Any = None) -> tuple[Intrinsics, Fl
 def system_of(
     observer: Intrinsics, q: Float[np.ndarray, "2 2"], sampling: Sampling | None, joint_friction: bool = False
 ) -> ErrorSystem:
-    """Describe an observer and its metric as functions of a box, in continuous time or with samples."""
+    """Return the error system of an observer and its metric, in continuous time or with samples."""
     if sampling is None:
         return error_system(observer, q, joint_friction)
     if not isinstance(observer, Intrinsic):

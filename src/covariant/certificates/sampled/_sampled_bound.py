@@ -1,9 +1,9 @@
-"""A proved bound of the estimate's error beside every sample: the recursion of a certificate, run with its observer.
+"""A proved bound of the estimation error after every sample: the recursion of a certificate, run with its observer.
 
 The certificate of a sampled observer shows how the distance between truth and estimate, in its metric, changes from
-sample to sample (see `_radius_recursion`). Run on a log, or in real time, this recursion gives a radius after every
-sample, and the radius a bound of each position and velocity. It knows nothing (the bounds are infinite, with a reason)
-where a premise of the certificate is not seen to hold, from then on until a new start is given.
+sample to sample (see `_radius_recursion`). Run on a log or in real time, this recursion gives a radius after every
+sample. The radius bounds the error of each position and velocity. If a sample does not confirm a premise of the
+certificate, the bounds are infinite and name that premise, until the caller gives a new start.
 """
 
 import enum
@@ -44,31 +44,31 @@ class Premise(enum.IntEnum):
 
     @property
     def message(self) -> str:
-        """One line that says what is not known to hold."""
+        """One line that says which premise is not known to hold."""
         return _MESSAGES[self]
 
 
 _MESSAGES = {
     Premise.HOLDS: "the bound is proved",
-    Premise.START: "no bound of the start was given, or one beyond the radius of the certificate",
+    Premise.START: "no bound of the initial error was given, or it exceeds the radius of the certificate",
     Premise.AGE: "a step, or the time since the last measurement, is of a length for which nothing is proved",
     Premise.TUBE: "the error may be beyond the radius of the certificate",
     Premise.VELOCITY: "the velocity may be beyond the bound of the certificate",
     Premise.POSITION: "the position may be outside of the region of the certificate",
     Premise.MEASUREMENT: "only some positions were measured or used, for which nothing is proved",
     Premise.INPUT: "the input is outside of the bounds of the certificate, or not finite",
-    Premise.STEP: "the observer's step did what nothing is proved of, such as a new start: see its result code",
+    Premise.STEP: "the certificate does not cover what the observer's step did, such as a restart: see its result code",
 }
 
 
 class BoundState(NamedTuple):
-    """What the next step needs.
+    """State of the bound between samples.
 
     Attributes:
         radius: proved distance right after the last measurement, in the metric; infinite where nothing is known.
         age: time since that measurement [s].
-        premise: `Premise` as a number: 0, or the first one that failed. All of a state are real numbers, as those that
-            `lowering` reads have to be.
+        premise: `Premise` as a number: 0, or the first one that failed. It is a real number like the other fields,
+            since `lowering` needs states of real numbers.
 
     Example:
         >>> import jax.numpy as jnp
@@ -107,21 +107,22 @@ class BoundInfo(NamedTuple):
 
 
 class SampledBound(eqx.Module):
-    """A proved bound beside every sample of an observer with sampled measurements; from `certificate.bound()`.
+    """A proved error bound after every sample of an observer with sampled measurements; from `certificate.bound()`.
 
-    What the certificate assumes is assumed here too, the noise and unknown force within the bounds that it states above
-    all. What can be seen from a sample is checked: the age of the measurement, the input, and that every state within
-    the bound keeps to the region of positions and the bounds of velocity. Between samples the last is assumed.
+    The bound rests on the assumptions of the certificate, above all that noise and unknown force are within the bounds
+    that it states. Each step checks what a sample shows: the age of the measurement, the input, and that every state
+    within the bound is in the region of positions and within the bounds of velocity. Between samples the last is
+    assumed.
 
     Use it beside an observer, to know at every sample how far the estimate may be off: for a safety monitor rather than
     for a design. The bound is a worst case, so that it exceeds the usual error many times; a filter reports standard
     deviations.
 
     Attributes:
-        recursion: the numbers of the recursion.
+        recursion: constants of the recursion.
         radius: ε of the certificate.
         reach: bounds (2n,) of each position and velocity error at a distance of 1.
-        start: weights (2n,) of the squared errors of a start; ∞ where the certificate has none.
+        start: weights (2n,) of the squared initial errors in the squared distance; ∞ where the certificate has none.
         positions: least and largest true positions (2, n).
         velocity: bounds (n,) of the true velocities.
         inputs: least and largest inputs (2, m).
@@ -156,13 +157,13 @@ class SampledBound(eqx.Module):
     circles: tuple[bool, ...] = eqx.field(static=True)
 
     def init(self, radius: Number = np.inf) -> BoundState:
-        """Begin with a bound of the distance, right after a measurement.
+        """Start from a bound of the distance, right after a measurement.
 
         Args:
             radius: largest distance between truth and estimate, in the metric of the certificate; unknown by default.
 
         Returns:
-            The state, which knows nothing where the radius is not below that of the certificate.
+            The state. Its radius is infinite if `radius` is negative, NaN, or above that of the certificate.
         """
         start = jnp.asarray(radius, float)
         known = (start >= 0) & (start <= self.radius)
@@ -170,14 +171,14 @@ class SampledBound(eqx.Module):
         return BoundState(jnp.where(known, start, jnp.inf), jnp.zeros(()), premise)
 
     def within(self, position: ArrayLike, velocity: ArrayLike) -> BoundState:
-        """Begin with bounds of the initial errors, right after a measurement.
+        """Start from bounds of the initial errors, right after a measurement.
 
         Args:
             position: bounds (n,) of the errors of the positions [unit], or one for all.
             velocity: bounds (n,) of the errors of the velocities [unit/s], or one for all.
 
         Returns:
-            The state, which knows nothing where these errors may be beyond the radius of the certificate.
+            The state. Its radius is infinite if these errors may exceed the radius of the certificate.
         """
         each = [jnp.broadcast_to(jnp.asarray(b, float), self.velocity.shape) for b in (position, velocity)]
         return self.init(jnp.sqrt(jnp.sum(jnp.asarray(self.start) * jnp.concatenate(each) ** 2)) * (1 + ROUND))
@@ -194,45 +195,47 @@ class SampledBound(eqx.Module):
         """Advance the bound over a sample.
 
         A measurement that the observer did not use, since it is missing, infinite, too large or refused by a gate,
-        corrects nothing here either: its sample is lost, which the ages of the certificate cover or not.
+        corrects nothing here either. It counts as a lost sample, and the bound stays known only if the certificate
+        covers the age that results.
 
         Args:
-            state: the state after the sample before.
+            state: the state after the previous sample.
             x: the estimate (2n,) after this sample, positions first.
-            u: the input (m,) since the sample before.
+            u: the input (m,) since the previous sample.
             y: the measurement (n,) as the observer got it; NaN where it is lost.
-            dt: time since the sample before [s]; a sample that repeats a stamp (0) changes nothing. One that is longer
-                than the interval of the certificate is not covered: give a sample that is lost as one of its own.
-            result: result code of the observer's step, `info.result`. By default it is that of the certified observer
-                itself, without a gate, which follows from the other arguments.
+            dt: time since the previous sample [s]; 0, a repeated stamp, changes nothing. A time longer than the
+                interval of the certificate is not covered: pass every lost sample too, with NaN as y.
+            result: result code of the observer's step, `info.result`. By default it is computed from the other
+                arguments, for the certified observer itself without a gate.
 
         Returns:
             The state, and the bound after the sample.
         """
         dt = jnp.asarray(dt, float)
-        judged = self._judged(jnp.asarray(y), dt, result)
-        measured = judged.used
-        age = state.age + jnp.where(judged.repeated, 0.0, dt)
+        classified = self._classify(jnp.asarray(y), dt, result)
+        measured = classified.used
+        age = state.age + jnp.where(classified.repeated, 0.0, dt)
         before = self.recursion.predicted(state.radius, age, jnp) * (1 + ROUND)
         added, known_age = self._noise(age)
-        part = self.recursion.change * age * (before + self.recursion.error)
-        after = (jnp.sqrt(before**2 + added) + part) * (1 + ROUND)
+        # The term hD(a + β) of the recursion.
+        factor_term = self.recursion.change * age * (before + self.recursion.error)
+        after = (jnp.sqrt(before**2 + added) + factor_term) * (1 + ROUND)
         radius = jnp.where(measured, after, before)
         # A prediction in one step over lost samples has longer Runge–Kutta steps than those of the proof.
-        short = judged.repeated | (dt >= 0) & (dt <= self.recursion.ages[0, 1])
+        short = classified.repeated | (dt >= 0) & (dt <= self.recursion.ages[0, 1])
         aged = short & jnp.where(measured, known_age, age <= self.recursion.ages[-1, 1])
         position, velocity = jnp.split(radius * jnp.asarray(self.reach) * (1 + ROUND), 2)
         q, v = jnp.split(x, 2)
         conditions: tuple[tuple[Premise, Any], ...] = (
             (Premise.START, jnp.isfinite(state.radius)),
             (Premise.AGE, aged),
-            # The recursion grows between samples at most to the larger of the distances before and after.
+            # Between samples the bound is at most the larger of those before and after the measurement.
             (Premise.TUBE, (before <= self.radius) & (after <= self.radius) | ~measured & (before <= self.radius)),
             (Premise.VELOCITY, (jnp.abs(v) + velocity <= self.velocity).all()),
             (Premise.POSITION, self._inside(q, position).all()),
             (Premise.INPUT, ((self.inputs[0] <= u) & (u <= self.inputs[1])).all()),
-            (Premise.STEP, judged.proved),
-            (Premise.MEASUREMENT, judged.whole),
+            (Premise.STEP, classified.proved),
+            (Premise.MEASUREMENT, classified.whole),
         )
         premise = jnp.zeros((), jnp.int32)
         for code, holds in reversed(conditions):
@@ -240,13 +243,13 @@ class SampledBound(eqx.Module):
         premise = jnp.where(state.premise > 0, state.premise.astype(jnp.int32), premise)
         known = premise == 0
         radius, position, velocity = (jnp.where(known, each, jnp.inf) for each in (radius, position, velocity))
-        # After a measurement the radius is that of age 0; without one the last radius and its age go on.
-        kept = jnp.where(measured, radius, jnp.where(known, state.radius, jnp.inf))
-        new = BoundState(kept, jnp.where(measured, 0.0, age), premise.astype(kept.dtype))
+        # A measurement stores the new radius with age 0; without one, the last radius stays and its age grows.
+        stored = jnp.where(measured, radius, jnp.where(known, state.radius, jnp.inf))
+        new = BoundState(stored, jnp.where(measured, 0.0, age), premise.astype(stored.dtype))
         return new, BoundInfo(radius, position, velocity, premise)
 
-    def _judged(self, y: Float[Array, "n"], dt: Scalar, result: Any) -> "_Judged":
-        """What the observer's step did with a measurement, by its result code where that is given."""
+    def _classify(self, y: Float[Array, "n"], dt: Scalar, result: Any) -> "_Classified":
+        """Classify what the observer's step did with a measurement, by its result code if there is one."""
         tiny, scalar = jnp.finfo(dt.dtype).tiny, len(self.circles) == 1
         # The same bounds as in `AbstractObserver.step`; false for NaN.
         admitted = jnp.abs(y) <= largest_measurement(y, [i for i, circle in enumerate(self.circles) if circle])
@@ -255,17 +258,17 @@ class SampledBound(eqx.Module):
         if result is None:
             used, unused, proved = every, none, jnp.ones((), bool)
         else:
-            corrected, coasted, outlier, again = (jnp.asarray(result) == int(code) for code in _PROVED)
+            corrected, coasted, outlier, again = (jnp.asarray(result) == int(code) for code in _COVERED)
             refused = coasted | outlier
-            # Of several positions a code does not tell which of them were used.
+            # With several positions, a code does not say which of them were used.
             used, unused, proved = every & corrected, refused & (none | scalar), corrected | refused | again & repeated
-        return _Judged(advanced & used, repeated | ~advanced | used | unused, repeated, proved)
+        return _Classified(advanced & used, repeated | ~advanced | used | unused, repeated, proved)
 
     def _noise(self, age: Scalar) -> tuple[Scalar, Array]:
-        """G of a measurement of this age, and whether there is one."""
+        """Noise term G of a measurement of this age, and whether the certificate covers this age."""
         ages = jnp.asarray(self.recursion.ages)
         fits = (ages[:, 0] <= age) & (age <= ages[:, 1])
-        # Where an age follows from several numbers of lost samples, each of them is proved.
+        # If several numbers of lost samples give this age, each is proved, so the least G holds.
         return jnp.min(jnp.where(fits, jnp.asarray(self.recursion.noise), jnp.inf)), fits.any()
 
     def _inside(self, q: Vector, error: Vector) -> Array:
@@ -273,13 +276,13 @@ class SampledBound(eqx.Module):
         low, high = self.positions
         circle = jnp.asarray(self.circles)
         middle = (low + high) / 2
-        turned = jnp.where(circle, q - TURN * jnp.floor((q - middle) / TURN + 0.5), q)
-        around = circle & (high - low >= TURN)
-        return around | (low <= turned - error) & (turned + error <= high)
+        wrapped = jnp.where(circle, q - TURN * jnp.floor((q - middle) / TURN + 0.5), q)
+        full_circle = circle & (high - low >= TURN)
+        return full_circle | (low <= wrapped - error) & (wrapped + error <= high)
 
 
-class _Judged(NamedTuple):
-    """Whether a step used a whole measurement, used all or none of it, repeated a stamp, and is one of the proof."""
+class _Classified(NamedTuple):
+    """Whether a step used a whole measurement, used all or none of it, repeated a stamp, and is proved."""
 
     used: Array
     whole: Array
@@ -287,5 +290,5 @@ class _Judged(NamedTuple):
     proved: Array
 
 
-_PROVED = StepCode.OK, StepCode.COASTED, StepCode.OUTLIER, StepCode.REPEATED
-"""Result codes of steps that are proved: a correction, two of a lost measurement, and one of a repeated stamp."""
+_COVERED = StepCode.OK, StepCode.COASTED, StepCode.OUTLIER, StepCode.REPEATED
+"""Result codes of steps that the proof covers: a correction, two for a lost measurement, and a repeated stamp."""

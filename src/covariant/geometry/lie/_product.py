@@ -19,7 +19,7 @@ class Product(AbstractGroup):
         groups: the factors, at least one.
 
     Raises:
-        ValueError: for no factors.
+        ValueError: `groups` is empty.
 
     Example:
         >>> from covariant.geometry.lie import SO2, SO3, Product
@@ -52,7 +52,7 @@ class Product(AbstractGroup):
         for group in self.groups:
             if group.rotations is None:
                 return None
-            indices += [tuple(start + i for i in turn) for turn in group.rotations]
+            indices += [tuple(start + i for i in rotation) for rotation in group.rotations]
             start += group.dimension
         return tuple(indices)
 
@@ -74,25 +74,25 @@ class Product(AbstractGroup):
         return self.join([group.hat(part) for group, part in zip(self.groups, self.parts(x), strict=True)])
 
     def vee(self, matrix: Element) -> Vector:
-        return self._concatenated("vee", self.blocks(matrix))
+        return self._concatenate("vee", self.blocks(matrix))
 
     def lie_bracket(self, x: Vector, y: Vector) -> Vector:
-        return self._concatenated("lie_bracket", self.parts(x), self.parts(y))
+        return self._concatenate("lie_bracket", self.parts(x), self.parts(y))
 
     def exp(self, x: Vector) -> Element:
         return self.join([group.exp(part) for group, part in zip(self.groups, self.parts(x), strict=True)])
 
     def log(self, g: Element) -> Vector:
-        return self._concatenated("log", self.blocks(g))
+        return self._concatenate("log", self.blocks(g))
 
     def inverse(self, g: Element) -> Element:
         return self.join([group.inverse(block) for group, block in zip(self.groups, self.blocks(g), strict=True)])
 
     def right_jacobian(self, x: Vector, y: Vector) -> Vector:
-        return self._concatenated("right_jacobian", self.parts(x), self.parts(y))
+        return self._concatenate("right_jacobian", self.parts(x), self.parts(y))
 
     def right_jacobian_inverse(self, x: Vector, y: Vector) -> Vector:
-        return self._concatenated("right_jacobian_inverse", self.parts(x), self.parts(y))
+        return self._concatenate("right_jacobian_inverse", self.parts(x), self.parts(y))
 
     def act(self, g: Element, point: Inexact[Array, "d"]) -> Inexact[Array, "d"]:
         raise NotImplementedError("Product: let each group act on its own points, with `blocks`")
@@ -100,13 +100,13 @@ class Product(AbstractGroup):
     def defect(self, g: Element) -> Array:
         blocks = self.blocks(g)
         each = [group.defect(block) for group, block in zip(self.groups, blocks, strict=True)]
-        # The last entry: what lies outside the diagonal blocks, which has to be zero.
+        # The last entry is the largest element outside the diagonal blocks, which must be zero.
         return jnp.max(jnp.stack([*each, jnp.max(jnp.abs(g - self.join(blocks)))]))
 
     def unique_log(self, g: Element) -> Flag:
         each = zip(self.groups, self.blocks(g), strict=True)
         return jnp.all(jnp.stack([group.unique_log(block) for group, block in each]))
 
-    def _concatenated(self, operation: str, *arguments: list[Array]) -> Vector:
+    def _concatenate(self, operation: str, *arguments: list[Array]) -> Vector:
         each = zip(self.groups, *arguments, strict=True)
         return jnp.concatenate([getattr(group, operation)(*parts) for group, *parts in each])

@@ -1,7 +1,7 @@
-"""Derivatives of a graph, as a graph: forward, one input at a time, with the same folding and sharing.
+"""Derivatives of a graph as a graph: forward mode, one input at a time, with the same folding and sharing of nodes.
 
-This is an independent alternative to JAX's own derivatives, and an economical one: a function is traced only once, and
-no derivative needs more nodes than its own.
+This is an independent alternative to JAX's derivatives. It is economical: a function is traced only once, and no
+derivative needs more nodes than its own.
 """
 
 import itertools
@@ -21,8 +21,9 @@ Rule = Callable[[Graph, int, tuple[int, ...], tuple[int, ...]], int]
 def expand(lowered: Lowered, inputs: Sequence[int], order: int) -> Lowered:
     """Return the function of the values and derivatives of a lowered function.
 
-    Where the function has a kink, its derivative is the set of all values between those of both sides (`either`); in
-    numbers it is that of one side. Where it jumps the derivative is wrong: `Lowered.conditions` exclude such places.
+    Where the function has a kink, its derivative is the set of all values between those of both sides (`either`); an
+    evaluation in numbers gives that of one side. Where it jumps the derivative is wrong: `Lowered.conditions` exclude
+    such places.
 
     Args:
         lowered: The function, with K scalar outputs.
@@ -72,7 +73,7 @@ def pairs(count: int) -> list[tuple[int, int]]:
 
 
 class Derivative:
-    """Derivatives of the nodes of a graph along a direction, which are added to the graph, each of them once.
+    """Derivatives of the nodes of a graph along a direction; each is added to the graph once.
 
     Calling it with a node returns the node of its derivative.
 
@@ -98,7 +99,7 @@ class Derivative:
         while stack:
             current = stack[-1]
             op, arguments, _ = self.graph.nodes[current]
-            # A stack and no recursion: chains are longer than Python recurses.
+            # A stack instead of recursion, since chains are longer than Python's recursion limit.
             missing = [a for a in arguments if a not in known]
             if current in known:
                 stack.pop()
@@ -115,12 +116,12 @@ class Derivative:
 
 
 def _chain(slope: Callable[[Graph, int, int], int]) -> Rule:
-    """A function of one argument with derivative `slope(graph, node, argument)`."""
+    """Rule of a function of one argument with derivative `slope(graph, node, argument)`."""
     return lambda graph, node, arguments, changes: graph.apply("mul", slope(graph, node, arguments[0]), changes[0])
 
 
 def _over(divisor: Callable[[Graph, int, int], int]) -> Rule:
-    """A function of one argument with derivative `1 / divisor(graph, node, argument)`."""
+    """Rule of a function of one argument with derivative `1 / divisor(graph, node, argument)`."""
     return lambda graph, node, arguments, changes: graph.apply("div", changes[0], divisor(graph, node, arguments[0]))
 
 
@@ -146,7 +147,7 @@ def _product(graph: Graph, node: int, arguments: tuple[int, ...], changes: tuple
 
 def _quotient(graph: Graph, node: int, arguments: tuple[int, ...], changes: tuple[int, ...]) -> int:
     (_, b), (da, db) = arguments, changes
-    # (a/b)′ = (a′ − (a/b) b′)/b: the quotient is there already, and b² is not formed.
+    # (a/b)′ = (a′ − (a/b) b′)/b: the quotient is a node already, and b² is not formed.
     return graph.apply("div", graph.apply("sub", da, graph.apply("mul", node, db)), b)
 
 
@@ -158,19 +159,19 @@ def _power(graph: Graph, node: int, arguments: tuple[int, ...], changes: tuple[i
     return base if graph.is_zero(db) else graph.apply("add", base, exponent)  # log a need not exist if b is constant
 
 
-def _angle(graph: Graph, node: int, arguments: tuple[int, ...], changes: tuple[int, ...]) -> int:
+def _arctangent(graph: Graph, node: int, arguments: tuple[int, ...], changes: tuple[int, ...]) -> int:
     (y, x), (dy, dx) = arguments, changes
     turn = graph.apply("sub", graph.apply("mul", x, dy), graph.apply("mul", y, dx))
     return graph.apply("div", turn, graph.apply("add", _square(graph, x), _square(graph, y)))
 
 
-def _extreme(graph: Graph, node: int, arguments: tuple[int, ...], changes: tuple[int, ...]) -> int:
+def _minimum_or_maximum(graph: Graph, node: int, arguments: tuple[int, ...], changes: tuple[int, ...]) -> int:
     # min has the derivative of a where a < b, max that of b.
     which = changes if graph.nodes[node].op == "min" else changes[::-1]
     return graph.apply("either", *arguments, *which)
 
 
-def _size(graph: Graph, node: int, arguments: tuple[int, ...], changes: tuple[int, ...]) -> int:
+def _absolute(graph: Graph, node: int, arguments: tuple[int, ...], changes: tuple[int, ...]) -> int:
     # |a| has the derivative −a′ for a < 0 and a′ for a > 0; at 0 bounds take the hull of both.
     return graph.apply("either", arguments[0], graph.constant(0.0), graph.apply("neg", changes[0]), changes[0])
 
@@ -195,12 +196,12 @@ RULES: dict[str, Rule] = {
     "mul": _product,
     "div": _quotient,
     "pow": _power,
-    "atan2": _angle,
-    "min": _extreme,
-    "max": _extreme,
+    "atan2": _arctangent,
+    "min": _minimum_or_maximum,
+    "max": _minimum_or_maximum,
     "select": lambda g, node, x, d: g.apply("select", x[0], d[1], d[2]),
     "either": lambda g, node, x, d: g.apply("either", x[0], x[1], d[2], d[3]),
-    "abs": _size,
+    "abs": _absolute,
     "stumpff": _stumpff,
     "sqrt": _over(lambda g, f, x: g.apply("mul", g.constant(2.0), f)),
     "cbrt": _over(lambda g, f, x: g.apply("mul", g.constant(3.0), _square(g, f))),
@@ -210,7 +211,7 @@ RULES: dict[str, Rule] = {
     "log1p": _over(lambda g, f, x: _plus(g, 1.0, x)),
     "sin": _chain(lambda g, f, x: g.apply("cos", x)),
     "cos": _chain(lambda g, f, x: g.apply("neg", g.apply("sin", x))),
-    # tan′ = 1 + tan², and tanh, sqrt, cbrt and exp likewise: the value is there already.
+    # tan′ = 1 + tan², and tanh, sqrt, cbrt and exp likewise: the value is a node already.
     "tan": _chain(lambda g, f, x: _plus(g, 1.0, _square(g, f))),
     "asin": _over(lambda g, f, x: _root(g, _minus(g, 1.0, _square(g, x)))),
     "acos": _over(lambda g, f, x: g.apply("neg", _root(g, _minus(g, 1.0, _square(g, x))))),

@@ -1,8 +1,8 @@
-"""Operations on intervals as steps of a tape: each works on bounds that are stored at numbered places.
+"""Interval operations as steps of a tape: each step reads and writes bounds at numbered places of the tape.
 
-An operation, a `kernel`, is a formula in NumPy that works box by box. Called on arrays it computes; called on places of
-a tape it becomes a step of it. The bounds of a graph are then a list of steps, in the order and with the choices of
-operations that NumPy makes, which a faster engine can carry out.
+A `kernel` is an operation written as a NumPy formula that works box by box. Called on arrays, it computes. Called on
+places of a tape, it appends a step to the tape. The bounds of a graph thus become a list of steps, with the same
+operations in the same order as in NumPy, and a faster engine can carry it out.
 """
 
 import inspect
@@ -36,7 +36,7 @@ class Interval(NamedTuple):
 
 
 class Truth(NamedTuple):
-    """What is known of a statement, for each box of a batch.
+    """Truth of a statement on each box of a batch, as far as bounds decide it.
 
     Attributes:
         must: Whether it holds everywhere on the box (B,).
@@ -139,9 +139,9 @@ class Tape:
 
     def step(self, name: str, arguments: Sequence[Any]) -> Any:
         """Append a step."""
-        read = tuple(self.number_of(end) for ends in arguments for end in ends)
+        argument_places = tuple(self.number_of(end) for ends in arguments for end in ends)
         bounds = self.place(), self.place()
-        self.steps.append(Step(name, (bounds[0].number, bounds[1].number), read))
+        self.steps.append(Step(name, (bounds[0].number, bounds[1].number), argument_places))
         return KERNELS[name].result(*bounds)
 
 
@@ -160,7 +160,7 @@ def as_kernel(name: str, kernel: Kernel, compute: Callable[..., Any]) -> Callabl
 
 
 def kernel(formula: Callable[..., Any]) -> Callable[..., Any]:
-    """Decorator that registers a formula as a kernel of its own name."""
+    """Decorator that registers a formula as a kernel under the name of the function."""
     kinds = inspect.get_annotations(formula)
     result = kinds.pop("return")
     return as_kernel(formula.__name__, Kernel(formula, tuple(kinds.values()), result), formula)

@@ -29,8 +29,8 @@ def induction_motor(
     The states are the stator currents i [A] and the rotor flux linkages ψ [Wb], each along α and β, and the rotor speed
     ω [rad/s].
 
-    Inputs are the stator voltages [V], and the currents are measured. The two phases carry the power of the three:
-    `u·i` is the electrical power.
+    Inputs are the stator voltages [V], and the currents are measured. The two phases are scaled so that `u·i` is the
+    electrical power of all three.
 
     Args:
         stator_resistance: Stator resistance [Ω].
@@ -40,7 +40,8 @@ def induction_motor(
         mutual_inductance: Mutual inductance [H]; its square must be below the product of the other two.
         inertia: Inertia of the rotor [kg m²].
         pole_pairs: Number of pole pairs.
-        load: Torque [N m] against positive speed, a known constant; None for an unknown one, which is a sixth state.
+        load: Torque [N m] against positive speed, a known constant; None for an unknown one, which becomes a sixth
+            state.
 
     Returns:
         The system with five or six states and two inputs.
@@ -65,22 +66,22 @@ def induction_motor(
     check_parameters("induction_motor", parameters, signed=("load",))
     coupling = mutual_inductance / rotor_inductance
     leakage = stator_inductance - coupling * mutual_inductance
-    # The magnetic energy is positive definite exactly where M² < Ls Lr; leakage is that determinant over Lr.
+    # The magnetic energy is positive definite if and only if M² < Ls Lr; leakage is (Ls Lr − M²)/Lr.
     if leakage <= 0:
         raise ValueError(
             f"induction_motor: mutual_inductance {mutual_inductance:g} H must be below the geometric mean of the other "
             f"two, {(stator_inductance * rotor_inductance) ** 0.5:g} H"
         )
 
-    sixth = load is None
+    unknown_load = load is None
     return StateSpace(
         Parametric(_f, coupling=coupling, leakage=leakage, **values(parameters)),
         _currents,
-        coordinates=("i_alpha", "i_beta", "psi_alpha", "psi_beta", "speed") + ("load",) * sixth,
-        units=("A", "A", "Wb", "Wb", "rad/s") + ("N m",) * sixth,
+        coordinates=("i_alpha", "i_beta", "psi_alpha", "psi_beta", "speed") + ("load",) * unknown_load,
+        units=("A", "A", "Wb", "Wb", "rad/s") + ("N m",) * unknown_load,
         outputs=("i_alpha", "i_beta"),
         inputs=2,
-        box=((-100.0, 100.0),) * 2 + ((-1.5, 1.5),) * 2 + ((-250.0, 250.0),) + ((-100.0, 100.0),) * sixth,
+        box=((-100.0, 100.0),) * 2 + ((-1.5, 1.5),) * 2 + ((-250.0, 250.0),) + ((-100.0, 100.0),) * unknown_load,
         parameters=parameters,
     )
 
@@ -103,17 +104,17 @@ class _Motor(NamedTuple):
 def _f(t, x, u, **parameters):
     motor = _Motor(**parameters)
     current, flux, speed = x[:2], x[2:4], x[4]
-    turned = jnp.stack([-flux[1], flux[0]])  # by +90°
+    rotated_flux = jnp.stack([-flux[1], flux[0]])  # by +90°
     # The rotor is short-circuited, so its resistive drop, with rotor current (ψ − M i)/Lr, drives the flux.
     induced = motor.rotor_resistance / motor.rotor_inductance * (motor.mutual_inductance * current - flux)
-    flux_dot = induced + motor.pole_pairs * speed * turned
+    flux_dot = induced + motor.pole_pairs * speed * rotated_flux
     # Faraday in the stator, u = Rs i + (leakage i + coupling ψ)', solved for i'.
     current_dot = (u - motor.stator_resistance * current - motor.coupling * flux_dot) / motor.leakage
     # No factor 3/2: the two phases are scaled so that u·i is the power of all three.
-    torque = motor.pole_pairs * motor.coupling * (turned @ current)
+    torque = motor.pole_pairs * motor.coupling * (rotated_flux @ current)
     resisting = x[5] if motor.load is None else motor.load
-    unknown = jnp.zeros_like(x[5:])
-    return jnp.concatenate([current_dot, flux_dot, ((torque - resisting) / motor.inertia)[None], unknown])
+    load_dot = jnp.zeros_like(x[5:])
+    return jnp.concatenate([current_dot, flux_dot, ((torque - resisting) / motor.inertia)[None], load_dot])
 
 
 def _currents(t, x, u):

@@ -1,7 +1,7 @@
 """The protocol that all observers share, and the loop that drives them.
 
-An observer is a frozen recipe: it holds its settings and never changes. What it remembers from sample to sample is its
-state, which the caller holds; its info holds the diagnostics of one step. Writing the loop by hand takes four lines:
+An observer is a frozen recipe: it holds its settings and never changes. Its state is all that it remembers from sample
+to sample, and the caller holds it. Its info holds the diagnostics of one step. A loop by hand takes four lines:
 
     state = observer.init(y[0], t[0])
     for k in range(1, len(t)):
@@ -17,7 +17,7 @@ time of a measurement, `correct` corrects it there. The parts of the protocol, f
 - `advance(state, u, y, dt)` is `correct` after `predict`, for valid numbers.
 - `step(state, u, y, dt)` is `advance` for any numbers: it replaces invalid ones, and reports that it did.
 
-Whatever is built of observers, such as a gate or a buffer for late sensors, is built of `predict` and `correct`.
+Everything that wraps an observer, such as a gate or a buffer for late sensors, uses `predict` and `correct`.
 """
 
 import abc
@@ -69,9 +69,9 @@ class SampledState(NamedTuple):
         q: Estimated configuration: coordinates (n,), or on a group a matrix (N, N).
         v: Estimated velocity (n,), in the frame of the configuration space.
         t: Time [s] that they belong to.
-        last_input: The last finite input (m,), which replaces an input that is not finite; where it is None (default),
-            zero does.
-        age: Time since the last measurement [s]; where it is None (default), every step counts as following one.
+        last_input: The last finite input (m,), which replaces an input that is not finite; if it is None (default),
+            zero replaces it.
+        age: Time since the last measurement [s]; if it is None (default), every step counts as one after a measurement.
 
     Example:
         >>> import jax.numpy as jnp
@@ -169,7 +169,8 @@ class AbstractObserver(Functional):
             The state, in the form that every later one has.
 
         Raises:
-            ValueError: y is no configuration. In a compiled function nothing is raised, and the state is not finite.
+            ValueError: y is not a configuration. A compiled function raises nothing and returns a state that is not
+                finite.
         """
 
     @final
@@ -180,7 +181,7 @@ class AbstractObserver(Functional):
         returned unchanged, the other fields of the info are those of a step of zero length without input.
 
         - NaN in y marks a missing measurement, over which the model predicts alone. An entry of y that is infinite or
-          larger than `largest` counts as missing, and so does a matrix that is no rotation: `COASTED`.
+          larger than `largest` counts as missing, and so does a matrix that is not a rotation: `COASTED`.
         - An entry of u that is not finite is replaced by the last finite one, or by 0 before there is any:
           `INPUT_HELD`.
         - For dt = 0 the state is returned unchanged: `REPEATED`. A subnormal dt, which processors may take for zero, is
@@ -250,7 +251,7 @@ class AbstractObserver(Functional):
         Args:
             state: State that `predict` returned.
             u: Input (m,), finite, that acted over the prediction.
-            y: Measurement, finite or NaN where missing. What is missing corrects nothing, and has the innovation 0.
+            y: Measurement, finite or NaN where missing. A missing entry corrects nothing, and its innovation is 0.
 
         Returns:
             The corrected state and the info, whose innovation is that of the predicted state.
@@ -273,12 +274,12 @@ class AbstractObserver(Functional):
         return self.correct(state, u, y)[1].innovation
 
     def largest(self, y: Inexact[Array, "*n"] | np.ndarray) -> np.ndarray:
-        """Largest magnitude of each entry of a measurement; `step` treats what is larger as missing.
+        """Largest magnitude of each entry of a measurement; `step` treats a larger entry as missing.
 
-        They are those of `signals.largest_measurement`.
+        The bounds are those of `signals.largest_measurement`.
 
         Args:
-            y: A measurement, of which only shape and precision count.
+            y: A measurement; only its shape and precision are used.
 
         Returns:
             The bounds, in the shape of y.
@@ -287,7 +288,7 @@ class AbstractObserver(Functional):
         return largest_measurement(y, circles)
 
     def admitted(self, y: Inexact[Array, "*n"]) -> Inexact[Array, "*n"]:
-        """Replace by NaN what is no configuration of the observer's model, such as a matrix that is no rotation.
+        """Replace by NaN a measurement that is no configuration of the model, such as a matrix that is no rotation.
 
         Args:
             y: Measurement: coordinates (n,), or on a group a matrix (N, N).
@@ -299,7 +300,7 @@ class AbstractObserver(Functional):
         return y if manifold is None else manifold.admitted(y)
 
     def configuration(self, y: Any) -> Any:
-        """Measured configuration of a measurement: all of it, unless the observer has sensors beside.
+        """The measured configuration in a measurement: all of it, unless the observer has further sensors.
 
         Args:
             y: Measurement, an array of any type.
@@ -322,7 +323,7 @@ class AbstractObserver(Functional):
 
 
 class AbstractWrapper(AbstractObserver):
-    """An observer built of another one, of which it takes the same measurements.
+    """An observer that wraps another one and takes the same measurements.
 
     Attributes:
         observer: The inner observer.
@@ -349,7 +350,7 @@ class AbstractWrapper(AbstractObserver):
 
     @property
     def sensors(self) -> tuple[Any, ...]:
-        """The sensors of the inner observer beside the configuration; empty for one without."""
+        """The sensors of the inner observer besides those of the configuration; empty if it has none."""
         return getattr(self.observer, "sensors", ())
 
 
@@ -386,7 +387,8 @@ class AbstractFlowObserver(AbstractObserver):
 class AbstractMechanicalObserver(AbstractFlowObserver):
     """An observer of a `MechanicalSystem` whose state holds the estimate in its fields q and v.
 
-    What its `flow` returns has the velocity w (n,) of the estimate in the field q, in the frame: `q̂' = E(q̂)w`.
+    In the derivative that `flow` returns, the field q holds the velocity w (n,) of the estimate in the frame, with
+    `q̂' = E(q̂)w`.
 
     Attributes:
         model: The mechanical system.
@@ -425,12 +427,12 @@ def since(state: Any, dt: Scalar) -> Scalar:
 
 
 def aged(model: MechanicalSystem, state: Any, y: Array) -> Scalar:
-    """Field `age` of a predicted state after the measurement y."""
+    """Field `age` after the measurement y: 0 unless all of y is missing."""
     return state.age * jnp.all(model.manifold.missing(y)).astype(state.age.dtype)
 
 
 def uniqueness(model: MechanicalSystem, q: Array, y: Array) -> Code:
-    """Whether the shortest path from the estimate to the measurement is unique."""
+    """`OK` if the shortest path from the estimate to the measurement is unique, else `CUT_LOCUS`."""
     unique = model.manifold.unique(q, model.manifold.measured(q, y))
     return jnp.where(unique, int(StepCode.OK), int(StepCode.CUT_LOCUS)).astype(jnp.int32)
 
@@ -465,7 +467,7 @@ def check_finite(whose: str, **given: Any) -> None:
 
 
 def as_numbers(whose: str, what: str, value: Any, count: int, least: float = -np.inf) -> np.ndarray:
-    """So many numbers, from one or as many."""
+    """Check one number or `count` numbers, all at least `least`, and return `count` of them."""
     try:
         numbers = np.broadcast_to(np.asarray(value, float), (count,))
     except (TypeError, ValueError):
@@ -514,13 +516,13 @@ def step_length(state: Any) -> Scalar:
     return state.dt
 
 
-def still(kept: LastInput | Scalar) -> Any:
-    """Time derivative of what is remembered between samples: zero, in the same form."""
-    return jax.tree.map(jnp.zeros_like, kept)
+def still(stored: LastInput | Scalar) -> Any:
+    """Time derivative of a field that is only stored between samples: zero, in the same form."""
+    return jax.tree.map(jnp.zeros_like, stored)
 
 
 def continuous(state: Any) -> Any:
-    """State without what is only remembered between samples, as a differential equation needs it.
+    """State without the fields that are only stored between samples, for use in a differential equation.
 
     Args:
         state: State of an observer.
@@ -609,11 +611,11 @@ class Rows(NamedTuple):
 
 
 def scan(observer: AbstractObserver, state: Any, rows: Rows) -> tuple[Any, tuple[Any, Any]]:
-    """Run an observer over rows from a state on."""
+    """Run an observer over rows, starting from a state."""
 
     def step(state, row):
         state, info = observer.step(state, *row)
-        # The first row starts the state: it is not a step, and repeats no earlier stamp.
+        # `init` has used the first row, so its dt = 0 does not mean a repeated stamp.
         first = (row.dt == 0) & (info.result == int(StepCode.REPEATED))
         info = info._replace(result=jnp.where(first, int(StepCode.OK), info.result))
         return state, (observer.estimate(state), info)
@@ -622,7 +624,7 @@ def scan(observer: AbstractObserver, state: Any, rows: Rows) -> tuple[Any, tuple
 
 
 def kept(info: Any, keep: Collection[str] | None) -> Any:
-    """The info with None in the fields that are not named in `keep`; all of it where that is None."""
+    """The info with None in the fields that `keep` does not name; unchanged if `keep` is None."""
     return info if keep is None else info._replace(**dict.fromkeys(set(info._fields) - set(keep)))
 
 

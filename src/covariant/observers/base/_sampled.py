@@ -30,7 +30,7 @@ LONGEST_STEP = 0.01
 """Longest Runge–Kutta step [s] of a prediction whose number of substeps is not fixed."""
 MOST_SUBSTEPS = 10_000
 LONGEST_GAP = (jnp.pi / 2) ** 2
-"""Largest `|N| dt²` at which a sample is used for the velocity, a quarter of the period of an oscillation: beyond it
+"""Largest `|N| dt²` at which a sample corrects the velocity: a quarter of the period of an oscillation, beyond which
 the error may have changed its sign."""
 
 
@@ -89,7 +89,7 @@ def chooses_substeps(observer: Any) -> bool:
         observer: Any observer.
 
     Returns:
-        True where its `substeps` is None and its model is a `MechanicalSystem`.
+        True if its `substeps` is None and its model is a `MechanicalSystem`.
 
     Example:
         >>> from covariant import models, observers
@@ -108,7 +108,7 @@ def with_fixed_substeps(
     """Fix the number of substeps of an observer, so that its program has a fixed length.
 
     The number is the largest that any of K motions needs at `rate`, such as those of a simulation or of a log. With a
-    slower rate, or friction steeper than at these motions, determine the number anew.
+    slower rate, or friction steeper than at these motions, determine the number again.
 
     Args:
         observer: Observer that chooses its substeps; see `chooses_substeps`.
@@ -143,7 +143,7 @@ def with_fixed_substeps(
 
 def steps_for(dt: Number, rate: Number) -> Code:
     """Number of equal steps in dt that keep h·rate ≤ 1, at most `MOST_SUBSTEPS`."""
-    # A NaN has no integer; one step keeps it in the state, where the result code reports it.
+    # NaN has no integer value; one step passes it on to the state, where the result code reports it.
     count = jnp.ceil(jnp.nan_to_num(jnp.asarray(dt * rate), nan=1.0))
     return jnp.clip(count, 1, MOST_SUBSTEPS).astype(jnp.int32)
 
@@ -153,18 +153,21 @@ def sampled_gains(alpha: Number, beta: Number, dt: Number) -> tuple[Scalar, Scal
 
     Complex poles `√p exp(±iφ)`, p = exp(−α dt), give `k2 = (1 − √p)²/dt + 2√p (1 − cos φ)/dt`.
     """
-    # Where dt ≤ 0 the 1 keeps the branch that is not taken finite, and so its derivative.
+    # For dt ≤ 0 the 1 keeps the unused branch and its derivative finite.
     positive_dt = jnp.where(dt > 0, dt, 1.0)
     square = beta - alpha * alpha / 4
-    # At a double pole the derivative of the root is infinite; what is computed from the 1 is not used there.
+    # At a double pole the derivative of the root is infinite, so the root is replaced by 1, which is not used there.
     half_gap = jnp.sqrt(jnp.where(square != 0, jnp.abs(square), 1.0))  # half the distance between the poles
-    swing = jnp.where(square > 0, jnp.sin(half_gap * positive_dt / 2) ** 2, 0.0)
+    sine_square = jnp.where(square > 0, jnp.sin(half_gap * positive_dt / 2) ** 2, 0.0)
     # Differences from 1 by expm1 and sin²: for small dt the plain formulas cancel.
     root = jnp.exp(-alpha * positive_dt / 2)
     fast_pole = alpha / 2 + half_gap
-    # The slow pole is β over the fast one: as a difference it would cancel.
+    # The slow pole is β over the fast one, since a difference would cancel.
     real_poles = jnp.expm1(-fast_pole * positive_dt) * jnp.expm1(-beta / fast_pole * positive_dt)
-    k2 = jnp.where(square < 0, real_poles, jnp.expm1(-alpha * positive_dt / 2) ** 2 + 4 * root * swing) / positive_dt
+    k2 = (
+        jnp.where(square < 0, real_poles, jnp.expm1(-alpha * positive_dt / 2) ** 2 + 4 * root * sine_square)
+        / positive_dt
+    )
     return jnp.where(dt > 0, -jnp.expm1(-alpha * positive_dt), 0.0), jnp.where(dt > 0, k2, 0.0)
 
 
@@ -178,10 +181,10 @@ class Correction(NamedTuple):
     """Correction by one sample.
 
     Attributes:
-        part: Fraction of ξ to take away.
+        part: Fraction of ξ to subtract.
         velocity: Change (n,) of the velocity.
-        restarted: Whether the sample came too late to be used for the velocity, so that the estimate starts anew from
-            the measured configuration and the predicted velocity.
+        restarted: Whether the sample came too late to be used for the velocity, so that the estimate restarts from the
+            measured configuration and the predicted velocity.
     """
 
     part: Scalar
@@ -194,7 +197,7 @@ def sampled_correction(
 ) -> Correction:
     """Correction of a predicted motion by the error ξ.
 
-    N is an operator and known in the direction of ξ only; terms beyond first order in `|N| dt²` use its size instead.
+    N is an operator that is known in the direction of ξ only; terms beyond first order in `|N| dt²` use its size.
     """
     k1, k2 = sampled_gains(alpha, beta, dt)
     size, gap = space.norm(motion.q, xi), space.norm(motion.q, missing) * dt * dt

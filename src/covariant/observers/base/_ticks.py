@@ -1,9 +1,9 @@
-"""Encoders that count ticks: a reading is an interval, and a change of it is an edge passed a moment ago.
+"""Updates by encoders that count ticks: a reading gives an interval, and a change of reading marks a passed edge.
 
-A reading y of an encoder with step s says that `|y − q| ≤ s/2`. Taken as Gaussian noise at every sample, one interval
-would be counted many times while the joint crosses it. Here an interval bounds the variance, to that of a uniform
-distribution, and the mean stays inside. An edge is more informative: somewhere between the last two samples the joint
-was exactly between two readings.
+A reading y of an encoder with step s means `|y − q| ≤ s/2`. Independent Gaussian noise at every sample would count one
+interval many times while the joint crosses it. Here an interval only limits the variance, to that of a uniform
+distribution, and keeps the mean inside. An edge is more informative: at some time between the last two samples, the
+joint was exactly between two readings.
 """
 
 from typing import NamedTuple
@@ -52,7 +52,7 @@ class Believed(NamedTuple):
 
 
 class Encoded(NamedTuple):
-    """What encoders show at a sample, beside what was expected.
+    """Encoder readings of one sample, relative to the prediction.
 
     Attributes:
         offset: Difference (n,) from the expected to the read position of each joint [rad or m].
@@ -61,7 +61,7 @@ class Encoded(NamedTuple):
         speed: Expected velocity (n,) [rad/s or m/s].
         step: One tick (n,) of each encoder [rad or m].
         noise: Variance (n,) of the position of an edge [rad² or m²].
-        used: Which readings are used (n,).
+        used: Whether each reading is used (n,).
     """
 
     offset: Vector
@@ -76,7 +76,7 @@ class Encoded(NamedTuple):
 def take(
     prior: Float[Array, "N N"], rows: tuple[Float[Array, "n N"], Float[Array, "n N"]], encoded: Encoded
 ) -> Believed:
-    """Posterior of an error of mean zero after readings of encoders that count ticks."""
+    """Update an error of mean zero and covariance `prior priorᵀ` by the encoders' readings, one after the other."""
     offset, moved, age, speed, step, noise, used = encoded
     state = Believed(jnp.zeros_like(prior[0]), prior)
     for i in range(len(step)):
@@ -84,38 +84,38 @@ def take(
         half = step[i] / 2
         # The variance step²/12 of a uniform distribution over one tick.
         uniform = half * half / 3
-        # Rounded, since the difference of two multiples of a tick is a whole number of ticks but for its last digits.
+        # Rounding removes the floating-point error: two readings differ by a whole number of ticks.
         ticks = jnp.round(jnp.abs(moved[i]) / step[i])
         edge, still = ticks == 1, ticks == 0
         variance = jnp.sum((position @ state.root) ** 2)
-        # An edge was passed at a time uniform since the last reading, where the position was between the readings.
-        back = jnp.where(edge, age[i] / 2, 0.0)
+        # The joint passed the edge at an unknown time, which is uniformly distributed since the last reading.
+        since_edge = jnp.where(edge, age[i] / 2, 0.0)
         mean_square_speed = speed[i] ** 2 + jnp.sum((velocity @ state.root) ** 2)
-        # Without an edge the noise is such that the variance becomes the uniform one, if it was larger.
+        # Without an edge, this noise reduces a variance above the uniform one to the uniform one.
         wider = variance > uniform
-        interval = 1 / jnp.where(wider, 1 / uniform - 1 / jnp.where(wider, variance, 1.0), 1.0)
+        interval_noise = 1 / jnp.where(wider, 1 / uniform - 1 / jnp.where(wider, variance, 1.0), 1.0)
         # The time of an edge is uniform over the age: its variance age²/12, times the mean square of the speed.
-        r = noise[i] + jnp.where(edge, mean_square_speed * age[i] ** 2 / 12, jnp.where(still, interval, uniform))
-        # The edge is half a tick before the new reading, at the position that was `back` seconds ago.
-        measured = offset[i] - jnp.where(edge, jnp.sign(moved[i]) * half - back * speed[i], 0.0)
-        state = _scalar(state, position - back * velocity, measured, r, used[i] & (wider | ~still))
+        r = noise[i] + jnp.where(edge, mean_square_speed * age[i] ** 2 / 12, jnp.where(still, interval_noise, uniform))
+        # The edge is half a tick before the new reading; the joint was there `since_edge` seconds ago on average.
+        measured = offset[i] - jnp.where(edge, jnp.sign(moved[i]) * half - since_edge * speed[i], 0.0)
+        state = _update_by_scalar(state, position - since_edge * velocity, measured, r, used[i] & (wider | ~still))
         state = _clamp_mean(state, position, offset[i], half + jnp.sqrt(noise[i]), used[i])
     return state
 
 
-def _scalar(state: Believed, row: Vector, value: Scalar, noise: Scalar, used: Array) -> Believed:
-    """The update by one scalar measurement, in the square-root form of Potter (Bierman 1977, chapter V)."""
-    shown = row @ state.root
-    square = shown @ shown + noise
+def _update_by_scalar(state: Believed, row: Vector, value: Scalar, noise: Scalar, used: Array) -> Believed:
+    """Update by one scalar measurement, in the square-root form of Potter (Bierman 1977, chapter V)."""
+    projected = row @ state.root
+    square = projected @ projected + noise
     weight = jnp.where(used, 1 / square, 0.0)
-    gain = state.root @ shown
-    root = state.root - jnp.outer(gain, shown) * weight / (1 + jnp.sqrt(noise / square))
+    gain = state.root @ projected
+    root = state.root - jnp.outer(gain, projected) * weight / (1 + jnp.sqrt(noise / square))
     return Believed(state.error + gain * weight * (value - row @ state.error), root)
 
 
 def _clamp_mean(state: Believed, row: Vector, centre: Scalar, half: Scalar, used: Array) -> Believed:
-    """Shift of the mean into the interval, along the gain of a measurement of this position; the covariance stays."""
+    """Shift the mean into the interval, along the gain of a position measurement, and keep the covariance."""
     residual = centre - row @ state.error
     outside = jnp.where(used, residual - jnp.clip(residual, -half, half), 0.0)
-    shown = row @ state.root
-    return state._replace(error=state.error + state.root @ shown / (shown @ shown) * outside)
+    projected = row @ state.root
+    return state._replace(error=state.error + state.root @ projected / (projected @ projected) * outside)

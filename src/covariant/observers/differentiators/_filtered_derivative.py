@@ -44,8 +44,8 @@ class FilteredDerivative(AbstractLinearFilter):
 
     Attributes:
         bandwidth: Bandwidth ω of the filter [rad/s].
-        circles: Indices of the coordinates that are angles on a full circle, which are followed modulo a turn; none by
-            default.
+        circles: Indices of the coordinates that are angles on a full circle, which are differentiated modulo a turn;
+            none by default.
 
     Raises:
         ValueError: The bandwidth is not positive and finite.
@@ -86,7 +86,7 @@ class FilteredDerivative(AbstractLinearFilter):
         """Filter the slope from the last measurement of each coordinate to the new one.
 
         Args:
-            state: What `predict` returned.
+            state: State that `predict` returned.
             u: Input (m,), without influence.
             y: Measured positions (n,) [rad or m], NaN where missing.
 
@@ -94,7 +94,7 @@ class FilteredDerivative(AbstractLinearFilter):
             The new state and the info.
         """
         age, (present, displacement) = state.age, self._displacement(state, y)
-        # A coordinate measured at this very stamp is not measured anew: the divisor 1 only avoids 0/0.
+        # A coordinate with age 0 has no new measurement; the divisor 1 only avoids 0/0.
         slope = displacement / jnp.where(age > 0, age, 1.0)
         # The exact solution of v' = ω (slope − v) over the age; expm1 keeps the digits where ω age is small.
         v = state.v + jnp.where(present, -jnp.expm1(-self.bandwidth * age) * (slope - state.v), 0.0)
@@ -107,14 +107,14 @@ class FilteredDerivative(AbstractLinearFilter):
         return jnp.where(present, displacement - state.age * state.v, 0.0)
 
     def _displacement(self, state: FilteredState, y: Vector) -> tuple[Bool[Array, "n"], Vector]:
-        """Which coordinates (n,) are measured anew, and their differences (n,) from the last measurement of each."""
+        """Which coordinates (n,) have a new measurement, and its differences (n,) from the last one."""
         present = ~jnp.isnan(y) & (state.age > 0)
         return present, wrap(self.circles, jnp.where(present, y - state.q, 0.0))
 
     def weights(self, rate: float) -> Float[np.ndarray, "k"]:
         bandwidth = float(self.bandwidth)
         decay = np.exp(-bandwidth / rate)
-        # Cut off after 12 time constants, where e⁻¹² is left, or at 2000 samples.
+        # The series is cut after 12 time constants, when e⁻¹² remains, or after 2000 samples.
         difference = (1 - decay) * decay ** np.arange(min(2000, int(12 * rate / bandwidth) + 2)) * rate
-        # Each slope has the newer position with its weight and the older one with its negative.
+        # A slope enters the newer position with its weight, and the older one with minus its weight.
         return np.append(difference, 0.0) - np.append(0.0, difference)

@@ -1,12 +1,12 @@
-"""Levant's differentiator of second order: exact after a finite time for every motion within a bound on its jerk.
+"""Levant's differentiator of second order: without noise, exact after a finite time if the jerk is within a bound.
 
 In continuous time, with `⌈e⌋ᵖ = |e|ᵖ sign e` and `κ = 3/2 L`,
 
     q̂' = v̂ + 3κ^⅓⌈e⌋^⅔,   v̂' = â + 3κ^⅔⌈e⌋^⅓,   â' = κ sign e,   e = y − q̂:
 
-a high-gain differentiator whose bandwidth is `ω(e) = (κ/|e|)^⅓`, with three equal poles −ω(e). It is sampled as that:
-the correction gives the loop the poles exp(−ω(e) dt). They go to 0 with the error, so that nothing switches back and
-forth at rest, as it does in Euler's scheme; for small steps the correction is Levant's own, times dt.
+a high-gain differentiator whose bandwidth is `ω(e) = (κ/|e|)^⅓`, with three equal poles −ω(e). The sampled form keeps
+these poles: the correction places the poles of the loop at exp(−ω(e) dt). They go to 0 with the error, so the estimate
+does not chatter at rest, as it does in Euler's scheme. For small steps the correction equals Levant's, times dt.
 
 Source: Levant 2003, Higher-order sliding modes, differentiation and output-feedback control, Int. J. Control 76; Koch,
 Reichhartinger, Horn & Fridman 2020, Discrete-time implementation of homogeneous differentiators, IEEE TAC 65(2).
@@ -21,7 +21,7 @@ from covariant.observers.base import as_gain, check_positive
 from covariant.observers.differentiators._tracking_loop import AbstractTrackingLoop, triple_pole
 
 MARGIN = 1.5
-"""Ratio κ/L. At 1 the sign term only just outweighs the jerk; tests search for the worst one."""
+"""Ratio κ/L. At 1 the sign term only just outweighs the jerk; tests search for the worst jerk."""
 
 
 class Levant(AbstractTrackingLoop):
@@ -34,9 +34,9 @@ class Levant(AbstractTrackingLoop):
     for all coordinates, so scale them alike.
 
     Attributes:
-        jerk: Bound L on the jerk [rad/s³ or m/s³]. A larger one follows sooner and lets more noise through.
-        circles: Indices of the coordinates that are angles on a full circle, which are followed modulo a turn; none by
-            default.
+        jerk: Bound L on the jerk [rad/s³ or m/s³]. A larger bound gives faster convergence and passes more noise.
+        circles: Indices of the coordinates that are angles on a full circle, which are differentiated modulo a turn;
+            none by default.
 
     Raises:
         ValueError: The bound is not positive and finite.
@@ -66,5 +66,5 @@ class Levant(AbstractTrackingLoop):
         Returns:
             Factors (3, n) of the error in the correction of position, velocity and acceleration: 1, 1/s, 1/s².
         """
-        size = jnp.where(error != 0, jnp.abs(error), 1.0)  # a zero error needs no correction: any gain does
+        size = jnp.where(error != 0, jnp.abs(error), 1.0)  # a zero error needs no correction, so any gain is right
         return triple_pole(jnp.cbrt(MARGIN * self.jerk / size) * dt, dt)

@@ -1,6 +1,6 @@
 """Causal Savitzky–Golay filter: the slope, at the last sample, of a polynomial fitted to the latest ones. No model.
 
-Source: Savitzky & Golay 1964, Analytical Chemistry 36(8), one-sided; solved anew in each step for irregular stamps.
+Source: Savitzky & Golay 1964, Analytical Chemistry 36(8), one-sided; solved again in each step, for irregular stamps.
 """
 
 from typing import NamedTuple
@@ -50,8 +50,8 @@ class SavitzkyGolay(AbstractLinearFilter):
     Attributes:
         window: Number of samples k in the window.
         order: Degree of the polynomial; 2 by default.
-        circles: Indices of the coordinates that are angles on a full circle, which are followed modulo a turn; none by
-            default.
+        circles: Indices of the coordinates that are angles on a full circle, which are differentiated modulo a turn;
+            none by default.
 
     Raises:
         ValueError: The window is not longer than the order, or the order is less than 1.
@@ -84,17 +84,17 @@ class SavitzkyGolay(AbstractLinearFilter):
         return jnp.concatenate([state.q, state.v])
 
     def predict(self, state: WindowState, u: Float[Array, "m"], dt: Scalar) -> WindowState:
-        """Shift the window by one sample, which is missing as yet, and extrapolate the position.
+        """Shift the window by one sample, which is still missing, and extrapolate the position.
 
         Args:
-            state: State after the sample before.
+            state: State after the previous sample.
             u: Input (m,), without influence.
             dt: Length of the step [s].
 
         Returns:
             The state dt later, before a measurement.
         """
-        # The newest sample counts as missing until `correct` enters it; without a step there is none.
+        # The newest sample counts as missing until `correct` enters it; for dt = 0 there is no new sample.
         age = jnp.where(dt > 0, jnp.append(state.age[1:] + dt, 0.0), state.age)
         samples = jnp.where(dt > 0, jnp.concatenate([state.y[1:], jnp.full_like(state.y[:1], jnp.nan)]), state.y)
         return WindowState(age, samples, state.q + dt * state.v, state.v)
@@ -103,7 +103,7 @@ class SavitzkyGolay(AbstractLinearFilter):
         """Enter the measurement in the window, and fit the polynomial.
 
         Args:
-            state: What `predict` returned.
+            state: State that `predict` returned.
             u: Input (m,), without influence.
             y: Measured positions (n,) [rad or m], NaN where missing.
 
@@ -111,7 +111,7 @@ class SavitzkyGolay(AbstractLinearFilter):
             The new state and the info.
         """
         difference = wrap(self.circles, y - state.q)
-        # The turn nearest to the expected angle, so that the window has no jumps by 2π.
+        # Take the turn nearest to the expected angle, so that the window has no jumps by 2π.
         samples = jnp.concatenate([state.y[:-1], (state.q + difference)[None]])
         q, v = self._fit(state.age, samples, state.q, state.v)
         info = FilterInfo(self.innovation(state, u, y), outcome(q, v, y))
@@ -134,11 +134,11 @@ class SavitzkyGolay(AbstractLinearFilter):
         return np.linalg.pinv(np.vander(ages, self.order + 1, increasing=True))[1]
 
     def _fit(self, age, samples, expected: Vector, v: Vector) -> tuple[Vector, Vector]:
-        """Value and slope at age zero; a weak prior (expected, v) decides only where there are too few samples."""
+        """Value and slope at age zero; a weak prior (expected, v) decides only if there are too few samples."""
         span = jnp.maximum(age[0], jnp.finfo(age.dtype).tiny)
-        # Ages in units of the window: else the powers differ by orders of magnitude.
+        # Ages in units of the window; otherwise the powers would differ by orders of magnitude.
         powers = jnp.stack([(-age / span) ** k for k in range(self.order + 1)], axis=1)
-        # Negligible beside the squares of order 1 in a window with samples, and regular in one without.
+        # The prior is negligible against squares of order 1 in a window with samples, and regularises one without.
         prior = 1e-9 * jnp.eye(self.order + 1, dtype=samples.dtype)
 
         def fit(column, start, slope):
@@ -147,7 +147,7 @@ class SavitzkyGolay(AbstractLinearFilter):
             weighted = powers * present[:, None].astype(powers.dtype)
             return solve(weighted.T @ powers + prior, weighted.T @ residual)
 
-        # The polynomial fits the residuals of the prior, and its slope is in units of the window.
+        # The polynomial fits the residuals from the prior, and its slope is per window length.
         coefficients = jax.vmap(fit)(samples.T, expected, v)
         value, slope = coefficients[:, 0], coefficients[:, 1]
         return expected + value, v + slope / span

@@ -1,4 +1,4 @@
-"""Observers of state-space models from the noise of the model."""
+"""Observers of a state-space model, built from its noise levels."""
 
 from typing import NamedTuple
 
@@ -15,9 +15,9 @@ from covariant.observers.filters._state_ekf import StateEKF
 from covariant.signals import StepCode
 
 SETTLED = 0.1
-"""Largest affine-invariant distance to the metric of an infinite past at which a past counts as long enough."""
+"""A past is long enough if its metric is within this affine-invariant distance of that of an infinite past."""
 POINTS = 8
-"""Number of states around the first estimate for which the necessary length of the past is computed."""
+"""Number of states around the first estimate at which the necessary length of the past is computed."""
 FEWEST_STEPS, MOST_STEPS = 16, 256
 """Bounds on the number of Runge–Kutta steps along the past in every sample."""
 
@@ -52,7 +52,7 @@ class StateNoise(NamedTuple):
 
     @property
     def equation(self) -> Equation:
-        """Equation of information and metric, in which samples are white noise of density `measurement_cov / rate`."""
+        """Riccati equation, in which samples are continuous white noise of density `measurement_cov / rate`."""
         return Equation(process_cov=self.process_cov, measurement_cov=self.measurement_cov / self.rate)
 
 
@@ -72,17 +72,17 @@ def riccati(model: StateSpace, noise: StateNoise) -> Riccati:
     The past is as long as states around the first estimate need.
     """
     equation, first = noise.equation, jnp.linalg.inv(noise.start_cov)
-    spread = np.sqrt(np.diag(np.asarray(noise.start_cov)))
+    std = np.sqrt(np.diag(np.asarray(noise.start_cov)))
     # A fixed seed: the same model and noise give the same observer.
-    off = np.random.default_rng(0).uniform(-0.5, 0.5, (POINTS, len(spread)))
-    points = jnp.asarray(np.asarray(noise.start) + off * spread)
+    offsets = np.random.default_rng(0).uniform(-0.5, 0.5, (POINTS, len(std)))
+    points = jnp.asarray(np.asarray(noise.start) + offsets * std)
     solve = jax.jit(jax.vmap(lambda x: metric_at(model, equation, x, start=first, tolerance=SETTLED)))
-    found = solve(points)
-    settled = np.asarray(found.result) == int(StepCode.OK)
+    metrics = solve(points)
+    settled = np.asarray(metrics.result) == int(StepCode.OK)
     if not settled.any():
-        worst = StepCode(int(np.min(np.asarray(found.result)))).message
+        worst = StepCode(int(np.min(np.asarray(metrics.result)))).message
         raise ValueError(f"riccati has no metric near the first estimate ({worst}); take a filter that needs none")
-    length = float(np.max(np.asarray(found.horizon)[settled]))
+    length = float(np.max(np.asarray(metrics.horizon)[settled]))
     zero, u = jnp.zeros(()), jnp.zeros(model.inputs)
     fastest = np.abs(np.linalg.eigvals(np.asarray(jax.vmap(lambda x: model.jacobians(zero, x, u)[0])(points)))).max()
     # A step h with h·|λ| ≤ 1/2 for the fastest eigenvalue λ of ∂f/∂x.

@@ -6,14 +6,14 @@ error that the previous correction left behind, both from the estimate to the me
 
     d = r − e
 
-is what this measurement says that the previous one did not: noise, and the error of the velocity times the step,
-for any gains and any size of the error. It is refused where neither the noise s of a sample nor a velocity
-explains it, `d² > 2(ks)² + (cS dt)²`, with k the deviations of the gate, S the usual speed of the motion and c between
-4 at the start and 2 once smaller ones have been seen. An outlier that passes is no more than a velocity of cS over one
+is the new information of this measurement: noise, and the error of the velocity times the step, for any gains and any
+size of the error. It is refused if neither the noise s of a sample nor a velocity explains it:
+`d² > 2(ks)² + (cS dt)²`. Here k is the deviations of the gate, S is the usual speed of the motion, and c is 4 at the
+start and falls to 2 once smaller d have been seen. An outlier that passes is no more than a velocity of cS over one
 step.
 
 Readings that are refused one after the other and show a credible velocity, of less than cS with c = 4, give the state
-that velocity at the third of them; see `Gate`. Where measurements agree with each other and not with the estimate, as
+that velocity at the third of them; see `Gate`. If measurements agree with each other but not with the estimate, as
 after an observer has lost a spinning body, d stays large: once its square is more than that of a velocity error of 2S
 on average, the estimate is `ASTRAY`.
 
@@ -54,7 +54,7 @@ class GatedState(NamedTuple):
         inner: State of the observer behind the gate.
         t: Time [s] that it belongs to.
         gate: Memory of the gate.
-        slip: Average (n,) of d², relative to that of an estimate which is astray.
+        slip: Average (n,) of d², relative to its threshold for `ASTRAY`.
         last_input: The last finite input (m,).
         dt: Length of the last prediction [s].
 
@@ -77,13 +77,13 @@ class GatedState(NamedTuple):
 
 
 class Gated(AbstractObserver):
-    """An observer whose measurements pass a gate first, and which reports when its velocity is off.
+    """An observer behind a gate for its measurements, which also reports a wrong velocity.
 
     A measurement that is refused counts as missing, and `result` says `OUTLIER`. After `gate.patience` of them in a row
     the estimate starts anew from the measured configuration, and `result` says `RESTARTED`; a velocity that the state
     of the observer holds as `v` is kept, unless it is not credible. Refused readings that show a credible velocity
-    start the estimate anew at once, with that velocity in its `v`. Where the velocity is off by more than twice the
-    usual one, as far as measurements tell, `result` says `ASTRAY`.
+    start the estimate anew at once, with that velocity in its `v`. If the measurements show a velocity error of more
+    than twice the usual velocity, `result` says `ASTRAY`.
 
     Attributes:
         observer: Observer of a mechanical system, or filter of its coordinates. Its state is `state.inner`.
@@ -154,7 +154,7 @@ class Gated(AbstractObserver):
         manifold = self.model.manifold
         present, innovation = ~manifold.missing(y), self.innovation(state, u, y)
         verdict = self._judge(state, innovation, present)
-        # Without a velocity to correct, an estimate follows readings that show one by its ordinary correction.
+        # A state without a velocity follows readings that show one by its ordinary correction.
         outlying = verdict.far if self._holds_velocity(state) else verdict.far & ~verdict.moved
         inner, info = self.observer.correct(state.inner, u, self._without(y, outlying))
         used = present & ~outlying
@@ -164,10 +164,11 @@ class Gated(AbstractObserver):
             verdict = verdict._replace(far=outlying, restart=verdict.restart & ~jnp.any(verdict.moved))
         restart = verdict.restart
         memory = verdict.memory.used(used, manifold.towards(motion.q, y))
-        new, fresh = state._replace(inner=inner, gate=memory, slip=slip), self._restarted(state, motion, verdict, y)
-        # A scale above 1 still holds after a new start; a smaller one would make the gate too narrow.
-        fresh = fresh._replace(gate=fresh.gate._replace(scale=jnp.maximum(memory.scale, 1.0)))
-        new = jax.tree.map(lambda a, b: jnp.where(restart, a, b), fresh, new)
+        new = state._replace(inner=inner, gate=memory, slip=slip)
+        restarted = self._restarted(state, motion, verdict, y)
+        # A restart keeps a scale above 1; a smaller one would make the gate too narrow.
+        restarted = restarted._replace(gate=restarted.gate._replace(scale=jnp.maximum(memory.scale, 1.0)))
+        new = jax.tree.map(lambda a, b: jnp.where(restart, a, b), restarted, new)
         astray = jnp.any(slip > 1).astype(jnp.int32) * int(StepCode.ASTRAY)
         result = jnp.maximum(jnp.maximum(info.result, verdict.result(info.result)), astray)
         return new, info._replace(innovation=innovation, result=result.astype(info.result.dtype))
@@ -182,14 +183,14 @@ class Gated(AbstractObserver):
         return state.slip + jnp.where(used, change, 0.0) / (1 + self.gate.patience)
 
     def _judge(self, state: GatedState, innovation: Vector, present: Bool[Array, "n"]) -> Judged:
-        """The gate's verdict on d: whether noise and velocity explain it; see the head of this file."""
+        """The gate's verdict on whether noise and velocity explain d; see the head of this file."""
         dt, rate = step_length(state), CREDIBLE / self.gate.deviations * self.speed
         expected = 2 * self.noise**2 + (rate * dt) ** 2
-        # An error of the velocity has acted over a gap; readings that were refused do not widen the gate for the next.
+        # A velocity error acts over a gap without readings and widens the gate; refused readings do not widen it.
         least = (2 * self.noise**2 + (rate * (state.gate.idle - dt / 2)) ** 2) / expected
         cov, noise, usual = (self._diagonal(square, innovation) for square in (expected, self.noise**2, self.speed**2))
         predicted = Velocity(self.model.motion(self.observer.estimate(state.inner)).v, usual)
-        # What the last used reading left behind is in d already.
+        # d has the error that the last used reading left subtracted already, so `left` is zero here.
         sample = Sample(innovation - state.gate.left, cov, noise, present)
         memory = state.gate._replace(left=jnp.zeros_like(innovation))
         verdict = self.gate.judge(self.model.manifold, sample, memory, predicted, usual, least)
@@ -199,22 +200,22 @@ class Gated(AbstractObserver):
         return jnp.diag(jnp.broadcast_to(variances, like.shape).astype(like.dtype))
 
     def _without(self, y: Array, outlying: Bool[Array, "n"]) -> Array:
-        """The measurement with NaN for what is refused; one that is not in coordinates is missing as a whole."""
+        """The measurement with NaN in refused entries, or in all entries of one that is not in coordinates."""
         return jnp.where(outlying if self.model.manifold.commuting else jnp.any(outlying), jnp.nan, y)
 
     def _holds_velocity(self, state: GatedState) -> bool:
         return "v" in state.inner._fields
 
     def _restarted(self, state: GatedState, motion: Motion, verdict: Judged, y: Array) -> GatedState:
-        """The state at the measured configuration, with the velocity of the verdict where that is credible."""
+        """The state at the measured configuration, with the velocity of the verdict if that is credible."""
         manifold = self.model.manifold
         q = start(manifold, motion.q, manifold.towards(motion.q, y), y, verdict.anew)
-        fresh = self.init(q, state.t)._replace(last_input=state.last_input, dt=state.dt)
+        restarted = self.init(q, state.t)._replace(last_input=state.last_input, dt=state.dt)
         if not self._holds_velocity(state):
-            return fresh
+            return restarted
         v = verdict.velocity.mean
         credible = jnp.all(jnp.abs(v) <= CREDIBLE * self.speed)
-        return fresh._replace(inner=fresh.inner._replace(v=jnp.where(credible, v, 0.0)))
+        return restarted._replace(inner=restarted.inner._replace(v=jnp.where(credible, v, 0.0)))
 
 
 def without_last_input(state: Any) -> Any:
