@@ -1,4 +1,7 @@
-"""The self-test of an exported observer: a program that follows the test vectors and compares."""
+"""C program that runs an exported observer on its test vectors and compares the results.
+
+Besides the export it needs only <stdio.h> and <math.h>.
+"""
 
 import numpy as np
 
@@ -10,15 +13,12 @@ from covariant.lowering import c_number
 
 
 def write_test(program: Program, words: Words, vectors: Vectors) -> str:
-    """The C of the self-test, which needs <stdio.h> and <math.h> alone besides the export.
-
-    It prints the largest deviation as a fraction of the allowed one, and returns 0 where that is at most 1 and all
-    outcomes are as expected.
-    """
-    shown = [e for leaf in program.output for e in entries("output.", leaf)]
+    """C source of a test that prints the largest deviation as a fraction of the allowed one, and returns 0 if this is
+    at most 1 and all outcomes are as expected."""
+    outputs = [e for leaf in program.output for e in entries("output.", leaf)]
 
     def row(values: np.ndarray) -> str:
-        # C has no array of zero numbers.
+        # C has no array of length zero.
         return ", ".join(c_number(float(v), program.real) for v in values) or c_number(0.0, program.real)
 
     def table(name: str, values: np.ndarray) -> list[str]:
@@ -29,9 +29,9 @@ def write_test(program: Program, words: Words, vectors: Vectors) -> str:
         ]
 
     missing = ",\n".join(f"    {{{', '.join(map(str, each))}}}" for each in vectors.missing.astype(int).tolist())
-    own = {
+    substitutions = {
         "ROWS": len(vectors.y),
-        "NUMBERS": len(shown),
+        "NUMBERS": len(outputs),
         "ZERO": c_number(0.0, program.real),
         "START": row(vectors.start),
         "STEPS": row(vectors.dt),
@@ -39,9 +39,10 @@ def write_test(program: Program, words: Words, vectors: Vectors) -> str:
         "MEASURED_ROWS": table("measured", vectors.y),
         "MISSING": [missing],
         "EXPECTED": table("expected", vectors.expected),
-        # A multiple, since a compiler may fuse products and sums, and so round differently from all of these runs.
+        # A multiple of the deviations under random rounding: a compiler may fuse products and sums, and so round
+        # differently from all of these runs.
         "ALLOWED": table("allowed", vectors.allowed),
         "OUTCOMES": ", ".join(map(str, vectors.result.tolist())),
-        "READ": [f"        found[{i}] = {e};" for i, e in enumerate(shown)],
+        "READ": [f"        found[{i}] = {e};" for i, e in enumerate(outputs)],
     }
-    return fill("codegen", "self_test.c", words | own)
+    return fill("codegen", "self_test.c", words | substitutions)

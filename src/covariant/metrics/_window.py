@@ -4,8 +4,8 @@ Let Φ, W, V describe the window [−s, 0] of the solution through x: a metric �
 
     P = W + Φᵀ (π⁻¹ + V)⁻¹ Φ
 
-at its end. The three obey equations in s that run backwards along with the solution itself. So one pass computes P, and
-at every s it bounds how much the unknown π can still change P.
+at its end. The three obey differential equations in s, integrated backwards together with the solution. So one pass
+computes P, and at every s it bounds how much the unknown π can still change P.
 
 Source: Redheffer 1962, On the relation of transmission-line theory to scattering and transfer, J. Math. and Phys. 41.
 """
@@ -22,7 +22,7 @@ from covariant.metrics._equation import Equation, check_state, coefficients, mod
 from covariant.models import StateSpace
 
 MARGIN = 10.0
-"""Largest ratio assumed of the metric before the window to that of the window, where Q gives no bound."""
+"""Assumed largest ratio of the metric before the window to the metric W of the window, used where there is no Q."""
 
 
 class Window(NamedTuple):
@@ -31,7 +31,7 @@ class Window(NamedTuple):
     A metric π at its beginning becomes `P = W + Φᵀ (π⁻¹ + V)⁻¹ Φ` at its end.
 
     Attributes:
-        x: state (n,) at its beginning.
+        x: state (n,) at the beginning of the window.
         transition: Φ (n, n).
         information: W (n, n).
         spread: V (n, n), or None where the equation has no Q and V is zero.
@@ -55,12 +55,12 @@ class Window(NamedTuple):
         """Metric P at the end of the window.
 
         Args:
-            start: metric at its beginning, a matrix (n, n) or a multiple of I.
+            start: metric at the beginning of the window, a matrix (n, n) or a multiple of I.
 
         Returns:
             Matrix (n, n).
         """
-        return self.information + self._carried(start)
+        return self.information + self._contribution(start)
 
     def error_bound(self, start: Number | Matrix) -> Scalar:
         """Bound on the affine-invariant distance between the metrics that the unknown past permits.
@@ -74,24 +74,25 @@ class Window(NamedTuple):
         Returns:
             The bound, a scalar; NaN where the window is too short.
         """
-        known = jnp.all(pivots(self.information) > 0)
+        bounded = jnp.all(pivots(self.information) > 0)
         if self.spread is None:
-            # Without Q nothing bounds π: it is assumed to be at most `MARGIN` times W, or `start` where that is more.
+            # Without Q nothing bounds π: it is assumed to be at most `MARGIN` times W, or `start` if that is larger.
             before = MARGIN * self.transition.T @ self.information @ self.transition
-            most = jnp.maximum(self._share(before), self._share(self._carried(start)))
+            most = jnp.maximum(self._distance_bound(before), self._distance_bound(self._contribution(start)))
         else:
             # Where Q is singular, V becomes positive as the window grows; until then it gives no bound.
-            known = known & jnp.all(pivots(self.spread) > 0)
+            bounded = bounded & jnp.all(pivots(self.spread) > 0)
             # (π⁻¹ + V)⁻¹ ≤ V⁻¹ for every π, so this bounds what any past can add to W.
-            most = self._share(self.transition.T @ solve(self.spread, self.transition))
-        return jnp.where(known, most, jnp.nan)
+            most = self._distance_bound(self.transition.T @ solve(self.spread, self.transition))
+        return jnp.where(bounded, most, jnp.nan)
 
-    def _share(self, more: Matrix) -> Scalar:
-        """Bound on the distance from W to W + more: it is sqrt(Σ log²(1 + μ)) ≤ Σ μ, μ the eigenvalues of W⁻¹ more."""
+    def _distance_bound(self, more: Matrix) -> Scalar:
+        """Bound Σ μ on the distance sqrt(Σ log²(1 + μ)) from W to W + more, with μ the eigenvalues of W⁻¹ more."""
         # log(1 + μ) ≤ μ for μ ≥ 0, and the root of a sum of squares is at most the sum.
         return jnp.trace(solve(self.information, more))
 
-    def _carried(self, start: Number | Matrix) -> Matrix:
+    def _contribution(self, start: Number | Matrix) -> Matrix:
+        """The term Φᵀ (π⁻¹ + V)⁻¹ Φ of a metric π at the beginning."""
         eye = jnp.eye(self.x.shape[0], dtype=self.x.dtype)
         # With π = L Lᵀ: (π⁻¹ + V)⁻¹ = L (I + Lᵀ V L)⁻¹ Lᵀ, which needs no inverse of π and stays positive definite.
         half = jnp.sqrt(start) * eye if jnp.ndim(start) == 0 else cholesky(jnp.asarray(start))
@@ -109,7 +110,7 @@ def window_at(
     steps: int,
     u: Float[Array, "m"] | None = None,
 ) -> Window:
-    """Window of the past that ends in x, in a fixed number of Runge–Kutta steps: for real time.
+    """Compute the window of the past that ends in x, in a fixed number of Runge–Kutta steps, as real time requires.
 
     Args:
         model: system with state x (n,) and output y (p,).
@@ -142,7 +143,7 @@ def window_at(
 
 
 def backward(model: StateSpace, equation: Equation, u: Array | None, dtype):
-    """Flow of a `Window` whose beginning moves back by s seconds."""
+    """Differential equation of a `Window` whose beginning moves back in time by s [s]."""
     input_held, t0 = model_input(model, u, dtype), jnp.zeros((), dtype)
 
     def flow(s, window: Window) -> Window:

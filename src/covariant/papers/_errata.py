@@ -1,6 +1,6 @@
-"""Wrong printed equations, as counter-examples that demonstrably fail; `errata.ERRATA` lists all of them.
+"""Observers with misprinted equations of papers, kept to show that they fail; `errata.ERRATA` lists all misprints.
 
-Sources: Aghannan & Rouchon 2003, equation (14): all four curvature terms have the sign opposite to their own (5).
+Sources: Aghannan & Rouchon 2003, equation (14): all four curvature terms have the opposite sign to equation (5).
 Maithripala, Berg & Dayawansa 2004, equations (8), (18), (19), (21), (44), (45) and the definition of S below (30).
 """
 
@@ -15,7 +15,7 @@ from covariant.observers import AbstractFlowObserver, Info, MechanicalState, Sam
 from covariant.papers.errata import ERRATA
 
 CONTINUOUS = "the printed observer is a counter-example in continuous time only"
-"""Why it makes no steps."""
+"""Message of `predict` and `correct`, which have no printed equations."""
 
 
 class PrintedBallAndBeam(AbstractFlowObserver):
@@ -51,10 +51,10 @@ class PrintedBallAndBeam(AbstractFlowObserver):
         r, theta = y
         er, et = r_hat - r, theta_hat - theta
         r_dot, theta_dot = vr - self.alpha * er, vt - self.alpha * et
-        # The force S = −grad U + g⁻¹u at the measured position, as (14) has it.
+        # The force S = −grad U + g⁻¹u at the measured position, as in (14).
         sr, st = -jnp.sin(theta), (u[0] - r * jnp.cos(theta)) / (1 + r**2)
         k = 1 + r_hat**2
-        # R(ξ, v̂)v̂, as (5) has it, is minus these: the metric diag(1, k), k = 1 + r̂², has the curvature −1/k².
+        # In (5), R(ξ, v̂)v̂ is minus these terms: the metric diag(1, k), k = 1 + r̂², has the curvature −1/k².
         curvature_r = (-vr * vt * et + vt**2 * er) / k
         curvature_t = (vr**2 * et - vr * vt * er) / k**2
         vr_dot = r_hat * theta_dot * vt + (sr + r_hat * et * st) - self.beta * er
@@ -77,7 +77,7 @@ SLIPS = {entry.slip: f"{entry.where}: {entry.reason}" for entry in ERRATA if ent
 
 
 class PrintedGroup(AbstractFlowObserver):
-    """Observer (20)–(21) on SO(3) or SE(3) with misprints of the paper put back, in continuous time. Do not use it.
+    """Observer (20)–(21) on SO(3) or SE(3) with chosen misprints of the paper, in continuous time. Do not use it.
 
     Without misprints it is `Intrinsic` with the paper's doubled α.
 
@@ -112,7 +112,7 @@ class PrintedGroup(AbstractFlowObserver):
         space, group, q, v = self.model.space, self.model.group, state.q, state.v
         error = _printed_log(y, q) if "logarithm" in self.slips else group.between(y, q)
         s = source(self.model, t, y, u)
-        # `source` has raised the force already; lowering it takes the inverse inertia away, as the print does.
+        # `source` multiplies the force by the inverse inertia; lowering it undoes this, as the misprint does.
         s = space.lower(q, s) if "source" in self.slips else s
         # The α of the paper is half of that of Aghannan and Rouchon, see (17).
         w = v - 2 * self.alpha * error
@@ -126,7 +126,7 @@ class PrintedGroup(AbstractFlowObserver):
         v_dot = transported + (curvature if "curvature sign" in self.slips else -curvature) - self.beta * error
         v_dot = v_dot - space.connection(q, w, v) + friction(self.model, t, q, v, u)
         if "alpha" in self.slips:
-            # The connection has the bracket with the factor α; this leaves it with the factor 1, as (21) does.
+            # The connection contributes the bracket with the factor α; this makes the factor 1, as printed in (21).
             v_dot = v_dot + (1 - self.alpha) * group.lie_bracket(error, v)
         return SampledState(w, v_dot, jnp.ones_like(state.t))
 
@@ -139,7 +139,7 @@ class PrintedGroup(AbstractFlowObserver):
 
 def _printed_log(y: Element, estimate: Element) -> Vector:
     """Equations (44) and (45) as printed: the spatial logarithm of the rotation, and a difference of two frames."""
-    # log(g̃gᵀ) is the rotation vector in space; that of gᵀg̃ in the body would be gᵀ times it.
+    # log(g̃gᵀ) is the rotation vector in space; log(gᵀg̃), in the body frame, would be gᵀ times it.
     omega = SO3.log(estimate[:3, :3] @ y[:3, :3].T)
     if y.shape[0] == 3:
         return omega

@@ -1,9 +1,9 @@
 """Taylor models on boxes: each number of a graph as a polynomial of second order in the variables, with a remainder.
 
-An entry of a matrix is computed from numbers that cancel in part. Bounds of its derivatives, one operation after the
-other, do not see that; polynomials do, since their terms cancel as those of the entry do. What is left is of third
-order. For ten variables it takes about as long as bounds of all second derivatives, and the boxes that it
-decides are many times as wide.
+The numbers from which an entry of a matrix is computed cancel in part. Interval bounds of its derivatives, operation by
+operation, ignore this; polynomials retain it, since their terms cancel as those of the entry do. The remaining error is
+of third order. For ten variables the polynomials take about as long as bounds of all second derivatives, and they
+decide boxes that are many times as wide.
 
 Variables of a box are `c + h ε`, |ε| ≤ 1. All roundings of a step go into its remainder.
 Source: Makino & Berz 2003, Taylor models and other validated functional inclusion methods, International Journal of
@@ -35,7 +35,7 @@ class TaylorModel:
         line: Linear terms (s, B).
         bend: Quadratic terms (p, B), for the pairs `pairs(s)`.
         rest: Remainders (B,), which bound all roundings too.
-        shares: How much of `rest` is due to each variable (s, B). Nothing is shown by them; they guide the search.
+        shares: Part (s, B) of `rest` due to each variable. No proof relies on it; it guides the search.
         sloped: Sum (B,) of absolute values of `line`.
         bent: Sum (B,) of absolute values of `bend`.
         away: The largest distance (B,) from `at`.
@@ -55,22 +55,22 @@ class TaylorModel:
     def __init__(
         self, on: Support, at: np.ndarray, line: np.ndarray, bend: np.ndarray, rest: np.ndarray, shares: np.ndarray
     ):
-        # TINY covers what underflows in the operation that made this number, where relative bounds do not hold.
+        # TINY covers underflow in the operation that made this number, where relative bounds do not hold.
         self.on, self.at, self.line, self.bend, self.rest, self.shares = on, at, line, bend, rest + TINY, shares
         self.sloped, self.bent = np.abs(line).sum(0), np.abs(bend).sum(0)
         self.away = (self.sloped + self.bent + self.rest) * (1 + ROUND)
 
     @classmethod
     def number(cls, at: Any, rest: Any = 0.0) -> "TaylorModel":
-        """A number of which nothing is known but that it is within `rest` of `at`."""
+        """A number known only to be within `rest` of `at`."""
         at = np.atleast_1d(np.asarray(at, float))
         none = np.empty((0, 1))
         return cls((), at, none, none, np.broadcast_to(rest, at.shape), none)
 
     @classmethod
-    def within(cls, found: Interval) -> "TaylorModel":
+    def within(cls, interval: Interval) -> "TaylorModel":
         """A number between two bounds."""
-        low, high = (np.atleast_1d(np.asarray(end, float)) for end in found)
+        low, high = (np.atleast_1d(np.asarray(end, float)) for end in interval)
         at = middle_of(low, high)
         return cls.number(at, np.maximum(high - at, at - low) * (1 + ROUND) + TINY)
 
@@ -87,9 +87,9 @@ class TaylorModel:
         return np.abs(self.at) + self.sloped + self.bent
 
     @property
-    def dues(self) -> np.ndarray:
-        """How much of the distance from `at` is due to each variable (s, B), a guide for the search."""
-        return np.abs(self.line) + _each(self.bend, len(self.on)) + self.shares
+    def contributions(self) -> np.ndarray:
+        """Part (s, B) of the distance from `at` due to each variable, a guide for the search."""
+        return np.abs(self.line) + _per_variable(self.bend, len(self.on)) + self.shares
 
     def over(self, on: Support) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """`line`, `bend` and `shares` as terms of more variables, with zeros for the new ones."""
@@ -97,15 +97,15 @@ class TaylorModel:
             return self.line, self.bend, self.shares
         places, paired = _places(self.on, on)
         blocks = (self.line, len(on), places), (self.bend, _count(on), paired), (self.shares, len(on), places)
-        found = []
+        extended = []
         for part, count, put in blocks:
             wide = np.zeros((count, part.shape[1]))
             wide[put] = part
-            found.append(wide)
-        return tuple(found)
+            extended.append(wide)
+        return tuple(extended)
 
     def times(self, k: np.ndarray) -> "TaylorModel":
-        """The number times a known one, with its roundings in the remainder."""
+        """The product with a known factor, with its roundings in the remainder."""
         size = np.abs(k)
         rest = (size * (self.rest + ROUND * self.size)) * (1 + ROUND)
         return TaylorModel(self.on, self.at * k, self.line * k, self.bend * k, rest, self.shares * size)
@@ -115,36 +115,38 @@ class TaylorModel:
 
     def __add__(self, other: "TaylorModel") -> "TaylorModel":
         on = _union(self.on, other.on)
-        (line, bend, due), (more, turned, owed) = self.over(on), other.over(on)
+        (line, bend, shares), (other_line, other_bend, other_shares) = self.over(on), other.over(on)
         # The roundings of all sums of coefficients are bounded by ROUND times the sizes of both polynomials.
         rest = (self.rest + other.rest + ROUND * (self.size + other.size)) * (1 + ROUND)
-        return TaylorModel(on, self.at + other.at, line + more, bend + turned, rest, due + owed)
+        return TaylorModel(on, self.at + other.at, line + other_line, bend + other_bend, rest, shares + other_shares)
 
     def __mul__(self, other: "TaylorModel") -> "TaylorModel":
         on = _union(self.on, other.on)
-        (line, bend, due), (slope, turn, owed) = self.over(on), other.over(on)
+        (line, bend, shares), (other_line, other_bend, other_shares) = self.over(on), other.over(on)
         # Coefficients of second order; an entry of `bend` for i ≠ j counts both orders of a pair.
-        product = self.at * turn + other.at * bend
+        product = self.at * other_bend + other.at * bend
         if len(on):
             i, j = _pairs(len(on))
             apart = np.flatnonzero(i != j)
-            product = product + line[i] * slope[j]
-            product[apart] += line[j[apart]] * slope[i[apart]]
+            product = product + line[i] * other_line[j]
+            product[apart] += line[j[apart]] * other_line[i[apart]]
         # Terms of third and fourth order, and products with the remainders, are bounded and go into the remainder.
-        one, two, all_ = self.size, other.size, other.sloped + other.bent
-        cut = self.sloped * other.bent + self.bent * all_
-        rest = cut + self.rest * (two + other.rest) + one * other.rest + ROUND * one * two
-        shares = due * (two + other.rest) + owed * one + np.abs(line) * other.bent + np.abs(slope) * self.bent
-        shares = shares + _each(bend, len(on)) * all_ + _each(turn, len(on)) * (self.sloped + self.bent)
-        return TaylorModel(
-            on, self.at * other.at, self.at * slope + other.at * line, product, rest * (1 + ROUND), shares
-        )
+        size, other_size, other_terms = self.size, other.size, other.sloped + other.bent
+        truncated = self.sloped * other.bent + self.bent * other_terms
+        rest = truncated + self.rest * (other_size + other.rest) + size * other.rest + ROUND * size * other_size
+        shares = shares * (other_size + other.rest) + other_shares * size
+        shares = shares + np.abs(line) * other.bent + np.abs(other_line) * self.bent
+        shares = shares + _per_variable(bend, len(on)) * other_terms
+        shares = shares + _per_variable(other_bend, len(on)) * (self.sloped + self.bent)
+        linear = self.at * other_line + other.at * line
+        return TaylorModel(on, self.at * other.at, linear, product, rest * (1 + ROUND), shares)
 
     def where(self, chosen: np.ndarray, other: "TaylorModel") -> "TaylorModel":
-        """The number on the chosen boxes, another one on the others."""
+        """This number on the chosen boxes, and the other one elsewhere."""
         on = _union(self.on, other.on)
-        (line, bend, due), (slope, turn, owed) = self.over(on), other.over(on)
-        parts = (self.at, other.at), (line, slope), (bend, turn), (self.rest, other.rest), (due, owed)
+        (line, bend, shares), (other_line, other_bend, other_shares) = self.over(on), other.over(on)
+        polynomial = (self.at, other.at), (line, other_line), (bend, other_bend)
+        parts = *polynomial, (self.rest, other.rest), (shares, other_shares)
         return TaylorModel(on, *(np.where(chosen, a, b) for a, b in parts))
 
 
@@ -163,8 +165,8 @@ def _pairs(count: int) -> tuple[Int[np.ndarray, "p"], Int[np.ndarray, "p"]]:
     return i, j
 
 
-def _each(bend: np.ndarray, count: int) -> np.ndarray:
-    """How much each of some variables adds to the sum of absolute values of `bend`."""
+def _per_variable(bend: np.ndarray, count: int) -> np.ndarray:
+    """Part of the sum of absolute values of `bend` due to each variable."""
     return _incidence(count) @ np.abs(bend)
 
 
@@ -177,7 +179,7 @@ def _incidence(count: int) -> Float[np.ndarray, "s p"]:
 
 @functools.cache
 def _places(few: Support, many: Support) -> tuple[Int[np.ndarray, "s"], Int[np.ndarray, "p"]]:
-    """Where variables, and pairs of them, are among more variables, and pairs of those."""
+    """Indices of the variables `few` among `many`, and of the pairs of `few` among the pairs of `many`."""
     at = [many.index(variable) for variable in few]
     number = {pair: k for k, pair in enumerate(pairs(len(many)))}
     return np.array(at, int), np.array([number[at[i], at[j]] for i, j in pairs(len(few))], int)
@@ -188,7 +190,7 @@ def _places(few: Support, many: Support) -> tuple[Int[np.ndarray, "s"], Int[np.n
 
 @functools.cache
 def _with_derivatives(op: str, constants: tuple[float, ...]) -> tuple[Graph, tuple[int, ...]]:
-    """A function of one input, after or before constants, and its first three derivatives."""
+    """Graph of a function of one input and some constants, with its first three derivatives."""
     graph = Graph()
     x = graph.input(0)
     numbers = [graph.constant(number) for number in constants]
@@ -212,27 +214,25 @@ def _enclosed(graph: Graph, outputs: Sequence[int], x: Interval) -> list[Interva
     return [Interval(*np.broadcast_arrays(*values[i], x.low)[:2]) for i in outputs]
 
 
-def curve(op: str, x: TaylorModel, *given: float) -> TaylorModel:
-    """A function of one number: `f(c) + f'(c) d + ½ f''(c) d² + ⅙ f'''(ξ) d³`, with d the distance from c.
-
-    Where that is wider than the bounds of f over the range, or derivatives do not exist, the result is these bounds.
-    """
-    graph, outputs = _with_derivatives(op, given)
+def curve(op: str, x: TaylorModel, *constants: float) -> TaylorModel:
+    """A function of one number: `f(c) + f'(c) d + ½ f''(c) d² + ⅙ f'''(ξ) d³` with d the distance from c, or the bounds
+    of f over the range if these are narrower or a derivative does not exist."""
+    graph, outputs = _with_derivatives(op, constants)
     whole = TaylorModel.within(_enclosed(graph, outputs[:1], x.bounds)[0])
     if not x.on:
         return whole
     value, slope, bend = (TaylorModel.within(result) for result in _enclosed(graph, outputs[:3], Interval(x.at, x.at)))
     third = TaylorModel.within(_enclosed(graph, outputs[3:], x.bounds)[0])
     deviation = TaylorModel(x.on, np.zeros_like(x.at), x.line, x.bend, x.rest, x.shares)
-    # `bend.rest` is not halved: the remainder may only be too large.
+    # `bend.rest` need not be halved, since a remainder may be too large.
     result = value + deviation * slope + deviation * deviation * TaylorModel.number(bend.at / 2, bend.rest)
     # The remainder of third order, rounded up: ξ is anywhere in the range of x.
     most = (np.abs(third.at) + third.rest) * deviation.away**3 / 6 * (1 + ROUND)
     # The remainder is due to the variables in proportion to what each adds to |d|.
-    part = x.dues / np.where(x.away > 0, x.away, 1.0)
+    part = x.contributions / np.where(x.away > 0, x.away, 1.0)
     result = TaylorModel(x.on, result.at, result.line, result.bend, result.rest + most, result.shares + most * part)
     hull = TaylorModel(x.on, whole.at, 0 * x.line, 0 * x.bend, whole.rest, whole.rest * part)
-    # The range of the function alone where it is narrower; a NaN in the remainder chooses it too.
+    # The range of the function replaces the polynomial where it is narrower, and where the remainder is NaN.
     return result.where(result.rest <= whole.rest, hull)
 
 
@@ -285,7 +285,7 @@ OPERATIONS: dict[str, Callable[..., Any]] = {
         )
     },
 }
-"""Operations that keep the polynomials; of all others the bounds of the arguments give bounds of the result."""
+"""Operations on polynomials; for all others, bounds of the arguments give bounds of the result."""
 
 
 def _apply(node: Node, nodes: Sequence[Node], x: Sequence[Any]) -> Any:
@@ -311,7 +311,8 @@ class Polynomials(NamedTuple):
         rest: Remainders (K, B); NaN or infinite where nothing is known.
         owners: The variable (s,) to which each symbol belongs.
         shares: How much of `rest` is due to each variable (f, K, B), a guide for the search.
-        blame: How much each variable widens the first numbers that are not defined (f, B), another one.
+        blame: How much each variable widens (f, B) the arguments of the first operations without a bounded result;
+            also a guide for the search.
 
     Example:
         >>> import jax.numpy as jnp, numpy as np
@@ -353,9 +354,8 @@ def polynomials(
                 result = _apply(node, nodes, arguments)
                 _blame(blame, owners, result, arguments)
                 values[number] = _with_symbol(result, owners) if _steep(result) else result
-            for (
-                a
-            ) in node.arguments:  # values that no later operation reads are freed, so that the others stay in the cache
+            # Values that no later operation reads are freed, so that the others stay in the cache.
+            for a in node.arguments:
                 uses[a] -= 1
                 if not uses[a]:
                     del values[a]
@@ -363,29 +363,28 @@ def polynomials(
 
 
 def _blame(blame: np.ndarray, owners: Sequence[int], result: Any, arguments: Sequence[Any]) -> None:
-    """Add up what widens the last argument of an operation on boxes where its result is the first without a bound."""
+    """Add to `blame` how much each variable widens the last argument of an operation, on boxes where its result is the
+    first without a bound."""
     if isinstance(result, TaylorModel) and not np.isfinite(result.rest).all():
         lost, last = ~np.isfinite(result.rest), arguments[-1]
         for x in arguments:
             lost = lost & (np.isfinite(x.rest) if isinstance(x, TaylorModel) else True)
         if isinstance(last, TaylorModel) and lost.any():
-            for symbol, due in zip(last.on, last.dues / last.away, strict=True):
+            for symbol, due in zip(last.on, last.contributions / last.away, strict=True):
                 blame[owners[symbol]] += np.where(lost, due, 0.0)
 
 
 def _steep(model: Any) -> bool:
-    """Whether a number depends on one variable alone, by more than its polynomial knows on some box."""
+    """Whether a number depends on one variable alone, and its remainder exceeds its polynomial terms on some box."""
     if not (isinstance(model, TaylorModel) and len(model.on) == 1):
         return False
     return bool((np.isfinite(model.rest) & (model.rest > model.sloped + model.bent)).any())
 
 
 def _with_symbol(model: TaylorModel, owners: list[int]) -> TaylorModel:
-    """A number of one variable whose remainder is a further symbol, |η| ≤ 1, so that what it adds cancels too.
-
-    A steep function, as that of dry friction, is then known to be the same number wherever it enters the matrix: the
-    test of definiteness sees a slope between two values, in place of many independent errors.
-    """
+    """A number of one variable with a new symbol η, |η| ≤ 1, as its remainder, so that remainders cancel too."""
+    # A steep function, such as dry friction, is then the same number wherever it enters the matrix: the test of
+    # definiteness sees a slope between two values instead of many independent errors.
     finite = np.isfinite(model.rest)
     owners.append(owners[model.on[0]])
     line = np.concatenate(np.broadcast_arrays(model.line, np.where(finite, model.rest, 0.0)[None]))
@@ -395,7 +394,7 @@ def _with_symbol(model: TaylorModel, owners: list[int]) -> TaylorModel:
 
 
 def _variable(low: np.ndarray, high: np.ndarray, number: int | None) -> TaylorModel:
-    """A variable on boxes; without a number it is fixed."""
+    """A variable on boxes as the symbol `number`, or without a symbol if it is None."""
     centre = middle_of(low, high)
     # Rounded up, so that |ε| ≤ 1 covers the whole box although its middle is rounded.
     half = np.maximum(high - centre, centre - low) * (1 + ROUND)
@@ -412,7 +411,7 @@ def _gathered(models: Sequence[TaylorModel], owners: Sequence[int], blame: np.nd
     for k, value in enumerate(models):
         terms[:s, k], terms[s:, k], _ = value.over(tuple(range(s)))
         terms[s:, k][square] /= 2
-        # The square of a variable is ½ ± ½.
+        # The square of a variable ε is in [0, 1], that is ½ ± ½.
         centre[k] = value.at + sum_over(terms[s:, k][square])
         rest[k] = (value.rest + ROUND * (np.abs(value.at) + value.bent)) * (1 + ROUND)
         for symbol, due in zip(value.on, value.shares, strict=True):

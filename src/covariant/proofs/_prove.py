@@ -1,8 +1,8 @@
 """Proof by branch and bound that a matrix is positive definite everywhere in a box, with outward rounding.
 
-The matrix is enclosed on a box, and the enclosure tested for positive definiteness; boxes on which the test fails are
-halved. A matrix is not proved where its computation is undefined somewhere or jumps: the conditions for this are shown
-first, also by halving.
+The matrix is enclosed on a box, and the enclosure is tested for positive definiteness; boxes on which the test fails
+are halved. Nothing is proved if the computation of the matrix is undefined or jumps anywhere in the domain. Conditions
+that exclude this are shown first, also by halving.
 
 Effort is counted in boxes, so that a verdict depends neither on the machine nor on its load.
 """
@@ -32,7 +32,7 @@ from covariant.proofs._tree import CHUNK, OPEN, Tree, open_boxes
 PATIENCE = 4 * CHUNK
 """Number of boxes that are evaluated by one process before the work is shared out."""
 ROUND_OF_LOTS = 4
-"""Number of lots of boxes that are evaluated before any of them is halved further, whichever process does it."""
+"""Number of lots of boxes that are evaluated before any of them is halved further, for any number of processes."""
 MOST_BOXES = 200_000
 """Default limit of the number of boxes of a proof."""
 
@@ -44,14 +44,14 @@ class Proof(NamedTuple):
         verdict: "holds"; "fails", where the matrix is not positive definite at `counterexample`; or "undecided", where
             the boxes `open` remain.
         box: The domain.
-        levels: The boxes as a binary tree, from the whole box down: one array of integers for each level, with the
-            index of the variable across whose middle a box is halved (lower half first), −1 (`PROVED`) where the matrix
-            is proved positive definite, −2 (`OPEN`) where it is open.
+        levels: The boxes as a binary tree, from the whole box down: one array of integers for each level. An entry is
+            the index of the variable across whose middle the box is halved (lower half first), −1 (`PROVED`) if the
+            matrix is proved positive definite on the box, or −2 (`OPEN`) if the box is undecided.
         counterexample: Corners (2, d) of a box in which the matrix is nowhere positive definite; None without one.
         open: Corners (k, 2, d) of the k undecided boxes.
         boxes: Number of boxes evaluated.
         seconds: Time taken [s]; NaN for a proof read from a file.
-        reason: Where the matrix may be undefined or jump, which alone leaves the whole domain undecided; "" otherwise.
+        reason: Where the matrix may be undefined or jump, so that no part of the domain is proved; "" otherwise.
 
     Example:
         >>> import jax.numpy as jnp
@@ -117,12 +117,12 @@ def prove(
             without jumps on the domain; kinks are allowed.
         domain: Bounds of z.
         boxes: Approximate number of boxes after which the proof stops, with the verdict "undecided".
-        seconds: Optional time limit [s], counted from when the matrix has been written as a graph.
+        seconds: Optional time limit [s], counted from when the matrix has become a graph.
         processes: Number of processes that share the boxes. Above 1, a script needs the `if __name__ == "__main__"`
             guard. The tree does not depend on their number.
         progress: Called now and then with the decided fraction of the domain and the number of boxes evaluated.
         engine: Arithmetic that bounds the graphs, as for `lowering.enclose`: "auto" chooses between "numpy" and "c".
-            Tree and verdict are the same.
+            It changes neither the tree nor the verdict.
 
     Returns:
         The proof with its verdict and its tree of boxes.
@@ -153,10 +153,11 @@ def prove_at_corners(
     seconds: float | None = None,
     progress: Callable[[float, int], None] | None = None,
 ) -> list[Proof]:
-    """Prove that a matrix is positive definite where it is affine in some variables jointly: one proof for each corner.
+    """Prove that a matrix, jointly affine in some variables, is positive definite: one proof for each of their corners.
 
     The smallest eigenvalue is a concave function of these variables, so it is least at a corner of their box. They need
-    not be halved: 2^k proofs over the other variables replace one over all. It stops at the first that does not hold.
+    not be halved: 2^k proofs over the other variables replace one over all. The search
+    stops at the first proof that does not hold.
 
     Args:
         matrix: JAX function `z (d,) -> (n, n)`, or a `Form`, as for `prove`.
@@ -221,7 +222,7 @@ def prove_at_corners(
             failed, corners = [_failed_at_once(at, counterexample, effort, reason)], corners[:k]
             break
     trees = [Tree(at) for at in corners]
-    # A counter-example at one corner leaves those before it in the search: the first corner that fails is reported.
+    # After a counter-example at one corner only earlier corners are searched: the first that fails is reported.
     while (counterexample := _search_together(expansions, trees, effort, progress)) is not None:
         at = counterexample[0][indices]
         k = next(k for k, tree in enumerate(trees) if np.array_equal(tree.domain.low[indices], at))
@@ -232,7 +233,7 @@ def prove_at_corners(
 
 
 KINKS = {"abs", "sign", "floor", "ceil", "round", "min", "max", "select", "either", "cbrt", *TRUTHS}
-"""Operations whose second derivatives, as graphs of them say, vanish on either side of a place where they bend."""
+"""Operations with a kink, on either side of which the graphs of their second derivatives vanish."""
 
 
 def _kink(entries: Lowered, variables: Sequence[int]) -> str | None:
@@ -250,12 +251,12 @@ def _kink(entries: Lowered, variables: Sequence[int]) -> str | None:
 def blocks(matrix: Callable[[Array], Array], domain: Box) -> list[Int[np.ndarray, "k"]]:
     """Indices of the diagonal blocks of a symmetric matrix after a permutation, the same for every z.
 
-    A matrix is positive definite where each block is, and each block depends on fewer variables. An entry counts as
+    A matrix is positive definite if each block is, and each block depends on fewer variables. An entry counts as
     zero where its graph is the constant 0.
 
     Args:
         matrix: JAX function `z (d,) -> (n, n)`, or a `Form`.
-        domain: Bounds of z, of which the number of variables counts.
+        domain: Bounds of z; only the number of variables is used.
 
     Returns:
         One array of ascending row indices for each block.
@@ -340,7 +341,7 @@ _matrix: Expansions | None = None
 
 
 def _set_matrix(matrix: Expansions) -> None:
-    """Initialise a worker process, which then gets boxes alone."""
+    """Store the matrix in a worker process, so that later calls send boxes only."""
     global _matrix
     _matrix = matrix
 
@@ -351,10 +352,8 @@ def _judge_here(low: np.ndarray, high: np.ndarray) -> tuple[Int[np.ndarray, "B"]
 
 
 def _search(judge: Callable, tree: Tree, effort: _Effort, progress) -> np.ndarray | None:
-    """Evaluate boxes until none is left, the effort is used up, or there is a counter-example.
-
-    `judge` maps boxes (low, high) to their codes, in this or in other processes.
-    """
+    """Evaluate boxes with `judge`, in this or in other processes, until none is left, the effort is used up, or there
+    is a counter-example."""
     while tree.evaluated < effort.boxes and time.monotonic() < effort.until:
         lots = [lot for _ in range(ROUND_OF_LOTS) if (lot := tree.next()) is not None]
         if not lots:
@@ -371,7 +370,7 @@ def _search(judge: Callable, tree: Tree, effort: _Effort, progress) -> np.ndarra
 
 
 def _search_together(matrix: Expansions, trees: Sequence[Tree], effort: _Effort, progress) -> np.ndarray | None:
-    """As `_search`, for several trees of one matrix: their boxes are evaluated side by side."""
+    """Search several trees of one matrix as `_search` does one, with the boxes of all trees in common batches."""
     while sum(tree.evaluated for tree in trees) < effort.boxes and time.monotonic() < effort.until:
         lots = [(tree, lot) for tree in trees if (lot := tree.next()) is not None]
         if not lots:
@@ -379,12 +378,12 @@ def _search_together(matrix: Expansions, trees: Sequence[Tree], effort: _Effort,
         low, high = (np.concatenate([lot[side] for _, lot in lots]) for side in (1, 2))
         codes = []
         for begin in range(0, len(low), CHUNK):
-            some, counterexample = judge(matrix, low[begin : begin + CHUNK], high[begin : begin + CHUNK])
+            chunk_codes, counterexample = judge(matrix, low[begin : begin + CHUNK], high[begin : begin + CHUNK])
             if counterexample is not None:
                 for tree, lot in lots:
                     tree.waiting.append(lot)
                 return counterexample
-            codes.append(some)
+            codes.append(chunk_codes)
         ends = np.cumsum([len(lot[0]) for _, lot in lots])[:-1]
         for (tree, lot), lot_codes in zip(lots, np.split(np.concatenate(codes), ends), strict=True):
             tree.take(lot, lot_codes)

@@ -1,4 +1,4 @@
-"""Faults of the clock that stamps a log: stamps that repeat, missing rows, and a clock that is set meanwhile."""
+"""Faults of the clock that stamps a log: stamps that repeat, missing rows, and a clock that is set during the log."""
 
 from typing import NamedTuple
 
@@ -13,10 +13,10 @@ MONOTONIC = "stamp rows by a clock that nobody sets, such as CLOCK_MONOTONIC or 
 
 
 class Mended(NamedTuple):
-    """A log whose stamps rise, with what was wrong with them.
+    """A log with increasing stamps, and the findings on stamps that did not increase.
 
     Attributes:
-        record: The log: rows with a repeated stamp are left out, and stamps after the clock was set back go on by the
+        record: The log without rows that repeat a stamp; where the clock was set back, the stamps continue with the
             usual step.
         findings: Findings on repeated stamps and on a clock that was set back.
 
@@ -35,7 +35,7 @@ class Mended(NamedTuple):
 
 
 def mended_clock(record: Record) -> Mended:
-    """Make the stamps of a log rise, and report where they did not.
+    """Make the stamps of a log increase, and report where they did not.
 
     Args:
         record: The log, with stamps in seconds that may repeat or go back.
@@ -117,7 +117,7 @@ def stamps(t: Float[np.ndarray, "T"]) -> list[Finding]:
 def set_forward(
     t: Float[np.ndarray, "T"], y: Float[np.ndarray, "T n"], noise: Float[np.ndarray, "n"], rows: Rows
 ) -> list[Finding]:
-    """Findings on long steps in time over which the motion goes on as if no time had passed but the usual step."""
+    """Findings on long steps in time over which the motion continues as if only the usual step had passed."""
     steps = np.diff(t)
     usual = float(np.median(steps))
     places = [int(k) for k in np.flatnonzero(steps > JUMP * usual) if 3 <= k < len(t) - 4]
@@ -127,11 +127,11 @@ def set_forward(
         after = (y[k + 4] - y[k + 1]) / (t[k + 4] - t[k + 1])
         rate, moved = (before + after) / 2, y[k + 1] - y[k]
         scale = np.where(noise > 0, noise, np.inf)
-        way = np.linalg.norm((rate * steps[k] / scale)[np.isfinite(rate + moved)])
-        usually, whole = (
+        displacement = np.linalg.norm((rate * steps[k] / scale)[np.isfinite(rate + moved)])
+        error_usual, error_whole = (
             np.linalg.norm(((moved - rate * h) / scale)[np.isfinite(rate + moved)]) for h in (usual, steps[k])
         )
-        if way > SEEN and usually < CONTINUES * whole:
+        if displacement > SEEN and error_usual < CONTINUES * error_whole:
             jumps.append(k + 1)
     if not jumps:
         return []

@@ -14,10 +14,10 @@ from covariant.signals import Record
 CLOCKS = {
     "seconds": 1.0,
     **{"milliseconds": 1e-3, "microseconds": 1e-6, "nanoseconds": 1e-9},
-    # Such stamps were multiplied by the size of the unit when they were read: this undoes it.
+    # Such stamps were multiplied by the size of the unit when they were read; these factors undo it.
     **{f"seconds that were taken for {name}": 1 / size for name, size in (("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9))},
 }
-"""Possible units of the stamps, and the factor that converts them, as they are read, to seconds."""
+"""Possible units of the stamps, each with the factor that converts stamps as read to seconds."""
 SHORTEST, LONGEST = 1e-5, 2.0
 """Plausible steps in time [s] of a log of a machine."""
 ANGLES = {"radians": 1.0, "degrees": np.pi / 180, "turns": 2 * np.pi}
@@ -65,13 +65,13 @@ class Change(NamedTuple):
 
 def units(case: Case) -> Iterator[Suspicion]:
     """Stamps that are not in seconds, angles that are not in radians, or both."""
-    names, none = case.names, _none(case)
+    names, no_change = case.names, _no_change(case)
     step = float(np.median(np.diff(np.asarray(case.record.t))))
-    # A clock that makes the step implausible is not tried: it would match by chance and cost a smoothing.
+    # A unit that makes the step in time implausible is not tried: it could match by chance, and costs a smoothing.
     clocks = {clock: factor for clock, factor in CLOCKS.items() if SHORTEST <= factor * step <= LONGEST or factor == 1}
     angles = dict(ANGLES) if names.angles.any() else {"radians": 1.0}
     y = np.asarray(case.record.y)[:, names.angles]
-    # Whole numbers beyond a turn: no angles in radians are logged so, but counts are.
+    # Whole numbers beyond 2π are no angles in radians, but may be encoder counts.
     if names.angles.any() and np.all(y[np.isfinite(y)] % 1 == 0) and np.nanmax(np.abs(y)) > 2 * np.pi:
         angles |= {f"counts of {count} a turn": 2 * np.pi / count for count in COUNTS}
     for (clock, time), (angle, size) in itertools.product(clocks.items(), angles.items()):
@@ -84,34 +84,34 @@ def units(case: Case) -> Iterator[Suspicion]:
         if parts:
             affected, described, lines = zip(*parts, strict=True)
             words = f"with {' and '.join(described)}"
-            change = none._replace(time=time, position=position)
+            change = no_change._replace(time=time, position=position)
             yield Suspicion(f"unit of {' and '.join(affected)}", "", words, "; ".join(lines), change.apply)
 
 
 def input_signs(case: Case) -> Iterator[Suspicion]:
     """Inputs with the other sign."""
     for name, factors in _one_by_one(case.names.u, -1.0):
-        change, line = _none(case)._replace(inputs=factors), case.names.line("u", factors)
+        change, line = _no_change(case)._replace(inputs=factors), case.names.line("u", factors)
         yield Suspicion("sign of an input", name, f"with {name} with the other sign", line, change.apply)
 
 
 def swaps(case: Case) -> Iterator[Suspicion]:
-    """Columns in each other's place: two positions, two inputs, or both of two joints."""
-    (q, u), none = (case.names.q, case.names.u), _none(case)
+    """Swapped columns: two positions, two inputs, or both of two joints."""
+    (q, u), no_change = (case.names.q, case.names.u), _no_change(case)
     for i, j in itertools.combinations(range(len(q)), 2):
         positions, inputs = (_swapped(columns, i, j) for columns in (q, u))
         in_q = f"q = {quoted_list(q[k] for k in positions)}"
         words = f"with {q[i]} and {q[j]} in each other's place"
-        change = none._replace(order=positions)
+        change = no_change._replace(order=positions)
         yield Suspicion("swapped positions", f"{q[i]}, {q[j]}", words, f"[columns] {in_q}", change.apply)
         if len(q) != len(u):
             continue  # joint i has input i only where there are as many of both
         in_u = f"u = {quoted_list(u[k] for k in inputs)}"
         words = f"with {u[i]} and {u[j]} in each other's place"
-        change = none._replace(input_order=inputs)
+        change = no_change._replace(input_order=inputs)
         yield Suspicion("swapped inputs", f"{u[i]}, {u[j]}", words, f"[columns] {in_u}", change.apply)
         words = f"with joints {i + 1} and {j + 1} in each other's place"
-        change = none._replace(order=positions, input_order=inputs)
+        change = no_change._replace(order=positions, input_order=inputs)
         yield Suspicion("swapped joints", f"{q[i]}, {q[j]}", words, f"[columns] {in_q}, {in_u}", change.apply)
 
 
@@ -127,7 +127,7 @@ def zeros(case: Case) -> Iterator[Suspicion]:
     for (name, factors), angle in zip(_one_by_one(case.names.q, 0.0), case.names.angles, strict=True):
         if angle:
             line = f"add {np.pi:.9g} to {name}, or write the other zero into [parameters]"
-            change = _none(case)._replace(offset=np.where(factors == 0, np.pi, 0.0))
+            change = _no_change(case)._replace(offset=np.where(factors == 0, np.pi, 0.0))
             yield Suspicion("zero of a position", name, f"with {name} half a turn on", line, change.apply)
 
 
@@ -147,15 +147,15 @@ COLUMNS: tuple[Callable[[Case], Iterator[Suspicion]], ...] = (
     zeros,
     single_degrees,
 )
-"""What is suspected of columns: of suspicions that explain about as much the first one is reported."""
+"""Suspicions about columns; of several that explain about as much, the first is reported."""
 
 
-def _none(case: Case) -> Change:
+def _no_change(case: Case) -> Change:
     return Change.none(len(case.names.q), len(case.names.u))
 
 
 def _one_by_one(names: tuple[str, ...], factor: float) -> Iterator[tuple[str, np.ndarray]]:
-    """Each name, with factors of which its own is this one and the others are 1."""
+    """Each name, with an array of factors that is `factor` for this name and 1 for the others."""
     for i, name in enumerate(names):
         yield name, np.where(np.arange(len(names)) == i, factor, 1.0)
 

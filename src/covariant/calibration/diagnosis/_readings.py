@@ -1,4 +1,4 @@
-"""What the readings of positions show without a model: outliers, repeats, ticks, noise and speeds."""
+"""Outliers, repeats, ticks, noise and speeds of position readings, estimated without a model."""
 
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -26,34 +26,34 @@ from covariant.signals import Record
 ROUNDS = 30
 """Largest number of rounds in which outliers are removed and the rest is predicted anew."""
 SAMPLED = 20_000
-"""Rows of a long log from which the usual error is estimated."""
+"""Number of rows of a long log from which the usual error is estimated."""
 FEWEST = 50
-"""Least number of readings of a position that show its noise and outliers."""
+"""Smallest number of readings from which the noise and outliers of a position are estimated."""
 ALIKE = 0.05
-"""Relative difference up to which the numbers of coordinates of one unit are reported as one."""
+"""Relative difference up to which the values of coordinates with the same unit are reported as one value."""
 TOGETHER = 5
 """Number of neighbouring speeds of which the median is taken: one wrong measurement spoils two."""
 USUAL = 0.99
-"""Quantile of these medians: high, since a log may stand still for a long time."""
+"""Quantile of these medians that is the usual speed: high, since the machine may stand still for most of a log."""
 
 
 def missing_cells(y: np.ndarray) -> list[Finding]:
     """Finding on missing measurements."""
-    lost = np.isnan(y.reshape(len(y), -1)).any(axis=1)
-    if not lost.any():
+    missing = np.isnan(y.reshape(len(y), -1)).any(axis=1)
+    if not missing.any():
         return []
-    share = float(lost.mean())
+    share = float(missing.mean())
     # The mask changes in pairs: where a gap begins, and where it ends.
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], lost, [False]])))
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], missing, [False]])))
     longest = int(np.max(edges[1::2] - edges[::2]))
     return [
         Finding(
             "missing measurements",
             "",
-            f"{int(lost.sum())} of {len(y)} rows ({100 * share:.2g} %) lack one, at most {longest} in a row",
+            f"{int(missing.sum())} of {len(y)} rows ({100 * share:.2g} %) lack one, at most {longest} in a row",
             "nothing to change: estimates run on with the model alone meanwhile",
             False,
-            {"rows": int(lost.sum()), "share": share, "longest": longest},
+            {"rows": int(missing.sum()), "share": share, "longest": longest},
         )
     ]
 
@@ -70,10 +70,10 @@ def outliers(
         t: Stamps (T,) [s].
         y: Measured coordinates (T, n); NaN where missing.
         circles: Indices of the coordinates that are angles.
-        ticks: Known ticks (n,) of the encoders, or one for all, 0 for none; others are looked for in the readings.
+        ticks: Known ticks (n,) of the encoders, or one for all; where 0, they are estimated from the readings.
 
     Returns:
-        Which measurements are outliers (T, n), and their usual distance (n,) from their neighbours, 0 without outliers.
+        Which measurements are outliers (T, n), and their median distance (n,) from their neighbours, 0 without any.
 
     Example:
         >>> import numpy as np
@@ -95,7 +95,7 @@ def outliers(
                 break
             error = prediction_errors(t[remaining], column[remaining])
             floor = np.maximum(1.4826 * np.median(np.abs(error)), known or tick(column[remaining]))
-            # A cubic misses some of a sharp motion, in proportion to what happens among its points.
+            # In a sharp motion a cubic has an error in proportion to the range of the motion among its points.
             floor = np.maximum(floor, COARSE * _local_range(column[remaining]))
             size = np.zeros(len(remaining))
             candidates = np.flatnonzero(np.abs(error) > FAR * floor)  # few: only they need the local deviation
@@ -124,7 +124,7 @@ def outliers(
 
 
 def prediction_errors(t: Float[np.ndarray, "T"], y: Float[np.ndarray, "T"]) -> Float[np.ndarray, "T"]:
-    """Errors of measurements against the cubic through their four neighbours, scaled to the noise of one."""
+    """Errors of measurements against the cubic through their four neighbours, scaled to the noise of a measurement."""
     rows = np.arange(len(t))
     five = np.clip(rows - 2, 0, len(t) - 5)[:, None] + np.arange(5)  # at the ends the neighbours are on one side
     return _errors(t, y, five[five != rows[:, None]].reshape(-1, 4), t, y)
@@ -132,7 +132,7 @@ def prediction_errors(t: Float[np.ndarray, "T"], y: Float[np.ndarray, "T"]) -> F
 
 def _errors(t, y, neighbours, at, value) -> np.ndarray:
     """Scaled errors of values (k,) at stamps (k,) against the cubics through the measurements `neighbours` (k, 4)."""
-    # In units of the span, so that the products below are of order one whatever the unit of time.
+    # In units of the span, so that the products below are of order one for any unit of time.
     offsets = (t[neighbours] - at[:, None]) / (t[neighbours[:, -1:]] - t[neighbours[:, :1]])
     weights = np.ones_like(offsets)  # Lagrange's, at zero
     for k in range(4):
@@ -144,7 +144,7 @@ def _errors(t, y, neighbours, at, value) -> np.ndarray:
 
 
 def _readmitted(t, y, remaining: np.ndarray, removed: np.ndarray, scale: float) -> np.ndarray:
-    """Removed rows that agree with the remaining ones after all: they were between two outliers."""
+    """Removed rows that agree with the remaining ones after all, since only their neighbours were outliers."""
     # Two rows on either side of the removed one; at the ends the nearest four.
     place = np.clip(np.searchsorted(remaining, removed), 2, len(remaining) - 2)
     error = _errors(t[remaining], y[remaining], place[:, None] + np.array([-2, -1, 0, 1]), t[removed], y[removed])
@@ -165,7 +165,7 @@ def _local_range(y: np.ndarray) -> np.ndarray:
 
 
 def tick(y: Float[np.ndarray, "T"]) -> float:
-    """Step of which all changes of readings are multiples."""
+    """Step of which all changes of the readings are multiples; 0 if there is none."""
     changes = np.abs(np.diff(y[np.isfinite(y)]))
     changes = changes[changes > 1e-9 * max(1.0, np.ptp(y[np.isfinite(y)]))]
     if len(changes) < 20:
@@ -175,7 +175,7 @@ def tick(y: Float[np.ndarray, "T"]) -> float:
     # The least change in a log may be two or three ticks.
     for fraction in (1, 2, 3):
         step = smallest / fraction
-        # Over k ticks an error of the step grows k times, so that large changes are no test of it.
+        # Over k ticks an error of the step counts k times, so only small changes can test the step.
         small = changes[changes < 20.5 * step]
         whole = np.rint(small / step)
         if len(small) >= 20 and np.quantile(np.abs(small / step - whole), 0.95) < LATTICE and _gcd(whole) == 1:
@@ -188,7 +188,7 @@ def _gcd(whole: np.ndarray) -> int:
 
 
 def quanta(y: Float[np.ndarray, "T n"], noise: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
-    """Ticks of encoders, from their readings."""
+    """Ticks (n,) of encoders, from their readings; 0 where noise hides them."""
     ticks = np.array([tick(column) for column in y.T])
     return np.where(ticks > LEAST_TICK * noise, ticks, 0.0)
 
@@ -229,7 +229,7 @@ def outlier_findings(
 def still_findings(
     y: Float[np.ndarray, "T n"], names: tuple[str, ...], units: tuple[str, ...]
 ) -> tuple[list[Finding], bool]:
-    """Findings on positions that have one value in all rows."""
+    """Findings on positions that have one value in all rows, and whether all positions do."""
     still = [i for i, column in enumerate(y.T) if np.nanmin(column) == np.nanmax(column)]
     if not still:
         return [], False
@@ -250,10 +250,8 @@ def still_findings(
 def repeated_findings(
     y: Float[np.ndarray, "T n"], ticks: Float[np.ndarray, "n"], names: tuple[str, ...], rows: Rows
 ) -> list[Finding]:
-    """Findings on readings that repeat those of the row before, although the position moves.
-
-    An encoder reads the same number until its next tick; a reading with noise is never the same twice.
-    """
+    """Findings on readings that repeat those of the row before, although the position moves."""
+    # Encoders are left out: they repeat a reading until the next tick. A reading with noise never repeats.
     moving = _moving(y, ticks)
     if not moving:
         return []
@@ -280,10 +278,10 @@ def repeated_findings(
 
 def without_repeated(y: Float[np.ndarray, "T n"], ticks: Float[np.ndarray, "n"]) -> Float[np.ndarray, "T n"]:
     """Positions whose readings are missing where they repeat those of the row before."""
-    kept = y.copy()
+    cleaned = y.copy()
     for i in _moving(y, ticks):
-        kept[_repeated(y, [i]), i] = np.nan
-    return kept
+        cleaned[_repeated(y, [i]), i] = np.nan
+    return cleaned
 
 
 def _moving(y: np.ndarray, ticks: np.ndarray) -> list[int]:
@@ -300,9 +298,10 @@ class Readings(NamedTuple):
     """Noise and ticks of each position, in its unit.
 
     Attributes:
-        noise: Standard deviation (n,) of the part of a reading that its neighbours do not predict; NaN for few.
-        white: Whether that is noise (n,); otherwise motion between the rows counts as well, and it is an upper bound.
-        ticks: One tick (n,) of the encoder; 0 where readings are no whole ticks apart, or noise hides them.
+        noise: Standard deviation (n,) of the part of a reading that its neighbours do not predict; NaN if there
+            are too few readings.
+        white: Whether `noise` (n,) is noise alone; otherwise it includes motion between the rows and is an upper bound.
+        ticks: Tick (n,) of the encoder; 0 if readings do not differ by whole ticks, or noise hides the ticks.
     """
 
     noise: Float[np.ndarray, "n"]
@@ -311,7 +310,7 @@ class Readings(NamedTuple):
 
     @property
     def std(self) -> Float[np.ndarray, "n"]:
-        """Standard deviation (n,) of a reading: that of an error uniform over a tick, or the noise."""
+        """Standard deviation (n,) of a reading: of an error uniform over a tick, or of the noise without ticks."""
         return np.where(self.ticks > 0, self.ticks / np.sqrt(12), self.noise)
 
     @property
@@ -330,7 +329,7 @@ def readings(record: Record, circles: tuple[int, ...]) -> Readings:
             error = prediction_errors(t[seen], column[seen])
             # The factor makes the median size of normal errors their standard deviation.
             noise[i] = 1.4826 * np.median(np.abs(error))
-            # Neighbouring errors share measurements with opposite signs: those of white noise alternate.
+            # Neighbouring errors share measurements with opposite signs, so the errors of white noise alternate.
             # At even stamps the weights are (1, −4, 6, −4, 1)/6: white noise has −0.8, smooth motion a positive number.
             white[i] = np.mean(error[1:] * error[:-1]) < ALTERNATES * np.mean(error**2)
     return Readings(noise, white, quanta(y, np.nan_to_num(noise)))
@@ -339,13 +338,13 @@ def readings(record: Record, circles: tuple[int, ...]) -> Readings:
 def known_ticks(
     record: Record, circles: tuple[int, ...], stated: float | Sequence[float] | None
 ) -> Float[np.ndarray, "n"]:
-    """Ticks of each position: those that the readings show, or where these are few, the stated ones that they fit."""
+    """Ticks (n,) of the positions: those that the readings show, or else the stated ones if the readings fit them."""
     ticks, y = readings(record, circles).ticks, unwrap(np.asarray(record.y), circles)
-    for i, tick in enumerate(np.broadcast_to(0.0 if stated is None else stated, len(ticks))):
-        if ticks[i] == 0 and tick > 0:
-            steps = np.diff(y[np.isfinite(y[:, i]), i]) / tick
+    for i, stated_tick in enumerate(np.broadcast_to(0.0 if stated is None else stated, len(ticks))):
+        if ticks[i] == 0 and stated_tick > 0:
+            steps = np.diff(y[np.isfinite(y[:, i]), i]) / stated_tick
             if len(steps) and np.quantile(np.abs(steps - np.round(steps)), 0.95) < STATED_LATTICE:
-                ticks[i] = tick
+                ticks[i] = stated_tick
     return ticks
 
 
@@ -402,7 +401,7 @@ def usual_speeds(model: MechanicalSystem, record: Record) -> tuple[float, ...]:
 
 
 def _wrapped(change: np.ndarray, circle: bool) -> np.ndarray:
-    # Onto [−π, π): a step of more than half a turn is one the other way.
+    # Onto [−π, π): a step of more than half a turn counts as a shorter step the other way.
     return (change + np.pi) % (2 * np.pi) - np.pi if circle else change
 
 

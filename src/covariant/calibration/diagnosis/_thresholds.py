@@ -1,6 +1,6 @@
-"""The size from which something in a log counts: one table for all suspicions and checks.
+"""Thresholds of all suspicions about a log and of all its checks, in one table.
 
-How a number is searched (windows, rounds, candidates) stands beside the search.
+The settings of a search (windows, rounds, candidates) are defined next to the search.
 """
 
 from typing import NamedTuple
@@ -9,16 +9,18 @@ import numpy as np
 
 
 class Threshold(NamedTuple):
-    """What a suspicion has to achieve on rows held out before it is reported.
+    """Conditions on held-out rows under which a suspicion is reported.
 
-    All shares are of the squares of the accelerations, without the noise.
+    All shares are fractions of the sum of squared accelerations, without the noise.
 
     Attributes:
-        least: Share that the log as it is leaves unexplained; below it the suspicion is not tried.
-        falls: Fraction of that share which may be left if it were so.
-        most: Share that may be left at most.
-        sure: Standard errors of the signed ranks of its falls in all blocks (if it falls in all of 30: 4.8).
-        alike: Ratio to the least share up to which an earlier suspicion of the list, a simpler one, is preferred.
+        least: The suspicion is tried only if the uncorrected log leaves at least this share unexplained.
+        falls: Largest fraction of that share that the corrected log may leave unexplained.
+        most: Largest share that the corrected log may leave unexplained.
+        sure: Least significance of the fall over all blocks, in standard errors of the signed-rank statistic (4.8 if
+            the share falls in all of 30 blocks).
+        alike: An earlier, and so simpler, suspicion of the list is preferred if the share that it leaves is at most
+            this many times the smallest.
     """
 
     least: float
@@ -29,17 +31,17 @@ class Threshold(NamedTuple):
 
 
 THRESHOLDS = {
-    # A log with a wrong unit, order or sign is far off, and the right one is near; many are tried, so both are asked
-    # for. Of several that explain it the first one is reported, and the others are named as rivals.
+    # A log with a wrong unit, order or sign leaves much unexplained, and the corrected log little. Both are required,
+    # since many corrections are tried. Of several that explain the log the first is reported, the others as rivals.
     "columns": Threshold(0.15, 1 / 3, 0.5, alike=1.5),
     # Friction and rotors: 10 % of the size of the accelerations. A wrong mass or centre of mass, which a rotor
     # resembles, leaves more than 15 %.
     "torques": Threshold(0.01, 1 / 2, 0.15),
-    # Whole rows, and how inputs go from row to row: small faults. 1 % of the size of the accelerations.
+    # Delays by whole rows, and how inputs change between rows: small faults. 1 % of the size of the accelerations.
     "rows": Threshold(1e-4, 1 / 2),
     # Whole rows in place of a delay that was accepted already: whichever predicts better.
     "rows for a delay": Threshold(0.0, 1.0, sure=-np.inf),
-    # Delays and scales that least squares gave: their standard errors have judged them (below).
+    # Delays and scales fitted by least squares: their standard errors decide (below).
     "fitted": Threshold(0.0, np.inf, sure=-np.inf),
 }
 
@@ -48,20 +50,21 @@ BARELY = THRESHOLDS["columns"].most
 FARTHEST = 3.0
 """Residual acceleration, as a multiple of the one that the data sheet states, from which it is a finding."""
 TWIN = 2.0
-"""Share that is left, as a multiple of that in a log of the model itself, from which it is a finding."""
+"""Unexplained share, as a multiple of that in a simulated log of the model, from which it is a finding."""
 
 # Numbers that least squares fit: standard errors, and the size that matters.
 DELAY_ERRORS, DELAY_ROWS = 4.0, 0.6
 """A delay of one coordinate against another: below 0.6 rows an error of the model may look like one."""
 COMMON_ERRORS, COMMON_ROWS, COMMON_GAIN = 5.0, 1.5, 0.4
-"""A delay of all coordinates against the inputs, and by which fraction the unexplained squares fall: a wrong friction
-looks like it, but explains less."""
+"""A delay of all coordinates against the inputs, and the fraction by which it reduces the unexplained squares: a
+wrong friction looks like such a delay, but explains less."""
 SCALE_ERRORS, SCALE_OFF, SCALE_GAIN = 5.0, 0.25, 0.5
-"""A scale of an input: its deviation from 1, and the fraction of the squares that falls once the others are right."""
+"""A scale of an input: its deviation from 1, and the fraction by which it reduces the squares once the others
+are right."""
 WHOLE_ROW = 0.2
 """Distance of a delay from a whole number of rows up to which its message says so, in rows."""
 NEEDED = 1.25
-"""A friction or rotor is named where the model leaves this many times as much without it as with all."""
+"""A friction or rotor is named if the model leaves this many times as much unexplained without it as with all."""
 
 # The clock.
 GAP = 1.5
@@ -71,10 +74,10 @@ JITTER = 0.02
 JUMP = 4.0
 """Step in time, as a multiple of the usual one, from which the clock may have been set forward."""
 CONTINUES = 0.2
-"""Error of a motion that goes on as if no rows were missing, as a fraction of that over the whole step, up to which the
-clock was set forward."""
+"""The clock was set forward if a prediction over the usual step has at most this fraction of the error of a prediction
+over the whole step."""
 SEEN = 10.0
-"""Least way over the whole step, as a multiple of the noise, that tells the one from the other."""
+"""Least displacement over the whole step, as a multiple of the noise, at which the two predictions are compared."""
 
 # The readings.
 FAR = 8.0
@@ -84,9 +87,9 @@ COARSE = 0.02
 FEW_OUTLIERS = 5e-3
 """Fraction of outliers up to which they are only a note."""
 FEW_REPEATED = 0.02
-"""Fraction of rows that repeat the readings before, up to which they are no error."""
+"""Fraction of rows that repeat the readings of the row before, up to which they are no error."""
 LATTICE = 0.05
-"""Largest distance of changes from whole ticks, as a fraction of one."""
+"""Largest distance of changes from whole ticks, as a fraction of a tick."""
 STATED_LATTICE = 0.1
 """The same for ticks that the model file states."""
 LEAST_TICK = 1.5

@@ -50,19 +50,17 @@ class FourierMotion(NamedTuple):
 
 def fourier_basis(t: Float[np.ndarray, "T"], frequency: float, harmonics: int) -> Float[np.ndarray, "3 T h"]:
     """Sines and cosines of the harmonics at the times t, and their first and second derivatives."""
-    pace = 2 * np.pi * frequency * np.arange(1, harmonics + 1)
-    sine, cosine = np.sin(pace * t[:, None]), np.cos(pace * t[:, None])
-    rows = [sine, cosine], [pace * cosine, -pace * sine], [-(pace**2) * sine, -(pace**2) * cosine]
+    omega = 2 * np.pi * frequency * np.arange(1, harmonics + 1)
+    sine, cosine = np.sin(omega * t[:, None]), np.cos(omega * t[:, None])
+    rows = [sine, cosine], [omega * cosine, -omega * sine], [-(omega**2) * sine, -(omega**2) * cosine]
     return np.stack([np.concatenate(parts, axis=1) for parts in rows])
 
 
 def resting_basis(harmonics: int) -> Float[np.ndarray, "h m"]:
-    """Orthonormal basis of the coefficients (2 H,) whose motions begin each period without velocity and acceleration.
-
-    At t = 0 the velocity is `Σ k ω sₖ` and the acceleration `−Σ k² ω² cₖ`.
-    """
+    """Orthonormal basis of the coefficients (2 H,) whose motions begin each period at rest and unaccelerated."""
     from scipy.linalg import block_diag, null_space
 
+    # At t = 0 the velocity is Σ k ω sₖ and the acceleration −Σ k² ω² cₖ.
     order = np.arange(1, harmonics + 1, dtype=float)
     return np.asarray(block_diag(null_space(order[None, :]), null_space(order[None, :] ** 2)))
 
@@ -74,10 +72,8 @@ def one_sine_a_joint(
     room: Float[np.ndarray, "n"],
     velocity: Float[np.ndarray, "n"],
 ) -> FourierMotion:
-    """Motion by one sine a joint, the harmonics spread over the joints from the first to the last.
-
-    Each is as large as positions and velocities of its joint allow.
-    """
+    """Motion with one sine for each joint, its harmonics spread from the first to the last, each as large as the
+    position range `room` and the largest velocity of its joint allow."""
     coefficients = np.zeros((2 * harmonics, len(centre)))
     order = np.rint(np.linspace(1, harmonics, len(centre))).astype(int)
     coefficients[order - 1, np.arange(len(centre))] = np.minimum(room, velocity / (2 * np.pi * frequency * order))

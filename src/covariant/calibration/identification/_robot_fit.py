@@ -1,10 +1,10 @@
-"""Numbers of a robot from a log: residual accelerations over short windows, weighed as torques, by Gauss–Newton steps.
+"""Fit of the parameters of a robot to logs: Gauss–Newton steps on residual torques, averaged over short windows.
 
-Positions are smoothed by local polynomials, not themselves but what the model leaves of them: from the positions the
-twice integrated accelerations of the model are subtracted first, and added again afterwards. So a reversal, at which
-friction jumps, is not rounded off, and the curvature of a polynomial is the residual acceleration, averaged over the
-window. Times the inertia matrix it is a residual torque. The derivatives of torques in the numbers, at the model's
-accelerations, are the regressor; noise in measured accelerations is not in it, and so makes no number too small.
+The accelerations of the model are integrated twice and subtracted from the measured positions. Local polynomials
+smooth the difference, and the subtracted motion is added again. So a reversal, at which friction jumps, is not rounded
+off. The curvature of a polynomial is the residual acceleration, averaged over the window; the inertia matrix times it
+is a residual torque. The regressor is the derivative of the torques with respect to the parameters, at the model's
+accelerations. It contains no noise of measured accelerations, so noise does not bias the parameters towards zero.
 
 Source: Gautier, Janot & Vandanjon 2013, A New Closed-Loop Output Error Method, IEEE Transactions on Control Systems
 Technology 21(2), and Janot, Vandanjon & Gautier 2014, Robotica 32, on instruments from the model, section 3; Gautier
@@ -50,32 +50,32 @@ MOST_POINTS = 40_000
 MOST_ROWS = 6_000
 """Largest number of points of the grid at which derivatives are computed."""
 ROUNDS, MORE_ROUNDS = 8, 4
-"""Most rounds with the shortest window, and after another one has been chosen."""
+"""Largest number of rounds with the shortest window, and with the window chosen after them."""
 CONVERGED = 0.05
-"""A step is the last one when it changes no number by more than this fraction of its standard error."""
+"""A step is the last one if it changes each parameter by less than this fraction of its standard error."""
 LONGEST_STEP = 1.0
-"""Longest step of a coordinate in its usual size."""
+"""Longest step of a coordinate, as a multiple of its usual size."""
 FULL = 0.6
 """Fraction of the usual number of samples that a window must hold to be used."""
 ROUNDING = 1e-10
-"""A value that has come below this fraction of its prior standard deviation is zero but for rounding."""
+"""A fitted value below this fraction of its prior standard deviation counts as zero."""
 STILL, MOSTLY = 8.0, 0.9
-"""A joint that rests for this fraction of so many half windows is held by its friction: the model does not move it."""
+"""Friction holds a joint that rests for the fraction MOSTLY of STILL half windows: the model does not move it."""
 ORDER = 3
 
 
 class RobotFit(NamedTuple):
-    """Numbers of a robot fitted to logs.
+    """Parameters of a robot fitted to logs.
 
     Attributes:
-        names: Names (p,) of the numbers.
+        names: Names (p,) of the parameters.
         first: First values (p,).
         values: Fitted values (p,).
-        standard_errors: Standard errors (p,), robust to residuals that are alike within a block; NaN for a number that
-            the log does not show by itself, which stays near its first value.
-        determined: Whether the log determines each number (p,) by itself: it shows the number, and can tell it, or else
-            a tenth of its usual size, from zero.
-        combinations: What the log determines of numbers that it cannot tell apart.
+        standard_errors: Standard errors (p,), robust to residuals that are correlated within a block; NaN for a
+            parameter that the log does not determine separately and that stays near its first value.
+        determined: Whether the log determines each parameter (p,) separately: its standard error is small against its
+            prior, and either its value or a tenth of its usual size differs significantly from zero.
+        combinations: Combinations that the log determines of parameters that it does not determine separately.
         torque: Robust standard deviation (n,) of the residual torques [N m or N].
         half: Half width [s] of the windows.
         rounds: Number of Gauss–Newton steps.
@@ -112,14 +112,14 @@ def fit_robot(
     progress: Callable[[int], object] = lambda _: None,
     start: RobotFit | None = None,
 ) -> RobotFit:
-    """Fit open numbers of a robot to logs.
+    """Fit open parameters of a robot to logs.
 
     Args:
-        family: The robot as a function of its p open numbers, from `models.robot_family`.
+        family: The robot as a function of its p open parameters, from `models.robot_family`.
         records: The logs, with the inputs that act in each step.
         half: Half width [s] of the shortest window.
         progress: Called with the number of each round.
-        start: A fit to other inputs, from whose numbers the search starts, with its window.
+        start: An earlier fit, such as one to other inputs; the search starts at its parameters and keeps its window.
 
     Returns:
         Values, standard errors, and the combinations that the logs determine.
@@ -170,7 +170,7 @@ def fit_robot(
 
 
 class _Track(NamedTuple):
-    """A log, its grid of K even times, inputs averaged around these, and the shortest half window."""
+    """A log with a uniform grid of K times, the inputs averaged around these, and the shortest half window."""
 
     t: Float[np.ndarray, "T"]
     y: Float[np.ndarray, "T n"]
@@ -184,7 +184,7 @@ class _Track(NamedTuple):
 
 
 class _Path(NamedTuple):
-    """Motion (K, n) along a grid, the accelerations of the model, the residual ones, and the points that are used."""
+    """Motion (K, n) on a grid, the model's accelerations, the residual accelerations, and which points are used."""
 
     q: Float[np.ndarray, "K n"]
     v: Float[np.ndarray, "K n"]
@@ -194,7 +194,7 @@ class _Path(NamedTuple):
 
 
 class _Point(NamedTuple):
-    """Coordinates x (p,) of the numbers, the half window, and the motion along each log under the model at x."""
+    """Coordinates x (p,) of the parameters, the half window, and the motion along each log under the model at x."""
 
     x: Float[np.ndarray, "p"]
     half: float
@@ -214,8 +214,8 @@ class _Step(NamedTuple):
 
 
 class _Search(NamedTuple):
-    """What a fit works on: the family, the logs, usual sizes (p,), and the speeds (n,) below which a joint rests, and
-    below which it may stick."""
+    """Data of a fit: the family, the logs, the usual sizes (p,) of the parameters, and the speeds (n,) below which a
+    joint rests and below which it may stick."""
 
     family: RobotFamily
     tracks: tuple[_Track, ...]
@@ -243,12 +243,12 @@ class _Search(NamedTuple):
         sizes, speed = usual_sizes(family, *torques, v, a)
         return cls(family, tracks, sizes, np.array(family.resting), sticking_speeds(family, speed), compiled)
 
-    def point(self, x: np.ndarray, half: float, before: tuple[_Path, ...] | None = None) -> _Point:
-        """The motion along each log under the model at x: smoothed with the accelerations along the motion before."""
+    def point(self, x: np.ndarray, half: float, previous: tuple[_Path, ...] | None = None) -> _Point:
+        """Smooth each log with the accelerations of the model at x along the previous motion."""
         model = self.compiled.model(x)
         motions = []
         for i, track in enumerate(self.tracks):
-            path = before[i] if before else _smoothed(track, track.half, None)
+            path = previous[i] if previous else _smoothed(track, track.half, None)
             moving = 1.0 - self._still(track, path.v)
             modelled = in_batches(_accelerations, model, path.q, path.v, track.u, moving)
             motions.append(_smoothed(track, half, np.where(np.isfinite(modelled), modelled, 0.0)))
@@ -257,33 +257,33 @@ class _Search(NamedTuple):
         return _Point(x, half, tuple(motions))
 
     def _still(self, track: _Track, v: np.ndarray) -> np.ndarray:
-        """Joints (K, n) that friction holds, 1 where it does: at rest for long."""
+        """1 for each joint (K, n) that has rested so long that friction holds it, 0 for the others."""
         box = np.ones(int(STILL * track.half / track.step) + 1)
         rests, rows = (convolved(each, box) for each in ((np.abs(v) < self.resting).astype(float), np.ones_like(v)))
         return (rests > MOSTLY * rows).astype(float)
 
     def with_best_window(self, point: _Point) -> _Point:
-        """The same numbers with the window that makes their standard errors smallest."""
+        """The same parameters with the window for which their standard errors are smallest."""
         shortest = min((track.grid[-1] - track.grid[0]) for track in self.tracks)
-        tried = []
+        candidates = []
         for factor in WINDOWS:
             half = factor * self.tracks[0].half
             if factor > 1 and half * FEWEST_BLOCKS * BLOCK > shortest:
                 break
             other = self.point(point.x, half, point.motions)
             step = self.step(other)
-            tried.append((float(np.linalg.slogdet(step.covariance / np.outer(self.sizes, self.sizes))[1]), other))
-        return min(tried, key=lambda each: each[0])[1]
+            candidates.append((float(np.linalg.slogdet(step.covariance / np.outer(self.sizes, self.sizes))[1]), other))
+        return min(candidates, key=lambda candidate: candidate[0])[1]
 
     def step(self, point: _Point) -> _Step:
-        """Gauss–Newton step from a point, with the covariance of the numbers."""
+        """Gauss–Newton step from a point, with the covariance of the parameters."""
         rows = [self._rows(point, i) for i in range(len(self.tracks))]
         slopes, torque, counts, blocks = (np.concatenate(parts) for parts in zip(*rows, strict=True))
         scale = np.array([_scale(torque[counts[:, j], j]) for j in range(torque.shape[1])])
         relative = torque / scale
         loss, weight = robust(relative)
         z = slopes / scale[:, None] * self.sizes
-        # Neighbouring windows overlap: as many rows are independent as half windows fit into the log.
+        # Neighbouring windows overlap: only one row for each half window of the log is independent.
         _, numbering = np.unique(blocks, return_inverse=True)
         thinned = min(1.0, BLOCK * (numbering.max() + 1) / len(blocks))
         information, curvature = (
@@ -303,9 +303,9 @@ class _Search(NamedTuple):
         return _Step(dz * self.sizes, covariance * outer, information / outer, scale, settled, losses)
 
     def _rows(self, point: _Point, i: int):
-        """Derivatives (k, n, p) of the torques, residual torques (k, n), which count, and the block of each row."""
+        """Derivatives (k, n, p) of the torques, residual torques (k, n), which of them count, and each row's block."""
         track, path = self.tracks[i], point.motions[i]
-        total = sum(len(one.grid) for one in self.tracks)
+        total = sum(len(each.grid) for each in self.tracks)
         stride = max(1, -(-total // MOST_ROWS), int(point.half / 4 / track.step))
         rows = np.arange(0, len(track.grid), stride)
         raw = self.compiled.derivatives(point.x, path.q[rows], path.v[rows], path.modelled[rows], track.u[rows])
@@ -329,23 +329,23 @@ def _track(record: Record, half: float, circles: tuple[int, ...], total: float) 
 
 
 def _smoothed(track: _Track, half: float, modelled: np.ndarray | None) -> _Path:
-    """Smooth what accelerations along the grid leave of the positions; without them the positions themselves."""
+    """Smooth the positions minus the twice integrated accelerations `modelled`, which are zero if not given."""
     t, y, grid, step = track.t, track.y, track.grid, track.step
     if modelled is None:
         modelled = np.zeros((len(grid), y.shape[1]))
-    # The mean over a cell around each point changes the velocity from the middle of one step to that of the next.
+    # An acceleration is a mean over the cell around its point: it changes v from the middle of one step to the next.
     middle = np.cumsum(modelled, axis=0) * step
-    places = np.concatenate([np.zeros_like(middle[:1]), np.cumsum(middle[:-1], axis=0) * step])
-    speeds = middle - modelled * step / 2
-    at = np.clip(np.searchsorted(grid, t) - 1, 0, len(grid) - 2)
-    left = y - _hermite((t - grid[at]) / step, places[at], places[at + 1], speeds[at] * step, speeds[at + 1] * step)
-    c = scoring.local_polynomials(t, left, grid, half, ORDER)
+    q = np.concatenate([np.zeros_like(middle[:1]), np.cumsum(middle[:-1], axis=0) * step])
+    v = middle - modelled * step / 2
+    cell = np.clip(np.searchsorted(grid, t) - 1, 0, len(grid) - 2)
+    difference = y - _hermite((t - grid[cell]) / step, q[cell], q[cell + 1], v[cell] * step, v[cell + 1] * step)
+    c = scoring.local_polynomials(t, difference, grid, half, ORDER)
     used = (grid >= t[0] + half) & (grid <= t[-1] - half)
     for column in np.isfinite(y).T:
-        seen = t[column]
-        held = np.searchsorted(seen, grid + half) - np.searchsorted(seen, grid - half)
-        used &= held >= FULL * 2 * half / float(np.median(np.diff(t)))
-    return _Path(places + c[:, 0], speeds + c[:, 1], modelled, 2 * c[:, 2], used)
+        measured = t[column]
+        count = np.searchsorted(measured, grid + half) - np.searchsorted(measured, grid - half)
+        used &= count >= FULL * 2 * half / float(np.median(np.diff(t)))
+    return _Path(q + c[:, 0], v + c[:, 1], modelled, 2 * c[:, 2], used)
 
 
 def _hermite(s: np.ndarray, left: np.ndarray, right: np.ndarray, slope_left: np.ndarray, slope_right: np.ndarray):
@@ -356,29 +356,29 @@ def _hermite(s: np.ndarray, left: np.ndarray, right: np.ndarray, slope_left: np.
 
 
 def _rounded(values: np.ndarray, first: np.ndarray, prior: np.ndarray) -> np.ndarray:
-    """The values, with zero for those that have become zero but for rounding; those that did not move are no such."""
+    """The values, with zero for those that the fit has moved to zero up to rounding."""
     size = np.abs(values)
     return np.where((size < ROUNDING * prior) & (size <= np.abs(values - first)), 0.0, values)
 
 
 def _scale(values: np.ndarray) -> float:
-    """Robust standard deviation; 1 where there is nothing."""
+    """Robust standard deviation; 1 without values."""
     return float(max(STD_OF_MEDIAN * np.median(np.abs(values)), 1e-12)) if len(values) else 1.0
 
 
 def _bounded(matrix: np.ndarray, gradient: np.ndarray, least: np.ndarray) -> np.ndarray:
-    """The step that minimises a quadratic function above bounds: those that it would violate are held, one by one."""
-    held = np.zeros(len(gradient), bool)
+    """The step that minimises a quadratic function with lower bounds, by fixing violated bounds until none is left."""
+    fixed = np.zeros(len(gradient), bool)
     step = np.zeros(len(gradient))
     for _ in range(len(gradient) + 1):
-        step[held] = least[held]
-        free = ~held
-        right = -gradient[free] - matrix[np.ix_(free, held)] @ step[held]
-        step[free] = np.linalg.solve(matrix[np.ix_(free, free)], right)
-        worse = free & (step < least - 1e-12)
-        if not worse.any():
+        step[fixed] = least[fixed]
+        free = ~fixed
+        right_side = -gradient[free] - matrix[np.ix_(free, fixed)] @ step[fixed]
+        step[free] = np.linalg.solve(matrix[np.ix_(free, free)], right_side)
+        violated = free & (step < least - 1e-12)
+        if not violated.any():
             break
-        held |= worse
+        fixed |= violated
     return step
 
 
@@ -387,11 +387,11 @@ def _momentum(model: MechanicalSystem, q: Array, a: Array) -> Array:
 
 
 def _accelerations(model: MechanicalSystem, q: Array, v: Array, u: Array, moving: Array) -> Array:
-    """Accelerations (n,) of the joints that move; the others are held, by whatever torque that takes."""
+    """Accelerations (n,) of the moving joints; constraint torques hold the others at zero acceleration."""
     t = jnp.zeros(())
     covector = applied_force(model, t, q, u) + resistance(model, t, q, v, u) - model.space.connection_force(q, v, v)
-    held = model.space(q) * moving[:, None] * moving[None, :] + jnp.diag(1.0 - moving)
-    return solve(held, covector * moving)
+    inertia = model.space(q) * moving[:, None] * moving[None, :] + jnp.diag(1.0 - moving)
+    return solve(inertia, covector * moving)
 
 
 def driving(model: MechanicalSystem, u: Array) -> Array:

@@ -1,4 +1,4 @@
-"""The region of a certificate: positions, inputs and times, as they are given, checked."""
+"""The region of a certificate: checked bounds of positions, inputs and times."""
 
 import itertools
 import math
@@ -27,7 +27,7 @@ def positive(name: str, value: ArrayLike, n: int) -> Float[np.ndarray, "n"]:
 
 
 def amount(name: str, value: ArrayLike, n: int) -> Float[np.ndarray, "n"]:
-    """Check bounds that may be zero; arguments and result are those of `positive`."""
+    """Check bounds that may be zero."""
     bounds = _amounts(name, value, n)
     if not (np.isfinite(bounds).all() and (bounds >= 0).all()):
         raise ValueError(f"certify: {name} must be a finite bound, zero or more; got {bounds.tolist()}")
@@ -42,7 +42,7 @@ def _amounts(name: str, value: ArrayLike, n: int) -> Float[np.ndarray, "n"]:
 
 
 class Region(NamedTuple):
-    """Where the system is: the box of true positions, the bounds (2, m) of inputs, and first and last time [s]."""
+    """The box of true positions, the bounds (2, m) of the inputs, and the first and last time [s]."""
 
     true: Box
     inputs: Float[np.ndarray, "2 m"]
@@ -94,7 +94,7 @@ def _inputs(model, bounds, n: int) -> Float[np.ndarray, "2 m"]:
 
 
 def _times(model: MechanicalSystem, n: int, times: tuple[float, float] | None) -> tuple[float, float]:
-    """First and last time; where the force does not depend on it, any one instant stands for all."""
+    """First and last time; if the force does not depend on time, the instant 0 stands for all."""
     if times is None:
         if force_reads_time(model, n):
             raise ValueError(

@@ -14,10 +14,10 @@ class Checked(NamedTuple):
     """Result of a successful check of a certificate.
 
     Attributes:
-        statement: the whole claim, as it is verified.
+        statement: the whole claim, as verified.
         rate: rate λ of the certificate [1/s], of squared lengths.
-        radius: its radius ε, in the metric.
-        leaves: number of leaves of its trees of boxes that were shown to be right.
+        radius: radius ε of the certificate, in the metric.
+        leaves: number of leaves of its trees of boxes that the checker confirmed.
         seconds: time it took [s].
         model_given: whether the caller provided the model, in place of the one that the file names.
 
@@ -48,8 +48,8 @@ def check(
 
     Args:
         source: the file, or the result of `parse`.
-        model: for a certificate about a model that is not of this library, whose code the file cannot give: a model, a
-            function that creates one from the recipe's parameters, or the `module:attribute` of either.
+        model: needed if the model of the certificate is not from this library, since the file does not contain its
+            code: a model, a function that makes one from the recipe's parameters, or the `module:attribute` of either.
         processes: largest number of processes; with several, a script needs the `if __name__ == "__main__"` guard. A
             certificate of no more than 1024 leaves is checked in this process, since others take longer to start.
         progress: called with the number of leaves done and of all leaves.
@@ -58,7 +58,7 @@ def check(
         The statement as verified, and the number of leaves.
 
     Raises:
-        ValueError: saying what is wrong, or what cannot be shown, and where.
+        ValueError: the certificate is wrong, or a claim cannot be shown; the message says what and where.
 
     Example:
         >>> from covariant.certificates import check
@@ -74,7 +74,7 @@ def check(
 
 
 def judged(resolved: Resolved, seconds: float) -> Hypothesis:
-    """Check claims that were proved in this process, as a hypothesis of their statement."""
+    """Check claims that were proved in this process; the result is a hypothesis of their statement."""
     try:
         return _accepted(show_found(resolved, seconds))
     except ValueError as error:

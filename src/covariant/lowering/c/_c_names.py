@@ -1,4 +1,4 @@
-"""Names that a function of C cannot have."""
+"""Names that a C function must not have."""
 
 import re
 
@@ -21,7 +21,7 @@ _MATH = (
     "nearbyint nextafter nexttoward pow remainder remquo rint round scalbln scalbn sin sinh sqrt tan tanh tgamma trunc "
     "drem finite gamma j0 j1 jn scalb significand y0 y1 yn"
 )
-"""Functions of <math.h>, each of which is there with the suffixes f and l too; the last line are those of POSIX."""
+"""Functions of <math.h>, each of which also exists with the suffixes f and l; the last line lists those of POSIX."""
 _OTHERS = (
     "INFINITY NAN HUGE_VAL HUGE_VALF HUGE_VALL FP_INFINITE FP_NAN FP_NORMAL FP_SUBNORMAL FP_ZERO FP_ILOGB0 FP_ILOGBNAN "
     "MATH_ERRNO MATH_ERREXCEPT double_t float_t fpclassify isfinite isgreater isgreaterequal isinf isless islessequal "
@@ -31,13 +31,13 @@ _OTHERS = (
     "puts qsort raise rand realloc remove rename scanf signal sprintf srand sscanf strcat strchr strcmp strcpy strlen "
     "strncmp strncpy strstr strtod strtol system time tmpfile vprintf"
 )
-"""Other names of <math.h>, and functions of the library that a program would lose to one of the same name."""
+"""Other names of <math.h>, and C library functions that a function of the same name would hide."""
 C_KEYWORDS = frozenset(_C.split() + _CPP.split())
 LIBRARY = frozenset(_OTHERS.split() + [f"{name}{suffix}" for name in _MATH.split() for suffix in ("", "f", "l")])
 
 
 def check_name(name: str) -> None:
-    """Check that a function of C may have a name."""
+    """Raise `ValueError` unless a C function may have this name."""
     if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name):
         raise ValueError(f"{name!r} is no name in C; take letters, digits and underscores, beginning with a letter")
     for names, kind in ((C_KEYWORDS, "a keyword of C or C++"), (LIBRARY, "a name of the C library")):

@@ -30,8 +30,8 @@ LONGEST_STEP = 0.01
 """Longest Runge–Kutta step [s] of a prediction whose number of substeps is not fixed."""
 MOST_SUBSTEPS = 10_000
 LONGEST_GAP = (jnp.pi / 2) ** 2
-"""Largest `|N| dt²` at which a sample is used for the velocity, a quarter of the period of an oscillation: beyond it
-the error may have changed its sign."""
+"""Largest `|N| dt²` at which a sample corrects the velocity: there dt is a quarter of the period of the error's
+oscillation, and beyond it the error may have changed its sign."""
 
 
 def predict(
@@ -51,7 +51,7 @@ def predicted(model: MechanicalSystem, state: Any, u: Float[Array, "m"], dt: Sca
 def needed_substeps(model: MechanicalSystem, t: Number, q: Array, v: Vector, u: Float[Array, "m"], dt: Number) -> Code:
     """Number of Runge–Kutta steps that keep h·rate ≤ 1, with a bound on the rate [1/s] of the friction.
 
-    The bound is the larger of those at rest and at v. Coulomb friction is steepest at rest, drag at speed. The trace
+    It is the larger of the rates at rest and at v. Coulomb friction is steepest at rest, drag at speed. The trace
     bounds the fastest rate, since the Jacobian of monotone friction is similar to a symmetric negative semidefinite
     matrix. No step is longer than `LONGEST_STEP`.
 
@@ -107,8 +107,8 @@ def with_fixed_substeps(
 ) -> Observer:
     """Fix the number of substeps of an observer, so that its program has a fixed length.
 
-    The number is the largest that any of K motions needs at `rate`, such as those of a simulation or of a log. With a
-    slower rate, or friction steeper than at these motions, determine the number anew.
+    The number is the largest that any of K motions needs at `rate`, such as the motions of a simulation or of a log.
+    For a slower rate, or for motions with steeper friction, determine the number again.
 
     Args:
         observer: Observer that chooses its substeps; see `chooses_substeps`.
@@ -143,7 +143,7 @@ def with_fixed_substeps(
 
 def steps_for(dt: Number, rate: Number) -> Code:
     """Number of equal steps in dt that keep h·rate ≤ 1, at most `MOST_SUBSTEPS`."""
-    # A NaN has no integer; one step keeps it in the state, where the result code reports it.
+    # A NaN cannot become an integer: one step carries it into the state, where the result code reports it.
     count = jnp.ceil(jnp.nan_to_num(jnp.asarray(dt * rate), nan=1.0))
     return jnp.clip(count, 1, MOST_SUBSTEPS).astype(jnp.int32)
 
@@ -153,10 +153,10 @@ def sampled_gains(alpha: Number, beta: Number, dt: Number) -> tuple[Scalar, Scal
 
     Complex poles `√p exp(±iφ)`, p = exp(−α dt), give `k2 = (1 − √p)²/dt + 2√p (1 − cos φ)/dt`.
     """
-    # Where dt ≤ 0 the 1 keeps the branch that is not taken finite, and so its derivative.
+    # For dt ≤ 0 the 1 keeps the unused branch and its derivative finite.
     positive_dt = jnp.where(dt > 0, dt, 1.0)
     square = beta - alpha * alpha / 4
-    # At a double pole the derivative of the root is infinite; what is computed from the 1 is not used there.
+    # At a double pole the derivative of the root is infinite; the 1 avoids this, and its results are not used.
     half_gap = jnp.sqrt(jnp.where(square != 0, jnp.abs(square), 1.0))  # half the distance between the poles
     swing = jnp.where(square > 0, jnp.sin(half_gap * positive_dt / 2) ** 2, 0.0)
     # Differences from 1 by expm1 and sin²: for small dt the plain formulas cancel.
@@ -178,10 +178,10 @@ class Correction(NamedTuple):
     """Correction by one sample.
 
     Attributes:
-        part: Fraction of ξ to take away.
+        part: Fraction of ξ to remove from the configuration.
         velocity: Change (n,) of the velocity.
-        restarted: Whether the sample came too late to be used for the velocity, so that the estimate starts anew from
-            the measured configuration and the predicted velocity.
+        restarted: Whether the sample came too late to correct the velocity, so that the estimate restarts from the
+            measured configuration and the predicted velocity.
     """
 
     part: Scalar
@@ -192,10 +192,8 @@ class Correction(NamedTuple):
 def sampled_correction(
     space: AbstractSpace, motion: Motion, alpha: Number, beta: Number, dt: Number, xi: Vector, missing: Vector
 ) -> Correction:
-    """Correction of a predicted motion by the error ξ.
-
-    N is an operator and known in the direction of ξ only; terms beyond first order in `|N| dt²` use its size instead.
-    """
+    """Correction of a predicted motion by the error ξ, where `missing` is Nξ, the acceleration the prediction lacks."""
+    # The operator N is known in the direction of ξ only; terms beyond first order in |N| dt² use its size instead.
     k1, k2 = sampled_gains(alpha, beta, dt)
     size, gap = space.norm(motion.q, xi), space.norm(motion.q, missing) * dt * dt
     # An error below the rounding of the distance moved says nothing about N.
@@ -208,5 +206,5 @@ def sampled_correction(
 
 
 def step_result(correction: Correction, result: Code) -> Code:
-    """Result code of a step: its own, or `RESTARTED`, whichever is worse."""
+    """Result code of a step: the worse of `result` and, after a restart, `RESTARTED`."""
     return jnp.where(correction.restarted, jnp.maximum(result, int(StepCode.RESTARTED)), result)

@@ -82,15 +82,15 @@ class FilteredDerivative(AbstractLinearFilter):
         """Filter the slope from the last measurement of each coordinate to the new one.
 
         Args:
-            state: What `predict` returned.
-            u: Input (m,), without influence.
+            state: State that `predict` returned.
+            u: Input (m,), not used.
             y: Measured positions (n,) [rad or m], NaN where missing.
 
         Returns:
             The new state and the info.
         """
         age, (present, displacement) = state.age, self._displacement(state, y)
-        # A coordinate measured at this very stamp is not measured anew: the divisor 1 only avoids 0/0.
+        # A second measurement at the same stamp does not count (`present` is False); the divisor 1 only avoids 0/0.
         slope = displacement / jnp.where(age > 0, age, 1.0)
         # The exact solution of v' = ω (slope − v) over the age; expm1 keeps the digits where ω age is small.
         v = state.v + jnp.where(present, -jnp.expm1(-self.bandwidth * age) * (slope - state.v), 0.0)
@@ -112,5 +112,5 @@ class FilteredDerivative(AbstractLinearFilter):
         decay = np.exp(-bandwidth / rate)
         # Cut off after 12 time constants, where e⁻¹² is left, or at 2000 samples.
         difference = (1 - decay) * decay ** np.arange(min(2000, int(12 * rate / bandwidth) + 2)) * rate
-        # Each slope has the newer position with its weight and the older one with its negative.
+        # Each slope adds its weight to the newer position and subtracts it from the older one.
         return np.append(difference, 0.0) - np.append(0.0, difference)

@@ -1,6 +1,6 @@
-"""Causal Savitzky–Golay filter: the slope, at the last sample, of a polynomial fitted to the latest ones. No model.
+"""Causal Savitzky–Golay filter: slope at the newest sample of a polynomial fitted to the latest ones. It uses no model.
 
-Source: Savitzky & Golay 1964, Analytical Chemistry 36(8), one-sided; solved anew in each step for irregular stamps.
+Source: Savitzky & Golay 1964, Analytical Chemistry 36(8), one-sided; solved in each step, as stamps may be irregular.
 """
 
 from typing import NamedTuple
@@ -80,17 +80,17 @@ class SavitzkyGolay(AbstractLinearFilter):
         return jnp.concatenate([state.q, state.v])
 
     def predict(self, state: WindowState, u: Float[Array, "m"], dt: Scalar) -> WindowState:
-        """Shift the window by one sample, which is missing as yet, and extrapolate the position.
+        """Shift the window by one sample, which is missing until `correct` enters it, and extrapolate the position.
 
         Args:
-            state: State after the sample before.
-            u: Input (m,), without influence.
+            state: State after the previous sample.
+            u: Input (m,), not used.
             dt: Length of the step [s].
 
         Returns:
             The state dt later, before a measurement.
         """
-        # The newest sample counts as missing until `correct` enters it; without a step there is none.
+        # The newest sample is missing until `correct` enters it; if dt is 0, the window does not shift.
         age = jnp.where(dt > 0, jnp.append(state.age[1:] + dt, 0.0), state.age)
         samples = jnp.where(dt > 0, jnp.concatenate([state.y[1:], jnp.full_like(state.y[:1], jnp.nan)]), state.y)
         return WindowState(age, samples, state.q + dt * state.v, state.v)
@@ -99,8 +99,8 @@ class SavitzkyGolay(AbstractLinearFilter):
         """Enter the measurement in the window, and fit the polynomial.
 
         Args:
-            state: What `predict` returned.
-            u: Input (m,), without influence.
+            state: State that `predict` returned.
+            u: Input (m,), not used.
             y: Measured positions (n,) [rad or m], NaN where missing.
 
         Returns:
@@ -132,9 +132,9 @@ class SavitzkyGolay(AbstractLinearFilter):
     def _fit(self, age, samples, expected: Vector, v: Vector) -> tuple[Vector, Vector]:
         """Value and slope at age zero; a weak prior (expected, v) decides only where there are too few samples."""
         span = jnp.maximum(age[0], jnp.finfo(age.dtype).tiny)
-        # Ages in units of the window: else the powers differ by orders of magnitude.
+        # Ages in units of the window: otherwise the powers differ by orders of magnitude.
         powers = jnp.stack([(-age / span) ** k for k in range(self.order + 1)], axis=1)
-        # Negligible beside the squares of order 1 in a window with samples, and regular in one without.
+        # Negligible against sums of order 1 in a window with samples; keeps the matrix regular in one without.
         prior = 1e-9 * jnp.eye(self.order + 1, dtype=samples.dtype)
 
         def fit(column, start, slope):

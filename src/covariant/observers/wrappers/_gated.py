@@ -1,21 +1,20 @@
 """A gate for observers that have no covariance: constant gains, and filters without a model.
 
-With constant gains, an observer may start far from the truth, and its innovations are then large for a while, without
-any outlier. So the gate must not judge the innovations alone. With the innovation r before a correction and `e` the
-error that the previous correction left behind, both from the estimate to the measurement,
+With constant gains, an observer may start far from the truth. Its innovations are then large for a while, without any
+outlier, so the gate must not judge the innovations alone. Let r be the innovation before a correction and e the error
+that remained after the previous correction, both from the estimate to the measurement. The difference
 
     d = r − e
 
-is what this measurement says that the previous one did not: noise, and the error of the velocity times the step,
-for any gains and any size of the error. It is refused where neither the noise s of a sample nor a velocity
-explains it, `d² > 2(ks)² + (cS dt)²`, with k the deviations of the gate, S the usual speed of the motion and c between
-4 at the start and 2 once smaller ones have been seen. An outlier that passes is no more than a velocity of cS over one
-step.
+contains only noise and the error of the velocity times the step, for any gains and any size of the error. A
+measurement is refused if neither the noise s of a sample nor a velocity explains d: `d² > 2(ks)² + (cS dt)²`. Here k is
+the gate's threshold in standard deviations, S is the usual speed of the motion, and c is 4 at the start and falls to 2
+once smaller differences have been seen. An outlier that passes amounts to a velocity of at most cS over one step.
 
-Readings that are refused one after the other and show a credible velocity, of less than cS with c = 4, give the state
-that velocity at the third of them; see `Gate`. Where measurements agree with each other and not with the estimate, as
-after an observer has lost a spinning body, d stays large: once its square is more than that of a velocity error of 2S
-on average, the estimate is `ASTRAY`.
+If consecutive refused readings show a credible velocity, below cS with c = 4, the third of them sets the velocity of
+the state to it; see `Gate`. If measurements agree with each other and not with the estimate, as after an observer has
+lost a spinning body, d stays large. The estimate is `ASTRAY` once the average of d² exceeds that of a velocity error of
+2S.
 
 Source: Bar-Shalom, Li & Kirubarajan 2001, Estimation with Applications to Tracking and Navigation, section 5.4.
 """
@@ -52,9 +51,9 @@ class GatedState(NamedTuple):
 
     Attributes:
         inner: State of the observer behind the gate.
-        t: Time [s] that it belongs to.
+        t: Time [s] of the state.
         gate: Memory of the gate.
-        slip: Average (n,) of d², relative to that of an estimate which is astray.
+        slip: Average (n,) of d² as a fraction of its limit; above 1 the estimate is astray.
         last_input: The last finite input (m,).
         dt: Length of the last prediction [s].
 
@@ -77,13 +76,13 @@ class GatedState(NamedTuple):
 
 
 class Gated(AbstractObserver):
-    """An observer whose measurements pass a gate first, and which reports when its velocity is off.
+    """An observer behind a gate that refuses outliers and reports when the estimated velocity is wrong.
 
-    A measurement that is refused counts as missing, and `result` says `OUTLIER`. After `gate.patience` of them in a row
-    the estimate starts anew from the measured configuration, and `result` says `RESTARTED`; a velocity that the state
-    of the observer holds as `v` is kept, unless it is not credible. Refused readings that show a credible velocity
-    start the estimate anew at once, with that velocity in its `v`. Where the velocity is off by more than twice the
-    usual one, as far as measurements tell, `result` says `ASTRAY`.
+    A refused measurement counts as missing, and `result` is `OUTLIER`. After `gate.patience` refusals in a row the
+    estimate restarts from the measured configuration, and `result` is `RESTARTED`. A velocity `v` in the state of the
+    observer survives the restart if it is credible. Refused readings that show a credible velocity restart the estimate
+    at once, with that velocity as `v`. If the measurements show a velocity error of more than twice `speed`, `result`
+    is `ASTRAY`.
 
     Attributes:
         observer: Observer of a mechanical system, or filter of its coordinates. Its state is `state.inner`.
@@ -148,13 +147,13 @@ class Gated(AbstractObserver):
             y: Measurement, NaN where missing.
 
         Returns:
-            The corrected state, or the one of a new start, and the info of the inner observer, with the innovation
-            before the gate and the result code of gate and observer.
+            The corrected or restarted state, and the info of the inner observer with the innovation before the gate and
+            the worse result code of gate and observer.
         """
         manifold = self.model.manifold
         present, innovation = ~manifold.missing(y), self.innovation(state, u, y)
         verdict = self._judge(state, innovation, present)
-        # Without a velocity to correct, an estimate follows readings that show one by its ordinary correction.
+        # A state without a velocity needs no restart: its ordinary correction follows readings that show a velocity.
         outlying = verdict.far if self._holds_velocity(state) else verdict.far & ~verdict.moved
         inner, info = self.observer.correct(state.inner, u, self._without(y, outlying))
         used = present & ~outlying
@@ -165,7 +164,7 @@ class Gated(AbstractObserver):
         restart = verdict.restart
         memory = verdict.memory.used(used, manifold.towards(motion.q, y))
         new, fresh = state._replace(inner=inner, gate=memory, slip=slip), self._restarted(state, motion, verdict, y)
-        # A scale above 1 still holds after a new start; a smaller one would make the gate too narrow.
+        # A restart keeps a scale above 1; a smaller one would make the gate too narrow.
         fresh = fresh._replace(gate=fresh.gate._replace(scale=jnp.maximum(memory.scale, 1.0)))
         new = jax.tree.map(lambda a, b: jnp.where(restart, a, b), fresh, new)
         astray = jnp.any(slip > 1).astype(jnp.int32) * int(StepCode.ASTRAY)
@@ -185,11 +184,11 @@ class Gated(AbstractObserver):
         """The gate's verdict on d: whether noise and velocity explain it; see the head of this file."""
         dt, rate = step_length(state), CREDIBLE / self.gate.deviations * self.speed
         expected = 2 * self.noise**2 + (rate * dt) ** 2
-        # An error of the velocity has acted over a gap; readings that were refused do not widen the gate for the next.
+        # A velocity error acts over a whole gap in the measurements; refused readings do not widen the gate.
         least = (2 * self.noise**2 + (rate * (state.gate.idle - dt / 2)) ** 2) / expected
         cov, noise, usual = (self._diagonal(square, innovation) for square in (expected, self.noise**2, self.speed**2))
         predicted = Velocity(self.model.motion(self.observer.estimate(state.inner)).v, usual)
-        # What the last used reading left behind is in d already.
+        # d already contains the error that the last used reading left, so the gate gets zero for it.
         sample = Sample(innovation - state.gate.left, cov, noise, present)
         memory = state.gate._replace(left=jnp.zeros_like(innovation))
         verdict = self.gate.judge(self.model.manifold, sample, memory, predicted, usual, least)
@@ -199,14 +198,14 @@ class Gated(AbstractObserver):
         return jnp.diag(jnp.broadcast_to(variances, like.shape).astype(like.dtype))
 
     def _without(self, y: Array, outlying: Bool[Array, "n"]) -> Array:
-        """The measurement with NaN for what is refused; one that is not in coordinates is missing as a whole."""
+        """The measurement with NaN for refused coordinates, or as a whole if it is not in coordinates."""
         return jnp.where(outlying if self.model.manifold.commuting else jnp.any(outlying), jnp.nan, y)
 
     def _holds_velocity(self, state: GatedState) -> bool:
         return "v" in state.inner._fields
 
     def _restarted(self, state: GatedState, motion: Motion, verdict: Judged, y: Array) -> GatedState:
-        """The state at the measured configuration, with the velocity of the verdict where that is credible."""
+        """The state at the measured configuration, with the velocity of the verdict if that is credible."""
         manifold = self.model.manifold
         q = start(manifold, motion.q, manifold.towards(motion.q, y), y, verdict.anew)
         fresh = self.init(q, state.t)._replace(last_input=state.last_input, dt=state.dt)
@@ -218,5 +217,5 @@ class Gated(AbstractObserver):
 
 
 def without_last_input(state: Any) -> Any:
-    """State of the inner observer without a field for the last input: it gets valid inputs only."""
+    """State of the inner observer without its last input, which it does not need: it gets valid inputs only."""
     return state._replace(last_input=None) if "last_input" in state._fields else state
