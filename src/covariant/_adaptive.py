@@ -15,7 +15,7 @@ from covariant._typing import Number
 
 
 class _Steps(dfx.PIDController):
-    """Steps by their error, with the start (t, x) of the last step beside the state of the controller."""
+    """Step size controller whose state also holds the start (t, x) of the last step."""
 
     def init(self, terms, t0, t1, y0, dt0, args, func, error_order) -> Any:
         end, memory = super().init(terms, t0, t1, y0, dt0, args, func, error_order)
@@ -28,7 +28,7 @@ class _Steps(dfx.PIDController):
 
 
 def _size(x: Array) -> Array:
-    """Root mean square; infinite where it is NaN, for which the step would not be shortened."""
+    """Root mean square, infinite in place of NaN, which would not shorten the step."""
     return jnp.nan_to_num(optx.rms_norm(x), nan=jnp.inf, posinf=jnp.inf)
 
 
@@ -52,7 +52,7 @@ class _Limits(NamedTuple):
 def _run(slope: Callable[[Any, Array], Array], x0: Array, span: tuple[Any, Any], limits: _Limits, event=None) -> _Run:
     """Integrate over a span of time from x0 to its end, to an event, or to where steps are shorter than allowed."""
     rtol, atol, max_steps, shortest = limits
-    # Nothing is raised: callers see by the last time whether the run came to its end.
+    # Nothing is raised: callers compare the last time with the end of the span.
     solution: Any = dfx.diffeqsolve(
         dfx.ODETerm(lambda t, x, _: slope(t, x)),
         dfx.Dopri8(),
@@ -72,20 +72,18 @@ def _run(slope: Callable[[Any, Array], Array], x0: Array, span: tuple[Any, Any],
 def solve(
     flow: Flow, x0, ts: Float[Array, "T"], *, rtol: Number = 1e-10, atol: Number = 1e-12, max_steps: int = 200_000
 ):
-    """Integrate adaptively (Dormand–Prince 8), and return the state at every stamp.
-
-    Steps end at the stamps. Differentiable forward.
-    """
+    """Integrate adaptively (Dormand–Prince 8) with steps that end at the stamps, and return the state at every stamp;
+    differentiable in forward mode."""
     start, unravel = jax.flatten_util.ravel_pytree(x0)
     slope = flat(flow, unravel)
 
-    # One run for each interval: stamps to save at are checked on the host, and no such program can be stored.
+    # One run for each interval: diffrax checks stamps to save at on the host, and such a program cannot be stored.
     def interval(x: Array, bounds: tuple[Array, Array]):
         begin, end = bounds
         escaped = ~jnp.all(jnp.isfinite(x))
-        # An interval of no length: a state that has escaped ends the loop at once.
+        # An escaped state gets an interval of no length, which ends the loop at once.
         end = jnp.where(escaped, begin, end)
-        # A step of four roundings of the time, shortened by a tenth, is rounded to four: it would be tried for ever.
+        # A step of four roundings of the time, shortened by a tenth, rounds back to four: it would be tried for ever.
         shortest = 10 * jnp.finfo(ts.dtype).eps * jnp.maximum(jnp.abs(begin), jnp.abs(end))
         run = _run(slope, x, (begin, end), _Limits(rtol, atol, max_steps, shortest))
         # A run that stopped before its end ran out of steps, or they became too short: it has no state at the stamp.
@@ -106,34 +104,33 @@ def solve_until(
     atol: Number,
     max_steps: int,
 ):
-    """Integrate adaptively (Dormand–Prince 8) from time 0 to where a condition holds.
-
-    The end is that of the first step where `stop` holds, or the point where `border` falls to zero.
-    """
+    """Integrate adaptively (Dormand–Prince 8) from time 0 to the end of the first step where `stop` holds, or to the
+    point where `border` falls to zero."""
     start, unravel = jax.flatten_util.ravel_pytree(x0)
     slope, zero, tiny = flat(flow, unravel), jnp.zeros((), start.dtype), jnp.finfo(start.dtype).tiny
 
-    def ahead(x: Array) -> Array:
+    def margin(x: Array) -> Array:
         return zero + 1 if border is None else border(unravel(x))
 
-    over = jax.jit(lambda x: stop(unravel(x)) | (ahead(x) <= 0))
-    event = dfx.Event(lambda t, y, args, **_: over(y))
+    ended = jax.jit(lambda x: stop(unravel(x)) | (margin(x) <= 0))
+    event = dfx.Event(lambda t, y, args, **_: ended(y))
     run = _run(slope, start, (zero, zero + jnp.inf), _Limits(rtol, atol, max_steps, tiny), event)
     if border is None:
         return run.t, unravel(run.x)
     # The last step is repeated in part: interpolation within a step is a hundred times less accurate than its end.
     t, x, (begin, before) = run
-    across = (t != begin) & (ahead(x) <= 0)
+    crossed = (t != begin) & (margin(x) <= 0)
 
-    def within(share: Array) -> Array:
-        return rk8(slope, begin, before, share * (t - begin))
+    def partial_step(fraction: Array) -> Array:
+        return rk8(slope, begin, before, fraction * (t - begin))
 
-    share = _root(lambda share: ahead(within(share)), ahead(before), across)
-    return begin + jnp.where(across, share, 1.0) * (t - begin), unravel(jnp.where(across, within(share), x))
+    fraction = _root(lambda fraction: margin(partial_step(fraction)), margin(before), crossed)
+    end = begin + jnp.where(crossed, fraction, 1.0) * (t - begin)
+    return end, unravel(jnp.where(crossed, partial_step(fraction), x))
 
 
 def _root(function: Callable[[Array], Array], start: Array, wanted: Array) -> Array:
-    """Where in 0 … 1 the function, `start` at 0, changes its sign: by regula falsi with halved weights (Illinois)."""
+    """Root in [0, 1] of a function with the value `start` at 0, by regula falsi with halved weights (Illinois)."""
     end = jnp.ones((), start.dtype)
 
     def closer(carry):
@@ -145,11 +142,11 @@ def _root(function: Callable[[Array], Array], start: Array, wanted: Array) -> Ar
         # Halving the value at an end that stays (Illinois) keeps the secant from stalling on one side.
         return jnp.where(between, b, a), jnp.where(between, at_b, at_a / 2), c, at_c, count + 1
 
-    def going(carry):
+    def unfinished(carry):
         *_, value, count = carry
         # Relative to the value at the start of the step, so that the scale of the border function has no influence.
         # The order of Illinois is 3^⅓ = 1.44, so that a dozen steps usually do; 50 end a search that rounding stalls.
         return wanted & (jnp.abs(value) > 1e-12 * start) & (count < 50)
 
     first = jnp.zeros_like(end), start, end, function(end), jnp.zeros((), jnp.int32)
-    return jax.lax.while_loop(going, closer, first)[2]
+    return jax.lax.while_loop(unfinished, closer, first)[2]

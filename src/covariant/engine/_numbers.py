@@ -1,8 +1,8 @@
-"""Which numbers of an observer are arguments of its compiled code, so that one code serves other numbers too.
+"""Choice of the numbers of an observer that are arguments of its compiled code, so that the code serves other values.
 
-A number that takes operations away stays in the code: zero, in the tables of a model ±1 too, and what is not finite.
-Numbers of a model that are equal in all observers, such as a mass that inertia and potential both hold, are one
-argument, so that what is computed of both is computed once.
+A number stays in the code if it saves operations there, as zero does, and ±1 in a model, or if it is not finite.
+Entries of a model that are equal to each other in all observers, such as a mass in both inertia and potential, are one
+argument, so that a common expression is computed once.
 """
 
 from collections.abc import Sequence
@@ -16,7 +16,7 @@ import numpy as np
 from covariant.observers import AbstractObserver
 
 MODEL = {"model", "metric"}
-"""Fields of observers that hold a model, or a metric designed for it, which stays in the code as tables do."""
+"""Fields of observers that hold a model, or a metric designed for it; a metric stays in the code, as tables do."""
 MOST_OPEN = 100
 """Size of the largest array that is an argument, the covariance of ten joints; larger tables are constants."""
 
@@ -27,7 +27,7 @@ class OpenNumbers(NamedTuple):
     """Numbers of observers of one kind that are arguments of their code.
 
     Attributes:
-        places: For each array of real numbers of the observer, counted as leaves of its pytree, the argument of each
+        places: For each array of numbers among the leaves of the observer's pytree, the index of the argument of each
             entry, −1 for a constant; None for an array of constants.
         values: The arguments (N, K) of each of N observers.
     """
@@ -56,12 +56,12 @@ def open_numbers(observers: Sequence[AbstractObserver], models: bool = True) -> 
         rows = np.stack([np.ravel(others[i]) for others in leaves]).astype(float)
         fields = {getattr(key, "name", None) for key in paths[i]}
         of_model = not fields.isdisjoint(MODEL)
-        varies = (rows != rows[0]).any(axis=0)  # so does NaN, which equals nothing
+        varies = (rows != rows[0]).any(axis=0)  # true for NaN, which equals nothing
         few = rows.shape[1] <= MOST_OPEN and "metric" not in fields and (models or not of_model)
-        opened = varies | (_usual(rows[0], of_model) & few)
+        opened = varies | (_saves_nothing(rows[0], of_model) & few)
         each = []
         for column, is_open in zip(rows.T, opened.tolist(), strict=True):
-            # Equal gains are equal by chance or by symmetry up to rounding: they are not told apart by that.
+            # Gains may be equal by chance, or by symmetry up to rounding: each is an argument by itself.
             key = column.tobytes() if of_model else len(columns).to_bytes(8)
             if is_open and key not in shared:
                 shared[key] = len(columns)
@@ -72,8 +72,8 @@ def open_numbers(observers: Sequence[AbstractObserver], models: bool = True) -> 
     return OpenNumbers(tuple(places), values)
 
 
-def _usual(values: np.ndarray, of_model: bool) -> np.ndarray:
-    """Which values take no operations away as constants."""
+def _saves_nothing(values: np.ndarray, of_model: bool) -> np.ndarray:
+    """Which values save no operations as constants."""
     return np.isfinite(values) & (values != 0) & ~(of_model & (np.abs(values) == 1))
 
 
@@ -88,16 +88,16 @@ def _alike(real: bool, leaf: Any, first: Any) -> bool:
 
 def filled(leaves: Sequence[Any], places: Places, numbers: Any) -> list[Any]:
     """Arrays of an observer with its open numbers in their places."""
-    # One array for those that hold the same numbers: each takes as long to trace as a step of a model.
-    made: dict[tuple[Any, ...], Any] = {}
+    # Leaves with the same entries share one array: tracing an array takes as long as tracing a step of a model.
+    arrays: dict[tuple[Any, ...], Any] = {}
     results = []
     for leaf, at in zip(leaves, places, strict=True):
         if at is not None:
-            known = np.asarray(leaf)
-            key = at, known.shape, known.dtype.str, known.ravel()[np.array(at, int) < 0].tobytes()
-            if key not in made:
-                made[key] = _filled(known, np.array(at), numbers)
-            leaf = made[key]
+            values = np.asarray(leaf)
+            key = at, values.shape, values.dtype.str, values.ravel()[np.array(at, int) < 0].tobytes()
+            if key not in arrays:
+                arrays[key] = _filled(values, np.array(at), numbers)
+            leaf = arrays[key]
         results.append(leaf)
     return results
 

@@ -137,7 +137,7 @@ def _field(store: Any) -> Interpolated:
 
 
 class MetricSummary(NamedTuple):
-    """Summary of a finished store of `metric_on_grid`; NaN for a number that no point has.
+    """Summary of a finished store of `metric_on_grid`; NaN for a value that no point has.
 
     Attributes:
         results: number of points with each `covariant.signals.StepCode`; results without points are left out.
@@ -222,22 +222,22 @@ def _part(store: Any) -> tuple[np.ndarray, tuple[float, ...]]:
     """Counts of the results; then least reconstructibility, least and largest eigenvalue, and largest error bound."""
     result, metric = store["result"].values, store["metric"].values
     known = np.isfinite(metric).all(axis=(-2, -1))
-    # A block without any metric: NaN, which `fmin` and `fmax` ignore.
+    # A block without any metric gives NaN, which `fmin` and `fmax` ignore.
     values = np.linalg.eigvalsh(metric[known]) if known.any() else np.full((1, 1), np.nan)
     inside = np.where(result != StepCode.OUT_OF_DOMAIN, store["reconstructibility"].values, np.nan)
     error_bound = np.where(known, store["error_bound"].values, np.nan)
     ends = (np.fmin.reduce(inside, axis=None), values.min(), values.max(), np.fmax.reduce(error_bound, axis=None))
-    # Of the same length in every block, so that the counts of blocks add up.
+    # The counts have the same length in every block, so that they can be added.
     return np.bincount(result.ravel(), minlength=len(StepCode)), tuple(map(float, ends))
 
 
 def _finite_or_none(bound: Array) -> list[float | None]:
-    """A bound as JSON can hold it, with None where it is infinite."""
+    """A bound for JSON, with None for infinite entries."""
     return [value if math.isfinite(value) else None for value in np.asarray(bound).tolist()]
 
 
 def _described(equation: Equation) -> dict[str, Any]:
-    """An equation as JSON can hold it, with the name of a field Q."""
+    """An equation for JSON, with the name of Q if that is a function."""
 
     def as_json(cov: Any) -> Any:
         if callable(cov):

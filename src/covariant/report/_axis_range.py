@@ -40,7 +40,7 @@ class AxisRange(NamedTuple):
 
 
 class _Range(NamedTuple):
-    """Along the axis (in logarithms on a log axis): ends of all samples of a curve, and of those that must be shown."""
+    """Ends (logarithms on a log axis) of all samples of a curve, and of the samples that must be shown."""
 
     label: str
     backdrop: bool
@@ -54,7 +54,8 @@ def axis_range(quantity: Quantity, column: int) -> AxisRange | None:
     """Choose the limits of the y axis of one panel.
 
     Backdrops are shown in full. An estimate is shown from the end of its transient (on a log axis, from the start),
-    except single spikes farther from its central 99.5 % than the width of these, and unless it has diverged.
+    without single spikes that are farther from its central 99.5 % than the width of these. A diverged estimate does not
+    affect the axis.
     """
     ranges = _ranges(quantity, column)
     if not ranges:
@@ -97,7 +98,7 @@ def _core(y: Samples) -> tuple[float, float]:
 
 
 def _not_diverged(ranges: list[_Range], scale: float) -> list[_Range]:
-    """The backdrops, the first estimate, and those whose range is not far larger than that of these and the motion."""
+    """The backdrops, the first estimate, and estimates whose range is not far larger than its range and the motion."""
     first = next((r for r in ranges if not r.backdrop), ranges[0])
     most = _LOST * max(first.wanted_high - first.wanted_low, scale)
     return [r for r in ranges if r.backdrop or r is first or r.wanted_high - r.wanted_low <= most]
@@ -108,8 +109,8 @@ def _padded(low: float, high: float, log: bool) -> tuple[float, float]:
     size = max(abs(low), abs(high))
     level = 0.5 if log else 0.1 * size or 1.0
     # Ends closer than nine digits differ by rounding: their difference would fill the panel with noise.
-    air = 0.06 * (high - low) if high - low > 1e-9 * size else level
-    return low - air, high + air
+    margin = 0.06 * (high - low) if high - low > 1e-9 * size else level
+    return low - margin, high + margin
 
 
 def _outside(ranges: list[_Range], low: float, high: float, log: bool) -> str:

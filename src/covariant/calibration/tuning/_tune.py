@@ -1,8 +1,8 @@
 """Noise and gains from logs: those with the likeliest innovations, confirmed on held-out rows.
 
-The gains of a constant-gain observer are those of several candidates that predict held-out measurements best, as in
-`_constant_gains`. The noise of Kalman filters is that of the greatest likelihood of their innovations,
-computed on the errors of one run as in `_error_model`. Velocities are compared with a reference on the later rows only.
+Of several candidate gains of a constant-gain observer, those are chosen that predict held-out measurements best; see
+`_constant_gains`. The noise of Kalman filters maximises the likelihood of their innovations, computed on the errors of
+one run; see `_error_model`. Velocities are compared with a reference on the later rows only.
 
 Source: Ljung 1999, System Identification, section 7.4, for prediction errors and likelihood; Schweppe 1965; Mehra 1970,
 On the identification of variances and adaptive Kalman filtering, IEEE TAC 15(2), for whiteness.
@@ -79,13 +79,13 @@ class Tuning(NamedTuple):
             the velocities; None where there is none for this kind of system.
         rows: Number of rows for tuning.
         candidates: Gains that were compared by the prediction of held-out measurements, or by smoothed velocities;
-            empty where none were.
-        source: Which of them these gains are.
-        horizon: Number of rows over which they predicted; 0 where velocities were compared with smoothed ones, because
-            the noise has a force.
+            empty without a comparison.
+        source: Name of the candidate with these gains.
+        horizon: Number of rows over which the candidates predicted; 0 if their velocities were compared with smoothed
+            ones, because the noise includes a force.
         noise_kept: Whether the noise is that of the data sheet, because held-out measurements are likelier with it.
-        reference_noise: Standard deviation (n,) of the reference velocities that noise of the readings causes, and of
-            the Kalman filter's velocities as it predicts it, (2, n) [rad/s or m/s]; None where that is unknown.
+        reference_noise: Standard deviations (2, n) [rad/s or m/s]: of the reference velocities due to noise of the
+            readings, and of the Kalman filter's velocities as the filter predicts it; None if unknown.
 
     Example:
         >>> import jax.numpy as jnp
@@ -135,15 +135,15 @@ def tune(
         records: The logs.
         velocities: Reference velocities (T, n) of each, as from `scoring.zero_phase_velocity`; only the filters without
             a model are tuned to them.
-        std: Least standard deviation (n,) of a reading, such as that of one tick of an encoder; by default a small
-            fraction of the innovations.
-        before: Data sheet whose gains and noise are judged as well. What is worse than it on held-out rows, by
-            predictions, or by smoothed velocities where a force acts, is not taken. Where it has an
-            `external_force_std`, such a force is searched for.
+        std: Lower bound (n,) of the standard deviation of a reading, such as that of one tick of an encoder; by default
+            a small fraction of the innovations.
+        before: Data sheet whose gains and noise are judged as well. They are kept if the tuned ones are worse on
+            held-out rows: by predictions, or by smoothed velocities if a force acts. If it has an
+            `external_force_std`, the search includes such a force.
         progress: Called with the name of each of the four stages when it begins.
-        runs: Runs the observers with constant gains, of which there are dozens; by default JAX, one by one.
+        runs: Function that runs the dozens of observers with constant gains; by default JAX runs them one by one.
         window: Half width [s] and order of the polynomials of the reference, and rate [Hz] of the positions that they
-            are fitted to, of which the noise is computed; by default the reference is taken to have none.
+            are fitted to, from which the noise of the reference is computed; by default it is taken as zero.
 
     Returns:
         Gains, noise, and their errors on the held-out rows.
@@ -184,8 +184,8 @@ def tune(
     chosen = followed(model, logs, best.natural_frequency, best.damping, runner)
     after = _judged(errors, chosen, noise, speed)
     progress("filters without a model")
-    free = _best_model_free(model, logs, noise, before)
-    known = None if window is None else _reference_noise(errors, noise, speed, *window)
+    model_free = _best_model_free(model, logs, noise, before)
+    reference_noise = None if window is None else _reference_noise(errors, noise, speed, *window)
     rows = sum(int(log.tuned.sum()) for log in logs)
     return Tuning(
         best.natural_frequency,
@@ -193,13 +193,13 @@ def tune(
         noise,
         baseline,
         after,
-        free,
+        model_free,
         rows,
         compared,
         best.source,
         horizon,
         kept,
-        known,
+        reference_noise,
     )
 
 
@@ -214,7 +214,7 @@ def noise_levels(sheet: DataSheet, rate: float, n: int) -> NoiseLevels:
 
 
 def _judged(errors: list[RunErrors], gained: list[Any], noise: NoiseLevels, speed: Any) -> HeldOut:
-    """Errors on the held-out rows: of the runs `gained` with constant gains, and of a noise by the errors of a run."""
+    """Errors on the held-out rows, of the runs `gained` with constant gains and of the Kalman filter with a noise."""
     parts = []
     for each, (_, gains_v, r) in zip(errors, gained, strict=True):
         log, result = each.log, each.filtered(noise, speed)
@@ -260,11 +260,11 @@ def _reference_noise(
     count = int(half * rate)
     if 2 * count + 1 < order + 3:
         return None
-    at = np.arange(-count, count + 1) / rate
-    weights = scoring.local_polynomials(at, np.eye(len(at)), np.zeros(1), half, order)[0, 1]
-    own = [np.asarray(each.filtered(noise, speed).velocity_std)[each.log.held_out] ** 2 for each in errors]
-    own_std = np.sqrt(np.mean(np.concatenate(own), axis=0))
-    return np.stack([float(np.linalg.norm(weights)) * np.asarray(noise.measurement), own_std])
+    times = np.arange(-count, count + 1) / rate
+    weights = scoring.local_polynomials(times, np.eye(len(times)), np.zeros(1), half, order)[0, 1]
+    variances = [np.asarray(each.filtered(noise, speed).velocity_std)[each.log.held_out] ** 2 for each in errors]
+    filter_std = np.sqrt(np.mean(np.concatenate(variances), axis=0))
+    return np.stack([float(np.linalg.norm(weights)) * np.asarray(noise.measurement), filter_std])
 
 
 def _neighbours(white: np.ndarray, present: np.ndarray) -> np.ndarray:

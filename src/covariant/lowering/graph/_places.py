@@ -1,8 +1,8 @@
-"""Slices, gathers and scatters of arrays of nodes: entries moved to or taken from places.
+"""Slices, gathers and scatters of arrays of nodes, which take entries from places or set them there.
 
-Where the places are known numbers, the primitive itself is applied to the indices of the nodes. Where they depend on
-the arguments, the result is a choice between all possible places, if these are few, or is looked up, if the entries are
-known numbers.
+If the places are known numbers, the primitive itself is applied to the indices of the nodes. If they depend on the
+arguments, the result is a choice between all possible places when these are few, or a look-up in a table when the
+entries are known numbers.
 """
 
 import itertools
@@ -19,9 +19,9 @@ from covariant.lowering.graph._jax_forms import JaxprEquation
 from covariant.lowering.graph._lowered import LoweringError
 
 MOST_PLACES = 64
-"""Largest number of possible places for an index that depends on the arguments, unless it is one of a table."""
+"""Largest number of possible places for an index that depends on the arguments, unless it is an index of a table."""
 FEW_PLACES = 8
-"""Up to so many places a choice costs no more than a table."""
+"""Number of places up to which a choice costs no more than a table."""
 MOST_ENTRIES = 2_000_000
 """Largest table of known numbers: some 40 MB of C, and 16 MB of memory where it runs."""
 
@@ -30,17 +30,17 @@ def at_places(write: Writer, eqn: JaxprEquation, values: list) -> list[Value]:
     """Apply a primitive that takes entries from places, or sets or adds them there."""
     name = eqn.name
     move = _added if name == "scatter-add" else _moved
-    where, ends = _places(name, eqn.params, [atom.aval.shape for atom in eqn.invars])
+    place_arguments, ends = _places(name, eqn.params, [atom.aval.shape for atom in eqn.invars])
     fills = name == "gather" and eqn.params["mode"] == jax.lax.GatherScatterMode.FILL_OR_DROP
     drops = name.startswith("scatter") and eqn.params["mode"] == jax.lax.GatherScatterMode.FILL_OR_DROP
-    places = [nodes_of(write.graph, values[i]) for i in where]
+    places = [nodes_of(write.graph, values[i]) for i in place_arguments]
     flat = [int(node) for place in places for node in place.ravel()]
     known = [write.graph.nodes[node].value if write.graph.nodes[node].op == "constant" else None for node in flat]
 
     def result_at(numbers: Sequence) -> np.ndarray:
         remaining, arguments = iter(numbers), []
         for i, value in enumerate(values):
-            if i in where:
+            if i in place_arguments:
                 shape, dtype = eqn.invars[i].aval.shape, eqn.invars[i].aval.dtype
                 arguments.append(np.array([next(remaining) for _ in range(math.prod(shape))], dtype).reshape(shape))
             else:
@@ -70,7 +70,7 @@ def at_places(write: Writer, eqn: JaxprEquation, values: list) -> list[Value]:
             node if value is not None else write.graph.apply("min", write.graph.apply("max", node, low), high)
             for node, value, (low, high) in zip(flat, known, limits, strict=True)
         ]
-    # One beyond the last place: what the primitive itself does out of bounds is the default of the choice.
+    # One beyond the last place: the result of the primitive out of bounds is the default of the choice.
     outside = [float(end + 1) for end in largest]
     result = result_at([o if v is None else v for o, v in zip(outside, known, strict=True)]) if fills or drops else None
     for combination in itertools.product(*choices):
@@ -97,22 +97,22 @@ def _table(write: Writer, operand: np.ndarray) -> Table | None:
 def _looked_up(
     write: Writer, table: Table, eqn: JaxprEquation, starts: Sequence[int], ends: Sequence[int]
 ) -> np.ndarray:
-    """A slice of a table that starts where the arguments say, clipped to where it fits."""
+    """A slice of a table whose start depends on the arguments, clipped so that the slice fits."""
     graph, shape, sizes = write.graph, eqn.invars[0].aval.shape, eqn.params["slice_sizes"]
     strides = [math.prod(shape[k + 1 :]) for k in range(len(shape))]
     first = graph.constant(0.0)
     for start, end, stride in zip(starts, ends, strides, strict=True):
-        inside = graph.apply("min", graph.apply("max", start, graph.constant(0.0)), graph.constant(float(end)))
-        first = graph.apply("add", first, graph.apply("mul", inside, graph.constant(float(stride))))
+        clipped = graph.apply("min", graph.apply("max", start, graph.constant(0.0)), graph.constant(float(end)))
+        first = graph.apply("add", first, graph.apply("mul", clipped, graph.constant(float(stride))))
     ids = np.empty(sizes, int)
     for offsets in np.ndindex(*sizes):
-        ahead = graph.constant(float(np.dot(offsets, strides)))
-        ids[offsets] = graph.look_up(table, graph.apply("add", first, ahead))
+        offset = graph.constant(float(np.dot(offsets, strides)))
+        ids[offsets] = graph.look_up(table, graph.apply("add", first, offset))
     return ids
 
 
 def _places(name: str, p: dict, shapes: Sequence[tuple[int, ...]]) -> tuple[range, list[int]]:
-    """The arguments that hold places, and the largest value of each of their numbers (along the last axis of one)."""
+    """Positions of the arguments that hold places, and the largest values of their numbers (along the last axis)."""
     operand = shapes[0]
     if name == "dynamic_slice":
         return range(1, len(shapes)), [a - b for a, b in zip(operand, p["slice_sizes"], strict=True)]
@@ -153,7 +153,7 @@ def _added(write: Writer, eqn: JaxprEquation, arguments: list[np.ndarray]) -> np
 def _targets(
     eqn: JaxprEquation, operand: np.ndarray, places: np.ndarray, updates: np.ndarray
 ) -> Iterator[tuple[int, int]]:
-    """The place in the flat operand for each node of the updates that has one."""
+    """Index in the flat operand and node of each update that is not out of bounds."""
     targets = scatter_places(eqn.params, operand.shape, places, updates.shape)
     pairs = zip(targets.ravel().tolist(), updates.ravel().tolist(), strict=True)
     return (pair for pair in pairs if pair[0] >= 0)
