@@ -24,7 +24,7 @@ from covariant.workflow._outcome import force_names, mean_nis, plain, rounded
 from covariant.workflow._progress import Progress, silent
 
 WITHIN = 1.96
-"""Standard deviations of a normal distribution to both sides of its mean that hold 95 % of it."""
+"""Half width of the interval that contains 95 % of a normal distribution, in standard deviations."""
 
 
 def compare_force(
@@ -54,7 +54,7 @@ def compare_force(
 
     Returns:
         The RMS error of each force by each estimator, and how often it is within the 95 % band that a filter states.
-        With forces on links, these are scored, as they act on the joints, and what the joints have beside is not.
+        With forces on links, only these are scored, as they act on the joints; other forces in the joints are not.
 
     Raises:
         MisfitError: Where the model explains nothing of the motion in the log.
@@ -93,11 +93,11 @@ def compare_force(
 
 
 class ForceEstimate(NamedTuple):
-    """Forces as one estimator sees them.
+    """Forces as one estimator estimates them.
 
     Attributes:
         force: Generalised forces (T, n) along the velocities [N or N m].
-        std: Their standard deviations (T, n); None where they are not known.
+        std: Their standard deviations (T, n); None if unknown.
         nis: Mean normalised innovation squared for each measured number; NaN without a covariance.
         design: How the estimator was tuned.
     """
@@ -114,7 +114,7 @@ class CompareForceResult(AbstractComparison):
 
     Attributes:
         job: The model and the log, and which part of it was read.
-        loaded: Both as they were read.
+        loaded: The model and the log as they were read.
         names: Columns of the true forces.
         true: The true forces (T, n) [N or N m].
         scored: Which rows (T,) count.
@@ -229,7 +229,7 @@ class _Force(AbstractWrapper):
         ends = np.cumsum([len(group.names) for group in groups])
 
         def force(s):
-            parts = jnp.split(s, ends.tolist())[:-1]  # what comes after is of the sensors
+            parts = jnp.split(s, ends.tolist())[:-1]  # the last part belongs to the sensors
             together = zip(groups, parts, self.scored, strict=True)
             return sum(
                 (group.force(state.q, state.v, part) for group, part, counts in together if counts and group.force),
@@ -265,7 +265,7 @@ def _check(job: Job, loaded: Loaded, names: tuple[str, ...]) -> None:
 
 
 def _filters(job: Job, loaded: Loaded) -> dict[str, _Force]:
-    """The filter with forces that are forgotten, where the model file has such, and with forces that walk."""
+    """The filter with forces that decay, if the model file has such, and with forces as random walks."""
     kalman: Any = design(loaded.file, "intrinsic-kalman", None, loaded.rate, loaded).observer
     refuse_delays(job, loaded, kalman, "forces are not compared on what is read late")
     names = force_names(loaded.file, kalman.slow_names)
@@ -278,13 +278,13 @@ def _filters(job: Job, loaded: Loaded) -> dict[str, _Force]:
 
 
 def _walking(group: SlowVariables) -> SlowVariables:
-    """The same states, as uncertain at the start and by as much more in a moment, that do not return."""
+    """The same slow states as random walks, with the same initial uncertainty and the same noise density."""
     return dataclasses.replace(group, time=None)
 
 
 def _filtered(filter_: _Force, loaded: Loaded) -> ForceEstimate:
-    done = jax.tree.map(np.asarray, run(filter_, loaded.record_for(filter_), ("result", "nis")))
-    force, std = np.split(done.estimate, 2, axis=1)
+    result = jax.tree.map(np.asarray, run(filter_, loaded.record_for(filter_), ("result", "nis")))
+    force, std = np.split(result.estimate, 2, axis=1)
     forgotten = any(group.time is not None for group in filter_.observer.slow)
     design = "noise and forces of the model file" + ("" if forgotten else ", as random walks of the same density")
-    return ForceEstimate(force, std, mean_nis(done.info, loaded), design)
+    return ForceEstimate(force, std, mean_nis(result.info, loaded), design)

@@ -1,4 +1,4 @@
-"""Taylor coefficients of a JAX function of one number, for bounds of remainders: by recurrences over its jaxpr."""
+"""Taylor coefficients of a JAX function of one number, by recurrences over its jaxpr, for bounds of remainders."""
 
 import functools
 from collections.abc import Callable, Sequence
@@ -15,7 +15,7 @@ Coefficients = list[Array]
 
 
 def series(function: Callable[[Array], Array], order: int) -> Callable[[Array], Coefficients]:
-    """The Taylor coefficients of a function at each point."""
+    """Return a function that computes the Taylor coefficients of `function` at a point, up to an order."""
 
     def coefficients(r: Array) -> Coefficients:
         closed = jax.make_jaxpr(plain(function))(r)
@@ -30,7 +30,7 @@ def series(function: Callable[[Array], Array], order: int) -> Callable[[Array], 
 
 
 def _all(x: Any, count: int) -> Coefficients:
-    """The coefficients of a series, or of a constant."""
+    """The `count` coefficients of a series, or of a constant as a series."""
     return x if isinstance(x, list) else [jnp.asarray(x), *[jnp.zeros_like(x)] * (count - 1)]
 
 
@@ -42,16 +42,16 @@ def _run(body: ClosedJaxpr, arguments: Sequence) -> list:
 
     for eqn in equations(body.jaxpr):
         x = [read(atom) for atom in eqn.invars]
-        moving = [a for a in x if isinstance(a, list)]
+        expanded = [a for a in x if isinstance(a, list)]
         if isinstance(eqn.form, Call):
             out = _run(eqn.form.body, x)
-        elif not moving:
+        elif not expanded:
             out = eqn.primitive.bind(*x, **eqn.params)
             out = out if eqn.primitive.multiple_results else [out]
         elif eqn.form is not None:
             raise ValueError(f"the operation '{eqn.name}' has no known expansion")
         else:
-            out = _applied(eqn, x, len(moving[0]))
+            out = _applied(eqn, x, len(expanded[0]))
         known |= dict(zip(eqn.outvars, out, strict=True))
     return [read(atom) for atom in body.jaxpr.outvars]
 
@@ -93,7 +93,7 @@ def _quotient(a: Coefficients, b: Coefficients) -> Coefficients:
 
 
 def _integral(start: Array, u: Coefficients, slope: Coefficients) -> Coefficients:
-    """The series of y(u), from its value and the series of dy/du, of one order less."""
+    """The series of y(u), from its value and the series of dy/du, which has one order less."""
     higher = [_sum([j * u[j] * slope[k - j] for j in range(1, k + 1)]) / k for k in range(1, len(u))]
     return [start, *higher]
 
@@ -113,8 +113,8 @@ def _exponential(u: Coefficients) -> Coefficients:
     return y
 
 
-def _circle(u: Coefficients) -> tuple[Coefficients, Coefficients]:
-    """Sine and cosine."""
+def _sine_and_cosine(u: Coefficients) -> tuple[Coefficients, Coefficients]:
+    """The series of sine and cosine, which need each other."""
     s, c = [jnp.sin(u[0])], [jnp.cos(u[0])]
     for k in range(1, len(u)):
         s.append(_sum([j * u[j] * c[k - j] for j in range(1, k + 1)]) / k)
@@ -128,7 +128,7 @@ def _one_plus_square(u: Coefficients) -> Coefficients:
 
 
 def _stumpff(k: int, u: Coefficients) -> Coefficients:
-    """By c_k' = (k c_(k+2) − c_(k+1))/2, one order less at each turn."""
+    """The series of c_k by the recursion c_k' = (k c_(k+2) − c_(k+1))/2, which lowers the order by one each time."""
     if len(u) == 1:
         return [stumpff(k, u[0])]
     first, second = (_stumpff(k + i, u[:-1]) for i in (1, 2))
@@ -141,7 +141,7 @@ LINEAR = {
     *("concatenate", "rev", "slice", "split", "pad", "gather", "dynamic_slice", "expand_dims", "copy", "copy_p"),
     *("convert_element_type",),
 }
-"""Primitives that are linear in all their real arguments together."""
+"""Primitives that are jointly linear in all their real arguments: they act on each order by itself."""
 RULES: dict[str, Callable] = {
     "div": _quotient,
     "square": lambda u: _product(u, u),
@@ -149,8 +149,8 @@ RULES: dict[str, Callable] = {
     "rsqrt": lambda u: _quotient(_all(jnp.ones_like(u[0]), len(u)), _root(u)),
     "exp": _exponential,
     "log": lambda u: _integral(jnp.log(u[0]), u, _quotient(_all(jnp.ones_like(u[0]), len(u)), u)),
-    "sin": lambda u: _circle(u)[0],
-    "cos": lambda u: _circle(u)[1],
+    "sin": lambda u: _sine_and_cosine(u)[0],
+    "cos": lambda u: _sine_and_cosine(u)[1],
     "atan": lambda u: _integral(jnp.arctan(u[0]), u, _quotient(_all(jnp.ones_like(u[0]), len(u)), _one_plus_square(u))),
 }
-"""Series of the other primitives."""
+"""Series of nonlinear primitives."""
