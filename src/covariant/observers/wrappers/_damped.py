@@ -101,7 +101,7 @@ class DampedInfo(NamedTuple):
 
 
 class Damped(AbstractObserver):
-    """An observer with constant gains that also uses sensors of the velocity, through a damper; see this file's head.
+    """An observer with constant gains that also uses velocity sensors, by a damper between estimate and readings.
 
     A measurement is one vector: the entries of the configuration, and then the readings, NaN where there is none. The
     configuration corrects the estimate as it does without sensors; the readings then correct the velocity. A reading
