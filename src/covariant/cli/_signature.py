@@ -1,4 +1,4 @@
-"""What a verb of `covariant.workflow` takes, read from its source: to import it would load JAX before help is shown.
+"""Arguments of a verb of `covariant.workflow`, read from its source, since an import would load JAX to show help.
 
 The first sentence of each entry under `Args:` is the help of its option, and the annotation decides how it is read.
 """
@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 from covariant import workflow
 
 REQUIRED = object()
-"""Default of an argument that has none."""
+"""Stands for the default of an argument without one."""
 ENTRY = re.compile(r"^    (\w+(?:, \w+)*): (.*(?:\n {8}.*)*)", re.MULTILINE)
 """An entry under `Args:`: its names, and its text."""
 
@@ -44,9 +44,13 @@ def signature(verb: str) -> VerbSignature:
     summary, _, rest = documentation.partition("\n\n")
     entries = ENTRY.findall(rest.partition("Args:\n")[2].partition("\n\n")[0])
     texts = {name: " ".join(text.split()) for names, text in entries for name in names.split(", ")}
-    given = definition.args
-    defaults = [None] * (len(given.args) - len(given.defaults)) + given.defaults + given.kw_defaults
-    nodes = {node.arg: (node, default) for node, default in zip(given.args + given.kwonlyargs, defaults, strict=True)}
+    parameters = definition.args
+    defaults = [None] * (len(parameters.args) - len(parameters.defaults))
+    defaults += parameters.defaults + parameters.kw_defaults
+    nodes = {
+        node.arg: (node, default)
+        for node, default in zip(parameters.args + parameters.kwonlyargs, defaults, strict=True)
+    }
     progress = nodes.pop("progress", None) is not None
     arguments = {
         name: Argument(

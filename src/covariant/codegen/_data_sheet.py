@@ -21,13 +21,13 @@ ARM = ("-mcpu=cortex-m4", "-mthumb", "-mfloat-abi=hard", "-mfpu=fpv4-sp-d16")
 
 
 class Facts(NamedTuple):
-    """Facts on the data sheet that the source does not show.
+    """Facts for the data sheet that are not in the source.
 
     Attributes:
         rate: Sampling rate [Hz] for which the observer was made.
-        substeps: Runge–Kutta steps of a sample; None where there are none.
-        certificate: Lines on what is proved; may be empty.
-        audit: A line on the laws measured; may be empty.
+        substeps: Number of Runge–Kutta steps in each sample; None if there are none.
+        certificate: Lines on the proved statements; may be empty.
+        audit: A line on the measured laws; may be empty.
         gate: Sentences on which measurements are refused; may be empty.
 
     Example:
@@ -49,7 +49,7 @@ class Size(NamedTuple):
     Attributes:
         compiler: Compiler and machine.
         flash: Code with constants [bytes].
-        stack: Deepest stack of a step [bytes]; None where the compiler does not say.
+        stack: Deepest stack of a step [bytes]; None if the compiler does not report it.
 
     Example:
         >>> from covariant.codegen._data_sheet import Size
@@ -139,7 +139,7 @@ def _substeps(facts: Facts) -> str:
 
 
 def sizes(source: Source) -> list[Size]:
-    """The sizes with each compiler of `COMPILERS` that is there."""
+    """The sizes of a source with each installed compiler of `COMPILERS`."""
     return [size for name in COMPILERS if (size := _size(source, name)) is not None]
 
 
@@ -151,7 +151,7 @@ def _size(source: Source, compiler: str) -> Size | None:
     with tempfile.TemporaryDirectory() as folder:
         (Path(folder) / f"{source.name}.h").write_text(source.header, encoding="utf-8")
         (Path(folder) / f"{source.name}.c").write_text(source.source, encoding="utf-8")
-        # -Os, as code for the flash of a microcontroller is compiled.
+        # -Os is usual for code in the flash of a microcontroller.
         command = [compiler, "-std=c99", "-Os", *flags, "-fstack-usage", "-c", f"{source.name}.c"]
         if subprocess.run(command, cwd=folder, capture_output=True, check=False).returncode:
             return None
@@ -161,14 +161,14 @@ def _size(source: Source, compiler: str) -> Size | None:
     # Berkeley format: text, data and bss come first.
     numbers = re.findall(r"^\s*(\d+)\s+(\d+)\s+(\d+)", printed.stdout, re.MULTILINE)
     label = f"{compiler} -Os{' for Cortex-M4F' if flags else ' of this machine'}"
-    # text and data: initialised data stand in flash too, and are copied to memory at the start.
+    # text and data: initialised data are in flash too, and are copied to memory at the start.
     return Size(label, int(numbers[0][0]) + int(numbers[0][1]), stack) if numbers else None
 
 
 def _deepest(usage: str, name: str) -> int:
-    """The stack [bytes] of a step, with those of all functions that it calls; where one calls one of several, the
-    largest counts."""
-    # A line of gcc -fstack-usage is file:line:column:function, bytes, and whether these are static, by tabs.
+    """The deepest stack [bytes] of a step, with the functions that it calls: of calls one after the other, the largest
+    counts."""
+    # A line of gcc -fstack-usage has three cells, separated by tabs: file:line:column:function, bytes, static or not.
     cells = [line.split("\t") for line in usage.splitlines()]
     # Compilers name variants of a function with a dot.
     frames = {cell[0].rpartition(":")[2].partition(".")[0]: int(cell[1]) for cell in cells}

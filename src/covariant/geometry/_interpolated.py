@@ -163,9 +163,9 @@ def _check_symmetry(axes: tuple[np.ndarray, ...], values: np.ndarray) -> None:
     filled = np.where(known[..., None, None], values, 0)
     # Relative to the diagonal, so that the test does not depend on the units of the coordinates.
     size = np.sqrt(np.abs(np.diagonal(filled, axis1=-2, axis2=-1)))
-    least = size[..., :, None] * size[..., None, :]
+    scale = size[..., :, None] * size[..., None, :]
     # 1e-6 is eight roundings of single precision, in which a metric may have been stored.
-    wrong = np.asarray((np.abs(filled - np.swapaxes(filled, -1, -2)) > 1e-6 * least).any(axis=(-2, -1)))
+    wrong = np.asarray((np.abs(filled - np.swapaxes(filled, -1, -2)) > 1e-6 * scale).any(axis=(-2, -1)))
     if wrong.any():
         where, point = _first(axes, wrong)
         raise ValueError(f"the metric at {point} is not symmetric: {_in_one_line(values[where])}")

@@ -57,7 +57,7 @@ def bodies(columns: Columns) -> tuple[Body, ...]:
         attitude; empty where the configuration has coordinates only.
 
     Raises:
-        LogError: The columns make no configuration.
+        LogError: The columns do not form a configuration.
 
     Example:
         >>> from covariant import logs
@@ -69,7 +69,7 @@ def bodies(columns: Columns) -> tuple[Body, ...]:
 
 
 def _bodies(columns: Columns) -> tuple[tuple[Body, ...], tuple[Body, ...]]:
-    """Bodies of one block-diagonal matrix, and ball joints, each with a matrix of its own."""
+    """Bodies that share one block-diagonal matrix, and ball joints, each with a separate matrix."""
     attitudes = [kind for kind in ATTITUDES if getattr(columns, kind)]
     if len(attitudes) > 1:
         raise LogError(f"{' and '.join(attitudes)} both give the attitude; keep one")
@@ -109,7 +109,7 @@ def _matrices_from_columns(
     order = sum(body.order for body in parts)
     cells = np.stack([named[name] for body in parts for name in (*body.rotation, *body.position)], axis=1)
     y = np.full((len(cells), order, order), np.nan)
-    # A pose with one empty cell is no pose: all of it is missing.
+    # A pose with an empty cell is missing as a whole.
     present = np.isfinite(cells).all(axis=1)
     named = {name: column[present] for name, column in named.items()}
     y[present] = 0.0
@@ -117,7 +117,7 @@ def _matrices_from_columns(
         rotation = np.stack([named[name] for name in body.rotation], axis=1)
         _check(name, body, rotation, np.flatnonzero(present) + 1)
         turn, end = slice(corner, corner + body.space), corner + body.space
-        y[present, turn, turn] = KINDS[body.kind].matrices(rotation)  # after the check, so rounding only is removed
+        y[present, turn, turn] = KINDS[body.kind].matrices(rotation)  # after the check, so only rounding is removed
         if body.position:
             y[present, turn, end] = np.stack([named[name] for name in body.position], axis=1)
             y[present, end, end] = 1.0
@@ -129,7 +129,7 @@ def to_columns(columns: Columns, y: np.ndarray) -> dict[str, np.ndarray]:
 
     Args:
         columns: Names and kinds of the columns.
-        y: Configurations (T, n), (T, N, N) or (T, m); NaN stays.
+        y: Configurations (T, n), (T, N, N) or (T, m); NaN is kept.
 
     Returns:
         Arrays (T,) in the order of `columns.measured`. Quaternions are without jumps of sign, and angles without jumps
@@ -207,8 +207,8 @@ def _corners(parts: tuple[Body, ...]) -> list[int]:
 
 
 def _check(name: str, body: Body, cells: np.ndarray, rows: np.ndarray) -> None:
-    bad, words = KINDS[body.kind].fault(cells)
+    bad, describe = KINDS[body.kind].fault(cells)
     if bad.any():
         k = int(bad.argmax())
         where = f"{name}: columns {', '.join(map(repr, body.rotation))}, row {rows[k]}"
-        raise LogError(f"{where}: {words(k)}, or leave the row empty if its measurement is missing")
+        raise LogError(f"{where}: {describe(k)}, or leave the row empty if its measurement is missing")

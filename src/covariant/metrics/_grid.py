@@ -25,7 +25,7 @@ class Grid:
         counts: number of points along each axis, two at least.
 
     Raises:
-        ValueError: one line naming the axis, for anything else.
+        ValueError: an attribute is wrong; the message is one line that names the axis.
 
     Example:
         >>> from covariant.metrics import Grid
@@ -78,7 +78,8 @@ class Grid:
 
 
 class Blocks(NamedTuple):
-    """A grid cut into boxes of equal sides, which are also the chunks of the store; the last may extend beyond it.
+    """A grid cut into boxes of equal sides, which are also the chunks of the store; the last
+    ones may extend beyond the grid.
 
     Attributes:
         axes: coordinates of the grid's points along each axis.
@@ -114,7 +115,7 @@ class Blocks(NamedTuple):
         return math.prod(part.stop - part.start for part in self.region(index))
 
     def points(self, index: tuple[int, ...]) -> Float[np.ndarray, "points n"]:
-        """Coordinates of the points of a block."""
+        """Coordinates of the points of a block, with the last point of an axis repeated beyond its end."""
         parts = zip(index, self.sides, self.axes, strict=True)
         lines = [axis[np.minimum(k * side + np.arange(side), len(axis) - 1)] for k, side, axis in parts]
         return np.stack(np.meshgrid(*lines, indexing="ij"), -1).reshape(-1, len(lines))
@@ -124,9 +125,10 @@ def cut(grid: Grid, points: int) -> Blocks:
     """Cut a grid into blocks, as close to cubes as the counts allow."""
     if points < 1:
         raise ValueError(f"a block needs at least one point; got {points}")
-    sides, left, shape = [1] * len(grid.shape), points, grid.shape
+    sides, remaining, shape = [1] * len(grid.shape), points, grid.shape
     for k, axis in enumerate(sorted(range(len(shape)), key=shape.__getitem__)):
-        side = min(shape[axis], int(left ** (1 / (len(shape) - k)) + 1e-9))  # 4096 ** (1 / 3) rounds to less than 16
+        # The small number is for rounding: 4096 ** (1 / 3) is less than 16 in doubles.
+        side = min(shape[axis], int(remaining ** (1 / (len(shape) - k)) + 1e-9))
         sides[axis] = math.ceil(shape[axis] / math.ceil(shape[axis] / side))  # no thin blocks at the edge
-        left //= sides[axis]
+        remaining //= sides[axis]
     return Blocks(grid.axes, tuple(sides))

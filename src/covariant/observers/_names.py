@@ -17,8 +17,8 @@ OBSERVER_NAMES = (
     "joint-kalman",
     "salcudean",
 )
-"""Names of the entries of `REGISTRY` that are for mechanical systems, which come first, in their order."""
+"""Names of the first entries of `REGISTRY`, those for mechanical systems, in the order of the registry."""
 STATE_OBSERVER_NAMES = ("covariance-ekf", "information-ekf", "riccati")
-"""Names of the entries of `REGISTRY` that are for state-space models, in their order."""
+"""Names of the entries of `REGISTRY` for state-space models, in the order of the registry."""
 SMOOTHED = ("intrinsic-kalman", "ekf", "ukf", "joint-kalman", "covariance-ekf")
-"""Names of the entries of `REGISTRY` that `smooth` takes: the filters with a covariance and a gate, in their order."""
+"""Names of the entries of `REGISTRY` that `smooth` accepts, the filters with a covariance and a gate, in order."""

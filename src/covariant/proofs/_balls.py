@@ -1,7 +1,7 @@
-"""A matrix of variables in a box, in ball arithmetic of many digits: a third arithmetic, to check some boxes again.
+"""A matrix function on boxes in ball arithmetic of many digits: a third arithmetic, to check some boxes again.
 
-The matrix and its derivatives are the graphs of the prover. The numbers are those of Arb, and the test of positive
-definiteness is done in them. It needs python-flint.
+The graphs of the matrix and of its derivatives are those of the prover. They and the test of positive definiteness are
+evaluated in the arithmetic of Arb, which needs python-flint.
 
 Source: F. Johansson, Arb: efficient arbitrary-precision midpoint-radius interval arithmetic, IEEE Trans. Computers
 66(8), 2017.
@@ -74,7 +74,7 @@ class BallMatrix:
             Number of boxes evaluated.
 
         Raises:
-            ValueError: It is not shown after so many halvings; the message names a box.
+            ValueError: It is not shown after `depth` halvings; the message names a box.
         """
         try:
             good, axis = self._definite(low, high)
@@ -92,7 +92,7 @@ class BallMatrix:
         """Whether the matrix is positive definite, by `|I − CᵀSC| x < x`; and the variable that widens it most."""
         centre, count = low / 2 + high / 2, self.n * (self.n + 1) // 2
         around = [self.arb(a).union(self.arb(b)) for a, b in zip(low.tolist(), high.tolist(), strict=True)]
-        # The middle is rounded, so that the larger side of the box counts; `upper` rounds it up.
+        # The centre is rounded, so the distance to the farther end counts; `upper` rounds it up.
         away = [abs(around[i] - self.arb(float(centre[i]))).upper() for i in self.free]
         at = self._matrices(self.first, list(map(self.arb, centre.tolist())), count)
         bend = self._matrices(self.second, around, count)[1 + len(self.free) :]
@@ -104,15 +104,15 @@ class BallMatrix:
         c = self.matrix((vectors / np.sqrt(values)).tolist())
         identity = self.matrix(np.eye(self.n).tolist())
         parts: list[tuple[Any, Any, tuple[int, ...]]] = [(c.transpose() * at[0] * c - identity, self.arb(1), ())]
-        # A symmetric S(c) + Σ Sᵢ δᵢ + ½ Σ Sᵢⱼ δᵢδⱼ: a pair i ≠ j occurs twice in the last sum, a square once.
+        # S(c) + Σ Sᵢ δᵢ + ½ Σ Sᵢⱼ δᵢδⱼ: a pair i ≠ j occurs twice in the last sum, a square once.
         parts += [(c.transpose() * s * c, d, (k,)) for k, (s, d) in enumerate(zip(at[1:], away, strict=True))]
         for s, (i, j) in zip(bend, pairs(len(self.free)), strict=True):
             parts.append((c.transpose() * s * c, away[i] * away[j] / (2 if i == j else 1), (i, j)))
         error, share = self.matrix(self.n, self.n), np.zeros(len(self.free))
-        for turned, size, variables in parts:
-            wide = self.matrix([[abs(turned[i, j]) * size for j in range(self.n)] for i in range(self.n)])
-            error += wide
-            share[list(variables)] += sum(float(entry.upper()) for entry in wide.entries())
+        for term, size, variables in parts:
+            bound = self.matrix([[abs(term[i, j]) * size for j in range(self.n)] for i in range(self.n)])
+            error += bound
+            share[list(variables)] += sum(float(entry.upper()) for entry in bound.entries())
         # The vector x is computed in doubles, since any positive x serves; only the comparison below is rigorous.
         rough, x = np.array([[float(error[i, j].mid()) for j in range(self.n)] for i in range(self.n)]), np.ones(self.n)
         for _ in range(8):
@@ -141,12 +141,12 @@ class _UndecidedError(ArithmeticError):
 
 
 def _balls(arb: Any) -> Domain:
-    """The arithmetic of Arb. A branch that a box does not decide raises `_UndecidedError`."""
+    """The arithmetic of Arb, in which a branch that a box does not decide raises `_UndecidedError`."""
     zero, one = arb(0), arb(1)
-    alone = "sqrt exp expm1 log log1p sin cos tan asin acos atan sinh cosh tanh asinh acosh atanh"
+    unary = "sqrt exp expm1 log log1p sin cos tan asin acos atan sinh cosh tanh asinh acosh atanh"
     return {
         "constant": lambda value: value if isinstance(value, bool) else arb(float(value)),
-        **{name: operator.methodcaller(name) for name in alone.split()},
+        **{name: operator.methodcaller(name) for name in unary.split()},
         "add": operator.add,
         "sub": operator.sub,
         "mul": operator.mul,

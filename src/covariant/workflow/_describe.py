@@ -1,4 +1,4 @@
-"""`describe_model`: what a model is made of, and what is known of its geometry."""
+"""`describe_model`: coordinates, inputs, robot tree and geometry of a model."""
 
 import os
 from collections.abc import Iterator
@@ -135,8 +135,8 @@ def _limits(robot: robots.Description, coordinates: tuple[str, ...]) -> np.ndarr
     for name in coordinates:
         joint = named.get(name)
         limits = (-np.inf, np.inf) if joint is None else (joint.lower, joint.upper)
-        wide = 1.0 if joint is not None and joint.kind == "prismatic" else np.pi
-        rows.append([limit if np.isfinite(limit) else sign * wide for limit, sign in zip(limits, (-1, 1), strict=True)])
+        span = 1.0 if joint is not None and joint.kind == "prismatic" else np.pi
+        rows.append([limit if np.isfinite(limit) else sign * span for limit, sign in zip(limits, (-1, 1), strict=True)])
     return np.array(rows).reshape(-1, 2)
 
 

@@ -1,4 +1,4 @@
-"""What every verb returns: a frozen object that holds its numbers and can print, tabulate, draw and save them."""
+"""The result of a verb: a frozen object that holds its numbers and can print, tabulate, draw and save them."""
 
 import abc
 import html

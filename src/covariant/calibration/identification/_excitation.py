@@ -1,10 +1,10 @@
-"""Motions of a robot, within its limits, in which a log determines open numbers best: Fourier series, D-optimal.
+"""D-optimal motions of a robot within its limits, as Fourier series: their logs determine open parameters best.
 
-The information is that of `fit_robot`: derivatives of the torques in the numbers, averaged over its windows, weighed by
-the residual torque that encoder noise leaves in such windows. The means of the joints and the coefficients of the
-series maximise its determinant. Limits of positions, velocities and torques are constraints: of each the Kreisselmeier
-and Steinhauser bound of its maximum over a grid, for sequential quadratic programming. Then the amplitudes are scaled
-on a finer grid until the limits are just kept.
+The information is that of `fit_robot`: derivatives of the torques with respect to the parameters, averaged over its
+windows and weighted by the residual torque that encoder noise causes in such windows. The means of the joints and the
+coefficients of the series maximise its determinant by sequential quadratic programming. The constraints are the limits
+of positions, velocities and torques, each as the Kreisselmeier–Steinhauser bound of its maximum over a grid. Then the
+amplitudes are scaled, on a finer grid, to the largest that keep the limits.
 
 Source: Swevers, Ganseman, Tükel, De Schutter & Van Brussel 1997, Optimal Robot Excitation and Identification, IEEE
 Transactions on Robotics and Automation 13(5); Kreisselmeier & Steinhauser 1979 for the bound.
@@ -35,22 +35,22 @@ from covariant.calibration.identification._robot_torques import (
 from covariant.models import RobotFamily
 
 COARSE, FINE, DENSE = 20, 200, 2000
-"""Points, in a period of the highest harmonic, of the grids of the search, of the last scaling, of the verification."""
+"""Points in a period of the highest harmonic: on the grids of the search, the last scaling and the verification."""
 SHARPNESS = 100.0
-"""Sharpness ρ of the bounds `log Σ exp(ρ x) / ρ` of maxima: they are too large by a few hundredths at most."""
+"""Sharpness ρ of the bounds `log Σ exp(ρ x) / ρ` of maxima: they exceed the maxima by a few hundredths at most."""
 STEPS, TOLERANCE = 60, 1e-4
-"""Most steps from each start, and the change of the mean log standard error that ends them."""
+"""Largest number of steps from each start, and the change of the mean log standard error that ends a search."""
 PLACES = 256
-"""Random configurations among which those are sought that the motors can hold."""
+"""Number of random configurations, of which those that the motors can hold are used."""
 STARTING, LARGEST = 0.7, 1.25
-"""Amplitudes from which a search starts, in the largest possible, and the most that its result may grow by."""
+"""Starting amplitudes as a fraction of the largest possible ones, and the largest factor on those of the result."""
 STILL = 1e-3
 """Largest speed, relative to the limit, of a joint that does not move."""
 HALVINGS = 16
 SLACK = 1e-3
-"""Part of a limit that is not used, for what lies between the points of the grid."""
+"""Fraction of a limit that is not used, since maxima may lie between the points of the grid."""
 SMALLER = 0.99
-"""Factor of the amplitudes where the verification finds that this part is too small."""
+"""Factor on the amplitudes while the verification finds that a limit is exceeded."""
 
 
 class JointLimits(NamedTuple):
@@ -103,7 +103,7 @@ class JointLimits(NamedTuple):
 
 
 class ExcitationPlan(NamedTuple):
-    """What a motion to design is like.
+    """Settings of a motion to design.
 
     Attributes:
         duration: Length [s], a whole number of periods.
@@ -111,7 +111,7 @@ class ExcitationPlan(NamedTuple):
         harmonics: Number of harmonics, at least 2.
         margin: Fraction of the limits that is used.
         starts: Number of starts of the search.
-        seed: Seed of these.
+        seed: Seed of the random starts.
 
     Example:
         >>> from covariant.calibration import ExcitationPlan
@@ -128,14 +128,14 @@ class ExcitationPlan(NamedTuple):
 
 
 class Excitation(NamedTuple):
-    """A motion in which a log determines numbers of a robot, beside a plain one.
+    """A motion whose log determines parameters of a robot, and a simple reference motion to compare it with.
 
     Attributes:
         motion: The motion, which starts and ends each period at rest.
-        reference: One sine a joint, each as large as the limits of positions and velocities allow, and all scaled
-            together to those of torques.
+        reference: One sine for each joint, as large as its limits of position and velocity allow, and all scaled
+            together to the limits of torque.
         expected: What a log of the motion is expected to show.
-        expected_reference: The same of the reference.
+        expected_reference: The same for the reference.
         used, used_reference: Largest positions, velocities and torques (3, n) as fractions of the limits.
 
     Example:
@@ -160,12 +160,12 @@ def design_excitation(
     half: float,
     progress: Callable[[float], object] = lambda _: None,
 ) -> Excitation:
-    """Design a motion in which a log determines the open numbers of a robot best.
+    """Design a motion whose log determines the open parameters of a robot best.
 
-    Collisions of links with each other or with anything else are not looked at.
+    Collisions of links with each other or with anything else are not checked.
 
     Args:
-        family: The robot as a function of its p open numbers, at whose first values the motion is designed.
+        family: The robot as a function of its p open parameters, at whose first values the motion is designed.
         limits: Limits of its joints.
         sensing: Noise and rate of the log.
         plan: Duration, harmonics, and the effort of the search.
@@ -173,7 +173,7 @@ def design_excitation(
         progress: Called with the fraction of the work that is done.
 
     Returns:
-        The motion, and what a log of it is expected to show, beside one sine a joint.
+        The motion, and what a log of it is expected to show, compared with one sine for each joint.
 
     Raises:
         ValueError: The motors cannot hold the robot still anywhere within the limits, or move a joint, or the duration
@@ -247,12 +247,12 @@ def _maximise_information(
     last: list[tuple[np.ndarray, _Point]] = []
 
     def at(x: np.ndarray) -> _Point:
-        """All four at once: they share the motion, and are asked for at the same x."""
+        """Compute all four at once: they share the motion, and SLSQP asks for them at the same x."""
         if not last or not np.array_equal(last[0][0], x):
             last[:] = [(x.copy(), evaluate(x, window))]
         return last[0][1]
 
-    done = minimize(
+    result = minimize(
         lambda x: at(x).value,
         start,
         jac=lambda x: at(x).slope,
@@ -261,15 +261,14 @@ def _maximise_information(
         options={"maxiter": STEPS, "ftol": TOLERANCE},
         callback=lambda _: report(next(steps)),
     )
-    return done.x if np.isfinite(done.x).all() else start
+    return result.x if np.isfinite(result.x).all() else start
 
 
 class _Problem(NamedTuple):
-    """The robot, its limits with the margin, and how the unknowns x are a motion.
+    """The robot, its limits with the margin, and the map from unknowns x to a motion."""
 
-    The unknowns are the means of the positions, in the room of each joint about its middle, then the coefficients of
-    the series in the basis of motions that start at rest, in the amplitude of each joint.
-    """
+    # The unknowns are the mean positions, relative to the middle and in units of `room` of each joint, then the
+    # coefficients of the series in the basis of motions that start at rest, in units of the amplitude of each joint.
 
     family: RobotFamily
     model: Any
@@ -294,8 +293,8 @@ class _Problem(NamedTuple):
                 f"no motor moves joint {limits.names[int(np.argmax(idle))]!r}: lock it, or give it a motor"
             )
         # The speed that a middle harmonic has at the largest amplitude.
-        pace = 2 * np.pi * plan.frequency * (plan.harmonics + 1) / 2
-        amplitude = np.minimum(inner.room, inner.velocity / pace)
+        omega = 2 * np.pi * plan.frequency * (plan.harmonics + 1) / 2
+        amplitude = np.minimum(inner.room, inner.velocity / omega)
         torques = Torques.of(family)
         problem = cls(
             family, model, torques, inner, sensing, plan, half, resting_basis(plan.harmonics), amplitude, np.ones(0)
@@ -311,7 +310,7 @@ class _Problem(NamedTuple):
         return COARSE * self.plan.harmonics
 
     def times(self, points: int) -> Float[np.ndarray, "k"]:
-        """Even times over a period, with so many in that of the highest harmonic."""
+        """Uniform times over a period, `points` of them in a period of the highest harmonic."""
         count = points * self.plan.harmonics
         return np.arange(count) / count / self.plan.frequency
 
@@ -328,7 +327,7 @@ class _Problem(NamedTuple):
         return expected_errors(self.family, self.derivatives, motion, self.sensing, self.plan.duration, self.half)
 
     def derivatives(self, *columns: np.ndarray) -> Float[np.ndarray, "K n p"]:
-        """Derivatives of the torques in the numbers at rows (q, v, a, u), as many at a time as in the search."""
+        """Derivatives of the torques in the parameters at rows (q, v, a, u), as many at a time as in the search."""
         slopes = self.torques.slopes(np.zeros(len(self.family.names)))
         return batched(lambda *part: slopes(*part)[0], columns, self.points)
 
@@ -342,8 +341,8 @@ class _Problem(NamedTuple):
         low, high = 0.0, most
         for _ in range(HALVINGS):
             middle = (low + high) / 2
-            kept = self.used(motion.scaled(middle), self.limits, FINE).max() <= 1 - SLACK
-            low, high = (middle, high) if kept else (low, middle)
+            feasible = self.used(motion.scaled(middle), self.limits, FINE).max() <= 1 - SLACK
+            low, high = (middle, high) if feasible else (low, middle)
         while self.used(motion.scaled(low), self.limits).max() > 1:
             low *= SMALLER
         return motion.scaled(low)
@@ -357,8 +356,8 @@ class _Problem(NamedTuple):
         """Configurations that the motors can hold: the middle if they can, then random ones; at least one."""
         rng = np.random.default_rng(self.plan.seed)
         inner = self.limits
-        spread = rng.uniform(-1.0, 1.0, (PLACES, len(inner.room)))
-        places = inner.middle + inner.room * np.concatenate([np.zeros_like(spread[:1]), spread / 2, spread])
+        samples = rng.uniform(-1.0, 1.0, (PLACES, len(inner.room)))
+        places = inner.middle + inner.room * np.concatenate([np.zeros_like(samples[:1]), samples / 2, samples])
         still = np.zeros_like(places)
         held = np.abs(in_batches(efforts, self.model, places, still, still)[:, 0]) / inner.effort
         load = held.max(axis=1)
@@ -382,10 +381,8 @@ class _Problem(NamedTuple):
 
 
 def _compiled(problem: _Problem) -> Callable[..., _Point]:
-    """What a search needs, as a function of the unknowns and of the arrays of a window.
-
-    JAX differentiates each row of the motion by itself, forwards; the unknowns act on all rows linearly.
-    """
+    """Compile objective, slack and their derivatives as a function of the unknowns and of the arrays of a window."""
+    # JAX differentiates each row of the motion by itself, forwards; the unknowns act on all rows linearly.
     plan, n, model = problem.plan, len(problem.amplitude), problem.model
     basis = fourier_basis(problem.times(COARSE), plan.frequency, plan.harmonics) @ problem.basis
     back = inverse_motors(model)
@@ -412,7 +409,7 @@ def _compiled(problem: _Problem) -> Callable[..., _Point]:
         rows += np.einsum("kjp,kjpm,mi,kir->kr", by_regressor, d_inputs, back, d_torque, optimize=True)
         rows += np.einsum("kij,kijr->kr", by_inertia, d_inertia)
         fractions = np.stack(problem.limits.fractions(q, v, torque))
-        # Of each bound, in positions, velocities and torques: (3, n, 3, K, n).
+        # Derivatives (3, n, 3, K, n) of each bound in positions, velocities and torques.
         by_fraction = np.asarray(slack_slopes(fractions))
         limits = problem.limits
         by_q, by_v, by_torque = (
@@ -439,7 +436,7 @@ def _dynamics(model: Any, q: Array, v: Array, a: Array) -> tuple[Array, Array, A
 
 
 def _objective(regressor: Array, inertia: Array, window: tuple[Array, ...]) -> Array:
-    """Mean log standard error of the numbers in their usual sizes, up to a constant: −log det / 2p."""
+    """Mean log standard error of the parameters in their usual sizes, up to a constant: −log det / 2p."""
     transfer, weight, accelerations, beyond = window
     count, p = len(regressor), regressor.shape[2]
     spectrum = jnp.fft.rfft(regressor, axis=0)
@@ -450,6 +447,6 @@ def _objective(regressor: Array, inertia: Array, window: tuple[Array, ...]) -> A
 
 
 def _slack(fractions: Array) -> Array:
-    """What is left (3, n) of each limit, of which the rows (3, K, n) use such fractions: a lower bound."""
+    """Lower bound (3, n) of the unused part of each limit, from the fractions (3, K, n) that the rows use."""
     both = jnp.concatenate([fractions, -fractions], axis=1)
     return 1.0 - logsumexp(SHARPNESS * both, axis=1) / SHARPNESS

@@ -23,14 +23,14 @@ from covariant.models import MechanicalSystem, acceleration, friction, in_chart
 from covariant.observers import AbstractFlowObserver, AbstractObserver, Geodesic, Intrinsic
 
 NEAR = Budget(newton=0, steps=1)
-"""A geodesic to second order in the error, which is all that differences of second order need."""
+"""Budget for a geodesic to second order in the error, which suffices for differences of second order."""
 # The difference errs by h⁴/90 = 3e-12 of a sixth derivative, and rounding adds (64/12)u/h² = 4e-11.
 STEP = 4e-3
 """Time step of the second difference along a geodesic, whose speed is 1 in coordinates."""
 SHORT = 0.1
-"""Time for which vectors are transported along a geodesic, at the same speed."""
+"""Time for which vectors are transported along a geodesic, whose speed is also 1."""
 STEPS = 4
-"""Eighth-order steps of such a geodesic."""
+"""Number of eighth-order steps along a geodesic."""
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
@@ -235,10 +235,10 @@ def of_the_geometry(model: MechanicalSystem, states: States) -> GeometryDeviatio
             return space.norm(x, a)
 
         along_b, along_c = space.connection(x, a, b), space.connection(x, a, c)
-        changed = change(lambda s: space.inner(model.manifold.nudged(x, s * a), b, c))[1]
-        metric = jnp.abs(changed - space.inner(x, along_b, c) - space.inner(x, b, along_c))
+        derivative = change(lambda s: space.inner(model.manifold.nudged(x, s * a), b, c))[1]
+        metric = jnp.abs(derivative - space.inner(x, along_b, c) - space.inner(x, b, along_c))
         # |b||c| keeps the quotient finite in flat coordinates, where all other terms are 0.
-        metric = metric / (jnp.abs(changed) + norm(along_b) * norm(c) + norm(b) * (norm(along_c) + norm(c)))
+        metric = metric / (jnp.abs(derivative) + norm(along_b) * norm(c) + norm(b) * (norm(along_c) + norm(c)))
         swapped, commutator = space.connection(x, b, a), bracket(model, x, a, b)
         torsion = norm(along_b - swapped - commutator)
         torsion = torsion / (norm(along_b) + norm(swapped) + norm(commutator) + norm(a) * norm(b))
@@ -249,7 +249,7 @@ def of_the_geometry(model: MechanicalSystem, states: States) -> GeometryDeviatio
         b = b / norm(b)
 
         def in_parallel_frame(t):
-            """In the parallel frame: the field that separates neighbouring geodesics, and the products of the frame.
+            """In the parallel frame: the field that separates neighbouring geodesics, and inner products of the frame.
 
             Each neighbour starts from its x with the velocity e, transported there to first order.
             """
@@ -271,7 +271,7 @@ def of_the_geometry(model: MechanicalSystem, states: States) -> GeometryDeviatio
         second = jnp.array([-1.0, 16.0, -30.0, 16.0, -1.0]) / (12 * STEP**2) @ field[:5]
         jacobi = space.curvature(x, b, e, e)
         deviation = jnp.max(jnp.abs(second + frame @ space.lower(x, jacobi)))
-        # |b| = 1 here, so that |b|²|e|² − <b, e>² is the squared area that both span.
+        # |b| = 1 here, so that |e|² − <b, e>² is the squared area that both span.
         area = space.inner(x, e, e) - space.inner(x, b, e) ** 2
         return GeometryDeviations(
             metric,

@@ -1,4 +1,4 @@
-"""Bounds of the effect of noise that follow from a rate of contraction: for any noise, not only for white noise.
+"""Bounds of the effect of any bounded noise, from a rate of contraction.
 
 Source: Lohmiller & Slotine 1998, section 3.7 (robustness). For white noise see `calibration.predict_errors`.
 """
@@ -16,7 +16,7 @@ def steady_distance(rate: float, disturbance: float) -> float:
 
     Args:
         rate: rate λ [1/s] of squared lengths, positive.
-        disturbance: D, the largest length in the metric of what is added to x'.
+        disturbance: D, the largest length in the metric of the disturbance that is added to x'.
 
     Returns:
         The distance, in the metric.
@@ -36,10 +36,10 @@ def steady_distance(rate: float, disturbance: float) -> float:
 
 
 def noise_disturbance(alpha: Number, beta: Number, q: TwoByTwo, noise: float, slope: float) -> float:
-    """Compute the length, in the metric of q, of what a measurement error adds to the observer's flow.
+    """Compute the length, in the metric of q, of the term that a measurement error adds to the observer's flow.
 
     To first order an error b adds `αb` to q̂' and `βb` to ∇v̂, a vector of length `|b| √½(aα² + 2cαβ + bβ²)`. Since
-    force and curvature are evaluated at the measured position, it adds up to `slope |b|` more to ∇v̂.
+    force and curvature are evaluated at the measured position, the error adds up to `slope |b|` more to ∇v̂.
 
     Args:
         alpha: gain α [1/s].
@@ -61,7 +61,7 @@ def noise_disturbance(alpha: Number, beta: Number, q: TwoByTwo, noise: float, sl
         0.5
     """
     q, gains = check_q("noise_disturbance", q), np.array([alpha, beta])
-    # Q has half the squared length: ½ vᵀQv for the vector (α, β), and ½b for the change of ∇v̂ alone.
+    # The squared length of a vector v is ½ vᵀQv: here for (α, β), and with ½b for the change of ∇v̂ alone.
     return noise * (math.sqrt(gains @ q @ gains / 2) + slope * math.sqrt(q[1, 1] / 2))
 
 
@@ -100,7 +100,7 @@ def error_bounds(
         if not (math.isfinite(value) and value >= 0):
             raise ValueError(f"error_bounds: {name} must be a finite number, zero or more; got {value!r}")
     fastest = rate_of(alpha, beta, q)
-    # A rate that `rate_of` itself returned is accepted in spite of rounding.
+    # The tolerance accepts a rate that `rate_of` returned, in spite of rounding.
     if rate > fastest * (1 + 1e-9):
         raise ValueError(f"error_bounds: the gains contract the metric q at {fastest:.6g} 1/s at most; got {rate:g}")
     distance = steady_distance(rate, noise_disturbance(alpha, beta, q, noise, slope))

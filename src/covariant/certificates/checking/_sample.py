@@ -1,4 +1,4 @@
-"""A check of random leaves of a saved certificate in ball arithmetic with many digits: a third, independent one."""
+"""A third, independent check of a saved certificate: random leaves, in ball arithmetic with many digits."""
 
 import time
 from pathlib import Path
@@ -23,16 +23,16 @@ from covariant.proofs import BITS, MOST_DERIVED, BallMatrix, Form
 from covariant.proofs.checker import leaves
 
 PART = 64
-"""Factor by which the examined part of a leaf with many variables is smaller, in every direction."""
+"""Ratio of a leaf with many variables to its examined part, in every direction."""
 
 
 class Sampled(NamedTuple):
     """Result of a successful check of random leaves.
 
     Attributes:
-        leaves: number of leaves that were examined, all shown to be right.
+        leaves: number of leaves that were examined, all of which were confirmed.
         total: number of all leaves.
-        boxes: number of boxes that this took.
+        boxes: number of boxes that were evaluated.
         seconds: time it took [s].
 
     Example:
@@ -51,20 +51,20 @@ class Sampled(NamedTuple):
 def check_sample(source: str | Path | Document, count: int = 20, seed: int = 0, *, model: Any = None) -> Sampled:
     """Check random leaves of a saved certificate, drawn from all its claims, in ball arithmetic with many digits.
 
-    Balls bound derivatives, one operation after the other. Of a leaf with more than `MOST_DERIVED` variables, which is
-    proved by Taylor models, only a random part is small enough for that, and shown.
+    Balls bound derivatives operation by operation, which needs small boxes. A leaf with more than `MOST_DERIVED`
+    variables, which was proved by Taylor models, is too large for that, so only a random part of it is checked.
 
     Args:
         source: the file, or its content from `parse`.
         count: number of leaves.
-        seed: of the random numbers.
+        seed: seed of the random numbers.
         model: as for `check`.
 
     Returns:
         Numbers of leaves and boxes.
 
     Raises:
-        ValueError: naming a box that is not shown to be right.
+        ValueError: a box is not confirmed; the message names it.
         ImportError: python-flint is missing.
     """
     start = time.monotonic()
@@ -74,9 +74,9 @@ def check_sample(source: str | Path | Document, count: int = 20, seed: int = 0, 
     boxes = [leaves(*document.bounds(claim), claim.levels, f"claims[{index}]") for index, claim in enumerate(claims)]
     ends = np.cumsum([len(low) for low, _ in boxes])
     rng = np.random.default_rng(seed)
-    # Without repetition, and over all claims together, so that each leaf is drawn with the same probability.
+    # Drawn without repetition over all claims together, so that each leaf has the same probability.
     drawn = np.sort(rng.permutation(ends[-1])[:count])
-    done = 0
+    evaluated = 0
     with flint.ctx.workprec(BITS):
         for index, claim in enumerate(claims):
             chosen = drawn[(drawn < ends[index]) & (drawn >= ends[index] - len(boxes[index][0]))]
@@ -86,8 +86,8 @@ def check_sample(source: str | Path | Document, count: int = 20, seed: int = 0, 
             for k in chosen - (ends[index] - len(boxes[index][0])):
                 leaf = boxes[index][0][k], boxes[index][1][k]
                 piece = _part(*leaf, rng) if form.reads > MOST_DERIVED else leaf
-                done += form.show(*piece, f"{document.file}: leaf {k} of claims[{index}]")
-    return Sampled(len(drawn), int(ends[-1]), done, time.monotonic() - start)
+                evaluated += form.show(*piece, f"{document.file}: leaf {k} of claims[{index}]")
+    return Sampled(len(drawn), int(ends[-1]), evaluated, time.monotonic() - start)
 
 
 def _part(low: np.ndarray, high: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
@@ -106,4 +106,4 @@ _FORMS = FORMS | {
     "disturbance": _disturbance,
     "prediction": lambda of, claim: defect_bound(prediction_of_steps(of.document, of.observer), claim.square),
 }
-"""Those that need the checker's bounds of noise, or the observer that runs, too."""
+"""The forms of all claims, with those that also need the checker's bounds of noise or the running observer."""

@@ -14,11 +14,11 @@ from covariant.proofs import Box, check_box, show_conditions
 
 
 class JointBounds(NamedTuple):
-    """Least and largest values of what acts in the joints.
+    """Least and largest values of the forces in the joints.
 
     Attributes:
         force: generalised force (2, n) of the input.
-        total: its sum with the friction and an unknown force (2, n).
+        total: sum (2, n) of this force, the friction and an unknown force.
         slopes: −∂f_i/∂v_i (2, n) of the friction f, which are not negative where it opposes the motion.
     """
 
@@ -36,20 +36,21 @@ def joint_bounds(
     """Bound input forces, friction, and the slopes of the friction."""
     m, q = inputs.shape[1], any_configuration(model)
     force = lower(lambda u: model.force(jnp.zeros(()), q, u), jnp.zeros(m), real=True)
-    acting = check_box(Box(tuple(f"u{i + 1}" for i in range(m)), ("",) * m, inputs[0], inputs[1]))
+    input_box = check_box(Box(tuple(f"u{i + 1}" for i in range(m)), ("",) * m, inputs[0], inputs[1]))
     assert force.conditions is not None
-    # A force that jumps is covered, since it is only bounded.
+    # A force may jump, since only its values are bounded.
     defined = tuple(c for c in force.conditions.conditions if c.kind in ("true", "finite"))
     _need(
-        "the force of the model is not defined", show_conditions(force.conditions._replace(conditions=defined), acting)
+        "the force of the model is not defined",
+        show_conditions(force.conditions._replace(conditions=defined), input_box),
     )
-    acted = enclose(force._replace(conditions=None), acting.low[None], acting.high[None])
-    both = np.concatenate([acted.low, acted.high])
+    enclosure = enclose(force._replace(conditions=None), input_box.low[None], input_box.high[None])
+    force_bounds = np.concatenate([enclosure.low, enclosure.high])
     friction, slopes = friction_bounds(model, speed)
     outward = [[-np.inf], [np.inf]]
-    total = np.nextafter(both + friction, outward)
+    total = np.nextafter(force_bounds + friction, outward)
     total = np.where(unknown > 0, np.nextafter(total + [[-1.0], [1.0]] * unknown, outward), total)
-    bounds = JointBounds(both, total, slopes)
+    bounds = JointBounds(force_bounds, total, slopes)
     if not all(np.isfinite(each).all() for each in bounds):
         raise ValueError("the force, the friction or its slope has no bound over the velocities; make them smaller")
     return bounds
@@ -58,18 +59,19 @@ def joint_bounds(
 def friction_bounds(
     model: MechanicalSystem, speed: Float[np.ndarray, "n"]
 ) -> tuple[Float[np.ndarray, "2 n"], Float[np.ndarray, "2 n"]]:
-    """Bound friction that acts in each joint by its own velocity, and its slopes."""
+    """Bound the friction and its slopes, for friction in each joint that depends on the velocity of this joint only."""
     n = len(speed)
     friction = lower(functools.partial(friction_of, model, any_configuration(model)), jnp.zeros(n), real=True)
-    moving = Box(model.velocities or tuple(f"v_{name}" for name in model.coordinates), ("",) * n, -speed, speed)
+    velocity_box = Box(model.velocities or tuple(f"v_{name}" for name in model.coordinates), ("",) * n, -speed, speed)
     assert friction.conditions is not None
-    # A slope of the friction is one of a continuous function.
-    _need("the friction of the model jumps, or is not defined", show_conditions(friction.conditions, moving))
-    rubbed = enclose(expand(friction._replace(conditions=None), range(n), 1), moving.low[None], moving.high[None])
+    # The slopes are bounded for a continuous friction only, so all conditions are needed.
+    _need("the friction of the model jumps, or is not defined", show_conditions(friction.conditions, velocity_box))
+    derivatives = expand(friction._replace(conditions=None), range(n), 1)
+    enclosure = enclose(derivatives, velocity_box.low[None], velocity_box.high[None])
     # The derivatives are listed velocity by velocity; those of friction i by velocity i are on the diagonal.
     diagonal = n + np.arange(n) * (n + 1)
-    slopes = np.stack([0.0 - rubbed.high[0, diagonal], 0.0 - rubbed.low[0, diagonal]])
-    return np.concatenate([rubbed.low[:, :n], rubbed.high[:, :n]]), slopes
+    slopes = np.stack([0.0 - enclosure.high[0, diagonal], 0.0 - enclosure.low[0, diagonal]])
+    return np.concatenate([enclosure.low[:, :n], enclosure.high[:, :n]]), slopes
 
 
 def has_dry_friction(model: MechanicalSystem, speed: Float[np.ndarray, "n"]) -> bool:
@@ -88,7 +90,7 @@ def has_dry_friction(model: MechanicalSystem, speed: Float[np.ndarray, "n"]) -> 
         with np.errstate(all="ignore"):  # velocities may be denormal
             return -change / (2 * step)
 
-    # Nothing is proved by this, so that differences suffice.
+    # No proof relies on this, so differences suffice.
     at_rest, moving = drag(np.zeros(n)), drag(speed / 10)
     return bool((at_rest > 2 * moving).any())
 

@@ -1,4 +1,4 @@
-"""The attempt to refute a statement: the slowest point of a region, by sampling and by descent from many starts."""
+"""Attempt to refute a contraction rate: search for the slowest point of a region by sampling and gradient descent."""
 
 from typing import NamedTuple
 
@@ -12,7 +12,7 @@ from covariant.proofs import Box, check_box
 
 BATCH = 4096
 STEPS = 60
-"""Number of steps of a descent; the first is a tenth of the region, and each further one shorter by a twentieth."""
+"""Number of steps of a descent; the first is a tenth of the region, and each later one is 5 % shorter."""
 
 
 def falsify(
@@ -25,11 +25,11 @@ def falsify(
         domain: the box of its variables.
         rate: rate [1/s] of squared lengths.
         attempts: number of random points, half of them on faces of the region.
-        starts: number of the slowest of these from which a descent starts.
-        seed: of the random numbers.
+        starts: number of descents, from the slowest of these points.
+        seed: seed of the random numbers.
 
     Returns:
-        A statement with the slowest point, and its rate as margin. The evidence is "sampled": where no slower point was
+        A statement with the slowest point, and its rate as margin. The evidence is "sampled": if no slower point was
         found, nothing is proved.
 
     Raises:
@@ -71,25 +71,25 @@ def falsify(
 
 
 class _Rates(NamedTuple):
-    """Rates (B,), and the unit vectors (B, 2n) that decrease most slowly."""
+    """Rates (B,), and the unit vectors (B, 2n) whose length decreases most slowly."""
 
     rate: Float[np.ndarray, "B"]
     vector: Float[np.ndarray, "B k"]
 
 
 def _rates(entries: Float[np.ndarray, "B e"]) -> _Rates:
-    gram, change = _two(entries)
+    gram, change = _split(entries)
     # K x = μ N x becomes an ordinary eigenvalue problem for L⁻¹ K L⁻ᵀ, N = LLᵀ; x = L⁻ᵀ y has xᵀNx = 1.
     half = np.linalg.inv(np.linalg.cholesky(gram))
     values, vectors = np.linalg.eigh(half @ change @ np.swapaxes(half, 1, 2))
-    # `eigh` sorts in rising order: the last one belongs to the vector that decreases most slowly.
+    # `eigh` sorts in ascending order: the last eigenvalue belongs to the vector that decreases most slowly.
     vector = (np.swapaxes(half, 1, 2) @ vectors[:, :, -1:])[:, :, 0]
     if np.isnan(values).any():
         raise ValueError("falsify: the rate is not a number somewhere in the region; make it smaller")
     return _Rates(-values[:, -1], vector)
 
 
-def _two(entries: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _split(entries: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     size = int(np.sqrt(entries.shape[-1] // 2))
     both = entries.reshape(*entries.shape[:-1], 2, size, size)
     return both[..., 0, :, :], both[..., 1, :, :]
@@ -141,7 +141,7 @@ def slowest(form: Pencil, domain: Box, attempts: int, starts: int, seed: int) ->
             current = _rates(entries)
             better = current.rate < least
             least, best_points[better] = np.where(better, current.rate, least), z[better]
-            gram, change = _two(slopes)  # (B, f, k, k): of K x = −λ N x, dλ = −xᵀ(dK + λ dN) x
+            gram, change = _split(slopes)  # (B, f, k, k): of K x = −λ N x, dλ = −xᵀ(dK + λ dN) x
             x = current.vector
             slope = -np.einsum("bi,bfij,bj->bf", x, change + current.rate[:, None, None, None] * gram, x) * width[free]
             size = np.abs(slope).max(axis=1, keepdims=True)

@@ -1,7 +1,7 @@
-"""C99 of a graph: a function of scalars without memory management or variables outside it.
+"""C99 code of a graph: a function of scalars, without memory management or global variables.
 
-The text depends on the graph alone, so that it is the same on every machine. Numbers are written with as many digits as
-identify them.
+The text depends on the graph alone, so that it is the same on every machine. Numbers are written with just enough
+digits to identify them.
 """
 
 from collections.abc import Sequence
@@ -19,9 +19,9 @@ Tables = Literal["none", "once", "all"]
 WRITERS = {"none": Writer, "once": TablesOnce, "all": TablesThroughout}
 
 MOST_STATEMENTS = 500
-"""Longest function: gcc takes minutes for one with ten thousand statements, and seconds for the same in parts."""
+"""Longest function in statements: gcc takes minutes for ten thousand in one function, and seconds in parts."""
 MOST_IN_LANES = 2000
-"""The same in lanes, where what one function leaves to another takes so many times the memory."""
+"""The same for several lanes, where values passed between functions take a multiple of the memory."""
 
 
 def c_function(
@@ -44,7 +44,7 @@ def c_function(
     Args:
         lowered: The function.
         name: Name of the C function.
-        signature: How it gets its arguments; by default `void name(const real *x, real *y)`, from all inputs to all
+        signature: Its declaration; by default `void name(const real *x, real *y)`, from all inputs to all
             results.
         real: Type of all numbers. For "float" lower the function with arguments of single precision.
         prefix: Prefix of the names of the helpers that it calls, which `c_helpers` generates.
@@ -54,8 +54,8 @@ def c_function(
         lanes: For how many arguments it is evaluated at once, a power of 2. Above 1 a number is a vector of the
             compilers gcc and clang, of the type `{prefix}lanes`, with one entry for each argument.
         tables: Which similar statements become loops over tables of indices: "none", those that a call executes "once",
-            or "all", those in loops too. This is for small memories: it takes less of it, and five times the
-            instructions. The operations are the same.
+            or "all", including those in loops. Tables are for small memories: the code takes less memory and five times
+            the instructions. The operations are the same.
 
     Raises:
         ValueError: Lanes are combined with tables, or the signature has another number of inputs or results.
@@ -87,7 +87,7 @@ def c_function(
 
 
 def c_helpers(names: Sequence[str] | frozenset[str], real: Real = "double", prefix: str = "", lanes: int = 1) -> str:
-    """Generate the static functions that generated C calls, and for lanes the types; they stand before it.
+    """Generate the static functions that generated C calls, and for lanes the types; they precede it in the file.
 
     The file needs `#include <math.h>`.
 

@@ -1,7 +1,7 @@
 """Graphs of scalar operations: constants folded, products with zero pruned, equal sub-expressions shared.
 
-Folding loses information: `0 · √q` is 0, even where √q is undefined. A graph of a function of real numbers therefore
-notes its conditions before it simplifies anything: what each operation needs to be defined and not to jump.
+Folding loses information: `0 · √q` is 0, even where √q is undefined. Before it simplifies an operation, a graph
+of a function of real numbers therefore notes the conditions under which the operation is defined and does not jump.
 """
 
 import contextlib
@@ -30,8 +30,8 @@ class Condition(NamedTuple):
             "decided": the node, a statement, has one value in a neighbourhood of the point, so that a choice by it does
             not jump.
             "whole": the node, a number, neither equals nor crosses an integer.
-            "finite": the node, a number, stays below `LARGEST`. It is left out of the graph, as in 0·a, which is NaN in
-            doubles where a overflows.
+            "finite": the node, a number, stays below `LARGEST`. A simplification has dropped it, as in 0·a, which is
+            NaN in doubles where a overflows.
         node: Index of the node in the graph.
         because: Name of the operation that needs it, and the line of the user's code that asked for the operation.
 
@@ -141,8 +141,8 @@ FOLD: dict[str, Callable] = {
 }
 """Every operation of a graph, on numbers. `select(p, a, b)` is a where p holds, else b; comparisons give truth values.
 
-`either(a, b, x, y)` is x where a < b and y where b < a: the derivative of a function with a kink where a = b; in
-intervals it is there the hull of x and y. `stumpff(k, x)` is Stumpff's function c_k.
+`either(a, b, x, y)` is x where a < b and y where b < a: the derivative of a function with a kink where a = b. At
+a = b, interval arithmetic takes the hull of x and y. `stumpff(k, x)` is Stumpff's function c_k.
 """
 
 COMMUTATIVE = {"add", "mul", "min", "max", "eq", "and", "or"}
@@ -154,7 +154,7 @@ TRUTHS = {"lt", "le", "eq", "and", "or", "not", "is_finite"}
 ANYTHING = {*TRUTHS, "select", "min", "max"}
 """Operations that accept infinite arguments."""
 CANCELS = {"add", "sub", "mul", "div", "eq", "is_finite"}
-"""Operations that may be simplified to something without their arguments, provided that these are finite."""
+"""Operations whose simplification may drop arguments, provided that these are finite."""
 CHOICES = {"select", "min", "max", "either"}
 """Operations that may return an infinite argument."""
 
@@ -163,7 +163,7 @@ CHOICES = {"select", "min", "max", "either"}
 def no_collection() -> Iterator[None]:
     """Context manager and decorator that switches off Python's cyclic garbage collector.
 
-    Nodes have no cycles, and the search for some among many thousands of new ones takes a third of the time.
+    Nodes form no reference cycles, and searching many thousands of new ones for cycles takes a third of the time.
     """
     was_enabled = gc.isenabled()
     gc.disable()
@@ -186,7 +186,7 @@ class Graph:
 
     Args:
         real: Whether all inputs are real numbers, none missing (NaN), so that a number equals itself and is finite.
-            Then `conditions` are noted.
+            Only then does the graph note `conditions`.
 
     Attributes:
         nodes: The nodes; methods return and take their indices in this list.
@@ -208,7 +208,7 @@ class Graph:
         self.real = real
         self.conditions: dict[tuple[Kind, int], Condition] = {}
         self.line: Callable[[], str] = str
-        # In the order of insertion, all of them, so that `rollback` finds the latest entries last.
+        # All of these keep the order of insertion, so that `rollback` finds the latest entries last.
         self._infinite: dict[int, None] = {}  # nodes that may be infinite or NaN, as a choice may return such a value
         self._known: dict[tuple, int] = {}  # the node of each operation on arguments
         self._results: dict[tuple, int] = {}  # results of `apply`, by its arguments
@@ -292,7 +292,7 @@ class Graph:
             op: Name of the operation, a key of `FOLD`.
             arguments: Nodes of its arguments.
         """
-        if self.real:  # what is noted depends on what was before, so no result is looked up
+        if self.real:  # the conditions depend on earlier nodes, so results are not reused
             return self._apply_noting(op, arguments)
         key = (op, *arguments)
         result = self._results.get(key)
@@ -365,16 +365,16 @@ class Graph:
             self._condition("true", self.apply("lt", *pair), "whole number")
 
     def _condition(self, kind: Kind, node: int, op: str) -> None:
-        known = self.nodes[node]
+        target = self.nodes[node]
         # A constant neither crosses an integer nor jumps, and a variable is within its box.
-        settled = (known.op == "constant" and (kind != "true" or known.value)) or (
-            kind == "finite" and known.op == "input"
+        settled = (target.op == "constant" and (kind != "true" or target.value)) or (
+            kind == "finite" and target.op == "input"
         )
         if not settled and (kind, node) not in self.conditions:
             self.conditions[kind, node] = Condition(kind, node, f"{op} {self.line()}".strip())
 
     def _add(self, key: tuple, op: str, arguments: tuple[int, ...], value: Any = None) -> int:
-        """The node with a key, which is added where there is none: the only place at which a graph grows."""
+        """Return the node with a key, and add it if there is none; no other method makes a graph grow."""
         place = self._known.get(key)
         if place is None:
             place = self._known[key] = len(self.nodes)

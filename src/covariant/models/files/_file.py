@@ -1,4 +1,4 @@
-"""A model file from its document: the system with its parameters, and the recipe that makes it again."""
+"""Model files from their documents: the system with its parameters, and models rebuilt from their recipes."""
 
 import inspect
 from pathlib import Path
@@ -24,7 +24,7 @@ def finish(spec: str, content: dict[str, Any]) -> ModelFile:
 
 
 def finish_object(given: Any, content: dict[str, Any]) -> ModelFile:
-    """Build the model file of a model object, with the tables of a document on top."""
+    """Build the model file of a model object, with the tables of a document applied to it."""
     for table in ("system", "parameters"):
         if table in content:
             raise ValueError(f"{table} is for models that are made from a file or by name; this one is made already")
@@ -37,7 +37,7 @@ def _complete_file(loaded: ModelFile, name: str, content: dict[str, Any]) -> Mod
     model: Any = loaded.model
     if loaded.mechanical and model.manifold.commuting:
         check_metric(model, _points(len(columns.q)))
-    # On a group the errors are components in the body frame, not logged columns: one number serves for all.
+    # On a group the errors are components in the body frame, not logged columns, so one number serves for all.
     count = len(columns.q) if model.manifold.commuting else 1
     states = 0 if loaded.mechanical else len(model.coordinates)
     return loaded._replace(name=name, columns=columns, **_toml.numbers(content, count, states))
@@ -45,8 +45,8 @@ def _complete_file(loaded: ModelFile, name: str, content: dict[str, Any]) -> Mod
 
 def made(spec: str, content: dict[str, Any]) -> ModelFile:
     """Build the model of a document from its system, or from the attribute that a spec names, with its parameters."""
-    what = content.get("system", spec.rpartition(":")[2])
-    return _build(what, _model_or_factory(spec, content), content.get("parameters", {}))
+    name = content.get("system", spec.rpartition(":")[2])
+    return _build(name, _model_or_factory(spec, content), content.get("parameters", {}))
 
 
 def from_recipe(made: dict[str, Any], model: Any = None) -> Model:
@@ -63,7 +63,7 @@ def from_recipe(made: dict[str, Any], model: Any = None) -> Model:
         The model.
 
     Raises:
-        ModelError: One line that names what is wrong.
+        ModelError: The recipe is wrong; the message is one line that says how.
 
     Example:
         >>> from covariant import models
@@ -90,7 +90,7 @@ def from_recipe(made: dict[str, Any], model: Any = None) -> Model:
 def recipe_text(made: dict[str, Any]) -> str:
     """Describe the model of a recipe in one line, with all its parameters, default values included.
 
-    For a model that is not of this library the line has the parameters of the recipe alone.
+    For a model that is not of this library the line has only the parameters of the recipe.
 
     Args:
         made: The recipe, as `recipe` returns it.
@@ -201,7 +201,7 @@ def _model_or_factory(spec: str, content: dict[str, Any]) -> Any:
 
 
 def _build(name: str, candidate: Any, parameters: dict[str, Any]) -> ModelFile:
-    """Return the model itself, or what the function makes of the parameters; for a system of this library, typed."""
+    """Return a finished model, or call its factory with the parameters, with types converted for library systems."""
     finished = isinstance(candidate, Model | ModelFile)
     if finished and parameters:
         raise ValueError(f"{name} is a finished model; only a function that makes one takes parameters")

@@ -1,10 +1,10 @@
-"""The keys of each kind of sensor in a model file. What a kind reads is in `observers.sensors`."""
+"""The keys of each kind of sensor in a model file; `observers.sensors` defines what each kind measures."""
 
 from typing import NamedTuple
 
 
 class SensorKeys(NamedTuple):
-    """Keys of the table of a kind of sensor, beside those of every kind.
+    """Keys in the table of one kind of sensor, in addition to the keys of every kind.
 
     Attributes:
         required: Keys that the table needs.

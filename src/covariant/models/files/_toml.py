@@ -17,29 +17,29 @@ Overrides = Sequence[str] | Mapping[str, Any]
 """Values that replace those of a model file: `table.key=value` each, or a mapping from `table.key` to values."""
 
 WRENCH = "wrench"
-"""Table of the forces that act on links, a table for each."""
+"""Table of the forces that act on links, with one table for each force."""
 _OF_WRENCH = {"link": True, "force_std": True, "torque_std": False, "time": True, "frame": False, "point": False}
-"""Keys of such a table, and whether it needs them."""
+"""Keys of the table of a force, and whether each is required."""
 
 SENSORS = "sensors"
-"""Table of the sensors beside the measured positions, a table for each."""
+"""Table of the sensors in addition to the measured positions, with one table for each sensor."""
 
 _NAMES = tuple(field for field in Columns._fields if field != "units")
-"""Keys of [columns], and of [units] but for attitudes, which have none."""
+"""Keys of [columns], and of [units] except attitudes, which have no unit."""
 _PLACES = [key.path.split(".") for key in KEYS.values()]
 _OF_TABLE = {"columns": _NAMES, "units": tuple(name for name in _NAMES if name not in ATTITUDES)} | {
     table: tuple(key for other, key in _PLACES if other == table) for table, _ in _PLACES
 }
-"""Keys of each table but those whose keys are names."""
+"""Keys of each table, except tables whose keys are names."""
 _QUOTED = re.compile(r"""\"(?:[^"\\]|\\.)*\"|'[^']*'""")
 _ODD_NUMBER = re.compile(r"(?<![\w-])[+-]?(?:0[xob]\w|[0-9.]+_)")
 """TOML allows underscores and hexadecimal numbers; on a command line these are more likely typing errors."""
 _REPLACES = {key.path: key.replaces for key in KEYS.values()} | {
     f"columns.{kind}": tuple(other for other in ATTITUDES if other != kind) for kind in ATTITUDES
 }
-"""Keys that state the same in another way, in the same table."""
+"""Keys of the same table that a key replaces, since they state the same in another way."""
 _PASSING_FORCE = {"external_force_std", "external_force_time"}
-"""Keys of a force that is forgotten, which go together."""
+"""Keys of a force that is forgotten over time; both or none must be given."""
 
 
 def parse(text: str) -> dict[str, Any]:
@@ -61,7 +61,7 @@ def override(document: dict[str, Any], overrides: Overrides) -> dict[str, Any]:
             table = table.setdefault(name, {})
             if not isinstance(table, dict):
                 raise ValueError(f"override {text!r}: {name!r} is not a table")
-        for rival in _REPLACES.get(key, ()):  # of two keys for the same number the new one replaces the old
+        for rival in _REPLACES.get(key, ()):  # the new key for a number replaces any other key for it
             table.pop(rival, None)
         table[last] = value
     return document
@@ -86,11 +86,11 @@ def plain(value: Any) -> Any:
 
 
 def _value(text: str, value: str) -> Any:
-    # Texts are emptied first: a name in quotes may hold anything.
+    # Quoted texts are emptied first: they may contain anything.
     if _ODD_NUMBER.search(_QUOTED.sub('""', value)):
         raise ValueError(f"override {text!r}: write numbers in plain decimals, as 1000 or 1e3")
     try:
-        # By the parser of the file, so that a value means the same in both places.
+        # The parser of the file, so that a value means the same in both places.
         return tomllib.loads(f"value = {value}")["value"]
     except tomllib.TOMLDecodeError as error:
         reason = str(error).split(" (at ")[0]
@@ -123,7 +123,7 @@ def columns(document: dict[str, Any]) -> dict[str, Any]:
 
 
 def _units(table: dict[str, Any]) -> dict[str, tuple[str, ...]]:
-    """The units of each field, one or one for each column; raises `ValueError` for an unknown unit."""
+    """The units of each field, one for all columns or one for each; raises `ValueError` for an unknown unit."""
     units = {key: [value] if isinstance(value, str) else value for key, value in table.items()}
     for key, texts in units.items():
         if not isinstance(texts, list) or not texts or not all(isinstance(text, str) for text in texts):
@@ -137,7 +137,7 @@ def _units(table: dict[str, Any]) -> dict[str, tuple[str, ...]]:
 
 
 def numbers(document: dict[str, Any], count: int, states: int) -> dict[str, Any]:
-    """Read numbers and words by field of `ModelFile`, with lists for `count` coordinates and `states` states."""
+    """Read numbers and texts by field of `ModelFile`, with lists for `count` coordinates and `states` states."""
     if {"std", "quantum"} <= document.get("measurement", {}).keys():
         raise ValueError("[measurement] has both std and quantum; keep one (std = quantum / sqrt(12))")
     forces = {"external_force", *_PASSING_FORCE} & document.get("uncertainty", {}).keys()
@@ -152,7 +152,7 @@ def numbers(document: dict[str, Any], count: int, states: int) -> dict[str, Any]
         if name in document.get(table, {}):
             fields[field] = key.read(document[table][name], counts)
     if not fields.get("uncertain", True):
-        del fields["uncertain"]  # a model that is an object keeps those that it has
+        del fields["uncertain"]  # an empty list keeps the uncertain parameters of a model object
     if "quantum" in fields:
         # An error uniform over one step has the variance quantum²/12.
         ticks = fields["quantum"]
@@ -162,7 +162,7 @@ def numbers(document: dict[str, Any], count: int, states: int) -> dict[str, Any]
 
 
 def _wrenches(document: dict[str, Any]) -> dict[str, dict[str, dict[str, Any]]]:
-    """The forces on links, by name, as arguments of `observers.wrench`; whose values are checked there."""
+    """The forces on links by name, as arguments of `observers.wrench`, which checks their values."""
     given = document.get(WRENCH, {})
     for name, content in given.items():
         if not isinstance(content, dict):
@@ -179,7 +179,7 @@ def _wrenches(document: dict[str, Any]) -> dict[str, dict[str, dict[str, Any]]]:
 
 
 def _sensors(document: dict[str, Any]) -> dict[str, dict[str, dict[str, Any]]]:
-    """The sensors, by name; whose numbers are checked where they are made."""
+    """The sensors by name; their numbers are checked when the sensors are created."""
     given = document.get(SENSORS, {})
     for name, content in given.items():
         where = f"[{SENSORS}.{name}]"
@@ -188,7 +188,7 @@ def _sensors(document: dict[str, Any]) -> dict[str, dict[str, dict[str, Any]]]:
         kind = content.get("kind")
         if kind not in SENSOR_KEYS:
             raise ValueError(f"{where} needs a kind, one of {', '.join(SENSOR_KEYS)}; got {kind!r}")
-        required, optional = (every + own for every, own in zip(EVERY_SENSOR, SENSOR_KEYS[kind], strict=True))
+        required, optional = (shared + more for shared, more in zip(EVERY_SENSOR, SENSOR_KEYS[kind], strict=True))
         for key in content:
             refuse_unknown(f"key of {where}", key, required + optional)
         missing = [key for key in required if key not in content]

@@ -1,4 +1,4 @@
-"""Numbers of a robot that replace those of its file: friction, rotors, inertias, gravity, torque constants, offsets."""
+"""Changed parameters of a robot: friction, rotors, inertias, gravity, torque constants and encoder offsets."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -13,7 +13,7 @@ from covariant.models.robots._description import BodyInertia, Description, Frict
 ABOVE_ZERO = ("stribeck_velocity", "smoothing")
 SIGNED = ("asymmetry",)
 OF_INERTIA = ("mass", "cx", "cy", "cz", "ixx", "iyy", "izz", "ixy", "ixz", "iyz")
-"""The ten numbers of a link: mass [kg], centre of mass [m], inertia about it [kg m²], in the frame of the link."""
+"""The ten inertial parameters of a link, in its frame: mass [kg], centre of mass [m], inertia about that [kg m²]."""
 
 
 def changed(
@@ -26,22 +26,22 @@ def changed(
     torque_constants: Mapping[str, Number] | None = None,
     offsets: Mapping[str, Number] | None = None,
 ) -> Description:
-    """Replace numbers of a robot; see `load`.
+    """Replace parameters of a robot; see `load`.
 
     Args:
         robot: Description of the robot.
         friction: Fields of `FrictionLaw`, by joint.
         armature: Inertia of the rotor, by joint [kg m² or kg].
-        inertia: The ten numbers of `OF_INERTIA`, by link.
+        inertia: The ten parameters of `OF_INERTIA`, by link.
         gravity: Its magnitude, along its direction in the file, or the vector (3,) [m/s²].
         torque_constants: Factor of the logged torque, by joint.
-        offsets: What has to be added to a logged position, by joint [rad or m].
+        offsets: Offset to add to a logged position, by joint [rad or m].
 
     Returns:
         The changed description.
 
     Raises:
-        ValueError: Names the first joint or link that does not exist, or number out of its range.
+        ValueError: A joint or link does not exist, or a parameter is out of its range; the message names the first.
     """
     laws = {name: _law(name, fields) for name, fields in (friction or {}).items()}
     for what, named in (("friction", laws), ("armature", armature), ("torque_constants", torque_constants)):
@@ -75,17 +75,17 @@ def changed(
 
 
 def inertia_of(name: str, numbers: Any) -> BodyInertia:
-    """Inertia of a link from its ten numbers.
+    """Inertia of a link from its ten inertial parameters.
 
     Args:
         name: Name of the link, for messages.
-        numbers: The numbers of `OF_INERTIA`; they may be traced.
+        numbers: The parameters of `OF_INERTIA`; they may be traced.
 
     Returns:
         The inertia about the origin of the link.
 
     Raises:
-        ValueError: There are not ten, or no body has them.
+        ValueError: There are not ten parameters, or no physical body has them.
     """
     if len(numbers) != len(OF_INERTIA):
         raise ValueError(f"inertia of {name!r}: give {', '.join(OF_INERTIA)}; got {len(numbers)} numbers")
@@ -100,13 +100,13 @@ def inertia_of(name: str, numbers: Any) -> BodyInertia:
 
 
 def numbers_of(inertia: BodyInertia) -> np.ndarray:
-    """The ten numbers of a link's inertia, the inverse of `inertia_of`.
+    """The ten inertial parameters of a link, the inverse of `inertia_of`.
 
     Args:
         inertia: Inertia about the origin of the link.
 
     Returns:
-        The numbers (10,) of `OF_INERTIA`.
+        The parameters (10,) of `OF_INERTIA`.
     """
     centre = inertia.first / inertia.mass if inertia.mass > 0 else np.zeros(3)
     (xx, xy, xz), (_, yy, yz), (_, _, zz) = inertia.about_centre

@@ -66,11 +66,11 @@ def pendulum_chain(
         rotor_inertia: Inertia of each rotor [kg m²] before the gear ratio; zero by default.
         gear: Gear ratio of each joint; 1 by default.
         viscous: Coefficient [N m s/rad] of the friction torque `viscous q̇ + coulomb atan(100 q̇)` in each joint.
-        coulomb: Coefficient [N m] of the same; zero by default.
+        coulomb: Coefficient [N m] of the same friction torque; zero by default.
         offset: Constant torque in each joint [N m]; zero by default.
         actuated: Indices of the joints with an input torque [N m], in the order of the inputs; all by default.
         gravity: Gravity [m/s²].
-        source: Where the numbers are from, for their documentation.
+        source: Source of the numbers, for their documentation.
 
     Returns:
         The system with coordinates q1, …, qn.
@@ -108,7 +108,7 @@ def pendulum_chain(
         if known(p[name]) and (p[name] < 0).any():
             raise ValueError(f"pendulum_chain: {name} must not be negative; got {tuple(p[name].tolist())}")
 
-    # Steiner's theorem: the energy of the centres of mass, m com² among it, is in `coupling` already.
+    # Steiner's theorem: `coupling` already contains the energy of the centres of mass, and so m com².
     about_com = p["inertia"] - (p["mass"] * p["com"] ** 2 if inertia_about == "joint" else 0.0)
     carriers, identity = np.tri(n, k=-1), np.eye(n)
     arms = carriers * p["length"][None] + identity * p["com"][None]  # arms[k, i]: lever arm of link i at mass k
@@ -118,7 +118,7 @@ def pendulum_chain(
     relative = np.eye(n) - np.eye(n, k=-1)  # joint rates from absolute rates
     rotor_rates = np.eye(n, k=-1) - p["gear"][:, None] * relative  # rotor rates from absolute rates
     constant = identity * about_com[None] + (rotor_rates.T * p["rotor_inertia"][None]) @ rotor_rates
-    # The inverse has the entries 0 and 1 only: elimination makes no rounding error.
+    # The inverse has only the entries 0 and 1, so elimination makes no rounding error.
     absolute = np.linalg.inv(relative) if angles == "relative" else np.eye(n)  # absolute rates from the coordinates'
     between = absolute[:, None, :] - absolute[None, :, :]
     joints = np.eye(n) if angles == "relative" else relative  # joint rates from the coordinates'
@@ -158,7 +158,7 @@ def _force(t, q, u, offset, motors, joints):
 
 def _dissipation(q, v, viscous, coulomb, joints):
     rate = joints @ v
-    # Far from rest the Coulomb torque is coulomb·π/2, not coulomb: so Wiebe et al. define the coefficient.
+    # Far from rest the Coulomb torque is coulomb·π/2, not coulomb, as Wiebe et al. define the coefficient.
     return -joints.T @ (viscous * rate + coulomb * jnp.arctan(COULOMB_STEEPNESS * rate))
 
 

@@ -1,4 +1,4 @@
-"""What a gate is asked, what it remembers, and what it answers."""
+"""The sample that a gate judges, the memory of the gate, and its verdict."""
 
 from typing import NamedTuple
 
@@ -9,20 +9,20 @@ from covariant._typing import Code, Flag, Matrix, Scalar, Vector
 from covariant.signals import StepCode
 
 BEND = 0.1
-"""Change of the slope along a line, as a fraction of it: a motion that accelerates has a bent one."""
+"""Change of the slope along a line, as a fraction of the slope: the line of an accelerating motion is bent."""
 
 
 class Line(NamedTuple):
-    """The line through the last refused readings and a new one, each as it differs from the last used reading.
+    """The line through the last refused readings and a new one, all relative to the last used reading.
 
     Attributes:
         refused: Number (n,) of readings before the new one that were refused in a row.
-        change: Innovation (n,) of the new reading, less the one that the last used reading left behind.
+        change: Innovation (n,) of the new reading, minus the one that remained after the last used reading.
         latest: Slope (n,) between the last two readings.
-        slope: Slope (n,) of the line, a velocity relative to that of the estimate: between the last two readings where
-            one was refused before, and over the last three where there were more.
-        bend: Distance (n,) of the new reading from the line through the two before it, 0 where only one was refused.
-        step: Time (n,) [s] from the reading before to the new one.
+        slope: Slope (n,) of the line, a velocity relative to that of the estimate: between the last two readings if
+            one was refused before, and over the last three if there were more.
+        bend: Distance (n,) of the new reading from the line through the two before it, 0 if only one was refused.
+        step: Time (n,) [s] from the previous reading to the new one.
         length: Time (n,) [s] from the last used reading to the new one.
     """
 
@@ -36,9 +36,9 @@ class Line(NamedTuple):
 
     def slope_cov(self, noise: Matrix, scale: Vector) -> Matrix:
         """Covariance (n, n) of the slope."""
-        over = jnp.sqrt(jnp.where(self.refused > 1, scale / 2, 2 * scale)) / self.step
-        # The bends of joints that are hit together tell nothing of each other.
-        return noise * jnp.outer(over, over) + jnp.diag((self.bend / self.step) ** 2 + (BEND * self.slope) ** 2)
+        factor = jnp.sqrt(jnp.where(self.refused > 1, scale / 2, 2 * scale)) / self.step
+        # The bends of joints that are hit together are not correlated.
+        return noise * jnp.outer(factor, factor) + jnp.diag((self.bend / self.step) ** 2 + (BEND * self.slope) ** 2)
 
 
 class GateMemory(NamedTuple):
@@ -47,10 +47,10 @@ class GateMemory(NamedTuple):
     Attributes:
         refused: Number (n,) of samples refused in a row.
         scale: Average (n,) of the ratio of actual to expected squared innovations.
-        left: Innovation (n,) that the correction by the last used reading left behind.
-        last: Innovation (n,) of the last refused reading, less `left`; of no meaning where none was refused since.
-        slope: Velocity (n,) from the refused reading before that to it, relative to that of the estimate; of no meaning
-            where fewer than two were refused since.
+        left: Innovation (n,) that remained after the correction by the last used reading.
+        last: Innovation (n,) of the last refused reading, minus `left`; meaningless if none was refused since.
+        slope: Velocity (n,) between the last two refused readings, relative to that of the estimate; meaningless if
+            fewer than two were refused since.
         idle: Time (n,) [s] since the last reading, used or not.
         unused: Time (n,) [s] since the last used reading.
 
@@ -75,7 +75,7 @@ class GateMemory(NamedTuple):
         """The memory of a gate that has seen one measurement and used it.
 
         Args:
-            like: A vector of n components, of which only shape and precision count.
+            like: A vector of n components; only its shape and precision are used.
 
         Returns:
             The memory.
@@ -90,7 +90,7 @@ class GateMemory(NamedTuple):
     def line(self, innovation: Vector) -> Line:
         """The line through the last refused readings and the new one, whose innovation (n,) is the argument."""
         change = innovation - self.left
-        # A repeated stamp changes no state: any positive number serves, instead of a division by zero.
+        # A repeated stamp changes no state, so any positive number may replace a zero divisor.
         step = jnp.where(self.idle > 0, self.idle, 1.0)
         latest, several = (change - self.last) / step, self.refused > 1
         slope = jnp.where(several, (latest + self.slope) / 2, latest)
@@ -121,7 +121,7 @@ class GateMemory(NamedTuple):
         """The memory after a correction.
 
         Args:
-            used: Which components (n,) of the measurement were used, by a correction or for a new start.
+            used: Which components (n,) of the measurement were used, by a correction or by a restart.
             left: Difference (n,) from the new estimate to the measurement.
 
         Returns:
@@ -136,7 +136,7 @@ class GateMemory(NamedTuple):
 
 
 class Sample(NamedTuple):
-    """An innovation as a gate judges it.
+    """An innovation that a gate judges, with its covariances.
 
     Attributes:
         innovation: Measured minus expected configuration (n,), in the frame, 0 where it is missing.
@@ -180,14 +180,13 @@ class Judged(NamedTuple):
 
     Attributes:
         far: Which components (n,) are refused: no ordinary correction uses them.
-        moved: Which of these (n,) show a velocity, so that the estimate has to start anew with it.
-        restart: Whether the estimate has to start anew from this measurement: because of `moved`, or because so many
+        moved: Which of these (n,) show a velocity with which the estimate has to restart.
+        restart: Whether the estimate has to restart from this measurement, because of `moved` or because too many
             samples were refused in a row.
-        anew: Which components (n,) a new start takes from this measurement: all but missing ones, and outliers of
-            joints that give no reason to start anew, which stay where they are predicted. Without a new start, which
-            ones are used.
-        velocity: Velocity of the new start: the predicted one, and where readings show another, that.
-        memory: What the gate remembers.
+        anew: Which components (n,) a restart takes from this measurement. Missing ones, and outliers of joints that
+            give no reason to restart, stay as predicted. Without a restart, the components that are used.
+        velocity: Velocity of a restart: the one that readings show, and the predicted one elsewhere.
+        memory: Memory of the gate after the verdict.
 
     Example:
         >>> import jax.numpy as jnp
@@ -213,7 +212,7 @@ class Judged(NamedTuple):
             otherwise: Code of the step without the gate.
 
         Returns:
-            `RESTARTED`, `OUTLIER` or `OK` by what the gate did, or `otherwise` where that is worse.
+            `RESTARTED`, `OUTLIER` or `OK` by what the gate did, or `otherwise` if that is worse.
         """
         code = jnp.where(self.restart, int(StepCode.RESTARTED), jnp.where(jnp.any(self.far), int(StepCode.OUTLIER), 0))
         return jnp.maximum(code, otherwise)

@@ -1,7 +1,7 @@
-"""Reduced-order observer: measured states are taken as they are read, and correct the others by a constant injection.
+"""Reduced-order observer: measured states equal the measurement, and correct the others by a constant injection.
 
 In continuous time it is `ŵ' = f_z(y, ẑ) − L f_y(y, ẑ)` with `ẑ = ŵ + Ly`, for measured states y and others z. Between
-samples the model predicts both; at a sample w = z − Ly stays, y jumps to what was read, and z with it.
+samples the model predicts both. At a sample y jumps to the measurement, w = z − Ly stays, and so z jumps with y.
 
 Source: Luenberger 1966, Observers for multivariable systems, IEEE TAC 11(2); `certificates.reduced_order` for L.
 """
@@ -26,7 +26,7 @@ class ReducedOrderState(NamedTuple):
 
     Attributes:
         x: Estimated state (n,), measured states included.
-        t: Time [s] that it belongs to.
+        t: Time [s] of the state.
         last_input: The last finite input (m,).
 
     Example:
@@ -45,16 +45,16 @@ class ReducedOrderState(NamedTuple):
 class ReducedOrder(AbstractObserver):
     """Observer of the states that are not measured, `x⁺ = x̂ + [I; L] (y − h(x̂))` at each sample.
 
-    An output that is missing corrects nothing. The noise of a measurement goes straight into the estimate.
+    A missing output corrects nothing. The noise of a measurement enters the estimate unfiltered.
 
     Use it where the outputs are states that are measured accurately. `workflow.design_reduced_order` computes the
     direction. It converges from any distance within the design's region. For noisy outputs choose `StateEKF` or
     `Contracting`.
 
     Attributes:
-        model: The system, with n states, of which the p outputs are some.
-        direction: [I; L] (n, p) in the order of the states, `certificates.ReducedOrderDesign.direction`: what a
-            difference of one unit of an output adds to the states.
+        model: The system, with n states, p of which are the outputs.
+        direction: [I; L] (n, p) in the order of the states, `certificates.ReducedOrderDesign.direction`: the
+            change of the states for a difference of one unit of an output.
         start: First estimate (n,).
         substeps: Number of Runge–Kutta steps of the model in each sample, 1 by default.
 
@@ -139,6 +139,6 @@ class ReducedOrder(AbstractObserver):
         return -self._correction(state.t, state.x, u, y)[1]
 
     def _correction(self, t: Scalar, x: Vector, u: Float[Array, "m"], y: Float[Array, "p"]) -> tuple[Vector, Outputs]:
-        """What is taken from the states (n,), and the differences h − y of the outputs (p,), 0 where missing."""
+        """The amount (n,) to subtract from the states, and the differences (p,) h − y of outputs, 0 where missing."""
         error = self.model.output_error(self.model.h(t, x, u), y)
         return jnp.asarray(self.direction, y.dtype) @ error, error

@@ -1,8 +1,8 @@
-"""The smoother with a fixed lag, sample by sample: the estimate of some samples ago, by those since.
+"""Fixed-lag smoother, sample by sample: the estimate `lag` samples ago, from all samples up to now.
 
-The state of the filter and what the steps did to its error, of as many samples as the lag has, are in buffers. A sample
-adds its own, and from there the recursion of the smoother goes back through the buffer to its oldest entry: the same
-maps of the error, in the same order, as `smooth` with the same lag.
+Buffers hold the states of the filter, and the maps of its error back over each step, for the last `lag` samples. Each
+sample adds an entry. The recursion of the smoother then goes back through the buffers to the oldest entry: it applies
+the same maps of the error, in the same order, as `smooth` with the same lag.
 
 Source: Moore 1973, Discrete-time fixed-lag smoothing algorithms, Automatica 9(2), for lags in a stream; for the rest
 see `smooth`.
@@ -29,16 +29,16 @@ from covariant.observers.filters._smoother import (
 )
 
 OF_NOW = ("gate", "last_input", "readings", "sensor_gates")
-"""Fields of the state of a filter that only its next step needs: the buffers do not hold them."""
+"""Fields of the state of a filter that only its next step needs; the buffers leave them out."""
 
 
 class Prediction(NamedTuple):
     """A prediction that no measurement has corrected yet.
 
     Attributes:
-        before: State of the filter before it, as the buffer holds it.
+        before: State of the filter before the prediction, without the fields that buffers leave out.
         root: Square root S (N, N) of the covariance of that state.
-        carried: ΦS (N, N).
+        carried: ΦS (N, N), with the transition matrix Φ of the error over the prediction.
     """
 
     before: Any
@@ -49,14 +49,14 @@ class Prediction(NamedTuple):
 class FixedLagState(NamedTuple):
     """State of a `FixedLag`: the filter now, and buffers of L samples, the oldest first.
 
-    Before L samples have come, the first fills the place of those that are not there.
+    Until L samples have arrived, copies of the first fill the buffers.
 
     Attributes:
         now: State of the filter.
         smoothed: State of the filter L samples ago, moved to the smoothed estimate.
         t: Times (L + 1,) [s]: of the smoothed estimate, of the samples since, and now.
-        past: States of the filter, L of each field.
-        steps: What each of the L samples since the oldest says of the error before it.
+        past: States of the filter at L samples, with an axis of L in front of each field.
+        steps: Maps over the L steps since the oldest sample, each from the error after a step to the error before it.
         last_input: The last finite input (m,), or None for a filter that stores none.
         prediction: The last prediction, between `predict` and `correct` only; None otherwise.
 
@@ -79,11 +79,11 @@ class FixedLagState(NamedTuple):
 
 
 class FixedLagWindow(NamedTuple):
-    """Estimates of the last L + 1 samples, each from all samples up to now: the last is that of the filter.
+    """Estimates of the last L + 1 samples, each from all samples up to now; the last is that of the filter.
 
     Attributes:
         t: Times (L + 1,) [s].
-        estimate: Estimates, as those of the filter, with an axis of L + 1 before theirs.
+        estimate: Estimates, as the filter returns them, with an axis of L + 1 in front.
         std: Standard deviations (L + 1, N), as in `Smoothed.std`.
 
     Example:
@@ -101,12 +101,13 @@ class FixedLagWindow(NamedTuple):
 
 
 class FixedLag(AbstractWrapper):
-    """A filter whose estimates come some samples later, and know these samples.
+    """A filter whose estimates come `lag` samples late and use the samples since.
 
-    `estimate` is of the time `state.t[0]`, `lag` samples before the last one: what `smooth` with this lag returns for
-    that row, with its standard deviations and slow states in the info. Innovation and result are those of the last
-    sample. Up to the sample of number `lag` the estimate is of the first one. `window` has the samples since, for the
-    end of a stream or a display. A step takes `lag` steps of the smoother besides one of the filter.
+    `estimate` belongs to the time `state.t[0]`, `lag` samples before the last one. It is what `smooth` with this lag
+    returns for that row, and the info has its standard deviations and slow states. Innovation and result are those of
+    the last sample. During the first `lag` samples, the estimate is that of the first one. `window` returns the
+    estimates of all samples since, for the end of a stream or a display. A step costs `lag` steps of the smoother and
+    one of the filter.
 
     Use it where a delay of some samples is no harm, as in monitoring or a display: the errors are clearly smaller than
     those of the filter. `smooth` is for logs that are complete.
@@ -116,10 +117,10 @@ class FixedLag(AbstractWrapper):
         lag: Number of samples L, 1 or more.
 
     Raises:
-        ValueError: An observer of another kind, or a lag that is no such number.
+        ValueError: The observer is of another kind, or the lag is less than 1.
 
     Example:
-        A noisy oscillation, its velocity as the filter has it, and thirty samples later:
+        The velocity of a noisy oscillation, estimated thirty samples late and by the filter at once:
 
         >>> import numpy as np
         >>> from covariant import Record, models, observers
@@ -152,7 +153,7 @@ class FixedLag(AbstractWrapper):
         return getattr(self.observer, "model", None)
 
     def init(self, y: Inexact[Array, "*n"], t: Number = 0.0) -> FixedLagState:
-        """State at a measured configuration, with that alone in its buffers.
+        """State at a measured configuration, whose copies fill the buffers.
 
         Args:
             y: First measurement, complete: coordinates (n,), or on a group a matrix (N, N).
@@ -164,7 +165,7 @@ class FixedLag(AbstractWrapper):
         first = self.observer.init(y, t)
         last_input = getattr(first, "last_input", None)
         root = self.observer.root(first)
-        # Nothing happened before the first sample: what is known of the error goes through these steps as it is.
+        # Nothing happened before the first sample, so these steps leave the error unchanged.
         nothing = Backward(jnp.zeros_like(root[0]), jnp.eye(len(root), dtype=root.dtype), jnp.zeros_like(root))
         times = jnp.full(self.lag + 1, jnp.asarray(t, root.dtype))
         oldest = _without(first, OF_NOW)
@@ -178,12 +179,12 @@ class FixedLag(AbstractWrapper):
             state: State of this observer.
 
         Returns:
-            x, as the filter has it.
+            The estimate, as the filter returns it.
         """
         return self.observer.estimate(state.smoothed)
 
     def predict(self, state: FixedLagState, u: Float[Array, "m"], dt: Scalar) -> FixedLagState:
-        """Predict by the filter; `correct` moves the buffers on.
+        """Predict by the filter; `correct` shifts the buffers.
 
         Args:
             state: State after the previous sample.
@@ -194,7 +195,7 @@ class FixedLag(AbstractWrapper):
             The predicted state.
 
         Raises:
-            ValueError: The state is a predicted one: a sample without a measurement is corrected by NaN.
+            ValueError: The state is predicted already; a sample without a measurement is corrected with NaN.
         """
         if state.prediction is not None:
             raise ValueError(
@@ -240,8 +241,8 @@ class FixedLag(AbstractWrapper):
             state: State of this observer.
 
         Returns:
-            Times, estimates and standard deviations, the oldest first. `smooth` ends with the same rows. Before `lag`
-            samples have come, the first one fills the places of those that are not there.
+            Times, estimates and standard deviations, the oldest first. They are the last rows of `smooth`. Until
+            `lag` samples have arrived, copies of the first one fill the remaining rows.
         """
 
         def earlier(error, step):
@@ -260,11 +261,11 @@ class FixedLag(AbstractWrapper):
         return FixedLagWindow(state.t, *jax.vmap(estimated)(states, errors))
 
     def _error(self, state: Any) -> Smoothing:
-        """What the filter knows of its error now."""
+        """Mean and root of the covariance of the filter's error now."""
         root = self.observer.root(state)
         return Smoothing(jnp.zeros_like(root[0]), root)
 
 
 def _without(state: Any, names: tuple[str, ...]) -> Any:
-    """A state with None in the fields of these names, as far as it has them."""
+    """A state with None in the named fields that it has."""
     return state._replace(**{name: None for name in names if name in state._fields})

@@ -1,10 +1,10 @@
-"""The intrinsic Kalman filter: error and covariance in the parallel frame, the same filter in all coordinates.
+"""The intrinsic Kalman filter, with error and covariance in the parallel frame: it is the same in all coordinates.
 
 For a true motion (q, v) the error at the estimate is `ε = log_q̂ q` and `ν = Tv − v̂`, with T the parallel transport
 along the geodesic from q to q̂. The covariance P of (ε, ν) is a tensor at q̂. Two maps change it: the flow of the model,
 and the change of base point by a correction. Both are differentiated automatically, and these derivatives contain the
-curvature, the change of the force and the friction, so none of them needs a formula here. For components δv in a frame
-that is not parallel, `ν = δv + B(ε, v)`; this relation is all that the two maps need in addition.
+curvature, the change of the force and the friction, so none of them needs a formula here. The only other relation that
+the two maps need is `ν = δv + B(ε, v)`, for components δv in a frame that is not parallel.
 
 Source: Ge, van Goor & Mahony 2025, on the reset; Kailath, Sayed & Hassibi 2000, Linear Estimation, chapter 12, for the
 array form; Bar-Shalom, Li & Kirubarajan 2001, section 5.4, for the gate.
@@ -57,9 +57,9 @@ from covariant.observers.sensors import (
 )
 from covariant.signals import StepCode
 
-# Three such deviations are about a quarter turn, where sin has its maximum and no linearisation is left.
+# Three such deviations are about a quarter turn, where sin has its maximum and a linearisation fails.
 FARTHEST_TURN = 0.5
-"""Standard deviation of an angle [rad] beyond which the estimate starts anew, as after a long gap in the log."""
+"""Standard deviation of an angle [rad] beyond which the estimate restarts, as after a long gap in the log."""
 
 
 class KalmanState(NamedTuple):
@@ -163,9 +163,9 @@ class IntrinsicKalman(AbstractMechanicalFilter):
     Each covariance is a matrix (n, n) in the frame, the same everywhere; a function of the configuration; or a number,
     a variance in metric units, the same in every direction.
 
-    After a gap so long that an angle may be anywhere the filter starts anew from the measured configuration and the
-    predicted velocity, its slow states as uncertain as at first, and `result` is `RESTARTED`. In other coordinates,
-    with noise that is the same tensor, the estimate is the same to the accuracy of the budget.
+    After a gap so long that an angle may be anywhere, the filter restarts from the measured configuration and the
+    predicted velocity, and `result` is `RESTARTED`. Its slow states are then as uncertain as at the start. In other
+    coordinates, with noise that is the same tensor, the estimate is the same to the accuracy of the budget.
 
     It is the most accurate choice where the noise is known: for large first errors, gaps and outliers, and for further
     sensors, external forces, biases and parameters. It costs more than observers with constant gains, and has no
@@ -177,20 +177,20 @@ class IntrinsicKalman(AbstractMechanicalFilter):
         measurement_cov: Covariance of the noise of one sample [rad² or m²].
         initial_velocity_cov: Covariance of the initial velocity, whose mean is zero [(rad/s)² or (m/s)²].
         slow: Slow states that are estimated along with the motion, a `SlowVariables` or several: `external_force`,
-            `sensor_bias`, `uncertain_parameters`, or one that you define. A constant one leaves no bias where the
-            measurements show it. None by default.
+            `sensor_bias`, `uncertain_parameters`, or one that you define. A constant disturbance that is modelled so
+            causes no bias if the measurements determine it. None by default.
         quantum: One tick of each encoder (n,), in coordinates [their unit]. A reading is then an interval, and a change
-            of it an edge that was passed; `measurement_cov` is the covariance of the positions of edges. None (default)
-            where every sample has independent noise.
-        sensors: Sensors beside the measured configuration, a `Sensor` or several, as `gyro`: then a measurement is one
-            vector, the entries of the configuration and after them the readings, NaN where there is none; see
+            of the reading means that an edge was passed; `measurement_cov` is the covariance of the positions of edges.
+            None (default) if every sample has independent noise.
+        sensors: Sensors in addition to the measured configuration, a `Sensor` or several, such as `gyro`. A measurement
+            is then one vector: the entries of the configuration, followed by the readings, NaN for a missing one; see
             `Sensor`. None by default.
         gate: Which measured configurations are refused as outliers; None refuses none. See `Gate`.
         budget: Work spent on geodesics, from the estimate to the measurement and along the correction.
         substeps: Runge–Kutta steps in each sample; None (default) takes as many as dt and the friction need (offline).
 
     Raises:
-        ValueError: A number or matrix is no covariance, the measurement covariance is singular, the slow states do not
+        ValueError: A covariance is not valid, the measurement covariance is singular, the slow states do not
             fit the model, a tick is not positive, or the model with a `quantum` is not in coordinates.
 
     Example:
@@ -227,7 +227,7 @@ class IntrinsicKalman(AbstractMechanicalFilter):
                 raise ValueError("IntrinsicKalman: quantum is for coordinates; encoders count no ticks of an attitude")
 
     def init(self, y: Array, t: Number = 0.0) -> KalmanState:
-        """State at rest at a measured configuration; readings of sensors do not count at the start.
+        """State at rest at a measured configuration; readings of sensors are ignored at the start.
 
         Args:
             y: First measurement, whose configuration is complete.
@@ -237,7 +237,7 @@ class IntrinsicKalman(AbstractMechanicalFilter):
             The state.
 
         Raises:
-            ValueError: y is no configuration, followed by the readings of the sensors where there are some.
+            ValueError: y is not a configuration, followed by the readings of the sensors if there are any.
         """
         q, v, t, last_input, _ = at_rest(self.model, self._split(y)[0], t)
         slow, readings = self._slow.first(v), self._first_readings(q, jnp.zeros_like(v))
@@ -324,13 +324,13 @@ class IntrinsicKalman(AbstractMechanicalFilter):
         self, state: KalmanState, corrected: KalmanState, y: Array, expected: Expectation, velocity: Velocity
     ) -> KalmanState:
         q, n, present = self._start(state, expected), state.v.shape[0], expected.present
-        # The offset that is removed from the measurement is that of the predicted slow states: so they are kept.
+        # The measurement was corrected by the offset of the predicted slow states, so these states are kept.
         root = self._first_root(q, velocity.cov, state.slow)
-        apart = jnp.where(present[:, None], root[:n], 0.0)
+        present_rows = jnp.where(present[:, None], root[:n], 0.0)
         position = semidefinite_root(
             with_block(state.root[:n] @ state.root[:n].T, root[:n, :n] @ root[:n, :n].T, present)
         )
-        root = root.at[:n].set(apart).at[:n, :n].set(position)
+        root = root.at[:n].set(present_rows).at[:n, :n].set(position)
         readings, y = state.readings, self._split(y)[0]
         if readings is not None:
             readings = Readings(jnp.where(present, y, readings.y), jnp.where(present, 0.0, readings.age))
@@ -348,7 +348,7 @@ class IntrinsicKalman(AbstractMechanicalFilter):
         configuration, sensed = self._split(y)[0], expected.details[1]
         if sensed is None:
             return super()._result(state, new, configuration, expected, verdict)
-        # Where sensors are read between two measured configurations, nothing is missing.
+        # A step with readings only, between two measured configurations, lacks no measurement.
         between = sensed.read & jnp.all(self.model.manifold.missing(configuration))
         measured: Any = jnp.where(between, state.q, configuration)
         code = super()._result(state, new, measured, expected, verdict)
@@ -386,10 +386,8 @@ class IntrinsicKalman(AbstractMechanicalFilter):
         return MeasuredOutput(without_offset, *self._slopes(state.q, state.v, state.slow))
 
     def _slopes(self, q: Array, like: Vector, slow: SlowVector) -> tuple[Matrix, Float[Array, "n k"] | None]:
-        """Noise (n, n) in the frame at q of a measurement without its offset, and its slope (n, k) in the slow states.
-
-        The measurement is `y = retract(retract(q, offset), w)` with the noise w; its estimated offset is removed.
-        """
+        """Noise (n, n) in the frame at q of a measurement without offset, and its slope (n, k) in the slow states."""
+        # The measurement is y = retract(retract(q, offset), w) with the noise w; its estimated offset is removed.
         if not self._slow.measured:
             return self._noise(q), None
         manifold, k = self.model.manifold, slow.shape[0]
@@ -429,14 +427,15 @@ class IntrinsicKalman(AbstractMechanicalFilter):
     def _runge_kutta_step(
         self, state: KalmanState, carried: Matrix | None, u: Float[Array, "m"], h: Scalar
     ) -> tuple[KalmanState, Matrix | None]:
-        """One Runge–Kutta step of the model, of the covariance, and of a matrix that the transition alone carries."""
+        """One Runge–Kutta step of the model and the covariance, and of a matrix `carried` that is multiplied by the
+        transition alone."""
         space, manifold, n = self.model.space, self.model.manifold, state.v.shape[0]
 
         def propagated_error(error):
             start = Motion(manifold.retract(state.q, error[:n]), state.v + error[n : 2 * n])
             mean, slow = self._slow.advanced(state.slow + error[2 * n :], h)
             end = advance(self._slow.in_model(self.model, mean), state.t, start, u, h, 1)
-            # Zero in value, for the end is compared with itself; its derivative is the displacement in the frame.
+            # The value is zero, since the end is compared with itself; the derivative is the displacement in the frame.
             return jnp.concatenate([manifold.local(jax.lax.stop_gradient(end.q), end.q), end.v, slow]), (*end, slow)
 
         slope, (q, v, slow) = jax.jacfwd(propagated_error, has_aux=True)(jnp.zeros(state.root.shape[0], state.v.dtype))
@@ -519,10 +518,7 @@ def apart(space: AbstractSpace, q: Array, v: Vector) -> Float[Array, "two_n two_
 
 
 def _too_uncertain(manifold: AbstractManifold, cov: Matrix, noise: Matrix) -> Array:
-    """Whether an angle has so large an expected error, beyond what its noise explains, that linearisation fails.
-
-    The filter then starts anew, and its predicted velocity is all that is known of the velocity.
-    """
+    """Whether an angle has so large an expected error, beyond what its noise explains, that linearisation fails."""
     angles = sorted({i for rotation in manifold.rotations or () for i in rotation})
     variance = jnp.diag(cov)[jnp.array(angles, int)]
     # The variance includes that of the noise, so the bound grows with it: a noisy sensor alone is no reason to restart.

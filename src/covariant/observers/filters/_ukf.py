@@ -1,12 +1,12 @@
-"""Unscented Kalman filter: sigma points go through the model, and nothing is differentiated.
+"""Unscented Kalman filter: the model propagates sigma points, and no derivatives are needed.
 
-The error is that of the EKF, `(local(q̂, q), v − v̂)` in the frame of the space, so that on a group the points are drawn
-around the estimate by its retraction. The mean on a group is taken to first order: in the frame at the propagated
-centre, and the deviations are read from it. Its square root is carried, and all weights of the covariance are positive,
-so that it never becomes indefinite.
+The error is that of the EKF, `(local(q̂, q), v − v̂)` in the frame of the space, so on a group the points are drawn
+around the estimate by its retraction. On a group the mean is computed to first order, in the frame at the propagated
+central point, and the deviations are then taken from the mean. The filter carries a square root of the covariance, and
+all weights of the covariance are positive, so that it never becomes indefinite.
 
 A measured configuration is linear in that error, `local(q̂, y)`, and the unscented transform is exact for a linear map:
-the correction is that of the Kalman filter, and takes no points.
+the correction is that of the Kalman filter, and needs no points.
 
 Source: Julier & Uhlmann 2004, Unscented filtering and nonlinear estimation, Proc. IEEE 92(3), for the scaled set;
 Brossard, Barrau & Bonnabel 2020, A code for unscented Kalman filtering on manifolds, ICRA; van der Merwe & Wan 2001,
@@ -94,7 +94,7 @@ class UKF(AbstractMechanicalFilter):
         gate: Which measurements are refused as outliers; None refuses none. See `Gate`.
 
     Raises:
-        ValueError: A number or matrix is no covariance, the measurement has no noise, or the spread is out of bounds.
+        ValueError: A covariance is not valid, the measurement has no noise, or the spread is out of bounds.
 
     Example:
         >>> import numpy as np
@@ -149,7 +149,7 @@ class UKF(AbstractMechanicalFilter):
             return jax.vmap(lambda p, w: jnp.concatenate([manifold.local(q, p), w - v]))(*ends)
 
         first = Motion(ends.q[0], ends.v[0])
-        # The central point is the origin of these deviations, so that its weight does not matter here.
+        # These deviations are relative to the central point, so that its weight does not matter here.
         mean = jnp.sum(errors_from(*first), axis=0) / (2 * squared_radius)
         q, v = manifold.retract(first.q, mean[:n]), first.v + mean[n:]
         deviations = errors_from(q, v)
@@ -159,8 +159,8 @@ class UKF(AbstractMechanicalFilter):
         # The triangular factor of both roots side by side is the root of the sum of their covariances.
         root = triangular(jnp.concatenate([columns, noise.astype(columns.dtype)], axis=1))
         new = state._replace(q=q, v=v, t=state.t + dt, root=root, gate=state.gate.advanced(dt))
-        # The covariance of the points before and after is S times the transpose of this, as with a transition Φ: half
-        # the difference of opposite points, in units of their distance, is the statistical linearisation of ΦS.
+        # The statistical linearisation of ΦS is half the difference of opposite points, over their distance from the
+        # mean: S times its transpose is the covariance of the points before and after, as with a transition matrix Φ.
         plus, minus = jnp.split(deviations[1:], 2)
         return new, (plus - minus).T / (2 * squared_radius**0.5) if carry else None
 

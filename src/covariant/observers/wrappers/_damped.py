@@ -1,13 +1,14 @@
-"""Constant gains with velocity sensors: a damper between the estimate and what tachometers and gyros read.
+"""Velocity sensors for constant gains: a damper between the estimate and the readings of tachometers and gyros.
 
 A sensor whose reading is linear in the velocity, `w = J(q)v + b` with an offset b, is joined to the observer by a
 damper of the coefficients Γ ≥ 0, a force `JᵀΓ` times the difference, and adapts the estimate of the offset:
 
     v̂' = … − M⁻¹Jᵀ Γ r,   b̂' = −γ Γ r,   r = J v̂ + b̂ − w
 
-The gain `K_v = M⁻¹JᵀΓJ` is self-adjoint in the metric M and not negative: to first order in the error,
-`V = β|ξ|² + |ζ|²` falls by `2<ζ, K_v ζ>` faster than without. A gain that is not self-adjoint, as a diagonal matrix in
-some chart, has no such guarantee. For readings that have waited the times dt the sample is an implicit Euler step,
+The gain `K_v = M⁻¹JᵀΓJ` is self-adjoint in the metric M and positive semidefinite: to first order in the error,
+`V = β|ξ|² + |ζ|²` falls by `2<ζ, K_v ζ>` faster than without the damper. A gain that is not self-adjoint, such as a
+diagonal matrix in some chart, has no such guarantee. With dt the times since the readings were last taken, a sample
+makes an implicit Euler step,
 
     (v̂, b̂) ← (v̂, b̂) − (M⁻¹Jᵀ, γ) (Γ⁻¹/dt + J M⁻¹ Jᵀ + γ)⁻¹ r,
 
@@ -48,9 +49,9 @@ class DampedState(NamedTuple):
 
     Attributes:
         inner: State of the observer with the constant gains.
-        t: Time [s] that it belongs to.
+        t: Time [s] of the state.
         bias: Estimated offsets (K,) of the readings.
-        waited: Time (K,) since each was last read [s].
+        waited: Time (K,) since each reading was last taken [s].
         last_input: The last finite input (m,).
 
     Example:
@@ -76,8 +77,8 @@ class DampedInfo(NamedTuple):
     Attributes:
         innovation: Difference (n,) from q̂ to the measured configuration before the correction, as in `Info`.
         distance: Its length in the metric, as the inner observer computes it.
-        sensor_innovation: Differences (K,) from the expected readings to those that were read, after the correction by
-            the configuration; 0 where nothing was read.
+        sensor_innovation: Readings minus expected readings (K,), after the correction by the configuration; 0 for a
+            missing reading.
         bias: Estimated offsets (K,) of the readings.
         result: A `covariant.signals.StepCode` code.
 
@@ -100,31 +101,31 @@ class DampedInfo(NamedTuple):
 
 
 class Damped(AbstractObserver):
-    """An observer with constant gains that also uses sensors of the velocity, through a damper; see this file's head.
+    """An observer with constant gains that also uses velocity sensors, by a damper between estimate and readings.
 
     A measurement is one vector: the entries of the configuration, and then the readings, NaN where there is none. The
     configuration corrects the estimate as it does without sensors; the readings then correct the velocity. A reading
-    counts for all of the time since the one before of its sensor, so that sensors may have other rates. Without a
-    reading it is the inner observer itself, to the last bit. Noise and gates of the sensors are not used: unlike a
-    filter, it weighs the readings by Γ alone.
+    acts for the whole time since the previous one of its sensor, so sensors may have different rates. Without a reading
+    the result is that of the inner observer, to the last bit. Noise and gates of the sensors are not used: unlike a
+    filter, the observer weighs the readings by Γ alone.
 
-    Whether a sensor is linear in the velocity is checked by `init`, outside compiled functions. By one that is not, the
-    velocity is corrected along its derivative, without the guarantee.
+    `init` checks that each sensor is linear in the velocity, except in a compiled function. A sensor that is not linear
+    corrects the velocity along its derivative, without the guarantee.
 
     Attributes:
         observer: Observer whose state holds the velocity, such as `Intrinsic` or `Geodesic`, or a `Gated` one.
-        sensors: Sensors whose readings are linear in the velocity, as `tachometer` and `gyro`, one or several; without
-            slow states, since `bias_gain` is what estimates offsets.
+        sensors: One or several sensors whose readings are linear in the velocity, such as `tachometer` and `gyro`. They
+            have no slow states: their offsets are estimated with `bias_gain`.
         damping: Damping coefficients Γ of the readings, one number or (K,) [N m s for readings in rad/s, N s/m for
             those in m/s]. On a joint of inertia m the error of the velocity decays with Γ/m [1/s].
         bias_gain: Gains γ of the offsets, one number or (K,) [1/(kg m²) or 1/kg]. The error of an offset decays with
-            about `γΓ β/(β + ακ)` [1/s], κ = Γ/m, where that is slow against the other gains. 0 (default) for a sensor
-            without offset.
+            about `γΓ β/(β + ακ)` [1/s], κ = Γ/m, if this is slow compared with the other gains. 0 (default) for a
+            sensor without offset.
 
     Raises:
-        ValueError: The observer holds no velocity, a sensor is none or not linear, or a gain is not finite, not
-            positive (`damping`), negative (`bias_gain`), or not one number or K. `init` raises it where the
-            measurement is no configuration with K readings, and for a sensor that is not linear in the velocity.
+        ValueError: The observer has no velocity, there is no sensor or one is not linear, `damping` is not positive,
+            `bias_gain` is negative, or a gain is not finite or not one number or K numbers. `init` raises it if the
+            measurement is not a configuration with K readings, or a sensor is not linear in the velocity.
 
     Example:
         A unit mass on a unit spring, whose tachometer reads 0.2 m/s too much:
@@ -179,7 +180,7 @@ class Damped(AbstractObserver):
         return getattr(self.observer, "model")  # noqa: B009 - that it has one is checked above
 
     def init(self, y: Array, t: Number = 0.0) -> DampedState:
-        """State at rest at a measured configuration, with zero offsets; readings do not count at the start.
+        """State at rest at a measured configuration, with zero offsets; the first readings are ignored.
 
         Args:
             y: First measurement, whose configuration is complete.
@@ -189,7 +190,7 @@ class Damped(AbstractObserver):
             The state.
 
         Raises:
-            ValueError: y is no configuration followed by K readings, or a sensor is not linear in the velocity there.
+            ValueError: y is not a configuration and K readings, or a sensor is not linear in the velocity there.
         """
         q, readings = self._split(y)
         inner = without_last_input(self.observer.init(q, t))
@@ -226,12 +227,12 @@ class Damped(AbstractObserver):
         coefficients = jnp.where(present, self.damping.astype(motion.v.dtype) * state.waited, 0.0)
         bias_gain = jnp.broadcast_to(self.bias_gain, residual.shape).astype(motion.v.dtype)
         v_change, bias_change = damping_step(self.model, motion.q, slope, coefficients, bias_gain, residual)
-        # The mask keeps all bits without a reading, also where a chart is singular.
+        # Without a reading the mask keeps every bit of the state, also where a chart is singular.
         read = jnp.any(present)
         v = jnp.where(read, motion.v + v_change, motion.v)
         bias = jnp.where(read, state.bias + bias_change, state.bias)
         waited = jnp.where(present, 0.0, state.waited)
-        # Where sensors are read between two measured configurations, nothing is missing.
+        # A step with readings only, between two measured configurations, lacks no measurement.
         between = read & jnp.all(self.model.manifold.missing(configuration)) & (info.result == int(StepCode.COASTED))
         code = jnp.where(between, int(StepCode.OK), jnp.asarray(info.result))
         finite = jnp.all(jnp.isfinite(v)) & jnp.all(jnp.isfinite(bias))
@@ -264,7 +265,7 @@ class Damped(AbstractObserver):
                 continue
             still, once, twice = np.asarray(values)
             change = np.abs(once - still).max()
-            # NaN, as at a singular place of a chart, compares as false.
+            # With NaN, as at a singularity of a chart, the comparison is false and the sensor passes.
             if np.abs(twice - 2 * once + still).max() > 1e-3 * (change + np.abs(still).max()) or change == 0:
                 raise ValueError(
                     f"Damped: the readings of sensor {sensor.name} must be linear in the velocity; use a filter, such "
@@ -306,11 +307,11 @@ def damping_step(
 
 
 def damping_margin(alpha: Number, beta: Number, kappa: Number, cross: Number) -> Scalar:
-    """Margin `4β(α − c)(c + κ) − c²(α + κ)²`, by which the error strictly decays with a damper, where it is positive.
+    """Margin `4β(α − c)(c + κ) − c²(α + κ)²` of a damper; if it is positive, the error strictly decays.
 
     To first order the error obeys `ξ' = ζ − αξ`, `ζ' = −βξ − K_v ζ` in a parallel frame. For c between 0 and α the
     function `β|ξ|² − 2c<ξ, ζ> + |ζ|²` is positive and strictly decreases, if the margin is positive for each
-    eigenvalue κ of K_v. It is concave in κ: positive at both ends of a range of κ, it is so within.
+    eigenvalue κ of K_v. The margin is concave in κ, so it is positive on a range of κ if it is positive at both ends.
 
     Args:
         alpha: Gain α [1/s].
