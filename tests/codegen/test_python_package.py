@@ -125,8 +125,8 @@ def test_samples_are_those_of_the_log_and_of_a_stream(package):
     run = made.run(record.t, record.y, record.u)
     stepped, stream = made.Observer(), Stream(chosen, y, RATE, engine="jax")
     assert np.isnan(stepped.estimate().q).all()
-    assert stepped.step([np.nan, 0.0], 0.1) is made.StepCode.COASTED
-    assert stepped.start(record.y[0], record.t[0]) is made.StepCode.OK
+    assert stepped.step([np.nan, 0.0], 0.1) is made.Result.COASTED
+    assert stepped.start(record.y[0], record.t[0]) is made.Result.OK
     x, snapshot = stream.step(record.t[0], record.y[0], record.u[0]), stepped
     for k in range(1, ROWS):
         result = stepped.step(record.y[k], record.t[k] - record.t[k - 1], record.u[k - 1])
@@ -164,7 +164,7 @@ def test_numbers_may_be_changed(package):
 
 def test_codes_and_messages_are_those_of_the_library(package):
     made = package("pendulum")
-    assert {r.name: (int(r), r.message) for r in made.StepCode} == {r.name: (int(r), r.message) for r in StepCode}
+    assert {r.name: (int(r), r.message) for r in made.Result} == {r.name: (int(r), r.message) for r in StepCode}
 
 
 T, Y = np.arange(5) / RATE, np.zeros((5, 2))

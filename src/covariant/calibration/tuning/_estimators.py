@@ -163,26 +163,25 @@ def tuned_state_estimators(
 ) -> dict[str, AbstractObserver]:
     """Estimators of a state-space model by name, for its noise.
 
-        Args:
-            model: The state-space model.
-            noise: Process and measurement noise, first estimate with its covariance, and sampling rate.
-            names: Estimators to return.
+    Args:
+        model: The state-space model.
+        noise: Process and measurement noise, first estimate with its covariance, and sampling rate.
+        names: Estimators to return.
 
-        Returns:
-            The estimators.
+    Returns:
+        The estimators.
 
-        Raises:
-            ValueError: An estimator cannot be built at the first estimate.
+    Raises:
+        ValueError: An estimator cannot be built at the first estimate.
 
-        Example:
-            >>> import jax
-    import jax.numpy as jnp
-            >>> from covariant.calibration import tuned_state_estimators
-            >>> from covariant.models import duffing
-            >>> from covariant.observers import StateNoise
-            >>> noise = StateNoise(0.1 * jnp.eye(2), 1e-4 * jnp.eye(1), jnp.zeros(2), jnp.eye(2), 100.0)
-            >>> list(tuned_state_estimators(duffing(), noise, names=("covariance-ekf",)))
-            ['covariance-ekf']
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant.calibration import tuned_state_estimators
+        >>> from covariant.models import duffing
+        >>> from covariant.observers import StateNoise
+        >>> noise = StateNoise(0.1 * jnp.eye(2), 1e-4 * jnp.eye(1), jnp.zeros(2), jnp.eye(2), 100.0)
+        >>> list(tuned_state_estimators(duffing(), noise, names=("covariance-ekf",)))
+        ['covariance-ekf']
     """
     fitting = (entry for entry in REGISTRY if entry.name in names and entry.fits(model))
     return {entry.name: entry.make(model, noise) for entry in fitting}
