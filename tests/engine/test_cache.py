@@ -11,6 +11,7 @@ import pytest
 from covariant._programs import UNUSED, cache_folder
 from covariant.engine import _cache
 from covariant.engine._cache import cached_text
+from covariant.engine._sources import ROOT, source_files
 from covariant.lowering import LoweringError
 
 PROCESS = """
@@ -167,3 +168,20 @@ def test_what_nobody_has_read_for_long_is_evicted(tmp_path, monkeypatch):
         os.utime(folder / name, times)
     assert cached_text("this", lambda: "9") == "9"
     assert {file.name for file in folder.iterdir()} == {"this.json", "read.so", "made.so", "old.txt"}
+
+
+def test_a_text_depends_on_every_file_that_writes_it():
+    writers = {path.relative_to(ROOT).as_posix() for path in _cache._WRITERS}
+    modules = [path for room in ("lowering", "engine") for path in (ROOT / room).rglob("*.py")]
+    assert {path.relative_to(ROOT).as_posix() for path in modules} <= writers
+    assert {"lowering/c/_c_writer.py", "lowering/templates/rows.c", "engine/templates/kernel.c"} <= writers
+
+
+def test_files_are_modules_and_templates_and_nothing_that_pip_compiled(tmp_path):
+    names = ["room/_a.py", "room/inner/_b.py", "room/templates/c.c", "room/templates/d.py", "_e.py"]
+    others = ["room/templates/__pycache__/d.pyc", "room/__pycache__/_a.pyc", "room/py.typed", "other/_f.py"]
+    for name in names + others:
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).touch()
+    listed = source_files("room", "_e.py", root=tmp_path)
+    assert [path.relative_to(tmp_path).as_posix() for path in listed] == sorted(names)

@@ -17,13 +17,12 @@ from covariant._files import write_atomically
 from covariant._programs import cache_folder, evict_unused
 from covariant.codegen import TracedProgram
 from covariant.engine._layout import Layout
+from covariant.engine._sources import source_files
 from covariant.lowering import LoweringError, fingerprint
 
 PACKAGES = ("jax", "jaxlib", "numpy")
 """They compute the constants of a text."""
-_ROOT = Path(__file__).parents[1]
-_PATTERNS = "_templates.py lowering/*.py lowering/templates/* codegen/_program.py engine/*.py engine/templates/*"
-_WRITERS = sorted(path for pattern in _PATTERNS.split() for path in _ROOT.glob(pattern))
+_WRITERS = source_files("_templates.py", "lowering", "codegen/_program.py", "engine")
 WRITTEN_BY = hashlib.sha256(b"\n".join(path.read_bytes() for path in _WRITERS)).hexdigest()
 """A hash of the files that write the C, so that a change of any of them invalidates the cache."""
 

@@ -24,10 +24,11 @@ import numpy as np
 
 from covariant import _programs
 from covariant.engine._numbers import Places
+from covariant.engine._sources import ROOT, source_files
 
 PACKAGES = ("jax", "jaxlib", "equinox", "numpy", "scipy")
 """They trace an observer and compute the constants in it."""
-LIBRARY, ROOT = "covariant", Path(__file__).parents[1]
+LIBRARY = "covariant"
 
 
 class _UnknownError(Exception):
@@ -123,8 +124,8 @@ def _name(x: Any) -> str:
 
 
 @functools.cache
-def _files() -> tuple[Path, ...]:
-    return tuple(sorted({*ROOT.rglob("*.py"), *ROOT.rglob("templates/*")}))
+def _files() -> list[Path]:
+    return source_files("")
 
 
 def _source_may_differ() -> bool:

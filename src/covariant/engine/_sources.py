@@ -1,0 +1,14 @@
+"""The files of the library on which a cached text depends: modules and templates, in sub-rooms too."""
+
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+
+
+def source_files(*places: str, root: Path = ROOT) -> list[Path]:
+    """Modules and templates below some folders, or single files, of the library.
+
+    An installed library has `templates/__pycache__` as well, because pip compiles the templates that are Python.
+    """
+    paths = [path for place in places for path in (root / place, *(root / place).rglob("*")) if path.is_file()]
+    return sorted({path for path in paths if path.suffix == ".py" or path.parent.name == "templates"})
