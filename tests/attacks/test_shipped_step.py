@@ -33,18 +33,26 @@ ROUNDED = {np.float64: 1e-9, np.float32: 2e-3}
 DRIVER = """
 #include <stdio.h>
 #include "shipped.h"
+#ifdef BOUNDED
+#define INNER(name) inner_##name
+#define BOUNDS ((shipped_real[]){state.last_position_bound[0], state.last_velocity_bound[0], state.last_premise})
+#else
+#define INNER(name) name
+#define BOUNDS ((shipped_real[]){0, 0, 0})
+#endif
 int main(void) {
     shipped_real row[4];
     while (fread(row, sizeof row[0], 2, stdin) == 2) {
         shipped_state state;
         shipped_init(&state, &shipped_default, row, 0);
-        state.q[0] = row[0];
-        state.v[0] = row[1];
+        state.INNER(q)[0] = row[0];
+        state.INNER(v)[0] = row[1];
         for (int k = 0; k < SAMPLES; k++) {
             if (fread(row, sizeof row[0], 3, stdin) != 3) return 1;
             shipped_step(&state, &shipped_default, row, row + 1, 0, row[2]);
-            fwrite(state.q, sizeof state.q[0], 1, stdout);
-            fwrite(state.v, sizeof state.v[0], 1, stdout);
+            fwrite(state.INNER(q), sizeof row[0], 1, stdout);
+            fwrite(state.INNER(v), sizeof row[0], 1, stdout);
+            fwrite(BOUNDS, sizeof row[0], 3, stdout);
         }
     }
     return 0;
@@ -182,13 +190,32 @@ def test_no_run_of_the_c_that_is_exported_is_farther_off_than_what_is_proved(nam
     options = {"alpha": alpha, "beta": beta, "certificate": made.path, "real": name, "name": "shipped", "audit": False}
     covariant.export(made.model, tmp_path / "c", rate=RATE, observer="intrinsic", **options)
     (tmp_path / "driver.c").write_text(DRIVER)
-    flags = ["-O2", "-std=c99", f"-DSAMPLES={SAMPLES}", "-I", "c", "driver.c", "c/shipped.c", "-lm", "-o", "driver"]
+    # A bound is computed with doubles alone.
+    flags = [
+        "-O2",
+        "-std=c99",
+        f"-DSAMPLES={SAMPLES}",
+        *["-DBOUNDED"] * (name == "double"),
+        "-I",
+        "c",
+        "driver.c",
+        "c/shipped.c",
+        "-lm",
+        "-o",
+        "driver",
+    ]
     subprocess.run([command, *flags], cwd=tmp_path, check=True)
     runs = logs(certificate, seed=1)
     rows = np.stack([runs.u, runs.y, runs.dt], axis=2).reshape(RUNS, -1)
     sent = np.concatenate([runs.start, rows], axis=1).astype(real).tobytes()
     answer = subprocess.run([tmp_path / "driver"], input=sent, capture_output=True, check=True).stdout
-    found = np.frombuffer(answer, real).reshape(RUNS, SAMPLES, 2)
+    answer = np.frombuffer(answer, real).reshape(RUNS, SAMPLES, 5)
+    found, bound, premise = answer[..., :2], answer[..., 2:4], answer[..., 4]
+    if name == "double":
+        known = np.isfinite(bound).all(axis=2)
+        assert (known == (premise == 0)).all()
+        assert 0.2 < known.mean() < 1.0
+        assert (np.abs(found - runs.truth)[known] <= bound[known]).all()
     assert (
         np.abs(found - np.asarray(estimates(certificate.observer, runs, real))).max()
         < {8: 1e-11, 4: 1e-4}[found.itemsize]

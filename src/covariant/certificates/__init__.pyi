@@ -13,6 +13,7 @@ from .base import (
     Statement as Statement,
     StateMetric as StateMetric,
     Verdict as Verdict,
+    any_configuration as any_configuration,
     conditioning as conditioning,
     contraction as contraction,
     contraction_matrix as contraction_matrix,
@@ -54,10 +55,13 @@ from .proving import (
     trajectories as trajectories,
 )
 from .sampled import (
-    BoundInfo as BoundInfo,
-    BoundState as BoundState,
+    Bounded as Bounded,
+    BoundedInfo as BoundedInfo,
+    BoundedState as BoundedState,
+    LostRows as LostRows,
     Premise as Premise,
     SampledBound as SampledBound,
+    check_interval as check_interval,
     sampled_system as sampled_system,
 )
 from .theory import (
@@ -101,8 +105,8 @@ from .theory import (
 )
 
 __all__ = [
+    "Bounded",
     "Hypothesis",
-    "SampledBound",
     "Statement",
     "audit",
     "cascade",

@@ -20,7 +20,8 @@ from covariant.observers import AbstractObserver
 Real = Literal["double", "float"]
 DTYPES = {"double": np.float64, "float": np.float32}
 
-REPORTED = ("innovation", "distance", "nis", "velocity_std", "state_std", "slow", "slow_std")
+BOUND = ("position_bound", "velocity_bound", "premise")
+REPORTED = ("innovation", "distance", "nis", "velocity_std", "state_std", "slow", "slow_std", *BOUND)
 """Fields of an info that the code stores, beside the result code."""
 GAIN_UNITS = {"alpha": "1/s", "beta": "1/s^2"}
 """Units of the gains of observers of second order."""
@@ -190,8 +191,8 @@ class Program(NamedTuple):
 
     @property
     def told(self) -> list[Leaf]:
-        """Standard deviations and slow states, which belong to an estimate."""
-        return [leaf for leaf in self.reported if leaf.name == "slow" or leaf.name.endswith("_std")]
+        """Standard deviations, proved bounds and slow states, which belong to an estimate."""
+        return [leaf for leaf in self.reported if leaf.name in ("slow", *BOUND) or leaf.name.endswith("_std")]
 
     @property
     def stored(self) -> list[Leaf]:
@@ -229,7 +230,9 @@ def with_open_numbers(observer: AbstractObserver, fixed: Sequence[str] = ()) -> 
     paths, tree = jax.tree_util.tree_flatten_with_path(dynamic)
     arrays = [np.asarray(leaf) for _, leaf in paths]
     names = _shortest_names([_path_keys(path) for path, _ in paths], arrays)
-    closed = [any(fnmatchcase(name, pattern) for pattern in fixed) for name in names]
+    # A proof is about the numbers as they are.
+    patterns = ("*",) if observer.fixed_numbers else fixed
+    closed = [any(fnmatchcase(name, pattern) for pattern in patterns) for name in names]
     numbers = {name: a for name, a, fix in zip(names, arrays, closed, strict=True) if a.size and not fix}
 
     def make(values):

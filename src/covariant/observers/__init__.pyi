@@ -13,6 +13,7 @@ from .base import (
     GateMemory as GateMemory,
     Info as Info,
     Judged as Judged,
+    LastInput as LastInput,
     MechanicalState as MechanicalState,
     Sample as Sample,
     SampledState as SampledState,
@@ -116,6 +117,7 @@ from .wrappers import (
     Gated as Gated,
     GatedState as GatedState,
     damping_margin as damping_margin,
+    without_last_input as without_last_input,
 )
 
 __all__ = [

@@ -2,17 +2,30 @@
 
 import math
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
 from covariant import certificates, models
-from covariant.certificates import AbstractClaim, Attempt, Checked, CheckerName, ContractionCertificate, Document, Start
+from covariant.certificates import (
+    AbstractClaim,
+    Attempt,
+    Checked,
+    CheckerName,
+    ContractionCertificate,
+    Document,
+    LostRows,
+    Start,
+    any_configuration,
+    check_interval,
+)
 from covariant.models import MechanicalSystem, Overrides, input_count
+from covariant.observers import chooses_substeps, with_fixed_substeps
 from covariant.proofs import read_file
 from covariant.workflow._arguments import Amounts, Region, above_zero, amounts, bounds, gain_pair, numbers
 from covariant.workflow._design import design
@@ -56,6 +69,7 @@ def certify(
     disturbance: Amounts = 0.0,
     interval: Sequence[float] | None = None,
     lost: int = 0,
+    lost_rows: LostRows = "empty",
     boxes: int = 200_000,
     seconds: float | None = None,
     processes: int = 1,
@@ -92,6 +106,8 @@ def certify(
         interval: Shortest and longest time between two samples [s], for a statement about the observer with sampled
             measurements; without it the observer runs in continuous time.
         lost: With `interval`, how many samples in a row may be lost.
+        lost_rows: Whether each of them is still a row ("empty") or may have none ("missing"), so that one step of the
+            observer covers the gap.
         boxes: Effort: boxes that may be evaluated, the same on every machine.
         seconds: A limit of time [s] besides, for each of the proofs.
         processes: Processes to prove with. With several, a script needs the `if __name__ == "__main__"` guard.
@@ -145,6 +161,7 @@ def certify(
         "disturbance": amounts("disturbance", disturbance, names),
         "interval": None if interval is None else tuple(interval),
         "lost": lost,
+        "lost_rows": lost_rows,
         "boxes": int(above_zero("boxes", boxes)),
         "seconds": None if seconds is None else above_zero("seconds", seconds),
         "processes": int(above_zero("processes", processes)),
@@ -153,17 +170,31 @@ def certify(
     recipe = models.recipe(name, overrides) if isinstance(model, str | os.PathLike) else None
 
     def prove(**changes: Any) -> ContractionCertificate:
+        chosen = settings | changes
         return certificates.certify(
-            designed.inner,
+            designed.inner if interval is None else _with_substeps(designed.inner, chosen),
             recipe=recipe,
             progress=lambda what, share, count: progress(f"proving {what}, {count} boxes", share),
-            **(settings | changes),
+            **chosen,
         )
 
     if find is None:
         return CertifyResult(name, prove(), designed.notes)
     certificate, attempts = largest_proved(find, settings, prove, runs)
     return CertifyResult(name, certificate, designed.notes, FIND[find], attempts)
+
+
+def _with_substeps(observer: Any, settings: Mapping[str, Any]) -> Any:
+    """The observer with the number of Runge–Kutta steps that it takes at most within the bounds of a statement."""
+    if not chooses_substeps(observer):
+        return observer
+    model, count = observer.model, settings["lost"] + 1 if settings["lost_rows"] == "missing" else 1
+    q = np.asarray(any_configuration(model))
+    speeds = np.broadcast_to(settings["velocity"], len(model.coordinates or model.velocities))
+    v = np.stack([speeds, -speeds])
+    inputs = input_count(model, v.shape[1])
+    longest = count * check_interval(settings["interval"], settings["lost"], settings["lost_rows"])[1]
+    return with_fixed_substeps(observer, 1 / longest, *map(jnp.asarray, (np.stack([q, q]), v, np.zeros((2, inputs)))))
 
 
 @dataclass(frozen=True, repr=False)

@@ -1,5 +1,6 @@
 """`export`: an observer as C for microcontrollers, as a Python package, as WebAssembly, or as a unit (.fmu)."""
 
+import dataclasses
 import math
 import os
 import re
@@ -37,6 +38,7 @@ from covariant.observers import (
     AbstractObserver,
     Delayed,
     FixedLag,
+    Gated,
 )
 from covariant.workflow._arguments import above_zero, gain_pair
 from covariant.workflow._design import Design, design
@@ -100,7 +102,9 @@ def export(
         parameters: Numbers of the model that may be changed at run time; all by default, none for an empty list.
         flash: Most bytes of code and constants: where straight C is estimated to take more, like statements become
             loops over tables, which take more time.
-        certificate: A saved certificate (.json) of this observer, for the data sheet.
+        certificate: A saved certificate (.json) of this observer, for the data sheet. One for sampled measurements
+            makes a proved bound of the error a part of every step, if the numbers are doubles; it takes the number of
+            substeps from the certificate, and all numbers are constants, since the proof is about them.
         metric: A metric on a grid (.zarr) for the observer riccati, as `design_metric` stores it.
         fmi: Version of FMI of a unit, "3.0" (the default) or "2.0".
         lag: Estimate each time this much later [s], from all samples up to then, as `smooth` with this lag does; of a
@@ -137,7 +141,7 @@ def export(
     limit = math.inf if flash is None else above_zero("flash", flash)
     above_zero("rate", rate)
     gains = gain_pair(alpha, beta)
-    _check(unit, real, fmi, flash, certificate, step_per_sensor, python, wasm)
+    _check(unit, real, fmi, flash, step_per_sensor, python, wasm)
     label = models.spec_name(model)
     progress("reading the model")
     family = _family(model, overrides, parameters)
@@ -158,10 +162,15 @@ def export(
     description = f"{designed.name} observer of {file.name}. {chosen} {refusals}"
     # A simulator asks a unit for steps of any length; firmware has one step length, and must do the same work in each.
     fixed = designed.observer if unit else designed.with_fixed_substeps(rate, measured)
-    proved = (
-        "" if certificate is None else _certificate_lines(Path(certificate), model, overrides, designed, fixed, rate)
-    )
+    proved, kept = "", None
+    if certificate is not None:
+        kept, proved = _verified(Path(certificate), model, overrides, designed, rate)
+        if kept.sampling is not None and kept.sampling.substeps is not None:
+            fixed = _with_substeps(designed.observer, kept.sampling.substeps)
     substeps = getattr(getattr(fixed, "observer", fixed), "substeps", None)
+    bounded = kept is not None and kept.sampling is not None and real == "double"
+    if bounded and parameters:
+        raise ValueError("the certificate is about the numbers of the model as they are; leave out `parameters`")
     # Only an observer with a model can predict from the time of a late reading to the present.
     delay = reading_delays(fixed, file.delay, designed.sensors, measured[0])
     delayed = Delayed(fixed, delay, rate) if entry.knows_model and np.any(delay) else fixed
@@ -170,7 +179,11 @@ def export(
     if lag is not None:
         delayed, description = _late(delayed, designed.name, lag, rate), f"{description} Estimates are {lag:g} s late."
     progress(f"writing {prefix}")
-    opened = family if entry.knows_model else None  # the others have no number of the model
+    if bounded and delayed is fixed and kept is not None:
+        delayed = kept.bounded(fixed, radius=kept.radius)
+        description = f"{description} {_start_line(kept)}"
+    # The others have no number of the model.
+    opened = family if entry.knows_model and not delayed.fixed_numbers else None
     written = _program(label, delayed, opened, file, parameters, real, measured[0], unit, step_per_sensor)
     read = tuple(name for part in designed.sensors for name in part.signals)
     written = written._replace(signals=kind_of(file).signals(written.u, read))
@@ -268,7 +281,6 @@ def _check(
     real: str,
     fmi: str | None,
     flash: float | int | None,
-    certificate: str | Path | None,
     alone: bool,
     python: bool,
     wasm: bool,
@@ -288,8 +300,6 @@ def _check(
         raise ValueError(
             f"{'python' if python else 'wasm'} is for a folder, and a unit is one file; name a folder by -o"
         )
-    if unit and certificate is not None:
-        raise ValueError("certificate is for the data sheet, which a unit does not have; leave it out")
 
 
 def _late(observer: AbstractObserver, name: str, lag: float, rate: float) -> FixedLag:
@@ -378,10 +388,26 @@ def _open_numbers(parameters: dict[str, Any]) -> tuple[str, ...]:
     return tuple(place for key, value in parameters.items() for place in places(key, value))
 
 
-def _certificate_lines(
-    path: Path, model: Any, overrides: Overrides, designed: Design, fixed: AbstractObserver, rate: float
-) -> str:
-    """Lines on what a saved certificate says of this observer; raises `ValueError` where it is of another."""
+def _with_substeps(observer: Any, substeps: int) -> AbstractObserver:
+    """The observer, perhaps behind a gate, with a number of Runge–Kutta steps in each prediction."""
+    if isinstance(observer, Gated):
+        return dataclasses.replace(observer, observer=_with_substeps(observer.observer, substeps))
+    return dataclasses.replace(observer, substeps=substeps)
+
+
+def _start_line(certificate: certificates.ContractionCertificate) -> str:
+    """What the bound in generated code assumes of the start."""
+    where = certificate.start or f"within {certificate.radius:.4g} in the metric of the certificate"
+    return (
+        "position_bound and velocity_bound are proved bounds of the errors of the estimate while premise is 0, else "
+        f"infinite; they assume that the errors of the first estimate are within these, all at once: {where}."
+    )
+
+
+def _verified(
+    path: Path, model: Any, overrides: Overrides, designed: Design, rate: float
+) -> tuple[certificates.ContractionCertificate, str]:
+    """A saved certificate and lines on what it says of this observer; raises `ValueError` where it is of another."""
     document, name = certificates.parse(path), models.spec_name(model)
     observer, kind = designed.inner, designed.name
     gains = tuple(float(getattr(observer, each, np.nan)) for each in ("alpha", "beta"))
@@ -404,28 +430,18 @@ def _certificate_lines(
                 f"{path}: the certificate is for samples {shortest:g} to {longest:g} s apart, and at {rate:g} Hz they "
                 f"are {1 / rate:g} s apart"
             )
-        steps = getattr(getattr(fixed, "observer", fixed), "substeps", None)
-        if sampling.substeps not in (None, steps):
-            raise ValueError(
-                f"{path}: the certificate is for {sampling.substeps} Runge–Kutta steps in each sample; what is written "
-                f"takes {steps}"
-            )
     # Code that is trusted: the exported model was just built with it.
     attribute = (document.recipe or {}).get("attribute")
     checked = certificates.check(document, model=attribute)
-    return "\n".join(
-        [
-            f"All {checked.leaves} leaves of `{path.name}` were verified when this was written. It is about the "
-            f"observer {time}, with the default numbers:",
-            "",
-            *(f"    {line}" for line in str(checked.statement).splitlines()),
-            *(
-                ["", beyond_proof(0 if sampling is None else sampling.lost)]
-                if designed.inner is not designed.observer
-                else []
-            ),
-        ]
-    )
+    lines = [
+        f"All {checked.leaves} leaves of `{path.name}` were verified when this was written. It is about the observer "
+        f"{time}, with the default numbers:",
+        "",
+        *(f"    {line}" for line in str(checked.statement).splitlines()),
+    ]
+    if designed.inner is not designed.observer:
+        lines += ["", beyond_proof(0 if sampling is None else sampling.lost)]
+    return certificates.ContractionCertificate.load(path, model=attribute), "\n".join(lines)
 
 
 def beyond_proof(lost: int) -> str:

@@ -55,7 +55,14 @@ def _samples(sampling: Sampling) -> str:
     """When measurements come, in words."""
     shortest, longest = (exact(h) for h in sampling.interval)
     every = f"samples {shortest} s apart" if shortest == longest else f"samples {shortest} to {longest} s apart"
-    return f"{every}, of which at most {sampling.lost} in a row are lost"
+    if not sampling.lost:
+        return f"{every}, of which none is lost"
+    as_rows = (
+        f"as rows that may be missing: one prediction may cover {sampling.oldest:.6g} s"
+        if sampling.missing_rows
+        else "each of them as a row without a measurement, over which the observer predicts"
+    )
+    return f"{every}, of which at most {sampling.lost} in a row are lost, {as_rows}"
 
 
 def _hypotheses(facts: Resolved, evidence: Evidence) -> Iterator[Hypothesis]:

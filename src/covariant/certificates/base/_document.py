@@ -333,14 +333,18 @@ def _read_bounds(field: Field, n: int) -> Given:
 
 
 def _sampling(field: Field) -> Sampling:
-    fields = field.record(["interval", "lost", "slopes", "shear", "substeps"])
+    keys = ["interval", "lost", "slopes", "shear", "substeps"]
+    missing_rows = isinstance(field.value, dict) and "missing_rows" in field.value
+    fields = field.record([*keys, "missing_rows"] if missing_rows else keys)
     interval = fields["interval"].vector(2, 2)
     fields["interval"].need(0 < interval[0] <= interval[1], "two positive times, the shorter one first")
     slopes = np.array([[row.vector(2, 2) for row in slope.rows(2, 2)] for slope in fields["slopes"].rows(0, 8)])
     slopes = slopes.reshape(-1, 2, 2)
     fields["slopes"].need((slopes == np.swapaxes(slopes, 1, 2)).all(), "symmetric matrices (2, 2)")
     lost, shear = fields["lost"].whole(0, MOST_LOST), fields["shear"].one_of((True, False))
-    return Sampling(interval, lost, slopes, shear, fields["substeps"].whole(0, 10_000) or None)
+    if missing_rows:
+        fields["missing_rows"].one_of((True,))
+    return Sampling(interval, lost, slopes, shear, fields["substeps"].whole(0, 10_000) or None, missing_rows)
 
 
 def _claims(field: Field, setting: Setting) -> tuple[AbstractClaim, ...]:

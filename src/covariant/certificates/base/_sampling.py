@@ -16,7 +16,9 @@ class Sampling(NamedTuple):
         lost: largest number of samples lost in a row.
         slopes: R_1, R_2, … (k, 2, 2) of the metric; R_0 is the matrix Q of the certificate.
         shear: whether the frame of the metric is sheared with the age of the measurement.
-        substeps: number of Runge–Kutta steps between two samples; None where the observer chooses it.
+        substeps: number of Runge–Kutta steps in a prediction; None where the observer chooses it.
+        missing_rows: whether lost samples may be rows that are missing, so that one prediction goes over all of them.
+            By default each lost sample is a row without a measurement, and so a prediction of its own.
 
     Example:
         >>> import numpy as np
@@ -31,6 +33,7 @@ class Sampling(NamedTuple):
     slopes: Float[np.ndarray, "k 2 2"] = np.zeros((0, 2, 2))
     shear: bool = False
     substeps: int | None = None
+    missing_rows: bool = False
 
     @property
     def ages(self) -> Float[np.ndarray, "p 2"]:
@@ -48,7 +51,12 @@ class Sampling(NamedTuple):
     def longest_step(self) -> float:
         """Length of the longest Runge–Kutta step [s], rounded up; only where their number is known."""
         assert self.substeps is not None
-        return float(np.nextafter(self.interval[1] / self.substeps, np.inf))
+        return float(np.nextafter(self.longest_prediction / self.substeps, np.inf))
+
+    @property
+    def longest_prediction(self) -> float:
+        """Longest time that one prediction covers [s]."""
+        return self.oldest if self.missing_rows else float(self.interval[1])
 
     def at(self, q: Any, age: Any) -> Array:
         """The matrix R(τ) (2, 2) of the metric at an age τ.
@@ -71,7 +79,7 @@ class Sampling(NamedTuple):
             "slopes": self.slopes.tolist(),
             "shear": self.shear,
             "substeps": self.substeps or 0,
-        }
+        } | ({"missing_rows": True} if self.missing_rows else {})
 
 
 class Loss(NamedTuple):

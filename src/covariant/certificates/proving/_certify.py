@@ -66,6 +66,7 @@ from covariant.certificates.proving._contraction_certificate import ContractionC
 from covariant.certificates.proving._joint_bounds import friction_bounds, has_dry_friction, joint_bounds
 from covariant.certificates.proving._rates import metric_and_rates
 from covariant.certificates.sampled import (
+    LostRows,
     check_sampling,
     force_claim,
     missing_claims,
@@ -100,6 +101,7 @@ def certify(
     disturbance: ArrayLike = 0.0,
     interval: tuple[float, float] | None = None,
     lost: int = 0,
+    lost_rows: LostRows = "empty",
     recipe: dict[str, Any] | None = None,
     boxes: int = MOST_BOXES,
     seconds: float | None = None,
@@ -133,11 +135,14 @@ def certify(
             in the body frame. Bounds of matrix entries that `position` gives on a group then apply to the measured
             ones.
         disturbance: bound of each component of an unmodelled force, a number or (n,).
-        interval: shortest and longest time [s] between two samples: the statement is then about the observer that
+        interval: shortest and longest time [s] between two samples, proved .1 % wider at both ends, for stamps that are
+            rounded: the statement is then about the observer that
             predicts between samples and corrects at each of them, in a metric that is searched (with clarabel). It
             covers systems in coordinates and on rotations whose force depends on the input alone, on rotations without
             noise and disturbance. Without it the observer runs in continuous time.
         lost: with `interval`, the largest number of samples that may be lost in a row.
+        lost_rows: whether each lost sample is still a step with NaN as its measurement ("empty"), or whether its row
+            may be "missing", so that one step of the observer covers the whole gap, with longer Runge–Kutta steps.
         recipe: where the model comes from, as from `models.recipe`; needed to save the certificate.
         boxes: largest number of boxes for all proofs together, which is the same effort on every machine.
         seconds: an additional limit of time [s] for each proof, which starts when its matrix has been written as a
@@ -163,7 +168,9 @@ def certify(
     start = time.monotonic()
     assumed = _check_assumptions(observer, velocity, error, noise, disturbance)
     matrix, target, *slower = metric_and_rates(observer, q, rate, interval is not None, bool(assumed.noise.any()))
-    sampling = None if interval is None else check_sampling(observer, interval, lost, q, len(assumed.velocity))
+    sampling = (
+        None if interval is None else check_sampling(observer, interval, lost, lost_rows, q, len(assumed.velocity))
+    )
     if (
         sampling is not None
         and (assumed.noise.any() or assumed.disturbance.any())

@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import ArrayLike, Float
 
 from covariant.certificates.base import (
     FORMAT,
@@ -12,6 +12,7 @@ from covariant.certificates.base import (
     ErrorSystem,
     Given,
     Intrinsics,
+    PredictionClaim,
     Recursion,
     Resolved,
     Sampling,
@@ -32,7 +33,8 @@ from covariant.certificates.base import (
     write,
 )
 from covariant.certificates.checking import follows
-from covariant.certificates.sampled import ROUND, SampledBound
+from covariant.certificates.sampled import ROUND, Bounded, SampledBound, same_step
+from covariant.observers import AbstractObserver
 from covariant.proofs import Box, digest
 
 SAMPLED_ROLES = ("joint force", "friction slope")
@@ -177,14 +179,32 @@ class ContractionCertificate(NamedTuple):
             return None
         return start_of(self.radius, self.domain, self.claims)
 
-    def bound(self) -> SampledBound:
-        """Build what bounds the error of the estimate beside every sample, for an observer with sampled measurements.
+    def bounded(
+        self,
+        observer: AbstractObserver | None = None,
+        *,
+        position: ArrayLike | None = None,
+        velocity: ArrayLike | None = None,
+        radius: float | None = None,
+    ) -> Bounded:
+        """Build the observer whose step also returns a proved bound of its error, for sampled measurements.
+
+        `init` starts from rest at the first measurement. Its error is bounded by `position` and `velocity`, or by
+        `radius`; otherwise the bounds are infinite until the state gets a radius.
+
+        Args:
+            observer: the observer that runs: that of the certificate (default), or the same behind a gate.
+            position: bounds (n,) of the first errors of the positions [unit], or one for all; by default the error of
+                a measurement in the certificate.
+            velocity: bounds (n,) of the true velocities at the start [unit/s], or one for all.
+            radius: instead of these, the first distance in the metric of the certificate.
 
         Returns:
-            The recursion of the certificate as pure functions, `init`, `within` and `step`.
+            The observer with its bound.
 
         Raises:
-            ValueError: nothing is proved, or the certificate is one in continuous time.
+            ValueError: nothing is proved, the certificate is one in continuous time, the observer is another one, or a
+                bound is negative or not a number.
         """
         if self.sampling is None:
             raise ValueError(
@@ -192,9 +212,11 @@ class ContractionCertificate(NamedTuple):
             )
         if self.statement.verdict != "holds":
             raise ValueError("no bound beside every sample, since nothing is proved on the region")
+        if not same_step(observer or self.observer, self.observer):
+            raise ValueError("bounded: the observer is not the one of the certificate, nor that one behind a gate")
         squares, factors = reach_squares(self.claims), select(self.claims, StartClaim)
-        circles = self.observer.model.circles
-        return SampledBound(
+        model, n = self.observer.model, len(self.velocity)
+        bound = SampledBound(
             Recursion.of(self.sampling, self.q, self.rate, self.given, self.claims),
             self.radius,
             np.sqrt(squares) * (1 + ROUND),
@@ -202,8 +224,20 @@ class ContractionCertificate(NamedTuple):
             self.given.positions,
             self.velocity,
             self.given.inputs,
-            tuple(i in circles for i in range(len(self.velocity))),
+            self.given.noise,
+            self.sampling.substeps,
+            self.sampling.longest_step if select(self.claims, PredictionClaim) else 0.0,
+            self.sampling.missing_rows,
+            tuple(i in model.circles for i in range(n)) if model.manifold.commuting else None,
         )
+        if radius is not None and (position is not None or velocity is not None or not radius >= 0):
+            raise ValueError(f"bounded: give a radius ≥ 0, or bounds of position and velocity; got the radius {radius}")
+        if radius is None:
+            speed = np.inf if velocity is None else velocity
+            first = bound.within(self.given.noise if position is None else position, speed)
+        else:
+            first = bound.known(radius)
+        return Bounded(self.observer if observer is None else observer, bound, first)
 
     @property
     def kinds(self) -> tuple[str, ...]:

@@ -6,12 +6,16 @@ from ._prediction import (
 )
 from ._sampled_bound import (
     ROUND as ROUND,
-    BoundInfo as BoundInfo,
-    BoundState as BoundState,
+    Bounded as Bounded,
+    BoundedInfo as BoundedInfo,
+    BoundedState as BoundedState,
     Premise as Premise,
     SampledBound as SampledBound,
+    same_step as same_step,
 )
 from ._sampled_claims import (
+    LostRows as LostRows,
+    check_interval as check_interval,
     check_sampling as check_sampling,
     force_claim as force_claim,
     missing_claims as missing_claims,

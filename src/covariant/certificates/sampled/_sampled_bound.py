@@ -1,25 +1,41 @@
 """A proved bound of the estimation error after every sample: the recursion of a certificate, run with its observer.
 
 The certificate of a sampled observer shows how the distance between truth and estimate, in its metric, changes from
-sample to sample (see `_radius_recursion`). Run on a log or in real time, this recursion gives a radius after every
-sample. The radius bounds the error of each position and velocity. If a sample does not confirm a premise of the
-certificate, the bounds are infinite and name that premise, until the caller gives a new start.
+sample to sample (see `_radius_recursion`). `Bounded` runs this recursion as a part of the observer's step, from what
+that step did: the age of the measurement, the length and number of its Runge–Kutta steps, whether it corrected, and its
+result code. The radius after a sample bounds the error of each position and velocity. If a sample does not confirm a
+premise of the certificate, the bounds are infinite and name that premise, until a new start.
 """
 
 import enum
 from typing import Any, NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, Float, Inexact
 
 from covariant._typing import Code, Number, Scalar, Vector
-from covariant.certificates.base import Recursion
-from covariant.signals import StepCode, largest_measurement
+from covariant.certificates.base import Recursion, any_configuration
+from covariant.lowering import fingerprint
+from covariant.models import MechanicalSystem, input_count
+from covariant.observers import (
+    AbstractObserver,
+    AbstractWrapper,
+    Gated,
+    Info,
+    LastInput,
+    SampledState,
+    without_last_input,
+)
+from covariant.signals import StepCode
 
 ROUND = 1e-9
 """Relative margin that covers the rounding of the recursion, which runs in doubles."""
+ROUNDING = 1e-9
+"""Least bound of a position [1, or its unit] and, times the largest velocity, of a velocity: the proof is one of real
+numbers, and the observer's own rounding in doubles leads some 1e-13 away."""
 TURN = 2 * np.pi
 
 
@@ -41,6 +57,8 @@ class Premise(enum.IntEnum):
     INPUT = 6
     MEASUREMENT = 7
     STEP = 8
+    PREDICTION = 9
+    CONTRADICTED = 10
 
     @property
     def message(self) -> str:
@@ -56,186 +74,184 @@ _MESSAGES = {
     Premise.VELOCITY: "the velocity may be beyond the bound of the certificate",
     Premise.POSITION: "the position may be outside of the region of the certificate",
     Premise.MEASUREMENT: "only some positions were measured or used, for which nothing is proved",
-    Premise.INPUT: "the input is outside of the bounds of the certificate, or not finite",
+    Premise.INPUT: "the input is outside of the bounds of the certificate",
     Premise.STEP: "the certificate does not cover what the observer's step did, such as a restart: see its result code",
+    Premise.PREDICTION: (
+        "the errors of the prediction's Runge–Kutta steps are not proved for steps of this length; certify an observer "
+        "with a fixed number of substeps"
+    ),
+    Premise.CONTRADICTED: (
+        "the measurement is farther from the prediction than the bound and the measurement error together allow, so "
+        "that the truth breaks an assumption of the certificate"
+    ),
 }
 
 
-class BoundState(NamedTuple):
-    """State of the bound between samples.
+class BoundedState(NamedTuple):
+    """State of a `Bounded` observer.
 
     Attributes:
+        inner: state of the observer.
         radius: proved distance right after the last measurement, in the metric; infinite where nothing is known.
-        age: time since that measurement [s].
-        premise: `Premise` as a number: 0, or the first one that failed. It is a real number like the other fields,
-            since `lowering` needs states of real numbers.
+        premise: `Premise` as a number: 0, or the first one that failed.
+        last_input: the last finite input (m,).
 
     Example:
-        >>> import jax.numpy as jnp
-        >>> from covariant.certificates import BoundState
-        >>> BoundState(jnp.array(0.02), jnp.zeros(()), jnp.zeros(())).radius.item()
-        0.02
+        >>> from covariant.certificates import BoundedState
+        >>> BoundedState._fields
+        ('inner', 'radius', 'premise', 'last_input')
     """
 
+    inner: Any
     radius: Scalar
-    age: Scalar
     premise: Scalar
+    last_input: LastInput = None
 
 
-class BoundInfo(NamedTuple):
-    """The bound after a sample.
+class BoundedInfo(NamedTuple):
+    """Diagnostics of a step of a `Bounded` observer.
 
     Attributes:
+        innovation: difference (n,) from the predicted to the measured configuration, as in `observers.Info`.
+        distance: its length in the metric of the model.
         radius: proved distance between truth and estimate, in the metric of the present age.
-        position: bound (n,) of the error of each position [unit].
-        velocity: bound (n,) of the error of each velocity [unit/s].
+        position_bound: bound (n,) of the error of each position [unit].
+        velocity_bound: bound (n,) of the error of each velocity [unit/s].
         premise: `Premise` as an integer; the bounds are infinite unless it is 0.
+        result: a `covariant.signals.StepCode` code.
 
     Example:
         >>> import jax.numpy as jnp
-        >>> from covariant.certificates import BoundInfo, Premise
-        >>> unknown = jnp.array([jnp.inf])
-        >>> info = BoundInfo(unknown[0], unknown, unknown, jnp.array(2))
+        >>> from covariant.certificates import BoundedInfo, Premise
+        >>> none, unknown = jnp.zeros(1), jnp.array([jnp.inf])
+        >>> info = BoundedInfo(none, none[0], unknown[0], unknown, unknown, jnp.array(2), jnp.array(0))
         >>> Premise(int(info.premise)).name
         'AGE'
     """
 
+    innovation: Vector
+    distance: Scalar
     radius: Scalar
-    position: Vector
-    velocity: Vector
+    position_bound: Vector
+    velocity_bound: Vector
     premise: Code
+    result: Code
 
 
 class SampledBound(eqx.Module):
-    """A proved error bound after every sample of an observer with sampled measurements; from `certificate.bound()`.
-
-    The bound rests on the assumptions of the certificate, above all that noise and unknown force are within the bounds
-    that it states. Each step checks what a sample shows: the age of the measurement, the input, and that every state
-    within the bound is in the region of positions and within the bounds of velocity. Between samples the last is
-    assumed.
-
-    Use it beside an observer, to know at every sample how far the estimate may be off: for a safety monitor rather than
-    for a design. The bound is a worst case, so that it exceeds the usual error many times; a filter reports standard
-    deviations.
+    """The numbers of a certificate from which `Bounded` computes its bound.
 
     Attributes:
         recursion: constants of the recursion.
         radius: ε of the certificate.
         reach: bounds (2n,) of each position and velocity error at a distance of 1.
         start: weights (2n,) of the squared initial errors in the squared distance; ∞ where the certificate has none.
-        positions: least and largest true positions (2, n).
+        positions: least and largest true positions (2, n), on rotations those of the matrix entries.
         velocity: bounds (n,) of the true velocities.
         inputs: least and largest inputs (2, m).
-        circles: which positions are angles on a circle (n,).
+        noise: bounds (n,) of the errors of the measured positions.
+        substeps: number of Runge–Kutta steps of a prediction.
+        longest_step: longest Runge–Kutta step whose error is proved [s]; 0 where none is.
+        missing_rows: whether a prediction may go over lost samples in one step.
+        circles: which positions are angles on a circle (n,); None on rotations.
 
     Example:
-        The bound of a certificate with the rate μ = 2 1/s and an encoder, whose errors add 1e-6 to squared distances:
-
-        >>> import jax.numpy as jnp
         >>> import numpy as np
-        >>> from covariant.certificates import Premise, SampledBound
+        >>> from covariant.certificates import SampledBound
         >>> from covariant.certificates.base._radius_recursion import Recursion
         >>> recursion = Recursion(2.0, 0.0, (1e-6,), 0.0, 0.0, 0.0, np.array([[0.01, 0.02]]))
-        >>> region = np.array([[-3.0], [3.0]]), np.array([4.0]), np.array([[-1.0], [1.0]])
-        >>> bound = SampledBound(recursion, 0.1, np.array([1.0, 10.0]), np.array([2.0, 0.02]), *region, (False,))
-        >>> state = bound.init(0.05)
-        >>> x, u, y = jnp.array([0.2, 1.0]), jnp.zeros(1), jnp.array([0.2])
-        >>> state, info = bound.step(state, x, u, y, 0.01)
-        >>> info.position.round(4).tolist(), info.velocity.round(3).tolist(), Premise(int(info.premise)).name
-        ([0.049], [0.49], 'HOLDS')
-        >>> bound.step(state, x, u, y, 0.5)[1].velocity.tolist()  # too late for the certificate
-        [inf]
+        >>> region = np.array([[-3.0], [3.0]]), np.array([4.0]), np.array([[-1.0], [1.0]]), np.zeros(1)
+        >>> bound = SampledBound(
+        ...     recursion, 0.1, np.array([1.0, 10.0]), np.array([2.0, 0.02]), *region, 1, 0.01, False, (False,)
+        ... )
+        >>> round(bound.within(0.01, 0.1), 4), bound.within(0.1, 0.1)
+        (0.02, inf)
     """
 
     recursion: Recursion
     radius: float
     reach: Float[np.ndarray, "two_n"]
     start: Float[np.ndarray, "two_n"]
-    positions: Float[np.ndarray, "2 n"]
+    positions: Float[np.ndarray, "2 k"]
     velocity: Float[np.ndarray, "n"]
     inputs: Float[np.ndarray, "2 m"]
-    circles: tuple[bool, ...] = eqx.field(static=True)
+    noise: Float[np.ndarray, "n"]
+    substeps: int | None = eqx.field(static=True)
+    longest_step: float
+    missing_rows: bool = eqx.field(static=True)
+    circles: tuple[bool, ...] | None = eqx.field(static=True)
 
-    def init(self, radius: Number = np.inf) -> BoundState:
-        """Start from a bound of the distance, right after a measurement.
+    def within(self, position: Any, velocity: Any) -> float:
+        """Bound the distance for bounds of the initial errors; infinite where it may exceed the radius."""
+        each = [np.broadcast_to(np.asarray(b, float), self.velocity.shape) for b in (position, velocity)]
+        errors = np.concatenate(each)
+        if not (errors >= 0).all():
+            raise ValueError(f"bounded: bounds of initial errors must be numbers ≥ 0; got {errors.tolist()}")
+        weighted = np.where(errors > 0, self.start * errors**2, 0.0)
+        return self.known(float(np.sqrt(weighted.sum())) * (1 + ROUND))
 
-        Args:
-            radius: largest distance between truth and estimate, in the metric of the certificate; unknown by default.
-
-        Returns:
-            The state. Its radius is infinite if `radius` is negative, NaN, or above that of the certificate.
-        """
-        start = jnp.asarray(radius, float)
-        known = (start >= 0) & (start <= self.radius)
-        premise = jnp.where(known, 0.0, float(Premise.START))
-        return BoundState(jnp.where(known, start, jnp.inf), jnp.zeros(()), premise)
-
-    def within(self, position: ArrayLike, velocity: ArrayLike) -> BoundState:
-        """Start from bounds of the initial errors, right after a measurement.
-
-        Args:
-            position: bounds (n,) of the errors of the positions [unit], or one for all.
-            velocity: bounds (n,) of the errors of the velocities [unit/s], or one for all.
-
-        Returns:
-            The state. Its radius is infinite if these errors may exceed the radius of the certificate.
-        """
-        each = [jnp.broadcast_to(jnp.asarray(b, float), self.velocity.shape) for b in (position, velocity)]
-        return self.init(jnp.sqrt(jnp.sum(jnp.asarray(self.start) * jnp.concatenate(each) ** 2)) * (1 + ROUND))
+    def known(self, radius: float) -> float:
+        """The radius, or ∞ where it exceeds that of the certificate."""
+        return radius if radius <= self.radius else np.inf
 
     def step(
         self,
-        state: BoundState,
-        x: Float[Array, "two_n"],
+        state: BoundedState,
+        before: SampledState,
+        after: SampledState,
+        info: Info,
         u: Float[Array, "m"],
-        y: Float[Array, "n"],
-        dt: Number,
-        result: Code | Number | None = None,
-    ) -> tuple[BoundState, BoundInfo]:
-        """Advance the bound over a sample.
-
-        A measurement that the observer did not use, since it is missing, infinite, too large or refused by a gate,
-        corrects nothing here either. It counts as a lost sample, and the bound stays known only if the certificate
-        covers the age that results.
+        y: Inexact[Array, "*n"],
+        dt: Scalar,
+        missing: Array,
+    ) -> tuple[Scalar, Scalar, BoundedInfo]:
+        """Advance the bound over a step that the observer made.
 
         Args:
-            state: the state after the previous sample.
-            x: the estimate (2n,) after this sample, positions first.
-            u: the input (m,) since the previous sample.
-            y: the measurement (n,) as the observer got it; NaN where it is lost.
-            dt: time since the previous sample [s]; 0, a repeated stamp, changes nothing. A time longer than the
-                interval of the certificate is not covered: pass every lost sample too, with NaN as y.
-            result: result code of the observer's step, `info.result`. By default it is computed from the other
-                arguments, for the certified observer itself without a gate.
+            state: the state before the step.
+            before: the certified observer's state before the step.
+            after: its state after the step.
+            info: what the step reported.
+            u: the input (m,) that it used.
+            y: the measurement, NaN where the step takes it as missing.
+            dt: the length of its prediction [s], 0 where it made none.
+            missing: which entries of y are missing.
 
         Returns:
-            The state, and the bound after the sample.
+            Radius and premise to store, and the diagnostics.
         """
-        dt = jnp.asarray(dt, float)
-        classified = self._classify(jnp.asarray(y), dt, result)
-        measured = classified.used
-        age = state.age + jnp.where(classified.repeated, 0.0, dt)
-        before = self.recursion.predicted(state.radius, age, jnp) * (1 + ROUND)
+        corrected, coasted, outlier, repeated = (info.result == int(code) for code in _COVERED)
+        # The age that the gains of this step knew, and whether the step took it as that of a measurement.
+        assert before.age is not None
+        age = before.age + dt
+        used = (dt > 0) & (after.age == 0)
+        whole = jnp.where(used, corrected & ~missing.any(), (after.age == age) | repeated)
+        before_radius = self.recursion.predicted(state.radius, age, jnp) * (1 + ROUND)
         added, known_age = self._noise(age)
         # The term hD(a + β) of the recursion.
-        factor_term = self.recursion.change * age * (before + self.recursion.error)
-        after = (jnp.sqrt(before**2 + added) + factor_term) * (1 + ROUND)
-        radius = jnp.where(measured, after, before)
-        # A prediction in one step over lost samples has longer Runge–Kutta steps than those of the proof.
-        short = classified.repeated | (dt >= 0) & (dt <= self.recursion.ages[0, 1])
-        aged = short & jnp.where(measured, known_age, age <= self.recursion.ages[-1, 1])
-        position, velocity = jnp.split(radius * jnp.asarray(self.reach) * (1 + ROUND), 2)
-        q, v = jnp.split(x, 2)
+        factor_term = self.recursion.change * age * (before_radius + self.recursion.error)
+        after_radius = (jnp.sqrt(before_radius**2 + added) + factor_term) * (1 + ROUND)
+        radius = jnp.where(used, after_radius, before_radius)
+        position, velocity = self._errors(radius)
+        # Lost samples may be rows without a measurement, or with `missing_rows` no rows at all.
+        longest = self.recursion.ages[-1 if self.missing_rows else 0, 1]
+        aged = (dt <= longest) & jnp.where(used, known_age, age <= self.recursion.ages[-1, 1])
+        proved_step = dt <= self.longest_step * (self.substeps or 0)
         conditions: tuple[tuple[Premise, Any], ...] = (
             (Premise.START, jnp.isfinite(state.radius)),
             (Premise.AGE, aged),
+            (Premise.PREDICTION, proved_step),
             # Between samples the bound is at most the larger of those before and after the measurement.
-            (Premise.TUBE, (before <= self.radius) & (after <= self.radius) | ~measured & (before <= self.radius)),
-            (Premise.VELOCITY, (jnp.abs(v) + velocity <= self.velocity).all()),
-            (Premise.POSITION, self._inside(q, position).all()),
+            (Premise.TUBE, (before_radius <= self.radius) & (~used | (after_radius <= self.radius))),
+            (Premise.VELOCITY, (jnp.abs(after.v) + velocity <= self.velocity).all()),
+            (Premise.POSITION, self._inside(after.q, position).all()),
             (Premise.INPUT, ((self.inputs[0] <= u) & (u <= self.inputs[1])).all()),
-            (Premise.STEP, classified.proved),
-            (Premise.MEASUREMENT, classified.whole),
+            (Premise.STEP, corrected | coasted | outlier | repeated & (dt == 0)),
+            (Premise.MEASUREMENT, whole),
+            (
+                Premise.CONTRADICTED,
+                ~used | (jnp.abs(info.innovation) <= self._errors(before_radius)[0] + self.noise * (1 + ROUND)).all(),
+            ),
         )
         premise = jnp.zeros((), jnp.int32)
         for code, holds in reversed(conditions):
@@ -244,25 +260,14 @@ class SampledBound(eqx.Module):
         known = premise == 0
         radius, position, velocity = (jnp.where(known, each, jnp.inf) for each in (radius, position, velocity))
         # A measurement stores the new radius with age 0; without one, the last radius stays and its age grows.
-        stored = jnp.where(measured, radius, jnp.where(known, state.radius, jnp.inf))
-        new = BoundState(stored, jnp.where(measured, 0.0, age), premise.astype(stored.dtype))
-        return new, BoundInfo(radius, position, velocity, premise)
+        stored = jnp.where(used, radius, jnp.where(known, state.radius, jnp.inf))
+        told = BoundedInfo(info.innovation, info.distance, radius, position, velocity, premise, info.result)
+        return stored, premise.astype(stored.dtype), told
 
-    def _classify(self, y: Float[Array, "n"], dt: Scalar, result: Any) -> "_Classified":
-        """Classify what the observer's step did with a measurement, by its result code if there is one."""
-        tiny, scalar = jnp.finfo(dt.dtype).tiny, len(self.circles) == 1
-        # The same bounds as in `AbstractObserver.step`; false for NaN.
-        admitted = jnp.abs(y) <= largest_measurement(y, [i for i, circle in enumerate(self.circles) if circle])
-        every, none = admitted.all(), ~admitted.any()
-        advanced, repeated = jnp.isfinite(dt) & (dt >= tiny), jnp.abs(dt) < tiny
-        if result is None:
-            used, unused, proved = every, none, jnp.ones((), bool)
-        else:
-            corrected, coasted, outlier, again = (jnp.asarray(result) == int(code) for code in _COVERED)
-            refused = coasted | outlier
-            # With several positions, a code does not say which of them were used.
-            used, unused, proved = every & corrected, refused & (none | scalar), corrected | refused | again & repeated
-        return _Classified(advanced & used, repeated | ~advanced | used | unused, repeated, proved)
+    def _errors(self, radius: Scalar) -> tuple[Vector, Vector]:
+        """Bounds (n,) of the errors of positions and velocities at a distance."""
+        position, velocity = jnp.split(radius * jnp.asarray(self.reach) * (1 + ROUND), 2)
+        return position + ROUNDING, velocity + ROUNDING * self.velocity
 
     def _noise(self, age: Scalar) -> tuple[Scalar, Array]:
         """Noise term G of a measurement of this age, and whether the certificate covers this age."""
@@ -271,9 +276,13 @@ class SampledBound(eqx.Module):
         # If several numbers of lost samples give this age, each is proved, so the least G holds.
         return jnp.min(jnp.where(fits, jnp.asarray(self.recursion.noise), jnp.inf)), fits.any()
 
-    def _inside(self, q: Vector, error: Vector) -> Array:
-        """Whether positions with these errors are within the region (n,)."""
+    def _inside(self, q: Array, error: Vector) -> Array:
+        """Whether positions with these errors are within the region, entry by entry."""
         low, high = self.positions
+        if self.circles is None:
+            # No entry of a rotation is beyond 1, or changes by more than the angle.
+            angle, entries = jnp.linalg.norm(error), q.ravel()
+            return ((low <= -1) | (low <= entries - angle)) & ((high >= 1) | (entries + angle <= high))
         circle = jnp.asarray(self.circles)
         middle = (low + high) / 2
         wrapped = jnp.where(circle, q - TURN * jnp.floor((q - middle) / TURN + 0.5), q)
@@ -281,14 +290,132 @@ class SampledBound(eqx.Module):
         return full_circle | (low <= wrapped - error) & (wrapped + error <= high)
 
 
-class _Classified(NamedTuple):
-    """Whether a step used a whole measurement, used all or none of it, repeated a stamp, and is proved."""
-
-    used: Array
-    whole: Array
-    repeated: Array
-    proved: Array
-
-
 _COVERED = StepCode.OK, StepCode.COASTED, StepCode.OUTLIER, StepCode.REPEATED
 """Result codes of steps that the proof covers: a correction, two for a lost measurement, and a repeated stamp."""
+
+
+class Bounded(AbstractWrapper):
+    """A certified observer whose step also returns a proved bound of its error; from `certificate.bounded()`.
+
+    The estimate is that of the observer itself. The bound rests on the assumptions of the certificate, above all that
+    noise and unknown force are within the bounds that it states, and that stamps are exact. Each step checks what it
+    can see: the age of the measurement, the lengths of its Runge–Kutta steps, the input, that the measurement is as far
+    from the prediction as the bound allows, and that every state within the bound is in the region of positions and
+    within the bounds of velocity. Between samples the last is assumed. A measurement that was not used, since it is
+    missing, too large or refused by the gate, corrects nothing: it counts as a lost sample.
+
+    Use it to know at every sample how far the estimate may be off: for a safety monitor rather than for a design. The
+    bound is a worst case, so that it exceeds the usual error many times; a filter reports standard deviations.
+
+    Attributes:
+        observer: the certified observer, or that observer behind a gate, in doubles.
+        bound: the numbers of the certificate.
+        first_radius: largest distance between truth and estimate that `init` assumes; ∞ where it is unknown.
+
+    Raises:
+        ValueError: `init` raises it for numbers that are not doubles.
+
+    Example:
+        An oscillator whose speed is at most 0.4 m/s when the observer starts from rest:
+
+        >>> import jax.numpy as jnp
+        >>> from covariant import models
+        >>> from covariant.certificates import Premise, certify
+        >>> from covariant.observers import Intrinsic
+        >>> observer = Intrinsic(models.oscillator(), 10.0, 40.0, substeps=1)
+        >>> box = {"position": (-2.0, 2.0), "velocity": 3.0, "error": 0.3}
+        >>> certificate = certify(observer, **box, interval=(0.01, 0.01), lost=1, checker="off")
+        >>> bounded = certificate.bounded(position=0.0, velocity=0.4)
+        >>> state = bounded.init(jnp.array([0.5]))
+        >>> state, info = bounded.step(state, jnp.zeros(1), jnp.array([0.5]), 0.01)
+        >>> Premise(int(info.premise)).name, bool(info.velocity_bound[0] < 1.0)
+        ('HOLDS', True)
+        >>> bounded.step(state, jnp.zeros(1), jnp.array([0.5]), 0.5)[1].velocity_bound.tolist()  # too late
+        [inf]
+    """
+
+    observer: Any
+    bound: SampledBound
+    first_radius: float = np.inf
+
+    @property
+    def fixed_numbers(self) -> bool:
+        return True
+
+    @property
+    def model(self) -> MechanicalSystem:
+        """The mechanical system of the observer."""
+        return self.observer.model
+
+    def init(self, y: Array, t: Number = 0.0) -> BoundedState:
+        first = self.observer.init(y, t)
+        inner, last_input = without_last_input(first), first.last_input
+        radius = jnp.asarray(self.first_radius, float)
+        state = BoundedState(inner, radius, jnp.where(jnp.isfinite(radius), 0.0, float(Premise.START)), last_input)
+        _need_doubles(state)
+        return state
+
+    def predict(self, state: BoundedState, u: Float[Array, "m"], dt: Scalar) -> BoundedState:
+        _need_doubles(state)
+        return self._unknown(state, self.observer.predict(state.inner, u, dt))
+
+    def correct(self, state: BoundedState, u: Float[Array, "m"], y: Array) -> tuple[BoundedState, BoundedInfo]:
+        """Correct a predicted state; the bound is then unknown, since `step` alone knows what it replaced."""
+        inner, info = self.observer.correct(state.inner, u, y)
+        unknown = jnp.full(info.innovation.shape, jnp.inf)
+        told = info.innovation, info.distance, unknown[0], unknown, unknown, jnp.asarray(int(Premise.STEP)), info.result
+        return self._unknown(state, inner), BoundedInfo(*told)
+
+    def reported(
+        self, before: BoundedState, after: BoundedState, info: Any, u: Float[Array, "m"], y: Array, dt: Scalar
+    ) -> tuple[BoundedState, BoundedInfo]:
+        states = certified_state(before.inner), certified_state(after.inner)
+        missing = self.model.manifold.missing(y)
+        radius, premise, told = self.bound.step(before, *states, info, u, y, dt, missing)
+        return after._replace(radius=radius, premise=premise), told
+
+    @staticmethod
+    def _unknown(state: BoundedState, inner: Any) -> BoundedState:
+        """A state with another one of the observer, of which no bound is known."""
+        unknown = jnp.full_like(state.radius, jnp.inf), jnp.full_like(state.premise, float(Premise.STEP))
+        return state._replace(inner=inner, radius=unknown[0], premise=unknown[1])
+
+    def innovation(self, state: BoundedState, u: Float[Array, "m"], y: Array) -> Vector:
+        return self.observer.innovation(state.inner, u, y)
+
+    def estimate(self, state: BoundedState) -> Any:
+        return self.observer.estimate(state.inner)
+
+
+def same_step(observer: AbstractObserver, certified: Any) -> bool:
+    """Whether an observer, perhaps behind a gate, makes the very step of a certified one."""
+    inner: Any = observer.observer if isinstance(observer, Gated) else observer
+    if inner is certified:
+        return True
+    if type(inner) is not type(certified) or inner.substeps != certified.substeps:
+        return False
+    keys = {_step_key(each) for each in (inner, certified)}
+    return len(keys) == 1 and None not in keys
+
+
+def _step_key(observer: Any) -> str | None:
+    """A hash of all that a step computes."""
+    model = observer.model
+    y = jnp.asarray(any_configuration(model))
+    state = observer.init(y)
+    u = jnp.zeros(input_count(model, state.v.shape[0]))
+    return fingerprint(jax.make_jaxpr(observer.step)(state, u, y, 0.01))
+
+
+def _need_doubles(state: BoundedState) -> None:
+    for number in (certified_state(state.inner).q, state.radius):
+        if number.dtype != np.float64:
+            raise ValueError(
+                f"Bounded: the proof is about doubles, and here is a {number.dtype}; give the measurement as float64, "
+                "with jax_enable_x64 on"
+            )
+
+
+def certified_state(state: Any) -> SampledState:
+    """State of the certified observer in the state of one that may have a gate."""
+    return state if "q" in state._fields else certified_state(state.inner)

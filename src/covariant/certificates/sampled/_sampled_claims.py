@@ -2,7 +2,9 @@
 
 import dataclasses
 import math
+import typing
 from collections.abc import Callable, Sequence
+from typing import Literal
 
 import jax.numpy as jnp
 import numpy as np
@@ -40,6 +42,11 @@ from covariant.lowering import Lowered, numbers
 from covariant.observers import Intrinsic
 from covariant.proofs import LETTERS, Box, Form, Proof
 
+LostRows = Literal["empty", "missing"]
+LOST_ROWS = typing.get_args(LostRows)
+STAMPS = 1e-3
+"""Part of an interval by which it is proved wider at both ends, since stamps are rounded: times since 1970 in doubles
+to 2.4e-7 s, and many logs to a microsecond."""
 SEARCHES = 4
 """How often the metric is searched again with the counter-examples of a proof."""
 WIDER, TINY = (64.0, 16.0, 4.0, 2.0, 1.3), 1e-12
@@ -62,12 +69,26 @@ def check_sampling(
     observer: Intrinsics,
     interval: tuple[float, float],
     lost: int,
+    lost_rows: LostRows,
     q: Numbers | None,
     n: int,
 ) -> Sampling:
     """Check the arguments of `certify` that concern samples."""
     if type(observer) is not Intrinsic:
         raise TypeError(f"certify: interval is for Intrinsic alone; got {type(observer).__name__}")
+    shortest, longest = check_interval(interval, lost, lost_rows)
+    if q is not None:
+        raise ValueError("certify: with interval the metric is searched; leave q out")
+    # Six variables a coordinate and the age; on rotations up to nine entries and five variables a velocity.
+    most = (len(LETTERS) - 1) // 6
+    if n > most:
+        raise ValueError(f"certify: with interval at most {most} coordinates are covered; got {n}")
+    ends = np.array([shortest * (1 - STAMPS), longest * (1 + STAMPS)])
+    return Sampling(ends, lost, np.zeros((0, 2, 2)), False, observer.substeps, lost_rows == "missing")
+
+
+def check_interval(interval: tuple[float, float], lost: int, lost_rows: LostRows) -> tuple[float, float]:
+    """Check when samples come, and return the shortest and the longest interval [s]."""
     try:
         shortest, longest = (float(h) for h in interval)
     except (TypeError, ValueError):
@@ -78,13 +99,9 @@ def check_sampling(
         )
     if not 0 <= lost <= MOST_LOST:
         raise ValueError(f"certify: lost must be from 0 to {MOST_LOST}; got {lost}")
-    if q is not None:
-        raise ValueError("certify: with interval the metric is searched; leave q out")
-    # Six variables a coordinate and the age; on rotations up to nine entries and five variables a velocity.
-    most = (len(LETTERS) - 1) // 6
-    if n > most:
-        raise ValueError(f"certify: with interval at most {most} coordinates are covered; got {n}")
-    return Sampling(np.array([shortest, longest]), lost, np.zeros((0, 2, 2)), False, observer.substeps)
+    if lost_rows not in LOST_ROWS:
+        raise ValueError(f"certify: lost_rows must be one of {', '.join(LOST_ROWS)}; got {lost_rows!r}")
+    return shortest, longest
 
 
 def sampled_claims(

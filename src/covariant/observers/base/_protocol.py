@@ -210,7 +210,26 @@ class AbstractObserver(Functional):
         )
         # A larger code is worse: see `StepCode`.
         result = jnp.maximum(info.result, _input_fault(u, too_large, dt).astype(info.result.dtype))
-        return new_state, info._replace(result=result)
+        ran = valid_u, measured, jnp.where(advances, dt, 0.0)
+        return self.reported(state, new_state, info._replace(result=result), *ran)
+
+    def reported(
+        self, before: Any, after: Any, info: Any, u: Float[Array, "m"], y: Inexact[Array, "*n"], dt: Scalar
+    ) -> tuple[Any, Any]:
+        """What `step` returns: the new state and the info, unchanged unless a subclass adds what the whole step shows.
+
+        Args:
+            before: State before the step.
+            after: State after it.
+            info: The info, with the result code of the whole step.
+            u: Input (m,) that acted, with invalid entries replaced.
+            y: Measurement, NaN where it counts as missing.
+            dt: Length of the prediction [s], 0 where none was made.
+
+        Returns:
+            The state and the info.
+        """
+        return after, info
 
     def advance(self, state: Any, u: Float[Array, "m"], y: Inexact[Array, "*n"], dt: Scalar) -> tuple[Any, Any]:
         """Predict and then correct: `step` for valid numbers.
@@ -298,6 +317,11 @@ class AbstractObserver(Functional):
         """
         manifold = getattr(getattr(self, "model", None), "manifold", None)
         return y if manifold is None else manifold.admitted(y)
+
+    @property
+    def fixed_numbers(self) -> bool:
+        """Whether its numbers are constants in generated code, since a proof is about them."""
+        return False
 
     def configuration(self, y: Any) -> Any:
         """The measured configuration in a measurement: all of it, unless the observer has further sensors.

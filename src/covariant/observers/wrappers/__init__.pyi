@@ -5,4 +5,4 @@ from ._damped import (
     damping_margin as damping_margin,
 )
 from ._delayed import Delayed as Delayed, DelayedState as DelayedState
-from ._gated import Gated as Gated, GatedState as GatedState
+from ._gated import Gated as Gated, GatedState as GatedState, without_last_input as without_last_input
