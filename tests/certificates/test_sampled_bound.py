@@ -24,9 +24,9 @@ NOISE, FORCE, INTERVAL = 2e-4, 0.01, (0.01, 0.012)
 REGION = (np.array([[-3.0], [3.0]]), np.array([4.0]), np.array([[-0.5], [0.5]]), np.array([NOISE]))
 # What is proved of the pendulum, see `test_what_is_proved_is_what_the_short_tests_use`.
 AGES = np.array([[0.00999, 0.012012]])
-PROVED = Recursion(2.0, 1.3466e-3, (1.7585e-10,), 2.7331e-2, 2.9081e-10, 2.3752e-5, AGES)
+PROVED = Recursion(2.0, 1.3457e-3, (1.7544e-10,), 2.7423e-2, 2.9087e-10, 2.3756e-5, AGES)
 QUIET = PROVED._replace(force=0.0)
-REACH, START, RADIUS = np.sqrt([70.902, 2442.1]), 3.6172 / np.array([70.902, 2442.1]), 0.01185
+REACH, START, RADIUS = np.sqrt([70.88, 2442.2]), 3.6174 / np.array([70.88, 2442.2]), 0.01185
 LOST_ONCE = PROVED._replace(noise=(*PROVED.noise, 4 * PROVED.noise[0]), ages=np.array([AGES[0], 2 * AGES[0]]))
 SUBSTEPS = 4
 
@@ -159,11 +159,14 @@ def test_the_bound_holds_in_simulation_and_mutants_of_it_do_not():
     """3000 samples with the largest errors of measurement and force."""
     log = simulated("switching", 150, 20)
     assert 0.1 < worst(bound_of(), log) < 1.0
-    for wrong in (PROVED._replace(force=0.0), PROVED._replace(decay=8.0), PROVED._replace(force=0.0, noise=(0.0,))):
-        assert worst(bound_of(wrong), log) > 1.0
+    mutants = PROVED._replace(force=0.0), PROVED._replace(decay=8.0), PROVED._replace(force=0.0, noise=(0.0,))
     quiet = simulated("switching", 150, 20, force=0.0)
     assert worst(bound_of(QUIET), quiet) < 1.0
-    assert worst(bound_of(QUIET._replace(noise=(0.0,))), quiet) > 1.0
+    for each, wrong in (*((log, mutant) for mutant in mutants), (quiet, QUIET._replace(noise=(0.0,)))):
+        errors, premise = (np.asarray(found) for found in parts(bound_of(wrong), each))
+        assert errors[premise == 0].max() > 1.0
+        # Measurements show that some of them are false.
+        assert set(np.unique(premise).tolist()) <= {Premise.HOLDS, Premise.CONTRADICTED}
     # Bounds of the wrong sign of μ grow until they leave the tube, and are no bounds any more.
     premises = np.asarray(parts(bound_of(PROVED._replace(decay=-8.0)), log)[1])
     assert (premises[:, -1] == Premise.TUBE).all()

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -21,11 +20,9 @@ from covariant.certificates import (
     Document,
     LostRows,
     Start,
-    any_configuration,
     check_interval,
 )
 from covariant.models import MechanicalSystem, Overrides, input_count
-from covariant.observers import chooses_substeps, with_fixed_substeps
 from covariant.proofs import read_file
 from covariant.workflow._arguments import Amounts, Region, above_zero, amounts, bounds, gain_pair, numbers
 from covariant.workflow._design import design
@@ -169,10 +166,14 @@ def certify(
     }
     recipe = models.recipe(name, overrides) if isinstance(model, str | os.PathLike) else None
 
+    def longest(chosen: Mapping[str, Any]) -> float:
+        steps = lost + 1 if lost_rows == "missing" else 1
+        return steps * check_interval(chosen["interval"], lost, lost_rows)[1]
+
     def prove(**changes: Any) -> ContractionCertificate:
         chosen = settings | changes
         return certificates.certify(
-            designed.inner if interval is None else _with_substeps(designed.inner, chosen),
+            designed.inner if interval is None else designed.within(chosen["velocity"], longest(chosen)),
             recipe=recipe,
             progress=lambda what, share, count: progress(f"proving {what}, {count} boxes", share),
             **chosen,
@@ -182,19 +183,6 @@ def certify(
         return CertifyResult(name, prove(), designed.notes)
     certificate, attempts = largest_proved(find, settings, prove, runs)
     return CertifyResult(name, certificate, designed.notes, FIND[find], attempts)
-
-
-def _with_substeps(observer: Any, settings: Mapping[str, Any]) -> Any:
-    """The observer with the number of Runge–Kutta steps that it takes at most within the bounds of a statement."""
-    if not chooses_substeps(observer):
-        return observer
-    model, count = observer.model, settings["lost"] + 1 if settings["lost_rows"] == "missing" else 1
-    q = np.asarray(any_configuration(model))
-    speeds = np.broadcast_to(settings["velocity"], len(model.coordinates or model.velocities))
-    v = np.stack([speeds, -speeds])
-    inputs = input_count(model, v.shape[1])
-    longest = count * check_interval(settings["interval"], settings["lost"], settings["lost_rows"])[1]
-    return with_fixed_substeps(observer, 1 / longest, *map(jnp.asarray, (np.stack([q, q]), v, np.zeros((2, inputs)))))
 
 
 @dataclass(frozen=True, repr=False)

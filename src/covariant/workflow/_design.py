@@ -6,11 +6,13 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 
 from covariant.calibration import DataSheet, estimators, gated, stored_observer, usual_speeds, with_gains
-from covariant.models import ModelFile
-from covariant.observers import AbstractObserver, Gated
+from covariant.certificates import any_configuration
+from covariant.models import ModelFile, input_count
+from covariant.observers import AbstractObserver, Gated, chooses_substeps, with_fixed_substeps
 from covariant.workflow._inputs import Loaded
 from covariant.workflow._kinds import kind_of
 from covariant.workflow._sensors import FileSensor, file_sensors, with_readings
@@ -59,6 +61,16 @@ class Design(NamedTuple):
         """The observer with as many substeps in every step as it needs on measurements (T, *n)."""
         inner = kind_of(self.file).with_fixed_substeps(self.inner, rate, y)
         return dataclasses.replace(self.observer, observer=inner) if isinstance(self.observer, Gated) else inner
+
+    def within(self, velocity: Any, step: float) -> Any:
+        """The observer behind the gate with as many substeps as motions within bounds (n,) need in a step [s]."""
+        if not chooses_substeps(self.inner):
+            return self.inner
+        model: Any = self.file.model
+        q = jnp.asarray(any_configuration(model))
+        v = jnp.broadcast_to(jnp.asarray(velocity, float), self.file.dimension)
+        u = jnp.zeros((2, input_count(model, self.file.dimension)))
+        return with_fixed_substeps(self.inner, 1 / step, jnp.stack([q, q]), jnp.stack([v, -v]), u)
 
     def self_test(self, rate: float) -> np.ndarray:
         """Measurements (T, *n) for a self-test at a rate [Hz]; a gate has to refuse one of them."""
