@@ -451,8 +451,7 @@ def _broken_laws(observer: Any) -> str:
     if not all(name in getattr(observer, "__dataclass_fields__", {}) for name in ("alpha", "beta", "model")):
         return ""
     measured = audit.audit(observer, points=AUDITED)
-    broken = [law.name for law in measured.rows if law.verdict == "fails"]
-    return "" if measured.passed else f"the observer breaks laws of its audit: {', '.join(broken)}"
+    return f"the observer breaks laws of its audit: {', '.join(measured.broken)}" if measured.broken else ""
 
 
 def _identifier(name: str) -> str:

@@ -19,6 +19,7 @@ from covariant.certificates.base import (
     StartClaim,
     Statement,
     TwoByTwo,
+    check_recipe,
     contraction_statement,
     first_velocity,
     loss_of,
@@ -233,10 +234,13 @@ class ContractionCertificate(NamedTuple):
             A dictionary of plain numbers and texts, with a digest of its content.
 
         Raises:
-            ValueError: the model has no recipe, nothing is proved, or the statement was proved wrong.
+            ValueError: the model has no recipe or that of another model, nothing is proved, or the statement was proved
+                wrong.
         """
         if self.recipe is None:
             raise ValueError("a certificate is saved with its model; give certify(..., recipe=models.recipe(spec))")
+        if "system" in self.recipe:  # code that a recipe names is compared by the reader, who has it
+            check_recipe(self.observer.model, self.recipe)
         if self.statement.verdict == "undecided" and not len(self.open):
             raise ValueError(f"nothing is proved that could be saved: {self.statement.claim}")
         if self.counterexample is not None:

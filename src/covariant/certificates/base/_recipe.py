@@ -1,0 +1,58 @@
+"""Whether a recipe, which a statement prints, builds the model that the statement is about."""
+
+from typing import Any
+
+import jax
+import numpy as np
+
+from covariant.certificates.base._properties import graphs
+from covariant.models import MechanicalSystem, rebuild
+from covariant.proofs import graph_rows
+
+NAMES = "coordinates", "units", "velocities", "velocity_units", "inputs", "circles"
+
+
+def check_recipe(model: MechanicalSystem, recipe: dict[str, Any] | None) -> None:
+    """Check that a recipe builds this model: the same parameters, names and units, and the same functions as graphs.
+
+    A statement prints the recipe, and a proof reads the model. A recipe by another name that builds the same model is
+    as good. Code that a recipe names is run only where `models.recipe` has run it in this process.
+    """
+    if recipe is None:
+        return
+    rebuilt = rebuild(recipe)
+    if rebuilt is None:
+        if parameters := recipe.get("parameters"):
+            raise ValueError(
+                f"recipe: whether {next(iter(parameters))} of {recipe['attribute']} is that of the observer's model is "
+                "not known, since code that a recipe names is not run; give the result of `models.recipe` itself"
+            )
+        return
+    difference = _difference(model, rebuilt)
+    if difference:
+        raise ValueError(
+            f"recipe: it builds another model than that of the observer: {difference}; give the recipe of this model, "
+            "or none"
+        )
+
+
+def _difference(model: MechanicalSystem, rebuilt: Any) -> str:
+    """The first thing in which two models differ, in words; empty for models that are the same."""
+    if type(rebuilt) is not type(model) or type(rebuilt.space) is not type(model.space):
+        kinds = (f"{type(each).__name__} on {type(getattr(each, 'space', each)).__name__}" for each in (rebuilt, model))
+        return "it builds a {}, and the observer has a {}".format(*kinds)
+    for name in [each for each in rebuilt.parameters if each in model.parameters]:
+        ours, theirs = (np.asarray(each.parameters[name].value) for each in (model, rebuilt))
+        if not np.array_equal(ours, theirs):
+            return f"{name} is {theirs.tolist()} in the recipe, and {ours.tolist()} in the model"
+    for name in NAMES:
+        ours, theirs = getattr(model, name), getattr(rebuilt, name)
+        if ours != theirs:
+            return f"{name} are {theirs} in the recipe, and {ours} in the model"
+    if jax.tree.structure(model.manifold) != jax.tree.structure(rebuilt.manifold):
+        return f"its manifold is {rebuilt.manifold}, and that of the model is {model.manifold}"
+    n = len(model.coordinates or model.velocities)
+    for (name, ours), (_, theirs) in zip(graphs(model, n), graphs(rebuilt, n), strict=True):
+        if graph_rows(ours) != graph_rows(theirs):
+            return f"the {name} differs, in its formula or its numbers"
+    return ""
