@@ -13,6 +13,7 @@ from .base import (
     Statement as Statement,
     StateMetric as StateMetric,
     Verdict as Verdict,
+    check_observer as check_observer,
     conditioning as conditioning,
     contraction as contraction,
     contraction_matrix as contraction_matrix,
