@@ -39,6 +39,20 @@ def check_recipe(model: MechanicalSystem | StateSpace, recipe: dict[str, Any] | 
         )
 
 
+def check_replacement(model: MechanicalSystem | StateSpace, recipe: dict[str, Any], finished: bool) -> None:
+    """Check that a model that was given in place of that of a recipe has the numbers of the recipe."""
+    if "system" in recipe:
+        check_recipe(model, recipe)
+    stated = getattr(model, "parameters", {})
+    for name, value in recipe["parameters"].items() if finished and "attribute" in recipe else ():
+        if name not in stated or not np.array_equal(np.asarray(stated[name].value), np.asarray(value)):
+            number = f"{np.asarray(stated[name].value).tolist()} of" if name in stated else "not stated by"
+            raise ValueError(
+                f"recipe: {name} is {value} in the recipe, and {number} the model that was given; give the function "
+                "that builds it from these parameters"
+            )
+
+
 def check_observer(document: Document, observer: Intrinsics) -> None:
     """Check that a certificate is about an observer, before it is printed beside it.
 

@@ -73,8 +73,7 @@ def from_recipe(made: dict[str, Any], model: Any = None) -> Model:
     parameters = made.get("parameters", {})
     try:
         if model is not None:
-            # Numbers that a finished model does not take are compared by whoever has a system to compare it with.
-            return _replacement(model, parameters, "system" in made)
+            return _replacement(model, parameters)
         if "attribute" in made:
             raise ValueError(
                 f"the model is {made['attribute']!r}, code that a recipe does not run; whoever trusts it gives the "
@@ -118,14 +117,13 @@ def recipe_text(made: dict[str, Any]) -> str:
     return name + "".join(f", {key} = {text}" for key, text in texts.items())
 
 
-def _replacement(model: Any, parameters: dict[str, Any], compared: bool) -> Model:
+def _replacement(model: Any, parameters: dict[str, Any]) -> Model:
     """Build the model that a caller passes in place of the one that a recipe names."""
     name = model if isinstance(model, str) else type(model).__name__
     if isinstance(model, str) and not all(model.partition(":")):
         raise ValueError(f"a model is given as module:attribute; got {model!r}")
     candidate = _source.attribute(model) if isinstance(model, str) else model
-    finished = isinstance(candidate, Model | ModelFile)
-    return _build(name, candidate, {} if finished and compared else parameters).model
+    return _build(name, candidate, {} if isinstance(candidate, Model | ModelFile) else parameters).model
 
 
 def is_file(spec: str) -> bool:
