@@ -1,5 +1,6 @@
 """A verdict is computed from its hypotheses, and its text has all that the claim is about."""
 
+import dataclasses
 import itertools
 import json
 
@@ -57,7 +58,7 @@ def test_any_hypothesis_that_is_taken_back_takes_the_verdict_back():
     for k, hypothesis in enumerate(found.hypotheses):
         for verdict in ("undecided", "fails"):
             changed = list(found.hypotheses)
-            changed[k] = hypothesis._replace(verdict=verdict)
+            changed[k] = dataclasses.replace(hypothesis, verdict=verdict)
             assert found._replace(hypotheses=tuple(changed)).verdict == verdict
 
 

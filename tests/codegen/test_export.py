@@ -634,7 +634,7 @@ def test_what_is_proved_and_what_is_broken_is_told(tmp_path, monkeypatch, capsys
     assert "breaks laws of its audit: torsion" in sheet
     code, _, told = command(monkeypatch, capsys, "ball_and_beam", *gains, "--beta", 0.6, "-o", tmp_path / "other")
     assert code == 2
-    assert "is for alpha = 1.41421, beta = 0.5" in told
+    assert "is for alpha = 1.4142135623730951, beta = 0.5" in told
 
 
 @pytest.mark.exhaustive("words7")

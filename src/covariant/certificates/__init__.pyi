@@ -14,6 +14,7 @@ from .base import (
     StateMetric as StateMetric,
     Verdict as Verdict,
     any_configuration as any_configuration,
+    check_observer as check_observer,
     conditioning as conditioning,
     contraction as contraction,
     contraction_matrix as contraction_matrix,

@@ -266,7 +266,7 @@ COMMANDS = (
         own=(_output("Write a page or its figure here", ".html", *FIGURES, flags=("-o", "--out", "--html")),),
         run=_audit,
         exit_code=lambda result: not result.passed,
-        note="Exit code 1 where a law is broken.",
+        note="Exit code 1 where a law is broken, or none was measured.",
     ),
     Command(
         "export",

@@ -56,11 +56,6 @@ class AbstractSpace(Functional):
 
     manifold: eqx.AbstractVar[AbstractManifold]
 
-    @property
-    def homogeneous(self) -> bool:
-        """Whether the metric, in the frame, is the same at every configuration, and so all that follows from it."""
-        return False
-
     @abc.abstractmethod
     def lower(self, x: Configuration, a: Vector) -> Vector:
         """The covector `<a, ·>`; where the metric is kinetic energy, the momentum of the velocity a.

@@ -107,7 +107,7 @@ def write_audit(audit: Audit, title: str, path: str | os.PathLike[str]) -> Path:
 
     Args:
         audit: The audit, such as the `audit` of a `covariant.workflow.AuditResult`.
-        title: Title, plain text; "passed" or "failed" is appended.
+        title: Title, plain text; "passed", "failed" or "undecided" is appended.
         path: The page to write (.html).
 
     Returns:
@@ -138,5 +138,5 @@ def write_audit(audit: Audit, title: str, path: str | os.PathLike[str]) -> Path:
     with tempfile.TemporaryDirectory() as folder:
         figure = draw_audit(audit, Path(folder) / "audit.png")
         blocks = [figure, rows, f"At {audit.domain}. {_INTRODUCTION}", "# Tolerances", *reasons]
-        title = f"{title}: {'passed' if audit.passed else 'failed'}"
+        title = f"{title}: {audit.verdict.partition(':')[0]}"
         return write_article(title, blocks, path, headline=f"{audit.observer}: {audit.verdict}.")

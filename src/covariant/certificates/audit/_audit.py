@@ -33,6 +33,8 @@ from covariant.proofs import Box, check_box
 
 FLOOR = 1e-9
 """Differences below this fraction of the correction are rounding, and no order is fitted to them."""
+RESOLVED = 1e-6
+"""Largest spacing of floating-point numbers around a coordinate, as a fraction of the smallest error that is used."""
 CANDIDATES = 16
 """Configurations drawn for each one needed, since a chart may be singular at some points of the box."""
 
@@ -70,7 +72,7 @@ class Law(NamedTuple):
 
     @property
     def passed(self) -> bool:
-        """Whether the law is not violated: it holds or is skipped."""
+        """Whether the law is not violated: it holds or is skipped. Only a verdict "holds" has evidence."""
         return self.verdict != "fails"
 
     @property
@@ -105,8 +107,13 @@ class Audit(NamedTuple):
 
     @property
     def passed(self) -> bool:
-        """Whether no law is violated."""
-        return not self.broken
+        """Whether no law is violated, and at least one of them was measured."""
+        return not self.broken and self.measured > 0
+
+    @property
+    def measured(self) -> int:
+        """Number of laws that were measured, and not skipped."""
+        return sum(row.verdict != "skipped" for row in self.rows)
 
     @property
     def broken(self) -> tuple[str, ...]:
@@ -136,11 +143,13 @@ class Audit(NamedTuple):
     @property
     def verdict(self) -> str:
         """The result in one sentence."""
-        skipped = sum(row.verdict == "skipped" for row in self.rows)
+        skipped = len(self.rows) - self.measured
         rest = f", {skipped} skipped" if skipped else ""
+        if not self.measured:
+            return f"undecided: no law was measured{rest}"
         if not self.passed:
             return f"failed: {len(self.broken)} of {len(self.rows)} laws broken ({', '.join(self.broken)}){rest}"
-        return f"passed: {len(self.rows) - skipped} laws hold{rest}"
+        return f"passed: {self.measured} laws hold{rest}"
 
     def __str__(self) -> str:
         lines = [f"{self.observer}: {self.verdict}", self.domain]
@@ -250,14 +259,15 @@ def audit(
         error: largest position error for the laws that need one [units]; 0.1 and 0.01 of it are used too.
         points: number of states.
         seed: of their random numbers.
-        laws: names of the laws to measure, all of `LAWS` by default.
+        laws: names of the laws to measure, all of `LAWS` by default. Where none is measured the verdict is undecided.
 
     Returns:
         The laws with their deviations.
 
     Raises:
         ValueError: an observer without that claim (no `flow`, no gains α and β, no mechanical model), gains that are
-            not positive, or a domain without enough configurations at which the model is finite.
+            not positive, an unknown law, an error that is lost in rounding, or a domain without enough
+            configurations at which the model is finite.
 
     Example:
         >>> from covariant import models, observers
@@ -277,6 +287,12 @@ def audit(
     states, coordinates = _draw(model, box, speed, points, np.random.default_rng(seed))
     # Three errors, each ten times the one before, from whose differences an order is fitted.
     gain_pair, errors = (jnp.asarray(alpha), jnp.asarray(beta)), error * np.array([1e-2, 1e-1, 1.0])
+    if not (np.spacing(np.abs(coordinates)) < RESOLVED * errors[0]).all():
+        # An estimate that rounds to the measurement has no error, and every observer would agree with every other.
+        raise ValueError(
+            f"audit: an error of {error:g} is lost in the rounding of coordinates up to {np.abs(coordinates).max():g}; "
+            "give a larger error, or a domain closer to 0"
+        )
     findings: dict[str, _Finding] = {}
     if not {"plant", "error", "lyapunov"}.isdisjoint(laws):
         findings |= _along_the_flow(model, flow, alpha, beta, states)

@@ -89,7 +89,18 @@ from ._noise import (
     noise_disturbance as noise_disturbance,
     steady_distance as steady_distance,
 )
+from ._properties import (
+    PERIODIC as PERIODIC,
+    graphs as graphs,
+    need_known as need_known,
+    need_symmetry as need_symmetry,
+)
 from ._radius_recursion import Recursion as Recursion
+from ._recipe import (
+    check_observer as check_observer,
+    check_recipe as check_recipe,
+    check_replacement as check_replacement,
+)
 from ._region import Bounds as Bounds, Region as Region, amount as amount, positive as positive, region_of as region_of
 from ._sampling import Loss as Loss, Sampling as Sampling, unit_reach as unit_reach
 from ._start import Start as Start, start_claim as start_claim, start_of as start_of

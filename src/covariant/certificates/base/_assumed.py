@@ -5,7 +5,6 @@ ASSUMED = (
     "times",
     "the observer runs in continuous time",
     "the measured positions are exact up to the stated bound of the noise",
-    "coordinates that the model calls circles are periodic",
     "without an error the observer moves as the model, which `covariant audit` measures",
     "the code of the model is read as exact functions of real numbers, with its constants as they were computed",
     "the running observer does not round",
@@ -20,8 +19,7 @@ ASSUMED_WITH_SAMPLES = (
     "and keeps to the region of positions, and to the bounds of velocities and inputs",
     "measurements are exact up to the stated bound of the noise, of all coordinates unless they are lost, and come at "
     "the stated times, which are known exactly",
-    "coordinates that the model calls circles are periodic",
-    *ASSUMED[5:8],
+    *ASSUMED[4:7],
     "trusted are JAX's tracing, the reading of its jaxprs and the description of the observer, which prover and "
     "checker share, IEEE doubles in NumPy, + − × ÷ √ and products of matrices, and what is argued on paper: that the "
     "two inequalities compose, and contraction of Lipschitz maps",

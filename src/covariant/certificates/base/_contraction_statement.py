@@ -9,6 +9,7 @@ from covariant.certificates.base._assumed import ASSUMED, ASSUMED_WITH_SAMPLES
 from covariant.certificates.base._claims import CLAIMS, MissingClaim, PredictionClaim, Terms, select
 from covariant.certificates.base._document import Document, Resolved
 from covariant.certificates.base._intrinsic import observer_document
+from covariant.certificates.base._properties import PERIODIC, SYMMETRIC
 from covariant.certificates.base._sampling import Sampling
 from covariant.certificates.base._start import start_of
 from covariant.certificates.base._statement import Evidence, Hypothesis, Statement, exact, rounded_down
@@ -88,6 +89,11 @@ def _hypotheses(facts: Resolved, evidence: Evidence) -> Iterator[Hypothesis]:
             f"over these {read}, {acting} and the slopes of friction stay within the bounds of the domain",
             evidence,
         )
+    model = facts.observer.model
+    if not model.manifold.commuting:
+        yield Hypothesis(SYMMETRIC, evidence)
+    elif model.circles:
+        yield Hypothesis(PERIODIC, evidence)
     yield Hypothesis(
         "the errors are below half a turn, so that the shortest path to the measurement is unique", evidence
     )

@@ -6,6 +6,7 @@ Nothing in a file is trusted: whether its numbers make a proof is decided by `ch
 import dataclasses
 import json
 import re
+from collections.abc import Callable
 from fractions import Fraction
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -240,12 +241,13 @@ def parse(path: str | Path, content: bytes | None = None) -> Document:
     )
 
 
-def write(path: str | Path, document: dict[str, Any]) -> Path:
+def write(path: str | Path, document: dict[str, Any], check: Callable[[Document], None] = lambda _: None) -> Path:
     """Write a certificate file.
 
     Args:
         path: the file.
         document: its content, as data for JSON.
+        check: called with the content as `parse` reads it; what it raises stops the writing.
 
     Returns:
         The path.
@@ -256,9 +258,10 @@ def write(path: str | Path, document: dict[str, Any]) -> Path:
     try:
         # What is written is parsed first, so that a file that was saved can always be read again.
         content = json.dumps(document, indent=1, ensure_ascii=False).encode("utf-8")
-        parse(path, content)
+        parsed = parse(path, content)
     except (TypeError, ValueError) as error:
         raise ValueError(f"nothing is written, since it could not be read again: {error}") from error
+    check(parsed)
     return write_atomically(path, lambda file: file.write(content))
 
 

@@ -9,7 +9,7 @@ from jaxtyping import Array
 
 from covariant._typing import Matrix, Scalar, Vector
 from covariant.certificates.base._contraction import StateMetric
-from covariant.lowering import lower
+from covariant.lowering import Lowered, lower
 from covariant.proofs import Box, graph_rows
 
 
@@ -95,7 +95,11 @@ class ErrorSystem(NamedTuple):
 
 def entries_read(function, *arguments: Array) -> set[int]:
     """Determine on which entries of its arguments a function depends."""
-    lowered = lower(function, *arguments, real=True)
+    return inputs_of(lower(function, *arguments, real=True))
+
+
+def inputs_of(lowered: Lowered) -> set[int]:
+    """Determine which inputs a graph of a function of real numbers reads."""
     assert lowered.conditions is not None
     # What a condition depends on is read as well: such an entry may decide where the function is defined.
     graphs = lowered.graph, lowered.conditions.graph

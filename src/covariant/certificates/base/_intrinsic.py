@@ -22,8 +22,10 @@ from jaxtyping import Array, Float
 from covariant._typing import Vector
 from covariant.certificates.base._contraction import StateMetric
 from covariant.certificates.base._error_system import ErrorSystem, Point, entries_read
+from covariant.certificates.base._properties import need_known, need_symmetry
 from covariant.certificates.base._tangent_metric import TwoByTwo, tangent_metric
-from covariant.lowering import expand, lower, numbers
+from covariant.geometry.lie import AbstractGroup
+from covariant.lowering import expand, lower
 from covariant.models import MechanicalSystem, input_count, resistance
 from covariant.observers import Geodesic, Intrinsic, second_order
 
@@ -67,17 +69,18 @@ def error_system(observer: Intrinsics, q: TwoByTwo, joint_friction: bool = False
             f"certificates are about the flows of Intrinsic and Geodesic themselves; got {type(observer).__name__}, "
             "whose flow may be another one"
         )
+    need_known(observer.model)
     need_steady_friction(observer.model)
     space = observer.model.space
     if space.manifold.commuting:
         return _in_coordinates(observer, q, joint_friction)
     if joint_friction:
         raise ValueError("friction as variables of its own needs coordinates")
-    if space.homogeneous and isinstance(observer, Intrinsic):
+    if isinstance(space.manifold, AbstractGroup) and isinstance(observer, Intrinsic):
         return _in_the_body(observer, q)
     raise ValueError(
-        "a region is a box of coordinates, or for Intrinsic of velocities alone where the metric is the same "
-        f"everywhere; {type(observer).__name__} on {space.manifold} is not covered"
+        "a region is a box of coordinates, or for Intrinsic of velocities alone on a group; "
+        f"{type(observer).__name__} on {space.manifold} is not covered"
     )
 
 
@@ -135,7 +138,7 @@ def _in_coordinates(observer: Intrinsics, q: TwoByTwo, joint_friction: bool) -> 
 
 def _in_the_body(observer: Intrinsic, q: TwoByTwo) -> ErrorSystem:
     model, space, manifold = observer.model, observer.model.space, observer.model.manifold
-    _need_symmetry(model)
+    need_symmetry(model)
     origin = manifold.origin()
     inertia = np.array(space(origin))
     n = len(inertia)
@@ -252,25 +255,6 @@ def need_joint_friction(model: MechanicalSystem) -> None:
             "the friction of this model couples joints; covered here is friction that acts in each joint by its own "
             "velocity"
         )
-
-
-def _need_symmetry(model: MechanicalSystem) -> None:
-    """Raise `ValueError` where friction or inertia depend on the estimated configuration."""
-    origin = model.manifold.origin()
-    entries, rest = origin.size, model.manifold.zero(origin)
-    read = entries_read(functools.partial(friction_of, model), origin, rest)
-    indices = [np.unravel_index(k, origin.shape) for k in range(entries) if k in read]
-    labels = ["g" + "".join(str(i + 1) for i in index) for index in indices]
-    if labels:
-        raise ValueError(
-            f"the friction of this model depends on where the body is, on {', '.join(labels)} of its matrix; on a "
-            "group that is not covered: write the system as a Lagrangian in coordinates"
-        )
-    momentum = lower(lambda a: model.space.lower(origin, a), rest)
-    expansion = expand(momentum, range(rest.size), 2)
-    second = np.ravel(expansion.nodes()[2]).tolist()
-    if numbers(momentum, np.zeros(rest.size)).any() or not all(expansion.graph.is_zero(node) for node in second):
-        raise ValueError("the inertia of this model is not a linear map; on a group that is not covered")
 
 
 def check_unique(observer: Intrinsics, error: Float[np.ndarray, "n"]) -> None:

@@ -1,6 +1,8 @@
 """The common form of verdicts: a claim in words, the numbers it is based on, and the hypotheses it rests on."""
 
+import dataclasses
 import math
+import typing
 from collections.abc import Iterable
 from typing import Any, Literal, NamedTuple
 
@@ -16,7 +18,8 @@ MEANING: dict[Evidence, str] = {
 """Meaning of each kind of evidence, the strongest first."""
 
 
-class Hypothesis(NamedTuple):
+@dataclasses.dataclass(frozen=True)
+class Hypothesis:
     """A premise of a claim, with the evidence for it.
 
     Use it in a `Statement` of your own. "proved" is for what arithmetic has shown on the whole domain, and "sampled"
@@ -29,6 +32,10 @@ class Hypothesis(NamedTuple):
         margin: amount by which the premise holds, in the unit of its text; None where no number says it.
         place: where the margin is least, or where the premise fails, in words; may be empty.
 
+    Raises:
+        ValueError: another word for the evidence or the verdict, or a premise that holds by a margin that is not a
+            number.
+
     Example:
         >>> from covariant.certificates import Hypothesis
         >>> print(Hypothesis("V decreases", "sampled", margin=0.25))
@@ -40,6 +47,14 @@ class Hypothesis(NamedTuple):
     verdict: Verdict = "holds"
     margin: float | None = None
     place: str = ""
+
+    def __post_init__(self):
+        for field, kind in (("evidence", Evidence), ("verdict", Verdict)):
+            # The sets are closed: a verdict is computed from these words, and another one would count as nothing.
+            if (word := getattr(self, field)) not in (known := typing.get_args(kind)):
+                raise ValueError(f"Hypothesis: {field} must be one of {', '.join(known)}; got {word!r}")
+        if self.verdict == "holds" and self.margin is not None and math.isnan(self.margin):
+            raise ValueError(f"Hypothesis: {self.text!r} cannot hold by a margin that is not a number")
 
     def __str__(self) -> str:
         label = self.evidence if self.verdict == "holds" else self.verdict
@@ -116,7 +131,7 @@ class Statement(NamedTuple):
         Returns:
             The claim, the verdict and its evidence, the lines `about`, and a dictionary of fields for each hypothesis.
         """
-        premises = [hypothesis._asdict() for hypothesis in self.hypotheses]
+        premises = [dataclasses.asdict(hypothesis) for hypothesis in self.hypotheses]
         return {
             "claim": self.claim,
             "verdict": self.verdict,

@@ -75,6 +75,8 @@ def check(
     shown = show(source, model=model, processes=processes, progress=progress)
     document = shown.resolved.document
     statement = contraction_statement(shown.resolved.stated(), "proved", _checker_hypothesis(shown))
+    if statement.verdict != "holds":
+        raise ValueError(f"{document.file}: its claims hold, and the statement does not follow: {statement.claim}")
     return Checked(statement, document.rate, document.radius, shown.leaves, shown.seconds, model is not None)
 
 

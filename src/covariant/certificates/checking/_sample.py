@@ -56,7 +56,7 @@ def check_sample(source: str | Path | Document, count: int = 20, seed: int = 0, 
 
     Args:
         source: the file, or its content from `parse`.
-        count: number of leaves.
+        count: number of leaves, at least one.
         seed: seed of the random numbers.
         model: as for `check`.
 
@@ -64,10 +64,12 @@ def check_sample(source: str | Path | Document, count: int = 20, seed: int = 0, 
         Numbers of leaves and boxes.
 
     Raises:
-        ValueError: a box is not confirmed; the message names it.
+        ValueError: a box is not confirmed, and the message names it; or there are none to examine.
         ImportError: python-flint is missing.
     """
     start = time.monotonic()
+    if count < 1:
+        raise ValueError(f"check_sample: count must be 1 or more, since nothing is confirmed otherwise; got {count}")
     flint = load_optional("flint", use="checking in balls needs python-flint, imported as", extra="balls")
     document = source if isinstance(source, Document) else parse(source)
     resolved, claims = follows(document, model), document.claims

@@ -12,6 +12,7 @@ from covariant.certificates.base import (
     ErrorSystem,
     Intrinsics,
     Sampling,
+    check_replacement,
     error_system,
     frame_of,
 )
@@ -33,6 +34,10 @@ def observer_from(document: Document, model: Any = None) -> tuple[Intrinsics, Fl
     if actual != frame:
         described = f"a model in {actual}" if actual else f"a {type(system).__name__}"
         raise ValueError(f"observer.frame {frame!r} needs a mechanical system in it; the recipe makes {described}")
+    if model is not None and document.recipe is not None:
+        # The statement prints the numbers of the recipe, whoever gives the model. A finished one has not taken them.
+        finished = models.from_recipe(document.recipe, model) is system
+        check_replacement(system, document.recipe, finished)
     if document.sampling is not None:
         fields["substeps"] = document.sampling.substeps
     return OBSERVER_KINDS[kind](system, **fields), document.q

@@ -43,6 +43,7 @@ from covariant.certificates.base import (
     Sampling,
     TwoByTwo,
     amount,
+    check_recipe,
     check_unique,
     contraction,
     contraction_statement,
@@ -143,7 +144,8 @@ def certify(
         lost: with `interval`, the largest number of samples that may be lost in a row.
         lost_rows: whether each lost sample is still a step with NaN as its measurement ("empty"), or whether its row
             may be "missing", so that one step of the observer covers the whole gap, with longer Runge–Kutta steps.
-        recipe: where the model comes from, as from `models.recipe`; needed to save the certificate.
+        recipe: where the model comes from, as from `models.recipe`; needed to save the certificate. It is printed with
+            its parameters, so it has to build this very model.
         boxes: largest number of boxes for all proofs together, which is the same effort on every machine.
         seconds: an additional limit of time [s] for each proof, which starts when its matrix has been written as a
             graph.
@@ -158,8 +160,8 @@ def certify(
 
     Raises:
         ValueError: an argument without its bound, an error up to which a logarithm is not unique, friction or force
-            that are not covered, a `q` that is not symmetric positive definite, or another word for `checker`; with
-            `interval`, two times that are not positive and in order, or `q`.
+            that are not covered, a `q` that is not symmetric positive definite, the recipe of another model, or
+            another word for `checker`; with `interval`, two times that are not positive and in order, or `q`.
         TypeError: another kind of observer.
         ImportError: with `interval`, the solver clarabel is missing.
     """
@@ -180,6 +182,7 @@ def certify(
             "certify: with interval, noise and disturbance are covered in coordinates only; leave them out"
         )
     region = region_of(observer.model, position, input, times)
+    check_recipe(observer.model, recipe)
     effort = Effort(Box((), (), np.zeros(0), np.zeros(0)), boxes, seconds, processes, progress)
     if sampling is None:
         system, domain, bounds, first = _in_continuous_time(observer, matrix, target, assumed, region, effort)

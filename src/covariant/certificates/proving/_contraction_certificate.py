@@ -9,6 +9,7 @@ from jaxtyping import ArrayLike, Float
 from covariant.certificates.base import (
     FORMAT,
     AbstractClaim,
+    Document,
     ErrorSystem,
     Given,
     Intrinsics,
@@ -20,6 +21,7 @@ from covariant.certificates.base import (
     StartClaim,
     Statement,
     TwoByTwo,
+    check_recipe,
     contraction_statement,
     first_velocity,
     loss_of,
@@ -301,9 +303,16 @@ class ContractionCertificate(NamedTuple):
             The path.
 
         Raises:
-            ValueError: the model has no recipe, nothing is proved, or the statement was proved wrong.
+            ValueError: the model has no recipe or that of another model, nothing is proved, or the statement was proved
+                wrong.
         """
-        return write(path, self.document())
+
+        def check(written: Document) -> None:
+            # Code that a recipe names is not run here: who reads the file gives it, and compares it.
+            if written.recipe is not None and "system" in written.recipe:
+                check_recipe(self.observer.model, written.recipe)
+
+        return write(path, self.document(), check)
 
     @classmethod
     def load(cls, path: str | Path, *, model: Any = None) -> "ContractionCertificate":

@@ -37,7 +37,9 @@ from covariant.certificates.base import (
     entries_read,
     friction_of,
     need_joint_friction,
+    need_known,
     need_steady_friction,
+    need_symmetry,
     with_model,
 )
 from covariant.certificates.sampled._prediction import Prediction, prediction_of
@@ -78,9 +80,11 @@ def sampled_system(observer: Intrinsics, q: TwoByTwo, sampling: Sampling) -> Err
     model = observer.model
     # Force and friction are variables of the box, of which the sum enters as the input.
     bare = with_model(observer, MechanicalSystem(model.space, model.potential, None, None))
+    need_known(model)
     need_steady_friction(model)
     if not model.manifold.commuting:
         variables = body_variables(model)
+        need_symmetry(model)
         _check_forces(model, len(model.velocities))
         in_body = body_point(observer, bare, variables, q, sampling)
         return ErrorSystem(

@@ -139,19 +139,26 @@ class Decay(NamedTuple):
         """The statement that each distance stays below its bound.
 
         Returns:
-            It holds where all upper bounds do, fails where a lower bound exceeds it, and is undecided in between.
+            It holds where all upper bounds do, fails where a lower bound exceeds it, and is undecided in between; also
+            where neither bounds nor distances change by more than the tolerance, so that nothing was measured.
         """
         # Tolerance of the integration: relative to the bound, and to the first distance where the bound is tiny.
         rounding = 1e-6 * self.bound + SOLVED * self.high[:, :1]
         fails = bool((self.low > self.bound + rounding).any())
         share = (self.low if fails else self.high) / (self.bound + rounding)
         k, i = np.unravel_index(int(share.argmax()), share.shape)
+        # Over too short a time a flow that does nothing passes at any rate, within the tolerance.
+        changes = np.maximum(*(np.abs(each - each[:, :1]).max(axis=1) for each in (self.bound, self.high)))
+        still = not (changes > rounding.max(axis=1)).all()
+        place = f"pair {k + 1}, t = {self.t[i]:.4g} s"
         premise = Hypothesis(
             "the upper bound of each distance stays below its bound at each stamp",
             "sampled",
-            "fails" if fails else "holds" if share[k, i] <= 1 else "undecided",
+            "fails" if fails else "holds" if share[k, i] <= 1 and not still else "undecided",
             margin := float(1 - share[k, i]),
-            f"pair {k + 1}, t = {self.t[i]:.4g} s",
+            "no stamp: bound and distance change by no more than the tolerance; follow a pair for longer"
+            if still and not fails
+            else place,
         )
         extent = (
             f"{len(self.low)} pairs of solutions at {len(self.t)} stamps from {self.t[0]:.4g} to {self.t[-1]:.4g} s"

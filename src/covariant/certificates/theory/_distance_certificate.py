@@ -23,7 +23,18 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
-from covariant.certificates.base import Bounds, Hypothesis, Statement, amount, dimension, positive, region_of
+from covariant.certificates.base import (
+    PERIODIC,
+    Bounds,
+    Hypothesis,
+    Statement,
+    amount,
+    check_recipe,
+    dimension,
+    need_known,
+    positive,
+    region_of,
+)
 from covariant.certificates.theory._implicit_distances import DistanceBounds, DistanceDecay, distance_decay
 from covariant.lowering import lower
 from covariant.models import MechanicalSystem, applied_force, recipe_text, resistance
@@ -39,7 +50,6 @@ ASSUMED_OF_DISTANCES = (
     "velocities and inputs, and away from the border of the region as stated",
     "measurements are exact, of all coordinates, unwrapped, and come at the stated interval",
     "predictions, geodesics and transport are computed exactly, and the geodesic to the measurement is the shortest",
-    "coordinates that the model calls circles are periodic",
     "the connection of the model's space is that of its metric, which `covariant audit` measures",
     "the code of the model is read as exact functions of real numbers, with its constants as they were computed",
     "trusted are JAX's tracing, the reading of its jaxprs, IEEE doubles, the formulas of "
@@ -100,7 +110,7 @@ def certify_distance(
         velocity_error: bound of `|Πv̂ − v|` then, a length in the metric, with v̂ transported to the true position; by
             default the largest true speed, as for an observer that starts at rest.
         input: bound of each input, a number or (m,), or a pair of bounds. It may depend on time in any way.
-        recipe: recipe of the model, for the statement.
+        recipe: recipe of this model, for the statement.
         boxes: largest number of boxes for each of the proofs.
 
     Returns:
@@ -110,7 +120,7 @@ def certify_distance(
     Raises:
         TypeError: the observer is no `ImplicitGeodesic`, or a subclass.
         ValueError: the model is on a group, has friction, a force that depends on time, or other than two coordinates;
-            or bounds are not finite and in order.
+            bounds are not finite and in order, or allow no error at all; or the recipe is that of another model.
 
     Example:
         A ball on a beam, expected up to .25 m and .25 rad from where it is, by an observer that starts at rest:
@@ -131,9 +141,15 @@ def certify_distance(
         raise ValueError(
             "certify_distance needs a model of two coordinates; one alone has part_limits, at any distance"
         )
+    need_known(model)
     _need_no_friction(model)
+    check_recipe(model, recipe)
     region = region_of(model, position, input, None)
     speeds, errors = positive("velocity", velocity, 2), amount("error", error, 2)
+    if velocity_error == 0 and not errors.any():
+        raise ValueError(
+            "certify_distance: error and velocity_error are both 0, so that no error is there to fall; give one of them"
+        )
     known = _Model.of(model, region.true._replace(units=model.units or ("", "")), region.inputs)
     found = _prove_bounds(known, speeds, errors, boxes)
     bounds = found.bounds if velocity_error is None else found.bounds._replace(velocity_error=float(velocity_error))
@@ -152,8 +168,14 @@ def certify_distance(
         decay.rate if decay.rate > 0 else None,
         "" if decay.rate > 0 else "another α or β, or a shorter interval, may do; else smaller bounds",
     )
+    turns = Hypothesis(PERIODIC, "proved")
     room = Hypothesis("the region has positions so far from its border", "proved", "holds" if fits else "undecided")
-    hypotheses = (*found.hypotheses, gains, *([room] if border.any() else []))
+    hypotheses = (
+        *found.hypotheses,
+        gains,
+        *([turns] if model.manifold.circles else []),
+        *([room] if border.any() else []),
+    )
     names = ", ".join(
         f"{name} {width:.4g} {unit}".rstrip()
         for name, unit, width in zip(known.domain.names, known.domain.units, border, strict=True)

@@ -1,5 +1,6 @@
 """Attempt to refute a contraction rate: search for the slowest point of a region by sampling and gradient descent."""
 
+import math
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -33,7 +34,8 @@ def falsify(
         found, nothing is proved.
 
     Raises:
-        ValueError: bounds that are not in order, a rate that is not a number somewhere, or a flow that depends on time.
+        ValueError: bounds that are not in order or leave a single point, a rate that is not a number, here or somewhere
+            in the region, no attempts or starts, or a flow that depends on time.
 
     Example:
         >>> import jax.numpy as jnp
@@ -50,6 +52,13 @@ def falsify(
         ('holds (sampled)', 4.0)
     """
     check_box(domain)
+    # What was not tried refutes nothing, and would still be a verdict.
+    if attempts < 1 or starts < 1 or math.isnan(rate):
+        raise ValueError(
+            f"falsify: attempts and starts must be 1 or more, and the rate a number; got {attempts}, {starts}, {rate}"
+        )
+    if not (domain.low < domain.high).any():
+        raise ValueError("falsify: the domain is a single point; give bounds that differ")
     need_steady("falsify", error_system, domain)
     matrices = length_change(error_system, lambda coframe, gram, change: jnp.stack([gram, change]).ravel(), lambda z: z)
     value = matrices.graph(jnp.asarray(domain.low)).entries

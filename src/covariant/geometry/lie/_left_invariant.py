@@ -143,10 +143,6 @@ class LeftInvariant(AbstractSpace):
     def manifold(self) -> AbstractGroup:  # pyright: ignore[reportIncompatibleVariableOverride]
         return self.group
 
-    @property
-    def homogeneous(self) -> bool:
-        return True
-
     def lower(self, x: Element, a: Vector) -> Vector:
         return self.inertia(a)
 

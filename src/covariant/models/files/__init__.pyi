@@ -5,7 +5,7 @@ from ._file import (
     from_recipe as from_recipe,
     recipe_text as recipe_text,
 )
-from ._load import load as load, recipe as recipe, spec_name as spec_name
+from ._load import load as load, rebuild as rebuild, recipe as recipe, spec_name as spec_name
 from ._model_file import ModelError as ModelError, ModelFile as ModelFile
 from ._rewrite import rewrite as rewrite
 from ._robot_family import (

@@ -5,7 +5,7 @@ from typing import Any
 
 from covariant.models.files import _toml
 from covariant.models.files._family import family
-from covariant.models.files._file import document, finish, finish_object
+from covariant.models.files._file import document, finish, finish_object, from_recipe
 from covariant.models.files._model_file import ModelFile, named
 from covariant.models.files._source import Model
 from covariant.models.files._toml import Overrides
@@ -69,6 +69,10 @@ def spec_name(spec: Any) -> str:
     return spec.name if isinstance(spec, ModelFile) else type(spec).__name__
 
 
+class _Loaded(dict[str, Any]):
+    """A recipe whose code has been run in this process, unlike one that was read from a file."""
+
+
 def recipe(spec: str, overrides: Overrides = ()) -> dict[str, Any]:
     """Recipe of the model that `load(spec, overrides)` returns: what is needed to build it again.
 
@@ -91,4 +95,29 @@ def recipe(spec: str, overrides: Overrides = ()) -> dict[str, Any]:
     content = document(spec, overrides)
     parameters = {"parameters": content.get("parameters", {})}
     system = content.get("system", spec)
-    return {"attribute" if ":" in system else "system": system, **parameters}
+    return _Loaded({"attribute" if ":" in system else "system": system, **parameters})
+
+
+def rebuild(made: dict[str, Any]) -> Model | None:
+    """Build the model of a recipe once more, to compare it.
+
+    Args:
+        made: The recipe.
+
+    Returns:
+        The model, or None where the recipe names code and is not itself the result of `recipe`, which has run that
+        code in this process.
+
+    Raises:
+        ModelError: As for `from_recipe`.
+
+    Example:
+        >>> from covariant import models
+        >>> models.rebuild(models.recipe("oscillator")).coordinates
+        ('q',)
+        >>> print(models.rebuild({"attribute": "os:system", "parameters": {"command": "exit 1"}}))
+        None
+    """
+    if "attribute" in made and not isinstance(made, _Loaded):
+        return None
+    return from_recipe(made, made.get("attribute"))

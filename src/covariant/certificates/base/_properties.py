@@ -1,0 +1,138 @@
+"""Properties of a model that a proof relies on, shown from what the model does, and not read where they are declared.
+
+How the retraction, the logarithm and the frame of a manifold belong together no graph of a single function shows. The
+tests of this library hold these laws for its own classes, so that others are refused. What a space, a force or a
+friction does not depend on is shown on its graph, whatever its class.
+"""
+
+import functools
+from collections.abc import Iterator
+
+import jax.numpy as jnp
+import numpy as np
+
+from covariant.certificates.base._error_system import inputs_of
+from covariant.geometry import AbstractManifold, Coordinates, ProductManifold
+from covariant.geometry.lie import SE2, SE3, SO2, SO3, SU, MatrixGroup, Product
+from covariant.lowering import Graph, Lowered, expand, lower, numbers
+from covariant.models import GroupSystem, Lagrangian, MechanicalSystem, applied_force, input_count, resistance
+
+PERIODIC = "the model is the same after a turn of each coordinate that it calls a circle"
+SYMMETRIC = "metric, connection, curvature and friction are the same at every configuration of the group"
+MODELS = MechanicalSystem, Lagrangian, GroupSystem
+MANIFOLDS = Coordinates, ProductManifold, Product, MatrixGroup, SU, *map(type, (SO2, SO3, SE2, SE3))
+OF_SPACES = {
+    **{"lower": 1, "raise_": 1, "inner": 2, "norm": 1, "kinetic_force": 1},
+    **{"connection_force": 2, "connection": 2, "curvature": 3},
+}
+"""Operations of a space that observers and proofs use, with the number of vectors that each takes."""
+
+
+def need_known(model: MechanicalSystem) -> None:
+    """Refuse a system or a manifold of a class that is not of this library, and circles that are not shown to be."""
+    if type(model) not in MODELS:
+        raise ValueError(
+            "certificates are about a MechanicalSystem, a Lagrangian or a GroupSystem itself; got "
+            f"{type(model).__name__}, which may replace what these derive: build one of them from its functions"
+        )
+    unknown = next((each for each in _factors(model.manifold) if type(each) not in MANIFOLDS), None)
+    if unknown is not None:
+        raise ValueError(
+            "certificates are about the manifolds of this library; that retraction, logarithm and frame of "
+            f"{type(unknown).__name__} belong together is not proved"
+        )
+    if model.manifold.commuting and model.circles:
+        _need_periodic(model)
+
+
+def _factors(manifold: AbstractManifold) -> Iterator[AbstractManifold]:
+    yield manifold
+    for factor in manifold.factors:
+        yield from _factors(factor)
+
+
+def graphs(model: MechanicalSystem, n: int) -> Iterator[tuple[str, Lowered]]:
+    """The functions that a model is made of, by name, as graphs of time, configuration, velocity, input and vectors."""
+    q = jnp.zeros(n) if model.manifold.commuting else model.manifold.origin()
+    space, v = model.space, model.manifold.zero(q)
+    example = jnp.zeros(()), q, v, jnp.zeros(input_count(model, v.size)), v, v, v
+
+    def of_the_space(operation, count, t, q, v, u, *vectors):
+        return operation(q, *vectors[:count])
+
+    functions = {
+        "metric": lambda t, q, v, u, *_: space(q),
+        "force": lambda t, q, v, u, *_: applied_force(model, t, q, u),
+        "friction": lambda t, q, v, u, *_: resistance(model, t, q, v, u),
+    }
+    functions |= {
+        f"{name} of the space": functools.partial(of_the_space, getattr(space, name), count)
+        for name, count in OF_SPACES.items()
+    }
+    for name, function in functions.items():
+        yield name, lower(function, *example, real=True)
+
+
+def _need_periodic(model: MechanicalSystem) -> None:
+    """Check that a model repeats itself after a turn of each coordinate that it calls a circle."""
+    for name, lowered in graphs(model, len(model.coordinates)):
+        assert lowered.conditions is not None
+        graph, conditions, _ = lowered.conditions
+        # That a number which folding has dropped is finite holds after a turn as well.
+        defined = [condition.node for condition in conditions if condition.kind != "finite"]
+        for circle in model.circles:
+            # The inputs of the graphs are the time, and then the coordinates.
+            turns, turns_of_conditions = _turns(lowered.graph, 1 + circle), _turns(graph, 1 + circle)
+            if any(turns[i] != 0 for i in lowered.outputs) or any(turns_of_conditions[i] != 0 for i in defined):
+                raise ValueError(
+                    f"{model.coordinates[circle]} is called a circle, but the {name} of this model is not shown to be "
+                    "the same after a turn: on a circle it may read sines and cosines of whole multiples alone; leave "
+                    "a length, or an angle with a spring or a stop, out of the circles"
+                )
+
+
+def _turns(graph: Graph, place: int) -> list[float]:
+    """By how many turns each node grows with one turn of an input, exactly; NaN where this is not known."""
+    turns: list[float] = []
+    for node in graph.nodes:
+        read = [turns[i] for i in node.arguments]
+        factors = [graph.nodes[i].value if graph.nodes[i].op == "constant" else np.nan for i in node.arguments]
+        if node.op == "input":
+            turns.append(float(node.value == place))
+        elif not any(read):  # NaN is true
+            turns.append(0.0)
+        elif node.op == "add":
+            turns.append(read[0] + read[1])
+        elif node.op == "sub":
+            turns.append(read[0] - read[1])
+        elif node.op == "neg":
+            turns.append(-read[0])
+        elif node.op == "mul":
+            turns.append(read[1] * factors[0] if read[0] == 0 else read[0] * factors[1])
+        elif node.op in ("sin", "cos") and read[0].is_integer():
+            turns.append(0.0)
+        else:
+            turns.append(np.nan)
+    return turns
+
+
+def need_symmetry(model: MechanicalSystem) -> None:
+    """Check that on a group nothing of space or friction depends on the configuration, and that inertia is linear."""
+    origin = model.manifold.origin()
+    rest = model.manifold.zero(origin)
+    for name, lowered in graphs(model, rest.size):
+        if name == "force":  # a variable of the box in its own right
+            continue
+        read = inputs_of(lowered)
+        indices = [np.unravel_index(k, origin.shape) for k in range(origin.size) if 1 + k in read]
+        labels = ["g" + "".join(str(i + 1) for i in index) for index in indices]
+        if labels:
+            raise ValueError(
+                f"the {name} of this model depends on where the body is, on {', '.join(labels)} of its matrix; on a "
+                "group that is not covered: write the system as a Lagrangian in coordinates"
+            )
+    momentum = lower(lambda a: model.space.lower(origin, a), rest)
+    expansion = expand(momentum, range(rest.size), 2)
+    second = np.ravel(expansion.nodes()[2]).tolist()
+    if numbers(momentum, np.zeros(rest.size)).any() or not all(expansion.graph.is_zero(node) for node in second):
+        raise ValueError("the inertia of this model is not a linear map; on a group that is not covered")

@@ -1,0 +1,119 @@
+"""Whether a recipe, which a statement prints, builds the model that the statement is about."""
+
+from typing import Any
+
+import jax
+import numpy as np
+
+from covariant.certificates.base._document import Document
+from covariant.certificates.base._intrinsic import Intrinsics, observer_document
+from covariant.certificates.base._properties import graphs
+from covariant.certificates.base._statement import exact
+from covariant.models import MechanicalSystem, StateSpace, rebuild
+from covariant.proofs import graph_rows
+
+NAMES = "coordinates", "units", "velocities", "velocity_units", "inputs", "circles"
+
+
+def check_recipe(model: MechanicalSystem | StateSpace, recipe: dict[str, Any] | None) -> None:
+    """Check that a recipe builds this model: the same parameters, names and units, and the same functions as graphs.
+
+    A statement prints the recipe, and a proof reads the model. A recipe by another name that builds the same model is
+    as good. Code that a recipe names is run only where `models.recipe` has run it in this process.
+    """
+    if recipe is None:
+        return
+    rebuilt = rebuild(recipe)
+    if rebuilt is None:
+        if parameters := recipe.get("parameters"):
+            raise ValueError(
+                f"recipe: whether {next(iter(parameters))} of {recipe['attribute']} is that of the observer's model is "
+                "not known, since code that a recipe names is not run; give the result of `models.recipe` itself"
+            )
+        return
+    difference = _difference(model, rebuilt)
+    if difference:
+        raise ValueError(
+            f"recipe: it builds another model than that of the observer: {difference}; give the recipe of this model, "
+            "or none"
+        )
+
+
+def check_replacement(model: MechanicalSystem | StateSpace, recipe: dict[str, Any], finished: bool) -> None:
+    """Check that a model that was given in place of that of a recipe has the numbers of the recipe."""
+    if "system" in recipe:
+        check_recipe(model, recipe)
+    stated = getattr(model, "parameters", {})
+    for name, value in recipe["parameters"].items() if finished and "attribute" in recipe else ():
+        if name not in stated or not np.array_equal(np.asarray(stated[name].value), np.asarray(value)):
+            number = f"{np.asarray(stated[name].value).tolist()} of" if name in stated else "not stated by"
+            raise ValueError(
+                f"recipe: {name} is {value} in the recipe, and {number} the model that was given; give the function "
+                "that builds it from these parameters"
+            )
+
+
+def check_observer(document: Document, observer: Intrinsics) -> None:
+    """Check that a certificate is about an observer, before it is printed beside it.
+
+    Use it where a certificate is handed on with an observer that was designed anew, such as one that is exported. The
+    gains have to be the same numbers to the last digit, and the model the one that the recipe builds.
+
+    Args:
+        document: the content of the certificate, as from `parse`.
+        observer: the observer, with its model and gains.
+
+    Raises:
+        ValueError: the certificate is about another observer; the message names the file and what differs.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant import models, observers
+        >>> from covariant.certificates import Document, check_observer
+        >>> entries = np.eye(2), 2.0, 0.1, np.ones(1), None, -np.ones(4), np.ones(4), (), {}
+        >>> made = {"kind": "intrinsic", "frame": "coordinates", "alpha": 10.0, "beta": 50.0}
+        >>> document = Document("proved.json", {"system": "oscillator"}, made, *entries)
+        >>> check_observer(document, observers.Intrinsic(models.oscillator(), 11.0, 50.0))
+        Traceback (most recent call last):
+        ...
+        ValueError: proved.json: the certificate is for alpha = 10, beta = 50; the observer has 11, 50; ...
+    """
+    made, saved = observer_document(observer), document.observer
+    (alpha, beta), (its_alpha, its_beta) = ([exact(each[key]) for key in ("alpha", "beta")] for each in (saved, made))
+    if (alpha, beta) != (its_alpha, its_beta):
+        raise ValueError(
+            f"{document.file}: the certificate is for alpha = {alpha}, beta = {beta}; the observer has {its_alpha}, "
+            f"{its_beta}; give these as `alpha` and `beta`"
+        )
+    if different := [key for key in made if made[key] != saved.get(key)]:
+        key = different[0]
+        raise ValueError(
+            f"{document.file}: the certificate is for {key} = {saved.get(key)!r}, and the observer has {made[key]!r}; "
+            "certify this observer"
+        )
+    try:
+        check_recipe(observer.model, document.recipe)
+    except ValueError as error:
+        raise ValueError(f"{document.file}: {error}") from error
+
+
+def _difference(model: Any, rebuilt: Any) -> str:
+    """The first thing in which two models differ, in words; empty for models that are the same."""
+    if type(rebuilt) is not type(model) or type(rebuilt.space) is not type(model.space):
+        kinds = (f"{type(each).__name__} on {type(getattr(each, 'space', each)).__name__}" for each in (rebuilt, model))
+        return "it builds a {}, and the observer has a {}".format(*kinds)
+    for name in [each for each in rebuilt.parameters if each in model.parameters]:
+        ours, theirs = (np.asarray(each.parameters[name].value) for each in (model, rebuilt))
+        if not np.array_equal(ours, theirs):
+            return f"{name} is {theirs.tolist()} in the recipe, and {ours.tolist()} in the model"
+    for name in NAMES:
+        ours, theirs = getattr(model, name), getattr(rebuilt, name)
+        if ours != theirs:
+            return f"{name} are {theirs} in the recipe, and {ours} in the model"
+    if jax.tree.structure(model.manifold) != jax.tree.structure(rebuilt.manifold):
+        return f"its manifold is {rebuilt.manifold}, and that of the model is {model.manifold}"
+    n = len(model.coordinates or model.velocities)
+    for (name, ours), (_, theirs) in zip(graphs(model, n), graphs(rebuilt, n), strict=True):
+        if graph_rows(ours) != graph_rows(theirs):
+            return f"the {name} differs, in its formula or its numbers"
+    return ""
