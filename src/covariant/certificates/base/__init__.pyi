@@ -84,6 +84,7 @@ from ._intrinsic import (
     observer_document as observer_document,
     with_model as with_model,
 )
+from ._jumps import without_jumps as without_jumps
 from ._noise import (
     error_bounds as error_bounds,
     noise_disturbance as noise_disturbance,
@@ -106,6 +107,7 @@ from ._tangent_metric import (
     check_q as check_q,
     conditioning as conditioning,
     error_matrix as error_matrix,
+    lowered_christoffel as lowered_christoffel,
     lyapunov as lyapunov,
     optimal_lyapunov as optimal_lyapunov,
     rate_of as rate_of,

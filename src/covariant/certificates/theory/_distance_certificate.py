@@ -12,7 +12,6 @@ positions, from the graphs of metric and force and their derivatives:
 Source: an addition; do Carmo 1992, Riemannian Geometry, chapter 13, for Klingenberg's lemma.
 """
 
-import functools
 import itertools
 import math
 from collections.abc import Callable, Iterator
@@ -23,7 +22,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
-from covariant.certificates.base import Bounds, Hypothesis, Statement, amount, dimension, positive, region_of
+from covariant.certificates.base import (
+    Bounds,
+    Hypothesis,
+    Statement,
+    amount,
+    dimension,
+    lowered_christoffel,
+    positive,
+    region_of,
+)
 from covariant.certificates.theory._implicit_distances import DistanceBounds, DistanceDecay, distance_decay
 from covariant.lowering import lower
 from covariant.models import MechanicalSystem, applied_force, recipe_text, resistance
@@ -227,34 +235,22 @@ class _Model(NamedTuple):
             first = derivatives.each(g, range(1, 1 + k))
             return g, first, derivatives.each(first, range(1, 1 + k)), f, derivatives.each(f, range(1, 1 + k))
 
-        def numbers(z):
-            t, q = jnp.zeros(()), z[:2]
-            slope = jax.jacfwd(self.model.space)
-            slope_of_force = jax.jacfwd(functools.partial(applied_force, self.model), 1)
-            force = applied_force(self.model, t, q, z[2:])
-            return formula(self.model.space(q), slope(q), jax.jacfwd(slope)(q), force, slope_of_force(t, q, z[2:]))
-
-        return derivative_form(values, lambda z: z[:2], parts, formula, numbers)
+        return derivative_form(values, lambda z: z[:2], parts, formula)
 
 
 def _stiffness(g, dg, ddg, f, df) -> Array:
     """−∇S times det g, as a covector of S, not symmetric where the force has no potential: (2, 2)."""
     det = g[0, 0] * g[1, 1] - g[0, 1] * g[1, 0]
-    return jnp.einsum("ijk,k->ij", _lowered_christoffel(dg), _adjugate(g) @ f) - det * df
+    return jnp.einsum("ijk,k->ij", lowered_christoffel(dg), _adjugate(g) @ f) - det * df
 
 
 def _adjugate(g) -> Array:
     return jnp.array([[g[1, 1], -g[0, 1]], [-g[1, 0], g[0, 0]]])
 
 
-def _lowered_christoffel(dg) -> Array:
-    """`Γ_ijk = ½(∂_i g_jk + ∂_j g_ik − ∂_k g_ij)`, where dg[i, j, k] = ∂_k g_ij."""
-    return (jnp.transpose(dg, (2, 0, 1)) + jnp.transpose(dg, (0, 2, 1)) - dg) / 2
-
-
 def _curvature(g, dg, ddg) -> Array:
     """K (det g)² of the plane, by Gauss's equation in coordinates: `R_1212` times det g."""
-    lowered, adjugate = _lowered_christoffel(dg), _adjugate(g)
+    lowered, adjugate = lowered_christoffel(dg), _adjugate(g)
     det = g[0, 0] * g[1, 1] - g[0, 1] * g[1, 0]
     second = ddg[0, 1, 0, 1] - (ddg[0, 0, 1, 1] + ddg[1, 1, 0, 0]) / 2
     return det * second + lowered[0, 1] @ adjugate @ lowered[0, 1] - lowered[0, 0] @ adjugate @ lowered[1, 1]
@@ -291,7 +287,7 @@ def _prove_bounds(known: _Model, speeds: np.ndarray, errors: np.ndarray, boxes: 
 
     formed = known.form(bending).graph(points[0]).entries
     flat = formed.graph.is_zero(formed.outputs[0])
-    bends = np.asarray(jax.vmap(known.form(bending).numbers)(points))[:, 0, 0] / np.linalg.det(metrics) ** 2
+    bends = known.form(bending).at(points)[:, 0, 0] / np.linalg.det(metrics) ** 2
     spread = MARGIN * max(np.abs(bends).max(), 1e-6)
     low, high = (0.0, 0.0) if flat else (float(bends.min() - spread), float(bends.max() + spread))
     # A curvature that is never above zero is not bounded above zero for want of a margin.
@@ -300,7 +296,7 @@ def _prove_bounds(known: _Model, speeds: np.ndarray, errors: np.ndarray, boxes: 
     def hessian(g, dg, ddg, f, df):
         return _stiffness(g, dg, ddg, f, df) / det_of(g)
 
-    stiff = np.asarray(jax.vmap(known.form(hessian).numbers)(points))
+    stiff = known.form(hessian).at(points)
     roots = np.linalg.inv(np.linalg.cholesky(metrics))
     eigenvalues = np.linalg.eigvalsh(roots @ (stiff + stiff.transpose(0, 2, 1)) / 2 @ roots.transpose(0, 2, 1))
     room = MARGIN * max(np.abs(eigenvalues).max(), 1e-6)

@@ -51,7 +51,7 @@ def falsify(
     """
     check_box(domain)
     need_steady("falsify", error_system, domain)
-    matrices = length_change(error_system, lambda coframe, gram, change: jnp.stack([gram, change]).ravel(), lambda z: z)
+    matrices = length_change(error_system, lambda coframe, gram, change: jnp.stack([gram, change]).ravel())
     value = matrices.graph(jnp.asarray(domain.low)).entries
     least, point = slowest(pencil(value, domain), domain, attempts, starts, seed)
     premise = Hypothesis(
