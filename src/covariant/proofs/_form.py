@@ -71,7 +71,7 @@ class Form(NamedTuple):
     def __call__(self, z: Float[Array, "d"]) -> Matrix:
         return to_jax(self.graph(z).entries)(z)
 
-    def at(self, points: Float[np.ndarray, "k d"]) -> Float[np.ndarray, "k n n"]:
+    def at(self, points: Float[np.ndarray, "k d"]) -> Float[np.ndarray, "k *shape"]:
         """The matrices at many points, in NumPy.
 
         Args:

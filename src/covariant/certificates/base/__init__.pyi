@@ -84,7 +84,6 @@ from ._intrinsic import (
     observer_document as observer_document,
     with_model as with_model,
 )
-from ._jumps import without_jumps as without_jumps
 from ._noise import (
     error_bounds as error_bounds,
     noise_disturbance as noise_disturbance,
@@ -93,6 +92,7 @@ from ._noise import (
 from ._radius_recursion import Recursion as Recursion
 from ._region import Bounds as Bounds, Region as Region, amount as amount, positive as positive, region_of as region_of
 from ._sampling import Loss as Loss, Sampling as Sampling, unit_reach as unit_reach
+from ._smoothness import ANALYTIC as ANALYTIC, without_jumps as without_jumps
 from ._start import Start as Start, start_claim as start_claim, start_of as start_of
 from ._statement import (
     Evidence as Evidence,

@@ -25,7 +25,7 @@ import numpy as np
 from jaxtyping import Array
 
 from covariant._typing import Scalar, Vector
-from covariant.certificates.base import StateMetric, first_velocity, prediction_variables
+from covariant.certificates.base import ANALYTIC, StateMetric, first_velocity, prediction_variables
 from covariant.lowering import jacobian, lower
 from covariant.models import MechanicalSystem, MomentumChart, acceleration
 from covariant.proofs import Form, derivative_form
@@ -33,10 +33,6 @@ from covariant.proofs.checker import series
 
 ORDER = 4
 """Order of the Runge–Kutta steps, at which derivatives of the defect are bounded."""
-ANALYTIC = {
-    *("input", "constant", "add", "sub", "neg", "mul", "div", "sin", "cos", "exp", "log", "sqrt", "atan", "stumpff"),
-}
-"""Operations with derivatives of all orders, wherever they are defined."""
 
 
 Jacobian = Callable[[Callable[[Array], Array], Array], Array]

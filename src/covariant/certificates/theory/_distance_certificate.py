@@ -23,6 +23,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
 from covariant.certificates.base import (
+    ANALYTIC,
     Bounds,
     Hypothesis,
     Statement,
@@ -33,7 +34,7 @@ from covariant.certificates.base import (
     region_of,
 )
 from covariant.certificates.theory._implicit_distances import DistanceBounds, DistanceDecay, distance_decay
-from covariant.lowering import lower
+from covariant.lowering import LoweringError, lower, numbers
 from covariant.models import MechanicalSystem, applied_force, recipe_text, resistance
 from covariant.observers import ImplicitGeodesic
 from covariant.proofs import MOST_BOXES, Box, Form, Proof, check_box, derivative_form, prove
@@ -42,13 +43,16 @@ MARGIN = 0.01
 """Part of a sampled bound that is added before it is proved."""
 POINTS = 33
 """Points of each coordinate at which bounds are guessed."""
+PLACES = 200
+"""Random positions at which the connection of the space is compared with that of its metric."""
+AGREES = 1e-8
+"""Relative deviation of two computations of a connection that rounding explains."""
 ASSUMED_OF_DISTANCES = (
     "the true motion solves the model, with the input that the observer is given, and keeps to the bounds of "
     "velocities and inputs, and away from the border of the region as stated",
     "measurements are exact, of all coordinates, unwrapped, and come at the stated interval",
     "predictions, geodesics and transport are computed exactly, and the geodesic to the measurement is the shortest",
     "coordinates that the model calls circles are periodic",
-    "the connection of the model's space is that of its metric, which `covariant audit` measures",
     "the code of the model is read as exact functions of real numbers, with its constants as they were computed",
     "trusted are JAX's tracing, the reading of its jaxprs, IEEE doubles, the formulas of "
     "`certificates.distance_decay` in doubles, and what is argued on paper there",
@@ -161,7 +165,7 @@ def certify_distance(
         "" if decay.rate > 0 else "another α or β, or a shorter interval, may do; else smaller bounds",
     )
     room = Hypothesis("the region has positions so far from its border", "proved", "holds" if fits else "undecided")
-    hypotheses = (*found.hypotheses, gains, *([room] if border.any() else []))
+    hypotheses = (*found.hypotheses, _connection(known), gains, *([room] if border.any() else []))
     names = ", ".join(
         f"{name} {width:.4g} {unit}".rstrip()
         for name, unit, width in zip(known.domain.names, known.domain.units, border, strict=True)
@@ -238,6 +242,39 @@ class _Model(NamedTuple):
         return derivative_form(values, lambda z: z[:2], parts, formula)
 
 
+def _connection(known: _Model) -> Hypothesis:
+    """That observer and model move by the connection of the metric, whose derivatives the bounds are made of.
+
+    JAX derives the connection from the metric, or the space declares it; the graph of the metric has no such rules.
+    """
+    space, identity = known.model.space, jnp.eye(2)
+
+    def declared(q):
+        """`g Γ(e_i, e_j)`, and g g⁻¹, as the space computes connection and accelerations."""
+        pairs = jnp.stack([jnp.stack([space.connection(q, a, b) for b in identity]) for a in identity])
+        raised = jnp.stack([space.raise_(q, a) for a in identity])
+        return jnp.concatenate([(pairs @ space(q)).ravel(), (raised @ space(q)).ravel()])
+
+    def derived(g, dg, ddg, f, df):
+        return jnp.concatenate([lowered_christoffel(dg).ravel(), identity.ravel()])
+
+    points = np.random.default_rng(0).uniform(known.whole.low, known.whole.high, (PLACES, len(known.whole.low)))
+    try:
+        lowered = lower(declared, jnp.zeros(2))
+        computed = np.asarray(numbers(lowered, points[:, :2]))
+        analytic = {node.op for node in lowered.graph.nodes} <= ANALYTIC
+    except LoweringError:
+        computed, analytic = np.asarray(jax.lax.map(declared, jnp.asarray(points[:, :2]))), False
+    expected = known.form(derived).at(points)
+    off = np.abs(computed - expected).max(axis=1) / np.maximum(np.abs(expected).max(axis=1), 1.0)
+    text = f"the connection of the model's space is that of its metric, as at {PLACES} random positions"
+    if not (off <= AGREES).all():
+        place = ", ".join(f"{x:.4g}" for x in points[int(np.where(np.isnan(off), np.inf, off).argmax()), :2])
+        return Hypothesis(text, "sampled", "undecided", place=f"({place}), where the two differ")
+    # Analytic functions that agree near one point agree everywhere; others may part where no position was drawn.
+    return Hypothesis(text, "assumed" if analytic else "sampled")
+
+
 def _stiffness(g, dg, ddg, f, df) -> Array:
     """−∇S times det g, as a covector of S, not symmetric where the force has no potential: (2, 2)."""
     det = g[0, 0] * g[1, 1] - g[0, 1] * g[1, 0]
@@ -287,16 +324,16 @@ def _prove_bounds(known: _Model, speeds: np.ndarray, errors: np.ndarray, boxes: 
 
     formed = known.form(bending).graph(points[0]).entries
     flat = formed.graph.is_zero(formed.outputs[0])
-    bends = known.form(bending).at(points)[:, 0, 0] / np.linalg.det(metrics) ** 2
+    bends = known.form(bending).at(np.asarray(points))[:, 0, 0] / np.linalg.det(metrics) ** 2
     spread = MARGIN * max(np.abs(bends).max(), 1e-6)
     low, high = (0.0, 0.0) if flat else (float(bends.min() - spread), float(bends.max() + spread))
     # A curvature that is never above zero is not bounded above zero for want of a margin.
     high = 0.0 if bends.max() < -spread else high
 
-    def hessian(g, dg, ddg, f, df):
+    def stiffness(g, dg, ddg, f, df):
         return _stiffness(g, dg, ddg, f, df) / det_of(g)
 
-    stiff = known.form(hessian).at(points)
+    stiff = known.form(stiffness).at(np.asarray(points))
     roots = np.linalg.inv(np.linalg.cholesky(metrics))
     eigenvalues = np.linalg.eigvalsh(roots @ (stiff + stiff.transpose(0, 2, 1)) / 2 @ roots.transpose(0, 2, 1))
     room = MARGIN * max(np.abs(eigenvalues).max(), 1e-6)

@@ -9,6 +9,7 @@ Source: Sanfelice & Praly 2015, section I; Sanfelice & Praly 2012, Convergence o
 Riemannian metric (Part I), IEEE TAC 57(7).
 """
 
+import contextlib
 from typing import NamedTuple
 
 import equinox as eqx
@@ -21,7 +22,7 @@ from covariant._linalg import half_solve, solve, whiten
 from covariant._typing import MatrixField, Scalar, Vector
 from covariant.certificates.base import Hypothesis, Statement, lowered_christoffel, without_jumps
 from covariant.geometry import Budget, exp
-from covariant.lowering import LoweringError, jacobian
+from covariant.lowering import LoweringError, jacobian, lower, to_jax
 from covariant.metrics import lie_derivative
 from covariant.models import StateSpace
 from covariant.proofs import Box, prove
@@ -237,6 +238,9 @@ def observability(
         return Observability(first, second, None, None)
     k = sampled.worst
     shift = 0.1 / sampled.bends[k] * sampled.directions[k]
+    # Without the rules that the metric declares, or else the geodesic would be that of another metric.
+    with contextlib.suppress(LoweringError):
+        metric = to_jax(lower(metric, jnp.asarray(points[k])))
     states = _witness(metric, jnp.asarray(points[k]), jnp.asarray(shift), budget)
     outputs = jax.vmap(lambda x: model.h(*_arguments(model, x, u)))(states)
     return Observability(first, second, np.asarray(states), np.asarray(outputs))

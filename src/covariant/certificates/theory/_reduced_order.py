@@ -216,14 +216,14 @@ class _Split(NamedTuple):
         half = np.where(half > 0, half, 1.0)
         return half[list(self.measured)], half[list(self.unmeasured)]
 
-    def jacobians(self, points: Sequence[np.ndarray]) -> np.ndarray:
+    def derivatives(self, points: Sequence[np.ndarray]) -> np.ndarray:
         """Derivatives (k, n, n) of f in the states, for searches and for samples."""
         return self.form(lambda slope: slope, range(self.n)).at(np.stack(points))
 
     def slopes(self, points: Sequence[np.ndarray]) -> np.ndarray:
         """Derivatives (k, n, n − p) of f in the unmeasured states, their rows first, in units of `scales`."""
         y, z = self.scales
-        slopes = self.jacobians(points)[:, :, list(self.unmeasured)]
+        slopes = self.derivatives(points)[:, :, list(self.unmeasured)]
         ordered = slopes[:, [*self.unmeasured, *self.measured]]
         return ordered * z[None, None, :] / np.concatenate([z, y])[None, :, None]
 
@@ -414,7 +414,7 @@ def _with_gain(
 
     points = [*points, *np.random.default_rng(1).uniform(split.low, split.high, (TRIED, len(split.low)))]
     k, weights = _least_gain(
-        [tuple(map(np.asarray, blocks(slope))) for slope in split.jacobians(points)], split, metric, rate
+        [tuple(map(np.asarray, blocks(slope))) for slope in split.derivatives(points)], split, metric, rate
     )
     proof = prove(matrix(k, weights), whole, boxes=boxes)
     for _ in range(RAISES):

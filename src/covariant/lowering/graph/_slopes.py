@@ -11,11 +11,12 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 
 from covariant.lowering.graph._arrays import Scalars, Value, nodes_of
 from covariant.lowering.graph._differentiate import Derivative
 from covariant.lowering.graph._graph import FOLD, Graph, no_collection
-from covariant.lowering.graph._jax_forms import ClosedJaxpr, Scan, While, equations
+from covariant.lowering.graph._jax_forms import Branch, Call, ClosedJaxpr, Scan, While, equations
 from covariant.lowering.graph._jaxpr import Interpreter, trace
 from covariant.lowering.graph._lowered import Lowered, LoweringError
 from covariant.lowering.graph._read import Domain, evaluate
@@ -25,8 +26,8 @@ LONGEST = 50_000
 """Operations from which a function is not written as a graph of scalars, which JAX would have to compile."""
 STEPS = (1e-3, 1e-5, 1e-7)
 """Steps of the differences that a derivative of JAX is compared with; one of them is short and long enough."""
-AGREES = 1e-5
-"""Relative deviation up to which a derivative is that of the values."""
+AGREES, OF_LARGEST = 1e-4, 1e-8
+"""Deviation up to which a derivative is that of the values, relative to it and to the largest derivative beside it."""
 
 _RENAMED = {
     "neg": "negative", "sub": "subtract", "mul": "multiply", "div": "divide", "add": "add", "abs": "abs",
@@ -191,7 +192,8 @@ def _slope(values: jax.Array, declared: jax.Array) -> jax.Array:
     size = jnp.max(jnp.abs(values[0]), initial=0.0)
     # What a few roundings of the values change in a quotient.
     rounding = 16 * jnp.finfo(values.dtype).eps * size / steps
-    most = AGREES * jnp.max(jnp.abs(declared), initial=0.0) + rounding
+    largest = jnp.max(jnp.abs(declared), initial=0.0)
+    most = (AGREES * jnp.abs(declared) + OF_LARGEST * largest)[None] + rounding
     # Entry by entry at one step each: of a vector with a steep entry each may be resolved by another step.
     agrees = jnp.any(jnp.abs(quotients - declared[None]) <= most, axis=0)
     return jnp.where(jnp.all(agrees) | ~jnp.all(jnp.isfinite(quotients)), declared, quotients[1])
@@ -218,8 +220,8 @@ class _Traced:
             return Scalars(np.array(ids, int).reshape(array.shape))
 
         inputs = [unknown(array) for array in arguments]
-        traced = [c for c in consts if isinstance(c, jax.core.Tracer)]
-        known = [unknown(c) if isinstance(c, jax.core.Tracer) else c for c in consts]
+        traced = [c for c in consts if isinstance(c, Tracer)]
+        known = [unknown(c) if isinstance(c, Tracer) else c for c in consts]
         with no_collection():
             (value,) = Interpreter(graph).run(ClosedJaxpr(jaxpr, known), inputs)
         outputs = nodes_of(graph, value).ravel().tolist()
@@ -246,11 +248,17 @@ def _work(jaxpr: Any) -> int:
     """Scalar results of a jaxpr, with those of all turns of its loops."""
     total = 0
     for eqn in equations(jaxpr):
-        inner = [eqn.form.body] if hasattr(eqn.form, "body") else list(getattr(eqn.form, "bodies", ()))
-        if isinstance(eqn.form, While):
-            raise LoweringError("a loop runs until something the arguments decide")
-        turns = eqn.form.length if isinstance(eqn.form, Scan) else 1
-        total += turns * sum(_work(body.jaxpr) for body in inner) if inner else sum(v.aval.size for v in eqn.outvars)
+        match eqn.form:
+            case Scan(body=body, length=turns):
+                total += turns * _work(body.jaxpr)
+            case Call(body):
+                total += _work(body.jaxpr)
+            case Branch(bodies):
+                total += sum(_work(body.jaxpr) for body in bodies)
+            case While():
+                raise LoweringError("a 'while' loop runs until something the arguments decide")
+            case None:
+                total += sum(variable.aval.size for variable in eqn.outvars)
     return total
 
 

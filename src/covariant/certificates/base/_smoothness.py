@@ -1,4 +1,4 @@
-"""That the slopes of a function at states are those between them: it has a graph, and no jumps among them."""
+"""What the graph of a function says about how smooth it is."""
 
 from collections.abc import Callable, Sequence
 
@@ -11,6 +11,10 @@ from covariant.proofs import Box, show_conditions
 
 JUMPS = ("decided", "whole")
 """Kinds of conditions without which a function may jump."""
+ANALYTIC = {
+    *("input", "constant", "add", "sub", "neg", "mul", "div", "sin", "cos", "exp", "log", "sqrt", "atan", "stumpff"),
+}
+"""Operations with derivatives of all orders, wherever they are defined."""
 
 
 def without_jumps(
