@@ -34,7 +34,8 @@ def contracting_gain(
         effort: Weight of the norm of MK beside the condition number of M, as for `certificates.observer_gain`.
 
     Returns:
-        The design: gain K (n, p), metric M (n, n), its condition number, and the statement that holds.
+        The design: gain K (n, p), metric M (n, n), its condition number, and the statement. It is undecided where f or
+        h may jump between the states, and "sampled" where they have no graph, so that JAX has to differentiate them.
 
     Raises:
         ValueError: The states or inputs do not fit the model, or no gain attains the rate.

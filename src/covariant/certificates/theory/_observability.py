@@ -201,7 +201,8 @@ def observability(
         budget: work spent on the geodesic of the witness.
 
     Returns:
-        A statement for each condition, and the witness.
+        A statement for each condition, and the witness. Both are undecided where f or h may jump between the points,
+        since their derivatives say nothing about what they do there.
 
     Raises:
         ValueError: the metric is not finite or not positive definite at a point, the outputs are dependent, or there
