@@ -13,6 +13,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import get_origin
 
+import pytest
 from style import docstrings
 
 ROOT = Path(__file__).parents[1]
@@ -182,6 +183,96 @@ def test_kinds_of_models_are_told_apart_by_what_they_offer():
     lines = [line for path in FILES for line in path.read_text(encoding="utf-8").split("\n")]
     asked = [line for line in lines if kinds.search(line)]
     assert len(asked) <= 5, "\n".join(asked)
+
+
+DERIVATIVES = {
+    *("jacfwd", "jacrev", "grad", "value_and_grad", "jvp", "vjp", "linearize", "hessian", "jet", "fwd_and_bwd"),
+    *("filter_grad", "filter_value_and_grad", "filter_jvp", "filter_vjp", "filter_jacfwd", "filter_jacrev"),
+    *("filter_hessian", "filter_closure_convert", "saved_input_vjp"),
+}
+"""The derivatives of JAX and equinox, which believe `stop_gradient` and custom rules."""
+VALUES_OF_THE_CODE = {
+    ("certificates/sampled/_sampled_step.py", "_stiffness", "jvp"): "any field is a metric, and the code of the prover "
+    "and of the checker is one: test_declared.py compares its inequality with differences of its values",
+    ("certificates/sampled/_sampled_body.py", "_stiffness", "jvp"): "as in _sampled_step.py",
+    ("certificates/sampled/_sampled_body.py", "body_variables", "differential"): "which entries of a matrix the force "
+    "of the model reads, where the model itself computes the force in this way",
+}
+"""Derivatives that are values of the code that runs, with why no statement rests on their being derivatives."""
+
+
+def derivatives(module: ast.Module, names: set[str]) -> set[tuple[str, str]]:
+    """Derivatives with these names that a module takes, each with the function at its top level that takes it."""
+    aliases = [alias for node in ast.walk(module) if isinstance(node, ast.ImportFrom) for alias in node.names]
+    local = {alias.asname or alias.name: alias.name for alias in aliases if alias.name in names}
+    found = {("", "*") for alias in aliases if alias.name == "*"}
+    for top in module.body:
+        where = getattr(top, "name", "")
+        for node in ast.walk(top):
+            match node:
+                case ast.Attribute(attr=name) if name in names:
+                    found.add((where, name))
+                case ast.Constant(value=str(name)) if name in DERIVATIVES:
+                    found.add((where, name))
+                case ast.Name(id=name) if name in local:
+                    found.add((where, local[name]))
+    return found
+
+
+def derived_by_jax() -> set[str]:
+    """Functions and methods of the library that take a derivative of JAX, and whose name is theirs alone.
+
+    Those of `lowering` and `proofs` are left out, which are where statements and the checker take theirs.
+    """
+    names, taking = Counter(), set()
+    for path in FILES:
+        for node in ast.walk(tree(path)):
+            for each in getattr(node, "body", ()) if isinstance(node, ast.Module | ast.ClassDef) else ():
+                if isinstance(each, ast.FunctionDef):
+                    names[each.name] += 1
+                    if room_of(path) not in ("lowering", "proofs") and derivatives(ast.Module([each], []), DERIVATIVES):
+                        taking.add(each.name)
+    return {name for name in taking if names[name] == 1 and not name.startswith("_")}
+
+
+def makes_statements(path: Path, module: ast.Module) -> bool:
+    """Whether a module is one of the certificates, uses one, or makes a statement or a premise itself."""
+    called = {ast.unparse(node.func).rpartition(".")[2] for node in ast.walk(module) if isinstance(node, ast.Call)}
+    uses = any(name.startswith("covariant.certificates") for name, _ in imported(path))
+    return room_of(path) == "certificates" or uses or not called.isdisjoint({"Statement", "Hypothesis"})
+
+
+def test_statements_take_no_derivative_from_jax():
+    """They take it from `covariant.lowering`, the checker from `covariant.proofs.checker`; both see values alone."""
+    names = DERIVATIVES | derived_by_jax()
+    files = [path for path in FILES if makes_statements(path, tree(path))]
+    assert len(files) > 60
+    found = {(place(path), *each) for path in files for each in derivatives(tree(path), names)}
+    assert found == set(VALUES_OF_THE_CODE), "take derivatives by `lowering.along` or `lowering.jacobian`"
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "jax.jacfwd(f)(x)",
+        "getattr(jax, 'grad')(f)(x)",
+        "eqx.filter_jvp(f, (x,), (x,))",
+        "model.jacobians(t, x, u)",
+        "from jax import vjp; partial(vjp, f)",
+        "from jax import hessian as h; h(f)",
+        "from covariant.geometry import differential; differential(manifold, f, x)",
+        "from jax import *",
+    ],
+)
+def test_a_deliberate_derivative_is_found(line):
+    assert derivatives(ast.parse(line), DERIVATIVES | derived_by_jax())
+
+
+def test_a_module_that_makes_a_premise_is_searched_wherever_it_is():
+    path = SOURCE / "models" / "_state_space.py"
+    assert not makes_statements(path, tree(path))
+    assert makes_statements(path, ast.parse("premise = base.Hypothesis('it holds', 'proved')"))
+    assert makes_statements(SOURCE / "calibration" / "tuning" / "_contracting.py", ast.parse(""))
 
 
 def test_every_module_opens_with_what_it_is():

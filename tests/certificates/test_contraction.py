@@ -85,10 +85,12 @@ def test_a_moving_frame_without_its_own_change_would_deceive():
         return -x
 
     growing = in_frame(lambda t, x: jnp.exp(2 * t) * jnp.eye(2))
-    frozen = in_frame(lambda t, x: jnp.exp(2 * jax.lax.stop_gradient(t)) * jnp.eye(2))
+    frozen = in_frame(lambda t, x: jnp.eye(2))
+    declared = in_frame(lambda t, x: jnp.exp(2 * jax.lax.stop_gradient(t)) * jnp.eye(2))
     x = jnp.array([0.3, -1.0])
     assert contraction_rate(shrink, growing, ZERO, x) == pytest.approx(-2.0)
     assert contraction_rate(shrink, frozen, ZERO, x) == pytest.approx(2.0)
+    assert contraction_rate(shrink, declared, ZERO, x) == pytest.approx(-2.0)
 
 
 def test_rates_and_norms_of_a_linear_flow():

@@ -33,9 +33,9 @@ def test_curvature_and_stiffness_are_those_of_the_geometry(model):
     known = _Model.of(model, domain, np.zeros((2, model.inputs)))
     z = jnp.concatenate([q, u])
     det = jnp.linalg.det(model.space(q))
-    bend = known.form(lambda g, dg, ddg, f, df: _curvature(g, dg, ddg)[None, None]).numbers(z)[0, 0] / det**2
+    bend = known.form(lambda g, dg, ddg, f, df: _curvature(g, dg, ddg)[None, None])(z)[0, 0] / det**2
     assert float(bend) == pytest.approx(float(geometry.sectional_curvature(model.space, q, *jnp.eye(2))), rel=1e-10)
-    stiff = known.form(_stiffness).numbers(z) / det
+    stiff = known.form(_stiffness)(z) / det
     t = jnp.zeros(())
     at = source(model, t, q, u)
     slope = jax.jacfwd(source, 2)(model, t, q, u)

@@ -14,7 +14,7 @@ from covariant.certificates.sampled._sampled_step import sampled_prediction
 from covariant.geometry.lie import SO3
 from covariant.lowering import numbers
 from covariant.observers import Intrinsic
-from covariant.proofs.checker import series
+from covariant.proofs.checker import jacobian, series
 
 H = 0.03
 Q = np.array([[0.5, -0.04], [-0.04, 0.02]])
@@ -89,9 +89,7 @@ def test_predictions_change_curves_as_their_jacobian_says():
     shipped = differences(lambda g, v: predicted(g, v, jnp.asarray(H)), START, SPEED)
     shipped = coframe(predict(START, SPEED, jnp.asarray(H))[1]) @ shipped @ np.linalg.inv(coframe(SPEED))
     system = sampled_system(top(), Q, SAMPLING)
-    graph = in_frame_along(system, lambda coframe, gram, change, jacobian: jacobian, lambda z: z).graph(
-        point(START, SPEED)
-    )
+    graph = in_frame_along(system, lambda coframe, gram, change, jacobian: jacobian).graph(point(START, SPEED))
     transition, steps = np.eye(6), 30
     for k in range(steps):
         g, v = predict(START, SPEED, jnp.asarray((k + 0.5) * H / steps))
@@ -179,7 +177,7 @@ def check_defect(observer, z):
         )
         means.append(np.abs(whole(z.at[-2:].set(r)) / r**4 - mean).max() / np.abs(mean).max())
     assert max(means) < 1e-4
-    matrix = np.asarray(jax.jit(defect_matrix(prediction, 1.0))(z))
+    matrix = np.asarray(jax.jit(defect_matrix(prediction, 1.0, jacobian))(z))
     assert np.abs(matrix[1:, 0] - fourth(z)).max() < 1e-9 * np.abs(matrix).max()
 
 

@@ -135,7 +135,7 @@ def test_the_jacobians_in_the_frames_are_those_of_differences_of_the_step():
     shipped = np.asarray(coframe(step(truth)) @ np.stack(columns, 1) @ np.linalg.inv(coframe(truth)))
 
     # The transition of F along the truth, by small steps of the midpoint rule, then J.
-    graph = in_frame_along(system, lambda coframe, gram, change, jacobian: jacobian, lambda z: z).graph(jnp.zeros(13))
+    graph = in_frame_along(system, lambda coframe, gram, change, jacobian: jacobian).graph(jnp.zeros(13))
     friction = jax.jit(lambda v: model.dissipation(truth[:n], v))
     slope = jax.jit(jax.jacfwd(lambda v: model.dissipation(truth[:n], v)))
 

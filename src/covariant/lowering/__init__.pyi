@@ -31,12 +31,15 @@ from .graph import (
     Scan as Scan,
     TracedFunction as TracedFunction,
     While as While,
+    along as along,
+    change as change,
     equations as equations,
     evaluate as evaluate,
     evaluate_batch as evaluate_batch,
     expand as expand,
     fingerprint as fingerprint,
     graft as graft,
+    jacobian as jacobian,
     lower as lower,
     lower_traced as lower_traced,
     needed as needed,
@@ -46,6 +49,7 @@ from .graph import (
     pairs as pairs,
     stumpff as stumpff,
     substitute as substitute,
+    to_jax as to_jax,
     trace as trace,
 )
 from .intervals import (

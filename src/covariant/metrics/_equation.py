@@ -1,12 +1,12 @@
 """The Riccati equation of a contraction metric, and its two sides."""
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from covariant._linalg import half_solve
 from covariant._typing import Matrix, MatrixField, Number, Vector
+from covariant.lowering import along, jacobian
 from covariant.models import StateSpace
 
 
@@ -76,9 +76,9 @@ def lie_derivative(model: StateSpace, metric: MatrixField, x: Vector, u: Float[A
         [[-2.0]]
     """
     input_held, t0 = model_input(model, u, x.dtype), jnp.zeros((), x.dtype)
-    p, along = jax.jvp(metric, (x,), (model.f(t0, x, input_held),))
-    a = jax.jacfwd(model.f, 1)(t0, x, input_held)
-    return along + p @ a + a.T @ p
+    p, change = along(metric, (x,), (model.f(t0, x, input_held),))
+    a = jacobian(lambda y: model.f(t0, y, input_held), x)
+    return change + p @ a + a.T @ p
 
 
 def right_side(

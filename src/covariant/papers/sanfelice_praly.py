@@ -15,7 +15,7 @@ from jaxtyping import Array, Float
 from covariant import models
 from covariant._integrate import rk8
 from covariant._typing import Matrix, MatrixField, Number, Vector
-from covariant.certificates import observability
+from covariant.certificates import contraction_rate, observability
 from covariant.geometry import distance
 from covariant.metrics import Equation, RiccatiMetric, metric_at, metric_through, spd_distance
 from covariant.observers import Estimate, InformationEKF, Riccati, run
@@ -159,14 +159,11 @@ def _least_rate(points: Array, rate: Array, gain: Array):
     none, zero = jnp.zeros(0), jnp.zeros(())
 
     def at(x):
-        def flow(z):
+        def flow(t, z):
             return observer.flow(zero, Estimate(z, zero), none, x[:1]).x
 
-        p, along = jax.jvp(metric, (x,), (flow(x),))
-        change = p @ jax.jacfwd(flow)(x)
-        half = jnp.linalg.inv(jnp.linalg.cholesky(p))
-        # Half: a rate of lengths, where the eigenvalue is that of squared lengths.
-        return -jnp.linalg.eigvalsh(half @ (along + change + change.T) @ half.T)[-1] / 2
+        # Half: a rate of lengths, where the other is that of squared lengths.
+        return contraction_rate(flow, lambda t, z: metric(z), zero, x) / 2
 
     return jax.vmap(at)(points).min()
 

@@ -1,4 +1,4 @@
-"""A matrix of variables in a box that is to be proved positive definite, as a function of numbers and as a graph.
+"""A matrix of variables in a box that is to be proved positive definite, as a graph.
 
 Contraction of a flow involves derivatives. Those of JAX do not see jumps: a `where`, a `sign` or a table look-up has
 none, and custom derivative rules are trusted. A proof therefore starts from values alone. They become a graph once,
@@ -14,7 +14,19 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from covariant._typing import Matrix
-from covariant.lowering import LARGEST, Condition, Conditions, Derivative, Graph, Lowered, graft, lower, substitute
+from covariant.lowering import (
+    LARGEST,
+    Condition,
+    Conditions,
+    Derivative,
+    Graph,
+    Lowered,
+    graft,
+    lower,
+    numbers,
+    substitute,
+    to_jax,
+)
 
 
 class Formed(NamedTuple):
@@ -39,10 +51,9 @@ class Formed(NamedTuple):
 
 
 class Form(NamedTuple):
-    """A symmetric matrix of variables z (d,), as a function of numbers and as a graph of scalars.
+    """A symmetric matrix of variables z (d,), as a graph of scalars. Its numbers are those of the graph.
 
     Attributes:
-        numbers: Function `z (d,) -> (n, n)` that computes it.
         graph: Function that writes its graph, with conditions, for the shape of z.
 
     Example:
@@ -55,11 +66,18 @@ class Form(NamedTuple):
         [[3.0]]
     """
 
-    numbers: Callable[[Array], Array]
     graph: Callable[[Array], Formed]
 
     def __call__(self, z: Float[Array, "d"]) -> Matrix:
-        return self.numbers(z)
+        return to_jax(self.graph(z).entries)(z)
+
+    def at(self, points: Float[np.ndarray, "k d"]) -> Float[np.ndarray, "k *shape"]:
+        """The matrices at many points, in NumPy.
+
+        Args:
+            points: One row a point.
+        """
+        return np.asarray(numbers(self.graph(jnp.asarray(points[0])).entries, points))
 
     def then(self, formula: Callable[[Array], Array]) -> "Form":
         """The form of a formula of the matrix, such as one of its blocks.
@@ -86,7 +104,7 @@ class Form(NamedTuple):
             entries = graft(grown, formula, formed.entries.nodes(), place)
             return formed._replace(entries=_lower_entries(grown, entries, formed.entries.arguments))
 
-        return Form(lambda z: formula(self.numbers(z), z), graph)
+        return Form(graph)
 
 
 def as_form(matrix: Callable[[Array], Array]) -> Form:
@@ -117,7 +135,7 @@ def as_form(matrix: Callable[[Array], Array]) -> Form:
         assert lowered.conditions is not None
         return Formed(lowered._replace(conditions=None), lowered.conditions, np.zeros(0))
 
-    return Form(matrix, graph)
+    return Form(graph)
 
 
 class NodeDerivatives:
@@ -159,7 +177,7 @@ Parts = Callable[[NodeDerivatives, tuple[np.ndarray, ...], int], tuple[np.ndarra
 
 
 def derivative_form(
-    values: Values, state: Callable[[Array], Array], parts: Parts, formula: Callable[..., Array], numbers: Callable
+    values: Values, state: Callable[[Array], Array], parts: Parts, formula: Callable[..., Array]
 ) -> Form:
     """The form of a formula of values and of their derivatives at x = state(z), t = 0.
 
@@ -179,7 +197,6 @@ def derivative_form(
         parts: Function `(derivatives, nodes of the values, k) -> nodes of the arguments of the formula`; inputs are t,
             then x, then z.
         formula: JAX function of these arguments, to a matrix (n, n).
-        numbers: Function `z (d,) -> (n, n)` that computes the same matrix in numbers.
 
     Returns:
         The form, with the conditions under which the values are defined and do not jump.
@@ -189,7 +206,7 @@ def derivative_form(
         >>> from covariant.proofs import box, derivative_form, prove
         >>> flow = lambda t, x, z: (-x - x**3,)  # contracts: −f'(x) = 1 + 3x²
         >>> parts = lambda derivatives, nodes, k: (derivatives.each(nodes[0], range(1, 1 + k)),)
-        >>> form = derivative_form(flow, lambda z: z, parts, lambda a: -a, lambda z: (1 + 3 * z**2)[:, None])
+        >>> form = derivative_form(flow, lambda z: z, parts, lambda a: -a)
         >>> prove(form, box(x=(-2.0, 2.0))).verdict
         'holds'
     """
@@ -201,7 +218,7 @@ def derivative_form(
         entries = graft(grown, formula, *parts(NodeDerivatives(grown), value.nodes(), len(at.outputs)))
         return _at_state(value, grown, entries, at)
 
-    return Form(numbers, graph)
+    return Form(graph)
 
 
 def _at_state(value: Lowered, grown: Graph, outputs: np.ndarray, at: Lowered) -> Formed:

@@ -6,6 +6,8 @@ import numpy as np
 
 from covariant._typing import Numbers
 from covariant.certificates import MetricDesign, observer_gain
+from covariant.certificates.base import without_jumps
+from covariant.lowering import jacobian
 from covariant.models import StateSpace
 
 
@@ -32,7 +34,8 @@ def contracting_gain(
         effort: Weight of the norm of MK beside the condition number of M, as for `certificates.observer_gain`.
 
     Returns:
-        The design: gain K (n, p), metric M (n, n), its condition number, and the statement that holds.
+        The design: gain K (n, p), metric M (n, n), its condition number, and the statement. It is undecided where f or
+        h may jump between the states, and "sampled" where they have no graph, so that JAX has to differentiate them.
 
     Raises:
         ValueError: The states or inputs do not fit the model, or no gain attains the rate.
@@ -57,5 +60,17 @@ def contracting_gain(
     if u.shape != (len(x), model.inputs):
         raise ValueError(f"inputs must have the shape ({len(x)}, {model.inputs}), one row a state; got {u.shape}")
     time = jnp.asarray(t)
-    f, h = jax.vmap(lambda x, u: model.jacobians(time, x, u))(jnp.asarray(x), jnp.asarray(u))
-    return observer_gain(np.asarray(f), np.asarray(h), rate, effort=effort)
+
+    def jacobians(x, u):
+        return jacobian(lambda x: model.f(time, x, u), x), jacobian(lambda x: model.h(time, x, u), x)
+
+    f, h = jax.jit(jax.vmap(jacobians))(jnp.asarray(x), jnp.asarray(u))
+    design = observer_gain(np.asarray(f), np.asarray(h), rate, effort=effort)
+    names = (*(model.coordinates or (f"x{i + 1}" for i in range(n))), *(f"u{i + 1}" for i in range(model.inputs)))
+    premises = (
+        premise
+        for what, function in (("f", model.f), ("h", model.h))
+        for premise in without_jumps(what, lambda x, u, function=function: function(time, x, u), (x, u), names)
+    )
+    statement = design.statement
+    return design._replace(statement=statement._replace(hypotheses=(*statement.hypotheses, *premises)))

@@ -19,6 +19,7 @@ from jaxtyping import Array, Float
 
 from covariant._typing import Scalar, Vector
 from covariant.geometry import AbstractSpace, Budget, Metric
+from covariant.lowering import along, change
 from covariant.models import MechanicalSystem, acceleration, friction, in_chart
 from covariant.observers import AbstractFlowObserver, AbstractObserver, Geodesic, Intrinsic
 
@@ -133,11 +134,11 @@ def configuration(model: MechanicalSystem, s: Vector) -> Array:
 def bracket(model: MechanicalSystem, x: Array, a: Vector, b: Vector) -> Vector:
     """Compute `[a, b]` by derivatives of the frame, so that the manifold's own formula is tested too."""
 
-    def along(one, two):
-        field = lambda y: model.manifold.tangent(y, two)  # noqa: E731
-        return jax.jvp(field, (x,), (model.manifold.tangent(x, one),))[1]
+    def moved(one, two):
+        tangent = model.manifold.tangent(x, one)
+        return change(lambda s: model.manifold.tangent(x + s * tangent, two))[1]
 
-    return model.manifold.components(x, along(a, b) - along(b, a))
+    return model.manifold.components(x, moved(a, b) - moved(b, a))
 
 
 def counterpart(observer: AbstractFlowObserver, model: MechanicalSystem, alpha, beta) -> AbstractFlowObserver:
@@ -150,11 +151,6 @@ def slope(observer: AbstractFlowObserver, x: Array, v: Vector, u: Array, y: Arra
     state = observer.init(y)._replace(q=x, v=v)
     rates = observer.flow(jnp.zeros((), v.dtype), state, u, y)
     return rates.q, rates.v
-
-
-def change(function, *, aux: bool = False):
-    """Compute the value and derivative at zero of a function of one number."""
-    return jax.jvp(function, (jnp.zeros(()),), (jnp.ones(()),), has_aux=aux)
 
 
 @compiled_quickly
@@ -187,7 +183,7 @@ def along_the_flow(
         # The variation ξ is carried by the flow w: [w, ξ] = 0 in space, which in a frame gives this bracket.
         xi_rate = w_change + bracket(model, x, xi, w)
 
-        def along(s):
+        def transported_by_flow(s):
             """ζ and V of the variation that is transported by the flow."""
             here, xi_now = model.manifold.nudged(x, s * w), xi + s * xi_rate
             # ζ is the covariant derivative of v̂ in the direction ξ, hence the connection.
@@ -195,7 +191,7 @@ def along_the_flow(
             gram = space.gram(here, jnp.stack([xi_now, zeta]))
             return zeta, jnp.sum(q * gram) / 2
 
-        (zeta, _), (zeta_rate, lyapunov_rate) = change(along)
+        (zeta, _), (zeta_rate, lyapunov_rate) = change(transported_by_flow)
         connection_xi, connection_zeta = space.connection(x, w, xi), space.connection(x, w, zeta)
         # Law (10) with ∇ = d/dt + B(w, ·): ∇ξ = ζ − αξ and ∇ζ = −βξ.
         first = xi_rate + connection_xi - (zeta - alpha * xi)
@@ -327,7 +323,8 @@ def between_charts(
         rewritten = in_chart(model, chart)
         estimate = centre + error * states.unit
         there = slope(exchange(observer, rewritten), estimate, v, u, centre)
-        (x, velocity), pushed = jax.jvp(lambda z, w: jax.jvp(chart, (z,), (w,)), (estimate, v), there)
+        state, pushed = along(lambda z, w: jnp.stack(along(chart, (z,), (w,))), (estimate, v), there)
+        x, velocity = state
         here = slope(observer, x, velocity, u, y)
         return _difference(space, gains, x, velocity, x - y, here, pushed)
 

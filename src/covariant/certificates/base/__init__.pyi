@@ -103,6 +103,7 @@ from ._recipe import (
 )
 from ._region import Bounds as Bounds, Region as Region, amount as amount, positive as positive, region_of as region_of
 from ._sampling import Loss as Loss, Sampling as Sampling, unit_reach as unit_reach
+from ._smoothness import ANALYTIC as ANALYTIC, without_jumps as without_jumps
 from ._start import Start as Start, start_claim as start_claim, start_of as start_of
 from ._statement import (
     Evidence as Evidence,
@@ -117,6 +118,7 @@ from ._tangent_metric import (
     check_q as check_q,
     conditioning as conditioning,
     error_matrix as error_matrix,
+    lowered_christoffel as lowered_christoffel,
     lyapunov as lyapunov,
     optimal_lyapunov as optimal_lyapunov,
     rate_of as rate_of,

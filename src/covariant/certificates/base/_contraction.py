@@ -17,6 +17,7 @@ from jaxtyping import Array, Float
 
 from covariant._linalg import solve, whiten
 from covariant._typing import Matrix, Scalar, Vector
+from covariant.lowering import along, jacobian
 
 Flow = Callable[[Scalar, Vector], Array]
 """The right-hand side of a flow, `(t, x (n,)) -> x' (n,)`."""
@@ -124,10 +125,8 @@ def generalised_jacobian(flow: Flow, metric: StateMetric, t: Scalar, x: Vector) 
         [[-1.0, 0.5], [0.0, -1.0]]
     """
     # Θ̇ is the total derivative along the flow: ∂Θ/∂t + (∂Θ/∂x) f.
-    change = jax.jvp(metric.coframe, (t, x), (jnp.ones_like(t), flow(t, x)))[1]
-    frame = metric.frame(t, x)
-    jacobian_frame = jax.vmap(lambda e: jax.jvp(lambda y: flow(t, y), (x,), (e,))[1], in_axes=1, out_axes=1)(frame)
-    return change @ frame + metric.coframe(t, x) @ jacobian_frame
+    coframe, change = along(metric.coframe, (t, x), (jnp.ones_like(t), flow(t, x)))
+    return (change + coframe @ jacobian(lambda y: flow(t, y), x)) @ metric.frame(t, x)
 
 
 def contraction_matrix(flow: Flow, metric: StateMetric, t: Scalar, x: Vector) -> Matrix:
@@ -151,7 +150,7 @@ def contraction_matrix(flow: Flow, metric: StateMetric, t: Scalar, x: Vector) ->
         >>> contraction_matrix(lambda t, x: -3 * x, metric, jnp.array(0.0), jnp.zeros(2)).tolist()
         [[-6.0, 0.0], [0.0, -6.0]]
     """
-    gram, change = jax.jvp(metric.gram, (t, x), (jnp.ones_like(t), flow(t, x)))
+    gram, change = along(metric.gram, (t, x), (jnp.ones_like(t), flow(t, x)))
     return lengths(gram, change, generalised_jacobian(flow, metric, t, x))
 
 

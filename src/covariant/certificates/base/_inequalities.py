@@ -14,7 +14,7 @@ from covariant.certificates.base._box import first_velocity
 from covariant.certificates.base._claims import (
     reach_squares,
 )
-from covariant.certificates.base._contraction import contraction_matrix, lengths
+from covariant.certificates.base._contraction import lengths
 from covariant.certificates.base._document import Resolved
 from covariant.certificates.base._error_system import ErrorSystem, corrections, values
 from covariant.proofs import Form, as_form, derivative_form
@@ -45,28 +45,19 @@ def contraction(error_system: ErrorSystem, rate: float) -> Form:
         >>> contraction(system, rate=3.0)(jnp.zeros(3)).tolist()
         [[1.0]]
     """
-
-    def numbers(z):
-        point, t = error_system.at(z), jnp.zeros((), z.dtype)
-        return -contraction_matrix(point.flow, point.metric, t, point.x) - rate * point.metric.gram(t, point.x)
-
-    return length_change(error_system, lambda coframe, gram, change: -change - rate * gram, numbers)
+    return length_change(error_system, lambda coframe, gram, change: -change - rate * gram)
 
 
-def length_change(
-    error_system: ErrorSystem, formula: Callable[[Array, Array, Array], Array], numbers: Callable
-) -> Form:
+def length_change(error_system: ErrorSystem, formula: Callable[[Array, Array, Array], Array]) -> Form:
     """Build the form of a formula of Θ, of N and of `F_ΘᵀN + Ṅ + N F_Θ`, the rate of change of squared lengths."""
 
     def whole(coframe, gram, change, jacobian):
         return formula(coframe, gram, lengths(gram, change, jacobian))
 
-    return in_frame_along(error_system, whole, numbers)
+    return in_frame_along(error_system, whole)
 
 
-def in_frame_along(
-    error_system: ErrorSystem, formula: Callable[[Array, Array, Array, Array], Array], numbers: Callable
-) -> Form:
+def in_frame_along(error_system: ErrorSystem, formula: Callable[[Array, Array, Array, Array], Array]) -> Form:
     """Build the form of a formula of Θ, N, Ṅ and `F_Θ = (Θ̇ + Θ ∂f/∂x)Θ⁻¹`, with rates of change along the flow."""
 
     def parts(derivatives, nodes, count):
@@ -86,7 +77,7 @@ def in_frame_along(
     def whole(coframe, frame, gram, image, turn, change):
         return formula(coframe, gram, change, turn @ frame + coframe @ image)
 
-    return derivative_form(values(error_system), lambda z: error_system.at(z).x, parts, whole, numbers)
+    return derivative_form(values(error_system), lambda z: error_system.at(z).x, parts, whole)
 
 
 def width_bound(error_system: ErrorSystem, row: int, square: float) -> Form:
@@ -130,13 +121,7 @@ def disturbance_bound(error_system: ErrorSystem, sizes: Float[np.ndarray, "two_n
         b = jnp.concatenate([change[:, :n] @ noise, change[:, n:]], axis=1) * jnp.asarray(sizes)[None]
         return square * jnp.eye(2 * n) - (coframe @ b).T @ gram @ (coframe @ b)
 
-    def numbers(z):
-        point, t = error_system.at(z), jnp.zeros((), z.dtype)
-        start = first_velocity(len(error_system.names), n) + n
-        change = jax.jacfwd(lambda z: error_system.at(z).flow(t, point.x))(z)[:, start : start + 2 * n]
-        return formula(point.metric.coframe(t, point.x), point.metric.gram(t, point.x), point.noise_jacobian(), change)
-
-    return derivative_form(values(error_system), lambda z: error_system.at(z).x, parts, formula, numbers)
+    return derivative_form(values(error_system), lambda z: error_system.at(z).x, parts, formula)
 
 
 def correction(
@@ -184,12 +169,7 @@ def at_correction(error_system: ErrorSystem, formula: Callable[[Array, Array, Ar
     def whole(coframe, after, slope, frame, before):
         return formula(before, after, coframe @ slope @ frame)
 
-    def numbers(z):
-        point = error_system.at(z)
-        _, coframe, after, frame, before, *_ = corrections(error_system)(jnp.zeros((), z.dtype), point.x, z)
-        return whole(coframe, after, jax.jacfwd(point.sampled[0])(point.x), frame, before)
-
-    return derivative_form(corrections(error_system), lambda z: error_system.at(z).x, parts, whole, numbers)
+    return derivative_form(corrections(error_system), lambda z: error_system.at(z).x, parts, whole)
 
 
 def at_noisy_correction(error_system: ErrorSystem, formula: Callable[[Array, Array, Array, Array], Array]) -> Form:
@@ -205,15 +185,7 @@ def at_noisy_correction(error_system: ErrorSystem, formula: Callable[[Array, Arr
     def whole(coframe, after, slope, errors, frame, before):
         return formula(before, after, coframe @ slope @ frame, -coframe @ errors)
 
-    def numbers(z):
-        x = error_system.at(z).x
-        n = x.shape[0] // 2
-        _, coframe, after, frame, before, *_ = corrections(error_system)(jnp.zeros((), z.dtype), x, z)
-        slope = jax.jacfwd(error_system.at(z).sampled[0])(x)
-        errors = jax.jacfwd(lambda z: error_system.at(z).sampled[0](x))(z)[:, 2 * n : 3 * n]
-        return whole(coframe, after, slope, errors, frame, before)
-
-    return derivative_form(corrections(error_system), lambda z: error_system.at(z).x, parts, whole, numbers)
+    return derivative_form(corrections(error_system), lambda z: error_system.at(z).x, parts, whole)
 
 
 def joint_force_bound(error_system: ErrorSystem, sizes: Float[np.ndarray, "n"], square: float) -> Form:
@@ -229,12 +201,7 @@ def joint_force_bound(error_system: ErrorSystem, sizes: Float[np.ndarray, "n"], 
         b = coframe @ (change * jnp.asarray(sizes)[None])
         return square * jnp.eye(n) - b.T @ gram @ b
 
-    def numbers(z):
-        point, t = error_system.at(z), jnp.zeros((), z.dtype)
-        change = jax.jacfwd(lambda z: error_system.at(z).flow(t, point.x))(z)[:, 4 * n : 5 * n]
-        return formula(point.metric.coframe(t, point.x), point.metric.gram(t, point.x), change)
-
-    return derivative_form(values(error_system), lambda z: error_system.at(z).x, parts, formula, numbers)
+    return derivative_form(values(error_system), lambda z: error_system.at(z).x, parts, formula)
 
 
 def start_bound(error_system: ErrorSystem, squares: Float[np.ndarray, "two_n"], square: float) -> Form:
@@ -271,13 +238,7 @@ def missing_bound(error_system: ErrorSystem, square: float, limit: float, reach:
         blocks = square * here - slope.T @ here @ slope, 4 * here - there, limit**2 / n * jnp.eye(n) - weighted
         return jax.scipy.linalg.block_diag(*blocks)
 
-    def numbers(z):
-        x = error_system.at(z).x
-        *_, here, there = corrections(error_system)(jnp.zeros((), z.dtype), x, z)
-        slope = jax.jacfwd(lambda z: error_system.at(z).missing(x))(z)[:, np.array(error_system.errors(n))]
-        return whole(slope, here, there)
-
-    return derivative_form(corrections(error_system), lambda z: error_system.at(z).x, parts, whole, numbers)
+    return derivative_form(corrections(error_system), lambda z: error_system.at(z).x, parts, whole)
 
 
 FORMS: dict[str, Callable[[Resolved, Any], Form]] = {

@@ -13,7 +13,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 
 from covariant._typing import MatrixField, Number, Numbers
 from covariant.certificates.base._contraction import StateMetric
@@ -242,3 +242,8 @@ def tangent_metric(metric: MatrixField, q: TwoByTwo) -> StateMetric:
         return jnp.kron(jnp.asarray(q / 2, x.dtype), geometry(jnp.split(x, 2)[0]))
 
     return StateMetric(coframe, lambda t, x: coframe(t, x, -1.0), gram)
+
+
+def lowered_christoffel(change: Float[Array, "n n n"]) -> Float[Array, "n n n"]:
+    """Christoffel symbols `Γ_ijk = ½(∂_i g_jk + ∂_j g_ik − ∂_k g_ij)`, of the first kind, of ∂g[i, j, k] = ∂_k g_ij."""
+    return (jnp.transpose(change, (2, 0, 1)) + jnp.transpose(change, (0, 2, 1)) - change) / 2

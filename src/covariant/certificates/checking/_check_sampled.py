@@ -20,7 +20,7 @@ from covariant.certificates.base import (
 from covariant.certificates.checking import _matrices as matrices
 from covariant.certificates.sampled import step_values
 from covariant.models import MechanicalSystem
-from covariant.proofs.checker import TaylorEnclosure
+from covariant.proofs.checker import TaylorEnclosure, jacobian
 
 PREDICTED = "the definedness of predictions, without jumps,"
 FRICTION_JOBS = "the bound of the friction", "the bound of the friction's slopes", "the smoothness of the friction"
@@ -122,7 +122,7 @@ def predicted_values(document: Document, observer: Any) -> TaylorEnclosure:
     """Build what is to be defined and smooth of a prediction."""
     low, high = document.bounds(select(document.claims, PredictionClaim)[0])
     return TaylorEnclosure(
-        step_values(matrices.prediction_of_steps(document, observer)), low, high, np.zeros(len(low)), "smooth"
+        step_values(matrices.prediction_of_steps(document, observer), jacobian), low, high, np.zeros(len(low)), "smooth"
     )
 
 

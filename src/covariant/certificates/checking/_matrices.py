@@ -7,7 +7,6 @@ derivatives of JAX, for functions without the custom derivative rules that JAX w
 from collections.abc import Callable
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -24,7 +23,7 @@ from covariant.certificates.base import (
 )
 from covariant.certificates.sampled import Prediction, defect_matrix, sampled_prediction
 from covariant.models import applied_force
-from covariant.proofs.checker import ROUND, plain
+from covariant.proofs.checker import ROUND, along, jacobian, value_and_jacobian
 
 Matrix = Callable[[Any], Any]
 SLACK = 2.0**-20
@@ -44,16 +43,16 @@ def contraction(about: ErrorSystem, rate: float) -> Matrix:
 
     def matrix(z):
         point, t = about.at(z), jnp.zeros(())
-        x, flow = point.x, plain(point.flow)
+        x = point.x
         # x' comes with the Jacobian, so that the flow is evaluated once.
-        slope, velocity = jax.jacfwd(lambda y: (flow(t, y),) * 2, has_aux=True)(x)
+        velocity, slope = value_and_jacobian(lambda y: point.flow(t, y), x)
 
         def metric_along(s):
             at = x + s * velocity
-            return plain(point.metric.coframe)(s, at), plain(point.metric.gram)(s, at)
+            return point.metric.coframe(s, at), point.metric.gram(s, at)
 
         # Total derivatives: time runs and the state moves with the flow. t is 0, so that t + 1 is the tangent 1.
-        (coframe, gram), (turn, change) = jax.jvp(metric_along, (t,), (t + 1,))
+        (coframe, gram), (turn, change) = along(metric_along, t, t + 1)
         product = gram @ (turn + coframe @ slope) @ point.metric.frame(t, x)
         return -(product + product.T + change) - rate * gram
 
@@ -77,7 +76,7 @@ def disturbance(about: ErrorSystem, sizes: np.ndarray, square: float) -> Matrix:
 
     def matrix(z):
         point, t = about.at(z), jnp.zeros(())
-        slope = jax.jacfwd(plain(lambda at: about.at(at).flow(t, point.x)))(z)
+        slope = jacobian(lambda at: about.at(at).flow(t, point.x), z)
         # Error and force follow the velocities; an error of the measurement acts through the position error.
         start = first_velocity(len(about.names), n) + n
         of_error, of_force = slope[:, start : start + n], slope[:, start + n : start + 2 * n]
@@ -105,20 +104,22 @@ def correction(about: ErrorSystem, noise: np.ndarray | None = None, squares: tup
     def matrix(z):
         point, t = about.at(z), jnp.zeros(())
         corrected, after = point.sampled
-        corrected = plain(corrected)
-        slope, new = jax.jacfwd(lambda y: (corrected(y),) * 2, has_aux=True)(point.x)
+        new, slope = value_and_jacobian(corrected, point.x)
         coframe, gram, before = after.coframe(t, new), after.gram(t, new), point.metric.gram(t, point.x)
-        jacobian = coframe @ slope @ point.metric.frame(t, point.x)
+        in_frames = coframe @ slope @ point.metric.frame(t, point.x)
         if noise is None:
-            return before - jacobian.T @ gram @ jacobian
+            return before - in_frames.T @ gram @ in_frames
         n = len(noise)
+
         # An error of the measurement is one of the position error, with the other sign.
-        moved = plain(lambda e: about.at(jnp.concatenate([z[: 2 * n], e, z[3 * n :]])).sampled[0](point.x))
+        def moved(e):
+            return about.at(jnp.concatenate([z[: 2 * n], e, z[3 * n :]])).sampled[0](point.x)
+
         # A product with a matrix of constants selects the columns of joints with an error, and scales them.
         selected = np.diag(-noise)[:, noise != 0]
-        errors = coframe @ jax.jacfwd(moved)(z[2 * n : 3 * n]) @ selected
-        cross = -jacobian.T @ gram @ errors
-        rows = [before - jacobian.T @ gram @ jacobian, cross], [cross.T, np.diag(squares) - errors.T @ gram @ errors]
+        errors = coframe @ jacobian(moved, z[2 * n : 3 * n]) @ selected
+        cross = -in_frames.T @ gram @ errors
+        rows = [before - in_frames.T @ gram @ in_frames, cross], [cross.T, np.diag(squares) - errors.T @ gram @ errors]
         return jnp.concatenate([jnp.concatenate(row, axis=1) for row in rows])
 
     return matrix
@@ -130,8 +131,11 @@ def joint_force(about: ErrorSystem, sizes: np.ndarray, square: float) -> Matrix:
 
     def matrix(z):
         point, t = about.at(z), jnp.zeros(())
-        pushed = plain(lambda w: about.at(jnp.concatenate([z[: 4 * n], w, z[5 * n :]])).flow(t, point.x))
-        b = point.metric.coframe(t, point.x) @ (jax.jacfwd(pushed)(z[4 * n : 5 * n]) * sizes[None])
+
+        def pushed(w):
+            return about.at(jnp.concatenate([z[: 4 * n], w, z[5 * n :]])).flow(t, point.x)
+
+        b = point.metric.coframe(t, point.x) @ (jacobian(pushed, z[4 * n : 5 * n]) * sizes[None])
         return square * jnp.eye(n) - b.T @ point.metric.gram(t, point.x) @ b
 
     return matrix
@@ -170,7 +174,7 @@ def missing(about: ErrorSystem, square: float, limit: float, reach: np.ndarray) 
         def lacking(e):
             return about.at(jnp.concatenate([before, e, behind])).missing(point.x)
 
-        (g, there), slope = point.inertias(point.x), jax.jacfwd(plain(lacking))(e)
+        (g, there), slope = point.inertias(point.x), jacobian(lacking, e)
         ratio, doubled = square * g - slope.T @ g @ slope, 4 * g - there
         size = limit**2 / n * jnp.eye(n) - g * np.outer(reach, reach)
         rows = [[ratio, 0 * g, 0 * g], [0 * g, doubled, 0 * g], [0 * g, 0 * g, size]]
@@ -214,7 +218,7 @@ def friction(model: Any, n: int) -> Matrix:
 def friction_slopes(model: Any, n: int) -> Matrix:
     """Build −∂f_i/∂v_i of the friction f."""
     # Entry i depends on velocity i alone, so that the sum over a column is the entry of the diagonal.
-    return lambda v: -jax.jvp(plain(friction(model, n)), (v,), (jnp.ones_like(v),))[1]
+    return lambda v: -along(friction(model, n), v, jnp.ones_like(v))[1]
 
 
 def force(model: Any, shape: tuple[int, ...]) -> Matrix:
@@ -242,8 +246,11 @@ def slopes(model: Any, shape: tuple[int, ...], n: int) -> Matrix:
 
     def derivatives(y):
         t, q, u = jnp.split(y[:-n], (1, 1 + int(np.prod(shape))))
-        applied = plain(lambda step: applied_force(model, t[0], model.manifold.nudged(q.reshape(shape), step), u))
-        return jax.jacfwd(applied)(y[-n:]).ravel()
+
+        def applied(step):
+            return applied_force(model, t[0], model.manifold.nudged(q.reshape(shape), step), u)
+
+        return jacobian(applied, y[-n:]).ravel()
 
     return derivatives
 
@@ -292,7 +299,9 @@ MATRICES: dict[str, Callable[[Resolved, Any], Matrix]] = {
         of.about, of.document.given.noise if claim.squares else None, claim.squares
     ),
     "missing": lambda of, claim: missing(of.about, claim.square, claim.limit, of.document.unit_reach),
-    "prediction": lambda of, claim: defect_matrix(prediction_of_steps(of.document, of.observer), claim.square),
+    "prediction": lambda of, claim: defect_matrix(
+        prediction_of_steps(of.document, of.observer), claim.square, jacobian
+    ),
     "start": lambda of, claim: start(of.about, reach_squares(of.document.claims), claim.square),
 }
 """What must be positive definite, for each kind of claim."""

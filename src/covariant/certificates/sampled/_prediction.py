@@ -25,18 +25,18 @@ import numpy as np
 from jaxtyping import Array
 
 from covariant._typing import Scalar, Vector
-from covariant.certificates.base import StateMetric, first_velocity, prediction_variables
-from covariant.lowering import lower
+from covariant.certificates.base import ANALYTIC, StateMetric, first_velocity, prediction_variables
+from covariant.lowering import jacobian, lower
 from covariant.models import MechanicalSystem, MomentumChart, acceleration
 from covariant.proofs import Form, derivative_form
 from covariant.proofs.checker import series
 
 ORDER = 4
 """Order of the Runge–Kutta steps, at which derivatives of the defect are bounded."""
-ANALYTIC = {
-    *("input", "constant", "add", "sub", "neg", "mul", "div", "sin", "cos", "exp", "log", "sqrt", "atan", "stumpff"),
-}
-"""Operations with derivatives of all orders, wherever they are defined."""
+
+
+Jacobian = Callable[[Callable[[Array], Array], Array], Array]
+"""`(function, x (n,)) -> (k, n)`."""
 
 
 class Step(NamedTuple):
@@ -45,13 +45,14 @@ class Step(NamedTuple):
     Attributes:
         state: `step length () -> state (2n,)` after the step.
         field: `state (2n,) -> rate (2n,)` of the model.
-        image: `state (2n,) -> (2n, 2n)`: takes rates to the frame of the metric.
+        image: `(state (2n,), jacobian) -> (2n, 2n)`: takes rates to the frame of the metric. `jacobian(function, x)` is
+            that of the prover or of the checker.
         gram: the metric (2n, 2n) in this frame.
     """
 
     state: Callable[[Scalar], Array]
     field: Callable[[Vector], Array]
-    image: Callable[[Vector], Array]
+    image: Callable[[Vector, Jacobian], Array]
     gram: Callable[[Vector], Array]
 
 
@@ -73,8 +74,12 @@ class Prediction(NamedTuple):
     @property
     def has_series(self) -> bool:
         """Whether the steps have derivatives of all orders."""
-        z = jnp.zeros(len(self.names))
-        graph = lower(lambda r, z: _defect(self.at(z), r), jnp.zeros(()), z, real=True).graph
+
+        def state_and_rate(r, z):
+            step = self.at(z)
+            return step.state(r), step.field(step.state(r))
+
+        graph = lower(state_and_rate, jnp.zeros(()), jnp.zeros(len(self.names)), real=True).graph
         return {node.op for node in graph.nodes} <= ANALYTIC
 
 
@@ -121,7 +126,7 @@ def _in_coordinates(model, q, v, force, metric, still) -> Step:
     return Step(
         lambda h: _runge_kutta(field, start, h),
         field,
-        lambda x: metric(x[:n]).coframe(still, x),
+        lambda x, jacobian: metric(x[:n]).coframe(still, x),
         lambda x: metric(x[:n]).gram(still, x),
     )
 
@@ -134,10 +139,10 @@ def _in_chart(model, g, v, force, metric, still) -> Step:
         rates, _ = chart.flow(still, (x[:n], x[n:]), lambda t, motion: force)
         return jnp.concatenate(rates)
 
-    def image(x):
+    def image(x, jacobian):
         here = chart.motion(x[:n], x[n:])
         body = jax.vmap(functools.partial(model.manifold.frame_velocity, g, x[:n]), out_axes=1)(jnp.eye(n))
-        faster = jax.jacfwd(lambda y: chart.motion(y[:n], y[n:]).v)(x)
+        faster = jacobian(lambda y: chart.motion(y[:n], y[n:]).v, x)
         moved = jnp.concatenate([jnp.concatenate([body, jnp.zeros((n, n))], axis=1), faster])
         return metric(here.q).coframe(still, jnp.concatenate([jnp.zeros_like(v), here.v])) @ moved
 
@@ -148,11 +153,6 @@ def _in_chart(model, g, v, force, metric, still) -> Step:
         image,
         lambda x: metric(g).gram(still, jnp.concatenate([jnp.zeros_like(v), v])),
     )
-
-
-def _defect(step: Step, r: Scalar) -> Array:
-    state, rate = jax.jvp(step.state, (r,), (jnp.ones_like(r),))
-    return rate - step.field(state)
 
 
 def _matrix(square: float, image: Array, gram: Array, derivative: Array) -> Array:
@@ -168,7 +168,7 @@ def defect_bound(prediction: Prediction, square: float, order: int = ORDER) -> F
     def values(t, x, z):
         step = prediction.at(z)
         moved, there = step.state(x[0]), step.state(z[-2])
-        return moved, step.field(moved), step.image(there), step.gram(there)
+        return moved, step.field(moved), step.image(there, jacobian), step.gram(there)
 
     def parts(derivatives, nodes, count):
         moved, field, image, gram = nodes
@@ -183,11 +183,13 @@ def defect_bound(prediction: Prediction, square: float, order: int = ORDER) -> F
     def whole(image, gram, derivative):
         return _matrix(square, image, gram, derivative / math.factorial(order))
 
-    return derivative_form(values, lambda z: z[-1:], parts, whole, defect_matrix(prediction, square, order))
+    return derivative_form(values, lambda z: z[-1:], parts, whole)
 
 
-def defect_matrix(prediction: Prediction, square: float, order: int = ORDER) -> Callable[[Array], Array]:
-    """Build the same matrix by Taylor coefficients of the program, as the checker does."""
+def defect_matrix(
+    prediction: Prediction, square: float, jacobian: Jacobian, order: int = ORDER
+) -> Callable[[Array], Array]:
+    """Build the same matrix by Taylor coefficients of the program, as the checker does, with its derivatives."""
 
     def matrix(z):
         step, r = prediction.at(z), z[-1]
@@ -195,18 +197,18 @@ def defect_matrix(prediction: Prediction, square: float, order: int = ORDER) -> 
         moved = series(step.state, order + 1)(r)[order + 1]
         field = series(lambda h: step.field(step.state(h)), order)(r)[order]
         # (k + 1) c_(k+1) is the coefficient of the derivative.
-        return _matrix(square, step.image(there), step.gram(there), (order + 1) * moved - field)
+        return _matrix(square, step.image(there, jacobian), step.gram(there), (order + 1) * moved - field)
 
     return matrix
 
 
-def step_values(prediction: Prediction) -> Callable[[Array], Array]:
+def step_values(prediction: Prediction, jacobian: Jacobian) -> Callable[[Array], Array]:
     """Collect what the claim is computed from, to show that it is defined."""
 
     def parts(z):
         step = prediction.at(z)
         state = step.state(z[-1])
-        pieces = state, step.field(state), step.image(state), step.gram(state)
+        pieces = state, step.field(state), step.image(state, jacobian), step.gram(state)
         return jnp.concatenate([piece.ravel() for piece in pieces])
 
     return parts

@@ -114,7 +114,6 @@ class SampledMetric:
         self.flow = in_frame_along(
             system,
             lambda coframe, gram, change, jacobian: together(jacobian, gram[:n, :n], change[:n, :n]),
-            lambda z: z,
         ).graph(start)
         if len(self.joints):
             step = at_noisy_correction(

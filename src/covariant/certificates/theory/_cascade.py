@@ -23,12 +23,12 @@ from covariant.certificates.base import (
     Hypothesis,
     Statement,
     Verdict,
-    contraction_matrix,
     length_change,
     lines as list_of,
     need_steady,
 )
 from covariant.certificates.theory._falsify import Pencil, pencil, slowest
+from covariant.lowering import jacobian
 from covariant.proofs import MOST_BOXES, Box, Form, as_form, check_box, prove
 
 Coupling = Callable[[Array], tuple[Array, Array]]
@@ -426,14 +426,7 @@ def _change(error_system: ErrorSystem, d: int, factor: float) -> Form:
         # From the frame back to coordinates, in which the norms of Theorem 3 are.
         return factor * coframe.T @ change @ coframe
 
-    def numbers(z):
-        point, t = error_system.at(z), jnp.zeros((), z.dtype)
-        change = contraction_matrix(point.flow, point.metric, t, point.x)
-        return formula(point.metric.coframe(t, point.x), None, change)
-
-    return length_change(
-        error_system._replace(at=lambda whole: error_system.at(whole[:d])), formula, lambda whole: numbers(whole[:d])
-    )
+    return length_change(error_system._replace(at=lambda whole: error_system.at(whole[:d])), formula)
 
 
 def _scales(of_e: Sequence[str], of_x: Sequence[str]):
@@ -455,8 +448,8 @@ def _factor(written: str, unit: str, factor: float) -> float:
 def _growth(error_system: ErrorSystem, domain: Box, where: np.ndarray) -> Growth | None:
     """The fastest growing solution of the error system frozen at a point, over five time constants, or None."""
     point, t = error_system.at(jnp.asarray(where)), jnp.zeros(())
-    jacobian = np.asarray(jax.jacfwd(lambda x: point.flow(t, x))(point.x))
-    values, vectors = np.linalg.eig(jacobian)
+    slope = np.asarray(jacobian(lambda x: point.flow(t, x), point.x))
+    values, vectors = np.linalg.eig(slope)
     fastest = int(np.argmax(np.real(values)))
     rate = float(values[fastest].real)
     if not rate > 0:

@@ -12,7 +12,6 @@ positions, from the graphs of metric and force and their derivatives:
 Source: an addition; do Carmo 1992, Riemannian Geometry, chapter 13, for Klingenberg's lemma.
 """
 
-import functools
 import itertools
 import math
 from collections.abc import Callable, Iterator
@@ -24,6 +23,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
 from covariant.certificates.base import (
+    ANALYTIC,
     PERIODIC,
     Bounds,
     Hypothesis,
@@ -31,12 +31,13 @@ from covariant.certificates.base import (
     amount,
     check_recipe,
     dimension,
+    lowered_christoffel,
     need_known,
     positive,
     region_of,
 )
 from covariant.certificates.theory._implicit_distances import DistanceBounds, DistanceDecay, distance_decay
-from covariant.lowering import lower
+from covariant.lowering import LoweringError, lower, numbers
 from covariant.models import MechanicalSystem, applied_force, recipe_text, resistance
 from covariant.observers import ImplicitGeodesic
 from covariant.proofs import MOST_BOXES, Box, Form, Proof, check_box, derivative_form, prove
@@ -45,12 +46,15 @@ MARGIN = 0.01
 """Part of a sampled bound that is added before it is proved."""
 POINTS = 33
 """Points of each coordinate at which bounds are guessed."""
+PLACES = 200
+"""Random positions at which the connection of the space is compared with that of its metric."""
+AGREES = 1e-8
+"""Relative deviation of two computations of a connection that rounding explains."""
 ASSUMED_OF_DISTANCES = (
     "the true motion solves the model, with the input that the observer is given, and keeps to the bounds of "
     "velocities and inputs, and away from the border of the region as stated",
     "measurements are exact, of all coordinates, unwrapped, and come at the stated interval",
     "predictions, geodesics and transport are computed exactly, and the geodesic to the measurement is the shortest",
-    "the connection of the model's space is that of its metric, which `covariant audit` measures",
     "the code of the model is read as exact functions of real numbers, with its constants as they were computed",
     "trusted are JAX's tracing, the reading of its jaxprs, IEEE doubles, the formulas of "
     "`certificates.distance_decay` in doubles, and what is argued on paper there",
@@ -172,6 +176,7 @@ def certify_distance(
     room = Hypothesis("the region has positions so far from its border", "proved", "holds" if fits else "undecided")
     hypotheses = (
         *found.hypotheses,
+        _connection(known),
         gains,
         *([turns] if model.manifold.circles else []),
         *([room] if border.any() else []),
@@ -249,34 +254,55 @@ class _Model(NamedTuple):
             first = derivatives.each(g, range(1, 1 + k))
             return g, first, derivatives.each(first, range(1, 1 + k)), f, derivatives.each(f, range(1, 1 + k))
 
-        def numbers(z):
-            t, q = jnp.zeros(()), z[:2]
-            slope = jax.jacfwd(self.model.space)
-            slope_of_force = jax.jacfwd(functools.partial(applied_force, self.model), 1)
-            force = applied_force(self.model, t, q, z[2:])
-            return formula(self.model.space(q), slope(q), jax.jacfwd(slope)(q), force, slope_of_force(t, q, z[2:]))
+        return derivative_form(values, lambda z: z[:2], parts, formula)
 
-        return derivative_form(values, lambda z: z[:2], parts, formula, numbers)
+
+def _connection(known: _Model) -> Hypothesis:
+    """That observer and model move by the connection of the metric, whose derivatives the bounds are made of.
+
+    JAX derives the connection from the metric, or the space declares it; the graph of the metric has no such rules.
+    """
+    space, identity = known.model.space, jnp.eye(2)
+
+    def declared(q):
+        """`g Γ(e_i, e_j)`, and g g⁻¹, as the space computes connection and accelerations."""
+        pairs = jnp.stack([jnp.stack([space.connection(q, a, b) for b in identity]) for a in identity])
+        raised = jnp.stack([space.raise_(q, a) for a in identity])
+        return jnp.concatenate([(pairs @ space(q)).ravel(), (raised @ space(q)).ravel()])
+
+    def derived(g, dg, ddg, f, df):
+        return jnp.concatenate([lowered_christoffel(dg).ravel(), identity.ravel()])
+
+    points = np.random.default_rng(0).uniform(known.whole.low, known.whole.high, (PLACES, len(known.whole.low)))
+    try:
+        lowered = lower(declared, jnp.zeros(2))
+        computed = np.asarray(numbers(lowered, points[:, :2]))
+        analytic = {node.op for node in lowered.graph.nodes} <= ANALYTIC
+    except LoweringError:
+        computed, analytic = np.asarray(jax.lax.map(declared, jnp.asarray(points[:, :2]))), False
+    expected = known.form(derived).at(points)
+    off = np.abs(computed - expected).max(axis=1) / np.maximum(np.abs(expected).max(axis=1), 1.0)
+    text = f"the connection of the model's space is that of its metric, as at {PLACES} random positions"
+    if not (off <= AGREES).all():
+        place = ", ".join(f"{x:.4g}" for x in points[int(np.where(np.isnan(off), np.inf, off).argmax()), :2])
+        return Hypothesis(text, "sampled", "undecided", place=f"({place}), where the two differ")
+    # Analytic functions that agree near one point agree everywhere; others may part where no position was drawn.
+    return Hypothesis(text, "assumed" if analytic else "sampled")
 
 
 def _stiffness(g, dg, ddg, f, df) -> Array:
     """−∇S times det g, as a covector of S, not symmetric where the force has no potential: (2, 2)."""
     det = g[0, 0] * g[1, 1] - g[0, 1] * g[1, 0]
-    return jnp.einsum("ijk,k->ij", _lowered_christoffel(dg), _adjugate(g) @ f) - det * df
+    return jnp.einsum("ijk,k->ij", lowered_christoffel(dg), _adjugate(g) @ f) - det * df
 
 
 def _adjugate(g) -> Array:
     return jnp.array([[g[1, 1], -g[0, 1]], [-g[1, 0], g[0, 0]]])
 
 
-def _lowered_christoffel(dg) -> Array:
-    """`Γ_ijk = ½(∂_i g_jk + ∂_j g_ik − ∂_k g_ij)`, where dg[i, j, k] = ∂_k g_ij."""
-    return (jnp.transpose(dg, (2, 0, 1)) + jnp.transpose(dg, (0, 2, 1)) - dg) / 2
-
-
 def _curvature(g, dg, ddg) -> Array:
     """K (det g)² of the plane, by Gauss's equation in coordinates: `R_1212` times det g."""
-    lowered, adjugate = _lowered_christoffel(dg), _adjugate(g)
+    lowered, adjugate = lowered_christoffel(dg), _adjugate(g)
     det = g[0, 0] * g[1, 1] - g[0, 1] * g[1, 0]
     second = ddg[0, 1, 0, 1] - (ddg[0, 0, 1, 1] + ddg[1, 1, 0, 0]) / 2
     return det * second + lowered[0, 1] @ adjugate @ lowered[0, 1] - lowered[0, 0] @ adjugate @ lowered[1, 1]
@@ -313,16 +339,16 @@ def _prove_bounds(known: _Model, speeds: np.ndarray, errors: np.ndarray, boxes: 
 
     formed = known.form(bending).graph(points[0]).entries
     flat = formed.graph.is_zero(formed.outputs[0])
-    bends = np.asarray(jax.vmap(known.form(bending).numbers)(points))[:, 0, 0] / np.linalg.det(metrics) ** 2
+    bends = known.form(bending).at(np.asarray(points))[:, 0, 0] / np.linalg.det(metrics) ** 2
     spread = MARGIN * max(np.abs(bends).max(), 1e-6)
     low, high = (0.0, 0.0) if flat else (float(bends.min() - spread), float(bends.max() + spread))
     # A curvature that is never above zero is not bounded above zero for want of a margin.
     high = 0.0 if bends.max() < -spread else high
 
-    def hessian(g, dg, ddg, f, df):
+    def stiffness(g, dg, ddg, f, df):
         return _stiffness(g, dg, ddg, f, df) / det_of(g)
 
-    stiff = np.asarray(jax.vmap(known.form(hessian).numbers)(points))
+    stiff = known.form(stiffness).at(np.asarray(points))
     roots = np.linalg.inv(np.linalg.cholesky(metrics))
     eigenvalues = np.linalg.eigvalsh(roots @ (stiff + stiff.transpose(0, 2, 1)) / 2 @ roots.transpose(0, 2, 1))
     room = MARGIN * max(np.abs(eigenvalues).max(), 1e-6)

@@ -60,7 +60,7 @@ def falsify(
     if not (domain.low < domain.high).any():
         raise ValueError("falsify: the domain is a single point; give bounds that differ")
     need_steady("falsify", error_system, domain)
-    matrices = length_change(error_system, lambda coframe, gram, change: jnp.stack([gram, change]).ravel(), lambda z: z)
+    matrices = length_change(error_system, lambda coframe, gram, change: jnp.stack([gram, change]).ravel())
     value = matrices.graph(jnp.asarray(domain.low)).entries
     least, point = slowest(pencil(value, domain), domain, attempts, starts, seed)
     premise = Hypothesis(

@@ -3,7 +3,6 @@
 Source: Jouffroy & Fossen 2004, equations (97)–(102).
 """
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
@@ -13,6 +12,7 @@ from covariant._typing import Numbers
 from covariant.certificates.base import ErrorSystem, Point, in_coordinates
 from covariant.certificates.theory._cascade import Coupling
 from covariant.certificates.theory._virtual import OutputMetric
+from covariant.lowering import jacobian
 from covariant.models.marine import Craft
 from covariant.simulation import Backstepping
 
@@ -106,9 +106,9 @@ def feedthrough(controller: Backstepping) -> Coupling:
         )
         j = craft.transform(eta)
         # ν_r = J⁻¹(asked); its derivative is along the motion of η, whose velocity is that of the estimate.
-        transform_change = jax.jacfwd(lambda y: solve_square(craft.transform(y), desired_rate))(eta)
+        transform_change = jacobian(lambda y: solve_square(craft.transform(y), desired_rate), eta)
         nu_r = solve_square(j, desired_rate)
-        gyric = jax.jacfwd(lambda nu: craft.coriolis(nu) @ nu_r)(jnp.zeros_like(eta))
+        gyric = jacobian(lambda nu: craft.coriolis(nu) @ nu_r, jnp.zeros_like(eta))
         through_velocity = solve(mass, kd - gyric) + solve_square(j, lam @ j) - transform_change @ j
         zero = jnp.zeros((n, n), z.dtype)
         return (

@@ -9,6 +9,7 @@ Source: Sanfelice & Praly 2015, section I; Sanfelice & Praly 2012, Convergence o
 Riemannian metric (Part I), IEEE TAC 57(7).
 """
 
+import contextlib
 from typing import NamedTuple
 
 import equinox as eqx
@@ -19,9 +20,9 @@ from jaxtyping import Array, Float
 
 from covariant._linalg import half_solve, solve, whiten
 from covariant._typing import MatrixField, Scalar, Vector
-from covariant.certificates.base import Hypothesis, Statement
-from covariant.geometry import Budget, christoffel, exp
-from covariant.lowering import LoweringError
+from covariant.certificates.base import Hypothesis, Statement, lowered_christoffel, without_jumps
+from covariant.geometry import Budget, exp
+from covariant.lowering import LoweringError, jacobian, lower, to_jax
 from covariant.metrics import lie_derivative
 from covariant.models import StateSpace
 from covariant.proofs import Box, prove
@@ -61,6 +62,9 @@ class Observability(NamedTuple):
     @property
     def verdict(self) -> str:
         """The result in one sentence."""
+        if self.condition_1.verdict == "undecided":
+            open_ones = [premise for premise in self.condition_1.hypotheses if premise.verdict == "undecided"]
+            return f"not decided: {'; '.join(f'{premise.text}, {premise.place}' for premise in open_ones)}"
         if self.condition_1.verdict != "holds":
             return f"no observer from this metric: {self.condition_1.claim}, margin {self.condition_1.margin:.3g}"
         if self.condition_2.verdict == "fails":
@@ -149,13 +153,14 @@ def _bending(model: StateSpace, metric: MatrixField, x: Vector, u: Array | None)
     unit = half_solve(hidden.T @ p @ hidden, hidden.T).T  # orthonormal in the metric
     t0, _, u0 = _arguments(model, x, u)
 
-    def second(v, w):
-        # Second covariant derivative of h: ∇²h(v, w) = ∂²h(v, w) − dh(Γ(v, w)).
-        of_output = jax.jvp(lambda y: jax.jvp(lambda z: model.h(t0, z, u0), (y,), (v,))[1], (x,), (w,))[1]
-        of_connection = dh @ christoffel(metric, x, v, w)
-        return of_output - of_connection, jnp.abs(of_output) + jnp.abs(of_connection)
+    def derivative_of_output(y):
+        return jacobian(lambda z: model.h(t0, z, u0), y)
 
-    forms, sizes = jax.vmap(lambda v: jax.vmap(lambda w: second(v, w))(unit.T))(unit.T)  # (k, k, p)
+    # Second covariant derivative of h: ∇²h(v, w) = ∂²h(v, w) − dh(Γ(v, w)).
+    symbols = solve(p, lowered_christoffel(jacobian(metric, x)).reshape(-1, len(x)).T)
+    of_output = jnp.einsum("pij,ia,jb->abp", jacobian(derivative_of_output, x), unit, unit)
+    of_connection = jnp.einsum("pk,kij,ia,jb->abp", dh, symbols.reshape(-1, len(x), len(x)), unit, unit)
+    forms, sizes = of_output - of_connection, jnp.abs(of_output) + jnp.abs(of_connection)  # (k, k, p)
     # Lengths of normal vectors: |a dh|² = aᵀ (dh P⁻¹ dhᵀ)⁻¹ a for the normal vector with dh(normal) = a.
     normal = half_solve(dh @ solve(p, dh.T), jnp.moveaxis(forms, -1, 0).reshape(dh.shape[0], -1))
     normal = jnp.moveaxis(normal.reshape(dh.shape[0], *forms.shape[:2]), 0, -1)
@@ -196,7 +201,8 @@ def observability(
         budget: work spent on the geodesic of the witness.
 
     Returns:
-        A statement for each condition, and the witness.
+        A statement for each condition, and the witness. Both are undecided where f or h may jump between the points,
+        since their derivatives say nothing about what they do there.
 
     Raises:
         ValueError: the metric is not finite or not positive definite at a point, the outputs are dependent, or there
@@ -222,6 +228,7 @@ def observability(
     premises = (
         Hypothesis("the metric is positive definite at each of the points", "sampled"),
         _independence(model, points, u),
+        *_smoothness(model, points, u),
         Hypothesis("what holds at the points holds between them", "assumed"),
         Hypothesis("it holds at other times, and under other inputs than the constant one given", "assumed"),
     )
@@ -232,6 +239,9 @@ def observability(
         return Observability(first, second, None, None)
     k = sampled.worst
     shift = 0.1 / sampled.bends[k] * sampled.directions[k]
+    # Without the rules that the metric declares, or else the geodesic would be that of another metric.
+    with contextlib.suppress(LoweringError):
+        metric = to_jax(lower(metric, jnp.asarray(points[k])))
     states = _witness(metric, jnp.asarray(points[k]), jnp.asarray(shift), budget)
     outputs = jax.vmap(lambda x: model.h(*_arguments(model, x, u)))(states)
     return Observability(first, second, np.asarray(states), np.asarray(outputs))
@@ -328,7 +338,7 @@ def _check_premises(model: StateSpace, metric: MatrixField, points: np.ndarray, 
 
     @eqx.filter_jit
     def at(x):
-        dh = jax.jacfwd(model.h, 1)(*_arguments(model, x, u))
+        dh = _output_slope(model, x, u)
         return jnp.linalg.svd(dh, compute_uv=False), jnp.linalg.eigvalsh(metric(x))[0]
 
     sizes, least = (np.asarray(a) for a in jax.lax.map(at, jnp.asarray(points), batch_size=64))
@@ -354,7 +364,7 @@ def _independence(model: StateSpace, points: np.ndarray, u: Array | None) -> Hyp
     """
 
     def products(x):
-        dh = jax.jacfwd(model.h, 1)(*_arguments(model, x, u))
+        dh = _output_slope(model, x, u)
         return dh @ dh.T
 
     names = _names(model, points.shape[1])
@@ -368,9 +378,20 @@ def _independence(model: StateSpace, points: np.ndarray, u: Array | None) -> Hyp
     return Hypothesis("the rows of dh are independent at each of the points", "sampled")
 
 
+def _smoothness(model: StateSpace, points: np.ndarray, u: Array | None) -> tuple[Hypothesis, ...]:
+    """That f and h do not jump between the points."""
+    t0, _, u0 = _arguments(model, jnp.asarray(points[0]), u)
+    names = _names(model, points.shape[1])
+    return tuple(
+        premise
+        for what, function in (("f", model.f), ("h", model.h))
+        for premise in without_jumps(what, lambda x, function=function: function(t0, x, u0), (points,), names)
+    )
+
+
 def _describe_kernel(model: StateSpace, points: np.ndarray, u: Array | None) -> str:
     """The kernel of dh in words: the coordinates that no output depends on, and how many directions among others."""
-    dh = np.asarray(jax.lax.map(lambda x: jax.jacfwd(model.h, 1)(*_arguments(model, x, u)), jnp.asarray(points)))
+    dh = np.asarray(jax.lax.map(lambda x: _output_slope(model, x, u), jnp.asarray(points)))
     unseen = (dh == 0).all((0, 1))
     names = np.array(_names(model, points.shape[1]))
     remaining = len(names) - dh.shape[1] - int(unseen.sum())
@@ -392,9 +413,15 @@ def _witness(metric: MatrixField, x: Vector, velocity: Vector, budget: Budget) -
 
 def _directions(model: StateSpace, x: Vector, u: Array | None) -> tuple[Float[Array, "n k"], Float[Array, "p n"]]:
     """A basis of the kernel of dh, and dh."""
-    dh = jax.jacfwd(model.h, 1)(*_arguments(model, x, u))
+    dh = _output_slope(model, x, u)
     # Of the complete QR of dhᵀ the first columns span its range; the others are orthogonal to it: the kernel of dh.
     return jnp.linalg.qr(dh.T, mode="complete")[0][:, dh.shape[0] :], dh
+
+
+def _output_slope(model: StateSpace, x: Vector, u: Array | None) -> Float[Array, "p n"]:
+    """dh, the derivative of the output in the state."""
+    t0, _, u0 = _arguments(model, x, u)
+    return jacobian(lambda y: model.h(t0, y, u0), x)
 
 
 def _arguments(model: StateSpace, x: Vector, u: Array | None) -> tuple[Scalar, Vector, Array]:

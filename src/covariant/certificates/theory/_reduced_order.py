@@ -29,7 +29,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from covariant._typing import Vector
 from covariant.certificates.base import Hypothesis, Statement
 from covariant.certificates.theory._lmi import observer_gain
 from covariant.lowering import Lowered, enclose, lower
@@ -142,7 +141,7 @@ def reduced_order(
     everywhere, domain = used.isdisjoint(split.unmeasured), split.domain(used)
     points = _starts(domain)
     for _ in range(ROUNDS):
-        slopes = [split.slopes(point) for point in points]
+        slopes = split.slopes(points)
         found = _solved(slopes, split, rate, effort)
         if found is None:
             return _impossible(split, points, slopes, rate)
@@ -162,6 +161,7 @@ class _Split(NamedTuple):
     """A model with its states in two parts, and the variables of a proof: states and inputs."""
 
     model: StateSpace
+    f: Callable[[Array, Array, Array], Array]
     measured: tuple[int, ...]
     unmeasured: tuple[int, ...]
     names: tuple[str, ...]
@@ -183,6 +183,7 @@ class _Split(NamedTuple):
         bounds = np.concatenate([sides, given])
         if not np.isfinite(bounds).all() or (bounds[:, 0] > bounds[:, 1]).any():
             raise ValueError("reduced_order: bounds must be finite, the lower one first")
+        f = jax.jit(model.f)  # traced once, so that all graphs are of one function, even where f changes with each call
         x, u = jnp.asarray(sides.mean(axis=1)), jnp.asarray(given.mean(axis=1))
         outputs = lower(model.h, jnp.zeros(()), x, u)
         read = [outputs.graph.nodes[i] for i in outputs.outputs]
@@ -190,14 +191,14 @@ class _Split(NamedTuple):
         at = [int(node.value) - 1 if node.op == "input" and node.value is not None else -1 for node in read]
         if not all(0 <= i < n for i in at) or len(set(at)) < len(at):
             raise ValueError("reduced_order: each output must be a state of its own; change the coordinates")
-        if 0 in _inputs_of(lower(model.f, jnp.zeros(()), x, u)):
+        if 0 in _inputs_of(lower(f, jnp.zeros(()), x, u)):
             raise ValueError("reduced_order: the model depends on time; give a system that does not")
         rest = tuple(i for i in range(n) if i not in at)
         if not rest:
             raise ValueError("reduced_order: all states are measured; there is nothing to estimate")
         names = (*model.coordinates, *(f"u{i + 1}" for i in range(model.inputs)))
         units = (*("" if unit == "1" else unit for unit in model.units or ("",) * n), *("",) * model.inputs)
-        return cls(model, tuple(at), rest, names, units, bounds[:, 0], bounds[:, 1])
+        return cls(model, f, tuple(at), rest, names, units, bounds[:, 0], bounds[:, 1])
 
     @property
     def n(self) -> int:
@@ -215,30 +216,27 @@ class _Split(NamedTuple):
         half = np.where(half > 0, half, 1.0)
         return half[list(self.measured)], half[list(self.unmeasured)]
 
-    def jacobian(self, z: Vector) -> Array:
-        """Derivative (n, n) of f in the states, by JAX, for searches and for samples."""
-        return jax.jacfwd(lambda x: self.model.f(jnp.zeros(()), x, z[self.n :]))(z[: self.n])
+    def derivatives(self, points: Sequence[np.ndarray]) -> np.ndarray:
+        """Derivatives (k, n, n) of f in the states, for searches and for samples."""
+        return self.form(lambda slope: slope, range(self.n)).at(np.stack(points))
 
-    def slopes(self, point: np.ndarray) -> np.ndarray:
-        """Derivative (n, n − p) of f in the states that are not measured, their rows first, in units of `scales`."""
+    def slopes(self, points: Sequence[np.ndarray]) -> np.ndarray:
+        """Derivatives (k, n, n − p) of f in the unmeasured states, their rows first, in units of `scales`."""
         y, z = self.scales
-        slope = np.asarray(self.jacobian(jnp.asarray(point)))[:, list(self.unmeasured)]
-        ordered = slope[[*self.unmeasured, *self.measured]]
-        return ordered * z[None, :] / np.concatenate([z, y])[:, None]
+        slopes = self.derivatives(points)[:, :, list(self.unmeasured)]
+        ordered = slopes[:, [*self.unmeasured, *self.measured]]
+        return ordered * z[None, None, :] / np.concatenate([z, y])[None, :, None]
 
     def form(self, formula: Callable[[Array], Array], columns: Sequence[int]) -> Form:
         """The form of a formula of the derivative of f in some states, by its graph: JAX does not see jumps."""
 
         def values(t, x, z):
-            return (self.model.f(t, x, z[self.n :]),)
+            return (self.f(t, x, z[self.n :]),)
 
         def parts(derivatives, nodes, count):
             return (derivatives.each(nodes[0], [1 + i for i in columns]),)
 
-        def numbers(z):
-            return formula(self.jacobian(z)[:, jnp.array(columns)])
-
-        return derivative_form(values, lambda z: z[: self.n], parts, formula, numbers)
+        return derivative_form(values, lambda z: z[: self.n], parts, formula)
 
     def inequality(self, injection: np.ndarray, metric: np.ndarray, rate: float) -> Form:
         """The inequality for L and P."""
@@ -282,13 +280,11 @@ def _starts(domain: Box) -> list[np.ndarray]:
     return points
 
 
-def _solved(
-    slopes: Sequence[np.ndarray], split: _Split, rate: float, effort: float
-) -> tuple[np.ndarray, np.ndarray] | None:
+def _solved(slopes: np.ndarray, split: _Split, rate: float, effort: float) -> tuple[np.ndarray, np.ndarray] | None:
     """L and P in the units of the states, or None where the solver finds none."""
     m = len(split.unmeasured)
     size = max(float(np.linalg.norm(s[:m], 2)) for s in slopes)
-    f, h = np.stack([s[:m] for s in slopes]), np.stack([s[m:] for s in slopes])
+    f, h = slopes[:, :m], slopes[:, m:]
     found = None
     for margin in MARGINS:
         try:
@@ -329,9 +325,7 @@ def _describe_split(split: _Split) -> str:
     return f"y = ({y}), z = ({z})"
 
 
-def _impossible(
-    split: _Split, points: Sequence[np.ndarray], slopes: Sequence[np.ndarray], rate: float
-) -> ReducedOrderDesign:
+def _impossible(split: _Split, points: Sequence[np.ndarray], slopes: np.ndarray, rate: float) -> ReducedOrderDesign:
     """The design that there is none, with the state and direction that show it."""
     m = len(split.unmeasured)
     best: tuple[float, np.ndarray, np.ndarray] | None = None
@@ -420,7 +414,7 @@ def _with_gain(
 
     points = [*points, *np.random.default_rng(1).uniform(split.low, split.high, (TRIED, len(split.low)))]
     k, weights = _least_gain(
-        [tuple(map(np.asarray, blocks(split.jacobian(jnp.asarray(point))))) for point in points], split, metric, rate
+        [tuple(map(np.asarray, blocks(slope))) for slope in split.derivatives(points)], split, metric, rate
     )
     proof = prove(matrix(k, weights), whole, boxes=boxes)
     for _ in range(RAISES):

@@ -45,6 +45,7 @@ from ._read import (
     numbers as numbers,
     on_batches as on_batches,
 )
+from ._slopes import along as along, change as change, jacobian as jacobian, to_jax as to_jax
 from ._stumpff import (
     STUMPFF as STUMPFF,
     STUMPFF_TERMS as STUMPFF_TERMS,

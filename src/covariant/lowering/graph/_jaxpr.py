@@ -145,7 +145,7 @@ def lower_traced(traced: TracedFunction, real: bool = False, loops: Loops = "unr
             raise LoweringError(f"an argument of type {aval.dtype} is not a real number; close over it instead")
         ids = [graph.input(next(position)) for _ in range(aval.size)]
         inputs.append(Scalars(np.array(ids, int).reshape(aval.shape)))
-    results = _Interpreter(graph, loops).run(ClosedJaxpr(closed.jaxpr, closed.consts), inputs)
+    results = Interpreter(graph, loops).run(ClosedJaxpr(closed.jaxpr, closed.consts), inputs)
     ids = [nodes_of(graph, value) for value in results]
     leaves, tree = jax.tree.flatten(shape)
     small, outputs = graph.pruned([int(i) for array in ids for i in array.ravel()])
@@ -177,7 +177,7 @@ def graft(graph: Graph, function: Callable, *arguments: np.ndarray) -> np.ndarra
     """
     shapes = [jax.ShapeDtypeStruct(ids.shape, jnp.float64) for ids in arguments]
     closed = jax.make_jaxpr(function)(*shapes)
-    (result,) = _Interpreter(graph).run(ClosedJaxpr(closed.jaxpr, closed.consts), [Scalars(ids) for ids in arguments])
+    (result,) = Interpreter(graph).run(ClosedJaxpr(closed.jaxpr, closed.consts), [Scalars(ids) for ids in arguments])
     return nodes_of(graph, result)
 
 
@@ -213,7 +213,7 @@ def substitute(graph: Graph, nodes: Sequence[int], into: Graph, inputs: Mapping[
     return [place[i] for i in outputs]
 
 
-class _Interpreter:
+class Interpreter:
     """Runs a jaxpr on arrays of nodes: what is known is computed, everything else is added to the graph."""
 
     def __init__(self, graph: Graph, loops: Loops = "unrolled"):
@@ -227,7 +227,8 @@ class _Interpreter:
         def read(atom) -> Value:
             return np.asarray(atom.val) if isinstance(atom, core.Literal) else known[atom]
 
-        known.update(zip(body.jaxpr.constvars, map(np.asarray, body.consts), strict=True))
+        consts = (c if isinstance(c, Scalars) else np.asarray(c) for c in body.consts)
+        known.update(zip(body.jaxpr.constvars, consts, strict=True))
         known.update(zip(body.jaxpr.invars, inputs, strict=True))
         outer = self.graph.line
         for eqn in equations(body.jaxpr):
@@ -322,7 +323,7 @@ class _Interpreter:
         shapes = [atom.aval.shape for atom in scan.body.jaxpr.invars]
         values = [value if not isinstance(value, Scalars) else unknown(value.ids.shape) for value in fixed]
         try:
-            _Interpreter(graph, self.loops).run(scan.body, [*values, *map(unknown, shapes[scan.fixed :])])
+            Interpreter(graph, self.loops).run(scan.body, [*values, *map(unknown, shapes[scan.fixed :])])
         except LoweringError:  # a turn needs a number that only unrolled turns know
             return math.inf
         return operations(graph.nodes)
@@ -340,7 +341,7 @@ class _Interpreter:
 
         def turn(graph: Graph, values: list[Value]):
             left = values[count:]
-            results = _Interpreter(graph, self.loops).run(
+            results = Interpreter(graph, self.loops).run(
                 scan.body, [*values[:count], *(_take(value, 0) for value in left)]
             )
             return [*results, *(_rotate_rows(value) for value in left)], None
@@ -380,7 +381,7 @@ class _Interpreter:
         ends = loop.of_condition, loop.of_condition + loop.of_body
 
         def turn(graph: Graph, values: list[Value]):
-            inner = _Interpreter(graph, self.loops)
+            inner = Interpreter(graph, self.loops)
             condition, body, carry = values[: ends[0]], values[ends[0] : ends[1]], values[ends[1] :]
             (going,) = inner.run(loop.condition, [*condition, *carry])
             return inner.run(loop.body, [*body, *carry]), going
@@ -439,7 +440,7 @@ class _Interpreter:
 
             def turn(graph: Graph, inputs: list[Value]):
                 once, going = Writer(graph), inputs[len(values)]
-                outputs = _Interpreter(graph, self.loops).run(bodies[long], inputs[: len(values)])
+                outputs = Interpreter(graph, self.loops).run(bodies[long], inputs[: len(values)])
                 return [np.zeros(()), *outputs], once.map("lt", np.asarray(0.5), going)
 
             go = self.write.map("select", asked, np.asarray(1.0), np.asarray(0.0))

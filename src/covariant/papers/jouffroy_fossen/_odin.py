@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from covariant.certificates import Corners, at_corners, contraction, crossed_metric, falsify, virtual
+from covariant.lowering import jacobian
 from covariant.models import marine, state_space
 from covariant.observers import Contracting, craft_observer
 from covariant.proofs import Box
@@ -195,7 +196,7 @@ def odin_sampled_rate(k2: np.ndarray = K2, cross: np.ndarray = CROSS, domain: Bo
 
 @eqx.filter_jit
 def _slope_at_rest(observer: Contracting) -> Array:
-    return jax.jacfwd(lambda x: observer.virtual(jnp.zeros(()), x, jnp.zeros(6), jnp.zeros(6)))(jnp.zeros(12))
+    return jacobian(lambda x: observer.virtual(jnp.zeros(()), x, jnp.zeros(6), jnp.zeros(6)), jnp.zeros(12))
 
 
 def odin_eigenvalues() -> dict[str, float]:

@@ -1,4 +1,7 @@
-"""A function without custom derivative rules, so that JAX differentiates the function itself."""
+"""The derivatives of the checker: those of JAX, of a function without the derivative rules that were declared for it.
+
+The prover's are those of a graph, by `covariant.lowering`, so that an error in one of the two ways is seen.
+"""
 
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -25,6 +28,23 @@ def plain(function: Callable) -> Callable:
         return jax.tree.unflatten(jax.tree.structure(shape), results)
 
     return inlined
+
+
+def jacobian(function: Callable[[Any], Any], x: Any) -> Any:
+    """Jacobian of a function of an array, with the axes of x last."""
+    return jax.jacfwd(plain(function))(x)
+
+
+def value_and_jacobian(function: Callable[[Any], Any], x: Any) -> tuple[Any, Any]:
+    """Value and Jacobian, for which the function is evaluated once."""
+    inlined = plain(function)
+    slope, value = jax.jacfwd(lambda y: (inlined(y),) * 2, has_aux=True)(x)
+    return value, slope
+
+
+def along(function: Callable[[Any], Any], x: Any, direction: Any) -> tuple[Any, Any]:
+    """Value and derivative of a function in a direction."""
+    return jax.jvp(plain(function), (x,), (direction,))
 
 
 CHOICES: dict[str, Callable] = {
