@@ -27,7 +27,7 @@ from covariant.certificates.base import value_graph
 from covariant.certificates.base._document import parse
 from covariant.certificates.base._inequalities import at_correction, in_frame_along, joint_force_bound, start_bound
 from covariant.certificates.checking import _check, _matrices
-from covariant.certificates.checking._check import Judge, Resolved, follows
+from covariant.certificates.checking._check import Job, Judge, Resolved, follows
 from covariant.geometry import lie
 from covariant.lowering import numbers
 from covariant.observers import Geodesic, Intrinsic
@@ -521,7 +521,7 @@ def shown(certificate, system, kind):
     judge = Judge(Resolved(document, certificate.observer, system))
     index = next(i for i, c in enumerate(document.claims) if c.kind == kind)
     try:
-        judge((index, *leaves(*document.bounds(document.claims[index]), document.claims[index].levels, "it")))
+        judge(Job(index, *leaves(*document.bounds(document.claims[index]), document.claims[index].levels, "it")))
     except ValueError:
         return verdict, "refused"
     return verdict, "accepted"
