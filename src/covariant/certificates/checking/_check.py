@@ -1,7 +1,7 @@
 """An independent check of a saved certificate, from the file alone: do its claims hold, and does its statement follow?
 
 It shares with the prover the model as JAX functions, and the description of the observer. The matrices of the claims
-are formed here, and shown to be positive definite by Taylor models on each leaf of the saved tree.
+are formed here, and shown to be positive definite by Taylor models on boxes of the saved tree, down to its leaves.
 """
 
 import contextlib
