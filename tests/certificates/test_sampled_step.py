@@ -658,13 +658,17 @@ def test_a_double_pendulum_with_dry_friction_is_proved_and_checked_at_500_hz(los
     )
     assert result.statement.verdict == "holds", result.statement
     enclose = TaylorEnclosure.__call__
-    monkeypatch.setattr(
-        TaylorEnclosure, "__call__", lambda self, low, high: (boxes.append(len(low)), enclose(self, low, high))[1]
-    )
+
+    def counted(self, low, high):
+        if low.shape == (len(low), len(result.domain.names)):  # of the claims, not of forces and friction
+            boxes.append(len(low))
+        return enclose(self, low, high)
+
+    monkeypatch.setattr(TaylorEnclosure, "__call__", counted)
     checked = check(result.save(tmp_path / "double_pendulum.json"))
     assert checked.statement.proved
     assert checked.leaves > least
-    assert sum(boxes) < checked.leaves / 2
+    assert 0 < sum(boxes) < checked.leaves / 4
 
 
 @pytest.mark.long
