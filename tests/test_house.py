@@ -164,8 +164,8 @@ def test_modules_import_each_other_in_no_circle():
     graphlib.TopologicalSorter(needs).prepare()  # raises CycleError, which names the circle
 
 
-MOST_LINES, MOST_LINES_OF = 400, {"certificates/checking/_check.py": 280}
-"""Of the check, which has to be believed, less than of others."""
+MOST_LINES, MOST_LINES_OF = 400, {"certificates/checking/_check.py": 300}
+"""Of the check, which has to be believed, less than of others; its jobs are parts of the trees of claims."""
 
 
 def test_no_file_is_too_long_to_be_read_in_one_sitting():

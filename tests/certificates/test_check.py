@@ -163,6 +163,61 @@ def together(*changes):
     return change
 
 
+def finely(letters="abcd", depth=14):
+    """A tree of 2^depth leaves in place of that of the first claim."""
+    return put("claims", 0, "levels", [letters[k % len(letters)] * 2**k for k in range(depth)] + ["." * 2**depth])
+
+
+def leaf(k, letter):
+    """Another letter in place of a leaf."""
+    return put("claims", 0, "levels", -1, lambda level: level[:k] + letter + level[k + 1 :])
+
+
+LARGE = {
+    "a leaf less": (leaf(5000, ""), r"levels\[14\] must be 16384 of the letters"),
+    "a leaf more": (leaf(5000, ".."), r"levels\[14\] must be 16384 of the letters"),
+    "a leaf that is halved": (leaf(5000, "a"), r"of which 2 are missing"),
+    "an open leaf": (leaf(5000, "?"), "radius must be 0 where a claim has open leaves"),
+    "a box that is not halved": (put("claims", 0, "levels", 6, "." + "c" * 63), r"levels\[7\] must be 126"),
+    "another variable": (
+        put("claims", 0, "levels", 6, "e" + "c" * 63),
+        r"levels\[6\] must be 64 of the letters a to d",
+    ),
+    "a side of the other sign": (bound("high", 2, lambda v: -v), r"box"),
+    "the rate of a claim that is wrong": (put("rate", 40.0), r"claims\[0\] is not shown to hold where"),
+    "the other sign of the gain": (put("observer", "alpha", 0.01), r"claims\[0\] is not shown to hold where"),
+}
+"""What is wrong in a file with thousands of leaves, with its digest mended."""
+
+
+@pytest.mark.parametrize("name", LARGE)
+def test_a_large_file_that_is_tampered_with_is_refused_with_the_reason(saved, tmp_path, monkeypatch, name):
+    change, reason = LARGE[name]
+    monkeypatch.setattr(_check, "DEPTH", 2)
+    with pytest.raises(ValueError, match=reason):
+        check(forged(saved, tmp_path, together(finely(), change)))
+
+
+@pytest.mark.exhaustive("dbca")
+@pytest.mark.long("abcd")
+@pytest.mark.parametrize("letters", ["abcd", "dbca"])
+def test_a_large_tree_only_says_where_to_look(saved, tmp_path, letters):
+    """Whichever variables it halves: it is another proof of the same statement."""
+    path = forged(saved, tmp_path, finely(letters))
+    assert check(path).leaves > 2**14
+
+
+@pytest.mark.parametrize("letters", ["abcd", "dbca", "aab"])
+def test_jobs_cover_the_box_of_their_claim(saved, tmp_path, letters):
+    document = parse(forged(saved, tmp_path, finely(letters)))
+    jobs = [job for job in _check._jobs(document) if job.what == 0]
+    assert 1 < len(jobs) <= _check.PARTS
+    assert sum(job.leaves for job in jobs) == 2**14
+    low, high = document.bounds(document.claims[0])
+    volume = sum(((job.high - job.low) / (high - low)).prod(1).sum() for job in jobs)
+    assert volume == pytest.approx(1.0, rel=1e-12)
+
+
 FORGERIES = {
     "rate": (put("rate", 6.0), r"claims\[0\] is not shown to hold where"),
     "radius": (put("radius", lambda r: 1.01 * r), "which its box|may reach"),

@@ -27,12 +27,12 @@ from covariant.certificates.base import value_graph
 from covariant.certificates.base._document import parse
 from covariant.certificates.base._inequalities import at_correction, in_frame_along, joint_force_bound, start_bound
 from covariant.certificates.checking import _check, _matrices
-from covariant.certificates.checking._check import Judge, Resolved, follows
+from covariant.certificates.checking._check import Job, Judge, Resolved, follows
 from covariant.geometry import lie
 from covariant.lowering import numbers
 from covariant.observers import Geodesic, Intrinsic
 from covariant.proofs import digest, prove
-from covariant.proofs.checker import leaves
+from covariant.proofs.checker import TaylorEnclosure, leaves
 
 RECIPE = {"system": "pendulum_chain", "parameters": {"mass": [1.0], "length": [0.5]}}
 BOUNDS = {"position": (-3.0, 3.0), "velocity": 4.0, "error": 0.1, "input": 0.5}
@@ -521,7 +521,7 @@ def shown(certificate, system, kind):
     judge = Judge(Resolved(document, certificate.observer, system))
     index = next(i for i, c in enumerate(document.claims) if c.kind == kind)
     try:
-        judge((index, *leaves(*document.bounds(document.claims[index]), document.claims[index].levels, "it")))
+        judge(Job(index, *leaves(*document.bounds(document.claims[index]), document.claims[index].levels, "it")))
     except ValueError:
         return verdict, "refused"
     return verdict, "accepted"
@@ -637,8 +637,11 @@ def test_models_that_are_not_covered_are_refused():
 
 
 @pytest.mark.exhaustive
-def test_a_double_pendulum_with_dry_friction_is_proved_at_500_hz():
-    double = models.load("examples/dfki_double_pendulum.toml").model
+@pytest.mark.parametrize(("lost", "rate", "least"), [(0, 4.0, 300_000), (1, 4.1, 800_000)])
+def test_a_double_pendulum_with_dry_friction_is_proved_and_checked_at_500_hz(lost, rate, least, tmp_path, monkeypatch):
+    """With many leaves, of which the checker spares most: it proves larger boxes."""
+    recipe, boxes = models.recipe("examples/dfki_double_pendulum.toml"), []
+    double = models.from_recipe(recipe)
     assert isinstance(double, models.MechanicalSystem)
     result = certify(
         Intrinsic(double, 60.0, 1800.0, substeps=4),
@@ -647,11 +650,25 @@ def test_a_double_pendulum_with_dry_friction_is_proved_at_500_hz():
         error=0.02,
         input=0.5,
         interval=(0.0019, 0.0021),
-        rate=4.0,
+        lost=lost,
+        rate=rate,
         boxes=2_000_000,
         checker="off",
+        recipe=recipe,
     )
     assert result.statement.verdict == "holds", result.statement
+    enclose = TaylorEnclosure.__call__
+
+    def counted(self, low, high):
+        if low.shape == (len(low), len(result.domain.names)):  # of the claims, not of forces and friction
+            boxes.append(len(low))
+        return enclose(self, low, high)
+
+    monkeypatch.setattr(TaylorEnclosure, "__call__", counted)
+    checked = check(result.save(tmp_path / "double_pendulum.json"))
+    assert checked.statement.proved
+    assert checked.leaves > least
+    assert 0 < sum(boxes) < checked.leaves / 4
 
 
 @pytest.mark.long

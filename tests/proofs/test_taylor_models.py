@@ -298,6 +298,160 @@ def test_boxes_that_take_different_branches_are_shown_apart():
     show_definite(enclosure, low, high, 0, "it")
 
 
+def test_terms_that_do_not_meet_are_not_turned_into_each_other():
+    """Each entry of the diagonal is above 0.1, and the middle is turned by 45° from the diagonal."""
+
+    def matrix(z):
+        return jnp.diag(1 + 0.9 * z) / 2 + jnp.array([[0.0, 0.02], [0.02, 0.0]])
+
+    low, high = -np.ones((1, 2)), np.ones((1, 2))
+    enclosure = TaylorEnclosure(matrix, low[0], high[0], np.zeros(2))
+    total = enclosure(low, high)
+    assert definite(total + total.T, high - low, enclosure.kinks(), np.ones_like(low))[0][0]
+
+
+# Saved trees of many boxes, of which larger ones are tried first.
+
+SQUARE = -np.ones((1, 2)), np.ones((1, 2))
+PLACE = np.array([0.3, -0.2])
+BORDERS = SQUARE[0][0], SQUARE[1][0]
+
+
+@functools.cache
+def levels_of(seed, boxes=3000):
+    """A random tree over two variables with so many leaves, as in a file."""
+    rng, levels, size = np.random.default_rng(seed), [], 1
+    while size:
+        # Halved for sure while there are few boxes, then less often, and not at all in the end.
+        share = 1.0 if size < boxes / 8 and len(levels) < 20 else 0.6 if len(levels) < 20 else 0.0
+        letters = np.where(rng.random(size) < share, rng.choice(["a", "b"], size), ".")
+        levels.append("".join(letters))
+        size = 2 * (size - levels[-1].count("."))
+    return tuple(levels)
+
+
+class Counted(TaylorEnclosure):
+    """A matrix that counts the boxes it is evaluated on."""
+
+    boxes = 0
+
+    def __call__(self, low, high):
+        self.boxes += len(low)
+        return super().__call__(low, high)
+
+
+def show_from_tree(module, enclosure, seed, depth=12):
+    """Show a matrix on a random tree, and return the number of its leaves."""
+    tree = module.SavedTree.read(2, levels_of(seed), "the tree")
+    module.show_tree(enclosure, tree, np.zeros(1, int), *SQUARE, depth, "it")
+    return tree.leaves[0]
+
+
+def well(place, least, wide=0.0):
+    """A matrix that is least at one place, where it is `least`; bounds of it are wider by the cube of a box."""
+    return lambda z: ((z - place) @ (z - place) + least + wide * (z[0] * z[0] * z[0] - z[0] * (z[0] * z[0])))[
+        None, None
+    ]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_saved_tree_is_shown_from_its_larger_boxes(seed):
+    enclosure = Counted(well(PLACE, 0.02), *BORDERS, np.zeros(2))
+    leaves = show_from_tree(checker, enclosure, seed)
+    assert leaves > 2000
+    assert enclosure.boxes < leaves
+
+
+def test_boxes_of_a_tree_are_those_of_its_leaves_together():
+    """By volume, for each size of boxes to begin with; and those of one leaf are the leaves."""
+    tree, levels = checker.SavedTree.read(2, levels_of(0), "it"), levels_of(0)
+    assert tree.leaves[0] == "".join(levels).count(".")
+    for most in (1, 2, 7, 300, 10**6):
+        numbers, low, high = tree.boxes(np.zeros(1, int), *SQUARE, most)
+        assert np.prod(high - low, axis=1).sum() == 4.0
+        assert (tree.leaves[numbers] <= most).all()
+        assert tree.leaves[numbers].sum() == tree.leaves[0]
+    leaves = checker.leaves(*BORDERS, levels, "it")
+    for found, expected in zip(tree.boxes(np.zeros(1, int), *SQUARE, 1)[1:], leaves, strict=True):
+        np.testing.assert_array_equal(found, expected)
+
+
+def needles(count=12):
+    """Places in the square, some of which are on borders of boxes and in its corners."""
+    rng = np.random.default_rng(7)
+    return [np.zeros(2), np.array([0.5, -0.25]), np.ones(2), -np.ones(2), *rng.uniform(-1, 1, (count - 4, 2))]
+
+
+@pytest.mark.parametrize("wide", [0.0, 3e5])
+@pytest.mark.parametrize("k", range(12))
+def test_one_wrong_place_among_thousands_of_leaves_is_seen(k, wide):
+    enclosure = TaylorEnclosure(well(needles()[k], -1e-9, wide), *BORDERS, np.zeros(2))
+    with pytest.raises(ValueError, match="it is not shown to hold where the variables are"):
+        show_from_tree(checker, enclosure, k % 3)
+
+
+def leaves_out(module):
+    """Whether the boxes that are shown, none of which overlap, are together smaller than the square."""
+    honest = module.definite
+    for seed, wide in ((2, 0.0), (1, 5e3), (0, 3e5)):  # the wider the bounds, the more boxes have to be leaves
+        areas = []
+
+        def definite(matrix, width, *more, areas=areas):
+            good, axes = honest(matrix, width, *more)
+            areas.append(width[good].prod(1).sum())
+            return good, axes
+
+        module.definite = definite
+        show_from_tree(module, module.TaylorEnclosure(well(PLACE, 0.02, wide), *BORDERS, np.zeros(2)), seed)
+        if not math.isclose(sum(areas), 4.0, rel_tol=1e-12):
+            return True
+    return False
+
+
+MUTANTS_OF_TREES = [
+    ("parts.append([part[small] for part in boxes])", "parts.append([part[small][1:] for part in boxes])"),
+    ("self.halved(*(part[~small] for part in boxes))", "self.halved(*(part[~small][1:] for part in boxes))"),
+    ("(part[~good & ~end] for part", "(part[good & ~end] for part"),
+    ("resisting.append((a[~good & end], b[~good & end]))", "pass"),
+    ("[part[:-CHUNK] for part in waiting]", "[part[: -2 * CHUNK] for part in waiting]"),
+    ("zip(waiting, below, strict=True)]", "zip(waiting, (part[:0] for part in below), strict=True)]"),
+    ("zip(waiting[1:], *resisting, strict=True)", "zip([part[:0] for part in waiting[1:]], *resisting, strict=True)"),
+    (
+        "= low[2 * rows + 1, axes] = middle",
+        "= middle\n    low[2 * rows + 1, axes] = middle + (high[2 * rows + 1, axes] - middle) / 1e3",
+    ),
+    ("show_definite(matrix, low, high, depth, what, until)", "pass"),
+]
+
+
+@pytest.mark.parametrize(("old", "new"), MUTANTS_OF_TREES, ids=range(len(MUTANTS_OF_TREES)))
+def test_a_mistake_in_the_walk_through_a_tree_is_noticed(old, new):
+    assert leaves_out(mutant(old, new))
+
+
+def test_no_mistake_in_the_walk_is_noticed_where_there_is_none():
+    assert not leaves_out(in_one_module(TEXT))
+
+
+TREES = {
+    "a leaf less": lambda levels: [*levels[:-1], levels[-1][1:]],
+    "a leaf more": lambda levels: [*levels[:-1], levels[-1] + "."],
+    "a level less": lambda levels: levels[:-1],
+    "an open leaf": lambda levels: [*levels[:-1], "?" + levels[-1][1:]],
+    "a leaf that is halved": lambda levels: [*levels[:-1], "a" + levels[-1][1:]],
+    "a box that is not": lambda levels: [levels[0], "." + levels[1][1:], *levels[2:]],
+    "another variable": lambda levels: [levels[0], "c" + levels[1][1:], *levels[2:]],
+    "a letter of another alphabet": lambda levels: [levels[0], "а" + levels[1][1:], *levels[2:]],
+    "nothing": lambda levels: [],
+}
+
+
+@pytest.mark.parametrize("name", TREES)
+def test_no_tree_that_lacks_a_box_is_read(name):
+    with pytest.raises(ValueError, match=r"letters or dots; it is|lacks the last \d+ boxes"):
+        checker.SavedTree.read(2, TREES[name](levels_of(1)), "claim 1")
+
+
 MUTANTS = [
     ("ROUND, TINY = 2.0**-40, 2.0**-990", "ROUND, TINY = 0.0, 0.0"),
     ("cut = linear_a * quadratic_b + quadratic_a * (linear_b + quadratic_b)", "cut = 0.0"),

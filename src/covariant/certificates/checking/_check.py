@@ -1,11 +1,12 @@
 """An independent check of a saved certificate, from the file alone: do its claims hold, and does its statement follow?
 
 It shares with the prover the model as JAX functions, and the description of the observer. The matrices of the claims
-are formed here, and shown to be positive definite by Taylor models on each leaf of the saved tree.
+are formed here, and shown to be positive definite by Taylor models on boxes of the saved tree, down to its leaves.
 """
 
 import contextlib
 import functools
+import itertools
 import math
 import multiprocessing
 import pickle
@@ -34,10 +35,30 @@ from covariant.certificates.base import (
 from covariant.certificates.checking import _check_sampled as sampled, _matrices as matrices
 from covariant.certificates.checking._saved import observer_from, system_of
 from covariant.models import input_count
-from covariant.proofs.checker import ROUND, TaylorEnclosure, leaves, show_definite
+from covariant.proofs.checker import ROUND, SavedTree, TaylorEnclosure, show_definite, show_tree
 
-DEPTH, DEEPEST, SHARE = 24, 200, 1024
-"""How often a leaf may be halved; how often the box of inputs may be; number of leaves in a job of one process."""
+DEPTH, DEEPEST = 24, 200
+"""How often a leaf may be halved, and how often the box of inputs may be."""
+SHARE, PARTS = 1024, 8
+"""Number of leaves in a job of one process, more where a claim would have more than so many jobs."""
+
+
+class Job(NamedTuple):
+    """Boxes on which one statement is to be shown.
+
+    Attributes:
+        what: index of a claim, or name of a further condition.
+        low: lower corners (m, d).
+        high: upper corners (m, d).
+        numbers: numbers (m,) of the boxes in the tree of the claim; None for boxes that are shown as they are.
+        leaves: number of leaves of the boxes.
+    """
+
+    what: int | str
+    low: np.ndarray
+    high: np.ndarray
+    numbers: np.ndarray | None = None
+    leaves: int = 1
 
 
 class Shown(NamedTuple):
@@ -70,7 +91,7 @@ def show(
     _need(not opened, f"{document.file}: claims{opened} must have no open leaves; nothing is claimed to hold")
     resolved = follows(document, model)
     jobs = list(_jobs(document))
-    done, total = 0, sum(len(low) for *_, low, _ in jobs)
+    done, total = 0, sum(job.leaves for job in jobs)
     for count in _results(resolved, jobs, processes, model):
         done += count
         if progress is not None:
@@ -90,9 +111,9 @@ def show_found(resolved: Resolved, seconds: float) -> Shown:
     return Shown(resolved, _leaves(jobs), _leaves(shown), time.monotonic() - start)
 
 
-def _leaves(jobs: list[tuple]) -> int:
+def _leaves(jobs: list[Job]) -> int:
     """The number of leaves of the claims."""
-    return sum(len(low) for what, low, _ in jobs if isinstance(what, int))
+    return sum(job.leaves for job in jobs if isinstance(job.what, int))
 
 
 def _need(holds: Any, otherwise: str) -> None:
@@ -172,29 +193,38 @@ def _complete(resolved: Resolved) -> None:
         _need(steady < radius, f"radius: noise alone leads {steady:.6g} away, and the radius is {radius:.6g}")
 
 
-def _jobs(document: Document) -> Iterator[tuple]:
+def _jobs(document: Document) -> Iterator[Job]:
     """Everything to be shown, with its boxes: the bounds of the force, definedness, and the leaves of the claims."""
     region, n = _force_box(document), len(document.velocity)
     if document.sampling is None:
         for what in ("the bound of the force", "the definedness of the force"):
-            yield what, *region[:, None]
+            yield Job(what, *region[:, None])
     if document.given.noise.any() and document.sampling is None:
         pinned = np.concatenate([region, np.zeros((2, n))], axis=1)
         for what in ("the bound of the force's slopes", "the smoothness of the force"):
-            yield what, *pinned[:, None]
+            yield Job(what, *pinned[:, None])
     # Time and state, which every claim holds fixed at these zeros, see `everything`.
     pins = np.zeros((2, 2 * n + 1))
-    yield (
+    yield Job(
         "the definedness of the observer, without jumps,",
         *np.concatenate([[document.low, document.high], pins], axis=1)[:, None],
     )
     if document.joint_friction:
-        yield from sampled.friction_jobs(document)
-    yield from sampled.sampled_jobs(document, pins)
+        yield from itertools.starmap(Job, sampled.friction_jobs(document))
+    yield from itertools.starmap(Job, sampled.sampled_jobs(document, pins))
     for index, claim in enumerate(document.claims):
-        boxes = leaves(*document.bounds(claim), claim.levels, f"claim {index}")
-        for k in range(0, len(boxes[0]), SHARE):
-            yield index, *(side[k : k + SHARE] for side in boxes)
+        tree, (low, high) = _tree(document, index), document.bounds(claim)
+        numbers, lows, highs = tree.boxes(np.zeros(1, int), low[None], high[None], SHARE)
+        ends = np.cumsum(tree.leaves[numbers])
+        part = (ends - 1) // max(SHARE, -(-int(ends[-1]) // PARTS))
+        for chosen in (part == k for k in np.unique(part)):
+            yield Job(index, lows[chosen], highs[chosen], numbers[chosen], int(tree.leaves[numbers[chosen]].sum()))
+
+
+def _tree(document: Document, index: int) -> SavedTree:
+    """The tree of boxes of a claim."""
+    claim = document.claims[index]
+    return SavedTree.read(len(document.bounds(claim)[0]), claim.levels, f"claim {index}")
 
 
 def _force_box(document: Document) -> np.ndarray:
@@ -257,16 +287,21 @@ class Judge:
         """Prepare to judge the jobs of one document."""
         self.until = until
         self.file, self.matrix = resolved.document.file, functools.cache(functools.partial(_matrix, resolved))
+        # The last one only: trees are large, and jobs of a claim follow each other.
+        self.tree = functools.lru_cache(1)(functools.partial(_tree, resolved.document))
 
-    def __call__(self, job: tuple) -> int:
+    def __call__(self, job: Job) -> int:
         """Show the leaves of one job to be right."""
-        index, low, high = job
+        index, low, high, numbers, count = job
         what, depth = (f"claims[{index}]", DEPTH) if isinstance(index, int) else (index, DEEPEST)
         try:
-            show_definite(self.matrix(index), low, high, depth, what, self.until)
+            if isinstance(index, int) and numbers is not None:
+                show_tree(self.matrix(index), self.tree(index), numbers, low, high, depth, what, self.until)
+            else:
+                show_definite(self.matrix(index), low, high, depth, what, self.until)
         except (ValueError, TypeError, LookupError, ArithmeticError, AttributeError) as error:
             raise ValueError(f"{self.file}: {_first_line(error)}") from error
-        return len(low)
+        return count
 
 
 _worker: list[Judge] = []
@@ -277,11 +312,11 @@ def _begin(document: Document, model: Any) -> None:
     _worker[:] = [Judge(follows(document, model))]
 
 
-def _work(job: tuple) -> int:
+def _work(job: Job) -> int:
     return _worker[0](job)
 
 
-def _results(resolved: Resolved, jobs: list[tuple], processes: int, model: Any) -> Iterator[int]:
+def _results(resolved: Resolved, jobs: list[Job], processes: int, model: Any) -> Iterator[int]:
     # Each worker imports and traces before its first result, which takes longer than the leaves of a single job.
     if processes == 1 or _leaves(jobs) <= SHARE:
         yield from map(Judge(resolved), jobs)

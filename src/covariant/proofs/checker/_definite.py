@@ -9,7 +9,7 @@ import numpy as np
 
 from covariant.proofs.checker._enclosure import TaylorEnclosure
 from covariant.proofs.checker._taylor import ROUND, TINY, UndecidedError
-from covariant.proofs.checker._tree import halves
+from covariant.proofs.checker._tree import SavedTree, halves
 
 CHUNK, MOST = 1024, 20_000
 """Number of boxes evaluated at once, and largest number of further boxes waiting after halvings."""
@@ -37,8 +37,10 @@ def definite(
         unit = 1 / np.sqrt(np.diagonal(s[0], axis1=1, axis2=2))[:, :, None]
         scaled = unit * s[0] * unit.swapaxes(1, 2)
         values, vectors = np.linalg.eigh(np.where(np.isfinite(scaled), scaled, -np.eye(len(matrix))))
-        # C = U V Λ^−½ of the scaled middle. A negative eigenvalue is replaced: then E is large, and nothing is shown.
-        c = unit * vectors / np.sqrt(np.maximum(values, TINY))[:, None]
+        # C = U V |Λ|^−½ Vᵀ of the scaled middle: of all C that take it to the identity the one that turns least, since
+        # turning adds up absolute values of the terms. A negative eigenvalue becomes −1: then E is large, and nothing
+        # is shown.
+        c = unit * (vectors / np.sqrt(np.maximum(abs(values), TINY))[:, None]) @ vectors.swapaxes(1, 2)
         ct = c.swapaxes(1, 2)
         turned = ct @ s @ c
         turned[0] -= np.eye(len(matrix))
@@ -104,3 +106,43 @@ def show_definite(
         low, high = np.concatenate([low, lower]), np.concatenate([high, upper])
         left = np.concatenate([left, np.repeat(deep[~good] - 1, 2)])
         whole = np.concatenate([whole, np.repeat(first[~good], 2, axis=0)])
+
+
+def show_tree(
+    matrix: TaylorEnclosure,
+    tree: SavedTree,
+    numbers: np.ndarray,
+    low: np.ndarray,
+    high: np.ndarray,
+    depth: int,
+    what: str,
+    until: float = math.inf,
+) -> None:
+    """Show that `matrix + matrixᵀ` is positive definite on boxes of a saved tree, from larger ones down to its leaves.
+
+    A box that is shown needs none of those below it. The tree only says which boxes to try.
+    """
+    # Larger boxes would not fill one lot, and an operation on few boxes takes as long as one on many.
+    most = max(1, int(tree.leaves[numbers].sum()) // CHUNK)
+    waiting, resisting = tree.boxes(numbers, low, high, most), []
+    while most > 1 and len(waiting[0]):
+        if time.monotonic() > until:
+            raise TimeoutError(f"{what} is not settled yet")
+        numbers, a, b = (part[-CHUNK:] for part in waiting)
+        waiting = [part[:-CHUNK] for part in waiting]
+        try:
+            enclosure = matrix(a, b)
+            good = definite(enclosure + enclosure.T, b - a, matrix.kinks(), np.ones_like(a))[0]
+        except UndecidedError:  # a branch, which may be the same on the boxes below
+            good = np.zeros(len(a), bool)
+        end = tree.leaves[numbers] == 1
+        resisting.append((a[~good & end], b[~good & end]))
+        below = tree.halved(*(part[~good & ~end] for part in (numbers, a, b)))
+        waiting = [np.concatenate(pair) for pair in zip(waiting, below, strict=True)]
+        large = 2 * tree.leaves[numbers] > most
+        if 3 * np.count_nonzero(good & large) < np.count_nonzero(large):
+            # Boxes of this size are mostly tried in vain: from here on the largest have half as many leaves.
+            most //= 2
+            waiting = tree.boxes(*waiting, most)
+    low, high = (np.concatenate(parts) for parts in zip(waiting[1:], *resisting, strict=True))
+    show_definite(matrix, low, high, depth, what, until)

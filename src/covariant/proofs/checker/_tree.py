@@ -1,9 +1,13 @@
-"""Leaves of a saved tree of boxes, computed by the checker."""
+"""A saved tree of boxes, read by the checker: which boxes there are, and which of them are halves of which."""
 
 import string
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
+
+Boxes = tuple[np.ndarray, np.ndarray, np.ndarray]
+"""Numbers (m,) of boxes in a tree, with their lower and upper corners (m, d)."""
 
 
 def halves(low: np.ndarray, high: np.ndarray, axes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -16,6 +20,69 @@ def halves(low: np.ndarray, high: np.ndarray, axes: np.ndarray) -> tuple[np.ndar
     low, high = np.repeat(low, 2, 0), np.repeat(high, 2, 0)
     high[2 * rows, axes] = low[2 * rows + 1, axes] = middle
     return low, high
+
+
+class SavedTree(NamedTuple):
+    """The boxes of a saved tree, level by level: number 0 is the whole box.
+
+    Attributes:
+        axes: Variable across which each box is halved (N,); −1 for a leaf.
+        child: Number of the lower half of each box (N,), which the upper one follows; of no meaning for a leaf.
+        leaves: Number of leaves that each box consists of (N,).
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant.proofs.checker import SavedTree
+        >>> tree = SavedTree.read(1, ["a", "a.", ".."], "claim 1")
+        >>> tree.leaves.tolist()
+        [3, 2, 1, 1, 1]
+        >>> tree.boxes(np.zeros(1, int), np.zeros((1, 1)), np.ones((1, 1)), 2)[2].tolist()  # of two leaves at most
+        [[0.5], [1.0]]
+    """
+
+    axes: np.ndarray
+    child: np.ndarray
+    leaves: np.ndarray
+
+    @classmethod
+    def read(cls, variables: int, levels: Sequence[str], what: str) -> "SavedTree":
+        """Read a tree over so many variables, as `leaves` does."""
+        codes = np.full(256, -2)
+        codes[[ord(letter) for letter in string.ascii_letters[:variables]]] = np.arange(variables)
+        codes[ord(".")] = -1
+        parts, size = [], 1
+        for depth, level in enumerate(levels):
+            axes = codes[np.frombuffer(level.encode("latin-1", "replace"), np.uint8)]
+            if len(axes) != size or (axes < -1).any():
+                raise ValueError(f"level {depth} of {what} must have {size} letters or dots; it is {level[:60]!r}")
+            parts.append(axes)
+            size = 2 * np.count_nonzero(axes >= 0)
+        if size:
+            raise ValueError(f"{what} lacks the last {size} boxes")
+        axes = np.concatenate(parts)
+        # Both halves of the first box that is halved follow the whole box, those of the second follow these, and so on.
+        child = 2 * np.cumsum(axes >= 0) - 1
+        count, stop = np.ones(len(axes), int), len(axes)
+        for part in reversed(parts):
+            inner = np.flatnonzero(part >= 0) + stop - len(part)
+            count[inner] = count[child[inner]] + count[child[inner] + 1]
+            stop -= len(part)
+        return cls(axes, child, count)
+
+    def halved(self, numbers: np.ndarray, low: np.ndarray, high: np.ndarray) -> Boxes:
+        """Both halves of boxes that are no leaves."""
+        both = (self.child[numbers][:, None] + np.arange(2)).ravel()
+        return both, *halves(low, high, self.axes[numbers])
+
+    def boxes(self, numbers: np.ndarray, low: np.ndarray, high: np.ndarray, most: int) -> Boxes:
+        """The largest boxes with at most `most` leaves that some boxes consist of, which they cover."""
+        parts, boxes = [], (numbers, low, high)
+        while len(boxes[0]):
+            small = self.leaves[boxes[0]] <= most
+            parts.append([part[small] for part in boxes])
+            boxes = self.halved(*(part[~small] for part in boxes))
+        first, second, third = zip(*parts, strict=True) if parts else [(x,) for x in boxes]
+        return np.concatenate(first), np.concatenate(second), np.concatenate(third)
 
 
 def leaves(low: np.ndarray, high: np.ndarray, levels: Sequence[str], what: str) -> tuple[np.ndarray, np.ndarray]:
@@ -41,16 +108,5 @@ def leaves(low: np.ndarray, high: np.ndarray, levels: Sequence[str], what: str) 
         >>> low.tolist(), high.tolist()
         ([[0.0], [0.5]], [[0.5], [1.0]])
     """
-    lows, highs, parts = low[None], high[None], []
-    for depth, level in enumerate(levels):
-        axes = np.array([(string.ascii_letters[: len(low)] + ".").find(letter) for letter in level], int)
-        fits = len(axes) == len(lows) and (axes >= 0).all()
-        if not fits:
-            raise ValueError(f"level {depth} of {what} must have {len(lows)} letters or dots; it is {level[:60]!r}")
-        end = axes == len(low)
-        parts.append((lows[end], highs[end]))
-        lows, highs = halves(lows[~end], highs[~end], axes[~end])
-    if len(lows):
-        raise ValueError(f"{what} lacks the last {len(lows)} boxes")
-    first, second = zip(*parts, strict=True)
-    return np.concatenate(first), np.concatenate(second)
+    tree = SavedTree.read(len(low), levels, what)
+    return tree.boxes(np.zeros(1, int), low[None], high[None], 1)[1:]
