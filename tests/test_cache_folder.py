@@ -342,7 +342,6 @@ print(float(jax.jit(lambda x: jnp.sin(x) @ jnp.cos(x))(jnp.ones(5))))
 """
 
 
-@pytest.mark.long
 def test_jax_compiles_a_program_again_that_was_changed(cache):
     """It would warn of a truncated one at every start, and may crash by a patched one."""
     first = python(JITTED)
