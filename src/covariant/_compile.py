@@ -1,5 +1,6 @@
 """Shared libraries of C, compiled once by the system's compiler and cached in the user's cache folder."""
 
+import contextlib
 import functools
 import hashlib
 import importlib.util
@@ -13,7 +14,8 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TypeVar
 
-from covariant._programs import cache_folder
+from covariant._files import read_sealed, write_sealed
+from covariant._programs import cache_folder, need_private
 
 Library = TypeVar("Library")
 
@@ -52,6 +54,8 @@ The warning that is disabled concerns vectors as arguments of functions that oth
 """
 
 
+SEALED = "sealed"
+"""Part of each key: libraries of versions before had no SHA-256 in front, and those versions must not load these."""
 NO_COMPILER = "there is no C compiler; set CC, install cc, or pip install ziglang"
 """What is said where `compiler_command` is None."""
 
@@ -59,7 +63,8 @@ NO_COMPILER = "there is no C compiler; set CC, install cc, or pip install ziglan
 @functools.cache
 def compiler() -> str | None:
     """Path of the compiler that the environment variable CC names, or of `cc`; None where there is none."""
-    return shutil.which(os.environ.get("CC") or "cc")
+    path = shutil.which(os.environ.get("CC") or "cc")
+    return os.path.abspath(path) if path else None  # it is called from another folder
 
 
 def compiler_command() -> list[str] | None:
@@ -75,19 +80,26 @@ def zig() -> list[str] | None:
 
 def built(command: Sequence[str], flags: Sequence[str], files: Mapping[str, str | bytes], what: str) -> bytes:
     """Compile the C sources among some files into one library, and return its content."""
-    with tempfile.TemporaryDirectory() as place:
+    with tempfile.TemporaryDirectory(dir=_temporary_folder()) as place:
         for path, content in files.items():
             (Path(place) / path).parent.mkdir(exist_ok=True)
             (Path(place) / path).write_bytes(content.encode() if isinstance(content, str) else content)
-        words = [*command, *flags, *(path for path in files if path.endswith(".c")), "-lm", "-o", "made"]
+        words = [*command, *flags, *(path for path in files if path.endswith(".c")), "-o", "made", "-lm"]
         done = subprocess.run(words, cwd=place, capture_output=True, text=True, check=False)
         if done.returncode:
             raise OSError(f"{' '.join(command)} does not compile {what}: {done.stderr.strip()[:200]}")
         return (Path(place) / "made").read_bytes()
 
 
+def _temporary_folder() -> Path:
+    """Folder for temporary files of code; raises `OSError` where someone else could replace them."""
+    folder = Path(tempfile.gettempdir()).resolve()
+    need_private(folder, setting="TMPDIR")
+    return folder
+
+
 def compiled(source: str, flags: Sequence[str], load: Callable[[str], Library]) -> Library:
-    """Load a C source as a shared library, compiled first where it is not cached.
+    """Load a C source as a shared library, compiled first where it is not cached, or the cached one was changed.
 
     The cache key is a hash of the source, the flags, the compiler and, for code of this very processor, the processor.
     With `COVARIANT_CACHE=off` the source is compiled anew.
@@ -104,37 +116,49 @@ def compiled(source: str, flags: Sequence[str], load: Callable[[str], Library]) 
         OSError: The compiler does not accept the source.
     """
     path = _cached_path(source, flags)
-    if path is None:
-        # The file may be removed once it is loaded.
-        with tempfile.TemporaryDirectory() as place:
-            return load(str(_compile(source, flags, Path(place) / "made.so")))
-    return load(str(path if path.exists() else _compile(source, flags, path)))
+    library = None if path is None else read_sealed(path)
+    if library is None:
+        library = built([str(compiler())], flags, {"source.c": source}, "a source of C")
+        if path is not None:
+            with contextlib.suppress(OSError):  # such as a full disk
+                write_sealed(path, library)
+    return _load(library, None if path is None else path.parent, load)
+
+
+def _load(library: bytes, folder: Path | None, load: Callable[[str], Library]) -> Library:
+    """Load a shared library from its content: what was hashed is what runs, whatever happens to the cached file."""
+    if folder is not None:
+        # Beside the cached file first: programs may be forbidden in the system's temporary folder (`noexec`).
+        with contextlib.suppress(OSError):  # such as a full disk
+            return _load_copy(library, folder, load)
+    return _load_copy(library, _temporary_folder(), load)
+
+
+def _load_copy(library: bytes, folder: Path, load: Callable[[str], Library]) -> Library:
+    # A new name for each, since the system takes a library of a path that is loaded for the same one.
+    handle, copy = tempfile.mkstemp(".tmp", dir=folder)
+    try:
+        with open(handle, "wb") as file:
+            file.write(library)
+        return load(copy)
+    finally:
+        with contextlib.suppress(OSError):  # Windows keeps a file that is loaded
+            os.unlink(copy)
 
 
 def is_kept(source: str, flags: Sequence[str]) -> bool:
     """Whether a source is compiled and cached, so that it is only loaded."""
     path = _cached_path(source, flags)
-    return path is not None and path.exists()
+    return path is not None and read_sealed(path) is not None
 
 
 def _cached_path(source: str, flags: Sequence[str]) -> Path | None:
     machine = _processor() if "-march=native" in flags else ""
     # With the compiler's version: another one may make other code of the same source.
-    key = hashlib.sha256("\n".join([source, *flags, _version(), machine]).encode()).hexdigest()[:32]
+    parts = (SEALED, source, *flags, _version(), machine)
+    key = hashlib.sha256("\n".join(parts).encode()).hexdigest()[:32]
     folder = cache_folder()
     return None if folder is None else folder / f"{key}.so"
-
-
-def _compile(source: str, flags: Sequence[str], path: Path) -> Path:
-    with tempfile.TemporaryDirectory(dir=path.parent) as place:
-        text, library = Path(place) / "source.c", Path(place) / "made.so"
-        text.write_text(source, encoding="utf-8")
-        command = [str(compiler()), *flags, str(text), "-o", str(library), "-lm"]
-        done = subprocess.run(command, capture_output=True, text=True, check=False)
-        if done.returncode:
-            raise OSError(f"{compiler()} does not compile a source of C: {done.stderr.strip()[:200]}")
-        os.replace(library, path)  # atomic, since other processes may write the same file at the same time
-    return path
 
 
 @functools.cache

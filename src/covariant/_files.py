@@ -1,6 +1,7 @@
 """Atomic writing of files: a path holds the old file or the new one, and leftovers of killed writers are removed."""
 
 import contextlib
+import hashlib
 import io
 import os
 import re
@@ -18,6 +19,8 @@ except ImportError:  # Windows: files cannot be locked there, and so nothing is 
 
 BEGINNING = (1980, 1, 1, 0, 0, 0)
 """The date of all files in archives, so that equal files are equal archives."""
+SEAL = 32
+"""Length [bytes] of a SHA-256."""
 
 
 def write_atomically(path: str | os.PathLike[str], write: Callable[[BinaryIO], object]) -> Path:
@@ -33,7 +36,38 @@ def write_atomically(path: str | os.PathLike[str], write: Callable[[BinaryIO], o
             file.flush()
             os.fsync(file.fileno())
         os.replace(fresh, path)
+    _sync_folder(path.parent)
     return path
+
+
+def _sync_folder(folder: Path) -> None:
+    """Write a folder's names to the disk, so that a file which was replaced is not the old one after a crash."""
+    with contextlib.suppress(OSError):  # Windows opens no folder, and some file systems sync none
+        descriptor = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)
+
+
+def write_sealed(path: Path, content: bytes) -> None:
+    """Write a file that begins with the SHA-256 of its name and content."""
+    write_atomically(path, lambda file: file.write(_seal(path, content) + content))
+
+
+def read_sealed(path: Path) -> bytes | None:
+    """Content of a file that `write_sealed` wrote under this name; None where there is none, or it was changed."""
+    try:
+        sealed = path.read_bytes()
+    except OSError:
+        return None
+    seal, content = sealed[:SEAL], sealed[SEAL:]
+    return content if seal == _seal(path, content) else None
+
+
+def _seal(path: Path, content: bytes) -> bytes:
+    # With the name, so that an entry which was renamed is not taken for another one.
+    return hashlib.sha256(path.name.encode() + b"\n" + content).digest()
 
 
 def zipped(files: Mapping[str, bytes]) -> bytes:

@@ -2,14 +2,22 @@
 
 JAX compiles a program in seconds and loads a cached one in milliseconds. `COVARIANT_CACHE=off` stores none, and
 `COVARIANT_CACHE=FOLDER` stores them in that folder. Where `JAX_COMPILATION_CACHE_DIR` is set, it is respected.
+
+What is in the folder runs as code. So nobody but its owner may be able to write there, and each entry is compared with
+its SHA-256 before it is loaded. A hash does not protect from the owner's own processes, which could write it anew.
 """
 
 import contextlib
+import functools
 import hashlib
 import os
 import platform
+import shlex
+import stat
 import sys
 import time
+import warnings
+import zlib
 from pathlib import Path
 
 from platformdirs import user_cache_path
@@ -36,6 +44,7 @@ def keep_programs() -> None:
     folder = None if decided else cache_folder()
     if folder is None:
         return
+    drop_broken_programs(folder)
     os.environ["JAX_COMPILATION_CACHE_DIR"] = str(folder)
     os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", WORTH_KEEPING)
     # The compiler reports features that the processor lacks as errors. 1 is the level that JAX itself sets.
@@ -43,26 +52,161 @@ def keep_programs() -> None:
         os.environ["TF_CPP_MIN_LOG_LEVEL"] = FATAL
 
 
-def cache_folder() -> Path | None:
-    """Cache folder for this kind of processor, created where it is missing.
+class SharedFolderError(OSError):
+    """Error that a folder can be written by someone else; the message is one line with the remedy."""
 
-    It is one per instruction set, since a program may not run on another processor.
+
+def cache_folder() -> Path | None:
+    """Cache folder for this kind of processor, created where it is missing; None where nothing is cached.
+
+    A folder that someone else can write to is refused, with a warning.
     """
+    try:
+        return open_cache_folder()
+    except SharedFolderError as error:
+        warnings.warn(f"compiled programs are not cached: {error}", RuntimeWarning, stacklevel=1)
+    except (OSError, RuntimeError):  # there is no home folder, or it cannot be written to
+        pass
+    return None
+
+
+def open_cache_folder() -> Path | None:
+    """Cache folder, or None where `COVARIANT_CACHE` disables it; raises `OSError` where it cannot be used."""
     chosen = os.environ.get("COVARIANT_CACHE", "")
     if chosen.lower() in OFF:
         return None
+    folder = Path(chosen).expanduser() if chosen else user_cache_path("covariant", appauthor=False)
+    if not chosen and not folder.is_absolute():  # "~" stays as it is where the system knows no home
+        raise FileNotFoundError("there is no home folder")
+    # It is one per instruction set, since a program may not run on another processor. Links are followed before the
+    # check, so that what is checked is what is opened.
+    folder = folder.resolve() / _processor()
+    missing = [place for place in (folder, *folder.parents) if not place.exists()]
+    # Before anything is created: another user's home must get no folder from us.
+    if missing:
+        need_private(missing[-1].parent)
+    for place in reversed(missing):
+        place.mkdir(mode=0o700, exist_ok=True)
+    need_private(folder, alone=True)
+    if folder.stat().st_mode & 0o077:
+        folder.chmod(0o700)
+    if not os.access(folder, os.W_OK | os.X_OK):
+        raise PermissionError(f"{folder} cannot be written")
+    return folder
+
+
+def need_private(folder: Path, alone: bool = False, setting: str = "COVARIANT_CACHE") -> None:
+    """Check that nobody else can replace what is below a folder; raises `SharedFolderError`.
+
+    With `alone`, nobody else can create a file in it either. The message names the variable that `setting` is.
+    """
+    if not hasattr(os, "getuid"):  # Windows: the folders of a user are closed to others by access lists
+        return
+    me = os.getuid()
+    for place in (folder, *folder.parents):
+        status = place.lstat()
+        inside = alone and place == folder
+        if status.st_uid not in ((me,) if inside else (me, 0)):
+            raise SharedFolderError(f"{place} belongs to another user; set {setting} to a folder of yours")
+        # In a sticky folder, such as /tmp, only the owner of an entry, or of the folder, renames the entry.
+        sticky = status.st_mode & stat.S_ISVTX and not inside
+        others = status.st_mode & stat.S_IWOTH
+        group = status.st_mode & stat.S_IWGRP and (inside or not _is_own_group(place, status.st_gid))
+        if stat.S_ISLNK(status.st_mode):
+            raise SharedFolderError(f"{place} is no folder but a link; set {setting} to a folder")
+        if not stat.S_ISDIR(status.st_mode):
+            raise NotADirectoryError(f"{place} is no folder")
+        if (others or group) and not sticky:
+            remedy = f"chmod go-w {shlex.quote(str(place))}"
+            if inside:  # whoever could write there may have left an entry with a hash
+                remedy = f"remove it by rm -r {shlex.quote(str(place))}"
+            raise SharedFolderError(f"other users can write to {place}; {remedy}, or set {setting} to another one")
+
+
+def _is_own_group(place: Path, group: int) -> bool:
+    """Whether nobody but this user is in a group, as where each user has one of the same name (`umask 002`)."""
+    import grp
+    import pwd
+
     try:
-        folder = (Path(chosen).expanduser() if chosen else user_cache_path("covariant", appauthor=False)) / _processor()
-        folder.mkdir(parents=True, exist_ok=True, mode=0o700)
-    except (OSError, RuntimeError):  # there is no home folder, or it cannot be written to
-        return None
-    return folder if os.access(folder, os.W_OK | os.X_OK) else None
+        name, known = pwd.getpwuid(os.getuid()).pw_name, grp.getgrgid(group)
+        # With an access list, the bits of the group are those of all users who are listed.
+        listed = "system.posix_acl_access" in (os.listxattr(place) if hasattr(os, "listxattr") else ())
+    except (KeyError, OSError):
+        return False
+    return known.gr_name == name and {*known.gr_mem} <= {name} and not listed
+
+
+CHECKED = "checked-programs"
+"""File in the cache folder with a line for each program of JAX: SHA-256, time of its last change, size and name."""
+
+
+def drop_broken_programs(folder: Path) -> None:
+    """Remove programs of JAX that are not as they were written.
+
+    JAX names an entry before it is complete, never replaces one, and runs what it unpacks from it. An entry that this
+    process finds for the first time has to unpack; from then on it has to keep its SHA-256, which is computed again
+    where the file was touched.
+    """
+    known = {}
+    with contextlib.suppress(OSError, ValueError):
+        for line in (folder / CHECKED).read_text(encoding="utf-8").splitlines():
+            digest, *unchanged, name = line.split(" ", 3)
+            known[name] = digest, *map(int, unchanged)
+    checked, dropped = {}, False
+    with contextlib.suppress(OSError), os.scandir(folder) as entries:
+        for entry in entries:
+            if entry.name.endswith("-cache"):
+                status = entry.stat(follow_symlinks=False)
+                unchanged = status.st_ctime_ns, status.st_size
+                digest, *before = known.get(entry.name, ("", None))
+                if before != [*unchanged]:
+                    digest = _checked(Path(entry.path), digest)
+                if digest:
+                    checked[entry.name] = digest, *unchanged
+                else:
+                    dropped = True
+    if dropped or checked.keys() != known.keys() or checked != known:
+        from covariant._files import write_atomically  # not needed at most starts
+
+        lines = "".join(f"{digest} {changed} {size} {name}\n" for name, (digest, changed, size) in checked.items())
+        with contextlib.suppress(OSError):
+            write_atomically(folder / CHECKED, lambda file: file.write(lines.encode()))
+
+
+def _checked(path: Path, digest: str) -> str:
+    """SHA-256 of a program of JAX; "" where it is another one than before, or no program, and then it is removed."""
+    with contextlib.suppress(OSError):
+        content = b"" if path.is_symlink() else path.read_bytes()
+        current = hashlib.sha256(content).hexdigest()
+        if current == digest or (not digest and _unpacks(content)):
+            return current
+        path.unlink()
+    return ""
+
+
+def _unpacks(content: bytes) -> bool:
+    """Whether a program of JAX is complete, packed by Zstandard or, where that is not installed, by zlib."""
+    try:
+        if content[:4] != b"\x28\xb5\x2f\xfd":
+            zlib.decompress(content)
+        elif sys.version_info >= (3, 14):
+            from compression import zstd
+
+            zstd.decompress(content)
+        else:
+            import zstandard
+
+            zstandard.ZstdDecompressor().decompress(content)
+    except Exception:  # each library has an error of its own; without one JAX cannot read it either
+        return False
+    return True
 
 
 def evict_unused(folder: Path) -> None:
     """Remove cached programs, of JAX and of this library, that were neither written nor read for `UNUSED` seconds."""
     for file in folder.glob("*"):
-        if file.name.endswith((".so", ".json", ".made", "-cache")):  # .made: of versions before this one
+        if file.name.endswith((".so", ".json", ".made", ".tmp", "-cache")):  # .made: of versions before this one
             with contextlib.suppress(OSError):  # another process was faster, or may
                 times = file.stat()
                 # Many file systems do not record reads: then the time of writing counts.
@@ -70,6 +214,7 @@ def evict_unused(folder: Path) -> None:
                     file.unlink()
 
 
+@functools.cache
 def _processor() -> str:
     """A name for the instruction set of this processor."""
     known = [platform.machine()]

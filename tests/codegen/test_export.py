@@ -26,10 +26,14 @@ from covariant.codegen import (
     ROWS,
     Facts,
     Program,
+    Recipe,
     Vectors,
     _data_sheet,
     _source,
+    check_export_name,
+    export_name,
     export_texts,
+    fmu,
     of_family,
     program,
     vectors,
@@ -307,6 +311,67 @@ def test_its_vectors_are_what_the_observer_does_in_jax(name, exported):
     np.testing.assert_array_equal(result, expected.result)
 
 
+@pytest.mark.parametrize("flags", ["-ffast-math", "-Ofast", "-ffinite-math-only", "-std=c90", "-std=gnu90"])
+@needs_compiler
+def test_flags_by_which_it_is_wrong_are_refused(flags, exported, tmp_path):
+    words = ["cc", "-std=c99", flags, "-c", exported("slope").folder / "slope.c"]
+    done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode != 0
+    assert re.search(r"#error .*compile (this file without|it with)", done.stderr)
+
+
+@pytest.mark.parametrize("name", ["slope", "pendulum"])
+@pytest.mark.parametrize(("blind", "seeing"), [("observer", "test"), ("test", "observer"), ("both", "")])
+@needs_compiler
+def test_where_a_compiler_hides_that_it_drops_nan_the_self_test_says_so(blind, seeing, name, exported, tmp_path):
+    """As one that has no macro for such a flag, or a pragma after the guard."""
+    folder = exported(name).folder
+    hidden = ["-O2", "-ffinite-math-only", "-U__FINITE_MATH_ONLY__"]
+    for part, path in (("observer", f"{name}.c"), ("test", f"test/{name}_test.c")):
+        flags = hidden if part != seeing else []
+        ran(["cc", "-std=c99", *flags, "-I.", "-c", path, "-o", tmp_path / f"{part}.o"], folder)
+    ran(["cc", "observer.o", "test.o", "-lm", "-o", "self_test"], tmp_path)
+    done = subprocess.run(["./self_test"], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 1
+    assert done.stdout.startswith(f"{name}: WRONG, NaN is not seen as NaN: compile {name}.c and this file without")
+
+
+@needs_compiler
+def test_an_estimate_that_is_nan_is_no_deviation_of_zero(exported, tmp_path):
+    folder = exported("slope").folder
+    text = (folder / "slope.c").read_text()
+    broken = text.replace("slope_core_estimate(params, state, output);", "*output = (slope_output){{NAN}, {NAN}};")
+    assert broken != text
+    (tmp_path / "slope.c").write_text(broken)
+    ran(["cc", "-std=c99", f"-I{folder}", "slope.c", folder / "test" / "slope_test.c", "-lm", "-o", "a"], tmp_path)
+    done = subprocess.run(["./a"], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 1
+    assert re.search(r"slope: WRONG, 40 steps, largest deviation -?nan of", done.stdout)
+
+
+@pytest.mark.exhaustive("tables")
+@pytest.mark.parametrize("name", ["slope", "pendulum", "tables"])
+@pytest.mark.parametrize("standard", ["c++98", "c++20"])
+@pytest.mark.skipif(shutil.which("g++") is None, reason="there is no C++ compiler")
+def test_it_compiles_as_cpp_too(standard, name, exported, tmp_path):
+    folder = exported(name).folder
+    flags = [f"-std={standard}", *(flag for flag in FLAGS if flag != "-std=c99"), "-I.", "-x", "c++"]
+    ran(["g++", *flags, f"{name}.c", f"test/{name}_test.c", "-o", tmp_path / "self_test"], folder)
+    assert f"{name}: ok" in ran([tmp_path / "self_test"], tmp_path)
+
+
+@needs_compiler
+def test_numbers_named_as_macros_are_members_of_c(tmp_path):
+    names = ("NAN", "INFINITY", "errno", "NULL", "linux", "class")
+    make = lambda numbers: observers.FilteredDerivative(sum(numbers[name] for name in names))  # noqa: E731
+    recipe = Recipe(make, {name: np.array(3.0) for name in names})
+    texts = export_texts(program(recipe, np.zeros(1)), "slope", "", case("slope").measured, Facts(RATE, None))
+    write_folder(texts, tmp_path / "c")
+    for compiler in (["cc", "-std=gnu99"], ["c++", "-x", "c++"]):
+        ran([*compiler, "-include", "errno.h", "-I.", "slope.c", "test/slope_test.c", "-lm", "-o", "a"], tmp_path / "c")
+        assert "slope: ok" in ran(["./a"], tmp_path / "c")
+
+
 @needs_compiler
 def test_two_exports_and_their_wrappers_link_into_one_program_in_cpp(exported, tmp_path):
     names = ("pendulum", "slope")
@@ -564,11 +629,41 @@ def test_a_lag_that_no_export_has_is_refused(options, message, tmp_path):
         covariant.export("oscillator", tmp_path / "c", rate=100.0, audit=False, **({"overrides": NOISE} | options))
 
 
-@pytest.mark.parametrize("name", ["for", "virtual", "2nd", "a-b"])
-def test_a_name_that_is_none_in_c_or_cpp_is_refused(exported, name):
+@pytest.mark.parametrize(
+    ("name", "reason"),
+    [
+        *((name, "is no name in C") for name in ("", "2nd", "a-b", "a.b", "a b", "a\n", "_a", "__a", "größe", "../a")),
+        *((name, "is a keyword of C or C++") for name in ("for", "virtual", "int", "double", "restrict", "bool")),
+        *((name, "is a name of the C library") for name in ("main", "printf", "y0", "j1", "gamma", "NULL", "errno")),
+        *((name, "is a name of the C library") for name in ("I", "size_t", "INT_MAX", "linux", "va_list", "csinf")),
+        *((name, "is a header of the system") for name in ("string", "stdio", "unistd")),
+        *((name, "is a name of POSIX") for name in ("std", "link", "timezone", "sem")),
+        *((name, "is a target of CMake") for name in ("test", "m", "all")),
+        *((name, "is a word of JavaScript") for name in ("let", "function", "arguments")),
+        *((name, "is a word of Python") for name in ("lambda", "None", "def")),
+        *((name, "is a device of Windows") for name in ("con", "CON", "nul", "com1", "Lpt9")),
+        *((name, "two underscores in a row") for name in ("a__b", "arm_")),
+        ("a" * 300, "has 300 letters"),
+    ],
+)
+def test_a_name_that_something_else_has_is_refused(exported, name, reason):
     graphs = exported("slope").program
-    with pytest.raises(ValueError, match="no name in C"):
+    with pytest.raises(ValueError, match=re.escape(reason)) as refused:
         export_texts(graphs, name, "", case("slope").measured, Facts(RATE, None))
+    assert "\n" not in str(refused.value)
+    with pytest.raises(ValueError, match=re.escape(reason)):
+        fmu(graphs, name, "", RATE, case("slope").measured[0])
+
+
+def test_a_name_is_refused_before_any_work_and_a_model_of_such_a_name_gets_another(tmp_path):
+    for name, options in (("printf", {}), ("", {}), ("queue", {"python": True}), ("location", {"wasm": True})):
+        with pytest.raises(ValueError, match=r"'my_|no name in C"):
+            covariant.export("no such model", tmp_path / "c", rate=100.0, name=name, **options)
+    assert export_name("My Robot!") == "my_robot"
+    assert export_name("top") == "top"
+    assert export_name("top", wasm=True) == "observer_top"
+    for name in ("2 link", "test", "random", "con", "größe", "a" * 300, "_", ""):
+        check_export_name(export_name(name, python=True, wasm=True), python=True, wasm=True)
 
 
 def test_too_few_measurements_for_the_faults_of_a_self_test_are_refused(exported):

@@ -278,7 +278,7 @@ def test_the_command_writes_a_package_and_warns_where_there_is_no_compiler(tmp_p
     assert ".wasm" not in readme
     with pytest.raises(ValueError, match="python is for a folder"):
         covariant.export("oscillator", tmp_path / "c.fmu", python=True, **options)
-    with pytest.raises(ValueError, match="'lambda' is a word or a module of Python; name the export otherwise"):
+    with pytest.raises(ValueError, match="'lambda' is a word of Python; take another name, such as 'my_lambda'"):
         covariant.export("oscillator", tmp_path / "d", python=True, name="lambda", **options)
 
 

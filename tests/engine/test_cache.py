@@ -2,12 +2,14 @@
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 import time
 
 import pytest
 
+from covariant._files import read_sealed, write_sealed
 from covariant._programs import UNUSED, cache_folder
 from covariant.engine import _cache
 from covariant.engine._cache import cached_text
@@ -126,8 +128,13 @@ def test_only_what_was_asked_for_is_found(tmp_path, monkeypatch):
     assert cached_text("this", lambda: "2") == "1"
     assert cached_text("that", lambda: "3") == "3"
     for other in ("[]", "{}", '{"c": 1}', '{"c": "1", "d": "2"}', "null", "{"):
-        (cache_folder() / "this.json").write_text(other)
+        write_sealed(cache_folder() / "this.json", other.encode())
         assert cached_text("this", lambda other=other: other) == other
+    for entry in ("this", "that"):  # C that is not what was written is no text, whatever it says
+        (cache_folder() / f"{entry}.json").write_text('{"c": "patched"}')
+        assert cached_text(entry, lambda: "4") == "4"
+    shutil.copy(cache_folder() / "this.json", cache_folder() / "other.json")
+    assert cached_text("other", lambda: "not that of this") == "not that of this"
     monkeypatch.setenv("COVARIANT_CACHE", "off")
     assert cached_text("this", lambda: "5") == "5"
     assert cached_text(None, lambda: "6") == "6"
@@ -142,7 +149,7 @@ def test_a_refusal_is_kept_and_raised_again(tmp_path, monkeypatch):
         with pytest.raises(LoweringError, match="there is none"):
             cached_text("this", write)
     [entry] = cache_folder().iterdir()
-    assert json.loads(entry.read_text()) == {"refused": "there is none"}
+    assert json.loads(read_sealed(entry)) == {"refused": "there is none"}
 
 
 def test_a_full_disk_and_a_folder_that_cannot_be_written_change_no_result(tmp_path, monkeypatch):
@@ -150,7 +157,7 @@ def test_a_full_disk_and_a_folder_that_cannot_be_written_change_no_result(tmp_pa
         raise OSError(28, "No space left on device")
 
     monkeypatch.setenv("COVARIANT_CACHE", str(tmp_path))
-    monkeypatch.setattr(_cache, "write_atomically", full)
+    monkeypatch.setattr(_cache, "write_sealed", full)
     assert cached_text("this", lambda: "7") == "7"
     assert not list(tmp_path.glob("*/*.json"))
     monkeypatch.setenv("COVARIANT_CACHE", "/dev/null/nowhere")
@@ -161,7 +168,7 @@ def test_what_nobody_has_read_for_long_is_evicted(tmp_path, monkeypatch):
     monkeypatch.setenv("COVARIANT_CACHE", str(tmp_path))
     folder = cache_folder()
     now, old = time.time(), time.time() - 1.1 * UNUSED
-    ages = {f"old{ending}": (old, old) for ending in (".so", ".json", ".made", "-cache", ".txt")}
+    ages = {f"old{ending}": (old, old) for ending in (".so", ".json", ".made", "-cache", ".tmp", ".txt")}
     ages |= {"read.so": (now, old), "made.so": (old, now)}
     for name, times in ages.items():
         (folder / name).write_text("")

@@ -117,6 +117,14 @@ def called(function, arguments, results, dtype):
     return [array[:-1].reshape(np.shape(y)) for array, y in zip(outs, results, strict=True)]
 
 
+@pytest.mark.skipif(shutil.which("g++") is None, reason="there is no C++ compiler")
+@pytest.mark.parametrize("name", ["in parts", "rows of a loop", "table"])
+def test_the_file_compiles_as_cpp_too(name, tmp_path):
+    function, shapes = FUNCTIONS[name]
+    (tmp_path / "f.cpp").write_text(to_c(function, *map(jnp.zeros, shapes)))
+    subprocess.run(["g++", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-c", "f.cpp"], cwd=tmp_path, check=True)
+
+
 @compiles
 @pytest.mark.parametrize("real", TYPES)
 @pytest.mark.parametrize("name", FUNCTIONS)
@@ -207,6 +215,8 @@ def test_names_of_the_file_itself_do_no_harm(name, tmp_path):
         ("y0", "a name of the C library"),
         ("free", "a name of the C library"),
         ("main", "a name of the C library"),
+        ("NULL", "a name of the C library"),
+        ("uint8_t", "a name of the C library"),
         ("", "no name in C"),
         ("2nd", "no name in C"),
         ("_f", "no name in C"),

@@ -90,7 +90,7 @@ def data_sheet(program: Program, source: Source, about: str, facts: Facts) -> st
     lines.append("- Give a sample that is lost as one whose numbers are missing, not as a longer step.")
     if program.real == "float":
         lines.append("- Time is counted in single precision: a force that depends on time loses digits after an hour.")
-    lines.append("- NaN marks what is missing, so that `-ffast-math` must not be used.")
+    lines.append("- NaN marks what is missing, so that `-ffast-math` and `-ffinite-math-only` must not be used.")
     if source.tables != "none":
         where = ", those in loops too" if source.tables == "all" else ""
         lines.append(f"- Like statements{where} are done by loops over tables: less memory, more time.")

@@ -8,7 +8,6 @@ import hashlib
 import keyword
 import math
 import platform
-import sys
 import sysconfig
 from collections.abc import Mapping, Sequence
 
@@ -17,6 +16,7 @@ import numpy as np
 from covariant._compile import built, compiler_command
 from covariant._files import zipped
 from covariant._templates import Words, fill
+from covariant.codegen._names import check_export_name
 from covariant.codegen._program import DTYPES, Leaf, Program
 from covariant.codegen._source import common_words
 from covariant.signals import StepCode
@@ -43,7 +43,7 @@ def python_files(program: Program, texts: Mapping[str, str], name: str, about: s
         and the package builds its library where there is one.
 
     Raises:
-        ValueError: The name is a word of Python, or that of a module which the package needs.
+        ValueError: The name is that of a module of Python, or no name of an export.
         OSError: The compiler refuses the sources.
 
     Example:
@@ -56,8 +56,7 @@ def python_files(program: Program, texts: Mapping[str, str], name: str, about: s
         >>> list(codegen.python_files(program, texts, "speed", "A filtered derivative.", 100.0))[:2]
         ['python/speed/__init__.py', 'python/speed/__main__.py']
     """
-    if keyword.iskeyword(name) or name in sys.stdlib_module_names or name == "numpy":
-        raise ValueError(f"{name!r} is a word or a module of Python; name the export otherwise (`name`)")
+    check_export_name(name, python=True)
     token = hashlib.sha256("".join([texts[f"{name}.h"], texts[f"{name}.c"], about, repr(rate)]).encode()).hexdigest()
     version = f"1.0.0+x{token[:8]}"  # another export is another version, so that installing it replaces the former
     words = common_words(program, name, about) | _words(program, about, rate, token[:32], version)

@@ -13,12 +13,13 @@ from typing import Literal, NamedTuple, get_args
 import numpy as np
 
 from covariant._templates import Words, fill
+from covariant.codegen._names import check_export_name
 from covariant.codegen._program import Leaf, Program, Real, part_text
-from covariant.lowering import C_KEYWORDS, CText, Lowered, Signature, c_function, c_helpers, c_number
+from covariant.lowering import C_KEYWORDS, C_MACROS, CText, Lowered, Signature, c_function, c_helpers, c_number
 from covariant.signals import StepCode
 
-KEYWORDS = C_KEYWORDS | {"info"}
-"""Words that are no names of an export or of its numbers; the info of a step is called so."""
+RESERVED = C_KEYWORDS | C_MACROS | {"info"}
+"""Words that are no names of numbers in C; the info of a step is called so."""
 SENTENCE = "This text is yours: use, change and sell it as you like; no licence of its generator extends to it."
 
 
@@ -81,7 +82,8 @@ def write_source(program: Program, name: str, about: str, flash: int | float = m
             machine.
 
     Raises:
-        ValueError: The name is no identifier of C, or the tables are estimated to take more than `flash` too.
+        ValueError: The name is no identifier of C or reserved there, in C++, JavaScript or Python, by the system or by
+            Windows; or the tables are estimated to take more than `flash` too.
 
     Example:
         >>> import numpy as np
@@ -90,10 +92,9 @@ def write_source(program: Program, name: str, about: str, flash: int | float = m
         >>> program = codegen.program(recipe, np.zeros(1))
         >>> codegen.write_source(program, "double", "A filtered derivative.")
         Traceback (most recent call last):
-        ValueError: 'double' is no name in C; take letters, digits and underscores, beginning with a letter
+        ValueError: 'double' is a keyword of C or C++; take another name, such as 'my_double'
     """
-    if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name) or name in KEYWORDS:
-        raise ValueError(f"{name!r} is no name in C; take letters, digits and underscores, beginning with a letter")
+    check_export_name(name)
     least = math.inf
     # From the fastest code to the smallest: the first that fits is taken.
     for tables in get_args(Tables):
@@ -138,8 +139,8 @@ def entries(owner: str, leaf: Leaf) -> list[str]:
 
 
 def field(leaf: Leaf) -> str:
-    """The name of an array in C, with an underscore where it is a keyword."""
-    return f"{leaf.name}_" if leaf.name in KEYWORDS else leaf.name
+    """The name of an array in C, with an underscore where it is a keyword or a macro."""
+    return f"{leaf.name}_" if leaf.name in RESERVED else leaf.name
 
 
 def common_words(program: Program, name: str, about: str) -> Words:
@@ -271,7 +272,9 @@ def _source(program: Program, words: Words, functions: dict[str, CText]) -> str:
         "PART_STEPS": _part_steps(program, words | inputs, "part_step.c"),
     }
     # In the template, y - y is 0 for finite y and NaN for all others, without a function of <math.h>. It refuses
-    # -ffast-math, by which compilers assume that no number is NaN and drop the tests for missing measurements.
+    # -ffast-math and -ffinite-math-only, by which compilers assume that no number is NaN and drop the tests for missing
+    # measurements; where a compiler does not say so, the self-test sees it. Before C99, functions of <math.h> that are
+    # not declared would return an int. C++ has no `restrict`, which only permits faster code.
     return fill("codegen", "observer.c", words | inputs | own)
 
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from covariant._compile import built, zig
 from covariant._templates import Words, fill
+from covariant.codegen._names import check_export_name
 from covariant.codegen._program import Leaf, Program
 from covariant.codegen._source import common_words
 from covariant.codegen._vectors import Vectors
@@ -48,7 +49,8 @@ def wasm_files(
         Contents by their path in the folder of the export.
 
     Raises:
-        ValueError: No compiler for WebAssembly is installed, or it refuses the sources; the message has its words.
+        ValueError: No compiler for WebAssembly is installed, or it refuses the sources; the message has its words. Or
+            the name is that of a global of JavaScript.
 
     Example:
         >>> import numpy as np
@@ -65,6 +67,7 @@ def wasm_files(
         >>> files
         ['speed.wasm', 'speed.js', 'speed_wasm.c', 'test/speed_test.js']
     """
+    check_export_name(name, wasm=True)
     words = common_words(program, name, about) | _words(program, rate)
     calls = fill("codegen", "wasm.c", words)
     binary = _compiled({f"{name}.h": texts[f"{name}.h"], f"{name}.c": texts[f"{name}.c"], "calls.c": calls})

@@ -13,7 +13,7 @@ from collections.abc import Callable
 from importlib.metadata import version
 from pathlib import Path
 
-from covariant._files import write_atomically
+from covariant._files import read_sealed, write_sealed
 from covariant._programs import cache_folder, evict_unused
 from covariant.codegen import TracedProgram
 from covariant.engine._layout import Layout
@@ -53,7 +53,7 @@ def cached_text(key: str | None, write: Callable[[], str]) -> str:
     if entry is None:
         entry = _write_or_refuse(write)
         with contextlib.suppress(OSError):  # such as a full disk
-            write_atomically(path, lambda file: file.write(json.dumps(entry).encode()))
+            write_sealed(path, json.dumps(entry).encode())
             evict_unused(folder)
     if "refused" in entry:
         raise LoweringError(entry["refused"])
@@ -68,9 +68,9 @@ def cached_layout(description: str | None) -> tuple[str, Layout] | None:
     if folder is None or description is None:
         return None
     try:
-        key, *data = json.loads((folder / f"{description[:32]}.json").read_bytes())["traced"]
+        key, *data = json.loads(read_sealed(folder / f"{description[:32]}.json") or b"{}")["traced"]
         return str(key), Layout.from_data(data)
-    except (OSError, ValueError, TypeError, KeyError):
+    except (ValueError, TypeError, KeyError):
         return None
 
 
@@ -80,14 +80,14 @@ def cache_layout(description: str | None, key: str | None, layout: Layout) -> No
     if folder is not None and description is not None and key is not None and data is not None:
         entry = json.dumps({"traced": [key, *data]}).encode()
         with contextlib.suppress(OSError):
-            write_atomically(folder / f"{description[:32]}.json", lambda file: file.write(entry))
+            write_sealed(folder / f"{description[:32]}.json", entry)
 
 
 def _read_entry(path: Path) -> dict[str, str] | None:
-    """An entry; None where there is none, or the file was cut short."""
+    """An entry; None where there is none, or it is not as it was written."""
     try:
-        entry = json.loads(path.read_bytes())
-    except (OSError, ValueError):
+        entry = json.loads(read_sealed(path) or b"{}")
+    except ValueError:
         return None
     # A file of an older layout, or one that another program wrote, counts as absent.
     valid = isinstance(entry, dict) and len(entry) == 1 and isinstance(entry.get("c", entry.get("refused")), str)

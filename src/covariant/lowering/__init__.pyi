@@ -1,11 +1,13 @@
 from .c import (
     C_KEYWORDS as C_KEYWORDS,
+    C_MACROS as C_MACROS,
     CText as CText,
     Signature as Signature,
     c_function as c_function,
     c_helpers as c_helpers,
     c_number as c_number,
     c_rows as c_rows,
+    check_name as check_name,
     simplified as simplified,
     split as split,
     to_c as to_c,

@@ -8,7 +8,7 @@ from importlib import metadata
 from typing import Any
 
 from covariant._compile import EXACT, compiled, compiler
-from covariant._programs import OFF, cache_folder
+from covariant._programs import SharedFolderError, open_cache_folder
 from covariant.workflow._result import AbstractResult
 
 
@@ -168,16 +168,17 @@ def _compiler() -> Part:
 
 def _cache() -> Part:
     """The folder in which compiled programs are kept."""
-    name, folder = "cache folder", cache_folder()
-    if folder is None:
-        chosen, advice = (
-            os.environ.get("COVARIANT_CACHE"),
-            "every process compiles anew; set COVARIANT_CACHE to a folder",
-        )
-        if chosen and chosen.lower() in OFF:
-            return Part(name, f"none: COVARIANT_CACHE={chosen}", advice=advice)
+    name, chosen = "cache folder", os.environ.get("COVARIANT_CACHE")
+    advice = "every process compiles anew; set COVARIANT_CACHE to a folder"
+    try:
+        folder = open_cache_folder()
+    except SharedFolderError as error:
+        return Part(name, "none: others could put code there", str(error))
+    except (OSError, RuntimeError):
         reason = f"COVARIANT_CACHE={chosen} cannot be written" if chosen else "no home to write to"
         return Part(name, f"none: {reason}", advice)
+    if folder is None:
+        return Part(name, f"none: COVARIANT_CACHE={chosen}", advice=advice)
     files = [file.stat().st_size for file in folder.glob("*") if file.is_file()]
     return Part(name, f"{folder}, {len(files)} files, {sum(files) / 1e6:.0f} MB")
 

@@ -3,7 +3,6 @@
 import dataclasses
 import math
 import os
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
@@ -19,6 +18,8 @@ from covariant.codegen import (
     Facts,
     Program,
     Recipe,
+    check_export_name,
+    export_name,
     export_texts,
     fmu,
     of_family,
@@ -142,6 +143,8 @@ def export(
     above_zero("rate", rate)
     gains = gain_pair(alpha, beta)
     _check(unit, real, fmi, flash, step_per_sensor, python, wasm)
+    if name is not None:  # before the work
+        check_export_name(name, python, wasm)
     label = models.spec_name(model)
     progress("reading the model")
     family = _family(model, overrides, parameters)
@@ -158,7 +161,7 @@ def export(
     designed = designed if gate else designed.without_gate()
     measured, chosen = designed.self_test(rate), _plain(designed, gains)
     entry = next(entry for entry in REGISTRY if entry.name == designed.name)
-    prefix = name or _identifier(file.name)
+    prefix = export_name(file.name, python, wasm) if name is None else name
     description = f"{designed.name} observer of {file.name}. {chosen} {refusals}"
     # A simulator asks a unit for steps of any length; firmware has one step length, and must do the same work in each.
     fixed = designed.observer if unit else designed.with_fixed_substeps(rate, measured)
@@ -464,8 +467,3 @@ def _broken_laws(observer: Any) -> str:
     measured = audit.audit(observer, points=AUDITED)
     broken = [law.name for law in measured.rows if law.verdict == "fails"]
     return f"the observer breaks laws of its audit: {', '.join(broken)}" if broken else ""
-
-
-def _identifier(name: str) -> str:
-    plain = re.sub(r"\W", "_", name, flags=re.ASCII).lower()
-    return plain if plain[:1].isalpha() else f"observer_{plain}"  # a name in C does not begin with a digit

@@ -258,7 +258,9 @@ def build() -> Path:
         )
         if done.returncode:
             raise OSError(f"{' '.join(command)} does not compile {_NAME}: {done.stderr.strip()[:300]}")
-        os.replace(fresh, _LIBRARY)  # whole or not at all
+        with open(fresh, "rb+") as file:
+            os.fsync(file.fileno())
+        os.replace(fresh, _LIBRARY)  # whole or not at all, after a crash too
     finally:
         fresh.unlink(missing_ok=True)
     _library.cache_clear()

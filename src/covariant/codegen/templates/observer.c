@@ -7,8 +7,14 @@
 #include <math.h>
 #include <stddef.h>
 
-#ifdef __FAST_MATH__
-#error missing measurements are NaN: compile this file without -ffast-math
+#if defined __FAST_MATH__ || defined _M_FP_FAST || (defined __FINITE_MATH_ONLY__ && __FINITE_MATH_ONLY__)
+#error missing measurements are NaN: compile this file without -ffast-math, -ffinite-math-only and /fp:fast
+#endif
+
+#if defined __cplusplus || (defined _MSC_VER && !defined __STDC_VERSION__)
+#define restrict
+#elif !defined __STDC_VERSION__ || __STDC_VERSION__ < 199901L
+#error this file is C99, or C++: compile it with -std=c99
 #endif
 
 /* Where double has four bytes, as on some microcontrollers, export the observer in float. */

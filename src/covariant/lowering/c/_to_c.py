@@ -13,6 +13,9 @@ from covariant.lowering.c._c_names import check_name
 from covariant.lowering.c._c_writer import Signature
 from covariant.lowering.graph import lower
 
+RESTRICT_IN_CPP = "#ifdef __cplusplus\n#define restrict\n#endif\n"
+"""C++ has no such word, which only permits faster code."""
+
 
 def to_c(function: Callable, *examples: Any, name: str = "f", real: Real = "double") -> str:
     """Generate a C99 source file that computes a JAX function.
@@ -86,7 +89,9 @@ def to_c(function: Callable, *examples: Any, name: str = "f", real: Real = "doub
     signature = Signature(declared, passed, _entries(ins), _entries(outs))
     text = c_function(lowered, name, signature, real, prefix=f"{name}_")
     helpers = c_helpers(text.helpers, real, prefix=f"{name}_")
-    parts = [f"{_comment(name, ins, outs)}#include <math.h>\n", helpers, f"void {name}({declared});\n", text.text]
+    needs_restrict = [RESTRICT_IN_CPP] if "restrict" in f"{helpers}{text.text}" else []
+    head = f"{_comment(name, ins, outs)}#include <math.h>\n"
+    parts = [head, *needs_restrict, helpers, f"void {name}({declared});\n", text.text]
     return "\n".join(part for part in parts if part)
 
 
