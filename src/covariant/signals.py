@@ -196,11 +196,12 @@ class Record(_Fields):
         return self
 
 
-def check_rounding(t: Float[np.ndarray, "T"]) -> None:
+def check_rounding(t: Float[np.ndarray, "T"], precision: Any = None) -> None:
     """Check that the rounding of stamps in single precision does not falsify the steps between them.
 
     Args:
         t: Rising stamps (T,) [s], in any floating-point type.
+        precision: Type to which they will be rounded; their own by default.
 
     Raises:
         ValueError: The rounding exceeds `COARSEST` of the median step.
@@ -210,10 +211,11 @@ def check_rounding(t: Float[np.ndarray, "T"]) -> None:
         >>> from covariant.signals import check_rounding
         >>> check_rounding(np.float32([0.0, 0.01, 0.02]))
     """
-    least, step = np.spacing(np.abs(t).max()), np.median(np.diff(t))
-    if t.dtype.itemsize < 8 and least > COARSEST * step:
+    rounded = np.dtype(t.dtype if precision is None else precision)
+    least, step = np.spacing(np.abs(t).max().astype(rounded)), np.median(np.diff(t))
+    if rounded.itemsize < 8 and least > COARSEST * step:
         raise ValueError(
-            f"stamps in {t.dtype} near {np.abs(t).max():g} s are whole multiples of {least:.2g} s, and rows are "
+            f"stamps in {rounded} near {np.abs(t).max():g} s are whole multiples of {least:.2g} s, and rows are "
             f"{step:.2g} s apart; write them in float64, or count them from the first before they are rounded"
         )
 

@@ -4,6 +4,7 @@ Every bound is also tried where it must fail: below the least gain, and beyond t
 """
 
 import math
+from fractions import Fraction
 
 import equinox as eqx
 import jax
@@ -20,7 +21,7 @@ from covariant.certificates import (
     part_limits,
     proved_decay,
 )
-from covariant.certificates.theory._implicit_limits import weight_of
+from covariant.certificates.theory._implicit_limits import _growth, weight_of
 from covariant.geometry import Budget, Euclidean, hyperbolic, sectional_curvature, sphere
 from covariant.models import Lagrangian, free_body, pendulum_chain, source
 from covariant.observers import ImplicitGeodesic
@@ -395,6 +396,15 @@ def test_no_error_of_a_double_pendulum_falls_more_slowly_than_proved():
         worst = worst_growth(model, decay.before, part, d, speed, q[:200], h)
         assert 0.97 * math.exp(-decay.rate * h) < worst <= math.exp(-decay.rate * h)
         assert worst < 1
+
+
+def test_the_growth_does_not_cancel_where_both_roots_are_one():
+    """There the difference of nearly equal numbers was wrong by √ε, on the side of a faster rate."""
+    after = 1.0
+    for tiny in (1e-8, 1e-9, 1e-10, -1e-8, -1e-9, -1e-10):
+        assert abs(_growth(1 + tiny, after, 1.0, 0.0) - max(1 + tiny, 1.0)) < 1e-15
+    exact = Fraction(1, 2**30)  # with m₀j² = m_h the roots are 1 + s/2 ± √(s + s²/4)
+    assert abs(_growth(1.0, after, 1.0, 2.0**-15) - (1 + float(exact) / 2 + math.sqrt(exact + exact**2 / 4))) < 1e-15
 
 
 def test_where_a_conjugate_point_may_be_nothing_is_said():

@@ -8,6 +8,7 @@ import pytest
 from covariant import models
 from covariant.models import resistance
 from covariant.observers import InverseDynamics, MomentumObserver, observed_forces
+from covariant.signals import StampError
 from covariant.simulation import simulate
 
 CHAIN = models.pendulum_chain((1.0, 0.7), (0.5, 0.4), viscous=(0.05, 0.02))
@@ -83,6 +84,45 @@ def test_inverse_dynamics_of_a_constant_acceleration_and_of_a_swing():
         errors.append(np.abs(force - PUSH)[settled].max())
     assert errors[1] < 0.3 * errors[0]  # the lag of the acceleration is one over the bandwidth
     assert errors[1] < 0.5
+
+
+@pytest.mark.parametrize("kind", [MomentumObserver, InverseDynamics])
+def test_rows_without_a_motion_leave_the_force_as_it_was(kind):
+    """Also the row after, if it has nothing to start from; after that the force is found again."""
+    t = np.linspace(0.0, 2.0, 201)  # a unit mass on a unit spring, pushed by 2 N
+    q, v, u = 2 * (1 - np.cos(t))[:, None], 2 * np.sin(t)[:, None], np.zeros((201, 1))
+    observer = kind(models.oscillator(), 25.0)
+    whole = np.asarray(observed_forces(observer, t, u, q, v))
+    for spoiled in range(3):
+        rows = u.copy(), q.copy(), v.copy()
+        rows[spoiled][100] = np.nan
+        force = np.asarray(observed_forces(observer, t, *rows))
+        held = 101 if spoiled == 0 else 100  # the input of a row acts until the next one
+        assert force[held] == force[held - 1]
+        np.testing.assert_array_equal(force[:100], whole[:100])
+        np.testing.assert_allclose(force[180:], whole[180:], atol=1e-4)
+
+
+@pytest.mark.parametrize("kind", [MomentumObserver, InverseDynamics])
+def test_a_sample_with_the_stamp_of_the_one_before_changes_nothing(kind):
+    t = np.linspace(0.0, 2.0, 201)
+    rows = np.zeros((201, 1)), 2 * (1 - np.cos(t))[:, None], 2 * np.sin(t)[:, None]
+    observer = kind(models.oscillator(), 25.0)
+    twice = [
+        np.insert(each, 100, each[99] + shift, axis=0) for each, shift in zip((t, *rows), (0, 0, 1, 1), strict=True)
+    ]
+    force = np.delete(np.asarray(observed_forces(observer, *twice)), 100, axis=0)
+    np.testing.assert_array_equal(force, observed_forces(observer, t, *rows))
+
+
+def test_stamps_that_say_nothing_are_named():
+    observer, zeros = MomentumObserver(CHAIN, 1.0), np.zeros((3, 2))
+    with pytest.raises(StampError, match=r"row 3: the stamp 0\.05 s is not finite or before that of row 2"):
+        observed_forces(observer, np.array([0.0, 0.1, 0.05]), zeros, zeros, zeros)
+    with pytest.raises(StampError, match="row 2: the stamp nan s"):
+        observed_forces(observer, np.array([0.0, np.nan, 0.1]), zeros, zeros, zeros)
+    with pytest.raises(ValueError, match="at least one"):
+        observed_forces(observer, np.zeros(0), *[np.zeros((0, 2))] * 3)
 
 
 @pytest.mark.parametrize(("kind", "name"), [(MomentumObserver, "gain"), (InverseDynamics, "bandwidth")])

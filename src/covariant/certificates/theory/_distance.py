@@ -17,6 +17,7 @@ from covariant._adaptive import solve
 from covariant._linalg import solve as solve_linear
 from covariant._typing import Scalar, Vector
 from covariant.certificates.base import Flow, Hypothesis, Statement, StateMetric
+from covariant.signals import check_rounding
 
 NODES, WEIGHTS = ((np.polynomial.legendre.leggauss(12)[0] + 1) / 2, np.polynomial.legendre.leggauss(12)[1] / 2)
 SOLVED = 1e-9
@@ -200,8 +201,8 @@ def decay(
         Bounds of the distances.
 
     Raises:
-        ValueError: there are no pairs; stamps do not rise; the states of a pair are equal; the metric is not positive
-            definite along a pair; or a solution cannot be followed.
+        ValueError: there are no pairs; stamps do not rise, or not in the precision of JAX; the states of a pair are
+            equal; the metric is not positive definite along a pair; or a solution cannot be followed.
 
     Example:
         >>> import jax.numpy as jnp
@@ -217,6 +218,7 @@ def decay(
         raise ValueError(f"decay needs pairs x0 and x1 (k, n), at least one; got {np.shape(x0)} and {np.shape(x1)}")
     if stamps.ndim != 1 or len(stamps) < 2 or not (np.diff(stamps) > 0).all():
         raise ValueError("decay needs at least two stamps t [s], each later than the one before")
+    check_rounding(stamps, jnp.asarray(t).dtype)
     if not np.isfinite(rate):
         raise ValueError(f"decay: the rate must be a finite number; got {rate}")
     low, high, least = (np.asarray(a) for a in _bound_distances(flow, metric, x0, x1, t))

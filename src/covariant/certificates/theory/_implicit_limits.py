@@ -417,8 +417,10 @@ def _growth(before: float, after: float, left: float, added: float) -> float:
     """
     if after <= 0:
         return math.inf
-    half, product = (1 + (before * left**2 + added**2) / after) / 2, before * left**2 / after
-    return half + math.sqrt(max(half * half - product, 0.0))
+    product, spoiled = before * left**2 / after, added**2 / after
+    # The discriminant as a sum of squares: half² − product cancels near the double root 1, where it would be √ε wrong.
+    discriminant = (1 - product) ** 2 + spoiled * (2 + 2 * product + spoiled)
+    return (1 + product + spoiled + math.sqrt(discriminant)) / 2
 
 
 def _correction(part: float, sigma: float, errors: CurvedErrors) -> tuple[float, float]:

@@ -25,6 +25,7 @@ from ._protocol import (
     check_positive as check_positive,
     checked as checked,
     continuous as continuous,
+    in_jax as in_jax,
     kept as kept,
     no_input as no_input,
     outcome as outcome,

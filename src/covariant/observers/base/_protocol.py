@@ -35,7 +35,7 @@ from jaxtyping import Array, Float, Inexact
 from covariant._functional import Functional
 from covariant._typing import Code, Number, Scalar, Vector
 from covariant.models import MechanicalSystem, Motion, input_count
-from covariant.signals import Record, Run, StepCode, largest_measurement
+from covariant.signals import Record, Run, StepCode, check_rounding, largest_measurement
 
 LastInput = Float[Array, "m"] | None
 """The last finite input, in the field `last_input` of a state; None where the state stores none."""
@@ -614,6 +614,19 @@ def outcome(q: Array, v: Array, y: Array, result: Code | int = StepCode.OK) -> C
     return jnp.where(finite, measured, int(StepCode.NOT_FINITE)).astype(jnp.int32)
 
 
+def in_jax(record: Record) -> tuple[Array, Array, Array]:
+    """Stamps, inputs and measurements of a checked record as JAX holds them.
+
+    Without double precision in JAX, stamps that are far from zero would lose the steps between them, and no result code
+    would show it.
+    """
+    t, u, y = map(jnp.asarray, record[:3])
+    stamps = np.asarray(record.t)
+    if np.issubdtype(stamps.dtype, np.floating):
+        check_rounding(stamps, t.dtype)
+    return t, u, y
+
+
 class Rows(NamedTuple):
     """The steps of a record, one for each of its rows.
 
@@ -729,7 +742,7 @@ def run(observer: AbstractObserver, record: Record, keep: Collection[str] | None
         >>> bool(np.allclose(run.estimate[-1], [np.cos(4.0), -np.sin(4.0)], atol=1e-3))
         True
     """
-    t, u, y, _ = checked(observer, record)
+    t, u, y = in_jax(checked(observer, record))
     fields = None if keep is None else frozenset(keep)
-    estimate, info = _scan(observer, jnp.asarray(t), jnp.asarray(u), jnp.asarray(y), fields)
-    return Run(jnp.asarray(t), estimate, info)
+    estimate, info = _scan(observer, t, u, y, fields)
+    return Run(t, estimate, info)

@@ -28,7 +28,7 @@ from jaxtyping import Array, Bool, Float
 
 from covariant._linalg import cholesky, lower_solve, solve_square, upper_solve
 from covariant._typing import Matrix, Scalar, Vector
-from covariant.observers.base import AbstractObserver, Rows, checked, covariance_at, scan
+from covariant.observers.base import AbstractObserver, Rows, checked, covariance_at, in_jax, scan
 from covariant.observers.filters._ekf import EKF
 from covariant.observers.filters._intrinsic_kalman import IntrinsicKalman
 from covariant.observers.filters._smoother import Recorder, Smoothing, Step, backward_map, error_before
@@ -119,11 +119,11 @@ def noise_step(observer: AbstractObserver, record: Record) -> NoiseStep:
         raise ValueError("noise_step: the noise of encoders that count ticks, or have an offset, is not estimated")
     if getattr(observer, "sensors", ()):
         raise ValueError("noise_step: the noise of sensors beside the positions is not estimated; leave them out")
-    t, u, y, _ = checked(observer, record)
+    rows = in_jax(checked(observer, record))
     process, measurement = (jnp.asarray(each) for each in (observer.process_cov, observer.measurement_cov))
     parts = _parts(process)
     stacked = jnp.concatenate([parts, jnp.zeros_like(process)[None]])
-    sums = _statistics(observer, stacked, jnp.asarray(t), jnp.asarray(u), jnp.asarray(y))
+    sums = _statistics(observer, stacked, *rows)
     n = len(sums.squares)
     # Noise of r joints enters each Runge–Kutta step by position and velocity; more columns would be slower, not wrong.
     columns = 2 * n if observer.substeps is None else min(2 * observer.substeps * n // len(parts), 2 * n)

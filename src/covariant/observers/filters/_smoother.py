@@ -40,7 +40,7 @@ from covariant._linalg import (
     upper_solve,
 )
 from covariant._typing import Code, Flag, Matrix, Number, Scalar, Vector
-from covariant.observers.base import AbstractObserver, AbstractWrapper, Rows, checked, kept, scan
+from covariant.observers.base import AbstractObserver, AbstractWrapper, Rows, checked, in_jax, kept, scan
 from covariant.observers.filters._gated_filter import AbstractGatedFilter
 from covariant.signals import Record, Run, StepCode
 
@@ -212,8 +212,7 @@ def smooth(
         )
     if lag is not None and lag < 0:
         raise ValueError(f"smooth: lag must be a number of rows, 0 or more; got {lag}")
-    t, u, y, _ = checked(observer, record)
-    result = smoothed(observer, jnp.asarray(t), jnp.asarray(u), jnp.asarray(y), lag, keep)
+    result = smoothed(observer, *in_jax(checked(observer, record)), lag, keep)
     largest, beside = (
         max(float(np.abs(leaf).max()) for leaf in jax.tree.leaves(run.estimate))
         for run in (result.run, result.filtered)

@@ -10,11 +10,13 @@ De Luca & Albu-Schäffer 2017, Robot collisions: a survey, IEEE Transactions on 
 """
 
 import abc
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, final
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from covariant._functional import Functional
@@ -22,6 +24,7 @@ from covariant._typing import Number, Scalar, Vector
 from covariant.geometry import derivative
 from covariant.models import MechanicalSystem, applied_force, resistance
 from covariant.observers.base import as_gain, check_positive
+from covariant.signals import StampError, check_rounding
 
 
 class ForceState(NamedTuple):
@@ -75,20 +78,37 @@ class AbstractForceObserver(Functional):
         """
         return ForceState(jnp.asarray(t, v.dtype), q, v, jnp.zeros_like(v), jnp.zeros_like(v))
 
-    @abc.abstractmethod
+    @final
     def step(self, state: ForceState, u: Float[Array, "m"], q: Array, v: Vector, dt: Scalar) -> ForceState:
         """State at the next sample.
+
+        The force stays where a sample tells nothing of it: next to a configuration or velocity that is not finite, and
+        under an input that is not. A sample that is not later than the one before changes nothing.
 
         Args:
             state: State at the sample before.
             u: Input (m,) that acted in between.
             q: Configuration at the next sample.
             v: Velocity (n,) there, in the frame.
-            dt: Time [s] between them; after none the force stays.
+            dt: Time [s] between them.
 
         Returns:
             The state, with the force that is estimated there.
         """
+        later = jnp.isfinite(dt) & (dt > 0)
+        # The divisor 1 only avoids 0/0: the state of such a step is not used.
+        new = self._stepped(state, u, q, v, jnp.where(later, dt, 1.0))
+        known = jnp.all(jnp.isfinite(new.force)) & jnp.all(jnp.isfinite(new.acceleration))
+        # Position and velocity are stored even so: the next sample starts from them, or again tells nothing.
+        new = new._replace(
+            force=jnp.where(known, new.force, state.force),
+            acceleration=jnp.where(known, new.acceleration, state.acceleration),
+        )
+        return jax.tree.map(lambda a, b: jnp.where(later, a, b), new, state)
+
+    @abc.abstractmethod
+    def _stepped(self, state: ForceState, u: Float[Array, "m"], q: Array, v: Vector, dt: Scalar) -> ForceState:
+        """`step` for a sample that is later than the one before."""
 
 
 class MomentumObserver(AbstractForceObserver):
@@ -121,12 +141,11 @@ class MomentumObserver(AbstractForceObserver):
     def __check_init__(self):
         check_positive("MomentumObserver", gain=self.gain)
 
-    def step(self, state: ForceState, u: Float[Array, "m"], q: Array, v: Vector, dt: Scalar) -> ForceState:
+    def _stepped(self, state: ForceState, u: Float[Array, "m"], q: Array, v: Vector, dt: Scalar) -> ForceState:
         space, end = self.model.space, state.t + dt
         change = space.lower(q, v) - space.lower(state.q, state.v)
         known = (self._rate(state.t, state.q, state.v, u) + self._rate(end, q, v, u)) / 2
-        # The divisor 1 only avoids 0/0: without time the factor before it is zero.
-        unexplained = change / jnp.where(dt > 0, dt, 1.0) - known
+        unexplained = change / dt - known
         force = state.force - jnp.expm1(-self.gain * dt) * (unexplained - state.force)
         return state._replace(t=end, q=q, v=v, force=force)
 
@@ -168,13 +187,13 @@ class InverseDynamics(AbstractForceObserver):
     def __check_init__(self):
         check_positive("InverseDynamics", bandwidth=self.bandwidth)
 
-    def step(self, state: ForceState, u: Float[Array, "m"], q: Array, v: Vector, dt: Scalar) -> ForceState:
+    def _stepped(self, state: ForceState, u: Float[Array, "m"], q: Array, v: Vector, dt: Scalar) -> ForceState:
         space, end = self.model.space, state.t + dt
-        slope = (v - state.v) / jnp.where(dt > 0, dt, 1.0)
+        slope = (v - state.v) / dt
         acceleration = state.acceleration - jnp.expm1(-self.bandwidth * dt) * (slope - state.acceleration)
         needed = space.lower(q, acceleration) + space.connection_force(q, v, v)
         force = needed - applied_force(self.model, end, q, u) - resistance(self.model, end, q, v, u)
-        return ForceState(end, q, v, jnp.where(dt > 0, force, state.force), acceleration)
+        return ForceState(end, q, v, force, acceleration)
 
 
 def observed_forces(
@@ -201,7 +220,8 @@ def observed_forces(
         The forces (T, n); zero in the first row, where no motion is known yet.
 
     Raises:
-        ValueError: The arrays do not have the same number of rows.
+        ValueError: The arrays do not have the same number of rows, or have none; a `StampError` for a stamp that is not
+            finite or goes back.
 
     Example:
         >>> import numpy as np
@@ -212,11 +232,27 @@ def observed_forces(
         >>> round(held[-1, 0].item(), 3)
         0.3
     """
-    t, u, q, v = (jnp.asarray(each, float) for each in (t, u, q, v))
     lengths = {"t": len(t), "u": len(u), "q": len(q), "v": len(v)}
-    if len(set(lengths.values())) > 1:
-        raise ValueError(f"observed_forces: t, u, q and v must have the same number of rows; they have {lengths}")
-    return _scan(observer, t, u, q, v)
+    if len(set(lengths.values())) > 1 or not len(t):
+        raise ValueError(
+            f"observed_forces: t, u, q and v must have the same number of rows, at least one; they have {lengths}"
+        )
+    if not isinstance(t, Tracer):
+        _check_stamps(np.asarray(t, float))
+    return _scan(observer, *(jnp.asarray(each, float) for each in (t, u, q, v)))
+
+
+def _check_stamps(t: np.ndarray) -> None:
+    """Check that stamps are finite, do not go back, and keep their steps where JAX has single precision."""
+    wrong = ~np.isfinite(t) | (np.diff(t, prepend=t[:1]) < 0)
+    if wrong.any():
+        k = int(wrong.argmax())
+        raise StampError(
+            f"observed_forces: row {k + 1}: the stamp {t[k]:g} s is not finite or before that of row {k}; sort or "
+            "split the log"
+        )
+    if len(t) > 1:
+        check_rounding(t, jnp.result_type(float))
 
 
 @eqx.filter_jit
