@@ -106,7 +106,7 @@ def test_a_full_disk_names_the_file_and_not_the_temporary_one(tmp_path, monkeypa
         write_atomically(tmp_path / "none" / "a", lambda file: None)
     assert error.value.filename == str(tmp_path / "none" / "a")
     with pytest.raises(FileNotFoundError) as error:  # of another file
-        write_atomically(path, lambda file: open(tmp_path / "log.csv"))  # noqa: PTH123, SIM115
+        write_atomically(path, lambda file: open(tmp_path / "log.csv"))  # noqa: SIM115
     assert error.value.filename == str(tmp_path / "log.csv")
     assert left(tmp_path) == []
 

@@ -603,7 +603,9 @@ def test_files_of_a_folder_are_replaced_only_where_all_can_be_written(tmp_path, 
     monkeypatch.setattr(os, "fsync", full)
     with pytest.raises(OSError, match=r"No space left on device.*a_test\.c"):
         write_folder(dict.fromkeys(files, "new"), tmp_path / "e", overwrite=True)
-    found = {path.relative_to(tmp_path / "e").as_posix(): path for path in (tmp_path / "e").rglob("*") if path.is_file()}
+    found = {
+        path.relative_to(tmp_path / "e").as_posix(): path for path in (tmp_path / "e").rglob("*") if path.is_file()
+    }
     assert {name: path.read_text() for name, path in found.items()} == files
 
 

@@ -173,8 +173,8 @@ def test_nothing_is_replaced_or_left_where_writing_fails(tmp_path, monkeypatch):
     logs.write(tmp_path / "log.rosbag2", {"t": SECONDS, "q": SECONDS})
     with pytest.raises(LogError, match="there is such a folder already"):
         logs.write(tmp_path / "log.rosbag2", {"t": SECONDS, "q": SECONDS})
-    with pytest.raises(LogError, match=r"b\.rosbag2: cannot be written: database or disk is full"), monkeypatch.context() as m:
-        m.setattr(Writer, "write", full)
+    monkeypatch.setattr(Writer, "write", full)
+    with pytest.raises(LogError, match=r"b\.rosbag2: cannot be written: database or disk is full"):
         logs.write(tmp_path / "b.rosbag2", {"t": SECONDS, "q": SECONDS})
     assert (tmp_path / "log.mcap").read_bytes() == before
     assert sorted(each.name for each in tmp_path.iterdir()) == ["log.mcap", "log.rosbag2"]

@@ -211,7 +211,9 @@ def test_a_lost_chunk_is_found_and_computed_again(whole, tmp_path, name):
     chunk = next(file for file in (path / name / "c" / "1" / "2", *path.glob(f"{name}/c/1/2/**/0")) if file.is_file())
     chunk.unlink()
     for complete in (True, False):
-        with pytest.raises(ValueError, match=r"map\.zarr is not complete: 1 of 12 blocks are missing; run its map_grid"):
+        with pytest.raises(
+            ValueError, match=r"map\.zarr is not complete: 1 of 12 blocks are missing; run its map_grid"
+        ):
             open_grid(path, complete=complete)
     map_grid(observables, GRID, path, block=BLOCK, on_progress=lambda *done: seen.append(done), **SETTINGS)
     assert seen[0] == (74, 77), "3 points of one block"

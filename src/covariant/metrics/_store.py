@@ -139,9 +139,9 @@ def finish(path: Path) -> None:
 
 
 def written(path: Path, n: int) -> set[tuple[int, ...]]:
-    """Indices of the blocks that are done and have all their chunks: one of `done` exists only where the flag is set."""
+    """Indices of the blocks that are done, of which none has lost a chunk."""
     attributes = _attributes(path)
-    blocks = _chunks(path / DONE, n)
+    blocks = _chunks(path / DONE, n)  # a chunk of `done` exists only where the flag is set
     # A chunk may be lost while its flag is set, by a copy that was cut short for example.
     for name, variable in attributes["variables"].items() if attributes.get(ALL_CHUNKS) else ():
         # The axes of the variable itself are never cut: each has one chunk, 0.

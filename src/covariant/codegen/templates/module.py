@@ -332,7 +332,8 @@ def _read(into: np.ndarray, value: object, name: str, shape: tuple) -> None:
     array = _real(value, name)
     if array.shape != shape:
         raise ValueError(f"{name} has the shape {array.shape}; one sample has {shape}")
-    into[:] = array.ravel()
+    with np.errstate(over="ignore"):  # too large for the type of the observer: infinite
+        into[:] = array.ravel()
 
 
 def _rows(value: object, name: str, shape: tuple) -> np.ndarray:
