@@ -1,6 +1,8 @@
 """Files appear whole or not at all, and what a killed writer leaves is gone after the next one."""
 
 import concurrent.futures
+import errno
+import os
 import signal
 import subprocess
 import sys
@@ -9,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from covariant._files import attended, sweep, temporary, write_atomically
+from covariant._files import attended, sweep, temporary, write_atomically, write_together
 
 KILLED = """
 import os, signal, sys
@@ -87,6 +89,46 @@ def test_a_failed_write_leaves_the_old_file_and_nothing_else(tmp_path):
     assert path.read_bytes() == b"old"
     with pytest.raises(FileNotFoundError):
         write_atomically(tmp_path / "none" / "a", lambda file: None)
+
+
+def test_a_full_disk_names_the_file_and_not_the_temporary_one(tmp_path, monkeypatch):
+    def full(_):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    path = tmp_path / "run.csv"
+    for name in ("fsync", "replace"):
+        with monkeypatch.context() as patch:
+            patch.setattr(os, name, lambda *_: full(_))
+            with pytest.raises(OSError, match="No space left") as error:
+                write_atomically(path, lambda file: file.write(b"new"))
+        assert error.value.filename == str(path)
+    with pytest.raises(FileNotFoundError) as error:
+        write_atomically(tmp_path / "none" / "a", lambda file: None)
+    assert error.value.filename == str(tmp_path / "none" / "a")
+    with pytest.raises(FileNotFoundError) as error:  # of another file
+        write_atomically(path, lambda file: open(tmp_path / "log.csv"))  # noqa: SIM115
+    assert error.value.filename == str(tmp_path / "log.csv")
+    assert left(tmp_path) == []
+
+
+def test_files_that_belong_together_are_all_written_before_one_is_replaced(tmp_path, monkeypatch):
+    paths = [write_atomically(tmp_path / name, lambda file: file.write(b"old")) for name in "abc"]
+    synced = iter([None, None])
+
+    def full(_):
+        if next(synced, full) is full:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "fsync", full)
+        with pytest.raises(OSError, match="No space left") as error:
+            write_together(dict.fromkeys(paths, b"new"))
+    assert error.value.filename == str(paths[2])
+    assert [path.read_bytes() for path in paths] == 3 * [b"old"]
+    assert left(tmp_path) == ["a", "b", "c"]
+    write_together(dict.fromkeys(paths, b"new"))
+    assert [path.read_bytes() for path in paths] == 3 * [b"new"]
+    assert left(tmp_path) == ["a", "b", "c"]
 
 
 def test_a_folder_is_tidied_only_where_nobody_else_writes(tmp_path):

@@ -29,15 +29,35 @@ def write_atomically(path: str | os.PathLike[str], write: Callable[[BinaryIO], o
     A writer that is killed leaves its temporary file, and the next writer to the same path removes it.
     """
     path = Path(path)
+    with _written(path, write) as fresh:
+        os.replace(fresh, path)
+    _sync_folder(path.parent)
+    return path
+
+
+def write_together(files: Mapping[Path, bytes]) -> None:
+    """Write files atomically, each by itself, and replace none before all are on the disk."""
+    with contextlib.ExitStack() as stack:
+        fresh = {
+            path: stack.enter_context(_written(path, lambda file, content=content: file.write(content)))
+            for path, content in files.items()
+        }
+        for path, written in fresh.items():
+            os.replace(written, path)
+    for folder in {path.parent for path in files}:
+        _sync_folder(folder)
+
+
+@contextlib.contextmanager
+def _written(path: Path, write: Callable[[BinaryIO], object]) -> Iterator[Path]:
+    """Context of a temporary file of `path` that is written and on the disk."""
     # A plain `open`, not `tempfile`, so that the file gets the permissions any other new file would.
     with temporary(path, lambda fresh: fresh.open("xb").close()) as fresh:
         with fresh.open("wb") as file:
             write(file)
             file.flush()
             os.fsync(file.fileno())
-        os.replace(fresh, path)
-    _sync_folder(path.parent)
-    return path
+        yield fresh
 
 
 def _sync_folder(folder: Path) -> None:
@@ -90,9 +110,11 @@ def temporary(path: Path, make: Callable[[Path], object]) -> Iterator[Path]:
     living writer.
     """
     sweep(path)
-    fresh, lock = _create_locked_file(path, make)
+    with _named(path):
+        fresh, lock = _create_locked_file(path, make)
     try:
-        yield fresh
+        with _named(path):
+            yield fresh
     finally:
         _remove(fresh)
         if lock is not None:
@@ -131,6 +153,19 @@ def _create_locked_file(path: Path, make: Callable[[Path], object]) -> tuple[Pat
             return fresh, lock
         if lock is not None:  # another process removed it between its creation and its locking
             os.close(lock)
+
+
+@contextlib.contextmanager
+def _named(path: Path) -> Iterator[None]:
+    """Context in which errors of the temporary file of `path`, and those that name no file, name `path`."""
+    try:
+        yield
+    except OSError as error:
+        # A full disk names no file, and a failed opening names the temporary one, which nobody has heard of.
+        ours = error.filename is None or f".{path.name}." in str(error.filename)
+        if error.errno is None or not ours:
+            raise
+        raise OSError(error.errno, error.strerror, str(path)) from error
 
 
 def _open(path: Path) -> int | None:

@@ -1,8 +1,10 @@
 """Exported observers compile without a warning and follow Python; they need no memory management and share no names."""
 
+import errno
 import functools
 import json
 import math
+import os
 import re
 import shlex
 import shutil
@@ -681,6 +683,25 @@ def test_a_folder_with_files_is_left_alone_unless_told(tmp_path):
     assert (tmp_path / "a.c").read_text() == "x"
     with pytest.raises(ValueError, match="there is no folder"):
         write_folder({"a.c": "x"}, tmp_path / "not" / "there")
+
+
+def test_files_of_a_folder_are_replaced_only_where_all_can_be_written(tmp_path, monkeypatch):
+    """A header must not meet the source of another export."""
+    files = {"a.h": "old", "a.c": "old", "test/a_test.c": "old"}
+    write_folder(files, tmp_path / "e")
+    synced = iter([None, None])
+
+    def full(_):
+        if next(synced, full) is full:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(OSError, match=r"No space left on device.*a_test\.c"):
+        write_folder(dict.fromkeys(files, "new"), tmp_path / "e", overwrite=True)
+    found = {
+        path.relative_to(tmp_path / "e").as_posix(): path for path in (tmp_path / "e").rglob("*") if path.is_file()
+    }
+    assert {name: path.read_text() for name, path in found.items()} == files
 
 
 def command(monkeypatch, capsys, *words) -> tuple[int, str, str]:

@@ -18,6 +18,7 @@ import pytest
 from covariant import _compile, models, observers
 from covariant.cli import main
 from covariant.codegen import _fmu, fmu, of_family, program, with_open_numbers, write_fmu
+from covariant.signals import StepCode
 
 ROOT = Path(__file__).parents[2]
 MODEL = ROOT / "examples" / "demo_double_pendulum.toml"
@@ -182,6 +183,14 @@ class Driven:
         assert self.access("Get", name, values) == 0
         return values
 
+    def outcome(self) -> int:
+        value = ctypes.c_int32()
+        three = self.version == "3.0"
+        reference = ctypes.byref(ctypes.c_uint32(1 if three else 0)), ctypes.c_size_t(1)
+        size = (ctypes.c_size_t(1),) if three else ()
+        assert self.does("GetInt32" if three else "GetInteger", *reference, ctypes.byref(value), *size) == 0
+        return value.value
+
     def begin(self, t: float) -> None:
         started = (False, ctypes.c_double(0), ctypes.c_double(t), False, ctypes.c_double(0))
         if self.version == "3.0":
@@ -223,6 +232,54 @@ def test_the_binary_does_what_the_observer_does_in_python(version, paths, tmp_pa
     assert unit.does("FreeFMUState" if version == "3.0" else "FreeFMUstate", ctypes.byref(state)) == 0
     assert unit.does("Terminate") == 0
     getattr(unit.library, unit.prefix + "FreeInstance")(unit.instance)
+
+
+@pytest.mark.long
+@needs_compiler
+@pytest.mark.parametrize("version", ["3.0", "2.0"])
+def test_no_odd_step_silences_a_unit(version, paths, tmp_path):
+    """Times that are not finite are refused, others are named by the outcome; after each the unit follows as before."""
+
+    def follow(unit: Driven, first: int, rows: int) -> int:
+        for k in range(first, first + rows):
+            at = k / RATE
+            unit.access("Set", "y", np.array([0.3 * np.sin(3 * at), 0.2 * np.cos(4 * at)]))
+            assert unit.step(at, 1 / RATE) == 0
+        return unit.outcome()
+
+    t, nan, inf = 30 / RATE, np.nan, np.inf
+    refused = [(nan, 0.1), (inf, 0.1), (-inf, 0.1), (t, nan), (t, inf), (t, -0.1), (1e308, 1.7e308)]
+    named = {
+        (t - 2 / RATE, 0.1): StepCode.STEP_REFUSED,
+        (29 / RATE, 0.1): StepCode.REPEATED,  # the time of the last measurement
+        (t, 0.0): StepCode.OK,
+        (t, 5e-324): StepCode.OK,
+        (t, 1e300): StepCode.NOT_FINITE,
+        (1e300, 0.1): StepCode.NOT_FINITE,
+    }
+    unit = Driven(version, paths[version], tmp_path)
+    assert unit.access("Set", "u", np.array([0.0, 0.0])) == 0
+    unit.begin(0.0)
+    assert follow(unit, 0, 30) == StepCode.OK
+    state, name = ctypes.c_void_p(), "FMUState" if version == "3.0" else "FMUstate"
+    assert unit.does(f"Get{name}", ctypes.byref(state)) == 0
+    before = np.concatenate([unit.read("q", 2), unit.read("v", 2)])
+    assert follow(unit, 30, 60) == StepCode.OK
+    expected = np.concatenate([unit.read("q", 2), unit.read("v", 2)])
+    for step in [*refused, *named]:
+        assert unit.does(f"Set{name}", state) == 0
+        assert unit.step(*step) == (0 if step in named else 3), step
+        assert unit.outcome() == named.get(step, StepCode.OK), step
+        found = np.concatenate([unit.read("q", 2), unit.read("v", 2)])
+        assert np.isfinite(found).all(), step
+        if step in refused:
+            np.testing.assert_array_equal(found, before)
+        assert follow(unit, 30, 60) == StepCode.OK, step
+        found = np.concatenate([unit.read("q", 2), unit.read("v", 2)])
+        # One that was not finite starts again at rest.
+        tolerance = 0.5 if named.get(step) == StepCode.NOT_FINITE else 1e-3
+        np.testing.assert_allclose(found, expected, rtol=0, atol=tolerance, err_msg=str(step))
+    assert unit.does(f"Free{name}", ctypes.byref(state)) == 0
 
 
 @pytest.mark.exhaustive("3.0")

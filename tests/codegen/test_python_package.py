@@ -106,6 +106,27 @@ def test_a_log_is_what_the_library_makes_of_it(name, package):
 
 
 @needs_compiler
+def test_arrays_of_any_layout_reach_c_in_its_own(package):
+    """Also those between the words of memory, as of a packed record, which some processors cannot read."""
+    made, record = package("slope"), log(np.zeros(1), 0)
+    packed = np.zeros(ROWS, [("flag", "i1"), ("y", "f8", (1,))])
+    packed["y"] = record.y
+    shifted = np.frombuffer(bytes(1) + record.y.tobytes(), np.float64, offset=1).reshape(-1, 1)
+    assert not shifted.flags.aligned
+    _, measured, _ = made._checked(record.t, shifted, None)
+    assert measured.flags.aligned
+    expected = made.run(record.t, record.y)
+    for y in (
+        shifted,
+        packed["y"],
+        record.y.astype(">f8"),
+        np.asfortranarray(record.y),
+        np.repeat(record.y, 2, 0)[::2],
+    ):
+        np.testing.assert_array_equal(made.run(record.t, y).v, expected.v)
+
+
+@needs_compiler
 @pytest.mark.skipif(importlib.util.find_spec("cffi") is None, reason="cffi is not installed")
 def test_a_log_in_compiled_c_is_the_same(package):
     """The engine compiles C of the same graph with other flags."""

@@ -72,10 +72,45 @@ def test_it_does_in_node_what_its_c_does(wasm, real, tmp_path, monkeypatch):
     np.testing.assert_allclose(np.array(estimates)[:, :2], expected.q[1:], rtol=0, atol=tolerance)
     np.testing.assert_allclose(np.array(estimates)[:, 2:], expected.v[1:], rtol=0, atol=tolerance)
     assert codes == expected.result[1:].tolist()
+    check_odd_rows(made, folder, name)
     if real == "double":
         (use,) = (b for b in blocks((ROOT / "docs" / "browser.md").read_text(encoding="utf-8")) if b.language == "js")
         assert node(use.text.replace("./arm.js", f"./{name}.js"), folder) == "COASTED 2\n"
 
+
+def check_odd_rows(made, folder: Path, name: str) -> None:
+    """What no sensor should deliver: codes and states are those of the C, through starts, refusals and restarts."""
+    random = np.random.default_rng(1)
+    odd = [np.nan, np.inf, -np.inf, 0.0, -0.0, 5e-324, 1e308, -1e308, 1e-300, -0.7, 7.25]
+    observer, rows, expected = made.Observer(), [], []
+    for k in range(2000):
+        row = np.array([0.3 * np.sin(k / 20), 0.2 * np.cos(k / 25), 0.1, -0.1, 1 / RATE])
+        if random.random() < 0.1:
+            row[random.integers(5)] = random.choice(odd)
+        # An unstable step of 7 s leaves numbers that no rounding survives.
+        row[4] = min(row[4], 0.02) if np.isfinite(row[4]) else row[4]
+        expected.append([observer.step(row[:2], row[4], row[2:4]), *np.concatenate(observer.estimate())])
+        rows.append([str(number) for number in row])
+    (folder / "odd.json").write_text(json.dumps(rows).replace("inf", "Infinity"))
+    found = np.array(json.loads(node(_ODD.replace("@NAME@", name), folder)), float)
+    np.testing.assert_array_equal(found[:, 0], np.array(expected)[:, 0])
+    assert len(set(found[:, 0])) >= 5, "outcomes"
+    tolerance = 1e-9 if made.REAL.itemsize == 8 else 1e-2
+    np.testing.assert_allclose(found[:, 1:], np.array(expected)[:, 1:], rtol=tolerance, atol=tolerance)
+
+
+_ODD = """
+const { load } = require("./@NAME@.js");
+const rows = JSON.parse(require("fs").readFileSync("odd.json")).map((row) => row.map(Number));
+load().then(({ Observer }) => {
+    const observer = new Observer();
+    const found = rows.map(([a, b, c, d, dt]) => {
+        const code = observer.step([a, b], dt, [c, d]), { q, v } = observer.estimate();
+        return [code, ...q, ...v].map(String);
+    });
+    console.log(JSON.stringify(found));
+});
+"""
 
 _RUN = """
 const { load } = require("./@NAME@.js");

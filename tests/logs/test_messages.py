@@ -1,5 +1,6 @@
 """Logs as messages of ROS: what other programs write is read, they read what is written, and memory stays bounded."""
 
+import sqlite3
 import subprocess
 import sys
 from pathlib import Path
@@ -161,7 +162,10 @@ def test_damaged_and_foreign_files_get_one_line(tmp_path):
         logs.read(tmp_path / "absent.mcap", JOINTS)
 
 
-def test_nothing_is_replaced_or_left_where_writing_fails(tmp_path):
+def test_nothing_is_replaced_or_left_where_writing_fails(tmp_path, monkeypatch):
+    def full(*_):
+        raise sqlite3.OperationalError("database or disk is full")
+
     logs.write(tmp_path / "log.mcap", {"t": SECONDS, "q": SECONDS})
     before = (tmp_path / "log.mcap").read_bytes()
     with pytest.raises(LogError, match="ROS counts seconds from 0"):
@@ -169,6 +173,9 @@ def test_nothing_is_replaced_or_left_where_writing_fails(tmp_path):
     logs.write(tmp_path / "log.rosbag2", {"t": SECONDS, "q": SECONDS})
     with pytest.raises(LogError, match="there is such a folder already"):
         logs.write(tmp_path / "log.rosbag2", {"t": SECONDS, "q": SECONDS})
+    monkeypatch.setattr(Writer, "write", full)
+    with pytest.raises(LogError, match=r"b\.rosbag2: cannot be written: database or disk is full"):
+        logs.write(tmp_path / "b.rosbag2", {"t": SECONDS, "q": SECONDS})
     assert (tmp_path / "log.mcap").read_bytes() == before
     assert sorted(each.name for each in tmp_path.iterdir()) == ["log.mcap", "log.rosbag2"]
 

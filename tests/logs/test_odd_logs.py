@@ -1,6 +1,7 @@
 """Odd and malformed logs: each is read as it was meant, or refused in one line that names what is wrong."""
 
 import datetime
+import os
 from pathlib import Path
 
 import numpy as np
@@ -35,6 +36,8 @@ READ: dict[str, tuple[str | bytes, Columns]] = {
     "byte order mark and semicolons": ("\ufefft;q\n0;1,5\n0,5;-2,25\n1;3\n", Q),
     "UTF-16, as Excel writes it": ("t\tq\n0\t1.5\n0.5\t-2.25\n1\t3\n".encode("utf-16"), Q),
     "carriage returns only": ("t,q\r0,1.5\r0.5,-2.25\r1,3\r", Q),
+    "two ends of line": ("t,q\n0,1.5\r\n0.5,-2.25\r\r\n1,3\r", Q),
+    "a note over several lines": ('t,q,note\n0,1.5,"a\nb, c"\n0.5,-2.25,5" pipe\n1,3,"d\n\n"\n', Q),
     "no end of line at the end": ("t,q\n0,1.5\n0.5,-2.25\n1,3", Q),
     "a comment above": ("# made by a logger, at 2 Hz\n% and more, and more\nt,q\n0,1.5\n0.5,-2.25\n1,3\n", Q),
     "comments between rows": ("t,q\n0,1.5\n# paused, resumed\n0.5,-2.25\n  % end\n1,3\n", Q),
@@ -142,6 +145,23 @@ REFUSED: dict[str, tuple[str | bytes, Columns, str]] = {
     "a velocity in degrees": ("t,q,w_deg_s\n0,1,2\n1,2,3\n", Q._replace(v=("w_deg_s",)), 'write v = "deg/s"'),
     "points between thousands": ("t;q\n0;1.234,5\n1;2\n", Q, "column 'q', row 1: found '1.234,5'"),
     "bare decimal commas between commas": ("t,q\n0,5,1,5\n1,0,2,5\n", Q, "row 1 has 4 cells where the header has 2"),
+    "a quotation mark that is never closed": (
+        't,q,note\n0,1,a\n1,2,"b\n2,3,c\n3,4,d\n',
+        Q,
+        "row 2 has a quotation mark that is not closed before the next row: 'b\\n2,3,c",
+    ),
+    "a quotation mark that another one closes": (
+        't,q,note\n0,1,a\n1,2,"b\n2,3,c\n3,4,"d\n4,5,e\n',
+        Q,
+        "row 2 has a quotation mark that is not closed",
+    ),
+    "a quotation mark whose end looks like a comment": (
+        't,q,note\n0,1,a\n1,2,"b\n#c"\n2,3,d\n3,4,e\n',
+        Q,
+        "row 2 has a quotation mark that is not closed",
+    ),
+    "zeros where a power cut ended the log": ("t,q\n0,1\n1,2\n" + "\0" * 64, Q, "row 3 has 1 cells"),
+    "a zero byte in a number": ("t,q\n0,1\n1,2.\x000\n2,3\n", Q, r"column 'q', row 2: found '2.\x000'"),
     "a cell too many": (
         "t;q\n0;1\n1;2;3\n",
         Q,
@@ -227,6 +247,29 @@ def test_a_malformed_log_gets_one_line(tmp_path, case):
     assert words in str(caught.value)
     assert "\n" not in str(caught.value)
     assert [each.name for each in tmp_path.iterdir()] == ["log.csv"]
+
+
+@pytest.mark.parametrize("ending", [".csv", ".parquet", ".mcap"])
+def test_a_pipe_or_a_device_is_refused_before_it_is_read(tmp_path, ending):
+    """Which might never end."""
+    os.mkfifo(tmp_path / f"pipe{ending}")
+    (tmp_path / f"device{ending}").symlink_to("/dev/zero")
+    for name in ("pipe", "device"):
+        for read in (lambda path: logs.read(path, Q), logs.survey):
+            with pytest.raises(LogError, match=rf"{name}\{ending}: is no file; write what it delivers to one"):
+                read(tmp_path / f"{name}{ending}")
+
+
+def test_an_error_without_words_is_named(tmp_path, monkeypatch):
+    path = tmp_path / "log.csv"
+    path.write_text("t,q\n0,1\n1,2\n")
+
+    def interrupted(_):
+        raise TimeoutError
+
+    monkeypatch.setattr(Path, "read_bytes", interrupted)
+    with pytest.raises(LogError, match=r"log\.csv: cannot be read as \.csv: TimeoutError$"):
+        logs.read(path, Q)
 
 
 def test_there_are_sixty_of_them():

@@ -3,6 +3,7 @@
 import math
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -200,6 +201,34 @@ def test_what_killed_writers_left_is_swept_by_the_next_run(tmp_path):
     map_grid(observables, GRID, path, block=BLOCK, **SETTINGS)
     assert not part.exists()
     assert [p.name for p in tmp_path.iterdir()] == ["map.zarr"]
+
+
+@pytest.mark.parametrize("name", ["energy", "moment", "code", "upright"])
+def test_a_lost_chunk_is_found_and_computed_again(whole, tmp_path, name):
+    """Though its flag is set, and others hold nothing but the fill value: a map of False, of 0 or of NaN."""
+    path, seen = tmp_path / "map.zarr", []
+    shutil.copytree(whole, path)
+    chunk = next(file for file in (path / name / "c" / "1" / "2", *path.glob(f"{name}/c/1/2/**/0")) if file.is_file())
+    chunk.unlink()
+    for complete in (True, False):
+        with pytest.raises(
+            ValueError, match=r"map\.zarr is not complete: 1 of 12 blocks are missing; run its map_grid"
+        ):
+            open_grid(path, complete=complete)
+    map_grid(observables, GRID, path, block=BLOCK, on_progress=lambda *done: seen.append(done), **SETTINGS)
+    assert seen[0] == (74, 77), "3 points of one block"
+    assert chunks(path) == chunks(whole)
+    check_values(path, GRID)
+
+
+def test_a_map_of_an_earlier_version_opens_without_the_chunks_that_hold_the_fill_value(tmp_path):
+    path = tmp_path / "map.zarr"
+    settings: Any = {"variables": {"inside": Variable((), "1", "a flag")}, "provenance": {}}
+    map_grid(lambda x: {"inside": x[0] > 10}, GRID, path, block=BLOCK, **settings)
+    group = zarr.open_group(str(path), mode="r+")
+    del group.attrs["all_chunks"]
+    shutil.rmtree(path / "inside" / "c")
+    assert not open_grid(path, complete=True).inside.values.any()
 
 
 def stop_after(blocks: int):

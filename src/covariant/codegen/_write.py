@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from covariant._files import temporary, write_atomically
+from covariant._files import temporary, write_together
 from covariant._templates import fill
 from covariant.codegen._data_sheet import Facts, data_sheet
 from covariant.codegen._program import Program
@@ -95,7 +95,8 @@ def write_folder(files: Mapping[str, str | bytes], folder: Path, overwrite: bool
     Args:
         files: Texts and other contents by their path in the folder.
         folder: The folder, which is created where it is not there; its parent must exist.
-        overwrite: Replace files of a folder that is not empty, one by one; others stay. By default it is refused.
+        overwrite: Replace files of a folder that is not empty; others stay. All are written beside the old ones before
+            the first is replaced, so that a full disk leaves the old ones. By default it is refused.
 
     Returns:
         The paths of the files.
@@ -120,9 +121,9 @@ def write_folder(files: Mapping[str, str | bytes], folder: Path, overwrite: bool
         raise ValueError(f"{folder}: there is no folder {folder.resolve().parent}; make it first")
     contents = {path: file.encode() if isinstance(file, str) else file for path, file in files.items()}
     if folder.exists():
-        for path, content in contents.items():
+        for path in contents:
             (folder / path).parent.mkdir(parents=True, exist_ok=True)
-            write_atomically(folder / path, lambda file, content=content: file.write(content))
+        write_together({folder / path: content for path, content in contents.items()})
     else:
         with temporary(folder, Path.mkdir) as fresh:
             for path, content in contents.items():

@@ -1,5 +1,7 @@
 """Writing of ROS messages, as an MCAP file or as the folder of a rosbag2."""
 
+import contextlib
+import errno
 import os
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -32,7 +34,7 @@ def write_bag(path: Path, columns: Mapping[str, np.ndarray], origin_ns: int | No
     storage = rosbag2.StoragePlugin.MCAP if path.suffix.lower() == ".mcap" else rosbag2.StoragePlugin.SQLITE3
     with temporary(path, Path.mkdir) as temporary_folder:
         bag = temporary_folder / path.stem
-        with rosbag2.Writer(bag, version=VERSION, storage_plugin=storage) as writer:
+        with _no_database(), rosbag2.Writer(bag, version=VERSION, storage_plugin=storage) as writer:
             topics = [
                 (writer.add_connection(topic, kind, typestore=known), messages)
                 for topic, kind, messages in _topics(known.types, dict(others))
@@ -44,6 +46,17 @@ def write_bag(path: Path, columns: Mapping[str, np.ndarray], origin_ns: int | No
                     writer.write(connection, now, known.serialize_cdr(message(header, k), connection.msgtype))
         # The writer makes a folder for MCAP too, with metadata and one .mcap file; a log needs only this file.
         os.replace(bag / f"{bag.name}.mcap" if path.suffix.lower() == ".mcap" else bag, path)
+
+
+@contextlib.contextmanager
+def _no_database() -> Iterator[None]:
+    """Context in which a database that cannot be written, as on a full disk, is an error of the file."""
+    import sqlite3
+
+    try:
+        yield
+    except sqlite3.Error as error:
+        raise OSError(errno.EIO, str(error)) from error
 
 
 def _topics(types: Mapping[str, Any], columns: dict[str, np.ndarray]) -> Iterator[tuple[str, str, Any]]:

@@ -334,7 +334,8 @@ def _legible(name: str, log: Any) -> Iterator[None]:
             if not Path(log).exists():
                 raise FileNotFoundError(f"{name}: no such file") from None
             what = "a rosbag" if kind(Path(log)) == "bag" else kind(Path(log))
-        raise LogError(f"{name}: cannot be read as {what}: {str(error).splitlines()[0]}") from error
+        reason = next(iter(str(error).splitlines()), type(error).__name__)
+        raise LogError(f"{name}: cannot be read as {what}: {reason}") from error
 
 
 def _open_source(name: str, log: Any) -> LogSource:
@@ -344,6 +345,9 @@ def _open_source(name: str, log: Any) -> LogSource:
     ending = kind(path)
     if not path.exists():
         raise FileNotFoundError(f"{path}: no such file")
+    # A pipe that nobody writes to, or a device, would be read for ever.
+    if not (path.is_file() or path.is_dir()):
+        raise LogError(f"{path}: is no file; write what it delivers to one, and give its path")
     if ending == "bag":
         names = bag_columns(path)
         shown = [name for name, shortest in names.items() if shortest]

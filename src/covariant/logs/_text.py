@@ -85,6 +85,9 @@ def read_text(pa: Any, path: Path, found: Sheet, wanted: Sequence[str]) -> Any:
             f"{path}: row {row.number} has {row.actual_columns} cells where the header has {row.expected_columns}: "
             f"{row.text[:60]!r}; a missing measurement is an empty cell between its {DELIMITERS[found.delimiter]}"
         )
+    # A cell in quotation marks may go over several lines, but one whose mark is missing swallows rows.
+    if b'"' in found.rows and table.num_rows < found.rows.strip(b"\n").count(b"\n") + 1:
+        _check_quotes(path, found)
     if found.delimiter == ",":
         for name in wanted:
             row = _matching(pa, table.column(name), _COMMA)
@@ -95,6 +98,18 @@ def read_text(pa: Any, path: Path, found: Sheet, wanted: Sequence[str]) -> Any:
                     "point and no other commas, or put semicolons between cells"
                 )
     return table
+
+
+def _check_quotes(path: Path, found: Sheet) -> None:
+    """Raise `LogError` where a quoted cell has a line that is itself a row of as many cells as the others."""
+    cells = csv.reader(found.rows.decode().splitlines(keepends=True), delimiter=found.delimiter)
+    for row, line in enumerate((line for line in cells if line), 1):
+        for cell in line:
+            if any(part.count(found.delimiter) >= len(found.header) - 1 for part in cell.split("\n")[1:]):
+                raise LogError(
+                    f"{path}: row {row} has a quotation mark that is not closed before the next row: {cell[:60]!r}; "
+                    "close it, or take it away"
+                )
 
 
 def with_points(pa: Any, log: str, table: Any) -> Any:

@@ -1,7 +1,8 @@
 """A map on disk: a Zarr group with coordinates, variables, and a flag `done` for each block, which is set last.
 
 A block of the grid is one chunk of every variable and one of `done`, so that no two writers share a file. This protects
-against killed processes, but not against a power cut, since files are not forced to the disk one by one.
+against killed processes, but not against a power cut, since files are not forced to the disk one by one. Chunks that
+hold nothing but the fill value are written as well, so that a block that has lost a chunk is not taken for one of them.
 """
 
 import contextlib
@@ -26,6 +27,8 @@ if TYPE_CHECKING:
 
 FORMAT = "covariant grid 1"
 DONE = "done"
+ALL_CHUNKS = "all_chunks"
+"""Attribute of stores in which every block that is done has a chunk of every variable."""
 
 
 class Variable(NamedTuple):
@@ -59,7 +62,8 @@ def open_grid(path: str | os.PathLike[str], *, complete: bool = False) -> "xarra
         points not yet computed are NaN, and integers and flags are therefore read as float64.
 
     Raises:
-        ValueError: one line, where there is no map, or where `complete` is required and blocks are missing.
+        ValueError: one line, where there is no map, where a finished one has lost files of its blocks, or where
+            `complete` is required and blocks are missing.
 
     Example:
         >>> from covariant.metrics import Grid, Variable, map_grid, open_grid
@@ -73,8 +77,10 @@ def open_grid(path: str | os.PathLike[str], *, complete: bool = False) -> "xarra
     path = Path(path)
     attributes = _attributes(path)
     counts = [-(-n // side) for n, side in zip(attributes["grid"]["counts"], attributes["block"], strict=True)]
-    if complete and not attributes["complete"]:
-        missing = math.prod(counts) - len(written(path, len(counts)))
+    whole = written(path, len(counts)) if attributes.get(ALL_CHUNKS) or not attributes["complete"] else None
+    lost = attributes["complete"] and whole is not None and len(whole) < math.prod(counts)
+    if whole is not None and (lost or (complete and not attributes["complete"])):
+        missing = math.prod(counts) - len(whole)
         raise ValueError(
             f"{path} is not complete: {missing} of {math.prod(counts)} blocks are missing; run its map_grid again"
         )
@@ -133,9 +139,20 @@ def finish(path: Path) -> None:
 
 
 def written(path: Path, n: int) -> set[tuple[int, ...]]:
-    """Indices of the blocks that are done: a chunk of `done` exists only where the flag is set."""
+    """Indices of the blocks that are done, of which none has lost a chunk."""
+    attributes = _attributes(path)
+    blocks = _chunks(path / DONE, n)  # a chunk of `done` exists only where the flag is set
+    # A chunk may be lost while its flag is set, by a copy that was cut short for example.
+    for name, variable in attributes["variables"].items() if attributes.get(ALL_CHUNKS) else ():
+        # The axes of the variable itself are never cut: each has one chunk, 0.
+        blocks &= {index[:n] for index in _chunks(path / name, n + len(variable["shape"]))}
+    return blocks
+
+
+def _chunks(array: Path, n: int) -> set[tuple[int, ...]]:
+    """Indices of the chunks of an array of n axes that exist."""
     # The chunks are listed, not read: reading would open every chunk of the grid, of which only a few exist at first.
-    chunks = path.joinpath(DONE, "c").glob("/".join("*" * n))
+    chunks = (array / "c").glob("/".join("*" * n))
     # A name that is no number is a file that a writer has not moved to its place yet.
     return {tuple(map(int, chunk.parts[-n:])) for chunk in chunks if chunk.name.isdecimal()}
 
@@ -150,7 +167,7 @@ def write(path: str, region: tuple[slice, ...], values: Mapping[str, np.ndarray]
     """
     store = optional("zarr").open_group(path, mode="r+")
     for name, value in values.items():
-        store[name][region] = value
+        store[name].with_config({"write_empty_chunks": True})[region] = value
     store[DONE][region] = True
 
 
@@ -164,7 +181,7 @@ def _create(path: Path, settings: dict[str, Any], blocks: Blocks) -> None:
 
 def _fill(store: Any, settings: dict[str, Any], blocks: Blocks) -> None:
     created = datetime.now(UTC).isoformat(timespec="seconds")
-    head = {"format": FORMAT, "created": created, "versions": [_versions()], "complete": False}
+    head = {"format": FORMAT, "created": created, "versions": [_versions()], "complete": False, ALL_CHUNKS: True}
     store.attrs.put(head | settings)
     names, shape = settings["grid"]["names"], tuple(map(len, blocks.axes))
     for name, units, axis in zip(names, settings["grid"]["units"], blocks.axes, strict=True):

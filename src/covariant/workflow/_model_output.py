@@ -90,7 +90,7 @@ def write_model(model: Any, path: str | Path, overwrite: bool, head: str, conten
     Comments and layout stay.
     """
     from covariant import models
-    from covariant._files import write_atomically
+    from covariant._files import write_together
 
     check_model_output(model, path, overwrite)
     source = models.robots.located(content.get("parameters", {}).get("path", ""))
@@ -99,9 +99,10 @@ def write_model(model: Any, path: str | Path, overwrite: bool, head: str, conten
         _refuse_source(urdf[0], source)
         check_model_output(model, path, overwrite, urdf=True)
     text = head + models.rewrite(model_text(model), content)
-    if urdf is not None:
-        write_atomically(urdf[0], lambda file: file.write(urdf[1].encode()))
-    return write_atomically(path, lambda file: file.write(text.encode()))
+    # Both or none where the disk is full: the old model file would name a robot with the new inertias.
+    beside = {} if urdf is None else {urdf[0]: urdf[1].encode()}
+    write_together({**beside, Path(path): text.encode()})
+    return Path(path)
 
 
 def model_text(model: str | os.PathLike[str]) -> str:

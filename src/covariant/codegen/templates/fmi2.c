@@ -73,9 +73,6 @@ EXPORT int fmi2GetInteger(void *m, const uint32_t *references, size_t n, int *va
 EXPORT int fmi2DoStep(void *m, double t, double h, int forward)
 {
     (void)forward;
-    if (m == NULL || !(h >= 0))
-        return ERROR;
-    advance(m, t, h);
-    return OK;
+    return m != NULL ? advance(m, t, h) : ERROR;
 }
 

@@ -86,9 +86,8 @@ EXPORT int fmi3DoStep(void *m, double t, double h, bool forward, bool *events, b
     double *reached)
 {
     (void)forward;
-    if (m == NULL || !(h >= 0))
+    if (m == NULL || advance(m, t, h) != OK)
         return ERROR;
-    advance(m, t, h);
     *events = *terminate = *early = false;
     *reached = t + h;
     return OK;

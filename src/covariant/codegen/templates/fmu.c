@@ -77,13 +77,16 @@ static void begin(memory *m, double t)
 }
 
 /* From t to t + h: the measurement is of the time t, where it corrects; the outputs are predicted to t + h. */
-static void advance(memory *m, double t, double h)
+static int advance(memory *m, double t, double h)
 {
     xNAMEx_params params;
     xNAMEx_state ahead;
     xNAMEx_real y[xUPPERx_MEASUREMENTS];
     unsigned char missing[xUPPERx_MEASUREMENTS];
     int i;
+    /* After a step from or to a time that is not finite, no later time would count as later. */
+    if (!(h >= 0) || !(t + h - (t + h) == 0))
+        return ERROR;
     take(m, &params);
     for (i = 0; i < xUPPERx_MEASUREMENTS; ++i) {
         y[i] = (xNAMEx_real)m->numbers[i];
@@ -95,17 +98,24 @@ static void advance(memory *m, double t, double h)
         m->outcome = xNAMEx_step(&m->state, &params, m->acted, y, NULL, (xNAMEx_real)(t - m->t));
         m->started = m->outcome != xUPPERx_NOT_FINITE;
         m->t = t;
+    } else {
+        /* As the observer says of a step of no size, and of one back. */
+        m->outcome = t == m->t ? xUPPERx_REPEATED : xUPPERx_STEP_REFUSED;
     }
     m->stepped = m->started;
     m->now = t + h;
     for (i = 0; i < xUPPERx_INPUTS; ++i)
         m->acted[i] = (xNAMEx_real)m->numbers[xUPPERx_MEASUREMENTS + i];
     if (!m->started)
-        return;
+        return OK;
     ahead = m->state;
-    if (h > 0)
-        (void)xNAMEx_step(&ahead, &params, m->acted, y, missing, (xNAMEx_real)h);
+    if (h > 0 && xNAMEx_step(&ahead, &params, m->acted, y, missing, (xNAMEx_real)h) == xUPPERx_NOT_FINITE) {
+        /* There is no prediction: the outputs stay those of the time t. */
+        ahead = m->state;
+        m->outcome = xUPPERx_NOT_FINITE;
+    }
     tell(m, &ahead, &params);
+    return OK;
 }
 
 static void *snapshot(const memory *m, void *place)

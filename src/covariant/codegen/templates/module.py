@@ -334,7 +334,8 @@ def _read(into: np.ndarray, value: object, name: str, shape: tuple) -> None:
     array = _real(value, name)
     if array.shape != shape:
         raise ValueError(f"{name} has the shape {array.shape}; one sample has {shape}")
-    into[:] = array.ravel()
+    with np.errstate(over="ignore"):  # too large for the type of the observer: infinite
+        into[:] = array.ravel()
 
 
 def _rows(value: object, name: str, shape: tuple) -> np.ndarray:
@@ -360,14 +361,14 @@ def _checked(t: object, y: object, u: object) -> tuple:
         if bad.any():
             raise ValueError(f"row {bad.argmax() + 1}: {name} is not a finite number; only measurements may be missing")
     with np.errstate(over="ignore"):  # too large for the type of the observer: infinite
-        measured = np.ascontiguousarray(measured, REAL)
+        measured = np.require(measured, REAL, "CA")  # C takes no array that lies between the words of memory
     infinite = np.isinf(measured.reshape(len(times), -1)).any(1)
     if infinite.any():
         raise ValueError(f"row {infinite.argmax() + 1}: a measurement is infinite; mark a missing one by NaN")
     if np.isnan(measured[0].ravel()[:_FIRST]).any():
         raise ValueError("row 1 lacks a measurement, so no estimate can start there; cut the log to begin later")
     _check_stamps(times)
-    return times.astype(float), measured, None if inputs is None else np.ascontiguousarray(inputs, REAL)
+    return times.astype(float), measured, None if inputs is None else np.require(inputs, REAL, "CA")
 
 
 def _check_stamps(times: np.ndarray) -> None:
