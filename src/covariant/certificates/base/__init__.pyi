@@ -100,6 +100,7 @@ from ._recipe import (
     check_observer as check_observer,
     check_recipe as check_recipe,
     check_replacement as check_replacement,
+    same_observer as same_observer,
 )
 from ._region import Bounds as Bounds, Region as Region, amount as amount, positive as positive, region_of as region_of
 from ._sampling import Loss as Loss, Sampling as Sampling, unit_reach as unit_reach

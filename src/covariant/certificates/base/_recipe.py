@@ -97,6 +97,16 @@ def check_observer(document: Document, observer: Intrinsics) -> None:
         raise ValueError(f"{document.file}: {error}") from error
 
 
+def same_observer(observer: Any, certified: Any) -> bool:
+    """Whether an observer takes the steps of a certified one: the same kind, gains, options, substeps and model."""
+    return observer is certified or (
+        type(observer) is type(certified)
+        and observer_document(observer) == observer_document(certified)
+        and observer.substeps == certified.substeps
+        and not _difference(observer.model, certified.model)
+    )
+
+
 def _difference(model: Any, rebuilt: Any) -> str:
     """The first thing in which two models differ, in words; empty for models that are the same."""
     if type(rebuilt) is not type(model) or type(rebuilt.space) is not type(model.space):

@@ -28,6 +28,7 @@ from covariant.certificates.base import (
     observer_document,
     parse,
     reach_squares,
+    same_observer,
     select,
     start_of,
     steady_of,
@@ -35,8 +36,8 @@ from covariant.certificates.base import (
     write,
 )
 from covariant.certificates.checking import follows
-from covariant.certificates.sampled import ROUND, Bounded, SampledBound, same_step
-from covariant.observers import AbstractObserver
+from covariant.certificates.sampled import ROUND, Bounded, SampledBound
+from covariant.observers import AbstractObserver, Gated
 from covariant.proofs import Box, digest
 
 SAMPLED_ROLES = ("joint force", "friction slope")
@@ -214,7 +215,8 @@ class ContractionCertificate(NamedTuple):
             )
         if self.statement.verdict != "holds":
             raise ValueError("no bound beside every sample, since nothing is proved on the region")
-        if not same_step(observer or self.observer, self.observer):
+        inner = observer.observer if isinstance(observer, Gated) else observer or self.observer
+        if not same_observer(inner, self.observer):
             raise ValueError("bounded: the observer is not the one of the certificate, nor that one behind a gate")
         squares, factors = reach_squares(self.claims), select(self.claims, StartClaim)
         model, n = self.observer.model, len(self.velocity)

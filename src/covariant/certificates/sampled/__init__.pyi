@@ -11,7 +11,6 @@ from ._sampled_bound import (
     BoundedState as BoundedState,
     Premise as Premise,
     SampledBound as SampledBound,
-    same_step as same_step,
 )
 from ._sampled_claims import (
     LostRows as LostRows,

@@ -11,24 +11,14 @@ import enum
 from typing import Any, NamedTuple
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Inexact
 
 from covariant._typing import Code, Number, Scalar, Vector
-from covariant.certificates.base import Recursion, any_configuration
-from covariant.lowering import fingerprint
-from covariant.models import MechanicalSystem, input_count
-from covariant.observers import (
-    AbstractObserver,
-    AbstractWrapper,
-    Gated,
-    Info,
-    LastInput,
-    SampledState,
-    without_last_input,
-)
+from covariant.certificates.base import Recursion
+from covariant.models import MechanicalSystem
+from covariant.observers import AbstractWrapper, Info, LastInput, SampledState, without_last_input
 from covariant.signals import StepCode
 
 ROUND = 1e-9
@@ -187,7 +177,7 @@ class SampledBound(eqx.Module):
         errors = np.concatenate(each)
         if not (errors >= 0).all():
             raise ValueError(f"bounded: bounds of initial errors must be numbers ≥ 0; got {errors.tolist()}")
-        weighted = np.where(errors > 0, self.start * errors**2, 0.0)
+        weighted = np.where(errors > 0, self.start, 0.0) * errors**2
         return self.known(float(np.sqrt(weighted.sum())) * (1 + ROUND))
 
     def known(self, radius: float) -> float:
@@ -385,26 +375,6 @@ class Bounded(AbstractWrapper):
 
     def estimate(self, state: BoundedState) -> Any:
         return self.observer.estimate(state.inner)
-
-
-def same_step(observer: AbstractObserver, certified: Any) -> bool:
-    """Whether an observer, perhaps behind a gate, makes the very step of a certified one."""
-    inner: Any = observer.observer if isinstance(observer, Gated) else observer
-    if inner is certified:
-        return True
-    if type(inner) is not type(certified) or inner.substeps != certified.substeps:
-        return False
-    keys = {_step_key(each) for each in (inner, certified)}
-    return len(keys) == 1 and None not in keys
-
-
-def _step_key(observer: Any) -> str | None:
-    """A hash of all that a step computes."""
-    model = observer.model
-    y = jnp.asarray(any_configuration(model))
-    state = observer.init(y)
-    u = jnp.zeros(input_count(model, state.v.shape[0]))
-    return fingerprint(jax.make_jaxpr(observer.step)(state, u, y, 0.01))
 
 
 def _need_doubles(state: BoundedState) -> None:
