@@ -292,7 +292,9 @@ MATRICES: dict[str, Callable[[Resolved, Any], Matrix]] = {
         of.about, of.document.given.noise if claim.squares else None, claim.squares
     ),
     "missing": lambda of, claim: missing(of.about, claim.square, claim.limit, of.document.unit_reach),
-    "prediction": lambda of, claim: defect_matrix(prediction_of_steps(of.document, of.observer), claim.square),
+    "prediction": lambda of, claim: defect_matrix(
+        prediction_of_steps(of.document, of.observer), claim.square, claim.order
+    ),
     "start": lambda of, claim: start(of.about, reach_squares(of.document.claims), claim.square),
 }
 """What must be positive definite, for each kind of claim."""

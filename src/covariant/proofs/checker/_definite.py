@@ -66,6 +66,10 @@ def definite(
     # its variable is halved, so it counts for less the more often that has been done, and others get their turn.
     share = kinks / np.maximum(kinks.sum(1, keepdims=True), TINY)
     weight = np.where(at_kinks, (share + TURN) * np.sqrt(left), weight)
+    # Remainders of high order belong to no variable: where they outweigh all terms, others get their turn alike.
+    remainder = ~(rest.sum((1, 2)) <= weight.sum(1))[:, None] & ~kinks.any(1, keepdims=True)
+    part = weight / np.maximum(weight.sum(1, keepdims=True), TINY)
+    weight = np.where(remainder, (part + TURN) * np.sqrt(left), weight)
     # Where entries are not bounded at all, those variables are halved that they have terms in.
     unbounded = by_variable(np.asarray(1.0 * ~np.isfinite(t).all((1, 2))) for t in s) * np.sqrt(left)
     weight = np.where(np.isfinite(weight).all(1, keepdims=True), weight, unbounded)
