@@ -333,12 +333,12 @@ class MissingClaim(AbstractClaim):
 class PredictionClaim(AbstractClaim):
     """The k-th derivative of the defect of Runge–Kutta steps, over k!, is shorter than `√square`.
 
-    So the defect after a step of length s is shorter than `s^k √square`, and the step is off by `s^(k+1) √square/(k+1)`.
+    So the defect after a step of length s is at most `s^k √square`, and the step is off by `s^(k+1) √square/(k+1)`.
 
     Attributes:
         square: square of the bound.
-        order: k, from 0 to the order of the steps. Derivatives of steep friction are large, and a low one may be bounded
-            where a high one is not.
+        order: k, from 0 to the order of the steps. Derivatives of steep friction are large, and a low one may have a
+            bound where a high one has none.
     """
 
     square: float

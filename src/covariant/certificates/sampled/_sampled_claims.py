@@ -54,9 +54,9 @@ the radius for errors of predictions."""
 PREDICTION_WORK = 4_000_000
 """Largest number of boxes for the errors of Runge–Kutta steps, times the operations of their matrix: some hundred for a
 pendulum, and thirty thousand for a heavy top."""
-LOWER_ORDERS, STEEP_WORK = (4, 2, 1, 0), 16_000_000
-"""Orders of the bound that are tried in turn where steps may lead away by a part of the radius, and the work of each:
-steep friction needs small boxes near rest, and more of them."""
+LOWER_ORDERS, STEEP_WORK = (4, 2, 1, 0), 60
+"""Orders of the bound that are tried in turn where steps may lead away by a part of the radius, and the number of
+operations of each for every box that is left: steep friction needs small boxes near rest."""
 POINTS = 2000
 """Number of points at which they are sampled."""
 ENOUGH = 0.5
@@ -237,7 +237,7 @@ def prediction_claims(
         # What steps lead away is proportional to their bound.
         square = least * (PART * radius / drift(least, order)) ** 2
         if square > WIDER[-1] * least and drift(square, order, given) < radius:
-            claim = proved(square, order, STEEP_WORK)
+            claim = proved(square, order, STEEP_WORK * effort.boxes)
             if claim.proof.verdict == "holds":
                 return [claim]
     if bounded:
