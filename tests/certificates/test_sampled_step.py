@@ -571,7 +571,9 @@ def test_predictions_with_dry_friction_are_off_by_no_more_than_is_stated(rubbed)
     h, model = rubbed.sampling.oldest, rubbed.observer.model
     bound = h * claim.defect(rubbed.sampling.longest_step)
     rate = jax.jit(lambda x, u: jnp.concatenate([x[1:], acceleration(model, jnp.zeros(()), x[:1], x[1:], u)]))
-    step = jax.jit(lambda x, u: rubbed.observer.predict(rubbed.observer.init(x[:1])._replace(v=x[1:]), u, h))
+    step = jax.jit(
+        lambda x, u: rubbed.observer.predict(rubbed.observer.init(x[:1])._replace(v=x[1:]), u, jnp.asarray(h))
+    )
     rng, worst = np.random.default_rng(8), 0.0
     for _ in range(60):
         x, u = np.array([rng.uniform(-3, 3), rng.uniform(-0.2, 0.2)]), np.array([rng.choice([-0.5, 0.5])])
