@@ -147,38 +147,39 @@ def vectors(prediction, z, order):
     return lambda z: numbers(graph, np.asarray(z)).reshape(prediction.size + 1, -1)[1:, 0]
 
 
-@pytest.mark.exhaustive
-@pytest.mark.parametrize(
-    "observer", [Intrinsic(models.pendulum_chain(mass=(1.0,), length=(0.5,)), 10.0, 50.0, substeps=1)]
-)
-def test_the_defect_of_a_step_is_what_remains_of_its_series(observer):
-    check_defect(observer, jnp.array([0.7, 1.5, 0.2, 0.01]))
+@pytest.mark.exhaustive("0", "3")
+@pytest.mark.parametrize("order", range(5))
+def test_the_defect_of_a_step_is_what_remains_of_its_series(order):
+    """Also with dry friction, where a step crosses rest."""
+    arm = models.pendulum_chain(mass=(1.0,), length=(0.5,), coulomb=(0.1,))
+    check_defect(Intrinsic(arm, 10.0, 50.0, substeps=1), jnp.array([0.7, 0.01, 0.2, 0.01]), order, 1e-3)
 
 
 @pytest.mark.exhaustive
 def test_the_defect_of_a_step_on_rotations_is_what_remains_of_its_series():
-    check_defect(top(), jnp.concatenate([START[2], SPEED, TORQUE, jnp.array([0.01])]))
+    check_defect(top(), jnp.concatenate([START[2], SPEED, TORQUE, jnp.array([0.01])]), 4, 0.02)
 
 
-def check_defect(observer, z):
-    """δ(s)/s⁴ is a mean of the derivatives of fourth order over 4!, in the metric at the end of the step."""
+def check_defect(observer, z, order, longest):
+    """δ(s)/s^k is a mean of the k-th derivatives over k!, in the metric at the end of the step."""
     prediction = sampled_prediction(observer, Q, SAMPLING)
     assert prediction.has_series
-    z = jnp.concatenate([z, jnp.full(2, 0.02)])
-    whole, fourth = vectors(prediction, z, 0), vectors(prediction, z, 4)
+    z = jnp.concatenate([z, jnp.full(2, longest)])
+    whole, derivative = vectors(prediction, z, 0), vectors(prediction, z, order)
     means = []
-    for r in (0.02, 0.01):
-        # The weights of the mean are those of 4(s − r)³/s⁴, by three points of the quadrature that is exact for them.
-        nodes, weights = np.polynomial.legendre.leggauss(4)
+    for r in (longest, longest / 2):
+        # The weights of the mean are k(s − r)^(k−1)/s^k; of order 0 it is the value at the end.
+        nodes, weights = np.polynomial.legendre.leggauss(10) if order else (np.ones(1), np.full(1, 2.0))
         r_at = r * (nodes + 1) / 2
+        parts = order * (r - r_at) ** (order - 1) * r / r**order if order else np.ones(1)
         mean = sum(
-            w / 2 * r * 4 * (r - at) ** 3 / r**4 * fourth(z.at[-1].set(at).at[-2].set(r))
-            for w, at in zip(weights, r_at, strict=True)
+            w / 2 * part * derivative(z.at[-1].set(at).at[-2].set(r))
+            for w, part, at in zip(weights, parts, r_at, strict=True)
         )
-        means.append(np.abs(whole(z.at[-2:].set(r)) / r**4 - mean).max() / np.abs(mean).max())
+        means.append(np.abs(whole(z.at[-2:].set(r)) / r**order - mean).max() / np.abs(mean).max())
     assert max(means) < 1e-4
-    matrix = np.asarray(jax.jit(defect_matrix(prediction, 1.0, jacobian))(z))
-    assert np.abs(matrix[1:, 0] - fourth(z)).max() < 1e-9 * np.abs(matrix).max()
+    matrix = np.asarray(jax.jit(defect_matrix(prediction, 1.0, jacobian, order))(z))
+    assert np.abs(matrix[1:, 0] - derivative(z)).max() < 1e-9 * np.abs(matrix).max()
 
 
 def test_series_refuse_kinks():

@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import scipy.integrate
 
 import covariant
 from covariant import models
@@ -23,18 +24,21 @@ from covariant.certificates import (
     falsify,
     sampled_system,
 )
-from covariant.certificates.base import value_graph
+from covariant.certificates.base import UNPROVED, Given, PredictionClaim, Setting, StartClaim, value_graph
 from covariant.certificates.base._document import parse
 from covariant.certificates.base._inequalities import at_correction, in_frame_along, joint_force_bound, start_bound
+from covariant.certificates.base._radius_recursion import Recursion
 from covariant.certificates.checking import _check, _matrices
 from covariant.certificates.checking._check import Job, Judge, Resolved, follows
 from covariant.geometry import lie
 from covariant.lowering import numbers
+from covariant.models import acceleration
 from covariant.observers import Geodesic, Intrinsic
-from covariant.proofs import digest, prove
+from covariant.proofs import Field, digest, prove
 from covariant.proofs.checker import TaylorEnclosure, leaves
 
 RECIPE = {"system": "pendulum_chain", "parameters": {"mass": [1.0], "length": [0.5]}}
+NO_BOUNDS = Given(np.zeros((2, 1)), np.zeros((2, 0)), np.zeros(2), np.zeros(1), np.zeros(1), np.zeros((1, 1)))
 BOUNDS = {"position": (-3.0, 3.0), "velocity": 4.0, "error": 0.1, "input": 0.5}
 
 
@@ -452,6 +456,8 @@ FORGERIES = {
         lambda d: (put("radius", 1e-5)(d), put("sampling", "substeps", 2)(d)),
         "errors of 2 steps lead",
     ),
+    "a bound of lower order": (put("claims", 5, "order", 0), "errors of 4 steps lead"),
+    "a bound of higher order than the steps": (put("claims", 5, "order", 5), "a whole number from 0 to 4"),
     "another key": (put("sampling", "delay", 0.0), "is not known"),
 }
 
@@ -510,6 +516,73 @@ def test_predictions_are_off_by_no_more_than_is_stated(proved):
     rng = np.random.default_rng(6)
     worst = max(float(error(jnp.asarray(rng.uniform(-1, 1, 2) * [3.0, 4.0]), jnp.full(1, 0.5))) for _ in range(200))
     assert 1e-3 * bound < worst < bound
+
+
+@pytest.mark.parametrize("order", range(5))
+def test_errors_of_steps_are_the_integral_of_their_defect(order):
+    claim, sampling = PredictionClaim(UNPROVED, 9.0, order), Sampling(np.array([0.05, 0.08]), substeps=4)
+    lengths = (np.arange(10_000) + 0.5) * 0.02 / 10_000
+    steps = Recursion.of(sampling, Q, 1.0, None, [claim]).steps
+    assert steps == pytest.approx((3 * lengths**order).mean(), rel=1e-6)
+    assert steps >= claim.defect(0.02)
+
+
+def test_a_file_states_the_order_of_a_bound_of_steps_where_it_is_not_that_of_the_steps():
+    setting = Setting(-np.ones(7), np.ones(7), 1, Sampling(np.array([0.05, 0.08]), substeps=4), NO_BOUNDS, 1)
+    plain = {"kind": "prediction", "square": 9.0, "levels": ["."]}
+    for content, order in ((plain, 4), (plain | {"order": 1}, 1), (plain | {"order": 0}, 0)):
+        claim = PredictionClaim.read(Field("a file", "claims[5]", content), 0, setting)
+        assert claim.order == order
+        assert claim.document() == content
+    for wrong in (-1, 5, 1.5, True, None, "1"):
+        with pytest.raises(ValueError, match=r"claims\[5\]\.order must be a whole number from 0 to 4"):
+            PredictionClaim.read(Field("a file", "claims[5]", plain | {"order": wrong}), 0, setting)
+    with pytest.raises(ValueError, match="order"):
+        StartClaim.read(Field("a file", "claims[6]", {"kind": "start"} | plain | {"order": 1}), 0, setting)
+
+
+@pytest.fixture(scope="module")
+def rubbed():
+    """The certificate of a pendulum with dry friction, which needs many steps."""
+    recipe = {"system": "pendulum_chain", "parameters": RECIPE["parameters"] | {"coulomb": [0.1]}}
+    system = models.from_recipe(recipe)
+    assert isinstance(system, models.MechanicalSystem)
+    observer = Intrinsic(system, 10.0, 50.0, substeps=24)
+    return certify(observer, **BOUNDS, interval=(0.009, 0.011), recipe=recipe, checker="off")
+
+
+@pytest.mark.exhaustive
+def test_predictions_with_dry_friction_are_proved_and_checked(rubbed, tmp_path):
+    (claim,) = (claim for claim in rubbed.claims if claim.kind == "prediction")
+    assert claim.order < 4
+    assert 0 < rubbed.steady <= 0.26 * rubbed.radius
+    assert "assumed: predictions" not in str(rubbed.statement)
+    path = rubbed.save(tmp_path / "rubbed.json")
+    assert check(path).statement.proved
+    tighter = forged(path, tmp_path, put("claims", 5, "square", lambda s: s / 1e4))
+    with pytest.raises(ValueError, match=r"claims\[5\] is not shown"):
+        check(tighter)
+
+
+@pytest.mark.exhaustive
+def test_predictions_with_dry_friction_are_off_by_no_more_than_is_stated(rubbed):
+    """Against a method of eighth order with small tolerances, for motions through rest."""
+    (claim,) = (claim for claim in rubbed.claims if claim.kind == "prediction")
+    h, model = rubbed.sampling.oldest, rubbed.observer.model
+    bound = h * claim.defect(rubbed.sampling.longest_step)
+    rate = jax.jit(lambda x, u: jnp.concatenate([x[1:], acceleration(model, jnp.zeros(()), x[:1], x[1:], u)]))
+    step = jax.jit(
+        lambda x, u: rubbed.observer.predict(rubbed.observer.init(x[:1])._replace(v=x[1:]), u, jnp.asarray(h))
+    )
+    rng, worst = np.random.default_rng(8), 0.0
+    for _ in range(60):
+        x, u = np.array([rng.uniform(-3, 3), rng.uniform(-0.2, 0.2)]), np.array([rng.choice([-0.5, 0.5])])
+        solved = scipy.integrate.solve_ivp(lambda t, x, u=u: rate(x, u), (0, h), x, "DOP853", rtol=1e-11, atol=1e-12)
+        state, end = step(x, u), solved.y[:, -1]
+        metric = rubbed.error_system.at(jnp.zeros(7).at[-1].set(h)).metric(jnp.zeros(()), jnp.asarray(end))
+        off = np.concatenate([state.q, state.v]) - end
+        worst = max(worst, float(np.sqrt(off @ np.asarray(metric) @ off)))
+    assert 1e-5 * bound < worst < bound
 
 
 def shown(certificate, system, kind):

@@ -159,8 +159,8 @@ class AbstractClaim(abc.ABC):
         Returns:
             Its kind, its numbers, and its tree of boxes with one string for each level.
         """
-        pairs = ((key, getattr(self, key)) for key in self._keys())
-        numbers = {key: list(value) if isinstance(value, tuple) else value for key, value in pairs if value != ()}
+        pairs = ((key, getattr(self, key)) for key in self._keys() if getattr(self, key) != self._defaults().get(key))
+        numbers = {key: list(value) if isinstance(value, tuple) else value for key, value in pairs}
         return {"kind": self.kind, **numbers, "levels": list(self.levels)}
 
     @classmethod
@@ -176,15 +176,18 @@ class AbstractClaim(abc.ABC):
             ValueError: The claim is invalid; the message names file and key.
         """
         errors = int(np.count_nonzero(setting.given.noise))
-        keys = [key for key in cls._keys() if key != "squares" or errors]
+        there = {"squares": errors > 0, "order": "order" in field.value}
+        keys = [key for key in cls._keys() if there.get(key, True)]
         fields = field.record(["kind", *keys, "levels"])
-        numbers: dict[str, Any] = {key: fields[key].positive() for key in keys if key not in ("row", "squares")}
+        numbers: dict[str, Any] = {key: fields[key].positive() for key in keys if key not in ("row", *there)}
         if "row" in keys:
             numbers["row"] = fields["row"].whole(index, index)
         if "squares" in keys:
             squares = fields["squares"].vector(errors, errors, least=0.0)
             fields["squares"].need((squares > 0).all(), "positive numbers")
             numbers["squares"] = tuple(squares.tolist())
+        if "order" in keys:
+            numbers["order"] = fields["order"].whole(0, cls._defaults()["order"])
         claim = cls(UNPROVED, **numbers)
         low, _ = claim.bounds(setting.low, setting.high, setting.n, setting.sampling)
         return dataclasses.replace(claim, letters=saved_levels(fields["levels"], len(low)))
@@ -193,6 +196,11 @@ class AbstractClaim(abc.ABC):
     def _keys(cls) -> list[str]:
         """The names of the numbers of this kind."""
         return [field.name for field in dataclasses.fields(cls) if field.name not in ("proof", "letters")]
+
+    @classmethod
+    def _defaults(cls) -> dict[str, Any]:
+        """The numbers that a file need not state."""
+        return {field.name: field.default for field in dataclasses.fields(cls) if field.default != dataclasses.MISSING}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -323,13 +331,18 @@ class MissingClaim(AbstractClaim):
 
 @dataclasses.dataclass(frozen=True)
 class PredictionClaim(AbstractClaim):
-    """The fourth derivative of the defect of Runge–Kutta steps, over 4!, is shorter than `√square`.
+    """The k-th derivative of the defect of Runge–Kutta steps, over k!, is shorter than `√square`.
+
+    So the defect after a step of length s is at most `s^k √square`, and the step is off by `s^(k+1) √square/(k+1)`.
 
     Attributes:
         square: square of the bound.
+        order: k, from 0 to the order of the steps. Derivatives of steep friction are large, and a low one may have a
+            bound where a high one has none.
     """
 
     square: float
+    order: int = 4
 
     kind = "prediction"
     assumed_without = PREDICTIONS
@@ -341,6 +354,10 @@ class PredictionClaim(AbstractClaim):
     def text(self, terms: Terms) -> str:
         del terms
         return "the defect of the Runge–Kutta steps of a prediction keeps its bound"
+
+    def defect(self, longest: float) -> float:
+        """Return what steps up to a length [s] add to a distance in a second."""
+        return longest**self.order * math.sqrt(self.square) / (self.order + 1)
 
     def bounds(self, low: np.ndarray, high: np.ndarray, n: int, sampling: Sampling | None) -> Ends:
         # A prediction has two step lengths in place of errors, joint forces and slopes.

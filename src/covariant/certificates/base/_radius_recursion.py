@@ -5,8 +5,9 @@ most W to them in a second, so that at the age h of the measurement the distance
 
     a = e^(−μh) r + (1 − e^(−μh)) W/μ + hE
 
-with E for the errors of the prediction's Runge–Kutta steps: their defect after a step of length s is at most s⁴ √square
-by the claim "prediction", and s⁵ √square/5 over the step, hence `E = σ⁴ √square/5` with the longest step σ.
+with E for the errors of the prediction's Runge–Kutta steps. By the claim "prediction" of order k their defect after a
+step of length s is at most s^k √square, and its integral over the step s^(k+1) √square/(k+1). Hence
+`E = σ^k √square/(k+1)` with the longest step σ.
 The correction by a measurement with an error then leads to at most `√(a² + G) + hD(a + β)`: G is proved with the
 correction, as the sum of the diagonal of Γ, and the last term is what the factor 1/(1 + s/18) of the correction that
 runs changes, see `Loss`. There |ξ| is at most `limit (a + β)`: a position error within `reach a` is at most `limit a`
@@ -83,8 +84,7 @@ class Recursion(NamedTuple):
         loss = Loss(0.0, 0.0) if not missing else Loss.of(sampling, q, rate, missing[0].square, missing[0].limit)
         reach = unit_reach(reach_squares(claims))
         error = math.sqrt(float(np.mean((noise / reach) ** 2))) if missing else 0.0
-        defect = next((c.square for c in select(claims, PredictionClaim)), 0.0)
-        steps = sampling.longest_step**4 * math.sqrt(defect) / 5 if defect else 0.0
+        steps = next((c.defect(sampling.longest_step) for c in select(claims, PredictionClaim)), 0.0)
         # Forces within their bounds lie in a ball of radius √count relative to these.
         square = next((c.square for c in select(claims, DisturbanceClaim)), 0.0)
         return cls(

@@ -300,7 +300,7 @@ MATRICES: dict[str, Callable[[Resolved, Any], Matrix]] = {
     ),
     "missing": lambda of, claim: missing(of.about, claim.square, claim.limit, of.document.unit_reach),
     "prediction": lambda of, claim: defect_matrix(
-        prediction_of_steps(of.document, of.observer), claim.square, jacobian
+        prediction_of_steps(of.document, of.observer), claim.square, jacobian, claim.order
     ),
     "start": lambda of, claim: start(of.about, reach_squares(of.document.claims), claim.square),
 }

@@ -106,6 +106,8 @@ def _disturbance(of: Resolved, claim: DisturbanceClaim) -> Form:
 
 _FORMS = FORMS | {
     "disturbance": _disturbance,
-    "prediction": lambda of, claim: defect_bound(prediction_of_steps(of.document, of.observer), claim.square),
+    "prediction": lambda of, claim: defect_bound(
+        prediction_of_steps(of.document, of.observer), claim.square, claim.order
+    ),
 }
 """The forms of all claims, with those that also need the checker's bounds of noise or the running observer."""

@@ -209,7 +209,7 @@ def certify(
         if sampling is not None and len(corrections) > sampling.lost:
             claims += missing_claims(observer, system, sampling, matrix, target, claims, effort)
             allowed = _radius(claims, limits, 0.0)
-            claims += prediction_claims(observer, sampling, matrix, target, claims, allowed, effort)
+            claims += prediction_claims(observer, sampling, matrix, target, bounds, claims, allowed, effort)
         claims += start_claim(observer.model, system, claims, effort)
         radius = _radius(claims, limits, steady_of(sampling, matrix, target, bounds, claims))
     document = Document(

@@ -3,13 +3,16 @@
 Let P_s be a step of length s from a state x of the region, and f the model's vector field, with the input held. The
 curve `s ↦ φ_(h−s)(P_s x)`, φ the exact flow, leads from the exact to the computed state after a step h. It has the
 velocity `Dφ_(h−s) δ(s)` with the defect `δ(s) = ∂_s P_s − f(P_s)`, and φ shortens lengths, so that its length is at
-most `∫₀^h |δ(s)|_M ds`. The step is of fourth order: δ and its first three derivatives vanish at s = 0, and
+most `∫₀^h |δ(s)|_M ds`. The step is of fourth order: δ and its first three derivatives vanish at s = 0. With the
+weights `k (s − r)^(k−1) / s^k` of Taylor's remainder, for each order k from 1 to 4,
 
-    δ(s) = s⁴ · (mean of δ⁗(r)/4! over r in [0, s])
+    δ(s) = s^k · (mean of δ^(k)(r)/k! over r in [0, s])
 
-The claim is that `|δ⁗(r)/4!|` is less than `√square` in the metric at P_s x, at all ages, for all r and s up to the
-longest step. The matrix below is positive definite for a convex set of vectors, so for their mean where it is for all
-r. A prediction over h in steps of length σ is then off by at most `h σ⁴ √square / 5`.
+For k = 0 it is δ itself. The claim is that `|δ^(k)(r)/k!|` is less than `√square` in the metric at P_s x, at all ages,
+for all r and s up to the longest step. The matrix below is positive definite for a convex set of vectors, so for their
+mean where it is for all r. A prediction over h in steps of length σ is then off by at most `h σ^k √square / (k + 1)`.
+For smooth models this is least at k = 4. Derivatives of steep friction, such as `atan(100 v)`, grow by the steepness
+with each order, so that near rest a lower one may have a bound that a higher one exceeds.
 
 On rotations the steps are those of the coordinates and the momentum in the chart around the start of the step.
 """
@@ -32,7 +35,7 @@ from covariant.proofs import Form, derivative_form
 from covariant.proofs.checker import series
 
 ORDER = 4
-"""Order of the Runge–Kutta steps, at which derivatives of the defect are bounded."""
+"""Order of the Runge–Kutta steps, the highest at which derivatives of the defect are bounded."""
 
 
 Jacobian = Callable[[Callable[[Array], Array], Array], Array]
@@ -163,7 +166,7 @@ def _matrix(square: float, image: Array, gram: Array, derivative: Array) -> Arra
 
 
 def defect_bound(prediction: Prediction, square: float, order: int = ORDER) -> Form:
-    """Build the matrix whose positive definiteness is `|δ⁽ᵏ⁾(r)/k!|² < square` in the metric at P_s x."""
+    """Build the matrix whose positive definiteness is `|δ^(k)(r)/k!|² < square`, with k = `order`."""
 
     def values(t, x, z):
         step = prediction.at(z)

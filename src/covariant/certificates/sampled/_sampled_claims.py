@@ -1,6 +1,7 @@
 """The claims of a certificate of the sampled step, with a metric that is searched, and again where a proof fails."""
 
 import dataclasses
+import functools
 import math
 import typing
 from collections.abc import Callable, Sequence
@@ -20,6 +21,7 @@ from covariant.certificates.base import (
     DisturbanceClaim,
     Effort,
     ErrorSystem,
+    Given,
     Intrinsics,
     Loss,
     MissingClaim,
@@ -35,7 +37,7 @@ from covariant.certificates.base import (
     select,
     unit_reach,
 )
-from covariant.certificates.sampled._prediction import defect_bound
+from covariant.certificates.sampled._prediction import ORDER, defect_bound
 from covariant.certificates.sampled._sampled_metric import Found, SampledMetric, random_points
 from covariant.certificates.sampled._sampled_step import sampled_prediction, sampled_system
 from covariant.lowering import Lowered, numbers
@@ -59,6 +61,9 @@ the radius for errors of predictions."""
 PREDICTION_WORK = 4_000_000
 """Largest number of boxes for the errors of Runge–Kutta steps, times the operations of their matrix: some hundred for a
 pendulum, and thirty thousand for a heavy top."""
+LOWER_ORDERS, STEEP_WORK = (4, 2, 1, 0), 60
+"""Orders of the bound that are tried in turn where steps may lead away by a part of the radius, and the number of
+operations of each for every box that is left: steep friction needs small boxes near rest."""
 POINTS = 2000
 """Number of points at which they are sampled."""
 ENOUGH = 0.5
@@ -203,6 +208,7 @@ def prediction_claims(
     sampling: Sampling,
     q: TwoByTwo,
     rate: float,
+    given: Given,
     claims: Sequence[AbstractClaim],
     radius: float,
     effort: Effort,
@@ -218,25 +224,46 @@ def prediction_claims(
     domain = _domain_of(PredictionClaim(UNPROVED, 0.0), effort.domain, prediction.size // 2, sampling)
     points = random_points(np.random.default_rng(0), domain, POINTS)
 
-    def drift(square: float) -> float:
-        return Recursion.of(sampling, q, rate, None, [*claims, PredictionClaim(UNPROVED, square)]).steady
+    def drift(square: float, order: int = ORDER, bounds: Given | None = None) -> float:
+        claim = PredictionClaim(UNPROVED, square, order)
+        return Recursion.of(sampling, q, rate, bounds, [*claims, claim]).steady
 
-    unit = defect_bound(prediction, 1.0).graph(jnp.asarray(points[0])).entries
-    boxes = PREDICTION_WORK // len(unit.graph.nodes)
-    least = _largest_squared_length(unit, points)
+    def proved(square: float, order: int = ORDER, work: int = PREDICTION_WORK) -> PredictionClaim:
+        bound, boxes = defect_bound(prediction, square, order), work // len(graph_of(order).graph.nodes)
+        return PredictionClaim(_prove_with_boxes(effort, bound, domain, boxes), square, order)
+
+    @functools.cache
+    def graph_of(order: int) -> Lowered:
+        return defect_bound(prediction, 1.0, order).graph(jnp.asarray(points[0])).entries
+
+    least = _largest_squared_length(graph_of(ORDER), points)
     squares = [factor * max(least, TINY) for factor in (*MUCH_WIDER, *WIDER)]
-    if drift(squares[-1]) < radius:
+    bounded = drift(squares[-1]) < radius
+    if bounded:
         # The widest bound that moves the estimate little within the tube needs the fewest boxes.
         square = next((each for each in squares if drift(each) < LITTLE**2 * radius), squares[-1])
-        proof = _prove_with_boxes(effort, defect_bound(prediction, square), domain, boxes)
-        return [PredictionClaim(proof, square)] if proof.verdict == "holds" else []
+        claim = proved(square)
+        if claim.proof.verdict == "holds":
+            return [claim]
+    # Friction that is steep at rest has large derivatives there, which lower orders avoid, and uniform points miss.
+    slow, n = points.copy(), prediction.size // 2
+    # Behind the velocities are the force of the input, the age and two lengths of a step.
+    slow[:, -2 * n - 3 : -n - 3] *= 10.0 ** np.random.default_rng(1).uniform(-3, 0, (POINTS, n))
+    for order in LOWER_ORDERS:
+        least = max(_largest_squared_length(graph_of(order), slow), TINY)
+        # What steps lead away is proportional to their bound.
+        square = least * (PART * radius / drift(least, order)) ** 2
+        if square > WIDER[-1] * least and drift(square, order, given) < radius:
+            claim = proved(square, order, STEEP_WORK * effort.boxes)
+            if claim.proof.verdict == "holds":
+                return [claim]
+    if bounded:
+        return []
     # The defect itself, at the end of the longest step.
     points[:, -2:] = sampling.longest_step
-    whole = defect_bound(prediction, 1.0, 0).graph(jnp.asarray(points[0])).entries
-    if drift(_largest_squared_length(whole, points) / sampling.longest_step**8) < radius:
+    if drift(_largest_squared_length(graph_of(0), points) / sampling.longest_step**8) < radius:
         return []
-    proof = _prove_with_boxes(effort, defect_bound(prediction, squares[-1]), domain, boxes)
-    return [PredictionClaim(proof, squares[-1])]
+    return [proved(squares[-1])]
 
 
 def _largest_squared_length(matrix: Lowered, points: np.ndarray) -> float:

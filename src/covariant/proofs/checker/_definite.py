@@ -14,7 +14,7 @@ from covariant.proofs.checker._tree import SavedTree, halves
 CHUNK, MOST = 1024, 20_000
 """Number of boxes evaluated at once, and largest number of further boxes waiting after halvings."""
 TURN = 0.1
-"""Share of the blame for open choices that a variable has even where it keeps none open."""
+"""Share of the blame for open choices and remainders that a variable has even where none is its own."""
 
 
 def definite(
@@ -62,12 +62,16 @@ def definite(
         named = list(zip(parts, keys, strict=True))
         return np.stack([sum((p for p, m in named if k in m), 0.0 * good) for k in range(width.shape[1])], 1)
 
-    weight = by_variable(abs(t).sum((1, 2)) for t in turned)
-    at_kinks = ~(rest.sum((1, 2)) <= weight.sum(1))[:, None] & kinks.any(1, keepdims=True)
-    # A kink is met by some box however small, and entries without a bound have no size: such a blame does not fade as
-    # its variable is halved, so it counts for less the more often that has been done, and others get their turn.
-    share = kinks / np.maximum(kinks.sum(1, keepdims=True), TINY)
-    weight = np.where(at_kinks, (share + TURN) * np.sqrt(left), weight)
+    # Sums that overflow are not finite, which is asked for below.
+    with np.errstate(all="ignore"):
+        weight = by_variable(abs(t).sum((1, 2)) for t in turned)
+        outweighed = ~(rest.sum((1, 2)) <= weight.sum(1))[:, None]
+        # A kink is met by some box however small, and entries without a bound have no size: such a blame does not fade
+        # as its variable is halved, so it counts for less the more often that has been done, and others get their turn.
+        # So does that of remainders of high order, which belong to no variable.
+        blame = np.where(kinks.any(1, keepdims=True), kinks, weight)
+        share = blame / np.maximum(blame.sum(1, keepdims=True), TINY)
+        weight = np.where(outweighed, (share + TURN) * np.sqrt(left), weight)
     # Where entries are not bounded at all, those variables are halved that they have terms in.
     unbounded = by_variable(np.asarray(1.0 * ~np.isfinite(t).all((1, 2))) for t in s) * np.sqrt(left)
     weight = np.where(np.isfinite(weight).all(1, keepdims=True), weight, unbounded)
