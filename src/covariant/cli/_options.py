@@ -39,6 +39,7 @@ KINDS = {
     "Amounts": NUMBERS,
     "Any": PATH,
     "CheckerName": TEXT,
+    "LostRows": TEXT,
     "EngineName": TEXT,
     "Overrides": Kind(list[str]),
     "Region": Kind(str, _parse.interval_map, "<name=low:high,...>"),
