@@ -182,6 +182,19 @@ def check_defect(observer, z, order, longest):
     assert np.abs(matrix[1:, 0] - derivative(z)).max() < 1e-9 * np.abs(matrix).max()
 
 
+def test_series_of_a_choice_that_the_number_does_not_make():
+    chosen = np.array([[True, False], [False, True]])
+
+    def function(r):
+        return jnp.where(chosen, jnp.sin(r), r * r)
+
+    coefficients = series(function, 3)(jnp.array(0.3))
+    for k, expected in enumerate(([np.sin(0.3), 0.09], [np.cos(0.3), 0.6], [-np.sin(0.3) / 2, 1.0])):
+        assert np.allclose(coefficients[k], np.where(chosen, *expected))
+    with pytest.raises(ValueError, match="'gt' has no known expansion"):
+        series(lambda r: jnp.where(r > 0, r, r * r), 2)(jnp.array(0.5))
+
+
 def test_series_refuse_kinks():
     with pytest.raises(ValueError, match="has no known expansion"):
         series(jnp.abs, 2)(jnp.array(0.5))

@@ -58,6 +58,7 @@ def _expand_body(body: ClosedJaxpr, arguments: Sequence) -> list:
 
 def _apply_primitive(eqn: Any, x: list, count: int) -> list[Coefficients]:
     """The coefficients of the results of a primitive."""
+    # A condition that the number decides is refused where it is compared: a choice here is the same for all of them.
     if eqn.name in LINEAR:
         whole = [
             _all(a, count) if isinstance(a, list) or jnp.issubdtype(jnp.result_type(a), jnp.floating) else [a] * count
@@ -139,7 +140,7 @@ def _stumpff(k: int, u: Coefficients) -> Coefficients:
 LINEAR = {
     *("add", "sub", "neg", "add_any", "reduce_sum", "broadcast_in_dim", "reshape", "squeeze", "transpose"),
     *("concatenate", "rev", "slice", "split", "pad", "gather", "dynamic_slice", "expand_dims", "copy", "copy_p"),
-    *("convert_element_type",),
+    *("convert_element_type", "select_n"),
 }
 """Primitives that are linear in all their real arguments together."""
 RULES: dict[str, Callable] = {
