@@ -33,8 +33,7 @@ class Hypothesis:
         place: where the margin is least, or where the premise fails, in words; may be empty.
 
     Raises:
-        ValueError: another word for the evidence or the verdict, or a premise that holds by a margin that is not a
-            number.
+        ValueError: The evidence or the verdict is an unknown word, or the premise holds with a margin of NaN.
 
     Example:
         >>> from covariant.certificates import Hypothesis
@@ -50,7 +49,7 @@ class Hypothesis:
 
     def __post_init__(self):
         for field, kind in (("evidence", Evidence), ("verdict", Verdict)):
-            # The sets are closed: a verdict is computed from these words, and another one would count as nothing.
+            # A verdict is computed from these words, and would ignore an unknown one.
             if (word := getattr(self, field)) not in (known := typing.get_args(kind)):
                 raise ValueError(f"Hypothesis: {field} must be one of {', '.join(known)}; got {word!r}")
         if self.verdict == "holds" and self.margin is not None and math.isnan(self.margin):

@@ -136,16 +136,16 @@ def certify(
             in the body frame. Bounds of matrix entries that `position` gives on a group then apply to the measured
             ones.
         disturbance: bound of each component of an unmodelled force, a number or (n,).
-        interval: shortest and longest time [s] between two samples, proved .1 % wider at both ends, for stamps that are
-            rounded: the statement is then about the observer that
-            predicts between samples and corrects at each of them, in a metric that is searched (with clarabel). It
+        interval: shortest and longest time [s] between two samples. The statement is then about the observer that
+            predicts between samples and corrects at each of them, in a metric that is searched (with clarabel). The
+            interval is proved 0.1 % wider at both ends, since stamps are rounded. It
             covers systems in coordinates and on rotations whose force depends on the input alone, on rotations without
             noise and disturbance. Without it the observer runs in continuous time.
         lost: with `interval`, the largest number of samples that may be lost in a row.
         lost_rows: whether each lost sample is still a step with NaN as its measurement ("empty"), or whether its row
             may be "missing", so that one step of the observer covers the whole gap, with longer Runge–Kutta steps.
-        recipe: where the model comes from, as from `models.recipe`; needed to save the certificate. It is printed with
-            its parameters, so it has to build this very model.
+        recipe: where the model comes from, as from `models.recipe`; needed to save the certificate. The statement
+            prints it, so it must build the same model.
         boxes: largest number of boxes for all proofs together, which is the same effort on every machine.
         seconds: an additional limit of time [s] for each proof, which starts when its matrix has been written as a
             graph.

@@ -24,11 +24,11 @@ from covariant.certificates.base import (
     check_recipe,
     contraction_statement,
     first_velocity,
+    is_same_observer,
     loss_of,
     observer_document,
     parse,
     reach_squares,
-    same_observer,
     select,
     start_of,
     steady_of,
@@ -192,15 +192,15 @@ class ContractionCertificate(NamedTuple):
     ) -> Bounded:
         """Build the observer whose step also returns a proved bound of its error, for sampled measurements.
 
-        `init` starts from rest at the first measurement. Its error is bounded by `position` and `velocity`, or by
-        `radius`; otherwise the bounds are infinite until the state gets a radius.
+        `init` starts from rest at the first measurement. The bound needs the error of this start: `position` and
+        `velocity`, or `radius`. Without `velocity` and `radius` all bounds are infinite.
 
         Args:
-            observer: the observer that runs: that of the certificate (default), or the same behind a gate.
-            position: bounds (n,) of the first errors of the positions [unit], or one for all; by default the error of
-                a measurement in the certificate.
+            observer: the observer that runs: that of the certificate (default), or that observer behind a gate.
+            position: bounds (n,) of the position errors at the start [unit], or one for all; by default the `noise` of
+                the certificate.
             velocity: bounds (n,) of the true velocities at the start [unit/s], or one for all.
-            radius: instead of these, the first distance in the metric of the certificate.
+            radius: instead of these, a bound of the distance at the start, in the metric of the certificate.
 
         Returns:
             The observer with its bound.
@@ -216,7 +216,7 @@ class ContractionCertificate(NamedTuple):
         if self.statement.verdict != "holds":
             raise ValueError("no bound beside every sample, since nothing is proved on the region")
         inner = observer.observer if isinstance(observer, Gated) else observer or self.observer
-        if not same_observer(inner, self.observer):
+        if not is_same_observer(inner, self.observer):
             raise ValueError("bounded: the observer is not the one of the certificate, nor that one behind a gate")
         squares, factors = reach_squares(self.claims), select(self.claims, StartClaim)
         model, n = self.observer.model, len(self.velocity)
@@ -305,12 +305,12 @@ class ContractionCertificate(NamedTuple):
             The path.
 
         Raises:
-            ValueError: the model has no recipe or that of another model, nothing is proved, or the statement was proved
-                wrong.
+            ValueError: the model has no recipe, the recipe is of another model, nothing is proved, or the statement was
+                proved wrong.
         """
 
         def check(written: Document) -> None:
-            # Code that a recipe names is not run here: who reads the file gives it, and compares it.
+            # Code that a recipe names is not run here: who reads the file provides the model, which is compared.
             if written.recipe is not None and "system" in written.recipe:
                 check_recipe(self.observer.model, written.recipe)
 

@@ -1,10 +1,10 @@
 """A proved bound of the estimation error after every sample: the recursion of a certificate, run with its observer.
 
 The certificate of a sampled observer shows how the distance between truth and estimate, in its metric, changes from
-sample to sample (see `_radius_recursion`). `Bounded` runs this recursion as a part of the observer's step, from what
-that step did: the age of the measurement, the length and number of its Runge–Kutta steps, whether it corrected, and its
-result code. The radius after a sample bounds the error of each position and velocity. If a sample does not confirm a
-premise of the certificate, the bounds are infinite and name that premise, until a new start.
+sample to sample (see `_radius_recursion`). `Bounded` runs this recursion as a part of the observer's step, with the
+data of that step: the age of the measurement, the length and number of its Runge–Kutta steps, whether it corrected, and
+its result code. The radius after a sample bounds the error of each position and velocity. If a sample does not confirm
+a premise of the certificate, the bounds are infinite and name that premise, until a new start.
 """
 
 import enum
@@ -24,8 +24,8 @@ from covariant.signals import StepCode
 ROUND = 1e-9
 """Relative margin that covers the rounding of the recursion, which runs in doubles."""
 ROUNDING = 1e-9
-"""Least bound of a position [1, or its unit] and, times the largest velocity, of a velocity: the proof is one of real
-numbers, and the observer's own rounding in doubles leads some 1e-13 away."""
+"""Least bound of a position [its unit], and of a velocity as a part of its largest value: the proof is about real
+numbers, and rounding in doubles changes the estimate by some 1e-13."""
 TURN = 2 * np.pi
 
 
@@ -52,7 +52,7 @@ class Premise(enum.IntEnum):
 
     @property
     def message(self) -> str:
-        """One line that says which premise is not known to hold."""
+        """One line on the premise that is not known to hold."""
         return _MESSAGES[self]
 
 
@@ -82,7 +82,7 @@ class BoundedState(NamedTuple):
 
     Attributes:
         inner: state of the observer.
-        radius: proved distance right after the last measurement, in the metric; infinite where nothing is known.
+        radius: proved distance right after the last measurement, in the metric; infinite if nothing is known.
         premise: `Premise` as a number: 0, or the first one that failed.
         last_input: the last finite input (m,).
 
@@ -135,14 +135,14 @@ class SampledBound(eqx.Module):
         recursion: constants of the recursion.
         radius: ε of the certificate.
         reach: bounds (2n,) of each position and velocity error at a distance of 1.
-        start: weights (2n,) of the squared initial errors in the squared distance; ∞ where the certificate has none.
+        start: weights (2n,) of the squared initial errors in the squared distance; ∞ if the certificate has none.
         positions: least and largest true positions (2, n), on rotations those of the matrix entries.
         velocity: bounds (n,) of the true velocities.
         inputs: least and largest inputs (2, m).
         noise: bounds (n,) of the errors of the measured positions.
         substeps: number of Runge–Kutta steps of a prediction.
-        longest_step: longest Runge–Kutta step whose error is proved [s]; 0 where none is.
-        missing_rows: whether a prediction may go over lost samples in one step.
+        longest_step: longest Runge–Kutta step whose error is proved [s]; 0 if none is proved.
+        missing_rows: whether one prediction may cover lost samples.
         circles: which positions are angles on a circle (n,); None on rotations.
 
     Example:
@@ -172,7 +172,7 @@ class SampledBound(eqx.Module):
     circles: tuple[bool, ...] | None = eqx.field(static=True)
 
     def within(self, position: Any, velocity: Any) -> float:
-        """Bound the distance for bounds of the initial errors; infinite where it may exceed the radius."""
+        """Bound the distance for bounds of the initial errors; infinite if it may exceed the radius."""
         each = [np.broadcast_to(np.asarray(b, float), self.velocity.shape) for b in (position, velocity)]
         errors = np.concatenate(each)
         if not (errors >= 0).all():
@@ -181,7 +181,7 @@ class SampledBound(eqx.Module):
         return self.known(float(np.sqrt(weighted.sum())) * (1 + ROUND))
 
     def known(self, radius: float) -> float:
-        """The radius, or ∞ where it exceeds that of the certificate."""
+        """Return the radius, or ∞ if it exceeds that of the certificate."""
         return radius if radius <= self.radius else np.inf
 
     def step(
@@ -203,15 +203,15 @@ class SampledBound(eqx.Module):
             after: its state after the step.
             info: what the step reported.
             u: the input (m,) that it used.
-            y: the measurement, NaN where the step takes it as missing.
-            dt: the length of its prediction [s], 0 where it made none.
+            y: the measurement, NaN if it counts as missing.
+            dt: the length of its prediction [s], 0 if it made none.
             missing: which entries of y are missing.
 
         Returns:
             Radius and premise to store, and the diagnostics.
         """
         corrected, coasted, outlier, repeated = (info.result == int(code) for code in _COVERED)
-        # The age that the gains of this step knew, and whether the step took it as that of a measurement.
+        # The age that the gains of this step used, and whether the step corrected by a measurement of this age.
         assert before.age is not None
         age = before.age + dt
         used = (dt > 0) & (after.age == 0)
@@ -255,22 +255,22 @@ class SampledBound(eqx.Module):
         return stored, premise.astype(stored.dtype), told
 
     def _errors(self, radius: Scalar) -> tuple[Vector, Vector]:
-        """Bounds (n,) of the errors of positions and velocities at a distance."""
+        """Compute bounds (n,) of the errors of positions and velocities at a distance."""
         position, velocity = jnp.split(radius * jnp.asarray(self.reach) * (1 + ROUND), 2)
         return position + ROUNDING, velocity + ROUNDING * self.velocity
 
     def _noise(self, age: Scalar) -> tuple[Scalar, Array]:
-        """Noise term G of a measurement of this age, and whether the certificate covers this age."""
+        """Look up the noise term G for a measurement of this age, and whether the certificate covers the age."""
         ages = jnp.asarray(self.recursion.ages)
         fits = (ages[:, 0] <= age) & (age <= ages[:, 1])
         # If several numbers of lost samples give this age, each is proved, so the least G holds.
         return jnp.min(jnp.where(fits, jnp.asarray(self.recursion.noise), jnp.inf)), fits.any()
 
     def _inside(self, q: Array, error: Vector) -> Array:
-        """Whether positions with these errors are within the region, entry by entry."""
+        """Test for each entry whether all positions within these errors are in the region."""
         low, high = self.positions
         if self.circles is None:
-            # No entry of a rotation is beyond 1, or changes by more than the angle.
+            # Entries of a rotation are at most 1 in size, and change by no more than the angle.
             angle, entries = jnp.linalg.norm(error), q.ravel()
             return ((low <= -1) | (low <= entries - angle)) & ((high >= 1) | (entries + angle <= high))
         circle = jnp.asarray(self.circles)
@@ -300,7 +300,7 @@ class Bounded(AbstractWrapper):
     Attributes:
         observer: the certified observer, or that observer behind a gate, in doubles.
         bound: the numbers of the certificate.
-        first_radius: largest distance between truth and estimate that `init` assumes; ∞ where it is unknown.
+        first_radius: bound of the distance between truth and estimate after `init`; ∞ if it is unknown.
 
     Raises:
         ValueError: `init` raises it for numbers that are not doubles.
@@ -350,7 +350,7 @@ class Bounded(AbstractWrapper):
         return self._unknown(state, self.observer.predict(state.inner, u, dt))
 
     def correct(self, state: BoundedState, u: Float[Array, "m"], y: Array) -> tuple[BoundedState, BoundedInfo]:
-        """Correct a predicted state; the bound is then unknown, since `step` alone knows what it replaced."""
+        """Correct a predicted state; the bound is then unknown, since only `step` sees both states of a step."""
         inner, info = self.observer.correct(state.inner, u, y)
         unknown = jnp.full(info.innovation.shape, jnp.inf)
         told = info.innovation, info.distance, unknown[0], unknown, unknown, jnp.asarray(int(Premise.STEP)), info.result
@@ -366,7 +366,7 @@ class Bounded(AbstractWrapper):
 
     @staticmethod
     def _unknown(state: BoundedState, inner: Any) -> BoundedState:
-        """A state with another one of the observer, of which no bound is known."""
+        """Replace the state of the observer by one without a known bound."""
         unknown = jnp.full_like(state.radius, jnp.inf), jnp.full_like(state.premise, float(Premise.STEP))
         return state._replace(inner=inner, radius=unknown[0], premise=unknown[1])
 
@@ -387,5 +387,5 @@ def _need_doubles(state: BoundedState) -> None:
 
 
 def certified_state(state: Any) -> SampledState:
-    """State of the certified observer in the state of one that may have a gate."""
+    """Extract the state of the certified observer from that of an observer which may have a gate."""
     return state if "q" in state._fields else certified_state(state.inner)
