@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+import covariant
 from covariant import Record, lowering, models
 from covariant._compile import compiler
 from covariant.certificates import (
@@ -739,3 +740,54 @@ def test_a_certificate_in_continuous_time_says_what_start_it_covers_and_has_no_b
     assert quiet.start is not None
     assert (quiet.start.together < quiet.start.alone).all()
     assert (quiet.start.alone < quiet.start.farthest).all()
+
+
+MASS_ON_A_SPRING = {"position": (-2.0, 2.0), "velocity": 3.0, "error": 0.3, "interval": (0.01, 0.01), "lost": 1}
+
+
+@pytest.mark.long
+def test_rows_that_may_be_missing_are_proved_and_checked_by_their_longer_steps(tmp_path):
+    recipe = models.recipe("oscillator")
+    model = models.from_recipe(recipe)
+    assert isinstance(model, models.MechanicalSystem)
+    observer = Intrinsic(model, 10.0, 40.0, substeps=1)
+    empty = certify(observer, **MASS_ON_A_SPRING, recipe=recipe, checker="off")
+    missing = certify(observer, **MASS_ON_A_SPRING, lost_rows="missing", recipe=recipe, checker="off")
+    assert empty.statement.proved
+    assert missing.statement.proved
+    assert "each of them as a row without a measurement" in empty.statement.claim
+    assert "as rows that may be missing: one prediction may cover 0.02002 s" in missing.statement.claim
+    path = missing.save(tmp_path / "missing.json")
+    assert check(path).statement.proved
+    assert "missing_rows" not in json.loads(empty.save(tmp_path / "empty.json").read_text())["sampling"]
+    truth = jnp.array([0.5 * np.cos(0.02), -0.5 * np.sin(0.02)])
+    for certificate, premise in ((empty, Premise.AGE), (ContractionCertificate.load(path), Premise.HOLDS)):
+        running = certificate.bounded(position=0.0, velocity=0.0)
+        state, info = running.step(running.init(jnp.array([0.5])), jnp.zeros(1), truth[:1], 0.02)
+        assert int(info.premise) == premise
+        limits = jnp.concatenate([info.position_bound, info.velocity_bound])
+        assert (jnp.abs(running.estimate(state) - truth) <= limits).all()
+
+    def shorter(document):
+        """Steps of one interval, as if all rows were there."""
+        document["sampling"]["missing_rows"] = False
+
+    with pytest.raises(ValueError, match="missing_rows"):
+        check(altered(path, tmp_path, shorter))
+
+
+@pytest.mark.long
+def test_the_verb_fixes_the_number_of_steps_and_proves_their_errors():
+    """An observer that chose it would have predictions that are assumed to be exact, and no bound."""
+    bounds = {"velocity": 3.0, "error": 0.3, "region": {"q": (-2.0, 2.0)}, "interval": (0.01, 0.03), "checker": "off"}
+    certificate = covariant.certify("oscillator", alpha=10.0, beta=40.0, **bounds).certificate
+    assert certificate.sampling is not None
+    assert certificate.sampling.substeps == 3
+    state = certificate.bounded(velocity=0.0).init(jnp.array([0.5]))
+    _, info = certificate.bounded(velocity=0.0).step(state, jnp.zeros(1), jnp.array([0.4999]), 0.01)
+    assert int(info.premise) == Premise.CONTRADICTED  # the mass has moved by 2.5e-5
+    free = certify(
+        Intrinsic(models.oscillator(), 10.0, 40.0), **MASS_ON_A_SPRING | {"lost": 0, "checker": "off"}
+    ).bounded(velocity=0.0)
+    _, info = free.step(free.init(jnp.array([0.5])), jnp.zeros(1), jnp.array([0.499975]), 0.01)
+    assert int(info.premise) == Premise.PREDICTION
