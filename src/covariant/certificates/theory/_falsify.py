@@ -41,7 +41,7 @@ def falsify(
 
     Raises:
         ValueError: bounds that are not in order or leave a single point, a rate that is NaN, as an argument or at a
-            point of the region, no attempts or starts, or a flow that depends on time.
+            point of the region, no attempts, or a flow that depends on time.
 
     Example:
         >>> import jax.numpy as jnp
@@ -59,9 +59,10 @@ def falsify(
     """
     check_box(domain)
     # Without a single point the verdict would be "holds".
-    if attempts < 1 or starts < 1 or math.isnan(rate):
+    if attempts < 1 or starts < 0 or math.isnan(rate):
         raise ValueError(
-            f"falsify: attempts and starts must be 1 or more, and the rate a number; got {attempts}, {starts}, {rate}"
+            "falsify: attempts must be 1 or more, starts 0 or more, and the rate a number; got "
+            f"{attempts}, {starts}, {rate}"
         )
     if not (domain.low < domain.high).any():
         raise ValueError("falsify: the domain is a single point; give bounds that differ")
