@@ -184,14 +184,19 @@ def export(
     progress(f"writing {prefix}")
     if bounded and delayed is fixed and kept is not None:
         delayed = kept.bounded(fixed, radius=kept.radius)
-        description = f"{description} {_start_line(kept)}"
+        description, proved = f"{description} {_start_line(kept)}", "\n".join([proved, *_premise_lines()])
+    unbounded = ""
+    if kept is not None and kept.sampling is not None and not isinstance(delayed, certificates.Bounded):
+        reason = "is about doubles" if real != "double" else "is about measurements without delays"
+        unbounded = f"no bound of the error is a part of the step, since the certificate {reason}"
+        proved = f"{proved}\n\nIn this code {unbounded}."
     # The others have no number of the model.
     opened = family if entry.knows_model and not delayed.fixed_numbers else None
     written = _program(label, delayed, opened, file, parameters, real, measured[0], unit, step_per_sensor)
     read = tuple(name for part in designed.sensors for name in part.signals)
     written = written._replace(signals=kind_of(file).signals(written.u, read))
     broken = _broken_laws(designed.inner) if audit else ""
-    warnings = [line for line in (broken, assumed) if line]
+    warnings = [line for line in (broken, assumed, unbounded) if line]
     if unit:
         version: Any = fmi or VERSIONS[0]
         packed = fmu(written, prefix, description, rate, measured[0], version)
@@ -401,10 +406,17 @@ def _with_substeps(observer: Any, substeps: int) -> AbstractObserver:
 def _start_line(certificate: certificates.ContractionCertificate) -> str:
     """What the bound in generated code assumes of the start."""
     where = certificate.start or f"within {certificate.radius:.4g} in the metric of the certificate"
+    reasons = ", ".join(f"{int(each)} {each.name.lower()}" for each in certificates.Premise if each > 0)
     return (
         "position_bound and velocity_bound are proved bounds of the errors of the estimate while premise is 0, else "
-        f"infinite; they assume that the errors of the first estimate are within these, all at once: {where}."
+        "infinite, and not a number before the first step; they assume that the errors of the first estimate are "
+        f"within these, all at once: {where}. Other values of premise say what is not known to hold: {reasons}."
     )
+
+
+def _premise_lines() -> list[str]:
+    """What the numbers of `premise` mean, for the data sheet."""
+    return ["", "Values of `premise`:", "", *(f"- {int(each)}: {each.message}" for each in certificates.Premise)]
 
 
 def _verified(

@@ -28,7 +28,6 @@ from covariant.certificates.base import (
     observer_document,
     parse,
     reach_squares,
-    same_observer,
     select,
     start_of,
     steady_of,
@@ -37,7 +36,7 @@ from covariant.certificates.base import (
 )
 from covariant.certificates.checking import follows
 from covariant.certificates.sampled import ROUND, Bounded, SampledBound
-from covariant.observers import AbstractObserver, Gated
+from covariant.observers import AbstractObserver
 from covariant.proofs import Box, digest
 
 SAMPLED_ROLES = ("joint force", "friction slope")
@@ -215,9 +214,6 @@ class ContractionCertificate(NamedTuple):
             )
         if self.statement.verdict != "holds":
             raise ValueError("no bound beside every sample, since nothing is proved on the region")
-        inner = observer.observer if isinstance(observer, Gated) else observer or self.observer
-        if not same_observer(inner, self.observer):
-            raise ValueError("bounded: the observer is not the one of the certificate, nor that one behind a gate")
         squares, factors = reach_squares(self.claims), select(self.claims, StartClaim)
         model, n = self.observer.model, len(self.velocity)
         bound = SampledBound(
@@ -234,14 +230,14 @@ class ContractionCertificate(NamedTuple):
             self.sampling.missing_rows,
             tuple(i in model.circles for i in range(n)) if model.manifold.commuting else None,
         )
-        if radius is not None and (position is not None or velocity is not None or not radius >= 0):
-            raise ValueError(f"bounded: give a radius ≥ 0, or bounds of position and velocity; got the radius {radius}")
         if radius is None:
             speed = np.inf if velocity is None else velocity
             first = bound.within(self.given.noise if position is None else position, speed)
+        elif position is None and velocity is None and np.ndim(radius) == 0 and np.isreal(radius) and radius >= 0:
+            first = bound.known(float(radius))
         else:
-            first = bound.known(radius)
-        return Bounded(self.observer if observer is None else observer, bound, first)
+            raise ValueError(f"bounded: give a radius ≥ 0, or bounds of position and velocity; got the radius {radius}")
+        return Bounded(self.observer if observer is None else observer, bound, first, self.observer)
 
     @property
     def kinds(self) -> tuple[str, ...]:
