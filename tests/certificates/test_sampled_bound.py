@@ -392,6 +392,15 @@ def test_wrong_first_errors_are_one_clear_line():
                 bound_of().within(*errors)
 
 
+def test_lost_samples_need_an_interval():
+    lost: dict[str, Any]
+    for lost in ({"lost": 1}, {"lost_rows": "missing"}):
+        with pytest.raises(ValueError, match="lost samples need interval"):
+            certify(plain_pendulum(), **BOUNDS, **lost)
+    with pytest.raises(ValueError, match="lost must be a whole number"):
+        certify(plain_pendulum(), **BOUNDS, interval=INTERVAL, lost=1.5)  # pyright: ignore[reportArgumentType]
+
+
 def test_no_wrapper_takes_the_steps_of_a_bound_apart():
     """A reading that is too late took no step, and would have reported a bound of 0."""
     with pytest.raises(ValueError, match="Delayed: what Bounded reports"):

@@ -171,7 +171,9 @@ def export(
         if kept.sampling is not None and kept.sampling.substeps is not None:
             fixed = _with_substeps(designed.observer, kept.sampling.substeps)
     substeps = getattr(getattr(fixed, "observer", fixed), "substeps", None)
-    bounded = kept is not None and kept.sampling is not None and real == "double"
+    sampling = None if kept is None else kept.sampling
+    # Where the observer chooses its substeps, errors of predictions are not proved, and so is no bound.
+    bounded = sampling is not None and sampling.substeps is not None and real == "double"
     if bounded and parameters:
         raise ValueError("the certificate is about the numbers of the model as they are; leave out `parameters`")
     # Only an observer with a model can predict from the time of a late reading to the present.
@@ -186,8 +188,12 @@ def export(
         delayed = kept.bounded(fixed, radius=kept.radius)
         description, proved = f"{description} {_start_line(kept)}", "\n".join([proved, *_premise_lines()])
     unbounded = ""
-    if kept is not None and kept.sampling is not None and not isinstance(delayed, certificates.Bounded):
-        reason = "is about doubles" if real != "double" else "is about measurements without delays"
+    if sampling is not None and not delayed.fixed_numbers:
+        reason = "is about measurements without delays"
+        if sampling.substeps is None:
+            reason = "is about an observer that chooses its substeps, of which the errors of predictions are not proved"
+        elif real != "double":
+            reason = "is about doubles"
         unbounded = f"no bound of the error is a part of the step, since the certificate {reason}"
         proved = f"{proved}\n\nIn this code {unbounded}."
     # The others have no number of the model.
