@@ -171,7 +171,9 @@ def export(
         if kept.sampling is not None and kept.sampling.substeps is not None:
             fixed = _with_substeps(designed.observer, kept.sampling.substeps)
     substeps = getattr(getattr(fixed, "observer", fixed), "substeps", None)
-    bounded = kept is not None and kept.sampling is not None and real == "double"
+    sampling = None if kept is None else kept.sampling
+    # Where the observer chooses its substeps, errors of predictions are not proved, and so is no bound.
+    bounded = sampling is not None and sampling.substeps is not None and real == "double"
     if bounded and parameters:
         raise ValueError("the certificate is about the numbers of the model as they are; leave out `parameters`")
     # Only an observer with a model can predict from the time of a late reading to the present.
@@ -184,14 +186,23 @@ def export(
     progress(f"writing {prefix}")
     if bounded and delayed is fixed and kept is not None:
         delayed = kept.bounded(fixed, radius=kept.radius)
-        description = f"{description} {_describe_start(kept)}"
+        description, proved = f"{description} {_describe_start(kept)}", "\n".join([proved, *_list_premises()])
+    unbounded = ""
+    if sampling is not None and not delayed.fixed_numbers:
+        reason = "is about measurements without delays"
+        if sampling.substeps is None:
+            reason = "is about an observer that chooses its substeps, of which the errors of predictions are not proved"
+        elif real != "double":
+            reason = "is about doubles"
+        unbounded = f"no bound of the error is a part of the step, since the certificate {reason}"
+        proved = f"{proved}\n\nIn this code {unbounded}."
     # Other observers have no parameters of the model.
     opened = family if entry.knows_model and not delayed.fixed_numbers else None
     written = _program(label, delayed, opened, file, parameters, real, measured[0], unit, step_per_sensor)
     read = tuple(name for part in designed.sensors for name in part.signals)
     written = written._replace(signals=kind_of(file).signals(written.u, read))
     broken = _broken_laws(designed.inner) if audit else ""
-    warnings = [line for line in (broken, assumed) if line]
+    warnings = [line for line in (broken, assumed, unbounded) if line]
     if unit:
         version: Any = fmi or VERSIONS[0]
         packed = fmu(written, prefix, description, rate, measured[0], version)
@@ -401,10 +412,17 @@ def _with_substeps(observer: Any, substeps: int) -> AbstractObserver:
 def _describe_start(certificate: certificates.ContractionCertificate) -> str:
     """Describe which initial errors the bound in generated code assumes."""
     where = certificate.start or f"within {certificate.radius:.4g} in the metric of the certificate"
+    reasons = ", ".join(f"{int(each)} {each.name.lower()}" for each in certificates.Premise if each > 0)
     return (
         "position_bound and velocity_bound are proved bounds of the errors of the estimate while premise is 0, else "
-        f"infinite; they assume that the errors of the first estimate are within these, all at once: {where}."
+        "infinite, and not a number before the first step; they assume that the errors of the first estimate are "
+        f"within these, all at once: {where}. Other values of premise say what is not known to hold: {reasons}."
     )
+
+
+def _list_premises() -> list[str]:
+    """List what the numbers of `premise` mean, for the data sheet."""
+    return ["", "Values of `premise`:", "", *(f"- {int(each)}: {each.message}" for each in certificates.Premise)]
 
 
 def _verify_certificate(
@@ -439,7 +457,8 @@ def _verify_certificate(
     ]
     if designed.inner is not designed.observer:
         lines += ["", beyond_proof(0 if sampling is None else sampling.lost)]
-    return certificates.ContractionCertificate.load(path, model=attribute), "\n".join(lines)
+    certificate = certificates.ContractionCertificate.load(path, model=attribute)
+    return certificate._replace(verified=True), "\n".join(lines)
 
 
 def beyond_proof(lost: int) -> str:

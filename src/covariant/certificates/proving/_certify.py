@@ -161,7 +161,8 @@ def certify(
     Raises:
         ValueError: an argument without its bound, an error up to which a logarithm is not unique, friction or force
             that are not covered, a `q` that is not symmetric positive definite, the recipe of another model, or
-            another word for `checker`; with `interval`, two times that are not positive and in order, or `q`.
+            another word for `checker`; with `interval`, two times that are not positive and in order, or `q`;
+            without it, lost samples.
         TypeError: another kind of observer.
         ImportError: with `interval`, the solver clarabel is missing.
     """
@@ -181,6 +182,8 @@ def certify(
         raise ValueError(
             "certify: with interval, noise and disturbance are covered in coordinates only; leave them out"
         )
+    if interval is None and (lost or lost_rows != "empty"):
+        raise ValueError("certify: lost samples need interval, the shortest and longest time between two samples")
     region = region_of(observer.model, position, input, times)
     check_recipe(observer.model, recipe)
     effort = Effort(Box((), (), np.zeros(0), np.zeros(0)), boxes, seconds, processes, progress)

@@ -24,7 +24,6 @@ from covariant.certificates.base import (
     check_recipe,
     contraction_statement,
     first_velocity,
-    is_same_observer,
     loss_of,
     observer_document,
     parse,
@@ -35,9 +34,9 @@ from covariant.certificates.base import (
     value_graph,
     write,
 )
-from covariant.certificates.checking import follows
+from covariant.certificates.checking import check, follows
 from covariant.certificates.sampled import ROUND, Bounded, SampledBound
-from covariant.observers import AbstractObserver, Gated
+from covariant.observers import AbstractObserver
 from covariant.proofs import Box, digest
 
 SAMPLED_ROLES = ("joint force", "friction slope")
@@ -215,9 +214,10 @@ class ContractionCertificate(NamedTuple):
             )
         if self.statement.verdict != "holds":
             raise ValueError("no bound beside every sample, since nothing is proved on the region")
-        inner = observer.observer if isinstance(observer, Gated) else observer or self.observer
-        if not is_same_observer(inner, self.observer):
-            raise ValueError("bounded: the observer is not the one of the certificate, nor that one behind a gate")
+        if not self.verified:
+            raise ValueError(
+                "bounded: this certificate was read from a file and is not verified; give load(..., verify=True)"
+            )
         squares, factors = reach_squares(self.claims), select(self.claims, StartClaim)
         model, n = self.observer.model, len(self.velocity)
         bound = SampledBound(
@@ -234,14 +234,14 @@ class ContractionCertificate(NamedTuple):
             self.sampling.missing_rows,
             tuple(i in model.circles for i in range(n)) if model.manifold.commuting else None,
         )
-        if radius is not None and (position is not None or velocity is not None or not radius >= 0):
-            raise ValueError(f"bounded: give a radius ≥ 0, or bounds of position and velocity; got the radius {radius}")
         if radius is None:
             speed = np.inf if velocity is None else velocity
             first = bound.within(self.given.noise if position is None else position, speed)
+        elif position is None and velocity is None and np.ndim(radius) == 0 and np.isreal(radius) and radius >= 0:
+            first = bound.known(float(radius))
         else:
-            first = bound.known(radius)
-        return Bounded(self.observer if observer is None else observer, bound, first)
+            raise ValueError(f"bounded: give a radius ≥ 0, or bounds of position and velocity; got the radius {radius}")
+        return Bounded(self.observer if observer is None else observer, bound, first, self.observer)
 
     @property
     def kinds(self) -> tuple[str, ...]:
@@ -317,24 +317,30 @@ class ContractionCertificate(NamedTuple):
         return write(path, self.document(), check)
 
     @classmethod
-    def load(cls, path: str | Path, *, model: Any = None) -> "ContractionCertificate":
+    def load(cls, path: str | Path, *, model: Any = None, verify: bool = False) -> "ContractionCertificate":
         """Read a saved certificate with all its boxes.
 
         Two things are checked: that the boxes cover the region, and that the statement follows from the claims. Whether
-        the claims hold is checked only by `covariant certify --check`; until then the certificate is not `verified`.
+        the claims hold is checked with `verify` or by `covariant certify --check`; until then the certificate is not
+        `verified`, and has no bound beside every sample.
         The time of the proofs is not in the file (NaN).
 
         Args:
             path: the file.
             model: for a recipe that names a model that is not of this library: the model, a function that creates it
                 from the recipe's parameters, or the `module:attribute` of either.
+            verify: let the checker show the claims too, which may take as long as their proof.
 
         Returns:
-            The certificate, whose claims have the evidence "claimed".
+            The certificate, whose claims have the evidence "claimed", or with `verify` "proved".
 
         Raises:
             ValueError: naming file and key.
         """
-        facts = follows(parse(path), model).stated()
+        document = parse(path)
+        facts = follows(document, model).stated()
+        if verify:
+            checked = check(document, model=model)
+            return cls.of(facts, checked.statement, verified=True, checker_seconds=checked.seconds)
         statement = contraction_statement(facts, "claimed")
         return cls.of(facts, statement._replace(claim=f"{statement.claim} (read from a file, not verified again)"))

@@ -11,14 +11,16 @@ import enum
 from typing import Any, NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Float, Inexact
 
 from covariant._typing import Code, Number, Scalar, Vector
-from covariant.certificates.base import Recursion
+from covariant.certificates.base import Recursion, is_same_observer
 from covariant.models import MechanicalSystem
-from covariant.observers import AbstractWrapper, Info, LastInput, SampledState, without_last_input
+from covariant.observers import AbstractWrapper, Gated, Info, LastInput, SampledState, without_last_input
 from covariant.signals import StepCode
 
 ROUND = 1e-9
@@ -26,6 +28,8 @@ ROUND = 1e-9
 ROUNDING = 1e-9
 """Least bound of a position [its unit], and of a velocity as a part of its largest value: the proof is about real
 numbers, and rounding in doubles changes the estimate by some 1e-13."""
+LARGE = 1e3
+"""Position [1, or its unit] beyond which the least bounds grow in proportion to it, at thousands of roundings."""
 TURN = 2 * np.pi
 
 
@@ -173,10 +177,19 @@ class SampledBound(eqx.Module):
 
     def within(self, position: Any, velocity: Any) -> float:
         """Bound the distance for bounds of the initial errors; infinite if it may exceed the radius."""
-        each = [np.broadcast_to(np.asarray(b, float), self.velocity.shape) for b in (position, velocity)]
-        errors = np.concatenate(each)
-        if not (errors >= 0).all():
-            raise ValueError(f"bounded: bounds of initial errors must be numbers ≥ 0; got {errors.tolist()}")
+        try:
+            errors = np.concatenate(
+                [np.broadcast_to(np.asarray(b, float), self.velocity.shape) for b in (position, velocity)]
+            )
+            valid = (errors >= 0).all()
+        except (TypeError, ValueError):  # no numbers, or more than there are positions
+            errors, valid = np.zeros(0), False
+        if not valid:
+            n = len(self.velocity)
+            raise ValueError(
+                f"bounded: bounds of initial errors must be numbers ≥ 0, one or {n} of positions and of velocities; "
+                f"got {position} and {velocity}"
+            )
         weighted = np.where(errors > 0, self.start, 0.0) * errors**2
         return self.known(float(np.sqrt(weighted.sum())) * (1 + ROUND))
 
@@ -222,10 +235,11 @@ class SampledBound(eqx.Module):
         factor_term = self.recursion.change * age * (before_radius + self.recursion.error)
         after_radius = (jnp.sqrt(before_radius**2 + added) + factor_term) * (1 + ROUND)
         radius = jnp.where(used, after_radius, before_radius)
-        position, velocity = self._errors(radius)
+        position, velocity = self._errors(radius, after.q)
         # Lost samples may be rows without a measurement, or with `missing_rows` no rows at all.
         longest = self.recursion.ages[-1 if self.missing_rows else 0, 1]
         aged = (dt <= longest) & jnp.where(used, known_age, age <= self.recursion.ages[-1, 1])
+        allowed_noise = self.noise * (1 + ROUND)
         proved_step = dt <= self.longest_step * (self.substeps or 0)
         conditions: tuple[tuple[Premise, Any], ...] = (
             (Premise.START, jnp.isfinite(state.radius)),
@@ -240,7 +254,7 @@ class SampledBound(eqx.Module):
             (Premise.MEASUREMENT, whole),
             (
                 Premise.CONTRADICTED,
-                ~used | (jnp.abs(info.innovation) <= self._errors(before_radius)[0] + self.noise * (1 + ROUND)).all(),
+                ~used | (jnp.abs(info.innovation) <= self._errors(before_radius, after.q)[0] + allowed_noise).all(),
             ),
         )
         premise = jnp.zeros((), jnp.int32)
@@ -254,10 +268,13 @@ class SampledBound(eqx.Module):
         told = BoundedInfo(info.innovation, info.distance, radius, position, velocity, premise, info.result)
         return stored, premise.astype(stored.dtype), told
 
-    def _errors(self, radius: Scalar) -> tuple[Vector, Vector]:
+    def _errors(self, radius: Scalar, q: Array) -> tuple[Vector, Vector]:
         """Compute bounds (n,) of the errors of positions and velocities at a distance."""
         position, velocity = jnp.split(radius * jnp.asarray(self.reach) * (1 + ROUND), 2)
-        return position + ROUNDING, velocity + ROUNDING * self.velocity
+        # Doubles round large positions, such as angles of many turns, by more.
+        rounding = ROUNDING * (1 + jnp.max(jnp.abs(q)) / LARGE)
+        of_position, of_velocity = np.split(self.reach, 2)
+        return position + rounding, velocity + rounding * (self.velocity + np.max(of_velocity) / np.min(of_position))
 
     def _noise(self, age: Scalar) -> tuple[Scalar, Array]:
         """Look up the noise term G for a measurement of this age, and whether the certificate covers the age."""
@@ -301,9 +318,11 @@ class Bounded(AbstractWrapper):
         observer: the certified observer, or that observer behind a gate, in doubles.
         bound: the numbers of the certificate.
         first_radius: bound of the distance between truth and estimate after `init`; ∞ if it is unknown.
+        certified: the observer that the bound is about; by default `observer` without its gate.
 
     Raises:
-        ValueError: `init` raises it for numbers that are not doubles.
+        ValueError: `observer` does not take the steps of `certified`, or `first_radius` is negative. `init` and `step`
+            raise it for numbers that are not doubles.
 
     Example:
         An oscillator whose speed is at most 0.4 m/s when the observer starts from rest:
@@ -327,6 +346,19 @@ class Bounded(AbstractWrapper):
     observer: Any
     bound: SampledBound
     first_radius: float = np.inf
+    certified: Any = None
+
+    def __post_init__(self):
+        if self.certified is None:
+            self.certified = without_gate(self.observer)
+
+    def __check_init__(self):
+        if not runs(self.observer, self.certified):
+            raise ValueError(
+                "bounded: the observer is not the one of the certificate, nor that one behind a gate; certify it"
+            )
+        if not isinstance(self.first_radius, Tracer) and not np.all(np.asarray(self.first_radius) >= 0):
+            raise ValueError(f"bounded: the first radius must be a number ≥ 0; got {self.first_radius}")
 
     @property
     def fixed_numbers(self) -> bool:
@@ -359,6 +391,8 @@ class Bounded(AbstractWrapper):
     def reported(
         self, before: BoundedState, after: BoundedState, info: Any, u: Float[Array, "m"], y: Array, dt: Scalar
     ) -> tuple[BoundedState, BoundedInfo]:
+        _need_doubles(before)
+        _need_double(jnp.asarray(y))
         states = certified_state(before.inner), certified_state(after.inner)
         missing = self.model.manifold.missing(y)
         radius, premise, told = self.bound.step(before, *states, info, u, y, dt, missing)
@@ -379,11 +413,35 @@ class Bounded(AbstractWrapper):
 
 def _need_doubles(state: BoundedState) -> None:
     for number in (certified_state(state.inner).q, state.radius):
-        if number.dtype != np.float64:
-            raise ValueError(
-                f"Bounded: the proof is about doubles, and here is a {number.dtype}; give the measurement as float64, "
-                "with jax_enable_x64 on"
-            )
+        _need_double(number)
+
+
+def _need_double(number: Array) -> None:
+    if number.dtype != np.float64:
+        raise ValueError(
+            f"Bounded: the proof is about doubles, and here is a {number.dtype}; give the measurement as float64, "
+            "with jax_enable_x64 on"
+        )
+
+
+def without_gate(observer: Any) -> Any:
+    """The observer behind a gate, or the observer itself."""
+    # A subclass may do more than refuse measurements.
+    return observer.observer if type(observer) is Gated else observer
+
+
+def runs(observer: Any, certified: Any) -> bool:
+    """Whether an observer takes the steps of a certified one, perhaps behind a gate."""
+    inner = without_gate(observer)
+    if inner is certified:
+        return True
+    inside = (any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(each)) for each in (inner, certified))
+    match tuple(inside):
+        case (True, True):  # the values are not known, inside of a compiled function that got both
+            return type(inner) is type(certified)
+        case (False, False):
+            return is_same_observer(inner, certified)
+    return False
 
 
 def certified_state(state: Any) -> SampledState:

@@ -102,8 +102,8 @@ def check_interval(interval: tuple[float, float], lost: int, lost_rows: LostRows
         raise ValueError(
             f"certify: interval must be positive times [s], the shorter one first; got {shortest:g} and {longest:g}"
         )
-    if not 0 <= lost <= MOST_LOST:
-        raise ValueError(f"certify: lost must be from 0 to {MOST_LOST}; got {lost}")
+    if not isinstance(lost, int | np.integer) or not 0 <= lost <= MOST_LOST:
+        raise ValueError(f"certify: lost must be a whole number from 0 to {MOST_LOST}; got {lost}")
     if lost_rows not in LOST_ROWS:
         raise ValueError(f"certify: lost_rows must be one of {', '.join(LOST_ROWS)}; got {lost_rows!r}")
     return shortest, longest

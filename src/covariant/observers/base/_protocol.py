@@ -483,6 +483,16 @@ def check_not_negative(whose: str, **gains: Any) -> None:
             raise ValueError(f"{whose}: {name} must be a finite number, 0 or more; got {_on_one_line(gain)}")
 
 
+def check_whole(whose: str, observer: Any) -> None:
+    """Check that an observer may be wrapped: what it reports of its own steps is unknown where they do not run."""
+    reported = getattr(type(observer), "reported", AbstractObserver.reported)
+    if reported is not AbstractObserver.reported:
+        raise ValueError(
+            f"{whose}: what {type(observer).__name__} reports is about its own steps, and not about those that {whose} "
+            "makes of them; put it around the others"
+        )
+
+
 def check_finite(whose: str, **given: Any) -> None:
     """Check that arrays have finite entries; a traced array has no values to check."""
     for name, array in given.items():
