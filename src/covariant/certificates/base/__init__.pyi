@@ -112,6 +112,7 @@ from ._statement import (
     Statement as Statement,
     Verdict as Verdict,
     lines as lines,
+    need_doubles as need_doubles,
 )
 from ._steady import disturbance_sizes as disturbance_sizes, loss_of as loss_of, steady_of as steady_of
 from ._tangent_metric import (

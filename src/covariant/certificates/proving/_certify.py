@@ -53,6 +53,7 @@ from covariant.certificates.base import (
     first_velocity,
     force_bounds,
     force_slopes,
+    need_doubles,
     observer_document,
     positive,
     reach_squares,
@@ -166,6 +167,7 @@ def certify(
         TypeError: another kind of observer.
         ImportError: with `interval`, the solver clarabel is missing.
     """
+    need_doubles("certify")
     if checker not in CHECKERS:
         raise ValueError(f"certify: checker must be one of {', '.join(CHECKERS)}; got {checker!r}")
     start = time.monotonic()

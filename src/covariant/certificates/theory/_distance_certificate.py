@@ -32,6 +32,7 @@ from covariant.certificates.base import (
     check_recipe,
     dimension,
     lowered_christoffel,
+    need_doubles,
     need_known,
     positive,
     region_of,
@@ -145,6 +146,7 @@ def certify_distance(
         raise ValueError(
             "certify_distance needs a model of two coordinates; one alone has part_limits, at any distance"
         )
+    need_doubles("certify_distance")
     need_known(model)
     _need_no_friction(model)
     check_recipe(model, recipe)
