@@ -68,7 +68,7 @@ class Hypothesis:
 
 def need_doubles(what: str) -> None:
     """Refuse to prove in single precision, in which a function is traced with other constants than were written."""
-    if not jax.config.jax_enable_x64:
+    if not jax.config.jax_enable_x64:  # pyright: ignore[reportAttributeAccessIssue]
         raise ValueError(f"{what} needs doubles, and jax_enable_x64 is off; turn it on before the model is made")
 
 
