@@ -1,4 +1,8 @@
-"""What is exported is what `estimate` ran: the same result codes, and the same estimates to rounding."""
+"""What is exported is what `estimate` ran: the same result codes, and the same estimates to rounding.
+
+Each observer goes through logs with one fault each, by every target. `estimate` refuses a log whose stamps do not rise
+or whose inputs are missing; the targets that take samples one by one are then compared with the steps of its observer.
+"""
 
 import ctypes
 import functools
@@ -7,21 +11,26 @@ import json
 import platform
 import shutil
 import subprocess
-import xml.etree.ElementTree as ElementTree
-import zipfile
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any, NamedTuple
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import covariant
 from covariant.calibration import usual_speeds
-from covariant.codegen import _wasm
+from covariant.codegen import Program, _wasm, fmu, write_fmu
+from covariant.geometry.lie import SO3
 from covariant.signals import Record, StepCode
+from covariant.workflow._design import design
 from covariant.workflow._export import beyond_proof
+from covariant.workflow._inputs import Job, load
 
 MODEL = """system = "pendulum_chain"
-parameters = {mass = [1.0], length = [0.5]}
+parameters = {mass = [1.0], length = [0.5], viscous = [0.4]}
 
 [columns]
 q = ["hip"]
@@ -34,8 +43,13 @@ std = 1e-3
 acceleration = 1.0
 """
 MOTION = "motion_acceleration = 50.0\nmotion_time = 0.1\n"
-RATE, ROWS = 200.0, 800
-OBSERVERS = pytest.param("intrinsic", marks=pytest.mark.long), "filtered-derivative"
+FASTER = MOTION.replace("50", "100")
+"""Of a motion as fast as that of the logs, so that a gate does not depend on the log."""
+RATE, ROWS = 200.0, 600
+AT = 100
+"""Row at which a log has its fault."""
+CLOSE = 1e-9
+"""Largest difference of numbers, relative to those above 1."""
 needs_compiler = pytest.mark.skipif(shutil.which("cc") is None, reason="there is no C compiler, `cc`")
 in_a_unit = pytest.mark.skipif(
     (platform.system(), platform.machine()) != ("Linux", "x86_64"), reason="the folder of the binary is another one"
@@ -43,161 +57,391 @@ in_a_unit = pytest.mark.skipif(
 
 
 @functools.cache
-def log() -> Record:
-    """A swing with outliers, alone and as three in a row, missing readings, and a hole of a quarter of a second."""
-    h, rng = 1 / RATE, np.random.default_rng(0)
-    t = h * np.arange(ROWS)
+def swing() -> Record:
+    """A pendulum that turns over, so that its angle passes π."""
+    h, rng, rows = 1 / RATE, np.random.default_rng(0), 2 * ROWS
+    t = h * np.arange(rows)
     u = 0.3 * np.sin(3 * t)
-    x, states = np.array([0.6, 0.0]), []
-    for k in range(ROWS):
+    x, states = np.array([0.6, 8.0]), []
+    for k in range(rows):
         states.append(x)
         for _ in range(20):
-            v = x[1] + (u[k] / 0.25 - 19.62 * np.sin(x[0])) * h / 20
+            v = x[1] + ((u[k] - 0.4 * x[1]) / 0.25 - 19.62 * np.sin(x[0])) * h / 20
             x = np.array([x[0] + v * h / 20, v])
-    y = np.array(states)[:, :1] + 1e-3 * rng.normal(size=(ROWS, 1))
-    y[[40, 90]] += 0.5
-    y[60:63] += [[0.4], [-0.3], [0.5]]
-    y[[50, 91, 120]] = np.nan
-    y[140:190] = np.nan  # u was logged there
-    y[200] = 1e12  # in a log as any number
-    return Record(t, u[:, None], y)
+    return Record(t, u[:, None], np.array(states)[:, :1] + 1e-3 * rng.normal(size=(rows, 1)))
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory) -> Path:
-    folder = tmp_path_factory.mktemp("what_ran")
-    (folder / "pendulum.toml").write_text(MODEL + MOTION)
-    return folder
+@functools.cache
+def turn() -> Record:
+    """A top that spins, its attitude as matrices."""
+    t, rng = np.arange(2 * ROWS) / RATE, np.random.default_rng(0)
+    turned = jnp.stack([0.3 * np.sin(2 * t), 0.2 * np.cos(3 * t), 2 * t], axis=1)
+    noise = jnp.asarray(1e-3 * rng.normal(size=(len(t), 3)))
+    y = jax.vmap(lambda a, b: SO3.exp(a) @ SO3.exp(b))(turned, noise)
+    return Record(t, 0.1 * np.sin(np.stack([t, 2 * t, 3 * t], axis=1)), np.asarray(y))
 
 
-@pytest.fixture(scope="module", params=OBSERVERS)
-def ran(request, folder):
-    """The run of `estimate`, and what exports the same observer."""
-    name = request.param.partition("-")[0]
-    model, chosen = folder / "pendulum.toml", {"observer": request.param, "rate": RATE, "audit": False, "name": name}
-    result = covariant.estimate(model, log(), observer=request.param, engine="jax")
-
-    def export(out, **options):
-        covariant.export(model, folder / out, **chosen, **options)
-        return folder / out
-
-    return name, result, export
+def moved(y: np.ndarray, rows: Any, by: float) -> np.ndarray:
+    """Measurements of which some rows are off by an angle."""
+    y = y.copy()
+    y[rows] = y[rows] @ np.asarray(SO3.exp(jnp.array([0.0, by, 0.0]))) if y.ndim == 3 else y[rows] + by
+    return y
 
 
-def same(result, codes, estimates, atol=1e-9):
-    assert [StepCode(c).name for c in codes] == [StepCode(c).name for c in result.codes]
-    np.testing.assert_allclose(estimates, np.asarray(result.run.estimate), rtol=0, atol=atol)
+def without(y: np.ndarray, rows: Any) -> np.ndarray:
+    y = y.copy()
+    y[rows] = np.nan
+    return y
 
 
-def test_the_log_has_what_the_law_is_about(ran):
-    name, result, _ = ran
-    codes = [StepCode(c).name for c in result.codes]
-    assert codes[40] == codes[90] == "OUTLIER"
-    assert codes[50] == codes[150] == codes[200] == "COASTED"
-    assert codes[:40] == ["OK"] * 40
-    assert name != "intrinsic" or np.abs(result.velocity).max() < 4
+def one_off(log: Record) -> Record:
+    return log._replace(y=moved(log.y, AT, 0.5))
 
 
-@needs_compiler
-def test_c_does_what_ran(ran):
-    name, result, export = ran
-    source = export(f"{name}_c") / f"{name}.c"
-    library = source.with_suffix(".so")
-    subprocess.run(["cc", "-std=c99", "-O1", "-fPIC", "-shared", source, "-lm", "-o", library], check=True)
-    code, numbers = ctypes.CDLL(str(library)), (ctypes.c_double * 1)
-    params = ctypes.addressof(ctypes.c_double.in_dll(code, f"{name}_default"))
-    state, output = ctypes.create_string_buffer(4096), (ctypes.c_double * 2)()
-    init, step, estimate = (getattr(code, f"{name}_{f}") for f in ("init", "step", "estimate"))
-    params, at = ctypes.c_void_p(params), log()
-    codes, estimates = [init(state, params, numbers(*at.y[0]), ctypes.c_double(0.0))], []
-    for k in range(ROWS):
-        if k:
-            dt = ctypes.c_double(at.t[k] - at.t[k - 1])
-            codes.append(step(state, params, numbers(*at.u[k - 1]), numbers(*at.y[k]), None, dt))
-        estimate(state, params, output)
-        estimates.append(list(output))
-    same(result, codes, estimates)
+def three_off(log: Record) -> Record:
+    y = log.y
+    for k, by in enumerate((0.4, -0.3, 0.5)):
+        y = moved(y, AT + k, by)
+    return log._replace(y=y)
 
 
-@pytest.mark.long
-@needs_compiler
-def test_the_python_module_does_what_ran(ran, monkeypatch):
-    name, result, export = ran
-    monkeypatch.syspath_prepend(export(f"{name}_module", python=True) / "python")
-    run = importlib.import_module(name).run(log().t, log().y, log().u)
-    same(result, run.result, np.concatenate([run.q, run.v], axis=1))
+def rows_lost(count: int) -> Callable[[Record], Record]:
+    return lambda log: Record(*(np.delete(a, np.s_[AT : AT + count], axis=0) for a in log[:3]))
 
 
-@pytest.mark.long
-@needs_compiler
-@in_a_unit
-def test_a_unit_does_what_ran(ran, tmp_path):
-    """Its outputs are predicted to the next stamp, where the innovations of the run are."""
-    name, result, export = ran
-    with zipfile.ZipFile(export(f"{name}.fmu", fmi="2.0")) as packed:
-        packed.extractall(tmp_path)
-    description = ElementTree.parse(tmp_path / "modelDescription.xml").getroot()
-    code = ctypes.CDLL(str(tmp_path / "binaries" / "linux64" / f"{name}.so"))
-    code.fmi2Instantiate.restype = ctypes.c_void_p
-    unit = ctypes.c_void_p(code.fmi2Instantiate(b"a", 1, description.get("guid").encode(), b"", None, 0, 0))
-    places = {v.get("name"): int(v.get("valueReference")) for v in description.iter("ScalarVariable")}
-
-    def accessed(function, variable, value):
-        place = (ctypes.c_uint32 * 1)(places[variable])
-        assert function(unit, place, ctypes.c_size_t(1), ctypes.byref(value)) == 0
-        return value.value
-
-    at, codes, predicted = log(), [], []
-    accessed(code.fmi2SetReal, "y[1]", ctypes.c_double(at.y[0, 0]))
-    code.fmi2SetupExperiment(unit, 0, ctypes.c_double(0), ctypes.c_double(0), 0, ctypes.c_double(0))
-    assert code.fmi2EnterInitializationMode(unit) == code.fmi2ExitInitializationMode(unit) == 0
-    for k in range(ROWS - 1):
-        accessed(code.fmi2SetReal, "y[1]", ctypes.c_double(at.y[k, 0]))
-        accessed(code.fmi2SetReal, "u[1]", ctypes.c_double(at.u[k, 0]))
-        assert code.fmi2DoStep(unit, ctypes.c_double(at.t[k]), ctypes.c_double(at.t[k + 1] - at.t[k]), 1) == 0
-        codes.append(accessed(code.fmi2GetInteger, "outcome", ctypes.c_int()))
-        predicted.append(accessed(code.fmi2GetReal, "q[1]", ctypes.c_double()))
-    assert codes == result.codes[:-1].tolist()
-    seen = np.isfinite(at.y[1:, 0]) & (np.abs(at.y[1:, 0]) < 10)
-    expected = at.y[1:, 0] - np.asarray(result.run.info.innovation)[1:, 0]
-    np.testing.assert_allclose(np.array(predicted)[seen], expected[seen], rtol=0, atol=1e-9)
-    code.fmi2FreeInstance(unit)
+def cell_missing(log: Record) -> Record:
+    y = log.y.copy()
+    y[AT].flat[0] = np.nan
+    return log._replace(y=y)
 
 
-@pytest.mark.long
-@needs_compiler
-def test_webassembly_does_what_ran(folder, tmp_path):
+def row_missing(log: Record) -> Record:
+    return log._replace(y=without(log.y, np.s_[AT : AT + 50]))
+
+
+def jump(log: Record) -> Record:
+    return log._replace(y=moved(log.y, np.s_[AT:], 0.8))
+
+
+def whole_turn(log: Record) -> Record:
+    """As a reading that is wrapped; a rotation has no such step, and gets half a turn."""
+    return log._replace(y=moved(log.y, np.s_[AT:], np.pi if log.y.ndim == 3 else -2 * np.pi))
+
+
+def too_large(log: Record) -> Record:
+    y = log.y.copy()
+    y[AT].flat[0] = 1e12
+    return log._replace(y=y)
+
+
+def stamp(by: float) -> Callable[[Record], Record]:
+    """The stamp of a row is off by some samples."""
+
+    def fault(log: Record) -> Record:
+        t = log.t.copy()
+        t[AT] = t[AT + int(by)]
+        return log._replace(t=t)
+
+    return fault
+
+
+def input_missing(log: Record) -> Record:
+    u = log.u.copy()
+    u[AT : AT + 3, 0] = np.nan, np.inf, np.nan
+    return log._replace(u=u)
+
+
+FAULTS: dict[str, Callable[[Record], Record]] = {
+    "an outlier": one_off,
+    "three outliers": three_off,
+    "rows lost for a quarter of a second": rows_lost(50),
+    "a cell missing": cell_missing,
+    "readings missing for a quarter of a second": row_missing,
+    "a jump that stays": jump,
+    "a wrapped angle": whole_turn,
+    "a number too large": too_large,
+    "rows lost for more than a second": rows_lost(250),
+    "a repeated stamp": stamp(-1),
+    "a stamp back in time": stamp(-3),
+    "an input missing": input_missing,
+}
+REFUSED = "a repeated stamp", "a stamp back in time", "an input missing"
+"""Faults with which `estimate` refuses a log."""
+
+
+class Member(NamedTuple):
+    """An observer of the law, its model file, and a log without fault."""
+
+    observer: str
+    text: str = MODEL + FASTER
+    log: Callable[[], Record] = swing
+
+
+TOP = Path(__file__).parents[2] / "examples" / "heavy_top.toml"
+MEMBERS = {
+    "speed": Member("filtered-derivative"),
+    "joint": Member("joint-kalman"),
+    "kalman": Member("intrinsic-kalman"),
+    "ekf": Member("ekf"),
+    "implicit": Member("implicit-geodesic"),
+    "geodesic": Member("geodesic"),
+    "group": Member("intrinsic", TOP.read_text(encoding="utf-8"), turn),
+}
+QUICK = ("speed",)
+
+
+def log_of(member: Member, fault: str) -> Record:
+    log = FAULTS[fault](member.log())
+    return Record(*(a[:ROWS] for a in log[:3]))
+
+
+class Ran(NamedTuple):
+    """A log, what `estimate` made of it, or its message, and what the steps of its observer do."""
+
+    log: Record
+    codes: list[str]
+    x: np.ndarray
+    refused: str = ""
+
+
+class Exported(NamedTuple):
+    """An observer with all its exports, and its runs by fault."""
+
+    name: str
+    member: Member
+    folder: Path
+    program: Program
+    runs: dict[str, Ran]
+
+
+def elapsed(t: np.ndarray) -> np.ndarray:
+    """Times (T,) since the last stamp that was not refused; 1 for the first row, which is no step."""
+    dt, last = np.ones(len(t)), t[0]
+    for k in range(1, len(t)):
+        dt[k], last = t[k] - last, max(t[k], last)
+    return dt
+
+
+def named(codes) -> list[str]:
+    return [StepCode(int(code)).name for code in codes]
+
+
+def flat(estimate: Any) -> np.ndarray:
+    """Estimates (T, k): configuration, then velocity."""
+    parts = [np.asarray(leaf) for leaf in jax.tree.leaves(estimate)]
+    return np.concatenate([part.reshape(len(part), -1) for part in parts], axis=1)
+
+
+@functools.cache
+def has_wasm() -> bool:
     try:
         _wasm._compiled({"a.c": "int a;", "calls.c": "#include <math.h>\nint b;"})
     except ValueError:
-        pytest.skip("there is no compiler for WebAssembly")
-    if shutil.which("node") is None:
-        pytest.skip("there is no node")
-    model, at = folder / "pendulum.toml", log()
-    result = covariant.estimate(model, at, engine="jax")
-    covariant.export(model, tmp_path / "c", rate=RATE, audit=False, name="web", wasm=True)
-    rows = json.dumps([[y, u] for y, u in zip(at.y[:, 0].tolist(), at.u[:, 0].tolist(), strict=True)])
-    (tmp_path / "use.js").write_text(
-        f"""const rows = {rows};
-require("./c/web.js").load().then(({{ Observer }}) => {{
-    const observer = new Observer();
-    console.log(JSON.stringify(rows.map(([y, u], k) => {{
-        const code = observer.step([y], {1 / RATE}, k ? [rows[k - 1][1]] : [0]);
-        const x = observer.estimate();
-        return [code, x.q[0], x.v[0]];
-    }})));
-}});
-"""
+        return False
+    return shutil.which("node") is not None
+
+
+def ran(model: Path, member: Member, steps: Callable, fault: str) -> Ran:
+    log, refused = log_of(member, fault), ""
+    codes, x = steps(log)
+    try:
+        run = covariant.estimate(model, log, observer=member.observer, engine="jax", anyway=True).run
+    except ValueError as error:
+        refused = str(error)
+    else:
+        assert named(run.info.result) == codes
+        np.testing.assert_allclose(flat(run.estimate), x, rtol=CLOSE, atol=CLOSE)
+    assert bool(refused) == (fault in REFUSED), refused
+    return Ran(log, codes, x, refused)
+
+
+@pytest.fixture(scope="module", params=[n if n in QUICK else pytest.param(n, marks=pytest.mark.long) for n in MEMBERS])
+def exported(request, tmp_path_factory) -> Exported:
+    name, member = request.param, MEMBERS[request.param]
+    folder = tmp_path_factory.mktemp(name)
+    model = folder / "model.toml"
+    model.write_text(member.text)
+    chosen = {"observer": member.observer, "rate": RATE, "audit": False, "name": name}
+    result = covariant.export(model, folder / "c", python=True, wasm=has_wasm(), **chosen)
+    loaded = load(Job(model, Record(*(a[:ROWS] for a in member.log()[:3])), anyway=True))
+    observer = design(loaded.file, member.observer, None, loaded.rate, loaded).observer
+
+    @jax.jit
+    def stepped(t, u, y, dt):
+        def step(state, row):
+            state, info = observer.step(state, *row)
+            return state, (observer.estimate(state), info.result)
+
+        start = observer.init(y[0], t[0])
+        return observer.estimate(start), jax.lax.scan(step, start, (u[:-1], y[1:], dt[1:]))[1]
+
+    def steps(log: Record) -> tuple[list[str], np.ndarray]:
+        first, (x, codes) = stepped(*(jnp.asarray(a) for a in (*log[:3], elapsed(log.t))))
+        return ["OK", *named(codes)], np.concatenate([flat(jax.tree.map(lambda a: a[None], first)), flat(x)])
+
+    return Exported(name, member, folder, result.program, {fault: ran(model, member, steps, fault) for fault in FAULTS})
+
+
+def same(expected: Ran, codes, x) -> None:
+    assert named(codes) == expected.codes
+    np.testing.assert_allclose(x, expected.x, rtol=CLOSE, atol=CLOSE)
+
+
+def test_the_logs_have_what_the_law_is_about(exported):
+    codes = {fault: run.codes for fault, run in exported.runs.items()}
+    for fault, each in codes.items():
+        assert each[:AT] == ["OK"] * AT, fault
+    assert codes["an outlier"][AT] == "OUTLIER"
+    assert codes["readings missing for a quarter of a second"][AT] == codes["a number too large"][AT] == "COASTED"
+    assert codes["a repeated stamp"][AT] in ("REPEATED", "OUTLIER")  # of two the larger one
+    assert codes["a stamp back in time"][AT] == "STEP_REFUSED"
+
+
+@needs_compiler
+def test_c_does_what_ran(exported):
+    source, y, u = exported.folder / "c" / f"{exported.name}.c", exported.program.measurements, exported.program.u
+    library = source.with_suffix(".so")
+    subprocess.run(["cc", "-std=c99", "-O1", "-fPIC", "-shared", source, "-lm", "-o", library], check=True)
+    code = ctypes.CDLL(str(library))
+    params = ctypes.addressof(ctypes.c_double.in_dll(code, f"{exported.name}_default"))
+    size = sum(leaf.size for leaf in exported.program.output)
+    state, output = ctypes.create_string_buffer(1 << 16), (ctypes.c_double * size)()
+    init, step, estimate = (getattr(code, f"{exported.name}_{f}") for f in ("init", "step", "estimate"))
+    init.argtypes = [ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_double]
+    step.argtypes = [*[ctypes.c_void_p] * 5, ctypes.c_double]
+    estimate.argtypes = [ctypes.c_void_p] * 3
+    for expected in exported.runs.values():
+        log, codes, estimates, dt = expected.log, [], [], elapsed(expected.log.t)
+        measured, acting = (np.ascontiguousarray(a.reshape(ROWS, k)) for a, k in ((log.y, y), (log.u, -1)))
+        for k in range(ROWS):
+            if k:
+                at_u = acting[k - 1].ctypes.data if u else None
+                codes.append(step(state, params, at_u, measured[k].ctypes.data, None, dt[k]))
+            else:
+                codes.append(init(state, params, measured[0].ctypes.data, log.t[0]))
+            estimate(state, params, output)
+            estimates.append(list(output))
+        same(expected, codes, np.array(estimates)[:, : expected.x.shape[1]])
+
+
+def module_of(exported: Exported, monkeypatch) -> Any:
+    monkeypatch.syspath_prepend(exported.folder / "c" / "python")
+    return importlib.import_module(exported.name)
+
+
+@needs_compiler
+def test_the_python_module_does_what_ran(exported, monkeypatch):
+    """And it refuses a log as `estimate` does."""
+    module = module_of(exported, monkeypatch)
+    for expected in exported.runs.values():
+        log = expected.log
+        inputs = log.u if exported.program.u else None
+        if expected.refused:
+            with pytest.raises(ValueError, match=r"row") as error:
+                module.run(log.t, log.y, log.u)
+            assert str(error.value) in expected.refused
+        else:
+            run = module.run(log.t, log.y, inputs)
+            same(expected, run.result, flat((run.q, run.v)))
+
+
+@needs_compiler
+def test_the_python_module_does_it_sample_by_sample(exported, monkeypatch):
+    module = module_of(exported, monkeypatch)
+    for expected in exported.runs.values():
+        log, observer, codes, estimates = expected.log, module.Observer(), [], []
+        dt = elapsed(log.t)
+        for k in range(ROWS):
+            inputs = (log.u[k - 1],) if k and exported.program.u else ()
+            codes.append(observer.step(log.y[k], dt[k], *inputs))
+            q, v, *_ = observer.estimate()
+            estimates.append(np.concatenate([q.ravel(), v]))
+        same(expected, codes, np.array(estimates))
+
+
+@needs_compiler
+@in_a_unit
+@pytest.mark.parametrize("version", ["2.0", "3.0"])
+def test_a_unit_does_what_ran(exported, version, tmp_path):
+    """In steps of length zero, whose outputs are for the time of the measurement; then as simulators step."""
+    fmpy = pytest.importorskip("fmpy")
+    path, start = tmp_path / "unit.fmu", exported.member.log().y[0]
+    write_fmu(fmu(exported.program, exported.name, "The unit.", RATE, start, version), path)
+    described, where = fmpy.read_model_description(str(path), validate=True), fmpy.extract(str(path), str(tmp_path / "u"))
+    make = fmpy.fmi2.FMU2Slave if version == "2.0" else fmpy.fmi3.FMU3Slave
+    unit = make(
+        guid=described.guid,
+        unzipDirectory=where,
+        modelIdentifier=described.coSimulation.modelIdentifier,
+        instanceName="a",
     )
-    done = subprocess.run(["node", "use.js"], cwd=tmp_path, capture_output=True, text=True, check=True)
-    rows = np.array(json.loads(done.stdout))
-    same(result, rows[:, 0].astype(int), rows[:, 1:])
+    unit.instantiate()
+    places: dict[str, list[int]] = {}
+    for variable in described.modelVariables:
+        places.setdefault(variable.name.partition("[")[0], []).append(variable.valueReference)
+    old = version == "2.0"
+    read, write, count = (
+        (unit.getReal, unit.setReal, unit.getInteger) if old else (unit.getFloat64, unit.setFloat64, unit.getInt32)
+    )
+
+    def estimated() -> list[float]:
+        if old:
+            return [*read(places["q"]), *read(places["v"])]
+        sizes = {leaf.name: leaf.size for leaf in exported.program.x}
+        return [number for name in ("q", "v") for number in read(places[name], nValues=sizes[name])]
+
+    for expected in exported.runs.values():
+        log, codes, estimates = expected.log, [], []
+        for k in range(ROWS):
+            write(places["y"], log.y[k].ravel().tolist())
+            if "u" in places:
+                write(places["u"], log.u[k].tolist())
+            if k == 0:
+                (unit.setupExperiment if old else unit.enterInitializationMode)(startTime=log.t[0])
+                if old:
+                    unit.enterInitializationMode()
+                unit.exitInitializationMode()
+            unit.doStep(log.t[k], 0.0)
+            codes += count(places["outcome"])
+            estimates.append(estimated())
+        same(expected, codes, np.array(estimates))
+        unit.reset()
+    unit.freeInstance()
+
+
+def test_webassembly_does_what_ran(exported):
+    if not has_wasm():
+        pytest.skip("there is no compiler for WebAssembly, or no node")
+    logs = [run.log for run in exported.runs.values()]
+    rows = [[a.reshape(ROWS, -1).tolist() for a in (elapsed(log.t), log.y, log.u)] for log in logs]
+    script = """const logs = ROWS;
+require("./c/NAME.js").load().then(({ Observer }) => {
+    console.log(JSON.stringify(logs.map(([dt, y, u]) => {
+        const observer = new Observer();
+        return dt.map(([step], k) => {
+            const code = observer.step(y[k], step, k && INPUTS ? u[k - 1] : undefined);
+            const x = observer.estimate();
+            return [code, ...x.q, ...x.v];
+        });
+    })));
+});
+"""
+    for word, text in (
+        ("ROWS", json.dumps(rows)),
+        ("NAME", exported.name),
+        ("INPUTS", str(exported.program.u)),
+    ):
+        script = script.replace(word, text)
+    (exported.folder / "use.js").write_text(script)
+    done = subprocess.run(["node", "use.js"], cwd=exported.folder, capture_output=True, text=True, check=True)
+    for expected, table in zip(exported.runs.values(), json.loads(done.stdout), strict=True):
+        same(expected, [row[0] for row in table], np.array([row[1:] for row in table], float))
 
 
 # What the texts say, without a line of C compiled.
 
 
-def exported(folder, text=MODEL + MOTION, name="speed", **options):
+def written(folder, text=MODEL + MOTION, name="speed", **options):
     """An export of a filter without a model, the quickest to write."""
     (folder / "pendulum.toml").write_text(text)
     chosen = {"observer": "filtered-derivative", "rate": RATE, "audit": False, "name": name} | options
@@ -211,7 +455,7 @@ def texts(folder) -> list[str]:
 
 
 def test_header_data_sheet_and_readme_tell_the_gate_the_units_and_each_code(tmp_path):
-    result = exported(tmp_path)
+    result = written(tmp_path)
     assert result.warnings == ()
     assert "by the noise 0.001 rad and the usual speed 5 rad/s" in result.gate
     assert result.summary["gate"] == result.gate
@@ -227,7 +471,7 @@ def test_header_data_sheet_and_readme_tell_the_gate_the_units_and_each_code(tmp_
 
 
 def test_without_noise_a_gate_is_missed_in_every_text(tmp_path):
-    result = exported(tmp_path, MODEL[: MODEL.index("[measurement]")], observer="copy", alpha=20.0, beta=200.0)
+    result = written(tmp_path, MODEL[: MODEL.index("[measurement]")], observer="copy", alpha=20.0, beta=200.0)
     assert result.gate.startswith("It has no gate and refuses no measurement, since the model file tells no noise")
     assert "add `std` to [measurement] and `acceleration` to [uncertainty]" in result.gate
     assert all(result.gate in text for text in (*texts(tmp_path), str(result)))
@@ -235,19 +479,19 @@ def test_without_noise_a_gate_is_missed_in_every_text(tmp_path):
 
 
 def test_a_speed_that_nobody_told_is_a_warning_and_a_log_tells_it(tmp_path):
-    result = exported(tmp_path, MODEL)
+    result = written(tmp_path, MODEL)
     assert "The speed is assumed" in result.gate
     assert "Give `log`" in result.warnings[0]
     assert result.program.numbers["speed"].tolist() == [1.0]
-    table = log()._replace(y=3 * log().y)
-    told = exported(tmp_path, MODEL, log=table, overwrite=True)
+    table = swing()._replace(y=swing().y)
+    told = written(tmp_path, MODEL, log=table, overwrite=True)
     model = covariant.models.load(tmp_path / "pendulum.toml").model
     assert told.warnings == ()
     assert told.program.numbers["speed"].tolist() == pytest.approx(usual_speeds(model, table))
 
 
 def test_a_gate_can_be_left_out(tmp_path):
-    result = exported(tmp_path, gate=False)
+    result = written(tmp_path, gate=False)
     assert "It has no gate and refuses no measurement, as asked." in texts(tmp_path)[0]
     assert "noise" not in result.program.numbers
 

@@ -12,11 +12,17 @@ import numpy as np
 
 from covariant.codegen._program import Program
 from covariant.codegen._source import Source, step_of
+from covariant.lowering import turn_operations
 from covariant.signals import StepCode
 
 ARITHMETIC = ("add", "sub", "mul", "div", "neg", "abs", "min", "max", "sign", "sqrt")
 LOGIC = ("lt", "le", "eq", "and", "or", "not", "is_finite", "select", "either")
 COMPILERS = ("arm-none-eabi-gcc", "cc")
+_VARYING = (
+    "A step that needs one Runge–Kutta step. As many are taken as friction and dynamics ask for, and of a mechanical "
+    "model at least one in 10 ms, so that a long step over a hole is predicted as exactly as the others. There are at "
+    "most 10 000: where time is short, start again after a gap of seconds."
+)
 ARM = ("-mcpu=cortex-m4", "-mthumb", "-mfloat-abi=hard", "-mfpu=fpv4-sp-d16")
 
 
@@ -25,7 +31,7 @@ class Facts(NamedTuple):
 
     Attributes:
         rate: Sampling rate [Hz] for which the observer was made.
-        substeps: Number of Runge–Kutta steps in each sample; None if there are none.
+        substeps: Number of Runge–Kutta steps in each sample; None if there are none, or each step chooses it.
         certificate: Lines on the proved statements; may be empty.
         audit: A line on the measured laws; may be empty.
         gate: Sentences on which measurements are refused; may be empty.
@@ -68,9 +74,11 @@ def data_sheet(program: Program, source: Source, about: str, facts: Facts) -> st
     state = sum(leaf.size for leaf in (*program.state, *program.reported)) * width
     numbers = sum(np.size(value) for value in program.numbers.values())
     step = source.functions["step"]
-    lines = [f"# Data sheet of {source.name}", "", about, "", "## Work of a step", "", "The same in every step.", ""]
-    lines += ["| operations | count |", "|---|---|"]
+    lines = [f"# Data sheet of {source.name}", "", about, "", "## Work of a step", ""]
+    turn = turn_operations(program.step.graph.nodes)
+    lines += [_VARYING if turn else "The same in every step.", "", "| operations | count |", "|---|---|"]
     lines += [f"| {label} | {count} |" for label, count in _counts(step.operations)]
+    lines += [f"| each further Runge–Kutta step | {turn} |"] if turn else []
     if program.alone:
         lines += ["", "## Work of a step by what was read", "", "| what was read | operations |", "|---|---|"]
         lines.append(f"| all | {sum(step.operations.values())} |")
@@ -86,8 +94,12 @@ def data_sheet(program: Program, source: Source, about: str, facts: Facts) -> st
     lines += ["", "## Numbers that may be changed", "", "| name | default |", "|---|---|"]
     lines += [f"| `{key}` | {_format_values(value)} |" for key, value in program.numbers.items()] or ["| none | |"]
     lines += ["", "## Limits", ""]
-    lines.append(f"- Made for samples at {facts.rate:g} Hz{_substeps(facts)}; slower ones are predicted less exactly.")
-    lines.append("- Give a sample that is lost as one whose numbers are missing, not as a longer step.")
+    made = f"- Made for samples at {facts.rate:g} Hz, {1 / facts.rate:.6g} s apart{_substeps(facts)}"
+    if facts.substeps is None:
+        lines.append(f"{made}; other steps are predicted as exactly, but gains and gate are designed for these.")
+    else:
+        lines.append(f"{made}; slower ones are predicted less exactly.")
+        lines.append("- Give a sample that is lost as one whose numbers are missing, not as a longer step.")
     if program.real == "float":
         lines.append("- Time is counted in single precision: a force that depends on time loses digits after an hour.")
     lines.append("- NaN marks what is missing, so that `-ffast-math` and `-ffinite-math-only` must not be used.")

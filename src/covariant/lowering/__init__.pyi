@@ -53,6 +53,7 @@ from .graph import (
     substitute as substitute,
     to_jax as to_jax,
     trace as trace,
+    turn_operations as turn_operations,
 )
 from .intervals import (
     INTERVALS as INTERVALS,

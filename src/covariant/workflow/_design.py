@@ -57,11 +57,6 @@ class Design(NamedTuple):
             observer = dataclasses.replace(observer, gate=None, **bare)
         return self._replace(observer=observer)
 
-    def with_fixed_substeps(self, rate: float, y: np.ndarray) -> AbstractObserver:
-        """The observer with as many substeps in every step as it needs on measurements (T, *n)."""
-        inner = kind_of(self.file).with_fixed_substeps(self.inner, rate, y)
-        return dataclasses.replace(self.observer, observer=inner) if isinstance(self.observer, Gated) else inner
-
     def with_substeps_for(self, velocity: Any, step: float) -> Any:
         """Give the observer without its gate as many substeps as motions up to a velocity (n,) need in one step [s]."""
         if not chooses_substeps(self.inner):

@@ -163,29 +163,29 @@ def export(
     entry = next(entry for entry in REGISTRY if entry.name == designed.name)
     prefix = export_name(file.name, python, wasm) if name is None else name
     description = f"{designed.name} observer of {file.name}. {chosen} {refusals}"
-    # A simulator asks a unit for steps of any length; firmware has one step length, and must do the same work in each.
-    fixed = designed.observer if unit else designed.with_fixed_substeps(rate, measured)
+    # As `estimate` runs it: it chooses its substeps in each sample, so that a hole is predicted as exactly as there.
+    runs = designed.observer
     proved, kept = "", None
     if certificate is not None:
         kept, proved = _verify_certificate(Path(certificate), model, overrides, designed, rate)
         if kept.sampling is not None and kept.sampling.substeps is not None:
-            fixed = _with_substeps(designed.observer, kept.sampling.substeps)
-    substeps = getattr(getattr(fixed, "observer", fixed), "substeps", None)
+            runs = _with_substeps(runs, kept.sampling.substeps)
+    substeps = getattr(getattr(runs, "observer", runs), "substeps", None)
     sampling = None if kept is None else kept.sampling
     # Where the observer chooses its substeps, errors of predictions are not proved, and so is no bound.
     bounded = sampling is not None and sampling.substeps is not None and real == "double"
     if bounded and parameters:
         raise ValueError("the certificate is about the numbers of the model as they are; leave out `parameters`")
     # Only an observer with a model can predict from the time of a late reading to the present.
-    delay = reading_delays(fixed, file.delay, designed.sensors, measured[0])
-    delayed = Delayed(fixed, delay, rate) if entry.knows_model and np.any(delay) else fixed
-    if step_per_sensor and not getattr(fixed, "sensors", ()):
+    delay = reading_delays(runs, file.delay, designed.sensors, measured[0])
+    delayed = Delayed(runs, delay, rate) if entry.knows_model and np.any(delay) else runs
+    if step_per_sensor and not getattr(runs, "sensors", ()):
         raise ValueError(f"step_per_sensor is for a filter with sensors; {designed.name} of {label} has none")
     if lag is not None:
         delayed, description = _late(delayed, designed.name, lag, rate), f"{description} Estimates are {lag:g} s late."
     progress(f"writing {prefix}")
-    if bounded and delayed is fixed and kept is not None:
-        delayed = kept.bounded(fixed, radius=kept.radius)
+    if bounded and delayed is runs and kept is not None:
+        delayed = kept.bounded(runs, radius=kept.radius)
         description, proved = f"{description} {_describe_start(kept)}", "\n".join([proved, *_list_premises()])
     unbounded = ""
     if sampling is not None and not delayed.fixed_numbers:
@@ -198,7 +198,7 @@ def export(
         proved = f"{proved}\n\nIn this code {unbounded}."
     # Other observers have no parameters of the model.
     opened = family if entry.knows_model and not delayed.fixed_numbers else None
-    written = _program(label, delayed, opened, file, parameters, real, measured[0], unit, step_per_sensor)
+    written = _program(label, delayed, opened, file, parameters, real, measured[0], step_per_sensor)
     read = tuple(name for part in designed.sensors for name in part.signals)
     written = written._replace(signals=kind_of(file).signals(written.u, read))
     broken = _broken_laws(designed.inner) if audit else ""
@@ -336,7 +336,6 @@ def _program(
     parameters: Sequence[str] | None,
     real: str,
     y: np.ndarray,
-    loops: bool,
     alone: bool,
 ) -> Program:
     """The graphs of the observer, with the numbers of the model file open or, where there are none, its arrays."""
@@ -344,13 +343,13 @@ def _program(
     # None: as many as the model has, which a log of free flight does not name.
     inputs, closed = len(file.columns.u) or None, parameters is not None and not parameters
     try:
-        return program(recipe, y, inputs, real, loops, alone)  # pyright: ignore[reportArgumentType]
+        return program(recipe, y, inputs, real, True, alone)  # pyright: ignore[reportArgumentType]
     except LoweringError as error:
         if closed:
             raise ValueError(f"{name}: no code can be written: {error}") from error
     try:
         # The function from numbers to model may be no graph of scalars while the model is: then its arrays are open.
-        return program(_usual(observer), y, inputs, real, loops, alone)  # pyright: ignore[reportArgumentType]
+        return program(_usual(observer), y, inputs, real, True, alone)  # pyright: ignore[reportArgumentType]
     except LoweringError as error:
         remedy = "" if "table" in str(error) else "; try without numbers that may be changed (`parameters=[]`)"
         raise ValueError(f"{name}: no code can be written: {error}{remedy}") from error

@@ -169,10 +169,6 @@ class AbstractKind(abc.ABC):
         """Measurements (ROWS + 1, *n) for the self-test; with a sheet, one that a gate has to refuse."""
 
     @abc.abstractmethod
-    def with_fixed_substeps(self, observer: AbstractObserver, rate: float, y: np.ndarray) -> AbstractObserver:
-        """The observer with the largest number of substeps that it needs on measurements (T, *n)."""
-
-    @abc.abstractmethod
     def signals(self, inputs: int, sensors: tuple[str, ...]) -> Signals:
         """Names and SI units of the numbers that go into an exported observer, and come out of it."""
 

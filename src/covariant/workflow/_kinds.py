@@ -1,7 +1,6 @@
 """The kinds of models: in coordinates, on a group, and in state-space form."""
 
 import abc
-import dataclasses
 import math
 from collections.abc import Callable, Collection, Sequence
 from typing import Any
@@ -23,11 +22,11 @@ from covariant.calibration import (
 )
 from covariant.codegen import ROWS, Signals
 from covariant.models import ModelFile, Motion
-from covariant.observers import AbstractObserver, chooses_substeps, with_fixed_substeps
+from covariant.observers import AbstractObserver
 from covariant.simulation import PositionSensor
 from covariant.workflow._arguments import Amounts, numbers
 from covariant.workflow._kind import AbstractKind, Labels, numbered
-from covariant.workflow._sheet import data_sheet, first_estimate, state_noise
+from covariant.workflow._sheet import first_estimate, state_noise
 
 CENTRE, SWING = 0.7, 0.2
 """Centre and amplitude of the positions in the self-test, in units of the coordinates; on circles the centre is π."""
@@ -35,8 +34,6 @@ OUTLIER_ROW, OUTLIER = 23, 1.5
 """The row of the self-test that a gate has to refuse, and how far it is off [rad or m]."""
 USE_TORQUES = "intrinsic-kalman", "ukf"
 """Observers whose noise may depend on the configuration, as that of torques does."""
-SPEED = 3.0
-"""Speed [unit/s] at which substeps are counted if the model file implies none."""
 
 
 class AbstractMechanical(AbstractKind):
@@ -106,18 +103,6 @@ class AbstractMechanical(AbstractKind):
     @abc.abstractmethod
     def _displaced(self, displacement: np.ndarray) -> np.ndarray:
         """Configurations (T, *n) at these displacements (T, n) from the centre of the self-test."""
-
-    def with_fixed_substeps(self, observer: AbstractObserver, rate: float, y: np.ndarray) -> AbstractObserver:
-        if not chooses_substeps(observer):
-            return observer
-        file, q = self.file, np.stack([observer.configuration(each) for each in y])
-        speed = SPEED
-        if file.acceleration_std is not None and file.measurement_std is not None:
-            speed = np.broadcast_to(data_sheet(file).speeds, file.dimension)
-        # The sign of v alternates from row to row.
-        v = np.broadcast_to(speed, (len(q), file.dimension)) * np.sign(np.arange(len(q)) % 2 - 0.5)[:, None]
-        inputs = jnp.zeros((len(q), models.input_count(self.model, file.dimension)))
-        return with_fixed_substeps(observer, rate, jnp.asarray(q), jnp.asarray(v), inputs)
 
     def start(self, q0: Amounts | None, v0: Amounts | None) -> Any:
         q, v = or_zeros("q0", q0, self._start_names), or_zeros("v0", v0, self.estimates.names)
@@ -287,18 +272,6 @@ class InStates(AbstractKind):
 
         times = jnp.arange(ROWS + 1.0) * dt
         return np.asarray(jax.lax.scan(step, first_estimate(self.file)[0], times)[1])
-
-    def with_fixed_substeps(self, observer: AbstractObserver, rate: float, y: np.ndarray) -> AbstractObserver:
-        chosen: Any = observer
-        if chosen.substeps is not None:
-            return observer
-        u, dt = jnp.zeros(chosen.model.inputs), jnp.asarray(1 / rate)
-
-        def step(state: Any, measured: Array) -> tuple[Any, Array]:
-            return chosen.step(state, u, measured, dt)[0], chosen.needed_substeps(state, u, dt)
-
-        counts = jax.lax.scan(step, chosen.init(jnp.asarray(y[0]), 0.0), jnp.asarray(y[1:]))[1]
-        return dataclasses.replace(chosen, substeps=int(counts.max()))
 
     def signals(self, inputs: int, sensors: tuple[str, ...]) -> Signals:
         return Signals(self.file.columns.q, _input_names(self.file, inputs), (("x", self.estimates.headings),))

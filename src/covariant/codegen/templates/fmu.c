@@ -94,13 +94,11 @@ static int advance(memory *m, double t, double h)
     }
     if (!m->started || !m->stepped) {
         begin(m, t);
-    } else if (t > m->t) {
+    } else {
+        /* A step of length zero and one back in time leave the state as it was, and the outcome says so. */
         m->outcome = xNAMEx_step(&m->state, &params, m->acted, y, NULL, (xNAMEx_real)(t - m->t));
         m->started = m->outcome != xUPPERx_NOT_FINITE;
-        m->t = t;
-    } else {
-        /* The outcomes that the observer returns for a step of length zero and for one back in time. */
-        m->outcome = t == m->t ? xUPPERx_REPEATED : xUPPERx_STEP_REFUSED;
+        m->t = t > m->t ? t : m->t;
     }
     m->stepped = m->started;
     m->now = t + h;

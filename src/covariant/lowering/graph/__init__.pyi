@@ -34,6 +34,7 @@ from ._loops import (
     add_loop as add_loop,
     operations as operations,
     part_of as part_of,
+    turn_operations as turn_operations,
 )
 from ._lowered import Conditions as Conditions, Lowered as Lowered, LoweringError as LoweringError
 from ._read import (

@@ -141,6 +141,19 @@ def operations(nodes: Sequence[Node]) -> int:
     return total
 
 
+def turn_operations(nodes: Sequence[Node]) -> int:
+    """Count the operations of one turn of the loops whose length the arguments decide.
+
+    Args:
+        nodes: Nodes of a graph.
+
+    Returns:
+        The count, zero where the graph has no such loop.
+    """
+    loops = [node.value for node in nodes if isinstance(node.value, Repetition) and node.value.turns is None]
+    return sum(operations(each.graph.nodes) for loop in loops for each in loop.graphs)
+
+
 def _flat(graph: Graph, values: Sequence[Value]) -> list[int]:
     return [int(i) for value in values for i in nodes_of(graph, value).ravel()]
 
