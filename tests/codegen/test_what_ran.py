@@ -375,7 +375,10 @@ def test_a_unit_does_what_ran(exported, version, tmp_path):
     fmpy = pytest.importorskip("fmpy")
     path, start = tmp_path / "unit.fmu", exported.member.log().y[0]
     write_fmu(fmu(exported.program, exported.name, "The unit.", RATE, start, version), path)
-    described, where = fmpy.read_model_description(str(path), validate=True), fmpy.extract(str(path), str(tmp_path / "u"))
+    described, where = (
+        fmpy.read_model_description(str(path), validate=True),
+        fmpy.extract(str(path), str(tmp_path / "u")),
+    )
     make = fmpy.fmi2.FMU2Slave if version == "2.0" else fmpy.fmi3.FMU3Slave
     unit = make(
         guid=described.guid,

@@ -49,6 +49,8 @@ OUTCOME = {
     "causality": "output",
     "variability": "discrete",
 }
+DEVIATION_OF = {"velocity_std": "v", "state_std": "x"}
+"""Arrays of an estimate by those of their standard deviations."""
 _TOKEN = "@TOKEN@"
 """Stands for the token, which is a hash of the texts that have it."""
 
@@ -62,7 +64,7 @@ class UnitVariable(NamedTuple):
         shape: Its shape.
         start: Its first values, row by row; empty for an output.
         about: A description; may be empty.
-        unit: Its unit; empty where it has none, or where it is not known.
+        units: The unit of each entry, or one for all; "" for one that has none, and empty where they are not known.
 
     Example:
         >>> from covariant.codegen._fmu import UnitVariable
@@ -75,12 +77,18 @@ class UnitVariable(NamedTuple):
     shape: tuple[int, ...]
     start: tuple[float, ...] = ()
     about: str = ""
-    unit: str = ""
+    units: tuple[str, ...] = ()
 
     @property
     def size(self) -> int:
         """Number of entries."""
         return int(np.prod(self.shape, dtype=int))
+
+    def unit(self, entry: int | None = None) -> str:
+        """The unit of an entry, or that of all of them, which is "" where they differ."""
+        if entry is not None and len(self.units) == self.size:
+            return self.units[entry]
+        return self.units[0] if len(set(self.units)) == 1 and len(self.units) in (1, self.size) else ""
 
 
 class Unit(NamedTuple):
@@ -189,17 +197,25 @@ def _variables(program: Program, y: np.ndarray) -> Iterator[UnitVariable]:
     """The variables in the order of their numbers in C."""
     beside = "".join(f", then {count} of {name}" for name, count in program.sensors)
     about = f"measured configuration{beside}{_signal_list(program, 'y')}; NaN where missing"
-    yield UnitVariable("y", "input", program.y, tuple(np.ravel(y).tolist()), about)
+    units = program.signals.units
+    yield UnitVariable("y", "input", program.y, tuple(np.ravel(y).tolist()), about, units("y"))
     if program.u:
         about = f"input of the model{_signal_list(program, 'u')}, held over a step"
-        yield UnitVariable("u", "input", (program.u,), (0.0,) * program.u, about)
+        yield UnitVariable("u", "input", (program.u,), (0.0,) * program.u, about, units("u"))
     for key, value in program.numbers.items():
         unit = program.units.get(key, "1")
-        first = tuple(np.ravel(value).tolist())
-        yield UnitVariable(f"parameters.{key}", "parameter", np.shape(value), first, unit="" if unit == "1" else unit)
+        # "kg, kg m^2" is that of numbers of several kinds.
+        known = () if unit == "1" or "," in unit else (unit,)
+        yield UnitVariable(
+            f"parameters.{key}", "parameter", np.shape(value), tuple(np.ravel(value).tolist()), "", known
+        )
     for leaf in (*program.x, *program.told):
+        of = DEVIATION_OF.get(leaf.name, leaf.name)
+        about = program.signals.of(of)
+        if about and of != leaf.name:
+            about = f"standard deviations of {about}"
         if leaf.size:
-            yield UnitVariable(leaf.name, "output", leaf.shape, about=program.signals.of(leaf.name))
+            yield UnitVariable(leaf.name, "output", leaf.shape, about=about, units=units(of))
 
 
 def _signal_list(program: Program, array: str) -> str:
@@ -259,7 +275,8 @@ def _describe(name: str, about: str, rate: float, variables: list[UnitVariable],
         sources = SubElement(unit, "SourceFiles")
         for file in (f"{name}.c", f"{name}_fmu.c"):
             SubElement(sources, "File", name=file)
-    units = dict.fromkeys(v.unit for v in variables if v.unit)
+    stated = ["s", *(v.unit() for v in variables)] if arrays else [v.unit(k) for v in variables for k in range(v.size)]
+    units = dict.fromkeys(text for text in stated if text)
     defined = SubElement(root, "UnitDefinitions") if units else root
     for text in units:
         SubElement(defined, "Unit", name=text)
@@ -281,19 +298,21 @@ def _attributes(v: UnitVariable, name: str, reference: int) -> dict[str, str]:
     }
 
 
-def _start(v: UnitVariable, values: Sequence[float]) -> dict[str, str]:
+def _start(v: UnitVariable, unit: str, values: Sequence[float]) -> dict[str, str]:
     """Unit and first values, in the spelling of xs:double in XML Schema."""
-    unit = {"unit": v.unit} if v.unit else {}
-    return unit | ({"start": " ".join("NaN" if np.isnan(x) else repr(float(x)) for x in values)} if v.start else {})
+    return ({"unit": unit} if unit else {}) | (
+        {"start": " ".join("NaN" if np.isnan(x) else repr(float(x)) for x in values)} if v.start else {}
+    )
 
 
 def _add_arrays(root: Element, variables: Sequence[UnitVariable]) -> None:
     """Variables of FMI 3.0. References 0 and 1 are those of time and outcome, as `fmi3.c` has them."""
     listed, structure = SubElement(root, "ModelVariables"), SubElement(root, "ModelStructure")
-    SubElement(listed, "Float64", name="time", valueReference="0", causality="independent", variability="continuous")
+    time = {"name": "time", "valueReference": "0", "causality": "independent", "variability": "continuous"}
+    SubElement(listed, "Float64", time | {"unit": "s"})
     SubElement(listed, "Int32", OUTCOME, valueReference="1")
     for reference, v in enumerate(variables, start=2):
-        variable = SubElement(listed, "Float64", _attributes(v, v.name, reference) | _start(v, v.start))
+        variable = SubElement(listed, "Float64", _attributes(v, v.name, reference) | _start(v, v.unit(), v.start))
         for side in v.shape:
             SubElement(variable, "Dimension", start=str(side))
     outputs = [1, *(k for k, v in enumerate(variables, start=2) if v.causality == "output")]
@@ -310,7 +329,7 @@ def _add_scalars(root: Element, variables: Sequence[UnitVariable]) -> None:
         # FMI's structured names count from one.
         place = f"[{','.join(str(i + 1) for i in np.unravel_index(k, v.shape))}]" if v.shape else ""
         variable = SubElement(listed, "ScalarVariable", _attributes(v, f"{v.name}{place}", reference))
-        SubElement(variable, "Real", _start(v, v.start[k : k + 1]))
+        SubElement(variable, "Real", _start(v, v.unit(k), v.start[k : k + 1]))
     SubElement(SubElement(listed, "ScalarVariable", OUTCOME, valueReference="0"), "Integer")
     # An output is named by its place in the list, which counts from one.
     outputs = [k for k, (v, _) in enumerate(entries_of, start=1) if v.causality == "output"]

@@ -109,6 +109,11 @@ class Signals(NamedTuple):
         """The names of an array, or "" where they are not known."""
         return next((line.partition(": ")[2] for line in self.lines if line.startswith(f"{array}: ")), "")
 
+    def units(self, array: str) -> tuple[str, ...]:
+        """The unit of each number of an array, "" where it has none; empty where the names are not known."""
+        names = next((names for name, names in (("y", self.y), ("u", self.u), *self.x) if name == array), ())
+        return tuple(name.rpartition(" [")[2][:-1] if name.endswith("]") else "" for name in names)
+
 
 class Program(NamedTuple):
     """An observer as graphs of scalars. Counts and truth values of its state are real numbers in them.
@@ -135,6 +140,7 @@ class Program(NamedTuple):
             measurement was read, `CONFIGURATION` or a sensor, with its name; empty where they were not asked for.
         signals: Names and units of measurement, input and estimate, for comments.
         units: Units of the open numbers that have one, by name.
+        largest: Largest magnitude of each number of a configuration at which an estimate can start.
 
     Example:
         >>> import numpy as np
@@ -162,6 +168,7 @@ class Program(NamedTuple):
     alone: tuple[tuple[str, Lowered], ...] = ()
     signals: Signals = Signals()
     units: Mapping[str, str] = MappingProxyType({})
+    largest: tuple[float, ...] = ()
 
     @property
     def parts(self) -> tuple[tuple[str, int], ...]:
@@ -359,6 +366,7 @@ class TracedProgram(NamedTuple):
     sensors: tuple[tuple[str, int], ...] = ()
     alone: tuple[tuple[str, TracedFunction], ...] = ()
     units: Mapping[str, str] = MappingProxyType({})
+    largest: tuple[float, ...] = ()
 
     def lower(self, loops: bool = False) -> Program:
         """The graphs of the observer.
@@ -379,7 +387,8 @@ class TracedProgram(NamedTuple):
         used = _find_used_numbers(lowered, self.given)
         numbers = {leaf.name: value for leaf, value in zip(self.given, self.values, strict=True) if leaf.name in used}
         structure = (self.state, self.info, self.x, self.y, self.u, self.real, self.told_as)
-        return Program(*lowered, numbers, self.given, self.values, *structure, self.sensors, alone, units=self.units)
+        rest = {"units": self.units, "largest": self.largest}
+        return Program(*lowered, numbers, self.given, self.values, *structure, self.sensors, alone, **rest)
 
 
 def program(
@@ -518,6 +527,7 @@ def trace_program(
         sensors,
         tuple(alone_traced),
         recipe.units,
+        tuple(first.configuration(np.asarray(first.largest(y), float)).ravel().tolist()),
     )
 
 

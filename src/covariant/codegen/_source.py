@@ -265,7 +265,9 @@ def _source(program: Program, words: Words, functions: dict[str, CText]) -> str:
         "DEFAULTS": [_defaults(program)],
         "HELPERS": [helpers] if helpers else [],
         "FUNCTIONS": [text.text for text in functions.values()],
-        "NEEDED": program.parts[0][1] if program.sensors else f"{words['UPPER']}_MEASUREMENTS",
+        "NEEDED": len(program.largest),
+        "LARGEST": ", ".join(c_number(bound, real) for bound in program.largest),
+        "ESTIMATED": sum(leaf.size for leaf in program.x),
         # Diagnostics are unknown before the first step.
         "UNKNOWN": [f"    {e} = ({name}real)NAN;" for leaf in program.reported for e in entries("state->", leaf.last)],
         "COPIED": [f"    {output} = {state};" for pairs in told for output, state in pairs],

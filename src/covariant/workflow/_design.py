@@ -78,6 +78,18 @@ class Design(NamedTuple):
         """The sensors of the model file, without those that the log has no columns of."""
         return log_sensors(self.file, self.log)
 
+    @property
+    def units(self) -> dict[str, str]:
+        """Units of the numbers of the gate, if it is one that has some."""
+        if not isinstance(self.observer, Gated):
+            return {}
+        return {key: ", ".join(dict.fromkeys(units)) for key, units in self._gate_units.items()}
+
+    @property
+    def _gate_units(self) -> dict[str, tuple[str, ...]]:
+        units = kind_of(self.file).innovation_units
+        return {"noise": units, "speed": tuple(f"{unit}/s" for unit in units)}
+
     def explain_gate(self) -> tuple[str, str]:
         """Sentences on what the gate refuses, or on why there is none; and a warning if its speed is assumed."""
         gate, kind = self.observer, kind_of(self.file)
@@ -89,8 +101,7 @@ class Design(NamedTuple):
                 else f"Its gate refuses what is {own.deviations:g} standard deviations off.",
                 "",
             )
-        units = kind.innovation_units
-        noise, speed = _with_units(gate.noise, units), _with_units(gate.speed, tuple(f"{unit}/s" for unit in units))
+        noise, speed = (_with_units(getattr(gate, key), units) for key, units in self._gate_units.items())
         text = f"Its gate refuses outliers, by the noise {noise} and the usual speed {speed}."
         if self.log is not None:
             return f"{text} The speed is that of the motion in a log.", ""

@@ -43,7 +43,7 @@ from covariant.observers import (
 )
 from covariant.workflow._arguments import above_zero, gain_pair
 from covariant.workflow._design import Design, design
-from covariant.workflow._inputs import Job, load
+from covariant.workflow._inputs import Job, Loaded, densest_rate, load
 from covariant.workflow._kinds import kind_of
 from covariant.workflow._progress import Progress, silent
 from covariant.workflow._result import AbstractResult
@@ -162,7 +162,7 @@ def export(
     measured, chosen = designed.self_test(rate), _plain(designed, gains)
     entry = next(entry for entry in REGISTRY if entry.name == designed.name)
     prefix = export_name(file.name, python, wasm) if name is None else name
-    description = f"{designed.name} observer of {file.name}. {chosen} {refusals}"
+    description = f"{designed.name} observer of {file.name}, for samples {1 / rate:.6g} s apart. {chosen} {refusals}"
     # As `estimate` runs it: it chooses its substeps in each sample, so that a hole is predicted as exactly as there.
     runs = designed.observer
     proved, kept = "", None
@@ -176,9 +176,12 @@ def export(
     bounded = sampling is not None and sampling.substeps is not None and real == "double"
     if bounded and parameters:
         raise ValueError("the certificate is about the numbers of the model as they are; leave out `parameters`")
+    if entry.knows_model:
+        _refuse_shifted_inputs(label, file)
     # Only an observer with a model can predict from the time of a late reading to the present.
     delay = reading_delays(runs, file.delay, designed.sensors, measured[0])
-    delayed = Delayed(runs, delay, rate) if entry.knows_model and np.any(delay) else runs
+    late = entry.knows_model and np.any(delay)
+    delayed = Delayed(runs, delay, _memory_rate(rate, logged, float(np.max(delay)))) if late else runs
     if step_per_sensor and not getattr(runs, "sensors", ()):
         raise ValueError(f"step_per_sensor is for a filter with sensors; {designed.name} of {label} has none")
     if lag is not None:
@@ -200,7 +203,8 @@ def export(
     opened = family if entry.knows_model and not delayed.fixed_numbers else None
     written = _program(label, delayed, opened, file, parameters, real, measured[0], step_per_sensor)
     read = tuple(name for part in designed.sensors for name in part.signals)
-    written = written._replace(signals=kind_of(file).signals(written.u, read))
+    units = {**written.units, **designed.units}
+    written = written._replace(signals=kind_of(file).signals(written.u, read), units=units)
     broken = _broken_laws(designed.inner) if audit else ""
     warnings = [line for line in (broken, assumed, unbounded) if line]
     if unit:
@@ -313,6 +317,24 @@ def _check(
     if unit and (python or wasm):
         raise ValueError(
             f"{'python' if python else 'wasm'} is for a folder, and a unit is one file; name a folder by -o"
+        )
+
+
+def _memory_rate(rate: float, logged: Loaded | None, longest: float) -> float:
+    """The rate [Hz] for which late readings are stored: that of a log, where there is one, as `estimate` has it."""
+    return rate if logged is None else densest_rate(np.asarray(logged.record.t), longest)
+
+
+def _refuse_shifted_inputs(label: str, file: ModelFile) -> None:
+    """Refuse what is done to the inputs of a whole log before an observer gets them."""
+    shifted = {key: value for key, value in (("lag", file.input_lag), ("delay", file.input_delay)) if value}
+    shifted |= {"between": "linear"} if file.input_between != "held" else {}
+    if shifted and len(file.columns.u):
+        named = ", ".join(f"inputs.{key} = {value}" for key, value in shifted.items())
+        asked = [f"inputs.{key}={'held' if key == 'between' else 0}" for key in shifted]
+        raise ValueError(
+            f"{label}: an export takes the mean of the input that acts in each step, and does not compute it from what "
+            f"is commanded ({named}); compute it before the step, and give `overrides={asked}`"
         )
 
 

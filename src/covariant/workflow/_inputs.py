@@ -216,10 +216,7 @@ def with_sensor_delays(observers: Mapping[str, AbstractObserver], loaded: Loaded
         return dict(observers)
     if not loaded.file.mechanical:
         raise ValueError(f"{loaded.file.name}: readings that are late are made up for in mechanical models only")
-    t = np.asarray(loaded.record.t)
-    # The rate is that of the most samples in any interval of the delay, so that all of them fit the observer's memory.
-    within = np.searchsorted(t, t + longest, side="right") - np.arange(len(t))
-    rate = float(within.max()) / longest
+    rate = densest_rate(np.asarray(loaded.record.t), longest)
     informed = {entry.name for entry in REGISTRY if entry.knows_model}
     wrapped = dict(observers)
     for name, observer in observers.items():
@@ -228,6 +225,12 @@ def with_sensor_delays(observers: Mapping[str, AbstractObserver], loaded: Loaded
         if name in informed and np.any(delay):
             wrapped[name] = Delayed(observer, delay, rate)
     return wrapped
+
+
+def densest_rate(t: np.ndarray, time: float) -> float:
+    """The rate [Hz] of the most samples in any interval of a time [s], so that all of them fit a memory of it."""
+    within = np.searchsorted(t, t + time, side="right") - np.arange(len(t))
+    return float(within.max()) / time
 
 
 def refuse_delays(job: Job, loaded: Loaded, observer: AbstractObserver, why: str) -> None:

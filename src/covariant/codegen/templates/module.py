@@ -223,7 +223,8 @@ def run(t: object, y: object, u: object = None, params: Mapping | None = None) -
     results = np.empty(rows, np.intc)
     observer._y[:] = measured[0].ravel()
     x, p, _, at_y, _ = observer._at
-    observer._init(x, p, at_y, float(times[0]))
+    if observer._init(x, p, at_y, float(times[0])) != Result.OK:
+        raise ValueError("row 1: the measurement is too large for a start, or no rotation; cut the log to begin later")
     arrays = (acting, measured, dt, outputs, reported, results)
     pointers = (None if a is None else a.ctypes.data for a in arrays)
     getattr(_library(), f"{_NAME}_rows")(x, p, rows, *pointers)

@@ -28,12 +28,24 @@ const xNAMEx_params xNAMEx_default = {
 /* xFUNCTIONSx */
 int xNAMEx_init(xNAMEx_state *state, const xNAMEx_params *params, const xNAMEx_real *y, xNAMEx_real t)
 {
+    static const xNAMEx_real largest[xNEEDEDx] = {xLARGESTx};
+    xNAMEx_state first;
+    xNAMEx_output output;
+    const xNAMEx_real *estimated = (const xNAMEx_real *)&output;
     int i;
+    /* Of NaN both comparisons are false. */
     for (i = 0; i < xNEEDEDx; ++i) {
-        if (!(y[i] - y[i] == 0))
+        if (!(y[i] <= largest[i] && y[i] >= -largest[i]))
             return xUPPERx_NOT_FINITE;
     }
-    xNAMEx_core_init(params, y, t, state);
+    xNAMEx_core_init(params, y, t, &first);
+    xNAMEx_core_estimate(params, &first, &output);
+    /* A matrix that is no rotation starts nothing. */
+    for (i = 0; i < xESTIMATEDx; ++i) {
+        if (!(estimated[i] - estimated[i] == 0))
+            return xUPPERx_NOT_FINITE;
+    }
+    *state = first;
     /* xUNKNOWNx */
     return xUPPERx_OK;
 }

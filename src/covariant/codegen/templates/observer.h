@@ -38,14 +38,16 @@ typedef struct {
 extern const xNAMEx_params xNAMEx_default;
 
 /* Start at rest at the measurement y, at the time t [s]. Returns xUPPERx_OK or, where xSTARTEDx is not all
- * finite, xUPPERx_NOT_FINITE, and then leaves the state as it was. */
+ * finite, is too large or no rotation, xUPPERx_NOT_FINITE, and then leaves the state as it was. */
 int xNAMEx_init(xNAMEx_state *state, const xNAMEx_params *params, const xNAMEx_real *y, xNAMEx_real t);
 
 /* Advance by dt [s] under the input u, held over the step, then correct by the measurement y.
  *
  * missing: for each number of y, 1 where it was not measured; NULL for none. NaN in y says the same.
- * u: NULL counts as zero. An input that is not finite is replaced by the last one, and a step dt that is
- * not positive leaves the state as it was; the outcome says so. */
+ * u: the input that acted since then; NULL counts as zero. One that is not finite is replaced by the last one.
+ * dt: the time since the last stamp that was used. A step that is not positive leaves the state as it was.
+ *
+ * The outcome says what of this happened. Call xNAMEx_init first: a state without it has no meaning. */
 int xNAMEx_step(xNAMEx_state *state, const xNAMEx_params *params, const xNAMEx_real *u,
     const xNAMEx_real *y, const unsigned char *missing, xNAMEx_real dt);
 
