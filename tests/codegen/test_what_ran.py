@@ -11,6 +11,7 @@ import json
 import platform
 import shutil
 import subprocess
+import xml.etree.ElementTree as ElementTree
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -22,12 +23,12 @@ import pytest
 
 import covariant
 from covariant.calibration import usual_speeds
-from covariant.codegen import Program, _wasm, fmu, write_fmu
+from covariant.codegen import Program, _fmu, _wasm, fmu, write_fmu
 from covariant.geometry.lie import SO3
 from covariant.signals import Record, StepCode
 from covariant.workflow._design import design
 from covariant.workflow._export import beyond_proof
-from covariant.workflow._inputs import Job, load
+from covariant.workflow._inputs import Job, load, with_sensor_delays
 
 MODEL = """system = "pendulum_chain"
 parameters = {mass = [1.0], length = [0.5], viscous = [0.4]}
@@ -187,6 +188,7 @@ MEMBERS = {
     "ekf": Member("ekf"),
     "implicit": Member("implicit-geodesic"),
     "geodesic": Member("geodesic"),
+    "late": Member("copy", (MODEL + FASTER).replace("std = 1e-3", "std = 1e-3\ndelay = 0.023")),
     "group": Member("intrinsic", TOP.read_text(encoding="utf-8"), turn),
 }
 
@@ -259,7 +261,9 @@ def ran(model: Path, member: Member, steps: Callable, fault: str) -> Ran:
 
 
 def marked(name: str) -> Any:
-    marks = {"speed": (), "geodesic": (pytest.mark.exhaustive,)}.get(name, (pytest.mark.long,))
+    marks = {"speed": (), "geodesic": (pytest.mark.exhaustive,), "late": (pytest.mark.exhaustive,)}.get(
+        name, (pytest.mark.long,)
+    )
     return pytest.param(name, marks=marks)
 
 
@@ -273,6 +277,7 @@ def exported(request, tmp_path_factory) -> Exported:
     result = covariant.export(model, folder / "c", python=True, wasm=has_wasm(), **chosen)
     loaded = load(Job(model, Record(*(a[:ROWS] for a in member.log()[:3])), anyway=True))
     observer = design(loaded.file, member.observer, None, loaded.rate, loaded).observer
+    (observer,) = with_sensor_delays({member.observer: observer}, loaded).values()
 
     @jax.jit
     def stepped(t, u, y, dt):
@@ -365,6 +370,22 @@ def test_the_python_module_does_it_sample_by_sample(exported, monkeypatch):
             q, v, *_ = observer.estimate()
             estimates.append(np.concatenate([q.ravel(), v]))
         same(expected, codes, np.array(estimates))
+
+
+@needs_compiler
+def test_nothing_starts_where_estimate_refuses_to_start(exported, monkeypatch):
+    """As at a number too large, or at a matrix that is no rotation; the next measurement starts."""
+    module, log = module_of(exported, monkeypatch), exported.runs["a jump that stays"].log
+    for wrong in (1e12, -1e12, np.inf):
+        y = log.y.copy()
+        y[0].flat[0] = wrong
+        with pytest.raises(ValueError, match="row 1"):
+            covariant.estimate(exported.folder / "model.toml", log._replace(y=y), anyway=True)
+        with pytest.raises(ValueError, match="row 1: "):
+            module.run(log.t, y, log.u if exported.program.u else None)
+        observer = module.Observer()
+        assert observer.step(y[0], 1.0).name == "COASTED"
+        assert observer.step(y[1], 1.0).name == "OK"
 
 
 @needs_compiler
@@ -479,6 +500,50 @@ def test_header_data_sheet_and_readme_tell_the_gate_the_units_and_each_code(tmp_
         assert f"SPEED_{code.name} = {int(code)}" in header
         assert f"/* {code.message} */" in header
         assert f"| {int(code)} | `SPEED_{code.name}` | {code.message} |" in sheet
+
+
+def test_header_data_sheet_and_readme_tell_how_far_apart_samples_are(tmp_path):
+    written(tmp_path)
+    header, sheet, readme = texts(tmp_path)
+    assert all("for samples 0.005 s apart" in text for text in (header, sheet, readme))
+    assert "other steps are predicted as exactly" in sheet
+    assert "dt: the time since the last stamp that was used" in header
+
+
+@pytest.mark.parametrize("version", ["2.0", "3.0"])
+def test_each_number_of_a_unit_has_its_unit(version, tmp_path, monkeypatch):
+    monkeypatch.setattr(_fmu, "compiler_command", lambda: None)
+    noise = {"measurement.std": 1e-3, "uncertainty.acceleration": 1.0}
+    chosen = {"observer": "joint-kalman", "rate": RATE, "audit": False, "overrides": noise, "name": "beam"}
+    beam = covariant.export("ball_and_beam", tmp_path / "beam", **chosen).program
+    arm = covariant.export("pendulum_chain", tmp_path / "arm", **chosen).program
+    units = {}
+    for name, made in (("beam", beam), ("arm", arm)):
+        packed = fmu(made, "beam", "The unit.", RATE, np.zeros(2), version)
+        root = ElementTree.fromstring(packed.files["modelDescription.xml"])
+        defined = {unit.attrib["name"] for unit in root.findall("UnitDefinitions/Unit")}
+        variables = root.findall("ModelVariables/*")
+        stated = {v.attrib["name"]: (v if version == "3.0" else v[0]).attrib.get("unit") for v in variables}
+        assert set(stated.values()) - {None} == defined
+        units[name] = stated
+    if version == "2.0":
+        expected = {"y[1]": "m", "y[2]": "rad", "q[2]": "rad", "v[1]": "m/s", "velocity_std[2]": "rad/s"}
+        assert expected.items() <= units["beam"].items()
+    else:  # numbers of an array have one unit, or none that FMI can say
+        assert units["beam"]["y"] is None
+        assert units["beam"]["time"] == "s"
+        expected = {"y": "rad", "q": "rad", "v": "rad/s", "velocity_std": "rad/s"}
+        assert expected.items() <= units["arm"].items()
+
+
+@pytest.mark.parametrize(
+    ("line", "named"), [("lag = 0.02", "inputs.lag=0"), ("delay = 0.01", "delay=0"), ('between = "linear"', "held")]
+)
+def test_inputs_that_estimate_shifts_in_the_log_are_refused_by_name(line, named, tmp_path):
+    text = f"{MODEL}{MOTION}[inputs]\n{line}\n"
+    with pytest.raises(ValueError, match=f"inputs.{line.split()[0]} = .*overrides=.*{named}"):
+        written(tmp_path, text, observer="intrinsic")
+    assert written(tmp_path, text).warnings == ()  # a filter that looks at no input
 
 
 def test_without_noise_a_gate_is_missed_in_every_text(tmp_path):

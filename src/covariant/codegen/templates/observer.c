@@ -33,10 +33,14 @@ int xNAMEx_init(xNAMEx_state *state, const xNAMEx_params *params, const xNAMEx_r
     xNAMEx_output output;
     const xNAMEx_real *estimated = (const xNAMEx_real *)&output;
     int i;
-    /* Of NaN both comparisons are false. */
     for (i = 0; i < xNEEDEDx; ++i) {
-        if (!(y[i] <= largest[i] && y[i] >= -largest[i]))
+        if (!(y[i] - y[i] == 0))
             return xUPPERx_NOT_FINITE;
+    }
+    /* In a step such a number counts as missing. */
+    for (i = 0; i < xNEEDEDx; ++i) {
+        if (y[i] > largest[i] || y[i] < -largest[i])
+            return xUPPERx_COASTED;
     }
     xNAMEx_core_init(params, y, t, &first);
     xNAMEx_core_estimate(params, &first, &output);

@@ -37,8 +37,9 @@ typedef struct {
 
 extern const xNAMEx_params xNAMEx_default;
 
-/* Start at rest at the measurement y, at the time t [s]. Returns xUPPERx_OK or, where xSTARTEDx is not all
- * finite, is too large or no rotation, xUPPERx_NOT_FINITE, and then leaves the state as it was. */
+/* Start at rest at the measurement y, at the time t [s]. Returns xUPPERx_OK, or another outcome where nothing
+ * starts, and then leaves the state as it was: xUPPERx_NOT_FINITE where xSTARTEDx is not all finite, or is a
+ * matrix and no rotation, and xUPPERx_COASTED where a number is too large to tell a place. */
 int xNAMEx_init(xNAMEx_state *state, const xNAMEx_params *params, const xNAMEx_real *y, xNAMEx_real t);
 
 /* Advance by dt [s] under the input u, held over the step, then correct by the measurement y.
