@@ -173,22 +173,23 @@ DEAR = "an outlier", "rows lost for a quarter of a second", "a jump that stays"
 
 
 class Member(NamedTuple):
-    """An observer of the law, its model file, and a log without fault."""
+    """An observer of the law, its model file, a log without fault, and its suite, "" for every commit."""
 
     observer: str
     text: str = MODEL + FASTER
     log: Callable[[], Record] = swing
+    suite: str = "long"
 
 
 TOP = Path(__file__).parents[2] / "examples" / "heavy_top.toml"
 MEMBERS = {
-    "speed": Member("filtered-derivative"),
+    "speed": Member("filtered-derivative", suite=""),
     "joint": Member("joint-kalman"),
     "kalman": Member("intrinsic-kalman"),
     "ekf": Member("ekf"),
-    "implicit": Member("implicit-geodesic"),
-    "geodesic": Member("geodesic"),
-    "late": Member("copy", (MODEL + FASTER).replace("std = 1e-3", "std = 1e-3\ndelay = 0.023")),
+    "implicit": Member("implicit-geodesic", suite=""),
+    "geodesic": Member("geodesic", suite="exhaustive"),
+    "late": Member("copy", (MODEL + FASTER).replace("std = 1e-3", "std = 1e-3\ndelay = 0.023"), suite="exhaustive"),
     "group": Member("intrinsic", TOP.read_text(encoding="utf-8"), turn),
 }
 
@@ -261,13 +262,12 @@ def ran(model: Path, member: Member, steps: Callable, fault: str) -> Ran:
 
 
 def marked(name: str) -> Any:
-    marks = {"speed": (), "geodesic": (pytest.mark.exhaustive,), "late": (pytest.mark.exhaustive,)}.get(
-        name, (pytest.mark.long,)
-    )
-    return pytest.param(name, marks=marks)
+    """The name of a member, marked by its suite."""
+    suite = MEMBERS[name].suite
+    return pytest.param(name, marks=[getattr(pytest.mark, suite)] if suite else [])
 
 
-@pytest.fixture(scope="module", params=map(marked, MEMBERS))
+@pytest.fixture(scope="module", params=[marked(name) for name in MEMBERS])
 def exported(request, tmp_path_factory) -> Exported:
     name, member = request.param, MEMBERS[request.param]
     folder = tmp_path_factory.mktemp(name)

@@ -43,7 +43,7 @@ from covariant.observers import (
 )
 from covariant.workflow._arguments import above_zero, gain_pair
 from covariant.workflow._design import Design, design
-from covariant.workflow._inputs import Job, Loaded, densest_rate, load
+from covariant.workflow._inputs import Job, densest_rate, load, refuse_shifted_inputs
 from covariant.workflow._kinds import kind_of
 from covariant.workflow._progress import Progress, silent
 from covariant.workflow._result import AbstractResult
@@ -177,11 +177,13 @@ def export(
     if bounded and parameters:
         raise ValueError("the certificate is about the numbers of the model as they are; leave out `parameters`")
     if entry.knows_model:
-        _refuse_shifted_inputs(label, file)
+        refuse_shifted_inputs(label, file)
     # Only an observer with a model can predict from the time of a late reading to the present.
     delay = reading_delays(runs, file.delay, designed.sensors, measured[0])
     late = entry.knows_model and np.any(delay)
-    delayed = Delayed(runs, delay, _memory_rate(rate, logged, float(np.max(delay)))) if late else runs
+    # With a log the memory is as long as `estimate` has it there.
+    stored = rate if logged is None or not late else densest_rate(np.asarray(logged.record.t), float(np.max(delay)))
+    delayed = Delayed(runs, delay, stored) if late else runs
     if step_per_sensor and not getattr(runs, "sensors", ()):
         raise ValueError(f"step_per_sensor is for a filter with sensors; {designed.name} of {label} has none")
     if lag is not None:
@@ -317,24 +319,6 @@ def _check(
     if unit and (python or wasm):
         raise ValueError(
             f"{'python' if python else 'wasm'} is for a folder, and a unit is one file; name a folder by -o"
-        )
-
-
-def _memory_rate(rate: float, logged: Loaded | None, longest: float) -> float:
-    """The rate [Hz] for which late readings are stored: that of a log, where there is one, as `estimate` has it."""
-    return rate if logged is None else densest_rate(np.asarray(logged.record.t), longest)
-
-
-def _refuse_shifted_inputs(label: str, file: ModelFile) -> None:
-    """Refuse what is done to the inputs of a whole log before an observer gets them."""
-    shifted = {key: value for key, value in (("lag", file.input_lag), ("delay", file.input_delay)) if value}
-    shifted |= {"between": "linear"} if file.input_between != "held" else {}
-    if shifted and len(file.columns.u):
-        named = ", ".join(f"inputs.{key} = {value}" for key, value in shifted.items())
-        asked = [f"inputs.{key}={'held' if key == 'between' else 0}" for key in shifted]
-        raise ValueError(
-            f"{label}: an export takes the mean of the input that acts in each step, and does not compute it from what "
-            f"is commanded ({named}); compute it before the step, and give `overrides={asked}`"
         )
 
 

@@ -248,6 +248,19 @@ def refuse_delays(job: Job, loaded: Loaded, observer: AbstractObserver, why: str
         )
 
 
+def refuse_shifted_inputs(label: str, file: models.ModelFile) -> None:
+    """Refuse what is done to the inputs of a whole log before an observer gets them."""
+    shifted = {key: value for key, value in (("lag", file.input_lag), ("delay", file.input_delay)) if value}
+    shifted |= {"between": "linear"} if file.input_between != "held" else {}
+    if shifted and len(file.columns.u):
+        named = ", ".join(f"inputs.{key} = {value}" for key, value in shifted.items())
+        asked = [f"inputs.{key}={'held' if key == 'between' else 0}" for key in shifted]
+        raise ValueError(
+            f"{label}: an export takes the mean of the input that acts in each step, and does not compute it from what "
+            f"is commanded ({named}); compute it before the step, and give `overrides={asked}`"
+        )
+
+
 def _delay_note(file: models.ModelFile) -> str:
     """A sentence that says how late positions are, where they are."""
     delays = np.atleast_1d(np.asarray(file.delay, float))
