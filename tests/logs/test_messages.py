@@ -283,3 +283,31 @@ def test_an_estimate_from_messages_of_a_sensor_is_that_from_the_table_of_them(tm
     assert by_bag.sensors["gyro"].readings == len(fast)
     np.testing.assert_allclose(by_bag.t, by_table.t, rtol=0, atol=1e-9)
     np.testing.assert_allclose(by_bag.outcome.velocity, by_table.outcome.velocity, rtol=0, atol=1e-6)
+
+
+def test_flipped_bits_are_found(tmp_path):
+    """Of a file of this library, and of one that another one wrote with its checksums of data."""
+    path = tmp_path / "log.mcap"
+    logs.write(path, {"t": SECONDS, "arm/position": np.sin(SECONDS)}, START)
+    columns = Columns(q=("arm",))
+    whole, before = path.read_bytes(), logs.read(path, columns).record
+    for bit in np.random.default_rng(0).integers(0, 8 * len(whole), 60):
+        content = bytearray(whole)
+        content[bit // 8] ^= 1 << (bit % 8)
+        path.write_bytes(content)
+        try:
+            after = logs.read(path, columns).record
+        except logs.LogError as error:
+            assert "\n" not in str(error)  # noqa: PT017
+        else:
+            np.testing.assert_array_equal(after.y, before.y)
+            np.testing.assert_array_equal(after.t, before.t)
+    middle = bytearray(whole)
+    middle[len(whole) // 3] ^= 4
+    path.write_bytes(middle)
+    with pytest.raises(logs.LogError, match=r"log.mcap: .*does not fit its checksum: the file is damaged"):
+        logs.read(path, columns)
+    with path.open("wb") as file:
+        file.write(whole)
+    with path.open("rb") as file:
+        assert len(list(make_reader(file, validate_crcs=True).iter_messages())) == len(SECONDS)

@@ -393,3 +393,27 @@ def test_a_missing_package_is_named_with_the_line_that_installs_it(monkeypatch, 
         ImportError, match=re.escape("need zarr, which is not installed: pip install 'covariant[scale]")
     ):
         map_grid(observables, GRID, tmp_path / "map.zarr", **SETTINGS)
+
+
+def test_another_function_is_not_mixed_into_a_store(tmp_path):
+    def stopped(done, total):
+        if done:
+            raise KeyboardInterrupt
+
+    path = tmp_path / "level.zarr"
+    settings: Any = {"grid": GRID, "path": path, "block": BLOCK, "workers": 1, **LEVEL}
+    with pytest.raises(KeyboardInterrupt):
+        map_grid(lambda x: {"level": 2.0 * x[0]}, on_progress=stopped, **settings)
+    begun = chunks(path)
+    for other in (lambda x: {"level": 2.1 * x[0]}, lambda x: {"level": 2.0 * x[1]}, lambda x: {"level": x[0] + x[0]}):
+        with pytest.raises(ValueError, match="holds another map: what is evaluated at a point was changed"):
+            map_grid(other, **settings)
+    assert chunks(path) == begun
+    map_grid(lambda z: {"level": 2.0 * z[0]}, **settings)  # the same, whatever its names are
+    # A finished store of an earlier version, which has no hash, is complete as it is.
+    attributes = zarr.open_group(path, mode="r+").attrs
+    del attributes["function"]
+    map_grid(lambda z: {"level": 2.0 * z[0]}, **settings)
+    attributes["complete"] = False
+    with pytest.raises(ValueError, match="holds another map"):
+        map_grid(lambda z: {"level": 2.0 * z[0]}, **settings)

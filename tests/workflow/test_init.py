@@ -134,3 +134,22 @@ def test_angles_that_start_a_turn_anew_are_no_jumps(tmp_path):
     data = {"uncertainty.acceleration": 50.0, "uncertainty.correlation_time": 0.01}
     speed = covariant.estimate(file, table, overrides=data, anyway=True).velocity[150:, 2]
     np.testing.assert_allclose(speed, (2.0 + 40 * T)[150:], atol=4.0)
+
+
+def test_the_marks_of_all_drafted_lines_can_be_taken_away_after_a_tuning(tmp_path):
+    path = covariant.workflow.init(log(["a_deg", "b_deg"], 2)).save(tmp_path / "draft.toml")
+    text, content = path.read_text(), models.document(str(path))
+    content["uncertainty"] = {"acceleration": 3.5, "correlation_time": 0.02}
+    tuned = models.rewrite(text, content)
+    for each in (text, tuned):
+        path.write_text(re.sub(r"^# (?=\[|\w+ = )", "", each, flags=re.MULTILINE))
+        assert models.load(path).acceleration_std == (3.5 if each is tuned else 2.0)
+
+
+def test_the_command_names_every_file_that_it_wrote(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    log(["cart_m", "pole_deg"], 1).to_csv("run.csv", index=False)
+    monkeypatch.setattr(sys, "argv", ["covariant", "init", "run.csv", "-o", "2nd.toml"])
+    with pytest.raises(SystemExit, match="0"):
+        main()
+    assert "wrote 2nd.toml\nwrote _2nd_model.py" in capsys.readouterr().out

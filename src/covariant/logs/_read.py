@@ -241,7 +241,8 @@ def _select_rows(name: str, log: Log, every: int, until: float | None, start: fl
         row = low + 1
         raise LogError(f"{name}: row {row}, the first one kept, lacks a measurement; begin a little later or earlier")
     record, v, truth, readings = (_rows(part, rows) for part in (log.record, log.v, log.truth, log.readings))
-    return Log(record, v, truth, log.origin_ns, low + 1, every, readings)
+    whole = None if len(record.t) == len(t) else log.record
+    return Log(record, v, truth, log.origin_ns, low + 1, every, readings, whole)
 
 
 def _rows(part: Any, rows: slice) -> Any:

@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 
 FORMAT = "covariant grid 1"
 DONE = "done"
+FUNCTION = "function"
+"""Attribute with the content hash of the function, which stores of earlier versions lack."""
 ALL_CHUNKS = "all_chunks"
 """Attribute of stores in which every block that is done has a chunk of every variable."""
 
@@ -92,11 +94,16 @@ def open_grid(path: str | os.PathLike[str], *, complete: bool = False) -> "xarra
     return dataset.map(lambda v: v if np.issubdtype(v.dtype, np.inexact) else v.astype(float).where(done), True)
 
 
-def configuration(grid: Grid, blocks: Blocks, variables: Any, provenance: Any) -> dict[str, Any]:
-    """Settings that two runs must have in common to work on one store, with a content hash of them."""
+def configuration(
+    grid: Grid, blocks: Blocks, variables: Any, provenance: Any, function: str | None = None
+) -> dict[str, Any]:
+    """Settings that two runs must have in common to work on one store, with a content hash of them.
+
+    `function` is a content hash of what is evaluated; None if it has none.
+    """
     low, high = grid.ends
     box = {"names": tuple(grid.names), "units": tuple(grid.units), "low": low, "high": high, "counts": grid.shape}
-    whole = {"grid": box, "variables": variables, "provenance": provenance, "block": blocks.sides}
+    whole = {"grid": box, "variables": variables, "provenance": provenance, "block": blocks.sides, FUNCTION: function}
     try:
         text = json.dumps(whole, allow_nan=False)
     except (TypeError, ValueError) as error:
@@ -111,10 +118,13 @@ def prepare(path: Path, settings: dict[str, Any], blocks: Blocks) -> None:
     if not os.path.lexists(path):
         return _create(path, settings, blocks)
     attributes = _attributes(path)
-    stored = {name: attributes.get(name) for name in settings}
-    if stored != settings:
+    compared = set(settings)
+    if attributes["complete"] and FUNCTION not in attributes:  # nothing is added to it, so nothing can be mixed
+        compared -= {FUNCTION, "digest"}
+    stored, asked = ({name: each.get(name) for name in settings if name in compared} for each in (attributes, settings))
+    if stored != asked:
         raise ValueError(
-            f"{path} holds another map: {_difference(stored, settings)}; give another path, or remove that store"
+            f"{path} holds another map: {_difference(stored, asked)}; give another path, or remove that store"
         )
     if _versions() not in attributes["versions"]:
         _annotate(path, versions=[*attributes["versions"], _versions()])
@@ -225,5 +235,7 @@ def _difference(there: Any, here: Any, name: str = "") -> str:
     """The first difference, with its dotted name."""
     if isinstance(there, dict) and isinstance(here, dict):
         key = next(key for key in [*here, *there] if there.get(key) != here.get(key))
+        if not name and key == FUNCTION:
+            return "what is evaluated at a point was changed since, as by an edit of the model or by another version"
         return _difference(there.get(key), here.get(key), f"{name}.{key}".lstrip("."))
     return f"{name} is {there!r} there and {here!r} here"

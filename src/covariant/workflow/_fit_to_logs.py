@@ -28,7 +28,7 @@ from covariant.calibration.identification import (
     split_windows,
     window_losses,
 )
-from covariant.signals import Record, acting_inputs, lag_inputs
+from covariant.signals import Record
 from covariant.workflow._aligned import Aligned, aligned
 from covariant.workflow._inputs import Job, MisfitError, coordinates
 from covariant.workflow._outcome import rounded
@@ -198,7 +198,7 @@ class _PredictionProblem(NamedTuple):
 
     def acting(self, log: Aligned, between: str) -> Record:
         """The record with the inputs that act in each step, without their lag, which may be fitted."""
-        return acting_inputs(log.raw, between, log.late)
+        return log.acting(between)
 
     def fit(self, word: str, parts: Parts, start: Fit | None, report: Callable[[int, float], None]) -> Fit:
         def progress(done: int, step: int) -> None:
@@ -245,7 +245,7 @@ class _RobotProblem(NamedTuple):
 
     def acting(self, log: Aligned, between: str) -> Record:
         """The record with the inputs that act in each step."""
-        return acting_inputs(lag_inputs(log.raw, log.loaded.file.input_lag), between, log.late)
+        return log.acting(between, log.loaded.file.input_lag)
 
     def fit(self, word: str, parts: Parts, start: RobotFit | None, report: Callable[[int, float], None]) -> RobotFit:
         records = [self.acting(log, word) for log in self.logs.logs[: self.logs.seen]]

@@ -81,8 +81,7 @@ class InitResult(AbstractResult):
         Returns:
             The texts by the names of their files, the module first where there is one.
         """
-        log, module = Path(self.log).name, re.sub(r"\W", "_", stem, flags=re.ASCII) + "_model"
-        module = f"_{module}" if module[0].isdigit() else module
+        log, module = Path(self.log).name, _module_name(stem)
         if not any(self.draft.lengths):
             return {f"{stem}.toml": _model_file(log, self.draft, _chain(self.draft))}
         model = _model_file(log, self.draft, _python_system_lines(self.draft, module))
@@ -114,8 +113,15 @@ class InitResult(AbstractResult):
             lines.append(f"left out: {', '.join(self.draft.left_out)}")
         todo = "put first values of your machine into [parameters] of the model file"
         if any(self.draft.lengths):
-            todo += ", and its equations of motion into the Python file beside it"
+            todo += (
+                ", and its equations of motion into the Python file beside it, which is named after it, as "
+                f"{_module_name('draft')}.py after draft.toml"
+            )
         return "\n".join([*lines, todo])
+
+    def written_files(self, path: str | Path) -> list[Path]:
+        path = Path(path)
+        return [path] + [path.with_name(name) for name in self.texts(path.stem) if name != path.name]
 
     def save(self, path: str | Path, overwrite: bool = False) -> Path:
         """Write the model file, and beside it the equations of motion where they are drafted as well.
@@ -143,6 +149,12 @@ class InitResult(AbstractResult):
         return path
 
 
+def _module_name(stem: str) -> str:
+    """Name of the module beside a model file."""
+    name = re.sub(r"\W", "_", stem, flags=re.ASCII) + "_model"
+    return f"_{name}" if name[0].isdigit() else name
+
+
 def _model_file(name: str, guess: Draft, machine: list[str]) -> str:
     """The text of the model file; `machine` are the lines of the system and its parameters."""
     spans = ", ".join(f"{q} {low:.3g} to {high:.3g}" for q, (low, high) in zip(guess.q, guess.span, strict=True))
@@ -165,9 +177,9 @@ def _model_file(name: str, guess: Draft, machine: list[str]) -> str:
         "[measurement]",
         _sensor(guess),
         "",
+        "[uncertainty]",
         "# Gains of observers are designed from how much acceleration the model leaves unexplained, which a log does",
         "# not tell before the model fits: set it after `covariant fit`, then take the marks of comments away.",
-        "# [uncertainty]",
         f"# acceleration = 2.0  # {_both(guess, 'm/s^2', 'rad/s^2')}",
         "# correlation_time = 0.01  # s, over which it persists",
         "",

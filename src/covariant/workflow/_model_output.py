@@ -3,6 +3,7 @@
 import errno
 import os
 import tomllib
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -84,10 +85,37 @@ def _refuse_source(path: Path, robot: Path | None) -> None:
         )
 
 
-def write_model(model: Any, path: str | Path, overwrite: bool, head: str, content: Any) -> Path:
+def read_sources(model: Any) -> dict[Path, bytes]:
+    """Read the files that a model with other numbers is written from: its own, and that of its robot."""
+    if not isinstance(model, str | os.PathLike):
+        return {}
+    spec = os.fspath(model)
+    paths = (Path(spec) if spec.endswith(".toml") else None, _robot_file(spec))
+    return {path: path.read_bytes() for path in paths if path is not None and path.is_file()}
+
+
+def _check_unchanged(path: Path, sources: Mapping[Path, bytes]) -> None:
+    """Raise where a file that would be replaced, or the robot that would be copied, is not what was read."""
+    for source, content in sources.items():
+        changed = not source.is_file() or source.read_bytes() != content
+        replaced = path.exists() and source.exists() and path.samefile(source)
+        if changed and replaced:
+            raise ValueError(
+                f"{path}: it was changed after it was read, and the change is not replaced; write to another file, "
+                "which then has the text as it was read"
+            )
+        if changed and source.suffix in OF_ROBOTS:
+            raise ValueError(
+                f"{source}: it was changed after it was read, so nothing is written; run the command again"
+            )
+
+
+def write_model(
+    model: Any, path: str | Path, overwrite: bool, head: str, content: Any, sources: Mapping[Path, bytes] | None = None
+) -> Path:
     """Write the file of a model with other numbers, and for a robot with new inertias another URDF file beside it.
 
-    Comments and layout stay.
+    Comments and layout stay. They are those of `sources`, the files as they were first read.
     """
     from covariant import models
     from covariant._files import write_together
@@ -98,7 +126,10 @@ def write_model(model: Any, path: str | Path, overwrite: bool, head: str, conten
     if urdf is not None:
         _refuse_source(urdf[0], source)
         check_model_output(model, path, overwrite, urdf=True)
-    text = head + models.rewrite(model_text(model), content)
+    sources = read_sources(model) if sources is None else sources
+    _check_unchanged(Path(path), sources)
+    first_read = sources.get(Path(os.fspath(model)))
+    text = head + models.rewrite(model_text(model) if first_read is None else first_read.decode(), content)
     # Both or none where the disk is full: the old model file would name a robot with the new inertias.
     beside = {} if urdf is None else {urdf[0]: urdf[1].encode()}
     write_together({**beside, Path(path): text.encode()})

@@ -53,6 +53,8 @@ class Tuned(NamedTuple):
 def tune_to_logs(jobs: list[Job], engine: EngineName, progress: Progress) -> Tuned:
     """Tune noise and gains on the first two thirds of each log, and judge them on the rest."""
     progress("reading", 0.0)
+    has_file = isinstance(jobs[0].model, str | PathLike)
+    content = models.document(jobs[0].model_name, jobs[0].overrides) if has_file else {}
     loaded = [aligned(job).loaded for job in jobs]
     file = loaded[0].file
     before = None
@@ -80,8 +82,7 @@ def tune_to_logs(jobs: list[Job], engine: EngineName, progress: Progress) -> Tun
     progress("done", 1.0)
     tables = _tables(file, tuning, loaded[0].rate)
     details = _details(jobs, loaded, tuning, tables) | {"engine": runs.description}
-    has_file = isinstance(jobs[0].model, str | PathLike)
-    return Tuned(loaded, tuning, before, _content(jobs[0], tables) if has_file else {}, details)
+    return Tuned(loaded, tuning, before, _with_tables(content, tables) if has_file else {}, details)
 
 
 def tuned_page(title: str, tuned: Tuned, notes: tuple[str, ...], rows: tuple[dict[str, Any], ...]) -> EstimateReport:
@@ -152,9 +153,8 @@ def _short(value: Any) -> float:
     return float(f"{float(value):.{DIGITS}g}")
 
 
-def _content(job: Job, tables: dict[str, dict[str, Any]]) -> dict[str, Any]:
+def _with_tables(content: dict[str, Any], tables: dict[str, dict[str, Any]]) -> dict[str, Any]:
     """The content of the model file with the tuned numbers; without an external force unless the tuning has one."""
-    content = models.document(job.model_name, job.overrides)
     for table, numbers in tables.items():
         content.setdefault(table, {}).update(numbers)
     # The tuned acceleration holds what was torque.
