@@ -241,6 +241,18 @@ def stop_after(blocks: int):
     return report
 
 
+def test_a_lost_chunk_of_an_unfinished_map_is_not_read_as_zero(tmp_path):
+    path = tmp_path / "map.zarr"
+    with pytest.raises(RuntimeError, match="enough"):
+        map_grid(observables, GRID, path, block=BLOCK, workers=1, on_progress=stop_after(4), **SETTINGS)
+    open_grid(path)
+    next(file for file in sorted(path.glob("code/c/**/*")) if file.is_file()).unlink()
+    with pytest.raises(ValueError, match="blocks are missing; run its map_grid again"):
+        open_grid(path)
+    map_grid(observables, GRID, path, block=BLOCK, **SETTINGS)
+    check_values(path, GRID)
+
+
 def test_points_never_computed_read_as_nan(whole, tmp_path):
     path, calls = tmp_path / "map.zarr", iter(range(6))
 

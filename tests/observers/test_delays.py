@@ -328,7 +328,7 @@ def test_what_is_estimated_along_is_that_of_the_stamp_and_not_of_the_reading():
     from covariant.models import oscillator
     from covariant.observers import external_force
 
-    inner = IntrinsicKalman(oscillator(), 0.01, 1e-8, 1.0, slow=external_force(1, 0.3, 2.0), substeps=1)
+    inner = IntrinsicKalman(oscillator(), 0.01, 1e-8, 1.0, slow=(external_force(std=2.0, time=0.3),), substeps=1)
     t = 0.01 * np.arange(120)
     record = Record(t, np.zeros((120, 1)), np.sin(3 * np.maximum(t - 0.05, 0))[:, None])
     observer = Delayed(inner, 0.05, 100.0)

@@ -64,7 +64,7 @@ def open_grid(path: str | os.PathLike[str], *, complete: bool = False) -> "xarra
         points not yet computed are NaN, and integers and flags are therefore read as float64.
 
     Raises:
-        ValueError: one line, where there is no map, where a finished one has lost files of its blocks, or where
+        ValueError: one line, where there is no map, where one has lost files of blocks that were computed, or where
             `complete` is required and blocks are missing.
 
     Example:
@@ -79,8 +79,10 @@ def open_grid(path: str | os.PathLike[str], *, complete: bool = False) -> "xarra
     path = Path(path)
     attributes = _attributes(path)
     counts = [-(-n // side) for n, side in zip(attributes["grid"]["counts"], attributes["block"], strict=True)]
+    # The flags first: a block that another process writes meanwhile has all its chunks before its flag.
+    flagged = math.prod(counts) if attributes["complete"] else len(_chunks(path / DONE, len(counts)))
     whole = written(path, len(counts)) if attributes.get(ALL_CHUNKS) or not attributes["complete"] else None
-    lost = attributes["complete"] and whole is not None and len(whole) < math.prod(counts)
+    lost = whole is not None and len(whole) < flagged
     if whole is not None and (lost or (complete and not attributes["complete"])):
         missing = math.prod(counts) - len(whole)
         raise ValueError(
@@ -118,14 +120,17 @@ def prepare(path: Path, settings: dict[str, Any], blocks: Blocks) -> None:
     if not os.path.lexists(path):
         return _create(path, settings, blocks)
     attributes = _attributes(path)
-    compared = set(settings)
-    if attributes["complete"] and FUNCTION not in attributes:  # nothing is added to it, so nothing can be mixed
+    compared, begun = set(settings), bool(written(path, len(blocks.sides)))
+    # Nothing can be mixed where nothing is there yet, or where nothing is added to a store of an earlier version.
+    if not begun or (attributes["complete"] and FUNCTION not in attributes):
         compared -= {FUNCTION, "digest"}
     stored, asked = ({name: each.get(name) for name in settings if name in compared} for each in (attributes, settings))
     if stored != asked:
         raise ValueError(
             f"{path} holds another map: {_difference(stored, asked)}; give another path, or remove that store"
         )
+    if not begun:
+        _annotate(path, **{name: settings[name] for name in (FUNCTION, "digest")})
     if _versions() not in attributes["versions"]:
         _annotate(path, versions=[*attributes["versions"], _versions()])
     return None

@@ -451,7 +451,7 @@ def _choose_readings(
     order = np.arange(1.0, len(age) + 1)[:, None]
     rank = jnp.where(there, order if last else order[::-1], 0.0)
     best = jnp.max(rank, axis=0, initial=0.0)
-    chosen = there & (rank == best)
+    chosen = there & (rank == best[None])
     ages, values = (jnp.sum(jnp.where(chosen, each, 0.0), axis=0) for each in (age[:, None], y))
     return jnp.where(best > 0, ages, default[0]), jnp.where(best > 0, values, default[1])
 
