@@ -130,7 +130,7 @@ def write_model(
     _check_unchanged(Path(path), sources)
     first_read = sources.get(Path(os.fspath(model)))
     text = head + models.rewrite(model_text(model) if first_read is None else first_read.decode(), content)
-    # Both or none where the disk is full: the old model file would name a robot with the new inertias.
+    # Both files or none, also on a full disk: otherwise the old model file would refer to a robot with new inertias.
     beside = {} if urdf is None else {urdf[0]: urdf[1].encode()}
     write_together({**beside, Path(path): text.encode()})
     return Path(path)
