@@ -10,8 +10,18 @@ import pytest
 
 from covariant.calibration import tuned_estimators
 from covariant.engine import run_log
-from covariant.models import MechanicalSystem, Motion, free_body, pendulum_chain
-from covariant.observers import EKF, Delayed, FilteredDerivative, Intrinsic, IntrinsicKalman, run
+from covariant.models import MechanicalSystem, Motion, free_body, oscillator, pendulum_chain
+from covariant.observers import (
+    EKF,
+    Damped,
+    Delayed,
+    FilteredDerivative,
+    Intrinsic,
+    IntrinsicKalman,
+    external_force,
+    run,
+    tachometer,
+)
 from covariant.scoring import rmse
 from covariant.signals import Record, StepCode
 from covariant.simulation import hold, simulate
@@ -325,9 +335,6 @@ def test_the_members_of_an_exported_state_have_names_of_their_own(tmp_path, dela
 
 def test_what_is_estimated_along_is_that_of_the_stamp_and_not_of_the_reading():
     """The force, its deviation and the velocity in one row are those of one time."""
-    from covariant.models import oscillator
-    from covariant.observers import external_force
-
     inner = IntrinsicKalman(oscillator(), 0.01, 1e-8, 1.0, slow=(external_force(std=2.0, time=0.3),), substeps=1)
     t = 0.01 * np.arange(120)
     record = Record(t, np.zeros((120, 1)), np.sin(3 * np.maximum(t - 0.05, 0))[:, None])
@@ -342,7 +349,23 @@ def test_what_is_estimated_along_is_that_of_the_stamp_and_not_of_the_reading():
     assert info.slow_std[0] > 1.02 * inner.deviations(state.known)["slow_std"][0]
 
 
-@pytest.mark.parametrize("delays", [(0.0, 0.05), (0.05, 0.0), (0.02, 0.05)])
+def test_an_offset_that_is_estimated_along_is_the_latest_one():
+    """A sample that arrives late changes it, and so do the readings after that sample."""
+    inner = Damped(Intrinsic(oscillator(), alpha=4.0, beta=8.0), tachometer([0], 0.01), damping=5.0, bias_gain=0.2)
+    observer = Delayed(inner, 0.0, 100.0, lateness=0.1)
+    t = 0.01 * np.arange(20)
+    y = np.column_stack([np.cos(t), 0.2 - np.sin(t)])
+    state = observer.init(jnp.asarray(y[0]), 0.0)
+    step = eqx.filter_jit(lambda state, y: observer.step(state, jnp.zeros(1), y, 0.01))
+    for k in range(1, 20):
+        state, _ = step(state, jnp.full(2, jnp.nan) if k == 14 else jnp.asarray(y[k]))
+    state, info = observer.late(state, jnp.asarray(y[14]), t[14])
+    np.testing.assert_array_equal(info.bias, state.now.bias)
+    assert info.result == StepCode.OK
+
+
+@pytest.mark.long("delays1", "delays2")
+@pytest.mark.parametrize("delays", [(0.02, 0.05), (0.0, 0.05), (0.05, 0.0)])
 def test_a_first_state_is_made_of_readings_of_one_time(delays):
     """At full speed, joints that are late by different times are nowhere together in one sample."""
     t = 1.0 + 0.005 * np.arange(80)

@@ -78,7 +78,7 @@ def fit(
     from covariant.workflow._inputs import Job
 
     jobs = [Job(model, one, overrides, every, until, columns or {}, anyway, start) for one in logs]
-    return FitResult(*fit_to_logs(jobs, names, horizon, progress), sources)
+    return FitResult(*fit_to_logs(jobs, names, horizon, progress, sources), sources)
 
 
 @dataclass(frozen=True, repr=False)

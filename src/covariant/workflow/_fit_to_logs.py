@@ -1,6 +1,6 @@
 """Computes a fit to logs: reads them, solves with held and with linear inputs, and judges on what is held out."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -31,6 +31,7 @@ from covariant.calibration.identification import (
 from covariant.signals import Record
 from covariant.workflow._aligned import Aligned, aligned
 from covariant.workflow._inputs import Job, MisfitError, coordinates
+from covariant.workflow._model_output import check_read_once
 from covariant.workflow._outcome import rounded
 from covariant.workflow._placeholders import placeholders
 from covariant.workflow._progress import Progress
@@ -55,13 +56,21 @@ Parts = dict[str, tuple[Windows, Windows]]
 
 
 def fit_to_logs(
-    jobs: list[Job], names: Sequence[str], length: float | None, progress: Progress
+    jobs: list[Job],
+    names: Sequence[str],
+    length: float | None,
+    progress: Progress,
+    sources: Mapping[Path, bytes],
 ) -> tuple[list[Job], dict[str, Any], dict[str, Any]]:
-    """Fit parameters of a model, or numbers of a robot, to logs, and judge the fit on what is held out."""
+    """Fit parameters of a model, or numbers of a robot, to logs, and judge the fit on what is held out.
+
+    `sources` are the files of the model as they were first read.
+    """
     progress("reading")
     kind = _RobotProblem if _is_robot_fit(jobs[0], names) else _PredictionProblem
     problem = kind.read(jobs, names, length)
-    logs = problem.logs
+    logs, guessed = problem.logs, placeholders(jobs[0].model, jobs[0].overrides)
+    check_read_once(sources)  # from here on no file of the model is read
     try:
         parts = {
             word: split_windows([problem.acting(log, word) for log in logs.logs], logs.references, logs.length)
@@ -83,7 +92,9 @@ def fit_to_logs(
         content["parameters"]["source"] = f"fitted to {logs.fitted_to} from first values of: {source}"
     if gain is not None and gain.clear:
         content.setdefault("inputs", {})["between"] = used
-    details = _details(jobs[0], logs, best, before, after) | {"inputs": _input_details(used, logs.stated, gain)}
+    details = _details(jobs[0], logs, guessed, best, before, after) | {
+        "inputs": _input_details(used, logs.stated, gain)
+    }
     return jobs, content, details | problem.details(best, parts[used][0])
 
 
@@ -319,7 +330,12 @@ def _rows(best: Fit | RobotFit):
 
 
 def _details(
-    job: Job, logs: FitLogs, best: Fit | RobotFit, before: PredictionErrors, after: PredictionErrors
+    job: Job,
+    logs: FitLogs,
+    guessed: dict[str, float],
+    best: Fit | RobotFit,
+    before: PredictionErrors,
+    after: PredictionErrors,
 ) -> dict[str, Any]:
     """Numbers before and after a fit, those that are still placeholders, and its errors on what is held out."""
     names, units = coordinates(logs.logs[0].loaded.file)
@@ -343,7 +359,7 @@ def _details(
             }
             for name, first, value, error, determined in _rows(best)
         ],
-        "placeholders": {k: value for k, value in placeholders(job.model, job.overrides).items() if k not in known},
+        "placeholders": {k: value for k, value in guessed.items() if k not in known},
         "coordinates": list(names),
         "units": [unit.removesuffix("/s") for unit in units],
         "held_out_errors": {

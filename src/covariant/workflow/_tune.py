@@ -61,7 +61,7 @@ def tune(
     from covariant.workflow._tune_to_logs import tune_to_logs
 
     jobs = [Job(model, one, overrides, every, until, columns or {}, anyway, start) for one in logs]
-    return TuneResult(jobs, tune_to_logs(jobs, engine, progress), engine, sources)
+    return TuneResult(jobs, tune_to_logs(jobs, engine, progress, sources), engine, sources)
 
 
 @dataclass(frozen=True, repr=False)

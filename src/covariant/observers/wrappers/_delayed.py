@@ -34,7 +34,7 @@ from covariant.signals import StepCode
 
 SAME_TIME = 1e-6
 """Times [s] closer than this count as equal: coordinates that were true then are processed together."""
-OF_ESTIMATE = ("velocity_std", "state_std", "slow", "slow_std")
+OF_ESTIMATE = ("velocity_std", "state_std", "slow", "slow_std", "bias")
 """Fields of an info that describe the estimate."""
 
 
@@ -84,9 +84,8 @@ class Delayed(AbstractWrapper):
 
     Between two readings the mean of the inputs over that time acts. Where samples come faster than `rate`, the buffers
     reach back too short a time: a reading that is older is left out, and `result` says `TOO_LATE`. The info is that of
-    the newest reading of a sample, with the innovations of all its readings. What the observer
-    reports of its estimate, such as standard deviations and forces, is that of the estimate now. Without delays and
-    lateness it is the observer itself, to the last bit.
+    the newest reading of a sample, with the innovations of all its readings. Its standard deviations, forces and other
+    slow states are those of the estimate now. Without delays and lateness it is the observer itself, to the last bit.
 
     Use it where a camera or a slow bus delivers measurements late. A delay that is known and left out makes the
     estimate late by as much, and in a loop unstable. It stores the past for as long as the delays, and repeats the
