@@ -153,3 +153,20 @@ def test_the_command_names_every_file_that_it_wrote(tmp_path, monkeypatch, capsy
     with pytest.raises(SystemExit, match="0"):
         main()
     assert "wrote 2nd.toml\nwrote _2nd_model.py" in capsys.readouterr().out
+
+
+def test_the_finding_of_friction_is_a_command_for_this_draft_and_log(tmp_path):
+    path = covariant.workflow.init(log(["cart_m", "pole_deg"], 1)).save(tmp_path / "my draft.toml")
+    truth = {"parameters.viscous": [1.0, 0.02], "parameters.coulomb": [0.0, 0.0]}
+    settings = {"duration": 8.0, "rate": 200.0, "q0": [0.0, 0.5], "amplitude": [3.0], "frequency": 0.9, "noise": 1e-4}
+    run = covariant.simulate(path, overrides=truth, **settings).save(tmp_path / "run.csv")
+    result = covariant.check(path, run)
+    (line,) = (each.line for each in result.findings if "friction" in each.what)
+    begin, _, names = line.partition(" --parameters ")
+    assert begin == f"covariant fit '{path}' {run}"
+    assert "viscous" in names.split(",")
+    assert models.family(str(path), names.split(",")).names[0] == "viscous[0]"
+    # Of a model file without the number there is nothing to fit.
+    path.write_text(re.sub("^viscous", "# viscous", path.read_text(), flags=re.MULTILINE))
+    (line,) = (each.line for each in covariant.check(path, run).findings if "friction" in each.what)
+    assert line == "give the model friction"

@@ -121,8 +121,9 @@ def prepare(path: Path, settings: dict[str, Any], blocks: Blocks) -> None:
         return _create(path, settings, blocks)
     attributes = _attributes(path)
     compared, begun = set(settings), bool(written(path, len(blocks.sides)))
-    # Nothing can be mixed where nothing is there yet, or where nothing is added to a store of an earlier version.
-    if not begun or (attributes["complete"] and FUNCTION not in attributes):
+    other_version = _versions() not in attributes["versions"]
+    # An empty store mixes nothing, nor does a finished one, whose hash of another version tells nothing either.
+    if not begun or (attributes["complete"] and (FUNCTION not in attributes or other_version)):
         compared -= {FUNCTION, "digest"}
     stored, asked = ({name: each.get(name) for name in settings if name in compared} for each in (attributes, settings))
     if stored != asked:
@@ -131,7 +132,7 @@ def prepare(path: Path, settings: dict[str, Any], blocks: Blocks) -> None:
         )
     if not begun:
         _annotate(path, **{name: settings[name] for name in (FUNCTION, "digest")})
-    if _versions() not in attributes["versions"]:
+    if other_version and not attributes["complete"]:
         _annotate(path, versions=[*attributes["versions"], _versions()])
     return None
 

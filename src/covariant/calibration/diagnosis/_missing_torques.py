@@ -82,11 +82,9 @@ def _command(case: Case, missing: list[_Missing]) -> str:
     if case.file.system == "robot":
         return f"covariant fit MODEL LOG --parameters {_robot_parameters(missing, model.coordinates)}"
     named = [name for kind, (name, _) in OF_CHAIN.items() if kind in kinds]
-    if not set(named) <= set(model.parameters):  # the drafts of `init` name them as the chain does
-        return ""
     fitted = f"covariant fit MODEL LOG --parameters {','.join(named)}"
     if case.file.system != "pendulum_chain":
-        return fitted
+        return fitted if set(named) <= set(case.file.stated) else ""  # drafts of `init` name them as the chain does
     # A file without a number, or with zeros, needs first values to fit from.
     for kind, (name, factor) in OF_CHAIN.items():
         stated, values = np.asarray(model.parameters[name].value), {i: x for k, i, x in missing if k == kind}
