@@ -110,7 +110,7 @@ def build(
     tree = _tree(axes, freedom, bodies, base, weightless, namespace(loads, robot))
     of_joints = Coordinates(tuple(k for k, i in enumerate(freedom.free) if axes[i].circle), len(freedom.free))
     manifold = _product(floating, len(tree.balls), of_joints)
-    space = RobotSpace(tree, _links(frames), manifold=manifold, floating=floating)
+    space = RobotSpace(tree, _links(frames), manifold=manifold, floating=floating, limits=tuple(map(_limits, axes)))
     return _system(robot, axes, freedom, space, actuated, free_joint), moved
 
 
@@ -181,6 +181,12 @@ def _tree(
         tuple(freedom.balls[::3]),
         jnp.asarray(weightless, float),
     )
+
+
+def _limits(axis: Axis) -> tuple[str, float, float]:
+    # Files often have 0 and 0 for limits that are not known.
+    limited = axis.joint.kind in ("revolute", "prismatic") and axis.joint.lower < axis.joint.upper
+    return (axis.joint.name, *((axis.joint.lower, axis.joint.upper) if limited else (-np.inf, np.inf)))
 
 
 def _links(frames: dict[str, Any]) -> Links:

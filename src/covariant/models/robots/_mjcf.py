@@ -140,6 +140,11 @@ def _refuse(read: _Reader) -> None:
             read.ignored["equality (inactive)"] += 1
         elif model.eq_type[i] != int(read.mujoco.mjtEq.mjEQ_JOINT):
             kind = read.mujoco.mjtEq(int(model.eq_type[i])).name.removeprefix("mjEQ_").lower()
+            if kind == "tendon":
+                raise ValueError(
+                    f"equality {read.name('EQUALITY', i)!r}: coupled tendons are not supported; couple the joints by "
+                    "equality/joint, or make it inactive"
+                )
             raise ValueError(
                 f"equality {read.name('EQUALITY', i)!r} ({kind}): closed loops are not supported; cut the loop, or "
                 "make it inactive and let the joints carry the constraint"
@@ -188,9 +193,8 @@ def _joint(read: _Reader, k: int, parent: str, child: str, rotation: np.ndarray,
     kind = read.mujoco.mjtJoint(int(model.jnt_type[k])).name.removeprefix("mjJNT_").lower()
     read.used[f"joint/{kind}"] += 1
     d, axis = int(model.jnt_dofadr[k]), exact(np.array(model.jnt_axis[k]))
-    if any(read.entry(*field).any() for field in (("jnt_stiffnesspoly", k), ("dof_dampingpoly", d))) or (
-        read.entry("jnt_springyield", k).any()
-    ):
+    not_linear = (("jnt_stiffnesspoly", k), ("dof_dampingpoly", d), ("jnt_springyield", k))
+    if any(read.entry(*field).any() for field in not_linear):
         raise ValueError(f"{where}: springs and dampers that are not linear are not supported; give one number each")
     forces = {
         "damping": 0.0 if read.off("DAMPER") else float(model.dof_damping[d]),
@@ -204,9 +208,7 @@ def _joint(read: _Reader, k: int, parent: str, child: str, rotation: np.ndarray,
     if kind == "free":
         if forces["stiffness"]:
             raise ValueError(f"{where}: the stiffness of a free joint is not supported; set it to 0")
-        return Joint(
-            read.names[k], "floating", parent, child, exact(rotation), place, axis, *list(forces.values())[:3]
-        )
+        return Joint(read.names[k], "floating", parent, child, exact(rotation), place, axis, *list(forces.values())[:3])
     address, ball, slide = int(model.jnt_qposadr[k]), kind == "ball", kind == "slide"
     # The configuration of a ball joint is a quaternion, and its spring rests where the file poses it.
     start, rest = (0.0, 0.0) if ball else (float(model.qpos0[address]), float(model.qpos_spring[address]))
@@ -285,7 +287,8 @@ def _with_actuators(read: _Reader, joints: list[Joint]) -> list[Joint]:
         for key, value in losses.items():
             read.used[f"actuator/{key}"] += bool(value)
         by_name[driven.name] = driven._replace(
-            armature=driven.armature + squared * losses["armature"], damping=driven.damping + squared * losses["damping"]
+            armature=driven.armature + squared * losses["armature"],
+            damping=driven.damping + squared * losses["damping"],
         )
     return list(by_name.values())
 

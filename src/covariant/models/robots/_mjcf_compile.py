@@ -22,7 +22,8 @@ def compiled_model(mujoco: Any, path: Path) -> tuple[Any, Counter[str]]:
         try:
             return spec.compile(), ignored
         except ValueError:
-            remedy = f"; the inertia of {', '.join(shaped)} follows from a mesh: give an <inertial>" if shaped else ""
+            more = f" and {len(shaped) - 1} more" if len(shaped) > 1 else ""
+            remedy = f"; the inertia of {shaped[0]}{more} follows from a mesh: give an <inertial>" if shaped else ""
             raise ValueError(f"MuJoCo cannot read it: {reason}{remedy}") from error
 
 

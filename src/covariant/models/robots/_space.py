@@ -97,6 +97,8 @@ class RobotSpace(AbstractSpace):
         links: Frames of the links.
         manifold: Manifold of the configurations.
         floating: Whether the base floats.
+        limits: Joint, and its lower and upper limit [rad or m], for each of the k positions of `joint_angles`; ±inf
+            without one. Nothing stops the motion there.
 
     Example:
         >>> import jax.numpy as jnp
@@ -112,6 +114,7 @@ class RobotSpace(AbstractSpace):
     links: Links
     manifold: AbstractManifold = eqx.field(kw_only=True)
     floating: bool = eqx.field(default=False, static=True)
+    limits: tuple[tuple[str, float, float], ...] = eqx.field(default=(), static=True)
 
     def lower(self, x: Configuration, a: Vector) -> Vector:
         """Momentum of a velocity, by one sweep along the tree.
