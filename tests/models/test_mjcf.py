@@ -252,5 +252,5 @@ def test_a_mesh_that_is_missing_matters_only_where_an_inertia_follows_from_it(tm
     assert robots.read(tmp_path / "robot.xml").ignored["asset/mesh"] == 1
     with pytest.raises(ValueError, match="the inertia of body 'pole' follows from a mesh: give an <inertial>"):
         moved(tmp_path, text.replace(' mass="0"', ""))
-    with pytest.raises(ValueError, match="link.stl"):
+    with pytest.raises(ValueError, match=r"link\.stl"):
         moved(tmp_path, text.replace("<mujoco>", '<mujoco><compiler inertiafromgeom="true"/>'))

@@ -466,7 +466,7 @@ def test_a_fixed_link_of_negative_inertia_is_a_doubt_where_the_sum_is_positive(f
         robots.load(path).space(jnp.zeros(4)), robots.load(folder / "arm.urdf").space(jnp.zeros(4))
     )
     with pytest.raises(
-        ValueError, match="link 'antenna': the inertia .* must not be negative.* with all that is fixed"
+        ValueError, match=r"link 'antenna': the inertia .* must not be negative.* with all that is fixed"
     ):
         robots.load(path, floating=True)
     path.write_text(ARM.replace("</robot>", ANTENNA.replace('link="base"', 'link="wrist"')))
@@ -494,7 +494,7 @@ def test_a_mass_on_its_axis_is_told_from_no_mass(folder):
     one = f'<link name="base"/><link name="rod">{inertial("0 0 0.3", 0.5, 0.01, 0.01, 0.01)}</link>{double}'
     two = '<joint name="two" type="continuous"><parent link="mid"/><child link="rod"/></joint>'
     path.write_text(f"<robot name='twice'>{one}{two}</robot>")
-    with pytest.raises(ValueError, match="joint '(one|two)' and '(one|two)' can move together so that no mass moves"):
+    with pytest.raises(ValueError, match=r"joint '(one|two)' and '(one|two)' can move together so that no mass moves"):
         robots.load(path)
 
 

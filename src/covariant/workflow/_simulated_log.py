@@ -87,15 +87,15 @@ def simulated_log(
         forces = [f"true_{key}" for key in numbered(FORCE, file.dimension)]
         columns |= dict(zip(forces, np.asarray(jax.vmap(force)(jnp.asarray(t))).T, strict=True))
         units |= dict(zip(forces, kind.force_units, strict=True))
-    return name, file.mechanical, layout, record, names, columns, units, beside, _limits_left(file, t, x)
+    return name, file.mechanical, layout, record, names, columns, units, beside, _limits_left(file, t, true)
 
 
-def _limits_left(file: ModelFile, t: Float[np.ndarray, "T"], x: Any) -> tuple[str, ...]:
+def _limits_left(file: ModelFile, t: Float[np.ndarray, "T"], q: Any) -> tuple[str, ...]:
     """A warning if joints of a robot leave their limits."""
     space = file.need_mechanical("", "").space if file.mechanical else None
     if not isinstance(space, models.robots.RobotSpace):
         return ()
-    positions = np.asarray(jax.vmap(space.joint_angles)(jnp.asarray(x.q)))
+    positions = np.asarray(jax.vmap(space.joint_angles)(jnp.asarray(q)))
     left = []
     for i, (name, low, high) in enumerate(space.limits):
         outside = np.maximum(low - positions[:, i], positions[:, i] - high)

@@ -89,8 +89,8 @@ def load(
     without limits are full circles. Inputs are the torques [N m] or forces [N] at them, or the inputs of the motors of
     the joints where an MJCF file names some. Gravity is 9.81 m/s² along −z of the root, or of the world, or as an MJCF
     file says. Friction of a joint is `damping v + friction (2/π) atan(100 v)`; that of a floating joint acts so on each
-    component of its velocity, the linear one in the world and the angular one in the body. An MJCF file is compared with
-    MuJoCo at random states, so a robot that would move otherwise is refused.
+    component of its velocity, the linear one in the world and the angular one in the body. An MJCF file is compared
+    with MuJoCo at random states, so a robot that would move otherwise is refused.
 
     Args:
         path: Path of the file, or the name of one of `ROBOTS`.
