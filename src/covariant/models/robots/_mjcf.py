@@ -94,6 +94,7 @@ def read_mjcf(path: Path) -> tuple[Description, Any]:
     for i in range(1, model.nbody):
         _body(read, i, links, joints)
     joints = _with_actuators(read, _couple_joints(read, joints))
+    motors = _motors(read)  # first, since the counts below are complete only then
     for size, what in IGNORED.items():
         if getattr(model, size):
             read.ignored[what] += int(getattr(model, size))
@@ -111,7 +112,7 @@ def read_mjcf(path: Path) -> tuple[Description, Any]:
         dict(read.used),
         dict(read.ignored),
         tuple(read.doubts),
-        _motors(read),
+        motors,
     )
     return robot, model
 
