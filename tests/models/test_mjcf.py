@@ -236,7 +236,7 @@ def test_one_free_body_is_a_system_on_a_group(tmp_path):
     np.testing.assert_allclose(inertia(mug), np.diag([mass] * 3 + list(moments)), atol=1e-12)
     q, v = mug.manifold.origin(), jnp.array([1.0, 2.0, 3.0, 0.0, 0.0, 2.0])
     # In the body's frame a velocity that is constant in the world turns: v' = g − ω × v.
-    np.testing.assert_allclose(acceleration(mug, 0.0, q, v, jnp.zeros(0))[:3], [4, -2, -9.81], atol=1e-9)
+    np.testing.assert_allclose(acceleration(mug, jnp.zeros(()), q, v, jnp.zeros(0))[:3], [4, -2, -9.81], atol=1e-9)
 
 
 def test_a_mesh_that_is_missing_matters_only_where_an_inertia_follows_from_it(tmp_path):

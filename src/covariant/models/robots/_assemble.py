@@ -2,7 +2,6 @@
 
 import contextlib
 from collections.abc import Mapping, Sequence
-from contextlib import AbstractContextManager
 from typing import Any, NamedTuple
 
 import jax
@@ -68,33 +67,21 @@ def assemble(
     """
     loads = _check_payload(payload or {})
     # `_check_inertia` needs the numbers of the inertia, also inside a compiled function.
-    with computed_now() if known((loads, robot)) else contextlib.nullcontext():
-        model, moved = build(robot, floating, dict(lock or {}), actuated, loads)
-        if known((loads, robot)):
+    numbers, traced = known((loads, robot)), not known(jnp.zeros(()))
+    with jax.ensure_compile_time_eval() if traced and numbers else contextlib.nullcontext():
+        model, moved = _assemble(robot, floating, dict(lock or {}), actuated, loads)
+        if numbers:
             _check_inertia(model, moved)
         return model
 
 
-def computed_now() -> AbstractContextManager:
-    """A context in which JAX computes at once, also inside a function that it traces."""
-    return contextlib.nullcontext() if known(jnp.zeros(())) else jax.ensure_compile_time_eval()
-
-
-def without_what_stands_still(
-    robot: Description, lock: dict[str, float]
-) -> tuple[Description, Joint | None, dict[str, float]]:
-    """The part of a robot that moves, the floating joint that carries it if any, and all joints that stand still."""
-    locked = _with_followers(robot, lock)
-    moving, free_joint = _on_its_base(robot, locked)
-    return moving, free_joint, locked
-
-
-def build(
+def _assemble(
     robot: Description, floating: bool, locked: dict[str, float], actuated: Sequence[str] | None, loads: dict[str, Any]
 ) -> tuple[MechanicalSystem, list[Moved]]:
     """The system of a robot, whose inertia matrix is not checked yet, and what each component of its velocity moves."""
     _check_names(robot, [*locked, *(actuated or ())])
-    robot, free_joint, locked = without_what_stands_still(robot, locked)
+    locked = _with_followers(robot, locked)
+    robot, free_joint = _on_its_base(robot, locked)
     floating = floating or free_joint is not None
     axes, bodies, base, frames = bodies_of(robot, locked)
     base = _with_payload(bodies, base, frames, loads)

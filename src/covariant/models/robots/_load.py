@@ -140,7 +140,7 @@ def load(
     }
     try:
         if engine is not None:
-            refuse_difference(engine, robot, lock or {}, actuated)
+            refuse_difference(engine, robot, actuated)
         robot = changed(robot, **numbers)
         if not dry_friction:
             robot = robot._replace(joints=tuple(map(_without_dry_friction, robot.joints)))
