@@ -31,10 +31,14 @@ TAKES_PART = 1e-3
 
 
 class Moved(NamedTuple):
-    """The joint of a component of the velocity, empty for a base without one, and the mass [kg] that it moves."""
+    """What a component of the velocity moves.
+
+    The joint is empty for a base without one; the mass is in kg; the axis is None for a base.
+    """
 
     joint: str
     mass: Any
+    axis: np.ndarray | None = None
 
 
 def assemble(
@@ -110,7 +114,11 @@ def _moved(
             mass[axes[i].parent] = mass[axes[i].parent] + mass[i]
     whole = base.mass + sum(body.mass for body in bodies)
     by_joint = [
-        Moved(axes[i].joint.name, sum(mass[k] for k in np.flatnonzero(freedom.matrix[:, column])))
+        Moved(
+            axes[i].joint.name,
+            sum(mass[k] for k in np.flatnonzero(freedom.matrix[:, column])),
+            axes[i].turn if axes[i].ball else axes[i].joint.axis,
+        )
         for column, i in enumerate(freedom.moving)
     ]
     return [Moved(base_joint, whole)] * of_base + by_joint
@@ -300,7 +308,7 @@ def _check_inertia(model: MechanicalSystem, moved: list[Moved]) -> None:
     # The velocity without energy is the eigenvector of the smallest eigenvalue: its largest entry names the joint.
     participation = np.abs(vectors[:, 0])
     worst = int(np.argmax(participation))
-    name, mass = moved[worst]
+    name, mass, axis = moved[worst]
     others = {moved[i].joint for i in np.flatnonzero(participation > TAKES_PART * participation[worst])} - {name}
     why = f"the inertia matrix has the eigenvalue {eigenvalues[0]:.2g} beside {eigenvalues[-1]:.2g}"
     joint = f"joint {name!r}" if name else "the base"
@@ -312,8 +320,11 @@ def _check_inertia(model: MechanicalSystem, moved: list[Moved]) -> None:
             f"{joint} and {names} can move together so that no mass moves: {why}; give the links between them an "
             "<inertial>, or lock one of them"
         )
-    axis = "an axis" if model.space.floating and worst < 6 else "its axis"
+    if axis is None:
+        spin = vectors[3:6, 0]
+        axis = spin / spin[np.argmax(np.abs(spin))]
+    direction = " ".join(f"{part:.3g}" for part in np.round(axis, 9) + 0.0)
     raise ValueError(
-        f"{joint} moves {mass:.3g} kg, which have no moment of inertia about {axis}: {why}; give the links that it "
-        "moves an <inertia> about this axis, or the joint an armature, or lock it"
+        f"{joint} moves {mass:.3g} kg, which have no moment of inertia about its axis {direction}: {why}; give the "
+        "links that it moves an <inertia> about this axis, or the joint an armature, or lock it"
     )

@@ -209,7 +209,7 @@ def _joint(read: _Reader, k: int, parent: str, child: str, rotation: np.ndarray,
     if kind == "free":
         if forces["stiffness"]:
             raise ValueError(f"{where}: the stiffness of a free joint is not supported; set it to 0")
-        return Joint(read.names[k], "floating", parent, child, exact(rotation), place, axis, *list(forces.values())[:3])
+        return Joint(read.names[k], "floating", parent, child, exact(rotation), place, axis)._replace(**forces)
     address, ball, slide = int(model.jnt_qposadr[k]), kind == "ball", kind == "slide"
     # The configuration of a ball joint is a quaternion, and its spring rests where the file poses it.
     start, rest = (0.0, 0.0) if ball else (float(model.qpos0[address]), float(model.qpos_spring[address]))
@@ -230,11 +230,10 @@ def _joint(read: _Reader, k: int, parent: str, child: str, rotation: np.ndarray,
         exact(rotation),
         place,
         axis,
-        *forces.values(),
-        rest,
-        float(lower),
-        float(upper),
-    )
+        rest=rest,
+        lower=float(lower),
+        upper=float(upper),
+    )._replace(**forces)
     read.doubts += limits_in_doubt(joint)
     return joint
 
