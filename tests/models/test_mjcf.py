@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 
 from covariant.models import acceleration, load, robots
+from covariant.models.robots._against_mujoco import refuse_difference
+from covariant.models.robots._mjcf import read_mjcf
 
 ARM = """<mujoco model="arm">
   <compiler angle="degree" autolimits="true"/>
@@ -196,6 +198,52 @@ def test_an_entry_that_is_not_read_is_refused_by_its_joint(entry, tmp_path, monk
     text = ARM.replace('gear="3"', f'gear="3" {entry}="0.0625" forcerange="-1 1" ctrlrange="-1 1"')
     with pytest.raises(ValueError, match=r"joint 'bend' does not move as in MuJoCo: .* % off\)|joint 'bend'.*%"):
         moved(tmp_path, text)
+
+
+FIELDS = {
+    "body_gravcomp": 0.5,
+    "body_inertia": 0.01,
+    "body_ipos": 0.02,
+    "body_mass": 0.1,
+    "body_pos": 0.01,
+    "body_quat": 0.1,
+    "dof_armature": 0.01,
+    "dof_damping": 0.3,
+    "dof_dampingpoly": 0.3,
+    "jnt_axis": 0.1,
+    "jnt_pos": 0.01,
+    "jnt_stiffness": 0.5,
+    "jnt_stiffnesspoly": 0.5,
+    "qpos_spring": 0.2,
+    "actuator_armature": 1e-3,
+    "actuator_biasprm": -1.0,
+    "actuator_damping": 1e-3,
+    "actuator_dampingpoly": 1e-3,
+    "actuator_gainprm": 0.3,
+    "actuator_gear": 0.3,
+}
+
+
+@pytest.mark.parametrize("field", FIELDS)
+def test_no_field_of_the_compiled_model_can_be_dropped(field, folder):
+    """An entry of the joint "bend", its motor, or the body "elbow" is changed after the description was read."""
+    robot, model = read_mjcf(folder / "arm.xml")
+    refuse_difference(model, robot, None)
+    joint = model.joint("bend")
+    body, motor = model.body("elbow").id, model.actuator("m2").id
+    row = {"body": body, "dof": joint.dofadr[0], "qpos": joint.qposadr[0], "jnt": joint.id, "actuator": motor}
+    getattr(model, field)[row[field.split("_")[0]]] += FIELDS[field]
+    mujoco.mj_setConst(model, mujoco.MjData(model))
+    with pytest.raises(ValueError, match="joint '.*' does not move as in MuJoCo"):
+        refuse_difference(model, robot, None)
+
+
+@pytest.mark.parametrize("option", ["density", "viscosity", "gravity"])
+def test_no_option_that_acts_on_all_bodies_can_be_dropped(option, folder):
+    robot, model = read_mjcf(folder / "arm.xml")
+    setattr(model.opt, option, getattr(model.opt, option) + 0.1)
+    with pytest.raises(ValueError, match="does not move as in MuJoCo"):
+        refuse_difference(model, robot, None)
 
 
 @pytest.mark.parametrize(

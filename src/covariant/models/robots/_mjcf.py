@@ -285,7 +285,8 @@ def _with_actuators(read: _Reader, joints: list[Joint]) -> list[Joint]:
         # A gear scales force and position, so that inertia and damper are felt at the joint by its square.
         squared = float(read.model.actuator_gear[i, 0]) ** 2
         for key, value in losses.items():
-            read.used[f"actuator/{key}"] += bool(value)
+            if value:
+                read.used[f"actuator/{key}"] += 1
         by_name[driven.name] = driven._replace(
             armature=driven.armature + squared * losses["armature"],
             damping=driven.damping + squared * losses["damping"],
