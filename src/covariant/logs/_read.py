@@ -203,8 +203,8 @@ def _need_units(log: str, columns: Columns, field: str, units: Mapping[str, str]
     for place, (name, text) in enumerate(zip(names, in_names, strict=True)):
         unknown = unknown_unit(labels[place], meant, labels)
         if unknown is not None and columns.unit_of(field, place) is None:
-            fault = unknown_unit_fault(field, unknown, name in units, sensor=si)
-            raise LogError(f"{log}: column {name!r} {fault}")
+            fault = unknown_unit_fault(name, field, unknown, name in units, sensor=si)
+            raise LogError(f"{log}: {fault}")
         if text is not None and unit_factor(text) != 1 and columns.unit_of(field, place) is None:
             texts = [f'"{each or meant[0]}"' for each in in_names]
             line = f"{key} = {texts[0] if len(set(texts)) == 1 else '[' + ', '.join(texts) + ']'}"

@@ -134,7 +134,7 @@ def draft(columns: Mapping[str, np.ndarray], given: Mapping[str, Sequence[str] |
         for name in names:
             text = unknown_unit(name, MEANT[field], names)
             if text is not None:
-                raise ValueError(f"column {name!r} {unknown_unit_fault(field, text, drafted=True)}")
+                raise ValueError(unknown_unit_fault(name, field, text, drafted=True))
     lengths = tuple(unit_in_name(name, ("m",)) is not None for name in q)
     order = sorted(range(len(q)), key=lambda i: not lengths[i])
     q, lengths = tuple(q[i] for i in order), tuple(lengths[i] for i in order)
