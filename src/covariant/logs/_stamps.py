@@ -9,12 +9,12 @@ from jaxtyping import Float
 
 from covariant.logs._cells import fault, numbers
 from covariant.logs._columns import LogError, pyarrow
+from covariant.logs._text import DATE
 from covariant.logs._units import unit_factor
 from covariant.signals import LATEST_STAMP, check_rounding
 
 LATEST = 1e8
 """Stamps beyond this [s], three years, count from 1970 and not from the start of the machine."""
-_DATE = r"^\s*[0-9]{4}-[0-9]{2}-[0-9]{2}"
 
 
 class Stamps(NamedTuple):
@@ -95,7 +95,7 @@ def dated(column: Any) -> bool:
     types = pyarrow().types
     if types.is_timestamp(column.type):
         return True
-    return types.is_string(column.type) and len(column) > 0 and re.match(_DATE, column[0].as_py() or "") is not None
+    return types.is_string(column.type) and len(column) > 0 and re.match(DATE, column[0].as_py() or "") is not None
 
 
 def timed(column: Any) -> bool:

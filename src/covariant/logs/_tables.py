@@ -13,6 +13,9 @@ from covariant._optional import load_optional
 from covariant.logs._columns import LogError, pyarrow
 from covariant.signals import Record
 
+UNIT_KEYS = ("unit", "units")
+"""Keys of the metadata of a column under which its unit stands, in small letters."""
+
 
 class LogSource(NamedTuple):
     """The columns of a log, loaded on demand.
@@ -24,12 +27,16 @@ class LogSource(NamedTuple):
             last value where they are not logged with the others. Of a log of messages, those `beside` them make rows of
             their own as well.
         units: Units that the log itself states, by column.
+        first_line: The first line of a text that has no header, whose columns are called 1, 2, 3.
+        typed: Whether the log states the types of its columns, as no text does.
     """
 
     names: Sequence[str]
     shown: Sequence[str]
     load: Callable[[Sequence[str], Sequence[str], Sequence[str]], Any]
     units: Mapping[str, str] = MappingProxyType({})
+    first_line: str = ""
+    typed: bool = True
 
 
 def source_name(log: Any) -> str:
@@ -68,6 +75,8 @@ def table_source(name: str, log: Any) -> LogSource:
         raise LogError(f"{name}: {' '.join(str(error).split())}") from error
     if isinstance(frame, narwhals.LazyFrame):
         frame = frame.collect()
+    native = frame.to_native()
+    units = stated_units(native.schema) if isinstance(native, pyarrow().Table) else {}
     names = [str(column) for column in frame.columns]
     places = dict(zip(names, frame.columns, strict=True))
 
@@ -76,7 +85,17 @@ def table_source(name: str, log: Any) -> LogSource:
             {column: _arrow(name, column, frame[places[column]].to_arrow) for column in (*wanted, *beside)}
         )
 
-    return LogSource(names, names, load)
+    return LogSource(names, names, load, units)
+
+
+def stated_units(schema: Any) -> dict[str, str]:
+    """Units in the metadata of the fields of a schema of Arrow."""
+    units = {}
+    for field in schema:
+        for key, text in (field.metadata or {}).items():
+            if key.decode(errors="replace").lower() in UNIT_KEYS and text.strip():
+                units[field.name] = text.decode(errors="replace").strip()
+    return units
 
 
 def _is_dataset(log: Any) -> bool:
@@ -107,7 +126,12 @@ def _dataset_source(name: str, log: Any) -> LogSource:
     # Of equal counts `max` takes the first, in the order of the dataset.
     time = max(dict.fromkeys(along), key=along.count)
     columns = {key: variable for key, variable in lines.items() if variable.dims[0] == time}
-    units = {key: str(variable.attrs["units"]) for key, variable in columns.items() if "units" in variable.attrs}
+    units = {
+        key: str(text).strip()
+        for key, variable in columns.items()
+        for name_of_attribute, text in variable.attrs.items()
+        if str(name_of_attribute).lower() in UNIT_KEYS
+    }
 
     def load(wanted: Sequence[str], held: Sequence[str], beside: Sequence[str]) -> Any:
         return pyarrow().table(

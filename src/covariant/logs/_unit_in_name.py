@@ -38,7 +38,20 @@ _PLAIN = {
 }
 """How people write units, in lower case, and how they are written here; `nm` is a torque unless a length is meant."""
 _NO_UNITS = {"%", "adc", "bit", "bits", "cnt", "cnts", "count", "counts", "cts", "encoder counts", "inc", "increments"}
-_NO_UNITS |= {"lsb", "percent", "pct", "permille", "pulse", "pulses", "pwm", "raw counts", "step", "steps", "tick", "ticks"}
+_NO_UNITS |= {
+    "lsb",
+    "percent",
+    "pct",
+    "permille",
+    "pulse",
+    "pulses",
+    "pwm",
+    "raw counts",
+    "step",
+    "steps",
+    "tick",
+    "ticks",
+}
 """What people write in the place of a unit for a number whose size depends on the machine."""
 _FOREIGN = {"gon", "grad", "grads", "arcmin", "arcsec", "inch", "inches", "feet", "ft", "lbf", "kgf", "kgcm", "ozin"}
 _FOREIGN |= {"lbin", "lbft", "week", "weeks", "fortnight", "quads", "mils"}
@@ -68,7 +81,8 @@ _BEGIN, _END = r"(?:(?<![^\W\d_])|(?<=[a-z])(?=[A-Z]))", r"(?:(?![^\W\d_])|(?<=[
 _PER = r"(?:[_/ .]|[_ ]?(?i:per)[_ ]?|p)"
 _WORD = re.compile(
     rf"{_BEGIN}(?:"
-    rf"(?P<over>(?i:{_alternatives(_NAMED - {'nm', 'mins'})})|m){_PER}(?P<under>(?i:s|sec|second|min|h))(?P<power>\^?2|²)?"
+    rf"(?P<over>(?i:{_alternatives(_NAMED - {'nm', 'mins'})})|m){_PER}"
+    r"(?P<under>(?i:s|sec|second|min|h))(?P<power>\^?2|²)?"
     r"|(?P<force>[mk]?N)[-_ .*·](?P<arm>[cm]?m)"
     rf"|(?P<plain>(?i:{_alternatives(_NAMED)})|{_alternatives(_EXACT)})"
     rf"){_END}"
@@ -209,7 +223,9 @@ def unknown_unit(name: str, meant: Sequence[str], others: Sequence[str] = ()) ->
     if match is not None and (text := _content(match).strip()) and not _INDEX.fullmatch(text):
         if match["square"] is None or not match["stem"]:
             return text if _is_stated(text) else None
-        keys = {other["square"] for other in map(_BRACKETS.fullmatch, others) if other and other["stem"] == match["stem"]}
+        keys = {
+            other["square"] for other in map(_BRACKETS.fullmatch, others) if other and other["stem"] == match["stem"]
+        }
         return text if _is_stated(text) or match["space"] or len(keys) < 2 else None
     stem = name if match is None else match["stem"]
     is_time, is_force = is_unit_of("s", meant), is_unit_of("N", meant) or is_unit_of("N m", meant)
@@ -250,8 +266,8 @@ def unknown_unit_fault(
     where = "its attributes" if stated else "its name" if _BRACKETS.fullmatch(name) is None else "brackets"
     if sensor is not None:
         return (
-            f"column {name!r} has {text!r} in {where}, which is no unit of what is measured in {sensor}; write what one of it is, as "
-            f'units = "0.1 {sensor}" in the table of the sensor, or rename the column'
+            f"column {name!r} has {text!r} in {where}, which is no unit of what is measured in {sensor}; write "
+            f'what one of it is, as units = "0.1 {sensor}" in the table of the sensor, or rename the column'
         )
     known, example = KNOWN[field]
     unit = _unit_of(text, ("",))

@@ -44,13 +44,12 @@ def init(log: Any, *, columns: ColumnNames | None = None, progress: Progress = s
     """
     progress("reading the log")
     known = {key: list(column_names(names)) for key, names in (columns or {}).items() if names is not None}
+    survey = logs.survey(log)
     try:
-        drafted = draft(logs.survey(log), known)
-    except logs.LogError:
-        raise
+        drafted = draft(survey.columns, known, survey.units)
     except ValueError as error:
-        raise ValueError(f"{logs.source_name(log)}: {error}") from error
-    return InitResult(logs.source_name(log), drafted)
+        raise ValueError(". ".join([f"{logs.source_name(log)}: {error}", *survey.remarks])) from error
+    return InitResult(logs.source_name(log), drafted, survey.remarks)
 
 
 @dataclass(frozen=True, repr=False)
@@ -60,6 +59,7 @@ class InitResult(AbstractResult):
     Attributes:
         log: Name of the log.
         draft: Roles, units, ranges and noise of its columns, as they were guessed.
+        remarks: What is odd about the names of its columns.
 
     Example:
         >>> import numpy as np, pandas, covariant
@@ -71,6 +71,7 @@ class InitResult(AbstractResult):
 
     log: str
     draft: Draft
+    remarks: tuple[str, ...] = ()
 
     def texts(self, stem: str = "draft") -> dict[str, str]:
         """Compose the model file, and for some machines a module with its equations of motion, as texts.
@@ -96,6 +97,7 @@ class InitResult(AbstractResult):
             "columns": {"t": guess.t, "q": list(guess.q), "u": list(guess.u), "v": list(guess.v)},
             "units": {field: list(texts) for field, texts in guess.units.items()},
             "left_out": list(guess.left_out),
+            "remarks": list(self.remarks),
         }
 
     @property
@@ -106,7 +108,7 @@ class InitResult(AbstractResult):
         return line + (f", velocities {', '.join(guess.v)} to compare with" if guess.v else "")
 
     def __str__(self) -> str:
-        lines = [self.headline]
+        lines = [self.headline, *self.remarks]
         if self.draft.units:
             units = (f"{field}: " + ", ".join(dict.fromkeys(texts)) for field, texts in self.draft.units.items())
             lines.append(f"units {', '.join(units)}")

@@ -80,12 +80,17 @@ class Draft(NamedTuple):
         return plain if "" not in plain and len(set(plain)) == len(plain) else self.q
 
 
-def draft(columns: Mapping[str, np.ndarray], given: Mapping[str, Sequence[str] | None] | None = None) -> Draft:
+def draft(
+    columns: Mapping[str, np.ndarray],
+    given: Mapping[str, Sequence[str] | None] | None = None,
+    stated: Mapping[str, str] | None = None,
+) -> Draft:
     """Guess the role of each column of a log, from its name and, where that says nothing, from its content.
 
     Args:
         columns: The columns (T,) by name, numbers only.
         given: Names by the field t, q, u or v that are known and not to be guessed.
+        stated: Units that the log states beside the names, by column.
 
     Returns:
         The role of each column, with rate, units, ticks and noise.
@@ -107,7 +112,9 @@ def draft(columns: Mapping[str, np.ndarray], given: Mapping[str, Sequence[str] |
         if name not in columns:
             raise ValueError(f"there is no column {name!r} of numbers{_columns_there(columns)}")
     fixed = {name for names in given.values() for name in names}
-    kinds = {name: _kind(name) for name in columns if name not in fixed}
+    # Units that the log states are written as in a name, so that one parser reads both.
+    labels = {name: f"{name} [{stated[name]}]" if stated and name in stated else name for name in columns}
+    kinds = {name: _kind(labels[name]) for name in columns if name not in fixed}
     t = given["t"][0] if "t" in given else _stamps(columns, kinds)
     step = _step(t, columns[t])
     q = given.get("q") or tuple(name for name, kind in kinds.items() if kind == "q" and name != t)
@@ -119,7 +126,7 @@ def draft(columns: Mapping[str, np.ndarray], given: Mapping[str, Sequence[str] |
     u = given.get("u") or tuple(name for name, kind in kinds.items() if kind == "u")
     _one_family("u", u, given, columns)
     if "u" not in given:  # forces before torques, as lengths come before angles
-        u = tuple(sorted(u, key=lambda name: unit_in_name(name, ("N m",)) is not None))
+        u = tuple(sorted(u, key=lambda name: unit_in_name(labels[name], ("N m",)) is not None))
     if len(u) > len(q):
         raise ValueError(
             f'{len(u)} inputs ({", ".join(u)}) for {len(q)} positions; name them by `columns["u"]`'
@@ -132,10 +139,10 @@ def draft(columns: Mapping[str, np.ndarray], given: Mapping[str, Sequence[str] |
     v = v if len(v) == len(q) else ()
     for field, names in (("t", (t,)), ("q", q), ("u", u), ("v", v)):
         for name in names:
-            text = unknown_unit(name, MEANT[field], names)
+            text = unknown_unit(labels[name], MEANT[field], [labels[each] for each in names])
             if text is not None:
-                raise ValueError(unknown_unit_fault(name, field, text, drafted=True))
-    lengths = tuple(unit_in_name(name, ("m",)) is not None for name in q)
+                raise ValueError(unknown_unit_fault(name, field, text, labels[name] != name, drafted=True))
+    lengths = tuple(unit_in_name(labels[name], ("m",)) is not None for name in q)
     order = sorted(range(len(q)), key=lambda i: not lengths[i])
     q, lengths = tuple(q[i] for i in order), tuple(lengths[i] for i in order)
     v = tuple(v[i] for i in order) if v else ()
@@ -143,7 +150,10 @@ def draft(columns: Mapping[str, np.ndarray], given: Mapping[str, Sequence[str] |
     if np.isnan(logged[0]).any():
         raise ValueError(f"row 1 lacks a position ({', '.join(q)}); cut the log to begin later")
     span = np.stack([np.nanmin(logged, axis=0), np.nanmax(logged, axis=0)], axis=1)
-    units, guessed = _units({"t": (t,), "q": q, "u": u, "v": v}, step, span)
+    fields = {"t": (t,), "q": q, "u": u, "v": v}
+    units, guessed = _units(
+        {field: tuple(labels[name] for name in names) for field, names in fields.items()}, step, span
+    )
     seconds = unit_factor(units.get("t", ("s",))[0])
     y = logged * [unit_factor(text) for text in units.get("q", ("rad",) * len(q))]
     ticks, noises = _tick(y), _noise(y, lengths)
