@@ -14,6 +14,7 @@ from ._configuration import (
 )
 from ._endings import MESSAGES as MESSAGES, WRITTEN as WRITTEN
 from ._read import OPTIONAL as OPTIONAL, Survey as Survey, read as read, record as record, survey as survey
+from ._stamps import are_days as are_days
 from ._tables import source_name as source_name
 from ._unit_in_name import (
     MEANT as MEANT,

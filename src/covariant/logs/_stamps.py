@@ -16,6 +16,11 @@ from covariant.signals import LATEST_STAMP, check_rounding
 LATEST = 1e8
 """Stamps beyond this [s], three years, count from 1970 and not from the start of the machine."""
 
+DAYS = ((25_569.0, 73_050.0), (719_529.0, 767_010.0))
+"""Days from 1970 to 2100, since 1900 and since the year 0."""
+LARGEST_STEP_OF_DAYS = 2e-5
+"""Median step below which such numbers are days: 1.7 s in days, and 50 000 rows a second in seconds."""
+
 
 class Stamps(NamedTuple):
     """Stamps of a log.
@@ -69,11 +74,37 @@ def stamps(where: str, column: Any, given: str | None) -> Stamps:
             f"{where}, row {row + 1}: found {column[row].as_py()}, which in {given or 's'} is after the year 2200; "
             f'write t = "{unit}" under [units] of the model file, or the unit that the stamps are in'
         )
+    if given is None and are_days(values):
+        raise LogError(
+            f"{where} holds days, as a spreadsheet or datenum writes dates: as seconds they would be "
+            f'{1 / np.median(np.diff(values)):.3g} rows a second; write t = "24 h" under [units] of the model file, or '
+            't = "s" if they are seconds'
+        )
     if not len(values) or abs(values[0] * factor) < LATEST:
         return Stamps(values if factor == 1.0 else values * factor, None)
     first, since_first = _since_first(pa, column, values)
     # The product of a fraction and a whole number of nanoseconds is exact.
     return Stamps(since_first * factor, round(first * round(factor * 1e9)))
+
+
+def are_days(values: Float[np.ndarray, "T"]) -> bool:
+    """Whether stamps are dates in days, as spreadsheets count them from 1900 and `datenum` from the year 0.
+
+    Args:
+        values: Stamps (T,) as logged.
+
+    Returns:
+        Whether they lie between 1970 and 2100 in such days, and would have more than 50 000 rows a second as seconds.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant.logs import are_days
+        >>> are_days(45_000 + np.arange(3) / 86_400), are_days(45_000 + np.arange(3.0))
+        (True, False)
+    """
+    if len(values) < 2 or not any(low <= values[0] <= high for low, high in DAYS):
+        return False
+    return bool(0 < np.median(np.diff(values)) < LARGEST_STEP_OF_DAYS)
 
 
 def _since_first(pa: Any, column: Any, values: np.ndarray) -> tuple[Fraction, np.ndarray]:
