@@ -254,7 +254,7 @@ def _rows(part: Any, rows: slice) -> Any:
     return part[rows]
 
 
-class Survey(NamedTuple):
+class LogSurvey(NamedTuple):
     """All columns of numbers of a log.
 
     Attributes:
@@ -274,7 +274,7 @@ class Survey(NamedTuple):
     remarks: tuple[str, ...]
 
 
-def survey(log: str | PathLike[str] | Any) -> Survey:
+def survey(log: str | PathLike[str] | Any) -> LogSurvey:
     """All columns of numbers of a log, by name.
 
     Columns that hold anything else are left out, but dates are seconds since the first of them. Of columns that have
@@ -302,14 +302,16 @@ def survey(log: str | PathLike[str] | Any) -> Survey:
         table, remarks = _unite(name, source.load(named, (), ()), refuse=False)
         table = with_points(pyarrow(), name, table, source.typed)
     columns: dict[str, np.ndarray] = {}
-    for column_name, column in zip(table.column_names, table.columns, strict=True):
+    # A log of messages loads its clock as well.
+    for column_name in [each for each in named if each in table.column_names]:
+        column = table.column(column_name)
         with contextlib.suppress(LogError):
             columns[column_name] = (
                 stamps(name, column, None).t if timed(column) else numbers(name, column, needed=False)
             )
     if source.first_line:
         remarks.append(_no_header(source))
-    return Survey(columns, source.units, tuple(remarks))
+    return LogSurvey(columns, source.units, tuple(remarks))
 
 
 def _where(name: str, column: str, unit: str | None) -> str:

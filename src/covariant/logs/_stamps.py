@@ -18,6 +18,13 @@ LATEST = 1e8
 
 DAYS = ((25_569.0, 73_050.0), (719_529.0, 767_010.0))
 """Days from 1970 to 2100, since 1900 and since the year 0."""
+DAY = 86_400.0
+"""Seconds of a day."""
+DAYS_FAULT = (
+    "holds dates in days, as spreadsheets and datenum write them; subtract the first of them, and write "
+    't = "24 h" under [units] of the model file, or write t = "s" if they are seconds'
+)
+"""What is wrong with stamps that count days from another date than 1970, and the remedy."""
 LARGEST_STEP_OF_DAYS = 2e-5
 """Median step below which such numbers are days: 1.7 s in days, and 50 000 rows a second in seconds."""
 
@@ -66,6 +73,8 @@ def stamps(where: str, column: Any, given: str | None) -> Stamps:
             check_rounding(values.astype(column.type.to_pandas_dtype()))
         except ValueError as error:
             raise LogError(f"{where}: {error}") from error
+    if (given is None or factor == DAY) and are_days(values):
+        raise LogError(f"{where} {DAYS_FAULT}")
     too_late = np.abs(values) * factor > LATEST_STAMP
     if too_late.any():
         row = int(too_late.argmax())
@@ -73,12 +82,6 @@ def stamps(where: str, column: Any, given: str | None) -> Stamps:
         raise LogError(
             f"{where}, row {row + 1}: found {column[row].as_py()}, which in {given or 's'} is after the year 2200; "
             f'write t = "{unit}" under [units] of the model file, or the unit that the stamps are in'
-        )
-    if given is None and are_days(values):
-        raise LogError(
-            f"{where} holds days, as a spreadsheet or datenum writes dates: as seconds they would be "
-            f'{1 / np.median(np.diff(values)):.3g} rows a second; write t = "24 h" under [units] of the model file, or '
-            't = "s" if they are seconds'
         )
     if not len(values) or abs(values[0] * factor) < LATEST:
         return Stamps(values if factor == 1.0 else values * factor, None)

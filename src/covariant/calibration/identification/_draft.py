@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from covariant.logs import (
+    DAYS_FAULT,
     MEANT,
     are_days,
     unit_factor,
@@ -213,8 +214,10 @@ def _units(
     `t` are the stamps, `span` (n, 2) that of the positions, both as logged.
     """
     stated = {field: [unit_in_name(name, MEANT[field]) for name in names] for field, names in fields.items()}
+    if are_days(t):
+        raise ValueError(f"column {fields['t'][0]!r} {DAYS_FAULT}")
     step = np.median(np.diff(t))
-    content = {"t": "24 h" if are_days(t) else next(unit for limit, unit in CLOCKS if step < limit)}
+    content = {"t": next(unit for limit, unit in CLOCKS if step < limit)}
     unstated = [width for width, unit in zip(np.ptp(span, axis=1), stated["q"], strict=True) if unit is None]
     content["q"] = "deg" if max(unstated, default=0.0) > DEGREES else "rad"
     units, guessed = {}, []
