@@ -2,6 +2,8 @@
 
 import gc
 import os
+import stat
+import tempfile
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
@@ -10,8 +12,21 @@ from typing import NamedTuple
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
 REPOSITORY = Path(__file__).parents[1]
-# As a user's cache, it is kept between runs; `make clean` empties it.
-os.environ.setdefault("COVARIANT_CACHE", str(REPOSITORY / ".cache"))
+
+
+def choose_cache() -> str:
+    """A folder for compiled programs: kept between runs as that of a user, unless others can write where it lies."""
+    for place in (REPOSITORY, *REPOSITORY.parents):
+        status = place.stat()
+        writable = status.st_mode & (stat.S_IWGRP | stat.S_IWOTH) and not status.st_mode & stat.S_ISVTX
+        if writable or (hasattr(os, "getuid") and status.st_uid not in (0, os.getuid())):
+            return tempfile.mkdtemp(prefix="covariant-tests-")
+    return str(REPOSITORY / ".cache")
+
+
+# `make clean` empties it.
+if "COVARIANT_CACHE" not in os.environ:
+    os.environ["COVARIANT_CACHE"] = choose_cache()
 
 import covariant  # before JAX, which then stores its programs in the cache folder
 

@@ -55,7 +55,7 @@ The warning that is disabled concerns vectors as arguments of functions that oth
 
 
 SEALED = "sealed"
-"""Part of each key: libraries of versions before had no SHA-256 in front, and those versions must not load these."""
+"""Part of each cache key, so that versions whose files do not begin with a SHA-256 do not load these."""
 NO_COMPILER = "there is no C compiler; set CC, install cc, or pip install ziglang"
 """What is said where `compiler_command` is None."""
 
@@ -64,7 +64,7 @@ NO_COMPILER = "there is no C compiler; set CC, install cc, or pip install ziglan
 def compiler() -> str | None:
     """Path of the compiler that the environment variable CC names, or of `cc`; None where there is none."""
     path = shutil.which(os.environ.get("CC") or "cc")
-    return os.path.abspath(path) if path else None  # it is called from another folder
+    return os.path.abspath(path) if path else None  # the compiler is called in another folder
 
 
 def compiler_command() -> list[str] | None:
@@ -92,14 +92,14 @@ def built(command: Sequence[str], flags: Sequence[str], files: Mapping[str, str 
 
 
 def _temporary_folder() -> Path:
-    """Folder for temporary files of code; raises `OSError` where someone else could replace them."""
+    """Return the folder for temporary files of code; raises `OSError` if another user could replace them."""
     folder = Path(tempfile.gettempdir()).resolve()
     need_private(folder, setting="TMPDIR")
     return folder
 
 
 def compiled(source: str, flags: Sequence[str], load: Callable[[str], Library]) -> Library:
-    """Load a C source as a shared library, compiled first where it is not cached, or the cached one was changed.
+    """Load a C source as a shared library, which is compiled first if none is cached or the cached file was changed.
 
     The cache key is a hash of the source, the flags, the compiler and, for code of this very processor, the processor.
     With `COVARIANT_CACHE=off` the source is compiled anew.
@@ -126,16 +126,16 @@ def compiled(source: str, flags: Sequence[str], load: Callable[[str], Library]) 
 
 
 def _load(library: bytes, folder: Path | None, load: Callable[[str], Library]) -> Library:
-    """Load a shared library from its content: what was hashed is what runs, whatever happens to the cached file."""
+    """Load a shared library from a copy of its content, so that later changes of the cached file have no effect."""
     if folder is not None:
-        # Beside the cached file first: programs may be forbidden in the system's temporary folder (`noexec`).
+        # The cache folder is tried first: the temporary folder may forbid programs (`noexec`).
         with contextlib.suppress(OSError):  # such as a full disk
             return _load_copy(library, folder, load)
     return _load_copy(library, _temporary_folder(), load)
 
 
 def _load_copy(library: bytes, folder: Path, load: Callable[[str], Library]) -> Library:
-    # A new name for each, since the system takes a library of a path that is loaded for the same one.
+    # Each copy gets a new name, since the system takes two libraries of the same path for one.
     handle, copy = tempfile.mkstemp(".tmp", dir=folder)
     try:
         with open(handle, "wb") as file:

@@ -29,17 +29,17 @@ def write_atomically(path: str | os.PathLike[str], write: Callable[[BinaryIO], o
     A writer that is killed leaves its temporary file, and the next writer to the same path removes it.
     """
     path = Path(path)
-    with _written(path, write) as fresh:
+    with _write_temporary(path, write) as fresh:
         os.replace(fresh, path)
     _sync_folder(path.parent)
     return path
 
 
 def write_together(files: Mapping[Path, bytes]) -> None:
-    """Write files atomically, each by itself, and replace none before all are on the disk."""
+    """Write all files to the disk before any replaces an old one; each replacement is atomic."""
     with contextlib.ExitStack() as stack:
         fresh = {
-            path: stack.enter_context(_written(path, lambda file, content=content: file.write(content)))
+            path: stack.enter_context(_write_temporary(path, lambda file, content=content: file.write(content)))
             for path, content in files.items()
         }
         for path, written in fresh.items():
@@ -49,8 +49,8 @@ def write_together(files: Mapping[Path, bytes]) -> None:
 
 
 @contextlib.contextmanager
-def _written(path: Path, write: Callable[[BinaryIO], object]) -> Iterator[Path]:
-    """Context of a temporary file of `path` that is written and on the disk."""
+def _write_temporary(path: Path, write: Callable[[BinaryIO], object]) -> Iterator[Path]:
+    """Write a temporary file for `path` to the disk, and remove it at the end of the context."""
     # A plain `open`, not `tempfile`, so that the file gets the permissions any other new file would.
     with temporary(path, lambda fresh: fresh.open("xb").close()) as fresh:
         with fresh.open("wb") as file:
@@ -61,7 +61,7 @@ def _written(path: Path, write: Callable[[BinaryIO], object]) -> Iterator[Path]:
 
 
 def _sync_folder(folder: Path) -> None:
-    """Write a folder's names to the disk, so that a file which was replaced is not the old one after a crash."""
+    """Write a folder's entries to the disk, so that a replaced file stays replaced after a crash."""
     with contextlib.suppress(OSError):  # Windows opens no folder, and some file systems sync none
         descriptor = os.open(folder, os.O_RDONLY)
         try:
@@ -76,7 +76,7 @@ def write_sealed(path: Path, content: bytes) -> None:
 
 
 def read_sealed(path: Path) -> bytes | None:
-    """Content of a file that `write_sealed` wrote under this name; None where there is none, or it was changed."""
+    """Read a file that `write_sealed` wrote under this name; None if there is none, or it was changed."""
     try:
         sealed = path.read_bytes()
     except OSError:
@@ -86,7 +86,7 @@ def read_sealed(path: Path) -> bytes | None:
 
 
 def _seal(path: Path, content: bytes) -> bytes:
-    # With the name, so that an entry which was renamed is not taken for another one.
+    # The hash includes the name, so that an entry that was renamed is not taken for another one.
     return hashlib.sha256(path.name.encode() + b"\n" + content).digest()
 
 
@@ -110,10 +110,10 @@ def temporary(path: Path, make: Callable[[Path], object]) -> Iterator[Path]:
     living writer.
     """
     sweep(path)
-    with _named(path):
+    with _name_errors(path):
         fresh, lock = _create_locked_file(path, make)
     try:
-        with _named(path):
+        with _name_errors(path):
             yield fresh
     finally:
         _remove(fresh)
@@ -156,12 +156,12 @@ def _create_locked_file(path: Path, make: Callable[[Path], object]) -> tuple[Pat
 
 
 @contextlib.contextmanager
-def _named(path: Path) -> Iterator[None]:
-    """Context in which errors of the temporary file of `path`, and those that name no file, name `path`."""
+def _name_errors(path: Path) -> Iterator[None]:
+    """Let errors about the temporary file of `path`, and errors that name no file, name `path`."""
     try:
         yield
     except OSError as error:
-        # A full disk names no file, and a failed opening names the temporary one, which nobody has heard of.
+        # The error of a full disk names no file. That of a failed opening names the temporary one, unknown to the user.
         ours = error.filename is None or f".{path.name}." in str(error.filename)
         if error.errno is None or not ours:
             raise

@@ -3,8 +3,8 @@
 JAX compiles a program in seconds and loads a cached one in milliseconds. `COVARIANT_CACHE=off` stores none, and
 `COVARIANT_CACHE=FOLDER` stores them in that folder. Where `JAX_COMPILATION_CACHE_DIR` is set, it is respected.
 
-What is in the folder runs as code. So nobody but its owner may be able to write there, and each entry is compared with
-its SHA-256 before it is loaded. A hash does not protect from the owner's own processes, which could write it anew.
+Files in the folder run as code. So only its owner may be able to write there, and each entry is compared with its
+SHA-256 before it is loaded. The hash does not protect against other processes of the owner, which can replace it too.
 """
 
 import contextlib
@@ -53,13 +53,13 @@ def keep_programs() -> None:
 
 
 class SharedFolderError(OSError):
-    """Error that a folder can be written by someone else; the message is one line with the remedy."""
+    """Another user can write to a folder; the message is one line with the remedy."""
 
 
 def cache_folder() -> Path | None:
-    """Cache folder for this kind of processor, created where it is missing; None where nothing is cached.
+    """Return the cache folder for this kind of processor, created if it is missing; None if nothing is cached.
 
-    A folder that someone else can write to is refused, with a warning.
+    A folder to which other users can write is refused, with a warning.
     """
     try:
         return open_cache_folder()
@@ -71,18 +71,18 @@ def cache_folder() -> Path | None:
 
 
 def open_cache_folder() -> Path | None:
-    """Cache folder, or None where `COVARIANT_CACHE` disables it; raises `OSError` where it cannot be used."""
+    """Return the cache folder, or None if `COVARIANT_CACHE` disables it; raises `OSError` if it cannot be used."""
     chosen = os.environ.get("COVARIANT_CACHE", "")
     if chosen.lower() in OFF:
         return None
     folder = Path(chosen).expanduser() if chosen else user_cache_path("covariant", appauthor=False)
-    if not chosen and not folder.is_absolute():  # "~" stays as it is where the system knows no home
+    if not chosen and not folder.is_absolute():  # the system knows no home, so that "~" was not replaced
         raise FileNotFoundError("there is no home folder")
-    # It is one per instruction set, since a program may not run on another processor. Links are followed before the
-    # check, so that what is checked is what is opened.
+    # Each instruction set has its folder, since a program may not run on another processor. Links are followed before
+    # the check, so that the folder that is checked is the one that is opened.
     folder = folder.resolve() / _processor()
     missing = [place for place in (folder, *folder.parents) if not place.exists()]
-    # Before anything is created: another user's home must get no folder from us.
+    # The check comes before anything is created: no folder may be created in another user's home.
     if missing:
         need_private(missing[-1].parent)
     for place in reversed(missing):
@@ -96,9 +96,10 @@ def open_cache_folder() -> Path | None:
 
 
 def need_private(folder: Path, alone: bool = False, setting: str = "COVARIANT_CACHE") -> None:
-    """Check that nobody else can replace what is below a folder; raises `SharedFolderError`.
+    """Check that no other user can replace the content of a folder; raises `SharedFolderError`.
 
-    With `alone`, nobody else can create a file in it either. The message names the variable that `setting` is.
+    With `alone`, it also checks that no other user can create files in it. The message names the environment variable
+    `setting`, by which another folder can be chosen.
     """
     if not hasattr(os, "getuid"):  # Windows: the folders of a user are closed to others by access lists
         return
@@ -108,7 +109,7 @@ def need_private(folder: Path, alone: bool = False, setting: str = "COVARIANT_CA
         inside = alone and place == folder
         if status.st_uid not in ((me,) if inside else (me, 0)):
             raise SharedFolderError(f"{place} belongs to another user; set {setting} to a folder of yours")
-        # In a sticky folder, such as /tmp, only the owner of an entry, or of the folder, renames the entry.
+        # In a sticky folder, such as /tmp, only the owner of an entry, or of the folder, can rename the entry.
         sticky = status.st_mode & stat.S_ISVTX and not inside
         others = status.st_mode & stat.S_IWOTH
         group = status.st_mode & stat.S_IWGRP and (inside or not _is_own_group(place, status.st_gid))
@@ -124,7 +125,7 @@ def need_private(folder: Path, alone: bool = False, setting: str = "COVARIANT_CA
 
 
 def _is_own_group(place: Path, group: int) -> bool:
-    """Whether nobody but this user is in a group, as where each user has one of the same name (`umask 002`)."""
+    """Whether this user is alone in a group, as on systems with a group for each user (`umask 002`)."""
     import grp
     import pwd
 
@@ -138,15 +139,15 @@ def _is_own_group(place: Path, group: int) -> bool:
 
 
 CHECKED = "checked-programs"
-"""File in the cache folder with a line for each program of JAX: SHA-256, time of its last change, size and name."""
+"""File in the cache folder with one line for each program of JAX: SHA-256, time of its last change, size and name."""
 
 
 def drop_broken_programs(folder: Path) -> None:
-    """Remove programs of JAX that are not as they were written.
+    """Remove programs of JAX that are incomplete or were changed.
 
-    JAX names an entry before it is complete, never replaces one, and runs what it unpacks from it. An entry that this
-    process finds for the first time has to unpack; from then on it has to keep its SHA-256, which is computed again
-    where the file was touched.
+    JAX names an entry before it is complete, never replaces it, and runs its unpacked content. An entry that is found
+    for the first time must unpack without an error. After that its SHA-256 must stay the same; it is computed again
+    if size or time of the file changed.
     """
     known = {}
     with contextlib.suppress(OSError, ValueError):
@@ -161,7 +162,7 @@ def drop_broken_programs(folder: Path) -> None:
                 unchanged = status.st_ctime_ns, status.st_size
                 digest, *before = known.get(entry.name, ("", None))
                 if before != [*unchanged]:
-                    digest = _checked(Path(entry.path), digest)
+                    digest = _check_program(Path(entry.path), digest)
                 if digest:
                     checked[entry.name] = digest, *unchanged
                 else:
@@ -174,19 +175,19 @@ def drop_broken_programs(folder: Path) -> None:
             write_atomically(folder / CHECKED, lambda file: file.write(lines.encode()))
 
 
-def _checked(path: Path, digest: str) -> str:
-    """SHA-256 of a program of JAX; "" where it is another one than before, or no program, and then it is removed."""
+def _check_program(path: Path, digest: str) -> str:
+    """Return the SHA-256 of a program of JAX; if it was changed or is incomplete, remove it and return ""."""
     with contextlib.suppress(OSError):
         content = b"" if path.is_symlink() else path.read_bytes()
         current = hashlib.sha256(content).hexdigest()
-        if current == digest or (not digest and _unpacks(content)):
+        if current == digest or (not digest and _is_complete(content)):
             return current
         path.unlink()
     return ""
 
 
-def _unpacks(content: bytes) -> bool:
-    """Whether a program of JAX is complete, packed by Zstandard or, where that is not installed, by zlib."""
+def _is_complete(content: bytes) -> bool:
+    """Whether a program of JAX, packed by Zstandard or else by zlib, can be unpacked."""
     try:
         if content[:4] != b"\x28\xb5\x2f\xfd":
             zlib.decompress(content)
@@ -198,7 +199,7 @@ def _unpacks(content: bytes) -> bool:
             import zstandard
 
             zstandard.ZstdDecompressor().decompress(content)
-    except Exception:  # each library has an error of its own; without one JAX cannot read it either
+    except Exception:  # each library has another error; without the library JAX cannot read the entry either
         return False
     return True
 

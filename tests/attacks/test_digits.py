@@ -7,7 +7,7 @@ import pytest
 from systems import Case, falsehood, line, proved, verdict
 
 from covariant import Record, models, observers
-from covariant.certificates import decay, in_coordinates
+from covariant.certificates import Hypothesis, certify, certify_distance, decay, in_coordinates
 from covariant.proofs import box
 
 LINE = box(x=(-1.0, 1.0))
@@ -124,6 +124,25 @@ def test_integers_that_do_not_wrap_are_proved():
         lambda x: (whole(x, 100, jnp.int32) + whole(x, 100, jnp.int32)).astype(float),
     ):
         assert proved(lambda z, f=function: jnp.reshape(f(z[0]), (1, 1)), LINE) == "holds"
+
+
+def test_nothing_is_proved_in_single_precision():
+    """A flow (1 + 1e-9) x − x is traced as 0 there."""
+    with jax.enable_x64(False):
+        model = models.oscillator()
+        with pytest.raises(ValueError, match="certify needs doubles, and jax_enable_x64 is off"):
+            certify(observers.Intrinsic(model, 10.0, 50.0), position=(-1.0, 1.0), velocity=1.0, error=0.1)
+        with pytest.raises(ValueError, match="certify_distance needs doubles"):
+            certify_distance(
+                observers.ImplicitGeodesic(models.ball_and_beam(), 1.0, 4.0),
+                interval=0.01,
+                position=(-0.1, 0.1),
+                velocity=0.1,
+                error=0.01,
+            )
+        with pytest.raises(ValueError, match="a proof needs doubles"):
+            Hypothesis("it contracts", "proved")
+        assert Hypothesis("it contracts", "sampled").verdict == "holds"
 
 
 def test_stamps_that_single_precision_rounds_together_are_refused():

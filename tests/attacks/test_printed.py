@@ -291,11 +291,11 @@ def test_distances_over_no_time_show_no_rate(seconds, rate):
     assert Decay(t[:1], *(each[:, :1] for each in [distance] * 3)).statement.verdict == "undecided"
 
 
-def test_nothing_is_tried_without_points_starts_or_errors():
+def test_nothing_is_tried_without_points_or_errors():
     system = error_system(Intrinsic(models.oscillator(), 10.0, 50.0), np.eye(2))
     around = box(q=(-1.0, 1.0), v=(-1.0, 1.0), e=(-0.1, 0.1), f=(0.0, 0.0))
-    for options in ({"attempts": 0}, {"starts": 0}, {"rate": np.nan}):
-        with pytest.raises(ValueError, match="1 or more, and the rate a number"):
+    for options in ({"attempts": 0}, {"starts": -1}, {"rate": np.nan}):
+        with pytest.raises(ValueError, match="attempts must be 1 or more, starts 0 or more, and the rate a number"):
             falsify(system, around, **({"rate": -100.0} | options))
     with pytest.raises(ValueError, match="a single point"):
         falsify(system, around._replace(low=np.zeros(4), high=np.zeros(4)), -100.0)

@@ -6,11 +6,13 @@ import json
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
+import covariant
 from covariant import Record, lowering, models
 from covariant._compile import compiler
 from covariant.certificates import (
@@ -25,7 +27,7 @@ from covariant.certificates import (
 from covariant.certificates.base._radius_recursion import Recursion
 from covariant.certificates.checking import _check
 from covariant.engine import run_logs
-from covariant.observers import Gated, Info, Intrinsic
+from covariant.observers import Delayed, Gated, Info, Intrinsic
 from covariant.proofs import digest
 from covariant.signals import StepCode
 
@@ -353,6 +355,83 @@ def test_a_radius_of_zero_does_not_stay_zero():
     assert float(after(bounded(none._replace(steps=1e-6)), *5 * [(0.0, 0.011)], start=0.0)[0].radius) > 1e-8
 
 
+def test_a_bound_stays_with_the_observer_that_it_is_about():
+    plain, honest = plain_pendulum(), bounded()
+    assert dataclasses.replace(honest, first_radius=0.005).certified is plain
+    gated = Gated(plain, plain.model, jnp.asarray(NOISE), jnp.asarray(1.0))
+    assert dataclasses.replace(honest, observer=gated).bound is honest.bound
+    changes: dict[str, Any]
+    for changes in ({"alpha": 1.0}, {"substeps": 1}, {"substeps": None}, {"coefficients": "estimated"}):
+        with pytest.raises(ValueError, match="not the one of the certificate"):
+            dataclasses.replace(honest, observer=dataclasses.replace(plain, **changes))
+
+    class Nudged(Gated):
+        """A gate that does more than to refuse measurements."""
+
+    nudged = Nudged(plain, plain.model, jnp.asarray(NOISE), jnp.asarray(1.0))
+    for other in (nudged, pendulum()):
+        with pytest.raises(ValueError, match="not the one of the certificate"):
+            dataclasses.replace(honest, observer=other)
+
+    @jax.jit
+    def with_gain(alpha):
+        return dataclasses.replace(honest, observer=dataclasses.replace(plain, alpha=alpha)).first_radius
+
+    with pytest.raises(ValueError, match="not the one of the certificate"):
+        with_gain(1.0)
+    changed = eqx.filter_jit(lambda each: dataclasses.replace(each, first_radius=0.1))(honest)
+    assert changed.first_radius == 0.1
+
+
+def test_wrong_first_errors_are_one_clear_line():
+    for radius in (-1.0, np.nan):
+        with pytest.raises(ValueError, match="first radius must be"):
+            bounded(first=radius)
+    for wrong in (-1.0, np.nan, "far", [0.1, 0.1], [[0.1]]):
+        for errors in ((wrong, 0.1), (0.1, wrong)):
+            with pytest.raises(ValueError, match="bounds of initial errors must be"):
+                bound_of().within(*errors)
+
+
+def test_lost_samples_need_an_interval():
+    lost: dict[str, Any]
+    for lost in ({"lost": 1}, {"lost_rows": "missing"}):
+        with pytest.raises(ValueError, match="lost samples need interval"):
+            certify(plain_pendulum(), **BOUNDS, **lost)
+    with pytest.raises(ValueError, match="lost must be a whole number"):
+        certify(plain_pendulum(), **BOUNDS, interval=INTERVAL, lost=1.5)  # pyright: ignore[reportArgumentType]
+
+
+def test_no_wrapper_takes_the_steps_of_a_bound_apart():
+    """A reading that is too late took no step, and would have reported a bound of 0."""
+    with pytest.raises(ValueError, match="Delayed: what Bounded reports"):
+        Delayed(bounded(), 0.02, 100.0)
+    with pytest.raises(ValueError, match="Gated: what Bounded reports"):
+        Gated(bounded(), plain_pendulum().model, jnp.asarray(NOISE), jnp.asarray(1.0))
+
+
+def test_a_bound_covers_the_rounding_of_large_angles():
+    """After many turns doubles resolve less of an angle than the least bound at small ones."""
+    none: Recursion = PROVED._replace(noise=(0.0,), force=0.0, steps=0.0, error=0.0)
+    observer, turns = bounded(none), 2 * np.pi * 1e8
+    fine = dataclasses.replace(plain_pendulum(), substeps=12)
+
+    def advance(carry, _):
+        truth, state = carry
+        truth = fine.predict(truth, jnp.zeros(1), jnp.asarray(0.011))
+        state, info = observer.step(state, jnp.zeros(1), truth.q + turns, 0.011)
+        errors = truth.q - (state.inner.q - turns), truth.v - state.inner.v
+        return (truth, state), (*errors, info.position_bound, info.velocity_bound, info.premise)
+
+    state = starting(observer, jnp.array([turns + 0.3]), jnp.zeros(1), 0.0)
+    truth = plain_pendulum().init(state.inner.q - turns)
+    q, v, of_q, of_v, premise = map(np.asarray, jax.lax.scan(advance, (truth, state), None, 200)[1])
+    assert (premise == 0).all()
+    assert np.abs(q).max() > 1e-7
+    assert (np.abs(q) < of_q).all()
+    assert (np.abs(v) < of_v).all()
+
+
 def test_half_a_step_by_hand_leaves_no_bound():
     observer = bounded()
     state = starting(observer, jnp.array([0.1]), jnp.array([1.0]), 0.004)
@@ -374,6 +453,10 @@ def test_numbers_that_are_no_doubles_are_refused():
         observer.step(state, jnp.zeros(1, jnp.float32), jnp.zeros(1, jnp.float32), 0.011)
     with jax.enable_x64(False), pytest.raises(ValueError, match="jax_enable_x64"):
         bounded().init(jnp.zeros(1))
+    observer = bounded()
+    state = starting(observer, jnp.array([0.1]), jnp.array([1.0]), 0.004)
+    with jax.numpy_dtype_promotion("standard"), pytest.raises(ValueError, match="here is a float32"):
+        observer.step(state, jnp.zeros(1), jnp.array([0.1], jnp.float32), 0.011)
 
 
 def test_stamps_that_are_rounded_are_covered():
@@ -572,7 +655,8 @@ def test_no_fault_of_a_million_rows_makes_a_bound_false():
 @pytest.mark.parametrize("name", ["ball_and_beam_100hz", "heavy_top_100hz"])
 def test_no_fault_makes_a_bound_of_a_shipped_certificate_false(name):
     """100 000 rows each."""
-    certificate = ContractionCertificate.load(SHIPPED / f"{name}.json")
+    # The checker takes longer: `test_small_ones_are_verified_whole`.
+    certificate = ContractionCertificate.load(SHIPPED / f"{name}.json")._replace(verified=True)
     model = certificate.observer.model
 
     def length(q, v):
@@ -701,8 +785,9 @@ def test_what_is_proved_is_what_the_short_tests_use(proved, tmp_path, monkeypatc
     assert bound.within(start.together[:1], start.together[1:]) <= bound.radius
     assert bound.within(start.alone[:1], start.alone[1:]) == np.inf
     path = proved.save(tmp_path / "noisy.json")
-    assert check(path).statement.proved
-    assert ContractionCertificate.load(path).bounded().bound.recursion.noise == bound.recursion.noise
+    with pytest.raises(ValueError, match="not verified"):
+        ContractionCertificate.load(path).bounded()
+    assert ContractionCertificate.load(path, verify=True).bounded().bound.recursion.noise == bound.recursion.noise
     monkeypatch.setattr(_check, "DEPTH", 2)
     for change, message in (
         (scaled(4, "squares", 0.5), r"claims\[4\] is not shown"),
@@ -739,3 +824,55 @@ def test_a_certificate_in_continuous_time_says_what_start_it_covers_and_has_no_b
     assert quiet.start is not None
     assert (quiet.start.together < quiet.start.alone).all()
     assert (quiet.start.alone < quiet.start.farthest).all()
+
+
+MASS_ON_A_SPRING = {"position": (-2.0, 2.0), "velocity": 3.0, "error": 0.3, "interval": (0.01, 0.01), "lost": 1}
+
+
+@pytest.mark.long
+def test_rows_that_may_be_missing_are_proved_and_checked_by_their_longer_steps(tmp_path):
+    recipe = models.recipe("oscillator")
+    model = models.from_recipe(recipe)
+    assert isinstance(model, models.MechanicalSystem)
+    observer = Intrinsic(model, 10.0, 40.0, substeps=1)
+    empty = certify(observer, **MASS_ON_A_SPRING, recipe=recipe, checker="off")
+    missing = certify(observer, **MASS_ON_A_SPRING, lost_rows="missing", recipe=recipe, checker="off")
+    assert empty.statement.proved
+    assert missing.statement.proved
+    assert "each of them as a row without a measurement" in empty.statement.claim
+    assert "as rows that may be missing: one prediction may cover 0.02002 s" in missing.statement.claim
+    path = missing.save(tmp_path / "missing.json")
+    checked = ContractionCertificate.load(path, verify=True)
+    assert checked.statement.proved
+    assert "missing_rows" not in json.loads(empty.save(tmp_path / "empty.json").read_text())["sampling"]
+    truth = jnp.array([0.5 * np.cos(0.02), -0.5 * np.sin(0.02)])
+    for certificate, premise in ((empty, Premise.AGE), (checked, Premise.HOLDS)):
+        running = certificate.bounded(position=0.0, velocity=0.0)
+        state, info = running.step(running.init(jnp.array([0.5])), jnp.zeros(1), truth[:1], 0.02)
+        assert int(info.premise) == premise
+        limits = jnp.concatenate([info.position_bound, info.velocity_bound])
+        assert (jnp.abs(running.estimate(state) - truth) <= limits).all()
+
+    def shorter(document):
+        """Steps of one interval, as if all rows were there."""
+        document["sampling"]["missing_rows"] = False
+
+    with pytest.raises(ValueError, match="missing_rows"):
+        check(altered(path, tmp_path, shorter))
+
+
+@pytest.mark.long
+def test_the_verb_fixes_the_number_of_steps_and_proves_their_errors():
+    """An observer that chose it would have predictions that are assumed to be exact, and no bound."""
+    bounds = {"velocity": 3.0, "error": 0.3, "region": {"q": (-2.0, 2.0)}, "interval": (0.01, 0.03), "checker": "off"}
+    certificate = covariant.certify("oscillator", alpha=10.0, beta=40.0, **bounds).certificate
+    assert certificate.sampling is not None
+    assert certificate.sampling.substeps == 3
+    state = certificate.bounded(velocity=0.0).init(jnp.array([0.5]))
+    _, info = certificate.bounded(velocity=0.0).step(state, jnp.zeros(1), jnp.array([0.4999]), 0.01)
+    assert int(info.premise) == Premise.CONTRADICTED  # the mass has moved by 2.5e-5
+    free = certify(
+        Intrinsic(models.oscillator(), 10.0, 40.0), **MASS_ON_A_SPRING | {"lost": 0, "checker": "off"}
+    ).bounded(velocity=0.0)
+    _, info = free.step(free.init(jnp.array([0.5])), jnp.zeros(1), jnp.array([0.499975]), 0.01)
+    assert int(info.premise) == Premise.PREDICTION

@@ -1,7 +1,7 @@
-"""Names of exports: what C, C++, JavaScript, Python and file systems take for something else is no name of one.
+"""Names of exports, which must not be reserved or in use in C, C++, JavaScript, Python, CMake or the file system.
 
-An export's name is the prefix of all names in its C, and stands alone as a namespace of C++, an object of JavaScript, a
-module of Python, a target of CMake and in names of files.
+The name of an export is the prefix of all names in its C code. It is also a namespace of C++, an object of JavaScript,
+a module of Python, a target of CMake and part of the names of files.
 """
 
 import keyword
@@ -11,7 +11,7 @@ import sys
 from covariant.lowering import check_name
 
 LONGEST = 63
-"""Letters by which every compiler of C99 tells names apart (C99, 5.2.4.1)."""
+"""Number of letters of a name that every C99 compiler distinguishes (C99, 5.2.4.1)."""
 
 _HEADERS = (
     "assert complex ctype errno fenv float inttypes iso646 limits locale math setjmp signal stdalign stdarg stdatomic "
@@ -20,26 +20,26 @@ _HEADERS = (
     "mqueue netdb poll pthread pwd regex sched search semaphore spawn strings syslog tar termios unistd utime values "
     "wordexp conio direct io process tchar windows"
 )
-"""Headers of C, POSIX and Windows: where the folder of an export is searched first, its own header would hide them."""
+"""Headers of C, POSIX and Windows, which the header of an export would hide if its folder is searched first."""
 _POSIX = (
     "accept access alarm bind brk chdir chmod close connect daylight dup environ execl execv fileno fork getopt getpid "
     "index ioctl kill link listen mkdir nice open optarg opterr optind optopt pause pipe poll popen random read recv "
     "rindex select send sleep socket srandom stat sync times timezone truncate tzname usleep wait write "
     "cnd mtx sem posix std"
 )
-"""Functions and variables of POSIX, namespaces that are reserved, and names whose `NAME_init` is there already."""
+"""Functions and variables of POSIX, reserved namespaces, and names for which `NAME_init` already exists."""
 _ARDUINO = "setup loop bit boolean byte word sq min max far near small interface PI HIGH LOW INPUT OUTPUT DEFAULT F"
 """Functions, types and macros of Arduino and of Windows."""
 _BUILD = (
     "all clean help install package package_source rebuild_cache edit_cache test list_install_components ALL_BUILD "
     "INSTALL PACKAGE RUN_TESTS ZERO_CHECK c dl gcc m rt util"
 )
-"""Targets of CMake, and libraries of the system, which a library of the same name would hide."""
+"""Targets of CMake, and system libraries that a library of the same name would hide."""
 _JAVASCRIPT = (
     "arguments await debugger enum eval export extends finally function implements import in instanceof interface let "
     "null package super typeof undefined var void with yield"
 )
-"""Words that are no identifiers of JavaScript."""
+"""Reserved words of JavaScript."""
 _GLOBALS = (
     "Array ArrayBuffer Boolean Buffer DataView Date Error Float32Array Float64Array Function Infinity JSON Map Math "
     "NaN Number Object Promise Proxy RangeError Reflect RegExp Set String Symbol Uint8Array WebAssembly "
@@ -48,15 +48,15 @@ _GLOBALS = (
     "open opener origin parent parseFloat parseInt performance personalbar print process prompt require screen scroll "
     "scrollbars self status statusbar stop structuredClone toolbar top window"
 )
-"""What the global object of a page or of Node has already; some of it cannot be set, and `location` loads a page."""
+"""Properties of the global object of a page or of Node; some cannot be set, and setting `location` loads a page."""
 _PACKAGES = "numpy covariant pip setuptools wheel"
-"""Packages that an exported one would hide: it needs the first, and people install it by the others."""
+"""Packages that an exported one would hide: it needs numpy, and the others install it."""
 
 
 def check_export_name(name: str, python: bool = False, wasm: bool = False) -> None:
     """Check that an export may have a name; raises `ValueError`.
 
-    Modules of Python, and globals of JavaScript, are names of exports that are neither.
+    Modules of Python are refused only with `python`, and globals of JavaScript only with `wasm`.
     """
     check_name(name)
     kinds = (
@@ -81,10 +81,10 @@ def check_export_name(name: str, python: bool = False, wasm: bool = False) -> No
 
 
 def export_name(text: str, python: bool = False, wasm: bool = False) -> str:
-    """Name of an export from that of a model."""
+    """Derive the name of an export from the name of a model."""
     plain = re.sub(r"[\W_]+", "_", text, flags=re.ASCII).strip("_").lower()
     try:
         check_export_name(plain[:LONGEST].rstrip("_"), python, wasm)
-    except ValueError:  # such as one that begins with a digit
+    except ValueError:  # for example if it begins with a digit
         plain = f"observer_{plain}"
     return plain[:LONGEST].rstrip("_")

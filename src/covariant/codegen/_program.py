@@ -230,7 +230,7 @@ def with_open_numbers(observer: AbstractObserver, fixed: Sequence[str] = ()) -> 
     paths, tree = jax.tree_util.tree_flatten_with_path(dynamic)
     arrays = [np.asarray(leaf) for _, leaf in paths]
     names = _shortest_names([_path_keys(path) for path, _ in paths], arrays)
-    # A proof is about the numbers as they are.
+    # A proved bound holds for these numbers only, so that all of them become constants.
     patterns = ("*",) if observer.fixed_numbers else fixed
     closed = [any(fnmatchcase(name, pattern) for pattern in patterns) for name in names]
     numbers = {name: a for name, a, fix in zip(names, arrays, closed, strict=True) if a.size and not fix}

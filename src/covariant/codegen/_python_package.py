@@ -43,7 +43,7 @@ def python_files(program: Program, texts: Mapping[str, str], name: str, about: s
         and the package builds its library where there is one.
 
     Raises:
-        ValueError: The name is that of a module of Python, or no name of an export.
+        ValueError: The name is that of a module of Python, or not allowed for an export.
         OSError: The compiler refuses the sources.
 
     Example:

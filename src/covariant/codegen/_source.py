@@ -19,7 +19,7 @@ from covariant.lowering import C_KEYWORDS, C_MACROS, CText, Lowered, Signature, 
 from covariant.signals import StepCode
 
 RESERVED = C_KEYWORDS | C_MACROS | {"info"}
-"""Words that are no names of numbers in C; the info of a step is called so."""
+"""Words that cannot name a number in C; `info` is the name of the diagnostics of a step."""
 SENTENCE = "This text is yours: use, change and sell it as you like; no licence of its generator extends to it."
 
 
@@ -82,8 +82,8 @@ def write_source(program: Program, name: str, about: str, flash: int | float = m
             machine.
 
     Raises:
-        ValueError: The name is no identifier of C or reserved there, in C++, JavaScript or Python, by the system or by
-            Windows; or the tables are estimated to take more than `flash` too.
+        ValueError: The name is not an identifier of C, or is reserved in C, C++, JavaScript or Python or by the
+            system; or the tables are estimated to take more than `flash` too.
 
     Example:
         >>> import numpy as np
@@ -271,10 +271,11 @@ def _source(program: Program, words: Words, functions: dict[str, CText]) -> str:
         "COPIED": [f"    {output} = {state};" for pairs in told for output, state in pairs],
         "PART_STEPS": _part_steps(program, words | inputs, "part_step.c"),
     }
-    # In the template, y - y is 0 for finite y and NaN for all others, without a function of <math.h>. It refuses
-    # -ffast-math and -ffinite-math-only, by which compilers assume that no number is NaN and drop the tests for missing
-    # measurements; where a compiler does not say so, the self-test sees it. Before C99, functions of <math.h> that are
-    # not declared would return an int. C++ has no `restrict`, which only permits faster code.
+    # In the template, y - y is 0 for finite y and NaN for all others, without a function of <math.h>. The template
+    # refuses -ffast-math and -ffinite-math-only: with them compilers assume that no number is NaN, and drop the tests
+    # for missing measurements. If a compiler does not define a macro for these options, the self-test detects them. C90
+    # is refused, since functions of <math.h> that are not declared would return an int there. C++ has no `restrict`,
+    # which only permits faster code.
     return fill("codegen", "observer.c", words | inputs | own)
 
 

@@ -98,7 +98,7 @@ def vectors(program: Program, measured: np.ndarray, rate: float) -> Vectors:
     # Rounded to the type of the code, so that C reads the same numbers as are followed here.
     dt, u = dt.astype(dtype).astype(float), u.astype(dtype).astype(float)
     lanes, codes = _run_with_roundings(program, start, np.where(missing, np.nan, y), u, dt)
-    # A bound that is infinite is not known there, nor compared.
+    # An infinite bound means that nothing is known, and is not compared.
     lanes = np.where(np.isinf(lanes), np.nan, lanes)
     expected = lanes[:, :, 0]
     deviation = np.abs(lanes - expected[:, :, None]).max(axis=2)

@@ -49,8 +49,8 @@ def wasm_files(
         Contents by their path in the folder of the export.
 
     Raises:
-        ValueError: No compiler for WebAssembly is installed, or it refuses the sources; the message has its words. Or
-            the name is that of a global of JavaScript.
+        ValueError: No compiler for WebAssembly is installed; it refuses the sources, and the message quotes it; or the
+            name is that of a global of JavaScript.
 
     Example:
         >>> import numpy as np

@@ -95,8 +95,9 @@ def write_folder(files: Mapping[str, str | bytes], folder: Path, overwrite: bool
     Args:
         files: Texts and other contents by their path in the folder.
         folder: The folder, which is created where it is not there; its parent must exist.
-        overwrite: Replace files of a folder that is not empty; others stay. All are written beside the old ones before
-            the first is replaced, so that a full disk leaves the old ones. By default it is refused.
+        overwrite: Replace files of a folder that is not empty, and leave its other files. All new files are written
+            before the first old one is replaced, so that a full disk leaves the old files intact. By default a folder
+            that is not empty is refused.
 
     Returns:
         The paths of the files.

@@ -84,7 +84,7 @@ def cache_layout(description: str | None, key: str | None, layout: Layout) -> No
 
 
 def _read_entry(path: Path) -> dict[str, str] | None:
-    """An entry; None where there is none, or it is not as it was written."""
+    """Read an entry; None if there is none, or it was changed."""
     try:
         entry = json.loads(read_sealed(path) or b"{}")
     except ValueError:

@@ -34,7 +34,7 @@ def write_bag(path: Path, columns: Mapping[str, np.ndarray], origin_ns: int | No
     storage = rosbag2.StoragePlugin.MCAP if path.suffix.lower() == ".mcap" else rosbag2.StoragePlugin.SQLITE3
     with temporary(path, Path.mkdir) as temporary_folder:
         bag = temporary_folder / path.stem
-        with _no_database(), rosbag2.Writer(bag, version=VERSION, storage_plugin=storage) as writer:
+        with _report_database_errors(), rosbag2.Writer(bag, version=VERSION, storage_plugin=storage) as writer:
             topics = [
                 (writer.add_connection(topic, kind, typestore=known), messages)
                 for topic, kind, messages in _topics(known.types, dict(others))
@@ -49,8 +49,8 @@ def write_bag(path: Path, columns: Mapping[str, np.ndarray], origin_ns: int | No
 
 
 @contextlib.contextmanager
-def _no_database() -> Iterator[None]:
-    """Context in which a database that cannot be written, as on a full disk, is an error of the file."""
+def _report_database_errors() -> Iterator[None]:
+    """Raise errors of the database, as on a full disk, as `OSError`."""
     import sqlite3
 
     try:

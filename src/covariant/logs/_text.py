@@ -119,7 +119,7 @@ def read_text(pa: Any, path: Path, found: Sheet, wanted: Sequence[str]) -> Any:
             f"{path}: row {row.number} has {row.actual_columns} cells where the header has {row.expected_columns}: "
             f"{row.text[:60]!r}; a missing measurement is an empty cell between its {DELIMITERS[found.delimiter]}"
         )
-    # A cell in quotation marks may go over several lines, but one whose mark is missing swallows rows.
+    # A quoted cell may contain line breaks, but if its closing mark is missing it contains whole rows.
     if b'"' in found.rows and table.num_rows < found.rows.strip(b"\n").count(b"\n") + 1:
         _check_quotes(path, found)
     table = table.rename_columns([found.header[int(place)] for place in table.column_names])
@@ -136,7 +136,7 @@ def read_text(pa: Any, path: Path, found: Sheet, wanted: Sequence[str]) -> Any:
 
 
 def _check_quotes(path: Path, found: Sheet) -> None:
-    """Raise `LogError` where a quoted cell has a line that is itself a row of as many cells as the others."""
+    """Raise `LogError` if a line of a quoted cell has as many cells as a row."""
     cells = _split_lines(path, found.rows.decode().splitlines(keepends=True), found.delimiter)
     for row, line in enumerate((line for line in cells if line), 1):
         for cell in line:

@@ -2,7 +2,7 @@
 
 A block of the grid is one chunk of every variable and one of `done`, so that no two writers share a file. This protects
 against killed processes, but not against a power cut, since files are not forced to the disk one by one. Chunks that
-hold nothing but the fill value are written as well, so that a block that has lost a chunk is not taken for one of them.
+contain only the fill value are written too, so that a missing chunk always means that the block is damaged.
 """
 
 import contextlib
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 FORMAT = "covariant grid 1"
 DONE = "done"
 ALL_CHUNKS = "all_chunks"
-"""Attribute of stores in which every block that is done has a chunk of every variable."""
+"""Attribute of stores in which every finished block has a chunk of every variable."""
 
 
 class Variable(NamedTuple):
@@ -62,8 +62,8 @@ def open_grid(path: str | os.PathLike[str], *, complete: bool = False) -> "xarra
         points not yet computed are NaN, and integers and flags are therefore read as float64.
 
     Raises:
-        ValueError: one line, where there is no map, where a finished one has lost files of its blocks, or where
-            `complete` is required and blocks are missing.
+        ValueError: one line, if there is no map, if a finished map has lost files of its blocks, or if `complete` is
+            required and blocks are missing.
 
     Example:
         >>> from covariant.metrics import Grid, Variable, map_grid, open_grid
@@ -139,10 +139,10 @@ def finish(path: Path) -> None:
 
 
 def written(path: Path, n: int) -> set[tuple[int, ...]]:
-    """Indices of the blocks that are done, of which none has lost a chunk."""
+    """List the indices of blocks that are done and have all their chunks."""
     attributes = _attributes(path)
     blocks = _chunks(path / DONE, n)  # a chunk of `done` exists only where the flag is set
-    # A chunk may be lost while its flag is set, by a copy that was cut short for example.
+    # A chunk may be lost while its flag is set, for example by an incomplete copy.
     for name, variable in attributes["variables"].items() if attributes.get(ALL_CHUNKS) else ():
         # The axes of the variable itself are never cut: each has one chunk, 0.
         blocks &= {index[:n] for index in _chunks(path / name, n + len(variable["shape"]))}
@@ -150,7 +150,7 @@ def written(path: Path, n: int) -> set[tuple[int, ...]]:
 
 
 def _chunks(array: Path, n: int) -> set[tuple[int, ...]]:
-    """Indices of the chunks of an array of n axes that exist."""
+    """List the indices of the existing chunks of an array of n axes."""
     # The chunks are listed, not read: reading would open every chunk of the grid, of which only a few exist at first.
     chunks = (array / "c").glob("/".join("*" * n))
     # A name that is no number is a file that a writer has not moved to its place yet.

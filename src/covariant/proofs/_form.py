@@ -51,7 +51,7 @@ class Formed(NamedTuple):
 
 
 class Form(NamedTuple):
-    """A symmetric matrix of variables z (d,), as a graph of scalars. Its numbers are those of the graph.
+    """A symmetric matrix of variables z (d,), as a graph of scalars, from which its numbers are computed.
 
     Attributes:
         graph: Function that writes its graph, with conditions, for the shape of z.
@@ -72,10 +72,10 @@ class Form(NamedTuple):
         return to_jax(self.graph(z).entries)(z)
 
     def at(self, points: Float[np.ndarray, "k d"]) -> Float[np.ndarray, "k *shape"]:
-        """The matrices at many points, in NumPy.
+        """Compute the matrices at many points, in NumPy.
 
         Args:
-            points: One row a point.
+            points: The points, one in each row.
         """
         return np.asarray(numbers(self.graph(jnp.asarray(points[0])).entries, points))
 

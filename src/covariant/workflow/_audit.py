@@ -106,7 +106,7 @@ class AuditResult(AbstractResult):
 
     @property
     def passed(self) -> bool:
-        """Whether no law is violated, and at least one was measured; laws that were skipped do not count."""
+        """Whether at least one law was measured and none is violated; skipped laws do not count."""
         return self.audit.passed
 
     @property

@@ -103,8 +103,8 @@ def certify(
         interval: Shortest and longest time between two samples [s], for a statement about the observer with sampled
             measurements; without it the observer runs in continuous time.
         lost: With `interval`, how many samples in a row may be lost.
-        lost_rows: Whether each of them is still a row ("empty") or may have none ("missing"), so that one step of the
-            observer covers the gap.
+        lost_rows: Whether each lost sample is still a row ("empty"), or its row may be missing ("missing"), so that one
+            step of the observer covers the gap.
         boxes: Effort: boxes that may be evaluated, the same on every machine.
         seconds: A limit of time [s] besides, for each of the proofs.
         processes: Processes to prove with. With several, a script needs the `if __name__ == "__main__"` guard.
@@ -166,14 +166,16 @@ def certify(
     }
     recipe = models.recipe(name, overrides) if isinstance(model, str | os.PathLike) else None
 
-    def longest(chosen: Mapping[str, Any]) -> float:
+    def longest_prediction(chosen: Mapping[str, Any]) -> float:
         steps = lost + 1 if lost_rows == "missing" else 1
         return steps * check_interval(chosen["interval"], lost, lost_rows)[1]
 
     def prove(**changes: Any) -> ContractionCertificate:
         chosen = settings | changes
         return certificates.certify(
-            designed.inner if interval is None else designed.within(chosen["velocity"], longest(chosen)),
+            designed.inner
+            if interval is None
+            else designed.with_substeps_for(chosen["velocity"], longest_prediction(chosen)),
             recipe=recipe,
             progress=lambda what, share, count: progress(f"proving {what}, {count} boxes", share),
             **chosen,

@@ -62,8 +62,8 @@ class Design(NamedTuple):
         inner = kind_of(self.file).with_fixed_substeps(self.inner, rate, y)
         return dataclasses.replace(self.observer, observer=inner) if isinstance(self.observer, Gated) else inner
 
-    def within(self, velocity: Any, step: float) -> Any:
-        """The observer behind the gate with as many substeps as motions within bounds (n,) need in a step [s]."""
+    def with_substeps_for(self, velocity: Any, step: float) -> Any:
+        """Give the observer without its gate as many substeps as motions up to a velocity (n,) need in one step [s]."""
         if not chooses_substeps(self.inner):
             return self.inner
         model: Any = self.file.model

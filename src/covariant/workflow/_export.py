@@ -103,9 +103,9 @@ def export(
         parameters: Numbers of the model that may be changed at run time; all by default, none for an empty list.
         flash: Most bytes of code and constants: where straight C is estimated to take more, like statements become
             loops over tables, which take more time.
-        certificate: A saved certificate (.json) of this observer, for the data sheet. One for sampled measurements
-            makes a proved bound of the error a part of every step, if the numbers are doubles; it takes the number of
-            substeps from the certificate, and all numbers are constants, since the proof is about them.
+        certificate: A saved certificate (.json) of this observer, for the data sheet. With a certificate for sampled
+            measurements, and doubles, every step also returns a proved bound of the error. The number of substeps is
+            then that of the certificate, and all numbers are constants, since the proof holds only for them.
         metric: A metric on a grid (.zarr) for the observer riccati, as `design_metric` stores it.
         fmi: Version of FMI of a unit, "3.0" (the default) or "2.0".
         lag: Estimate each time this much later [s], from all samples up to then, as `smooth` with this lag does; of a
@@ -167,11 +167,13 @@ def export(
     fixed = designed.observer if unit else designed.with_fixed_substeps(rate, measured)
     proved, kept = "", None
     if certificate is not None:
-        kept, proved = _verified(Path(certificate), model, overrides, designed, rate)
+        kept, proved = _verify_certificate(Path(certificate), model, overrides, designed, rate)
         if kept.sampling is not None and kept.sampling.substeps is not None:
             fixed = _with_substeps(designed.observer, kept.sampling.substeps)
     substeps = getattr(getattr(fixed, "observer", fixed), "substeps", None)
-    bounded = kept is not None and kept.sampling is not None and real == "double"
+    sampling = None if kept is None else kept.sampling
+    # Where the observer chooses its substeps, errors of predictions are not proved, and so is no bound.
+    bounded = sampling is not None and sampling.substeps is not None and real == "double"
     if bounded and parameters:
         raise ValueError("the certificate is about the numbers of the model as they are; leave out `parameters`")
     # Only an observer with a model can predict from the time of a late reading to the present.
@@ -184,14 +186,23 @@ def export(
     progress(f"writing {prefix}")
     if bounded and delayed is fixed and kept is not None:
         delayed = kept.bounded(fixed, radius=kept.radius)
-        description = f"{description} {_start_line(kept)}"
-    # The others have no number of the model.
+        description, proved = f"{description} {_describe_start(kept)}", "\n".join([proved, *_list_premises()])
+    unbounded = ""
+    if sampling is not None and not delayed.fixed_numbers:
+        reason = "is about measurements without delays"
+        if sampling.substeps is None:
+            reason = "is about an observer that chooses its substeps, of which the errors of predictions are not proved"
+        elif real != "double":
+            reason = "is about doubles"
+        unbounded = f"no bound of the error is a part of the step, since the certificate {reason}"
+        proved = f"{proved}\n\nIn this code {unbounded}."
+    # Other observers have no parameters of the model.
     opened = family if entry.knows_model and not delayed.fixed_numbers else None
     written = _program(label, delayed, opened, file, parameters, real, measured[0], unit, step_per_sensor)
     read = tuple(name for part in designed.sensors for name in part.signals)
     written = written._replace(signals=kind_of(file).signals(written.u, read))
     broken = _broken_laws(designed.inner) if audit else ""
-    warnings = [line for line in (broken, assumed) if line]
+    warnings = [line for line in (broken, assumed, unbounded) if line]
     if unit:
         version: Any = fmi or VERSIONS[0]
         packed = fmu(written, prefix, description, rate, measured[0], version)
@@ -392,25 +403,32 @@ def _open_numbers(parameters: dict[str, Any]) -> tuple[str, ...]:
 
 
 def _with_substeps(observer: Any, substeps: int) -> AbstractObserver:
-    """The observer, perhaps behind a gate, with a number of Runge–Kutta steps in each prediction."""
+    """Set the number of Runge–Kutta steps in each prediction of an observer, which may have a gate."""
     if isinstance(observer, Gated):
         return dataclasses.replace(observer, observer=_with_substeps(observer.observer, substeps))
     return dataclasses.replace(observer, substeps=substeps)
 
 
-def _start_line(certificate: certificates.ContractionCertificate) -> str:
-    """What the bound in generated code assumes of the start."""
+def _describe_start(certificate: certificates.ContractionCertificate) -> str:
+    """Describe which initial errors the bound in generated code assumes."""
     where = certificate.start or f"within {certificate.radius:.4g} in the metric of the certificate"
+    reasons = ", ".join(f"{int(each)} {each.name.lower()}" for each in certificates.Premise if each > 0)
     return (
         "position_bound and velocity_bound are proved bounds of the errors of the estimate while premise is 0, else "
-        f"infinite; they assume that the errors of the first estimate are within these, all at once: {where}."
+        "infinite, and not a number before the first step; they assume that the errors of the first estimate are "
+        f"within these, all at once: {where}. Other values of premise say what is not known to hold: {reasons}."
     )
 
 
-def _verified(
+def _list_premises() -> list[str]:
+    """List what the numbers of `premise` mean, for the data sheet."""
+    return ["", "Values of `premise`:", "", *(f"- {int(each)}: {each.message}" for each in certificates.Premise)]
+
+
+def _verify_certificate(
     path: Path, model: Any, overrides: Overrides, designed: Design, rate: float
 ) -> tuple[certificates.ContractionCertificate, str]:
-    """A saved certificate and lines on what it says of this observer; raises `ValueError` where it is of another."""
+    """Check a saved certificate of this observer, and return it with its statement as lines; raises `ValueError`."""
     document, name = certificates.parse(path), models.spec_name(model)
     if not isinstance(model, str | os.PathLike) or document.recipe != (recipe := models.recipe(name, overrides)):
         raise ValueError(f"{path}: the certificate is for another model, or other numbers, than {name}")
@@ -439,7 +457,8 @@ def _verified(
     ]
     if designed.inner is not designed.observer:
         lines += ["", beyond_proof(0 if sampling is None else sampling.lost)]
-    return certificates.ContractionCertificate.load(path, model=attribute), "\n".join(lines)
+    certificate = certificates.ContractionCertificate.load(path, model=attribute)
+    return certificate._replace(verified=True), "\n".join(lines)
 
 
 def beyond_proof(lost: int) -> str:

@@ -99,7 +99,7 @@ def write_model(model: Any, path: str | Path, overwrite: bool, head: str, conten
         _refuse_source(urdf[0], source)
         check_model_output(model, path, overwrite, urdf=True)
     text = head + models.rewrite(model_text(model), content)
-    # Both or none where the disk is full: the old model file would name a robot with the new inertias.
+    # Both files or none, also on a full disk: otherwise the old model file would refer to a robot with new inertias.
     beside = {} if urdf is None else {urdf[0]: urdf[1].encode()}
     write_together({**beside, Path(path): text.encode()})
     return Path(path)

@@ -6,7 +6,7 @@ import numpy as np
 
 from covariant._typing import Numbers
 from covariant.certificates import MetricDesign, observer_gain
-from covariant.certificates.base import without_jumps
+from covariant.certificates.base import show_no_jumps
 from covariant.lowering import jacobian
 from covariant.models import StateSpace
 
@@ -34,8 +34,8 @@ def contracting_gain(
         effort: Weight of the norm of MK beside the condition number of M, as for `certificates.observer_gain`.
 
     Returns:
-        The design: gain K (n, p), metric M (n, n), its condition number, and the statement. It is undecided where f or
-        h may jump between the states, and "sampled" where they have no graph, so that JAX has to differentiate them.
+        The design: gain K (n, p), metric M (n, n), its condition number, and the statement. It is undecided if f or h
+        may jump between the states, and "sampled" if they have no graph, so that JAX has to differentiate them.
 
     Raises:
         ValueError: The states or inputs do not fit the model, or no gain attains the rate.
@@ -70,7 +70,7 @@ def contracting_gain(
     premises = (
         premise
         for what, function in (("f", model.f), ("h", model.h))
-        for premise in without_jumps(what, lambda x, u, function=function: function(time, x, u), (x, u), names)
+        for premise in show_no_jumps(what, lambda x, u, function=function: function(time, x, u), (x, u), names)
     )
     statement = design.statement
     return design._replace(statement=statement._replace(hypotheses=(*statement.hypotheses, *premises)))

@@ -34,7 +34,7 @@ from covariant.proofs import Box, check_box
 FLOOR = 1e-9
 """Differences below this fraction of the correction are rounding, and no order is fitted to them."""
 RESOLVED = 1e-6
-"""Largest spacing of floating-point numbers around a coordinate, as a fraction of the smallest error that is used."""
+"""Largest spacing of floating-point numbers near a coordinate, as a fraction of the smallest error that is used."""
 CANDIDATES = 16
 """Configurations drawn for each one needed, since a chart may be singular at some points of the box."""
 
@@ -72,7 +72,7 @@ class Law(NamedTuple):
 
     @property
     def passed(self) -> bool:
-        """Whether the law is not violated: it holds or is skipped. Only a verdict "holds" has evidence."""
+        """Whether the law is not violated: it holds or is skipped. Only the verdict "holds" is evidence for the law."""
         return self.verdict != "fails"
 
     @property
@@ -259,7 +259,7 @@ def audit(
         error: largest position error for the laws that need one [units]; 0.1 and 0.01 of it are used too.
         points: number of states.
         seed: of their random numbers.
-        laws: names of the laws to measure, all of `LAWS` by default. Where none is measured the verdict is undecided.
+        laws: names of the laws to measure, all of `LAWS` by default. If none can be measured, the verdict is undecided.
 
     Returns:
         The laws with their deviations.
@@ -288,7 +288,7 @@ def audit(
     # Three errors, each ten times the one before, from whose differences an order is fitted.
     gain_pair, errors = (jnp.asarray(alpha), jnp.asarray(beta)), error * np.array([1e-2, 1e-1, 1.0])
     if not (np.spacing(np.abs(coordinates)) < RESOLVED * errors[0]).all():
-        # An estimate that rounds to the measurement has no error, and every observer would agree with every other.
+        # If the estimate rounds to the measurement, the error is zero, and any two observers agree.
         raise ValueError(
             f"audit: an error of {error:g} is lost in the rounding of coordinates up to {np.abs(coordinates).max():g}; "
             "give a larger error, or a domain closer to 0"

@@ -91,7 +91,7 @@ from ._noise import (
 )
 from ._properties import (
     PERIODIC as PERIODIC,
-    graphs as graphs,
+    lower_model as lower_model,
     need_known as need_known,
     need_symmetry as need_symmetry,
 )
@@ -100,11 +100,11 @@ from ._recipe import (
     check_observer as check_observer,
     check_recipe as check_recipe,
     check_replacement as check_replacement,
-    same_observer as same_observer,
+    is_same_observer as is_same_observer,
 )
 from ._region import Bounds as Bounds, Region as Region, amount as amount, positive as positive, region_of as region_of
 from ._sampling import Loss as Loss, Sampling as Sampling, unit_reach as unit_reach
-from ._smoothness import ANALYTIC as ANALYTIC, without_jumps as without_jumps
+from ._smoothness import ANALYTIC as ANALYTIC, show_no_jumps as show_no_jumps
 from ._start import Start as Start, start_claim as start_claim, start_of as start_of
 from ._statement import (
     Evidence as Evidence,
@@ -112,6 +112,7 @@ from ._statement import (
     Statement as Statement,
     Verdict as Verdict,
     lines as lines,
+    need_doubles as need_doubles,
 )
 from ._steady import disturbance_sizes as disturbance_sizes, loss_of as loss_of, steady_of as steady_of
 from ._tangent_metric import (

@@ -199,7 +199,7 @@ class AbstractClaim(abc.ABC):
 
     @classmethod
     def _defaults(cls) -> dict[str, Any]:
-        """The numbers that a file need not state."""
+        """Values of the numbers that a file may leave out."""
         return {field.name: field.default for field in dataclasses.fields(cls) if field.default != dataclasses.MISSING}
 
 
@@ -333,12 +333,12 @@ class MissingClaim(AbstractClaim):
 class PredictionClaim(AbstractClaim):
     """The k-th derivative of the defect of Runge–Kutta steps, over k!, is shorter than `√square`.
 
-    So the defect after a step of length s is at most `s^k √square`, and the step is off by `s^(k+1) √square/(k+1)`.
+    Hence the defect after a step of length s is at most `s^k √square`, and the step is off by `s^(k+1) √square/(k+1)`.
 
     Attributes:
         square: square of the bound.
-        order: k, from 0 to the order of the steps. Derivatives of steep friction are large, and a low one may have a
-            bound where a high one has none.
+        order: k, from 0 to the order of the steps. Derivatives of steep friction are large, and one of low order may
+            have a bound when one of high order has none.
     """
 
     square: float
@@ -356,7 +356,7 @@ class PredictionClaim(AbstractClaim):
         return "the defect of the Runge–Kutta steps of a prediction keeps its bound"
 
     def defect(self, longest: float) -> float:
-        """Return what steps up to a length [s] add to a distance in a second."""
+        """Compute how much steps of up to this length [s] add to a distance per second [1/s]."""
         return longest**self.order * math.sqrt(self.square) / (self.order + 1)
 
     def bounds(self, low: np.ndarray, high: np.ndarray, n: int, sampling: Sampling | None) -> Ends:

@@ -247,7 +247,7 @@ def write(path: str | Path, document: dict[str, Any], check: Callable[[Document]
     Args:
         path: the file.
         document: its content, as data for JSON.
-        check: called with the content as `parse` reads it; what it raises stops the writing.
+        check: called with the content as `parse` reads it; if it raises, nothing is written.
 
     Returns:
         The path.

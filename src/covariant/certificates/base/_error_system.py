@@ -99,7 +99,7 @@ def entries_read(function, *arguments: Array) -> set[int]:
 
 
 def inputs_of(lowered: Lowered) -> set[int]:
-    """Determine which inputs a graph of a function of real numbers reads."""
+    """Determine which of its inputs the graph of a real function reads, in values or in conditions."""
     assert lowered.conditions is not None
     # What a condition depends on is read as well: such an entry may decide where the function is defined.
     graphs = lowered.graph, lowered.conditions.graph

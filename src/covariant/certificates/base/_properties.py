@@ -1,8 +1,8 @@
-"""Properties of a model that a proof relies on, shown from what the model does, and not read where they are declared.
+"""Properties of a model that a proof relies on, verified on the graphs of its functions and not read from a class.
 
-How the retraction, the logarithm and the frame of a manifold belong together no graph of a single function shows. The
-tests of this library hold these laws for its own classes, so that others are refused. What a space, a force or a
-friction does not depend on is shown on its graph, whatever its class.
+No graph of a single function shows that the retraction, the logarithm and the frame of a manifold belong together. The
+tests of this library verify these laws for its own manifolds, and other manifolds are refused. Spaces, forces and
+frictions may be of any class, since their graphs show what they depend on.
 """
 
 import functools
@@ -29,13 +29,13 @@ OF_SPACES = {
 
 
 def need_known(model: MechanicalSystem) -> None:
-    """Refuse a system or a manifold of a class that is not of this library, and circles that are not shown to be."""
+    """Refuse systems and manifolds of other classes than those of this library, and circles that are not periodic."""
     if type(model) not in MODELS:
         raise ValueError(
             "certificates are about a MechanicalSystem, a Lagrangian or a GroupSystem itself; got "
             f"{type(model).__name__}, which may replace what these derive: build one of them from its functions"
         )
-    unknown = next((each for each in _factors(model.manifold) if type(each) not in MANIFOLDS), None)
+    unknown = next((each for each in _all_factors(model.manifold) if type(each) not in MANIFOLDS), None)
     if unknown is not None:
         raise ValueError(
             "certificates are about the manifolds of this library; that retraction, logarithm and frame of "
@@ -45,14 +45,14 @@ def need_known(model: MechanicalSystem) -> None:
         _need_periodic(model)
 
 
-def _factors(manifold: AbstractManifold) -> Iterator[AbstractManifold]:
+def _all_factors(manifold: AbstractManifold) -> Iterator[AbstractManifold]:
     yield manifold
     for factor in manifold.factors:
-        yield from _factors(factor)
+        yield from _all_factors(factor)
 
 
-def graphs(model: MechanicalSystem, n: int) -> Iterator[tuple[str, Lowered]]:
-    """The functions that a model is made of, by name, as graphs of time, configuration, velocity, input and vectors."""
+def lower_model(model: MechanicalSystem, n: int) -> Iterator[tuple[str, Lowered]]:
+    """Yield the name and graph of each function of a model, of time, configuration, velocity, input and vectors."""
     q = jnp.zeros(n) if model.manifold.commuting else model.manifold.origin()
     space, v = model.space, model.manifold.zero(q)
     example = jnp.zeros(()), q, v, jnp.zeros(input_count(model, v.size)), v, v, v
@@ -74,15 +74,15 @@ def graphs(model: MechanicalSystem, n: int) -> Iterator[tuple[str, Lowered]]:
 
 
 def _need_periodic(model: MechanicalSystem) -> None:
-    """Check that a model repeats itself after a turn of each coordinate that it calls a circle."""
-    for name, lowered in graphs(model, len(model.coordinates)):
+    """Check that a model is periodic in each coordinate that it calls a circle."""
+    for name, lowered in lower_model(model, len(model.coordinates)):
         assert lowered.conditions is not None
         graph, conditions, _ = lowered.conditions
-        # That a number which folding has dropped is finite holds after a turn as well.
+        # Conditions "finite" concern numbers that folding dropped. A turn does not change them.
         defined = [condition.node for condition in conditions if condition.kind != "finite"]
         for circle in model.circles:
             # The inputs of the graphs are the time, and then the coordinates.
-            turns, turns_of_conditions = _turns(lowered.graph, 1 + circle), _turns(graph, 1 + circle)
+            turns, turns_of_conditions = _count_turns(lowered.graph, 1 + circle), _count_turns(graph, 1 + circle)
             if any(turns[i] != 0 for i in lowered.outputs) or any(turns_of_conditions[i] != 0 for i in defined):
                 raise ValueError(
                     f"{model.coordinates[circle]} is called a circle, but the {name} of this model is not shown to be "
@@ -91,15 +91,15 @@ def _need_periodic(model: MechanicalSystem) -> None:
                 )
 
 
-def _turns(graph: Graph, place: int) -> list[float]:
-    """By how many turns each node grows with one turn of an input, exactly; NaN where this is not known."""
+def _count_turns(graph: Graph, place: int) -> list[float]:
+    """Count exactly by how many turns each node grows in one turn of an input; NaN for nodes where it is unknown."""
     turns: list[float] = []
     for node in graph.nodes:
         read = [turns[i] for i in node.arguments]
         factors = [graph.nodes[i].value if graph.nodes[i].op == "constant" else np.nan for i in node.arguments]
         if node.op == "input":
             turns.append(float(node.value == place))
-        elif not any(read):  # NaN is true
+        elif not any(read):  # NaN counts as true
             turns.append(0.0)
         elif node.op == "add":
             turns.append(read[0] + read[1])
@@ -117,11 +117,11 @@ def _turns(graph: Graph, place: int) -> list[float]:
 
 
 def need_symmetry(model: MechanicalSystem) -> None:
-    """Check that on a group nothing of space or friction depends on the configuration, and that inertia is linear."""
+    """Check that space and friction on a group do not depend on the configuration, and that the inertia is linear."""
     origin = model.manifold.origin()
     rest = model.manifold.zero(origin)
-    for name, lowered in graphs(model, rest.size):
-        if name == "force":  # a variable of the box in its own right
+    for name, lowered in lower_model(model, rest.size):
+        if name == "force":  # the force is a variable of the box
             continue
         read = inputs_of(lowered)
         indices = [np.unravel_index(k, origin.shape) for k in range(origin.size) if 1 + k in read]

@@ -5,8 +5,8 @@ most W to them in a second, so that at the age h of the measurement the distance
 
     a = e^(−μh) r + (1 − e^(−μh)) W/μ + hE
 
-with E for the errors of the prediction's Runge–Kutta steps. By the claim "prediction" of order k their defect after a
-step of length s is at most s^k √square, and its integral over the step s^(k+1) √square/(k+1). Hence
+with E for the errors of the prediction's Runge–Kutta steps. By the claim "prediction" of order k, the defect
+after a step of length s is at most s^k √square, and its integral over the step at most s^(k+1) √square/(k+1). Hence
 `E = σ^k √square/(k+1)` with the longest step σ.
 The correction by a measurement with an error then leads to at most `√(a² + G) + hD(a + β)`: G is proved with the
 correction, as the sum of the diagonal of Γ, and the last term is what the factor 1/(1 + s/18) of the correction that

@@ -1,4 +1,4 @@
-"""Whether a recipe, which a statement prints, builds the model that the statement is about."""
+"""Comparison of the recipe that a statement prints with the model that the statement is about."""
 
 from typing import Any
 
@@ -7,7 +7,7 @@ import numpy as np
 
 from covariant.certificates.base._document import Document
 from covariant.certificates.base._intrinsic import Intrinsics, observer_document
-from covariant.certificates.base._properties import graphs
+from covariant.certificates.base._properties import lower_model
 from covariant.certificates.base._statement import exact
 from covariant.models import MechanicalSystem, StateSpace, rebuild
 from covariant.proofs import graph_rows
@@ -16,10 +16,10 @@ NAMES = "coordinates", "units", "velocities", "velocity_units", "inputs", "circl
 
 
 def check_recipe(model: MechanicalSystem | StateSpace, recipe: dict[str, Any] | None) -> None:
-    """Check that a recipe builds this model: the same parameters, names and units, and the same functions as graphs.
+    """Check that a recipe builds this model: equal parameters, names and units, and equal graphs of the functions.
 
-    A statement prints the recipe, and a proof reads the model. A recipe by another name that builds the same model is
-    as good. Code that a recipe names is run only where `models.recipe` has run it in this process.
+    A statement prints the recipe, and a proof reads the model. The name of the recipe does not matter. Code that a
+    recipe names is run only if `models.recipe` has run it in this process.
     """
     if recipe is None:
         return
@@ -31,7 +31,7 @@ def check_recipe(model: MechanicalSystem | StateSpace, recipe: dict[str, Any] | 
                 "not known, since code that a recipe names is not run; give the result of `models.recipe` itself"
             )
         return
-    difference = _difference(model, rebuilt)
+    difference = _describe_difference(model, rebuilt)
     if difference:
         raise ValueError(
             f"recipe: it builds another model than that of the observer: {difference}; give the recipe of this model, "
@@ -40,7 +40,7 @@ def check_recipe(model: MechanicalSystem | StateSpace, recipe: dict[str, Any] | 
 
 
 def check_replacement(model: MechanicalSystem | StateSpace, recipe: dict[str, Any], finished: bool) -> None:
-    """Check that a model that was given in place of that of a recipe has the numbers of the recipe."""
+    """Check that a model which replaces the one of a recipe has the numbers of the recipe."""
     if "system" in recipe:
         check_recipe(model, recipe)
     stated = getattr(model, "parameters", {})
@@ -54,10 +54,10 @@ def check_replacement(model: MechanicalSystem | StateSpace, recipe: dict[str, An
 
 
 def check_observer(document: Document, observer: Intrinsics) -> None:
-    """Check that a certificate is about an observer, before it is printed beside it.
+    """Check that a certificate is about a given observer.
 
-    Use it where a certificate is handed on with an observer that was designed anew, such as one that is exported. The
-    gains have to be the same numbers to the last digit, and the model the one that the recipe builds.
+    Use it before you publish a certificate with an observer that was designed again, such as one that is exported. The
+    gains must agree to the last digit, and the recipe of the certificate must build the observer's model.
 
     Args:
         document: the content of the certificate, as from `parse`.
@@ -97,18 +97,18 @@ def check_observer(document: Document, observer: Intrinsics) -> None:
         raise ValueError(f"{document.file}: {error}") from error
 
 
-def same_observer(observer: Any, certified: Any) -> bool:
-    """Whether an observer takes the steps of a certified one: the same kind, gains, options, substeps and model."""
+def is_same_observer(observer: Any, certified: Any) -> bool:
+    """Whether an observer has the kind, gains, options, substeps and model of a certified one."""
     return observer is certified or (
         type(observer) is type(certified)
         and observer_document(observer) == observer_document(certified)
         and observer.substeps == certified.substeps
-        and not _difference(observer.model, certified.model)
+        and not _describe_difference(observer.model, certified.model)
     )
 
 
-def _difference(model: Any, rebuilt: Any) -> str:
-    """The first thing in which two models differ, in words; empty for models that are the same."""
+def _describe_difference(model: Any, rebuilt: Any) -> str:
+    """Describe the first difference of two models; empty for equal models."""
     if type(rebuilt) is not type(model) or type(rebuilt.space) is not type(model.space):
         kinds = (f"{type(each).__name__} on {type(getattr(each, 'space', each)).__name__}" for each in (rebuilt, model))
         return "it builds a {}, and the observer has a {}".format(*kinds)
@@ -123,7 +123,7 @@ def _difference(model: Any, rebuilt: Any) -> str:
     if jax.tree.structure(model.manifold) != jax.tree.structure(rebuilt.manifold):
         return f"its manifold is {rebuilt.manifold}, and that of the model is {model.manifold}"
     n = len(model.coordinates or model.velocities)
-    for (name, ours), (_, theirs) in zip(graphs(model, n), graphs(rebuilt, n), strict=True):
+    for (name, ours), (_, theirs) in zip(lower_model(model, n), lower_model(rebuilt, n), strict=True):
         if graph_rows(ours) != graph_rows(theirs):
             return f"the {name} differs, in its formula or its numbers"
     return ""

@@ -16,9 +16,9 @@ class Sampling(NamedTuple):
         lost: largest number of samples lost in a row.
         slopes: R_1, R_2, … (k, 2, 2) of the metric; R_0 is the matrix Q of the certificate.
         shear: whether the frame of the metric is sheared with the age of the measurement.
-        substeps: number of Runge–Kutta steps in a prediction; None where the observer chooses it.
-        missing_rows: whether lost samples may be rows that are missing, so that one prediction goes over all of them.
-            By default each lost sample is a row without a measurement, and so a prediction of its own.
+        substeps: number of Runge–Kutta steps in a prediction; None if the observer chooses it.
+        missing_rows: whether the rows of lost samples may be missing, so that one prediction covers all of them. By
+            default each lost sample is a row without a measurement, and so a separate prediction.
 
     Example:
         >>> import numpy as np

@@ -1,4 +1,4 @@
-"""What the graph of a function says about how smooth it is."""
+"""Smoothness of a function, read from its graph."""
 
 from collections.abc import Callable, Sequence
 
@@ -10,20 +10,20 @@ from covariant.lowering import LoweringError, lower
 from covariant.proofs import Box, show_conditions
 
 JUMPS = ("decided", "whole")
-"""Kinds of conditions without which a function may jump."""
+"""Kinds of conditions that exclude jumps."""
 ANALYTIC = {
     *("input", "constant", "add", "sub", "neg", "mul", "div", "sin", "cos", "exp", "log", "sqrt", "atan", "stumpff"),
 }
-"""Operations with derivatives of all orders, wherever they are defined."""
+"""Operations that have derivatives of all orders wherever they are defined."""
 
 
-def without_jumps(
+def show_no_jumps(
     what: str, function: Callable, arguments: Sequence[np.ndarray], names: Sequence[str]
 ) -> tuple[Hypothesis, ...]:
-    """The premise that a function does not jump between states (k, …); none where its graph has nothing that jumps."""
+    """Prove that a function does not jump between states (k, …), as a premise; none if its graph has no jumps."""
     try:
         conditions = lower(function, *(jnp.asarray(rows[0], float) for rows in arguments), real=True).conditions
-    except LoweringError:  # its derivatives are those of JAX, each of which is compared with differences of values
+    except LoweringError:  # then JAX differentiates it, and the derivatives are compared with differences of values
         return (Hypothesis(f"the derivatives of {what} are the slopes of its values at each of the states", "sampled"),)
     assert conditions is not None
     noted = conditions._replace(conditions=tuple(c for c in conditions.conditions if c.kind in JUMPS))

@@ -6,6 +6,8 @@ import typing
 from collections.abc import Iterable
 from typing import Any, Literal, NamedTuple
 
+import jax
+
 Verdict = Literal["holds", "fails", "undecided"]
 Evidence = Literal["proved", "sampled", "claimed", "assumed"]
 
@@ -33,8 +35,8 @@ class Hypothesis:
         place: where the margin is least, or where the premise fails, in words; may be empty.
 
     Raises:
-        ValueError: another word for the evidence or the verdict, or a premise that holds by a margin that is not a
-            number.
+        ValueError: The evidence or the verdict is an unknown word, the premise holds with a margin of NaN, or something
+            is proved while JAX has no doubles.
 
     Example:
         >>> from covariant.certificates import Hypothesis
@@ -50,9 +52,11 @@ class Hypothesis:
 
     def __post_init__(self):
         for field, kind in (("evidence", Evidence), ("verdict", Verdict)):
-            # The sets are closed: a verdict is computed from these words, and another one would count as nothing.
+            # A verdict is computed from these words, and would ignore an unknown one.
             if (word := getattr(self, field)) not in (known := typing.get_args(kind)):
                 raise ValueError(f"Hypothesis: {field} must be one of {', '.join(known)}; got {word!r}")
+        if self.evidence == "proved":
+            need_doubles("a proof")
         if self.verdict == "holds" and self.margin is not None and math.isnan(self.margin):
             raise ValueError(f"Hypothesis: {self.text!r} cannot hold by a margin that is not a number")
 
@@ -60,6 +64,12 @@ class Hypothesis:
         label = self.evidence if self.verdict == "holds" else self.verdict
         margin = "" if self.margin is None else f", margin {self.margin:.4g}"
         return f"{label}: {self.text}{margin}{f', at {self.place}' if self.place else ''}"
+
+
+def need_doubles(what: str) -> None:
+    """Refuse to prove in single precision, in which a function is traced with other constants than were written."""
+    if not jax.config.jax_enable_x64:  # pyright: ignore[reportAttributeAccessIssue]
+        raise ValueError(f"{what} needs doubles, and jax_enable_x64 is off; turn it on before the model is made")
 
 
 class Statement(NamedTuple):

@@ -245,5 +245,5 @@ def tangent_metric(metric: MatrixField, q: TwoByTwo) -> StateMetric:
 
 
 def lowered_christoffel(change: Float[Array, "n n n"]) -> Float[Array, "n n n"]:
-    """Christoffel symbols `Γ_ijk = ½(∂_i g_jk + ∂_j g_ik − ∂_k g_ij)`, of the first kind, of ∂g[i, j, k] = ∂_k g_ij."""
+    """Compute `Γ_ijk = ½(∂_i g_jk + ∂_j g_ik − ∂_k g_ij)`, of the first kind, from `change[i, j, k] = ∂_k g_ij`."""
     return (jnp.transpose(change, (2, 0, 1)) + jnp.transpose(change, (0, 2, 1)) - change) / 2

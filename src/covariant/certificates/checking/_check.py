@@ -40,17 +40,17 @@ from covariant.proofs.checker import ROUND, SavedTree, TaylorEnclosure, show_def
 DEPTH, DEEPEST = 24, 200
 """How often a leaf may be halved, and how often the box of inputs may be."""
 SHARE, PARTS = 1024, 8
-"""Number of leaves in a job of one process, more where a claim would have more than so many jobs."""
+"""Least number of leaves in a job of one process, and largest number of jobs for a claim, which then are larger."""
 
 
 class Job(NamedTuple):
-    """Boxes on which one statement is to be shown.
+    """Boxes on which one claim or condition is to be proved.
 
     Attributes:
-        what: index of a claim, or name of a further condition.
+        what: index of a claim, or name of another condition.
         low: lower corners (m, d).
         high: upper corners (m, d).
-        numbers: numbers (m,) of the boxes in the tree of the claim; None for boxes that are shown as they are.
+        numbers: numbers (m,) of the boxes in the tree of the claim; None for boxes without a tree.
         leaves: number of leaves of the boxes.
     """
 
@@ -213,7 +213,7 @@ def _jobs(document: Document) -> Iterator[Job]:
         yield from itertools.starmap(Job, sampled.friction_jobs(document))
     yield from itertools.starmap(Job, sampled.sampled_jobs(document, pins))
     for index, claim in enumerate(document.claims):
-        tree, (low, high) = _tree(document, index), document.bounds(claim)
+        tree, (low, high) = _read_tree(document, index), document.bounds(claim)
         numbers, lows, highs = tree.boxes(np.zeros(1, int), low[None], high[None], SHARE)
         ends = np.cumsum(tree.leaves[numbers])
         part = (ends - 1) // max(SHARE, -(-int(ends[-1]) // PARTS))
@@ -221,8 +221,8 @@ def _jobs(document: Document) -> Iterator[Job]:
             yield Job(index, lows[chosen], highs[chosen], numbers[chosen], int(tree.leaves[numbers[chosen]].sum()))
 
 
-def _tree(document: Document, index: int) -> SavedTree:
-    """The tree of boxes of a claim."""
+def _read_tree(document: Document, index: int) -> SavedTree:
+    """Read the tree of boxes of a claim."""
     claim = document.claims[index]
     return SavedTree.read(len(document.bounds(claim)[0]), claim.levels, f"claim {index}")
 
@@ -287,8 +287,8 @@ class Judge:
         """Prepare to judge the jobs of one document."""
         self.until = until
         self.file, self.matrix = resolved.document.file, functools.cache(functools.partial(_matrix, resolved))
-        # The last one only: trees are large, and jobs of a claim follow each other.
-        self.tree = functools.lru_cache(1)(functools.partial(_tree, resolved.document))
+        # Only the last tree is cached: trees are large, and the jobs of a claim follow each other.
+        self.tree = functools.lru_cache(1)(functools.partial(_read_tree, resolved.document))
 
     def __call__(self, job: Job) -> int:
         """Show the leaves of one job to be right."""

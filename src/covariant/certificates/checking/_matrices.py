@@ -1,7 +1,7 @@
 """The claims of a certificate in the form of the checker: JAX functions that must be positive definite, or defined.
 
-They are built from the observer's flow and the frame of the metric, as those of the prover are, but in another way: by
-derivatives of JAX, for functions without the custom derivative rules that JAX was given.
+Like those of the prover, they are built from the observer's flow and the frame of the metric. Unlike there, the
+derivatives are those of JAX, after custom derivative rules are removed.
 """
 
 from collections.abc import Callable

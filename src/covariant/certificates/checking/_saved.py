@@ -35,7 +35,7 @@ def observer_from(document: Document, model: Any = None) -> tuple[Intrinsics, Fl
         described = f"a model in {actual}" if actual else f"a {type(system).__name__}"
         raise ValueError(f"observer.frame {frame!r} needs a mechanical system in it; the recipe makes {described}")
     if model is not None and document.recipe is not None:
-        # The statement prints the numbers of the recipe, whoever gives the model. A finished one has not taken them.
+        # The statement prints the numbers of the recipe. A model that was given as an object was not built from them.
         finished = models.from_recipe(document.recipe, model) is system
         check_replacement(system, document.recipe, finished)
     if document.sampling is not None:

@@ -53,6 +53,7 @@ from covariant.certificates.base import (
     first_velocity,
     force_bounds,
     force_slopes,
+    need_doubles,
     observer_document,
     positive,
     reach_squares,
@@ -136,16 +137,16 @@ def certify(
             in the body frame. Bounds of matrix entries that `position` gives on a group then apply to the measured
             ones.
         disturbance: bound of each component of an unmodelled force, a number or (n,).
-        interval: shortest and longest time [s] between two samples, proved .1 % wider at both ends, for stamps that are
-            rounded: the statement is then about the observer that
-            predicts between samples and corrects at each of them, in a metric that is searched (with clarabel). It
+        interval: shortest and longest time [s] between two samples. The statement is then about the observer that
+            predicts between samples and corrects at each of them, in a metric that is searched (with clarabel). The
+            interval is proved 0.1 % wider at both ends, since stamps are rounded. It
             covers systems in coordinates and on rotations whose force depends on the input alone, on rotations without
             noise and disturbance. Without it the observer runs in continuous time.
         lost: with `interval`, the largest number of samples that may be lost in a row.
         lost_rows: whether each lost sample is still a step with NaN as its measurement ("empty"), or whether its row
             may be "missing", so that one step of the observer covers the whole gap, with longer Runge–Kutta steps.
-        recipe: where the model comes from, as from `models.recipe`; needed to save the certificate. It is printed with
-            its parameters, so it has to build this very model.
+        recipe: where the model comes from, as from `models.recipe`; needed to save the certificate. The statement
+            prints it, so it must build the same model.
         boxes: largest number of boxes for all proofs together, which is the same effort on every machine.
         seconds: an additional limit of time [s] for each proof, which starts when its matrix has been written as a
             graph.
@@ -161,10 +162,12 @@ def certify(
     Raises:
         ValueError: an argument without its bound, an error up to which a logarithm is not unique, friction or force
             that are not covered, a `q` that is not symmetric positive definite, the recipe of another model, or
-            another word for `checker`; with `interval`, two times that are not positive and in order, or `q`.
+            another word for `checker`; with `interval`, two times that are not positive and in order, or `q`;
+            without it, lost samples.
         TypeError: another kind of observer.
         ImportError: with `interval`, the solver clarabel is missing.
     """
+    need_doubles("certify")
     if checker not in CHECKERS:
         raise ValueError(f"certify: checker must be one of {', '.join(CHECKERS)}; got {checker!r}")
     start = time.monotonic()
@@ -181,6 +184,8 @@ def certify(
         raise ValueError(
             "certify: with interval, noise and disturbance are covered in coordinates only; leave them out"
         )
+    if interval is None and (lost or lost_rows != "empty"):
+        raise ValueError("certify: lost samples need interval, the shortest and longest time between two samples")
     region = region_of(observer.model, position, input, times)
     check_recipe(observer.model, recipe)
     effort = Effort(Box((), (), np.zeros(0), np.zeros(0)), boxes, seconds, processes, progress)

@@ -28,16 +28,15 @@ from covariant.certificates.base import (
     observer_document,
     parse,
     reach_squares,
-    same_observer,
     select,
     start_of,
     steady_of,
     value_graph,
     write,
 )
-from covariant.certificates.checking import follows
+from covariant.certificates.checking import check, follows
 from covariant.certificates.sampled import ROUND, Bounded, SampledBound
-from covariant.observers import AbstractObserver, Gated
+from covariant.observers import AbstractObserver
 from covariant.proofs import Box, digest
 
 SAMPLED_ROLES = ("joint force", "friction slope")
@@ -192,15 +191,15 @@ class ContractionCertificate(NamedTuple):
     ) -> Bounded:
         """Build the observer whose step also returns a proved bound of its error, for sampled measurements.
 
-        `init` starts from rest at the first measurement. Its error is bounded by `position` and `velocity`, or by
-        `radius`; otherwise the bounds are infinite until the state gets a radius.
+        `init` starts from rest at the first measurement. The bound needs the error of this start: `position` and
+        `velocity`, or `radius`. Without `velocity` and `radius` all bounds are infinite.
 
         Args:
-            observer: the observer that runs: that of the certificate (default), or the same behind a gate.
-            position: bounds (n,) of the first errors of the positions [unit], or one for all; by default the error of
-                a measurement in the certificate.
+            observer: the observer that runs: that of the certificate (default), or that observer behind a gate.
+            position: bounds (n,) of the position errors at the start [unit], or one for all; by default the `noise` of
+                the certificate.
             velocity: bounds (n,) of the true velocities at the start [unit/s], or one for all.
-            radius: instead of these, the first distance in the metric of the certificate.
+            radius: instead of these, a bound of the distance at the start, in the metric of the certificate.
 
         Returns:
             The observer with its bound.
@@ -215,9 +214,10 @@ class ContractionCertificate(NamedTuple):
             )
         if self.statement.verdict != "holds":
             raise ValueError("no bound beside every sample, since nothing is proved on the region")
-        inner = observer.observer if isinstance(observer, Gated) else observer or self.observer
-        if not same_observer(inner, self.observer):
-            raise ValueError("bounded: the observer is not the one of the certificate, nor that one behind a gate")
+        if not self.verified:
+            raise ValueError(
+                "bounded: this certificate was read from a file and is not verified; give load(..., verify=True)"
+            )
         squares, factors = reach_squares(self.claims), select(self.claims, StartClaim)
         model, n = self.observer.model, len(self.velocity)
         bound = SampledBound(
@@ -234,14 +234,14 @@ class ContractionCertificate(NamedTuple):
             self.sampling.missing_rows,
             tuple(i in model.circles for i in range(n)) if model.manifold.commuting else None,
         )
-        if radius is not None and (position is not None or velocity is not None or not radius >= 0):
-            raise ValueError(f"bounded: give a radius ≥ 0, or bounds of position and velocity; got the radius {radius}")
         if radius is None:
             speed = np.inf if velocity is None else velocity
             first = bound.within(self.given.noise if position is None else position, speed)
+        elif position is None and velocity is None and np.ndim(radius) == 0 and np.isreal(radius) and radius >= 0:
+            first = bound.known(float(radius))
         else:
-            first = bound.known(radius)
-        return Bounded(self.observer if observer is None else observer, bound, first)
+            raise ValueError(f"bounded: give a radius ≥ 0, or bounds of position and velocity; got the radius {radius}")
+        return Bounded(self.observer if observer is None else observer, bound, first, self.observer)
 
     @property
     def kinds(self) -> tuple[str, ...]:
@@ -305,36 +305,42 @@ class ContractionCertificate(NamedTuple):
             The path.
 
         Raises:
-            ValueError: the model has no recipe or that of another model, nothing is proved, or the statement was proved
-                wrong.
+            ValueError: the model has no recipe, the recipe is of another model, nothing is proved, or the statement was
+                proved wrong.
         """
 
         def check(written: Document) -> None:
-            # Code that a recipe names is not run here: who reads the file gives it, and compares it.
+            # Code that a recipe names is not run here: who reads the file provides the model, which is compared.
             if written.recipe is not None and "system" in written.recipe:
                 check_recipe(self.observer.model, written.recipe)
 
         return write(path, self.document(), check)
 
     @classmethod
-    def load(cls, path: str | Path, *, model: Any = None) -> "ContractionCertificate":
+    def load(cls, path: str | Path, *, model: Any = None, verify: bool = False) -> "ContractionCertificate":
         """Read a saved certificate with all its boxes.
 
         Two things are checked: that the boxes cover the region, and that the statement follows from the claims. Whether
-        the claims hold is checked only by `covariant certify --check`; until then the certificate is not `verified`.
+        the claims hold is checked with `verify` or by `covariant certify --check`; until then the certificate is not
+        `verified`, and has no bound beside every sample.
         The time of the proofs is not in the file (NaN).
 
         Args:
             path: the file.
             model: for a recipe that names a model that is not of this library: the model, a function that creates it
                 from the recipe's parameters, or the `module:attribute` of either.
+            verify: let the checker show the claims too, which may take as long as their proof.
 
         Returns:
-            The certificate, whose claims have the evidence "claimed".
+            The certificate, whose claims have the evidence "claimed", or with `verify` "proved".
 
         Raises:
             ValueError: naming file and key.
         """
-        facts = follows(parse(path), model).stated()
+        document = parse(path)
+        facts = follows(document, model).stated()
+        if verify:
+            checked = check(document, model=model)
+            return cls.of(facts, checked.statement, verified=True, checker_seconds=checked.seconds)
         statement = contraction_statement(facts, "claimed")
         return cls.of(facts, statement._replace(claim=f"{statement.claim} (read from a file, not verified again)"))

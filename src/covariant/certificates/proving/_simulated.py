@@ -77,7 +77,7 @@ class Trajectories(NamedTuple):
         >>> import numpy as np
         >>> from covariant.certificates import Decay, Trajectories
         >>> t, motion, estimates = np.array([0.0, 1.0]), np.zeros((2, 1)), 0.1 * np.ones((3, 2, 1))
-        >>> distance = 0.1 * np.ones((3, 2))
+        >>> distance = np.array([0.1, 0.05]) * np.ones((3, 1))
         >>> distances = Decay(t, distance, distance, distance)
         >>> picture = Trajectories(t, motion, motion, estimates, estimates, np.ones(2), 0, distances)
         >>> picture.distances.holds  # usually from `trajectories`

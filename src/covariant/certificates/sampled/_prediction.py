@@ -9,10 +9,11 @@ weights `k (s − r)^(k−1) / s^k` of Taylor's remainder, for each order k from
     δ(s) = s^k · (mean of δ^(k)(r)/k! over r in [0, s])
 
 For k = 0 it is δ itself. The claim is that `|δ^(k)(r)/k!|` is less than `√square` in the metric at P_s x, at all ages,
-for all r and s up to the longest step. The matrix below is positive definite for a convex set of vectors, so for their
-mean where it is for all r. A prediction over h in steps of length σ is then off by at most `h σ^k √square / (k + 1)`.
-For smooth models this is least at k = 4. Derivatives of steep friction, such as `atan(100 v)`, grow by the steepness
-with each order, so that near rest a lower one may have a bound that a higher one exceeds.
+for all r and s up to the longest step. The vectors for which the matrix below is positive definite form a convex set:
+if it contains the vector of each r, it contains their mean. A prediction over h in steps of length σ is then off by at
+most `h σ^k √square / (k + 1)`.
+For smooth models this bound is smallest at k = 4. Derivatives of steep friction, such as `atan(100 v)`, grow by the
+factor of its slope with each order, so that near rest a lower order may give a smaller bound.
 
 On rotations the steps are those of the coordinates and the momentum in the chart around the start of the step.
 """
@@ -48,8 +49,8 @@ class Step(NamedTuple):
     Attributes:
         state: `step length () -> state (2n,)` after the step.
         field: `state (2n,) -> rate (2n,)` of the model.
-        image: `(state (2n,), jacobian) -> (2n, 2n)`: takes rates to the frame of the metric. `jacobian(function, x)` is
-            that of the prover or of the checker.
+        image: `(state (2n,), jacobian) -> (2n, 2n)`, the matrix from rates to the frame of the metric. The function
+            `jacobian(function, x)` is the one of the prover or of the checker.
         gram: the metric (2n, 2n) in this frame.
     """
 
@@ -192,7 +193,7 @@ def defect_bound(prediction: Prediction, square: float, order: int = ORDER) -> F
 def defect_matrix(
     prediction: Prediction, square: float, jacobian: Jacobian, order: int = ORDER
 ) -> Callable[[Array], Array]:
-    """Build the same matrix by Taylor coefficients of the program, as the checker does, with its derivatives."""
+    """Build the same matrix from Taylor coefficients of the program, with the derivatives of the checker."""
 
     def matrix(z):
         step, r = prediction.at(z), z[-1]
@@ -206,7 +207,7 @@ def defect_matrix(
 
 
 def step_values(prediction: Prediction, jacobian: Jacobian) -> Callable[[Array], Array]:
-    """Collect what the claim is computed from, to show that it is defined."""
+    """Collect all values from which the claim is computed, to show that they are defined."""
 
     def parts(z):
         step = prediction.at(z)

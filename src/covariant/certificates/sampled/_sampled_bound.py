@@ -1,31 +1,35 @@
 """A proved bound of the estimation error after every sample: the recursion of a certificate, run with its observer.
 
 The certificate of a sampled observer shows how the distance between truth and estimate, in its metric, changes from
-sample to sample (see `_radius_recursion`). `Bounded` runs this recursion as a part of the observer's step, from what
-that step did: the age of the measurement, the length and number of its Runge–Kutta steps, whether it corrected, and its
-result code. The radius after a sample bounds the error of each position and velocity. If a sample does not confirm a
-premise of the certificate, the bounds are infinite and name that premise, until a new start.
+sample to sample (see `_radius_recursion`). `Bounded` runs this recursion as a part of the observer's step, with the
+data of that step: the age of the measurement, the length and number of its Runge–Kutta steps, whether it corrected, and
+its result code. The radius after a sample bounds the error of each position and velocity. If a sample does not confirm
+a premise of the certificate, the bounds are infinite and name that premise, until a new start.
 """
 
 import enum
 from typing import Any, NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Float, Inexact
 
 from covariant._typing import Code, Number, Scalar, Vector
-from covariant.certificates.base import Recursion
+from covariant.certificates.base import Recursion, is_same_observer
 from covariant.models import MechanicalSystem
-from covariant.observers import AbstractWrapper, Info, LastInput, SampledState, without_last_input
+from covariant.observers import AbstractWrapper, Gated, Info, LastInput, SampledState, without_last_input
 from covariant.signals import StepCode
 
 ROUND = 1e-9
 """Relative margin that covers the rounding of the recursion, which runs in doubles."""
 ROUNDING = 1e-9
-"""Least bound of a position [1, or its unit] and, times the largest velocity, of a velocity: the proof is one of real
-numbers, and the observer's own rounding in doubles leads some 1e-13 away."""
+"""Least bound of a position [its unit], and of a velocity as a part of its largest value: the proof is about real
+numbers, and rounding in doubles changes the estimate by some 1e-13."""
+LARGE = 1e3
+"""Position [1, or its unit] beyond which the least bounds grow in proportion to it, at thousands of roundings."""
 TURN = 2 * np.pi
 
 
@@ -52,7 +56,7 @@ class Premise(enum.IntEnum):
 
     @property
     def message(self) -> str:
-        """One line that says which premise is not known to hold."""
+        """One line on the premise that is not known to hold."""
         return _MESSAGES[self]
 
 
@@ -82,7 +86,7 @@ class BoundedState(NamedTuple):
 
     Attributes:
         inner: state of the observer.
-        radius: proved distance right after the last measurement, in the metric; infinite where nothing is known.
+        radius: proved distance right after the last measurement, in the metric; infinite if nothing is known.
         premise: `Premise` as a number: 0, or the first one that failed.
         last_input: the last finite input (m,).
 
@@ -135,14 +139,14 @@ class SampledBound(eqx.Module):
         recursion: constants of the recursion.
         radius: ε of the certificate.
         reach: bounds (2n,) of each position and velocity error at a distance of 1.
-        start: weights (2n,) of the squared initial errors in the squared distance; ∞ where the certificate has none.
+        start: weights (2n,) of the squared initial errors in the squared distance; ∞ if the certificate has none.
         positions: least and largest true positions (2, n), on rotations those of the matrix entries.
         velocity: bounds (n,) of the true velocities.
         inputs: least and largest inputs (2, m).
         noise: bounds (n,) of the errors of the measured positions.
         substeps: number of Runge–Kutta steps of a prediction.
-        longest_step: longest Runge–Kutta step whose error is proved [s]; 0 where none is.
-        missing_rows: whether a prediction may go over lost samples in one step.
+        longest_step: longest Runge–Kutta step whose error is proved [s]; 0 if none is proved.
+        missing_rows: whether one prediction may cover lost samples.
         circles: which positions are angles on a circle (n,); None on rotations.
 
     Example:
@@ -172,16 +176,25 @@ class SampledBound(eqx.Module):
     circles: tuple[bool, ...] | None = eqx.field(static=True)
 
     def within(self, position: Any, velocity: Any) -> float:
-        """Bound the distance for bounds of the initial errors; infinite where it may exceed the radius."""
-        each = [np.broadcast_to(np.asarray(b, float), self.velocity.shape) for b in (position, velocity)]
-        errors = np.concatenate(each)
-        if not (errors >= 0).all():
-            raise ValueError(f"bounded: bounds of initial errors must be numbers ≥ 0; got {errors.tolist()}")
+        """Bound the distance for bounds of the initial errors; infinite if it may exceed the radius."""
+        try:
+            errors = np.concatenate(
+                [np.broadcast_to(np.asarray(b, float), self.velocity.shape) for b in (position, velocity)]
+            )
+            valid = (errors >= 0).all()
+        except (TypeError, ValueError):  # no numbers, or more than there are positions
+            errors, valid = np.zeros(0), False
+        if not valid:
+            n = len(self.velocity)
+            raise ValueError(
+                f"bounded: bounds of initial errors must be numbers ≥ 0, one or {n} of positions and of velocities; "
+                f"got {position} and {velocity}"
+            )
         weighted = np.where(errors > 0, self.start, 0.0) * errors**2
         return self.known(float(np.sqrt(weighted.sum())) * (1 + ROUND))
 
     def known(self, radius: float) -> float:
-        """The radius, or ∞ where it exceeds that of the certificate."""
+        """Return the radius, or ∞ if it exceeds that of the certificate."""
         return radius if radius <= self.radius else np.inf
 
     def step(
@@ -203,15 +216,15 @@ class SampledBound(eqx.Module):
             after: its state after the step.
             info: what the step reported.
             u: the input (m,) that it used.
-            y: the measurement, NaN where the step takes it as missing.
-            dt: the length of its prediction [s], 0 where it made none.
+            y: the measurement, NaN if it counts as missing.
+            dt: the length of its prediction [s], 0 if it made none.
             missing: which entries of y are missing.
 
         Returns:
             Radius and premise to store, and the diagnostics.
         """
         corrected, coasted, outlier, repeated = (info.result == int(code) for code in _COVERED)
-        # The age that the gains of this step knew, and whether the step took it as that of a measurement.
+        # The age that the gains of this step used, and whether the step corrected by a measurement of this age.
         assert before.age is not None
         age = before.age + dt
         used = (dt > 0) & (after.age == 0)
@@ -222,10 +235,11 @@ class SampledBound(eqx.Module):
         factor_term = self.recursion.change * age * (before_radius + self.recursion.error)
         after_radius = (jnp.sqrt(before_radius**2 + added) + factor_term) * (1 + ROUND)
         radius = jnp.where(used, after_radius, before_radius)
-        position, velocity = self._errors(radius)
+        position, velocity = self._errors(radius, after.q)
         # Lost samples may be rows without a measurement, or with `missing_rows` no rows at all.
         longest = self.recursion.ages[-1 if self.missing_rows else 0, 1]
         aged = (dt <= longest) & jnp.where(used, known_age, age <= self.recursion.ages[-1, 1])
+        allowed_noise = self.noise * (1 + ROUND)
         proved_step = dt <= self.longest_step * (self.substeps or 0)
         conditions: tuple[tuple[Premise, Any], ...] = (
             (Premise.START, jnp.isfinite(state.radius)),
@@ -240,7 +254,7 @@ class SampledBound(eqx.Module):
             (Premise.MEASUREMENT, whole),
             (
                 Premise.CONTRADICTED,
-                ~used | (jnp.abs(info.innovation) <= self._errors(before_radius)[0] + self.noise * (1 + ROUND)).all(),
+                ~used | (jnp.abs(info.innovation) <= self._errors(before_radius, after.q)[0] + allowed_noise).all(),
             ),
         )
         premise = jnp.zeros((), jnp.int32)
@@ -254,23 +268,26 @@ class SampledBound(eqx.Module):
         told = BoundedInfo(info.innovation, info.distance, radius, position, velocity, premise, info.result)
         return stored, premise.astype(stored.dtype), told
 
-    def _errors(self, radius: Scalar) -> tuple[Vector, Vector]:
-        """Bounds (n,) of the errors of positions and velocities at a distance."""
+    def _errors(self, radius: Scalar, q: Array) -> tuple[Vector, Vector]:
+        """Compute bounds (n,) of the errors of positions and velocities at a distance."""
         position, velocity = jnp.split(radius * jnp.asarray(self.reach) * (1 + ROUND), 2)
-        return position + ROUNDING, velocity + ROUNDING * self.velocity
+        # Doubles round large positions, such as angles of many turns, by more.
+        rounding = ROUNDING * (1 + jnp.max(jnp.abs(q)) / LARGE)
+        of_position, of_velocity = np.split(self.reach, 2)
+        return position + rounding, velocity + rounding * (self.velocity + np.max(of_velocity) / np.min(of_position))
 
     def _noise(self, age: Scalar) -> tuple[Scalar, Array]:
-        """Noise term G of a measurement of this age, and whether the certificate covers this age."""
+        """Look up the noise term G for a measurement of this age, and whether the certificate covers the age."""
         ages = jnp.asarray(self.recursion.ages)
         fits = (ages[:, 0] <= age) & (age <= ages[:, 1])
         # If several numbers of lost samples give this age, each is proved, so the least G holds.
         return jnp.min(jnp.where(fits, jnp.asarray(self.recursion.noise), jnp.inf)), fits.any()
 
     def _inside(self, q: Array, error: Vector) -> Array:
-        """Whether positions with these errors are within the region, entry by entry."""
+        """Test for each entry whether all positions within these errors are in the region."""
         low, high = self.positions
         if self.circles is None:
-            # No entry of a rotation is beyond 1, or changes by more than the angle.
+            # Entries of a rotation are at most 1 in size, and change by no more than the angle.
             angle, entries = jnp.linalg.norm(error), q.ravel()
             return ((low <= -1) | (low <= entries - angle)) & ((high >= 1) | (entries + angle <= high))
         circle = jnp.asarray(self.circles)
@@ -300,10 +317,12 @@ class Bounded(AbstractWrapper):
     Attributes:
         observer: the certified observer, or that observer behind a gate, in doubles.
         bound: the numbers of the certificate.
-        first_radius: largest distance between truth and estimate that `init` assumes; ∞ where it is unknown.
+        first_radius: bound of the distance between truth and estimate after `init`; ∞ if it is unknown.
+        certified: the observer that the bound is about; by default `observer` without its gate.
 
     Raises:
-        ValueError: `init` raises it for numbers that are not doubles.
+        ValueError: `observer` does not take the steps of `certified`, or `first_radius` is negative. `init` and `step`
+            raise it for numbers that are not doubles.
 
     Example:
         An oscillator whose speed is at most 0.4 m/s when the observer starts from rest:
@@ -327,6 +346,19 @@ class Bounded(AbstractWrapper):
     observer: Any
     bound: SampledBound
     first_radius: float = np.inf
+    certified: Any = None
+
+    def __post_init__(self):
+        if self.certified is None:
+            self.certified = without_gate(self.observer)
+
+    def __check_init__(self):
+        if not runs(self.observer, self.certified):
+            raise ValueError(
+                "bounded: the observer is not the one of the certificate, nor that one behind a gate; certify it"
+            )
+        if not isinstance(self.first_radius, Tracer) and not np.all(np.asarray(self.first_radius) >= 0):
+            raise ValueError(f"bounded: the first radius must be a number ≥ 0; got {self.first_radius}")
 
     @property
     def fixed_numbers(self) -> bool:
@@ -350,7 +382,7 @@ class Bounded(AbstractWrapper):
         return self._unknown(state, self.observer.predict(state.inner, u, dt))
 
     def correct(self, state: BoundedState, u: Float[Array, "m"], y: Array) -> tuple[BoundedState, BoundedInfo]:
-        """Correct a predicted state; the bound is then unknown, since `step` alone knows what it replaced."""
+        """Correct a predicted state; the bound is then unknown, since only `step` sees both states of a step."""
         inner, info = self.observer.correct(state.inner, u, y)
         unknown = jnp.full(info.innovation.shape, jnp.inf)
         told = info.innovation, info.distance, unknown[0], unknown, unknown, jnp.asarray(int(Premise.STEP)), info.result
@@ -359,6 +391,8 @@ class Bounded(AbstractWrapper):
     def reported(
         self, before: BoundedState, after: BoundedState, info: Any, u: Float[Array, "m"], y: Array, dt: Scalar
     ) -> tuple[BoundedState, BoundedInfo]:
+        _need_doubles(before)
+        _need_double(jnp.asarray(y))
         states = certified_state(before.inner), certified_state(after.inner)
         missing = self.model.manifold.missing(y)
         radius, premise, told = self.bound.step(before, *states, info, u, y, dt, missing)
@@ -366,7 +400,7 @@ class Bounded(AbstractWrapper):
 
     @staticmethod
     def _unknown(state: BoundedState, inner: Any) -> BoundedState:
-        """A state with another one of the observer, of which no bound is known."""
+        """Replace the state of the observer by one without a known bound."""
         unknown = jnp.full_like(state.radius, jnp.inf), jnp.full_like(state.premise, float(Premise.STEP))
         return state._replace(inner=inner, radius=unknown[0], premise=unknown[1])
 
@@ -379,13 +413,37 @@ class Bounded(AbstractWrapper):
 
 def _need_doubles(state: BoundedState) -> None:
     for number in (certified_state(state.inner).q, state.radius):
-        if number.dtype != np.float64:
-            raise ValueError(
-                f"Bounded: the proof is about doubles, and here is a {number.dtype}; give the measurement as float64, "
-                "with jax_enable_x64 on"
-            )
+        _need_double(number)
+
+
+def _need_double(number: Array) -> None:
+    if number.dtype != np.float64:
+        raise ValueError(
+            f"Bounded: the proof is about doubles, and here is a {number.dtype}; give the measurement as float64, "
+            "with jax_enable_x64 on"
+        )
+
+
+def without_gate(observer: Any) -> Any:
+    """The observer behind a gate, or the observer itself."""
+    # A subclass may do more than refuse measurements.
+    return observer.observer if type(observer) is Gated else observer
+
+
+def runs(observer: Any, certified: Any) -> bool:
+    """Whether an observer takes the steps of a certified one, perhaps behind a gate."""
+    inner = without_gate(observer)
+    if inner is certified:
+        return True
+    inside = (any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(each)) for each in (inner, certified))
+    match tuple(inside):
+        case (True, True):  # the values are not known, inside of a compiled function that got both
+            return type(inner) is type(certified)
+        case (False, False):
+            return is_same_observer(inner, certified)
+    return False
 
 
 def certified_state(state: Any) -> SampledState:
-    """State of the certified observer in the state of one that may have a gate."""
+    """Extract the state of the certified observer from that of an observer which may have a gate."""
     return state if "q" in state._fields else certified_state(state.inner)

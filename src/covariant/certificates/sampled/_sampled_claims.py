@@ -46,9 +46,9 @@ from covariant.proofs import LETTERS, Box, Form, Proof
 
 LostRows = Literal["empty", "missing"]
 LOST_ROWS = typing.get_args(LostRows)
-STAMPS = 1e-3
-"""Part of an interval by which it is proved wider at both ends, since stamps are rounded: times since 1970 in doubles
-to 2.4e-7 s, and many logs to a microsecond."""
+STAMP_MARGIN = 1e-3
+"""Fraction by which an interval is proved wider at both ends, since stamps are rounded: times since 1970 in doubles to
+2.4e-7 s, and many logs to a microsecond."""
 SEARCHES = 4
 """How often the metric is searched again with the counter-examples of a proof."""
 WIDER, TINY = (64.0, 16.0, 4.0, 2.0, 1.3), 1e-12
@@ -62,8 +62,8 @@ PREDICTION_WORK = 4_000_000
 """Largest number of boxes for the errors of Runge–Kutta steps, times the operations of their matrix: some hundred for a
 pendulum, and thirty thousand for a heavy top."""
 LOWER_ORDERS, STEEP_WORK = (4, 2, 1, 0), 60
-"""Orders of the bound that are tried in turn where steps may lead away by a part of the radius, and the number of
-operations of each for every box that is left: steep friction needs small boxes near rest."""
+"""Orders of the bound that are tried in turn if the first one fails, and the number of operations that each may take
+per box that is left: steep friction needs small boxes near rest."""
 POINTS = 2000
 """Number of points at which they are sampled."""
 ENOUGH = 0.5
@@ -88,12 +88,12 @@ def check_sampling(
     most = (len(LETTERS) - 1) // 6
     if n > most:
         raise ValueError(f"certify: with interval at most {most} coordinates are covered; got {n}")
-    ends = np.array([shortest * (1 - STAMPS), longest * (1 + STAMPS)])
+    ends = np.array([shortest * (1 - STAMP_MARGIN), longest * (1 + STAMP_MARGIN)])
     return Sampling(ends, lost, np.zeros((0, 2, 2)), False, observer.substeps, lost_rows == "missing")
 
 
 def check_interval(interval: tuple[float, float], lost: int, lost_rows: LostRows) -> tuple[float, float]:
-    """Check when samples come, and return the shortest and the longest interval [s]."""
+    """Check the times between samples, and return the shortest and the longest [s]."""
     try:
         shortest, longest = (float(h) for h in interval)
     except (TypeError, ValueError):
@@ -102,8 +102,8 @@ def check_interval(interval: tuple[float, float], lost: int, lost_rows: LostRows
         raise ValueError(
             f"certify: interval must be positive times [s], the shorter one first; got {shortest:g} and {longest:g}"
         )
-    if not 0 <= lost <= MOST_LOST:
-        raise ValueError(f"certify: lost must be from 0 to {MOST_LOST}; got {lost}")
+    if not isinstance(lost, int | np.integer) or not 0 <= lost <= MOST_LOST:
+        raise ValueError(f"certify: lost must be a whole number from 0 to {MOST_LOST}; got {lost}")
     if lost_rows not in LOST_ROWS:
         raise ValueError(f"certify: lost_rows must be one of {', '.join(LOST_ROWS)}; got {lost_rows!r}")
     return shortest, longest
@@ -228,7 +228,7 @@ def prediction_claims(
         claim = PredictionClaim(UNPROVED, square, order)
         return Recursion.of(sampling, q, rate, bounds, [*claims, claim]).steady
 
-    def proved(square: float, order: int = ORDER, work: int = PREDICTION_WORK) -> PredictionClaim:
+    def prove_bound(square: float, order: int = ORDER, work: int = PREDICTION_WORK) -> PredictionClaim:
         bound, boxes = defect_bound(prediction, square, order), work // len(graph_of(order).graph.nodes)
         return PredictionClaim(_prove_with_boxes(effort, bound, domain, boxes), square, order)
 
@@ -242,19 +242,19 @@ def prediction_claims(
     if bounded:
         # The widest bound that moves the estimate little within the tube needs the fewest boxes.
         square = next((each for each in squares if drift(each) < LITTLE**2 * radius), squares[-1])
-        claim = proved(square)
+        claim = prove_bound(square)
         if claim.proof.verdict == "holds":
             return [claim]
-    # Friction that is steep at rest has large derivatives there, which lower orders avoid, and uniform points miss.
+    # Friction that is steep at rest has large derivatives there. Lower orders avoid them, and uniform points miss them.
     slow, n = points.copy(), prediction.size // 2
-    # Behind the velocities are the force of the input, the age and two lengths of a step.
+    # After the velocities come the force of the input, the age and two lengths of a step.
     slow[:, -2 * n - 3 : -n - 3] *= 10.0 ** np.random.default_rng(1).uniform(-3, 0, (POINTS, n))
     for order in LOWER_ORDERS:
         least = max(_largest_squared_length(graph_of(order), slow), TINY)
-        # What steps lead away is proportional to their bound.
+        # The drift by Runge–Kutta steps is proportional to their bound.
         square = least * (PART * radius / drift(least, order)) ** 2
         if square > WIDER[-1] * least and drift(square, order, given) < radius:
-            claim = proved(square, order, STEEP_WORK * effort.boxes)
+            claim = prove_bound(square, order, STEEP_WORK * effort.boxes)
             if claim.proof.verdict == "holds":
                 return [claim]
     if bounded:
@@ -263,7 +263,7 @@ def prediction_claims(
     points[:, -2:] = sampling.longest_step
     if drift(_largest_squared_length(graph_of(0), points) / sampling.longest_step**8) < radius:
         return []
-    return [proved(squares[-1])]
+    return [prove_bound(squares[-1])]
 
 
 def _largest_squared_length(matrix: Lowered, points: np.ndarray) -> float:

@@ -140,15 +140,15 @@ class Decay(NamedTuple):
         """The statement that each distance stays below its bound.
 
         Returns:
-            It holds where all upper bounds do, fails where a lower bound exceeds it, and is undecided in between; also
-            where neither bounds nor distances change by more than the tolerance, so that nothing was measured.
+            It holds if all upper bounds stay below, fails if a lower bound exceeds it, and else is undecided. It is
+            undecided too if neither bounds nor distances change by more than the tolerance: nothing was measured then.
         """
         # Tolerance of the integration: relative to the bound, and to the first distance where the bound is tiny.
         rounding = 1e-6 * self.bound + SOLVED * self.high[:, :1]
         fails = bool((self.low > self.bound + rounding).any())
         share = (self.low if fails else self.high) / (self.bound + rounding)
         k, i = np.unravel_index(int(share.argmax()), share.shape)
-        # Over too short a time a flow that does nothing passes at any rate, within the tolerance.
+        # Over too short a time even a flow that is zero would pass at any rate, within the tolerance.
         changes = np.maximum(*(np.abs(each - each[:, :1]).max(axis=1) for each in (self.bound, self.high)))
         still = not (changes > rounding.max(axis=1)).all()
         place = f"pair {k + 1}, t = {self.t[i]:.4g} s"
@@ -201,7 +201,7 @@ def decay(
         Bounds of the distances.
 
     Raises:
-        ValueError: there are no pairs; stamps do not rise, or not in the precision of JAX; the states of a pair are
+        ValueError: there are no pairs; stamps do not rise, or JAX would round them together; the states of a pair are
             equal; the metric is not positive definite along a pair; or a solution cannot be followed.
 
     Example:

@@ -32,6 +32,7 @@ from covariant.certificates.base import (
     check_recipe,
     dimension,
     lowered_christoffel,
+    need_doubles,
     need_known,
     positive,
     region_of,
@@ -49,7 +50,7 @@ POINTS = 33
 PLACES = 200
 """Random positions at which the connection of the space is compared with that of its metric."""
 AGREES = 1e-8
-"""Relative deviation of two computations of a connection that rounding explains."""
+"""Largest relative deviation between two computations of a connection that counts as rounding."""
 ASSUMED_OF_DISTANCES = (
     "the true motion solves the model, with the input that the observer is given, and keeps to the bounds of "
     "velocities and inputs, and away from the border of the region as stated",
@@ -114,7 +115,7 @@ def certify_distance(
         velocity_error: bound of `|Πv̂ − v|` then, a length in the metric, with v̂ transported to the true position; by
             default the largest true speed, as for an observer that starts at rest.
         input: bound of each input, a number or (m,), or a pair of bounds. It may depend on time in any way.
-        recipe: recipe of this model, for the statement.
+        recipe: recipe of the observer's model, for the statement.
         boxes: largest number of boxes for each of the proofs.
 
     Returns:
@@ -145,6 +146,7 @@ def certify_distance(
         raise ValueError(
             "certify_distance needs a model of two coordinates; one alone has part_limits, at any distance"
         )
+    need_doubles("certify_distance")
     need_known(model)
     _need_no_friction(model)
     check_recipe(model, recipe)
@@ -176,7 +178,7 @@ def certify_distance(
     room = Hypothesis("the region has positions so far from its border", "proved", "holds" if fits else "undecided")
     hypotheses = (
         *found.hypotheses,
-        _connection(known),
+        _compare_connections(known),
         gains,
         *([turns] if model.manifold.circles else []),
         *([room] if border.any() else []),
@@ -257,15 +259,13 @@ class _Model(NamedTuple):
         return derivative_form(values, lambda z: z[:2], parts, formula)
 
 
-def _connection(known: _Model) -> Hypothesis:
-    """That observer and model move by the connection of the metric, whose derivatives the bounds are made of.
-
-    JAX derives the connection from the metric, or the space declares it; the graph of the metric has no such rules.
-    """
+def _compare_connections(known: _Model) -> Hypothesis:
+    """Compare the connection of the space, by which the observer moves, with that of the metric, used in the bounds."""
+    # The space derives its connection from the metric by JAX, or declares it; the bounds use the graph of the metric.
     space, identity = known.model.space, jnp.eye(2)
 
     def declared(q):
-        """`g Γ(e_i, e_j)`, and g g⁻¹, as the space computes connection and accelerations."""
+        """Compute `g Γ(e_i, e_j)` and `g g⁻¹` with the operations of the space."""
         pairs = jnp.stack([jnp.stack([space.connection(q, a, b) for b in identity]) for a in identity])
         raised = jnp.stack([space.raise_(q, a) for a in identity])
         return jnp.concatenate([(pairs @ space(q)).ravel(), (raised @ space(q)).ravel()])
@@ -286,7 +286,7 @@ def _connection(known: _Model) -> Hypothesis:
     if not (off <= AGREES).all():
         place = ", ".join(f"{x:.4g}" for x in points[int(np.where(np.isnan(off), np.inf, off).argmax()), :2])
         return Hypothesis(text, "sampled", "undecided", place=f"({place}), where the two differ")
-    # Analytic functions that agree near one point agree everywhere; others may part where no position was drawn.
+    # Analytic functions that agree near one point agree everywhere; others may differ at positions not drawn.
     return Hypothesis(text, "assumed" if analytic else "sampled")
 
 

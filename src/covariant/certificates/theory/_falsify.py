@@ -40,8 +40,8 @@ def falsify(
         found, nothing is proved.
 
     Raises:
-        ValueError: bounds that are not in order or leave a single point, a rate that is not a number, here or somewhere
-            in the region, no attempts or starts, or a flow that depends on time.
+        ValueError: bounds that are not in order or leave a single point, a rate that is NaN, as an argument or at a
+            point of the region, no attempts, or a flow that depends on time.
 
     Example:
         >>> import jax.numpy as jnp
@@ -58,10 +58,11 @@ def falsify(
         ('holds (sampled)', 4.0)
     """
     check_box(domain)
-    # What was not tried refutes nothing, and would still be a verdict.
-    if attempts < 1 or starts < 1 or math.isnan(rate):
+    # Without a single point the verdict would be "holds".
+    if attempts < 1 or starts < 0 or math.isnan(rate):
         raise ValueError(
-            f"falsify: attempts and starts must be 1 or more, and the rate a number; got {attempts}, {starts}, {rate}"
+            "falsify: attempts must be 1 or more, starts 0 or more, and the rate a number; got "
+            f"{attempts}, {starts}, {rate}"
         )
     if not (domain.low < domain.high).any():
         raise ValueError("falsify: the domain is a single point; give bounds that differ")
@@ -160,8 +161,8 @@ def slowest(form: Pencil, domain: Box, attempts: int, starts: int, seed: int) ->
             gram, change = _split(slopes)  # (B, f, k, k): of K x = −λ N x, dλ = −xᵀ(dK + λ dN) x
             x = current.vector
             slope = -np.einsum("bi,bfij,bj->bf", x, change + current.rate[:, None, None, None] * gram, x) * width[free]
-            # Only the sign of a slope counts, so that flat directions reach their end as steep ones do. No line search:
-            # the effort is known.
+            # Only the sign of a slope counts, so that the descent converges in flat directions too. There is no line
+            # search, so that the effort is known beforehand.
             direction = np.sign(slope)
             turned = direction * before
             length = np.clip(np.where(turned > 0, GROWTH * length, np.where(turned < 0, length / 2, length)), 0, 0.25)

@@ -20,7 +20,7 @@ from jaxtyping import Array, Float
 
 from covariant._linalg import half_solve, solve, whiten
 from covariant._typing import MatrixField, Scalar, Vector
-from covariant.certificates.base import Hypothesis, Statement, lowered_christoffel, without_jumps
+from covariant.certificates.base import Hypothesis, Statement, lowered_christoffel, show_no_jumps
 from covariant.geometry import Budget, exp
 from covariant.lowering import LoweringError, jacobian, lower, to_jax
 from covariant.metrics import lie_derivative
@@ -201,8 +201,8 @@ def observability(
         budget: work spent on the geodesic of the witness.
 
     Returns:
-        A statement for each condition, and the witness. Both are undecided where f or h may jump between the points,
-        since their derivatives say nothing about what they do there.
+        A statement for each condition, and the witness. Both statements are undecided if f or h may jump between the
+        points, since derivatives do not show jumps.
 
     Raises:
         ValueError: the metric is not finite or not positive definite at a point, the outputs are dependent, or there
@@ -228,7 +228,7 @@ def observability(
     premises = (
         Hypothesis("the metric is positive definite at each of the points", "sampled"),
         _independence(model, points, u),
-        *_smoothness(model, points, u),
+        *_show_smoothness(model, points, u),
         Hypothesis("what holds at the points holds between them", "assumed"),
         Hypothesis("it holds at other times, and under other inputs than the constant one given", "assumed"),
     )
@@ -239,7 +239,7 @@ def observability(
         return Observability(first, second, None, None)
     k = sampled.worst
     shift = 0.1 / sampled.bends[k] * sampled.directions[k]
-    # Without the rules that the metric declares, or else the geodesic would be that of another metric.
+    # Custom derivative rules of the metric are removed: with them, the geodesic would be that of another metric.
     with contextlib.suppress(LoweringError):
         metric = to_jax(lower(metric, jnp.asarray(points[k])))
     states = _witness(metric, jnp.asarray(points[k]), jnp.asarray(shift), budget)
@@ -338,7 +338,7 @@ def _check_premises(model: StateSpace, metric: MatrixField, points: np.ndarray, 
 
     @eqx.filter_jit
     def at(x):
-        dh = _output_slope(model, x, u)
+        dh = _differentiate_output(model, x, u)
         return jnp.linalg.svd(dh, compute_uv=False), jnp.linalg.eigvalsh(metric(x))[0]
 
     sizes, least = (np.asarray(a) for a in jax.lax.map(at, jnp.asarray(points), batch_size=64))
@@ -364,7 +364,7 @@ def _independence(model: StateSpace, points: np.ndarray, u: Array | None) -> Hyp
     """
 
     def products(x):
-        dh = _output_slope(model, x, u)
+        dh = _differentiate_output(model, x, u)
         return dh @ dh.T
 
     names = _names(model, points.shape[1])
@@ -378,20 +378,20 @@ def _independence(model: StateSpace, points: np.ndarray, u: Array | None) -> Hyp
     return Hypothesis("the rows of dh are independent at each of the points", "sampled")
 
 
-def _smoothness(model: StateSpace, points: np.ndarray, u: Array | None) -> tuple[Hypothesis, ...]:
-    """That f and h do not jump between the points."""
+def _show_smoothness(model: StateSpace, points: np.ndarray, u: Array | None) -> tuple[Hypothesis, ...]:
+    """Show that f and h do not jump between the points."""
     t0, _, u0 = _arguments(model, jnp.asarray(points[0]), u)
     names = _names(model, points.shape[1])
     return tuple(
         premise
         for what, function in (("f", model.f), ("h", model.h))
-        for premise in without_jumps(what, lambda x, function=function: function(t0, x, u0), (points,), names)
+        for premise in show_no_jumps(what, lambda x, function=function: function(t0, x, u0), (points,), names)
     )
 
 
 def _describe_kernel(model: StateSpace, points: np.ndarray, u: Array | None) -> str:
     """The kernel of dh in words: the coordinates that no output depends on, and how many directions among others."""
-    dh = np.asarray(jax.lax.map(lambda x: _output_slope(model, x, u), jnp.asarray(points)))
+    dh = np.asarray(jax.lax.map(lambda x: _differentiate_output(model, x, u), jnp.asarray(points)))
     unseen = (dh == 0).all((0, 1))
     names = np.array(_names(model, points.shape[1]))
     remaining = len(names) - dh.shape[1] - int(unseen.sum())
@@ -413,12 +413,12 @@ def _witness(metric: MatrixField, x: Vector, velocity: Vector, budget: Budget) -
 
 def _directions(model: StateSpace, x: Vector, u: Array | None) -> tuple[Float[Array, "n k"], Float[Array, "p n"]]:
     """A basis of the kernel of dh, and dh."""
-    dh = _output_slope(model, x, u)
+    dh = _differentiate_output(model, x, u)
     # Of the complete QR of dhᵀ the first columns span its range; the others are orthogonal to it: the kernel of dh.
     return jnp.linalg.qr(dh.T, mode="complete")[0][:, dh.shape[0] :], dh
 
 
-def _output_slope(model: StateSpace, x: Vector, u: Array | None) -> Float[Array, "p n"]:
+def _differentiate_output(model: StateSpace, x: Vector, u: Array | None) -> Float[Array, "p n"]:
     """dh, the derivative of the output in the state."""
     t0, _, u0 = _arguments(model, x, u)
     return jacobian(lambda y: model.h(t0, y, u0), x)

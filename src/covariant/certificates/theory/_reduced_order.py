@@ -228,7 +228,7 @@ class _Split(NamedTuple):
         return ordered * z[None, None, :] / np.concatenate([z, y])[None, :, None]
 
     def form(self, formula: Callable[[Array], Array], columns: Sequence[int]) -> Form:
-        """The form of a formula of the derivative of f in some states, by its graph: JAX does not see jumps."""
+        """Build the form of a formula of ∂f/∂x in some states, from the graph of f, since JAX does not see jumps."""
 
         def values(t, x, z):
             return (self.f(t, x, z[self.n :]),)

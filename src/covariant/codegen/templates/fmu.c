@@ -84,7 +84,7 @@ static int advance(memory *m, double t, double h)
     xNAMEx_real y[xUPPERx_MEASUREMENTS];
     unsigned char missing[xUPPERx_MEASUREMENTS];
     int i;
-    /* After a step from or to a time that is not finite, no later time would count as later. */
+    /* After a step from or to a time that is not finite, no time would count as later, and nothing would correct. */
     if (!(h >= 0) || !(t + h - (t + h) == 0))
         return ERROR;
     take(m, &params);
@@ -99,7 +99,7 @@ static int advance(memory *m, double t, double h)
         m->started = m->outcome != xUPPERx_NOT_FINITE;
         m->t = t;
     } else {
-        /* As the observer says of a step of no size, and of one back. */
+        /* The outcomes that the observer returns for a step of length zero and for one back in time. */
         m->outcome = t == m->t ? xUPPERx_REPEATED : xUPPERx_STEP_REFUSED;
     }
     m->stepped = m->started;
@@ -110,7 +110,7 @@ static int advance(memory *m, double t, double h)
         return OK;
     ahead = m->state;
     if (h > 0 && xNAMEx_step(&ahead, &params, m->acted, y, missing, (xNAMEx_real)h) == xUPPERx_NOT_FINITE) {
-        /* There is no prediction: the outputs stay those of the time t. */
+        /* The prediction is not finite: the outputs stay those of the time t. */
         ahead = m->state;
         m->outcome = xUPPERx_NOT_FINITE;
     }

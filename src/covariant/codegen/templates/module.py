@@ -260,7 +260,7 @@ def build() -> Path:
             raise OSError(f"{' '.join(command)} does not compile {_NAME}: {done.stderr.strip()[:300]}")
         with open(fresh, "rb+") as file:
             os.fsync(file.fileno())
-        os.replace(fresh, _LIBRARY)  # whole or not at all, after a crash too
+        os.replace(fresh, _LIBRARY)  # the file is complete or absent, after a crash too
     finally:
         fresh.unlink(missing_ok=True)
     _library.cache_clear()
@@ -361,7 +361,7 @@ def _checked(t: object, y: object, u: object) -> tuple:
         if bad.any():
             raise ValueError(f"row {bad.argmax() + 1}: {name} is not a finite number; only measurements may be missing")
     with np.errstate(over="ignore"):  # too large for the type of the observer: infinite
-        measured = np.require(measured, REAL, "CA")  # C takes no array that lies between the words of memory
+        measured = np.require(measured, REAL, "CA")  # C needs contiguous, aligned arrays
     infinite = np.isinf(measured.reshape(len(times), -1)).any(1)
     if infinite.any():
         raise ValueError(f"row {infinite.argmax() + 1}: a measurement is infinite; mark a missing one by NaN")

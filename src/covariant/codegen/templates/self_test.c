@@ -28,7 +28,7 @@ static const unsigned char missing[ROWS][xMEASUREMENTSx] = {
 /* The outcome of each step, or -1 where rounding decides it. */
 static const int outcomes[ROWS] = {xOUTCOMESx};
 
-/* Compilers may be told that no number is NaN. Then comparisons with NaN mean nothing, in the observer and here. */
+/* Options may let a compiler assume that no number is NaN. Then comparisons with NaN fail, in the observer and here. */
 static int sees_nan(void)
 {
     volatile xNAMEx_real unknown = (xNAMEx_real)NAN; /* volatile, so that no compiler knows its value */
@@ -76,7 +76,7 @@ int main(void)
                 wrong = 1;
             }
             if (worst == worst && !(part <= worst))
-                worst = part; /* NaN stays */
+                worst = part; /* once NaN, it stays NaN */
         }
     }
     printf("xNAMEx: %s, %d steps, largest deviation %.3f of the allowed one\n", wrong ? "WRONG" : "ok", ROWS,

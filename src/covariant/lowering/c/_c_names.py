@@ -29,7 +29,7 @@ _MACROS = (
     "INFINITY NAN HUGE_VAL HUGE_VALF HUGE_VALL MATH_ERRNO MATH_ERREXCEPT math_errhandling signgam NULL EOF BUFSIZ "
     "EDOM EILSEQ ERANGE errno stdin stdout stderr linux unix"
 )
-"""Macros that stand for a value, as some compilers have for the system they compile for."""
+"""Macros that stand for a value; the last two are defined by some compilers, for the system that they compile for."""
 _OTHERS = (
     "fpclassify isfinite isgreater isgreaterequal isinf isless islessequal islessgreater isnan isnormal isunordered "
     "signbit main FILE L_tmpnam CLOCKS_PER_SEC EXIT_FAILURE EXIT_SUCCESS WEOF CMPLX CMPLXF CMPLXL ONCE_FLAG_INIT I "
@@ -56,12 +56,12 @@ _OTHERS = (
     "wcstold wcstoll wcstombs wcstoul wcstoull wcstoumax wcsxfrm wctob wctomb wctrans wctype wmemchr wmemcmp wmemcpy "
     "wmemmove wmemset wprintf wscanf"
 )
-"""Other names of C11's library, which a function, or a namespace of C++, of the same name would hide."""
+"""Other names of the library of C11, which a function or a C++ namespace of the same name would hide."""
 _PATTERNS = re.compile(
     r"[A-Za-z0-9_]+_t|(ATOMIC|DBL|FE|FLT|FP|LC|LDBL|SEEK|SIG|TIME|TSS)_[A-Z0-9_]+|[A-Z0-9_]+_(BIT|DIG|MAX|MIN)|"
     r"(PRI|SCN)[Xdioux][A-Z0-9]+|SIG(ABRT|FPE|ILL|INT|SEGV|TERM)|U?INT(8|16|32|64|MAX)_C|atomic_[a-z_]+"
 )
-"""Names of types and macros that the library has many of."""
+"""Families of types, macros and functions of the library."""
 C_KEYWORDS = frozenset(_C.split() + _CPP.split())
 C_MACROS = frozenset(_MACROS.split())
 LIBRARY = C_MACROS | frozenset(

@@ -14,7 +14,7 @@ from covariant.lowering.c._c_writer import Signature
 from covariant.lowering.graph import lower
 
 RESTRICT_IN_CPP = "#ifdef __cplusplus\n#define restrict\n#endif\n"
-"""C++ has no such word, which only permits faster code."""
+"""C++ has no keyword `restrict`, which only permits faster code."""
 
 
 def to_c(function: Callable, *examples: Any, name: str = "f", real: Real = "double") -> str:

@@ -1,7 +1,8 @@
-"""Derivatives of JAX functions that a statement may rest on: those of their values, never of a declared rule.
+"""Derivatives of the values of JAX functions, without the derivative rules that a function declares.
 
-JAX believes `stop_gradient`, `custom_jvp` and `custom_vjp`. A graph has values alone, so its derivatives are true. A
-function without a graph is differentiated by JAX, and the result is compared with differences of its values.
+JAX follows the rules `stop_gradient`, `custom_jvp` and `custom_vjp`, which may be wrong. A graph contains only values,
+so its derivatives are correct. A function without a graph is differentiated by JAX, and the result is compared with
+differences of its values.
 """
 
 import itertools
@@ -23,11 +24,11 @@ from covariant.lowering.graph._read import Domain, evaluate
 from covariant.lowering.graph._stumpff import stumpff
 
 LONGEST = 50_000
-"""Operations from which a function is not written as a graph of scalars, which JAX would have to compile."""
+"""Largest number of operations of a function that is written as a graph of scalars, which JAX has to compile."""
 STEPS = (1e-3, 1e-5, 1e-7)
-"""Steps of the differences that a derivative of JAX is compared with; one of them is short and long enough."""
+"""Steps of the difference quotients that a derivative of JAX is compared with; it must agree with one of them."""
 AGREES, OF_LARGEST = 1e-4, 1e-8
-"""Deviation up to which a derivative is that of the values, relative to it and to the largest derivative beside it."""
+"""Largest deviation of a derivative from its difference quotient, relative to it and to the largest derivative."""
 
 _RENAMED = {
     "neg": "negative", "sub": "subtract", "mul": "multiply", "div": "divide", "add": "add", "abs": "abs",
@@ -48,8 +49,8 @@ IN_JAX: Domain = {
 def to_jax(lowered: Lowered) -> Callable:
     """Write a lowered function as a JAX function, without the derivative rules and the state of the original.
 
-    Use it to hand the function on to code that traces it again or differentiates it: each trace is of the same graph,
-    and the derivatives of JAX are those of its values.
+    Use it before you give the function to code that traces or differentiates it. Each trace then yields the same graph,
+    and the derivatives by JAX are those of its values.
 
     Args:
         lowered: The function, without loops.
@@ -75,10 +76,10 @@ def to_jax(lowered: Lowered) -> Callable:
 
 
 def along(function: Callable, primals: Sequence[Any], tangents: Sequence[Any]) -> tuple[Any, Any]:
-    """Value and directional derivative of a function, with the arguments of `jax.jvp`.
+    """Compute value and directional derivative of a function, with the arguments of `jax.jvp`.
 
-    Use it wherever a statement needs a derivative: what a function declares its derivative to be is not read. It works
-    inside `jit` and `vmap`, and may be nested.
+    Use it wherever a statement needs a derivative: unlike `jax.jvp` it ignores derivative rules that the function
+    declares. It works inside `jit` and `vmap`, and may be nested.
 
     Args:
         function: A function of arrays, whose result is one array.
@@ -100,7 +101,7 @@ def along(function: Callable, primals: Sequence[Any], tangents: Sequence[Any]) -
     try:
         traced = _Traced.of(function, primals)
     except LoweringError:
-        return _change_along(function, primals, tangents)
+        return _differentiate_along(function, primals, tangents)
     graph, places = traced.graph, itertools.count(traced.count)
     size = sum(array.size for array in primals)
     # The entries of the direction are further inputs of the graph.
@@ -112,7 +113,7 @@ def along(function: Callable, primals: Sequence[Any], tangents: Sequence[Any]) -
 
 
 def jacobian(function: Callable, x: Any) -> jax.Array:
-    """Jacobian of a function of one array, with the conventions of `jax.jacfwd` and the guarantees of `along`.
+    """Compute the Jacobian of a function of one array, with the conventions of `jax.jacfwd`, from values as in `along`.
 
     Args:
         function: A function `x (…) -> array`.
@@ -134,7 +135,7 @@ def jacobian(function: Callable, x: Any) -> jax.Array:
     try:
         traced = _Traced.of(function, (x,))
     except LoweringError:
-        columns = jax.vmap(lambda d: _change_along(function, (x,), (d,))[1])(directions)
+        columns = jax.vmap(lambda d: _differentiate_along(function, (x,), (d,))[1])(directions)
     else:
         graph = traced.graph
         with no_collection():
@@ -146,14 +147,14 @@ def jacobian(function: Callable, x: Any) -> jax.Array:
 
 
 def change(function: Callable, *, aux: bool = False) -> tuple[Any, Any]:
-    """Value and derivative at zero of a function of one number, of any size: by JAX, but never against the values.
+    """Compute value and derivative at zero of a function of one number, which may be too large for a graph.
 
-    Where the derivative of JAX differs from the difference quotients at all of `STEPS`, it was declared, and is not
-    that of the function. The quotient takes its place. `along` is more accurate for small functions.
+    JAX computes the derivative. If it differs from the difference quotients at all of `STEPS`, a declared rule is
+    wrong, and a difference quotient is returned instead. `along` is more accurate for small functions.
 
     Args:
         function: A function of a number, of the order of 1, whose result is a pytree of arrays.
-        aux: Whether it returns a pair, whose second part is returned as it is in place of the value.
+        aux: Whether it returns a pair; the second part is not differentiated, and is returned too.
 
     Returns:
         Value and derivative; with `aux`, value, derivative and the other part.
@@ -168,39 +169,39 @@ def change(function: Callable, *, aux: bool = False) -> tuple[Any, Any]:
     """
     zero = jnp.zeros(())
     both = function if aux else lambda s: (function(s), ())
-    # All points in one loop, so that the function is compiled once.
+    # One loop over all points, so that the function is compiled once.
     stamps = jnp.asarray([0.0, *(sign * step for step in STEPS for sign in (1, -1))])
     values, slopes, others = jax.lax.map(lambda s: jax.jvp(both, (s,), (jnp.ones_like(zero),), has_aux=True), stamps)
     leaves, tree = jax.tree.flatten(values)
-    checked = [_slope(value, slope[0]) for value, slope in zip(leaves, jax.tree.leaves(slopes), strict=True)]
+    checked = [_confirm_slope(value, slope[0]) for value, slope in zip(leaves, jax.tree.leaves(slopes), strict=True)]
     first = jax.tree.map(lambda leaf: leaf[0], (values, others))
     return (first[0], jax.tree.unflatten(tree, checked), *([first[1]] if aux else []))
 
 
-def _change_along(function: Callable, primals: Sequence[Any], tangents: Sequence[Any]) -> tuple[Any, Any]:
-    """`change` along a line, in units in which its steps suit the size of the arguments."""
+def _differentiate_along(function: Callable, primals: Sequence[Any], tangents: Sequence[Any]) -> tuple[Any, Any]:
+    """Apply `change` along a line, in a unit for which its steps suit the size of the arguments."""
     largest = [jnp.max(jnp.stack([jnp.max(jnp.abs(a), initial=0.0) for a in arrays])) for arrays in (primals, tangents)]
     unit = jnp.maximum(largest[0], 1.0) / jnp.where(largest[1] > 0, largest[1], 1.0)
     value, slope = change(lambda s: function(*(x + s * unit * d for x, d in zip(primals, tangents, strict=True))))
     return value, slope / unit
 
 
-def _slope(values: jax.Array, declared: jax.Array) -> jax.Array:
-    """The declared derivative, or the quotient of the middle step where no quotient confirms it."""
+def _confirm_slope(values: jax.Array, declared: jax.Array) -> jax.Array:
+    """Return the derivative by JAX, or the quotient of the middle step if no quotient confirms it."""
     steps = jnp.asarray(STEPS, values.dtype).reshape(-1, *[1] * (values.ndim - 1))
     quotients = (values[1::2] - values[2::2]) / (2 * steps)
     size = jnp.max(jnp.abs(values[0]), initial=0.0)
-    # What a few roundings of the values change in a quotient.
+    # The error of a quotient from a few roundings of the values.
     rounding = 16 * jnp.finfo(values.dtype).eps * size / steps
     largest = jnp.max(jnp.abs(declared), initial=0.0)
     most = (AGREES * jnp.abs(declared) + OF_LARGEST * largest)[None] + rounding
-    # Entry by entry at one step each: of a vector with a steep entry each may be resolved by another step.
+    # Each entry may agree at another step, since steep entries need shorter ones.
     agrees = jnp.any(jnp.abs(quotients - declared[None]) <= most, axis=0)
     return jnp.where(jnp.all(agrees) | ~jnp.all(jnp.isfinite(quotients)), declared, quotients[1])
 
 
 class _Traced:
-    """A function as a graph of its arguments and of the traced numbers that it closes over."""
+    """A function as a graph of its arguments and of the traced numbers in its closure."""
 
     def __init__(self, graph: Graph, outputs: list[int], result: jax.ShapeDtypeStruct, constants: list, count: int):
         self.graph, self.outputs, self.result = graph, outputs, result
@@ -208,8 +209,8 @@ class _Traced:
 
     @classmethod
     def of(cls, function: Callable, arguments: Sequence[Any]) -> "_Traced":
-        (jaxpr, consts), shape = _jaxpr(function, arguments)
-        if _work(jaxpr) > LONGEST:
+        (jaxpr, consts), shape = _trace_function(function, arguments)
+        if _count_operations(jaxpr) > LONGEST:
             raise LoweringError("the function has too many operations for a graph of scalars")
         graph, place = Graph(real=True), itertools.count()
 
@@ -230,7 +231,7 @@ class _Traced:
         return cls(graph, outputs, shape, traced, next(place))
 
     def evaluate(self, outputs: list[int], arguments: Sequence[Any], parts: int) -> list[jax.Array]:
-        """Arrays of the shape of the result, from as many lists of nodes."""
+        """Evaluate the nodes, as `parts` arrays of the shape of the result."""
         small, places = self.graph.pruned(outputs)
         shapes = tuple(array.shape for array in arguments)
         kind = jnp.result_type(*arguments)
@@ -239,22 +240,22 @@ class _Traced:
         return to_jax(lowered)(*arguments) if parts else []
 
 
-def _jaxpr(function: Callable, arguments: Sequence[Any]) -> tuple[ClosedJaxpr, Any]:
+def _trace_function(function: Callable, arguments: Sequence[Any]) -> tuple[ClosedJaxpr, Any]:
     closed, shape = trace(function, *arguments)
     return ClosedJaxpr(closed.jaxpr, closed.consts), shape
 
 
-def _work(jaxpr: Any) -> int:
-    """Scalar results of a jaxpr, with those of all turns of its loops."""
+def _count_operations(jaxpr: Any) -> int:
+    """Count the scalar results of a jaxpr, over all turns of its loops."""
     total = 0
     for eqn in equations(jaxpr):
         match eqn.form:
             case Scan(body=body, length=turns):
-                total += turns * _work(body.jaxpr)
+                total += turns * _count_operations(body.jaxpr)
             case Call(body):
-                total += _work(body.jaxpr)
+                total += _count_operations(body.jaxpr)
             case Branch(bodies):
-                total += sum(_work(body.jaxpr) for body in bodies)
+                total += sum(_count_operations(body.jaxpr) for body in bodies)
             case While():
                 raise LoweringError("a 'while' loop runs until something the arguments decide")
             case None:
@@ -263,7 +264,7 @@ def _work(jaxpr: Any) -> int:
 
 
 def _assemble(lowered: Lowered, values: list[Any], kind: Any) -> Any:
-    """The result of a lowered function from its scalars in JAX."""
+    """Assemble the result of a lowered function from its scalars in JAX."""
     remaining, leaves = iter(values), []
     for leaf in lowered.results:
         dtype = kind if jnp.issubdtype(leaf.dtype, jnp.floating) else leaf.dtype

@@ -99,14 +99,14 @@ def recipe(spec: str, overrides: Overrides = ()) -> dict[str, Any]:
 
 
 def rebuild(made: dict[str, Any]) -> Model | None:
-    """Build the model of a recipe once more, to compare it.
+    """Build the model of a recipe again, to compare it with another.
 
     Args:
         made: The recipe.
 
     Returns:
-        The model, or None where the recipe names code and is not itself the result of `recipe`, which has run that
-        code in this process.
+        The model; None if the recipe names code and was not returned by `recipe`, which has run that code in this
+        process.
 
     Raises:
         ModelError: As for `from_recipe`.

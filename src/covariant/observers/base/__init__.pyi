@@ -23,6 +23,7 @@ from ._protocol import (
     check_finite as check_finite,
     check_not_negative as check_not_negative,
     check_positive as check_positive,
+    check_whole as check_whole,
     checked as checked,
     continuous as continuous,
     in_jax as in_jax,

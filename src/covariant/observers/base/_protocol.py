@@ -216,15 +216,15 @@ class AbstractObserver(Functional):
     def reported(
         self, before: Any, after: Any, info: Any, u: Float[Array, "m"], y: Inexact[Array, "*n"], dt: Scalar
     ) -> tuple[Any, Any]:
-        """What `step` returns: the new state and the info, unchanged unless a subclass adds what the whole step shows.
+        """Complete the result of `step`; a subclass may add what depends on the whole step. By default nothing changes.
 
         Args:
             before: State before the step.
             after: State after it.
             info: The info, with the result code of the whole step.
             u: Input (m,) that acted, with invalid entries replaced.
-            y: Measurement, NaN where it counts as missing.
-            dt: Length of the prediction [s], 0 where none was made.
+            y: Measurement, NaN if it counts as missing.
+            dt: Length of the prediction [s], 0 if none was made.
 
         Returns:
             The state and the info.
@@ -320,7 +320,7 @@ class AbstractObserver(Functional):
 
     @property
     def fixed_numbers(self) -> bool:
-        """Whether its numbers are constants in generated code, since a proof is about them."""
+        """Whether all numbers are constants in generated code, because a proof holds only for these numbers."""
         return False
 
     def configuration(self, y: Any) -> Any:
@@ -483,6 +483,16 @@ def check_not_negative(whose: str, **gains: Any) -> None:
             raise ValueError(f"{whose}: {name} must be a finite number, 0 or more; got {_on_one_line(gain)}")
 
 
+def check_whole(whose: str, observer: Any) -> None:
+    """Check that an observer may be wrapped: what it reports of its own steps is unknown where they do not run."""
+    reported = getattr(type(observer), "reported", AbstractObserver.reported)
+    if reported is not AbstractObserver.reported:
+        raise ValueError(
+            f"{whose}: what {type(observer).__name__} reports is about its own steps, and not about those that {whose} "
+            "makes of them; put it around the others"
+        )
+
+
 def check_finite(whose: str, **given: Any) -> None:
     """Check that arrays have finite entries; a traced array has no values to check."""
     for name, array in given.items():
@@ -615,10 +625,9 @@ def outcome(q: Array, v: Array, y: Array, result: Code | int = StepCode.OK) -> C
 
 
 def in_jax(record: Record) -> tuple[Array, Array, Array]:
-    """Stamps, inputs and measurements of a checked record as JAX holds them.
+    """Convert stamps, inputs and measurements of a checked record to arrays of JAX, with stamps that stay distinct.
 
-    Without double precision in JAX, stamps that are far from zero would lose the steps between them, and no result code
-    would show it.
+    In single precision, stamps far from zero would lose the steps between them, and no result code would show it.
     """
     t, u, y = map(jnp.asarray, record[:3])
     stamps = np.asarray(record.t)

@@ -82,8 +82,8 @@ class AbstractForceObserver(Functional):
     def step(self, state: ForceState, u: Float[Array, "m"], q: Array, v: Vector, dt: Scalar) -> ForceState:
         """State at the next sample.
 
-        The force stays where a sample tells nothing of it: next to a configuration or velocity that is not finite, and
-        under an input that is not. A sample that is not later than the one before changes nothing.
+        The force stays unchanged if configuration or velocity of this sample or the one before, or the input, are not
+        finite. A sample that is not later than the one before changes nothing.
 
         Args:
             state: State at the sample before.
@@ -97,9 +97,9 @@ class AbstractForceObserver(Functional):
         """
         later = jnp.isfinite(dt) & (dt > 0)
         # The divisor 1 only avoids 0/0: the state of such a step is not used.
-        new = self._stepped(state, u, q, v, jnp.where(later, dt, 1.0))
+        new = self._advance(state, u, q, v, jnp.where(later, dt, 1.0))
         known = jnp.all(jnp.isfinite(new.force)) & jnp.all(jnp.isfinite(new.acceleration))
-        # Position and velocity are stored even so: the next sample starts from them, or again tells nothing.
+        # Position and velocity are stored even if they are not finite: then the next sample leaves the force unchanged.
         new = new._replace(
             force=jnp.where(known, new.force, state.force),
             acceleration=jnp.where(known, new.acceleration, state.acceleration),
@@ -107,8 +107,8 @@ class AbstractForceObserver(Functional):
         return jax.tree.map(lambda a, b: jnp.where(later, a, b), new, state)
 
     @abc.abstractmethod
-    def _stepped(self, state: ForceState, u: Float[Array, "m"], q: Array, v: Vector, dt: Scalar) -> ForceState:
-        """`step` for a sample that is later than the one before."""
+    def _advance(self, state: ForceState, u: Float[Array, "m"], q: Array, v: Vector, dt: Scalar) -> ForceState:
+        """Compute the next state for a sample that is later than the one before."""
 
 
 class MomentumObserver(AbstractForceObserver):
@@ -141,7 +141,7 @@ class MomentumObserver(AbstractForceObserver):
     def __check_init__(self):
         check_positive("MomentumObserver", gain=self.gain)
 
-    def _stepped(self, state: ForceState, u: Float[Array, "m"], q: Array, v: Vector, dt: Scalar) -> ForceState:
+    def _advance(self, state: ForceState, u: Float[Array, "m"], q: Array, v: Vector, dt: Scalar) -> ForceState:
         space, end = self.model.space, state.t + dt
         change = space.lower(q, v) - space.lower(state.q, state.v)
         known = (self._rate(state.t, state.q, state.v, u) + self._rate(end, q, v, u)) / 2
@@ -187,7 +187,7 @@ class InverseDynamics(AbstractForceObserver):
     def __check_init__(self):
         check_positive("InverseDynamics", bandwidth=self.bandwidth)
 
-    def _stepped(self, state: ForceState, u: Float[Array, "m"], q: Array, v: Vector, dt: Scalar) -> ForceState:
+    def _advance(self, state: ForceState, u: Float[Array, "m"], q: Array, v: Vector, dt: Scalar) -> ForceState:
         space, end = self.model.space, state.t + dt
         slope = (v - state.v) / dt
         acceleration = state.acceleration - jnp.expm1(-self.bandwidth * dt) * (slope - state.acceleration)
@@ -220,8 +220,8 @@ def observed_forces(
         The forces (T, n); zero in the first row, where no motion is known yet.
 
     Raises:
-        ValueError: The arrays do not have the same number of rows, or have none; a `StampError` for a stamp that is not
-            finite or goes back.
+        ValueError: The arrays do not have the same number of rows, or have none.
+        StampError: A stamp is not finite or goes back.
 
     Example:
         >>> import numpy as np
@@ -243,7 +243,7 @@ def observed_forces(
 
 
 def _check_stamps(t: np.ndarray) -> None:
-    """Check that stamps are finite, do not go back, and keep their steps where JAX has single precision."""
+    """Check that stamps are finite, do not go back, and are not rounded together in the precision of JAX."""
     wrong = ~np.isfinite(t) | (np.diff(t, prepend=t[:1]) < 0)
     if wrong.any():
         k = int(wrong.argmax())

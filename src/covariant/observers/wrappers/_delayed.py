@@ -24,7 +24,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Inexact
 
 from covariant._typing import Number, Scalar, Vector
-from covariant.observers.base import AbstractObserver, AbstractWrapper, LastInput
+from covariant.observers.base import AbstractObserver, AbstractWrapper, LastInput, check_whole
 from covariant.observers.sensors import Sensors
 from covariant.signals import StepCode
 
@@ -88,7 +88,8 @@ class Delayed(AbstractWrapper):
         lateness: Time [s] by which a sample may arrive later than its delay says, 0 by default; see `late`.
 
     Raises:
-        ValueError: A delay or the lateness is not finite and ≥ 0, or the rate is not positive and finite.
+        ValueError: A delay or the lateness is not finite and ≥ 0, the rate is not positive and finite, or what the
+            observer reports is about its own steps, as a proved bound is.
 
     Example:
         A ramp of slope 2/s, read 0.1 s late: the estimate is for now all the same.
@@ -118,6 +119,7 @@ class Delayed(AbstractWrapper):
             raise ValueError(f"Delayed: lateness must be a number ≥ 0 [s]; got {lateness}")
         if not 0 < rate < math.inf:
             raise ValueError(f"Delayed: rate must be a positive number [Hz]; got {rate}")
+        check_whole("Delayed", observer)
         self.observer = observer
         self.delay, self.lateness = jnp.asarray(delays), jnp.asarray(float(lateness))
         self.groups = tuple(tuple(np.flatnonzero(delays == d).tolist()) for d in np.unique(delays))

@@ -40,6 +40,7 @@ from covariant.observers.base import (
     Velocity,
     as_gain,
     check_positive,
+    check_whole,
     no_input,
     start,
     step_length,
@@ -93,7 +94,8 @@ class Gated(AbstractObserver):
         gate: The gate, by default `Gate()`.
 
     Raises:
-        ValueError: `noise` or `speed` is not positive and finite.
+        ValueError: `noise` or `speed` is not positive and finite, or what the observer reports is about its own steps,
+            as a proved bound is: bound the gated observer instead.
 
     Example:
         >>> import jax
@@ -115,6 +117,7 @@ class Gated(AbstractObserver):
 
     def __check_init__(self):
         check_positive("Gated", noise=self.noise, speed=self.speed)
+        check_whole("Gated", self.observer)
 
     def init(self, y: Array, t: Number = 0.0) -> GatedState:
         """State at rest at a measured configuration, with an open gate.

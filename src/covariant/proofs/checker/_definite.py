@@ -14,7 +14,7 @@ from covariant.proofs.checker._tree import SavedTree, halves
 CHUNK, MOST = 1024, 20_000
 """Number of boxes evaluated at once, and largest number of further boxes waiting after halvings."""
 TURN = 0.1
-"""Share of the blame for open choices and remainders that a variable has even where none is its own."""
+"""Least share of the blame for open choices and remainders that each variable gets."""
 
 
 def definite(
@@ -37,9 +37,8 @@ def definite(
         unit = 1 / np.sqrt(np.diagonal(s[0], axis1=1, axis2=2))[:, :, None]
         scaled = unit * s[0] * unit.swapaxes(1, 2)
         values, vectors = np.linalg.eigh(np.where(np.isfinite(scaled), scaled, -np.eye(len(matrix))))
-        # C = U V |Λ|^−½ Vᵀ of the scaled middle: of all C that take it to the identity the one that turns least, since
-        # turning adds up absolute values of the terms. A negative eigenvalue becomes −1: then E is large, and nothing
-        # is shown.
+        # C = U V |Λ|^−½ Vᵀ of the scaled middle. Many C take it to the identity; this one rotates least, and rotations
+        # add absolute values of the terms. A negative eigenvalue becomes −1: then E is large, and nothing is shown.
         c = unit * (vectors / np.sqrt(np.maximum(abs(values), TINY))[:, None]) @ vectors.swapaxes(1, 2)
         ct = c.swapaxes(1, 2)
         turned = ct @ s @ c
@@ -62,13 +61,13 @@ def definite(
         named = list(zip(parts, keys, strict=True))
         return np.stack([sum((p for p, m in named if k in m), 0.0 * good) for k in range(width.shape[1])], 1)
 
-    # Sums that overflow are not finite, which is asked for below.
+    # Sums may overflow; below, weights that are not finite are replaced.
     with np.errstate(all="ignore"):
         weight = by_variable(abs(t).sum((1, 2)) for t in turned)
         outweighed = ~(rest.sum((1, 2)) <= weight.sum(1))[:, None]
-        # A kink is met by some box however small, and entries without a bound have no size: such a blame does not fade
-        # as its variable is halved, so it counts for less the more often that has been done, and others get their turn.
-        # So does that of remainders of high order, which belong to no variable.
+        # Halving a variable does not reduce this blame: some box, however small, contains the kink, and entries without
+        # a bound have no size. So it counts for less the more often the variable was halved, and others get their turn.
+        # The same is done for remainders of high order, which belong to no variable.
         blame = np.where(kinks.any(1, keepdims=True), kinks, weight)
         share = blame / np.maximum(blame.sum(1, keepdims=True), TINY)
         weight = np.where(outweighed, (share + TURN) * np.sqrt(left), weight)
@@ -124,9 +123,9 @@ def show_tree(
 ) -> None:
     """Show that `matrix + matrixᵀ` is positive definite on boxes of a saved tree, from larger ones down to its leaves.
 
-    A box that is shown needs none of those below it. The tree only says which boxes to try.
+    If a box is shown, the boxes below it are not tried. The tree only says which boxes to try.
     """
-    # Larger boxes would not fill one lot, and an operation on few boxes takes as long as one on many.
+    # Still larger boxes would not fill a chunk, and an operation on few boxes takes as long as one on many.
     most = max(1, int(tree.leaves[numbers].sum()) // CHUNK)
     waiting, resisting = tree.boxes(numbers, low, high, most), []
     while most > 1 and len(waiting[0]):
@@ -137,7 +136,7 @@ def show_tree(
         try:
             enclosure = matrix(a, b)
             good = definite(enclosure + enclosure.T, b - a, matrix.kinks(), np.ones_like(a))[0]
-        except UndecidedError:  # a branch, which may be the same on the boxes below
+        except UndecidedError:  # a condition that is open here may be decided on the boxes below
             good = np.zeros(len(a), bool)
         end = tree.leaves[numbers] == 1
         resisting.append((a[~good & end], b[~good & end]))
@@ -145,7 +144,7 @@ def show_tree(
         waiting = [np.concatenate(pair) for pair in zip(waiting, below, strict=True)]
         large = 2 * tree.leaves[numbers] > most
         if 3 * np.count_nonzero(good & large) < np.count_nonzero(large):
-            # Boxes of this size are mostly tried in vain: from here on the largest have half as many leaves.
+            # Most boxes of this size fail: from here on the largest have half as many leaves.
             most //= 2
             waiting = tree.boxes(*waiting, most)
     low, high = (np.concatenate(parts) for parts in zip(waiting[1:], *resisting, strict=True))

@@ -1,6 +1,6 @@
-"""The derivatives of the checker: those of JAX, of a function without the derivative rules that were declared for it.
+"""The derivatives of the checker: JAX differentiates a function after its custom derivative rules are removed.
 
-The prover's are those of a graph, by `covariant.lowering`, so that an error in one of the two ways is seen.
+The prover differentiates a graph, by `covariant.lowering`, so that an error in one of the two ways is detected.
 """
 
 from collections.abc import Callable, Sequence
@@ -31,19 +31,19 @@ def plain(function: Callable) -> Callable:
 
 
 def jacobian(function: Callable[[Any], Any], x: Any) -> Any:
-    """Jacobian of a function of an array, with the axes of x last."""
+    """Compute the Jacobian of a function of an array, with the axes of x last."""
     return jax.jacfwd(plain(function))(x)
 
 
 def value_and_jacobian(function: Callable[[Any], Any], x: Any) -> tuple[Any, Any]:
-    """Value and Jacobian, for which the function is evaluated once."""
+    """Compute value and Jacobian with one evaluation of the function."""
     inlined = plain(function)
     slope, value = jax.jacfwd(lambda y: (inlined(y),) * 2, has_aux=True)(x)
     return value, slope
 
 
 def along(function: Callable[[Any], Any], x: Any, direction: Any) -> tuple[Any, Any]:
-    """Value and derivative of a function in a direction."""
+    """Compute value and directional derivative of a function."""
     return jax.jvp(plain(function), (x,), (direction,))
 
 

@@ -58,7 +58,7 @@ def _expand_body(body: ClosedJaxpr, arguments: Sequence) -> list:
 
 def _apply_primitive(eqn: Any, x: list, count: int) -> list[Coefficients]:
     """The coefficients of the results of a primitive."""
-    # A condition that the number decides is refused where it is compared: a choice here is the same for all of them.
+    # Comparisons that depend on the number are refused, so that a choice is the same for all numbers.
     if eqn.name in LINEAR:
         whole = [
             _all(a, count) if isinstance(a, list) or jnp.issubdtype(jnp.result_type(a), jnp.floating) else [a] * count

@@ -1,4 +1,4 @@
-"""A saved tree of boxes, read by the checker: which boxes there are, and which of them are halves of which."""
+"""A saved tree of boxes, as the checker reads it: which boxes it has, and into which halves each is divided."""
 
 import string
 from collections.abc import Sequence
@@ -27,8 +27,8 @@ class SavedTree(NamedTuple):
 
     Attributes:
         axes: Variable across which each box is halved (N,); −1 for a leaf.
-        child: Number of the lower half of each box (N,), which the upper one follows; of no meaning for a leaf.
-        leaves: Number of leaves that each box consists of (N,).
+        child: Number of the lower half of each box (N,); the upper half is the next one. Without meaning for a leaf.
+        leaves: Number of leaves in each box (N,).
 
     Example:
         >>> import numpy as np
@@ -46,7 +46,7 @@ class SavedTree(NamedTuple):
 
     @classmethod
     def read(cls, variables: int, levels: Sequence[str], what: str) -> "SavedTree":
-        """Read a tree over so many variables, as `leaves` does."""
+        """Read a tree over a number of variables, with the arguments of `leaves`."""
         codes = np.full(256, -2)
         codes[[ord(letter) for letter in string.ascii_letters[:variables]]] = np.arange(variables)
         codes[ord(".")] = -1
@@ -60,7 +60,7 @@ class SavedTree(NamedTuple):
         if size:
             raise ValueError(f"{what} lacks the last {size} boxes")
         axes = np.concatenate(parts)
-        # Both halves of the first box that is halved follow the whole box, those of the second follow these, and so on.
+        # Boxes are numbered level by level: the k-th box that is halved has the halves 2k − 1 and 2k.
         child = 2 * np.cumsum(axes >= 0) - 1
         count, stop = np.ones(len(axes), int), len(axes)
         for part in reversed(parts):
@@ -70,12 +70,12 @@ class SavedTree(NamedTuple):
         return cls(axes, child, count)
 
     def halved(self, numbers: np.ndarray, low: np.ndarray, high: np.ndarray) -> Boxes:
-        """Both halves of boxes that are no leaves."""
+        """Compute both halves of boxes that are not leaves."""
         both = (self.child[numbers][:, None] + np.arange(2)).ravel()
         return both, *halves(low, high, self.axes[numbers])
 
     def boxes(self, numbers: np.ndarray, low: np.ndarray, high: np.ndarray, most: int) -> Boxes:
-        """The largest boxes with at most `most` leaves that some boxes consist of, which they cover."""
+        """Divide boxes into the largest boxes of the tree with at most `most` leaves."""
         parts, boxes = [], (numbers, low, high)
         while len(boxes[0]):
             small = self.leaves[boxes[0]] <= most
