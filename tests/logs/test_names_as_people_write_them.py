@@ -15,28 +15,78 @@ T = [0.0, 0.5, 1.0]
 KNOWN = {
     **dict.fromkeys(
         ("q.deg", "q/deg", "q°", "qDeg", "deg_q", "q-deg", "q{deg}", "q<deg>", "q1deg", "q_deg_1", "pitchdeg", "DEG q",
-         "angleDegrees", "left_knee_deg_raw", "q_deg [1]"),
+         "angleDegrees", "left_knee_deg_raw", "q_deg [1]", "q (in deg)", "q (left, deg)", "[deg] q"),
         ("q", "deg"),
     ),
     **{"qMm": ("q", "mm"), "x_millimeters": ("q", "mm"), "q_revs": ("q", "turn"), "angle_milliradians": ("q", "mrad")},
+    **{"xmm": ("q", "mm"), "q_cdeg": ("q", "0.01 deg"), "q_millidegrees": ("q", "0.001 deg")},
     **{"torque_Ncm": ("u", "N cm"), "torque [N-cm]": ("u", "N cm"), "tau_mNm": ("u", "mN m"), "F kN": ("u", "kN")},
-    **dict.fromkeys(("ms", "millis", "millis()", "timeMs", "t.ms", "ms_since_boot", "Time(ms)"), ("t", "ms")),
+    **{"tau_cNm": ("u", "cN m"), "tau [N×cm]": ("u", "N cm"), "torque_millinewtonmeters": ("u", "mN m")},
+    **dict.fromkeys(("ms", "millis", "millis()", "timeMs", "t.ms", "ms_since_boot", "Time(ms)", "timems",
+                     "t_milli", "timestamp (ms since epoch)", "[ms]"), ("t", "ms")),
     **dict.fromkeys(("us", "usec", "micros", "TimeUS", "stamp_usec"), ("t", "us")),
     **dict.fromkeys(("nanoseconds", "timestamp_ns", "ros_time_nanosec"), ("t", "ns")),
     **{"days": ("t", "24 h"), "time [d]": ("t", "24 h"), "t_h": ("t", "h"), "minutes": ("t", "min")},
+    "time_10ms": ("t", "10ms"),
     **{"w_rpm": ("v", "rpm"), "omegaDegPerSec": ("v", "deg/s"), "w_dps": ("v", "deg/s"), "v_km_h": ("v", "km/h")},
+    **{"w_degs": ("v", "deg/s"), "w [deg s^-1]": ("v", "deg/s"), "w (1/min)": ("v", "rpm")},
+    "v [mm s⁻¹]": ("v", "mm/s"),
 }  # fmt: skip
 UNKNOWN = {
     **dict.fromkeys(("q_ticks", "q.counts", "encoderCounts", "ticks_left", "q%", "q_rpm", "q_gon", "q_inches"), "q"),
+    **dict.fromkeys(("quadcounts", "q_thou", "q_V"), "q"),
     **dict.fromkeys(("u_A", "u_mA", "u/A", "u_V", "tau_amps", "u_percent", "force_lbf", "tau_kgcm", "u_deg"), "u"),
-    **dict.fromkeys(("tick", "frame", "time_samples", "t_deg"), "t"),
-    **dict.fromkeys(("v_deg", "v_counts_s"), "v"),
+    **dict.fromkeys(("tau_oz_in", "tau_ftlb", "tau_in-lb", "force_kg", "i_amp", "u_milliamps", "cmd_us"), "u"),
+    **dict.fromkeys(("tick", "frame", "time_samples", "t_deg", "step", "sample_idx", "header.seq", "t_hhmmss"), "t"),
+    **dict.fromkeys(("v_deg", "v_counts_s", "v_mph", "w_erpm", "w_hz"), "v"),
 }
 PLAIN = {
-    "q": ("q1", "q_A", "theta_m", "q_min", "x_cm_ref", "cm_x", "/ns1/arm", "second_joint", "hip_rad", "q_raw", "degas"),
-    "u": ("tau_m", "torque_Nm", "torque.Nm", "torque_N_m", "Nm_tau", "u_nm", "pwm", "motor_current", "u_min", "amp_1"),
-    "t": ("time", "seconds", "sample_time", "tick_time", "t_sim", "header.stamp"),
-    "v": ("speed", "w_rad_per_s", "v_s"),
+    "q": (
+        "q1",
+        "q_A",
+        "theta_m",
+        "q_min",
+        "x_cm_ref",
+        "cm_x",
+        "/ns1/arm",
+        "second_joint",
+        "hip_rad",
+        "q_raw",
+        "degas",
+        "lb_hip",
+        "q_lp10hz",
+        "comm",
+        "index_finger",
+        "micro_arm",
+        "q (joint 2)",
+        "counter_arm",
+    ),
+    "u": (
+        "tau_m",
+        "torque_Nm",
+        "torque.Nm",
+        "torque_N_m",
+        "Nm_tau",
+        "u_nm",
+        "pwm",
+        "motor_current",
+        "u_min",
+        "amp_1",
+        "tau_g",
+        "u_in",
+    ),
+    "t": (
+        "time",
+        "seconds",
+        "sample_time",
+        "tick_time",
+        "t_sim",
+        "header.stamp",
+        "time (UTC)",
+        "Time [sec.]",
+        "time_step",
+    ),
+    "v": ("speed", "w_rad_per_s", "v_s", "w_rads", "w [rad s-1]"),
 }
 
 
@@ -68,6 +118,19 @@ def test_what_is_no_unit_of_the_column_is_refused_without_brackets_too(name, fie
 def test_a_word_that_is_no_unit_is_part_of_a_name(name, field):
     log = logs.read(table(field, name), columns(field, name))
     assert np.ravel({"t": log.record.t, "q": log.record.y, "u": log.record.u, "v": log.v}[field])[-1] == 1.0
+
+
+@pytest.mark.parametrize(
+    ("name", "field"),
+    [
+        ("q (raw ticks)", "q"), ("q (counts per rev)", "q"), ("q [0..4095]", "q"), ("q (0-360)", "q"),
+        ("u (% rated)", "u"), ("u (A rms)", "u"), ("u (kgf cm)", "u"), ("u (lbs)", "u"), ("v (counts/s)", "v"),
+        ("t (мс)", "t"), ("time (cycles)", "t"),
+    ],
+)  # fmt: skip
+def test_a_remark_in_brackets_that_holds_a_unit_is_one(name, field):
+    with pytest.raises(LogError, match=rf"in brackets, which is no unit of {field} here"):
+        logs.read(table(field, name), columns(field, name))
 
 
 def test_the_joints_a_and_b_are_no_amperes():
@@ -159,6 +222,46 @@ def test_units_of_parquet_and_arrow_count(tmp_path, in_file):
     assert guess.guessed == ()
 
 
+def test_units_in_the_attributes_of_a_table_count(tmp_path):
+    frame = pandas.DataFrame({"t": T, "q": T})
+    frame.attrs["units"] = {"q": "deg"}
+    frame.to_parquet(tmp_path / "log.parquet")
+    schema = pa.schema([("t", pa.float64()), ("q", pa.float64())], metadata={"units": '{"q": "deg"}', "note": "{"})
+    plain = pa.table([pa.array(T)] * 2, schema=schema)
+    key = pa.field("q", pa.float64(), metadata={"unit_of_measurement": "deg"})
+    named = pa.table([pa.array(T)] * 2, schema=pa.schema([("t", pa.float64()), key]))
+    for log in (frame, tmp_path / "log.parquet", plain, named):
+        with pytest.raises(LogError, match=r'column .q. has a unit in its attributes.*write q = "deg" under'):
+            logs.read(log, Columns(q=("q",)))
+
+
+@pytest.mark.parametrize(
+    "kind", [pa.string(), pa.large_string(), pa.string_view(), pa.dictionary(pa.int32(), pa.string())]
+)
+def test_text_of_every_type_of_parquet_is_read_alike(tmp_path, kind):
+    stamps = ["2024-05-01T12:00:00", "2024-05-01T12:00:00.5", "2024-05-01T12:00:01"]
+    pq.write_table(pa.table({"t": pa.array(stamps).cast(kind), "q": pa.array(["1,5", " 2", "-0,5"]).cast(kind)}),
+                   tmp_path / "log.parquet")  # fmt: skip
+    record = logs.read(tmp_path / "log.parquet", Columns(q=("q",))).record
+    assert (record.t.tolist(), record.y[:, 0].tolist()) == (T, [1.5, 2.0, -0.5])
+
+
+@pytest.mark.parametrize("delimiter", ["\t", "|", " "])
+def test_a_comma_that_may_stand_between_thousands_is_no_decimal_mark(tmp_path, delimiter):
+    path = tmp_path / "log.csv"
+    path.write_text("t;q\n0;1,234\n1;2,345\n".replace(";", delimiter))
+    with pytest.raises(LogError, match=r"column 'q', row 1: found the text '1,234', whose comma may be a decimal mark"):
+        logs.read(path, Columns(q=("q",)))
+    path.write_text("t;q\n0;1,234\n0,5;2,345\n".replace(";", delimiter))
+    assert logs.read(path, Columns(q=("q",))).record.y[:, 0].tolist() == [1.234, 2.345]
+
+
+def test_decimal_commas_under_a_header_with_a_comma_at_its_end(tmp_path):
+    (tmp_path / "log.csv").write_text("t,q,\n0,1,5\n1,2,25\n2,3,0\n")
+    with pytest.raises(LogError, match="the last column has no name, and its first cell is '5': are the commas"):
+        logs.read(tmp_path / "log.csv", Columns(q=("q",)))
+
+
 def test_texts_with_commas_in_a_table_of_types_are_refused_unless_the_comma_is_a_decimal_mark(tmp_path):
     for texts in (["1,234", "1,235", "-12,500"], ["1,234", "2", "3"]):
         pq.write_table(pa.table({"t": T, "q": texts}), tmp_path / "log.parquet")
@@ -180,7 +283,7 @@ def test_a_cell_that_is_too_long_gets_one_line(tmp_path):
 
 
 def test_days_are_not_read_as_seconds():
-    for first in (45_321.5, 739_221.5):
+    for first in (45_321.5, 739_221.5, 2_460_321.25):
         days = first + np.arange(200) * 0.01 / 86_400
         frame = pandas.DataFrame({"t": days, "q": np.sin(np.arange(200) * 0.02)})
         for unit in ({}, {"t": ("24 h",)}):
@@ -192,7 +295,30 @@ def test_days_are_not_read_as_seconds():
             calibration.draft({"t": days, "q": frame["q"].to_numpy()})
         frame["t"] -= first
         t = logs.read(frame, Columns(q=("q",), units={"t": ("24 h",)})).record.t
-        np.testing.assert_allclose(np.diff(t), 0.01, atol=2e-5)
+        np.testing.assert_allclose(np.diff(t), 0.01, atol=5e-5)  # the rounding of Julian dates
+
+
+@pytest.mark.parametrize("stamps", [0.5 + np.arange(200) * 0.01 / 86_400, 2024.5 + np.arange(200) * 1e-3 / 3.2e7])
+def test_parts_of_a_day_or_a_year_are_not_read_as_seconds(stamps):
+    frame = pandas.DataFrame({"t": stamps, "q": np.sin(np.arange(200) * 0.02)})
+    words = r"column 't' has .*e\+\d+ rows a second if it holds seconds; write what one of it is under \[units\]"
+    with pytest.raises(LogError, match=words):
+        logs.read(frame, Columns(q=("q",)))
+    with pytest.raises(ValueError, match=words):
+        calibration.draft({name: column.to_numpy() for name, column in frame.items()})
+    assert len(logs.read(frame, Columns(q=("q",), units={"t": ("s",)})).record.t) == 200
+
+
+def test_letters_of_a_quaternion_say_its_order():
+    frame = pandas.DataFrame(
+        {"t": np.arange(300) * 0.01} | dict(zip(["q_w", "q.x", "qY", "q[z]"], quaternion().T, strict=True))
+    )
+    w, *xyz = list(frame.columns[1:])
+    assert logs.read(frame, Columns(quaternion_xyzw=(*xyz, w))).record.y.shape == (300, 3, 3)
+    with pytest.raises(
+        LogError, match=r"quaternion_wxyz has .*, whose letters are in the order xyzw; name them in the"
+    ):
+        logs.read(frame, Columns(quaternion_wxyz=(*xyz, w)))
 
 
 def quaternion(count=300):

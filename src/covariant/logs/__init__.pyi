@@ -14,7 +14,7 @@ from ._configuration import (
 )
 from ._endings import MESSAGES as MESSAGES, WRITTEN as WRITTEN
 from ._read import OPTIONAL as OPTIONAL, LogSurvey as LogSurvey, read as read, record as record, survey as survey
-from ._stamps import DAYS_FAULT as DAYS_FAULT, are_days as are_days
+from ._stamps import odd_clock as odd_clock
 from ._tables import source_name as source_name
 from ._unit_in_name import (
     MEANT as MEANT,

@@ -16,7 +16,7 @@ from covariant.logs._cells import numbers
 from covariant.logs._columns import ATTITUDES, ClockError, Columns, Log, LogError, kind, pyarrow
 from covariant.logs._configuration import bodies, from_cells
 from covariant.logs._stamps import stamps, timed
-from covariant.logs._tables import LogSource, source_name, stated_units, table_source
+from covariant.logs._tables import LogSource, plain_text, source_name, stated_units, table_source
 from covariant.logs._text import read_text, sheet, with_points
 from covariant.logs._unit_in_name import MEANT, is_unit_of, unit_in_name, unknown_unit, unknown_unit_fault
 from covariant.logs._units import check_unit, unit_factor
@@ -300,7 +300,7 @@ def survey(log: str | PathLike[str] | Any) -> LogSurvey:
         source = _open_source(name, log)
         named = list(dict.fromkeys(column for column in source.shown if column))
         table, remarks = _unite(name, source.load(named, (), ()), refuse=False)
-        table = with_points(pyarrow(), name, table, source.typed)
+        table = with_points(pyarrow(), name, table, source.decimal_commas)
     columns: dict[str, np.ndarray] = {}
     # A log of messages loads its clock as well.
     for column_name in [each for each in named if each in table.column_names]:
@@ -346,7 +346,7 @@ def _columns_and_table(
         beside = [name for each in present for name in each.measured if name not in wanted]
         _find(name, wanted + beside, source)
         table, _ = _unite(name, source.load(wanted, columns.u, beside))
-        return columns, present, with_points(pyarrow(), name, table, source.typed), source.units
+        return columns, present, with_points(pyarrow(), name, table, source.decimal_commas), source.units
 
 
 @contextlib.contextmanager
@@ -393,13 +393,14 @@ def _open_source(name: str, log: Any) -> LogSource:
         text.header,
         lambda wanted, held, beside: read_text(pyarrow(), path, text, [*wanted, *beside]),
         first_line=text.first_line,
-        typed=False,
+        decimal_commas=text.delimiter == ";",
     )
 
 
 def _parquet(path: Path, wanted: Sequence[str]) -> Any:
     with pyarrow().parquet.ParquetFile(path) as file:
-        return file.read(columns=wanted)
+        table = file.read(columns=wanted)
+    return pyarrow().table([plain_text(column) for column in table.columns], names=table.column_names)
 
 
 def _find(log: str, wanted: Sequence[str], source: LogSource) -> None:

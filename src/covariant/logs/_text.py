@@ -65,6 +65,11 @@ def sheet(path: Path) -> Sheet:
         header = [*header, ""]
     elif not header[-1] and sample and all(len(row) == len(header) - 1 for row in sample):
         header = header[:-1]
+    if delimiter == "," and not header[-1] and sample and all(row[-1].isdigit() for row in sample):
+        raise LogError(
+            f"{path}: the last column has no name, and its first cell is {sample[0][-1]!r}: are the commas of the rows "
+            "decimal marks? write numbers with a decimal point, or give the column a name"
+        )
     if delimiter == " ":
         rows = re.sub(rb"[ \t]+", b" ", re.sub(rb"(?m)^[ \t]+|[ \t]+$", b"", rows))
     return Sheet(header, delimiter, rows, first_line)
@@ -147,16 +152,16 @@ def _check_quotes(path: Path, found: Sheet) -> None:
                 )
 
 
-def with_points(pa: Any, log: str, table: Any, typed: bool) -> Any:
-    """Replace decimal commas by decimal points; in a log whose columns are `typed`, a comma may also mark thousands."""
+def with_points(pa: Any, log: str, table: Any, certain: bool) -> Any:
+    """Replace decimal commas by decimal points; where they are not `certain`, 1,234 alone may be a thousand."""
     texts = [name for name in table.column_names if pa.types.is_string(table.schema.field(name).type)]
     commas = {name: _matching(pa, table.column(name), _COMMA) for name in texts}
-    for name in texts if typed else ():
-        row = commas[name]
-        if row is not None and _matching(pa, table.column(name), _CERTAIN_COMMA) is None:
+    certain |= any(_matching(pa, table.column(name), _CERTAIN_COMMA) is not None for name in texts)
+    for name, row in commas.items():
+        if row is not None and not certain:
             raise LogError(
                 f"{log}: column {name!r}, row {row + 1}: found the text {table.column(name)[row].as_py()!r}, whose "
-                "comma may be a decimal mark or one between thousands; convert the column to numbers"
+                "comma may be a decimal mark or one between thousands; write numbers with a decimal point"
             )
     commas = {name: row for name, row in commas.items() if row is not None}
     for name in texts if commas else ():

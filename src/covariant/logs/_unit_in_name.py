@@ -13,61 +13,68 @@ MEANT |= {"truth": MEANT["v"], "position": ("m",), "angle": ("rad",)}
 _PLAIN = {
     **dict.fromkeys(("deg", "degs", "degree", "degrees", "°", "º"), "deg"),
     **dict.fromkeys(("rad", "rads", "radian", "radians"), "rad"),
-    **dict.fromkeys(("mrad", "mrads", "milliradian", "milliradians"), "mrad"),
+    **dict.fromkeys(("mrad", "mrads"), "mrad"),
     **dict.fromkeys(("turn", "turns", "rev", "revs", "revolution", "revolutions", "rotations"), "turn"),
     **dict.fromkeys(("s", "sec", "secs", "second", "seconds"), "s"),
-    **dict.fromkeys(("ms", "msec", "msecs", "millis", "millisec", "millisecond", "milliseconds"), "ms"),
-    **dict.fromkeys(("us", "µs", "μs", "usec", "usecs", "micros", "microsec", "microsecond", "microseconds"), "us"),
-    **dict.fromkeys(("ns", "nsec", "nsecs", "nanos", "nanosec", "nanosecond", "nanoseconds"), "ns"),
+    **dict.fromkeys(("ms", "msec", "msecs", "milli", "millis"), "ms"),
+    **dict.fromkeys(("us", "µs", "μs", "usec", "usecs", "micro", "micros"), "us"),
+    **dict.fromkeys(("ns", "nsec", "nsecs", "nano", "nanos"), "ns"),
     **dict.fromkeys(("min", "mins", "minute", "minutes"), "min"),
     **dict.fromkeys(("h", "hr", "hrs", "hour", "hours"), "h"),
     **dict.fromkeys(("d", "day", "days"), "24 h"),
     **dict.fromkeys(("m", "meter", "meters", "metre", "metres"), "m"),
-    **dict.fromkeys(("mm", "millimeter", "millimeters", "millimetre", "millimetres"), "mm"),
-    **dict.fromkeys(("cm", "centimeter", "centimeters", "centimetre", "centimetres"), "cm"),
-    **dict.fromkeys(("um", "µm", "μm", "micrometer", "micrometers", "microns"), "um"),
-    **dict.fromkeys(("km", "kilometers", "kilometres"), "km"),
+    **{"mm": "mm", "cm": "cm", "um": "um", "µm": "um", "μm": "um", "microns": "um", "km": "km"},
     **dict.fromkeys(("newton", "newtons"), "N"),
     **dict.fromkeys(("nm", "newtonmeter", "newtonmeters", "newtonmetre", "newtonmetres"), "N m"),
     **{"mnm": "mN m", "ncm": "N cm", "nmm": "N mm", "knm": "kN m"},
-    **{"rpm": "rpm", "dps": "deg/s", "mdps": "1e-3 deg/s", "rps": "turn/s", "mps": "m/s", "kmh": "km/h", "kph": "km/h"},
+    **{"rpm": "rpm", "r/min": "rpm", "1/min": "rpm", "dps": "deg/s", "mdps": "1e-3 deg/s", "rps": "turn/s"},
+    **{"mps": "m/s", "kmh": "km/h", "kph": "km/h", "degsec": "deg/s", "radsec": "rad/s"},
     "g": "9.80665 m/s^2",
-    **dict.fromkeys(("amps", "ampere", "amperes"), "A"),
+    **dict.fromkeys(("amp", "amps", "ampere", "amperes"), "A"),
     **dict.fromkeys(("volt", "volts"), "V"),
     **dict.fromkeys(("watt", "watts"), "W"),
 }
 """How people write units, in lower case, and how they are written here; `nm` is a torque unless a length is meant."""
-_NO_UNITS = {"%", "adc", "bit", "bits", "cnt", "cnts", "count", "counts", "cts", "encoder counts", "inc", "increments"}
-_NO_UNITS |= {
-    "lsb",
-    "percent",
-    "pct",
-    "permille",
-    "pulse",
-    "pulses",
-    "pwm",
-    "raw counts",
-    "step",
-    "steps",
-    "tick",
-    "ticks",
+_PREFIXES = {"milli": ("m", 1e-3), "micro": ("u", 1e-6), "nano": ("n", 1e-9), "centi": ("c", 1e-2), "kilo": ("k", 1e3)}
+_PLAIN |= {
+    prefix + word: f"{symbol}{unit}"
+    for prefix, (symbol, _) in _PREFIXES.items()
+    for word, unit in _PLAIN.items()
+    if len(word) > 2 and unit in ("s", "m", "rad", "N", "N m", "A", "V", "W")
 }
+_PLAIN |= {
+    written + word: f"{size:g} deg"
+    for prefix, (symbol, size) in _PREFIXES.items()
+    for written in (prefix, symbol)
+    for word in ("deg", "degs", "degree", "degrees")
+}
+_RATES = {"degs": "deg/s", "rads": "rad/s"}
+"""Units of velocities whose names are those of angles as well."""
+_NO_UNITS = {"%", "adc", "bit", "bits", "cnt", "cnts", "count", "counts", "cts", "cycles", "erpm", "inc", "increments"}
+_NO_UNITS |= {"jiffies", "lsb", "percent", "pct", "permille", "pulse", "pulses", "pwm", "step", "steps"}
+_NO_UNITS |= {"tick", "ticks"}
 """What people write in the place of a unit for a number whose size depends on the machine."""
-_FOREIGN = {"gon", "grad", "grads", "arcmin", "arcsec", "inch", "inches", "feet", "ft", "lbf", "kgf", "kgcm", "ozin"}
-_FOREIGN |= {"lbin", "lbft", "week", "weeks", "fortnight", "quads", "mils"}
-"""Units that are not among those here."""
+_FOREIGN = {"gon", "grad", "grads", "gradians", "arcmin", "arcsec", "inch", "inches", "feet", "ft", "thou", "mils"}
+_FOREIGN |= {"mph", "knots", "week", "weeks", "fortnight", "hhmmss", "quads"}
+_WEIGHTS = {"lb", "lbs", "lbf", "pounds", "oz", "ounces", "kg", "kgf", "gf", "dyn", "dynes"}
+_FOREIGN |= _WEIGHTS
+"""Units that are not among those here; weights count in the names of forces, since lb is a leg as well."""
 _EXACT = ("mA", "uA", "µA", "mV", "uV", "kV", "mW", "kW", "mN", "kN", "urad", "µrad")
 """Units that are told from other words by their capitals."""
 _LAST = {"turn", "rev", "min", "mins", "hr", "cm", "um", "km", "rps", "mps", "nm", "day", "second", "minute", "hour"}
 _LAST |= {"count", "tick", "step", "steps", "pulse", "cnt", "ft", "feet", "grad", "week", "weeks", "mils", "quads"}
-_LAST |= {"watt", "volt"}
+_LAST |= {"watt", "volt", "milli", "micro", "nano", "lb", "lbs", "oz", "kg", "gf", "dyn", "thou", "pounds", "cycles"}
 """Words that are a unit only at the end of a name: `cm_x` is of a centre of mass."""
 _ENDS_OF_RANGES = {"min", "mins"}
 """Units of time that mean something else in names of other columns: q_min."""
-_ROWS = re.compile(r"frame|sample|row|(?:.*[_ ./])?(?:frames|samples|rows)", re.IGNORECASE)
+_ROWS = re.compile(
+    r"(?:frame|sample|row|scan|iter|iteration|loop|step|count|counter|index|idx|seq|sequence)"
+    r"(?:[_ ]?(?:no|nr|num|number|id|idx|index|count|counter))?|(?:.*[_ ./])?(?:frames|samples|rows|iterations|seq)",
+    re.IGNORECASE,
+)
 """Names of columns that count rows, where seconds are meant."""
-_WORDLESS = {"adc", "pwm", "bit", "bits", "inc", "step"}
-"""Of `_NO_UNITS`, those that outside of brackets name what is measured."""
+_WORDLESS = {"adc", "pwm", "bit", "bits", "inc", "step", "amp"}
+"""Of these, words that outside of brackets name what is measured."""
 
 
 def _alternatives(words: Iterable[str]) -> str:
@@ -81,15 +88,22 @@ _BEGIN, _END = r"(?:(?<![^\W\d_])|(?<=[a-z])(?=[A-Z]))", r"(?:(?![^\W\d_])|(?<=[
 _PER = r"(?:[_/ .]|[_ ]?(?i:per)[_ ]?|p)"
 _WORD = re.compile(
     rf"{_BEGIN}(?:"
-    rf"(?P<over>(?i:{_alternatives(_NAMED - {'nm', 'mins'})})|m){_PER}"
-    r"(?P<under>(?i:s|sec|second|min|h))(?P<power>\^?2|²)?"
-    r"|(?P<force>[mk]?N)[-_ .*·](?P<arm>[cm]?m)"
-    rf"|(?P<plain>(?i:{_alternatives(_NAMED)})|{_alternatives(_EXACT)})"
+    rf"(?P<over>(?i:{_alternatives(_NAMED - {'nm', 'mins'})})|m(?!ph)){_PER}"
+    r"(?P<under>(?i:s|sec|second|min|h|rev|turn))(?P<power>\^?2|²)?"
+    r"|(?P<force>[mkcuµM]?N)[-_ .*·]?(?P<arm>[cm]?m)"
+    r"|(?P<imperial>(?i:(?:ozf?|lbs?|lbf|kgf?|gf)[-_ .*·]?(?:in|inch|ft|foot|cm|mm|m)"
+    r"|(?:in|inch|ft|foot)[-_ .*·]?(?:ozf?|lbs?|lbf)))"
+    # Ticks of 10 ms: a digit alone is an index, as in q1deg.
+    rf"|(?P<plain>(?<![0-9])10+(?:ms|us|ns)|(?i:{_alternatives(_NAMED)})|{_alternatives(_EXACT)})"
     rf"){_END}"
 )
 """A unit among the words of a name, as in `deg_q`, `timeMs`, `q1deg`, `w_deg_per_s` or `torque_N_m`."""
-_GLUED = re.compile(r"(?:deg|degrees|rpm|msec|usec|nsec|millis|micros|nanos|°|º|%)$", re.IGNORECASE)
-"""Units that end no other word, as in `pitchdeg` and `q°`."""
+_GLUED = re.compile(
+    r"(?:deg|degrees|(?<!e)rpm|msec|usec|nsec|millis|micros|nanos|°|º|%|counts|(?<![aeiou])mm"
+    r"|(?<=time|tamp)(?:ms|us|ns)|(?<=[_ ./])(?:hz|amp))$",
+    re.IGNORECASE,
+)
+"""Units that end no other word, as in `pitchdeg`, `timems` and `q°`, or no name that goes on, as in `i_amp`."""
 _LETTER = re.compile(r"(?:^|(?<=[_ ./]))[AVWNJmshg]$")
 """A unit of one letter, which takes a mark before it: `cart_m`."""
 _BRACKETS = re.compile(
@@ -97,8 +111,8 @@ _BRACKETS = re.compile(
     r"(?:\[(?P<square>[^\[\]()]*)\]|\((?P<round>[^\[\]()]*)\)|\{(?P<curly>[^{}]*)\}|<(?P<pointed>[^<>]*)>)\s*$"
 )
 """A name with something in brackets at its end."""
-_INDEX = re.compile(r"[-+.,:;\s0-9e]*")
-"""What is in the brackets of q[0], q[0, 1] and q(1)."""
+_INDEX = re.compile(r"(?!.*[0-9]\s*(?:\.\.|-)\s*[0-9])[-+.,:;\s0-9e]*")
+"""What is in the brackets of q[0], q[0, 1] and q(1), but not of q [0..4095]."""
 KNOWN = {
     "t": ("s, ms, us, ns, min, h", 't = "0.01 s" for samples of 10 ms'),
     "q": ("rad, mrad, deg, turn, rev and m, mm, cm", 'q = "turn/4096" for ticks of a 4096th of a turn'),
@@ -152,14 +166,21 @@ def _statements(name: str) -> Iterator[_Statement]:
     stem = name
     if brackets is not None:
         stem = brackets["stem"]
-        yield _Statement(_content(brackets), len(stem), len(name), bracketed=True)
-    words = [_Statement(_written(match), *match.span()) for match in _WORD.finditer(stem)]
+        whole = _Statement(_content(brackets), len(stem), len(name), bracketed=True)
+        # A remark may hold a unit: q (left, deg).
+        yield from (whole, *(whole._replace(text=word.text) for word in _words(whole.text)))
+    yield from _words(stem)
+
+
+def _words(text: str) -> Iterator[_Statement]:
+    """The words of a text that may be units, the last one first."""
+    words = [_Statement(_written(match), *match.span()) for match in _WORD.finditer(text)]
     for pattern in (_GLUED, _LETTER):
-        if not (words and words[-1].end == len(stem)) and (match := pattern.search(stem)) is not None:
+        if not (words and words[-1].end == len(text)) and (match := pattern.search(text)) is not None:
             words.append(_Statement(match[0], *match.span()))
     for word in reversed(words):
         # The indices of columns stand after their units: q_deg_1.
-        if word.text.lower() not in _LAST or not re.search(r"[^\W\d_]", stem[word.end :]):
+        if word.text.lower() not in _LAST or not re.search(r"[^\W\d_]", text[word.end :]):
             yield word
 
 
@@ -171,18 +192,22 @@ def _written(match: re.Match[str]) -> str:
     """A unit among words, with a slash where it divides and a space where it multiplies."""
     if match["over"]:
         return f"{match['over']}/{match['under']}" + ("^2" if match["power"] else "")
-    return f"{match['force']} {match['arm']}" if match["force"] else match["plain"]
+    if match["force"]:
+        return f"{match['force']} {match['arm']}"
+    return match["imperial"] or match["plain"]
 
 
 def _unit_of(text: str, meant: Sequence[str]) -> str | None:
     """A unit of the kind of one of several units, as it is written here; None if a text is none."""
-    text = text.strip()
+    text = text.strip().rstrip(".")
     if _INDEX.fullmatch(text):
         return None
-    spaced = re.sub(r"(?<=N)\s*[-_.]\s*(?=[cm]?m$)", " ", text)
+    spaced = re.sub(r"(?<=N)\s*[-_.×]\s*(?=[cm]?m$)", " ", text)
+    # deg s^-1
+    divided = re.sub(r"[ ·*.]?\b([^\W\d_]+)(?:\^?[-−]1|⁻¹)", r"/\1", spaced)
     # degrees/s, newton meters
-    by_word = re.sub(r"[^\W\d_]+", lambda word: _PLAIN.get(word[0].lower(), word[0]), spaced.replace("_", "/"))
-    for unit in (_PLAIN.get(text.lower()), spaced, by_word):
+    by_word = re.sub(r"[^\W\d_]+", lambda word: _PLAIN.get(word[0].lower(), word[0]), divided.replace("_", "/"))
+    for unit in (_PLAIN.get(text.lower()), _RATES.get(text.lower()), spaced, by_word):
         if unit is not None and is_unit_of(unit, meant):
             return unit
     return None
@@ -202,7 +227,7 @@ def unknown_unit(name: str, meant: Sequence[str], others: Sequence[str] = ()) ->
 
     It is in brackets, or the last word of the name. An index, as in `position[1]`, is none, nor are keys, as in
     `position[hip]` beside `position[knee]` or `torque_A` beside `torque_B`, nor is a remark in other brackets, as in
-    `q (left)`, unless it is another unit or a number of ticks, counts or per cent.
+    `q (left)`, unless it holds another unit or a number of ticks, counts or per cent, as in `q (raw ticks)`.
 
     Args:
         name: Name of a column, as "q1 [ticks]".
@@ -222,7 +247,10 @@ def unknown_unit(name: str, meant: Sequence[str], others: Sequence[str] = ()) ->
     match = _BRACKETS.fullmatch(name)
     if match is not None and (text := _content(match).strip()) and not _INDEX.fullmatch(text):
         if match["square"] is None or not match["stem"]:
-            return text if _is_stated(text) else None
+            # q (0-4095), q (raw ticks), u (A rms), and t in the letters of another language
+            is_unit = _is_stated(text) or any(_words(text)) or text[0].isdigit()
+            is_unit |= not text.isascii() if is_unit_of("s", meant) else re.match(r"[AVW]\W", text) is not None
+            return text if is_unit else None
         keys = {
             other["square"] for other in map(_BRACKETS.fullmatch, others) if other and other["stem"] == match["stem"]
         }
@@ -233,12 +261,14 @@ def unknown_unit(name: str, meant: Sequence[str], others: Sequence[str] = ()) ->
         return stem.strip()
     for word in _statements(stem):
         is_last = not re.search(r"[^\W\d_]", stem[word.end :])
+        if word.text.lower() in _WEIGHTS and not is_force:
+            continue
         if len(word.text) > 1 and word.text.lower() not in _ENDS_OF_RANGES:
             if is_last or (not is_time and word.text.lower() in _NO_UNITS):
                 return word.text
         elif word.text == "%":
             return word.text
-        elif is_force and word.text in "AVW":
+        elif (is_force and word.text in "AVW") or (not is_time and word.text == "V"):
             siblings = [each for each in others if each[:-1] == stem[:-1]]
             # The joints A and B
             return word.text if all(each[-1:] in "AVW" for each in siblings) else None

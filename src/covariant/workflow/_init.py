@@ -113,7 +113,7 @@ class InitResult(AbstractResult):
         return line + (f", velocities {', '.join(guess.v)} to compare with" if guess.v else "")
 
     def __str__(self) -> str:
-        lines = [self.headline, *self.remarks]
+        lines = [self.headline, *self.remarks, *_order_guess(self.draft)]
         if self.draft.units:
             units = (f"{field}: " + ", ".join(dict.fromkeys(texts)) for field, texts in self.draft.units.items())
             lines.append(f"units {', '.join(units)}")
@@ -193,16 +193,20 @@ def _model_file(name: str, guess: Draft, machine: list[str], remarks: Sequence[s
 def _measured(guess: Draft) -> list[str]:
     """The line of the columns of the measured configuration."""
     if guess.quaternion:
-        # Letters say which number is the scalar.
-        by_index = any(re.search(r"[0-9]\]?$", name) for name in guess.quaternion)
-        unclear = "# That the first is the scalar is guessed: where it is the last, write quaternion_xyzw."
         return [
             "# The squares of these sum to 1 in every row.",
-            *([unclear] if by_index else []),
+            *(f"# {line[0].upper()}{line[1:]}." for line in _order_guess(guess)),
             f"quaternion_wxyz = {_names(guess.quaternion)}",
         ]
     spans = ", ".join(f"{q} {low:.3g} to {high:.3g}" for q, (low, high) in zip(guess.q, guess.span, strict=True))
     return [f"q = {_names(guess.q)}  # in this log {spans}"]
+
+
+def _order_guess(guess: Draft) -> list[str]:
+    """What is unclear about the order of a quaternion whose numbers are counted; letters say which is the scalar."""
+    if not any(re.search(r"[0-9]\]?$", name) for name in guess.quaternion):
+        return []
+    return [f"that {guess.quaternion[0]} is the scalar is guessed: where it is the last, write quaternion_xyzw"]
 
 
 def _turning_body() -> list[str]:

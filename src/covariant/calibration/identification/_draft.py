@@ -8,9 +8,8 @@ import numpy as np
 from jaxtyping import Float
 
 from covariant.logs import (
-    DAYS_FAULT,
     MEANT,
-    are_days,
+    odd_clock,
     unit_factor,
     unit_in_name,
     unknown_unit,
@@ -214,8 +213,9 @@ def _units(
     `t` are the stamps, `span` (n, 2) that of the positions, both as logged.
     """
     stated = {field: [unit_in_name(name, MEANT[field]) for name in names] for field, names in fields.items()}
-    if are_days(t):
-        raise ValueError(f"column {fields['t'][0]!r} {DAYS_FAULT}")
+    odd = odd_clock(t, stated["t"][0])
+    if odd is not None:
+        raise ValueError(f"column {fields['t'][0]!r} {odd}")
     step = np.median(np.diff(t))
     content = {"t": next(unit for limit, unit in CLOCKS if step < limit)}
     unstated = [width for width, unit in zip(np.ptp(span, axis=1), stated["q"], strict=True) if unit is None]
