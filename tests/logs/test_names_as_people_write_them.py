@@ -305,7 +305,7 @@ def test_parts_of_a_day_or_a_year_are_not_read_as_seconds(stamps):
     with pytest.raises(LogError, match=words):
         logs.read(frame, Columns(q=("q",)))
     with pytest.raises(ValueError, match=words):
-        calibration.draft({name: column.to_numpy() for name, column in frame.items()})
+        calibration.draft({"t": stamps, "q": frame["q"].to_numpy()})
     assert len(logs.read(frame, Columns(q=("q",), units={"t": ("s",)})).record.t) == 200
 
 
@@ -349,12 +349,22 @@ def test_four_columns_whose_squares_sum_to_one_are_an_attitude(tmp_path, names, 
     assert not any(result.draft.quaternion[0] in name for name in result.draft.left_out)
 
 
+@pytest.mark.parametrize("length", [16_384, 2**30, 1000])
+def test_a_quaternion_of_whole_numbers_is_named(length):
+    log = {"t": np.arange(300) * 0.01} | dict(
+        zip(["qw", "qx", "qy", "qz"], np.round(length * quaternion()).T, strict=True)
+    )
+    with pytest.raises(ValueError, match=r"qw, qx, qy, qz are a quaternion of length .*; divide them by it"):
+        calibration.draft(log)
+
+
 def test_four_joints_are_no_quaternion():
     q = quaternion()
-    log = {"t": np.arange(300) * 0.01} | {f"q{k}": 1.2 * q[:, k] for k in range(4)}
+    log = {"t": np.arange(300) * 0.01} | {f"q{k}": 1.2 * q[:, k] + 0.1 * k for k in range(4)}
     assert calibration.draft(log).quaternion == ()
     assert calibration.draft(log).q == ("q0", "q1", "q2", "q3")
     unit = {"t": log["t"]} | {f"q{k}": q[:, k] for k in range(4)}
+    assert calibration.draft(unit | {"q4": log["t"] / 2}).q == ("q0", "q1", "q2", "q3", "q4")
     assert calibration.draft(unit, {"q": ["q0", "q1"]}).q == ("q0", "q1")
 
 

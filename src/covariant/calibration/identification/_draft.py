@@ -40,9 +40,11 @@ MOST_ROUNDING = 0.25
 """Largest rounding of printed numbers, as a fraction of a tick, at which ticks are still told from any numbers."""
 OFF_UNIT = 0.05
 """Largest distance of the length of a quaternion from 1."""
+SCALED_MOTION = 0.1
+"""Least motion, in lengths, of four numbers whose length stays within its square, for them to be a quaternion."""
 
 
-_QUATERNION = re.compile(r"(.*?)[_./\[]?([wxyzWXYZ0-4])\]?$")
+_QUATERNION = re.compile(r"(.*?)[_./\[]?([wxyzWXYZ]|[0-9]+)\]?$")
 """Name of one of the four numbers of a quaternion, as qw, q_x, orientation.y or q[3], and the letter or index."""
 
 
@@ -342,13 +344,23 @@ def _quaternion(columns: Mapping[str, np.ndarray]) -> tuple[str, ...]:
             groups.setdefault(match[1], {})[match[2].lower()] = name
     for group in groups.values():
         for order in ("wxyz", "0123", "1234"):
-            if not set(order) <= set(group):
+            # The first four of seven joints are none.
+            if set(order) != {key for key in group if key.isdigit() == order.isdigit()}:
                 continue
             names = tuple(group[key] for key in order)
             q = np.column_stack([columns[name] for name in names])
             q = q[np.isfinite(q).all(axis=1)]
-            if len(q) and np.abs(np.linalg.norm(q, axis=1) - 1).max() < OFF_UNIT and np.ptp(q, axis=0).max() > 0:
+            if not len(q) or not np.ptp(q, axis=0).any():
+                continue
+            lengths, motion = np.linalg.norm(q, axis=1), np.ptp(q, axis=0).max()
+            if np.abs(lengths - 1).max() < OFF_UNIT:
                 return names
+            # Whole numbers of a sensor, as 16384 for 1
+            if motion > SCALED_MOTION * lengths.max() and np.ptp(lengths) < SCALED_MOTION**2 * lengths.max():
+                raise ValueError(
+                    f"{', '.join(names)} are a quaternion of length {np.median(lengths):.5g}; divide them by it in the "
+                    'log, or name the positions by `columns["q"]`'
+                )
     return ()
 
 
