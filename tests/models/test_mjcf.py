@@ -135,6 +135,10 @@ WRONG = {
         '<tendon><fixed name="pull"><joint joint="turn" coef="1"/></fixed></tendon><actuator>'
         '<motor name="m4" tendon="pull" armature="0.1"/>',
     ),
+    "tendon 'a': springs, damping": (
+        "<equality>",
+        '<tendon><fixed name="a" stiffness="0 2"><joint joint="turn" coef="1"/></fixed></tendon><equality>',
+    ),
     "coupled tendons are not supported": (
         "<equality>",
         '<tendon><fixed name="a"><joint joint="turn" coef="1"/></fixed><fixed name="b"><joint joint="bend" coef="1"/>'

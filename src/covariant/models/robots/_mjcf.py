@@ -130,7 +130,8 @@ def _refuse(read: _Reader) -> None:
         raise ValueError(f"body {read.bodies[i]!r}: gravcomp is not supported; set it to 0 and log the torque it makes")
     for i in range(model.ntendon):
         properties = (model.tendon_stiffness, model.tendon_damping, model.tendon_frictionloss, model.tendon_armature)
-        if any(part[i] for part in properties):
+        not_linear = (read.entry(f"tendon_{field}poly", i).any() for field in ("stiffness", "damping"))
+        if any(part[i] for part in properties) or any(not_linear):
             raise ValueError(
                 f"tendon {read.name('TENDON', i)!r}: springs, damping, friction and armature of tendons are not "
                 "supported; put them into the joints"
