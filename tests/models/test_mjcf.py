@@ -238,7 +238,7 @@ def test_no_field_of_the_compiled_model_can_be_dropped(field, folder):
     row = {"body": body, "dof": joint.dofadr[0], "qpos": joint.qposadr[0], "jnt": joint.id, "actuator": motor}
     getattr(model, field)[row[field.split("_")[0]]] += FIELDS[field]
     mujoco.mj_setConst(model, mujoco.MjData(model))
-    with pytest.raises(ValueError, match="joint '.*' does not move as in MuJoCo"):
+    with pytest.raises(ValueError, match=r"joint '.*' does not move as in MuJoCo"):
         refuse_difference(model, robot, None)
 
 
