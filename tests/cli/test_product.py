@@ -85,7 +85,7 @@ def by_engine(kind: Kind, folder: Path, commands: Callable[..., dict[str, Any]])
 
 def estimated(kind: Kind, *arguments: str) -> dict[str, Any]:
     plain = command("estimate", *arguments, "-o", "v.csv", "--report", "v.html")
-    command("estimate", *arguments, "-o", "v.mcap")
+    command("estimate", *arguments, "-o", "v.mcap", "--overwrite")
     return {
         "csv": {name: column.tolist() for name, column in logs.survey("v.csv").columns.items()},
         "mcap": {name: column.tolist() for name, column in logs.survey("v.mcap").columns.items()},
