@@ -228,6 +228,7 @@ class FitResult(AbstractTable):
         lines = [
             f"{how} of {', '.join(result['logs'])}",
             *([result["inputs"]["sentence"]] if result["inputs"]["sentence"] else []),
+            *([result["start"]] if result.get("start") else []),
             "",
             table(numbers),
             *self._on_numbers,

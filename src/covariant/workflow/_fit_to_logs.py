@@ -13,7 +13,6 @@ from covariant.calibration import (
     PredictionErrors,
     RobotFit,
     Windows,
-    fit,
     fit_robot,
     horizon,
     outliers,
@@ -24,7 +23,9 @@ from covariant.calibration.identification import (
     FITTED,
     error_growth,
     held_out_logs,
+    profile,
     robot_misfit,
+    search,
     split_windows,
     window_losses,
 )
@@ -73,7 +74,7 @@ def fit_to_logs(
     progress("errors on what is held out", 1.0)
     gain = problem.gain(parts, fits) if len(fits) > 1 else None
     used = "linear" if gain is not None and gain.clear and gain.of_linear > 0 else logs.tried[0]
-    best = fits[used]
+    best = problem.judged(fits[used], parts[used][0])
     # Before the fit no way between stamps was chosen: the first is the one that the model file would use.
     before = problem.first_errors(parts[logs.tried[0]][1])
     after = problem.fitted_errors(best, parts[used][1])
@@ -204,7 +205,13 @@ class _PredictionProblem(NamedTuple):
         def progress(done: int, step: int) -> None:
             report(done, (done + step / STEPS) / ROUNDS)
 
-        return fit(self.family, parts[word][0], progress, None if start is None else start.values)
+        found = search(self.family, parts[word][0], progress, None if start is None else start.values)
+        # Which place won is known from the first search; the later ones begin where the one before ended.
+        return found if start is None else found._replace(starts=start.starts)
+
+    def judged(self, best: Fit, fitted: Windows) -> Fit:
+        """The fit after profiles of the likelihood."""
+        return profile(self.family, fitted, best)
 
     def gain(self, parts: Parts, fits: dict[str, Fit]) -> Gain:
         """Errors are weighed as in both fits, by turns, so that none is ahead."""
@@ -221,7 +228,11 @@ class _PredictionProblem(NamedTuple):
         return prediction_errors(*self.family.make(best.values), held_out)
 
     def details(self, best: Fit, fitted: Windows) -> dict[str, Any]:
-        return {"windows": len(fitted.t), "undetermined": list(relations(best))}
+        return {
+            "windows": len(fitted.t),
+            "start": _start_sentence(best),
+            "undetermined": list(relations(best)),
+        }
 
 
 class _RobotProblem(NamedTuple):
@@ -256,6 +267,10 @@ class _RobotProblem(NamedTuple):
         half = self.logs.logs[0].loaded.file.reference_half
         return fit_robot(self.family, records, half, lambda done: report(done, min(done / ROBOT_ROUNDS, 1.0)), start)
 
+    def judged(self, best: RobotFit, fitted: Windows) -> RobotFit:
+        del fitted
+        return best
+
     def gain(self, parts: Parts, fits: dict[str, RobotFit]) -> Gain:
         return Gain.of(fits["held"].losses - fits["linear"].losses)
 
@@ -273,6 +288,17 @@ class _RobotProblem(NamedTuple):
 
 
 _Problem = _PredictionProblem | _RobotProblem
+
+
+def _start_sentence(best: Fit) -> str:
+    """Where the search began that won, and what the others ended at."""
+    (won, _), *others = best.starts or (("", 0.0),)
+    if not won:
+        return ""
+    if not others:
+        return f"The search began from {won}."
+    rest = ", ".join(f"that from {name} by {behind:.3g} worse in log-likelihood" for name, behind in others)
+    return f"The search from {won} ended best, {rest}."
 
 
 def _is_robot_fit(job: Job, names: Sequence[str]) -> bool:
