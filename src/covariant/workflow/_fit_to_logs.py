@@ -19,8 +19,11 @@ from covariant.calibration import (
     prediction_errors,
     relations,
 )
+from covariant.calibration.diagnosis import names_of
 from covariant.calibration.identification import (
     FITTED,
+    Rival,
+    better_reading,
     error_growth,
     held_out_logs,
     profile,
@@ -84,8 +87,12 @@ def fit_to_logs(
         content["parameters"]["source"] = f"fitted to {logs.fitted_to} from first values of: {source}"
     if gain is not None and gain.clear:
         content.setdefault("inputs", {})["between"] = used
-    details = _details(jobs[0], logs, best, before, after) | {"inputs": _input_details(used, logs.stated, gain)}
-    return jobs, content, details | problem.details(best, parts[used][0])
+    progress("other readings of the log", 1.0)
+    suspicion = problem.suspicion(best, *parts[used])
+    details = _details(jobs[0], logs, best, before, after, suspicion) | {"inputs": _input_details(used, logs.stated, gain)}
+    details |= problem.details(best, parts[used][0])
+    # A log that is misread says nothing of what it determines.
+    return jobs, content, details | ({"undetermined": []} if suspicion else {})
 
 
 def _solve(problem: "_Problem", parts: Parts, progress: Progress) -> dict[str, Any]:
@@ -213,6 +220,11 @@ class _PredictionProblem(NamedTuple):
         """The fit after profiles of the likelihood."""
         return profile(self.family, fitted, best)
 
+    def suspicion(self, best: Fit, fitted: Windows, held_out: Windows) -> str:
+        """A sentence on a reversed input or late positions, where they explain the logs better than the fit; or ""."""
+        rival = better_reading(self.family, fitted, held_out, best)
+        return "" if rival is None else _rival_sentence(rival, self.logs)
+
     def gain(self, parts: Parts, fits: dict[str, Fit]) -> Gain:
         """Errors are weighed as in both fits, by turns, so that none is ahead."""
         held, linear = (
@@ -271,6 +283,10 @@ class _RobotProblem(NamedTuple):
         del fitted
         return best
 
+    def suspicion(self, best: RobotFit, fitted: Windows, held_out: Windows) -> str:
+        del best, fitted, held_out
+        return ""
+
     def gain(self, parts: Parts, fits: dict[str, RobotFit]) -> Gain:
         return Gain.of(fits["held"].losses - fits["linear"].losses)
 
@@ -299,6 +315,30 @@ def _start_sentence(best: Fit) -> str:
         return f"The search began from {won}."
     rest = ", ".join(f"that from {name} by {behind:.3g} worse in log-likelihood" for name, behind in others)
     return f"The search from {won} ended best, {rest}."
+
+
+def _rival_sentence(rival: Rival, logs: FitLogs) -> str:
+    """What another reading of the log explains, with the line of the model file that says so."""
+    file, names = logs.logs[0].loaded.file, ", ".join(map(str, logs.logs[0].loaded.file.columns.u))
+    less = f"the same fit then predicts {logs.held_out} with {rival.growth:.2g} times the errors"
+    if rival.column >= 0:
+        column = file.columns.u[rival.column]
+        factors = np.where(np.arange(len(file.columns.u)) == rival.column, -1.0, 1.0)
+        return (
+            f"The input {column} seems to be logged with the other sign: {less}. Mend it by "
+            f"{names_of(file).line('u', factors)} in the model file, or by the signs of its positions, and fit again; "
+            "`covariant check` looks closer"
+        )
+    time = abs(rival.rows) * float(np.median(np.diff(np.asarray(logs.logs[0].raw.t))))
+    if rival.rows > 0:
+        late = float(np.max(np.asarray(file.delay, float))) + time
+        line = f"[measurement] delay = {late:.2g} where measurements are late, or [inputs] delay = "
+        line += f"{file.input_delay + time:.2g} where inputs act late"
+        claim = f"Positions seem to follow {names} by about {time:.2g} s later than the model file says"
+    else:
+        claim = f"The stamps of {names} seem to be about {time:.2g} s later than they act"
+        line = f"taking {time:.2g} s off them"
+    return f"{claim}: {less}. Mend it by {line}, and fit again; `covariant check` looks closer"
 
 
 def _is_robot_fit(job: Job, names: Sequence[str]) -> bool:
@@ -345,7 +385,7 @@ def _rows(best: Fit | RobotFit):
 
 
 def _details(
-    job: Job, logs: FitLogs, best: Fit | RobotFit, before: PredictionErrors, after: PredictionErrors
+    job: Job, logs: FitLogs, best: Fit | RobotFit, before: PredictionErrors, after: PredictionErrors, suspicion: str
 ) -> dict[str, Any]:
     """Numbers before and after a fit, those that are still placeholders, and its errors on what is held out."""
     names, units = coordinates(logs.logs[0].loaded.file)
@@ -365,7 +405,7 @@ def _details(
                 "before": float(first),
                 "after": float(f"{value:.{DIGITS}g}"),
                 "standard_error": float(f"{error:.3g}") if np.isfinite(error) else None,
-                "determined": bool(determined),
+                "determined": bool(determined) and not suspicion,
             }
             for name, first, value, error, determined in _rows(best)
         ],
@@ -377,7 +417,8 @@ def _details(
             for when, errors in (("before", before), ("after", after))
         },
         "growth": float(f"{ratio:.4g}") if np.isfinite(ratio) else None,
-        "better": bool(ratio <= WORST_GROWTH),
+        "better": bool(ratio <= WORST_GROWTH) and not suspicion,
+        "suspicion": suspicion,
     }
 
 

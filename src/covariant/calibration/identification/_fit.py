@@ -46,8 +46,8 @@ CONFIDENCE = 2.0
 """Standard errors within which a parameter cannot be distinguished from zero."""
 POLISHED = 2
 """Number of places to start from, the best ones, from which predictions are fitted."""
-FAR, PROFILE_STEPS = 2.0, 10
-"""Logarithm of the factor by which a profile of the likelihood moves a parameter, and the most steps of the others."""
+FAR, PROFILE_STEPS = 8.0, 10
+"""Factor by which a profile of the likelihood moves a parameter, and the most steps of the others."""
 RESTARTS = 2
 """How often a search begins anew from a better place that a profile has found."""
 MARGIN = 1.5
@@ -245,41 +245,66 @@ def profile(family: Family, windows: Windows, fit: Fit, again: int = RESTARTS) -
 
     A parameter of each undetermined combination is moved far up and down, and the others are fitted again. Where the
     loss falls, the search had ended in a wrong place and begins anew from there. Where it rises on both sides, the log
-    does determine the parameter. Where it does not rise, the other parameters are known no better than it moves them.
+    does determine the parameter. Where it does not rise, the other parameters are known no better than it moves them;
+    and one that has vanished, though its first value explains the log as well, keeps that.
     """
     if not len(fit.undetermined):
         return fit
     unknowns = Unknowns.of(family)
     problem, point = _weighed_as(family, windows, fit, fit)
-    problem, point = problem.stable(family, point)
-    nothing, z = Fixed.nothing(len(point.z)), point.z
-    rise = CONFIDENCE**2 / 2 * point.blocks.overdispersion
-    leading = [int(np.argmax((row == 1) & (np.sum(fit.undetermined != 0, axis=0) == 1))) for row in fit.undetermined]
-    released, moved_by = [], np.zeros(len(z))
-    rows = np.array(fit.undetermined)
+    judge = _Profiles(unknowns, problem, point, CONFIDENCE**2 / 2 * point.blocks.overdispersion)
+    rows, z = np.array(fit.undetermined), point.z
+    leading = [int(np.argmax((row == 1) & (np.sum(rows != 0, axis=0) == 1))) for row in rows]
+    kept, at, moved_by = [], z.copy(), np.zeros(len(z))
     for k, j in enumerate(leading):
-        flat = False
-        for far in (FAR, -FAR):
-            moved, _ = minimise(problem, point, nothing.beside(j, z[j] + far), most=PROFILE_STEPS)
-            change = float(np.sum(moved.blocks.loss) - np.sum(point.blocks.loss))
-            if change < -rise and again:
-                values = np.asarray(unknowns.values(jnp.asarray(moved.z)))
-                better = search(family, windows, start=values)._replace(starts=((f"a profile of {fit.names[j]}", 0.0),))
-                return profile(family, windows, better, again - 1)
-            if change < rise:
-                flat = True
-                moved_by = np.maximum(moved_by, np.abs(moved.z - z))
-                secant = (moved.z - z) / (moved.z[j] - z[j])
-                rows[k] = np.where(np.isnan(fit.standard_errors) | (np.abs(moved.z - z) < PURE), rows[k], secant)
+        ends = judge.moved(j)
+        if again and min(rise for _, rise in ends) < -judge.chance:
+            lowest = min(ends, key=lambda each: each[1])[0]
+            values = np.asarray(unknowns.values(jnp.asarray(lowest.z)))
+            better = search(family, windows, start=values)._replace(starts=((f"a profile of {fit.names[j]}", 0.0),))
+            return profile(family, windows, better, again - 1)
+        flat = [end.z - z for end, rise in ends if rise < judge.chance]
         if not flat:
-            released.append(k)
-    if released:
-        kept = np.linalg.qr(np.delete(fit.undetermined, released, axis=0).T)[0]
-        fixed = Fixed(kept @ kept.T, z)
-        point, steps = minimise(problem, point, fixed)
-        return _conclude(family, problem, point, fixed, fit.steps + steps, fit.starts)
-    errors = np.sqrt(fit.standard_errors**2 + (np.asarray(unknowns.slopes(jnp.asarray(z))) * moved_by) ** 2)
-    return fit._replace(standard_errors=np.where(moved_by < PURE, errors, np.nan), undetermined=rows)
+            continue
+        kept.append(k)
+        alone = np.sum(rows[k] != 0) == 1
+        if alone and abs(z[j]) > MOVED and judge.rise(np.where(np.arange(len(z)) == j, 0.0, z), j)[1] < judge.chance:
+            at[j] = 0.0
+        change = max(flat, key=lambda each: np.abs(each).max(where=np.arange(len(z)) != j, initial=0.0))
+        moved_by = np.maximum(moved_by, np.where(np.arange(len(z)) == j, 0.0, np.abs(change)))
+        entangled = ~np.isnan(fit.standard_errors) & (np.abs(change) >= PURE)
+        rows[k] = np.where(entangled, change / change[j], rows[k])
+    if len(kept) < len(rows) or (at != z).any():
+        ratio = np.asarray(unknowns.slopes(jnp.asarray(z))) / np.where(fit.values == 0, 1.0, fit.values)
+        basis = np.linalg.qr((fit.undetermined[kept] / ratio).T)[0]
+        fixed = Fixed(basis @ basis.T, at)
+        point, steps = minimise(problem, Point.at(problem, at, point.s), fixed)
+        fit = _conclude(family, problem, point, fixed, fit.steps + steps, fit.starts)
+        if len(fit.undetermined) != len(kept):
+            return fit
+    slopes = np.asarray(unknowns.slopes(jnp.asarray(unknowns.relative(fit.values))))
+    errors = np.where(moved_by < PURE, np.sqrt(fit.standard_errors**2 + (slopes * moved_by) ** 2), np.nan)
+    return fit._replace(standard_errors=errors, undetermined=rows[kept])
+
+
+class _Profiles(NamedTuple):
+    """Where the loss goes with one parameter moved and the others fitted again, and how far it rises by chance."""
+
+    unknowns: Unknowns
+    problem: "_Predictions"
+    point: Point
+    chance: float
+
+    def moved(self, j: int) -> list[tuple[Point, float]]:
+        """Points with parameter j far above and below, and the rise of the loss at each."""
+        return [self.rise(self.unknowns.multiplied(self.point.z, j, by), j) for by in (FAR, 1 / FAR)]
+
+    def rise(self, z: NumpyArray, j: int) -> tuple[Point, float]:
+        begin = Point.at(self.problem, z, self.point.s)
+        fixed = Fixed.nothing(len(z)).beside(j, z[j])
+        end, _ = minimise(self.problem, begin, fixed, most=PROFILE_STEPS)
+        rise = float(np.sum(end.blocks.loss) - np.sum(self.point.blocks.loss))
+        return end, rise if np.isfinite(rise) else np.inf
 
 
 def window_losses(family: Family, windows: Windows, fit: Fit, weighed_as: Fit) -> Float[NumpyArray, "W"]:

@@ -73,7 +73,8 @@ def starts(
     tried = [
         (f"the first values with {name} {word} {SCALED:g}", regress(unknowns, windows, z, 0))
         for word, factor in (("times", SCALED), ("over", 1 / SCALED))
-        for name, z in zip(names, unknowns.scaled(factor), strict=True)
+        for j, name in enumerate(names)
+        for z in [unknowns.multiplied(first.z, j, factor)]
     ]
     name, scaled = min(tried, key=lambda each: each[1].loss)
     regressions = [regress(unknowns, windows, each.z) for each in (first, scaled) if np.isfinite(each.loss)]
@@ -138,9 +139,9 @@ def _evaluate(unknowns: Unknowns, windows: Windows, seen: Array, scale: Array, z
             step = jnp.diff(t)[:, None] * (begin + end) / 2
             total = jnp.concatenate([jnp.zeros_like(step[:1]), jnp.cumsum(step, axis=0)])
             raw = jnp.diff(v[edges], axis=0) - jnp.diff(total[edges], axis=0)
-            return (raw / scale).ravel(), raw
+            return (raw / scale[None]).ravel(), raw
 
         slope, raw = jax.jacfwd(errors, has_aux=True)(z)
-        return Blocks.one((raw / scale).ravel(), slope, len(z), raw)
+        return Blocks.one((raw / scale[None]).ravel(), slope, len(z), raw)
 
     return jax.vmap(window)(windows.rows, seen, windows.t, windows.y, windows.v)

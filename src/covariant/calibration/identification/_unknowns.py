@@ -50,10 +50,11 @@ class Unknowns(NamedTuple):
         positive = z + np.sign(dz) * np.log1p(np.abs(dz))
         return np.where(np.asarray(self.positive), positive, np.arcsinh(np.sinh(z) + np.cosh(z) * dz))
 
-    def scaled(self, factor: float) -> Float[NumpyArray, "p p"]:
-        """Unknowns with one parameter multiplied by a factor in each row."""
-        values = np.asarray(self.first) + (factor - 1) * np.diag(np.asarray(self.first))
-        return np.stack([self.relative(row) for row in values])
+    def multiplied(self, z: NumpyArray, j: int, factor: float) -> NumpyArray:
+        """Unknowns (p,) with parameter j multiplied by a factor; a parameter of zero is moved by its logarithm."""
+        value = np.asarray(self.values(jnp.asarray(z)))
+        target = value * factor if value[j] else value + np.log(factor) * np.asarray(self.size)
+        return np.where(np.arange(len(z)) == j, self.relative(np.where(np.arange(len(z)) == j, target, value)), z)
 
     def fixed_at(self, z: NumpyArray) -> NumpyArray:
         """Values (p,) of z at which undetermined combinations are fixed: 0, or the z of a vanishing parameter."""
