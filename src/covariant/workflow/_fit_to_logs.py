@@ -89,7 +89,9 @@ def fit_to_logs(
         content.setdefault("inputs", {})["between"] = used
     progress("other readings of the log", 1.0)
     suspicion = problem.suspicion(best, *parts[used])
-    details = _details(jobs[0], logs, best, before, after, suspicion) | {"inputs": _input_details(used, logs.stated, gain)}
+    details = _details(jobs[0], logs, best, before, after, suspicion) | {
+        "inputs": _input_details(used, logs.stated, gain)
+    }
     details |= problem.details(best, parts[used][0])
     # A log that is misread says nothing of what it determines.
     return jobs, content, details | ({"undetermined": []} if suspicion else {})

@@ -235,9 +235,7 @@ def _conclude(
     rows = np.concatenate([rows, np.eye(len(small))[small]])
     errors = np.where((combined_change < PURE) & ~small, np.sqrt(np.maximum(variance, 0.0)), np.nan)
     frequency, scale = problem.weighing
-    return Fit(
-        family.names, family.first, values, errors, rows, np.asarray(scale), float(frequency), step_count, tried
-    )
+    return Fit(family.names, family.first, values, errors, rows, np.asarray(scale), float(frequency), step_count, tried)
 
 
 def profile(family: Family, windows: Windows, fit: Fit, again: int = RESTARTS) -> Fit:
@@ -301,7 +299,7 @@ class _Profiles(NamedTuple):
 
     def rise(self, z: NumpyArray, j: int) -> tuple[Point, float]:
         begin = Point.at(self.problem, z, self.point.s)
-        fixed = Fixed.nothing(len(z)).beside(j, z[j])
+        fixed = Fixed.nothing(len(z)).beside(j, float(z[j]))
         end, _ = minimise(self.problem, begin, fixed, most=PROFILE_STEPS)
         rise = float(np.sum(end.blocks.loss) - np.sum(self.point.blocks.loss))
         return end, rise if np.isfinite(rise) else np.inf
@@ -433,9 +431,7 @@ def _begin(
 
 
 @eqx.filter_jit
-def _evaluate(
-    unknowns: Unknowns, substeps: int, windows: Windows, z: Array, s: Array, weighed: Weighing
-) -> Blocks:
+def _evaluate(unknowns: Unknowns, substeps: int, windows: Windows, z: Array, s: Array, weighed: Weighing) -> Blocks:
     """Blocks of the windows; `rest` are the errors of the positions, and where these are measured."""
     p = z.shape[0]
 
@@ -463,7 +459,7 @@ def _perhaps_zero(
     uncorrelated_variance = np.diagonal(point.blocks.inverse(fixed.directions))
     for j in np.flatnonzero(possible):
         # Fixed at e^−PRIOR times its value the parameter is all but zero.
-        without, _ = minimise(problem, point, fixed.beside(j, point.z[j] - PRIOR))
+        without, _ = minimise(problem, point, fixed.beside(int(j), float(point.z[j]) - PRIOR))
         rise = float(np.sum(without.blocks.loss) - np.sum(point.blocks.loss))
         # Errors that are correlated within a window enlarge the variance, and by the same factor the rise due to
         # chance.

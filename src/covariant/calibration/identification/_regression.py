@@ -65,9 +65,7 @@ def regress(unknowns: Unknowns, windows: Windows, z: Float[NumpyArray, "p"], rou
     return Regression(point.z, point.blocks.rest)
 
 
-def starts(
-    unknowns: Unknowns, windows: Windows, names: Sequence[str]
-) -> dict[str, Float[NumpyArray, "p"]]:
+def starts(unknowns: Unknowns, windows: Windows, names: Sequence[str]) -> dict[str, Float[NumpyArray, "p"]]:
     """Places to start a fit from, by name: the first values, the regression, and the best with one of them scaled."""
     first = regress(unknowns, windows, np.zeros(len(names)), 0)
     tried = [

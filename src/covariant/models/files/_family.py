@@ -228,5 +228,5 @@ def _bounded(make: Callable[[Any], tuple[Any, Any]], first: Float[np.ndarray, "p
         # Rounding of sums that cancel is no difference.
         inertia = (adds > -ROUNDING * np.abs(kinetic)).all() and (adds > ROUNDING * np.abs(kinetic)).any()
         dissipates = (takes > -ROUNDING * np.abs(power)).all() and (takes > ROUNDING * np.abs(power)).any()
-        bounded[i] = inertia or (dissipates and (power <= 0).all())
+        bounded[i] = inertia or dissipates
     return bounded
