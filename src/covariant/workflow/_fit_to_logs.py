@@ -26,6 +26,7 @@ from covariant.calibration.identification import (
     better_reading,
     error_growth,
     held_out_logs,
+    predicts_worse,
     profile,
     robot_misfit,
     search,
@@ -43,8 +44,6 @@ BETWEEN = ("held", "linear")
 """How inputs may go between stamps; the first is what a model file means that does not say."""
 DIGITS = 7
 """Significant digits of fitted numbers in a model file."""
-WORST_GROWTH = 1.01
-"""A model whose held-out error is larger than so many times the one before is not written: 1 % is no difference."""
 CLEAR = 2.0
 """Standard errors by which held or linear inputs must explain a log better than the other ones to be preferred."""
 ROUNDS, STEPS, ROBOT_ROUNDS = 4, 25, 12
@@ -419,7 +418,7 @@ def _details(
             for when, errors in (("before", before), ("after", after))
         },
         "growth": float(f"{ratio:.4g}") if np.isfinite(ratio) else None,
-        "better": bool(ratio <= WORST_GROWTH) and not suspicion,
+        "better": not predicts_worse(before, after) and not suspicion,
         "suspicion": suspicion,
     }
 

@@ -29,6 +29,7 @@ from ._predict import (
     errors_ahead as errors_ahead,
     mean_square as mean_square,
     prediction_errors as prediction_errors,
+    predicts_worse as predicts_worse,
     rows_ahead as rows_ahead,
     size as size,
 )
