@@ -272,17 +272,24 @@ def profile(family: Family, windows: Windows, fit: Fit, again: int = RESTARTS) -
         moved_by = np.maximum(moved_by, np.where(np.arange(len(z)) == j, 0.0, np.abs(change)))
         entangled = ~np.isnan(fit.standard_errors) & (np.abs(change) >= PURE)
         rows[k] = np.where(entangled, change / change[j], rows[k])
-    if len(kept) < len(rows) or (at != z).any():
+    released = [j for k, j in enumerate(leading) if k not in kept]
+    for held in (kept, list(range(len(rows)))):
+        if len(held) == len(rows) and (at == z).all():
+            kept = held
+            break
         ratio = np.asarray(unknowns.slopes(jnp.asarray(z))) / np.where(fit.values == 0, 1.0, fit.values)
-        basis = np.linalg.qr((fit.undetermined[kept] / ratio).T)[0]
+        basis = np.linalg.qr((fit.undetermined[held] / ratio).T)[0]
         fixed = Fixed(basis @ basis.T, at)
-        point, steps = minimise(problem, Point.at(problem, at, point.s), fixed)
-        fit = _conclude(family, problem, point, fixed, fit.steps + steps, fit.starts)
-        if len(fit.undetermined) != len(kept):
-            return fit
+        end, steps = minimise(problem, Point.at(problem, at, point.s), fixed)
+        free = _conclude(family, problem, end, fixed, fit.steps + steps, fit.starts)
+        # A loss that rises a little, and a standard error above a factor e: it stays at its first value.
+        if free.determined[released].all() or len(held) == len(rows):
+            fit, kept = free, held
+            break
     slopes = np.asarray(unknowns.slopes(jnp.asarray(unknowns.relative(fit.values))))
     errors = np.where(moved_by < PURE, np.sqrt(fit.standard_errors**2 + (slopes * moved_by) ** 2), np.nan)
-    return fit._replace(standard_errors=errors, undetermined=rows[kept])
+    rows = rows[kept] if len(fit.undetermined) == len(kept) else fit.undetermined
+    return fit._replace(standard_errors=errors, undetermined=rows)
 
 
 class _Profiles(NamedTuple):
