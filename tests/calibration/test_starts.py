@@ -17,9 +17,8 @@ def cart_pole(path: Path, late: float = 0.0, sign: float = 1.0, seconds: float =
     """Write the log of a pole on a cart, by its equations written here a second time: stamps, positions and force."""
     rng = np.random.default_rng(seed)
     t = np.arange(0, seconds, 1 / RATE)
-    force = sum(
-        2 * np.sin(2 * np.pi * f * t + p) for f, p in zip((0.4, 0.9, 1.7, 2.6), rng.uniform(0, 6, 4), strict=True)
-    )
+    phases = 2 * np.pi * np.outer(t, [0.4, 0.9, 1.7, 2.6]) + rng.uniform(0, 6, 4)
+    force = 2 * np.sin(phases).sum(axis=1)
 
     def rate(x: np.ndarray, u: float) -> np.ndarray:
         _, angle, v, w = x

@@ -76,7 +76,7 @@ def fit_to_logs(
     progress("errors on what is held out", 1.0)
     gain = problem.gain(parts, fits) if len(fits) > 1 else None
     used = "linear" if gain is not None and gain.clear and gain.of_linear > 0 else logs.tried[0]
-    best = problem.judged(fits[used], parts[used][0])
+    best: Any = problem.judged(fits[used], parts[used][0])
     # Before the fit no way between stamps was chosen: the first is the one that the model file would use.
     before = problem.first_errors(parts[logs.tried[0]][1])
     after = problem.fitted_errors(best, parts[used][1])

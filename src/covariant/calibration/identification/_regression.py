@@ -131,9 +131,12 @@ def _evaluate(unknowns: Unknowns, windows: Windows, seen: Array, scale: Array, z
             def rate(t, q, v, u):
                 return acceleration(model, t, q, v, u)
 
+            def ends(rows):
+                return jnp.concatenate([rows[:-1], rows[1:]])
+
             # The trapezoidal rule, with the input that acts in the step at both of its ends.
-            ends = (jnp.concatenate([part[:-1], part[1:]]) for part in (t, y, v))
-            begin, end = jnp.split(jax.vmap(rate)(*ends, jnp.concatenate([u, u])), 2)
+            rates = jax.vmap(rate)(ends(t), ends(y), ends(v), jnp.concatenate([u, u]))
+            begin, end = jnp.split(rates, 2)
             step = jnp.diff(t)[:, None] * (begin + end) / 2
             total = jnp.concatenate([jnp.zeros_like(step[:1]), jnp.cumsum(step, axis=0)])
             raw = jnp.diff(v[edges], axis=0) - jnp.diff(total[edges], axis=0)
