@@ -19,10 +19,8 @@ from covariant.calibration import (
     prediction_errors,
     relations,
 )
-from covariant.calibration.diagnosis import names_of
 from covariant.calibration.identification import (
     FITTED,
-    Rival,
     better_reading,
     error_growth,
     held_out_logs,
@@ -35,6 +33,7 @@ from covariant.calibration.identification import (
 )
 from covariant.signals import Record, acting_inputs, lag_inputs
 from covariant.workflow._aligned import Aligned, aligned
+from covariant.workflow._fit_sentences import rival_sentence, start_sentence
 from covariant.workflow._inputs import Job, MisfitError, coordinates
 from covariant.workflow._outcome import rounded
 from covariant.workflow._placeholders import placeholders
@@ -224,7 +223,11 @@ class _PredictionProblem(NamedTuple):
     def suspicion(self, best: Fit, fitted: Windows, held_out: Windows) -> str:
         """A sentence on a reversed input or late positions, where they explain the logs better than the fit; or ""."""
         rival = better_reading(self.family, fitted, held_out, best)
-        return "" if rival is None else _rival_sentence(rival, self.logs)
+        if rival is None:
+            return ""
+        log = self.logs.logs[0]
+        step = float(np.median(np.diff(np.asarray(log.raw.t))))
+        return rival_sentence(rival, log.loaded.file, self.logs.held_out, step)
 
     def gain(self, parts: Parts, fits: dict[str, Fit]) -> Gain:
         """Errors are weighed as in both fits, by turns, so that none is ahead."""
@@ -243,7 +246,7 @@ class _PredictionProblem(NamedTuple):
     def details(self, best: Fit, fitted: Windows) -> dict[str, Any]:
         return {
             "windows": len(fitted.t),
-            "start": _start_sentence(best),
+            "start": start_sentence(best),
             "undetermined": list(relations(best)),
         }
 
@@ -305,41 +308,6 @@ class _RobotProblem(NamedTuple):
 
 
 _Problem = _PredictionProblem | _RobotProblem
-
-
-def _start_sentence(best: Fit) -> str:
-    """Where the search began that won, and what the others ended at."""
-    (won, _), *others = best.starts or (("", 0.0),)
-    if not won:
-        return ""
-    if not others:
-        return f"The search began from {won}."
-    rest = ", ".join(f"that from {name} by {behind:.3g} worse in log-likelihood" for name, behind in others)
-    return f"The search from {won} ended best, {rest}."
-
-
-def _rival_sentence(rival: Rival, logs: FitLogs) -> str:
-    """What another reading of the log explains, with the line of the model file that says so."""
-    file, names = logs.logs[0].loaded.file, ", ".join(map(str, logs.logs[0].loaded.file.columns.u))
-    less = f"the same fit then predicts {logs.held_out} with {rival.growth:.2g} times the errors"
-    if rival.column >= 0:
-        column = file.columns.u[rival.column]
-        factors = np.where(np.arange(len(file.columns.u)) == rival.column, -1.0, 1.0)
-        return (
-            f"The input {column} seems to be logged with the other sign: {less}. Mend it by "
-            f"{names_of(file).line('u', factors)} in the model file, or by the signs of its positions, and fit again; "
-            "`covariant check` looks closer"
-        )
-    time = abs(rival.rows) * float(np.median(np.diff(np.asarray(logs.logs[0].raw.t))))
-    if rival.rows > 0:
-        late = float(np.max(np.asarray(file.delay, float))) + time
-        line = f"[measurement] delay = {late:.2g} where measurements are late, or [inputs] delay = "
-        line += f"{file.input_delay + time:.2g} where inputs act late"
-        claim = f"Positions seem to follow {names} by about {time:.2g} s later than the model file says"
-    else:
-        claim = f"The stamps of {names} seem to be about {time:.2g} s later than they act"
-        line = f"taking {time:.2g} s off them"
-    return f"{claim}: {less}. Mend it by {line}, and fit again; `covariant check` looks closer"
 
 
 def _is_robot_fit(job: Job, names: Sequence[str]) -> bool:
