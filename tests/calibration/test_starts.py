@@ -2,10 +2,12 @@
 
 from pathlib import Path
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from covariant import models
+from covariant.calibration.identification import Unknowns
 from covariant.workflow import fit, init
 
 CART, POLE, COM, INERTIA, VISCOUS, COULOMB = 0.57, 0.23, 0.32, 0.0079, (1.2, 0.002), (0.6, 0.001)
@@ -134,3 +136,12 @@ def test_inertias_and_friction_of_a_model_of_ones_own_stay_positive(tmp_path, mo
     family = models.family(str(tmp_path / "servo.toml"), ["rotor", "damping", "dry", "moment"])
     # A moment of the other sign is a zero of the angle that points up; a negative first value says that it may be so.
     assert family.positive == (True, positive, True, False)
+
+
+def test_a_number_that_starts_from_zero_is_searched_too():
+    """Relative changes of it are in units, also where another number is positive."""
+    unknowns = Unknowns(lambda values: (None, values), jnp.array([0.0, 2.0]), (False, True))
+    z = unknowns.relative(np.array([0.5, 4.0]))
+    np.testing.assert_allclose(unknowns.values(jnp.asarray(z)), [0.5, 4.0])
+    np.testing.assert_allclose(unknowns.values(jnp.asarray(unknowns.multiplied(z, 1, 8.0))), [0.5, 32.0])
+    assert abs(unknowns.multiplied(np.zeros(2), 0, 8.0)[0]) > 1

@@ -40,9 +40,11 @@ class Unknowns(NamedTuple):
 
     def relative(self, values: Float[NumpyArray, "p"]) -> Float[NumpyArray, "p"]:
         """Relative changes z (p,) that give these parameters."""
-        ratio = np.where(np.asarray(self.positive), values / np.asarray(self.first), 1.0)
+        positive = np.asarray(self.positive)
+        # A number that is not bounded may start from zero, or have become zero.
+        ratio = np.where(positive, values, 1.0) / np.where(positive, np.asarray(self.first), 1.0)
         change = np.arcsinh((values - self.first) / np.asarray(self.size))
-        return np.where(np.asarray(self.positive), np.log(ratio), change)
+        return np.where(positive, np.log(ratio), change)
 
     def moved(self, z: NumpyArray, dz: NumpyArray) -> NumpyArray:
         """Unknowns (p,) after a step that is linear in the values, or for a positive parameter that falls in its
