@@ -8,7 +8,7 @@ import pytest
 
 from covariant import models
 from covariant.calibration.identification import Unknowns
-from covariant.workflow import fit, init
+from covariant.workflow import fit, init, simulate
 
 CART, POLE, COM, INERTIA, VISCOUS, COULOMB = 0.57, 0.23, 0.32, 0.0079, (1.2, 0.002), (0.6, 0.001)
 TRUTH = {"cart_mass": CART, "com": COM, "inertia": INERTIA}
@@ -145,3 +145,32 @@ def test_a_number_that_starts_from_zero_is_searched_too():
     np.testing.assert_allclose(unknowns.values(jnp.asarray(z)), [0.5, 4.0])
     np.testing.assert_allclose(unknowns.values(jnp.asarray(unknowns.multiplied(z, 1, 8.0))), [0.5, 32.0])
     assert abs(unknowns.multiplied(np.zeros(2), 0, 8.0)[0]) > 1
+
+
+MACHINES = {
+    "oscillator": ({"stiffness": 2.3}, {}, {"q0": 1.0, "rate": 50.0, "duration": 20.0}),
+    "pendulum_chain": (
+        {"com": [0.4], "inertia": [0.05], "viscous": [0.08], "coulomb": [0.03]},
+        {"mass": [0.7], "length": [0.5]},
+        {"q0": 1.0, "amplitude": 1.5, "rate": 100.0, "duration": 15.0},
+    ),
+}
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", MACHINES)
+def test_guesses_off_by_up_to_ten_times_end_within_four_standard_errors(name):
+    truth, known, motion = MACHINES[name]
+    rng = np.random.default_rng([3, *map(ord, name)])
+    given = {f"parameters.{key}": value for key, value in known.items()} | {"inputs.between": "held"}
+    true = given | {f"parameters.{key}": value for key, value in truth.items()}
+    guesses = {
+        key: (np.array(value) * 10 ** rng.uniform(-1, 1, np.shape(value))).tolist() for key, value in truth.items()
+    }
+    log = simulate(name, noise=2e-4, seed=3, overrides=true, **motion).record
+    guess = given | {f"parameters.{key}": value for key, value in guesses.items()}
+    result = fit(name, log, list(truth), overrides=guess, anyway=True)
+    assert result.better
+    assert result.columns["determined"].all()
+    off = (result.values - np.concatenate([np.atleast_1d(value) for value in truth.values()])) / result.standard_errors
+    assert np.abs(off).max() < 4, off
