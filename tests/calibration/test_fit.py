@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from covariant import models, scoring
-from covariant.calibration import cut_windows, fit, horizon, prediction_errors, relations
-from covariant.calibration.identification import error_growth, split_windows
+from covariant.calibration import PredictionErrors, cut_windows, fit, horizon, prediction_errors, relations
+from covariant.calibration.identification import error_growth, predicts_worse, split_windows
 from covariant.observers import Intrinsic, run
 from covariant.signals import Record
 from covariant.simulation import hold, simulate
@@ -112,6 +112,27 @@ def test_outliers_do_not_hide_that_a_model_predicts_worse():
     assert error_growth(before, after) > 1.5
 
 
+def test_bursts_of_outliers_are_refused_in_the_errors_of_predictions():
+    t = np.arange(0, 12, 0.02)
+    rng = np.random.default_rng(0)
+    clean = np.cos(t) + 1e-3 * rng.normal(size=len(t))
+    y = clean.copy()
+    for k in rng.choice(np.arange(5, len(t) - 5), 10, replace=False):
+        y[k : k + 3] += 2.0
+    velocity = [-np.sin(t)[:, None]]
+    logs = [cut_windows([Record(t, np.zeros((len(t), 1)), each[:, None])], velocity, 1.0) for each in (clean, y)]
+    right, spoiled = (prediction_errors(models.oscillator(stiffness=1.05), 0.0, pieces) for pieces in logs)
+    np.testing.assert_allclose(spoiled.position, right.position, rtol=0.1)
+    np.testing.assert_allclose(spoiled.one_step, right.one_step, rtol=0.1)
+
+
+def test_a_fit_that_predicts_one_coordinate_clearly_worse_is_worse():
+    before, after = (PredictionErrors(*[np.array(size)] * 3) for size in ([0.1, 0.01], [0.01, 0.012]))
+    assert error_growth(before, after) < 1
+    assert predicts_worse(before, after)
+    assert not predicts_worse(before, before)
+
+
 MASS_ON_A_RAIL = """
 import jax.numpy as jnp
 from covariant.models import Lagrangian, Parametric
@@ -125,10 +146,25 @@ def make(viscous, coulomb):
 """
 
 
+STEEP_RAIL = """
+import jax.numpy as jnp
+from covariant.models import Lagrangian, Parametric
+
+def kinetic(q, mass):
+    return mass * jnp.eye(1)
+
+def friction(q, v, viscous, coulomb):
+    return -viscous * v - coulomb * jnp.tanh(v / 0.0003)
+
+def make(mass, viscous, coulomb):
+    forces = Parametric(friction, viscous=viscous, coulomb=coulomb)
+    return Lagrangian(Parametric(kinetic, mass=mass), lambda q: 0.0, dissipation=forces, coordinates=("q",), inputs=1)
+"""
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("first", [0.01, 10.0])
 def test_a_first_value_far_too_small_or_large_does_not_hold_a_parameter(tmp_path, monkeypatch, first):
-    """The model of this file refuses no negative friction, so that its first value bounds it on neither side."""
     monkeypatch.syspath_prepend(tmp_path)
     (tmp_path / "mass_on_a_rail.py").write_text(MASS_ON_A_RAIL)
     text = f'system = "mass_on_a_rail:make"\n[parameters]\nviscous = {first}\ncoulomb = {first}\n'
@@ -141,6 +177,29 @@ def test_a_first_value_far_too_small_or_large_does_not_hold_a_parameter(tmp_path
     found = fit(open_numbers, cut_windows([record], [reference(record)], 0.4))
     assert found.determined.all()
     np.testing.assert_allclose(found.values, [1.2, 0.6], rtol=0.05)
+
+
+def test_friction_too_steep_for_the_steps_of_the_first_values_is_found(tmp_path, monkeypatch):
+    """The true friction needs a hundred Runge–Kutta steps where that of the first values needs one."""
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / "steep_rail.py").write_text(STEEP_RAIL)
+    text = 'system = "steep_rail:make"\n[parameters]\nmass = 1.0\nviscous = 0.01\ncoulomb = 0.01\n'
+    open_numbers = family(tmp_path, "mass", "viscous", "coulomb", text=text)
+    t = np.arange(0, 12, 0.02)
+    u = 0.9 * np.sin(2.5 * t)
+    q, v, path = 0.0, 0.0, []
+    for force in u:
+        path.append(q)
+        for _ in range(100):  # the friction implicitly: at rest where it exceeds the force
+            fast = v + 2e-4 * force / 0.57
+            v = np.sign(fast) * max(0.0, abs(fast) - 2e-4 * 0.6 / 0.57) / (1 + 2e-4 * 1.2 / 0.57)
+            q += 2e-4 * v
+    y = np.array(path) + 2e-4 * np.random.default_rng(1).normal(size=len(t))
+    record = Record(t, u[:, None], y[:, None])
+    found = fit(open_numbers, cut_windows([record], [reference(record)], 0.5))
+    assert found.determined.all(), relations(found)
+    np.testing.assert_allclose(found.values, [0.57, 1.2, 0.6], rtol=0.1)
+    assert found.starts[0][1] == 0
 
 
 @pytest.mark.exhaustive

@@ -111,6 +111,13 @@ class Blocks(NamedTuple):
         return block_covariance(np.asarray(self.z), self.information, self.inverse(fixed))
 
     @property
+    def overdispersion(self) -> float:
+        """Factor by which errors that are alike within a block enlarge variances on average, and chance the loss."""
+        inverse, scores = self.inverse(self.undetermined), np.asarray(self.z)
+        rank = max(1.0, float(np.trace(inverse @ self.information)))
+        return max(1.0, float(np.einsum("bp,pq,bq->", scores, inverse, scores)) / rank)
+
+    @property
     def undetermined(self) -> Float[NumpyArray, "p p"]:
         """Projection of z on the combinations that the data do not determine.
 
@@ -144,6 +151,17 @@ class Fixed(NamedTuple):
     directions: Float[NumpyArray, "p p"]
     at: Float[NumpyArray, "p"]
 
+    @classmethod
+    def nothing(cls, count: int) -> "Fixed":
+        return cls(np.zeros((count, count)), np.zeros(count))
+
+    def beside(self, j: int, value: float) -> "Fixed":
+        """The same with unknown j fixed at a value too."""
+        unit = np.eye(len(self.at))[j]
+        directions = self.directions + np.outer(unit, unit)
+        # `at` acts only through directions @ at, so that any point with this goal will do: the pseudoinverse gives one.
+        return Fixed(directions, np.linalg.pinv(directions) @ (self.directions @ self.at + value * unit))
+
 
 class Point(NamedTuple):
     """A point of a search: z (p,), s (B, k), and the loss with its derivatives there."""
@@ -164,12 +182,16 @@ class Point(NamedTuple):
 
 
 def minimise(
-    residuals: Residuals, point: Point, fixed: Fixed, progress: Callable[[int], object] = lambda _: None
+    residuals: Residuals,
+    point: Point,
+    fixed: Fixed,
+    progress: Callable[[int], object] = lambda _: None,
+    most: int = MOST_STEPS,
 ) -> tuple[Point, int]:
     """Minimise the loss from a point by Levenberg–Marquardt steps; returns the last point and their number."""
     # Relative to the diagonal: the first step is nearly the full one of Gauss and Newton (Madsen et al., 3.2).
     damping, growth = 1e-3, 2.0
-    for k in range(MOST_STEPS):
+    for k in range(most):
         progress(k)
         dz, ds, promised = _step(point, fixed, damping)
         if promised < TOLERANCE:
@@ -182,7 +204,7 @@ def minimise(
             damping *= max(1 / 10, 1 - (2 * min(gain, 1.0) - 1) ** 3)
         else:
             damping, growth = damping * growth, 2 * growth
-    return point, MOST_STEPS
+    return point, most
 
 
 def _step(point: Point, fixed: Fixed, damping: float) -> tuple[NumpyArray, NumpyArray, float]:
@@ -210,7 +232,7 @@ def _step(point: Point, fixed: Fixed, damping: float) -> tuple[NumpyArray, Numpy
 
 def _ridge(matrices: Any) -> NumpyArray:
     """A small multiple of the identity for each matrix (B, k, k), for blocks in which too little is measured."""
-    largest = np.max(np.diagonal(matrices, axis1=1, axis2=2), axis=1) + 1e-300
+    largest = np.max(np.diagonal(matrices, axis1=1, axis2=2), axis=1, initial=0.0) + 1e-300
     # Far above the rounding errors of the elimination, far below what one measurement tells.
     return 1e-12 * largest[:, None, None] * np.eye(matrices.shape[1])
 

@@ -118,12 +118,13 @@ class FitResult(AbstractTable):
 
     @property
     def better(self) -> bool:
-        """Whether the fitted model predicts the held-out log at least as well as before, up to 1 % of the error."""
+        """Whether the fitted model predicts the held-out log at least as well as before, up to 1 % of the error, and no
+        reversed input or delay explains the log much better."""
         return self.details["better"]
 
     @property
     def exit_code(self) -> int:
-        """Exit code of the command: 1 where the fitted model is worse than before."""
+        """Exit code of the command: 1 where the fitted model is not `better`."""
         return 0 if self.better else 1
 
     @property
@@ -158,8 +159,10 @@ class FitResult(AbstractTable):
 
     @property
     def _worse(self) -> str:
-        """A sentence on a fit that is worse than before: both errors, and what to do."""
+        """A sentence on a fit that is not written: a doubt about the log, or both errors; and what to do."""
         result = self.details
+        if result.get("suspicion"):
+            return f"{result['suspicion']}. The fitted numbers make up for it, so they are not written."
         before, after = (result["held_out_errors"][when]["position"] for when in ("before", "after"))
         columns = zip(result["coordinates"], result["units"], before, after, strict=True)
         errors = ", ".join(f"{name} {_size(new)} {unit} after {_size(old)} before" for name, unit, old, new in columns)
@@ -183,7 +186,7 @@ class FitResult(AbstractTable):
 
         Raises:
             ValueError: Where it may not be written, the file to replace was changed since it was read, or the fitted
-                model is worse than before on what is held out.
+                model is not `better`.
         """
         if not self.better:
             raise ValueError(f"{path}: {self._worse}")
@@ -231,6 +234,7 @@ class FitResult(AbstractTable):
         lines = [
             f"{how} of {', '.join(result['logs'])}",
             *([result["inputs"]["sentence"]] if result["inputs"]["sentence"] else []),
+            *([result["start"]] if result.get("start") else []),
             "",
             table(numbers),
             *self._on_numbers,

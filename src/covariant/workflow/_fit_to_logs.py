@@ -13,7 +13,6 @@ from covariant.calibration import (
     PredictionErrors,
     RobotFit,
     Windows,
-    fit,
     fit_robot,
     horizon,
     outliers,
@@ -22,14 +21,19 @@ from covariant.calibration import (
 )
 from covariant.calibration.identification import (
     FITTED,
+    better_reading,
     error_growth,
     held_out_logs,
+    predicts_worse,
+    profile,
     robot_misfit,
+    search,
     split_windows,
     window_losses,
 )
 from covariant.signals import Record
 from covariant.workflow._aligned import Aligned, aligned
+from covariant.workflow._fit_sentences import rival_sentence, start_sentence
 from covariant.workflow._inputs import Job, MisfitError, coordinates
 from covariant.workflow._model_output import check_read_once
 from covariant.workflow._outcome import rounded
@@ -40,8 +44,6 @@ BETWEEN = ("held", "linear")
 """How inputs may go between stamps; the first is what a model file means that does not say."""
 DIGITS = 7
 """Significant digits of fitted numbers in a model file."""
-WORST_GROWTH = 1.01
-"""A model whose held-out error is larger than so many times the one before is not written: 1 % is no difference."""
 CLEAR = 2.0
 """Standard errors by which held or linear inputs must explain a log better than the other ones to be preferred."""
 ROUNDS, STEPS, ROBOT_ROUNDS = 4, 25, 12
@@ -82,7 +84,7 @@ def fit_to_logs(
     progress("errors on what is held out", 1.0)
     gain = problem.gain(parts, fits) if len(fits) > 1 else None
     used = "linear" if gain is not None and gain.clear and gain.of_linear > 0 else logs.tried[0]
-    best = fits[used]
+    best: Any = problem.judged(fits[used], parts[used][0])
     # Before the fit no way between stamps was chosen: the first is the one that the model file would use.
     before = problem.first_errors(parts[logs.tried[0]][1])
     after = problem.fitted_errors(best, parts[used][1])
@@ -92,10 +94,14 @@ def fit_to_logs(
         content["parameters"]["source"] = f"fitted to {logs.fitted_to} from first values of: {source}"
     if gain is not None and gain.clear:
         content.setdefault("inputs", {})["between"] = used
-    details = _details(jobs[0], logs, guessed, best, before, after) | {
+    progress("other readings of the log", 1.0)
+    suspicion = problem.suspicion(best, *parts[used])
+    details = _details(jobs[0], logs, guessed, best, before, after, suspicion) | {
         "inputs": _input_details(used, logs.stated, gain)
     }
-    return jobs, content, details | problem.details(best, parts[used][0])
+    details |= problem.details(best, parts[used][0])
+    # A log that is misread says nothing of what it determines.
+    return jobs, content, details | ({"undetermined": []} if suspicion else {})
 
 
 def _solve(problem: "_Problem", parts: Parts, progress: Progress) -> dict[str, Any]:
@@ -215,7 +221,22 @@ class _PredictionProblem(NamedTuple):
         def progress(done: int, step: int) -> None:
             report(done, (done + step / STEPS) / ROUNDS)
 
-        return fit(self.family, parts[word][0], progress, None if start is None else start.values)
+        found = search(self.family, parts[word][0], progress, None if start is None else start.values)
+        # Which place won is known from the first search; the later ones begin where the one before ended.
+        return found if start is None else found._replace(starts=start.starts)
+
+    def judged(self, best: Fit, fitted: Windows) -> Fit:
+        """The fit after profiles of the likelihood."""
+        return profile(self.family, fitted, best)
+
+    def suspicion(self, best: Fit, fitted: Windows, held_out: Windows) -> str:
+        """A sentence on a reversed input or late positions, where they explain the logs better than the fit; or ""."""
+        rival = better_reading(self.family, fitted, held_out, best)
+        if rival is None:
+            return ""
+        log = self.logs.logs[0]
+        step = float(np.median(np.diff(np.asarray(log.raw.t))))
+        return rival_sentence(rival, log.loaded.file, self.logs.held_out, step)
 
     def gain(self, parts: Parts, fits: dict[str, Fit]) -> Gain:
         """Errors are weighed as in both fits, by turns, so that none is ahead."""
@@ -232,7 +253,11 @@ class _PredictionProblem(NamedTuple):
         return prediction_errors(*self.family.make(best.values), held_out)
 
     def details(self, best: Fit, fitted: Windows) -> dict[str, Any]:
-        return {"windows": len(fitted.t), "undetermined": list(relations(best))}
+        return {
+            "windows": len(fitted.t),
+            "start": start_sentence(best),
+            "undetermined": list(relations(best)),
+        }
 
 
 class _RobotProblem(NamedTuple):
@@ -266,6 +291,14 @@ class _RobotProblem(NamedTuple):
             records = [Record(t[seen], u[seen], y[seen])]
         half = self.logs.logs[0].loaded.file.reference_half
         return fit_robot(self.family, records, half, lambda done: report(done, min(done / ROBOT_ROUNDS, 1.0)), start)
+
+    def judged(self, best: RobotFit, fitted: Windows) -> RobotFit:
+        del fitted
+        return best
+
+    def suspicion(self, best: RobotFit, fitted: Windows, held_out: Windows) -> str:
+        del best, fitted, held_out
+        return ""
 
     def gain(self, parts: Parts, fits: dict[str, RobotFit]) -> Gain:
         return Gain.of(fits["held"].losses - fits["linear"].losses)
@@ -336,6 +369,7 @@ def _details(
     best: Fit | RobotFit,
     before: PredictionErrors,
     after: PredictionErrors,
+    suspicion: str,
 ) -> dict[str, Any]:
     """Numbers before and after a fit, those that are still placeholders, and its errors on what is held out."""
     names, units = coordinates(logs.logs[0].loaded.file)
@@ -355,7 +389,7 @@ def _details(
                 "before": float(first),
                 "after": float(f"{value:.{DIGITS}g}"),
                 "standard_error": float(f"{error:.3g}") if np.isfinite(error) else None,
-                "determined": bool(determined),
+                "determined": bool(determined) and not suspicion,
             }
             for name, first, value, error, determined in _rows(best)
         ],
@@ -367,7 +401,8 @@ def _details(
             for when, errors in (("before", before), ("after", after))
         },
         "growth": float(f"{ratio:.4g}") if np.isfinite(ratio) else None,
-        "better": bool(ratio <= WORST_GROWTH),
+        "better": not predicts_worse(before, after) and not suspicion,
+        "suspicion": suspicion,
     }
 
 

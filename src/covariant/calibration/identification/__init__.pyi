@@ -14,7 +14,14 @@ from ._excitation import (
     design_excitation as design_excitation,
 )
 from ._expected import ExpectedErrors as ExpectedErrors, Sensing as Sensing
-from ._fit import Fit as Fit, fit as fit, relations as relations, window_losses as window_losses
+from ._fit import (
+    Fit as Fit,
+    fit as fit,
+    profile as profile,
+    relations as relations,
+    search as search,
+    window_losses as window_losses,
+)
 from ._fourier import FourierMotion as FourierMotion
 from ._predict import (
     PredictionErrors as PredictionErrors,
@@ -22,13 +29,16 @@ from ._predict import (
     errors_ahead as errors_ahead,
     mean_square as mean_square,
     prediction_errors as prediction_errors,
+    predicts_worse as predicts_worse,
     rows_ahead as rows_ahead,
     size as size,
 )
+from ._rivals import Rival as Rival, better_reading as better_reading
 from ._robot_combinations import Combinations as Combinations
 from ._robot_fit import RobotFit as RobotFit, fit_robot as fit_robot
 from ._robot_misfit import robot_misfit as robot_misfit
 from ._robot_torques import motor_inputs as motor_inputs
+from ._unknowns import Unknowns as Unknowns
 from ._windows import (
     FITTED as FITTED,
     Windows as Windows,

@@ -10,7 +10,7 @@ Source: Bock 1983 for multiple shooting; Huber 1981, Robust Statistics, sections
 
 import functools
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -18,9 +18,20 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from covariant.calibration._least_squares import PRIOR, UNKNOWN, Blocks, Fixed, Point, combination_rows, minimise
+from covariant.calibration._least_squares import (
+    MOST_STEPS,
+    PRIOR,
+    UNKNOWN,
+    Blocks,
+    Fixed,
+    Point,
+    combination_rows,
+    minimise,
+)
 from covariant.calibration.identification._innovations import Weighing, frequencies, innovations, weighing
 from covariant.calibration.identification._predict import differences, follow, lagged, needed_substeps
+from covariant.calibration.identification._regression import starts
+from covariant.calibration.identification._unknowns import Unknowns
 from covariant.calibration.identification._windows import Windows
 from covariant.models import Family, Motion
 
@@ -33,6 +44,14 @@ ROUGH = 0.2
 """A parameter with a larger relative standard error may be zero: its influence need not be linear down to zero."""
 CONFIDENCE = 2.0
 """Standard errors within which a parameter cannot be distinguished from zero."""
+POLISHED = 2
+"""Number of places to start from, the best ones, from which predictions are fitted."""
+FAR, PROFILE_STEPS = 8.0, 10
+"""Factor by which a profile of the likelihood moves a parameter, and the most steps of the others."""
+RESTARTS = 2
+"""How often a search begins anew from a better place that a profile has found."""
+MARGIN = 1.5
+"""Factor by which friction may come to need more substeps than a search has: the method is stable to 2.8."""
 
 SHOWN = 0.03
 """Weights of a combination below this fraction of the largest are not shown."""
@@ -65,6 +84,8 @@ class Fit(NamedTuple):
         frequency: Natural frequency [rad/s] of the filter that follows these errors; far below one in a window where
             they are white.
         steps: Number of steps of the search.
+        starts: Places from which it was searched, by name, and by how much larger the negative log-likelihood was where
+            the first search from each ended; the first one won.
 
     Example:
         >>> import numpy as np
@@ -83,6 +104,7 @@ class Fit(NamedTuple):
     scale: Float[NumpyArray, "n"]
     frequency: float
     steps: int
+    starts: tuple[tuple[str, float], ...] = ()
 
     @property
     def determined(self) -> Bool[NumpyArray, "p"]:
@@ -130,21 +152,78 @@ def fit(
         >>> result.names, result.values.round(6).tolist()
         (('stiffness',), [1.0])
     """
-    start = np.zeros(len(family.first)) if start is None else _Parameters.of(family).relative(start)
+    return profile(family, windows, search(family, windows, progress, start))
+
+
+def search(
+    family: Family,
+    windows: Windows,
+    progress: Callable[[int, int], object] = lambda *_: None,
+    start: Float[NumpyArray, "p"] | None = None,
+) -> Fit:
+    """The search of a fit, from the best of several places or from given values, without the profiles after it."""
     candidates = frequencies(windows)
-    problem, point = _begin(family, windows, candidates[:1], start)
-    fixed, step_count = Fixed(np.zeros((len(family.first),) * 2), np.zeros(len(family.first))), 0
-    for k in range(ROUNDS):
+    problem, point, tried = _first_round(family, windows, candidates, progress, start)
+    fixed, step_count = Fixed.nothing(len(family.first)), 0
+    for k in range(1, ROUNDS):
+        problem, point = problem.stable(family, point)
         point, steps = minimise(problem, point, fixed, functools.partial(progress, k))
         step_count += steps
-        trial_frequencies = candidates if k == 0 else np.atleast_1d(problem.weighing.frequency)
-        problem, point = problem.weighed(point, trial_frequencies)
-        if 0 < k < ROUNDS - 1:  # with a new filter the parameters have not converged yet
-            fixed = Fixed(point.blocks.undetermined, problem.parameters.fixed_at(point.z))
+        problem, point = problem.weighed(point, np.atleast_1d(problem.weighing.frequency))
+        if k < ROUNDS - 1:
+            fixed = Fixed(point.blocks.undetermined, problem.unknowns.fixed_at(point.z))
+    return _conclude(family, problem, point, fixed, step_count, tried)
+
+
+def _first_round(
+    family: Family,
+    windows: Windows,
+    candidates: Float[NumpyArray, "f"],
+    progress: Callable[[int, int], object],
+    start: Float[NumpyArray, "p"] | None,
+) -> tuple["_Predictions", Point, tuple[tuple[str, float], ...]]:
+    """Searches without a filter from the best places to start from: the best end, and by how much it was the best."""
+    unknowns = Unknowns.of(family)
+    if start is None:
+        places = starts(unknowns, jax.tree.map(np.asarray, windows), family.names)
+    else:
+        places = {"other inputs": unknowns.relative(start)}
+    begun = [(name, *_begin(family, windows, candidates[:1], z)) for name, z in places.items()]
+    begun = [each for each in begun if np.isfinite(each[2].blocks.loss).all()]
+    if not begun:
+        raise ValueError("the model predicts no finite motion with its first values; mend these")
+    begun = sorted(begun, key=lambda each: each[1].cost)[:POLISHED]
+    ends = []
+    for i, (name, problem, point) in enumerate(begun):
+
+        def report(step: int, i: int = i) -> None:
+            progress(0, (MOST_STEPS * i + step) // len(begun))
+
+        problem, point = problem.stable(family, point)
+        point, _ = minimise(problem, point, Fixed.nothing(len(point.z)), report)
+        # With a new filter the parameters have not converged yet.
+        ends.append((name, *problem.weighed(point, candidates)))
+    best = min(ends, key=lambda each: each[1].cost)[1]
+    losses = {name: best.loss_at(point) for name, _, point in ends}
+    ends.sort(key=lambda each: losses[each[0]])
+    name, problem, point = ends[0]
+    tried = tuple((each[0], losses[each[0]] - losses[name]) for each in ends)
+    return problem, point, tried
+
+
+def _conclude(
+    family: Family,
+    problem: "_Predictions",
+    point: Point,
+    fixed: Fixed,
+    step_count: int,
+    tried: tuple[tuple[str, float], ...],
+) -> Fit:
+    """The fit at the end of a search: values, standard errors and undetermined combinations."""
     covariance = point.blocks.covariance(fixed.directions)
     # The undetermined combinations are fixed by a large but finite weight: remove the small change that it permits.
     z = point.z - fixed.directions @ (point.z - fixed.at)
-    values, slopes = map(np.asarray, _values_and_slopes(problem.parameters, jnp.asarray(z)))
+    values, slopes = map(np.asarray, _values_and_slopes(problem.unknowns, jnp.asarray(z)))
     # Relative to the value, or for a value of zero to the unit.
     rows = combination_rows(fixed.directions, slopes / np.where(values == 0, 1.0, values))
     combined_change = np.sqrt(np.sum(rows**2, axis=0))
@@ -156,7 +235,81 @@ def fit(
     rows = np.concatenate([rows, np.eye(len(small))[small]])
     errors = np.where((combined_change < PURE) & ~small, np.sqrt(np.maximum(variance, 0.0)), np.nan)
     frequency, scale = problem.weighing
-    return Fit(family.names, family.first, values, errors, rows, np.asarray(scale), float(frequency), step_count)
+    return Fit(family.names, family.first, values, errors, rows, np.asarray(scale), float(frequency), step_count, tried)
+
+
+def profile(family: Family, windows: Windows, fit: Fit, again: int = RESTARTS) -> Fit:
+    """Judge by profiles of the likelihood what a fit calls undetermined.
+
+    A parameter of each undetermined combination is moved far up and down, and the others are fitted again. Where the
+    loss falls, the search had ended in a wrong place and begins anew from there. Where it rises on both sides, the log
+    does determine the parameter. Where it does not rise, the other parameters are known no better than it moves them;
+    and one that has vanished, though its first value explains the log as well, keeps that.
+    """
+    if not len(fit.undetermined):
+        return fit
+    unknowns = Unknowns.of(family)
+    problem, point = _weighed_as(family, windows, fit, fit)
+    judge = _Profiles(unknowns, problem, point, CONFIDENCE**2 / 2 * point.blocks.overdispersion)
+    rows, z = np.array(fit.undetermined), point.z
+    leading = [int(np.argmax((row == 1) & (np.sum(rows != 0, axis=0) == 1))) for row in rows]
+    kept, at, moved_by = [], z.copy(), np.zeros(len(z))
+    for k, j in enumerate(leading):
+        ends = judge.moved(j)
+        if again and min(rise for _, rise in ends) < -judge.chance:
+            lowest = min(ends, key=lambda each: each[1])[0]
+            values = np.asarray(unknowns.values(jnp.asarray(lowest.z)))
+            better = search(family, windows, start=values)._replace(starts=((f"a profile of {fit.names[j]}", 0.0),))
+            return profile(family, windows, better, again - 1)
+        flat = [end.z - z for end, rise in ends if rise < judge.chance]
+        if not flat:
+            continue
+        kept.append(k)
+        alone = np.sum(rows[k] != 0) == 1
+        if alone and abs(z[j]) > MOVED and judge.rise(np.where(np.arange(len(z)) == j, 0.0, z), j)[1] < judge.chance:
+            at[j] = 0.0
+        change = max(flat, key=lambda each: np.abs(each).max(where=np.arange(len(z)) != j, initial=0.0))
+        moved_by = np.maximum(moved_by, np.where(np.arange(len(z)) == j, 0.0, np.abs(change)))
+        entangled = ~np.isnan(fit.standard_errors) & (np.abs(change) >= PURE)
+        rows[k] = np.where(entangled, change / change[j], rows[k])
+    released = [j for k, j in enumerate(leading) if k not in kept]
+    for held in (kept, list(range(len(rows)))):
+        if len(held) == len(rows) and (at == z).all():
+            kept = held
+            break
+        ratio = np.asarray(unknowns.slopes(jnp.asarray(z))) / np.where(fit.values == 0, 1.0, fit.values)
+        basis = np.linalg.qr((fit.undetermined[held] / ratio).T)[0]
+        fixed = Fixed(basis @ basis.T, at)
+        end, steps = minimise(problem, Point.at(problem, at, point.s), fixed)
+        free = _conclude(family, problem, end, fixed, fit.steps + steps, fit.starts)
+        # A loss that rises a little, and a standard error above a factor e: it stays at its first value.
+        if free.determined[released].all() or len(held) == len(rows):
+            fit, kept = free, held
+            break
+    slopes = np.asarray(unknowns.slopes(jnp.asarray(unknowns.relative(fit.values))))
+    errors = np.where(moved_by < PURE, np.sqrt(fit.standard_errors**2 + (slopes * moved_by) ** 2), np.nan)
+    rows = rows[kept] if len(fit.undetermined) == len(kept) else fit.undetermined
+    return fit._replace(standard_errors=errors, undetermined=rows)
+
+
+class _Profiles(NamedTuple):
+    """Where the loss goes with one parameter moved and the others fitted again, and how far it rises by chance."""
+
+    unknowns: Unknowns
+    problem: "_Predictions"
+    point: Point
+    chance: float
+
+    def moved(self, j: int) -> list[tuple[Point, float]]:
+        """Points with parameter j far above and below, and the rise of the loss at each."""
+        return [self.rise(self.unknowns.multiplied(self.point.z, j, by), j) for by in (FAR, 1 / FAR)]
+
+    def rise(self, z: NumpyArray, j: int) -> tuple[Point, float]:
+        begin = Point.at(self.problem, z, self.point.s)
+        fixed = Fixed.nothing(len(z)).beside(j, float(z[j]))
+        end, _ = minimise(self.problem, begin, fixed, most=PROFILE_STEPS)
+        rise = float(np.sum(end.blocks.loss) - np.sum(self.point.blocks.loss))
+        return end, rise if np.isfinite(rise) else np.inf
 
 
 def window_losses(family: Family, windows: Windows, fit: Fit, weighed_as: Fit) -> Float[NumpyArray, "W"]:
@@ -165,11 +318,15 @@ def window_losses(family: Family, windows: Windows, fit: Fit, weighed_as: Fit) -
     The constant is the same for all fits whose errors are weighed as those of `weighed_as`, so that two fits to the
     same rows under other inputs can be compared (Vuong 1989, Likelihood ratio tests for model selection).
     """
-    z = _Parameters.of(family).relative(fit.values)
+    return np.asarray(_weighed_as(family, windows, fit, weighed_as)[1].blocks.loss)
+
+
+def _weighed_as(family: Family, windows: Windows, fit: Fit, weighed_as: Fit) -> tuple["_Predictions", Point]:
+    """The values of a fit with the best initial motions, errors weighed as those of another fit."""
+    z = Unknowns.of(family).relative(fit.values)
     problem, point = _begin(family, windows, np.atleast_1d(weighed_as.frequency), z)
     problem = problem._replace(weighing=Weighing(np.asarray(weighed_as.frequency), weighed_as.scale))
-    point, _ = minimise(problem, Point.at(problem, point.z, point.s), Fixed(np.eye(len(z)), z))
-    return np.asarray(point.blocks.loss)
+    return problem, minimise(problem, Point.at(problem, point.z, point.s), Fixed(np.eye(len(z)), z))[0]
 
 
 def relations(fit: Fit) -> tuple[str, ...]:
@@ -217,69 +374,47 @@ def _power(name: str, power: float) -> str:
     return name if power == 1 else f"{name}^{power:.3g}"
 
 
-class _Parameters(NamedTuple):
-    """The fitted function `make (p,) -> (model, lag)`, first values (p,), and which are positive.
-
-    The unknowns z (p,) are relative changes of the values.
-    """
-
-    make: Callable[[Array], tuple[Any, Any]]
-    first: Float[Array, "p"]
-    positive: tuple[bool, ...]
-
-    @classmethod
-    def of(cls, family: Family) -> "_Parameters":
-        return cls(family.make, jnp.asarray(family.first), family.positive)
-
-    @property
-    def size(self) -> Float[Array, "p"]:
-        """Size of a relative change of one: the first value, or one unit where that is zero."""
-        return jnp.abs(self.first) + jnp.equal(self.first, 0).astype(self.first.dtype)
-
-    def values(self, z) -> Float[Array, "p"]:
-        """Parameters at relative changes z (p,): logarithms of ratios for positive ones, for others the inverse
-        hyperbolic sine of the change in units of `size`, which grows as a logarithm too."""
-        ratio = jnp.asarray(self.first * jnp.exp(z))
-        return jnp.where(jnp.asarray(self.positive), ratio, jnp.asarray(self.first + self.size * jnp.sinh(z)))
-
-    def relative(self, values: Float[NumpyArray, "p"]) -> Float[NumpyArray, "p"]:
-        """Relative changes z (p,) that give these parameters."""
-        ratio = np.where(np.asarray(self.positive), values / np.asarray(self.first), 1.0)
-        change = np.arcsinh((values - self.first) / np.asarray(self.size))
-        return np.where(np.asarray(self.positive), np.log(ratio), change)
-
-    def fixed_at(self, z: NumpyArray) -> NumpyArray:
-        """Values (p,) of z at which undetermined combinations are fixed: 0, or the z of a vanishing parameter."""
-        return np.where(np.asarray(self.positive) & (z < -PRIOR), z, 0.0)
-
-    def slopes(self, z) -> Float[Array, "p"]:
-        """Derivative of each parameter in its relative change."""
-        return jnp.where(jnp.asarray(self.positive), self.first * jnp.exp(z), self.size * jnp.cosh(z))
-
-
 @eqx.filter_jit  # one program in place of a dozen small ones
-def _values_and_slopes(parameters: _Parameters, z: Array) -> tuple[Float[Array, "p"], Float[Array, "p"]]:
-    return parameters.values(z), parameters.slopes(z)
+def _values_and_slopes(unknowns: Unknowns, z: Array) -> tuple[Float[Array, "p"], Float[Array, "p"]]:
+    return unknowns.values(z), unknowns.slopes(z)
 
 
 class _Predictions(NamedTuple):
     """Residuals of a fit: innovations over W windows, from initial motions s (W, 2n), in units of their scale."""
 
-    parameters: _Parameters
+    unknowns: Unknowns
     substeps: int
     windows: Windows
     weighing: Weighing
 
     def blocks(self, z: NumpyArray, s: NumpyArray) -> Blocks:
         weights = jax.tree.map(jnp.asarray, self.weighing)
-        blocks = _evaluate(self.parameters, self.substeps, self.windows, jnp.asarray(z), jnp.asarray(s), weights)
+        blocks = _evaluate(self.unknowns, self.substeps, self.windows, jnp.asarray(z), jnp.asarray(s), weights)
         return jax.tree.map(np.asarray, blocks)
 
     def moved(self, z: NumpyArray, dz: NumpyArray) -> NumpyArray:
         """Relative changes (p,) after a step that is linear in the values, or for a positive parameter that falls in
         its inverse, since forces are linear in friction and accelerations in inverse masses."""
         positive = z + np.sign(dz) * np.log1p(np.abs(dz))
-        return np.where(np.asarray(self.parameters.positive), positive, np.arcsinh(np.sinh(z) + np.cosh(z) * dz))
+        return np.where(np.asarray(self.unknowns.positive), positive, np.arcsinh(np.sinh(z) + np.cosh(z) * dz))
+
+    def stable(self, family: Family, point: Point) -> tuple["_Predictions", Point]:
+        """The same with enough substeps for the friction at a point, which may have grown far."""
+        model = family.make(np.asarray(self.unknowns.values(jnp.asarray(point.z))))[0]
+        needed = needed_substeps(model, self.windows)
+        if needed <= MARGIN * self.substeps:
+            return self, point
+        problem = self._replace(substeps=needed)
+        return problem, Point.at(problem, point.z, point.s)
+
+    @property
+    def cost(self) -> float:
+        """Mean of the logarithm of the errors over all coordinates."""
+        return float(np.mean(np.log(self.weighing.scale)))
+
+    def loss_at(self, point: Point) -> float:
+        """Loss at a point, errors weighed as here."""
+        return float(np.sum(Point.at(self, point.z, point.s).blocks.loss))
 
     def weighed(self, point: Point, trial_frequencies: Float[NumpyArray, "f"]) -> tuple["_Predictions", Point]:
         """Weigh the errors again, by the filter with the best of some frequencies [rad/s]."""
@@ -293,28 +428,24 @@ def _begin(
 ) -> tuple[_Predictions, Point]:
     """First point of a search: relative changes z of the parameters, measured positions and reference velocities."""
     windows = jax.tree.map(jnp.asarray, windows)
-    model = family.file.need_mechanical(family.file.name, "numbers are fitted for")
+    family.file.need_mechanical(family.file.name, "numbers are fitted for")
     count, n = windows.v.shape[0], windows.v.shape[-1]
     weights = Weighing(frequency[0], np.ones(n))
-    problem = _Predictions(_Parameters.of(family), needed_substeps(model, windows), windows, weights)
-    point = Point.at(problem, z, np.zeros((count, 2 * n)))
-    errors, seen = point.blocks.rest
-    if not np.isfinite(errors[seen]).all():
-        raise ValueError("the model predicts no finite motion with its first values; mend these")
-    return problem.weighed(point, frequency)
+    unknowns = Unknowns.of(family)
+    model = family.make(unknowns.values(jnp.asarray(z)))[0]
+    problem = _Predictions(unknowns, needed_substeps(model, windows), windows, weights)
+    return problem.weighed(Point.at(problem, z, np.zeros((count, 2 * n))), frequency)
 
 
 @eqx.filter_jit
-def _evaluate(
-    parameters: _Parameters, substeps: int, windows: Windows, z: Array, s: Array, weighed: Weighing
-) -> Blocks:
+def _evaluate(unknowns: Unknowns, substeps: int, windows: Windows, z: Array, s: Array, weighed: Weighing) -> Blocks:
     """Blocks of the windows; `rest` are the errors of the positions, and where these are measured."""
     p = z.shape[0]
 
     def window(s, rows, t, y, v):
         def errors(x):
             n = v.shape[-1]
-            model, lag = parameters.make(parameters.values(x[:p]))
+            model, lag = unknowns.make(unknowns.values(x[:p]))
             inputs = lagged(jnp.asarray(windows.inputs), jnp.asarray(windows.steps), lag)
             start = Motion(model.manifold.retract(y[0], x[p : p + n]), v[0] + x[p + n :])
             raw, seen = differences(model, follow(model, t, inputs[rows], start, substeps).q, y)
@@ -331,16 +462,11 @@ def _perhaps_zero(
     problem: _Predictions, point: Point, fixed: Fixed, covariance: Float[NumpyArray, "p p"]
 ) -> Bool[NumpyArray, "p"]:
     """Parameters (p,) that may be zero: with one nearly zero and the rest refitted, the loss hardly rises."""
-    possible = np.asarray(problem.parameters.positive) & (point.z < 0) & (np.diagonal(covariance) > ROUGH**2)
+    possible = np.asarray(problem.unknowns.positive) & (point.z < 0) & (np.diagonal(covariance) > ROUGH**2)
     uncorrelated_variance = np.diagonal(point.blocks.inverse(fixed.directions))
     for j in np.flatnonzero(possible):
-        unit = np.zeros(len(point.z))
-        unit[j] = 1.0
-        directions = fixed.directions + np.outer(unit, unit)
         # Fixed at e^−PRIOR times its value the parameter is all but zero.
-        goal = fixed.directions @ fixed.at + unit * (point.z[j] - PRIOR)
-        # `at` acts only through directions @ at, so that any point with this goal will do: the pseudoinverse gives one.
-        without, _ = minimise(problem, point, Fixed(directions, np.linalg.pinv(directions) @ goal))
+        without, _ = minimise(problem, point, fixed.beside(int(j), float(point.z[j]) - PRIOR))
         rise = float(np.sum(without.blocks.loss) - np.sum(point.blocks.loss))
         # Errors that are correlated within a window enlarge the variance, and by the same factor the rise due to
         # chance.

@@ -29,6 +29,9 @@ HORIZON, LONGEST_HORIZON = 1.5, 50
 position alone decides, over a longer one the error of the model."""
 MOST_STARTS = 1000
 """Largest number of rows of a log from which the motion is predicted."""
+WORST_GROWTH, WORST_COORDINATE = 1.01, 1.05
+"""A fit is worse whose held-out errors are larger than so many times those before, over all coordinates or in one: 1 %
+is no difference."""
 FAR = 16.0
 """Cap on squared errors, as a multiple of their 90 % quantile; it limits the influence of outliers."""
 
@@ -146,7 +149,15 @@ def prediction_errors(model: MechanicalSystem, lag: Number, windows: Windows) ->
 
     # The prediction starts from the first row, whose error is zero by construction.
     later = seen & (np.arange(seen.shape[1]) > 0)[:, None]
-    return PredictionErrors(rms(single, later[:, 1:] & seen[:, :-1]), rms(whole, later), rms(speed, at_new_stamp))
+    after_seen = later[:, 1:] & seen[:, :-1]
+    if after_seen.any():  # a reading far off shows within one step, in which a poor model hardly errs
+        limit = FAR * np.nanquantile(np.where(after_seen, single**2, np.nan), 0.9, axis=(0, 1))
+        jumps = after_seen & (single**2 > limit)
+        # Readings are off from one jump to the one back, or to the end of a window that starts from such a reading.
+        off = np.cumsum(np.where(jumps, single, 0.0), axis=1) ** 2 > limit
+        later[:, 1:] &= ~(jumps | off)
+        after_seen &= ~jumps
+    return PredictionErrors(rms(single, after_seen), rms(whole, later), rms(speed, at_new_stamp))
 
 
 @eqx.filter_jit
@@ -176,10 +187,20 @@ def _errors(model: MechanicalSystem, data: Any, substeps: int):
 
 def error_growth(before: PredictionErrors, after: PredictionErrors) -> float:
     """Ratio of the RMS position errors after and before a fit; infinite if those after it are not finite."""
+    ratio = float(np.sqrt(np.mean(_growths(before, after) ** 2)))
+    return ratio if np.isfinite(ratio) else np.inf
+
+
+def predicts_worse(before: PredictionErrors, after: PredictionErrors) -> bool:
+    """Whether a fit predicts worse than before, over all coordinates or one of them clearly."""
+    growths = _growths(before, after)
+    return not (error_growth(before, after) <= WORST_GROWTH and growths.max() <= WORST_COORDINATE)
+
+
+def _growths(before: PredictionErrors, after: PredictionErrors) -> Float[np.ndarray, "n"]:
     old, new = np.asarray(before.position), np.asarray(after.position)
     # A coordinate without any error before the fit does not count.
-    ratio = float(np.sqrt(np.mean((new / np.where(old > 0, old, np.inf)) ** 2)))
-    return ratio if np.isfinite(ratio) else np.inf
+    return new / np.where(old > 0, old, np.inf)
 
 
 def rows_ahead(rate: float, frequency: float) -> int:

@@ -7,15 +7,20 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
+import jax
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
+from covariant.models._mechanical import input_count, resistance
 from covariant.models._names import refuse_unknown
 from covariant.models.files import _source
 from covariant.models.files._file import document, finish, made
 from covariant.models.files._model_file import ModelFile, named
 from covariant.models.files._toml import Overrides
 
+POINTS, ROUNDING = 4, 1e-9
+"""Configurations at which energies are compared, and relative differences that are rounding."""
 LAG = ("inputs", "lag")
 """The one number outside [parameters] that may be open."""
 
@@ -30,7 +35,8 @@ class Family(NamedTuple):
         file: The model file with the first values of these numbers.
         names: The p open numbers, such as `mass[0]` of [parameters], or `inputs.lag`.
         first: Their values (p,) in the file.
-        positive: Which of the p numbers the model refuses where they are negative.
+        positive: Which of the p numbers stay positive: those that the model refuses where they are negative, and those
+            that start positive and with the other sign would make inertias negative or friction drive the motion.
         make: `values (p,) -> (model, lag [s])`, which may be traced, differentiated and batched by JAX.
         document: The content of the file, with the first values, as nested dictionaries and lists.
         places: Table, key and list indices of each of the p numbers in the document.
@@ -130,6 +136,8 @@ def _family(spec: str, names: Sequence[str], content: dict[str, Any]) -> Family:
             f"the function that makes the model cannot be traced by JAX ({_source.first_line(error)[:80]}); compute "
             f"with jax.numpy in it, or leave {', '.join(names)} as they are"
         ) from error
+    bounded = _bounded(make, first) if not all(positive) else np.ones(len(first), bool)
+    positive = tuple(bool(refused or bound) for refused, bound in zip(positive, bounded, strict=True))
     return Family(file, tuple(chosen), first, positive, make, content, places)
 
 
@@ -187,3 +195,38 @@ def _refuses(spec: str, content: dict[str, Any]) -> bool:
     except ValueError:
         return True
     return False
+
+
+def _bounded(make: Callable[[Any], tuple[Any, Any]], first: Float[np.ndarray, "p"]) -> Bool[np.ndarray, "p"]:
+    """Which positive numbers (p,) of a model that refuses nothing are inertias or friction, and so stay positive.
+
+    With the other sign an inertia lowers the kinetic energy of each motion, or friction feeds power into each. Energies
+    and powers are compared at a few configurations and velocities.
+    """
+
+    def energies(values):
+        model = make(values)[0]
+        start = model.manifold.origin()
+        zero = model.manifold.zero(start)
+        n = zero.shape[0]
+        t, u = jnp.zeros(()), jnp.zeros(input_count(model, n))
+        random = np.random.default_rng(0)
+        steps, velocities = random.normal(0, 0.5, (POINTS, n)), random.normal(0, 1, (POINTS * (1 + n), n))
+
+        def at(step, v):
+            q = model.manifold.retract(start, step)
+            return v @ model.space.lower(q, v) / 2, v @ resistance(model, t, q, v, u)
+
+        return jax.vmap(at)(jnp.asarray(np.repeat(steps, 1 + n, axis=0)), jnp.asarray(velocities))
+
+    compiled = eqx.filter_jit(energies)
+    kinetic, power = map(np.asarray, compiled(jnp.asarray(first)))
+    bounded = np.zeros(len(first), bool)
+    for i in np.flatnonzero(first > 0):
+        other = compiled(jnp.asarray(np.where(np.arange(len(first)) == i, -first, first)))
+        adds, takes = kinetic - np.asarray(other[0]), np.asarray(other[1]) - power
+        # Rounding of sums that cancel is no difference.
+        inertia = (adds > -ROUNDING * np.abs(kinetic)).all() and (adds > ROUNDING * np.abs(kinetic)).any()
+        dissipates = (takes > -ROUNDING * np.abs(power)).all() and (takes > ROUNDING * np.abs(power)).any()
+        bounded[i] = inertia or dissipates
+    return bounded

@@ -1,0 +1,67 @@
+"""Unknowns of a search for the parameters of a model: their relative changes, which keep positive ones positive."""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from covariant.calibration._least_squares import PRIOR
+from covariant.models import Family
+
+NumpyArray = np.ndarray
+
+
+class Unknowns(NamedTuple):
+    """The fitted function `make (p,) -> (model, lag)`, first values (p,), and which are positive.
+
+    The unknowns z (p,) are relative changes of the values.
+    """
+
+    make: Callable[[Array], tuple[Any, Any]]
+    first: Float[Array, "p"]
+    positive: tuple[bool, ...]
+
+    @classmethod
+    def of(cls, family: Family) -> "Unknowns":
+        return cls(family.make, jnp.asarray(family.first), family.positive)
+
+    @property
+    def size(self) -> Float[Array, "p"]:
+        """Size of a relative change of one: the first value, or one unit where that is zero."""
+        return jnp.abs(self.first) + jnp.equal(self.first, 0).astype(self.first.dtype)
+
+    def values(self, z) -> Float[Array, "p"]:
+        """Parameters at relative changes z (p,): logarithms of ratios for positive ones, for others the inverse
+        hyperbolic sine of the change in units of `size`, which grows as a logarithm too."""
+        ratio = jnp.asarray(self.first * jnp.exp(z))
+        return jnp.where(jnp.asarray(self.positive), ratio, jnp.asarray(self.first + self.size * jnp.sinh(z)))
+
+    def relative(self, values: Float[NumpyArray, "p"]) -> Float[NumpyArray, "p"]:
+        """Relative changes z (p,) that give these parameters."""
+        positive = np.asarray(self.positive)
+        # A number that is not bounded may start from zero, or have become zero.
+        ratio = np.where(positive, values, 1.0) / np.where(positive, np.asarray(self.first), 1.0)
+        change = np.arcsinh((values - self.first) / np.asarray(self.size))
+        return np.where(positive, np.log(ratio), change)
+
+    def moved(self, z: NumpyArray, dz: NumpyArray) -> NumpyArray:
+        """Unknowns (p,) after a step that is linear in the values, or for a positive parameter that falls in its
+        inverse, since forces are linear in friction and accelerations in inverse masses."""
+        positive = z + np.sign(dz) * np.log1p(np.abs(dz))
+        return np.where(np.asarray(self.positive), positive, np.arcsinh(np.sinh(z) + np.cosh(z) * dz))
+
+    def multiplied(self, z: NumpyArray, j: int, factor: float) -> NumpyArray:
+        """Unknowns (p,) with parameter j multiplied by a factor; a parameter of zero is moved by its logarithm."""
+        value = np.asarray(self.values(jnp.asarray(z)))
+        target = value * factor if value[j] else value + np.log(factor) * np.asarray(self.size)
+        return np.where(np.arange(len(z)) == j, self.relative(np.where(np.arange(len(z)) == j, target, value)), z)
+
+    def fixed_at(self, z: NumpyArray) -> NumpyArray:
+        """Values (p,) of z at which undetermined combinations are fixed: 0, or the z of a vanishing parameter."""
+        return np.where(np.asarray(self.positive) & (z < -PRIOR), z, 0.0)
+
+    def slopes(self, z) -> Float[Array, "p"]:
+        """Derivative of each parameter in its relative change."""
+        return jnp.where(jnp.asarray(self.positive), self.first * jnp.exp(z), self.size * jnp.cosh(z))
