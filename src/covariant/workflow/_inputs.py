@@ -169,7 +169,8 @@ def load(job: Job, score: bool = True, why: str = "") -> Loaded:
     parts = file_sensors(file)
     sensors = [(part.columns, part.unit) for part in parts]
     kind = kind_of(file)
-    log = kind.with_inputs(logs.read(job.log, columns, job.every, job.until, job.start, optional, sensors))
+    part, periods = (job.every, job.until, job.start), _periods(job, file)
+    log = kind.with_inputs(logs.read(job.log, columns, *part, optional, sensors, periods))
     if not job.anyway:
         _refuse_misfit(job, file, log.record)
     record = acting_inputs(lag_inputs(log.record, file.input_lag), file.input_between, file.input_delay)
@@ -181,7 +182,7 @@ def load(job: Job, score: bool = True, why: str = "") -> Loaded:
     file, note = _in_ticks(file, y)
     known = None if log.truth is None else (log.truth, f"true {kind.what}")
     if known is None and score:
-        known = kind.slopes(log, lambda: _whole(job, log, columns))
+        known = kind.slopes(log, lambda: _whole(job, log, columns, periods))
     reference = None if known is None else ReferenceVelocity(*known, scoring.scored_window(t))
     read, lacking = readings(parts, log) if parts else (None, "")
     guessed = placeholder_sentence(placeholders(job.model, job.overrides))
@@ -192,12 +193,22 @@ def load(job: Job, score: bool = True, why: str = "") -> Loaded:
     return Loaded(file, model, log, record, rate, reference, note, () if read is None else parts, read)
 
 
-def _whole(job: Job, log: logs.Log, columns: logs.Columns) -> logs.Log:
+def _periods(job: Job, file: models.ModelFile) -> tuple[float, ...]:
+    """The period of each position of a log, 0 for none; empty where none has one."""
+    if not np.any(file.period):
+        return ()
+    if not file.model.manifold.commuting:
+        raise ValueError(f"{job.model_name}: measurement.period is for coordinates, and this model is on a group")
+    return tuple(np.broadcast_to(file.period, len(file.columns.q)).tolist())
+
+
+def _whole(job: Job, log: logs.Log, columns: logs.Columns, periods: tuple[float, ...]) -> logs.Log:
     """All of a log of which a job reads a part, with the positions at least."""
     if (job.every, job.until, job.start) == (1, None, None):
         return log
     # A record has its inputs without names.
-    return logs.read(job.log, columns if isinstance(job.log, Record) else columns._replace(u=(), v=()))
+    positions = columns if isinstance(job.log, Record) else columns._replace(u=(), v=())
+    return logs.read(job.log, positions, periods=periods)
 
 
 def column_names(columns: str | Sequence[str]) -> tuple[str, ...]:
