@@ -177,7 +177,7 @@ def _findings(
         on_group = group_findings(model, record, file.columns.t, rows)
         clock = [] if any(each.what == "unit of time" for each in on_group) else findings
         return [*on_group, *clock], (*checks, "unit of time", "repeated rows")
-    checks += ("outliers", "repeated rows", "ticks", "noise")
+    checks += ("periods", "several senders", "outliers", "repeated rows", "ticks", "noise")
     y, names = np.asarray(record.y), names_of(file)
     quantum = file.quantum if quantum is None else quantum
     still, whole = still_findings(y, names.q, names.units)
@@ -187,9 +187,11 @@ def _findings(
     wraps = periods(y, known_ticks(record, (), quantum))
     record = record._replace(y=unwrap(y, (), wraps))
     case, outliers = case_without_outliers(file, record, rows, quantum)
-    record, senders = _without_second_sender(case, record, outliers, rows)
+    senders = _second_senders(case, record, outliers, rows)
     if senders:
-        case, outliers = case_without_outliers(file, record, rows, quantum)
+        # Two motions in one column look like noise, outliers, delays and wrong units.
+        clock = [each for each in findings if each.what not in ("missing rows", "irregular stamps")]
+        return [*clock, *still, *senders], checks
     y, ticks, as_read = np.asarray(record.y), case.ticks, case._replace(record=record)
     edges = edge_findings(rows.t, y, ticks, names, quantum)
     if edges:
@@ -211,7 +213,7 @@ def _findings(
         repeated = repeated_findings(y, ticks, names.q, rows)
     noise = np.maximum(np.nan_to_num(readings(record._replace(y=y), case.model.circles).std), ticks)
     forward = set_forward(rows.t, unwrap(y, case.model.circles), noise, rows)
-    jumps = [*period_findings(without_full_turns(wraps, case.model.circles), ticks, names), *senders]
+    jumps = period_findings(without_full_turns(wraps, case.model.circles), ticks, names)
     findings += [*forward, *still, *jumps, *outliers, *repeated, *changes]
     # In another unit of time the readings have other rates too: they are judged once it is right.
     sensors = () if any(each.what == "unit of time" for each in changes) else sensors
@@ -383,23 +385,18 @@ def _sensors(case: Case, stated: float | tuple[float, ...] | None, edges: list[F
     return [*edges, *(each for each in found if not (edges and each.what == "ticks"))]
 
 
-def _without_second_sender(
-    case: Case, record: Record, outliers: list[Finding], rows: Rows
-) -> tuple[Record, list[Finding]]:
-    """The record without the readings of a second sender, and the findings on these."""
-    y, findings = np.array(record.y, float), []
-    t = np.asarray(record.t)
-    stated = case.file.measurement_std
-    usual = np.maximum(np.broadcast_to(0.0 if stated is None else stated, y.shape[1]), case.ticks)
+def _second_senders(case: Case, record: Record, outliers: list[Finding], rows: Rows) -> list[Finding]:
+    """The findings on columns whose readings come from two motions in turn."""
+    stated, continuous = case.file.measurement_std, unwrap(np.asarray(record.y), case.model.circles)
+    usual = np.maximum(np.broadcast_to(0.0 if stated is None else stated, len(case.names.q)), case.ticks)
     noise = np.nan_to_num(readings(case.record, case.model.circles).noise)
     many = [each.where for each in outliers if each.wrong]
-    continuous = unwrap(y, case.model.circles)
+    findings = []
     for i, name in enumerate(case.names.q):
         # The search is long, so that only columns that are no single motion with the stated noise are looked at.
         if name not in many and not noise[i] > max(NOISIER * usual[i], NOISY * np.nanstd(continuous[:, i])):
             continue
-        second = second_sender(t, continuous[:, i])
+        second = second_sender(np.asarray(record.t), continuous[:, i])
         if second is not None:
             findings.append(sender_finding(second, name, rows))
-            y[second, i] = np.nan
-    return record._replace(y=y), findings
+    return findings

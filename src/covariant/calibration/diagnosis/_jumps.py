@@ -13,6 +13,8 @@ from covariant.calibration.diagnosis._thresholds import APART, FAR, FEWEST_WRAPS
 
 NEIGHBOURS = 5
 """Number of neighbouring steps whose median is the motion in a step."""
+MOST_TOGETHER = 6
+"""Rows between two readings of one sender up to which readings of the other one count as in turn with them."""
 HYPOTHESES = 8
 """Number of assignments of readings to two motions that are followed."""
 MOST_DIVISIONS = 1000
@@ -98,19 +100,32 @@ def second_sender(t: Float[np.ndarray, "T"], y: Float[np.ndarray, "T"]) -> Bool[
     if len(seen) < 2 * FEWEST:
         return None
     second = _follow(t[seen], y[seen])
-    if second.mean() > 0.5:
-        second = ~second
+    # Where the motions meet, or an outlier is followed, the two may change places: the rarer one is so in each part.
+    for part in np.array_split(np.arange(len(seen)), max(len(seen) // (2 * FEWEST), 1)):
+        second[part] ^= second[part].mean() > 0.5
     rare, usual = seen[second], seen[~second]
     switches = np.count_nonzero(np.diff(second.astype(int)) == 1)
     if len(rare) < max(FEWEST / 2, MINORITY * len(seen)) or switches < FEWEST / 5 or np.ptp(y[rare]) == 0:
         return None
-    apart = float(np.median(np.abs(y[rare] - np.interp(t[rare], t[usual], y[usual]))))
-    errors = [1.4826 * float(np.median(np.abs(prediction_errors(t[rows], y[rows])))) for rows in (usual, rare)]
-    if not APART * max(errors) < apart:
+    distance = np.abs(y[rare] - np.interp(t[rare], t[usual], y[usual]))
+    error = _usual_error(t[usual], y[usual])
+    # Outliers are followed by no motion: the readings that are apart have to predict each other, between readings of
+    # the first motion.
+    between = np.searchsorted(usual, rare)
+    gap = usual[np.minimum(between, len(usual) - 1)] - usual[np.maximum(between - 1, 0)]
+    apart = (distance > APART * error) & (gap <= MOST_TOGETHER)
+    if apart.sum() < max(FEWEST / 2, MINORITY * len(seen)):
+        return None
+    among = _usual_error(t[rare[apart]], y[rare[apart]])
+    if not APART * max(error, among) < float(np.median(distance[apart])):
         return None
     rows = np.zeros(len(y), bool)
     rows[rare] = True
     return rows
+
+
+def _usual_error(t: Float[np.ndarray, "T"], y: Float[np.ndarray, "T"]) -> float:
+    return 1.4826 * float(np.median(np.abs(prediction_errors(t, y))))
 
 
 def _follow(t: np.ndarray, y: np.ndarray) -> Bool[np.ndarray, "T"]:
@@ -156,8 +171,8 @@ def sender_finding(second: Bool[np.ndarray, "T"], name: str, rows: Rows) -> Find
     return Finding(
         "several senders",
         name,
-        f"the readings come from two motions in turn: {len(places)} of {len(second)} rows are of the one that was left "
-        f"out here, {rows.listed(places)}",
+        f"the readings come from two motions in turn: {len(places)} of {len(second)} rows are "
+        f"of the rarer one, {rows.listed(places)}",
         f"keep the rows of one sender, or leave the cells of {name} empty in those of the other",
         True,
         {"rows": len(places), "share": float(second.mean())},

@@ -129,5 +129,3 @@ EXPLAINED = 0.02
 """Unexplained share up to which a suspicion about a column needs no other beside it."""
 PLAIN_SCALE = 0.1
 """Relative difference between a fitted scale and a prefix of a unit up to which the prefix is named."""
-HELD_OUT_GAIN = 0.9
-"""Fraction of the unexplained share on held-out rows that may remain once delays and scales are right."""

@@ -31,7 +31,6 @@ from covariant.calibration.diagnosis._thresholds import (
     COMMON_ROWS,
     DELAY_ERRORS,
     DELAY_ROWS,
-    HELD_OUT_GAIN,
     PLAIN_SCALE,
     SCALE_ERRORS,
     SCALE_GAIN,
@@ -94,13 +93,11 @@ class Timing(NamedTuple):
         """What the model leaves with and without it."""
         return Comparison.of(*(Unexplained.of(smoothed_residual(each, half)) for each in (case, self.apply(case))))
 
-    def where_better(self, case: Case, half: float) -> "Timing":
-        """Nothing where it predicts rows that are held out no better, or where a scale leaves much unexplained."""
-        if not self.suspicions:
-            return self
-        comparison, scaled = self.comparison(case, half), bool(np.any(self.scale != 1))
-        better = comparison.after < HELD_OUT_GAIN * comparison.before
-        if better and not (scaled and comparison.after > THRESHOLDS["torques"].most):
+    def where_explained(self, case: Case, half: float) -> "Timing":
+        """Nothing where a scale, or a delay against the inputs, leaves much unexplained: then it stands for another
+        fault, which a free number imitates in part."""
+        free = np.any(self.scale != 1) or self.delay.min() != 0
+        if not self.suspicions or not free or self.comparison(case, half).after < THRESHOLDS["torques"].most:
             return self
         return Timing(np.zeros_like(self.delay), np.ones_like(self.scale), np.zeros_like(self.rows))
 
@@ -121,7 +118,8 @@ def fit_timing(case: Case, half: float) -> Timing:
     common, std = _common_delay(case, half, start) if m else (0.0, 0.0)
     estimates, timing = _iterate_fit(case, half, start._replace(delay=start.delay + common), delays=True)
     timing = timing._replace(rows=_whole_rows(case, half, timing, estimates))
-    return timing._replace(suspicions=tuple(_suspicions(case, timing, estimates, common, std))).where_better(case, half)
+    timing = timing._replace(suspicions=tuple(_suspicions(case, timing, estimates, common, std)))
+    return timing.where_explained(case, half)
 
 
 class _Estimates(NamedTuple):
