@@ -40,6 +40,7 @@ from covariant.observers import (
     Delayed,
     FixedLag,
     Gated,
+    Unwrapped,
 )
 from covariant.workflow._arguments import above_zero, gain_pair
 from covariant.workflow._design import Design, design
@@ -178,7 +179,8 @@ def export(
         raise ValueError("the certificate is about the numbers of the model as they are; leave out `parameters`")
     # Only an observer with a model can predict from the time of a late reading to the present.
     delay = reading_delays(fixed, file.delay, designed.sensors, measured[0])
-    delayed = Delayed(fixed, delay, rate) if entry.knows_model and np.any(delay) else fixed
+    unwrapped = Unwrapped(fixed, np.broadcast_to(file.period, file.dimension).tolist()) if np.any(file.period) else fixed
+    delayed = Delayed(unwrapped, delay, rate) if entry.knows_model and np.any(delay) else unwrapped
     if step_per_sensor and not getattr(fixed, "sensors", ()):
         raise ValueError(f"step_per_sensor is for a filter with sensors; {designed.name} of {label} has none")
     if lag is not None:
@@ -189,7 +191,7 @@ def export(
         description, proved = f"{description} {_describe_start(kept)}", "\n".join([proved, *_list_premises()])
     unbounded = ""
     if sampling is not None and not delayed.fixed_numbers:
-        reason = "is about measurements without delays"
+        reason = "is about measurements without delays and periods"
         if sampling.substeps is None:
             reason = "is about an observer that chooses its substeps, of which the errors of predictions are not proved"
         elif real != "double":

@@ -164,6 +164,7 @@ def _model_file(name: str, guess: Draft, machine: list[str]) -> str:
         "",
         "[measurement]",
         _sensor(guess),
+        *_period(guess),
         "",
         "# Gains of observers are designed from how much acceleration the model leaves unexplained, which a log does",
         "# not tell before the model fits: set it after `covariant fit`, then take the marks of comments away.",
@@ -263,6 +264,15 @@ def _sensor(guess: Draft) -> str:
     if guess.quantum is not None:
         return f"quantum = {_digits(guess.quantum, 6)}  # {unit}, the tick that positions of this log are multiples of"
     return f"std = {_digits(guess.noise, 3)}  # {unit}, at most: from third differences of the positions"
+
+
+def _period(guess: Draft) -> list[str]:
+    """The line of the periods after which readings repeat; none where they do not."""
+    if not any(guess.period):
+        return []
+    texts = [f"{each:.9g}" for each in guess.period]
+    written = f"[{', '.join(texts)}]" if len(texts) > 1 else texts[0]
+    return [f"period = {written}  # {_both(guess, 'm', 'rad')}, after which readings of this log begin anew"]
 
 
 def _digits(values: float | Sequence[float], digits: int) -> str:

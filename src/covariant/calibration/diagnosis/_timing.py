@@ -94,10 +94,8 @@ class Timing(NamedTuple):
         return Comparison.of(*(Unexplained.of(smoothed_residual(each, half)) for each in (case, self.apply(case))))
 
     def where_explained(self, case: Case, half: float) -> "Timing":
-        """Nothing where a scale, or a delay against the inputs, leaves much unexplained: then it stands for another
-        fault, which a free number imitates in part."""
-        free = np.any(self.scale != 1) or self.delay.min() != 0
-        if not self.suspicions or not free or self.comparison(case, half).after < THRESHOLDS["torques"].most:
+        """Nothing where much is unexplained even so: free numbers imitate another fault in part."""
+        if not self.suspicions or self.comparison(case, half).after < THRESHOLDS["torques"].most:
             return self
         return Timing(np.zeros_like(self.delay), np.ones_like(self.scale), np.zeros_like(self.rows))
 
@@ -262,6 +260,8 @@ def _suspicions(
         factors = np.where(np.arange(len(names.u)) == j, -1.0 if turned else prefix or scale, 1.0)
         claim = f"{names.u[j]} acts {scale:.3g} ± {std:.2g} times as strongly as logged"
         line = f"{input_line(names, factors)}, or [parameters] that make it so"
+        if not (turned or prefix):  # of an odd scale a wrong mass is the usual cause
+            line = f"`covariant fit` where [parameters] are guesses, or else {input_line(names, factors)}"
         what = "sign of an input" if turned else "unit of an input" if prefix else "scale of an input"
         numbers = {"scale": scale, "std": std}
         yield Suspicion(what, names.u[j], "then", line, timing.apply, "fitted", claim, numbers)

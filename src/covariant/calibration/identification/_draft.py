@@ -7,7 +7,9 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from covariant.calibration.diagnosis import periods, rounded_tick, without_full_turns
 from covariant.logs import MEANT, unit_factor, unit_in_name, unknown_unit, unknown_unit_fault, without_unit, words_of
+from covariant.scoring import unwrap
 
 _WORDS = {
     "left out": "true truth ref reference des desired goal target set setpoint raw",
@@ -49,6 +51,7 @@ class Draft(NamedTuple):
         units: By the field t, q, u or v, the units of its columns where they are not those of a model file: s, rad,
             N m and rad/s.
         guessed: Fields whose units follow from the content and not from the header.
+        period: Period of each position after which its readings repeat, as of an encoder behind a gear; 0 for none.
 
     Example:
         >>> import numpy as np
@@ -72,6 +75,7 @@ class Draft(NamedTuple):
     span: Float[np.ndarray, "n 2"]
     units: dict[str, tuple[str, ...]]
     guessed: tuple[str, ...]
+    period: tuple[float, ...] = ()
 
     @property
     def plain_names(self) -> tuple[str, ...]:
@@ -146,6 +150,8 @@ def draft(columns: Mapping[str, np.ndarray], given: Mapping[str, Sequence[str] |
     units, guessed = _units({"t": (t,), "q": q, "u": u, "v": v}, step, span)
     seconds = unit_factor(units.get("t", ("s",))[0])
     y = logged * [unit_factor(text) for text in units.get("q", ("rad",) * len(q))]
+    wraps = _periods(y, lengths)
+    y = unwrap(y, (), wraps)
     ticks, noises = _tick(y), _noise(y, lengths)
     if len(set(lengths)) == 2:  # a tick of a metre is none of a radian
         each_tick = [_tick(column[:, None]) for column in y.T]
@@ -165,6 +171,7 @@ def draft(columns: Mapping[str, np.ndarray], given: Mapping[str, Sequence[str] |
         span,
         units,
         guessed,
+        tuple(wraps.tolist()),
     )
 
 
@@ -245,6 +252,12 @@ def _is_slope(t: np.ndarray, y: np.ndarray, v: np.ndarray) -> bool:
     return bool(np.corrcoef(slope[valid], v[valid])[0, 1] > SAME)
 
 
+def _periods(y: np.ndarray, lengths: Sequence[bool]) -> Float[np.ndarray, "n"]:
+    """Periods (n,) at which the positions jump, 0 for none and for angles that do at a full turn."""
+    found = periods(y, np.array([_tick(column[:, None]) or 0.0 for column in y.T]))
+    return without_full_turns(found, tuple(np.flatnonzero(~np.array(lengths))))
+
+
 def _noise(y: np.ndarray, lengths: Sequence[bool]) -> float:
     """Upper bound of the standard deviation of noise, from third differences; a wrapped angle counts as no motion."""
     if len(y) <= 4:
@@ -258,6 +271,10 @@ def _noise(y: np.ndarray, lengths: Sequence[bool]) -> float:
 
 def _tick(y: np.ndarray) -> float | None:
     """Tick of which all differences of positions are multiples, from the gaps between their values, or None."""
+    # Ticks that were rounded to a decimal are no multiples of one number.
+    rounded = np.array([rounded_tick(column) for column in y.T])
+    if rounded.all() and np.ptp(rounded) < OFF_TICK * rounded.max():
+        return float(rounded.mean())
     gaps: np.ndarray = np.concatenate([np.diff(np.unique(column[np.isfinite(column)])) for column in y.T])
     # Smaller gaps are rounding.
     gaps = gaps[gaps > 1e-6 * np.nanmax(np.abs(y))]
