@@ -80,8 +80,8 @@ SHIFTED = (1.0, 2.0, 4.0)
 """Half windows to look for shifts by whole rows in, in those that explain most."""
 NOISY = 0.01
 """Noise, as a fraction of the deviation of a position, from which a second sender is looked for."""
-MOST_PAIRS = 4
-"""Suspicions about columns that are tried together with missing torques."""
+MOST_PAIRS = 6
+"""Suspicions of missing torques, alone or with one about columns, that are tried: those that promise most."""
 MOST_CHANGES = 3
 """Suspicions about columns that are accepted one after another."""
 WEIGHTS = (
@@ -184,7 +184,7 @@ def _findings(
     if whole:
         return [*findings, *still], checks
     # Jumps of a period and readings of a second sender hide everything else, so that they are removed first.
-    wraps = periods(y, known_ticks(record, (), quantum))
+    wraps = periods(rows.t, y, known_ticks(record, (), quantum))
     record = record._replace(y=unwrap(y, (), wraps))
     case, outliers = case_without_outliers(file, record, rows, quantum)
     senders = _second_senders(case, record, outliers, rows)
@@ -271,26 +271,24 @@ def _correct_columns(case: Case) -> tuple[list[Suspicion], list[Finding], Case]:
 def _with_torques(
     case: Case, tried: Sequence[tuple[Suspicion, Comparison]]
 ) -> list[tuple[Suspicion, Suspicion | None]]:
-    """The best suspicions about columns, and none, each with torques that are missing then, and the one about columns.
+    """Suspicions about columns, and none, each with torques that are missing then, and the one about columns.
 
     Missing torques are reported later, in narrower windows; here they keep a wrong column from being blamed for them.
     """
-    best = sorted(tried, key=lambda each: each[1].choosing)[:MOST_PAIRS]
     pairs: list[tuple[Suspicion, Suspicion | None]] = []
-    for column in (None, *(each for each, _ in best)):
+    for column in (None, *(each for each, _ in tried)):
         changed = case if column is None else column.apply(case)
         log = clearly(changed)
         for torques in missing_torques(changed, log) if log is not None else ():
             if column is None:
                 pairs.append((torques, None))
             elif torques.threshold != "rotors":
-                pair = column._replace(
-                    words=f"{column.words} and {torques.words}",
-                    apply=_both(column, torques),
-                    threshold="columns and torques",
-                )
-                pairs.append((pair, column))
-    return pairs
+                words, apply = f"{column.words} and {torques.words}", _both(column, torques)
+                pair = column._replace(words=words, apply=apply, threshold="columns and torques")
+                pairs.append((pair._replace(expected=torques.expected), column))
+    best = sorted(pairs, key=lambda pair: pair[0].expected)[:MOST_PAIRS]
+    # Torques alone come first: without gravity, its zero and its sign are nothing.
+    return sorted(best, key=lambda pair: pair[1] is not None)
 
 
 def _both(first: Suspicion, second: Suspicion) -> Callable[[Case], Case]:

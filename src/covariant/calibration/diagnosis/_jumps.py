@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float
 
 from covariant.calibration.diagnosis._finding import Finding, Names, Rows
 from covariant.calibration.diagnosis._readings import FEWEST, prediction_errors
-from covariant.calibration.diagnosis._thresholds import APART, FAR, FEWEST_WRAPS, MINORITY, SAME_JUMP, WHOLE_RANGE
+from covariant.calibration.diagnosis._thresholds import ALL_JUMPS, APART, BETWEEN_ENDS, FAR, FEWEST_WRAPS, MINORITY, SAME_JUMP, WHOLE_RANGE
 
 NEIGHBOURS = 5
 """Number of neighbouring steps whose median is the motion in a step."""
@@ -17,13 +17,18 @@ MOST_TOGETHER = 6
 """Rows between two readings of one sender up to which readings of the other one count as in turn with them."""
 HYPOTHESES = 8
 """Number of assignments of readings to two motions that are followed."""
+SAME_TICKS, SAME_TURN = 1e-4, 5e-3
+"""Relative difference of a period from a whole fraction of a turn up to which it is that: with known ticks, and not."""
 MOST_DIVISIONS = 1000
 """Largest whole number of periods in a turn that a message names."""
 
 
-def periods(y: Float[np.ndarray, "T n"], ticks: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
+def periods(
+    t: Float[np.ndarray, "T"], y: Float[np.ndarray, "T n"], ticks: Float[np.ndarray, "n"]
+) -> Float[np.ndarray, "n"]:
     """Periods (n,) at which readings wrap; 0 for those that do not."""
-    return np.array([_period(column[np.isfinite(column)], tick) for column, tick in zip(y.T, ticks, strict=True)])
+    seen = [np.isfinite(column) for column in y.T]
+    return np.array([_period(t[rows], y[rows, i], tick) for i, (rows, tick) in enumerate(zip(seen, ticks, strict=True))])
 
 
 def without_full_turns(found: Float[np.ndarray, "n"], circles: tuple[int, ...]) -> Float[np.ndarray, "n"]:
@@ -32,7 +37,7 @@ def without_full_turns(found: Float[np.ndarray, "n"], circles: tuple[int, ...]) 
     return np.where(whole, 0.0, found)
 
 
-def _period(y: Float[np.ndarray, "T"], tick: float) -> float:
+def _period(t: Float[np.ndarray, "T"], y: Float[np.ndarray, "T"], tick: float) -> float:
     """Period of one column: all its jumps have this size, and its readings lie in an interval of this length."""
     if len(y) < FEWEST:
         return 0.0
@@ -41,29 +46,37 @@ def _period(y: Float[np.ndarray, "T"], tick: float) -> float:
     # Most columns have no step of half their range, so that this ends here.
     if np.count_nonzero(np.abs(steps) > WHOLE_RANGE / 2 * span) < FEWEST_WRAPS:
         return 0.0
-    windows = np.lib.stride_tricks.sliding_window_view(np.pad(steps, NEIGHBOURS // 2, mode="edge"), NEIGHBOURS)
-    motion = np.median(windows, axis=1)
-    jumps = steps - motion
+    # Readings run from one end to the other; what switches between two values is nowhere between them.
+    if np.mean(np.abs(y - (y.max() + y.min()) / 2) < span / 4) < BETWEEN_ENDS:
+        return 0.0
+    windows = np.lib.stride_tricks.sliding_window_view(np.pad(steps / np.diff(t), NEIGHBOURS // 2, mode="edge"), NEIGHBOURS)
+    jumps = steps - np.median(windows, axis=1) * np.diff(t)
     usual = max(1.4826 * float(np.median(np.abs(jumps))), tick)
-    large = np.abs(jumps) > max(WHOLE_RANGE / 2 * span, FAR * usual)
-    sizes = np.abs(jumps[large])
-    if len(sizes) < FEWEST_WRAPS:
+    large = np.flatnonzero(np.abs(jumps) > max(WHOLE_RANGE / 2 * span, FAR * usual))
+    if len(large) < FEWEST_WRAPS:
         return 0.0
-    size = float(np.median(sizes))
-    # Noise at the seam makes the readings jump forth and back, which leaves the sizes alike.
-    alike = np.abs(sizes - size) < SAME_JUMP * size + FAR * usual
-    if not alike.all() or not WHOLE_RANGE * size < span < (1 + SAME_JUMP) * size + FAR * usual:
+    size = float(np.median(np.abs(jumps[large])))
+    alike = np.abs(np.abs(jumps[large]) - size) < SAME_JUMP * size + FAR * usual
+    if alike.mean() < ALL_JUMPS or not WHOLE_RANGE * size < span < (1 + SAME_JUMP) * size + FAR * usual:
         return 0.0
-    error = 3 * (1.4826 * float(np.median(np.abs(sizes - size))) / math.sqrt(len(sizes)) + tick / 2)
-    return _plain_period(size, tick, max(error, 1e-3 * size))
+    # The steps beside a jump give the motion in it best, where they are none themselves.
+    around = large[alike & (large > 0) & (large < len(steps) - 1)]
+    around = around[~np.isin(around - 1, large) & ~np.isin(around + 1, large)]
+    if len(around) >= FEWEST_WRAPS:
+        rates = steps / np.diff(t)
+        moved = steps[around] - (rates[around - 1] + rates[around + 1]) / 2 * np.diff(t)[around]
+        size = float(np.median(np.abs(moved)))
+    return _plain_period(size, tick)
 
 
-def _plain_period(size: float, tick: float, error: float) -> float:
-    """The plainest period within an error: a whole fraction of a turn, or else whole ticks."""
+def _plain_period(size: float, tick: float) -> float:
+    """The plainest number near a measured period: whole ticks, and a whole fraction of a turn where that is as near."""
+    plain = round(size / tick) * tick if tick > 0 else size
     parts = round(2 * np.pi / size)
-    if 1 <= parts <= MOST_DIVISIONS and abs(2 * np.pi / parts - size) < error:
+    near = SAME_TICKS if tick > 0 else SAME_TURN
+    if 1 <= parts <= MOST_DIVISIONS and abs(2 * np.pi / parts - plain) < near * plain:
         return 2 * np.pi / parts
-    return round(size / tick) * tick if tick > 0 else size
+    return plain
 
 
 def period_findings(found: Float[np.ndarray, "n"], ticks: Float[np.ndarray, "n"], names: Names) -> list[Finding]:
@@ -105,16 +118,21 @@ def second_sender(t: Float[np.ndarray, "T"], y: Float[np.ndarray, "T"]) -> Bool[
         second[part] ^= second[part].mean() > 0.5
     rare, usual = seen[second], seen[~second]
     switches = np.count_nonzero(np.diff(second.astype(int)) == 1)
-    if len(rare) < max(FEWEST / 2, MINORITY * len(seen)) or switches < FEWEST / 5 or np.ptp(y[rare]) == 0:
+    if len(rare) < max(FEWEST / 2, MINORITY * len(seen)) or switches < FEWEST / 5:
         return None
     distance = np.abs(y[rare] - np.interp(t[rare], t[usual], y[usual]))
     error = _usual_error(t[usual], y[usual])
     # Outliers are followed by no motion: the readings that are apart have to predict each other, between readings of
     # the first motion.
-    between = np.searchsorted(usual, rare)
-    gap = usual[np.minimum(between, len(usual) - 1)] - usual[np.maximum(between - 1, 0)]
-    apart = (distance > APART * error) & (gap <= MOST_TOGETHER)
+    after = np.searchsorted(usual, rare)
+    inside = (after > 0) & (after < len(usual))
+    before, after = usual[np.maximum(after - 1, 0)], usual[np.minimum(after, len(usual) - 1)]
+    apart = (distance > APART * error + np.abs(y[after] - y[before])) & (after - before <= MOST_TOGETHER) & inside
     if apart.sum() < max(FEWEST / 2, MINORITY * len(seen)):
+        return None
+    # A sender moves; cells that were lost and filled by a number do not.
+    middle = np.median(y[rare[apart]])
+    if np.median(np.abs(y[rare[apart]] - middle)) <= error:
         return None
     among = _usual_error(t[rare[apart]], y[rare[apart]])
     if not APART * max(error, among) < float(np.median(distance[apart])):

@@ -48,17 +48,20 @@ def missing_torques(case: Case, log: Smooth) -> Iterator[Suspicion]:
     beyond = None if after is None else regression.weightless(before, after)
     left = float("nan") if after is None else after.misfit
     friction = range(2 * log.q.shape[1])
+    speeds = _speeds(log)
     if beyond is not None:
-        yield _suspicion(case._replace(model=weightless), [], _speeds(log), "torques", True)
-    needed = regression.needed(friction)
-    if needed:
-        yield _suspicion(case, regression.missing(needed), _speeds(log), "torques")
+        yield _suspicion(case._replace(model=weightless), [], speeds, "torques", True)._replace(expected=beyond.left([]))
+    if needed := regression.needed(friction):
+        each = _suspicion(case, regression.missing(needed), speeds, "torques")
+        yield each._replace(expected=regression.left(needed))
     more = beyond.needed(friction) if beyond is not None and left >= THRESHOLDS["torques"].least else []
     if beyond is not None and more:
-        yield _suspicion(case._replace(model=weightless), beyond.missing(more), _speeds(log), "torques", True)
+        each = _suspicion(case._replace(model=weightless), beyond.missing(more), speeds, "torques", True)
+        yield each._replace(expected=beyond.left(more))
     every = regression.needed()
     if every and every[-1] >= len(friction):
-        yield _suspicion(case, regression.missing(every), _speeds(log), "rotors")
+        each = _suspicion(case, regression.missing(every), speeds, "rotors")
+        yield each._replace(expected=regression.left(every))
 
 
 def _suspicion(
@@ -193,9 +196,9 @@ class _Regression(NamedTuple):
         tried = list(range(len(self.columns)) if allowed is None else allowed)
         used = [k for k, value in zip(tried, self.values(tried), strict=True) if value > 0]
         while used:
-            without = {k: self._left([j for j in used if j != k]) for k in used}
+            without = {k: self.left([j for j in used if j != k]) for k in used}
             least = min(used, key=without.__getitem__)
-            if without[least] > NEEDED * self._left(used):
+            if without[least] > NEEDED * self.left(used):
                 return used
             used.remove(least)
         return used
@@ -210,7 +213,7 @@ class _Regression(NamedTuple):
         orthogonal, triangle = np.linalg.qr(rows / size)
         return nnls(triangle, orthogonal.T @ self.residual[~self.held_out].ravel())[0] / size
 
-    def _left(self, used: Sequence[int]) -> float:
+    def left(self, used: Sequence[int]) -> float:
         """Mean square that is left on the blocks that choose; those held out judge the model that comes of it."""
         left = self.residual[~self.held_out]
         if used:

@@ -203,7 +203,7 @@ def rounded_tick(y: Float[np.ndarray, "T"]) -> float:
     sizes, counts = np.unique(np.rint(near / smallest * 1e4), return_counts=True)
     if len(near) < FEWEST_GAPS or len(sizes) > len(near) / 4:
         return 0.0  # many sizes: noise
-    common = np.sort(sizes[np.argsort(counts)[-2:]]) * smallest / 1e4
+    common = np.sort([near[np.rint(near / smallest * 1e4) == each].mean() for each in sizes[np.argsort(counts)[-2:]]])
     if len(common) < 2 or counts.sum() * 0.95 > np.sort(counts)[-2:].sum():
         return 0.0
     digit = float(common[1] - common[0])

@@ -98,6 +98,7 @@ class Suspicion(NamedTuple):
         threshold: Name of its threshold in `THRESHOLDS`.
         claim: Sentence before the evidence, for a suspicion with numbers.
         numbers: These numbers.
+        expected: Share that the regression leaves which gave these numbers, to order suspicions before they are tried.
     """
 
     what: str
@@ -108,6 +109,7 @@ class Suspicion(NamedTuple):
     threshold: str = "columns"
     claim: str = ""
     numbers: Mapping[str, Any] = MappingProxyType({})
+    expected: float = float("nan")
 
     def finding(self, comparison: Comparison, rivals: Iterable[str] = (), subject: str = "accelerations") -> Finding:
         """The finding on a suspicion that was accepted; `rivals` explain as much."""

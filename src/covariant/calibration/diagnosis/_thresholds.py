@@ -108,8 +108,12 @@ FEWEST_WRAPS = 2
 """Fewest jumps of one size that show a period."""
 SAME_JUMP = 0.03
 """Relative difference up to which jumps are of one size."""
+ALL_JUMPS = 0.9
+"""Fraction of the jumps that are of the size of the period; a few are of outliers or across missing rows."""
 WHOLE_RANGE = 0.8
 """Least range of readings that wrap, as a fraction of the period: they run from one end to the other."""
+BETWEEN_ENDS = 0.1
+"""Least fraction of readings that wrap in the middle half of their range."""
 MINORITY = 0.02
 """Least fraction of the rows that a second sender has."""
 APART = 5.0

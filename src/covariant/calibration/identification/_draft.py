@@ -150,7 +150,7 @@ def draft(columns: Mapping[str, np.ndarray], given: Mapping[str, Sequence[str] |
     units, guessed = _units({"t": (t,), "q": q, "u": u, "v": v}, step, span)
     seconds = unit_factor(units.get("t", ("s",))[0])
     y = logged * [unit_factor(text) for text in units.get("q", ("rad",) * len(q))]
-    wraps = _periods(y, lengths)
+    wraps = _periods(columns[t], y, lengths)
     y = unwrap(y, (), wraps)
     ticks, noises = _tick(y), _noise(y, lengths)
     if len(set(lengths)) == 2:  # a tick of a metre is none of a radian
@@ -252,10 +252,10 @@ def _is_slope(t: np.ndarray, y: np.ndarray, v: np.ndarray) -> bool:
     return bool(np.corrcoef(slope[valid], v[valid])[0, 1] > SAME)
 
 
-def _periods(y: np.ndarray, lengths: Sequence[bool]) -> Float[np.ndarray, "n"]:
+def _periods(t: np.ndarray, y: np.ndarray, lengths: Sequence[bool]) -> Float[np.ndarray, "n"]:
     """Periods (n,) at which the positions jump, 0 for none and for angles that do at a full turn."""
-    found = periods(y, np.array([_tick(column[:, None]) or 0.0 for column in y.T]))
-    return without_full_turns(found, tuple(np.flatnonzero(~np.array(lengths))))
+    found = periods(t, y, np.array([_tick(column[:, None]) or 0.0 for column in y.T]))
+    return without_full_turns(found, tuple(i for i, is_length in enumerate(lengths) if not is_length))
 
 
 def _noise(y: np.ndarray, lengths: Sequence[bool]) -> float:
