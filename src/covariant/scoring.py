@@ -333,7 +333,7 @@ def unwrap(
         [[0.9], [1.1]]
     """
     y = np.array(y, float)
-    wraps = {column: 2 * np.pi for column in circles} | {i: float(p) for i, p in enumerate(periods) if p > 0}
+    wraps = dict.fromkeys(circles, 2 * np.pi) | {i: float(p) for i, p in enumerate(periods) if p > 0}
     for column, period in wraps.items():
         present = np.isfinite(y[:, column])
         y[present, column] = np.unwrap(y[present, column], period=period)

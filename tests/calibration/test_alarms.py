@@ -71,9 +71,10 @@ def test_most_faults_are_named(each):
 @pytest.mark.parametrize(("first", "second"), PAIRS)
 def test_two_faults_are_named_together(first, second):
     fault = with_two_faults(first, second, 0)
-    found = [each.what for each in diagnose(fault.file, fault.record).findings if each.wrong]
-    assert {what for what in found if what in fault.names} == set(found)
-    assert len(found) >= 2, found
+    found = list(diagnose(fault.file, fault.record).findings)
+    assert alarms(found, fault.names) == []
+    # Friction that the data sheet admits is only a note.
+    assert len({each.what for each in found if each.what in fault.names}) >= 2, found
 
 
 def test_of_a_body_on_a_group_nothing_is_called_wrong():

@@ -78,7 +78,9 @@ def test_torques_beyond_gravity_compensation_are_no_rotor(coulomb, factor, whats
 
 def test_a_wrong_mass_is_not_called_gravity_compensation():
     for mass in (0.3, 3.0):
-        found = wrong(pendulum(**{"parameters.mass": [mass], "parameters.com": [0.1]}), Record(T, TORQUE[:, None], read(swing())))
+        found = wrong(
+            pendulum(**{"parameters.mass": [mass], "parameters.com": [0.1]}), Record(T, TORQUE[:, None], read(swing()))
+        )
         assert not any(what.startswith("gravity") for what in found)
 
 
@@ -96,14 +98,22 @@ def test_a_full_turn_of_an_angle_and_a_fast_motion_are_no_period():
     x = swing(start=3.0)[:, :1]
     assert x.max() > np.pi
     assert periods(T, np.mod(x + np.pi, 2 * np.pi) - np.pi, np.zeros(1)).tolist() == pytest.approx([2 * np.pi])
-    assert wrong(pendulum(), Record(T, TORQUE[:, None], np.mod(read(swing(start=3.0)) + np.pi, 2 * np.pi) - np.pi)) == []
+    assert (
+        wrong(pendulum(), Record(T, TORQUE[:, None], np.mod(read(swing(start=3.0)) + np.pi, 2 * np.pi) - np.pi)) == []
+    )
     for motion in (np.sin(40 * T), np.sign(np.sin(5 * T)), np.cumsum(np.random.default_rng(0).normal(size=len(T)))):
         assert periods(T, motion[:, None], np.zeros(1)).tolist() == [0.0]
 
 
 @pytest.mark.parametrize(
     ("quantum", "unit", "digits"),
-    [(360 / 4096, 1.0, 2), (360 / 4096, np.pi / 180, 2), (360 / 1024, 1.0, 1), (2e-3 * np.pi, 1.0, 4), (0.0123, 1.0, 3)],
+    [
+        (360 / 4096, 1.0, 2),
+        (360 / 4096, np.pi / 180, 2),
+        (360 / 1024, 1.0, 1),
+        (2e-3 * np.pi, 1.0, 4),
+        (0.0123, 1.0, 3),
+    ],
 )
 def test_ticks_are_found_though_few_digits_were_printed(quantum, unit, digits):
     for size in (100.0, 20.0):

@@ -21,7 +21,9 @@ STATED = MODEL | {"measurement.period": PERIOD}
 
 @pytest.fixture(scope="module")
 def whole():
-    simulated = covariant.simulate("pendulum_chain", overrides=MODEL, duration=4.0, rate=250.0, q0=[1.2], amplitude=[1.0])
+    simulated = covariant.simulate(
+        "pendulum_chain", overrides=MODEL, duration=4.0, rate=250.0, q0=[1.2], amplitude=[1.0]
+    )
     return simulated.record
 
 
@@ -84,9 +86,11 @@ def test_a_draft_names_the_period_and_ticks_that_were_rounded(whole):
 
 
 def test_a_period_is_for_coordinates():
-    with pytest.raises(ValueError, match="measurement.period lists 2 numbers"):
+    with pytest.raises(ValueError, match=r"measurement\.period lists 2 numbers"):
         models.load("oscillator", {"measurement.period": [0.1, 0.2]})
     turned = Record(0.01 * np.arange(50), np.zeros((50, 3)), np.tile(np.eye(3), (50, 1, 1)))
-    body = models.ModelFile("body", models.free_body((1.0, 2.0, 3.0)), logs.Columns(quaternion_wxyz=("a", "b", "c", "d")))
-    with pytest.raises(ValueError, match="measurement.period is for coordinates"):
+    body = models.ModelFile(
+        "body", models.free_body((1.0, 2.0, 3.0)), logs.Columns(quaternion_wxyz=("a", "b", "c", "d"))
+    )
+    with pytest.raises(ValueError, match=r"measurement\.period is for coordinates"):
         covariant.check(body._replace(period=1.0), turned)

@@ -154,7 +154,6 @@ __all__ = [
     "SlowVariables",
     "StateEKF",
     "StateNoise",
-    "Unwrapped",
     "accelerometer",
     "craft_observer",
     "encoder",

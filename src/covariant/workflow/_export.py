@@ -179,7 +179,9 @@ def export(
         raise ValueError("the certificate is about the numbers of the model as they are; leave out `parameters`")
     # Only an observer with a model can predict from the time of a late reading to the present.
     delay = reading_delays(fixed, file.delay, designed.sensors, measured[0])
-    unwrapped = Unwrapped(fixed, np.broadcast_to(file.period, file.dimension).tolist()) if np.any(file.period) else fixed
+    unwrapped = (
+        Unwrapped(fixed, np.broadcast_to(file.period, file.dimension).tolist()) if np.any(file.period) else fixed
+    )
     delayed = Delayed(unwrapped, delay, rate) if entry.knows_model and np.any(delay) else unwrapped
     if step_per_sensor and not getattr(fixed, "sensors", ()):
         raise ValueError(f"step_per_sensor is for a filter with sensors; {designed.name} of {label} has none")

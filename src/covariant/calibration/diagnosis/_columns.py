@@ -115,10 +115,10 @@ def input_line(names: Names, factors: np.ndarray) -> str:
     """Line of the model file that multiplies the inputs by factors, with a unit of a prefix where there is one."""
     units = [_prefixed(names, float(factor)) for factor in factors]
     base = "N m" if names.angles.all() else "N"
-    if None in units and any(factor != 1 for factor in factors) or any(names.stated.get("u", ())):
+    if (None in units and any(factor != 1 for factor in factors)) or any(names.stated.get("u", ())):
         return names.line("u", factors)
     texts = [unit or base for unit in units]
-    return f'[units] u = {quoted_list(texts) if len(set(texts)) > 1 else quoted_list(texts[:1])[1:-1]}'
+    return f"[units] u = {quoted_list(texts) if len(set(texts)) > 1 else quoted_list(texts[:1])[1:-1]}"
 
 
 def _prefixed(names: Names, factor: float) -> str | None:

@@ -35,7 +35,7 @@ from covariant.calibration.diagnosis._case import (
 from covariant.calibration.diagnosis._clock import set_forward, stamps
 from covariant.calibration.diagnosis._columns import COLUMNS, units
 from covariant.calibration.diagnosis._edges import edge_findings
-from covariant.calibration.diagnosis._finding import Diagnosis, Finding, Names, Rows
+from covariant.calibration.diagnosis._finding import Diagnosis, Finding, Rows
 from covariant.calibration.diagnosis._jumps import (
     period_findings,
     periods,

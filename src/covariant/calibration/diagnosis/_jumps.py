@@ -9,7 +9,16 @@ from jaxtyping import Bool, Float
 
 from covariant.calibration.diagnosis._finding import Finding, Names, Rows
 from covariant.calibration.diagnosis._readings import FEWEST, prediction_errors
-from covariant.calibration.diagnosis._thresholds import ALL_JUMPS, APART, BETWEEN_ENDS, FAR, FEWEST_WRAPS, MINORITY, SAME_JUMP, WHOLE_RANGE
+from covariant.calibration.diagnosis._thresholds import (
+    ALL_JUMPS,
+    APART,
+    BETWEEN_ENDS,
+    FAR,
+    FEWEST_WRAPS,
+    MINORITY,
+    SAME_JUMP,
+    WHOLE_RANGE,
+)
 
 NEIGHBOURS = 5
 """Number of neighbouring steps whose median is the motion in a step."""
@@ -28,7 +37,9 @@ def periods(
 ) -> Float[np.ndarray, "n"]:
     """Periods (n,) at which readings wrap; 0 for those that do not."""
     seen = [np.isfinite(column) for column in y.T]
-    return np.array([_period(t[rows], y[rows, i], tick) for i, (rows, tick) in enumerate(zip(seen, ticks, strict=True))])
+    return np.array(
+        [_period(t[rows], y[rows, i], tick) for i, (rows, tick) in enumerate(zip(seen, ticks, strict=True))]
+    )
 
 
 def without_full_turns(found: Float[np.ndarray, "n"], circles: tuple[int, ...]) -> Float[np.ndarray, "n"]:
@@ -49,7 +60,9 @@ def _period(t: Float[np.ndarray, "T"], y: Float[np.ndarray, "T"], tick: float) -
     # Readings run from one end to the other; what switches between two values is nowhere between them.
     if np.mean(np.abs(y - (y.max() + y.min()) / 2) < span / 4) < BETWEEN_ENDS:
         return 0.0
-    windows = np.lib.stride_tricks.sliding_window_view(np.pad(steps / np.diff(t), NEIGHBOURS // 2, mode="edge"), NEIGHBOURS)
+    windows = np.lib.stride_tricks.sliding_window_view(
+        np.pad(steps / np.diff(t), NEIGHBOURS // 2, mode="edge"), NEIGHBOURS
+    )
     jumps = steps - np.median(windows, axis=1) * np.diff(t)
     usual = max(1.4826 * float(np.median(np.abs(jumps))), tick)
     large = np.flatnonzero(np.abs(jumps) > max(WHOLE_RANGE / 2 * span, FAR * usual))

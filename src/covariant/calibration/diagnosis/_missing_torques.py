@@ -50,7 +50,9 @@ def missing_torques(case: Case, log: Smooth) -> Iterator[Suspicion]:
     friction = range(2 * log.q.shape[1])
     speeds = _speeds(log)
     if beyond is not None:
-        yield _suspicion(case._replace(model=weightless), [], speeds, "torques", True)._replace(expected=beyond.left([]))
+        yield _suspicion(case._replace(model=weightless), [], speeds, "torques", True)._replace(
+            expected=beyond.left([])
+        )
     if needed := regression.needed(friction):
         each = _suspicion(case, regression.missing(needed), speeds, "torques")
         yield each._replace(expected=regression.left(needed))

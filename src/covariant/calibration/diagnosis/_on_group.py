@@ -4,7 +4,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from covariant.calibration.diagnosis._columns import CLOCKS
 from covariant.calibration.diagnosis._finding import Finding, Rows
 from covariant.calibration.diagnosis._thresholds import FAR, FROZEN, IMPLAUSIBLE
 from covariant.models import MechanicalSystem
@@ -52,7 +51,7 @@ def _clock(t: np.ndarray, steps: np.ndarray, line: str) -> list[Finding]:
         Finding(
             "unit of time",
             line,
-            f"rows are {step:.4g} s apart, as no machine that moves is logged; in {unit} they are {seconds:.4g} s apart",
+            f"rows are {step:.4g} s apart, which no machine is logged at; in {unit} they are {seconds:.4g} s apart",
             f'[units] t = "{unit}"',
             True,
             {"step": step, "factor": units[unit]},
@@ -88,9 +87,9 @@ def _frozen(same: np.ndarray, steps: np.ndarray, complete: np.ndarray, rows: Row
         Finding(
             "repeated rows",
             "",
-            f"{total} of {count} rows repeat the configuration of the row before, {int(ends[longest] - begins[longest])} "
-            f"in a row from {rows.named(int(complete[begins[longest] + 1]))} on: the sensor froze, or is slower than "
-            "the log",
+            f"{total} of {count} rows repeat the configuration of the row before, "
+            f"{int(ends[longest] - begins[longest])} in a row from {rows.named(int(complete[begins[longest] + 1]))} "
+            "on: the sensor froze, or is slower than the log",
             "leave the cells that repeat empty",
             True,
             {"rows": total, "share": total / count, "in_a_row": int(ends[longest] - begins[longest]) + 1},

@@ -209,9 +209,9 @@ def rounded_tick(y: Float[np.ndarray, "T"]) -> float:
     digit = float(common[1] - common[0])
     if abs(common[0] / digit - np.rint(common[0] / digit)) > LATTICE:
         return 0.0
-    step = float(near.mean())
+    step, start, ticks = float(near.mean()), levels[0], np.zeros(len(levels))
     for _ in range(3):  # each fit over all levels makes the step more exact, so that the next one counts better
-        ticks = np.concatenate([[0.0], np.cumsum(np.rint(np.diff(levels) / step))])
+        ticks[1:] = np.cumsum(np.rint(np.diff(levels) / step))
         step, start = (float(x) for x in np.polyfit(ticks, levels, 1))
     off = np.abs(levels - start - step * ticks)
     return step if np.quantile(off, 0.95) < 0.6 * digit and step > 2 * digit else 0.0

@@ -31,7 +31,6 @@ from covariant.calibration.diagnosis._thresholds import (
     COMMON_ROWS,
     DELAY_ERRORS,
     DELAY_ROWS,
-    PLAIN_SCALE,
     SCALE_ERRORS,
     SCALE_GAIN,
     SCALE_OFF,
