@@ -171,9 +171,11 @@ def load(job: Job, score: bool = True, why: str = "") -> Loaded:
     kind = kind_of(file)
     part, periods = (job.every, job.until, job.start), _periods(job, file)
     log = kind.with_inputs(logs.read(job.log, columns, *part, optional, sensors, periods))
+    # Lag, delay and means are those of the whole log: what was cut off or left out between two rows acts in them too.
+    lagging = lag_inputs(log.all_rows, file.input_lag)
+    record = acting_inputs(lagging, file.input_between, file.input_delay, log.record)
     if not job.anyway:
-        _refuse_misfit(job, file, log.record)
-    record = acting_inputs(lag_inputs(log.record, file.input_lag), file.input_between, file.input_delay)
+        _refuse_misfit(job, file, log, record)
     t, y = np.asarray(record.t), np.asarray(record.y)
     try:
         kind.check(y)
@@ -182,7 +184,7 @@ def load(job: Job, score: bool = True, why: str = "") -> Loaded:
     file, note = _in_ticks(file, y)
     known = None if log.truth is None else (log.truth, f"true {kind.what}")
     if known is None and score:
-        known = kind.slopes(log, lambda: _whole(job, log, columns, periods))
+        known = kind.slopes(log)
     reference = None if known is None else ReferenceVelocity(*known, scoring.scored_window(t))
     read, lacking = readings(parts, log) if parts else (None, "")
     guessed = placeholder_sentence(placeholders(job.model, job.overrides))
@@ -200,15 +202,6 @@ def _periods(job: Job, file: models.ModelFile) -> tuple[float, ...]:
     if not file.model.manifold.commuting:
         raise ValueError(f"{job.model_name}: measurement.period is for coordinates, and this model is on a group")
     return tuple(np.broadcast_to(file.period, len(file.columns.q)).tolist())
-
-
-def _whole(job: Job, log: logs.Log, columns: logs.Columns, periods: tuple[float, ...]) -> logs.Log:
-    """All of a log of which a job reads a part, with the positions at least."""
-    if (job.every, job.until, job.start) == (1, None, None):
-        return log
-    # A record has its inputs without names.
-    positions = columns if isinstance(job.log, Record) else columns._replace(u=(), v=())
-    return logs.read(job.log, positions, periods=periods)
 
 
 def column_names(columns: str | Sequence[str]) -> tuple[str, ...]:
@@ -264,9 +257,12 @@ def _delay_note(file: models.ModelFile) -> str:
     return f" Positions are read {', '.join(f'{1e3 * delay:g}' for delay in delays)} ms late."
 
 
-def _refuse_misfit(job: Job, file: models.ModelFile, record: Record) -> None:
+def _refuse_misfit(job: Job, file: models.ModelFile, log: logs.Log, record: Record) -> None:
     """Raise `MisfitError` where the model explains nothing of the motion, or another unit of the log explains it."""
-    finding = misfit(file, record)
+    if log.whole is None:
+        finding = misfit(file, log.record)
+    else:  # the inputs that act in the rows of a part of a log are known from the whole of it
+        finding = misfit(file._replace(input_lag=0.0, input_delay=0.0, input_between="held"), record)
     if finding is not None:
         how = f"`covariant check {job.model_name} {job.log_name}` looks closer, and `anyway=True` goes on"
         raise MisfitError(f"{job.log_name}: {finding.evidence}. {finding.line}; {how}")

@@ -15,7 +15,6 @@ from ._readings import (
     one_or_each as one_or_each,
     outliers as outliers,
     readings as readings,
-    rounded_tick as rounded_tick,
     still_findings as still_findings,
     usual_speeds as usual_speeds,
     written as written,
