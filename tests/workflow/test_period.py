@@ -76,11 +76,12 @@ def test_a_reading_counts_as_the_one_nearest_to_the_prediction():
 
 
 def test_a_draft_names_the_period_and_ticks_that_were_rounded(whole):
-    angle = np.round(np.rad2deg(whole.y[:, 0]) / (360 / 4096)) * (360 / 4096)
-    table = pd.DataFrame({"t": whole.t, "angle [deg]": np.round(angle % 36.0, 2)})
+    tick = 360 / 4096
+    angle = np.round(np.rad2deg(whole.y[:, 0]) / tick) * tick
+    table = pd.DataFrame({"t": whole.t, "angle [deg]": np.round(angle % (410 * tick), 2)})
     (text,) = workflow.init(table).texts().values()
-    assert "quantum = 0.00153398" in text
-    assert "period = 0.628318531" in text
+    assert "quantum = 0.001534" in text
+    assert "period = 0.6289" in text
     (text,) = workflow.init(pd.DataFrame({"t": whole.t, "angle [deg]": angle})).texts().values()
     assert "period" not in text
 

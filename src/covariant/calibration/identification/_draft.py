@@ -189,13 +189,16 @@ def draft(
     factors = [unit_factor(text) for text in units.get("q", ("rad",) * len(q))]
     y = logged * factors
     rounding = [_rounding(column) * factor for column, factor in zip(logged.T, np.abs(factors), strict=True)]
-    wraps = _periods(columns[t], y, rounding, lengths)
-    y = unwrap(y, (), wraps)
-    ticks, noises = _tick(y, rounding), _noise(y, lengths)
+    # Readings are whole ticks as they are: a period is known less exactly.
+    ticks, wraps = _tick(y, rounding), _periods(columns[t], y, rounding, lengths)
+    continuous = unwrap(y, (), wraps)
+    noises = _noise(continuous, lengths)
     if len(set(lengths)) == 2:  # a tick of a metre is none of a radian
         each_tick = [_tick(y[:, [i]], [rounding[i]]) for i in range(len(q))]
         ticks = None if None in each_tick else tuple(tick for tick in each_tick if tick is not None)
-        noises = tuple(_noise(column[:, None], (is_length,)) for column, is_length in zip(y.T, lengths, strict=True))
+        noises = tuple(
+            _noise(column[:, None], (is_length,)) for column, is_length in zip(continuous.T, lengths, strict=True)
+        )
     return Draft(
         t,
         q,
