@@ -84,6 +84,7 @@ def test_a_wrong_mass_is_not_called_gravity_compensation():
         assert not any(what.startswith("gravity") for what in found)
 
 
+@pytest.mark.long("3", "14.285714285714286")
 @pytest.mark.parametrize("parts", [3, 10, 100 / 7])
 def test_an_encoder_that_begins_anew_is_named_with_its_period(parts):
     period = 2 * np.pi / parts
@@ -145,6 +146,7 @@ def test_a_row_for_each_edge_of_an_encoder_is_not_read_in_quanta():
     assert wrong(pendulum(**free, **{"measurement.std": 0.1 * quantum}), midway) == []
 
 
+@pytest.mark.long("True-1", "False-1", "False-4", "True-20")
 @pytest.mark.parametrize("every", [1, 4, 20])
 @pytest.mark.parametrize("late", [True, False])
 def test_rows_of_a_second_sender_are_told_and_nothing_else(every, late):
@@ -194,3 +196,10 @@ def test_of_a_body_frozen_attitudes_and_stamps_in_another_unit_are_seen():
 def test_the_state_of_a_wider_model_is_left_alone():
     record = Record(T, np.zeros((len(T), 0)), np.ones((len(T), 1)))
     assert diagnose(models.ModelFile("lorenz", models.lorenz()), record).findings == ()
+
+
+def test_a_machine_on_a_slope_has_some_of_its_weight():
+    log = Record(T, TORQUE[:, None], read(swing(gravity=2.5)))
+    found = diagnose(pendulum(), log).findings
+    assert any(each.wrong for each in found)
+    assert not any(each.what.startswith("gravity") for each in found)
