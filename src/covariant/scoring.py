@@ -1,6 +1,6 @@
 """Scoring of velocity estimates, against the truth or against a reference computed from the recorded positions."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -310,12 +310,16 @@ def _exp(vector):
     return np.eye(3) + np.sinc(angle / np.pi) * hat + np.sinc(angle / (2 * np.pi)) ** 2 / 2 * hat @ hat
 
 
-def unwrap(y: Float[NumpyArray, "T n"], circles: tuple[int, ...]) -> Float[NumpyArray, "T n"]:
-    """Remove the jumps of 2π from the columns that are angles on a circle.
+def unwrap(
+    y: Float[NumpyArray, "T n"], circles: tuple[int, ...], periods: Sequence[float] | NumpyArray = ()
+) -> Float[NumpyArray, "T n"]:
+    """Remove the jumps of a period from columns: of 2π from angles on a circle, and of others where they are stated.
 
     Args:
         y: Positions (T, n); NaN stays.
         circles: Indices of the columns that are angles [rad].
+        periods: Period (n,) of each column [its unit] where it is another one, as of an encoder behind a gear; 0 for
+            none. Empty (default) for none at all.
 
     Returns:
         A copy of the positions, continuous in these columns.
@@ -325,11 +329,14 @@ def unwrap(y: Float[NumpyArray, "T n"], circles: tuple[int, ...]) -> Float[Numpy
         >>> from covariant.scoring import unwrap
         >>> unwrap(np.array([[3.0], [-3.0]]), (0,)).round(3).tolist()
         [[3.0], [3.283]]
+        >>> unwrap(np.array([[0.9], [0.1]]), (), (1.0,)).tolist()
+        [[0.9], [1.1]]
     """
     y = np.array(y, float)
-    for column in circles:
+    wraps = dict.fromkeys(circles, 2 * np.pi) | {i: float(p) for i, p in enumerate(periods) if p > 0}
+    for column, period in wraps.items():
         present = np.isfinite(y[:, column])
-        y[present, column] = np.unwrap(y[present, column])
+        y[present, column] = np.unwrap(y[present, column], period=period)
     return y
 
 

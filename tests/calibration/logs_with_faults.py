@@ -283,6 +283,39 @@ def unknown_rotor(made: Made, random: np.random.Generator, joint: int) -> Fault:
     return Fault(made.file, _lacking(made, "rotor_inertia", sizes, joint), ("rotor inertia",), f"q{joint + 1}")
 
 
+def thousandths(made: Made, random: np.random.Generator, joint: int) -> Fault:
+    """Inputs in thousandths of their unit, as of a drive that logs mN m."""
+    return Fault(made.file, made.record._replace(u=1e3 * made.record.u), ("unit of an input",))
+
+
+def compensated(made_: Made, random: np.random.Generator, joint: int) -> Fault:
+    """The log has the inputs beyond gravity compensation."""
+    record = made(**made_.arguments, unknown=("parameters.gravity=0.0",)).record
+    return Fault(made_.file, record, ("gravity", "gravity and friction"))
+
+
+def geared(made: Made, random: np.random.Generator, joint: int) -> Fault:
+    """The encoder of a joint is behind a gear and begins anew several times a turn."""
+    period = 2 * np.pi / int(random.integers(3, 12))
+    period = np.round(period / made.quantum) * made.quantum if made.quantum else period
+    y = made.record.y.copy()
+    # The first reading is right, and the next ones follow it within a period about it.
+    begin = y[0, joint] - period / 2
+    y[:, joint] = begin + (y[:, joint] - begin) % period
+    jumps = np.abs(np.diff(y[np.isfinite(y[:, joint]), joint])) > period / 2
+    return Fault(made.file, made.record._replace(y=y), ("period",), f"q{joint + 1}", bool(jumps.sum() > 3))
+
+
+def second_sender(made: Made, random: np.random.Generator, joint: int) -> Fault:
+    """Every few rows come from another machine, or late from the same one."""
+    y, t = made.record.y.copy(), made.record.t
+    rows = np.arange(int(random.integers(2, 5)), len(t), int(random.integers(2, 12)))
+    moved = np.interp(t - 0.05, t, made.exact[:, joint])
+    moved = moved if random.random() < 0.5 else 0.4 * np.sin(3 * t) - moved
+    y[rows, joint] = sensed(random, moved[rows], made.quantum, made.std)
+    return _moved_positions(made, y, ("several senders",), f"q{joint + 1}")
+
+
 ANGLES, ALL, TWO = ("pendulum", "double pendulum"), tuple(MACHINES), ("double pendulum",)
 FAULTS = {
     "row shift": (row_shift, TWO),
@@ -304,6 +337,10 @@ FAULTS = {
     "clock set forward": (clock_forward, ALL),
     "unknown friction": (unknown_friction, ANGLES),
     "unknown rotor": (unknown_rotor, ANGLES),
+    "thousandths": (thousandths, ALL),
+    "compensated": (compensated, ANGLES),
+    "geared": (geared, ANGLES),
+    "second sender": (second_sender, ALL),
 }
 """Faults by name, and the machines that can have them."""
 CLEAN = ("other inputs", "inputs after they acted")
@@ -335,6 +372,28 @@ def with_fault(kind: str, seed: int) -> Fault:
         fault = change(log, random, int(random.integers(log.exact.shape[1])))
         if fault.shows:
             return fault
+        seed += 100
+
+
+PAIRS = (
+    *(("unknown friction", "thousandths"), ("compensated", "thousandths"), ("compensated", "degrees")),
+    *(("unknown friction", "degrees"), ("delay", "milliseconds"), ("unknown friction", "sign of an input")),
+    *(("compensated", "sign of an input"), ("geared", "thousandths"), ("unknown friction", "milliseconds")),
+)
+"""Two faults at once, of which the second one changes the log of the first."""
+
+
+def with_two_faults(first: str, second: str, seed: int) -> Fault:
+    """A log with two faults; `names` are those of the second one, and then those of the first."""
+    (change, machines), after = FAULTS[first], FAULTS[second][0]
+    while True:
+        random = np.random.default_rng(7000 + seed)
+        log = made(machines[seed % len(machines)], seed, counts=(0, 4096)[seed % 2])
+        joint = int(random.integers(log.exact.shape[1]))
+        fault = change(log, random, joint)
+        if fault.shows:
+            both = after(log._replace(file=fault.file, record=fault.record), random, joint)
+            return both._replace(names=(*both.names, *fault.names))
         seed += 100
 
 

@@ -1,10 +1,13 @@
 """How often `check` calls a log wrong that is right, and how often it names what is wrong with one."""
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
-from logs_with_faults import FAULTS, alarms, named, with_fault, without_fault
+from logs_with_faults import FAULTS, PAIRS, alarms, named, with_fault, with_two_faults, without_fault
 
 from covariant.calibration import diagnose, misfit
+from covariant.geometry import lie
 from covariant.models import ModelFile, free_body
 from covariant.signals import Record
 
@@ -23,7 +26,14 @@ def test_a_log_without_faults_is_not_called_wrong(seed):
     assert misfit(log.file, log.record) is None
 
 
-@pytest.mark.parametrize("kind", ["row shift", "other inputs", "inputs after they acted", "degrees", "common delay"])
+@pytest.mark.long("inputs after they acted", "degrees", "thousandths", "second sender")
+@pytest.mark.parametrize(
+    "kind",
+    [
+        *("row shift", "other inputs", "inputs after they acted", "degrees", "common delay"),
+        *("thousandths", "compensated", "geared", "second sender"),
+    ],
+)
 def test_a_fault_is_named(kind):
     fault = with_fault(kind, 0)
     found = list(diagnose(fault.file, fault.record).findings)
@@ -57,7 +67,18 @@ def test_most_faults_are_named(each):
     assert len(missed) <= max(1, MOST_MISSED * len(FAULTS) * each), missed
 
 
+@pytest.mark.long
+@pytest.mark.parametrize(("first", "second"), PAIRS)
+def test_two_faults_are_named_together(first, second):
+    fault = with_two_faults(first, second, 0)
+    found = list(diagnose(fault.file, fault.record).findings)
+    assert alarms(found, fault.names) == []
+    # Friction that the data sheet admits is only a note.
+    assert len({each.what for each in found if each.what in fault.names}) >= 2, found
+
+
 def test_of_a_body_on_a_group_nothing_is_called_wrong():
-    turned = np.tile(np.eye(3), (100, 1, 1))
-    record = Record(0.01 * np.arange(100), np.zeros((100, 3)), turned)
+    times = np.linspace(0, 3, 300)[:, None]
+    turned = np.array(jax.vmap(lie.SO3.exp)(jnp.asarray(np.concatenate([np.sin(times), times, times**2 / 9], axis=1))))
+    record = Record(0.01 * np.arange(300), np.zeros((300, 3)), turned)
     assert diagnose(ModelFile("body", free_body((1.0, 2.0, 3.0))), record).findings == ()

@@ -285,7 +285,8 @@ def test_a_model_of_another_machine_is_refused(clean):
 def test_of_other_models_the_stamps_are_looked_at():
     t = np.arange(100) * 0.01
     t[50:] += 0.05
-    record = Record(t, np.zeros((100, 0)), np.tile(np.eye(3), (100, 1, 1)))
+    turned = [[[np.cos(x), -np.sin(x), 0.0], [np.sin(x), np.cos(x), 0.0], [0.0, 0.0, 1.0]] for x in t]
+    record = Record(t, np.zeros((100, 0)), np.array(turned))
     done = diagnose(models.ModelFile("top", models.free_body((1.0, 2.0, 3.0))), record)
     assert [finding.what for finding in done.findings] == ["missing rows"]
     assert "units" not in done.looked_for

@@ -20,6 +20,7 @@ from covariant.logs._tables import LogSource, plain_text, source_name, stated_un
 from covariant.logs._text import read_text, sheet, with_points
 from covariant.logs._unit_in_name import MEANT, is_unit_of, unit_in_name, unknown_unit, unknown_unit_fault
 from covariant.logs._units import check_unit, unit_factor
+from covariant.scoring import unwrap
 from covariant.signals import Record, StampError
 
 OPTIONAL = ("v", "truth")
@@ -39,6 +40,7 @@ def read(
     start: float | None = None,
     optional: Collection[str] = OPTIONAL,
     sensors: Sequence[tuple[Columns, str]] = (),
+    periods: Sequence[float] = (),
 ) -> Log:
     """Read a log; an empty cell or `nan` is a missing measurement, and an error in t and u.
 
@@ -67,6 +69,8 @@ def read(
         sensors: Sensors beside the positions, for `Log.readings`: the columns of each, `q` or a position and an
             attitude, and the SI unit of its numbers, "" where it is not known. Of a log of messages their stamps are
             rows too, without positions; in a table they are rows already.
+        periods: Period (n,) after which each position reads the same again, in its SI unit; 0 for none. Its jumps are
+            removed from the whole log, before rows are left out.
 
     Returns:
         The rows that were asked for, in SI units and radians.
@@ -111,6 +115,9 @@ def read(
         whole = _of_record(log, columns)._replace(readings=(None,) * len(sensors))
     else:
         whole = _of_columns(name, log, columns, optional, sensors)
+    if any(periods):
+        y = unwrap(np.asarray(whole.record.y), (), periods)
+        whole = whole._replace(record=whole.record._replace(y=y))
     return _select_rows(name, whole, every, until, start)
 
 

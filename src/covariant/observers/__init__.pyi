@@ -116,6 +116,7 @@ from .wrappers import (
     DelayedState as DelayedState,
     Gated as Gated,
     GatedState as GatedState,
+    Unwrapped as Unwrapped,
     damping_margin as damping_margin,
     without_last_input as without_last_input,
 )

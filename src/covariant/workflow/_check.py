@@ -1,6 +1,10 @@
 """`check`: what is wrong with a log, or with the model file for it, before anybody estimates from it."""
 
+import json
+import re
 import shlex
+import tomllib
+from collections.abc import Mapping
 from dataclasses import dataclass
 from os import PathLike
 from typing import Any
@@ -8,8 +12,8 @@ from typing import Any
 from covariant import logs, models
 from covariant.calibration import Beside, Diagnosis, Finding, diagnose, mended_clock
 from covariant.models import Overrides
-from covariant.signals import acting_inputs
-from covariant.workflow._inputs import ColumnNames, Job, load
+from covariant.signals import Record, acting_inputs
+from covariant.workflow._inputs import ColumnNames, Job, Loaded, load
 from covariant.workflow._progress import Progress, silent
 from covariant.workflow._result import AbstractResult
 
@@ -57,6 +61,15 @@ def check(
     """
     job = Job(model, log, overrides, every, until, columns or {}, True, start)
     progress(f"comparing {job.log_name} with {job.model_name}")
+    loaded, diagnosis = _diagnose(job)
+    if diagnosis.wrong:
+        progress("checking the log again with what it asks for")
+        diagnosis = _with_remedies_that_survive(job, diagnosis)
+    diagnosis = diagnosis._replace(findings=tuple(_with_names(finding, job) for finding in diagnosis.findings))
+    return CheckResult(job.model_name, job.log_name, len(loaded.log.record.t), loaded.rate, diagnosis)
+
+
+def _diagnose(job: Job) -> tuple[Loaded, Diagnosis]:
     clock: tuple[Finding, ...] = ()
     try:
         loaded = load(job, score=False, why="logs are compared with")
@@ -64,16 +77,68 @@ def check(
         record, clock = mended_clock(error.record)
         loaded = load(job._replace(log=record), score=False, why="logs are compared with")
     # The quantum is that of the model file: loading removes it where positions are not such ticks.
-    quantum = models.load(model, overrides).quantum
+    quantum = models.load(job.model, job.overrides).quantum
     pairs = zip(loaded.sensors, loaded.log.readings, strict=False)  # no sensors where the log has none of their columns
     sensors = [Beside(*part, read) for part, read in pairs if read is not None]
     record = loaded.log.record
     if loaded.file.input_between == "held":  # what acted between two rows that are used counts in their interval
         record = acting_inputs(loaded.log.all_rows, rows=record)
     diagnosis = diagnose(loaded.file, record, quantum, loaded.log.first_row, loaded.log.every, sensors)
-    findings = tuple(_with_names(finding, job) for finding in (*clock, *diagnosis.findings))
-    diagnosis = diagnosis._replace(findings=findings)
-    return CheckResult(job.model_name, job.log_name, len(loaded.log.record.t), loaded.rate, diagnosis)
+    return loaded, diagnosis._replace(findings=(*clock, *diagnosis.findings))
+
+
+_SETTING = re.compile(r"""\[(\w+)\] (\w+) = ("[^"]*"|\[[^]]*\]|[-+\w.]+)""")
+"""A line of a model file within a remedy: its table, key and value."""
+_NOT_OF_A_RECORD = ("units", "columns")
+"""Tables that say how a file is read, and nothing of a record."""
+
+
+def _settings(line: str) -> dict[str, Any]:
+    """The lines of a model file that a remedy begins with, as overrides; empty if it asks for something else first."""
+    settings: dict[str, Any] = {}
+    for part in line.split("; "):
+        match = _SETTING.match(part)
+        if match is not None:
+            settings[f"{match[1]}.{match[2]}"] = tomllib.loads(f"x = {match[3]}")["x"]
+    return settings
+
+
+def _with_remedies_that_survive(job: Job, diagnosis: Diagnosis) -> Diagnosis:
+    """The findings, without the remedies after which the log is called wrong for the same reason as before.
+
+    The lines are pasted in memory, one finding after the other, as somebody would who mends the first one first.
+    """
+    of_record, findings, pasted = isinstance(job.log, Record), [], dict[str, Any]()
+    for finding in diagnosis.findings:
+        settings = _settings(finding.line) if finding.wrong else {}
+        if not settings or (of_record and any(key.startswith(_NOT_OF_A_RECORD) for key in settings)):
+            findings.append(finding)
+            continue
+        pasted |= settings
+        changed = job._replace(overrides=_more(job.overrides, pasted))
+        try:
+            again = _diagnose(changed)[1].findings
+            before = {each.what for each in diagnosis.findings}
+            survives = not any(
+                (each.what, each.where) == (finding.what, finding.where) or (each.what == "model" not in before)
+                for each in again
+                if each.wrong
+            )
+        except (ValueError, OSError):
+            survives = False
+        if not survives:
+            pasted = {key: value for key, value in pasted.items() if key not in settings}
+            line = "look at what the column is and at [parameters]: no line of the model file mends it alone"
+            finding = finding._replace(line=line)
+        findings.append(finding)
+    return diagnosis._replace(findings=tuple(findings))
+
+
+def _more(overrides: Overrides, settings: Mapping[str, Any]) -> Overrides:
+    """Overrides with further ones after them."""
+    if isinstance(overrides, Mapping):
+        return {**overrides, **settings}
+    return (*overrides, *(f"{key}={json.dumps(value, ensure_ascii=False)}" for key, value in settings.items()))
 
 
 @dataclass(frozen=True, repr=False)

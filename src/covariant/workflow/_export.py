@@ -41,6 +41,7 @@ from covariant.observers import (
     Delayed,
     FixedLag,
     Gated,
+    Unwrapped,
 )
 from covariant.workflow._arguments import above_zero, gain_pair
 from covariant.workflow._design import Design, design
@@ -186,7 +187,8 @@ def export(
     late = entry.knows_model and np.any(delay)
     # With a log the memory is as long as `estimate` has it there.
     stored = rate if logged is None or not late else densest_rate(np.asarray(logged.record.t), float(np.max(delay)))
-    delayed = Delayed(runs, delay, stored) if late else runs
+    unwrapped = Unwrapped(runs, np.broadcast_to(file.period, file.dimension).tolist()) if np.any(file.period) else runs
+    delayed = Delayed(unwrapped, delay, stored) if late else unwrapped
     if step_per_sensor and not getattr(runs, "sensors", ()):
         raise ValueError(f"step_per_sensor is for a filter with sensors; {designed.name} of {label} has none")
     if lag is not None:
@@ -197,7 +199,7 @@ def export(
         description, proved = f"{description} {_describe_start(kept)}", "\n".join([proved, *_list_premises()])
     unbounded = ""
     if sampling is not None and not delayed.fixed_numbers:
-        reason = "is about measurements without delays"
+        reason = "is about measurements without delays and periods"
         if sampling.substeps is None:
             reason = "is about an observer that chooses its substeps, of which the errors of predictions are not proved"
         elif real != "double":

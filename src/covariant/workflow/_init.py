@@ -182,6 +182,7 @@ def _model_file(name: str, guess: Draft, machine: list[str], remarks: Sequence[s
         "",
         "[measurement]",
         _sensor(guess),
+        *_period(guess),
         "",
         "[uncertainty]",
         "# Gains of observers are designed from how much acceleration the model leaves unexplained, which a log does",
@@ -321,6 +322,15 @@ def _sensor(guess: Draft) -> str:
     if guess.quantum is not None:
         return f"quantum = {_digits(guess.quantum, 6)}  # {unit}, the tick that positions of this log are multiples of"
     return f"std = {_digits(guess.noise, 3)}  # {unit}, at most: from third differences of the positions"
+
+
+def _period(guess: Draft) -> list[str]:
+    """The line of the periods after which readings repeat; none where they do not."""
+    if not any(guess.period):
+        return []
+    texts = [f"{each:.9g}" for each in guess.period]
+    written = f"[{', '.join(texts)}]" if len(texts) > 1 else texts[0]
+    return [f"period = {written}  # {_both(guess, 'm', 'rad')}, after which readings of this log begin anew"]
 
 
 def _digits(values: float | Sequence[float], digits: int) -> str:

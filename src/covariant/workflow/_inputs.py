@@ -169,7 +169,8 @@ def load(job: Job, score: bool = True, why: str = "") -> Loaded:
     parts = file_sensors(file)
     sensors = [(part.columns, part.unit) for part in parts]
     kind = kind_of(file)
-    log = kind.with_inputs(logs.read(job.log, columns, job.every, job.until, job.start, optional, sensors))
+    part, periods = (job.every, job.until, job.start), _periods(job, file)
+    log = kind.with_inputs(logs.read(job.log, columns, *part, optional, sensors, periods))
     # Lag, delay and means are those of the whole log: what was cut off or left out between two rows acts in them too.
     lagging = lag_inputs(log.all_rows, file.input_lag)
     record = acting_inputs(lagging, file.input_between, file.input_delay, log.record)
@@ -192,6 +193,15 @@ def load(job: Job, score: bool = True, why: str = "") -> Loaded:
     measured = np.isfinite(y.reshape(len(y), -1)).any(1)
     rate = 1 / float(np.median(np.diff(t[measured] if parts and measured.sum() > 1 else t)))
     return Loaded(file, model, log, record, rate, reference, note, () if read is None else parts, read)
+
+
+def _periods(job: Job, file: models.ModelFile) -> tuple[float, ...]:
+    """The period of each position of a log, 0 for none; empty where none has one."""
+    if not np.any(file.period):
+        return ()
+    if not file.model.manifold.commuting:
+        raise ValueError(f"{job.model_name}: measurement.period is for coordinates, and this model is on a group")
+    return tuple(np.broadcast_to(file.period, len(file.columns.q)).tolist())
 
 
 def column_names(columns: str | Sequence[str]) -> tuple[str, ...]:

@@ -7,8 +7,9 @@ from typing import NamedTuple
 import numpy as np
 
 from covariant.calibration.diagnosis._case import Case
-from covariant.calibration.diagnosis._finding import quoted_list
+from covariant.calibration.diagnosis._finding import Names, quoted_list
 from covariant.calibration.diagnosis._suspicion import Suspicion
+from covariant.calibration.diagnosis._thresholds import PLAIN_SCALE
 from covariant.signals import Record
 
 CLOCKS = {
@@ -21,6 +22,8 @@ CLOCKS = {
 SHORTEST, LONGEST = 1e-5, 2.0
 """Plausible steps in time [s] of a log of a machine."""
 ANGLES = {"radians": 1.0, "degrees": np.pi / 180, "turns": 2 * np.pi}
+PREFIXES = {1e-3: "m", 1e3: "k", 1e-6: "u", 1e-2: "c", 1e6: "M"}
+"""Prefixes of units of inputs, by their factors."""
 COUNTS = (*(2**k for k in range(10, 21)), *(factor * 1000 for factor in (1, 2, 4, 5, 10, 20, 36, 40)))
 """Usual counts per turn of encoders."""
 
@@ -88,6 +91,45 @@ def units(case: Case) -> Iterator[Suspicion]:
             yield Suspicion(f"unit of {' and '.join(affected)}", "", words, "; ".join(lines), change.apply)
 
 
+def input_units(case: Case) -> Iterator[Suspicion]:
+    """Inputs, one or all of them, in a unit with another prefix."""
+    names, none = case.names, _none(case)
+    count = len(names.u)
+    groups = [np.ones(count, bool)] * bool(count)
+    groups += [np.arange(count) == i for i in range(count)] if count > 1 else []
+    for which, factor in itertools.product(groups, PREFIXES):
+        factors = np.where(which, factor, 1.0)
+        where = ", ".join(name for name, one in zip(names.u, which, strict=True) if one)
+        change, line = none._replace(inputs=factors), input_line(names, factors)
+        words = f"with {where} {_prefixed(names, factor) or f'times {factor:g}'}"
+        yield Suspicion("unit of an input", where, words, line, change.apply)
+
+
+def plain_scale(scale: float, std: float) -> float | None:
+    """The factor of a prefix that a fitted scale is equal to; None for an odd one."""
+    near = (factor for factor in PREFIXES if abs(scale / factor - 1) < max(PLAIN_SCALE, 3 * std / factor))
+    return next(near, None)
+
+
+def input_line(names: Names, factors: np.ndarray) -> str:
+    """Line of the model file that multiplies the inputs by factors, with a unit of a prefix where there is one."""
+    units = [_prefixed(names, float(factor)) for factor in factors]
+    base = "N m" if names.angles.all() else "N"
+    if (None in units and any(factor != 1 for factor in factors)) or any(names.stated.get("u", ())):
+        return names.line("u", factors)
+    texts = [unit or base for unit in units]
+    return f"[units] u = {quoted_list(texts) if len(set(texts)) > 1 else quoted_list(texts[:1])[1:-1]}"
+
+
+def _prefixed(names: Names, factor: float) -> str | None:
+    """Unit with a prefix of inputs that are torques, or forces; None where they may be either."""
+    if names.angles.any() and not names.angles.all():
+        return None
+    unit = "N m" if names.angles.all() else "N"
+    prefix = PREFIXES.get(factor)
+    return unit if factor == 1 else None if prefix is None else f"{prefix}{unit}"
+
+
 def input_signs(case: Case) -> Iterator[Suspicion]:
     """Inputs with the other sign."""
     for name, factors in _one_by_one(case.names.u, -1.0):
@@ -141,6 +183,7 @@ def single_degrees(case: Case) -> Iterator[Suspicion]:
 
 COLUMNS: tuple[Callable[[Case], Iterator[Suspicion]], ...] = (
     units,
+    input_units,
     input_signs,
     swaps,
     position_signs,

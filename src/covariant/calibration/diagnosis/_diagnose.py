@@ -13,7 +13,8 @@ Suspicions are judged against each other on rows held out, in an order where tha
 """
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -33,9 +34,19 @@ from covariant.calibration.diagnosis._case import (
 )
 from covariant.calibration.diagnosis._clock import set_forward, stamps
 from covariant.calibration.diagnosis._columns import COLUMNS, units
+from covariant.calibration.diagnosis._edges import edge_findings
 from covariant.calibration.diagnosis._finding import Diagnosis, Finding, Rows
+from covariant.calibration.diagnosis._jumps import (
+    period_findings,
+    periods,
+    second_sender,
+    sender_finding,
+    without_full_turns,
+)
 from covariant.calibration.diagnosis._missing_torques import missing_torques
+from covariant.calibration.diagnosis._on_group import group_findings
 from covariant.calibration.diagnosis._readings import (
+    known_ticks,
     missing_cells,
     readings,
     repeated_findings,
@@ -43,10 +54,18 @@ from covariant.calibration.diagnosis._readings import (
     without_repeated,
 )
 from covariant.calibration.diagnosis._sensor_checks import sensor_checks
-from covariant.calibration.diagnosis._sensor_findings import sensor_findings, standstill
+from covariant.calibration.diagnosis._sensor_findings import NOISIER, sensor_findings, standstill
 from covariant.calibration.diagnosis._sensor_motion import Beside
-from covariant.calibration.diagnosis._suspicion import Suspicion, clearly_unexplained, judge, unexplained_at
-from covariant.calibration.diagnosis._thresholds import BARELY
+from covariant.calibration.diagnosis._suspicion import (
+    Comparison,
+    Suspicion,
+    choose,
+    clearly_unexplained,
+    compare_all,
+    judge,
+    unexplained_at,
+)
+from covariant.calibration.diagnosis._thresholds import BARELY, EXPLAINED
 from covariant.calibration.diagnosis._timing import Timing, fit_timing, inputs_between_rows, moved_rows, row_shifts
 from covariant.calibration.diagnosis._unexplained import unexplained
 from covariant.models import ModelFile
@@ -59,18 +78,25 @@ FEW_ROWS = 4_000
 """The same for suspicions about columns, of which many are tried, and for the check before an estimate."""
 SHIFTED = (1.0, 2.0, 4.0)
 """Half windows to look for shifts by whole rows in, in those that explain most."""
+NOISY = 0.01
+"""Noise, as a fraction of the deviation of a position, from which a second sender is looked for."""
+MOST_PAIRS = 6
+"""Suspicions of missing torques, alone or with one about columns, that are tried: those that promise most."""
 MOST_CHANGES = 3
 """Suspicions about columns that are accepted one after another."""
 WEIGHTS = (
     *(
         "clock",
         "nothing moves",
+        "several senders",
         "unit of",
+        "period",
         "swapped",
         "sign of",
         "axes of",
         "sensor",
         "zero of",
+        "gravity",
         "model",
         "friction",
         "rotor inertia",
@@ -145,15 +171,31 @@ def _findings(
     findings = [*stamps(rows.t), *missing_cells(np.asarray(record.y))]
     checks = ("clock", "missing rows", "irregular stamps", "missing measurements")
     if not in_coordinates(file):
-        return findings, checks
-    checks += ("outliers", "repeated rows", "ticks", "noise")
+        if not file.mechanical:
+            return findings, checks
+        model: Any = file.model
+        on_group = group_findings(model, record, file.columns.t, rows)
+        clock = [] if any(each.what == "unit of time" for each in on_group) else findings
+        return [*on_group, *clock], (*checks, "unit of time", "repeated rows")
+    checks += ("periods", "several senders", "outliers", "repeated rows", "ticks", "noise")
     y, names = np.asarray(record.y), names_of(file)
     quantum = file.quantum if quantum is None else quantum
     still, whole = still_findings(y, names.q, names.units)
     if whole:
         return [*findings, *still], checks
+    # Jumps of a period and readings of a second sender hide everything else, so that they are removed first.
+    wraps = periods(rows.t, y, known_ticks(record, (), quantum))
+    record = record._replace(y=unwrap(y, (), wraps))
     case, outliers = case_without_outliers(file, record, rows, quantum)
-    ticks, as_read = case.ticks, case._replace(record=record)
+    senders = _second_senders(case, record, outliers, rows)
+    if senders:
+        # Two motions in one column look like noise, outliers, delays and wrong units.
+        clock = [each for each in findings if each.what not in ("missing rows", "irregular stamps")]
+        return [*clock, *still, *senders], checks
+    y, ticks, as_read = np.asarray(record.y), case.ticks, case._replace(record=record)
+    edges = edge_findings(rows.t, y, ticks, names, quantum)
+    if edges:
+        findings = [each for each in findings if each.what not in ("missing rows", "irregular stamps")]
     repeated = repeated_findings(y, ticks, names.q, rows)
     if any(each.wrong for each in repeated):
         case = case._replace(record=case.record._replace(y=without_repeated(np.asarray(case.record.y), ticks)))
@@ -165,11 +207,14 @@ def _findings(
         # Angles in another unit jump at other places, so the readings are looked at anew, in that of the model.
         y = np.asarray(as_read.record.y)
         again, outliers = case_without_outliers(file, record._replace(y=y), rows, quantum)
+        largest = np.nanargmax(np.abs(np.asarray(record.y)), axis=0), np.arange(y.shape[1])
+        wraps = wraps * np.abs(y[largest] / np.asarray(record.y)[largest])
         ticks = again.ticks
         repeated = repeated_findings(y, ticks, names.q, rows)
     noise = np.maximum(np.nan_to_num(readings(record._replace(y=y), case.model.circles).std), ticks)
     forward = set_forward(rows.t, unwrap(y, case.model.circles), noise, rows)
-    findings += [*forward, *still, *outliers, *repeated, *changes]
+    jumps = period_findings(without_full_turns(wraps, case.model.circles), ticks, names)
+    findings += [*forward, *still, *jumps, *outliers, *repeated, *changes]
     # In another unit of time the readings have other rates too: they are judged once it is right.
     sensors = () if any(each.what == "unit of time" for each in changes) else sensors
     checks += ("sensors beside the positions",) if sensors else ()
@@ -177,7 +222,7 @@ def _findings(
     if best is None or not best[1].told.any():
         return [
             *findings,
-            *_sensors(case, quantum),
+            *_sensors(case, quantum, edges),
             *sensor_checks(case, rows.t, sensors),
             standstill(case.record, case.model.circles, case.names, case.ticks),
         ], checks
@@ -196,7 +241,7 @@ def _findings(
     )
     left = [] if small else unexplained(case, smoothed_residual(in_time, best[0]), best[0])
     beside = sensor_checks(case, rows.t, sensors, timing.delay - timing.delay.min())
-    return [*findings, *_sensors(moved, quantum), *beside, *lacking, *delays, *small, *left], checks
+    return [*findings, *_sensors(moved, quantum, edges), *beside, *lacking, *delays, *small, *left], checks
 
 
 def _correct_columns(case: Case) -> tuple[list[Suspicion], list[Finding], Case]:
@@ -207,27 +252,71 @@ def _correct_columns(case: Case) -> tuple[list[Suspicion], list[Finding], Case]:
         # Many are tried, and such faults are large, so that fewer rows show them.
         short = case._replace(record=busiest(case.record, FEW_ROWS))
         suspicions = itertools.chain.from_iterable(suspect(short) for suspect in COLUMNS)
-        best = judge(short, suspicions, clearly_unexplained)
-        if best is None:
+        tried = compare_all(short, suspicions, clearly_unexplained)
+        best = choose(tried)
+        columns = {id(each): each for each, _ in tried}
+        if tried and not (best and best[1].numbers["unexplained_after"] < EXPLAINED):
+            pairs = _with_torques(short, tried)
+            columns |= {id(pair): column for pair, column in pairs}
+            best = choose([*tried, *compare_all(short, [pair for pair, _ in pairs], clearly_unexplained)])
+        change = None if best is None else columns[id(best[0])]
+        if best is None or change is None:
             break
-        accepted.append(best[0])
+        accepted.append(change)
         findings.append(best[1])
-        case = best[0].apply(case)
+        case = change.apply(case)
     return accepted, findings, case
+
+
+def _with_torques(
+    case: Case, tried: Sequence[tuple[Suspicion, Comparison]]
+) -> list[tuple[Suspicion, Suspicion | None]]:
+    """Suspicions about columns, and none, each with torques that are missing then, and the one about columns.
+
+    Missing torques are reported later, in narrower windows; here they keep a wrong column from being blamed for them.
+    """
+    pairs: list[tuple[Suspicion, Suspicion | None]] = []
+    for column in (None, *(each for each, _ in tried)):
+        changed = case if column is None else column.apply(case)
+        log = clearly(changed)
+        for torques in missing_torques(changed, log) if log is not None else ():
+            if column is None:
+                pairs.append((torques, None))
+            elif torques.threshold != "rotors":
+                words, apply = f"{column.words} and {torques.words}", _both(column, torques)
+                pair = column._replace(words=words, apply=apply, threshold="columns and torques")
+                pairs.append((pair._replace(expected=torques.expected), column))
+    best = sorted(pairs, key=lambda pair: pair[0].expected)[:MOST_PAIRS]
+    # Torques alone come first: without gravity, its zero and its sign are nothing.
+    return sorted(best, key=lambda pair: pair[1] is not None)
+
+
+def _both(first: Suspicion, second: Suspicion) -> Callable[[Case], Case]:
+    return lambda case: second.apply(first.apply(case))
 
 
 def _torques_or_timing(case: Case, half: float, as_it_is: Residual) -> tuple[list[Finding], Case, Timing]:
     """Findings on torques that the model lacks, the case with these, and its delays and scales.
 
-    Friction looks like a delay and like a scale of an input, so these are judged against each other; where the model
-    lacks torques, delays and scales are looked for in the model that has them.
+    Friction looks like a delay and like a scale of an input, so these are judged against each other, alone and
+    together; where the model lacks torques, delays and scales are looked for in the model that has them.
     """
     timing = fit_timing(case, half)
-    suspicions = [timing.together, *missing_torques(case, smoothed(case, half))]
-    accepted = judge(case, suspicions, unexplained_at(half)) if len(suspicions) > 1 else None
-    if accepted is None or accepted[0] is suspicions[0]:
+    torques = list(missing_torques(case, smoothed(case, half)))
+    if not torques:
         return [], case, timing
-    suspicion, finding = accepted
+    plain = [each for each in torques if each.threshold == "torques"]
+    rotors = [each for each in torques if each.threshold == "rotors"]
+    both, timings = [], {id(each): each for each in torques}
+    for each in torques:
+        later = fit_timing(each.apply(case), half)
+        if later.suspicions:
+            both.append(each._replace(apply=_both(each, later.together), threshold="torques and fitted"))
+            timings[id(both[-1])] = each
+    accepted = judge(case, [*plain, timing.together, *rotors, *both], unexplained_at(half))
+    if accepted is None or id(accepted[0]) not in timings:
+        return [], case, timing
+    suspicion, finding = timings[id(accepted[0])], accepted[1]
     # A note as long as the data sheet admits what the model leaves.
     wrong = as_it_is.misfit > BARELY or bool(unexplained(case, as_it_is, half))
     case = suspicion.apply(case)
@@ -289,5 +378,23 @@ def misfit(file: ModelFile, record: Record) -> Finding | None:
     return findings[0] if accepted is None else accepted[1]
 
 
-def _sensors(case: Case, stated: float | tuple[float, ...] | None) -> list[Finding]:
-    return sensor_findings(case.record, case.model.circles, case.names, stated, case.file.measurement_std)
+def _sensors(case: Case, stated: float | tuple[float, ...] | None, edges: list[Finding]) -> list[Finding]:
+    found = sensor_findings(case.record, case.model.circles, case.names, stated, case.file.measurement_std)
+    return [*edges, *(each for each in found if not (edges and each.what == "ticks"))]
+
+
+def _second_senders(case: Case, record: Record, outliers: list[Finding], rows: Rows) -> list[Finding]:
+    """The findings on columns whose readings come from two motions in turn."""
+    stated, continuous = case.file.measurement_std, unwrap(np.asarray(record.y), case.model.circles)
+    usual = np.maximum(np.broadcast_to(0.0 if stated is None else stated, len(case.names.q)), case.ticks)
+    noise = np.nan_to_num(readings(case.record, case.model.circles).noise)
+    many = [each.where for each in outliers if each.wrong]
+    findings = []
+    for i, name in enumerate(case.names.q):
+        # The search is long, so that only columns that are no single motion with the stated noise are looked at.
+        if name not in many and not noise[i] > max(NOISIER * usual[i], NOISY * np.nanstd(continuous[:, i])):
+            continue
+        second = second_sender(np.asarray(record.t), continuous[:, i])
+        if second is not None:
+            findings.append(sender_finding(second, name, rows))
+    return findings

@@ -1,11 +1,11 @@
-"""The suspicion that a model lacks friction and rotor inertia.
+"""The suspicions that a model lacks friction and rotor inertia, and that a log lacks the torques that carry the weight.
 
 Its motion along a log then needs more torques than were logged. Their balance at measured positions, velocities and
 accelerations is linear in the missing numbers, so least squares give them, on the blocks of time that choose.
 """
 
 from collections.abc import Iterator, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -17,8 +17,8 @@ from covariant._typing import MatrixField, Vector
 from covariant.calibration.diagnosis._case import Case, Residual, averaged, residual
 from covariant.calibration.diagnosis._smooth import Smooth
 from covariant.calibration.diagnosis._suspicion import BLOCKS, HELD_OUT, Suspicion
-from covariant.calibration.diagnosis._thresholds import NEEDED, THRESHOLDS
-from covariant.models import Lagrangian, MechanicalSystem, resistance
+from covariant.calibration.diagnosis._thresholds import NEEDED, THRESHOLDS, WEIGHTLESS
+from covariant.models import Lagrangian, MechanicalSystem, Parametric, resistance
 
 SMOOTHED = 0.05
 """Speed over which dry friction is smoothed, relative to the root mean square of the speed of the joint."""
@@ -38,36 +38,74 @@ UNITS = {
 
 
 def missing_torques(case: Case, log: Smooth) -> Iterator[Suspicion]:
-    """Friction and rotor inertia that the model lacks, at most one suspicion, fitted to the smoothed log."""
+    """Torques that model or log lack, fitted to the smoothed log: gravity, friction, both, and rotor inertia."""
     before = residual(case.model, log)
     if not before.told.any() or before.misfit < THRESHOLDS["torques"].least:
         return
     regression = _Regression.of(case.model, log, before)
-    needed = regression.needed()
-    if not needed:
-        return
-    values = regression.values(needed)
-    table = np.zeros((len(KINDS), log.q.shape[1]))
-    table.flat[needed] = values
-    model = with_torques(case.model, table[0], table[1], table[2], _speeds(log))
-    kinds, joints = np.unravel_index(needed, table.shape)
-    missing = [_Missing(KINDS[k], int(i), float(x)) for k, i, x in zip(kinds, joints, values, strict=True)]
+    weightless = without_gravity(case.model)
+    after = None if weightless is None else residual(weightless, log)
+    beyond = None if after is None else regression.weightless(before, after)
+    left = float("nan") if after is None else after.misfit
+    friction = range(2 * log.q.shape[1])
+    speeds = _speeds(log)
+    if beyond is not None:
+        yield _suspicion(case._replace(model=weightless), [], speeds, "torques", True)._replace(
+            expected=beyond.left([])
+        )
+    if needed := regression.needed(friction):
+        each = _suspicion(case, regression.missing(needed), speeds, "torques")
+        yield each._replace(expected=regression.left(needed))
+    more = beyond.needed(friction) if beyond is not None and left >= THRESHOLDS["torques"].least else []
+    if beyond is not None and more:
+        each = _suspicion(case._replace(model=weightless), beyond.missing(more), speeds, "torques", True)
+        yield each._replace(expected=beyond.left(more))
+    every = regression.needed()
+    if every and every[-1] >= len(friction):
+        each = _suspicion(case, regression.missing(every), speeds, "rotors")
+        yield each._replace(expected=regression.left(every))
+
+
+def _suspicion(
+    case: Case, missing: list["_Missing"], speeds: np.ndarray, threshold: str, weightless: bool = False
+) -> Suspicion:
+    """The suspicion that a model lacks these torques; `case` has the model without gravity where it is about that."""
+    table, names = np.zeros((len(KINDS), len(case.names.q))), case.names
+    for kind, joint, value in missing:
+        table[KINDS.index(kind), joint] = value
+    model = with_torques(case.model, table[0], table[1], table[2], speeds) if missing else case.model
     named = [kind for kind in ("friction", "rotor inertia") if any(each.kind.endswith(kind) for each in missing)]
-    what, names = " and ".join(named), case.names
+    what = " and ".join(["gravity"] * weightless + named)
     sizes = ", ".join(
         f"{kind} {value:.2g} {UNITS[kind][int(names.angles[joint])]} in {names.q[joint]}"
         for kind, joint, value in missing
     )
     alike = "; too small an inertia of the links looks like it" if "rotor inertia" in named else ""
-    yield Suspicion(
+    words = ["where the inputs of the log are without those that carry the weight"] * weightless
+    words += [f"with about {sizes}{alike}"] * bool(missing)
+    lines = ["[parameters] gravity = 0, as the log has the inputs beyond gravity compensation"] * weightless
+    lines += [_command(case, missing) or f"give the model {' and '.join(named)}"] * bool(missing)
+    return Suspicion(
         what,
         ", ".join(names.q[i] for i in sorted({each.joint for each in missing})),
-        f"with about {sizes}{alike}",
-        _command(case, missing) or f"give the model {what}",
+        " and ".join(words),
+        "; ".join(lines),
         lambda case: case._replace(model=model),
-        "torques",
+        threshold,
         numbers={f"{kind} of {names.q[joint]}": value for kind, joint, value in missing},
     )
+
+
+def without_gravity(model: MechanicalSystem) -> MechanicalSystem | None:
+    """The model without gravity; None where its potential names no gravity, or has none."""
+    potential: Any = model.potential
+    held = potential.parameters if isinstance(potential, Parametric) else vars(potential)
+    if "gravity" not in held or not np.any(np.asarray(held["gravity"])):
+        return None
+    nothing = jnp.zeros_like(held["gravity"])
+    if isinstance(potential, Parametric):
+        return eqx.tree_at(lambda each: each.potential.parameters["gravity"], model, nothing)
+    return eqx.tree_at(lambda each: each.potential.gravity, model, nothing)
 
 
 class _Missing(NamedTuple):
@@ -130,13 +168,39 @@ class _Regression(NamedTuple):
         )
         return cls(np.array(columns), before.left[:, told] / scale, HELD_OUT[blocks])
 
-    def needed(self) -> list[int]:
+    def weightless(self, before: Residual, after: Residual) -> "_Regression | None":
+        """The same for residuals of the model without gravity; None where the log has some of its gravity."""
+        told = before.told
+        scale = np.sqrt(np.mean(before.measured[before.used] ** 2, axis=0))[told]
+        weight = ((before.modelled - after.modelled)[before.used][:, told] / scale)[~self.held_out]
+        if not np.any(weight):
+            return None
+        left = (after.measured - after.modelled)[before.used][:, told] / scale
+        # What is left beside friction is compared with the weight itself, so that a wrong mass is not taken for it.
+        columns = [weight.ravel(), *(column[~self.held_out].ravel() for column in self.columns[: self.friction])]
+        table = np.stack(columns, axis=1)
+        multiple = np.linalg.lstsq(table, left[~self.held_out].ravel(), rcond=1e-9)[0][0]
+        return self._replace(residual=left) if abs(multiple) < WEIGHTLESS else None
+
+    @property
+    def friction(self) -> int:
+        """Number of columns of friction, which are the first ones."""
+        return len(self.columns) // len(KINDS) * KINDS.index("rotor inertia")
+
+    def missing(self, needed: list[int]) -> list["_Missing"]:
+        """The numbers that matter, with their names."""
+        kinds, joints = np.unravel_index(needed, (len(KINDS), len(self.columns) // len(KINDS)))
+        values = self.values(needed)
+        return [_Missing(KINDS[k], int(i), float(x)) for k, i, x in zip(kinds, joints, values, strict=True)]
+
+    def needed(self, allowed: Sequence[int] | None = None) -> list[int]:
         """The numbers that matter beside the others, the least important dropped one after another."""
-        used = [k for k, value in enumerate(self.values(range(len(self.columns)))) if value > 0]
+        tried = list(range(len(self.columns)) if allowed is None else allowed)
+        used = [k for k, value in zip(tried, self.values(tried), strict=True) if value > 0]
         while used:
-            without = {k: self._left([j for j in used if j != k]) for k in used}
+            without = {k: self.left([j for j in used if j != k]) for k in used}
             least = min(used, key=without.__getitem__)
-            if without[least] > NEEDED * self._left(used):
+            if without[least] > NEEDED * self.left(used):
                 return used
             used.remove(least)
         return used
@@ -151,7 +215,7 @@ class _Regression(NamedTuple):
         orthogonal, triangle = np.linalg.qr(rows / size)
         return nnls(triangle, orthogonal.T @ self.residual[~self.held_out].ravel())[0] / size
 
-    def _left(self, used: Sequence[int]) -> float:
+    def left(self, used: Sequence[int]) -> float:
         """Mean square that is left on the blocks that choose; those held out judge the model that comes of it."""
         left = self.residual[~self.held_out]
         if used:

@@ -55,6 +55,7 @@ class Comparison(NamedTuple):
             log as it is lasts too short a time.
         sure: Standard errors of the signed ranks of the falls in all blocks.
         parts: Number of blocks in which less is left.
+        floor: Fraction below which nothing shows for the noise.
     """
 
     choosing: float
@@ -62,6 +63,7 @@ class Comparison(NamedTuple):
     after: float
     sure: float
     parts: int
+    floor: float
 
     @classmethod
     def of(cls, now: Unexplained | None, then: Unexplained) -> "Comparison":
@@ -69,12 +71,13 @@ class Comparison(NamedTuple):
         known = then.known
         choosing, after = then.share(~HELD_OUT, known), then.share(HELD_OUT, known)
         if now is None:
-            return cls(choosing, float("nan"), max(after, FLOOR * float(then.noise[known].mean())), np.inf, 0)
+            floor = FLOOR * float(then.noise[known].mean())
+            return cls(choosing, float("nan"), max(after, floor), np.inf, 0, floor)
         # One floor for both, so that neither is the lesser by its noise.
         floor = FLOOR * max(float(each.noise[known].mean()) for each in (now, then))
         before, after = max(now.share(HELD_OUT, known), floor), max(after, floor)
         falls = (now.blocks - then.blocks)[:, known].mean(axis=1)
-        return cls(choosing, before, after, signed_ranks(falls), int((falls > 0).sum()))
+        return cls(choosing, before, after, signed_ranks(falls), int((falls > 0).sum()), floor)
 
     def passes(self, threshold: str) -> bool:
         """Whether it explains as much as a threshold of the table asks for."""
@@ -95,6 +98,7 @@ class Suspicion(NamedTuple):
         threshold: Name of its threshold in `THRESHOLDS`.
         claim: Sentence before the evidence, for a suspicion with numbers.
         numbers: These numbers.
+        expected: Share that the regression leaves which gave these numbers, to order suspicions before they are tried.
     """
 
     what: str
@@ -105,6 +109,7 @@ class Suspicion(NamedTuple):
     threshold: str = "columns"
     claim: str = ""
     numbers: Mapping[str, Any] = MappingProxyType({})
+    expected: float = float("nan")
 
     def finding(self, comparison: Comparison, rivals: Iterable[str] = (), subject: str = "accelerations") -> Finding:
         """The finding on a suspicion that was accepted; `rivals` explain as much."""
@@ -129,6 +134,13 @@ def judge(
     subject: str = "accelerations",
 ) -> tuple[Suspicion, Finding] | None:
     """The suspicion that explains a case best, with the finding on it; None where none passes its threshold."""
+    return choose(compare_all(case, suspicions, compare), subject)
+
+
+def compare_all(
+    case: Case, suspicions: Iterable[Suspicion], compare: Callable[[Case], Unexplained | None]
+) -> list[tuple[Suspicion, Comparison]]:
+    """Each suspicion that may be right, with what it explains."""
     now, tried = compare(case), []
     for each in suspicions:
         limit = THRESHOLDS[each.threshold]
@@ -137,15 +149,30 @@ def judge(
         then = compare(each.apply(case))
         if then is not None and then.known.any():
             tried.append((each, Comparison.of(now, then)))
+    return tried
+
+
+def choose(
+    tried: Iterable[tuple[Suspicion, Comparison]], subject: str = "accelerations"
+) -> tuple[Suspicion, Finding] | None:
+    """The first of the suspicions that explain about as much as the best one; None where it fails its threshold."""
     tried = [(each, comparison) for each, comparison in tried if comparison.choosing < THRESHOLDS[each.threshold].most]
     if not tried:
         return None
     least = min(comparison.choosing for _, comparison in tried)
-    alike = [(s, v) for s, v in tried if v.choosing - least <= (THRESHOLDS[s.threshold].alike - 1) * abs(least)]
+    alike = [(each, one) for each, one in tried if one.choosing <= _alike(each, one, least)]
     chosen, comparison = alike[0]
     if not comparison.passes(chosen.threshold):
         return None
-    return chosen, chosen.finding(comparison, [each.words.removeprefix("with ") for each, _ in alike[1:]], subject)
+    # A suspicion of another kind that explains as much contains this one, and is no rival.
+    rivals = [each.words.removeprefix("with ") for each, _ in alike[1:] if each.threshold == chosen.threshold]
+    return chosen, chosen.finding(comparison, rivals, subject)
+
+
+def _alike(suspicion: Suspicion, comparison: Comparison, least: float) -> float:
+    """Largest share with which a suspicion explains as much as the best one, whose share may be negative by chance."""
+    multiple = THRESHOLDS[suspicion.threshold].alike
+    return max(least + (multiple - 1) * abs(least), comparison.floor if multiple > 1 else least)
 
 
 def clearly_unexplained(case: Case) -> Unexplained | None:

@@ -33,16 +33,21 @@ THRESHOLDS = {
     # A log with a wrong unit, order or sign fits badly, and a corrected one fits well. Many corrections are tried, so
     # both are required. The first of several that explain the log is reported, and the others are named as rivals.
     "columns": Threshold(0.15, 1 / 3, 0.5, alike=1.5),
-    # Friction and rotors: 10 % of the size of the accelerations. A wrong mass or centre of mass, which a rotor
-    # resembles, leaves more than 15 %.
-    "torques": Threshold(0.01, 1 / 2, 0.15),
+    # Friction and gravity: 10 % of the size of the accelerations. A wrong mass or centre of mass leaves more than 15 %.
+    "torques": Threshold(0.01, 1 / 2, 0.15, alike=1.5),
+    # Rotors, which a wrong mass resembles, only where friction and gravity explain less.
+    "rotors": Threshold(0.01, 1 / 2, 0.15),
+    # A column and torques together, where neither explains the log alone.
+    "columns and torques": Threshold(0.15, 1 / 5, 0.15),
     # Delays by whole rows, and the course of inputs between rows, are small faults. 1 % of the size of the
     # accelerations.
     "rows": Threshold(1e-4, 1 / 2),
     # Whole rows in place of a delay that was accepted already: the one that predicts better wins.
     "rows for a delay": Threshold(0.0, 1.0, sure=-np.inf),
     # Delays and scales that least squares gave: their standard errors have judged them (below).
-    "fitted": Threshold(0.0, np.inf, sure=-np.inf),
+    "fitted": Threshold(0.0, np.inf, sure=-np.inf, alike=1.2),
+    # Torques and delays or scales together.
+    "torques and fitted": Threshold(0.01, 1 / 2, 0.15),
 }
 
 BARELY = THRESHOLDS["columns"].most
@@ -97,3 +102,34 @@ ALTERNATES = -0.5
 """Correlation of neighbouring errors of prediction below which they are noise, and not motion between the rows."""
 CLEAR = 10.0
 """Ratio of the mean square of accelerations to that of their noise from which they count as more than noise."""
+
+# Jumps of readings that are no motion.
+FEWEST_WRAPS = 2
+"""Fewest jumps of one size that show a period."""
+SAME_JUMP = 0.03
+"""Relative difference up to which jumps are of one size."""
+ALL_JUMPS = 0.9
+"""Fraction of the jumps that are of the size of the period; a few are of outliers or across missing rows."""
+WHOLE_RANGE = 0.8
+"""Least range of readings that wrap, as a fraction of the period: they run from one end to the other."""
+BETWEEN_ENDS = 0.1
+"""Least fraction of readings that wrap in the middle half of their range."""
+MINORITY = 0.02
+"""Least fraction of the rows that a second sender has."""
+APART = 5.0
+"""Least distance between the motions of two senders, as a multiple of the error with which either is predicted."""
+ONE_TICK = 0.95
+"""Fraction of changes by one tick from which every row is an edge of the encoder."""
+EDGE_JITTER = 0.15
+"""Least deviation of the steps in time, as a fraction of the usual one, if rows come when a tick changes."""
+IMPLAUSIBLE = (1e-6, 30.0)
+"""Steps in time [s] below and above which stamps of a machine that moves are not in seconds."""
+FROZEN = 0.1
+"""Least fraction of the rows in which an attitude that moves otherwise has one value."""
+
+WEIGHTLESS = 0.15
+"""Largest multiple of the gravity of the model in torques that are called free of it."""
+EXPLAINED = 0.02
+"""Unexplained share up to which a suspicion about a column needs no other beside it."""
+PLAIN_SCALE = 0.1
+"""Relative difference between a fitted scale and a prefix of a unit up to which the prefix is named."""

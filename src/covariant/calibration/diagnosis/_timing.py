@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from covariant.calibration.diagnosis._case import Case, Residual, residual, smoothed, smoothed_residual
+from covariant.calibration.diagnosis._columns import input_line, plain_scale
 from covariant.calibration.diagnosis._finding import Finding
 from covariant.calibration.diagnosis._smooth import Smooth
 from covariant.calibration.diagnosis._suspicion import (
@@ -33,6 +34,7 @@ from covariant.calibration.diagnosis._thresholds import (
     SCALE_ERRORS,
     SCALE_GAIN,
     SCALE_OFF,
+    THRESHOLDS,
     WHOLE_ROW,
 )
 from covariant.models import MechanicalSystem
@@ -83,8 +85,18 @@ class Timing(NamedTuple):
         """The findings, with what all of them together explain."""
         if not self.suspicions:
             return []
-        now, then = (Unexplained.of(smoothed_residual(each, half)) for each in (case, self.apply(case)))
-        return [each.finding(Comparison.of(now, then)) for each in self.suspicions]
+        comparison = self.comparison(case, half)
+        return [each.finding(comparison) for each in self.suspicions]
+
+    def comparison(self, case: Case, half: float) -> Comparison:
+        """What the model leaves with and without it."""
+        return Comparison.of(*(Unexplained.of(smoothed_residual(each, half)) for each in (case, self.apply(case))))
+
+    def where_explained(self, case: Case, half: float) -> "Timing":
+        """Nothing where much is unexplained even so: free numbers imitate another fault in part."""
+        if not self.suspicions or self.comparison(case, half).after < THRESHOLDS["torques"].most:
+            return self
+        return Timing(np.zeros_like(self.delay), np.ones_like(self.scale), np.zeros_like(self.rows))
 
     @property
     def together(self) -> Suspicion:
@@ -103,7 +115,8 @@ def fit_timing(case: Case, half: float) -> Timing:
     common, std = _common_delay(case, half, start) if m else (0.0, 0.0)
     estimates, timing = _iterate_fit(case, half, start._replace(delay=start.delay + common), delays=True)
     timing = timing._replace(rows=_whole_rows(case, half, timing, estimates))
-    return timing._replace(suspicions=tuple(_suspicions(case, timing, estimates, common, std)))
+    timing = timing._replace(suspicions=tuple(_suspicions(case, timing, estimates, common, std)))
+    return timing.where_explained(case, half)
 
 
 class _Estimates(NamedTuple):
@@ -242,9 +255,13 @@ def _suspicions(
     for j in np.flatnonzero(estimates.off):
         scale, std = float(estimates.scale[j]), float(estimates.scale_std[j])
         turned = abs(scale + 1) < SCALE_OFF
-        line = names.line("u", np.where(np.arange(len(names.u)) == j, -1.0 if turned else scale, 1.0))
+        prefix = plain_scale(scale, std)
+        factors = np.where(np.arange(len(names.u)) == j, -1.0 if turned else prefix or scale, 1.0)
         claim = f"{names.u[j]} acts {scale:.3g} ± {std:.2g} times as strongly as logged"
-        what, line = "sign of an input" if turned else "scale of an input", f"{line}, or [parameters] that make it so"
+        line = f"{input_line(names, factors)}, or [parameters] that make it so"
+        if not (turned or prefix):  # of an odd scale a wrong mass is the usual cause
+            line = f"`covariant fit` where [parameters] are guesses, or else {input_line(names, factors)}"
+        what = "sign of an input" if turned else "unit of an input" if prefix else "scale of an input"
         numbers = {"scale": scale, "std": std}
         yield Suspicion(what, names.u[j], "then", line, timing.apply, "fitted", claim, numbers)
 

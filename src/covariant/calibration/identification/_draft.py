@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from covariant.calibration.diagnosis import periods, without_full_turns
 from covariant.logs import (
     MEANT,
     odd_clock,
@@ -17,6 +18,7 @@ from covariant.logs import (
     without_unit,
     words_of,
 )
+from covariant.scoring import unwrap
 
 _WORDS = {
     "left out": "true truth ref reference des desired goal target set setpoint raw",
@@ -69,6 +71,7 @@ class Draft(NamedTuple):
             N m and rad/s.
         guessed: Fields whose units follow from the content and not from the header.
         quaternion: Columns of the attitude of a body that turns, scalar first, in place of positions.
+        period: Period of each position after which its readings repeat, as of an encoder behind a gear; 0 for none.
 
     Example:
         >>> import numpy as np
@@ -93,6 +96,7 @@ class Draft(NamedTuple):
     units: dict[str, tuple[str, ...]]
     guessed: tuple[str, ...]
     quaternion: tuple[str, ...] = ()
+    period: tuple[float, ...] = ()
 
     @property
     def plain_names(self) -> tuple[str, ...]:
@@ -185,11 +189,16 @@ def draft(
     factors = [unit_factor(text) for text in units.get("q", ("rad",) * len(q))]
     y = logged * factors
     rounding = [_rounding(column) * factor for column, factor in zip(logged.T, np.abs(factors), strict=True)]
-    ticks, noises = _tick(y, rounding), _noise(y, lengths)
+    # Readings are whole ticks as they are: a period is known less exactly.
+    ticks, wraps = _tick(y, rounding), _periods(columns[t], y, rounding, lengths)
+    continuous = unwrap(y, (), wraps)
+    noises = _noise(continuous, lengths)
     if len(set(lengths)) == 2:  # a tick of a metre is none of a radian
         each_tick = [_tick(y[:, [i]], [rounding[i]]) for i in range(len(q))]
         ticks = None if None in each_tick else tuple(tick for tick in each_tick if tick is not None)
-        noises = tuple(_noise(column[:, None], (is_length,)) for column, is_length in zip(y.T, lengths, strict=True))
+        noises = tuple(
+            _noise(column[:, None], (is_length,)) for column, is_length in zip(continuous.T, lengths, strict=True)
+        )
     return Draft(
         t,
         q,
@@ -204,6 +213,7 @@ def draft(
         span,
         units,
         guessed,
+        period=tuple(wraps.tolist()),
     )
 
 
@@ -286,6 +296,15 @@ def _is_slope(t: np.ndarray, y: np.ndarray, v: np.ndarray) -> bool:
     if valid.sum() < 10 or np.ptp(v[valid]) == 0 or np.ptp(slope[valid]) == 0:
         return False
     return bool(np.corrcoef(slope[valid], v[valid])[0, 1] > SAME)
+
+
+def _periods(
+    t: np.ndarray, y: np.ndarray, rounding: Sequence[float], lengths: Sequence[bool]
+) -> Float[np.ndarray, "n"]:
+    """Periods (n,) at which the positions jump, 0 for none and for angles that do at a full turn."""
+    ticks = [_tick(y[:, [i]], [rounding[i]]) or 0.0 for i in range(y.shape[1])]
+    found = periods(t, y, np.array(ticks))
+    return without_full_turns(found, tuple(i for i, is_length in enumerate(lengths) if not is_length))
 
 
 def _noise(y: np.ndarray, lengths: Sequence[bool]) -> float:

@@ -63,6 +63,8 @@ class ModelFile(NamedTuple):
             `log(g⁻¹ y)`, the error as seen from the body [rad, and m where there is a position].
         delay: Measurement delay [s]: a position read at the stamp t was true at t − delay.
         quantum: One tick of the encoders [unit of the coordinates], in place of a standard deviation.
+        period: Period [unit of the coordinates] after which an encoder reads the same again, as one of a single turn
+            behind a gear; 0 where there is none. Angles on a full circle have 2π without it.
         bias: Standard deviation of a constant offset of a measured position [its unit], for a filter that estimates it.
         bias_drift: Standard deviation of the change of the offset in a second [its unit].
         acceleration_std: Standard deviation [unit/s²] of the acceleration that the model does not explain.
@@ -111,6 +113,7 @@ class ModelFile(NamedTuple):
     measurement_std: Annotated[Unknown, Number("measurement.std", each="coordinate", replaces=("quantum",))] = None
     delay: Annotated[Several, Number("measurement.delay", ZERO_OR_MORE, "coordinate")] = 0.0
     quantum: Annotated[Unknown, Number("measurement.quantum", each="coordinate", replaces=("std",))] = None
+    period: Annotated[Several, Number("measurement.period", ZERO_OR_MORE, "coordinate")] = 0.0
     bias: Annotated[Unknown, Number("measurement.bias", ZERO_OR_MORE, "coordinate")] = None
     bias_drift: Annotated[Several, Number("measurement.bias_drift", ZERO_OR_MORE, "coordinate")] = 0.0
     acceleration_std: Annotated[float | None, Number("uncertainty.acceleration")] = None

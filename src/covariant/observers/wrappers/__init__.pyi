@@ -6,3 +6,4 @@ from ._damped import (
 )
 from ._delayed import Delayed as Delayed, DelayedState as DelayedState
 from ._gated import Gated as Gated, GatedState as GatedState, without_last_input as without_last_input
+from ._unwrapped import Unwrapped as Unwrapped

@@ -15,15 +15,15 @@ def kinetic(q, cart_mass, pole_mass, com, inertia):
     return jnp.stack([jnp.stack([cart_mass + pole_mass, both]), jnp.stack([both, inertia + pole_mass * com**2])])
 
 
-def potential(q, moment):
+def potential(q, moment, gravity):
     """The potential energy [J]."""
-    return -moment * jnp.cos(q[1])
+    return -moment * gravity * jnp.cos(q[1])
 
 
 def make(cart_mass=1.0, pole_mass=0.1, com=0.15, inertia=0.001, viscous=(0.01, 0.01), coulomb=(0.0, 0.0), gravity=9.81):
     """The machine with the numbers of [parameters]."""
     energy = Parametric(kinetic, cart_mass=cart_mass, pole_mass=pole_mass, com=com, inertia=inertia)
-    return machine(energy, Parametric(potential, moment=pole_mass * com * gravity), viscous, coulomb)
+    return machine(energy, Parametric(potential, moment=pole_mass * com, gravity=gravity), viscous, coulomb)
 
 
 #: xMACHINEx

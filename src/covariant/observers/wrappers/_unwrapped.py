@@ -1,0 +1,65 @@
+"""Readings that repeat after a period, as of an encoder of a single turn behind a gear."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Inexact
+
+from covariant._typing import Number, Scalar
+from covariant.observers.base import AbstractObserver, AbstractWrapper
+
+
+class Unwrapped(AbstractWrapper):
+    """An observer of coordinates whose readings repeat after a period: the one nearest to the prediction counts.
+
+    Use it for an encoder that starts anew where the coordinate goes on, as on a motor behind a gear. Angles on a full
+    circle need none, since every observer takes the short way around. The prediction must be less than half a period
+    off, also after a hole in the readings. The first reading is taken as it is.
+
+    Args:
+        observer: Observer to which the readings are passed.
+        period: Period (n,) of each coordinate [its unit]; 0 for one that does not repeat.
+
+    Raises:
+        ValueError: A period is negative or not finite.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant import observers
+        >>> observer = observers.Unwrapped(observers.FilteredDerivative(50.0), period=(1.0,))
+        >>> state = observer.init(jnp.array([0.9]))
+        >>> state, info = observer.step(state, jnp.zeros(0), jnp.array([0.1]), 0.1)
+        >>> round(info.innovation.item(), 6)
+        0.2
+    """
+
+    observer: AbstractObserver
+    period: tuple[float, ...] = eqx.field(static=True)
+
+    def __init__(self, observer: AbstractObserver, period: Sequence[float]):
+        self.observer, self.period = observer, tuple(map(float, period))
+        if not all(0 <= each < float("inf") for each in self.period):
+            raise ValueError(f"Unwrapped: periods must be finite numbers ≥ 0; got {period}")
+
+    def init(self, y: Inexact[Array, "*n"], t: Number = 0.0) -> Any:
+        return self.observer.init(y, t)
+
+    def estimate(self, state: Any) -> Any:
+        return self.observer.estimate(state)
+
+    def predict(self, state: Any, u: Float[Array, "m"], dt: Scalar) -> Any:
+        return self.observer.predict(state, u, dt)
+
+    def correct(self, state: Any, u: Float[Array, "m"], y: Inexact[Array, "*n"]) -> tuple[Any, Any]:
+        return self.observer.correct(state, u, self._nearest(state, y))
+
+    def innovation(self, state: Any, u: Float[Array, "m"], y: Inexact[Array, "*n"]) -> Any:
+        return self.observer.innovation(state, u, self._nearest(state, y))
+
+    def _nearest(self, state: Any, y: Inexact[Array, "*n"]) -> Inexact[Array, "*n"]:
+        """The measurement whose coordinates are the values nearest to the estimate of those that read the same."""
+        q = self.observer.estimate(state)[: len(self.period)]
+        moved = [y[i] + p * jnp.round((q[i] - y[i]) / p) if p else y[i] for i, p in enumerate(self.period)]
+        return jnp.concatenate([jnp.stack(moved), y[len(self.period) :]])

@@ -1,0 +1,205 @@
+"""Of several faults that look alike the plain one is named, and nothing that it explains."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from covariant import models
+from covariant.calibration import diagnose
+from covariant.calibration.diagnosis._jumps import periods, second_sender
+from covariant.calibration.diagnosis._readings import tick
+from covariant.models import ModelFile, free_body, load
+from covariant.signals import Record
+
+MASS, COM, INERTIA, VISCOUS, NOISE = 1.0, 0.25, 0.02, 0.05, 2e-4
+STATED = {"mass": MASS, "length": 0.5, "com": COM, "inertia": INERTIA, "viscous": VISCOUS}
+T = np.arange(0.0, 6.0, 0.004)
+TORQUE = 1.5 * np.sin(2 * T) + 1.0 * np.sin(5 * T + 1) + 0.7 * np.sin(11 * T + 2)
+
+
+def pendulum(**more: Any) -> ModelFile:
+    overrides = {f"parameters.{name}": [value] for name, value in STATED.items()}
+    return load("pendulum_chain", overrides | {"measurement.std": NOISE, "uncertainty.acceleration": 0.5} | more)
+
+
+def swing(t=T, torque=TORQUE, start=0.4, viscous=VISCOUS, coulomb=0.0, gravity=9.81) -> np.ndarray:
+    """Angles (T, 1) and speeds of a pendulum by Heun's method, without the library."""
+    parts, motion = 8, np.array([start, 0.0])
+
+    def rate(x, u):
+        held = u - viscous * x[1] - coulomb * np.tanh(x[1] / 0.02) - MASS * gravity * COM * np.sin(x[0])
+        return np.array([x[1], held / (INERTIA + MASS * COM**2)])
+
+    rows = [motion]
+    for h, u in zip(np.diff(t) / parts, torque, strict=False):
+        for _ in range(parts):
+            first = rate(motion, u)
+            motion = motion + h / 2 * (first + rate(motion + h * first, u))
+        rows.append(motion)
+    return np.array(rows)
+
+
+def read(x: np.ndarray, seed: int = 1) -> np.ndarray:
+    return x[:, :1] + NOISE * np.random.default_rng(seed).normal(size=(len(x), 1))
+
+
+def wrong(file: ModelFile, record: Record) -> list[str]:
+    return [each.what for each in diagnose(file, record).findings if each.wrong]
+
+
+@pytest.mark.long("0.3", "0.9")
+@pytest.mark.parametrize("coulomb", [0.3, 0.6, 0.9])
+def test_a_unit_by_its_prefix_and_friction_are_no_delay_and_no_odd_scale(coulomb):
+    found = diagnose(pendulum(), Record(T, 1e3 * TORQUE[:, None], read(swing(coulomb=coulomb)))).findings
+    assert [each.what for each in found[:2]] == ["unit of an input", "friction"]
+    assert found[0].line == '[units] u = "mN m"'
+    assert abs(found[1].numbers["Coulomb friction of q1"] / coulomb - 1) < 0.1
+    assert not {"delay against the inputs", "scale of an input"} & {each.what for each in found}
+
+
+@pytest.mark.parametrize(
+    ("coulomb", "factor", "whats"),
+    [
+        (0.0, 1.0, ["gravity"]),
+        (0.4, 1.0, ["gravity and friction"]),
+        pytest.param(0.0, 1e3, ["unit of an input", "gravity"], marks=pytest.mark.long),
+        pytest.param(0.0, -1.0, ["sign of an input", "gravity"], marks=pytest.mark.long),
+    ],
+)
+def test_torques_beyond_gravity_compensation_are_no_rotor(coulomb, factor, whats):
+    log = Record(T, factor * TORQUE[:, None], read(swing(coulomb=coulomb, gravity=0.0)))
+    found = [each for each in diagnose(pendulum(), log).findings if each.wrong]
+    assert [each.what for each in found] == whats
+    assert found[-1].line.startswith("[parameters] gravity = 0")
+    weightless = pendulum(**{"parameters.gravity": 0.0, "parameters.coulomb": [coulomb * 2 / np.pi]})
+    assert "gravity" not in wrong(weightless, log._replace(u=log.u / factor))
+
+
+def test_a_wrong_mass_is_not_called_gravity_compensation():
+    for mass in (0.3, 3.0):
+        found = wrong(
+            pendulum(**{"parameters.mass": [mass], "parameters.com": [0.1]}), Record(T, TORQUE[:, None], read(swing()))
+        )
+        assert not any(what.startswith("gravity") for what in found)
+
+
+@pytest.mark.long("3", "14.285714285714286")
+@pytest.mark.parametrize("parts", [3, 10, 100 / 7])
+def test_an_encoder_that_begins_anew_is_named_with_its_period(parts):
+    period = 2 * np.pi / parts
+    log = Record(T, TORQUE[:, None], read(swing()) % period)
+    (found,) = [each for each in diagnose(pendulum(), log).findings if each.wrong]
+    assert found.what == "period"
+    assert found.line.startswith("[measurement] period = ")
+    np.testing.assert_allclose(found.numbers["period"], period, rtol=3e-3 if parts % 1 else 1e-9)
+
+
+def test_a_full_turn_of_an_angle_and_a_fast_motion_are_no_period():
+    x = swing(start=3.0)[:, :1]
+    assert x.max() > np.pi
+    assert periods(T, np.mod(x + np.pi, 2 * np.pi) - np.pi, np.zeros(1)).tolist() == pytest.approx([2 * np.pi])
+    assert (
+        wrong(pendulum(), Record(T, TORQUE[:, None], np.mod(read(swing(start=3.0)) + np.pi, 2 * np.pi) - np.pi)) == []
+    )
+    for motion in (np.sin(40 * T), np.sign(np.sin(5 * T)), np.cumsum(np.random.default_rng(0).normal(size=len(T)))):
+        assert periods(T, motion[:, None], np.zeros(1)).tolist() == [0.0]
+
+
+@pytest.mark.parametrize(
+    ("quantum", "unit", "digits"),
+    [
+        (360 / 4096, 1.0, 2),
+        (360 / 4096, np.pi / 180, 2),
+        (360 / 1024, 1.0, 1),
+        (2e-3 * np.pi, 1.0, 4),
+        (0.0123, 1.0, 3),
+    ],
+)
+def test_ticks_are_found_though_few_digits_were_printed(quantum, unit, digits):
+    for size in (100.0, 20.0):
+        motion = size * quantum * (10 * np.sin(1.7 * T) + 4 * np.sin(4.3 * T))
+        printed = np.round(np.round(motion / quantum) * quantum, digits) * unit
+        assert tick(printed) == pytest.approx(quantum * unit, rel=2e-4)
+
+
+def test_printed_noise_has_no_ticks_but_those_of_its_digits():
+    for seed, digits in ((seed, digits) for seed in range(8) for digits in (2, 3, 4)):
+        random = np.random.default_rng(seed)
+        motion = 1.5 * np.sin(1.7 * T) + random.normal(size=len(T)) * 10 ** random.uniform(-5, -1)
+        assert tick(np.round(motion, digits)) in (0.0, pytest.approx(10.0**-digits))
+
+
+def test_a_row_for_each_edge_of_an_encoder_is_not_read_in_quanta():
+    t = np.arange(0.0, 8.0, 5e-4)
+    x, quantum = swing(t, np.zeros_like(t), 1.4)[:, 0], 2 * np.pi / 400
+    counts = np.round(x / quantum)
+    edges = np.concatenate([[True], np.diff(counts) != 0])
+    log = Record(t[edges], np.zeros((edges.sum(), 0)), quantum * counts[edges, None])
+    free = {"parameters.actuated": []}
+    for stated, is_wrong in (({}, False), ({"measurement.quantum": quantum}, True)):
+        (found,) = diagnose(pendulum(**free, **stated), log).findings
+        assert (found.what, found.wrong) == ("ticks", is_wrong)
+        assert "put the mean of each reading and the one before" in found.line
+        assert "quantum" not in found.line
+    midway = log._replace(y=np.concatenate([log.y[:1], (log.y[1:] + log.y[:-1]) / 2]))
+    assert wrong(pendulum(**free, **{"measurement.std": 0.1 * quantum}), midway) == []
+
+
+@pytest.mark.long("True-1", "False-1", "False-4", "True-20")
+@pytest.mark.parametrize("every", [1, 4, 20])
+@pytest.mark.parametrize("late", [True, False])
+def test_rows_of_a_second_sender_are_told_and_nothing_else(every, late):
+    x, at = swing()[:, 0], T[::every] + 0.0017
+    other = np.interp(at - 0.03, T, x) if late else 1.0 + 0.3 * np.sin(3 * at)
+    stamps = np.concatenate([T, at])
+    order = np.argsort(stamps)
+    y = np.concatenate([x, other])[order] + NOISE * np.random.default_rng(2).normal(size=len(order))
+    u = np.concatenate([TORQUE, TORQUE[::every]])[order]
+    assert wrong(pendulum(), Record(stamps[order], u[:, None], y[:, None])) == ["several senders"]
+
+
+def test_outliers_are_no_second_sender():
+    random, x = np.random.default_rng(0), swing()[:, 0]
+    for share in (0.01, 0.03, 0.1):
+        bad = random.random(len(T)) < share
+        y = x + NOISE * random.normal(size=len(T)) + bad * (0.3 + np.abs(random.normal(0, 0.5, len(T))))
+        assert second_sender(T, y) is None
+    assert second_sender(T, np.where(random.random(len(T)) < 0.05, 0.0, x)) is None
+
+
+def turning(t: np.ndarray) -> np.ndarray:
+    """Attitudes (T, 3, 3) about two axes."""
+    c, s, one, none = np.cos(t), np.sin(t), np.ones_like(t), np.zeros_like(t)
+    about_z = np.array([[c, -s, none], [s, c, none], [none, none, one]]).transpose(2, 0, 1)
+    c, s = np.cos(np.sin(2 * t)), np.sin(np.sin(2 * t))
+    return about_z @ np.array([[one, none, none], [none, c, -s], [none, s, c]]).transpose(2, 0, 1)
+
+
+def test_of_a_body_frozen_attitudes_and_stamps_in_another_unit_are_seen():
+    file, t = ModelFile("body", free_body((1.0, 2.0, 3.0))), 0.01 * np.arange(500.0)
+    attitude, torque = turning(t), np.zeros((500, 3))
+    assert diagnose(file, Record(t, torque, attitude)).findings == ()
+    for factor, unit in ((1e6, "us"), (1e9, "ns"), (1e4, "ms")):
+        (found,) = diagnose(file, Record(factor * t, torque, attitude)).findings
+        assert (found.what, found.line) == ("unit of time", f'[units] t = "{unit}"')
+    frozen = attitude.copy()
+    frozen[200:320] = frozen[200]
+    assert wrong(file, Record(t, torque, frozen)) == ["repeated rows"]
+    assert wrong(file, Record(t, torque, np.broadcast_to(attitude[3], attitude.shape))) == ["nothing moves"]
+    # A body that rests before and after is not frozen, nor is one whose attitude has few digits.
+    slow = np.clip(t - 1.5, 0.0, 2.0)
+    assert wrong(file, Record(t, torque, turning(slow**2 * (3 - slow) / 2))) == []
+    assert wrong(file, Record(t, torque, turning(np.round(0.2 * t, 2)))) == []
+
+
+def test_the_state_of_a_wider_model_is_left_alone():
+    record = Record(T, np.zeros((len(T), 0)), np.ones((len(T), 1)))
+    assert diagnose(models.ModelFile("lorenz", models.lorenz()), record).findings == ()
+
+
+def test_a_machine_on_a_slope_has_some_of_its_weight():
+    log = Record(T, TORQUE[:, None], read(swing(gravity=2.5)))
+    found = diagnose(pendulum(), log).findings
+    assert any(each.wrong for each in found)
+    assert not any(each.what.startswith("gravity") for each in found)
