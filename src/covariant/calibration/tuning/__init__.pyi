@@ -1,5 +1,6 @@
 from ._constant_gains import Candidate as Candidate
 from ._contracting import contracting_gain as contracting_gain
+from ._missing_inputs import missing_inputs as missing_inputs
 from ._data_sheet import DataSheet as DataSheet, Trial as Trial
 from ._estimators import (
     ESTIMATORS as ESTIMATORS,
