@@ -39,6 +39,7 @@ def read(
     start: float | None = None,
     optional: Collection[str] = OPTIONAL,
     sensors: Sequence[tuple[Columns, str]] = (),
+    missing_inputs: bool = False,
 ) -> Log:
     """Read a log; an empty cell or `nan` is a missing measurement, and an error in t and u.
 
@@ -67,6 +68,8 @@ def read(
         sensors: Sensors beside the positions, for `Log.readings`: the columns of each, `q` or a position and an
             attitude, and the SI unit of its numbers, "" where it is not known. Of a log of messages their stamps are
             rows too, without positions; in a table they are rows already.
+        missing_inputs: Whether an empty cell of u is a missing input, NaN, for an estimate that may run over it; False
+            by default.
 
     Returns:
         The rows that were asked for, in SI units and radians.
@@ -108,9 +111,9 @@ def read(
     if every < 1:
         raise LogError(f"{name}: every must be 1 or more rows; got {every}")
     if isinstance(log, Record):
-        whole = _of_record(log, columns)._replace(readings=(None,) * len(sensors))
+        whole = _of_record(log, columns, missing_inputs)._replace(readings=(None,) * len(sensors))
     else:
-        whole = _of_columns(name, log, columns, optional, sensors)
+        whole = _of_columns(name, log, columns, optional, sensors, missing_inputs)
     return _select_rows(name, whole, every, until, start)
 
 
@@ -154,7 +157,12 @@ def _names(names: str | Sequence[str]) -> tuple[str, ...]:
 
 
 def _of_columns(
-    name: str, log: Any, columns: Columns, optional: Collection[str], sensors: Sequence[tuple[Columns, str]]
+    name: str,
+    log: Any,
+    columns: Columns,
+    optional: Collection[str],
+    sensors: Sequence[tuple[Columns, str]],
+    missing_inputs: bool,
 ) -> Log:
     """All rows of a log that has columns."""
     columns, present, table, units = _columns_and_table(name, log, columns, optional, [each for each, _ in sensors])
@@ -183,10 +191,10 @@ def _of_columns(
 
     unit = columns.unit_of("t", 0)
     t, origin = stamps(_where(name, columns.t, unit), table.column(columns.t), unit)
-    u, y = stack(columns, "u", needed=True), from_cells(name, columns, stack(columns, *MEASURED, empty=False))
+    u, y = stack(columns, "u", needed=not missing_inputs), from_cells(name, columns, stack(columns, *MEASURED, empty=False))
     v, truth = (stack(columns, field) if getattr(columns, field) else None for field in OPTIONAL)
     read = tuple(readings(each, si) if each in present else None for each, si in sensors)
-    return Log(_check_record(name, Record(t, u, y)), v, truth, origin, readings=read)
+    return Log(_check_record(name, Record(t, u, y), missing_inputs), v, truth, origin, readings=read)
 
 
 def _need_units(log: str, columns: Columns, field: str, units: Mapping[str, str], si: str | None = None) -> None:
@@ -214,9 +222,9 @@ def _need_units(log: str, columns: Columns, field: str, units: Mapping[str, str]
             )
 
 
-def _of_record(log: Record, columns: Columns) -> Log:
+def _of_record(log: Record, columns: Columns, missing_inputs: bool) -> Log:
     """A log that is a record already, with as many positions and inputs as there are columns of them."""
-    log = _check_record("record", log)
+    log = _check_record("record", log, missing_inputs)
     log = log._replace(t=np.asarray(log.t), u=np.asarray(log.u), y=np.asarray(log.y))
     if not bodies(columns) and log.y.shape[1:] != (len(columns.q),):
         raise LogError(f"record: it has positions of shape {log.y.shape[1:]}, needs {len(columns.q)} of them")
@@ -292,10 +300,10 @@ def _where(name: str, column: str, unit: str | None) -> str:
     return f"{name}: column {column!r}" + (f" [{unit}]" if unit else "")
 
 
-def _check_record(name: str, record: Record) -> Record:
+def _check_record(name: str, record: Record, missing_inputs: bool) -> Record:
     """The record after `Record.check`, before rows are dropped, so that messages count rows as in the log."""
     try:
-        return record.check()
+        return record.check(missing_inputs=missing_inputs)
     except StampError as error:
         raise ClockError(f"{name}: {error}", record) from error
     except ValueError as error:

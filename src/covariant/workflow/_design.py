@@ -9,7 +9,15 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
-from covariant.calibration import DataSheet, estimators, gated, stored_observer, usual_speeds, with_gains
+from covariant.calibration import (
+    DataSheet,
+    estimators,
+    gated,
+    missing_inputs,
+    stored_observer,
+    usual_speeds,
+    with_gains,
+)
 from covariant.certificates import any_configuration
 from covariant.models import ModelFile, input_count
 from covariant.observers import AbstractObserver, Gated, chooses_substeps, with_fixed_substeps
@@ -163,7 +171,8 @@ def log_sheet(file: ModelFile, log: Loaded | None) -> DataSheet:
     """The data sheet of a model file, with its sensors, and the usual speeds in a log, zero where there is none."""
     speed = (0.0,) * file.dimension if log is None else usual_speeds(log.model, log.record)
     sheet = data_sheet(file, None if log is None else log.log.record)
-    return sheet._replace(speed=speed, sensors=tuple(part.sensor for part in log_sensors(file, log)))
+    inputs = None if log is None or not file.mechanical else missing_inputs(log.record)
+    return sheet._replace(speed=speed, sensors=tuple(part.sensor for part in log_sensors(file, log)), inputs=inputs)
 
 
 def _with_units(values: Any, units: tuple[str, ...]) -> str:

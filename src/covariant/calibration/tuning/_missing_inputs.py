@@ -1,13 +1,11 @@
 """What inputs may be while they are missing: mean, size and correlation of each, as a log shows them."""
 
-from jaxtyping import Float
 import numpy as np
 
 from covariant.observers import MissingInputs
+from covariant.scoring import find_holes, longest_step
 from covariant.signals import Record
 
-LONGEST_HELD = 3.0
-"""Longest step over which an input counts as held, in median steps: where it is longer, rows are missing."""
 LAGS = 60
 """Number of lags, up to the longest of the hole or a tenth of the log, at which correlations are compared."""
 
@@ -34,32 +32,26 @@ def missing_inputs(record: Record) -> MissingInputs | None:
         ([0.7], [9.0], 0.03)
     """
     t, u = np.asarray(record.t, float), np.asarray(record.u, float)
-    step, hold = float(np.median(np.diff(t))), LONGEST_HELD * float(np.median(np.diff(t)))
-    lengths = hole_lengths(t, u, hold)
-    if not u.shape[1] or not lengths.size or not np.any(np.nanstd(u, axis=0) > 0):
+    known = np.isfinite(u)
+    holes = find_holes(t, known.all(1))
+    if not u.shape[1] or not known.any(0).all() or not (len(holes) or not known.all()):
         return None
     mean, std = np.nanmean(u, axis=0), np.nanstd(u, axis=0)
-    lags = np.unique(np.round(np.linspace(1, max(lengths.max() / step, 4), LAGS)).astype(int))
+    if not std.any():
+        return None
+    step, longest = float(np.median(np.diff(t))), float(np.max(np.diff(holes), initial=0.0))
+    lags = np.unique(np.round(np.linspace(1, max(longest / step, 4), LAGS)).astype(int))
     lags = lags[lags < len(t) // 3]
     kernels = [_kernel(lags * step, _correlation(t, column, step, lags)) for column in u.T]
     decay, square = np.array(kernels).T
-    return MissingInputs(mean, std, decay, square, hold)
-
-
-def hole_lengths(t: Float[np.ndarray, "T"], u: Float[np.ndarray, "T m"], hold: float) -> Float[np.ndarray, "H"]:
-    """Lengths [s] of the holes of a log: where inputs are NaN, and where rows are missing."""
-    absent = ~np.isfinite(u).all(1)
-    gap = np.append((np.diff(t) > hold) | absent[:-1], False)
-    edges = np.diff(np.concatenate([[0], gap.astype(int), [0]]))
-    first, last = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
-    return t[last] - t[first]
+    return MissingInputs(mean, std, decay, square, longest_step(t))
 
 
 def _correlation(t: np.ndarray, u: np.ndarray, step: float, lags: np.ndarray) -> np.ndarray:
     """Correlations (L,) of a held input at some lags, on an even grid of which holes are left out."""
     grid = np.arange(t[0], t[-1], step)
     at = np.searchsorted(t, grid, side="right") - 1
-    z = np.where(grid - t[at] <= LONGEST_HELD * step, u[at], np.nan)
+    z = np.where(grid - t[at] <= longest_step(t), u[at], np.nan)
     z = z - np.nanmean(z)
     pairs = [(z[:-lag], z[lag:]) for lag in lags]
     # Of the same pairs, so that an input that is not quite stationary has no correlation beyond one.
