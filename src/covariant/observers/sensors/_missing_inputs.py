@@ -15,11 +15,12 @@ Source: Gelb 1974, Applied Optimal Estimation, section 2.2, for Gauss–Markov p
 from typing import NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from covariant._functional import Functional
+from covariant._linalg import triangular
 from covariant._typing import Scalar, Vector
 from covariant.observers.base import check_finite, check_not_negative, check_positive
 from covariant.observers.sensors._slow import SlowVector
@@ -138,21 +139,22 @@ class InputStates(NamedTuple):
         return jnp.diag(jnp.concatenate([self.inputs.std, self.inputs.rate_std]))
 
     def advanced(self, s: SlowVector, h: Scalar) -> tuple[SlowVector, SlowVector]:
-        """The expected states in the mean over a step, and at its end, which are those of the input where it is
-        known.
+        """The expected states in the mean over a step, and at its end.
+
+        A known input is that of the start of the step: at its end it is as old as the step is long.
         """
-        z, rate = jnp.split(s, 2)
-        pairs = jnp.einsum("mij,jm->im", self.inputs.transition(h).astype(s.dtype), jnp.stack([z, rate]))
+        left = self.inputs.transition(h).astype(s.dtype)
         known = jnp.stack([self.u - self.inputs.mean, jnp.zeros_like(self.u)]).astype(s.dtype)
-        end = jnp.where(self.missing, pairs, known).ravel()
+        pairs = jnp.where(self.missing, jnp.stack(jnp.split(s, 2)), known)
+        end = jnp.einsum("mij,jm->im", left, pairs).ravel()
         return (s + end) / 2, end
 
     def spread(self, h: Scalar) -> Float[Array, "k k"]:
-        """Square root of the covariance that a step adds: of a known input its next change is not known."""
-        m = len(self.u)
-        added = self.inputs.added_root(h)
-        known = jnp.zeros_like(added).at[:, 1, 1].set(self.inputs.rate_std)
-        each = jnp.where(self.missing[:, None, None], added, known)
+        """Square root of the covariance that a step adds; of a known input the rate is not known."""
+        m, left = len(self.u), self.inputs.transition(h)
+        rate = jnp.where(self.missing, 0.0, self.inputs.rate_std)
+        added = jnp.concatenate([self.inputs.added_root(h), left[:, :, 1:] * rate[:, None, None]], axis=2)
+        each = jax.vmap(triangular)(added)
         return jnp.einsum("mij,mk->imjk", each, jnp.eye(m, dtype=each.dtype)).reshape(2 * m, 2 * m)
 
     def acting(self, u: Vector, s: SlowVector) -> Vector:
