@@ -193,7 +193,7 @@ class CompareResult(AbstractComparison):
             )
         elif apart is not None and apart != self.ranking:
             lines.append(f"without the holes and {SETTLED:g} s after each the order is {', '.join(apart)}")
-        doubts = {name: inconsistent(self.loaded, outcome) for name, outcome in self.outcomes.items()}
+        doubts = {name: inconsistent(self.loaded, name, outcome) for name, outcome in self.outcomes.items()}
         lines += hole_doubts(self.loaded, self.outcomes)
         return (*lines, *(f"{name}: {doubt}" for name, doubt in doubts.items() if doubt is not None))
 

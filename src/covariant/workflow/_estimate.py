@@ -281,7 +281,7 @@ class EstimateResult(AbstractEstimates):
         counts, rows = self.outcome.counts, len(self.t)
         doubts = (
             unexplained(self.job, self.loaded, self.observer_name, self.outcome),
-            inconsistent(self.loaded, self.outcome),
+            inconsistent(self.loaded, self.observer_name, self.outcome),
             *hole_doubts(self.loaded, {self.observer_name: self.outcome}),
         )
         return tuple(doubt for doubt in doubts if doubt is not None) + tuple(
@@ -389,7 +389,7 @@ def hole_lines(result: Mapping[str, Any], loaded: Loaded) -> list[str]:
 def hole_doubts(loaded: Loaded, outcomes: Mapping[str, Outcome]) -> list[str]:
     """A sentence on the estimators that trust themselves too much in the holes of a log."""
     holes = loaded.holes
-    if holes is None:
+    if holes is None or not holes.of_inputs:
         return []
     widened = {"intrinsic-kalman"} if loaded.file.mechanical else set()
     rigid = [
@@ -397,7 +397,7 @@ def hole_doubts(loaded: Loaded, outcomes: Mapping[str, Outcome]) -> list[str]:
         for name, outcome in outcomes.items()
         if name not in widened and name in INFORMED and deviations(outcome.run.info) is not None
     ]
-    if not rigid or not np.asarray(loaded.record.u).shape[1]:
+    if not rigid:
         return []
     verb, better = ("takes", "its") if len(rigid) == 1 else ("take", "their")
     text = (

@@ -21,12 +21,14 @@ class Holes(NamedTuple):
         spans: The last stamp [s] with a reading before each hole, and the first one after it (H, 2).
         concerned: Rows (T,) in a hole or within `SETTLED` after it.
         no_input: Number of rows that lack an input.
+        of_inputs: Whether inputs are missing in a hole too, as rows or as cells.
     """
 
     t: Float[np.ndarray, "T"]
     spans: Float[np.ndarray, "H 2"]
     concerned: Bool[np.ndarray, "T"]
     no_input: int
+    of_inputs: bool
 
     @property
     def lengths(self) -> Float[np.ndarray, "H"]:
@@ -69,4 +71,5 @@ def holes_of(t: np.ndarray, u: np.ndarray, y: np.ndarray) -> Holes | None:
     concerned = np.zeros(len(t), bool)
     for begin, end in spans:
         concerned |= (t > begin) & (t <= end + SETTLED)
-    return Holes(t, spans, concerned, no_input)
+    of_inputs = bool(u.shape[1]) and len(find_holes(t, np.isfinite(u).all(1))) > 0
+    return Holes(t, spans, concerned, no_input, of_inputs)

@@ -21,8 +21,9 @@ KEPT = ("innovation", "distance", "result", "nis", "velocity_std", "state_std", 
 """What the commands use of the info of an observer."""
 MARGIN = 2.0
 """How far above the band of a right model the mean NIS is before it is called too large: noise is seldom known well."""
-LARGE = 3.0
-"""How far from one a mean NEES is, or its inverse, before it is called wrong: errors of a motion are correlated."""
+LARGE, SMALL = 3.0, 0.1
+"""Mean NEES that is called too large, and mean NEES or NIS that is called too small: noise is seldom known well, and is
+rather told too large than too small."""
 QUANTILE = 3.09
 """Upper 99.9 % quantile of a standard normal distribution."""
 FALSE_ALARM = 1e-3
@@ -291,7 +292,7 @@ def unexplained(job: Job, loaded: Loaded, observer: str, outcome: Outcome) -> st
     if not (informed and loaded.file.mechanical and math.isfinite(outcome.nis)):
         return None
     limit = MARGIN * mean_quantile(int(counted(outcome.run.info, loaded)[1]))
-    if outcome.nis < 1 / LARGE:
+    if outcome.nis < SMALL:
         return (
             f"NIS averages {outcome.nis:.3g} a measured number, where 1 is expected: the noise of the model file is "
             "larger than that of this log, and standard deviations are too large; `covariant tune` finds noise that "
@@ -309,12 +310,14 @@ def unexplained(job: Job, loaded: Loaded, observer: str, outcome: Outcome) -> st
     )
 
 
-def inconsistent(loaded: Loaded, outcome: Outcome) -> str | None:
+def inconsistent(loaded: Loaded, observer: str, outcome: Outcome) -> str | None:
     """One sentence where errors against true velocities are far from what the standard deviations say."""
     score, reference = outcome.score, loaded.reference
     if score is None or reference is None or loaded.log.truth is None or not math.isfinite(score.nees):
         return None
-    if 1 / LARGE <= score.nees <= LARGE:
+    informed = any(entry.name == observer and entry.knows_model for entry in REGISTRY)
+    # A filter that knows no model has the usual motion as its noise, so that it is cautious on a calm one.
+    if (SMALL if informed else 0.0) <= score.nees <= LARGE:
         return None
     size = "small" if score.nees > 1 else "large"
     text = (

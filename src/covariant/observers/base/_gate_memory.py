@@ -37,7 +37,7 @@ class Line(NamedTuple):
     @property
     def gap(self) -> Vector:
         """Time (n,) [s] without readings before the first refused one, where those since came evenly."""
-        return self.length - self.refused * self.step
+        return self.length - self.refused.astype(self.step.dtype) * self.step
 
     def slope_cov(self, noise: Matrix, scale: Vector) -> Matrix:
         """Covariance (n, n) of the slope."""

@@ -21,7 +21,7 @@ from jaxtyping import Array, Bool, Float
 
 from covariant._functional import Functional
 from covariant._linalg import triangular
-from covariant._typing import Scalar, Vector
+from covariant._typing import Number, Scalar, Vector
 from covariant.observers.base import check_finite, check_not_negative, check_positive
 from covariant.observers.sensors._slow import SlowVector
 
@@ -72,7 +72,7 @@ class MissingInputs(Functional):
         check_positive("MissingInputs", decay=self.decay, hold=self.hold)
         check_positive("MissingInputs", **{"decay² + square": self.decay**2 + self.square})
 
-    def transition(self, h: Scalar) -> Float[Array, "m 2 2"]:
+    def transition(self, h: Number) -> Float[Array, "m 2 2"]:
         """What is left of (z, z') of each input after a time h [s]."""
         a, square = self.decay, self.square
         least = (LEAST_SPLIT * a) ** 2
@@ -91,7 +91,7 @@ class MissingInputs(Functional):
         """Standard deviations (m,) of z'."""
         return self.std * jnp.sqrt(self.decay**2 + self.square)
 
-    def added_root(self, h: Scalar) -> Float[Array, "m 2 2"]:
+    def added_root(self, h: Number) -> Float[Array, "m 2 2"]:
         """Lower triangular root of the covariance that (z, z') of each input gain in a time h [s]."""
         left = self.transition(h)
         first, second = self.std**2, self.rate_std**2
