@@ -1,4 +1,4 @@
-"""Over a hole in which readings and torques are lost, a filter is as uncertain as it is wrong, and so is its smoother."""
+"""Over a hole in which readings and torques are lost a filter is as uncertain as it is wrong."""
 
 import functools
 
@@ -145,9 +145,7 @@ def test_an_input_that_is_missing_becomes_what_inputs_are(decay, square):
     for h in (1e-3, 0.03, 0.4):
         left, root = np.asarray(inputs.transition(h))[0], np.asarray(inputs.added_root(h))[0]
         np.testing.assert_allclose(left, expm(h * flow), rtol=2e-5, atol=2e-5 * np.sqrt(pace))
-        np.testing.assert_allclose(
-            left @ stationary @ left.T + root @ root.T, stationary, atol=1e-6 * stationary.max()
-        )
+        np.testing.assert_allclose(left @ stationary @ left.T + root @ root.T, stationary, atol=1e-6 * stationary.max())
 
 
 def test_a_log_shows_how_its_inputs_change():

@@ -143,7 +143,7 @@ def test_inputs_may_be_missing_only_where_an_estimate_runs_over_them():
         covariant.check("pendulum_chain", with_holes(cells=True), overrides=MODEL)
     frame = with_holes(cells=True)
     frame["u"] = np.nan
-    with pytest.raises((ValueError, MisfitError), match="fewer than two rows have all inputs|no number"):
+    with pytest.raises((ValueError, MisfitError), match=r"fewer than two rows have all inputs|no number"):
         estimate(frame)
 
 

@@ -191,7 +191,10 @@ def _of_columns(
 
     unit = columns.unit_of("t", 0)
     t, origin = stamps(_where(name, columns.t, unit), table.column(columns.t), unit)
-    u, y = stack(columns, "u", needed=not missing_inputs), from_cells(name, columns, stack(columns, *MEASURED, empty=False))
+    u, y = (
+        stack(columns, "u", needed=not missing_inputs),
+        from_cells(name, columns, stack(columns, *MEASURED, empty=False)),
+    )
     v, truth = (stack(columns, field) if getattr(columns, field) else None for field in OPTIONAL)
     read = tuple(readings(each, si) if each in present else None for each, si in sensors)
     return Log(_check_record(name, Record(t, u, y), missing_inputs), v, truth, origin, readings=read)

@@ -143,7 +143,6 @@ __all__ = [
     "IntrinsicKalman",
     "JointKalman",
     "Levant",
-    "MissingInputs",
     "ModelCopy",
     "MomentumObserver",
     "PassiveShip",

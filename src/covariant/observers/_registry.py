@@ -79,7 +79,9 @@ def intrinsic_kalman(
         return IntrinsicKalman(model, process, measurement, velocity, slow, sensors=sensors, inputs=inputs)
     # A reading is an interval here, so that the only noise is that of the positions of edges.
     ticks = jnp.broadcast_to(jnp.asarray(quantum, float), n)
-    return IntrinsicKalman(model, process, jnp.diag((EDGE * ticks) ** 2), velocity, slow, ticks, sensors=sensors, inputs=inputs)
+    return IntrinsicKalman(
+        model, process, jnp.diag((EDGE * ticks) ** 2), velocity, slow, ticks, sensors=sensors, inputs=inputs
+    )
 
 
 class Entry(NamedTuple):

@@ -333,8 +333,10 @@ def without_holes(
     if loaded.holes is None or loaded.reference is None:
         return None
     if predicted is not None:
-        return None if predicted.apart is None else tuple(
-            rank(outcomes, loaded, predicted._replace(errors=predicted.apart))
+        return (
+            None
+            if predicted.apart is None
+            else tuple(rank(outcomes, loaded, predicted._replace(errors=predicted.apart)))
         )
     apart = {name: outcome.score and outcome.score.apart for name, outcome in outcomes.items()}
     if any(score is None for score in apart.values()):

@@ -64,12 +64,12 @@ class Holes(NamedTuple):
 
 def holes_of(t: np.ndarray, u: np.ndarray, y: np.ndarray) -> Holes | None:
     """The holes of a log with inputs u (T, m) and measurements y (T, *n); None where it has none."""
-    spans = find_holes(t, np.isfinite(y.reshape(len(y), -1)).any(1))
+    spans = find_holes(t, np.asarray(np.isfinite(y.reshape(len(y), -1)).any(1)))
     no_input = int((~np.isfinite(u)).any(1).sum())
     if not len(spans):
         return None
     concerned = np.zeros(len(t), bool)
     for begin, end in spans:
         concerned |= (t > begin) & (t <= end + SETTLED)
-    of_inputs = bool(u.shape[1]) and len(find_holes(t, np.isfinite(u).all(1))) > 0
+    of_inputs = bool(u.shape[1]) and len(find_holes(t, np.asarray(np.isfinite(u).all(1)))) > 0
     return Holes(t, spans, concerned, no_input, of_inputs)

@@ -292,12 +292,11 @@ def unexplained(job: Job, loaded: Loaded, observer: str, outcome: Outcome) -> st
     if not (informed and loaded.file.mechanical and math.isfinite(outcome.nis)):
         return None
     limit = MARGIN * mean_quantile(int(counted(outcome.run.info, loaded)[1]))
-    if outcome.nis < SMALL:
+    if outcome.nis < SMALL and loaded.file.quantum is None:
         return (
             f"NIS averages {outcome.nis:.3g} a measured number, where 1 is expected: the noise of the model file is "
-            "larger than that of this log, and standard deviations are too large; `covariant tune` finds noise that "
-            "fits"
-        ) if loaded.file.quantum is None else None
+            "larger than that of the log, and standard deviations are too large; `covariant tune` finds noise that fits"
+        )
     if outcome.nis <= limit:
         return None
     return (

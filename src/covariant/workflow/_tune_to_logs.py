@@ -96,9 +96,7 @@ def tuned_page(title: str, tuned: Tuned, notes: tuple[str, ...], rows: tuple[dic
     typical = float(np.sqrt(np.mean(np.asarray(noise.measurement) ** 2)))
     sheet = tuned.before or DataSheet(typical, float(noise.acceleration))
     sheet = sheet._replace(speed=usual_speeds(loaded.model, loaded.record))
-    intrinsic = {
-        when: gated(Intrinsic(loaded.model, *numbers), loaded.model, sheet) for when, numbers in gains.items()
-    }
+    intrinsic = {when: gated(Intrinsic(loaded.model, *numbers), loaded.model, sheet) for when, numbers in gains.items()}
     observers = with_sensor_delays(intrinsic, loaded)
     curves = report_curves({when: drive(observer, loaded) for when, observer in observers.items()})
     return estimate_report(title, loaded, curves, notes, rows)

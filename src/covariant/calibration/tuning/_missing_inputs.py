@@ -33,7 +33,7 @@ def missing_inputs(record: Record) -> MissingInputs | None:
     """
     t, u = np.asarray(record.t, float), np.asarray(record.u, float)
     known = np.isfinite(u)
-    holes = find_holes(t, known.all(1))
+    holes = find_holes(t, np.asarray(known.all(1)))
     if not u.shape[1] or not known.any(0).all() or not (len(holes) or not known.all()):
         return None
     mean, std = np.nanmean(u, axis=0), np.nanstd(u, axis=0)
@@ -55,7 +55,9 @@ def _correlation(t: np.ndarray, u: np.ndarray, step: float, lags: np.ndarray) ->
     z = z - np.nanmean(z)
     pairs = [(z[:-lag], z[lag:]) for lag in lags]
     # Of the same pairs, so that an input that is not quite stationary has no correlation beyond one.
-    return np.array([2 * np.nansum(a * b) / np.nansum(np.where(np.isfinite(a * b), a**2 + b**2, 0.0)) for a, b in pairs])
+    return np.array(
+        [2 * np.nansum(a * b) / np.nansum(np.where(np.isfinite(a * b), a**2 + b**2, 0.0)) for a, b in pairs]
+    )
 
 
 def _kernel(times: np.ndarray, correlation: np.ndarray) -> tuple[float, float]:
