@@ -338,20 +338,22 @@ def lag_inputs(record: Record, time_constant: float) -> Record:
     return record._replace(u=np.array([lagged(column) for column in u.T]).T.reshape(u.shape))
 
 
-def acting_inputs(record: Record, between: str = "held", delay: float = 0.0) -> Record:
+def acting_inputs(record: Record, between: str = "held", delay: float = 0.0, rows: Record | None = None) -> Record:
     """Replace each input by the mean, over its interval, of the input that acts there after a delay.
 
     The interval of a row reaches from its stamp to the next. Before the first stamp the first input acts. With "held"
-    and without delay the record is unchanged.
+    and without delay the record is unchanged. Of a log that is cut or thinned give the kept rows as well: inputs before
+    the first of them still act after a delay, and those between two of them count in the mean.
 
     Args:
-        record: A log with inputs u (T, m).
+        record: A log with inputs u (T, m), all its rows.
         between: How the input goes from a stamp to the next: "held" at the former value, or "linear" to the latter,
             which is known when the step between them is made.
         delay: Time from the stamp of an input until it acts [s], 0 by default.
+        rows: Rows of the record that are used, whose intervals count; by default all of them.
 
     Returns:
-        The record with the mean inputs.
+        The used rows with the mean inputs.
 
     Raises:
         ValueError: For another word, and for a delay that is not finite and ≥ 0.
@@ -363,26 +365,35 @@ def acting_inputs(record: Record, between: str = "held", delay: float = 0.0) -> 
         >>> record = Record(np.arange(3.0), u=np.array([[0.0], [1.0], [1.0]]), y=np.zeros((3, 1)))
         >>> acting_inputs(record, "linear").u.tolist(), acting_inputs(record, delay=0.5).u.tolist()
         ([[0.5], [1.0], [1.0]], [[0.0], [0.5], [1.0]])
+        >>> thinned = Record(record.t[::2], record.u[::2], record.y[::2])
+        >>> acting_inputs(record, rows=thinned).u.tolist()
+        [[0.5], [1.0]]
     """
     if between not in ("held", "linear"):
         raise ValueError(f"acting_inputs: between must be 'held' or 'linear'; got {between!r}")
     if not 0 <= delay < np.inf:
         raise ValueError(f"acting_inputs: delay must be a number ≥ 0 [s]; got {delay}")
-    if between == "held" and delay == 0:
+    unchanged = between == "held" and delay == 0
+    if unchanged and rows is None:
         return record
-    t, u = np.asarray(record.t, float), np.asarray(record.u, float)
+    used = record if rows is None else rows
+    t, u, at = np.asarray(record.t, float), np.asarray(record.u, float), np.asarray(used.t, float)
+    if unchanged:
+        first = int(np.searchsorted(t, at[0]))
+        if np.array_equal(at, t[first : first + len(at)]):  # consecutive rows: their inputs to the last bit
+            return used._replace(u=record.u[first : first + len(at)])
     step = np.diff(t)
     rise = np.diff(u, axis=0) if between == "linear" else np.zeros_like(u[1:])
     gathered = np.concatenate([np.zeros_like(u[:1]), np.cumsum((u[:-1] + rise / 2) * step[:, None], axis=0)])
     slope = np.concatenate([rise / step[:, None], np.zeros_like(u[:1])])
     # The last input acts as long as the one before it.
-    edges = np.append(t, 2 * t[-1] - t[-2]) - delay
+    edges = np.append(at, 2 * at[-1] - at[-2]) - delay
     # A mean is the difference of the integral of the input at the edges. Before the first stamp `past` is negative:
     # there the integral continues linearly, with the first input, and the slope does not count.
     k = np.maximum(np.searchsorted(t, edges, side="right") - 1, 0)
     past = (edges - t[k])[:, None]
     integral = gathered[k] + u[k] * past + slope[k] * np.maximum(past, 0.0) ** 2 / 2
-    return record._replace(u=np.diff(integral, axis=0) / np.diff(edges)[:, None])
+    return used._replace(u=np.diff(integral, axis=0) / np.diff(edges)[:, None])
 
 
 def read_together(record: Record, delay: Float[np.ndarray, "n"]) -> Record:

@@ -87,8 +87,8 @@ def estimated(kind: Kind, *arguments: str) -> dict[str, Any]:
     plain = command("estimate", *arguments, "-o", "v.csv", "--report", "v.html")
     command("estimate", *arguments, "-o", "v.mcap")
     return {
-        "csv": {name: column.tolist() for name, column in logs.survey("v.csv").items()},
-        "mcap": {name: column.tolist() for name, column in logs.survey("v.mcap").items()},
+        "csv": {name: column.tolist() for name, column in logs.survey("v.csv").columns.items()},
+        "mcap": {name: column.tolist() for name, column in logs.survey("v.mcap").columns.items()},
         "json": plain,
         "report": page("v.html"),
         "score": command("estimate", *arguments, "--truth", kind.truth),

@@ -183,6 +183,9 @@ def test_without_a_compiler_one_line_says_what_to_install(tmp_path, monkeypatch)
     )
     with pytest.raises(ValueError, match=message):
         covariant.codegen.wasm_files(graphs, texts, "speed", "A test.", 100.0, run)
+    # Before anything is designed: this model does not even exist.
+    with pytest.raises(ValueError, match=message):
+        covariant.export("no_such_system", tmp_path / "a", rate=100.0, wasm=True, python=True)
     with pytest.raises(ValueError, match="wasm is for a folder, and a unit is one file"):
         covariant.export("oscillator", tmp_path / "a.fmu", rate=100.0, wasm=True)
 

@@ -95,7 +95,7 @@ def test_every_and_until_keep_some_rows(tmp_path):
         ("t,q\n0,1\n", "needs at least two rows; this one has 1"),
         ("t,angle\n0,1\n", "no column 'q'. There are: t, angle"),
         ("t,q_\n0,1\n", "no column 'q'. Did you mean 'q_'? There are: t, q_"),
-        ("t,q,q\n0,1,1\n", "2 columns are named 'q'; rename all but one"),
+        ("t,q,q\n0,1,2\n", "2 columns are named 'q' and differ, first in row 1: '1' and '2'; rename all but one"),
         ("t,q\n0,1\n1,fast\n", "column 'q', row 2: found 'fast', needs a finite number; leave it empty"),
         ("t,q\n0,1\nnoon,1\n", "column 't', row 2: found 'noon', needs a finite number; only positions may be missing"),
         ("t,q\n0,1\n1,2\n,3\n", "column 't', row 3: found an empty cell"),

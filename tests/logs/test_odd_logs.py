@@ -90,8 +90,12 @@ REFUSED: dict[str, tuple[str | bytes, Columns, str]] = {
     "nothing": ("", Q, "the file is empty; its first line must name the columns"),
     "comments only": ("# t,q\n% 0,1\n", Q, "the file is empty"),
     "a header only": ("# made\nt;q\n\n", Q, "a header and no rows"),
-    "no header": ("0,1.5\n0.5,-2.25\n1,3\n", Q, "its first line, '0, 1.5', names no columns; put a header above it"),
-    "no header, decimal commas": ("0,5;1,5\n1,0;2\n", Q, "its first line, '0,5, 1,5', names no columns"),
+    "no header": (
+        "0,1.5\n0.5,-2.25\n1,3\n",
+        Q,
+        "no column 't'. Its first line, '0,1.5', names no columns, so that they are called 1, 2; use these",
+    ),
+    "no header, decimal commas": ("0,5;1,5\n1,0;2\n", Q, "Its first line, '0,5;1,5', names no columns"),
     "units under the header": ("t,q\ns,rad\n0,1\n1,2\n", Q, "column 't', row 1: found 's', needs a finite number"),
     "commas between thousands": (
         "t;q\n0.5;1,234\n1.5;2\n",
@@ -172,7 +176,11 @@ REFUSED: dict[str, tuple[str | bytes, Columns, str]] = {
     "not in Unicode": ("t,q,größe\n0,1,2\n".encode("latin-1"), Q, "cannot be read as .csv: 'utf-8' codec"),
     "bytes of something else": (b"\x89PNG\r\n\x1a\n\x00\x00\xff\xfe", Q, "cannot be read as .csv"),
     "a name in other letters": ("T,q\n0,1\n1,2\n", Q, "no column 't'. There are: T, q"),
-    "a name twice": ("t;q;q\n0;1;1\n1;1;1\n", Q, "2 columns are named 'q'; rename all but one"),
+    "a name twice": (
+        "t;q;q\n0;1;1\n1;1;2\n",
+        Q,
+        "2 columns are named 'q' and differ, first in row 2: '1' and '2'; rename all but one",
+    ),
     "time that stands still": ("t,q\n0,1\n0.1,1\n0.1,1\n", Q, "rows 2 and 3 have the same stamp 0.1 s"),
     "time that goes back, in ms": (
         "t,q\n0,1\n20,1\n10,1\n",

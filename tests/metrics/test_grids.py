@@ -241,6 +241,18 @@ def stop_after(blocks: int):
     return report
 
 
+def test_a_lost_chunk_of_an_unfinished_map_is_not_read_as_zero(tmp_path):
+    path = tmp_path / "map.zarr"
+    with pytest.raises(RuntimeError, match="enough"):
+        map_grid(observables, GRID, path, block=BLOCK, workers=1, on_progress=stop_after(4), **SETTINGS)
+    open_grid(path)
+    next(file for file in sorted(path.glob("code/c/**/*")) if file.is_file()).unlink()
+    with pytest.raises(ValueError, match="blocks are missing; run its map_grid again"):
+        open_grid(path)
+    map_grid(observables, GRID, path, block=BLOCK, **SETTINGS)
+    check_values(path, GRID)
+
+
 def test_points_never_computed_read_as_nan(whole, tmp_path):
     path, calls = tmp_path / "map.zarr", iter(range(6))
 
@@ -393,3 +405,32 @@ def test_a_missing_package_is_named_with_the_line_that_installs_it(monkeypatch, 
         ImportError, match=re.escape("need zarr, which is not installed: pip install 'covariant[scale]")
     ):
         map_grid(observables, GRID, tmp_path / "map.zarr", **SETTINGS)
+
+
+def test_another_function_is_not_mixed_into_a_store(tmp_path):
+    def stopped(done, total):
+        if done:
+            raise KeyboardInterrupt
+
+    path = tmp_path / "level.zarr"
+    settings: Any = {"grid": GRID, "path": path, "block": BLOCK, "workers": 1, **LEVEL}
+    with pytest.raises(KeyboardInterrupt):
+        map_grid(lambda x: {"level": 2.0 * x[0]}, on_progress=stopped, **settings)
+    begun = chunks(path)
+    for other in (lambda x: {"level": 2.1 * x[0]}, lambda x: {"level": 2.0 * x[1]}, lambda x: {"level": x[0] + x[0]}):
+        with pytest.raises(ValueError, match="holds another map: what is evaluated at a point was changed"):
+            map_grid(other, **settings)
+    assert chunks(path) == begun
+    map_grid(lambda z: {"level": 2.0 * z[0]}, **settings)  # the same, whatever its names are
+    # A finished store of an earlier version, which has no hash, is complete as it is.
+    attributes = zarr.open_group(path, mode="r+").attrs
+    there = attributes["versions"]
+    attributes["versions"] = [there[0] | {"jax": "0.0.1"}]  # such a hash may be another one for the same function
+    for _ in range(2):
+        map_grid(lambda z: {"level": z[0] + z[0]}, **settings)
+    attributes["versions"] = there
+    del attributes["function"]
+    map_grid(lambda z: {"level": 2.0 * z[0]}, **settings)
+    attributes["complete"] = False
+    with pytest.raises(ValueError, match="holds another map"):
+        map_grid(lambda z: {"level": 2.0 * z[0]}, **settings)

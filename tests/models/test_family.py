@@ -111,3 +111,15 @@ def test_a_layout_that_is_not_followed_is_refused():
     text = 'system = "oscillator"\nparameters.stiffness = 1.0\n'
     with pytest.raises(ValueError, match=r"\[parameters\] is written in a way that cannot be changed"):
         models.rewrite(text, {"system": "oscillator", "parameters": {"stiffness": 2.0}})
+
+
+def test_a_new_key_takes_the_place_of_the_comment_that_drafts_it():
+    text = (
+        "[uncertainty]\n# acceleration of the load: see the manual = page 3\n# acceleration = 2.0  # rad/s^2\n"
+        "# correlation_time = 0.01  # s\n\n[measurement]\n# std = tick / sqrt(12)\nquantum = 1e-3\n"
+    )
+    content = {"uncertainty": {"acceleration": 5.5}, "measurement": {"quantum": 1e-3, "std": 2e-4}}
+    written = models.rewrite(text, content)
+    assert tomllib.loads(written) == content
+    assert "acceleration = 5.5  # rad/s^2\n# correlation_time = 0.01" in written
+    assert "# std = tick / sqrt(12)\nquantum = 0.001\nstd = 0.0002" in written.replace("1e-3", "0.001")

@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 
 from covariant.models import acceleration, load, robots
+from covariant.models.robots._against_mujoco import refuse_difference
+from covariant.models.robots._mjcf import read_mjcf
 
 ARM = """<mujoco model="arm">
   <compiler angle="degree" autolimits="true"/>
@@ -121,7 +123,27 @@ WRONG = {
     "has a state of its own": ('<motor name="m1"', '<general dyntype="filter" dynprm="0.1" name="m1"'),
     "fluid": ('gravity="0.3 0 -9.7"', 'density="1.2"'),
     "gravcomp": ('<body name="elbow"', '<body gravcomp="1" name="elbow"'),
-    "x.stl": ("<worldbody>", '<asset><mesh file="x.stl"/></asset><worldbody>'),
+    "x.stl'; the inertia of body 'stand' follows from a mesh: give an <inertial>": (
+        '<worldbody>\n    <body name="stand" pos="0 0 0.5" euler="10 0 20"><geom type="box" size="0.1 0.1 0.1"/>',
+        '<asset><mesh file="x.stl"/></asset><worldbody><body name="stand"><geom type="mesh" mesh="x"/>',
+    ),
+    "joint 'bend': springs and dampers that are not linear": ('stiffness="3"', 'stiffness="3 1"'),
+    "actuator 'm1' has a delay": ('<motor name="m1"', '<motor delay="0.01" nsample="3" name="m1"'),
+    "actuator 'm1': a damper that is not linear": ('<motor name="m1"', '<motor damping="1 2" name="m1"'),
+    "armature and damping are supported only where it drives a hinge or a slide": (
+        "<actuator>",
+        '<tendon><fixed name="pull"><joint joint="turn" coef="1"/></fixed></tendon><actuator>'
+        '<motor name="m4" tendon="pull" armature="0.1"/>',
+    ),
+    "tendon 'a': springs, damping": (
+        "<equality>",
+        '<tendon><fixed name="a" stiffness="0 2"><joint joint="turn" coef="1"/></fixed></tendon><equality>',
+    ),
+    "coupled tendons are not supported": (
+        "<equality>",
+        '<tendon><fixed name="a"><joint joint="turn" coef="1"/></fixed><fixed name="b"><joint joint="bend" coef="1"/>'
+        '</fixed></tendon><equality><tendon tendon1="a" tendon2="b"/>',
+    ),
     "document type or entities": ("<mujoco", '<!DOCTYPE mujoco [<!ENTITY a "b">]><mujoco'),
     "begins with <robot> (URDF) or <mujoco> (MJCF); found <sdf>": (ARM, "<sdf/>"),
 }
@@ -143,3 +165,144 @@ def test_limits_in_degrees_are_doubted(tmp_path):
     path = tmp_path / "degrees.xml"
     path.write_text(ARM.replace('angle="degree" autolimits', 'angle="radian" autolimits'))
     assert "are they degrees?" in robots.read(path).doubts[0]
+
+
+# What the file says of actuators, free joints, bodies and meshes; `load` compares each with MuJoCo to 1e-9
+
+
+def moved(tmp_path, text, **options):
+    (tmp_path / "robot.xml").write_text(text)
+    return robots.load(tmp_path / "robot.xml", **options)
+
+
+def inertia(model):
+    return np.asarray(model.space(model.manifold.origin()))
+
+
+def test_rotors_and_dampers_of_actuators_act_on_the_joints_by_the_square_of_the_gear(tmp_path):
+    plain = moved(tmp_path, ARM)
+    geared = moved(tmp_path, ARM.replace('gear="50"', 'gear="50" armature="2e-5" damping="4e-4"'))
+    np.testing.assert_allclose(inertia(geared) - inertia(plain), np.diag([0.05, 0, 0, 0]), atol=1e-12)
+    q, v = jnp.zeros(4), jnp.array([2.0, 0.0, 0.0, 0.0])
+    np.testing.assert_allclose(geared.dissipation(q, v) - plain.dissipation(q, v), [-2.0, 0, 0, 0], atol=1e-12)
+
+
+def test_an_actuator_of_a_disabled_group_is_no_input_and_keeps_its_rotor(tmp_path):
+    text = ARM.replace('name="m1"', 'group="1" armature="2e-5" name="m1"')
+    disabled = moved(tmp_path, text.replace("<option gravity", '<option actuatorgroupdisable="1" gravity'))
+    assert disabled.inputs == 2
+    assert robots.read(tmp_path / "robot.xml").ignored["actuator (disabled group)"] == 1
+    np.testing.assert_allclose((inertia(disabled) - inertia(moved(tmp_path, ARM)))[0, 0], 0.05)
+
+
+@pytest.mark.parametrize("entry", ["armature", "damping"])
+def test_an_entry_that_is_not_read_is_refused_by_its_joint(entry, tmp_path, monkeypatch):
+    """As one of a later MuJoCo would be: the reader does not look at actuators here, nor at limits of motors."""
+    monkeypatch.setattr("covariant.models.robots._mjcf._with_actuators", lambda read, joints: joints)
+    text = ARM.replace('gear="3"', f'gear="3" {entry}="0.0625" forcerange="-1 1" ctrlrange="-1 1"')
+    with pytest.raises(ValueError, match=r"joint 'bend' does not move as in MuJoCo: .* % off\)|joint 'bend'.*%"):
+        moved(tmp_path, text)
+
+
+FIELDS = {
+    "body_gravcomp": 0.5,
+    "body_inertia": 0.01,
+    "body_ipos": 0.02,
+    "body_mass": 0.1,
+    "body_pos": 0.01,
+    "body_quat": 0.1,
+    "dof_armature": 0.01,
+    "dof_damping": 0.3,
+    "dof_dampingpoly": 0.3,
+    "jnt_axis": 0.1,
+    "jnt_pos": 0.01,
+    "jnt_stiffness": 0.5,
+    "jnt_stiffnesspoly": 0.5,
+    "qpos_spring": 0.2,
+    "actuator_armature": 1e-3,
+    "actuator_biasprm": -1.0,
+    "actuator_damping": 1e-3,
+    "actuator_dampingpoly": 1e-3,
+    "actuator_gainprm": 0.3,
+    "actuator_gear": 0.3,
+}
+
+
+@pytest.mark.parametrize("field", FIELDS)
+def test_no_field_of_the_compiled_model_can_be_dropped(field, folder):
+    """An entry of the joint "bend", its motor, or the body "elbow" is changed after the description was read."""
+    robot, model = read_mjcf(folder / "arm.xml")
+    refuse_difference(model, robot, None)
+    joint = model.joint("bend")
+    body, motor = model.body("elbow").id, model.actuator("m2").id
+    row = {"body": body, "dof": joint.dofadr[0], "qpos": joint.qposadr[0], "jnt": joint.id, "actuator": motor}
+    getattr(model, field)[row[field.split("_")[0]]] += FIELDS[field]
+    mujoco.mj_setConst(model, mujoco.MjData(model))
+    with pytest.raises(ValueError, match=r"joint '.*' does not move as in MuJoCo"):
+        refuse_difference(model, robot, None)
+
+
+@pytest.mark.parametrize("option", ["density", "viscosity", "gravity"])
+def test_no_option_that_acts_on_all_bodies_can_be_dropped(option, folder):
+    robot, model = read_mjcf(folder / "arm.xml")
+    setattr(model.opt, option, getattr(model.opt, option) + 0.1)
+    with pytest.raises(ValueError, match="does not move as in MuJoCo"):
+        refuse_difference(model, robot, None)
+
+
+@pytest.mark.parametrize(
+    "options", [{}, {"lock": {"bend": 0.4}}, {"actuated": ["elbow", "turn"]}, {"lock": {"slide": 0.1, "turn": 1.0}}]
+)
+def test_the_comparison_holds_with_locked_and_chosen_joints(options, tmp_path):
+    assert moved(tmp_path, ARM, **options).inputs == {"lock": 2, "actuated": 2}.get(next(iter(options), ""), 3)
+
+
+def test_a_free_joint_has_the_dampers_rotors_and_friction_of_the_defaults(tmp_path):
+    """Linear in the world and angular in the body; the rotors have no weight."""
+    defaults = '<default><joint damping="0.5" armature="0.01" frictionloss="0.2"/></default><worldbody>'
+    text = FREE.replace("<freejoint name", '<joint type="free" name').replace("<worldbody>", defaults)
+    model, plain = moved(tmp_path, text), moved(tmp_path, FREE)
+    added = inertia(model) - inertia(plain)
+    np.testing.assert_allclose(added, 0.01 * np.eye(7), atol=1e-12)
+    assert float(model.space.mass) == pytest.approx(float(plain.space.mass))
+    (q, v) = model.manifold.retract(model.manifold.origin(), jnp.arange(1.0, 8) / 5), jnp.arange(-3.0, 4)
+    turn = np.asarray(q[:16].reshape(4, 4)[:3, :3])
+    rates = np.concatenate([turn @ v[:3], v[3:]])
+    force = -0.5 * rates - 0.2 * 2 / np.pi * np.arctan(100 * rates)
+    force[:3] = turn.T @ force[:3]
+    np.testing.assert_allclose(model.dissipation(q, v), force, atol=1e-12)
+    only_damped = moved(tmp_path, text, dry_friction=False)
+    np.testing.assert_allclose(only_damped.dissipation(q, v), -0.5 * np.asarray(v), atol=1e-12)
+    with pytest.raises(ValueError, match="joint 'free': the stiffness of a free joint is not supported"):
+        moved(tmp_path, text.replace('damping="0.5"', 'damping="0.5" stiffness="1"'))
+
+
+MUG = '<mujoco><worldbody><body name="mug" pos="0 0 1"><freejoint/><geom type="cylinder" size="0.04 0.05"/></body>'
+
+
+def test_one_free_body_is_a_system_on_a_group(tmp_path):
+    mug = moved(tmp_path, MUG + "</worldbody></mujoco>")
+    assert (mug.coordinates, len(mug.velocities), mug.inputs) == ((), 6, 0)
+    theirs = mujoco.MjModel.from_xml_path(str(tmp_path / "robot.xml"))
+    mass, moments = theirs.body_mass[1], theirs.body_inertia[1]
+    np.testing.assert_allclose(inertia(mug), np.diag([mass] * 3 + list(moments)), atol=1e-12)
+    q, v = mug.manifold.origin(), jnp.array([1.0, 2.0, 3.0, 0.0, 0.0, 2.0])
+    # In the body's frame a velocity that is constant in the world turns: v' = g − ω × v.
+    np.testing.assert_allclose(acceleration(mug, jnp.zeros(()), q, v, jnp.zeros(0))[:3], [4, -2, -9.81], atol=1e-9)
+
+
+def test_a_mesh_that_is_missing_matters_only_where_an_inertia_follows_from_it(tmp_path):
+    text = """<mujoco><asset><mesh name="link" file="link.stl"/><texture name="t" type="2d" file="t.png"/>
+    <material name="m" texture="t"/><hfield name="hill" file="hill.png" size="1 1 1 1"/></asset><worldbody>
+    <geom type="hfield" hfield="hill"/><geom type="mesh" mesh="link" name="named"/>
+    <body name="arm"><inertial pos="0.1 0 0" mass="0.8" diaginertia="0.001 0.004 0.004"/>
+    <joint name="hinge" axis="0 1 0"/><geom type="mesh" mesh="link" material="m"/><geom type="box" mesh="link"/></body>
+    <body name="pole"><joint name="pole" axis="1 0 0"/><geom type="mesh" mesh="link" mass="0"/>
+    <geom type="capsule" fromto="0 0 0 0 0 1" size="0.1"/></body></worldbody></mujoco>"""
+    model = moved(tmp_path, text)
+    assert float(inertia(model)[0, 0]) == pytest.approx(0.012, rel=1e-12)
+    assert robots.read(tmp_path / "robot.xml").ignored["asset/mesh"] == 1
+    with pytest.raises(ValueError, match="the inertia of body 'pole' follows from a mesh: give an <inertial>"):
+        moved(tmp_path, text.replace(' mass="0"', ""))
+    with pytest.raises(ValueError, match=r"link\.stl"):
+        moved(tmp_path, text.replace("<mujoco>", '<mujoco><compiler inertiafromgeom="true"/>'))

@@ -124,6 +124,7 @@ def test_a_file_gives_everything(tmp_path):
         "motion_time": 0.1,
         "damping": 0.5,
         "system": "pendulum_chain",
+        "stated": ("mass", "length"),
     }
 
 

@@ -451,3 +451,64 @@ def test_dry_friction_is_left_out_where_it_is_compensated():
     left_out = with_it.space(q) @ (friction(with_it, t, q, v, u) - friction(without, t, q, v, u))
     dry = np.array([joint.friction for joint in robots.read("scara").joints if joint.friction])
     np.testing.assert_allclose(left_out, -dry * 2 / np.pi * np.arctan(100 * v), rtol=1e-9)
+
+
+ANTENNA = """<link name="antenna"><inertial><mass value="1e-6"/><inertia ixx="2.4e-8" ixy="6.1e-8" ixz="1.2e-8"
+  iyy="2.8e-8" iyz="0.8e-8" izz="3.8e-8"/></inertial></link>
+  <joint name="glue" type="fixed"><parent link="base"/><child link="antenna"/></joint></robot>"""
+
+
+def test_a_fixed_link_of_negative_inertia_is_a_doubt_where_the_sum_is_positive(folder):
+    path = folder / "antenna.urdf"
+    path.write_text(ARM.replace("</robot>", ANTENNA))
+    assert "link 'antenna'" in robots.read(path).doubts[0]
+    np.testing.assert_allclose(
+        robots.load(path).space(jnp.zeros(4)), robots.load(folder / "arm.urdf").space(jnp.zeros(4))
+    )
+    with pytest.raises(
+        ValueError, match=r"link 'antenna': the inertia .* must not be negative.* with all that is fixed"
+    ):
+        robots.load(path, floating=True)
+    path.write_text(ARM.replace("</robot>", ANTENNA.replace('link="base"', 'link="wrist"')))
+    assert robots.load(path).coordinates == NAMES
+    loose = ANTENNA.replace('"fixed"', '"continuous"')
+    path.write_text(ARM.replace("</robot>", loose))
+    with pytest.raises(ValueError, match="link 'antenna': the inertia about the centre of mass must not be negative"):
+        robots.load(path)
+    assert robots.load(path, lock={"glue": 0.2}).coordinates == NAMES
+
+
+def test_a_mass_on_its_axis_is_told_from_no_mass(folder):
+    path = folder / "needle.urdf"
+    needle = f'<link name="base"/><link name="rod">{inertial("0 0 0.3", 0.5, 0.01, 0.01, 0.0)}</link>'
+    joint = '<joint name="spin" type="{}">{}<parent link="base"/><child link="rod"/><axis xyz="0 0 1"/></joint>'
+    path.write_text(f"<robot name='needle'>{needle}{joint.format('continuous', '')}</robot>")
+    words = r"joint 'spin' moves 0\.5 kg, which have no moment of inertia about its axis 0 0 1: "
+    with pytest.raises(ValueError, match=words):
+        robots.load(path)
+    assert robots.load(path, armature={"spin": 0.1}).coordinates == ("spin",)
+    path.write_text(f"<robot name='needle'>{needle}{joint.format('fixed', '')}</robot>".replace("0 0 0.3", "0 0 0"))
+    with pytest.raises(
+        ValueError, match=r"the base moves 0\.5 kg, which have no moment of inertia about its axis 0 0 1: "
+    ):
+        robots.load(path, floating=True)
+    double = '<link name="mid"/><joint name="one" type="continuous"><parent link="base"/><child link="mid"/></joint>'
+    one = f'<link name="base"/><link name="rod">{inertial("0 0 0.3", 0.5, 0.01, 0.01, 0.01)}</link>{double}'
+    two = '<joint name="two" type="continuous"><parent link="mid"/><child link="rod"/></joint>'
+    path.write_text(f"<robot name='twice'>{one}{two}</robot>")
+    with pytest.raises(ValueError, match=r"joint '(one|two)' and '(one|two)' can move together so that no mass moves"):
+        robots.load(path)
+
+
+def test_a_drone_of_one_link_flies(folder):
+    path = folder / "drone.urdf"
+    path.write_text(
+        f"<robot name='drone'><link name='body'>{inertial('0 0 0.01', 1.2, 0.01, 0.011, 0.019)}</link></robot>"
+    )
+    drone = robots.load(path, floating=True)
+    assert (drone.manifold, len(drone.velocities)) == (SE3, 6)
+    centre = np.array([0, 0, 0.01])
+    about = np.diag([0.01, 0.011, 0.019]) + 1.2 * (centre @ centre * np.eye(3) - np.outer(centre, centre))
+    hat = np.cross(centre, np.eye(3)).T
+    blocks = np.block([[1.2 * np.eye(3), -1.2 * hat], [1.2 * hat, about]])
+    np.testing.assert_allclose(drone.space(jnp.eye(4)), blocks, atol=1e-12)

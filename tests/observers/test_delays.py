@@ -10,8 +10,18 @@ import pytest
 
 from covariant.calibration import tuned_estimators
 from covariant.engine import run_log
-from covariant.models import MechanicalSystem, Motion, free_body, pendulum_chain
-from covariant.observers import EKF, Delayed, FilteredDerivative, Intrinsic, IntrinsicKalman, run
+from covariant.models import MechanicalSystem, Motion, free_body, oscillator, pendulum_chain
+from covariant.observers import (
+    EKF,
+    Damped,
+    Delayed,
+    FilteredDerivative,
+    Intrinsic,
+    IntrinsicKalman,
+    external_force,
+    run,
+    tachometer,
+)
 from covariant.scoring import rmse
 from covariant.signals import Record, StepCode
 from covariant.simulation import hold, simulate
@@ -76,10 +86,15 @@ def oracle(step, record, delays, k):
     def gathered(s):
         return [np.interp(s, t, column) for column in whole.T] + record.u[0] * min(s - t[0], 0.0)
 
-    events = sorted((t[j] - d, i, y[j, i]) for j in range(1, k + 1) for i, d in enumerate(delays))
-    now = t[0] - max(delays)
-    state = FILTER.init(jnp.asarray(y[0]), now)
-    for at, i, value in events:
+    # The first state is made of the readings around the time of which all joints have readings of both sides.
+    first = next(j for j in range(len(t)) if t[j] - t[0] >= max(delays) - min(delays) - 1e-6)
+    if k < first:
+        return FILTER.init(jnp.asarray(y[k]), t[k])
+    now = t[first] - max(delays)
+    start = [np.interp(now, t[: first + 1] - d, y[: first + 1, i]) for i, d in enumerate(delays)]
+    state = FILTER.init(jnp.asarray(start), now)
+    events = sorted((t[j] - d, i, y[j, i]) for j in range(k + 1) for i, d in enumerate(delays))
+    for at, i, value in (event for event in events if event[0] > now + 1e-6):
         reading = np.full(2, np.nan)
         reading[i] = value
         state, _ = step(FILTER, state, (gathered(at) - gathered(now)) / (at - now), reading, at - now)
@@ -316,3 +331,52 @@ def test_the_members_of_an_exported_state_have_names_of_their_own(tmp_path, dela
     names = [leaf.name for leaf in made.program.state if leaf.size]
     assert len(set(names)) == len(names)
     assert "age_of_known" in names
+
+
+def test_what_is_estimated_along_is_that_of_the_stamp_and_not_of_the_reading():
+    """The force, its deviation and the velocity in one row are those of one time."""
+    inner = IntrinsicKalman(oscillator(), 0.01, 1e-8, 1.0, slow=(external_force(std=2.0, time=0.3),), substeps=1)
+    t = 0.01 * np.arange(120)
+    record = Record(t, np.zeros((120, 1)), np.sin(3 * np.maximum(t - 0.05, 0))[:, None])
+    observer = Delayed(inner, 0.05, 100.0)
+    state = observer.init(jnp.asarray(record.y[0]), 0.0)
+    step = eqx.filter_jit(lambda state, y: observer.step(state, jnp.zeros(1), y, 0.01))
+    for y in record.y[1:]:
+        state, info = step(state, jnp.asarray(y))
+    told = inner.deviations(state.now)
+    for name, value in told.items():
+        np.testing.assert_allclose(getattr(info, name), value, rtol=1e-12)
+    assert info.slow_std[0] > 1.02 * inner.deviations(state.known)["slow_std"][0]
+
+
+def test_an_offset_that_is_estimated_along_is_the_latest_one():
+    """A sample that arrives late changes it, and so do the readings after that sample."""
+    inner = Damped(Intrinsic(oscillator(), alpha=4.0, beta=8.0), tachometer([0], 0.01), damping=5.0, bias_gain=0.2)
+    observer = Delayed(inner, 0.0, 100.0, lateness=0.1)
+    t = 0.01 * np.arange(20)
+    y = np.column_stack([np.cos(t), 0.2 - np.sin(t)])
+    state = observer.init(jnp.asarray(y[0]), 0.0)
+    step = eqx.filter_jit(lambda state, y: observer.step(state, jnp.zeros(1), y, 0.01))
+    for k in range(1, 20):
+        state, _ = step(state, jnp.full(2, jnp.nan) if k == 14 else jnp.asarray(y[k]))
+    state, info = observer.late(state, jnp.asarray(y[14]), t[14])
+    np.testing.assert_array_equal(info.bias, state.now.bias)
+    assert info.result == StepCode.OK
+
+
+@pytest.mark.long("delays1", "delays2")
+@pytest.mark.parametrize("delays", [(0.02, 0.05), (0.0, 0.05), (0.05, 0.0)])
+def test_a_first_state_is_made_of_readings_of_one_time(delays):
+    """At full speed, joints that are late by different times are nowhere together in one sample."""
+    t = 1.0 + 0.005 * np.arange(80)
+    times = np.unique(np.concatenate([t - d for d in delays] + [t]))
+    u = hold(jnp.asarray(times), jnp.zeros((len(times), 2)))
+    x = np.asarray(simulate(CHAIN, jnp.array([0.5, -0.4, 2.0, -3.0]), jnp.asarray(times), u).x)
+    y = np.stack([x[np.searchsorted(times, t - d), i] for i, d in enumerate(delays)], axis=1)
+    y += np.random.default_rng(0).normal(0, 1e-4, y.shape)
+    record, truth = Record(t, np.zeros((80, 2)), y), x[np.searchsorted(times, t)]
+    run_ = run(Delayed(FILTER, delays, 200.0), record)
+    error = np.abs(np.asarray(run_.estimate)[:, 2:] - truth[:, 2:]) / np.asarray(run_.info.velocity_std)
+    assert error.max() < 4.5
+    assert not np.asarray(run_.info.result).any()
+    assert np.abs(np.asarray(run_.estimate)[20:, 2:] - truth[20:, 2:]).max() < 0.1

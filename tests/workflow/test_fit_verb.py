@@ -8,9 +8,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+import covariant
 from covariant import logs, models, simulation
 from covariant.signals import Record
 from covariant.workflow import FitResult, SimulateResult, fit, simulate
+from covariant.workflow._inputs import Job
 
 TRUTH = {"parameters.mass": [1.0], "parameters.length": [0.5], "parameters.viscous": [0.001]}
 FIRST = {**TRUTH, "parameters.viscous": [0.01], "parameters.length": [0.45]}
@@ -179,3 +181,58 @@ def test_short_flights_of_a_body_are_fitted_together(tmp_path):
     assert result.details["held_out"] == "the last 2 logs"
     head = result.save(tmp_path / "fitted.toml").read_text().splitlines()[0]
     assert "to flight0.csv, flight1.csv, flight2.csv, flight3.csv; " in head
+
+
+def test_an_edit_of_the_model_file_meanwhile_is_neither_mixed_in_nor_replaced(tmp_path):
+    from covariant.workflow._model_output import read_sources
+
+    path = tmp_path / "spring.toml"
+    path.write_text('system = "oscillator"  # mine\n\n[parameters]\nstiffness = 1.0\n')
+    row = {"name": "stiffness", "before": 1.0, "after": 1.3, "standard_error": 0.01, "determined": True}
+    details = {"parameters": [row], "undetermined": [], "better": True, "fitted_to": "log.csv"}
+    content = {"system": "oscillator", "parameters": {"stiffness": 1.3}}
+    result = FitResult([Job(path, None)], content, details, read_sources(path))
+    edited = (
+        path.read_text()
+        .replace("# mine", "# edited\n[measurement]\nstd = 5.0\n")
+        .replace("[parameters]", "[parameters] ")
+    )
+    path.write_text(edited)
+    with pytest.raises(ValueError, match=r"spring.toml: it was changed after it was read"):
+        result.save(path, overwrite=True)
+    assert path.read_text() == edited
+    text = result.save(tmp_path / "beside.toml").read_text()
+    assert "# mine" in text
+    assert "stiffness = 1.3" in text
+    assert "std" not in text
+    path.write_text('system = "oscillator"  # mine\n\n[parameters]\nstiffness = 1.0\n')
+    assert "stiffness = 1.3" in result.save(path, overwrite=True).read_text()
+
+
+@pytest.mark.parametrize(("verb", "named"), [(fit, {"parameters": "stiffness"}), (covariant.tune, {})])
+def test_an_edit_while_the_model_is_read_is_refused(verb, named, tmp_path, monkeypatch):
+    """Several readers of one file would see different texts."""
+    path = tmp_path / "spring.toml"
+    path.write_text('system = "oscillator"\n[parameters]\nstiffness = 1.0\n')
+    log = simulate("oscillator", duration=10.0, rate=50.0, q0=1.0, noise=1e-3).record
+    read = logs.read
+
+    def edits(*args, **kwargs):
+        path.write_text(path.read_text().replace("1.0", "1.1"))
+        return read(*args, **kwargs)
+
+    monkeypatch.setattr(logs, "read", edits)
+    with pytest.raises(ValueError, match=r"spring.toml: it was changed while it was read; run the command again"):
+        verb(path, log, **named)
+
+
+def test_line_ends_of_windows_are_read_as_at_first(tmp_path):
+    from covariant.workflow._model_output import read_sources, write_model
+
+    path = tmp_path / "spring.toml"
+    path.write_bytes(b'system = "oscillator"  # mine\r\n\r\n[parameters]\r\nstiffness = 1.0\r\n')
+    content = {"system": "oscillator", "parameters": {"stiffness": 1.3}, "measurement": {"std": 1e-3}}
+    written = write_model(path, tmp_path / "out.toml", False, "# head\n", content, read_sources(path)).read_bytes()
+    assert written == (
+        b'# head\nsystem = "oscillator"  # mine\n\n[parameters]\nstiffness = 1.3\n\n[measurement]\nstd = 0.001\n'
+    )

@@ -134,3 +134,39 @@ def test_angles_that_start_a_turn_anew_are_no_jumps(tmp_path):
     data = {"uncertainty.acceleration": 50.0, "uncertainty.correlation_time": 0.01}
     speed = covariant.estimate(file, table, overrides=data, anyway=True).velocity[150:, 2]
     np.testing.assert_allclose(speed, (2.0 + 40 * T)[150:], atol=4.0)
+
+
+def test_the_marks_of_all_drafted_lines_can_be_taken_away_after_a_tuning(tmp_path):
+    path = covariant.workflow.init(log(["a_deg", "b_deg"], 2)).save(tmp_path / "draft.toml")
+    text, content = path.read_text(), models.document(str(path))
+    content["uncertainty"] = {"acceleration": 3.5, "correlation_time": 0.02}
+    tuned = models.rewrite(text, content)
+    for each in (text, tuned):
+        path.write_text(re.sub(r"^# (?=\[|\w+ = )", "", each, flags=re.MULTILINE))
+        assert models.load(path).acceleration_std == (3.5 if each is tuned else 2.0)
+
+
+def test_the_command_names_every_file_that_it_wrote(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    log(["cart_m", "pole_deg"], 1).to_csv("run.csv", index=False)
+    monkeypatch.setattr(sys, "argv", ["covariant", "init", "run.csv", "-o", "2nd.toml"])
+    with pytest.raises(SystemExit, match="0"):
+        main()
+    assert "wrote 2nd.toml\nwrote _2nd_model.py" in capsys.readouterr().out
+
+
+def test_the_finding_of_friction_is_a_command_for_this_draft_and_log(tmp_path):
+    path = covariant.workflow.init(log(["cart_m", "pole_deg"], 1)).save(tmp_path / "my draft.toml")
+    truth = {"parameters.viscous": [1.0, 0.02], "parameters.coulomb": [0.0, 0.0]}
+    settings = {"duration": 8.0, "rate": 200.0, "q0": [0.0, 0.5], "amplitude": [3.0], "frequency": 0.9, "noise": 1e-4}
+    run = covariant.simulate(path, overrides=truth, **settings).save(tmp_path / "run.csv")
+    result = covariant.check(path, run)
+    (line,) = (each.line for each in result.findings if "friction" in each.what)
+    begin, _, names = line.partition(" --parameters ")
+    assert begin == f"covariant fit '{path}' {run}"
+    assert "viscous" in names.split(",")
+    assert models.family(str(path), names.split(",")).names[0] == "viscous[0]"
+    # Of a model file without the number there is nothing to fit.
+    path.write_text(re.sub("^viscous", "# viscous", path.read_text(), flags=re.MULTILINE))
+    (line,) = (each.line for each in covariant.check(path, run).findings if "friction" in each.what)
+    assert line == "give the model friction"

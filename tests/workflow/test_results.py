@@ -76,6 +76,41 @@ def test_a_result_is_short_where_it_is_looked_at(estimate, log):
     assert "<pre>" in estimate._repr_html_()
 
 
+def test_a_notebook_shows_the_figure(estimate, log):
+    pytest.importorskip("matplotlib")
+    assert estimate.plot()._repr_png_().startswith(b"\x89PNG")
+    assert '<img src="data:image/png;base64,iVBOR' in estimate._repr_html_()
+    assert "<img" not in covariant.simulate("oscillator", duration=0.1)._repr_html_()
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".tsv", ".parquet"])
+def test_only_a_table_of_the_same_columns_is_replaced_unasked(estimate, tmp_path, suffix):
+    path = tmp_path / f"v{suffix}"
+    estimate.save(path, overwrite=False)
+    estimate.save(path, overwrite=False)
+    covariant.logs.write(path, {"t": np.arange(3.0), "q1": np.arange(3.0)})
+    before = path.read_bytes()
+    with pytest.raises(ValueError, match=f"v{suffix}: there is such a file already; write to another file, or say"):
+        estimate.save(path, overwrite=False)
+    assert path.read_bytes() == before
+    estimate.save(path)
+    assert path.read_bytes() != before
+
+
+def test_a_log_with_the_columns_of_the_result_is_not_taken_for_one(tmp_path):
+    names = ("mine.csv", "other.csv")
+    t = np.arange(0.0, 4.0, 0.02)
+    for name in names:
+        covariant.logs.write(tmp_path / name, {"t": t, "q1": np.cos(t), "v1": -np.sin(t)})
+    log, columns = str(tmp_path / "mine.csv"), {"q": "q1", "u": "v1"}
+    result = covariant.estimate("oscillator", log, alpha=40.0, beta=800.0, columns=columns, anyway=True)
+    assert list(result.columns) == ["t", "q1", "v1"]
+    with pytest.raises(ValueError, match=r"other.csv: there is such a file already"):
+        result.save(tmp_path / "other.csv", overwrite=False)
+    with pytest.raises(ValueError, match=r"mine.csv: this is the log itself"):
+        result.save(tmp_path / "mine.csv")
+
+
 def test_it_is_said_where_an_estimate_had_no_measurement(estimate):
     missing = np.isnan(np.asarray(estimate.loaded.record.y)).any(axis=1)
     assert estimate.warnings[0].startswith(f"{missing.sum()} of 601 samples: no measurement")

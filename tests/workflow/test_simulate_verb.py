@@ -1,5 +1,7 @@
 """`covariant.simulate` from Python: its record, its tables, and the units of the model file."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -83,3 +85,15 @@ def test_systems_themselves_and_model_files_are_simulated():
 def test_arguments_that_make_no_sense_are_named(arguments, message):
     with pytest.raises(ValueError, match=message):
         simulate("pendulum_chain", overrides=ARM, **arguments)
+
+
+def test_joints_that_leave_their_limits_are_named_with_the_time():
+    """A lift of .18 m falls."""
+    result = simulate("scara", duration=0.3, rate=100.0)
+    (warning,) = result.warnings
+    # It falls by g t²/2, a little slower for its friction: the limit is reached after √(2·0.18/9.81) = 0.19 s.
+    assert re.match(
+        r"joint 'lift' leaves its limits -0\.18 to 0 m at t = 0\.[12]\d? s and reaches -0\.\d+ m; nothing", warning
+    )
+    assert warning in str(result)
+    assert result.summary["warnings"] == [warning]

@@ -29,6 +29,7 @@ class Command:
         run: What calls the verb and shows the result; gets an `Invocation` and the values of `own`.
         exit_code: The exit code of a result; a result that is false there gives 0.
         note: What the help says beside the first paragraph of the verb's docstring.
+        again: Whether the result itself tells if a file that exists is of an earlier run, and replaces that unasked.
     """
 
     verb: str
@@ -38,6 +39,7 @@ class Command:
     run: Callable[..., Any] = lambda call, **places: call.show(call(), **places)
     exit_code: Callable[[Any], int] = lambda result: 0
     note: str = ""
+    again: bool = False
 
     @property
     def options(self) -> list[Option]:
@@ -53,7 +55,7 @@ class Command:
             read = {option.name: option.read(values[option.name]) for option in options}
             json, own = read.pop("json"), {option.name: read.pop(option.name) for option in self.own}
             for option in self.own:
-                overwrite = option.name != "out" or own.get("overwrite", True)
+                overwrite = self.again or option.name != "out" or own.get("overwrite", True)
                 if option.suffixes:
                     check_output(own[option.name], *option.suffixes, log=read.get("log"), overwrite=overwrite)
             given = {name: value for name, value in read.items() if value is not None}
@@ -189,7 +191,7 @@ REPORT = Option(
     flags=("--report",),
     suffixes=(".html",),
 )
-OVERWRITE = Option("overwrite", FLAG, "Let --out replace a file that exists.", False, ("--overwrite",))
+OVERWRITE = Option("overwrite", FLAG, "Let --out replace a file of another origin.", False, ("--overwrite",))
 LISTED = {
     "observer": {
         "help": f"One of: {', '.join(OBSERVER_NAMES)}; intrinsic by default. For a state-space model: "
@@ -205,13 +207,15 @@ COMMANDS = (
         own=(
             _output("Write the estimate here", *WRITTEN),
             REPORT,
+            OVERWRITE,
             Option("smooth", FLAG, default=False, flags=("--smooth",), hidden=True),
             Option("lag", Kind(float), flags=("--lag",), hidden=True),
         ),
         changes=LISTED,
         run=_estimate,
+        again=True,
     ),
-    Command("smooth", own=(_output("Write the estimate here", *WRITTEN), REPORT)),
+    Command("smooth", own=(_output("Write the estimate here", *WRITTEN), REPORT, OVERWRITE), again=True),
     Command(
         "compare",
         own=(
@@ -249,8 +253,9 @@ COMMANDS = (
     ),
     Command(
         "simulate",
-        own=(_output("Log to write", *WRITTEN, needed=True),),
+        own=(_output("Log to write", *WRITTEN, needed=True), OVERWRITE),
         note="The log has the true state beside the measurements.",
+        again=True,
     ),
     Command("describe_model", "model"),
     Command("cite", own=(_output("Write the BibTeX entries here", ".bib"),), changes=LISTED),

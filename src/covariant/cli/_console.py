@@ -1,6 +1,9 @@
 """Progress on standard error, and results on standard output."""
 
 import json
+import sys
+import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -9,13 +12,16 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from covariant.workflow import AbstractResult, Progress
 
+LINE_EVERY = 10.0
+"""Seconds from one line of progress to the next where there is no terminal."""
+
 
 @contextmanager
 def progress_bar(quiet: bool = False) -> Iterator["Progress"]:
     """Show a progress bar on standard error, as long as the context lasts.
 
     Args:
-        quiet: Whether nothing is shown; nothing is either where standard error is no terminal.
+        quiet: Whether nothing is shown. Where standard error is no terminal, it gets a line every ten seconds.
 
     Yields:
         The function that a verb calls with its progress.
@@ -25,7 +31,11 @@ def progress_bar(quiet: bool = False) -> Iterator["Progress"]:
 
     columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn())
     console = Console(stderr=True)
-    with Bar(*columns, console=console, transient=True, disable=quiet or not console.is_interactive) as bar:
+    if not (quiet or console.is_interactive):
+        with _progress_lines() as report:
+            yield report
+        return
+    with Bar(*columns, console=console, transient=True, disable=quiet) as bar:
         task = bar.add_task("reading", total=None)
 
         def report(description: str, fraction: float | None = None) -> None:
@@ -33,6 +43,28 @@ def progress_bar(quiet: bool = False) -> Iterator["Progress"]:
             bar.update(task, description=description, total=total, completed=fraction or 0.0)
 
         yield report
+
+
+@contextmanager
+def _progress_lines() -> Iterator["Progress"]:
+    """Write what is being done to standard error from time to time, for whoever reads it in a file or over a pipe."""
+    began, done, latest = time.monotonic(), threading.Event(), ["reading"]
+
+    def report(description: str, fraction: float | None = None) -> None:
+        latest[0] = description if fraction is None else f"{description}, {100 * fraction:.0f} %"
+
+    def write() -> None:
+        # A thread, since a stage may compute for minutes without a call.
+        while not done.wait(LINE_EVERY):
+            print(f"covariant: {latest[0]}, {time.monotonic() - began:.0f} s", file=sys.stderr, flush=True)
+
+    writer = threading.Thread(target=write, daemon=True)
+    writer.start()
+    try:
+        yield report
+    finally:
+        done.set()
+        writer.join()
 
 
 def show(
@@ -66,7 +98,7 @@ def show(
     try:
         if out is not None:
             places["out"] = str(result.save(out, **save))
-            _print_paths([places["out"]], quiet=as_json)
+            _print_paths([str(path) for path in result.written_files(out)], quiet=as_json)
         if report is not None or figure is not None:
             _print_paths(_draw(result, report, figure, places, as_json), quiet=as_json)
     finally:  # a result that cannot be drawn is still printed, with the files that were written

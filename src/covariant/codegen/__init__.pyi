@@ -16,7 +16,7 @@ from ._python_control import closed_loop as closed_loop, observer_system as obse
 from ._python_package import python_files as python_files
 from ._source import Source as Source, write_source as write_source
 from ._vectors import ROWS as ROWS, Vectors as Vectors, vectors as vectors
-from ._wasm import wasm_files as wasm_files
+from ._wasm import check_wasm_compiler as check_wasm_compiler, wasm_files as wasm_files
 from ._write import export_texts as export_texts, write_folder as write_folder
 
 __all__ = ["Program", "closed_loop", "fmu", "program", "write_fmu", "write_source"]

@@ -80,6 +80,11 @@ def wasm_files(
     }
 
 
+def check_wasm_compiler() -> None:
+    """Compile an empty module; raises `ValueError` where no compiler for WebAssembly is installed that can."""
+    _compiled({"empty.c": "#include <math.h>\ndouble covariant_empty(double x) { return sin(x); }\n"})
+
+
 def _compiled(files: Mapping[str, str]) -> bytes:
     """The module, by the first compiler that makes one."""
     clang, packaged = shutil.which("clang"), zig()

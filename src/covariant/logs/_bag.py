@@ -14,6 +14,7 @@ import numpy as np
 
 from covariant._optional import load_optional
 from covariant.logs._columns import LogError, pyarrow
+from covariant.logs._mcap import check_checksums
 
 HEADER, RECEIVED = "t", "received"
 """Columns of stamps: the time in the header, at which the content was true, and the time at which it was recorded."""
@@ -208,6 +209,8 @@ def _messages(path: Path) -> Iterator[tuple[dict[str, int], Callable[..., Iterat
     highlevel = load_optional("rosbags.highlevel", use=need, extra="ros")
     types = load_optional("rosbags.typesys", use=need, extra="ros")
     try:
+        for file in [path] if path.is_file() else sorted(path.glob("*.mcap")):
+            check_checksums(file)
         # Bags in SQLite hold no definitions of their messages before ROS Iron: these are then taken from Humble.
         with highlevel.AnyReader([path], default_typestore=types.get_typestore(types.Stores.ROS2_HUMBLE)) as reader:
             known = [connection for connection in reader.connections if connection.msgtype in KINDS]

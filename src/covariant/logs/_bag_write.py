@@ -13,6 +13,7 @@ from covariant._files import temporary
 from covariant._optional import load_optional
 from covariant.logs._bag import FIELDS, POSITION, QUATERNION
 from covariant.logs._columns import LogError
+from covariant.logs._mcap import write_checksums
 
 VERSION = 8
 """Version of the layout of a rosbag2; ROS reads it since 2023."""
@@ -44,8 +45,11 @@ def write_bag(path: Path, columns: Mapping[str, np.ndarray], origin_ns: int | No
                 header = known.types["std_msgs/msg/Header"](stamp, "")
                 for connection, message in topics:
                     writer.write(connection, now, known.serialize_cdr(message(header, k), connection.msgtype))
-        # The writer makes a folder for MCAP too, with metadata and one .mcap file; a log needs only this file.
-        os.replace(bag / f"{bag.name}.mcap" if path.suffix.lower() == ".mcap" else bag, path)
+        if path.suffix.lower() == ".mcap":
+            # The writer makes a folder for MCAP too, with metadata and one .mcap file; a log needs only this file.
+            bag /= f"{bag.name}.mcap"
+            write_checksums(bag)
+        os.replace(bag, path)
 
 
 @contextlib.contextmanager

@@ -125,6 +125,8 @@ class Log(NamedTuple):
             otherwise None, and the stamps are as in the file.
         first_row: Row of the file, counted from 1, that is the first of the record.
         every: Distance in rows from one row of the record to the next.
+        whole: All rows of the log, of which `record` has those that were asked for; None where these are all. Inputs
+            before and between the rows of `record` act in them, see `signals.acting_inputs`.
         readings: Of each sensor that was asked for its readings in these rows, NaN where there is none: the numbers
             (T, k) of `q`, or of a pose the position (3,) and the rotation (3, 3), row by row, (T, 12). None for one of
             which the log has no column, as a `Record` has not.
@@ -143,6 +145,12 @@ class Log(NamedTuple):
     first_row: int = 1
     every: int = 1
     readings: tuple[Float[np.ndarray, "T k"] | None, ...] = ()
+    whole: Record | None = None
+
+    @property
+    def all_rows(self) -> Record:
+        """All rows of the log."""
+        return self.record if self.whole is None else self.whole
 
     def __repr__(self) -> str:
         beside = ["velocities"] * (self.v is not None) + ["true velocities"] * (self.truth is not None)

@@ -84,6 +84,13 @@ def _bodies(columns: Columns) -> tuple[tuple[Body, ...], tuple[Body, ...]]:
             f"position ({', '.join(columns.position) or 'none'}) and {kind} ({', '.join(names) or 'none'}) make no "
             "pose; three names go with a quaternion of 4 or a matrix of 9 columns, two with an angle"
         )
+    for body in (*first, *balls) if kind.startswith("quaternion") else ():
+        letters, order = "".join(name.rstrip("]")[-1:].lower() for name in body.rotation), kind[-needed:]
+        if letters != order and sorted(letters) == sorted(order):
+            raise LogError(
+                f"{kind} has {', '.join(map(repr, body.rotation))}, whose letters are in the order {letters}; name "
+                f"them in the order {order}"
+            )
     # Without an attitude the first angle is the heading of a body in the plane.
     wheels = columns.angle[1:] if first and not attitudes else columns.angle
     return (*first, *(Body("angle", (name,)) for name in wheels)), balls

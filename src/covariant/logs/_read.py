@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -16,8 +16,8 @@ from covariant.logs._cells import numbers
 from covariant.logs._columns import ATTITUDES, ClockError, Columns, Log, LogError, kind, pyarrow
 from covariant.logs._configuration import bodies, from_cells
 from covariant.logs._stamps import stamps, timed
-from covariant.logs._tables import LogSource, source_name, table_source
-from covariant.logs._text import is_number, read_text, sheet, with_points
+from covariant.logs._tables import LogSource, plain_text, source_name, stated_units, table_source
+from covariant.logs._text import read_text, sheet, with_points
 from covariant.logs._unit_in_name import MEANT, is_unit_of, unit_in_name, unknown_unit, unknown_unit_fault
 from covariant.logs._units import check_unit, unit_factor
 from covariant.signals import Record, StampError
@@ -214,8 +214,8 @@ def _need_units(log: str, columns: Columns, field: str, units: Mapping[str, str]
     for place, (name, text) in enumerate(zip(names, in_names, strict=True)):
         unknown = unknown_unit(labels[place], meant, labels)
         if unknown is not None and columns.unit_of(field, place) is None:
-            fault = unknown_unit_fault(field, unknown, name in units, sensor=si)
-            raise LogError(f"{log}: column {name!r} {fault}")
+            fault = unknown_unit_fault(name, field, unknown, name in units, sensor=si)
+            raise LogError(f"{log}: {fault}")
         if text is not None and unit_factor(text) != 1 and columns.unit_of(field, place) is None:
             texts = [f'"{each or meant[0]}"' for each in in_names]
             line = f"{key} = {texts[0] if len(set(texts)) == 1 else '[' + ', '.join(texts) + ']'}"
@@ -252,7 +252,8 @@ def _select_rows(name: str, log: Log, every: int, until: float | None, start: fl
         row = low + 1
         raise LogError(f"{name}: row {row}, the first one kept, lacks a measurement; begin a little later or earlier")
     record, v, truth, readings = (_rows(part, rows) for part in (log.record, log.v, log.truth, log.readings))
-    return Log(record, v, truth, log.origin_ns, low + 1, every, readings)
+    whole = None if len(record.t) == len(t) else log.record
+    return Log(record, v, truth, log.origin_ns, low + 1, every, readings, whole)
 
 
 def _rows(part: Any, rows: slice) -> Any:
@@ -265,16 +266,37 @@ def _rows(part: Any, rows: slice) -> Any:
     return part[rows]
 
 
-def survey(log: str | PathLike[str] | Any) -> dict[str, Float[np.ndarray, "T"]]:
+class LogSurvey(NamedTuple):
+    """All columns of numbers of a log.
+
+    Attributes:
+        columns: Arrays (T,) by name, in the order of the log and in its units; NaN where a cell is empty.
+        units: Units that the log states beside the names, by column: attributes of a dataset, metadata of Parquet.
+        remarks: Sentences on what is odd about the names, such as that there are none.
+
+    Example:
+        >>> import pandas
+        >>> from covariant import logs
+        >>> logs.survey(pandas.DataFrame({"t": [0.0, 0.1]})).remarks
+        ()
+    """
+
+    columns: dict[str, Float[np.ndarray, "T"]]
+    units: Mapping[str, str]
+    remarks: tuple[str, ...]
+
+
+def survey(log: str | PathLike[str] | Any) -> LogSurvey:
     """All columns of numbers of a log, by name.
 
-    Columns that hold anything else are left out, but dates are seconds since the first of them.
+    Columns that hold anything else are left out, but dates are seconds since the first of them. Of columns that have
+    one name the first counts where they are equal, and otherwise none.
 
     Args:
         log: A path, data frame or dataset, as for `read`.
 
     Returns:
-        Arrays (T,) in the order of the log, in the units of the log; NaN where a cell is empty.
+        The columns, the units that the log states, and what is odd about its names.
 
     Raises:
         LogError: The file is no log; as for `read`.
@@ -282,21 +304,26 @@ def survey(log: str | PathLike[str] | Any) -> dict[str, Float[np.ndarray, "T"]]:
     Example:
         >>> import pandas
         >>> from covariant import logs
-        >>> list(logs.survey(pandas.DataFrame({"t": [0.0, 0.1], "q1": [0.0, 0.3], "remark": ["on", "off"]})))
+        >>> list(logs.survey(pandas.DataFrame({"t": [0.0, 0.1], "q1": [0.0, 0.3], "remark": ["on", "off"]})).columns)
         ['t', 'q1']
     """
     name = source_name(log)
     with _legible(name, log):
-        _, shown, load, _ = _open_source(name, log)
-        # A name of two columns denotes neither.
-        alone = [column for column, count in Counter(shown).items() if column and count == 1]
-        table = with_points(pyarrow(), name, load(alone, (), ()))
+        source = _open_source(name, log)
+        named = list(dict.fromkeys(column for column in source.shown if column))
+        table, remarks = _unite(name, source.load(named, (), ()), refuse=False)
+        table = with_points(pyarrow(), name, table, source.decimal_commas)
     columns: dict[str, np.ndarray] = {}
-    for name in alone:
-        column = table.column(name)
+    # A log of messages loads its clock as well.
+    for column_name in [each for each in named if each in table.column_names]:
+        column = table.column(column_name)
         with contextlib.suppress(LogError):
-            columns[name] = stamps(name, column, None).t if timed(column) else numbers(name, column, needed=False)
-    return columns
+            columns[column_name] = (
+                stamps(name, column, None).t if timed(column) else numbers(name, column, needed=False)
+            )
+    if source.first_line:
+        remarks.append(_no_header(source))
+    return LogSurvey(columns, source.units, tuple(remarks))
 
 
 def _where(name: str, column: str, unit: str | None) -> str:
@@ -320,7 +347,8 @@ def _columns_and_table(
     the units that the log states.
     """
     with _legible(name, log):
-        names, shown, load, units = _open_source(name, log)
+        source = _open_source(name, log)
+        names = source.names
         # A field of which some columns are there is not absent: the others are an error below.
         absent = [field for field in optional if not set(getattr(columns, field)) & set(names)]
         columns = columns._replace(**dict.fromkeys(absent, ()))
@@ -328,8 +356,9 @@ def _columns_and_table(
         # A sensor of which some columns are there is not absent either.
         present = [each for each in sensors if set(each.measured) & set(names)]
         beside = [name for each in present for name in each.measured if name not in wanted]
-        _find(name, wanted + beside, names, shown)
-        return columns, present, with_points(pyarrow(), name, load(wanted, columns.u, beside)), units
+        _find(name, wanted + beside, source)
+        table, _ = _unite(name, source.load(wanted, columns.u, beside))
+        return columns, present, with_points(pyarrow(), name, table, source.decimal_commas), source.units
 
 
 @contextlib.contextmanager
@@ -365,31 +394,77 @@ def _open_source(name: str, log: Any) -> LogSource:
         return LogSource(list(names), shown, lambda *asked: pyarrow().table(read_bag(path, *asked)))
     if ending == ".parquet":
         with pyarrow().parquet.ParquetFile(path) as file:
-            names = list(file.schema_arrow.names)
-            return LogSource(names, names, lambda wanted, held, beside: _parquet(path, [*wanted, *beside]))
+            schema = file.schema_arrow
+        names = list(schema.names)
+        return LogSource(
+            names, names, lambda wanted, held, beside: _parquet(path, [*wanted, *beside]), stated_units(schema)
+        )
     text = sheet(path)
     return LogSource(
         text.header,
         text.header,
         lambda wanted, held, beside: read_text(pyarrow(), path, text, [*wanted, *beside]),
+        first_line=text.first_line,
+        decimal_commas=text.delimiter == ";",
     )
 
 
 def _parquet(path: Path, wanted: Sequence[str]) -> Any:
     with pyarrow().parquet.ParquetFile(path) as file:
-        return file.read(columns=wanted)
+        table = file.read(columns=wanted)
+    return pyarrow().table([plain_text(column) for column in table.columns], names=table.column_names)
 
 
-def _find(log: str, wanted: Sequence[str], names: Sequence[str], shown: Sequence[str]) -> None:
-    """Check that each wanted column exists exactly once."""
-    count = Counter(names)
+def _find(log: str, wanted: Sequence[str], source: LogSource) -> None:
+    """Check that each wanted column exists."""
     for name in wanted:
-        if count[name] > 1:
-            raise LogError(f"{log}: {count[name]} columns are named {name!r}; rename all but one")
-        if not count[name] and all(map(is_number, names)):
-            line = ", ".join(names)[:60]
-            raise LogError(f"{log}: its first line, {line!r}, names no columns; put a header above it")
-        if not count[name]:
-            close = difflib.get_close_matches(name, names, 1)
-            meant = f" Did you mean {close[0]!r}?" if close else ""
-            raise LogError(f"{log}: no column {name!r}.{meant} There are: {', '.join(shown)}")
+        if name in source.names:
+            continue
+        close = difflib.get_close_matches(name, source.names, 1)
+        meant = f" Did you mean {close[0]!r}?" if close else ""
+        there = _no_header(source) if source.first_line else f"There are: {', '.join(source.shown)}"
+        raise LogError(f"{log}: no column {name!r}.{meant} {there}")
+
+
+def _no_header(source: LogSource) -> str:
+    """Remark on a text without a header."""
+    return (
+        f"Its first line, {source.first_line[:60]!r}, names no columns, so that they are called "
+        f"{', '.join(source.names)}; use these names, or put a header above it"
+    )
+
+
+def _unite(log: str, table: Any, refuse: bool = True) -> tuple[Any, list[str]]:
+    """A table in which each name stands once, and a remark on each name that stood more often.
+
+    Of equal columns the first stays. Others raise `LogError`, or are all left out.
+    """
+    remarks = []
+    for name, count in Counter(table.column_names).items():
+        if count == 1:
+            continue
+        places = [place for place, other in enumerate(table.column_names) if other == name]
+        cells = [table.column(place).to_pylist() for place in places]
+        row = next((k for k, row in enumerate(zip(*cells, strict=True)) if not _are_equal(row)), None)
+        remark = f"{count} columns are named {name!r} and are equal, so that they count as one"
+        if row is not None:
+            values = " and ".join(repr(column[row]) for column in cells)
+            remark = f"{count} columns are named {name!r} and differ, first in row {row + 1}: {values}"
+            if refuse:
+                raise LogError(f"{log}: {remark}; rename all but one")
+            remark += "; they are left out, so rename all but one"
+        remarks.append(remark)
+        for place in reversed(places[row is None :]):
+            table = table.remove_column(place)
+    return table, remarks
+
+
+def _are_equal(cells: Sequence[Any]) -> bool:
+    """Whether cells hold the same; 0.5 is 0.50, and a missing number is another one."""
+    compared = []
+    for cell in cells:
+        plain = cell.strip() if isinstance(cell, str) else cell
+        with contextlib.suppress(TypeError, ValueError):
+            plain = float(plain)
+        compared.append(None if plain == "" or plain != plain else plain)
+    return all(other == compared[0] for other in compared)

@@ -9,12 +9,23 @@ from jaxtyping import Float
 
 from covariant.logs._cells import fault, numbers
 from covariant.logs._columns import LogError, pyarrow
+from covariant.logs._text import DATE
 from covariant.logs._units import unit_factor
 from covariant.signals import LATEST_STAMP, check_rounding
 
 LATEST = 1e8
 """Stamps beyond this [s], three years, count from 1970 and not from the start of the machine."""
-_DATE = r"^\s*[0-9]{4}-[0-9]{2}-[0-9]{2}"
+
+DAYS = ((25_569.0, 73_050.0), (719_529.0, 767_010.0), (2_440_587.5, 2_488_069.5))
+"""Days from 1970 to 2100, since 1900, since the year 0, and Julian."""
+DAY = 86_400.0
+"""Seconds of a day."""
+_LARGEST_STEP_OF_DAYS = 2e-5
+"""Median step below which such numbers are days: 1.7 s in days, and 50 000 rows a second in seconds."""
+_SMALLEST_STEP = 1e-6
+"""Median step [s] below which numbers are no seconds: a machine is not logged a million times a second."""
+_FEWEST_ROWS = 50
+"""Number of rows from which their rate counts: a few may be an excerpt of something else."""
 
 
 class Stamps(NamedTuple):
@@ -61,6 +72,9 @@ def stamps(where: str, column: Any, given: str | None) -> Stamps:
             check_rounding(values.astype(column.type.to_pandas_dtype()))
         except ValueError as error:
             raise LogError(f"{where}: {error}") from error
+    odd = odd_clock(values, given)
+    if odd is not None:
+        raise LogError(f"{where} {odd}")
     too_late = np.abs(values) * factor > LATEST_STAMP
     if too_late.any():
         row = int(too_late.argmax())
@@ -74,6 +88,42 @@ def stamps(where: str, column: Any, given: str | None) -> Stamps:
     first, since_first = _since_first(pa, column, values)
     # The product of a fraction and a whole number of nanoseconds is exact.
     return Stamps(since_first * factor, round(first * round(factor * 1e9)))
+
+
+def odd_clock(values: Float[np.ndarray, "T"], unit: str | None = None) -> str | None:
+    """What is wrong with stamps that cannot be seconds: dates in days, or parts of a day or a year.
+
+    Spreadsheets count days from 1900, `datenum` from the year 0, and astronomers from 4713 BC. Such stamps would have
+    more than 50 000 rows a second as seconds. The reader and the draft refuse them, since a log that is read in a wrong
+    unit of time gives wrong velocities.
+
+    Args:
+        values: Stamps (T,) as logged.
+        unit: Their unit; None where none is stated.
+
+    Returns:
+        The fault and its remedy, which follow the name of the column; None for a clock that may count seconds.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant.logs import odd_clock
+        >>> odd_clock(45_000 + np.arange(99) / 86_400).partition(",")[0], odd_clock(45_000 + np.arange(99.0))
+        ('holds dates in days', None)
+    """
+    if len(values) < _FEWEST_ROWS or (unit is not None and unit_factor(unit) != DAY):
+        return None
+    step = float(np.median(np.diff(values)))
+    if 0 < step < _LARGEST_STEP_OF_DAYS and any(low <= values[0] <= high for low, high in DAYS):
+        return (
+            "holds dates in days, as spreadsheets, datenum and Julian dates do; subtract the first of them, and write "
+            't = "24 h" under [units] of the model file, or write t = "s" if they are seconds'
+        )
+    if unit is None and 0 < step < _SMALLEST_STEP:
+        return (
+            f"has {1 / step:.2g} rows a second if it holds seconds; write what one of it is under [units] of the model "
+            'file, as t = "24 h" for parts of a day, or t = "s" if they are seconds'
+        )
+    return None
 
 
 def _since_first(pa: Any, column: Any, values: np.ndarray) -> tuple[Fraction, np.ndarray]:
@@ -95,7 +145,7 @@ def dated(column: Any) -> bool:
     types = pyarrow().types
     if types.is_timestamp(column.type):
         return True
-    return types.is_string(column.type) and len(column) > 0 and re.match(_DATE, column[0].as_py() or "") is not None
+    return types.is_string(column.type) and len(column) > 0 and re.match(DATE, column[0].as_py() or "") is not None
 
 
 def timed(column: Any) -> bool:

@@ -1,5 +1,8 @@
 """Logs in memory: data frames of any library that narwhals knows, and datasets of xarray, as tables of Arrow."""
 
+import contextlib
+import json
+import re
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from os import PathLike
@@ -13,6 +16,9 @@ from covariant._optional import load_optional
 from covariant.logs._columns import LogError, pyarrow
 from covariant.signals import Record
 
+_UNIT_KEY = re.compile(r"(?:.*[_ .:])?units?(?:_of_measure(?:ment)?)?", re.IGNORECASE)
+"""Keys of the metadata of a column under which its unit stands, and of a table under which those of its columns do."""
+
 
 class LogSource(NamedTuple):
     """The columns of a log, loaded on demand.
@@ -24,12 +30,16 @@ class LogSource(NamedTuple):
             last value where they are not logged with the others. Of a log of messages, those `beside` them make rows of
             their own as well.
         units: Units that the log itself states, by column.
+        first_line: The first line of a text that has no header, whose columns are called 1, 2, 3.
+        decimal_commas: Whether a comma within a cell is a decimal mark for certain, as between semicolons.
     """
 
     names: Sequence[str]
     shown: Sequence[str]
     load: Callable[[Sequence[str], Sequence[str], Sequence[str]], Any]
     units: Mapping[str, str] = MappingProxyType({})
+    first_line: str = ""
+    decimal_commas: bool = False
 
 
 def source_name(log: Any) -> str:
@@ -68,6 +78,8 @@ def table_source(name: str, log: Any) -> LogSource:
         raise LogError(f"{name}: {' '.join(str(error).split())}") from error
     if isinstance(frame, narwhals.LazyFrame):
         frame = frame.collect()
+    native = frame.to_native()
+    units = stated_units(native.schema) if isinstance(native, pyarrow().Table) else _units_of(getattr(log, "attrs", {}))
     names = [str(column) for column in frame.columns]
     places = dict(zip(names, frame.columns, strict=True))
 
@@ -76,7 +88,28 @@ def table_source(name: str, log: Any) -> LogSource:
             {column: _arrow(name, column, frame[places[column]].to_arrow) for column in (*wanted, *beside)}
         )
 
-    return LogSource(names, names, load)
+    return LogSource(names, names, load, units)
+
+
+def stated_units(schema: Any) -> dict[str, str]:
+    """Units in the metadata of a schema of Arrow, of which pandas writes its own as JSON, and of its fields."""
+    units = {}
+    for key, text in _decoded(schema.metadata).items():
+        with contextlib.suppress(ValueError):
+            units |= _units_of(json.loads(text) if key == "PANDAS_ATTRS" else {key: json.loads(text)})
+    for field in schema:
+        units |= _units_of({key: {field.name: text} for key, text in _decoded(field.metadata).items()})
+    return units
+
+
+def _decoded(metadata: Mapping[bytes, bytes] | None) -> dict[str, str]:
+    return {key.decode(errors="replace"): text.decode(errors="replace") for key, text in (metadata or {}).items()}
+
+
+def _units_of(attributes: Mapping[Any, Any]) -> dict[str, str]:
+    """The units of columns in the attributes of a table, by column."""
+    named = [each for key, each in attributes.items() if _UNIT_KEY.fullmatch(str(key)) and isinstance(each, Mapping)]
+    return {str(name): str(text).strip() for each in named for name, text in each.items() if str(text).strip()}
 
 
 def _is_dataset(log: Any) -> bool:
@@ -107,7 +140,11 @@ def _dataset_source(name: str, log: Any) -> LogSource:
     # Of equal counts `max` takes the first, in the order of the dataset.
     time = max(dict.fromkeys(along), key=along.count)
     columns = {key: variable for key, variable in lines.items() if variable.dims[0] == time}
-    units = {key: str(variable.attrs["units"]) for key, variable in columns.items() if "units" in variable.attrs}
+    units = {
+        name: text
+        for key, variable in columns.items()
+        for name, text in _units_of({attribute: {key: text} for attribute, text in variable.attrs.items()}).items()
+    }
 
     def load(wanted: Sequence[str], held: Sequence[str], beside: Sequence[str]) -> Any:
         return pyarrow().table(
@@ -127,7 +164,12 @@ def _arrow(name: str, column: str, convert: Callable[[], Any]) -> Any:
         cells = convert()
     except (pa.ArrowException, TypeError, ValueError) as error:
         raise LogError(f"{name}: column {column!r} is no column of numbers: {str(error).splitlines()[0]}") from error
-    cells = cells if isinstance(cells, pa.ChunkedArray) else pa.chunked_array([cells])
-    if pa.types.is_dictionary(cells.type) or pa.types.is_large_string(cells.type):
-        cells = cells.cast(pa.string())
+    return plain_text(cells if isinstance(cells, pa.ChunkedArray) else pa.chunked_array([cells]))
+
+
+def plain_text(cells: Any) -> Any:
+    """A column of Arrow in which text of every kind is of its plain type."""
+    types = pyarrow().types
+    if any(each(cells.type) for each in (types.is_dictionary, types.is_large_string, types.is_string_view)):
+        return cells.cast(pyarrow().string())
     return cells

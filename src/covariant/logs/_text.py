@@ -2,11 +2,11 @@
 
 import csv
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from covariant._numbers import DECIMAL
+from covariant._numbers import DECIMAL, NUMBER
 from covariant.logs._columns import LogError
 
 DELIMITERS = {"\t": "tabs", ";": "semicolons", ",": "commas", "|": "strokes", " ": "spaces"}
@@ -15,7 +15,11 @@ SAMPLE = 30
 """Number of rows by which the delimiter is chosen."""
 _NOTHING = re.compile(rb"^[ \t]*(?:[#%][^\n]*)?(?:\n|\Z)", re.MULTILINE)
 """A line that is empty or a comment."""
+DATE = r"^\s*[0-9]{4}-[0-9]{2}-[0-9]{2}"
+"""How a date begins."""
 _COMMA = r"^(\s*[+-]?[0-9]*),([0-9]+(?:[eE][+-]?[0-9]+)?\s*)$"
+_CERTAIN_COMMA = r"^\s*[+-]?(?:0*,[0-9]+|[0-9]+,(?:[0-9]{1,2}|[0-9]{4,})|[0-9]{4,},[0-9]+)(?:[eE][+-]?[0-9]+)?\s*$"
+"""A number whose comma does not stand between thousands."""
 _POINT = r"^\s*[+-]?(?:[0-9]+\.[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?\s*$"
 
 
@@ -23,14 +27,16 @@ class Sheet(NamedTuple):
     """Text of a log, split into its parts.
 
     Attributes:
-        header: Names of the columns.
+        header: Names of the columns; 1, 2, 3 and so on where the file names none.
         delimiter: Character between two cells, a key of `DELIMITERS`.
         rows: Bytes of the rows in UTF-8, without comments and empty lines.
+        first_line: The first line of a file that has no header; empty where there is one.
     """
 
     header: list[str]
     delimiter: str
     rows: bytes
+    first_line: str = ""
 
 
 def sheet(path: Path) -> Sheet:
@@ -42,21 +48,50 @@ def sheet(path: Path) -> Sheet:
     if not first.strip(b" \t"):
         raise LogError(f"{path}: the file is empty; its first line must name the columns")
     lines = [first.decode(), *(line.decode() for line in rows.split(b"\n", SAMPLE)[:SAMPLE] if line)]
-    delimiter = next((d for d in DELIMITERS if _agrees(_split_cells(lines, d))), None) or _of_header(lines[0])
-    header, *sample = _split_cells(lines, delimiter)
+    delimiter = next((d for d in DELIMITERS if _agrees(_split_cells(path, lines, d))), None) or _of_header(lines[0])
+    header, *sample = _split_cells(path, lines, delimiter)
+    first_line = ""
     if remark and all(is_number(cell) for cell in header if cell):  # as numpy.savetxt writes its header
-        names = _split_cells([remark], delimiter)[0]
+        names = _split_cells(path, [remark.replace(",", " ") if delimiter == " " else remark], delimiter)[0]
         if len(names) == len(header):
             # The last comment has as many cells as the first line, which holds numbers only: it is the header.
             header, sample, rows = names, [header, *sample], text
+    if _is_row(header, sample):
+        # The names must not hide that the line is a measurement.
+        first_line, sample, rows = lines[0], [header, *sample], text
+        header = [str(k + 1) for k in range(max(map(len, sample)))]
     # Rows, or the header, may end with a delimiter: then the other one lacks an empty cell.
     if header[-1] and sample and all(len(row) == len(header) + 1 and not row[-1] for row in sample):
         header = [*header, ""]
     elif not header[-1] and sample and all(len(row) == len(header) - 1 for row in sample):
         header = header[:-1]
+    if delimiter == "," and not header[-1] and sample and all(row[-1].isdigit() for row in sample):
+        raise LogError(
+            f"{path}: the last column has no name, and its first cell is {sample[0][-1]!r}: are the commas of the rows "
+            "decimal marks? write numbers with a decimal point, or give the column a name"
+        )
     if delimiter == " ":
         rows = re.sub(rb"[ \t]+", b" ", re.sub(rb"(?m)^[ \t]+|[ \t]+$", b"", rows))
-    return Sheet(header, delimiter, rows)
+    return Sheet(header, delimiter, rows, first_line)
+
+
+def _is_row(header: list[str], sample: list[list[str]]) -> bool:
+    """Whether the first line is a row: no cell of it is a word above numbers, and the numbers are no count of columns.
+
+    A count of columns, as pandas writes it above columns without names, differs in form from the rows.
+    """
+    numbers = [cell for cell in header if _is_value(cell)]
+    below = [[row[k] for row in sample if k < len(row) and row[k]] for k in range(len(header))]
+    for cell, column in zip(header, below, strict=True):
+        if cell and not _is_value(cell) and all(map(_is_value, column)):
+            return False
+    is_count = numbers in ([str(first + k) for k in range(len(numbers))] for first in (0, 1))
+    return bool(numbers) and (not is_count or all(cell.isdigit() for column in below for cell in column))
+
+
+def _is_value(cell: str) -> bool:
+    """Whether a cell holds what a row does: a number, not a number, or a date."""
+    return is_number(cell) or re.fullmatch(NUMBER, cell) is not None or re.match(DATE, cell) is not None
 
 
 def read_text(pa: Any, path: Path, found: Sheet, wanted: Sequence[str]) -> Any:
@@ -64,16 +99,20 @@ def read_text(pa: Any, path: Path, found: Sheet, wanted: Sequence[str]) -> Any:
     if not found.rows.strip():
         raise LogError(f"{path}: the file has a header and no rows")
     ragged = []
+    # By places, since two columns may have one name.
+    places = [str(place) for place, name in enumerate(found.header) if name in wanted]
     table = pa.csv.read_csv(
         pa.BufferReader(found.rows),
         # One thread, since Arrow knows the number of an invalid row only then.
-        read_options=pa.csv.ReadOptions(use_threads=False, column_names=found.header),
+        read_options=pa.csv.ReadOptions(
+            use_threads=False, column_names=[str(place) for place in range(len(found.header))]
+        ),
         parse_options=pa.csv.ParseOptions(
             delimiter=found.delimiter, invalid_row_handler=lambda row: ragged.append(row) or "skip"
         ),
         convert_options=pa.csv.ConvertOptions(
-            include_columns=wanted,
-            column_types=dict.fromkeys(wanted, pa.string()),
+            include_columns=places,
+            column_types=dict.fromkeys(places, pa.string()),
             # Only empty cells are missing: Arrow's default list has words such as NA, which shall be quoted as faults.
             null_values=[""],
             strings_can_be_null=True,
@@ -88,12 +127,13 @@ def read_text(pa: Any, path: Path, found: Sheet, wanted: Sequence[str]) -> Any:
     # A quoted cell may contain line breaks, but if its closing mark is missing it contains whole rows.
     if b'"' in found.rows and table.num_rows < found.rows.strip(b"\n").count(b"\n") + 1:
         _check_quotes(path, found)
+    table = table.rename_columns([found.header[int(place)] for place in table.column_names])
     if found.delimiter == ",":
-        for name in wanted:
-            row = _matching(pa, table.column(name), _COMMA)
+        for name, column in zip(table.column_names, table.columns, strict=True):
+            row = _matching(pa, column, _COMMA)
             if row is not None:
                 raise LogError(
-                    f"{path}: column {name!r}, row {row + 1}: found {table.column(name)[row].as_py()!r} in a file "
+                    f"{path}: column {name!r}, row {row + 1}: found {column[row].as_py()!r} in a file "
                     "whose cells have commas between them: a decimal mark or thousands? write numbers with a decimal "
                     "point and no other commas, or put semicolons between cells"
                 )
@@ -102,7 +142,7 @@ def read_text(pa: Any, path: Path, found: Sheet, wanted: Sequence[str]) -> Any:
 
 def _check_quotes(path: Path, found: Sheet) -> None:
     """Raise `LogError` if a line of a quoted cell has as many cells as a row."""
-    cells = csv.reader(found.rows.decode().splitlines(keepends=True), delimiter=found.delimiter)
+    cells = _split_lines(path, found.rows.decode().splitlines(keepends=True), found.delimiter)
     for row, line in enumerate((line for line in cells if line), 1):
         for cell in line:
             if any(part.count(found.delimiter) >= len(found.header) - 1 for part in cell.split("\n")[1:]):
@@ -112,10 +152,17 @@ def _check_quotes(path: Path, found: Sheet) -> None:
                 )
 
 
-def with_points(pa: Any, log: str, table: Any) -> Any:
-    """Replace decimal commas by decimal points."""
+def with_points(pa: Any, log: str, table: Any, certain: bool) -> Any:
+    """Replace decimal commas by decimal points; where they are not `certain`, 1,234 alone may be a thousand."""
     texts = [name for name in table.column_names if pa.types.is_string(table.schema.field(name).type)]
     commas = {name: _matching(pa, table.column(name), _COMMA) for name in texts}
+    certain |= any(_matching(pa, table.column(name), _CERTAIN_COMMA) is not None for name in texts)
+    for name, row in commas.items():
+        if row is not None and not certain:
+            raise LogError(
+                f"{log}: column {name!r}, row {row + 1}: found the text {table.column(name)[row].as_py()!r}, whose "
+                "comma may be a decimal mark or one between thousands; write numbers with a decimal point"
+            )
     commas = {name: row for name, row in commas.items() if row is not None}
     for name in texts if commas else ():
         row = _matching(pa, table.column(name), _POINT)
@@ -159,11 +206,23 @@ def _remark(text: bytes) -> str:
     return last.lstrip(b"#% \t").decode()
 
 
-def _split_cells(lines: Sequence[str], delimiter: str) -> list[list[str]]:
+def _split_cells(path: Path, lines: Sequence[str], delimiter: str) -> list[list[str]]:
     """The cells of each line, without the spaces around them."""
     if delimiter == " ":
         lines = [" ".join(line.split()) for line in lines]
-    return [[cell.strip() for cell in row] for row in csv.reader(lines, delimiter=delimiter)]
+    return [[cell.strip() for cell in row] for row in _split_lines(path, lines, delimiter)]
+
+
+def _split_lines(path: Path, lines: Sequence[str], delimiter: str) -> Iterator[list[str]]:
+    """The cells of each line; raises `LogError` for a cell that is longer than `csv` allows."""
+    reader = csv.reader(lines, delimiter=delimiter)
+    try:
+        yield from reader
+    except csv.Error as error:
+        raise LogError(
+            f"{path}: line {reader.line_num} without comments has a cell of more than {csv.field_size_limit():,} "
+            "letters; take that column away, or close the quotation mark before it"
+        ) from error
 
 
 def _agrees(rows: list[list[str]]) -> bool:

@@ -1,8 +1,9 @@
-"""Units at the end of the names of columns."""
+"""Units in the names of columns, as people write them."""
 
 import contextlib
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from typing import NamedTuple
 
 from covariant.logs._units import check_unit
 
@@ -10,34 +11,108 @@ MEANT = {"t": ("s",), "q": ("rad", "m"), "u": ("N m", "N"), "v": ("rad/s", "m/s"
 MEANT |= {"truth": MEANT["v"], "position": ("m",), "angle": ("rad",)}
 """Units in which the columns of each field are logged unless the model file states others."""
 _PLAIN = {
-    **dict.fromkeys(("deg", "degs", "degree", "degrees"), "deg"),
+    **dict.fromkeys(("deg", "degs", "degree", "degrees", "°", "º"), "deg"),
     **dict.fromkeys(("rad", "rads", "radian", "radians"), "rad"),
+    **dict.fromkeys(("mrad", "mrads"), "mrad"),
+    **dict.fromkeys(("turn", "turns", "rev", "revs", "revolution", "revolutions", "rotations"), "turn"),
     **dict.fromkeys(("s", "sec", "secs", "second", "seconds"), "s"),
-    **dict.fromkeys(("ms", "msec", "msecs", "millis", "millisecond", "milliseconds"), "ms"),
-    **dict.fromkeys(("us", "µs", "μs", "usec", "usecs", "micros", "microsecond", "microseconds"), "us"),
-    **dict.fromkeys(("ns", "nsec", "nsecs", "nanos", "nanosecond", "nanoseconds"), "ns"),
-    **{f"{turn}/{per}": f"{turn}/s" for turn in ("deg", "rad") for per in ("s", "sec")},
-    "mrad": "mrad",
-    **dict.fromkeys(("meter", "meters", "metre", "metres"), "m"),
+    **dict.fromkeys(("ms", "msec", "msecs", "milli", "millis"), "ms"),
+    **dict.fromkeys(("us", "µs", "μs", "usec", "usecs", "micro", "micros"), "us"),
+    **dict.fromkeys(("ns", "nsec", "nsecs", "nano", "nanos"), "ns"),
+    **dict.fromkeys(("min", "mins", "minute", "minutes"), "min"),
+    **dict.fromkeys(("h", "hr", "hrs", "hour", "hours"), "h"),
+    **dict.fromkeys(("d", "day", "days"), "24 h"),
+    **dict.fromkeys(("m", "meter", "meters", "metre", "metres"), "m"),
+    **{"mm": "mm", "cm": "cm", "um": "um", "µm": "um", "μm": "um", "microns": "um", "km": "km"},
     **dict.fromkeys(("newton", "newtons"), "N"),
+    **dict.fromkeys(("nm", "newtonmeter", "newtonmeters", "newtonmetre", "newtonmetres"), "N m"),
+    **{"mnm": "mN m", "ncm": "N cm", "nmm": "N mm", "knm": "kN m"},
+    **{"rpm": "rpm", "r/min": "rpm", "1/min": "rpm", "dps": "deg/s", "mdps": "1e-3 deg/s", "rps": "turn/s"},
+    **{"mps": "m/s", "kmh": "km/h", "kph": "km/h", "degsec": "deg/s", "radsec": "rad/s"},
+    "g": "9.80665 m/s^2",
+    **dict.fromkeys(("amp", "amps", "ampere", "amperes"), "A"),
+    **dict.fromkeys(("volt", "volts"), "V"),
+    **dict.fromkeys(("watt", "watts"), "W"),
 }
-"""How people write units, in lower case, and how they are written here."""
-_SUFFIXES = (
-    *_PLAIN,
-    *("turn", "turns", "rev", "rpm", "deg_s", "rad_s", "m", "mm", "cm", "um", "km", "m_s", "mm_s"),
-    *("N", "mN", "kN", "Nm", "mNm"),
-)
-_IN_NAME = re.compile(
-    rf"[\[(]\s*([^\[\]()]+?)\s*[\])]\s*$|[_ ]({'|'.join(_SUFFIXES)}|(?i:{'|'.join(_PLAIN)}))$",
-)
-"""The unit at the end of the name of a column, as in `q1 [deg]`, `time (ms)`, `time ms`, `angle_deg` or `cart_m`."""
-_BRACKETS = re.compile(r"(?P<stem>.*?)(?P<space>\s*)(?:\[(?P<square>[^\[\]()]*)\]|\((?P<round>[^\[\]()]*)\))\s*$")
-"""A name with something in brackets at its end."""
-_INDEX = re.compile(r"[-+.,:;\s0-9e]*")
-"""What is in the brackets of q[0], q[0, 1] and q(1)."""
-_NO_UNITS = {"%", "adc", "bit", "bits", "cnt", "cnts", "count", "counts", "encoder counts", "inc", "increments", "lsb"}
-_NO_UNITS |= {"percent", "pct", "permille", "pulse", "pulses", "pwm", "raw counts", "step", "steps", "tick", "ticks"}
+"""How people write units, in lower case, and how they are written here; `nm` is a torque unless a length is meant."""
+_PREFIXES = {"milli": ("m", 1e-3), "micro": ("u", 1e-6), "nano": ("n", 1e-9), "centi": ("c", 1e-2), "kilo": ("k", 1e3)}
+_PLAIN |= {
+    prefix + word: f"{symbol}{unit}"
+    for prefix, (symbol, _) in _PREFIXES.items()
+    for word, unit in _PLAIN.items()
+    if len(word) > 2 and unit in ("s", "m", "rad", "N", "N m", "A", "V", "W")
+}
+_PLAIN |= {
+    written + word: f"{size:g} deg"
+    for prefix, (symbol, size) in _PREFIXES.items()
+    for written in (prefix, symbol)
+    for word in ("deg", "degs", "degree", "degrees")
+}
+_RATES = {"degs": "deg/s", "rads": "rad/s"}
+"""Units of velocities whose names are those of angles as well."""
+_NO_UNITS = {"%", "adc", "bit", "bits", "cnt", "cnts", "count", "counts", "cts", "cycles", "erpm", "inc", "increments"}
+_NO_UNITS |= {"jiffies", "lsb", "percent", "pct", "permille", "pulse", "pulses", "pwm", "step", "steps"}
+_NO_UNITS |= {"tick", "ticks"}
 """What people write in the place of a unit for a number whose size depends on the machine."""
+_FOREIGN = {"gon", "grad", "grads", "gradians", "arcmin", "arcsec", "inch", "inches", "feet", "ft", "thou", "mils"}
+_FOREIGN |= {"mph", "knots", "week", "weeks", "fortnight", "hhmmss", "quads"}
+_WEIGHTS = {"lb", "lbs", "lbf", "pounds", "oz", "ounces", "kg", "kgf", "gf", "dyn", "dynes"}
+_FOREIGN |= _WEIGHTS
+"""Units that are not among those here; weights count in the names of forces, since lb is a leg as well."""
+_EXACT = ("mA", "uA", "µA", "mV", "uV", "kV", "mW", "kW", "mN", "kN", "urad", "µrad")
+"""Units that are told from other words by their capitals."""
+_LAST = {"turn", "rev", "min", "mins", "hr", "cm", "um", "km", "rps", "mps", "nm", "day", "second", "minute", "hour"}
+_LAST |= {"count", "tick", "step", "steps", "pulse", "cnt", "ft", "feet", "grad", "week", "weeks", "mils", "quads"}
+_LAST |= {"watt", "volt", "milli", "micro", "nano", "lb", "lbs", "oz", "kg", "gf", "dyn", "thou", "pounds", "cycles"}
+"""Words that are a unit only at the end of a name: `cm_x` is of a centre of mass."""
+_ENDS_OF_RANGES = {"min", "mins"}
+"""Units of time that mean something else in names of other columns: q_min."""
+_ROWS = re.compile(
+    r"(?:frame|sample|row|scan|iter|iteration|loop|step|count|counter|index|idx|seq|sequence)"
+    r"(?:[_ ]?(?:no|nr|num|number|id|idx|index|count|counter))?|(?:.*[_ ./])?(?:frames|samples|rows|iterations|seq)",
+    re.IGNORECASE,
+)
+"""Names of columns that count rows, where seconds are meant."""
+_WORDLESS = {"adc", "pwm", "bit", "bits", "inc", "step", "amp"}
+"""Of these, words that outside of brackets name what is measured."""
+
+
+def _alternatives(words: Iterable[str]) -> str:
+    """The part of a regular expression that matches the longest of several words."""
+    return "|".join(re.escape(word) for word in sorted(words, key=len, reverse=True))
+
+
+_NAMED = {word for word in {*_PLAIN, *_NO_UNITS, *_FOREIGN} - _WORDLESS if len(word) > 1 or not word.isalnum()}
+# A word begins after anything but a letter, or with a capital after a small letter, as in qDeg.
+_BEGIN, _END = r"(?:(?<![^\W\d_])|(?<=[a-z])(?=[A-Z]))", r"(?:(?![^\W\d_])|(?<=[a-z])(?=[A-Z]))"
+_PER = r"(?:[_/ .]|[_ ]?(?i:per)[_ ]?|p)"
+_WORD = re.compile(
+    rf"{_BEGIN}(?:"
+    rf"(?P<over>(?i:{_alternatives(_NAMED - {'nm', 'mins'})})|m(?!ph)){_PER}"
+    r"(?P<under>(?i:s|sec|second|min|h|rev|turn))(?P<power>\^?2|²)?"
+    r"|(?P<force>[mkcuµM]?N)[-_ .*·]?(?P<arm>[cm]?m)"
+    r"|(?P<imperial>(?i:(?:ozf?|lbs?|lbf|kgf?|gf)[-_ .*·]?(?:in|inch|ft|foot|cm|mm|m)"
+    r"|(?:in|inch|ft|foot)[-_ .*·]?(?:ozf?|lbs?|lbf)))"
+    # Ticks of 10 ms: a digit alone is an index, as in q1deg.
+    rf"|(?P<plain>(?<![0-9])10+(?:ms|us|ns)|(?i:{_alternatives(_NAMED)})|{_alternatives(_EXACT)})"
+    rf"){_END}"
+)
+"""A unit among the words of a name, as in `deg_q`, `timeMs`, `q1deg`, `w_deg_per_s` or `torque_N_m`."""
+_GLUED = re.compile(
+    r"(?:deg|degrees|(?<!e)rpm|msec|usec|nsec|millis|micros|nanos|°|º|%|counts|(?<![aeiou])mm"
+    r"|(?<=time|tamp)(?:ms|us|ns)|(?<=[_ ./])(?:hz|amp))$",
+    re.IGNORECASE,
+)
+"""Units that end no other word, as in `pitchdeg`, `timems` and `q°`, or no name that goes on, as in `i_amp`."""
+_LETTER = re.compile(r"(?:^|(?<=[_ ./]))[AVWNJmshg]$")
+"""A unit of one letter, which takes a mark before it: `cart_m`."""
+_BRACKETS = re.compile(
+    r"(?P<stem>.*?)(?P<space>\s*)"
+    r"(?:\[(?P<square>[^\[\]()]*)\]|\((?P<round>[^\[\]()]*)\)|\{(?P<curly>[^{}]*)\}|<(?P<pointed>[^<>]*)>)\s*$"
+)
+"""A name with something in brackets at its end."""
+_INDEX = re.compile(r"(?!.*[0-9]\s*(?:\.\.|-)\s*[0-9])[-+.,:;\s0-9e]*")
+"""What is in the brackets of q[0], q[0, 1] and q(1), but not of q [0..4095]."""
 KNOWN = {
     "t": ("s, ms, us, ns, min, h", 't = "0.01 s" for samples of 10 ms'),
     "q": ("rad, mrad, deg, turn, rev and m, mm, cm", 'q = "turn/4096" for ticks of a 4096th of a turn'),
@@ -53,7 +128,7 @@ _TURNS = {"th", "theta", "phi", "psi", "angle", "ang"}
 
 
 def unit_in_name(name: str, meant: Sequence[str]) -> str | None:
-    """Unit at the end of the name of a column.
+    """Unit in the name of a column: in brackets at its end, or among its words.
 
     Args:
         name: Name of a column, as "q1 [deg]" or "time_ms".
@@ -64,26 +139,95 @@ def unit_in_name(name: str, meant: Sequence[str]) -> str | None:
 
     Example:
         >>> from covariant.logs import unit_in_name
-        >>> unit_in_name("q1 [deg]", ("rad", "m")), unit_in_name("time_ms", ("s",)), unit_in_name("q1", ("rad", "m"))
+        >>> unit_in_name("q1 [deg]", ("rad", "m")), unit_in_name("timeMs", ("s",)), unit_in_name("q1", ("rad", "m"))
         ('deg', 'ms', None)
     """
-    match = _IN_NAME.search(name)
-    if match is None:
+    for found in _statements(name):
+        unit = _unit_of(found.text, meant)
+        if unit is not None and not (unit == "m" and _TURNS & words_of(name)):
+            return unit
+        if found.bracketed and _is_stated(found.text):
+            return None  # What stands in brackets counts, whatever the words before it.
+    return None
+
+
+class _Statement(NamedTuple):
+    """A text in the name of a column that may be a unit, where it stands, and whether it stands in brackets."""
+
+    text: str
+    start: int
+    end: int
+    bracketed: bool = False
+
+
+def _statements(name: str) -> Iterator[_Statement]:
+    """What may be a unit in a name, the likeliest first: what is in brackets, the last word, the words before it."""
+    brackets = _BRACKETS.fullmatch(name)
+    stem = name
+    if brackets is not None:
+        stem = brackets["stem"]
+        whole = _Statement(_content(brackets), len(stem), len(name), bracketed=True)
+        # A remark may hold a unit: q (left, deg).
+        yield from (whole, *(whole._replace(text=word.text) for word in _words(whole.text)))
+    yield from _words(stem)
+
+
+def _words(text: str) -> Iterator[_Statement]:
+    """The words of a text that may be units, the last one first."""
+    words = [_Statement(_written(match), *match.span()) for match in _WORD.finditer(text)]
+    for pattern in (_GLUED, _LETTER):
+        if not (words and words[-1].end == len(text)) and (match := pattern.search(text)) is not None:
+            words.append(_Statement(match[0], *match.span()))
+    for word in reversed(words):
+        # The indices of columns stand after their units: q_deg_1.
+        if word.text.lower() not in _LAST or not re.search(r"[^\W\d_]", text[word.end :]):
+            yield word
+
+
+def _content(brackets: re.Match[str]) -> str:
+    return next(text for key, text in brackets.groupdict().items() if key not in ("stem", "space") and text is not None)
+
+
+def _written(match: re.Match[str]) -> str:
+    """A unit among words, with a slash where it divides and a space where it multiplies."""
+    if match["over"]:
+        return f"{match['over']}/{match['under']}" + ("^2" if match["power"] else "")
+    if match["force"]:
+        return f"{match['force']} {match['arm']}"
+    return match["imperial"] or match["plain"]
+
+
+def _unit_of(text: str, meant: Sequence[str]) -> str | None:
+    """A unit of the kind of one of several units, as it is written here; None if a text is none."""
+    text = text.strip().rstrip(".")
+    if _INDEX.fullmatch(text):
         return None
-    text = match[1] or match[2]
-    if match[2] == "m" and _TURNS & words_of(name):
-        return None
-    text = _PLAIN.get(text.lower(), text).replace("_", "/")
-    if not is_unit_of(text, meant):  # degrees/s, newton meters
-        text = re.sub(r"[^\W\d_]+", lambda word: _PLAIN.get(word[0].lower(), word[0]), text)
-    return text if not _INDEX.fullmatch(text) and is_unit_of(text, meant) else None
+    spaced = re.sub(r"(?<=N)\s*[-_.×]\s*(?=[cm]?m$)", " ", text)
+    # deg s^-1
+    divided = re.sub(r"[ ·*.]?\b([^\W\d_]+)(?:\^?[-−]1|⁻¹)", r"/\1", spaced)
+    # degrees/s, newton meters
+    by_word = re.sub(r"[^\W\d_]+", lambda word: _PLAIN.get(word[0].lower(), word[0]), divided.replace("_", "/"))
+    for unit in (_PLAIN.get(text.lower()), _RATES.get(text.lower()), spaced, by_word):
+        if unit is not None and is_unit_of(unit, meant):
+            return unit
+    return None
+
+
+def _is_stated(text: str) -> bool:
+    """Whether a text stands for a unit of any kind, known here or not."""
+    text = text.strip()
+    plain = text.lower()
+    return bool(text) and (
+        plain in _NO_UNITS or plain in _FOREIGN or plain in _PLAIN or _unit_of(text, ("",)) is not None
+    )
 
 
 def unknown_unit(name: str, meant: Sequence[str], others: Sequence[str] = ()) -> str | None:
-    """Text in brackets at the end of the name of a column that stands for a unit, and is none of its quantity.
+    """Text in the name of a column that stands for a unit, and is none of its quantity.
 
-    An index, as in `position[1]`, is none, nor are keys, as in `position[hip]` beside `position[knee]`, nor is a remark
-    in round brackets, as in `q (left)`, unless it is another unit or a number of ticks, counts or per cent.
+    It is in brackets, or the last word of the name. An index, as in `position[1]`, is none, nor are keys, as in
+    `position[hip]` beside `position[knee]` or `torque_A` beside `torque_B`, nor is a remark in other brackets, as in
+    `q (left)`, unless it holds another unit or a number of ticks, counts or per cent, as in `q (raw ticks)`.
 
     Args:
         name: Name of a column, as "q1 [ticks]".
@@ -95,29 +239,49 @@ def unknown_unit(name: str, meant: Sequence[str], others: Sequence[str] = ()) ->
 
     Example:
         >>> from covariant.logs import unknown_unit
-        >>> [unknown_unit(name, ("rad", "m")) for name in ("q1 [ticks]", "q1 [deg]", "q[1]")]
-        ['ticks', None, None]
+        >>> [unknown_unit(name, ("rad", "m")) for name in ("q1 [ticks]", "q1_counts", "q1 [deg]", "q[1]")]
+        ['ticks', 'counts', None, None]
     """
+    if not meant or unit_in_name(name, meant) is not None:
+        return None
     match = _BRACKETS.fullmatch(name)
-    if match is None or not meant or unit_in_name(name, meant) is not None:
-        return None
-    text = (match["square"] if match["square"] is not None else match["round"]).strip()
-    if _INDEX.fullmatch(text):
-        return None
-    is_unit = text.lower() in _NO_UNITS or _is_any_unit(text)
-    if match["round"] is not None or not match["stem"]:
-        return text if is_unit else None
-    stems = [other.group("stem", "square") for other in map(_BRACKETS.fullmatch, others) if other is not None]
-    keys = {key for stem, key in stems if stem == match["stem"]}
-    return text if is_unit or match["space"] or len(keys) < 2 else None
+    if match is not None and (text := _content(match).strip()) and not _INDEX.fullmatch(text):
+        if match["square"] is None or not match["stem"]:
+            # q (0-4095), q (raw ticks), u (A rms), and t in the letters of another language
+            is_unit = _is_stated(text) or any(_words(text)) or text[0].isdigit()
+            is_unit |= not text.isascii() if is_unit_of("s", meant) else re.match(r"[AVW]\W", text) is not None
+            return text if is_unit else None
+        keys = {
+            other["square"] for other in map(_BRACKETS.fullmatch, others) if other and other["stem"] == match["stem"]
+        }
+        return text if _is_stated(text) or match["space"] or len(keys) < 2 else None
+    stem = name if match is None else match["stem"]
+    is_time, is_force = is_unit_of("s", meant), is_unit_of("N", meant) or is_unit_of("N m", meant)
+    if is_time and _ROWS.fullmatch(stem.strip()):
+        return stem.strip()
+    for word in _statements(stem):
+        is_last = not re.search(r"[^\W\d_]", stem[word.end :])
+        if word.text.lower() in _WEIGHTS and not is_force:
+            continue
+        if len(word.text) > 1 and word.text.lower() not in _ENDS_OF_RANGES:
+            if is_last or (not is_time and word.text.lower() in _NO_UNITS):
+                return word.text
+        elif word.text == "%":
+            return word.text
+        elif (is_force and word.text in "AVW") or (not is_time and word.text == "V"):
+            siblings = [each for each in others if each[:-1] == stem[:-1]]
+            # The joints A and B
+            return word.text if all(each[-1:] in "AVW" for each in siblings) else None
+    return None
 
 
 def unknown_unit_fault(
-    field: str, text: str, stated: bool = False, drafted: bool = False, sensor: str | None = None
+    name: str, field: str, text: str, stated: bool = False, drafted: bool = False, sensor: str | None = None
 ) -> str:
-    """The end of an error message: what units a field has, and what to do about another one.
+    """Message of an error: what units a field has, and what to do about another one.
 
     Args:
+        name: Name of the column.
         field: A key of `KNOWN`.
         text: The unit that is not known.
         stated: Whether it is stated by the log itself, and not in the name of the column.
@@ -126,43 +290,41 @@ def unknown_unit_fault(
 
     Example:
         >>> from covariant.logs import unknown_unit_fault
-        >>> unknown_unit_fault("t", "frames").partition(". ")[0]
-        "has 'frames' in brackets, which is no unit of t here; known are s, ms, us, ns, min, h"
+        >>> unknown_unit_fault("t [frames]", "t", "frames").partition(". ")[0]
+        "column 't [frames]' has 'frames' in brackets, which is no unit of t here; known are s, ms, us, ns, min, h"
     """
-    where = "its attributes" if stated else "brackets"
+    where = "its attributes" if stated else "its name" if _BRACKETS.fullmatch(name) is None else "brackets"
     if sensor is not None:
         return (
-            f"has {text!r} in {where}, which is no unit of what is measured in {sensor}; write what one of it is, as "
-            f'units = "0.1 {sensor}" in the table of the sensor, or rename the column'
+            f"column {name!r} has {text!r} in {where}, which is no unit of what is measured in {sensor}; write "
+            f'what one of it is, as units = "0.1 {sensor}" in the table of the sensor, or rename the column'
         )
     known, example = KNOWN[field]
-    own = (
-        f', or {field} = "{text}" where the model takes it in that unit' if field != "t" and _is_any_unit(text) else ""
-    )
+    unit = _unit_of(text, ("",))
+    own = f', or {field} = "{unit}" where the model takes it in that unit' if field != "t" and unit is not None else ""
     remedy = (
         f"Rename the column, and write what one of it is under [units] of the draft, as {example}{own}"
         if drafted
         else f"Write what one of it is under [units] of the model file, as {example}{own}, or rename the column"
     )
-    return f"has {text!r} in {where}, which is no unit of {field} here; known are {known}. {remedy}"
-
-
-def _is_any_unit(text: str) -> bool:
-    with contextlib.suppress(ValueError):
-        check_unit(text, "")
-        return True
-    return False
+    return f"column {name!r} has {text!r} in {where}, which is no unit of {field} here; known are {known}. {remedy}"
 
 
 def without_unit(name: str) -> str:
-    """Name of a column without the unit at its end.
+    """Name of a column without its unit.
 
     Example:
         >>> from covariant.logs import without_unit
         >>> without_unit("q1 [deg]")
         'q1'
     """
-    return _IN_NAME.sub("", name).strip()
+    for found in _statements(name):
+        is_last = found.end == len(name.rstrip())
+        kinds = [unit for units in MEANT.values() for unit in units] if is_last else MEANT["q"]
+        if _unit_of(found.text, kinds) or (found.bracketed and not _INDEX.fullmatch(found.text)):
+            before, after = name[: found.start].rstrip("_ ./-:,"), name[found.end :]
+            return (before + after if before else after.strip("_ ./-:,")) or name
+    return name.strip()
 
 
 def words_of(name: str) -> set[str]:

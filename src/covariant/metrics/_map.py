@@ -3,6 +3,7 @@
 import concurrent.futures
 import contextlib
 import functools
+import hashlib
 import itertools
 import os
 import threading
@@ -15,6 +16,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
+from covariant.lowering import fingerprint
 from covariant.metrics import _store
 from covariant.metrics._grid import Blocks, Grid, cut
 from covariant.metrics._optional import optional
@@ -43,8 +45,9 @@ def map_grid(
 ) -> Path:
     """Evaluate a function at every point of a grid, and write the values to a Zarr store.
 
-    A run that was stopped, killed or failed continues when called again. The function itself cannot be compared with
-    that of the earlier run, so change the provenance with it.
+    A run that was stopped, killed or failed continues when called again. The store keeps a hash of what the function
+    computes, so that a run does not go on with another function. One that calls Python has no hash: change the
+    provenance with it.
 
     Args:
         function: takes one point x (n,) [units of the grid] to a dict of arrays of any fixed shapes; JAX must be able
@@ -65,7 +68,7 @@ def map_grid(
 
     Raises:
         ValueError: one line, for a function that does not match `variables`, and for a path that holds anything but an
-            earlier run with the same grid, variables, provenance and block.
+            earlier run with the same function, grid, variables, provenance and block.
         FileNotFoundError: where the folder of the path does not exist.
         ImportError: for a missing package.
         Exception: any that the function raises.
@@ -86,7 +89,8 @@ def map_grid(
         raise ValueError(f"workers must be 1 or more; got {workers}")
     # Absolute, since the workers of a cluster have their own working folders.
     path, blocks = Path(path).absolute(), cut(grid, block)
-    _store.prepare(path, _store.configuration(grid, blocks, _outputs(function, grid, variables), provenance), blocks)
+    outputs, function_hash = _outputs(function, grid, variables), _function_hash(function, grid)
+    _store.prepare(path, _store.configuration(grid, blocks, outputs, provenance, function_hash), blocks)
     written = _store.written(path, len(blocks.sides))
     todo = (index for index in blocks.indices() if index not in written)
     done = sum(map(blocks.size, written))
@@ -177,6 +181,17 @@ def _run_blocks(submit: Submit, todo: Iterable[Index], limit: int) -> Iterator[I
             # Raises here what the function raised in its thread or worker.
             future.result()
             yield pending.pop(future)
+
+
+def _function_hash(function: Callable, grid: Grid) -> str | None:
+    """Content hash of what a function computes at a point; None if it calls Python."""
+    traced = jax.jit(function).trace(jax.ShapeDtypeStruct((len(grid.names),), jnp.float64))
+    known = fingerprint(traced.jaxpr)
+    if known is not None:
+        return known
+    # Operations that this library does not lower itself have a meaning in the graph that JAX compiles.
+    text = traced.lower().as_text()
+    return None if "callback" in text else hashlib.sha256(text.encode()).hexdigest()
 
 
 def _outputs(function: Callable, grid: Grid, variables: Mapping[str, Variable]) -> dict[str, dict[str, Any]]:

@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 
 FORMAT = "covariant grid 1"
 DONE = "done"
+FUNCTION = "function"
+"""Attribute with the content hash of the function, which stores of earlier versions lack."""
 ALL_CHUNKS = "all_chunks"
 """Attribute of stores in which every finished block has a chunk of every variable."""
 
@@ -62,8 +64,8 @@ def open_grid(path: str | os.PathLike[str], *, complete: bool = False) -> "xarra
         points not yet computed are NaN, and integers and flags are therefore read as float64.
 
     Raises:
-        ValueError: one line, if there is no map, if a finished map has lost files of its blocks, or if `complete` is
-            required and blocks are missing.
+        ValueError: one line, if there is no map, if a map has lost files of blocks that were computed, or if
+            `complete` is required and blocks are missing.
 
     Example:
         >>> from covariant.metrics import Grid, Variable, map_grid, open_grid
@@ -77,8 +79,10 @@ def open_grid(path: str | os.PathLike[str], *, complete: bool = False) -> "xarra
     path = Path(path)
     attributes = _attributes(path)
     counts = [-(-n // side) for n, side in zip(attributes["grid"]["counts"], attributes["block"], strict=True)]
+    # The flags first: a block that another process writes meanwhile has all its chunks before its flag.
+    flagged = math.prod(counts) if attributes["complete"] else len(_chunks(path / DONE, len(counts)))
     whole = written(path, len(counts)) if attributes.get(ALL_CHUNKS) or not attributes["complete"] else None
-    lost = attributes["complete"] and whole is not None and len(whole) < math.prod(counts)
+    lost = whole is not None and len(whole) < flagged
     if whole is not None and (lost or (complete and not attributes["complete"])):
         missing = math.prod(counts) - len(whole)
         raise ValueError(
@@ -92,11 +96,16 @@ def open_grid(path: str | os.PathLike[str], *, complete: bool = False) -> "xarra
     return dataset.map(lambda v: v if np.issubdtype(v.dtype, np.inexact) else v.astype(float).where(done), True)
 
 
-def configuration(grid: Grid, blocks: Blocks, variables: Any, provenance: Any) -> dict[str, Any]:
-    """Settings that two runs must have in common to work on one store, with a content hash of them."""
+def configuration(
+    grid: Grid, blocks: Blocks, variables: Any, provenance: Any, function: str | None = None
+) -> dict[str, Any]:
+    """Settings that two runs must have in common to work on one store, with a content hash of them.
+
+    `function` is a content hash of what is evaluated; None if it has none.
+    """
     low, high = grid.ends
     box = {"names": tuple(grid.names), "units": tuple(grid.units), "low": low, "high": high, "counts": grid.shape}
-    whole = {"grid": box, "variables": variables, "provenance": provenance, "block": blocks.sides}
+    whole = {"grid": box, "variables": variables, "provenance": provenance, "block": blocks.sides, FUNCTION: function}
     try:
         text = json.dumps(whole, allow_nan=False)
     except (TypeError, ValueError) as error:
@@ -111,12 +120,19 @@ def prepare(path: Path, settings: dict[str, Any], blocks: Blocks) -> None:
     if not os.path.lexists(path):
         return _create(path, settings, blocks)
     attributes = _attributes(path)
-    stored = {name: attributes.get(name) for name in settings}
-    if stored != settings:
+    compared, begun = set(settings), bool(written(path, len(blocks.sides)))
+    other_version = _versions() not in attributes["versions"]
+    # An empty store mixes nothing, nor does a finished one, whose hash of another version tells nothing either.
+    if not begun or (attributes["complete"] and (FUNCTION not in attributes or other_version)):
+        compared -= {FUNCTION, "digest"}
+    stored, asked = ({name: each.get(name) for name in settings if name in compared} for each in (attributes, settings))
+    if stored != asked:
         raise ValueError(
-            f"{path} holds another map: {_difference(stored, settings)}; give another path, or remove that store"
+            f"{path} holds another map: {_difference(stored, asked)}; give another path, or remove that store"
         )
-    if _versions() not in attributes["versions"]:
+    if not begun:
+        _annotate(path, **{name: settings[name] for name in (FUNCTION, "digest")})
+    if other_version and not attributes["complete"]:
         _annotate(path, versions=[*attributes["versions"], _versions()])
     return None
 
@@ -225,5 +241,7 @@ def _difference(there: Any, here: Any, name: str = "") -> str:
     """The first difference, with its dotted name."""
     if isinstance(there, dict) and isinstance(here, dict):
         key = next(key for key in [*here, *there] if there.get(key) != here.get(key))
+        if not name and key == FUNCTION:
+            return "what is evaluated at a point was changed since, as by an edit of the model or by another version"
         return _difference(there.get(key), here.get(key), f"{name}.{key}".lstrip("."))
     return f"{name} is {there!r} there and {here!r} here"

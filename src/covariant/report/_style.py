@@ -1,9 +1,11 @@
 """The common look of all figures: colours, panels, files."""
 
+import functools
+import io
 import os
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -80,6 +82,13 @@ def styles(report: EstimateReport) -> dict[str, Style]:
     return styled
 
 
+def _png(figure: Any) -> bytes:
+    """A figure as a PNG image."""
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png")
+    return buffer.getvalue()
+
+
 def new_figure(
     rows: int = 1,
     cols: int = 1,
@@ -117,6 +126,8 @@ def new_figure(
     figure = optional("matplotlib.figure").Figure(
         figsize=(width, height), dpi=DPI, layout="constrained", facecolor="white"
     )
+    # A notebook asks an object for this; matplotlib answers it for windows only.
+    figure._repr_png_ = functools.partial(_png, figure)
     axes = figure.subplots(rows, cols, sharex=sharex, squeeze=False)
     for ax in axes.flat:
         ax.set_prop_cycle(color=PALETTE)

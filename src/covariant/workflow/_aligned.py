@@ -18,11 +18,17 @@ class Aligned(NamedTuple):
         loaded: Model and log; the inputs of its `log` act without their lag, those of its `record` with it.
         raw: The record with its inputs as they are logged.
         late: Time [s] after its row at which an input acts.
+        whole: The inputs of all rows of the log, of which `raw` may have a part.
     """
 
     loaded: Loaded
     raw: Record
     late: float
+    whole: Record
+
+    def acting(self, between: str, lag: float = 0.0) -> Record:
+        """The record with the inputs that act in each step, behind a lag."""
+        return acting_inputs(lag_inputs(self.whole, lag), between, self.late, self.raw)
 
 
 def aligned(job: Job) -> Aligned:
@@ -35,13 +41,14 @@ def aligned(job: Job) -> Aligned:
     # Read without a delay: here the delay moves the inputs instead, by `late`.
     undelayed = job._replace(overrides=_with(job.overrides, "measurement.delay", 0))
     loaded = load(undelayed, why="this command takes")
+    whole = loaded.log.all_rows
     if np.ptp(delay) > 0:
         loaded = _together(loaded, delay)
     # What moves a position back by its delay moves an input on by as much against it.
-    between, late = file.input_between, file.input_delay + float(delay.max())
-    raw, lagging = loaded.log.record, lag_inputs(loaded.log.record, file.input_lag)
-    log = loaded.log._replace(record=acting_inputs(raw, between, late))
-    return Aligned(loaded._replace(log=log, record=acting_inputs(lagging, between, late)), raw, late)
+    raw, late = loaded.log.record, file.input_delay + float(delay.max())
+    log = Aligned(loaded, raw, late, whole)
+    unlagged = loaded.log._replace(record=log.acting(file.input_between))
+    return log._replace(loaded=loaded._replace(log=unlagged, record=log.acting(file.input_between, file.input_lag)))
 
 
 def _with(overrides: Overrides, key: str, value: Any) -> Overrides:

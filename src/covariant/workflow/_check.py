@@ -1,11 +1,14 @@
 """`check`: what is wrong with a log, or with the model file for it, before anybody estimates from it."""
 
+import shlex
 from dataclasses import dataclass
+from os import PathLike
 from typing import Any
 
 from covariant import logs, models
 from covariant.calibration import Beside, Diagnosis, Finding, diagnose, mended_clock
 from covariant.models import Overrides
+from covariant.signals import acting_inputs
 from covariant.workflow._inputs import ColumnNames, Job, load
 from covariant.workflow._progress import Progress, silent
 from covariant.workflow._result import AbstractResult
@@ -64,8 +67,12 @@ def check(
     quantum = models.load(model, overrides).quantum
     pairs = zip(loaded.sensors, loaded.log.readings, strict=False)  # no sensors where the log has none of their columns
     sensors = [Beside(*part, read) for part, read in pairs if read is not None]
-    diagnosis = diagnose(loaded.file, loaded.log.record, quantum, loaded.log.first_row, loaded.log.every, sensors)
-    diagnosis = diagnosis._replace(findings=(*clock, *diagnosis.findings))
+    record = loaded.log.record
+    if loaded.file.input_between == "held":  # what acted between two rows that are used counts in their interval
+        record = acting_inputs(loaded.log.all_rows, rows=record)
+    diagnosis = diagnose(loaded.file, record, quantum, loaded.log.first_row, loaded.log.every, sensors)
+    findings = tuple(_with_names(finding, job) for finding in (*clock, *diagnosis.findings))
+    diagnosis = diagnosis._replace(findings=findings)
     return CheckResult(job.model_name, job.log_name, len(loaded.log.record.t), loaded.rate, diagnosis)
 
 
@@ -135,6 +142,13 @@ class CheckResult(AbstractResult):
         verdict = "the log is not what the model file says it is" if self.wrong else "nothing is wrong"
         lines = [line for finding in self.findings for line in ("", *_lines(finding))]
         return "\n".join([head, *lines, "", f"{verdict}; {looked}"])
+
+
+def _with_names(finding: Finding, job: Job) -> Finding:
+    """The finding whose command names this model and this log, where both have a name."""
+    if not all(isinstance(each, str | PathLike) for each in (job.model, job.log)):
+        return finding
+    return finding._replace(line=finding.line.replace("MODEL LOG", shlex.join([job.model_name, job.log_name])))
 
 
 def _name(finding: Finding) -> str:

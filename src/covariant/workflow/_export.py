@@ -19,6 +19,7 @@ from covariant.codegen import (
     Program,
     Recipe,
     check_export_name,
+    check_wasm_compiler,
     export_name,
     export_texts,
     fmu,
@@ -145,6 +146,8 @@ def export(
     _check(unit, real, fmi, flash, step_per_sensor, python, wasm)
     if name is not None:  # before the work
         check_export_name(name, python, wasm)
+    if wasm:  # so that nobody waits for a design that then cannot be written
+        check_wasm_compiler()
     label = models.spec_name(model)
     progress("reading the model")
     family = _family(model, overrides, parameters)

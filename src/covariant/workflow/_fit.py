@@ -1,7 +1,7 @@
 """`fit`: the numbers of a model file that predict logs best, with standard errors, judged on what is held out."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from covariant.workflow._arguments import ColumnNames, Overrides
-from covariant.workflow._model_output import as_logs, write_model
+from covariant.workflow._model_output import as_logs, read_sources, write_model
 from covariant.workflow._placeholders import placeholder_sentence
 from covariant.workflow._progress import Progress, silent
 from covariant.workflow._result import AbstractTable
@@ -72,13 +72,13 @@ def fit(
         raise ValueError(f"horizon must be a positive number of seconds; got {horizon}")
     listed = parameters.split(",") if isinstance(parameters, str) else list(parameters)
     names = [name for name in listed if name.strip()]  # whoever makes the family says which names there are
-    logs = as_logs(log)
+    logs, sources = as_logs(log), read_sources(model)
     # What computes is loaded after the arguments are checked.
     from covariant.workflow._fit_to_logs import fit_to_logs
     from covariant.workflow._inputs import Job
 
     jobs = [Job(model, one, overrides, every, until, columns or {}, anyway, start) for one in logs]
-    return FitResult(*fit_to_logs(jobs, names, horizon, progress))
+    return FitResult(*fit_to_logs(jobs, names, horizon, progress, sources), sources)
 
 
 @dataclass(frozen=True, repr=False)
@@ -89,6 +89,7 @@ class FitResult(AbstractTable):
         jobs: The model and the logs, a `Job` each.
         content: The content of the model file with the fitted numbers.
         details: All numbers and sentences as plain data, which `summary` returns.
+        sources: Files that the model was read from, as they were then; None where they are read at `save`.
 
     Example:
         >>> from covariant import workflow
@@ -103,6 +104,7 @@ class FitResult(AbstractTable):
     jobs: list[Any]
     content: dict[str, Any]
     details: dict[str, Any]
+    sources: Mapping[Path, bytes] | None = None
 
     @property
     def values(self) -> np.ndarray:
@@ -180,11 +182,12 @@ class FitResult(AbstractTable):
             The path.
 
         Raises:
-            ValueError: Where it may not be written, or the fitted model is worse than before on what is held out.
+            ValueError: Where it may not be written, the file to replace was changed since it was read, or the fitted
+                model is worse than before on what is held out.
         """
         if not self.better:
             raise ValueError(f"{path}: {self._worse}")
-        return write_model(self.jobs[0].model, path, overwrite, self._head(), self.content)
+        return write_model(self.jobs[0].model, path, overwrite, self._head(), self.content, self.sources)
 
     def _head(self) -> str:
         """Comment lines that say what has been fitted, how well it is known, and what is still a first value."""

@@ -1,6 +1,6 @@
 """Computes a fit to logs: reads them, solves with held and with linear inputs, and judges on what is held out."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -28,9 +28,10 @@ from covariant.calibration.identification import (
     split_windows,
     window_losses,
 )
-from covariant.signals import Record, acting_inputs, lag_inputs
+from covariant.signals import Record
 from covariant.workflow._aligned import Aligned, aligned
 from covariant.workflow._inputs import Job, MisfitError, coordinates
+from covariant.workflow._model_output import check_read_once
 from covariant.workflow._outcome import rounded
 from covariant.workflow._placeholders import placeholders
 from covariant.workflow._progress import Progress
@@ -55,13 +56,21 @@ Parts = dict[str, tuple[Windows, Windows]]
 
 
 def fit_to_logs(
-    jobs: list[Job], names: Sequence[str], length: float | None, progress: Progress
+    jobs: list[Job],
+    names: Sequence[str],
+    length: float | None,
+    progress: Progress,
+    sources: Mapping[Path, bytes],
 ) -> tuple[list[Job], dict[str, Any], dict[str, Any]]:
-    """Fit parameters of a model, or numbers of a robot, to logs, and judge the fit on what is held out."""
+    """Fit parameters of a model, or numbers of a robot, to logs, and judge the fit on what is held out.
+
+    `sources` are the files of the model as they were first read.
+    """
     progress("reading")
     kind = _RobotProblem if _is_robot_fit(jobs[0], names) else _PredictionProblem
     problem = kind.read(jobs, names, length)
-    logs = problem.logs
+    logs, guessed = problem.logs, placeholders(jobs[0].model, jobs[0].overrides)
+    check_read_once(sources)  # from here on no file of the model is read
     try:
         parts = {
             word: split_windows([problem.acting(log, word) for log in logs.logs], logs.references, logs.length)
@@ -83,7 +92,9 @@ def fit_to_logs(
         content["parameters"]["source"] = f"fitted to {logs.fitted_to} from first values of: {source}"
     if gain is not None and gain.clear:
         content.setdefault("inputs", {})["between"] = used
-    details = _details(jobs[0], logs, best, before, after) | {"inputs": _input_details(used, logs.stated, gain)}
+    details = _details(jobs[0], logs, guessed, best, before, after) | {
+        "inputs": _input_details(used, logs.stated, gain)
+    }
     return jobs, content, details | problem.details(best, parts[used][0])
 
 
@@ -198,7 +209,7 @@ class _PredictionProblem(NamedTuple):
 
     def acting(self, log: Aligned, between: str) -> Record:
         """The record with the inputs that act in each step, without their lag, which may be fitted."""
-        return acting_inputs(log.raw, between, log.late)
+        return log.acting(between)
 
     def fit(self, word: str, parts: Parts, start: Fit | None, report: Callable[[int, float], None]) -> Fit:
         def progress(done: int, step: int) -> None:
@@ -245,7 +256,7 @@ class _RobotProblem(NamedTuple):
 
     def acting(self, log: Aligned, between: str) -> Record:
         """The record with the inputs that act in each step."""
-        return acting_inputs(lag_inputs(log.raw, log.loaded.file.input_lag), between, log.late)
+        return log.acting(between, log.loaded.file.input_lag)
 
     def fit(self, word: str, parts: Parts, start: RobotFit | None, report: Callable[[int, float], None]) -> RobotFit:
         records = [self.acting(log, word) for log in self.logs.logs[: self.logs.seen]]
@@ -319,7 +330,12 @@ def _rows(best: Fit | RobotFit):
 
 
 def _details(
-    job: Job, logs: FitLogs, best: Fit | RobotFit, before: PredictionErrors, after: PredictionErrors
+    job: Job,
+    logs: FitLogs,
+    guessed: dict[str, float],
+    best: Fit | RobotFit,
+    before: PredictionErrors,
+    after: PredictionErrors,
 ) -> dict[str, Any]:
     """Numbers before and after a fit, those that are still placeholders, and its errors on what is held out."""
     names, units = coordinates(logs.logs[0].loaded.file)
@@ -343,7 +359,7 @@ def _details(
             }
             for name, first, value, error, determined in _rows(best)
         ],
-        "placeholders": {k: value for k, value in placeholders(job.model, job.overrides).items() if k not in known},
+        "placeholders": {k: value for k, value in guessed.items() if k not in known},
         "coordinates": list(names),
         "units": [unit.removesuffix("/s") for unit in units],
         "held_out_errors": {

@@ -2,13 +2,14 @@
 
 import json
 import re
+import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from covariant import logs, models
-from covariant._files import write_atomically
+from covariant._files import write_together
 from covariant._templates import fill
 from covariant.calibration import Draft, draft
 from covariant.workflow._inputs import ColumnNames, column_names
@@ -23,7 +24,8 @@ def init(log: Any, *, columns: ColumnNames | None = None, progress: Progress = s
 
     Where all positions are angles, the machine is a chain of pendulums. Where some are lengths, its equations of motion
     are drafted as well, in a Python file beside the model file: of a pole on a cart for one length and one angle,
-    otherwise of masses that move each on its own.
+    otherwise of masses that move each on its own. Four columns that are a unit quaternion are the attitude of a body
+    that turns about a point.
 
     Args:
         log: A path, a DataFrame, or an xarray Dataset.
@@ -44,13 +46,12 @@ def init(log: Any, *, columns: ColumnNames | None = None, progress: Progress = s
     """
     progress("reading the log")
     known = {key: list(column_names(names)) for key, names in (columns or {}).items() if names is not None}
+    survey = logs.survey(log)
     try:
-        drafted = draft(logs.survey(log), known)
-    except logs.LogError:
-        raise
+        drafted = draft(survey.columns, known, survey.units)
     except ValueError as error:
-        raise ValueError(f"{logs.source_name(log)}: {error}") from error
-    return InitResult(logs.source_name(log), drafted)
+        raise ValueError(". ".join([f"{logs.source_name(log)}: {error}", *survey.remarks])) from error
+    return InitResult(logs.source_name(log), drafted, survey.remarks)
 
 
 @dataclass(frozen=True, repr=False)
@@ -60,6 +61,7 @@ class InitResult(AbstractResult):
     Attributes:
         log: Name of the log.
         draft: Roles, units, ranges and noise of its columns, as they were guessed.
+        remarks: What is odd about the names of its columns.
 
     Example:
         >>> import numpy as np, pandas, covariant
@@ -71,6 +73,7 @@ class InitResult(AbstractResult):
 
     log: str
     draft: Draft
+    remarks: tuple[str, ...] = ()
 
     def texts(self, stem: str = "draft") -> dict[str, str]:
         """Compose the model file, and for some machines a module with its equations of motion, as texts.
@@ -81,32 +84,35 @@ class InitResult(AbstractResult):
         Returns:
             The texts by the names of their files, the module first where there is one.
         """
-        log, module = Path(self.log).name, re.sub(r"\W", "_", stem, flags=re.ASCII) + "_model"
-        module = f"_{module}" if module[0].isdigit() else module
+        log, module = Path(self.log).name, _module_name(stem)
         if not any(self.draft.lengths):
-            return {f"{stem}.toml": _model_file(log, self.draft, _chain(self.draft))}
-        model = _model_file(log, self.draft, _python_system_lines(self.draft, module))
+            machine = _turning_body() if self.draft.quaternion else _chain(self.draft)
+            return {f"{stem}.toml": _model_file(log, self.draft, machine, self.remarks)}
+        model = _model_file(log, self.draft, _python_system_lines(self.draft, module), self.remarks)
         return {f"{module}.py": _equations(self.draft), f"{stem}.toml": model}
 
     @property
     def summary(self) -> dict[str, Any]:
         guess = self.draft
+        quaternion = {"quaternion_wxyz": list(guess.quaternion)} if guess.quaternion else {}
         return {
             "log": self.log,
-            "columns": {"t": guess.t, "q": list(guess.q), "u": list(guess.u), "v": list(guess.v)},
+            "columns": {"t": guess.t, "q": list(guess.q), **quaternion, "u": list(guess.u), "v": list(guess.v)},
             "units": {field: list(texts) for field, texts in guess.units.items()},
             "left_out": list(guess.left_out),
+            "remarks": list(self.remarks),
         }
 
     @property
     def headline(self) -> str:
         guess = self.draft
-        line = f"stamps {guess.t}, positions {', '.join(guess.q)}"
+        measured = f"attitude {', '.join(guess.quaternion)}" if guess.quaternion else f"positions {', '.join(guess.q)}"
+        line = f"stamps {guess.t}, {measured}"
         line += f", inputs {', '.join(guess.u)}" if guess.u else ", no inputs"
         return line + (f", velocities {', '.join(guess.v)} to compare with" if guess.v else "")
 
     def __str__(self) -> str:
-        lines = [self.headline]
+        lines = [self.headline, *self.remarks, *_order_guess(self.draft)]
         if self.draft.units:
             units = (f"{field}: " + ", ".join(dict.fromkeys(texts)) for field, texts in self.draft.units.items())
             lines.append(f"units {', '.join(units)}")
@@ -114,8 +120,15 @@ class InitResult(AbstractResult):
             lines.append(f"left out: {', '.join(self.draft.left_out)}")
         todo = "put first values of your machine into [parameters] of the model file"
         if any(self.draft.lengths):
-            todo += ", and its equations of motion into the Python file beside it"
+            todo += (
+                ", and its equations of motion into the Python file beside it, which is named after it, as "
+                f"{_module_name('draft')}.py after draft.toml"
+            )
         return "\n".join([*lines, todo])
+
+    def written_files(self, path: str | Path) -> list[Path]:
+        path = Path(path)
+        return [path] + [path.with_name(name) for name in self.texts(path.stem) if name != path.name]
 
     def save(self, path: str | Path, overwrite: bool = False) -> Path:
         """Write the model file, and beside it the equations of motion where they are drafted as well.
@@ -136,27 +149,32 @@ class InitResult(AbstractResult):
         # All names are free before the first file is written.
         for existing in [file for file in texts if file.exists() and not overwrite]:
             raise ValueError(f"{existing}: there is such a file already, and it is not overwritten; give another name")
-        for file, text in texts.items():
-            write_atomically(file, lambda stream, text=text: stream.write(text.encode()))
+        write_together({file: text.encode() for file, text in texts.items()})
         # A draft that cannot be loaded fails here, and not in the command after it.
         models.load(str(path))
         return path
 
 
-def _model_file(name: str, guess: Draft, machine: list[str]) -> str:
+def _module_name(stem: str) -> str:
+    """Name of the module beside a model file."""
+    name = re.sub(r"\W", "_", stem, flags=re.ASCII) + "_model"
+    return f"_{name}" if name[0].isdigit() else name
+
+
+def _model_file(name: str, guess: Draft, machine: list[str], remarks: Sequence[str] = ()) -> str:
     """The text of the model file; `machine` are the lines of the system and its parameters."""
-    spans = ", ".join(f"{q} {low:.3g} to {high:.3g}" for q, (low, high) in zip(guess.q, guess.span, strict=True))
     lines = [
         f"# Drafted from the log {name}: {guess.rows} rows at {guess.rate:.4g} Hz. The columns are guessed from their",
         "# names and their content. Numbers with a comment `placeholder` are places to put yours, not measurements:",
         "# `covariant fit` and `covariant model` name those that still have that value.",
         "# Units: s, m, kg, rad, N m; those of the log are in [units] where they are others.",
+        *(f"# {line}" for remark in remarks for line in textwrap.wrap(f"Of the log: {remark}.", 110)),
         "",
         *machine,
         "",
         "[columns]",
         f"t = {_quote_name(guess.t)}",
-        f"q = {_names(guess.q)}  # in this log {spans}",
+        *_measured(guess),
         f"u = {_names(guess.u)}" + ("" if guess.u else "  # no input was found"),
         *([f"v = {_names(guess.v)}  # only compared with, never used"] if guess.v else []),
         *([f"# left out: {', '.join(guess.left_out)}"] if guess.left_out else []),
@@ -165,14 +183,54 @@ def _model_file(name: str, guess: Draft, machine: list[str]) -> str:
         "[measurement]",
         _sensor(guess),
         "",
+        "[uncertainty]",
         "# Gains of observers are designed from how much acceleration the model leaves unexplained, which a log does",
         "# not tell before the model fits: set it after `covariant fit`, then take the marks of comments away.",
-        "# [uncertainty]",
         f"# acceleration = 2.0  # {_both(guess, 'm/s^2', 'rad/s^2')}",
         "# correlation_time = 0.01  # s, over which it persists",
+        *(
+            [
+                "# motion_acceleration = 20.0  # rad/s^2, of the motion itself, and how long it persists [s]",
+                "# motion_time = 0.5",
+            ]
+            if guess.quaternion
+            else []
+        ),
         "",
     ]
     return "\n".join(lines)
+
+
+def _measured(guess: Draft) -> list[str]:
+    """The line of the columns of the measured configuration."""
+    if guess.quaternion:
+        return [
+            "# The squares of these sum to 1 in every row.",
+            *(f"# {line[0].upper()}{line[1:]}." for line in _order_guess(guess)),
+            f"quaternion_wxyz = {_names(guess.quaternion)}",
+        ]
+    spans = ", ".join(f"{q} {low:.3g} to {high:.3g}" for q, (low, high) in zip(guess.q, guess.span, strict=True))
+    return [f"q = {_names(guess.q)}  # in this log {spans}"]
+
+
+def _order_guess(guess: Draft) -> list[str]:
+    """What is unclear about the order of a quaternion whose numbers are counted; letters say which is the scalar."""
+    if not any(re.search(r"[0-9]\]?$", name) for name in guess.quaternion):
+        return []
+    return [f"that {guess.quaternion[0]} is the scalar is guessed: where it is the last, write quaternion_xyzw"]
+
+
+def _turning_body() -> list[str]:
+    """The system and its parameters of a body whose attitude is logged."""
+    return [
+        'system = "heavy_top"  # a body that turns about a point, on SO(3); other machines: docs/models.md',
+        "",
+        "[parameters]",
+        _guess_line("inertia", 0.02, 3, "kg m^2, about the axes of the body"),
+        "moment = 0.0  # N m, weight times the distance of the centre of mass from the point; 0 for a body that flies",
+        "axis = [0.0, 0.0, 1.0]  # where the centre of mass lies, in the body; gravity points along -z in space",
+        _guess_line("viscous", 0.01, 0, "N m s/rad, friction"),
+    ]
 
 
 def _chain(guess: Draft) -> list[str]:
@@ -238,7 +296,7 @@ def _is_cart_pole(guess: Draft) -> bool:
 
 def _both(guess: Draft, length: str, angle: str) -> str:
     """The units of a number for each position."""
-    kinds = dict.fromkeys(length if is_length else angle for is_length in guess.lengths)
+    kinds = dict.fromkeys(length if is_length else angle for is_length in guess.lengths or (False,))
     return " and ".join(kinds)
 
 

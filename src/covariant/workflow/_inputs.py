@@ -180,10 +180,14 @@ def load(job: Job, score: bool = True, why: str = "", missing_inputs: bool = Fal
     kind = kind_of(file)
     read = logs.read(job.log, columns, job.every, job.until, job.start, optional, sensors, missing_inputs)
     log = kind.with_inputs(read)
+    # Lag, delay and means are those of the whole log: what was cut off or left out between two rows acts in them too.
+    lagging = _around_missing(lambda whole: lag_inputs(whole, file.input_lag), log.all_rows, LITTLE)
+    record = _around_missing(
+        lambda whole: acting_inputs(whole, file.input_between, file.input_delay, log.record), lagging
+    )
     if not job.anyway:
-        _refuse_misfit(job, file, _with_inputs_only(log.record))
-    record = _around_missing(lambda record: lag_inputs(record, file.input_lag), log.record, LITTLE)
-    record = _around_missing(lambda record: acting_inputs(record, file.input_between, file.input_delay), record)
+        known = log._replace(record=_with_inputs_only(log.record))
+        _refuse_misfit(job, file, known, _with_inputs_only(record))
     t, y = np.asarray(record.t), np.asarray(record.y)
     try:
         kind.check(y)
@@ -192,7 +196,7 @@ def load(job: Job, score: bool = True, why: str = "", missing_inputs: bool = Fal
     file, note = _in_ticks(file, y)
     known = None if log.truth is None else (log.truth, f"true {kind.what}")
     if known is None and score:
-        known = kind.slopes(log, lambda: _whole(job, log, columns))
+        known = kind.slopes(log)
     reference = None if known is None else ReferenceVelocity(*known, scoring.scored_window(t))
     sensed, lacking = readings(parts, log) if parts else (None, "")
     guessed = placeholder_sentence(placeholders(job.model, job.overrides))
@@ -224,16 +228,8 @@ def _around_missing(change: Callable[[Record], Record], record: Record, share: f
     at = np.maximum.accumulate(np.where(absent, 0, np.arange(len(u))[:, None]), axis=0)
     held = np.take_along_axis(u, at, axis=0)
     held = np.where(np.isfinite(held), held, 0.0)
-    changed, part = (np.asarray(change(record._replace(u=each)).u) for each in (held, absent.astype(float)))
-    return record._replace(u=np.where(part > share, np.nan, changed))
-
-
-def _whole(job: Job, log: logs.Log, columns: logs.Columns) -> logs.Log:
-    """All of a log of which a job reads a part, with the positions at least."""
-    if (job.every, job.until, job.start) == (1, None, None):
-        return log
-    # A record has its inputs without names.
-    return logs.read(job.log, columns if isinstance(job.log, Record) else columns._replace(u=(), v=()))
+    changed, part = (change(record._replace(u=each)) for each in (held, absent.astype(float)))
+    return changed._replace(u=np.where(np.asarray(part.u) > share, np.nan, np.asarray(changed.u)))
 
 
 def column_names(columns: str | Sequence[str]) -> tuple[str, ...]:
@@ -289,9 +285,12 @@ def _delay_note(file: models.ModelFile) -> str:
     return f" Positions are read {', '.join(f'{1e3 * delay:g}' for delay in delays)} ms late."
 
 
-def _refuse_misfit(job: Job, file: models.ModelFile, record: Record) -> None:
+def _refuse_misfit(job: Job, file: models.ModelFile, log: logs.Log, record: Record) -> None:
     """Raise `MisfitError` where the model explains nothing of the motion, or another unit of the log explains it."""
-    finding = misfit(file, record)
+    if log.whole is None:
+        finding = misfit(file, log.record)
+    else:  # the inputs that act in the rows of a part of a log are known from the whole of it
+        finding = misfit(file._replace(input_lag=0.0, input_delay=0.0, input_between="held"), record)
     if finding is not None:
         how = f"`covariant check {job.model_name} {job.log_name}` looks closer, and `anyway=True` goes on"
         raise MisfitError(f"{job.log_name}: {finding.evidence}. {finding.line}; {how}")

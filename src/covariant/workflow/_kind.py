@@ -135,7 +135,7 @@ class AbstractKind(abc.ABC):
         return log
 
     @abc.abstractmethod
-    def slopes(self, log: logs.Log, whole: Callable[[], logs.Log]) -> tuple[np.ndarray, str] | None:
+    def slopes(self, log: logs.Log) -> tuple[np.ndarray, str] | None:
         """Velocities (T, n) in a log by the slopes of positions of the whole log, and a label; None for states."""
 
     def without_outliers(self, t: np.ndarray, y: np.ndarray) -> np.ndarray:

@@ -55,9 +55,9 @@ class AbstractMechanical(AbstractKind):
         units = self.axes.units
         return tuple(f"{unit} s".replace("/s s", "").strip() for unit in units) if self.model.velocities else units
 
-    def slopes(self, log: logs.Log, whole: Callable[[], logs.Log]) -> tuple[np.ndarray, str]:
-        full, at, order = whole(), np.asarray(log.record.t), int(self.file.reference_order)
-        t, y = np.asarray(full.record.t), np.asarray(full.record.y)
+    def slopes(self, log: logs.Log) -> tuple[np.ndarray, str]:
+        full, at = log.all_rows, np.asarray(log.record.t)
+        t, y, order = np.asarray(full.t), np.asarray(full.y), int(self.file.reference_order)
         if np.isfinite(y).sum(axis=0).min() < order + 3:  # a polynomial of this order needs more than its coefficients
             return np.full((len(at), self.file.dimension), np.nan), "velocity, unknown in so short a log"
         return self._slopes(t, y, at, self.file.reference_half, order), "zero-phase reference"
@@ -213,7 +213,11 @@ class OnGroup(AbstractMechanical):
             return log
         # The model file of a body in free flight names no input columns.
         count = models.input_count(self.model, self.file.dimension)
-        return log._replace(record=log.record._replace(u=np.zeros((len(log.record.t), count))))
+        record, whole = (
+            None if part is None else part._replace(u=np.zeros((len(part.t), count)))
+            for part in (log.record, log.whole)
+        )
+        return log._replace(record=record, whole=whole)
 
     def _slopes(self, t: np.ndarray, y: np.ndarray, at: np.ndarray, half: float, order: int) -> np.ndarray:
         # All parts of a pose are read at the same time, so there is one delay.
@@ -261,7 +265,7 @@ class InStates(AbstractKind):
     def innovation_units(self) -> tuple[str, ...]:
         return ("",) * len(self.file.columns.q)  # a model states no units of its outputs
 
-    def slopes(self, log: logs.Log, whole: Callable[[], logs.Log]) -> None:
+    def slopes(self, log: logs.Log) -> None:
         return None
 
     def configuration(self, x: Any, names: tuple[str, ...]) -> dict[str, np.ndarray]:

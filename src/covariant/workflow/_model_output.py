@@ -1,9 +1,12 @@
 """What `fit` and `tune` read and write, checked before anything is computed. Loads nothing heavy."""
 
 import errno
+import io
 import os
 import tomllib
+from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from covariant.models.robots import ROBOTS
@@ -84,10 +87,46 @@ def _refuse_source(path: Path, robot: Path | None) -> None:
         )
 
 
-def write_model(model: Any, path: str | Path, overwrite: bool, head: str, content: Any) -> Path:
+def read_sources(model: Any) -> dict[Path, bytes]:
+    """Read the files that a model with other numbers is written from: its own, and that of its robot."""
+    if not isinstance(model, str | os.PathLike):
+        return {}
+    spec = os.fspath(model)
+    paths = (Path(spec) if spec.endswith(".toml") else None, _robot_file(spec))
+    return {path: path.read_bytes() for path in paths if path is not None and path.is_file()}
+
+
+def check_read_once(sources: Mapping[Path, bytes]) -> None:
+    """Raise if a file was changed while it was read: several readers would have seen different texts."""
+    for source in _changed(sources):
+        raise ValueError(f"{source}: it was changed while it was read; run the command again")
+
+
+def _changed(sources: Mapping[Path, bytes]) -> list[Path]:
+    """List the files whose content is no longer what was read."""
+    return [path for path, content in sources.items() if not path.is_file() or path.read_bytes() != content]
+
+
+def _check_unchanged(path: Path, sources: Mapping[Path, bytes]) -> None:
+    """Raise if the file to replace, or the robot to copy, was changed after it was read."""
+    for source in _changed(sources):
+        if path.exists() and source.exists() and path.samefile(source):
+            raise ValueError(
+                f"{path}: it was changed after it was read, and the change is not replaced; write to another file, "
+                "which then has the text as it was read"
+            )
+        if source.suffix in OF_ROBOTS:
+            raise ValueError(
+                f"{source}: it was changed after it was read, so nothing is written; run the command again"
+            )
+
+
+def write_model(
+    model: Any, path: str | Path, overwrite: bool, head: str, content: Any, sources: Mapping[Path, bytes] | None = None
+) -> Path:
     """Write the file of a model with other numbers, and for a robot with new inertias another URDF file beside it.
 
-    Comments and layout stay.
+    Comments and layout stay. They are those of `sources`, the files as they were first read.
     """
     from covariant import models
     from covariant._files import write_together
@@ -98,19 +137,25 @@ def write_model(model: Any, path: str | Path, overwrite: bool, head: str, conten
     if urdf is not None:
         _refuse_source(urdf[0], source)
         check_model_output(model, path, overwrite, urdf=True)
-    text = head + models.rewrite(model_text(model), content)
+    sources = read_sources(model) if sources is None else sources
+    _check_unchanged(Path(path), sources)
+    text = head + models.rewrite(model_text(model, sources), content)
     # Both files or none, also on a full disk: otherwise the old model file would refer to a robot with new inertias.
     beside = {} if urdf is None else {urdf[0]: urdf[1].encode()}
     write_together({**beside, Path(path): text.encode()})
     return Path(path)
 
 
-def model_text(model: str | os.PathLike[str]) -> str:
-    """Read the text of a model file whose numbers are to be changed."""
+def model_text(model: str | os.PathLike[str], sources: Mapping[Path, bytes] = MappingProxyType({})) -> str:
+    """Text of a model file whose numbers are to be changed, from `sources` if it is one of these."""
     spec = os.fspath(model)
     if spec in ROBOTS or spec.endswith(OF_ROBOTS):
         return 'system = "robot"\n'
-    return Path(spec).read_text(encoding="utf-8") if spec.endswith(".toml") else f'system = "{spec}"\n'
+    if not spec.endswith(".toml"):
+        return f'system = "{spec}"\n'
+    content = sources.get(Path(spec))
+    with io.BytesIO(Path(spec).read_bytes() if content is None else content) as file:
+        return io.TextIOWrapper(file, encoding="utf-8").read()  # as `read_text`, with the line ends of Windows
 
 
 def robot_content(content: dict[str, Any], path: Path) -> tuple[dict[str, Any], tuple[Path, str] | None]:

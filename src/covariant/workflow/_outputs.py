@@ -3,11 +3,12 @@
 import csv
 import io
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 from covariant._files import write_atomically
+from covariant._optional import load_optional
 
 FIGURES = (".png", ".pdf", ".svg")
 """Suffixes of figures."""
@@ -52,6 +53,24 @@ def check_output(
         raise ValueError(f"{path}: this is the log itself; write to another file")
     if path.exists() and not (overwrite or store):
         raise ValueError(f"{path}: there is such a file already; write to another file, or say `overwrite=True`")
+
+
+def has_columns(path: Path, names: Iterable[str]) -> bool:
+    """Whether a file is a table of exactly these columns, as an earlier run of the same command wrote it.
+
+    Messages of ROS are never taken for one, since those of a robot have the same names.
+    """
+    try:
+        if path.suffix == ".parquet":
+            return load_optional("pyarrow.parquet", use="reading Parquet needs", extra="logs").read_schema(
+                path
+            ).names == list(names)
+        if path.suffix in (".csv", ".txt", ".tsv"):
+            with path.open(encoding="utf-8", newline="") as file:
+                return next(csv.reader(file, delimiter="\t" if path.suffix == ".tsv" else ","), []) == list(names)
+    except (OSError, ValueError, csv.Error):
+        pass
+    return False
 
 
 def write_table(path: Path, columns: Mapping[str, Any]) -> Path:

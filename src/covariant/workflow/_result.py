@@ -1,6 +1,7 @@
 """The result of a verb: a frozen object that holds its numbers and can print, tabulate, draw and save them."""
 
 import abc
+import base64
 import html
 from pathlib import Path
 from typing import Any, ClassVar
@@ -8,7 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from covariant._optional import load_optional
-from covariant.workflow._outputs import FIGURES, check_output
+from covariant.workflow._outputs import FIGURES, check_output, has_columns
 
 
 class AbstractResult(abc.ABC):
@@ -62,8 +63,13 @@ class AbstractResult(abc.ABC):
         return f"<{type(self).__name__}: {self.headline}>"
 
     def _repr_html_(self) -> str:
-        """What a notebook shows."""
-        return f"<b>{html.escape(self.headline)}</b><pre>{html.escape(str(self))}</pre>"
+        """What a notebook shows: headline, text and, for a result that has one, its figure."""
+        text = f"<b>{html.escape(self.headline)}</b><pre>{html.escape(str(self))}</pre>"
+        try:
+            picture = self._figure()._repr_png_()
+        except (ValueError, ImportError):  # a result without a figure, or nothing that draws
+            return text
+        return f'{text}<img src="data:image/png;base64,{base64.b64encode(picture).decode()}">'
 
     written: ClassVar[tuple[str, ...]] = ()
     """Suffixes of the file that `save` writes; none for a result that has no file."""
@@ -78,7 +84,8 @@ class AbstractResult(abc.ABC):
 
         Args:
             path: The file to write; its suffix, one of `written`, chooses the format.
-            overwrite: Whether a file that exists may be replaced, other than the log that was read.
+            overwrite: Whether a file that exists may be replaced, other than the log that was read. A table that an
+                earlier run wrote, with the same columns, is replaced in any case.
 
         Returns:
             The path.
@@ -90,9 +97,24 @@ class AbstractResult(abc.ABC):
         path = Path(path)
         if not self.written:
             raise ValueError(f"{path}: a {type(self).__name__} has no file of its own to write; use report()")
-        check_output(path, *self.written, log=self._log, overwrite=overwrite)
+        check_output(path, *self.written, log=self._log, overwrite=overwrite or self._wrote(path))
         self._write(path)
         return path
+
+    def _wrote(self, path: Path) -> bool:
+        """Whether a file is one that an earlier run of the same verb wrote, which is replaced without being asked."""
+        return False
+
+    def written_files(self, path: str | Path) -> list[Path]:
+        """List the files that `save` writes.
+
+        Args:
+            path: The path that is given to `save`.
+
+        Returns:
+            The paths, that one first.
+        """
+        return [Path(path)]
 
     def _write(self, path: Path) -> None:
         """Write the file; for results that have one."""
@@ -174,6 +196,12 @@ class AbstractTable(AbstractResult):
     @abc.abstractmethod
     def columns(self) -> dict[str, np.ndarray]:
         """The columns (T,) of the table by name, in order."""
+
+    def _wrote(self, path: Path) -> bool:
+        # A log may have the very columns of the result; then a file with them may be another log.
+        log = self._log
+        is_log = isinstance(log, str | Path) and has_columns(Path(log), self.columns)
+        return has_columns(path, self.columns) and not is_log
 
     @property
     def units(self) -> dict[str, str]:

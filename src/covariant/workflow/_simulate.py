@@ -34,7 +34,8 @@ def simulate(
     """Simulate a model and its sensors.
 
     Inputs are sinusoids, sampled at the stamps. Between them they act as the model file says of its logs: held, unless
-    [inputs] has between = "linear"; later by its `delay`, and behind its `lag`.
+    [inputs] has between = "linear"; later by its `delay`, and behind its `lag`. Nothing stops the joints of a robot at
+    the limits of its file; a warning names those that leave them, and when.
 
     Args:
         model: A model file (.toml), a robot (.urdf, .xml), `module:attribute`, the name of a system or a robot of the
@@ -92,6 +93,7 @@ class SimulateResult(AbstractTable):
         truth_columns: The columns of the true velocities, or of the states of a state-space model.
         si_columns, si_units: The columns in SI units and radians, and these units.
         sensors: Sensors of the model file, whose columns are among these.
+        limits_left: Sentence that names the joints of a robot that leave their limits, and when; empty if none does.
 
     Example:
         >>> import covariant
@@ -110,6 +112,11 @@ class SimulateResult(AbstractTable):
     si_columns: dict[str, np.ndarray]
     si_units: dict[str, str]
     sensors: tuple[Any, ...] = ()
+    limits_left: tuple[str, ...] = ()
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        return self.limits_left
 
     @property
     def columns(self) -> dict[str, np.ndarray]:
@@ -133,12 +140,15 @@ class SimulateResult(AbstractTable):
     def summary(self) -> dict[str, Any]:
         truth, forces = ",".join(self.truth_columns), ",".join(self.force_columns)
         pushed = {"force_columns": forces} if forces else {}
-        return {"model": self.model_name, "rows": len(self.record.t), "truth_columns": truth, **pushed}
+        return {"model": self.model_name, "rows": len(self.record.t), "truth_columns": truth, **pushed} | (
+            {"warnings": list(self.warnings)} if self.warnings else {}
+        )
 
     def __str__(self) -> str:
         use = 'score against `columns["truth"]`' if self.mechanical else "the true state is in"
         forces = ", forces against `force` " * bool(self.force_columns) + ",".join(self.force_columns)
-        return f"{len(self.record.t)} rows; {use} {','.join(self.truth_columns)}{forces}"
+        rows = f"{len(self.record.t)} rows; {use} {','.join(self.truth_columns)}{forces}"
+        return "\n".join([rows, *self.warnings])
 
     written = logs.WRITTEN
 

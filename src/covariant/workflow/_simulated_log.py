@@ -25,6 +25,9 @@ DIGITS = 12
 DETUNED = 0.37
 """Each input is faster than the one before by this part of the frequency, so that no two are in step."""
 
+LIMIT_TOLERANCE = 1e-9
+"""Distance [rad or m] beyond its limits up to which a joint has not left them: a rounding error."""
+
 FIRST_PUSH, BETWEEN_PUSHES, PUSH_LENGTH = 1.0, 2.0, 1.0
 """When pushes from outside begin [s]: the first one, and from each to the next; and how long each of them lasts [s]."""
 
@@ -40,8 +43,9 @@ def simulated_log(
     dict[str, np.ndarray],
     dict[str, str],
     tuple[FileSensor, ...],
+    tuple[str, ...],
 ]:
-    """Simulate a model and its sensors."""
+    """Simulate a model and its sensors; the last part are warnings."""
     progress("reading the model")
     name, file = models.spec_name(model), models.load(model, overrides)
     kind = kind_of(file)
@@ -83,7 +87,30 @@ def simulated_log(
         forces = [f"true_{key}" for key in numbered(FORCE, file.dimension)]
         columns |= dict(zip(forces, np.asarray(jax.vmap(force)(jnp.asarray(t))).T, strict=True))
         units |= dict(zip(forces, kind.force_units, strict=True))
-    return name, file.mechanical, layout, record, names, columns, units, beside
+    return name, file.mechanical, layout, record, names, columns, units, beside, _limits_left(file, t, true)
+
+
+def _limits_left(file: ModelFile, t: Float[np.ndarray, "T"], q: Any) -> tuple[str, ...]:
+    """A warning if joints of a robot leave their limits."""
+    space = file.need_mechanical("", "").space if file.mechanical else None
+    if not isinstance(space, models.robots.RobotSpace):
+        return ()
+    positions = np.asarray(jax.vmap(space.joint_angles)(jnp.asarray(q)))
+    left = []
+    for i, (name, low, high) in enumerate(space.limits):
+        outside = np.maximum(low - positions[:, i], positions[:, i] - high)
+        if outside.max() > LIMIT_TOLERANCE:
+            first, unit = int(np.argmax(outside > LIMIT_TOLERANCE)), "rad" if space.tree.turn[i].any() else "m"
+            left.append((float(t[first]), name, f"{low:g} to {high:g} {unit}", positions[np.argmax(outside), i], unit))
+    if not left:
+        return ()
+    (start, name, limits, reached, unit), *others = sorted(left)
+    too = "".join(f", {other!r} at {time:.4g} s" for time, other, *_ in others)
+    return (
+        f"joint {name!r} leaves its limits {limits} at t = {start:.4g} s and reaches {reached:.4g} {unit}"
+        + (f"; others leave theirs: {too[2:]}" if too else "")
+        + "; nothing stops a joint at its limits here: give a q0 within them and smaller amplitudes",
+    )
 
 
 def _sensor(name: str, kind: AbstractKind, scenario: Scenario) -> PositionSensor:

@@ -1,12 +1,13 @@
 """`tune`: noise and gains from logs, judged on rows that were not used, as lines for the model file."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from covariant.engine import EngineName
 from covariant.workflow._arguments import ColumnNames, Overrides
-from covariant.workflow._model_output import as_logs, write_model
+from covariant.workflow._model_output import as_logs, read_sources, write_model
 from covariant.workflow._outputs import check_output
 from covariant.workflow._progress import Progress, silent
 from covariant.workflow._result import AbstractResult
@@ -54,13 +55,13 @@ def tune(
         >>> sorted(result.lines["design"])
         ['damping', 'natural_frequency']
     """
-    logs = as_logs(log)
+    logs, sources = as_logs(log), read_sources(model)
     # What computes is loaded after the arguments are checked.
     from covariant.workflow._inputs import Job
     from covariant.workflow._tune_to_logs import tune_to_logs
 
     jobs = [Job(model, one, overrides, every, until, columns or {}, anyway, start) for one in logs]
-    return TuneResult(jobs, tune_to_logs(jobs, engine, progress), engine)
+    return TuneResult(jobs, tune_to_logs(jobs, engine, progress, sources), engine, sources)
 
 
 @dataclass(frozen=True, repr=False)
@@ -71,6 +72,7 @@ class TuneResult(AbstractResult):
         jobs: The model and the logs, a `Job` each.
         tuned: The tuning, with what it was computed from, a `Tuned`.
         asked_engine: The engine that was asked for.
+        sources: Files that the model was read from, as they were then; None where they are read at `save`.
 
     Example:
         >>> import covariant
@@ -85,6 +87,7 @@ class TuneResult(AbstractResult):
     jobs: list[Any]
     tuned: Any
     asked_engine: str
+    sources: Mapping[Path, bytes] | None = None
 
     @property
     def tuning(self) -> Any:
@@ -125,11 +128,12 @@ class TuneResult(AbstractResult):
             The path.
 
         Raises:
-            ValueError: Where it may not be written, or the model has no file.
+            ValueError: Where it may not be written, the file to replace was changed since it was read, or the model has
+                no file.
         """
         names = ", ".join(Path(job.log_name).name for job in self.jobs)
         head = f"# Tuned by covariant tune to {names}.\n\n"
-        return write_model(self.jobs[0].model, path, overwrite, head, self.tuned.content)
+        return write_model(self.jobs[0].model, path, overwrite, head, self.tuned.content, self.sources)
 
     def report(self, path: str | Path) -> list[Path]:
         """Write an interactive page of estimates on the last log before and after, and figures (.png) beside it.

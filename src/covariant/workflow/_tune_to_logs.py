@@ -1,7 +1,8 @@
 """Computes the tuning of noise and gains to logs, and what it says of the model."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from os import PathLike
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,6 +15,7 @@ from covariant.report import EstimateReport
 from covariant.signals import Record, Run
 from covariant.workflow._aligned import aligned
 from covariant.workflow._inputs import Job, Loaded, coordinates, data_sheet, with_sensor_delays
+from covariant.workflow._model_output import check_read_once
 from covariant.workflow._outcome import drive, report_curves, rounded
 from covariant.workflow._pages import estimate_report
 from covariant.workflow._progress import Progress
@@ -50,10 +52,16 @@ class Tuned(NamedTuple):
     details: dict[str, Any]
 
 
-def tune_to_logs(jobs: list[Job], engine: EngineName, progress: Progress) -> Tuned:
-    """Tune noise and gains on the first two thirds of each log, and judge them on the rest."""
+def tune_to_logs(jobs: list[Job], engine: EngineName, progress: Progress, sources: Mapping[Path, bytes]) -> Tuned:
+    """Tune noise and gains on the first two thirds of each log, and judge them on the rest.
+
+    `sources` are the files of the model as they were first read.
+    """
     progress("reading", 0.0)
-    loaded = [aligned(job).loaded for job in jobs]
+    has_file = isinstance(jobs[0].model, str | PathLike)
+    content = models.document(jobs[0].model_name, jobs[0].overrides) if has_file else {}
+    loaded, delay = [aligned(job).loaded for job in jobs], models.load(jobs[0].model, jobs[0].overrides).delay
+    check_read_once(sources)  # from here on no file of the model is read
     file = loaded[0].file
     before = None
     if file.typical_std is not None and file.acceleration_std is not None:
@@ -79,9 +87,8 @@ def tune_to_logs(jobs: list[Job], engine: EngineName, progress: Progress) -> Tun
         raise ValueError(f"{', '.join(job.log_name for job in jobs)}: {error}") from error
     progress("done", 1.0)
     tables = _tables(file, tuning, loaded[0].rate)
-    details = _details(jobs, loaded, tuning, tables) | {"engine": runs.description}
-    has_file = isinstance(jobs[0].model, str | PathLike)
-    return Tuned(loaded, tuning, before, _content(jobs[0], tables) if has_file else {}, details)
+    details = _details(jobs, loaded, delay, tuning, tables) | {"engine": runs.description}
+    return Tuned(loaded, tuning, before, _with_tables(content, tables) if has_file else {}, details)
 
 
 def tuned_page(title: str, tuned: Tuned, notes: tuple[str, ...], rows: tuple[dict[str, Any], ...]) -> EstimateReport:
@@ -158,9 +165,8 @@ def _short(value: Any) -> float:
     return float(f"{float(value):.{DIGITS}g}")
 
 
-def _content(job: Job, tables: dict[str, dict[str, Any]]) -> dict[str, Any]:
+def _with_tables(content: dict[str, Any], tables: dict[str, dict[str, Any]]) -> dict[str, Any]:
     """The content of the model file with the tuned numbers; without an external force unless the tuning has one."""
-    content = models.document(job.model_name, job.overrides)
     for table, numbers in tables.items():
         content.setdefault(table, {}).update(numbers)
     # The tuned acceleration holds what was torque.
@@ -173,9 +179,10 @@ def _content(job: Job, tables: dict[str, dict[str, Any]]) -> dict[str, Any]:
     return content
 
 
-def _details(jobs: list[Job], loaded: list[Loaded], tuning: Tuning, tables: dict[str, Any]) -> dict[str, Any]:
+def _details(
+    jobs: list[Job], loaded: list[Loaded], delay: Any, tuning: Tuning, tables: dict[str, Any]
+) -> dict[str, Any]:
     names, units = coordinates(loaded[0].file)
-    delay = models.load(jobs[0].model, jobs[0].overrides).delay
     free = tuning.model_free
     return {
         "model": jobs[0].model_name,

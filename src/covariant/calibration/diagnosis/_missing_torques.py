@@ -77,14 +77,14 @@ class _Missing(NamedTuple):
 
 
 def _command(case: Case, missing: list[_Missing]) -> str:
-    """The command that fits them, for a robot or a chain of pendulums; "" for others."""
+    """The command that fits them; "" for a model that has no such numbers."""
     model, kinds = case.model, {each.kind for each in missing}
     if case.file.system == "robot":
         return f"covariant fit MODEL LOG --parameters {_robot_parameters(missing, model.coordinates)}"
+    named = [name for kind, (name, _) in OF_CHAIN.items() if kind in kinds]
+    fitted = f"covariant fit MODEL LOG --parameters {','.join(named)}"
     if case.file.system != "pendulum_chain":
-        return ""
-    named = ",".join(name for kind, (name, _) in OF_CHAIN.items() if kind in kinds)
-    fitted = f"covariant fit MODEL LOG --parameters {named}"
+        return fitted if set(named) <= set(case.file.stated) else ""  # drafts of `init` name them as the chain does
     # A file without a number, or with zeros, needs first values to fit from.
     for kind, (name, factor) in OF_CHAIN.items():
         stated, values = np.asarray(model.parameters[name].value), {i: x for k, i, x in missing if k == kind}

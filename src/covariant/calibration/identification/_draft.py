@@ -7,7 +7,16 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from covariant.logs import MEANT, unit_factor, unit_in_name, unknown_unit, unknown_unit_fault, without_unit, words_of
+from covariant.logs import (
+    MEANT,
+    odd_clock,
+    unit_factor,
+    unit_in_name,
+    unknown_unit,
+    unknown_unit_fault,
+    without_unit,
+    words_of,
+)
 
 _WORDS = {
     "left out": "true truth ref reference des desired goal target set setpoint raw",
@@ -27,6 +36,16 @@ FEWEST_GAPS = 10
 """Least number of gaps between values for which ticks are looked for."""
 OFF_TICK = 0.1
 """Largest distance of differences of positions from whole ticks, as a fraction of one."""
+MOST_ROUNDING = 0.25
+"""Largest rounding of printed numbers, as a fraction of a tick, at which ticks are still told from any numbers."""
+OFF_UNIT = 0.05
+"""Largest distance of the length of a quaternion from 1."""
+SCALED_MOTION = 0.1
+"""Least motion, in lengths, of four numbers whose length stays within its square, for them to be a quaternion."""
+
+
+_QUATERNION = re.compile(r"(.*?)[_./\[]?([wxyzWXYZ]|[0-9]+)\]?$")
+"""Name of one of the four numbers of a quaternion, as qw, q_x, orientation.y or q[3], and the letter or index."""
 
 
 class Draft(NamedTuple):
@@ -49,6 +68,7 @@ class Draft(NamedTuple):
         units: By the field t, q, u or v, the units of its columns where they are not those of a model file: s, rad,
             N m and rad/s.
         guessed: Fields whose units follow from the content and not from the header.
+        quaternion: Columns of the attitude of a body that turns, scalar first, in place of positions.
 
     Example:
         >>> import numpy as np
@@ -72,6 +92,7 @@ class Draft(NamedTuple):
     span: Float[np.ndarray, "n 2"]
     units: dict[str, tuple[str, ...]]
     guessed: tuple[str, ...]
+    quaternion: tuple[str, ...] = ()
 
     @property
     def plain_names(self) -> tuple[str, ...]:
@@ -80,12 +101,20 @@ class Draft(NamedTuple):
         return plain if "" not in plain and len(set(plain)) == len(plain) else self.q
 
 
-def draft(columns: Mapping[str, np.ndarray], given: Mapping[str, Sequence[str] | None] | None = None) -> Draft:
+def draft(
+    columns: Mapping[str, np.ndarray],
+    given: Mapping[str, Sequence[str] | None] | None = None,
+    stated: Mapping[str, str] | None = None,
+) -> Draft:
     """Guess the role of each column of a log, from its name and, where that says nothing, from its content.
+
+    Four columns that vary and whose squares sum to 1 in every row are the attitude of a body, unless positions are
+    given.
 
     Args:
         columns: The columns (T,) by name, numbers only.
         given: Names by the field t, q, u or v that are known and not to be guessed.
+        stated: Units that the log states beside the names, by column.
 
     Returns:
         The role of each column, with rate, units, ticks and noise.
@@ -107,9 +136,14 @@ def draft(columns: Mapping[str, np.ndarray], given: Mapping[str, Sequence[str] |
         if name not in columns:
             raise ValueError(f"there is no column {name!r} of numbers{_columns_there(columns)}")
     fixed = {name for names in given.values() for name in names}
-    kinds = {name: _kind(name) for name in columns if name not in fixed}
+    # Units that the log states are written as in a name, so that one parser reads both.
+    labels = {name: f"{name} [{stated[name]}]" if stated and name in stated else name for name in columns}
+    kinds = {name: _kind(labels[name]) for name in columns if name not in fixed}
     t = given["t"][0] if "t" in given else _stamps(columns, kinds)
     step = _step(t, columns[t])
+    quaternion = () if "q" in given else _quaternion({name: columns[name] for name, kind in kinds.items() if name != t})
+    if quaternion:
+        return _draft_of_attitude(columns, labels, kinds, given, t, quaternion)
     q = given.get("q") or tuple(name for name, kind in kinds.items() if kind == "q" and name != t)
     if not q:
         raise ValueError(
@@ -119,7 +153,7 @@ def draft(columns: Mapping[str, np.ndarray], given: Mapping[str, Sequence[str] |
     u = given.get("u") or tuple(name for name, kind in kinds.items() if kind == "u")
     _one_family("u", u, given, columns)
     if "u" not in given:  # forces before torques, as lengths come before angles
-        u = tuple(sorted(u, key=lambda name: unit_in_name(name, ("N m",)) is not None))
+        u = tuple(sorted(u, key=lambda name: unit_in_name(labels[name], ("N m",)) is not None))
     if len(u) > len(q):
         raise ValueError(
             f'{len(u)} inputs ({", ".join(u)}) for {len(q)} positions; name them by `columns["u"]`'
@@ -132,10 +166,10 @@ def draft(columns: Mapping[str, np.ndarray], given: Mapping[str, Sequence[str] |
     v = v if len(v) == len(q) else ()
     for field, names in (("t", (t,)), ("q", q), ("u", u), ("v", v)):
         for name in names:
-            text = unknown_unit(name, MEANT[field], names)
+            text = unknown_unit(labels[name], MEANT[field], [labels[each] for each in names])
             if text is not None:
-                raise ValueError(f"column {name!r} {unknown_unit_fault(field, text, drafted=True)}")
-    lengths = tuple(unit_in_name(name, ("m",)) is not None for name in q)
+                raise ValueError(unknown_unit_fault(name, field, text, labels[name] != name, drafted=True))
+    lengths = tuple(unit_in_name(labels[name], ("m",)) is not None for name in q)
     order = sorted(range(len(q)), key=lambda i: not lengths[i])
     q, lengths = tuple(q[i] for i in order), tuple(lengths[i] for i in order)
     v = tuple(v[i] for i in order) if v else ()
@@ -143,12 +177,17 @@ def draft(columns: Mapping[str, np.ndarray], given: Mapping[str, Sequence[str] |
     if np.isnan(logged[0]).any():
         raise ValueError(f"row 1 lacks a position ({', '.join(q)}); cut the log to begin later")
     span = np.stack([np.nanmin(logged, axis=0), np.nanmax(logged, axis=0)], axis=1)
-    units, guessed = _units({"t": (t,), "q": q, "u": u, "v": v}, step, span)
+    fields = {"t": (t,), "q": q, "u": u, "v": v}
+    units, guessed = _units(
+        {field: tuple(labels[name] for name in names) for field, names in fields.items()}, columns[t], span
+    )
     seconds = unit_factor(units.get("t", ("s",))[0])
-    y = logged * [unit_factor(text) for text in units.get("q", ("rad",) * len(q))]
-    ticks, noises = _tick(y), _noise(y, lengths)
+    factors = [unit_factor(text) for text in units.get("q", ("rad",) * len(q))]
+    y = logged * factors
+    rounding = [_rounding(column) * factor for column, factor in zip(logged.T, np.abs(factors), strict=True)]
+    ticks, noises = _tick(y, rounding), _noise(y, lengths)
     if len(set(lengths)) == 2:  # a tick of a metre is none of a radian
-        each_tick = [_tick(column[:, None]) for column in y.T]
+        each_tick = [_tick(y[:, [i]], [rounding[i]]) for i in range(len(q))]
         ticks = None if None in each_tick else tuple(tick for tick in each_tick if tick is not None)
         noises = tuple(_noise(column[:, None], (is_length,)) for column, is_length in zip(y.T, lengths, strict=True))
     return Draft(
@@ -169,13 +208,17 @@ def draft(columns: Mapping[str, np.ndarray], given: Mapping[str, Sequence[str] |
 
 
 def _units(
-    fields: Mapping[str, tuple[str, ...]], step: float, span: Float[np.ndarray, "n 2"]
+    fields: Mapping[str, tuple[str, ...]], t: Float[np.ndarray, "T"], span: Float[np.ndarray, "n 2"]
 ) -> tuple[dict[str, tuple[str, ...]], tuple[str, ...]]:
     """Units of the columns of each field, where they are not those of a model file, and the fields that were guessed.
 
-    `step` is the median step of the stamps, `span` (n, 2) that of the positions, both as logged.
+    `t` are the stamps, `span` (n, 2) that of the positions, both as logged.
     """
     stated = {field: [unit_in_name(name, MEANT[field]) for name in names] for field, names in fields.items()}
+    odd = odd_clock(t, stated["t"][0])
+    if odd is not None:
+        raise ValueError(f"column {fields['t'][0]!r} {odd}")
+    step = np.median(np.diff(t))
     content = {"t": next(unit for limit, unit in CLOCKS if step < limit)}
     unstated = [width for width, unit in zip(np.ptp(span, axis=1), stated["q"], strict=True) if unit is None]
     content["q"] = "deg" if max(unstated, default=0.0) > DEGREES else "rad"
@@ -256,9 +299,23 @@ def _noise(y: np.ndarray, lengths: Sequence[bool]) -> float:
     return float(np.sqrt(np.nanmean(np.diff(steps, 2, axis=0) ** 2) / 20))
 
 
-def _tick(y: np.ndarray) -> float | None:
-    """Tick of which all differences of positions are multiples, from the gaps between their values, or None."""
-    gaps: np.ndarray = np.concatenate([np.diff(np.unique(column[np.isfinite(column)])) for column in y.T])
+def _rounding(column: np.ndarray) -> float:
+    """Power of ten to which the numbers of a column are printed; 0 where they have too many digits."""
+    values = column[np.isfinite(column)]
+    for digits in range(7):
+        scaled = values * 10.0**digits
+        if np.allclose(scaled, np.round(scaled), rtol=0, atol=1e-6 + 1e-12 * np.abs(scaled).max(initial=0.0)):
+            return 10.0**-digits
+    return 0.0
+
+
+def _tick(y: np.ndarray, rounding: Sequence[float]) -> float | None:
+    """Tick of which all differences of positions are multiples, from the gaps between their values, or None.
+
+    `rounding` is to what each column is printed, by which a gap may be off.
+    """
+    columns = [np.unique(column[np.isfinite(column)]) for column in y.T]
+    gaps: np.ndarray = np.concatenate([np.diff(values) for values in columns])
     # Smaller gaps are rounding.
     gaps = gaps[gaps > 1e-6 * np.nanmax(np.abs(y))]
     if len(gaps) < FEWEST_GAPS:
@@ -266,7 +323,76 @@ def _tick(y: np.ndarray) -> float | None:
     # A low quantile, since a single wrong cell can make the minimum too small.
     smallest = float(np.quantile(gaps, 0.02))
     few = np.asarray(gaps, float)[gaps < 50 * smallest]
-    ticks = np.round(few / smallest)
-    if np.quantile(np.abs(few / smallest - ticks), 0.95) > OFF_TICK:
+    # Printed with few decimals, equal ticks differ: 0.0879 deg becomes 0.08 or 0.09. Their mean is exact.
+    tick = float(few[few < 1.5 * smallest].mean())
+    tick = float(np.sum(few) / np.sum(np.round(few / tick)))
+    off = np.abs(few - tick * np.round(few / tick))
+    # Where the rounding is no small part of the tick, every number is a multiple of the tick up to it.
+    printed = max(rounding)
+    allowed = printed if printed < MOST_ROUNDING * tick else 0.0
+    if np.quantile(off, 0.95) > max(OFF_TICK * tick, 1.01 * allowed):
         return None
-    return float(np.sum(few) / np.sum(ticks))
+    return tick
+
+
+def _quaternion(columns: Mapping[str, np.ndarray]) -> tuple[str, ...]:
+    """Names of four columns that are a unit quaternion which moves, scalar first; none where no four are."""
+    groups: dict[str, dict[str, str]] = {}
+    for name in columns:
+        match = _QUATERNION.match(name)
+        if match is not None and _kind(name) not in ("left out", "t"):
+            groups.setdefault(match[1], {})[match[2].lower()] = name
+    for group in groups.values():
+        for order in ("wxyz", "0123", "1234"):
+            # The first four of seven joints are none.
+            if set(order) != {key for key in group if key.isdigit() == order.isdigit()}:
+                continue
+            names = tuple(group[key] for key in order)
+            q = np.column_stack([columns[name] for name in names])
+            q = q[np.isfinite(q).all(axis=1)]
+            if not len(q) or not np.ptp(q, axis=0).any():
+                continue
+            lengths, motion = np.linalg.norm(q, axis=1), np.ptp(q, axis=0).max()
+            if np.abs(lengths - 1).max() < OFF_UNIT:
+                return names
+            # Whole numbers of a sensor, as 16384 for 1
+            if motion > SCALED_MOTION * lengths.max() and np.ptp(lengths) < SCALED_MOTION**2 * lengths.max():
+                raise ValueError(
+                    f"{', '.join(names)} are a quaternion of length {np.median(lengths):.5g}; divide them by it in the "
+                    'log, or name the positions by `columns["q"]`'
+                )
+    return ()
+
+
+def _draft_of_attitude(
+    columns: Mapping[str, np.ndarray],
+    labels: Mapping[str, str],
+    kinds: Mapping[str, str],
+    given: Mapping[str, Sequence[str]],
+    t: str,
+    names: tuple[str, ...],
+) -> Draft:
+    """Roles of the columns of a log of a body that turns."""
+    q = np.column_stack([columns[name] for name in names])
+    if np.isnan(q[0]).any():
+        raise ValueError(f"row 1 lacks an attitude ({', '.join(names)}); cut the log to begin later")
+    # A torque about each axis of the body, or none that is known.
+    u = given.get("u") or tuple(name for name, kind in kinds.items() if kind == "u")
+    if "u" in given and len(u) not in (0, 3):
+        raise ValueError(f"{len(u)} inputs ({', '.join(u)}) for a body that turns, needs 3 torques or none")
+    u = tuple(u) if len(u) == 3 else ()
+    for field, each in (("t", (t,)), ("u", u)):
+        for name in each:
+            text = unknown_unit(labels[name], MEANT[field], [labels[other] for other in each])
+            if text is not None:
+                raise ValueError(unknown_unit_fault(name, field, text, labels[name] != name, drafted=True))
+    fields = {"t": (labels[t],), "q": (), "u": tuple(labels[name] for name in u), "v": ()}
+    units, guessed = _units(fields, columns[t], np.empty((0, 2)))
+    step = float(np.median(np.diff(columns[t]))) * unit_factor(units.get("t", ("s",))[0])
+    # A turn by a small angle changes the quaternion by half of it; q and -q are one attitude.
+    signs = np.cumprod(np.sign(np.where(np.nansum(q[1:] * q[:-1], axis=1) < 0, -1.0, 1.0)))
+    noise = 2 * _noise(q * np.concatenate([[1.0], signs])[:, None], (True,) * 4)
+    left_out = tuple(name for name in columns if name not in (t, *names, *u))
+    return Draft(
+        t, (), u, (), left_out, 1 / step, len(q), (), None, noise, np.empty((0, 2)), units, guessed, quaternion=names
+    )

@@ -20,7 +20,8 @@ from covariant.models.robots import ROBOTS
 def finish(spec: str, content: dict[str, Any]) -> ModelFile:
     """Build the model file of a document and check it."""
     loaded = made(spec, content)
-    return _complete_file(loaded, Path(spec).stem if is_file(spec) else loaded.name, content)
+    name = Path(spec).stem if is_file(spec) else loaded.name
+    return _complete_file(loaded._replace(stated=tuple(content.get("parameters", {}))), name, content)
 
 
 def finish_object(given: Any, content: dict[str, Any]) -> ModelFile:

@@ -93,6 +93,7 @@ class ModelFile(NamedTuple):
             them.
         family: The model with the numbers of `uncertain` open, in their order.
         system: Name of the system, where it is one of this library, as "robot".
+        stated: Keys of [parameters], which `covariant.fit` takes as names.
 
     Example:
         >>> from covariant import models
@@ -138,6 +139,7 @@ class ModelFile(NamedTuple):
     sensors: Mapping[str, Mapping[str, Any]] = MappingProxyType({})
     family: Any = None
     system: str = ""
+    stated: tuple[str, ...] = ()
 
     @property
     def typical_std(self) -> float | None:

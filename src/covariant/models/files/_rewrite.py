@@ -15,7 +15,8 @@ _TOKEN = re.compile(
 def rewrite(text: str, content: dict[str, Any]) -> str:
     """Change values in the text of a model file.
 
-    Numbers are replaced where they stand, so that comments and layout remain; a new key goes to the end of its table.
+    Numbers are replaced where they stand, so that comments and layout remain. A new key takes the place of a comment
+    that drafts it, as `# acceleration = 2.0`, or goes to the end of its table.
 
     Args:
         text: Text of a model file.
@@ -63,12 +64,24 @@ def _replace_value(text: str, table: str, key: str, value: Any, old: Any = None)
         text, begin, end
     )
     if match is None:
+        drafted = re.compile(rf"^[ \t]*#[ \t]*{re.escape(key)}[ \t]*=[ \t]*", re.MULTILINE).search(text, begin, end)
+        if drafted is not None and _is_value(text[drafted.end() : _value_end(text, drafted.end())]):
+            # A line that a draft has as a comment: to take its mark away later would give the table two such keys.
+            return f"{text[: drafted.start()]}{key} = {written(value)}{text[_value_end(text, drafted.end()) :]}"
         body = text[begin:end].rstrip()
         return f"{text[:begin]}{body}\n{key} = {written(value)}\n{text[begin + len(body) :].removeprefix(chr(10))}"
     stop = _value_end(text, match.end())
     if value is None:
         return text[: match.start()] + text[text.find("\n", stop) + 1 :]
     return text[: match.end()] + _value(text[match.end() : stop], value, old) + text[stop:]
+
+
+def _is_value(text: str) -> bool:
+    """Whether a text is a value of TOML, and not the words of a remark."""
+    try:
+        return bool(_toml.parse(f"key = {text}"))
+    except ValueError:
+        return False
 
 
 def _span(text: str, table: str) -> tuple[int | None, int]:

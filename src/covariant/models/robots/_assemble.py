@@ -2,7 +2,7 @@
 
 import contextlib
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -16,7 +16,7 @@ from covariant.models._mechanical import MechanicalSystem
 from covariant.models._names import refuse_unknown
 from covariant.models._parameters import Parametric, known, namespace
 from covariant.models.robots._axes import Axis, Freedom, bodies_of, freedom_of, regrouped
-from covariant.models.robots._description import BodyInertia, Description
+from covariant.models.robots._description import BodyInertia, Description, Joint, negative_inertia
 from covariant.models.robots._forces import Potential, dissipation, force, inputs, numbers, with_motors
 from covariant.models.robots._space import RobotSpace
 from covariant.models.robots._tree import KinematicTree, Links
@@ -26,6 +26,19 @@ TWIST = ("v1", "v2", "v3", "w1", "w2", "w3")
 TWIST_UNITS = ("m/s", "m/s", "m/s", "rad/s", "rad/s", "rad/s")
 SMALLEST_INERTIA = 1e-12
 """Smallest eigenvalue of the inertia matrix, relative to the largest, with which it counts as positive definite."""
+TAKES_PART = 1e-3
+"""Smallest part in the velocity without energy, relative to the largest, with which a joint takes part in it."""
+
+
+class Moved(NamedTuple):
+    """What a component of the velocity moves.
+
+    The joint is empty for a base without one; the mass is in kg; the axis is None for a base.
+    """
+
+    joint: str
+    mass: Any
+    axis: np.ndarray | None = None
 
 
 def assemble(
@@ -58,31 +71,57 @@ def assemble(
     """
     loads = _check_payload(payload or {})
     # `_check_inertia` needs the numbers of the inertia, also inside a compiled function.
-    traced = not known(jnp.zeros(()))
-    with jax.ensure_compile_time_eval() if traced and known((loads, robot)) else contextlib.nullcontext():
-        return _assemble(robot, floating, dict(lock or {}), actuated, loads)
+    numbers, traced = known((loads, robot)), not known(jnp.zeros(()))
+    with jax.ensure_compile_time_eval() if traced and numbers else contextlib.nullcontext():
+        model, moved = _assemble(robot, floating, dict(lock or {}), actuated, loads)
+        if numbers:
+            _check_inertia(model, moved)
+        return model
 
 
 def _assemble(
     robot: Description, floating: bool, locked: dict[str, float], actuated: Sequence[str] | None, loads: dict[str, Any]
-) -> MechanicalSystem:
+) -> tuple[MechanicalSystem, list[Moved]]:
+    """The system of a robot, whose inertia matrix is not checked yet, and what each component of its velocity moves."""
     _check_names(robot, [*locked, *(actuated or ())])
     locked = _with_followers(robot, locked)
-    robot, free_base = _on_its_base(robot, locked)
-    floating = floating or free_base
+    robot, free_joint = _on_its_base(robot, locked)
+    floating = floating or free_joint is not None
     axes, bodies, base, frames = bodies_of(robot, locked)
     base = _with_payload(bodies, base, frames, loads)
     if not axes and not floating:
         raise ValueError("no joint moves; a robot needs one that is not fixed or locked")
+    _check_moments(robot, frames, bodies, base if floating else None)
     freedom = freedom_of(axes)
-    tree = _tree(axes, freedom, *regrouped(axes, bodies, base), namespace(loads, robot))
+    moved = _moved(axes, freedom, bodies, base, free_joint.name if free_joint else "", 6 * floating)
+    bodies, base = regrouped(axes, bodies, base)
+    weightless = 0.0 if free_joint is None else free_joint.armature
+    # The six equal rotors of a floating joint move as a mass and a sphere at its origin, which have no weight.
+    base = base.joined(BodyInertia(weightless, np.zeros(3), weightless / 2 * np.eye(3)))
+    tree = _tree(axes, freedom, bodies, base, weightless, namespace(loads, robot))
     of_joints = Coordinates(tuple(k for k, i in enumerate(freedom.free) if axes[i].circle), len(freedom.free))
     manifold = _product(floating, len(tree.balls), of_joints)
-    space = RobotSpace(tree, _links(frames), manifold=manifold, floating=floating)
-    model = _system(robot, axes, freedom, space, actuated)
-    if known((loads, robot)):
-        _check_inertia(model, [axes[i].joint.name for i in freedom.moving])
-    return model
+    space = RobotSpace(tree, _links(frames), manifold=manifold, floating=floating, limits=tuple(map(_limits, axes)))
+    return _system(robot, axes, freedom, space, actuated, free_joint), moved
+
+
+def _moved(
+    axes: list[Axis], freedom: Freedom, bodies: list[BodyInertia], base: BodyInertia, base_joint: str, of_base: int
+) -> list[Moved]:
+    mass = [body.mass for body in bodies]
+    for i in reversed(range(len(axes))):  # leaves first: a body passes on what it received
+        if axes[i].parent >= 0:
+            mass[axes[i].parent] = mass[axes[i].parent] + mass[i]
+    whole = base.mass + sum(body.mass for body in bodies)
+    by_joint = [
+        Moved(
+            axes[i].joint.name,
+            sum(mass[k] for k in np.flatnonzero(freedom.matrix[:, column])),
+            axes[i].turn if axes[i].ball else axes[i].joint.axis,
+        )
+        for column, i in enumerate(freedom.moving)
+    ]
+    return [Moved(base_joint, whole)] * of_base + by_joint
 
 
 def _check_names(robot: Description, names: Sequence[str]) -> None:
@@ -110,7 +149,9 @@ def _with_payload(
     return base
 
 
-def _tree(axes: list[Axis], freedom: Freedom, bodies: list[BodyInertia], base: BodyInertia, xnp: Any) -> KinematicTree:
+def _tree(
+    axes: list[Axis], freedom: Freedom, bodies: list[BodyInertia], base: BodyInertia, weightless: Any, xnp: Any
+) -> KinematicTree:
     """The arrays of the robot space; `xnp` is JAX's NumPy where a number is traced, else NumPy."""
 
     def stacked(parts: list, shape: tuple[int, ...]) -> Array:
@@ -133,7 +174,14 @@ def _tree(axes: list[Axis], freedom: Freedom, bodies: list[BodyInertia], base: B
         # Each joint depends on one coordinate, so that the inertia of the rotors is diagonal: ratio² times each.
         jnp.asarray(freedom.matrix.T**2 @ numbers(axis.joint.armature for axis in axes)),
         tuple(freedom.balls[::3]),
+        jnp.asarray(weightless, float),
     )
+
+
+def _limits(axis: Axis) -> tuple[str, float, float]:
+    # Files often have 0 and 0 for limits that are not known.
+    limited = axis.joint.kind in ("revolute", "prismatic") and axis.joint.lower < axis.joint.upper
+    return (axis.joint.name, *((axis.joint.lower, axis.joint.upper) if limited else (-np.inf, np.inf)))
 
 
 def _links(frames: dict[str, Any]) -> Links:
@@ -147,7 +195,12 @@ def _links(frames: dict[str, Any]) -> Links:
 
 
 def _system(
-    robot: Description, axes: list[Axis], freedom: Freedom, space: RobotSpace, actuated: Sequence[str] | None
+    robot: Description,
+    axes: list[Axis],
+    freedom: Freedom,
+    space: RobotSpace,
+    actuated: Sequence[str] | None,
+    free_joint: Joint | None,
 ) -> MechanicalSystem:
     """The system on the space, with the springs, dampers and motors of the joints, and names and units."""
     motors = robot.motors if actuated is None else ()
@@ -168,7 +221,7 @@ def _system(
             tuple(ball for ball, i in enumerate(balls) if springs[i].stiffness),
         ),
         force=Parametric(force, motors=motor_forces, base=np.zeros(6 * floating)),
-        dissipation=dissipation(springs, freedom.matrix, np.zeros(6 * floating)),
+        dissipation=dissipation(springs, freedom.matrix, np.zeros(6 * floating), free_joint),
         coordinates=tuple(axes[i].name for i in free),
         units=units,
         velocities=velocities if floating or balls else (),
@@ -196,11 +249,11 @@ def _check_payload(payload: Mapping[str, Any]) -> dict[str, Any]:
     return loads
 
 
-def _on_its_base(robot: Description, locked: dict[str, float]) -> tuple[Description, bool]:
-    """The part of a robot that a floating joint carries, and whether there is such a joint."""
+def _on_its_base(robot: Description, locked: dict[str, float]) -> tuple[Description, Joint | None]:
+    """The part of a robot that a floating joint carries, and this joint if there is one."""
     loose = [joint for joint in robot.joints if joint.kind == "floating" and joint.name not in locked]
     if not loose:
-        return robot, False
+        return robot, None
     base = loose[0].child
     carried = {base}
     for joint in robot.joints:  # each after the one that carries it
@@ -213,7 +266,7 @@ def _on_its_base(robot: Description, locked: dict[str, float]) -> tuple[Descript
             f"{loose[0].name!r} is another; load one robot at a time, or lock the others"
         )
     joints = tuple(joint for joint in robot.joints if joint.parent in carried)
-    return robot._replace(root=base, joints=joints), True
+    return robot._replace(root=base, joints=joints), loose[0]
 
 
 def _with_followers(robot: Description, locked: dict[str, float]) -> dict[str, float]:
@@ -232,15 +285,46 @@ def _with_followers(robot: Description, locked: dict[str, float]) -> dict[str, f
         still |= more
 
 
-def _check_inertia(model: MechanicalSystem, names: list[str]) -> None:
-    """Raise `ValueError` where a velocity has no kinetic energy; `names` are the joints of its last components."""
+def _check_moments(
+    robot: Description, frames: dict[str, Any], bodies: list[BodyInertia], base: BodyInertia | None
+) -> None:
+    """Raise `ValueError` where a body that moves, with all that is fixed to it, has a negative moment of inertia."""
+    for body, inertia in [*enumerate(bodies), *([] if base is None else [(-1, base)])]:
+        if not (known(inertia) and negative_inertia("", inertia)):
+            continue
+        links = [name for name, frame in frames.items() if frame[0] == body]
+        negative = [sentence for name in links if (sentence := negative_inertia(name, robot.links[name]))]
+        together = " with all that is fixed to it" if len(links) > 1 else ""
+        raise ValueError((negative or [negative_inertia(links[0], inertia)])[0] + together)
+
+
+def _check_inertia(model: MechanicalSystem, moved: list[Moved]) -> None:
+    """Raise `ValueError` where a velocity has no kinetic energy."""
     (matrix,) = evaluate_batch(model.space, jax.tree.map(lambda part: part[None], model.manifold.origin()))
     eigenvalues, vectors = np.linalg.eigh(matrix)
-    if eigenvalues[0] <= SMALLEST_INERTIA * eigenvalues[-1]:
-        participation = np.abs(vectors[:, 0])[-len(names) :]
-        # The velocity without energy is the eigenvector of the smallest eigenvalue: its largest entry names the joint.
-        worst = names[int(np.argmax(participation))] if names else "of the base"
+    least = SMALLEST_INERTIA * eigenvalues[-1]
+    if eigenvalues[0] > least:
+        return
+    # The velocity without energy is the eigenvector of the smallest eigenvalue: its largest entry names the joint.
+    participation = np.abs(vectors[:, 0])
+    worst = int(np.argmax(participation))
+    name, mass, axis = moved[worst]
+    others = {moved[i].joint for i in np.flatnonzero(participation > TAKES_PART * participation[worst])} - {name}
+    why = f"the inertia matrix has the eigenvalue {eigenvalues[0]:.2g} beside {eigenvalues[-1]:.2g}"
+    joint = f"joint {name!r}" if name else "the base"
+    if not mass:
+        raise ValueError(f"{joint} moves no mass: {why}; give the links beyond it an <inertial>, or lock it")
+    if matrix[worst, worst] > least and others:
+        names = ", ".join(sorted(repr(other) if other else "the base" for other in others))
         raise ValueError(
-            f"joint {worst!r} moves no mass: the inertia matrix has the eigenvalue {eigenvalues[0]:.2g} beside "
-            f"{eigenvalues[-1]:.2g}; give the links beyond it an <inertial>, or lock it"
+            f"{joint} and {names} can move together so that no mass moves: {why}; give the links between them an "
+            "<inertial>, or lock one of them"
         )
+    if axis is None:
+        spin = vectors[3:6, 0]
+        axis = spin / spin[np.argmax(np.abs(spin))]
+    direction = " ".join(f"{part:.3g}" for part in np.round(axis, 9) + 0.0)
+    raise ValueError(
+        f"{joint} moves {mass:.3g} kg, which have no moment of inertia about its axis {direction}: {why}; give the "
+        "links that it moves an <inertia> about this axis, or the joint an armature, or lock it"
+    )

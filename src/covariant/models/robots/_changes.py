@@ -8,7 +8,14 @@ import numpy as np
 from covariant._typing import Number
 from covariant.models._names import refuse_unknown
 from covariant.models._parameters import ANY_SIGN, POSITIVE, ZERO_OR_MORE, check_range, known, namespace
-from covariant.models.robots._description import BodyInertia, Description, FrictionLaw, Joint, doubts_on
+from covariant.models.robots._description import (
+    BodyInertia,
+    Description,
+    FrictionLaw,
+    Joint,
+    doubts_on,
+    negative_inertia,
+)
 
 ABOVE_ZERO = ("stribeck_velocity", "smoothing")
 SIGNED = ("asymmetry",)
@@ -96,6 +103,8 @@ def inertia_of(name: str, numbers: Any) -> BodyInertia:
     inertia = BodyInertia.of(mass, centre, tensor)
     if known(values):
         doubts_on(name, inertia)
+        if negative := negative_inertia(name, inertia):
+            raise ValueError(negative)
     return inertia
 
 

@@ -327,22 +327,38 @@ def in_order(links: dict[str, BodyInertia], joints: list[Joint]) -> tuple[str, t
     return roots[0], tuple(ordered)
 
 
+def negative_inertia(name: str, inertia: BodyInertia) -> str:
+    """Sentence where a principal moment of inertia about the centre of mass is negative, else empty."""
+    moments, size = _principal_moments(inertia)
+    if moments[0] >= -1e-9 * size:
+        return ""
+    return (
+        f"link {name!r}: the inertia about the centre of mass must not be negative; its principal moments are "
+        + ", ".join(f"{m:.3g}" for m in moments)
+        + " kg m²"
+    )
+
+
+def _principal_moments(inertia: BodyInertia) -> tuple[np.ndarray, float]:
+    """Principal moments (3,) about the centre of mass, and the size to which their tolerances are relative."""
+    moments = np.linalg.eigvalsh(inertia.about_centre)
+    # The floor is for a body without mass.
+    return moments, max(np.abs(moments).max(), np.abs(inertia.second).max(), 1e-12)
+
+
 def doubts_on(name: str, inertia: BodyInertia) -> list[str]:
-    """Sentence where no rigid body has these moments; raises `ValueError` where a number is out of its range."""
+    """Sentence where no rigid body has these moments; raises `ValueError` where a number is out of its range.
+
+    A negative moment is a doubt only: what is fixed to the link, or to the ground, decides whether it can move.
+    """
     numbers = np.concatenate([[inertia.mass], inertia.first, inertia.second.ravel()])
     if not np.isfinite(numbers).all():
         raise ValueError(f"link {name!r}: mass, centre of mass and inertia must be finite numbers")
     if inertia.mass < 0:
         raise ValueError(f"link {name!r}: the mass must not be negative; got {inertia.mass:g} kg")
-    moments = np.linalg.eigvalsh(inertia.about_centre)
-    # Tolerances are relative to the size of the entries; the floor is for a body without mass.
-    size = max(np.abs(moments).max(), np.abs(inertia.second).max(), 1e-12)
-    if moments[0] < -1e-9 * size:
-        raise ValueError(
-            f"link {name!r}: the inertia about the centre of mass must not be negative; its principal moments are "
-            + ", ".join(f"{m:.3g}" for m in moments)
-            + " kg m²"
-        )
+    if negative := negative_inertia(name, inertia):
+        return [negative]
+    moments, size = _principal_moments(inertia)
     # The triangle inequality of principal moments, with a tolerance for the few digits in files.
     if moments[2] > (moments[0] + moments[1]) * (1 + 1e-6) + 1e-9 * size:
         return [

@@ -71,10 +71,29 @@ def resistance(
     `base` are the zeros of a floating base. Coulomb friction [N m or N] is smoothed as `(2/π) atan(100 v)`.
     """
     rates = coordinates @ v[base.shape[0] :]
-    # atan tends to π/2, so the factor makes `friction` the torque far from rest.
-    torque = damping * rates + friction * (2 / jnp.pi) * jnp.arctan(COULOMB_STEEPNESS * rates)
+    torque = _plain_friction(rates, damping, friction)
     # coordinatesᵀ by virtual work: the power is −torque · rates ≤ 0.
     return jnp.concatenate([base, -coordinates.T @ torque])
+
+
+def floating_friction(q, v, joints: dict[str, Any], damping: Scalar, friction: Scalar, law: dict[str, Scalar]):
+    """Generalised force of the friction of a floating joint and of the others, whose parameters are `joints`.
+
+    It acts on each component of the velocity, the linear one in the world and the angular one in the body.
+    """
+    rotation = q.reshape(-1)[:16].reshape(4, 4)[:3, :3]
+    rates = jnp.concatenate([rotation @ v[:3], v[3:6]])
+    torque = _plain_friction(rates, damping, friction) + _friction_of_law(rates, law)
+    return _of_joints(q, v, joints) - jnp.concatenate([torque[:3] @ rotation, torque[3:], jnp.zeros_like(v[6:])])
+
+
+def floating_damping(q, v, joints: dict[str, Any], damping: Scalar):
+    """As `floating_friction` without dry friction: six equal dampers act alike in the world and in the body."""
+    return _of_joints(q, v, joints) - jnp.concatenate([damping * v[:6], jnp.zeros_like(v[6:])])
+
+
+def _of_joints(q, v, joints: dict[str, Any]):
+    return joint_friction(q, v, **joints) if "law" in joints else resistance(q, v, **joints)
 
 
 def joint_friction(
@@ -87,11 +106,19 @@ def joint_friction(
     law: dict[str, Float[Array, "k"]],
 ):
     """Generalised force of the friction in joints some of which have a `FrictionLaw`."""
-    rates = coordinates @ v[base.shape[0] :]
+    torque = _friction_of_law(coordinates @ v[base.shape[0] :], law)
+    return resistance(q, v, coordinates, damping, friction, base) + jnp.concatenate([base, -coordinates.T @ torque])
+
+
+def _plain_friction(rates, damping, friction):
+    # atan tends to π/2, so the factor makes `friction` the torque far from rest.
+    return damping * rates + friction * (2 / jnp.pi) * jnp.arctan(COULOMB_STEEPNESS * rates)
+
+
+def _friction_of_law(rates, law):
     sign = jnp.tanh(rates / law["smoothing"])
     at_rest = law["stribeck"] * jnp.exp(-((rates / law["stribeck_velocity"]) ** 2))
-    torque = law["viscous"] * rates + (law["coulomb"] + at_rest) * sign + law["asymmetry"] * sign**2
-    return resistance(q, v, coordinates, damping, friction, base) + jnp.concatenate([base, -coordinates.T @ torque])
+    return law["viscous"] * rates + (law["coulomb"] + at_rest) * sign + law["asymmetry"] * sign**2
 
 
 def numbers(values: Iterable[Any]) -> Any:
@@ -100,8 +127,23 @@ def numbers(values: Iterable[Any]) -> Any:
     return namespace(listed).asarray(listed, float)
 
 
-def dissipation(joints: list[Joint], coordinates: np.ndarray, base: np.ndarray) -> Parametric:
+def dissipation(
+    joints: list[Joint], coordinates: np.ndarray, base: np.ndarray, free_joint: Joint | None = None
+) -> Parametric:
     """Friction of the joints; where one has a law it takes the place of its damping and dry friction."""
+    of_joints = _dissipation_of_joints(joints, coordinates, base)
+    if free_joint is None or not (free_joint.law or free_joint.damping or free_joint.friction):
+        return of_joints
+    law = free_joint.law or FrictionLaw()
+    damping, friction = (0.0, 0.0) if free_joint.law else (free_joint.damping, free_joint.friction)
+    if not (free_joint.law or friction):
+        return Parametric(floating_damping, joints=of_joints.parameters, damping=damping)
+    return Parametric(
+        floating_friction, joints=of_joints.parameters, damping=damping, friction=friction, law=law._asdict()
+    )
+
+
+def _dissipation_of_joints(joints: list[Joint], coordinates: np.ndarray, base: np.ndarray) -> Parametric:
     plain = {
         "coordinates": coordinates,
         "damping": numbers(0.0 if joint.law else joint.damping for joint in joints),

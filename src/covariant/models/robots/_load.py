@@ -2,9 +2,11 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from covariant._typing import Number
 from covariant.models._mechanical import MechanicalSystem
+from covariant.models.robots._against_mujoco import refuse_difference
 from covariant.models.robots._assemble import assemble
 from covariant.models.robots._changes import changed
 from covariant.models.robots._description import Description, FrictionLaw, Joint
@@ -37,8 +39,13 @@ def read(path: str | Path, *, motor_torques: bool = False) -> Description:
         >>> [joint.kind for joint in robot.joints].count("continuous")
         2
     """
+    return _read(path, motor_torques)[0]
+
+
+def _read(path: str | Path, motor_torques: bool) -> tuple[Description, Any]:
+    """The description of a robot, and MuJoCo's model of it where the file is MJCF, else None."""
     try:
-        return _read_description(located(path), motor_torques)
+        return _read_file(located(path), motor_torques)
     except OSError as error:
         raise ValueError(
             f"{path}: {error.strerror or error}; give the path of a URDF or MJCF file, or one of {', '.join(ROBOTS)}"
@@ -47,7 +54,7 @@ def read(path: str | Path, *, motor_torques: bool = False) -> Description:
         raise ValueError(f"{path}: {error}") from error
 
 
-def _read_description(path: Path, motor_torques: bool) -> Description:
+def _read_file(path: Path, motor_torques: bool) -> tuple[Description, Any]:
     outermost = parse(path)
     if outermost.tag == "mujoco":
         if motor_torques:
@@ -57,7 +64,7 @@ def _read_description(path: Path, motor_torques: bool) -> Description:
         return read_mjcf(path)
     if outermost.tag != "robot":
         raise ValueError(f"a robot's file begins with <robot> (URDF) or <mujoco> (MJCF); found <{outermost.tag}>")
-    return read_urdf(outermost, path.stem, motor_torques)
+    return read_urdf(outermost, path.stem, motor_torques), None
 
 
 def load(
@@ -81,7 +88,9 @@ def load(
     Coordinates are the joints that are not fixed, locked or following another one, by their names [rad or m]; those
     without limits are full circles. Inputs are the torques [N m] or forces [N] at them, or the inputs of the motors of
     the joints where an MJCF file names some. Gravity is 9.81 m/s² along −z of the root, or of the world, or as an MJCF
-    file says. Friction of a joint is `damping v + friction (2/π) atan(100 v)`.
+    file says. Friction of a joint is `damping v + friction (2/π) atan(100 v)`; that of a floating joint acts so on each
+    component of its velocity, the linear one in the world and the angular one in the body. An MJCF file is compared
+    with MuJoCo at random states, so a robot that would move otherwise is refused.
 
     Args:
         path: Path of the file, or the name of one of `ROBOTS`.
@@ -110,7 +119,8 @@ def load(
         The system, with its configuration space as a `RobotSpace`.
 
     Raises:
-        ValueError: One line with the path, for what is wrong in the file, and for names it does not have.
+        ValueError: One line with the path, for what is wrong in the file, for names it does not have, and for an MJCF
+            file whose robot moves otherwise in MuJoCo.
         ImportError: The file is MJCF and MuJoCo is not installed.
 
     Example:
@@ -119,7 +129,7 @@ def load(
         >>> scara.inputs == len(scara.coordinates)
         True
     """
-    robot = read(path, motor_torques=motor_torques)
+    robot, engine = _read(path, motor_torques)
     numbers = {
         "friction": friction,
         "armature": armature,
@@ -129,6 +139,8 @@ def load(
         "offsets": offsets,
     }
     try:
+        if engine is not None:
+            refuse_difference(engine, robot, actuated)
         robot = changed(robot, **numbers)
         if not dry_friction:
             robot = robot._replace(joints=tuple(map(_without_dry_friction, robot.joints)))

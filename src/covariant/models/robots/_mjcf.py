@@ -2,7 +2,7 @@
 
 The compiled model knows defaults, units, included files and the inertia of shapes; here it becomes a `Description`.
 Entries that would change the motion and are not supported are refused by name; those that do not, or only in contact,
-are counted as ignored.
+are counted as ignored. `_against_mujoco` compares the forces of both afterwards, for the entries that this file misses.
 """
 
 from collections import Counter
@@ -25,6 +25,7 @@ from covariant.models.robots._description import (
     limits_in_doubt,
     turn_about,
 )
+from covariant.models.robots._mjcf_compile import compiled_model
 
 IGNORED = {
     "ngeom": "geom (contacts, shapes)",
@@ -36,11 +37,21 @@ IGNORED = {
     "npair": "contact/pair",
     "nexclude": "contact/exclude",
     "nmesh": "asset/mesh",
+    "nhfield": "asset/hfield",
+    "nmocap": "body/mocap (stands still)",
     "ntex": "asset/texture",
     "nmat": "asset/material",
     "nskin": "skin",
 }
 """Entries that have no meaning here: sizes of the compiled model, and the names under which they are reported."""
+
+
+MOTOR_LIMITS = {
+    "actuator_ctrllimited": "actuator/ctrlrange",
+    "actuator_forcelimited": "actuator/forcerange",
+    "jnt_actfrclimited": "joint/actuatorfrcrange",
+}
+"""Limits of motors, which have no meaning here: the forces or inputs of a log are within them."""
 
 
 class _Reader:
@@ -49,38 +60,50 @@ class _Reader:
     def __init__(self, mujoco: Any, model: Any):
         self.mujoco, self.model = mujoco, model
         self.used, self.ignored, self.doubts = Counter(), Counter(), []
-        self.bodies = [self.name("BODY", i) for i in range(model.nbody)]
-        self.names = [self.name("JOINT", i) for i in range(model.njnt)]
+        self.bodies = names_of(mujoco, model, "BODY", model.nbody)
+        self.names = names_of(mujoco, model, "JOINT", model.njnt)
+        self.actuators = names_of(mujoco, model, "ACTUATOR", len(model.actuator_trntype))
 
     def name(self, kind: str, index: int) -> str:
-        label = self.mujoco.mj_id2name(self.model, getattr(self.mujoco.mjtObj, f"mjOBJ_{kind}"), index)
-        return label or f"{kind.lower()}{index}"
+        return names_of(self.mujoco, self.model, kind, index + 1)[index]
+
+    def entry(self, field: str, index: int) -> np.ndarray:
+        """An entry of a field that earlier versions of MuJoCo do not have; they give 0."""
+        return np.asarray(getattr(self.model, field, np.zeros(index + 1))[index], float)
 
     def off(self, flag: str) -> bool:
         """Whether the file switches a kind of force off."""
         return bool(self.model.opt.disableflags & int(getattr(self.mujoco.mjtDisableBit, f"mjDSBL_{flag}")))
 
 
-def read_mjcf(path: Path) -> Description:
-    """Read the robot that an MJCF file describes."""
+def names_of(mujoco: Any, model: Any, kind: str, count: int) -> list[str]:
+    """Names of the first entries of a kind, such as "JOINT"; those without one are numbered."""
+    kind_number = getattr(mujoco.mjtObj, f"mjOBJ_{kind}")
+    return [mujoco.mj_id2name(model, kind_number, i) or f"{kind.lower()}{i}" for i in range(count)]
+
+
+def read_mjcf(path: Path) -> tuple[Description, Any]:
+    """Read the robot that an MJCF file describes, and MuJoCo's compiled model of it."""
     mujoco = load_optional("mujoco", use="MJCF files are read with", extra="robots")
-    try:
-        model = mujoco.MjModel.from_xml_path(str(path))
-    except ValueError as error:
-        raise ValueError(f"MuJoCo cannot read it: {' '.join(str(error).removeprefix('Error: ').split())}") from error
+    model, missing = compiled_model(mujoco, path)
     read = _Reader(mujoco, model)
+    read.ignored.update(missing)
     _refuse(read)
     links: dict[str, BodyInertia] = {read.bodies[0]: NO_INERTIA}
     joints: list[Joint] = []
     for i in range(1, model.nbody):
         _body(read, i, links, joints)
-    joints = _couple_joints(read, joints)
+    joints = _with_actuators(read, _couple_joints(read, joints))
+    motors = _motors(read)  # first, since the counts below are complete only then
     for size, what in IGNORED.items():
         if getattr(model, size):
             read.ignored[what] += int(getattr(model, size))
+    for field, what in MOTOR_LIMITS.items():
+        if getattr(model, field).any():
+            read.ignored[what] += int(getattr(model, field).sum())
     root, ordered = in_order(links, joints)
     gravity = np.zeros(3) if read.off("GRAVITY") else np.array(model.opt.gravity)
-    return Description(
+    robot = Description(
         bytes(model.names).split(b"\0")[0].decode() or path.stem,
         links,
         ordered,
@@ -89,8 +112,9 @@ def read_mjcf(path: Path) -> Description:
         dict(read.used),
         dict(read.ignored),
         tuple(read.doubts),
-        _motors(read),
+        motors,
     )
+    return robot, model
 
 
 def _refuse(read: _Reader) -> None:
@@ -106,7 +130,8 @@ def _refuse(read: _Reader) -> None:
         raise ValueError(f"body {read.bodies[i]!r}: gravcomp is not supported; set it to 0 and log the torque it makes")
     for i in range(model.ntendon):
         properties = (model.tendon_stiffness, model.tendon_damping, model.tendon_frictionloss, model.tendon_armature)
-        if any(part[i] for part in properties):
+        not_linear = (read.entry(f"tendon_{field}poly", i).any() for field in ("stiffness", "damping"))
+        if any(part[i] for part in properties) or any(not_linear):
             raise ValueError(
                 f"tendon {read.name('TENDON', i)!r}: springs, damping, friction and armature of tendons are not "
                 "supported; put them into the joints"
@@ -117,6 +142,11 @@ def _refuse(read: _Reader) -> None:
             read.ignored["equality (inactive)"] += 1
         elif model.eq_type[i] != int(read.mujoco.mjtEq.mjEQ_JOINT):
             kind = read.mujoco.mjtEq(int(model.eq_type[i])).name.removeprefix("mjEQ_").lower()
+            if kind == "tendon":
+                raise ValueError(
+                    f"equality {read.name('EQUALITY', i)!r}: coupled tendons are not supported; couple the joints by "
+                    "equality/joint, or make it inactive"
+                )
             raise ValueError(
                 f"equality {read.name('EQUALITY', i)!r} ({kind}): closed loops are not supported; cut the loop, or "
                 "make it inactive and let the joints carry the constraint"
@@ -165,21 +195,9 @@ def _joint(read: _Reader, k: int, parent: str, child: str, rotation: np.ndarray,
     kind = read.mujoco.mjtJoint(int(model.jnt_type[k])).name.removeprefix("mjJNT_").lower()
     read.used[f"joint/{kind}"] += 1
     d, axis = int(model.jnt_dofadr[k]), exact(np.array(model.jnt_axis[k]))
-    if kind == "free":
-        if model.dof_damping[d : d + 6].any() or model.dof_armature[d : d + 6].any() or model.jnt_stiffness[k]:
-            raise ValueError(
-                f"{where}: damping, armature and stiffness of a free joint are not supported; set them to 0"
-            )
-        return Joint(read.names[k], "floating", parent, child, exact(rotation), place, axis)
-    if model.jnt_stiffnesspoly[k].any() or model.dof_dampingpoly[d].any() or model.jnt_springyield[k].any():
+    not_linear = (("jnt_stiffnesspoly", k), ("dof_dampingpoly", d), ("jnt_springyield", k))
+    if any(read.entry(*field).any() for field in not_linear):
         raise ValueError(f"{where}: springs and dampers that are not linear are not supported; give one number each")
-    address, ball, slide = int(model.jnt_qposadr[k]), kind == "ball", kind == "slide"
-    # The configuration of a ball joint is a quaternion, and its spring rests where the file poses it.
-    start, rest = (0.0, 0.0) if ball else (float(model.qpos0[address]), float(model.qpos_spring[address]))
-    limited = bool(model.jnt_limited[k]) and not ball
-    lower, upper = model.jnt_range[k] if limited else (-np.inf, np.inf)
-    if ball and model.jnt_limited[k]:
-        read.ignored["joint/range of a ball"] += 1
     forces = {
         "damping": 0.0 if read.off("DAMPER") else float(model.dof_damping[d]),
         "friction": 0.0 if read.off("FRICTIONLOSS") else float(model.dof_frictionloss[d]),
@@ -189,6 +207,17 @@ def _joint(read: _Reader, k: int, parent: str, child: str, rotation: np.ndarray,
     for key, value in forces.items():
         if value:
             read.used[f"joint/{key}"] += 1
+    if kind == "free":
+        if forces["stiffness"]:
+            raise ValueError(f"{where}: the stiffness of a free joint is not supported; set it to 0")
+        return Joint(read.names[k], "floating", parent, child, exact(rotation), place, axis)._replace(**forces)
+    address, ball, slide = int(model.jnt_qposadr[k]), kind == "ball", kind == "slide"
+    # The configuration of a ball joint is a quaternion, and its spring rests where the file poses it.
+    start, rest = (0.0, 0.0) if ball else (float(model.qpos0[address]), float(model.qpos_spring[address]))
+    limited = bool(model.jnt_limited[k]) and not ball
+    lower, upper = model.jnt_range[k] if limited else (-np.inf, np.inf)
+    if ball and model.jnt_limited[k]:
+        read.ignored["joint/range of a ball"] += 1
     # The file's pose of the body is that at q = ref.
     if slide:
         place = place - rotation @ axis * start
@@ -202,14 +231,10 @@ def _joint(read: _Reader, k: int, parent: str, child: str, rotation: np.ndarray,
         exact(rotation),
         place,
         axis,
-        forces["damping"],
-        forces["friction"],
-        forces["armature"],
-        forces["stiffness"],
-        rest,
-        float(lower),
-        float(upper),
-    )
+        rest=rest,
+        lower=float(lower),
+        upper=float(upper),
+    )._replace(**forces)
     read.doubts += limits_in_doubt(joint)
     return joint
 
@@ -241,33 +266,73 @@ def _couple_joints(read: _Reader, joints: list[Joint]) -> list[Joint]:
     return list(coupled.values())
 
 
+def _with_actuators(read: _Reader, joints: list[Joint]) -> list[Joint]:
+    """The joints with the rotors and dampers of their actuators, which act also where their motors are no inputs."""
+    by_name, hinges = {joint.name: joint for joint in joints}, ("revolute", "continuous", "prismatic")
+    for i, name in enumerate(read.actuators):
+        where = f"actuator {name!r}"
+        if read.entry("actuator_dampingpoly", i).any():
+            raise ValueError(f"{where}: a damper that is not linear is not supported; give one number")
+        losses = {"armature": float(read.entry("actuator_armature", i))}
+        losses["damping"] = 0.0 if read.off("DAMPER") else float(read.entry("actuator_damping", i))
+        if not any(losses.values()):
+            continue
+        driven = by_name[read.names[int(read.model.actuator_trnid[i, 0])]] if _drives_joint(read, i) else None
+        if driven is None or driven.kind not in hinges:
+            raise ValueError(
+                f"{where}: armature and damping are supported only where it drives a hinge or a slide; set them to 0, "
+                "and give the joints theirs"
+            )
+        # A gear scales force and position, so that inertia and damper are felt at the joint by its square.
+        squared = float(read.model.actuator_gear[i, 0]) ** 2
+        for key, value in losses.items():
+            if value:
+                read.used[f"actuator/{key}"] += 1
+        by_name[driven.name] = driven._replace(
+            armature=driven.armature + squared * losses["armature"],
+            damping=driven.damping + squared * losses["damping"],
+        )
+    return list(by_name.values())
+
+
+def _drives_joint(read: _Reader, i: int) -> bool:
+    kinds = (int(read.mujoco.mjtTrn.mjTRN_JOINT), int(read.mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+    return int(read.model.actuator_trntype[i]) in kinds
+
+
 def _motors(read: _Reader) -> tuple[Motor, ...]:
     """The motors of the joints; those with an internal state are refused when they become inputs."""
     model, mujoco, motors = read.model, read.mujoco, []
     if read.off("ACTUATION"):
-        read.ignored["actuator"] += int(model.nu)
+        read.ignored["actuator"] += len(read.actuators)
         return ()
-    for i in range(model.nu):
-        name, unsupported = read.name("ACTUATOR", i), ""
+    for i, name in enumerate(read.actuators):
+        group = int(model.actuator_group[i])
+        # MuJoCo can disable the groups 0 to 30 only.
+        if 0 <= group < 31 and model.opt.disableactuator >> group & 1:
+            read.ignored["actuator (disabled group)"] += 1
+            continue
+        unsupported = ""
         gain, bias = float(model.actuator_gainprm[i, 0]), np.array(model.actuator_biasprm[i])
         linear = (int(mujoco.mjtBias.mjBIAS_NONE), int(mujoco.mjtBias.mjBIAS_AFFINE))
         joint = int(model.actuator_trnid[i, 0])
-        hinged = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
         # A bias of the type none leaves numbers in biasprm that MuJoCo does not use.
         if int(model.actuator_biastype[i]) == linear[0]:
             bias = bias * 0
-        kind = int(model.jnt_type[joint]) if int(model.actuator_trntype[i]) in hinged else None
+        kind = int(model.jnt_type[joint]) if _drives_joint(read, i) else None
         ball = kind == int(mujoco.mjtJoint.mjJNT_BALL)
         if kind is None:
             unsupported = "acts on no joint"
         elif kind == int(mujoco.mjtJoint.mjJNT_FREE):
             unsupported = f"acts on {read.names[joint]!r}, a free joint"
-        elif ball and int(model.actuator_trntype[i]) == hinged[1]:
+        elif ball and int(model.actuator_trntype[i]) == int(mujoco.mjtTrn.mjTRN_JOINTINPARENT):
             unsupported = f"acts on the ball joint {read.names[joint]!r} along an axis of its parent"
         elif ball and bias[:3].any():
             unsupported = f"is a servo on the ball joint {read.names[joint]!r}"
         elif int(model.actuator_dyntype[i]) != int(mujoco.mjtDyn.mjDYN_NONE):
             unsupported = "has a state of its own"
+        elif read.entry("actuator_delay", i):
+            unsupported = "has a delay"
         elif int(model.actuator_gaintype[i]) != int(mujoco.mjtGain.mjGAIN_FIXED) or (
             int(model.actuator_biastype[i]) not in linear
         ):

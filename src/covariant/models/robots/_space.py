@@ -97,6 +97,8 @@ class RobotSpace(AbstractSpace):
         links: Frames of the links.
         manifold: Manifold of the configurations.
         floating: Whether the base floats.
+        limits: Joint, and its lower and upper limit [rad or m], for each of the k positions of `joint_angles`; ±inf
+            without one. Nothing stops the motion there.
 
     Example:
         >>> import jax.numpy as jnp
@@ -112,6 +114,7 @@ class RobotSpace(AbstractSpace):
     links: Links
     manifold: AbstractManifold = eqx.field(kw_only=True)
     floating: bool = eqx.field(default=False, static=True)
+    limits: tuple[tuple[str, float, float], ...] = eqx.field(default=(), static=True)
 
     def lower(self, x: Configuration, a: Vector) -> Vector:
         """Momentum of a velocity, by one sweep along the tree.
@@ -139,7 +142,7 @@ class RobotSpace(AbstractSpace):
             Matrix (n, n) for the components of the velocity.
         """
         tree, joints = self.tree, self.joints(x)
-        parents = jnp.asarray([p + 1 for p in tree.parents])
+        parents = jnp.asarray([p + 1 for p in tree.parents], int)
         order = jnp.arange(len(tree.parents))
 
         def collect(whole, body):
@@ -176,7 +179,9 @@ class RobotSpace(AbstractSpace):
             return jnp.where(carries[:, None] > 0.5, moved, columns), row
 
         bodies = (order, *joints, turn, slide, by_joint, carried)
-        at_base, rows = jax.lax.scan(lower_down, jnp.zeros_like(by_joint), bodies, reverse=True)
+        at_base, rows = by_joint, carried  # both are empty for a single body, which is no loop for JAX
+        if tree.parents:
+            at_base, rows = jax.lax.scan(lower_down, jnp.zeros_like(by_joint), bodies, reverse=True)
         # Parents come first, so that row i has its entries in the columns of bodies carried by i: the upper triangle.
         matrix = jnp.where(np.tri(len(tree.parents), dtype=bool).T, rows, rows.T)
         coordinates = tree.coordinates.astype(x.dtype)
@@ -371,11 +376,11 @@ class RobotSpace(AbstractSpace):
 
     @property
     def mass(self) -> Array:
-        """Mass of the robot [kg], base included."""
-        return self.tree.base_mass + jnp.sum(self.tree.mass)
+        """Mass of the robot [kg], base included, that has a weight."""
+        return self.tree.base_mass + jnp.sum(self.tree.mass) - self.tree.weightless
 
     def first_moment(self, x: Configuration, joints: Joints) -> Float[Array, "3"]:
-        """First moment `∫ρ r` of the whole robot in the world.
+        """First moment `∫ρ r` of the whole robot in the world, of what has a weight.
 
         Args:
             x: Configuration.
@@ -392,13 +397,13 @@ class RobotSpace(AbstractSpace):
             moved = rotation @ moment + carried * place
             return (total[0].at[parent].add(carried), total[1].at[parent].add(moved)), None
 
-        parents = jnp.asarray([p + 1 for p in self.tree.parents])
+        parents = jnp.asarray([p + 1 for p in self.tree.parents], int)
         bodies = (jnp.arange(len(parents)), parents, *joints)
         (mass, first), _ = jax.lax.scan(collect, (mass, first), bodies, reverse=True)
         if not self.floating:
             return first[0]
         pose = x.reshape(-1)[:16].reshape(4, 4)
-        return pose[:3, :3] @ first[0] + mass[0] * pose[:3, 3]
+        return pose[:3, :3] @ first[0] + (mass[0] - self.tree.weightless.astype(x.dtype)) * pose[:3, 3]
 
     def twists(self, joints: Joints, a: Vector) -> Float[Array, "k1 6"]:
         """Twists (v, ω) of the base and of all bodies, each in its own frame: linear in the velocity.
@@ -458,7 +463,7 @@ class RobotSpace(AbstractSpace):
             )
             return (now, angular.at[i + 1].set(turned)), None
 
-        parents = jnp.asarray([p + 1 for p in tree.parents])
+        parents = jnp.asarray([p + 1 for p in tree.parents], int)
         # The base's twist has constant components in its own frame: only the turn of that frame, by ω_a, changes it.
         angular = jnp.cross(spin_a[0], spin_b[0])
         none = jnp.zeros((k1, 3), b.dtype)
@@ -484,7 +489,7 @@ class RobotSpace(AbstractSpace):
             moved = jnp.concatenate([(speed + jnp.cross(spin, place)) @ rotation, spin @ rotation])
             return twists.at[i + 1].set(moved + added), None
 
-        parents = jnp.asarray([p + 1 for p in self.tree.parents])
+        parents = jnp.asarray([p + 1 for p in self.tree.parents], int)
         return jax.lax.scan(step, first, (jnp.arange(len(parents)), parents, *joints, by_joint))[0]
 
     def _rotors(self, a: Vector) -> Vector:

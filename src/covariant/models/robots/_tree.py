@@ -33,6 +33,7 @@ class KinematicTree(eqx.Module):
         offset: Positions of the joints at q = 0 (k,) [rad or m].
         armature: Inertia of the rotors, as felt at the rates of the velocity (3b + n,) [kg m² or kg].
         balls: First of the three bodies of each of the b ball joints.
+        weightless: Part () of the mass of the base that has no weight [kg], the armature of a floating joint.
 
     Example:
         >>> from covariant.models import robots
@@ -55,7 +56,8 @@ class KinematicTree(eqx.Module):
     coordinates: Float[Array, "k n"]
     offset: Float[Array, "k"]
     armature: Float[Array, "n"]
-    balls: tuple[int, ...] = eqx.field(default=(), static=True)
+    balls: tuple[int, ...] = eqx.field(static=True)
+    weightless: Float[Array, ""]
 
     def frames(self) -> np.ndarray:
         """Body in whose frame the axis of each body stands still.

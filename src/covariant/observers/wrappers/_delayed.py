@@ -4,6 +4,10 @@ Coordinate i of the sample with the stamp t was true at t − d_i. The state is 
 can arrive any more; later readings wait in a buffer. A sample is inserted into the buffer at its true times, the buffer
 is run through again in their order, and the model predicts from the last of them to the stamp, input by input.
 
+No single sample tells where the system was at t − max d if the coordinates of a configuration have different delays.
+Until every first reading is that old, each step starts anew from the latest readings, with the uncertainty of `init`;
+then the readings on both sides of that time, interpolated, are the first state.
+
 A step therefore costs one step of the inner observer for each reading that is not older than the latest sensor, and one
 prediction for each row of the least delay. With one delay for all coordinates nothing waits in the buffer: a step costs
 one step and as many predictions as there are rows in the delay.
@@ -30,6 +34,8 @@ from covariant.signals import StepCode
 
 SAME_TIME = 1e-6
 """Times [s] closer than this count as equal: coordinates that were true then are processed together."""
+OF_ESTIMATE = ("velocity_std", "state_std", "slow", "slow_std", "bias")
+"""Fields of an info that describe the estimate."""
 
 
 class DelayedState(NamedTuple):
@@ -46,6 +52,9 @@ class DelayedState(NamedTuple):
         y: These readings (L, *n); NaN where a coordinate was not read then.
         stamp: Ages (M,) [s] of the last stamps, the oldest first.
         u: Inputs (M, m) that acted up to each of these stamps.
+        start_age: Ages (K,) [s] of the readings in `start_y`; infinite once there is a first state from the readings of
+            several samples. Empty if one sample tells the first configuration.
+        start_y: Last reading (K,) of each entry of a measurement that was true before the first state.
         last_input: The last finite input (m,), or None for an inner observer that stores none.
 
     Example:
@@ -65,6 +74,8 @@ class DelayedState(NamedTuple):
     y: Inexact[Array, "L *n"]
     stamp: Float[Array, "M"]
     u: Float[Array, "M m"]
+    start_age: Float[Array, "K"]
+    start_y: Inexact[Array, "K"]
     last_input: LastInput = None
 
 
@@ -73,8 +84,8 @@ class Delayed(AbstractWrapper):
 
     Between two readings the mean of the inputs over that time acts. Where samples come faster than `rate`, the buffers
     reach back too short a time: a reading that is older is left out, and `result` says `TOO_LATE`. The info is that of
-    the newest reading of a sample, with the innovations of all its readings and, where the observer reports them, the
-    standard deviations of the estimate now. Without delays and lateness it is the observer itself, to the last bit.
+    the newest reading of a sample, with the innovations of all its readings. Its standard deviations, forces and other
+    slow states are those of the estimate now. Without delays and lateness it is the observer itself, to the last bit.
 
     Use it where a camera or a slow bus delivers measurements late. A delay that is known and left out makes the
     estimate late by as much, and in a loop unstable. It stores the past for as long as the delays, and repeats the
@@ -155,6 +166,7 @@ class Delayed(AbstractWrapper):
         longest = jnp.max(of_configuration).astype(real)
         t = jnp.asarray(t, real)
         last_input = getattr(now, "last_input", None)
+        entries = y.size if self._gathers_start else 0
         rows, stamps = self.waiting, self.length + 2
         return DelayedState(
             now,
@@ -165,6 +177,8 @@ class Delayed(AbstractWrapper):
             jnp.full((rows, *y.shape), jnp.nan, y.dtype),
             jnp.full(stamps, jnp.inf, real),
             jnp.zeros((stamps, 0 if last_input is None else last_input.shape[0]), real),
+            self.delay.astype(real)[:entries],
+            y.ravel()[:entries],
             last_input,
         )
 
@@ -193,6 +207,7 @@ class Delayed(AbstractWrapper):
             t=state.t + dt,
             age_of_known=state.age_of_known + dt,
             age=state.age + dt,
+            start_age=state.start_age + dt,
             stamp=jnp.append(state.stamp[1:] + dt, 0.0),
             u=jnp.concatenate([state.u[1:], acting[None]]),
         )
@@ -239,7 +254,65 @@ class Delayed(AbstractWrapper):
 
     def _replay(self, state: DelayedState, y: Array, sample_age: Scalar) -> tuple[DelayedState, Any]:
         """The state after a sample whose stamp is `sample_age` [s] old, and the info."""
-        age, readings, current, too_late = self._insert(state, y, sample_age)
+        inserted = self._insert(state, y, sample_age)
+        if not self._gathers_start:
+            return self._run_on(state, y, *inserted)
+        gathers = jnp.isfinite(state.start_age[0])
+        state, inserted = jax.lax.cond(gathers, self._gather_start, lambda *same: same, state, inserted)
+        gathers = jnp.isfinite(state.start_age[0])
+        return jax.lax.cond(gathers, self._start_anew, self._run_on, state, y, *inserted)
+
+    @property
+    def _positions(self) -> np.ndarray:
+        """Indices of the positions among the entries of a measurement whose entries have delays of their own."""
+        return np.ravel(self.observer.configuration(np.arange(sum(map(len, self.groups)))))
+
+    @property
+    def _gathers_start(self) -> bool:
+        """Whether positions have different delays, so that no sample tells all of them at one time."""
+        return len(self.groups) > 1 and sum(bool({*self._positions} & {*group}) for group in self.groups) > 1
+
+    def _gather_start(self, state: DelayedState, inserted: "_Inserted") -> tuple[DelayedState, "_Inserted"]:
+        """The state with a first `known`, as soon as the first reading of each position is as old as the latest one."""
+        age, readings, positions = inserted.age, inserted.readings, self._positions
+        longest = jnp.max(self.delay[positions]).astype(age.dtype)
+        before = age >= longest - SAME_TIME
+        start_age, start_y = _choose_readings(age, readings, before, (state.start_age, state.start_y))
+        ready = jnp.all(start_age[positions] >= longest - SAME_TIME)
+        nothing = jnp.zeros_like(start_age), jnp.full_like(start_y, jnp.nan)
+        later_age, later = _choose_readings(age, readings, ~before, nothing, last=False)
+        older = self.observer.init(start_y, state.t - longest)
+        # The observer knows where an angle wraps; the change is 0 where no reading follows.
+        change = self.observer.innovation(older, state.u[-1], later)
+        share = ((start_age - longest) / (start_age - later_age))[positions]
+        change = jnp.where(start_age[positions] > longest, share * change, 0.0)
+        y = start_y + np.eye(len(start_y))[:, positions].astype(start_y.dtype) @ change
+        known = self.observer.init(y, state.t - longest)
+        known, age_of_known = jax.tree.map(
+            lambda new, old: jnp.where(ready, new, old), (known, longest), (state.known, state.age_of_known)
+        )
+        start_age = jnp.where(ready, jnp.inf, start_age)
+        state = state._replace(known=known, age_of_known=age_of_known, start_age=start_age, start_y=start_y)
+        return state, inserted._replace(age=jnp.where(ready & before, jnp.inf, age))
+
+    def _start_anew(
+        self, state: DelayedState, y: Array, age: Array, readings: Array, current: Array, too_late: Array
+    ) -> tuple[DelayedState, Any]:
+        """The state at rest at the latest readings: those that were true at one time are not known yet."""
+        _, latest = _choose_readings(age, readings, jnp.isfinite(age), (state.start_age, state.start_y))
+        nothing = jnp.full(y.shape, jnp.nan, y.dtype)
+        rest = self.observer.init(latest, state.t)
+        now, info = self.observer.advance(rest, state.u[-1], nothing, jnp.zeros_like(state.t))
+        complete = jnp.all(jnp.isfinite(self.observer.configuration(y)))
+        own = jnp.asarray(info.result)
+        code = jnp.where(too_late, int(StepCode.TOO_LATE), jnp.where(complete, int(StepCode.OK), own)).astype(own.dtype)
+        recent = slice(len(age) - self.waiting, None)
+        return state._replace(now=now, age=age[recent], y=readings[recent]), info._replace(result=code)
+
+    def _run_on(
+        self, state: DelayedState, y: Array, age: Array, readings: Array, current: Array, too_late: Array
+    ) -> tuple[DelayedState, Any]:
+        """The state after the readings in the buffer, from the one that no reading will change any more."""
         # Less SAME_TIME, so that rounding does not leave a reading at the horizon unsettled.
         horizon = jnp.max(self.delay) + self.lateness - SAME_TIME
         # Of more readings than wait in the buffer, the oldest are settled.
@@ -248,13 +321,11 @@ class Delayed(AbstractWrapper):
         row_u = jax.vmap(lambda a, b: _mean_input(state, a, b))(before, age)
         _, shape = eqx.filter_eval_shape(self.observer.advance, state.known, state.u[0], y, state.t)
         blank = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shape)
-        start = _Replay(state.known, state.age_of_known, state.known, state.age_of_known, blank, _std_of(blank))
+        start = _Replay(state.known, state.age_of_known, state.known, state.age_of_known, blank, _of_now(blank))
         carry, _ = jax.lax.scan(self._scan_reading, start, (age, row_u, readings, current, settled))
         carry = self._to_now(carry, state, y)
         result = jnp.where(too_late, jnp.maximum(carry.info.result, int(StepCode.TOO_LATE)), carry.info.result)
-        info = carry.info._replace(result=result)
-        if carry.std is not None:
-            info = info._replace(velocity_std=carry.std)
+        info = carry.info._replace(result=result, **carry.of_now)
         # The sample added rows; as many of the oldest, or empty ones, leave.
         recent = slice(len(age) - self.waiting, None)
         age = jnp.where(settled, jnp.inf, age)
@@ -275,18 +346,17 @@ class Delayed(AbstractWrapper):
             code = jnp.asarray(info.result, carry.info.result.dtype)
             # That nothing is measured here is no fault.
             worse = jnp.where(code == int(StepCode.NOT_FINITE), jnp.maximum(carry.info.result, code), carry.info.result)
-            return carry._replace(state=new, age=age, info=carry.info._replace(result=worse), std=_std_of(info))
+            return carry._replace(state=new, age=age, info=carry.info._replace(result=worse), of_now=_of_now(info))
 
         def turn(carry, item):
             return jax.lax.cond(item[0] < carry.age, predicted, lambda carry, _: carry, carry, item), None
 
         return jax.lax.scan(turn, carry, (ages, inputs))[0]
 
-    def _insert(self, state: DelayedState, y: Array, sample_age: Scalar):
+    def _insert(self, state: DelayedState, y: Array, sample_age: Scalar) -> "_Inserted":
         """Insert a sample into the buffer, the oldest reading first; empty entries have the age ∞ and come before it.
 
-        Coordinates that were true at the time of a reading already there complete it. Returns the ages, the readings,
-        which entries belong to the sample, and whether one of them was too old.
+        Coordinates that were true at the time of a reading already there complete it.
         """
         age, readings, too_late = state.age, state.y, jnp.asarray(False)
         shape = (1,) if len(self.delay) == 1 else y.shape
@@ -308,7 +378,7 @@ class Delayed(AbstractWrapper):
             older = age >= at
             readings, current = _insert_row(readings, part, older), _insert_row(current, in_group, older)
             age = _insert_row(age, at, older)
-        return age, readings, current, too_late
+        return _Inserted(age, readings, current, too_late)
 
     def _scan_reading(self, carry: "_Replay", item):
         """One reading processed; nothing where the entry is empty."""
@@ -337,13 +407,22 @@ class Delayed(AbstractWrapper):
             read = every.of(current[-every.size :])
             kept = jax.tree.map(lambda new, old: jnp.where(read, new, old), sensors, carry.info.sensors)
             summary = summary._replace(sensors=kept)
-        return _Replay(state, age, known, age_of_known, summary, _std_of(info))
+        return _Replay(state, age, known, age_of_known, summary, _of_now(info))
+
+
+class _Inserted(NamedTuple):
+    """The buffer with a sample: ages and readings, which entries are the sample's, whether one of them was too old."""
+
+    age: Array
+    readings: Array
+    current: Array
+    too_late: Array
 
 
 class _Replay(NamedTuple):
     """What goes from reading to reading: the inner state and its age, the last settled ones, the info of the sample.
 
-    `std` are the standard deviations of the last velocity, None where the observer reports none.
+    `of_now` is what the info says of the last estimate.
     """
 
     state: Any
@@ -351,16 +430,31 @@ class _Replay(NamedTuple):
     known: Any
     age_of_known: Scalar
     info: Any
-    std: Any
+    of_now: dict[str, Any]
 
 
-def _std_of(info: Any) -> Any:
-    return getattr(info, "velocity_std", None)
+def _of_now(info: Any) -> dict[str, Any]:
+    """What an info says of the estimate, and not of a reading; it changes with every prediction."""
+    return {name: getattr(info, name) for name in OF_ESTIMATE if getattr(info, name, None) is not None}
 
 
 def _rows(time: float, rate: float) -> int:
     """Most samples in a time [s]; 1e-9 keeps rounding from adding one where time times rate is a whole number."""
     return math.ceil(time * rate - 1e-9)
+
+
+def _choose_readings(
+    age: Float[Array, "L"], y: Array, wanted: Bool[Array, "L"], default: tuple[Array, Array], last: bool = True
+) -> tuple[Array, Array]:
+    """Age and value of each entry in the last, or the first, of the wanted rows that have it."""
+    there = (wanted & jnp.isfinite(age))[:, None] & jnp.isfinite(y)
+    # Rows from 1, in the order in which they are preferred, and 0 for those without the entry.
+    order = np.arange(1.0, len(age) + 1)[:, None]
+    rank = jnp.where(there, order if last else order[::-1], 0.0)
+    best = jnp.max(rank, axis=0, initial=0.0)
+    chosen = there & (rank == best[None])
+    ages, values = (jnp.sum(jnp.where(chosen, each, 0.0), axis=0) for each in (age[:, None], y))
+    return jnp.where(best > 0, ages, default[0]), jnp.where(best > 0, values, default[1])
 
 
 def _insert_row(rows: Array, row: Array, older: Bool[Array, "L"]) -> Array:

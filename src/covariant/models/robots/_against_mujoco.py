@@ -1,0 +1,182 @@
+"""The description of a robot against MuJoCo's model of its file, so that no entry of an MJCF file is dropped unseen.
+
+The description is written back as a plain MuJoCo model, which has links, joints with springs, dampers and rotors, and
+weight, and nothing else. At random states and inputs both models need the same generalised force: an entry that the
+description lacks shows at the joint on which it acts. Both run in MuJoCo, which takes milliseconds. Contacts, limits,
+loops and dry friction are constraints in MuJoCo, and none of them acts here; loops are refused where the file is read.
+"""
+
+import copy
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from covariant._optional import load_optional
+from covariant.models.robots._description import BodyInertia, Description, Joint, Motor
+from covariant.models.robots._forces import with_motors
+from covariant.models.robots._mjcf import names_of
+
+SCALES = (0.1, 0.3, 1.0, 3.0, 10.0)
+"""Sizes of the random states and inputs; what acts from some state on, like a spring that yields, shows at the large
+ones."""
+TOLERANCE = 1e-9
+"""Largest difference of a generalised force, relative to the sum of the sizes of its terms."""
+QUATERNIONS = {"floating": slice(3, 7), "ball": slice(0, 4)}
+"""Part of the position of a joint that is a unit quaternion, by the kind of the joint."""
+
+
+class _Dynamics(NamedTuple):
+    """Inertia matrix, smooth force without inertia, and the sum of the sizes of the terms that the rate needs."""
+
+    matrix: Float[np.ndarray, "n n"]
+    force: Float[np.ndarray, "n"]
+    size: Float[np.ndarray, "n"]
+
+
+def refuse_difference(engine: Any, robot: Description, actuated: Sequence[str] | None) -> None:
+    """Raise `ValueError` where the motion of a described robot is not that of MuJoCo's compiled model of its file."""
+    mujoco = load_optional("mujoco", use="MJCF files are read with", extra="robots")
+    # Assembling the robot refuses a motor that is not supported; until then all are compared without their forces.
+    motors = () if actuated is not None or any(motor.unsupported for motor in robot.motors) else robot.motors
+    joints = [joint for joint in robot.joints if joint.kind != "fixed"]
+    if not joints:
+        return
+    theirs, ours = _smooth(mujoco, engine, bool(motors)), _written_back(mujoco, robot, motors)
+    rng = np.random.default_rng(0)
+    for scale in SCALES:
+        q, v, rate, u = _random_state(rng, scale, joints, len(motors))
+        file = _dynamics(mujoco, theirs, joints, q, v, rate, dict(zip((m.name for m in motors), u, strict=True)), {})
+        plain = _dynamics(mujoco, ours, joints, q, v, rate, {}, _motor_forces(motors, u))
+        missing = (plain.matrix - file.matrix) @ rate - (plain.force - file.force)
+        relative = np.abs(missing) / np.maximum(file.size, np.finfo(float).tiny)
+        worst = int(np.argmax(relative))
+        if not relative[worst] <= TOLERANCE:  # NaN is refused
+            raise ValueError(_difference(worst, joints, plain, file))
+
+
+def _smooth(mujoco: Any, engine: Any, actuated: bool) -> Any:
+    """MuJoCo's model of the file without constraints, and without the forces of motors where these are no inputs."""
+    model, flags = copy.copy(engine), mujoco.mjtDisableBit
+    model.opt.disableflags |= int(flags.mjDSBL_CONSTRAINT) | int(flags.mjDSBL_CLAMPCTRL)
+    sleep = getattr(mujoco.mjtEnableBit, "mjENBL_SLEEP", None)  # earlier versions let nothing sleep
+    model.opt.enableflags &= ~(0 if sleep is None else int(sleep))
+    for field in ("actuator_forcelimited", "actuator_actlimited", "jnt_actfrclimited"):
+        getattr(model, field)[:] = 0
+    if not actuated:
+        # Rotors and dampers of motors stay, which they would not where the flag disables actuation.
+        model.actuator_gainprm[:], model.actuator_biasprm[:] = 0, 0
+    return model
+
+
+def _written_back(mujoco: Any, robot: Description, motors: Sequence[Motor]) -> Any:
+    """A plain MuJoCo model of a description, with the springs and dampers of motors at their joints."""
+    spec, kinds = mujoco.MjSpec(), mujoco.mjtJoint
+    types = {"floating": kinds.mjJNT_FREE, "ball": kinds.mjJNT_BALL, "prismatic": kinds.mjJNT_SLIDE}
+    bodies = {robot.root: spec.worldbody}
+    for joint in robot.joints:
+        # The compiler refuses bodies without mass, and treats some others in a shorter way: any inertia will do here.
+        body = bodies[joint.child] = bodies[joint.parent].add_body(
+            name=joint.child, pos=joint.place, quat=_quaternion(mujoco, joint.rotation), mass=1.0
+        )
+        body.explicitinertial, body.ipos, body.fullinertia = True, [0.1, 0.2, 0.3], [1.0, 1.1, 1.2, 0.1, 0.2, 0.3]
+        if joint.kind != "fixed":
+            body.add_joint(name=joint.name, type=types.get(joint.kind, kinds.mjJNT_HINGE), axis=joint.axis)
+    model = spec.compile()
+    model.opt.gravity[:] = robot.gravity
+    for joint in robot.joints:
+        _set_inertia(mujoco, model, model.body(joint.child).id, robot.links[joint.child])
+        if joint.kind != "fixed":
+            _set_joint(model, model.joint(joint.name).id, with_motors(joint, motors))
+    mujoco.mj_setConst(model, mujoco.MjData(model))
+    return model
+
+
+def _set_inertia(mujoco: Any, model: Any, body: int, inertia: BodyInertia) -> None:
+    moments, axes = np.linalg.eigh(inertia.about_centre)
+    axes[:, 0] *= np.linalg.det(axes)
+    model.body_mass[body], model.body_inertia[body] = inertia.mass, moments
+    model.body_ipos[body] = inertia.first / inertia.mass if inertia.mass else 0.0
+    model.body_iquat[body] = _quaternion(mujoco, axes)
+
+
+def _set_joint(model: Any, k: int, joint: Joint) -> None:
+    place, dof = int(model.jnt_qposadr[k]), int(model.jnt_dofadr[k])
+    dofs = slice(dof, dof + {"floating": 6, "ball": 3}.get(joint.kind, 1))
+    model.dof_damping[dofs], model.dof_armature[dofs] = joint.damping, joint.armature
+    model.jnt_stiffness[k] = joint.stiffness
+    if joint.kind not in QUATERNIONS:
+        model.qpos_spring[place] = joint.rest
+
+
+def _quaternion(mujoco: Any, rotation: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "4"]:
+    quaternion = np.zeros(4)
+    mujoco.mju_mat2Quat(quaternion, np.ascontiguousarray(rotation, float).ravel())
+    return quaternion
+
+
+def _random_state(
+    rng: np.random.Generator, scale: float, joints: list[Joint], inputs: int
+) -> tuple[list[np.ndarray], list[np.ndarray], np.ndarray, np.ndarray]:
+    """Position and velocity of each joint, all their rates, and the inputs."""
+    q = [scale * rng.normal(size={"floating": 7, "ball": 4}.get(joint.kind, 1)) for joint in joints]
+    for joint, position in zip(joints, q, strict=True):
+        if joint.kind in QUATERNIONS:
+            position[QUATERNIONS[joint.kind]] /= np.linalg.norm(position[QUATERNIONS[joint.kind]])
+    v = [scale * rng.normal(size={"floating": 6, "ball": 3}.get(joint.kind, 1)) for joint in joints]
+    return q, v, scale * rng.normal(size=sum(map(len, v))), scale * rng.normal(size=inputs)
+
+
+def _motor_forces(motors: Sequence[Motor], u: np.ndarray) -> dict[str, np.ndarray]:
+    """Generalised force of the motors at each joint that they drive."""
+    forces = {}
+    for motor, value in zip(motors, u, strict=True):
+        forces[motor.joint] = forces.get(motor.joint, 0.0) + motor.gain * value * np.array(motor.direction)
+    return forces
+
+
+def _dynamics(
+    mujoco: Any,
+    model: Any,
+    joints: list[Joint],
+    q: list[np.ndarray],
+    v: list[np.ndarray],
+    rate: np.ndarray,
+    controls: dict[str, float],
+    applied: dict[str, np.ndarray],
+) -> _Dynamics:
+    """Dynamics of a model at a state, for the velocities in the order of the joints."""
+    data, names = mujoco.MjData(model), names_of(mujoco, model, "JOINT", model.njnt)
+    dofs = []
+    for joint, position, velocity in zip(joints, q, v, strict=True):
+        k = names.index(joint.name)
+        place, dof = int(model.jnt_qposadr[k]), int(model.jnt_dofadr[k])
+        data.qpos[place : place + len(position)] = position
+        data.qvel[dof : dof + len(velocity)] = velocity
+        data.qfrc_applied[dof : dof + len(velocity)] = applied.get(joint.name, 0.0)
+        dofs += range(dof, dof + len(velocity))
+    actuators = names_of(mujoco, model, "ACTUATOR", len(model.actuator_trntype))
+    address = getattr(model, "actuator_ctrladr", np.arange(model.nu))
+    for name, value in controls.items():
+        data.ctrl[address[actuators.index(name)]] = value
+    data.time = 1.0
+    mujoco.mj_forward(model, data)
+    full = np.zeros((model.nv, model.nv))
+    for row, unit in zip(full, np.eye(model.nv), strict=True):
+        mujoco.mj_mulM(model, data, row, unit)
+    matrix = full[np.ix_(dofs, dofs)]
+    terms = (data.qfrc_bias, data.qfrc_passive, data.qfrc_actuator, data.qfrc_applied)
+    size = np.abs(matrix) @ np.abs(rate) + np.sum(np.abs(terms), axis=0)[dofs]
+    return _Dynamics(matrix, data.qfrc_smooth[dofs], size)
+
+
+def _difference(worst: int, joints: list[Joint], plain: _Dynamics, file: _Dynamics) -> str:
+    here, there = (np.linalg.lstsq(one.matrix, one.force)[0][worst] for one in (plain, file))
+    units = {"floating": ["m/s²"] * 3 + ["rad/s²"] * 3, "ball": ["rad/s²"] * 3, "prismatic": ["m/s²"]}
+    name, unit = [(joint.name, unit) for joint in joints for unit in units.get(joint.kind, ["rad/s²"])][worst]
+    return (
+        f"joint {name!r} does not move as in MuJoCo: at a random state it accelerates at {here:.4g} {unit} instead of "
+        f"{there:.4g} ({abs(here - there) / max(abs(there), 1e-300):.2%} off); an entry of the file that acts on this "
+        "joint is not supported: remove it, or set it to 0"
+    )

@@ -1,0 +1,65 @@
+"""MuJoCo's compiler on an MJCF file, also where meshes are missing that no inertia follows from."""
+
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+PLACEHOLDER_SIZE = 0.01
+"""Radius [m] of the spheres that take the place of shapes without a meaning here."""
+
+
+def compiled_model(mujoco: Any, path: Path) -> tuple[Any, Counter[str]]:
+    """The compiled model of a file, and the number of assets that were left out because they cannot be read."""
+    try:
+        return mujoco.MjModel.from_xml_path(str(path)), Counter()
+    except ValueError as error:
+        reason = " ".join(str(error).removeprefix("Error: ").split())
+        try:
+            spec = mujoco.MjSpec.from_file(str(path))
+        except ValueError:
+            raise ValueError(f"MuJoCo cannot read it: {reason}") from error
+        ignored, shaped = _leave_out_shapes(mujoco, spec)
+        try:
+            return spec.compile(), ignored
+        except ValueError:
+            more = f" and {len(shaped) - 1} more" if len(shaped) > 1 else ""
+            remedy = f"; the inertia of {shaped[0]}{more} follows from a mesh: give an <inertial>" if shaped else ""
+            raise ValueError(f"MuJoCo cannot read it: {reason}{remedy}") from error
+
+
+def _leave_out_shapes(mujoco: Any, spec: Any) -> tuple[Counter[str], list[str]]:
+    """Leave out all assets but the meshes that an inertia follows from; their bodies are returned too."""
+    ignored, shaped, needed = Counter(), [], set()
+    for geom in spec.geoms:
+        if not (geom.meshname or geom.hfieldname):
+            continue
+        if _has_inertia(mujoco, spec, geom):
+            needed.add(geom.meshname)
+            shaped.append(f"body {geom.parent.name!r}")
+            continue
+        # A sphere, and not nothing: a sensor or a pair of contacts may name the geom.
+        geom.type, geom.meshname, geom.hfieldname = mujoco.mjtGeom.mjGEOM_SPHERE, "", ""
+        geom.size = [PLACEHOLDER_SIZE] * 3
+    for part in (*spec.geoms, *spec.sites, *spec.tendons):
+        part.material = ""
+    unused = {"asset/mesh": [mesh for mesh in spec.meshes if mesh.name not in needed], "asset/hfield": spec.hfields}
+    unused |= {"skin": spec.skins, "asset/material": spec.materials, "asset/texture": spec.textures}
+    for what, parts in unused.items():
+        for part in list(parts):
+            spec.delete(part)
+            ignored[what] += 1
+    return +ignored, sorted(set(shaped))
+
+
+def _has_inertia(mujoco: Any, spec: Any, geom: Any) -> bool:
+    """Whether the inertia of a body follows from this shape."""
+    body, kinds = geom.parent, mujoco.mjtInertiaFromGeom
+    low, high = spec.compiler.inertiagrouprange
+    from_geoms = spec.compiler.inertiafromgeom
+    if body.name == "world" or from_geoms == kinds.mjINERTIAFROMGEOM_FALSE:
+        return False
+    if from_geoms == kinds.mjINERTIAFROMGEOM_AUTO and body.explicitinertial:
+        return False
+    # The mass is NaN where the density counts.
+    massless = geom.mass == 0 or (geom.mass != geom.mass and geom.density == 0)
+    return low <= geom.group <= high and not massless
