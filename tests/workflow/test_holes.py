@@ -173,3 +173,10 @@ def test_stamps_that_jitter_make_no_holes():
     kept[1000:1030] = False
     spans = find_holes(t, kept)
     assert any(begin <= t[1000] and end >= t[1029] for begin, end in spans)
+
+
+def test_a_large_model_takes_missing_inputs_as_held_and_says_so(monkeypatch):
+    """Two states for each of many inputs are too many to compile."""
+    monkeypatch.setattr("covariant.workflow._design.MOST_STATES", 3)
+    result = estimate(with_holes(cells=False))
+    assert any("intrinsic-kalman takes the last input as held" in warning for warning in result.warnings)

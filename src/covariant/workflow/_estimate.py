@@ -15,7 +15,7 @@ from covariant.observers import REGISTRY, AbstractObserver
 from covariant.scoring import rmse
 from covariant.signals import Run, StepCode
 from covariant.workflow._arguments import gain_pair
-from covariant.workflow._design import design, tells_noise
+from covariant.workflow._design import design, tells_noise, widens
 from covariant.workflow._determined import Determinacy, determined
 from covariant.workflow._holes import LONGEST_SHOWN, SETTLED
 from covariant.workflow._inputs import (
@@ -391,7 +391,7 @@ def hole_doubts(loaded: Loaded, outcomes: Mapping[str, Outcome]) -> list[str]:
     holes = loaded.holes
     if holes is None or not holes.of_inputs:
         return []
-    widened = {"intrinsic-kalman"} if loaded.file.mechanical else set()
+    widened = {"intrinsic-kalman"} if widens(loaded.file, loaded) else set()
     rigid = [
         name
         for name, outcome in outcomes.items()
