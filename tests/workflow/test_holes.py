@@ -101,7 +101,7 @@ def test_a_filter_that_takes_the_last_input_as_held_is_told():
 
 
 def test_after_a_hole_readings_that_agree_are_believed():
-    """A pendulum that somebody put elsewhere over the hole: its readings show no velocity, and agree with each other."""
+    """A pendulum that was put elsewhere over the hole: its readings show no velocity, and agree with each other."""
     t = np.concatenate([np.arange(0.0, 1.0, 0.01), np.arange(1.3, 2.0, 0.01)])
     y = np.where(t < 1.1, 0.0, 0.5)[:, None] + 1e-3 * np.random.default_rng(1).normal(size=(len(t), 1))
     # Without gravity it stays where it was put.
