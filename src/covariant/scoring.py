@@ -4,9 +4,12 @@ from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 NumpyArray = np.ndarray
+
+HOLE = 3.0
+"""Length of a hole, in steps between stamps of which 5 % are longer."""
 
 CHUNK = 1000
 """Number of windows fitted at once: enough for NumPy to be fast, in a few megabytes."""
@@ -359,6 +362,48 @@ def scored_window(t: Float[NumpyArray, "T"], skip: float = 1.0, tail: float = 0.
     """
     mask = (t > t[0] + skip) & (t < t[-1] - tail)
     return mask if mask.sum() >= 10 else t >= (t[0] + t[-1]) / 2
+
+
+def longest_step(t: Float[NumpyArray, "T"]) -> float:
+    """Longest step [s] between stamps that is no hole.
+
+    Args:
+        t: Rising stamps (T,) [s].
+
+    Returns:
+        `HOLE` times the step that 5 % of the steps exceed, so that stamps that jitter make no holes.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant.scoring import longest_step
+        >>> round(longest_step(np.arange(0.0, 1.0, 0.01)), 6)
+        0.03
+    """
+    return HOLE * float(np.quantile(np.diff(t), 0.95))
+
+
+def find_holes(t: Float[NumpyArray, "T"], present: Bool[NumpyArray, "T"]) -> Float[NumpyArray, "H 2"]:
+    """Holes of a log: where nothing is present for longer than `longest_step`, as cells or whole rows are missing.
+
+    Args:
+        t: Rising stamps (T,) [s].
+        present: In which rows (T,) there is something.
+
+    Returns:
+        The last stamp before each hole, and the first one after it.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant.scoring import find_holes
+        >>> t = np.delete(np.arange(0.0, 1.0, 0.01), slice(20, 40))
+        >>> find_holes(t, t != 0.5).round(2).tolist()
+        [[0.19, 0.4]]
+    """
+    stamps = t[present]
+    if len(stamps) < 2:
+        return np.zeros((0, 2))
+    wide = np.flatnonzero(np.diff(stamps) > longest_step(stamps))
+    return np.stack([stamps[wide], stamps[wide + 1]], axis=1)
 
 
 def rmse(estimate: Float[NumpyArray, "K n"], reference: Float[NumpyArray, "K n"]) -> Float[NumpyArray, "n"]:

@@ -136,12 +136,13 @@ class Record(_Fields):
         positions = _count(shape[1], "position") if len(shape) == 2 else f"positions {shape[1]} × {shape[2]}"
         return f"<Record: {_span(self.t)}, {positions}, {_count(np.shape(self.u)[1], 'input')}>"
 
-    def check(self, start: Any = None) -> "Record":
+    def check(self, start: Any = None, missing_inputs: bool = False) -> "Record":
         """Check that the record is valid: real numbers of consistent shapes, and rising stamps in seconds.
 
         Args:
             start: Which places of a measurement, as a flat array, the first row must hold; an index of the flat array,
                 all (default) where it is None.
+            missing_inputs: Whether inputs may be missing too, NaN; False by default.
 
         Returns:
             The record itself.
@@ -173,11 +174,11 @@ class Record(_Fields):
         if len(t) < 2:
             raise ValueError(f"a record needs at least two rows; this one has {len(t)}")
         for name, array in (("t", t), ("u", u)):
-            bad = ~np.isfinite(array.reshape(len(t), -1)).all(1)
+            absent = name == "u" and missing_inputs
+            bad = (np.isinf if absent else lambda a: ~np.isfinite(a))(array.reshape(len(t), -1)).any(1)
             if bad.any():
-                raise ValueError(
-                    f"row {bad.argmax() + 1}: {name} is not a finite number; only measurements may be missing"
-                )
+                may = "mark a missing one by NaN" if absent else "only measurements may be missing"
+                raise ValueError(f"row {bad.argmax() + 1}: {name} is not a finite number; {may}")
         if (latest := np.abs(t).max()) > LATEST_STAMP:
             raise ValueError(f"stamps reach {latest:g} s, after the year 2200; they must be in seconds")
         infinite = np.isinf(y.reshape(len(t), -1)).any(1)

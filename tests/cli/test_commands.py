@@ -189,7 +189,7 @@ def test_turns_in_a_log_do_not_spoil_the_score():
 def test_machines_get_the_documented_keys(estimated):
     assert list(estimated) == [
         *("model", "log", "observer", "rows", "engine", "scored_against", "design"),
-        *("velocity_rmse", "innovation_rms", "nis", "nees", "results", "report", "out"),
+        *("velocity_rmse", "velocity_median_error", "innovation_rms", "nis", "nees", "results", "report", "out"),
     ]
     assert estimated["nis"] is estimated["nees"] is None  # the observer has no covariance
     missing = np.isnan(logs.read("log.csv", logs.Columns(q=("angle",))).record.y).sum()

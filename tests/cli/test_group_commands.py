@@ -93,7 +93,7 @@ def test_what_is_simulated_is_estimated(estimated):
 def test_machines_get_the_documented_keys(estimated):
     assert list(estimated) == [
         *("model", "log", "observer", "rows", "engine", "scored_against", "design"),
-        *("velocity_rmse", "innovation_rms", "nis", "nees", "results", "report", "out"),
+        *("velocity_rmse", "velocity_median_error", "innovation_rms", "nis", "nees", "results", "report", "out"),
     ]
     lost = int(np.isnan(column("log.csv", "qw")).sum())
     assert estimated["rows"] == 601

@@ -49,6 +49,7 @@ from .tuning import (
     filter_bandwidth as filter_bandwidth,
     gains as gains,
     gated as gated,
+    missing_inputs as missing_inputs,
     observer_gains as observer_gains,
     predict_errors as predict_errors,
     predict_sampled_errors as predict_sampled_errors,

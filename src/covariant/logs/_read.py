@@ -41,6 +41,7 @@ def read(
     optional: Collection[str] = OPTIONAL,
     sensors: Sequence[tuple[Columns, str]] = (),
     periods: Sequence[float] = (),
+    missing_inputs: bool = False,
 ) -> Log:
     """Read a log; an empty cell or `nan` is a missing measurement, and an error in t and u.
 
@@ -71,6 +72,8 @@ def read(
             rows too, without positions; in a table they are rows already.
         periods: Period (n,) after which each position reads the same again, in its SI unit; 0 for none. Its jumps are
             removed from the whole log, before rows are left out.
+        missing_inputs: Whether an empty cell of u is a missing input, NaN, for an estimate that may run over it; False
+            by default.
 
     Returns:
         The rows that were asked for, in SI units and radians.
@@ -112,9 +115,9 @@ def read(
     if every < 1:
         raise LogError(f"{name}: every must be 1 or more rows; got {every}")
     if isinstance(log, Record):
-        whole = _of_record(log, columns)._replace(readings=(None,) * len(sensors))
+        whole = _of_record(log, columns, missing_inputs)._replace(readings=(None,) * len(sensors))
     else:
-        whole = _of_columns(name, log, columns, optional, sensors)
+        whole = _of_columns(name, log, columns, optional, sensors, missing_inputs)
     if any(periods):
         y = unwrap(np.asarray(whole.record.y), (), periods)
         whole = whole._replace(record=whole.record._replace(y=y))
@@ -161,7 +164,12 @@ def _names(names: str | Sequence[str]) -> tuple[str, ...]:
 
 
 def _of_columns(
-    name: str, log: Any, columns: Columns, optional: Collection[str], sensors: Sequence[tuple[Columns, str]]
+    name: str,
+    log: Any,
+    columns: Columns,
+    optional: Collection[str],
+    sensors: Sequence[tuple[Columns, str]],
+    missing_inputs: bool,
 ) -> Log:
     """All rows of a log that has columns."""
     columns, present, table, units = _columns_and_table(name, log, columns, optional, [each for each, _ in sensors])
@@ -190,10 +198,13 @@ def _of_columns(
 
     unit = columns.unit_of("t", 0)
     t, origin = stamps(_where(name, columns.t, unit), table.column(columns.t), unit)
-    u, y = stack(columns, "u", needed=True), from_cells(name, columns, stack(columns, *MEASURED, empty=False))
+    u, y = (
+        stack(columns, "u", needed=not missing_inputs),
+        from_cells(name, columns, stack(columns, *MEASURED, empty=False)),
+    )
     v, truth = (stack(columns, field) if getattr(columns, field) else None for field in OPTIONAL)
     read = tuple(readings(each, si) if each in present else None for each, si in sensors)
-    return Log(_check_record(name, Record(t, u, y)), v, truth, origin, readings=read)
+    return Log(_check_record(name, Record(t, u, y), missing_inputs), v, truth, origin, readings=read)
 
 
 def _need_units(log: str, columns: Columns, field: str, units: Mapping[str, str], si: str | None = None) -> None:
@@ -221,9 +232,9 @@ def _need_units(log: str, columns: Columns, field: str, units: Mapping[str, str]
             )
 
 
-def _of_record(log: Record, columns: Columns) -> Log:
+def _of_record(log: Record, columns: Columns, missing_inputs: bool) -> Log:
     """A log that is a record already, with as many positions and inputs as there are columns of them."""
-    log = _check_record("record", log)
+    log = _check_record("record", log, missing_inputs)
     log = log._replace(t=np.asarray(log.t), u=np.asarray(log.u), y=np.asarray(log.y))
     if not bodies(columns) and log.y.shape[1:] != (len(columns.q),):
         raise LogError(f"record: it has positions of shape {log.y.shape[1:]}, needs {len(columns.q)} of them")
@@ -326,10 +337,10 @@ def _where(name: str, column: str, unit: str | None) -> str:
     return f"{name}: column {column!r}" + (f" [{unit}]" if unit else "")
 
 
-def _check_record(name: str, record: Record) -> Record:
+def _check_record(name: str, record: Record, missing_inputs: bool) -> Record:
     """The record after `Record.check`, before rows are dropped, so that messages count rows as in the log."""
     try:
-        return record.check()
+        return record.check(missing_inputs=missing_inputs)
     except StampError as error:
         raise ClockError(f"{name}: {error}", record) from error
     except ValueError as error:

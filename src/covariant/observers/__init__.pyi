@@ -92,6 +92,7 @@ from .sensors import (
     ForceState as ForceState,
     Instant as Instant,
     InverseDynamics as InverseDynamics,
+    MissingInputs as MissingInputs,
     MomentumObserver as MomentumObserver,
     Sensor as Sensor,
     SensorInfo as SensorInfo,

@@ -36,7 +36,7 @@ from covariant.observers.filters import (
     information_ekf,
     riccati,
 )
-from covariant.observers.sensors import Sensor, SlowVariables
+from covariant.observers.sensors import MissingInputs, Sensor, SlowVariables
 
 EDGE = 0.1
 """Standard deviation of the position of an encoder's edge, as a fraction of a tick: the manufacturing tolerance."""
@@ -70,15 +70,18 @@ def intrinsic_kalman(
     quantum: float | tuple[float, ...] | None,
     slow: tuple[SlowVariables, ...] = (),
     sensors: tuple[Sensor, ...] = (),
+    inputs: MissingInputs | None = None,
 ) -> IntrinsicKalman:
     """Intrinsic Kalman filter, for encoders that count ticks where their tick is known, else for Gaussian noise."""
     n = measurement.shape[0]
     velocity = jnp.asarray(speed**2 * np.eye(n))
     if quantum is None or not model.manifold.commuting:
-        return IntrinsicKalman(model, process, measurement, velocity, slow, sensors=sensors)
+        return IntrinsicKalman(model, process, measurement, velocity, slow, sensors=sensors, inputs=inputs)
     # A reading is an interval here, so that the only noise is that of the positions of edges.
     ticks = jnp.broadcast_to(jnp.asarray(quantum, float), n)
-    return IntrinsicKalman(model, process, jnp.diag((EDGE * ticks) ** 2), velocity, slow, ticks, sensors=sensors)
+    return IntrinsicKalman(
+        model, process, jnp.diag((EDGE * ticks) ** 2), velocity, slow, ticks, sensors=sensors, inputs=inputs
+    )
 
 
 class Entry(NamedTuple):
@@ -92,7 +95,8 @@ class Entry(NamedTuple):
             "gains" are α [1/s] and β [1/s²].
             "noise" are the process covariance (n, n), the measurement covariance (n, n) and the standard deviation of
             the initial velocity; "noise or ticks" are these, one tick of the encoders or None, and the slow states that
-            are estimated, a tuple of `SlowVariables`, and the sensors beside the configuration, a tuple of `Sensor`.
+            are estimated, a tuple of `SlowVariables`, the sensors beside the configuration, a tuple of `Sensor`, and
+            what inputs may be while they are missing, a `MissingInputs` or None.
             Of filters that use no model: "bandwidth" is the bandwidth [rad/s] of a linear filter; "window" are a window
             [samples] and the degree of a polynomial; "motion" are the standard deviation [rad/s²] and the correlation
             time [s] of the accelerations, and the standard deviation of a sample; "jerk" is a bound on the jerk

@@ -13,6 +13,8 @@ from covariant.engine import EngineName
 from covariant.models import Overrides
 from covariant.observers import AbstractObserver
 from covariant.workflow._design import log_sheet
+from covariant.workflow._estimate import hole_doubts
+from covariant.workflow._holes import SETTLED
 from covariant.workflow._inputs import (
     ColumnNames,
     Job,
@@ -21,7 +23,16 @@ from covariant.workflow._inputs import (
     with_sensor_delays,
 )
 from covariant.workflow._kind import Labels
-from covariant.workflow._outcome import Outcome, drive, engine_is_notable, report_curves, rounded, summary, with_units
+from covariant.workflow._outcome import (
+    Outcome,
+    drive,
+    engine_is_notable,
+    inconsistent,
+    report_curves,
+    rounded,
+    summary,
+    with_units,
+)
 from covariant.workflow._outputs import write_table
 from covariant.workflow._pages import estimate_report, write_report
 from covariant.workflow._progress import Progress, silent
@@ -69,7 +80,7 @@ def compare(
     """
     job = Job(model, log, overrides, every, until, columns or {}, anyway, start)
     progress("reading the log")
-    loaded = load(job)
+    loaded = load(job, missing_inputs=True)
     progress("tuning")
     observers, note, tuned_on = line_up(loaded)
     outcomes: dict[str, Outcome] = {}
@@ -147,10 +158,44 @@ class CompareResult(AbstractComparison):
             "rank": np.arange(1, len(outcomes) + 1),
             "estimator": np.array(self.ranking),
             **{f"{name}_rmse": errors[:, i] for i, name in enumerate(scored)},
+            **self._score_columns(scored),
             **self._predicted_columns(),
             **{key.lower(): np.array([row[key] for row in known]) for key in ("NIS", "NEES")},
             "microseconds": np.array([outcome.microseconds for outcome in outcomes]),
         }
+
+    def _score_columns(self, scored: tuple[str, ...]) -> dict[str, np.ndarray]:
+        """Medians of the errors, and their root mean squares without the holes of the log."""
+        scores = [outcome.score for outcome in self.outcomes.values()]
+        columns: dict[str, np.ndarray] = {}
+        for suffix, parts in (
+            ("median_error", [score and score.median for score in scores]),
+            ("rmse_without_holes", [score and score.apart and score.apart.rmse for score in scores]),
+        ):
+            if all(part is not None for part in parts):
+                values: Any = np.array(parts)
+                columns |= {f"{name}_{suffix}": values[:, i] for i, name in enumerate(scored)}
+        return columns
+
+    @property
+    def ranking_without_holes(self) -> tuple[str, ...] | None:
+        """The names in order of the errors without the rows in and after holes; None where the log has no holes."""
+        return without_holes(self.outcomes, self.loaded, self.predicted)
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Holes of the log, whether they decide the order, and estimators whose errors are not what they say."""
+        holes, apart = self.loaded.holes, self.ranking_without_holes
+        lines = [] if holes is None else [str(holes)]
+        if apart is not None and apart[0] != self.ranking[0]:
+            lines.append(
+                f"the holes decide the order: without them and {SETTLED:g} s after each it is {', '.join(apart)}"
+            )
+        elif apart is not None and apart != self.ranking:
+            lines.append(f"without the holes and {SETTLED:g} s after each the order is {', '.join(apart)}")
+        doubts = {name: inconsistent(self.loaded, name, outcome) for name, outcome in self.outcomes.items()}
+        lines += hole_doubts(self.loaded, self.outcomes)
+        return (*lines, *(f"{name}: {doubt}" for name, doubt in doubts.items() if doubt is not None))
 
     def _predicted_columns(self) -> dict[str, np.ndarray]:
         if self.predicted is None:
@@ -167,6 +212,8 @@ class CompareResult(AbstractComparison):
             "scored_against": scored_against(self.loaded),
             "ranked_by": ranked_by(self.loaded, self.predicted),
             "design": self.design,
+            **({} if self.loaded.holes is None else {"holes": self.loaded.holes.table}),
+            **({} if self.ranking_without_holes is None else {"without_holes": list(self.ranking_without_holes)}),
             "ranking": [
                 {"estimator": name, "engine": outcome.engine, **summary(outcome, what), **self._prediction(name)}
                 for name, outcome in self.outcomes.items()
@@ -194,6 +241,8 @@ class CompareResult(AbstractComparison):
             self.design,
             "",
             table(self._rows()),
+            rows_that_count(self.loaded),
+            *self.warnings,
             *(_engines(self.outcomes) if notable else []),
         ]
         return "\n".join(lines)
@@ -201,9 +250,15 @@ class CompareResult(AbstractComparison):
     def _write_page(self, path: Path) -> list[Path]:
         title = f"Estimators compared: {Path(self.job.model_name).stem}, {Path(self.job.log_name).name}"
         curves = report_curves(self.outcomes)
-        rows, notes = self._rows(), (f"Ranked by {ranked_by(self.loaded, self.predicted)}.", self.design)
+        ranked = f"Ranked by {ranked_by(self.loaded, self.predicted)}."
+        rows, notes = self._rows(), (ranked, self.design, rows_that_count(self.loaded))
         page = estimate_report(title, self.loaded, curves, notes, rows, self.headline, self.warnings)
         return write_report(path, page._replace(ranked=True))
+
+    def _cells_without_holes(self, outcome: Outcome) -> dict[str, float]:
+        if outcome.score is None or outcome.score.apart is None:
+            return {}
+        return self.loaded.kind.rates.called("RMSE {} without holes").cells(outcome.score.apart.rmse)
 
     def _predicted_cells(self, name: str) -> dict[str, float]:
         if self.predicted is None:
@@ -221,6 +276,7 @@ class CompareResult(AbstractComparison):
             {
                 "estimator": name,
                 **labels.cells(rmse(outcome)),
+                **self._cells_without_holes(outcome),
                 **self._predicted_cells(name),
                 **consistency(outcome),
                 "µs a sample": round(outcome.microseconds, 1),
@@ -258,6 +314,34 @@ def ranked_by(loaded: Loaded, predicted: Ahead | None) -> str:
 def scored_against(loaded: Loaded) -> str:
     """Name what errors are computed against."""
     return "outputs, one sample ahead" if loaded.reference is None else loaded.reference.label
+
+
+def rows_that_count(loaded: Loaded) -> str:
+    """Say which rows the errors of a table are of."""
+    t = np.asarray(loaded.record.t) - np.asarray(loaded.record.t)[0]
+    if loaded.reference is None:
+        count, begin = len(t) - len(t) // 10, t[len(t) // 10]
+        return f"Errors are those of {count} of {len(t)} rows, from {begin:.3g} s on."
+    at = np.flatnonzero(loaded.reference.scored)
+    return f"Errors are those of {len(at)} of {len(t)} rows, from {t[at[0]]:.4g} to {t[at[-1]]:.4g} s."
+
+
+def without_holes(
+    outcomes: dict[str, Outcome], loaded: Loaded, predicted: Ahead | None = None
+) -> tuple[str, ...] | None:
+    """Order of the estimators without the rows in and after holes; None where the log has none, or nothing else."""
+    if loaded.holes is None or loaded.reference is None:
+        return None
+    if predicted is not None:
+        return (
+            None
+            if predicted.apart is None
+            else tuple(rank(outcomes, loaded, predicted._replace(errors=predicted.apart)))
+        )
+    apart = {name: outcome.score and outcome.score.apart for name, outcome in outcomes.items()}
+    if any(score is None for score in apart.values()):
+        return None
+    return tuple(rank({name: outcome._replace(score=apart[name]) for name, outcome in outcomes.items()}, loaded))
 
 
 def rank(outcomes: dict[str, Outcome], loaded: Loaded, predicted: Ahead | None = None) -> list[str]:

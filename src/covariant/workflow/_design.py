@@ -9,7 +9,15 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
-from covariant.calibration import DataSheet, estimators, gated, stored_observer, usual_speeds, with_gains
+from covariant.calibration import (
+    DataSheet,
+    estimators,
+    gated,
+    missing_inputs,
+    stored_observer,
+    usual_speeds,
+    with_gains,
+)
 from covariant.certificates import any_configuration
 from covariant.models import ModelFile, input_count
 from covariant.observers import AbstractObserver, Gated, chooses_substeps, with_fixed_substeps
@@ -22,6 +30,11 @@ SPEED_IS_MISSING = (
     "a machine that is faster than four times that at the start is refused. Give `log`, a log that `estimate` runs "
     "on, or add `motion_acceleration` and `motion_time`, whose product is that speed, to [uncertainty]"
 )
+
+
+MOST_STATES = 16
+"""Largest number of states, with two for each input, up to which a filter has states for missing inputs: the work grows
+as its cube, and C of 28 states is compiled for many minutes."""
 
 
 class Design(NamedTuple):
@@ -165,11 +178,17 @@ def log_sensors(file: ModelFile, log: Loaded | None) -> tuple[FileSensor, ...]:
     return tuple(part for part in file_sensors(file) if known is None or part.sensor.name in known)
 
 
+def widens(file: ModelFile, log: Loaded) -> bool:
+    """Whether `intrinsic_kalman` has states for inputs that are missing: of large models they would take minutes."""
+    return file.mechanical and 2 * (file.dimension + np.asarray(log.record.u).shape[1]) <= MOST_STATES
+
+
 def log_sheet(file: ModelFile, log: Loaded | None) -> DataSheet:
     """The data sheet of a model file, with its sensors, and the usual speeds in a log, zero where there is none."""
     speed = (0.0,) * file.dimension if log is None else usual_speeds(log.model, log.record)
     sheet = data_sheet(file, None if log is None else log.log.record)
-    return sheet._replace(speed=speed, sensors=tuple(part.sensor for part in log_sensors(file, log)))
+    inputs = missing_inputs(log.record) if log is not None and widens(file, log) else None
+    return sheet._replace(speed=speed, sensors=tuple(part.sensor for part in log_sensors(file, log)), inputs=inputs)
 
 
 def _with_units(values: Any, units: tuple[str, ...]) -> str:

@@ -11,12 +11,13 @@ from covariant import logs
 from covariant.calibration import ESTIMATORS, STATE_ESTIMATORS, estimators
 from covariant.engine import EngineName
 from covariant.models import Overrides
-from covariant.observers import AbstractObserver
+from covariant.observers import REGISTRY, AbstractObserver
 from covariant.scoring import rmse
 from covariant.signals import Run, StepCode
 from covariant.workflow._arguments import gain_pair
-from covariant.workflow._design import design, tells_noise
+from covariant.workflow._design import design, tells_noise, widens
 from covariant.workflow._determined import Determinacy, determined
+from covariant.workflow._holes import LONGEST_SHOWN, SETTLED
 from covariant.workflow._inputs import (
     ColumnNames,
     Job,
@@ -30,6 +31,7 @@ from covariant.workflow._outcome import (
     deviations,
     drive,
     engine_is_notable,
+    inconsistent,
     known,
     plain,
     pushes,
@@ -43,8 +45,8 @@ from covariant.workflow._pages import AbstractEstimates, estimate_report
 from covariant.workflow._progress import Progress, silent
 from covariant.workflow._sensors import SensorCount, sensor_counts
 
-LONGEST_SHOWN = 3
-"""How many stretches without a measurement are named, the longest ones."""
+INFORMED = frozenset(entry.name for entry in REGISTRY if entry.knows_model)
+"""Observers that predict with the model."""
 
 
 def estimate(
@@ -106,7 +108,7 @@ def estimate(
     gains = _gains(observer, alpha, beta)
     job = Job(model, log, overrides, every, until, columns or {}, anyway, start)
     progress("reading the log")
-    loaded = load(job, score)
+    loaded = load(job, score, missing_inputs=True)
     observer = observer or estimators(loaded.model)[0]
     chosen, notes = choose_observer(job, loaded, observer, gains)
     chosen = with_sensor_delays({observer: chosen}, loaded)[observer]
@@ -241,6 +243,7 @@ class EstimateResult(AbstractEstimates):
             **({} if reference is None else {"scored_against": reference.label}),
             "design": self.design[0],
             **summary(outcome, loaded.kind.what),
+            **({} if loaded.holes is None else {"holes": loaded.holes.table}),
         }
         if self.sensors:
             result["sensors"] = {
@@ -276,8 +279,12 @@ class EstimateResult(AbstractEstimates):
         Of samples without a measurement the longest stretches are named.
         """
         counts, rows = self.outcome.counts, len(self.t)
-        doubt = unexplained(self.job, self.loaded, self.observer_name, self.outcome)
-        return (() if doubt is None else (doubt,)) + tuple(
+        doubts = (
+            unexplained(self.job, self.loaded, self.observer_name, self.outcome),
+            inconsistent(self.loaded, self.observer_name, self.outcome),
+            *hole_doubts(self.loaded, {self.observer_name: self.outcome}),
+        )
+        return tuple(doubt for doubt in doubts if doubt is not None) + tuple(
             f"{count} of {rows} samples: {StepCode[name.upper()].message}"
             + (f" ({_longest(self.t, self.codes == StepCode.COASTED)})" if name == "coasted" else "")
             for name, count in counts.items()
@@ -291,6 +298,7 @@ class EstimateResult(AbstractEstimates):
             *([f"t counts from {result['t_counts_from']}"] if "t_counts_from" in result else []),
             result["design"],
             *error_lines(result, self.loaded),
+            *hole_lines(result, self.loaded),
             *(
                 f"{name}: {each.readings} readings, {each.refused} refused, NIS {each.nis:.3g} a number"
                 for name, each in self.sensors.items()
@@ -307,7 +315,8 @@ class EstimateResult(AbstractEstimates):
 
     def _page(self) -> Any:
         curves = report_curves({self.observer_name: self.outcome})
-        notes = (*self.design, *error_lines(self.summary, self.loaded))
+        result = self.summary
+        notes = (*self.design, *error_lines(result, self.loaded), *hole_lines(result, self.loaded))
         title = f"{self.loaded.kind.title} of {self.job.title}"
         rows = tuple(
             {"estimated along": each.name, "std without the log": each.first, "std": each.last}
@@ -348,11 +357,54 @@ def error_lines(result: Mapping[str, Any], loaded: Loaded) -> list[str]:
     if f"{what}_rmse" in result:
         errors = with_units(result[f"{what}_rmse"], loaded.kind.estimates.units)
         lines.append(f"{what} RMSE against the {result['scored_against']}: {errors}")
-    lines.append(f"innovation RMS: {with_units(result['innovation_rms'], loaded.kind.innovation_units)}")
+    units = loaded.kind.innovation_units
+    lines.append(f"innovation RMS: {with_units(result['innovation_rms'], units)}")
+    if "innovation_rms_refused" in result:
+        refused = with_units(result["innovation_rms_refused"], units)
+        lines[-1] += f" of rows that were used, {refused} of those that were refused"
     measures = [f"{name.upper()} {result[name]:.3g}" for name in ("nis", "nees") if result.get(name) is not None]
     if measures:
         lines.append(f"{' and '.join(measures)} a number; 1 is expected where model and noise are as told")
     return lines
+
+
+def hole_lines(result: Mapping[str, Any], loaded: Loaded) -> list[str]:
+    """Sentences on the holes of a log, and on the errors with and without them."""
+    holes, what = loaded.holes, loaded.kind.what
+    if holes is None:
+        return []
+    lines, units = [str(holes)], loaded.kind.estimates.units
+    parts = {
+        name: with_units(result[f"{what}_rmse_{key}"], units)
+        for key, name in (("without_holes", f"without the holes and {SETTLED:g} s after each"), ("in_holes", "there"))
+        if f"{what}_rmse_{key}" in result
+    }
+    if parts:
+        errors = ", ".join(f"{value} {name}" for name, value in parts.items())
+        median = with_units(result[f"{what}_median_error"], units)
+        lines.append(f"{what} RMSE: {errors}; median of all errors: {median}")
+    return lines
+
+
+def hole_doubts(loaded: Loaded, outcomes: Mapping[str, Outcome]) -> list[str]:
+    """A sentence on the estimators that trust themselves too much in the holes of a log."""
+    holes = loaded.holes
+    if holes is None or not holes.of_inputs:
+        return []
+    widened = {"intrinsic-kalman"} if widens(loaded.file, loaded) else set()
+    rigid = [
+        name
+        for name, outcome in outcomes.items()
+        if name not in widened and name in INFORMED and deviations(outcome.run.info) is not None
+    ]
+    if not rigid:
+        return []
+    verb, better = ("takes", "its") if len(rigid) == 1 else ("take", "their")
+    text = (
+        f"in the holes of the log {', '.join(rigid)} {verb} the last input as held, so that {better} standard "
+        "deviations are too small there"
+    )
+    return [text + "; those of intrinsic-kalman grow with what the inputs could have been" * bool(widened)]
 
 
 def _longest(t: np.ndarray, coasted: np.ndarray) -> str:

@@ -1,6 +1,6 @@
 """The model and the log of a verb, read together: units, lags, delays, encoder ticks, and the reference for scoring."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -13,6 +13,7 @@ from covariant.models import Overrides
 from covariant.observers import REGISTRY, AbstractObserver, Delayed
 from covariant.signals import Record, acting_inputs, lag_inputs
 from covariant.workflow._arguments import ColumnNames as ColumnNames
+from covariant.workflow._holes import Holes, holes_of
 from covariant.workflow._kind import AbstractKind, Labels, numbered as numbered
 from covariant.workflow._kinds import kind_of
 from covariant.workflow._outputs import check_output as check_output
@@ -24,6 +25,8 @@ FEWEST_MOVES = 50
 """Fewest changes of positions that decide whether the log's ticks are coarser than those of the model file."""
 MOST_REVERSALS, QUICK = 0.05, 5
 """Largest fraction of changes that undo one within so few samples, as noise makes them and a motion seldom does."""
+LITTLE = 0.05
+"""How much of a lagged input may come from inputs that are missing, before it is missing itself."""
 OFF_TICK = 0.1
 """How far differences of positions may be from whole ticks, as a fraction of one: logs hold few digits."""
 
@@ -128,6 +131,11 @@ class Loaded(NamedTuple):
         """The kind of the model."""
         return kind_of(self.file)
 
+    @property
+    def holes(self) -> Holes | None:
+        """Where readings are missing for longer than usual; None where they never are."""
+        return holes_of(*(np.asarray(part) for part in (self.record.t, self.record.u, self.record.y)))
+
     def record_for(self, observer: AbstractObserver) -> Record:
         """The record as an observer measures it: for one with sensors, their readings follow each configuration."""
         if not getattr(observer, "sensors", ()) or self.readings is None:
@@ -142,13 +150,14 @@ class Loaded(NamedTuple):
         return None if ns is None else f"{np.datetime64(ns, 'ns')}Z"
 
 
-def load(job: Job, score: bool = True, why: str = "") -> Loaded:
+def load(job: Job, score: bool = True, why: str = "", missing_inputs: bool = False) -> Loaded:
     """Read a model and a log.
 
     Args:
         job: What to read.
         score: Whether a reference for the velocities is made from the positions where the log has no true ones.
         why: What mechanical models are needed for, where they are.
+        missing_inputs: Whether inputs may be missing, which an estimate runs over.
 
     Returns:
         Model and log, with the acting inputs.
@@ -170,12 +179,15 @@ def load(job: Job, score: bool = True, why: str = "") -> Loaded:
     sensors = [(part.columns, part.unit) for part in parts]
     kind = kind_of(file)
     part, periods = (job.every, job.until, job.start), _periods(job, file)
-    log = kind.with_inputs(logs.read(job.log, columns, *part, optional, sensors, periods))
+    log = kind.with_inputs(logs.read(job.log, columns, *part, optional, sensors, periods, missing_inputs))
     # Lag, delay and means are those of the whole log: what was cut off or left out between two rows acts in them too.
-    lagging = lag_inputs(log.all_rows, file.input_lag)
-    record = acting_inputs(lagging, file.input_between, file.input_delay, log.record)
+    lagging = _around_missing(lambda whole: lag_inputs(whole, file.input_lag), log.all_rows, LITTLE)
+    record = _around_missing(
+        lambda whole: acting_inputs(whole, file.input_between, file.input_delay, log.record), lagging
+    )
     if not job.anyway:
-        _refuse_misfit(job, file, log, record)
+        known = log._replace(record=_with_inputs_only(log.record))
+        _refuse_misfit(job, file, known, _with_inputs_only(record))
     t, y = np.asarray(record.t), np.asarray(record.y)
     try:
         kind.check(y)
@@ -186,13 +198,38 @@ def load(job: Job, score: bool = True, why: str = "") -> Loaded:
     if known is None and score:
         known = kind.slopes(log)
     reference = None if known is None else ReferenceVelocity(*known, scoring.scored_window(t))
-    read, lacking = readings(parts, log) if parts else (None, "")
+    sensed, lacking = readings(parts, log) if parts else (None, "")
     guessed = placeholder_sentence(placeholders(job.model, job.overrides))
     note += _delay_note(file) + lacking + f" {guessed}" * bool(guessed)
     # The median interval, so that a gap does not change the rate; with sensors that of the rows with positions.
     measured = np.isfinite(y.reshape(len(y), -1)).any(1)
     rate = 1 / float(np.median(np.diff(t[measured] if parts and measured.sum() > 1 else t)))
-    return Loaded(file, model, log, record, rate, reference, note, () if read is None else parts, read)
+    return Loaded(file, model, log, record, rate, reference, note, () if sensed is None else parts, sensed)
+
+
+def _with_inputs_only(record: Record) -> Record:
+    """The rows of a record whose inputs are known."""
+    known = np.isfinite(np.asarray(record.u)).all(1)
+    if known.all():
+        return record
+    if known.sum() < 2:
+        raise ValueError("fewer than two rows have all inputs; name other columns of u")
+    rows = (None if part is None else np.asarray(part)[known] for part in (record.t, record.u, record.y))
+    return Record(*rows)
+
+
+def _around_missing(change: Callable[[Record], Record], record: Record, share: float = 0.0) -> Record:
+    """A record with changed inputs, NaN where more than a share of one depends on inputs that are missing."""
+    u = np.asarray(record.u, float)
+    absent = ~np.isfinite(u)
+    if not absent.any():
+        return change(record)
+    # The last known input stands for one that is missing, or the first one at the start.
+    at = np.maximum.accumulate(np.where(absent, 0, np.arange(len(u))[:, None]), axis=0)
+    held = np.take_along_axis(u, at, axis=0)
+    held = np.where(np.isfinite(held), held, 0.0)
+    changed, part = (change(record._replace(u=each)) for each in (held, absent.astype(float)))
+    return changed._replace(u=np.where(np.asarray(part.u) > share, np.nan, np.asarray(changed.u)))
 
 
 def _periods(job: Job, file: models.ModelFile) -> tuple[float, ...]:

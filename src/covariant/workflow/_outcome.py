@@ -14,12 +14,16 @@ from covariant.engine import EngineName as Engine, run_log
 from covariant.models import ModelFile, Motion
 from covariant.observers import REGISTRY, AbstractObserver
 from covariant.signals import Run, StepCode
-from covariant.workflow._inputs import Job, Loaded, ReferenceVelocity
+from covariant.workflow._holes import SETTLED
+from covariant.workflow._inputs import Job, Loaded
 
 KEPT = ("innovation", "distance", "result", "nis", "velocity_std", "state_std", "slow", "slow_std", "sensors")
 """What the commands use of the info of an observer."""
 MARGIN = 2.0
 """How far above the band of a right model the mean NIS is before it is called too large: noise is seldom known well."""
+LARGE, SMALL = 3.0, 0.1
+"""Mean NEES that is called too large, and mean NEES or NIS that is called too small: noise is seldom known well, and is
+rather told too large than too small."""
 QUANTILE = 3.09
 """Upper 99.9 % quantile of a standard normal distribution."""
 FALSE_ALARM = 1e-3
@@ -34,10 +38,16 @@ class Score(NamedTuple):
         rmse: Root mean square errors (n,), in the units of what is estimated.
         nees: Normalised estimation error squared: mean of the squared errors over their variances, for each velocity. 1
             is expected; NaN for an observer without a covariance.
+        median: Medians (n,) of the absolute errors.
+        apart: The same without the rows in and after holes of the log; None where it has none.
+        holes: The same of these rows only.
     """
 
     rmse: np.ndarray
     nees: float
+    median: np.ndarray
+    apart: "Score | None" = None
+    holes: "Score | None" = None
 
 
 class Outcome(NamedTuple):
@@ -92,7 +102,7 @@ def scored(
 ) -> Outcome:
     """Score a run of an observer on a log."""
     velocity = np.asarray(loaded.model.sought.of(run.estimate))
-    score = None if loaded.reference is None else _score(velocity, run.info, loaded.reference)
+    score = None if loaded.reference is None else _score(velocity, run.info, loaded)
     # Behind a gate or a delay, too.
     named = getattr(getattr(observer, "observer", observer), "slow_names", ())
     return Outcome(run, velocity, mean_nis(run.info, loaded), score, microseconds, engine, named)
@@ -114,11 +124,22 @@ def deviations(info: Any) -> np.ndarray | None:
     return next((std for std in fields if std is not None), None)
 
 
-def _score(velocity: np.ndarray, info: Any, reference: ReferenceVelocity) -> Score:
-    off = velocity[reference.scored] - reference.v[reference.scored]
-    std = deviations(info)
-    nees = math.nan if std is None else float(np.mean((off / std[reference.scored]) ** 2))
-    return Score(np.sqrt(np.mean(off**2, axis=0)), nees)
+def _score(velocity: np.ndarray, info: Any, loaded: Loaded) -> Score:
+    reference: Any = loaded.reference
+    std, holes = deviations(info), loaded.holes
+
+    def of(rows: np.ndarray) -> Score | None:
+        if not rows.any():
+            return None
+        off = velocity[rows] - reference.v[rows]
+        nees = math.nan if std is None else float(np.mean((off / std[rows]) ** 2))
+        return Score(np.sqrt(np.mean(off**2, axis=0)), nees, np.median(np.abs(off), axis=0))
+
+    score: Any = of(reference.scored)
+    if holes is None:
+        return score
+    known = reference.scored & np.isfinite(reference.v).all(1)
+    return score._replace(apart=of(known & ~holes.concerned), holes=of(known & holes.concerned))
 
 
 def mean_nis(info: Any, loaded: Loaded) -> float:
@@ -143,15 +164,31 @@ def counted(info: Any, loaded: Loaded) -> tuple[np.ndarray, int]:
 
 def summary(outcome: Outcome, what: str = "velocity") -> dict[str, Any]:
     """Convert the accuracy of an outcome to JSON data."""
-    innovation = np.asarray(outcome.run.info.innovation)
-    scored = {} if outcome.score is None else {f"{what}_rmse": rounded(outcome.score.rmse)}
-    consistency = {"nis": outcome.nis} | ({} if outcome.score is None else {"nees": outcome.score.nees})
+    score = outcome.score
+    scored, consistency = {}, {"nis": outcome.nis}
+    if score is not None:
+        scored = {f"{what}_rmse": rounded(score.rmse), f"{what}_median_error": rounded(score.median)}
+        consistency["nees"] = score.nees
+        for name, part in (("without_holes", score.apart), ("in_holes", score.holes)):
+            if part is not None:
+                scored[f"{what}_rmse_{name}"] = rounded(part.rmse)
+                consistency[f"nees_{name}"] = part.nees
+    used, refused = innovation_rms(outcome)
     return {
         **scored,
-        "innovation_rms": rounded(np.sqrt(np.mean(innovation**2, axis=0))),
+        "innovation_rms": rounded(used),
+        **({} if refused is None else {"innovation_rms_refused": rounded(refused)}),
         **{name: plain(value) for name, value in consistency.items()},
         "results": outcome.counts,
     }
+
+
+def innovation_rms(outcome: Outcome) -> tuple[np.ndarray, np.ndarray | None]:
+    """Root mean squares (n,) of the innovations of rows that no gate refused, and of those that one did, if any."""
+    innovation = np.asarray(outcome.run.info.innovation)
+    refused = np.asarray(outcome.run.info.result) >= StepCode.OUTLIER
+    parts = [np.sqrt(np.mean(innovation[rows] ** 2, axis=0)) for rows in (~refused, refused) if rows.any()]
+    return (parts[0], None) if refused.all() or not refused.any() else (parts[0], parts[1])
 
 
 def rounded(values: np.ndarray) -> list[float | None]:
@@ -255,6 +292,11 @@ def unexplained(job: Job, loaded: Loaded, observer: str, outcome: Outcome) -> st
     if not (informed and loaded.file.mechanical and math.isfinite(outcome.nis)):
         return None
     limit = MARGIN * mean_quantile(int(counted(outcome.run.info, loaded)[1]))
+    if outcome.nis < SMALL and loaded.file.quantum is None:
+        return (
+            f"NIS averages {outcome.nis:.3g} a measured number, where 1 is expected: the noise of the model file is "
+            "larger than that of the log, and standard deviations are too large; `covariant tune` finds noise that fits"
+        )
     if outcome.nis <= limit:
         return None
     return (
@@ -265,6 +307,28 @@ def unexplained(job: Job, loaded: Loaded, observer: str, outcome: Outcome) -> st
         "fits, and pushes or friction that are not known are estimated along with the motion by intrinsic-kalman with "
         "[uncertainty] external_force_std and external_force_time, or parameters"
     )
+
+
+def inconsistent(loaded: Loaded, observer: str, outcome: Outcome) -> str | None:
+    """One sentence where errors against true velocities are far from what the standard deviations say."""
+    score, reference = outcome.score, loaded.reference
+    if score is None or reference is None or loaded.log.truth is None or not math.isfinite(score.nees):
+        return None
+    informed = any(entry.name == observer and entry.knows_model for entry in REGISTRY)
+    # A filter that knows no model has the usual motion as its noise, so that it is cautious on a calm one.
+    if (SMALL if informed else 0.0) <= score.nees <= LARGE:
+        return None
+    size = "small" if score.nees > 1 else "large"
+    text = (
+        f"NEES averages {score.nees:.3g}, where 1 is expected: standard deviations are too {size} by a factor of "
+        f"{max(score.nees, 1 / score.nees) ** 0.5:.2g}"
+    )
+    if score.apart is not None and score.holes is not None:
+        text += (
+            f"; it is {score.holes.nees:.3g} in the holes of the log and {SETTLED:g} s after each, and "
+            f"{score.apart.nees:.3g} elsewhere"
+        )
+    return text
 
 
 def mean_quantile(count: int) -> float:

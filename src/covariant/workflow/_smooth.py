@@ -11,7 +11,7 @@ from covariant import logs
 from covariant.calibration import estimators
 from covariant.models import Overrides
 from covariant.observers import SMOOTHED, smooth as smooth_record
-from covariant.workflow._estimate import EstimateResult, choose_observer, error_lines
+from covariant.workflow._estimate import EstimateResult, choose_observer, error_lines, hole_lines
 from covariant.workflow._inputs import (
     ColumnNames,
     Job,
@@ -72,7 +72,7 @@ def smooth(
         raise ValueError(f"observer {observer} cannot be smoothed; these can: {', '.join(SMOOTHED)}")
     job = Job(model, log, overrides, every, until, columns or {}, anyway, start)
     progress("reading the log")
-    loaded = load(job, score)
+    loaded = load(job, score, missing_inputs=True)
     name = observer or next(name for name in SMOOTHED if name in estimators(loaded.model))
     chosen, notes = choose_observer(job, loaded, name)
     refuse_delays(job, loaded, chosen, "a smoother does not compensate late readings")
@@ -206,6 +206,7 @@ class SmoothResult(AbstractEstimates):
             *origin,
             result["design"],
             *error_lines(result, loaded),
+            *hole_lines(result, loaded),
         ]
         if f"{what}_rmse" in result:
             lines.append(f"{what} RMSE of the filter: {with_units(result['filter'][f'{what}_rmse'], units)}")
@@ -216,7 +217,8 @@ class SmoothResult(AbstractEstimates):
     def _page(self) -> Any:
         loaded, name = self.smoothed.loaded, self.smoothed.observer_name
         curves = report_curves({"smoothed": self.smoothed.outcome, name: self.filtered.outcome})
-        notes = (*self.smoothed.design, *error_lines(self.summary, loaded))
+        result = self.summary
+        notes = (*self.smoothed.design, *error_lines(result, loaded), *hole_lines(result, loaded))
         title = f"{loaded.kind.title} of {self.smoothed.job.title}, smoothed"
         return estimate_report(title, loaded, curves, notes, self._rows(), self.headline, self.warnings)
 

@@ -8,6 +8,7 @@ from jaxtyping import Bool, Float
 from covariant.calibration import Trial, errors_ahead, observer_gains, outliers, rows_ahead
 from covariant.models import Motion
 from covariant.scoring import scored_window, unwrap
+from covariant.signals import Record
 from covariant.workflow._design import log_sheet
 from covariant.workflow._inputs import Loaded
 from covariant.workflow._outcome import Outcome
@@ -29,11 +30,13 @@ class Ahead(NamedTuple):
         horizon: Number of rows.
         time: The same [s].
         errors: Root mean square errors (n,) by estimator; infinite where a prediction is not finite.
+        apart: The same without predictions in and after holes of the log; None where it has none.
     """
 
     horizon: int
     time: float
     errors: dict[str, np.ndarray]
+    apart: dict[str, np.ndarray] | None = None
 
 
 def trial_part(loaded: Loaded) -> tuple[Trial | None, Bool[np.ndarray, "T"]]:
@@ -83,9 +86,29 @@ def ahead(outcomes: dict[str, Outcome], loaded: Loaded, tuned_on: Bool[np.ndarra
     if rows.sum() < 4 * horizon:
         return None
     y = loaded.kind.without_outliers(t, np.asarray(loaded.record.y))
-    record, errors = loaded.record._replace(y=y), {}
-    for name, outcome in outcomes.items():
-        motion = loaded.model.motion(outcome.run.estimate)
-        found = errors_ahead(loaded.model, record, Motion(motion.q, motion.v), rows, horizon)
-        errors[name] = np.sqrt(np.nanmean(found**2, axis=(0, 1)))
-    return Ahead(horizon, horizon / loaded.rate, errors)
+    record = _without_inputs(loaded.record._replace(y=y), horizon)
+    selections, holes = [rows], loaded.holes
+    if holes is not None and (rows & ~holes.concerned).sum() >= 4 * horizon:
+        selections.append(rows & ~holes.concerned)
+    errors = []
+    for selection in selections:
+        errors.append({})
+        for name, outcome in outcomes.items():
+            motion = loaded.model.motion(outcome.run.estimate)
+            found = errors_ahead(loaded.model, record, Motion(motion.q, motion.v), selection, horizon)
+            errors[-1][name] = np.sqrt(np.nanmean(found**2, axis=(0, 1)))
+    return Ahead(horizon, horizon / loaded.rate, *errors)
+
+
+def _without_inputs(record: Record, horizon: int) -> Record:
+    """A record whose measurements are missing where one of the `horizon` inputs that lead to them is."""
+    u = np.asarray(record.u)
+    absent = ~np.isfinite(u).all(1)
+    if not absent.any():
+        return record
+    count = np.concatenate([[0], np.cumsum(absent)])
+    k = np.arange(len(u))
+    led = count[k] > count[np.maximum(k - horizon, 0)]
+    y = np.array(record.y, float)
+    y[led] = np.nan
+    return record._replace(u=np.nan_to_num(u), y=y)

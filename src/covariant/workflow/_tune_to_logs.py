@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from covariant import models
-from covariant.calibration import DataSheet, HeldOut, Tuning, observer_gains, tune
+from covariant.calibration import DataSheet, HeldOut, Tuning, gated, observer_gains, tune, usual_speeds
 from covariant.engine import EngineName, run_logs
 from covariant.observers import AbstractObserver, Intrinsic
 from covariant.report import EstimateReport
@@ -98,7 +98,13 @@ def tuned_page(title: str, tuned: Tuned, notes: tuple[str, ...], rows: tuple[dic
     if tuned.before is not None:
         old = observer_gains(tuned.before, loaded.rate)
         gains = {"before": (old.alpha, old.beta), **gains}
-    observers = with_sensor_delays({when: Intrinsic(loaded.model, *numbers) for when, numbers in gains.items()}, loaded)
+    # Behind the gate that `estimate` has: an outlier is drawn as what it does there.
+    noise = tuned.tuning.noise
+    typical = float(np.sqrt(np.mean(np.asarray(noise.measurement) ** 2)))
+    sheet = tuned.before or DataSheet(typical, float(noise.acceleration))
+    sheet = sheet._replace(speed=usual_speeds(loaded.model, loaded.record))
+    intrinsic = {when: gated(Intrinsic(loaded.model, *numbers), loaded.model, sheet) for when, numbers in gains.items()}
+    observers = with_sensor_delays(intrinsic, loaded)
     curves = report_curves({when: drive(observer, loaded) for when, observer in observers.items()})
     return estimate_report(title, loaded, curves, notes, rows)
 

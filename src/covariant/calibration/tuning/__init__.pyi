@@ -19,6 +19,7 @@ from ._gains import (
     predict_sampled_errors as predict_sampled_errors,
     steady_state_errors as steady_state_errors,
 )
+from ._missing_inputs import missing_inputs as missing_inputs
 from ._stored_observer import stored_observer as stored_observer
 from ._suggest import Suggestion as Suggestion, suggest_noise as suggest_noise
 from ._tune import HeldOut as HeldOut, Tuning as Tuning, tune as tune

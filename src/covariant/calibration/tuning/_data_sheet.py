@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from covariant.observers import Sensor, SlowVariables
+from covariant.observers import MissingInputs, Sensor, SlowVariables
 
 
 class DataSheet(NamedTuple):
@@ -36,6 +36,7 @@ class DataSheet(NamedTuple):
         torque_std: Standard deviation of the torques or forces that the model does not explain [N m or N], one for all
             velocities or one for each, beside that of the acceleration and with its correlation time; for filters
             whose noise may depend on the configuration, `intrinsic-kalman` and `ukf`. None for none.
+        inputs: What inputs may be while they are missing, from `missing_inputs`; None where they never are.
 
     Example:
         >>> from covariant.calibration import DataSheet, observer_gains
@@ -60,6 +61,7 @@ class DataSheet(NamedTuple):
     external_force_time: float | None = None
     sensors: tuple[Sensor, ...] = ()
     torque_std: float | tuple[float, ...] | None = None
+    inputs: MissingInputs | None = None
 
     def white_time(self, rate: float) -> float:
         """Time τ [s] for which acceleration noise σ acts as white noise of the density 2σ²τ, at a rate [Hz]."""

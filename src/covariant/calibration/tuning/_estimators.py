@@ -250,7 +250,7 @@ def _ticks(entry: Entry, known: _Known) -> tuple:
     if sheet.external_force_std is not None:
         std = np.broadcast_to(sheet.external_force_std, known.n)
         slow += (external_force(std=std, time=sheet.external_force_time),)
-    return *_noise(entry, known), sheet.quantum, slow, sheet.sensors
+    return *_noise(entry, known), sheet.quantum, slow, sheet.sensors, sheet.inputs
 
 
 def _bandwidth(entry: Entry, known: _Known) -> tuple:

@@ -4,7 +4,7 @@ An outlier is alone; what moves has neighbours that agree. A reading is refused 
 reading that was used explains it. Refused readings that lie on a line, which starts where the last used reading was and
 whose slope is a credible velocity, show an impact, or an estimate whose velocity is off: at the third of them the
 estimate starts anew, with their position and their velocity. Readings that agree otherwise, as after a slip, have to
-stay for `patience` samples.
+stay for `patience` samples. After a hole without readings three that agree with each other suffice.
 
 Source: Bar-Shalom, Li & Kirubarajan 2001, Estimation with Applications to Tracking and Navigation, section 5.4 for the
 gate.
@@ -30,6 +30,8 @@ AGREEING = 3.0
 """Standard deviations of the noise within which readings are on a line."""
 MOVING = 4.0
 """Least distance of neighbours on a line, in standard deviations of the noise, at which it shows a velocity."""
+HOLE = 3.0
+"""Length of a hole before refused readings, in steps between them, from which they are asked among themselves."""
 
 
 class Gate(eqx.Module):
@@ -104,7 +106,7 @@ class Gate(eqx.Module):
         line, present, widening = memory.line(sample.innovation), sample.present, jnp.maximum(memory.scale, least)
         # The noise of lines is at least what is said: a scale below 1 tells of large speeds or process noise.
         noisier = jnp.maximum(memory.scale, 1.0)
-        far, straight, joined = (jnp.zeros_like(present),) * 3
+        far, even, moving, joined = (jnp.zeros_like(present),) * 4
         scale = memory.scale
         for together in manifold.measured_together(present.shape[0]):
             block, n = jnp.asarray(together), len(together)
@@ -117,14 +119,18 @@ class Gate(eqx.Module):
             far = far.at[block].set(measured & (jnp.minimum(*narrowed) > self._limit(n) / n))
             noise = jnp.asarray(sample.noise)[jnp.ix_(block, block)] * noisier[block[0]]
             shape = _shape(jax.tree.map(lambda a, block=block: a[block], line), noise)
-            straight, joined = straight.at[block].set(shape[0]), joined.at[block].set(shape[1])
+            even, moving, joined = (a.at[block].set(b) for a, b in zip((even, moving, joined), shape, strict=True))
             change = (jnp.minimum(square, BELIEVED * memory.scale[block]) - memory.scale[block]) / self.memory
             scale = scale.at[block].add(jnp.where(measured, change, 0.0))
         # A start after long patience needs a complete configuration.
         patient = far & (memory.refused >= self.patience) & jnp.all(present)
-        straight = straight & far & (memory.refused >= 1)
+        even, credible = even & far & (memory.refused >= 1), _credible(manifold, line, predicted, usual)
+        straight = even & moving
         # All readings since the velocity changed are on the line: later in a burst, three in a row are so by chance.
-        moved = straight & joined & (memory.refused <= 2) & _credible(manifold, line, predicted, usual)
+        moved = straight & joined & (memory.refused <= 2) & credible
+        # Before a hole nothing tells of the motion after it: three readings that agree with each other are believed.
+        possible = credible if usual is not None else jnp.ones_like(credible)
+        moved = moved | (even & possible & (memory.refused >= 2) & (line.gap > HOLE * line.step))
         restart, anew = jnp.any(patient | moved), present & (~far | patient | moved)
         velocity = predicted
         if usual is not None:
@@ -160,21 +166,21 @@ def _mean_squares(cov: Matrix, vectors: Float[Array, "n k"]) -> Float[Array, "k"
     return jnp.sum(half_solve(cov, vectors) ** 2, axis=0) / len(vectors)
 
 
-def _shape(line: Line, noise: Matrix) -> tuple[Flag, Flag]:
-    """Whether the last three readings of a block are on a line that moves, and whether it starts at the
-    last used one.
+def _shape(line: Line, noise: Matrix) -> tuple[Flag, Flag, Flag]:
+    """Whether the last three readings of a block are on a line, whether that moves, and whether it starts at the last
+    used one.
     """
     step, length = line.step[0], line.length[0]
     columns = half_solve(noise, jnp.stack([line.slope, line.bend, line.change], axis=1)) / len(noise) ** 0.5
     slope, bend, change = columns.T
     displacement = slope @ slope * step**2
     # The bend is a second difference of noise, of the variance 1 + 4 + 1, and of the motion.
-    straight = (displacement >= MOVING**2) & (bend @ bend <= 6 * AGREEING**2 + BEND**2 * displacement)
+    even = bend @ bend <= 6 * AGREEING**2 + BEND**2 * displacement
     # q is continuous: the velocity changed at some time between the last used reading and the reading before this one.
     since = jnp.clip(slope @ change / jnp.maximum(slope @ slope, jnp.finfo(slope.dtype).tiny), step, length)
     apart, steps = change - since * slope, since / step
     joined = apart @ apart <= AGREEING**2 * (1 + 2 * steps**2) + (BEND * steps) ** 2 * displacement
-    return straight, joined
+    return even, displacement >= MOVING**2, joined
 
 
 def _credible(manifold: AbstractManifold, line: Line, predicted: Velocity, usual: Matrix | None) -> Bool[Array, "n"]:

@@ -34,6 +34,11 @@ class Line(NamedTuple):
     step: Vector
     length: Vector
 
+    @property
+    def gap(self) -> Vector:
+        """Time (n,) [s] without readings before the first refused one, where those since came evenly."""
+        return self.length - self.refused.astype(self.step.dtype) * self.step
+
     def slope_cov(self, noise: Matrix, scale: Vector) -> Matrix:
         """Covariance (n, n) of the slope."""
         factor = jnp.sqrt(jnp.where(self.refused > 1, scale / 2, 2 * scale)) / self.step

@@ -204,7 +204,8 @@ class AbstractObserver(Functional):
         too_large = jnp.abs(y) > self.largest(y)
         measured = self.admitted(jnp.where(too_large, jnp.nan, y))
         # A refused step is computed with dt = 0 and u = 0, so that an invalid number cannot reach `info.result` either.
-        advanced, info = self.advance(state, jnp.where(advances, valid_u, 0.0), measured, jnp.where(advances, dt, 0.0))
+        told = _with_missing_input(state, u)
+        advanced, info = self.advance(told, jnp.where(advances, valid_u, 0.0), measured, jnp.where(advances, dt, 0.0))
         new_state = jax.tree.map(
             lambda new, old: jnp.where(advances, new, old), _with_last_input(advanced, state, valid_u), state
         )
@@ -588,6 +589,12 @@ def _replacement_input(state: Any, u: Array) -> Array:
     return state.last_input.astype(u.dtype) if _stores_input(state, u) else jnp.zeros_like(u)
 
 
+def _with_missing_input(state: Any, u: Array) -> Any:
+    """The state with the flags of its field `missing_input`, where it has one: which inputs have been replaced."""
+    flags = getattr(state, "missing_input", None)
+    return state if flags is None or flags.shape != u.shape else state._replace(missing_input=~jnp.isfinite(u))
+
+
 def _with_last_input(advanced: Any, state: Any, u: Array) -> Any:
     """The new state, with the input stored in it where the old state keeps one: the form of a state must not change."""
     if _stores_input(state, u):
@@ -704,7 +711,7 @@ def checked(observer: AbstractObserver, record: Record) -> Record:
     """
     shape = np.shape(record.y)[1:]
     start = observer.configuration(np.arange(math.prod(shape)).reshape(shape)).ravel() if shape else None
-    y = record.check(start).y
+    y = record.check(start, missing_inputs=True).y
     if isinstance(y, Tracer):
         return record
     first = np.asarray(y)[0]  # a value even inside a compiled function, where indexing in JAX is traced

@@ -46,6 +46,8 @@ from covariant.observers.base import (
 )
 from covariant.observers.filters._gated_filter import AbstractMechanicalFilter, Expectation, Moved, Used
 from covariant.observers.sensors import (
+    InputStates,
+    MissingInputs,
     Sensed,
     Sensor,
     SensorInfo,
@@ -54,6 +56,7 @@ from covariant.observers.sensors import (
     SlowVariables,
     SlowVector,
     as_groups,
+    missing_now,
 )
 from covariant.signals import StepCode
 
@@ -76,6 +79,7 @@ class KalmanState(NamedTuple):
         last_input: Last finite input (m,), which replaces an input that is not finite; None where none is stored.
         readings: Last readings of encoders that count ticks; None where measurements have noise.
         sensor_gates: Memories of the gates of further sensors, one each.
+        missing_input: Which inputs (m,) were missing over the last step; None where that makes no difference.
 
     Example:
         >>> import numpy as np
@@ -95,6 +99,7 @@ class KalmanState(NamedTuple):
     last_input: LastInput = None
     readings: Readings | None = None
     sensor_gates: tuple[GateMemory, ...] = ()
+    missing_input: Bool[Array, "m"] | None = None
 
 
 class KalmanInfo(NamedTuple):
@@ -186,6 +191,8 @@ class IntrinsicKalman(AbstractMechanicalFilter):
             is then one vector: the entries of the configuration, followed by the readings, NaN for a missing one; see
             `Sensor`. None by default.
         gate: Which measured configurations are refused as outliers; None refuses none. See `Gate`.
+        inputs: What inputs may have been while they were missing, a `MissingInputs`; None (default) takes the last one
+            as held, without a doubt.
         budget: Work spent on geodesics, from the estimate to the measurement and along the correction.
         substeps: Runge–Kutta steps in each sample; None (default) takes as many as dt and the friction need (offline).
 
@@ -213,6 +220,7 @@ class IntrinsicKalman(AbstractMechanicalFilter):
     budget: Budget = eqx.field(default=Budget(newton=1, steps=2), static=True)
     substeps: int | None = eqx.field(default=None, static=True)
     sensors: tuple[Sensor, ...] = eqx.field(default=(), converter=as_groups)
+    inputs: MissingInputs | None = None
 
     def __check_init__(self):
         check_covariance("IntrinsicKalman", "measurement_cov", self.measurement_cov, positive=True)
@@ -244,7 +252,8 @@ class IntrinsicKalman(AbstractMechanicalFilter):
         q = self._without_offset(q, v, slow)
         root = self._first_root(q, self._velocity_cov(q), slow)
         gates = self._sensors.at_start(v)
-        return KalmanState(q, v, t, slow, root, GateMemory.at_start(v), last_input, readings, gates)
+        missing = None if self.inputs is None else jnp.zeros(self.inputs.mean.shape, bool)
+        return KalmanState(q, v, t, slow, root, GateMemory.at_start(v), last_input, readings, gates, missing)
 
     def admitted(self, y: Array) -> Array:
         configuration, readings = self._split(y)
@@ -265,7 +274,7 @@ class IntrinsicKalman(AbstractMechanicalFilter):
     @property
     def slow_names(self) -> tuple[str, ...]:
         """Names (k) of the slow states, in the order of `KalmanInfo.slow`."""
-        return self._slow.names
+        return SlowStates(self.slow + self._sensors.slow).names
 
     def _predicted(
         self, state: KalmanState, u: Float[Array, "m"], dt: Scalar, carry: bool
@@ -275,6 +284,7 @@ class IntrinsicKalman(AbstractMechanicalFilter):
             count = needed_substeps(self.model, state.t, state.q, state.v, u, dt)
         # The covariance is linearised at every Runge–Kutta step, not once over dt.
         h = dt / jnp.asarray(count, state.v.dtype)
+        state = self._with_known_inputs(state, u, dt)
         start = state, state.root if carry else None
         return jax.lax.fori_loop(0, count, lambda _, now: self._runge_kutta_step(now[0], now[1], u, h), start)
 
@@ -360,12 +370,45 @@ class IntrinsicKalman(AbstractMechanicalFilter):
 
     @property
     def _slow(self) -> SlowStates:
-        return SlowStates(self.slow + self._sensors.slow)
+        return self._slow_over(None, None)
+
+    def _slow_over(self, missing: Bool[Array, "m"] | None, u: Vector | None) -> SlowStates:
+        """The slow states over a step with the inputs u, of which some are missing."""
+        if self.inputs is None:
+            return SlowStates(self.slow + self._sensors.slow)
+        zeros = jnp.zeros_like(self.inputs.mean)
+        states = InputStates(self.inputs, zeros > 0 if missing is None else missing, zeros if u is None else u)
+        return SlowStates((*self.slow, states, *self._sensors.slow))
+
+    @property
+    def _inputs_at(self) -> slice:
+        """Where the states of missing inputs are among the slow states."""
+        first = sum(len(group.names) for group in self.slow)
+        return slice(first, first + (0 if self.inputs is None else 2 * len(self.inputs.mean)))
+
+    def _with_known_inputs(self, state: KalmanState, u: Float[Array, "m"], dt: Scalar) -> KalmanState:
+        """The state at the start of a step: which inputs are missing over it, and those that are known there."""
+        if self.inputs is None or state.missing_input is None:
+            return state
+        missing, at = missing_now(self.inputs, state.missing_input, dt), self._inputs_at
+        # Before rows that are missing the input is known once more.
+        known = jnp.concatenate([missing & ~state.missing_input, jnp.zeros_like(missing)])
+        deviation = jnp.concatenate([u - self.inputs.mean, jnp.zeros_like(u)]).astype(state.slow.dtype)
+        slow = state.slow.at[at].set(jnp.where(known, deviation, state.slow[at]))
+        rows = slice(2 * state.v.shape[0] + at.start, 2 * state.v.shape[0] + at.stop)
+        root = state.root.at[rows].set(jnp.where(known[:, None], 0.0, state.root[rows]))
+        return state._replace(slow=slow, root=root, missing_input=missing)
 
     def _slow_estimates(self, state: KalmanState) -> tuple[SlowVector, SlowVector]:
         """Values of the slow states (k,) as `SlowVariables.values` reports them, and their standard deviations (k,)."""
-        values = self._slow.values(state.slow)
-        slope = jax.jacfwd(self._slow.values)(state.slow)
+        at, every = self._inputs_at, self._slow
+
+        def reported(slow):
+            values = every.values(slow)
+            return jnp.concatenate([values[: at.start], values[at.stop :]])
+
+        values = reported(state.slow)
+        slope = jax.jacfwd(reported)(state.slow)
         return values, jnp.sqrt(jnp.sum((slope @ state.root[2 * state.v.shape[0] :]) ** 2, axis=1))
 
     def _noise(self, q: Array) -> Matrix:
@@ -430,11 +473,13 @@ class IntrinsicKalman(AbstractMechanicalFilter):
         """One Runge–Kutta step of the model and the covariance, and of a matrix `carried` that is multiplied by the
         transition alone."""
         space, manifold, n = self.model.space, self.model.manifold, state.v.shape[0]
+        states, at = self._slow_over(state.missing_input, u), self._inputs_at
 
         def propagated_error(error):
             start = Motion(manifold.retract(state.q, error[:n]), state.v + error[n : 2 * n])
-            mean, slow = self._slow.advanced(state.slow + error[2 * n :], h)
-            end = advance(self._slow.in_model(self.model, mean), state.t, start, u, h, 1)
+            mean, slow = states.advanced(state.slow + error[2 * n :], h)
+            acting = u if self.inputs is None else states.groups[len(self.slow)].acting(u, mean[at])
+            end = advance(states.in_model(self.model, mean), state.t, start, acting, h, 1)
             # The value is zero, since the end is compared with itself; the derivative is the displacement in the frame.
             return jnp.concatenate([manifold.local(jax.lax.stop_gradient(end.q), end.q), end.v, slow]), (*end, slow)
 
@@ -445,7 +490,7 @@ class IntrinsicKalman(AbstractMechanicalFilter):
         )
         noise = white_acceleration(covariance_at(self.process_cov, space, q), h)
         if state.slow.shape[0]:
-            noise = diagonal(noise, self._slow.walk_root(h).astype(noise.dtype))
+            noise = diagonal(noise, states.walk_root(h).astype(noise.dtype))
         readings = state.readings and state.readings._replace(age=state.readings.age + h)
         # Roots side by side have the sum of both covariances; the triangular factor is square again.
         root = triangular(jnp.concatenate([transition @ state.root, noise], axis=1))

@@ -1,3 +1,8 @@
+from ._missing_inputs import (
+    InputStates as InputStates,
+    MissingInputs as MissingInputs,
+    missing_now as missing_now,
+)
 from ._momentum import (
     AbstractForceObserver as AbstractForceObserver,
     ForceState as ForceState,

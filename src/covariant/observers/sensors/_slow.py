@@ -95,6 +95,24 @@ class SlowVariables(Functional):
                 raise ValueError(f"SlowVariables: {name} must be a matrix ({k}, {k}); its shape is {np.shape(cov)}")
             check_covariance("SlowVariables", name, cov)
 
+    def first_root(self) -> Float[Array, "k k"]:
+        """Square root (k, k) of the covariance at the start."""
+        return semidefinite_root(self.first_cov)
+
+    def advanced(self, s: SlowVector, h: Scalar) -> tuple[SlowVector, SlowVector]:
+        """The expected states in the mean over a step, and at its end."""
+        if self.time is None:
+            return s, s
+        first = self.first.astype(s.dtype)
+        mean, end, _ = gauss_markov((h / self.time).astype(s.dtype))
+        return first + mean * (s - first), first + end * (s - first)
+
+    def spread(self, h: Scalar) -> Float[Array, "k k"]:
+        """Square root (k, k) of the covariance that a step adds."""
+        # The variance in the long run is walk_cov τ/2.
+        added = h if self.time is None else self.time / 2 * gauss_markov(h / self.time)[2]
+        return jnp.sqrt(added) * semidefinite_root(self.walk_cov).astype(h.dtype)
+
 
 def as_groups(given: Any) -> tuple[Any, ...]:
     """Tuple of groups, from one group or a sequence of them."""
@@ -114,7 +132,7 @@ class SlowStates(NamedTuple):
         ('external_force1', 'bias1')
     """
 
-    groups: tuple[SlowVariables, ...]
+    groups: tuple[Any, ...]
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -132,17 +150,11 @@ class SlowStates(NamedTuple):
 
     def first_root(self) -> Float[Array, "k k"]:
         """Square root (k, k) of the covariance at the start; at least one group is needed."""
-        return functools.reduce(diagonal, [semidefinite_root(group.first_cov) for group in self.groups])
+        return functools.reduce(diagonal, [group.first_root() for group in self.groups])
 
     def walk_root(self, h: Scalar) -> Float[Array, "k k"]:
         """Square root of the covariance that is added in a step; at least one group is needed."""
-
-        def spread(group: SlowVariables) -> Array:
-            # The variance in the long run is walk_cov τ/2.
-            added = h if group.time is None else group.time / 2 * gauss_markov(h / group.time)[2]
-            return jnp.sqrt(added) * semidefinite_root(group.walk_cov).astype(h.dtype)
-
-        return functools.reduce(diagonal, [spread(group) for group in self.groups])
+        return functools.reduce(diagonal, [group.spread(h) for group in self.groups])
 
     def advanced(self, s: SlowVector, h: Scalar) -> tuple[SlowVector, SlowVector]:
         """The expected states in the mean over a step, and at its end.
@@ -150,15 +162,9 @@ class SlowStates(NamedTuple):
         Those with a time constant τ return towards their first values, by the factor `exp(−h/τ)`, and by
         `τ/h (1 − exp(−h/τ))` in the mean; the others stay.
         """
-        means, ends = [s[:0]], [s[:0]]
-        for group, part in zip(self.groups, self.parts(s), strict=True):
-            if group.time is None:
-                means, ends = [*means, part], [*ends, part]
-                continue
-            first, steps = group.first.astype(part.dtype), (h / group.time).astype(part.dtype)
-            mean, end, _ = gauss_markov(steps)
-            means, ends = [*means, first + mean * (part - first)], [*ends, first + end * (part - first)]
-        return jnp.concatenate(means), jnp.concatenate(ends)
+        pairs = [group.advanced(part, h) for group, part in zip(self.groups, self.parts(s), strict=True)]
+        means, ends = (jnp.concatenate([s[:0], *each]) for each in (zip(*pairs, strict=True) if pairs else ((), ())))
+        return means, ends
 
     def parts(self, s: SlowVector) -> list[Array]:
         """Split of the states into those of each group."""
