@@ -5,7 +5,6 @@ import math
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
-from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
 
@@ -17,23 +16,19 @@ from covariant.certificates import audit
 from covariant.codegen import (
     Facts,
     Program,
-    Recipe,
     check_export_name,
     check_wasm_compiler,
     export_name,
     export_texts,
     fmu,
-    of_family,
-    program,
     python_files,
     vectors,
     wasm_files,
-    with_open_numbers,
     write_fmu,
     write_folder,
 )
-from covariant.lowering import LoweringError, operations
-from covariant.models import Family, ModelFile, Overrides
+from covariant.lowering import operations
+from covariant.models import Overrides
 from covariant.observers import (
     REGISTRY,
     SMOOTHED,
@@ -45,16 +40,13 @@ from covariant.observers import (
 )
 from covariant.workflow._arguments import above_zero, gain_pair
 from covariant.workflow._design import Design, design
+from covariant.workflow._exported_program import exported_program, open_family
 from covariant.workflow._inputs import Job, densest_rate, load, refuse_shifted_inputs
 from covariant.workflow._kinds import kind_of
 from covariant.workflow._progress import Progress, silent
 from covariant.workflow._result import AbstractResult
 from covariant.workflow._sensors import reading_delays
 
-GEOMETRY = ("*rotation", "*place", "*turn", "*slide", "coordinates", "motors", "joints", "base*")
-"""Arrays of a robot that say how it is put together: as constants they save nine tenths of the work."""
-STORED = ("low", "high", "spacing", "factors")
-"""Arrays of a metric on a grid, a table that the code looks up."""
 REALS = ("double", "float")
 VERSIONS = ("3.0", "2.0")
 UNGATED = "It has no gate and refuses no measurement, as asked."
@@ -151,7 +143,7 @@ def export(
         check_wasm_compiler()
     label = models.spec_name(model)
     progress("reading the model")
-    family = _family(model, overrides, parameters)
+    family = open_family(model, overrides, parameters)
     file = models.load(model, overrides) if family is None else family.file
     logged = None if log is None else load(Job(model, log, overrides), score=False)
     if logged is not None:
@@ -208,7 +200,7 @@ def export(
         proved = f"{proved}\n\nIn this code {unbounded}."
     # Other observers have no parameters of the model.
     opened = family if entry.knows_model and not delayed.fixed_numbers else None
-    written = _program(label, delayed, opened, file, parameters, real, measured[0], step_per_sensor)
+    written = exported_program(label, delayed, opened, file, parameters, real, measured[0], step_per_sensor)
     read = tuple(name for part in designed.sensors for name in part.signals)
     units = {**written.units, **designed.units}
     written = written._replace(signals=kind_of(file).signals(written.u, read), units=units)
@@ -337,79 +329,6 @@ def _late(observer: AbstractObserver, name: str, lag: float, rate: float) -> Fix
     if name not in SMOOTHED:
         raise ValueError(f"lag is for filters with a covariance: {', '.join(SMOOTHED)}; {name} is none")
     return FixedLag(observer, round(samples))
-
-
-def _program(
-    name: str,
-    observer: AbstractObserver,
-    family: Family | None,
-    file: ModelFile,
-    parameters: Sequence[str] | None,
-    real: str,
-    y: np.ndarray,
-    alone: bool,
-) -> Program:
-    """The graphs of the observer, with the numbers of the model file open or, where there are none, its arrays."""
-    recipe = of_family(observer, family) if family is not None else _recipe(observer, parameters)
-    # None: as many as the model has, which a log of free flight does not name.
-    inputs, closed = len(file.columns.u) or None, parameters is not None and not parameters
-    try:
-        return program(recipe, y, inputs, real, True, alone)  # pyright: ignore[reportArgumentType]
-    except LoweringError as error:
-        if closed:
-            raise ValueError(f"{name}: no code can be written: {error}") from error
-    try:
-        # The function from numbers to model may be no graph of scalars while the model is: then its arrays are open.
-        return program(_usual(observer), y, inputs, real, True, alone)  # pyright: ignore[reportArgumentType]
-    except LoweringError as error:
-        remedy = "" if "table" in str(error) else "; try without numbers that may be changed (`parameters=[]`)"
-        raise ValueError(f"{name}: no code can be written: {error}{remedy}") from error
-
-
-def _family(model: Any, overrides: Overrides, parameters: Sequence[str] | None) -> Family | None:
-    """The model with the numbers of its file open, or None where it has none or they stay as they are."""
-    if not isinstance(model, str | os.PathLike):
-        return None
-    name = models.spec_name(model)
-    names = _open_numbers(models.recipe(name, overrides).get("parameters", {}))
-    if not names or (parameters is not None and not parameters):
-        return None
-    return models.family(name, names if parameters is None else tuple(parameters), overrides)
-
-
-def _recipe(observer: AbstractObserver, parameters: Sequence[str] | None) -> Recipe:
-    """The observer with its arrays open, as far as they are named or, by default, no geometry of a robot."""
-    if parameters is None:
-        return _usual(observer)
-    if not parameters:
-        return with_open_numbers(observer, ("*",))
-    everything = with_open_numbers(observer)
-    for pattern in parameters:
-        if not any(fnmatchcase(name, pattern) for name in everything.numbers):
-            raise ValueError(f"parameters: there is no {pattern!r}; there are: {', '.join(everything.numbers)}")
-    closed = [n for n in everything.numbers if not any(fnmatchcase(n, pattern) for pattern in parameters)]
-    return with_open_numbers(observer, closed)
-
-
-def _usual(observer: AbstractObserver) -> Recipe:
-    """The recipe that is open but for the geometry of a robot, and arrays of zeros, which cost nothing if closed."""
-    zeros = [name for name, value in with_open_numbers(observer).numbers.items() if not np.any(value)]
-    return with_open_numbers(observer, (*GEOMETRY, *STORED, *zeros))
-
-
-def _open_numbers(parameters: dict[str, Any]) -> tuple[str, ...]:
-    """Names of the numbers of a model file that are not zero: a first value of zero cannot be told from none."""
-
-    def places(name: str, value: Any):
-        if isinstance(value, bool) or not isinstance(value, int | float | list):
-            return
-        if isinstance(value, list):
-            for k, inner in enumerate(value):
-                yield from places(f"{name}[{k}]", inner)
-        elif value != 0:
-            yield name
-
-    return tuple(place for key, value in parameters.items() for place in places(key, value))
 
 
 def _with_substeps(observer: Any, substeps: int) -> AbstractObserver:
