@@ -56,7 +56,7 @@ class MissingInputs(Functional):
         >>> record = Record(t, np.where((t > 0.5) & (t < 0.7), np.nan, 0.0)[:, None], 0 * t[:, None])
         >>> record.y[51:70] = np.nan
         >>> std = observers.run(kalman, record).info.velocity_std[:, 0]
-        >>> bool(std[69] > 5 * std[50]), bool(std[75] < 2 * std[50])
+        >>> bool(std[69] > 4 * std[50]), bool(std[75] < 2 * std[50])
         (True, True)
     """
 
