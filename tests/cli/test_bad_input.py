@@ -38,7 +38,7 @@ LOGS = {
     "empty file": ("", ["log.csv", "empty"]),
     "header only": ("t,q1,u1\n", ["log.csv", "row"]),
     "a row of NaN": (GOOD.replace("0.02,0.2,0", "nan,nan,nan"), ["log.csv", "'t'", "row 3"]),
-    "an input missing": (GOOD.replace("0.2,0\n", "0.2,\n"), ["log.csv", "'u1'", "row 3"]),
+    "an infinite input": (GOOD.replace("0.2,0\n", "0.2,inf\n"), ["log.csv", "row 3"]),
     "infinite position": (GOOD.replace("0.2,", "inf,"), ["log.csv", "row 3"]),
     "no measurement in the first row": (GOOD.replace("0,0,0\n", "0,,0\n", 1), ["log.csv", "row 1"]),
 }

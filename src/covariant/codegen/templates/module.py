@@ -2,7 +2,7 @@
 
 xSENTENCEx
 
-A log, as arrays; NaN marks a missing measurement:
+A log, as arrays; NaN marks a missing measurement or input:
 
     import xNAMEx
 
@@ -357,10 +357,12 @@ def _checked(t: object, y: object, u: object) -> tuple:
         raise ValueError(f"rows differ: {', '.join(f'{len(a)} of {name}' for name, a in lengths.items())}")
     if len(times) < 2:
         raise ValueError(f"a log needs at least two rows; this one has {len(times)}")
-    for name, array in (("t", times), ("u", np.zeros((len(times), 0)) if inputs is None else inputs)):
-        bad = ~np.isfinite(array.reshape(len(times), -1)).all(1)
-        if bad.any():
-            raise ValueError(f"row {bad.argmax() + 1}: {name} is not a finite number; only measurements may be missing")
+    bad = ~np.isfinite(times)
+    if bad.any():
+        raise ValueError(f"row {bad.argmax() + 1}: t is not a finite number; only measurements may be missing")
+    bad = np.isinf(np.zeros((len(times), 0)) if inputs is None else inputs).any(1)
+    if bad.any():
+        raise ValueError(f"row {bad.argmax() + 1}: u is not a finite number; mark a missing one by NaN")
     with np.errstate(over="ignore"):  # too large for the type of the observer: infinite
         measured = np.require(measured, REAL, "CA")  # C needs contiguous, aligned arrays
     infinite = np.isinf(measured.reshape(len(times), -1)).any(1)
