@@ -178,7 +178,7 @@ REFUSED = "a repeated stamp", "a stamp back in time", "an infinite input"
 DEAR = "an outlier", "rows lost for a quarter of a second", "a jump that stays"
 """Faults of the logs of a group that `estimate` reads: it compiles anew for each of them."""
 HOLES = "rows lost for a quarter of a second", "rows lost for more than a second", "an input missing"
-"""Faults by which inputs are missing: the filter takes from the log what they may have been, and is exported with it."""
+"""Faults by which inputs are missing: the filter takes from the log what they may have been; it is exported with it."""
 
 
 class Member(NamedTuple):
