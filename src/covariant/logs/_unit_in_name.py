@@ -9,7 +9,7 @@ from covariant.logs._units import check_unit
 
 MEANT = {"t": ("s",), "q": ("rad", "m"), "u": ("N m", "N"), "v": ("rad/s", "m/s")}
 MEANT |= {"truth": (*MEANT["v"], *MEANT["u"]), "position": ("m",), "angle": ("rad",)}
-"""Units in which the columns of each field are logged unless the model file states others; forces are scored as well."""
+"""Units in which columns of each field are logged unless the model file states others; forces are scored as well."""
 _PLAIN = {
     **dict.fromkeys(("deg", "degs", "degree", "degrees", "°", "º"), "deg"),
     **dict.fromkeys(("rad", "rads", "radian", "radians"), "rad"),

@@ -65,7 +65,7 @@ from covariant.calibration.diagnosis._suspicion import (
     judge,
     unexplained_at,
 )
-from covariant.calibration.diagnosis._thresholds import BARELY, EXPLAINED
+from covariant.calibration.diagnosis._thresholds import BARELY, EXPLAINED, THRESHOLDS
 from covariant.calibration.diagnosis._timing import Timing, fit_timing, inputs_between_rows, moved_rows, row_shifts
 from covariant.calibration.diagnosis._unexplained import unexplained
 from covariant.models import ModelFile
@@ -326,15 +326,20 @@ def _torques_or_timing(case: Case, half: float, as_it_is: Residual) -> tuple[lis
 def _rows_and_inputs(case: Case, half: float, rows: bool) -> list[Finding]:
     """At most one finding on a column that is whole rows late, if `rows`, or on how inputs go from row to row.
 
-    Wider windows show smaller shifts in time, as far as they do not smooth the motion away.
+    Wider windows show shifts in time below the noise of narrower ones. Where these see so little noise that they would
+    show the smallest shift that is reported, wider ones only show what they smooth away.
     """
     for wide in (w * half for w in SHIFTED):
         if not long_enough(case, wide):
             break
+        compare = unexplained_at(wide)
+        now = compare(case)
         suspicions = [*(row_shifts(case) if rows else ()), *inputs_between_rows(case)]
-        accepted = judge(case, suspicions, unexplained_at(wide))
+        accepted = judge(case, suspicions, lambda each, now=now, at=compare: now if each is case else at(each))
         if accepted is not None:
             return [accepted[1]]
+        if now is not None and now.most <= THRESHOLDS["rows"].least:
+            break
     return []
 
 

@@ -45,6 +45,11 @@ class Unexplained(NamedTuple):
         """Mean over some blocks and coordinates; by chance it may be negative."""
         return float(self.blocks[blocks][:, known].mean())
 
+    @property
+    def most(self) -> float:
+        """Largest of the coordinates, with the noise in which it may hide."""
+        return float(np.max(self.blocks.mean(axis=0) + self.noise))
+
 
 class Comparison(NamedTuple):
     """What the model leaves if a suspicion is right, and as the log is, on the blocks that choose and those held out.
