@@ -28,8 +28,8 @@ def missing_inputs(record: Record) -> MissingInputs | None:
         >>> from covariant.calibration import missing_inputs
         >>> t = np.delete(np.arange(0.0, 20.0, 0.01), slice(700, 750))
         >>> inputs = missing_inputs(Record(t, np.sin(3 * t)[:, None], np.zeros((len(t), 1))))
-        >>> inputs.std.round(1).tolist(), inputs.square.round().tolist(), inputs.hold.round(2).tolist()
-        ([0.7], [9.0], 0.03)
+        >>> [round(x.item(), 2) for x in (inputs.std[0], inputs.square[0], inputs.hold)]
+        [0.71, 9.27, 0.03]
     """
     t, u = np.asarray(record.t, float), np.asarray(record.u, float)
     known = np.isfinite(u)
