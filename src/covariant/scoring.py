@@ -10,6 +10,8 @@ NumpyArray = np.ndarray
 
 HOLE = 3.0
 """Length of a hole, in steps between stamps of which 5 % are longer."""
+SETTLED = 0.5
+"""Time [s] after a hole, within which its errors are counted as those of the hole."""
 
 CHUNK = 1000
 """Number of windows fitted at once: enough for NumPy to be fast, in a few megabytes."""
@@ -404,6 +406,28 @@ def find_holes(t: Float[NumpyArray, "T"], present: Bool[NumpyArray, "T"]) -> Flo
         return np.zeros((0, 2))
     wide = np.flatnonzero(np.diff(stamps) > longest_step(stamps))
     return np.stack([stamps[wide], stamps[wide + 1]], axis=1)
+
+
+def near_holes(t: Float[NumpyArray, "T"], holes: Float[NumpyArray, "H 2"]) -> Bool[NumpyArray, "T"]:
+    """Rows in the holes of a log, or within `SETTLED` after one, whose errors are counted as those of the hole.
+
+    Args:
+        t: Rising stamps (T,) [s].
+        holes: From `find_holes`.
+
+    Returns:
+        Whether each row (T,) is such a row.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant.scoring import near_holes
+        >>> near_holes(np.array([0.0, 1.0, 1.4, 2.0]), np.array([[0.2, 1.0]])).tolist()
+        [False, True, True, False]
+    """
+    near = np.zeros(len(t), bool)
+    for begin, end in holes:
+        near |= (t > begin) & (t <= end + SETTLED)
+    return near
 
 
 def rmse(estimate: Float[NumpyArray, "K n"], reference: Float[NumpyArray, "K n"]) -> Float[NumpyArray, "n"]:

@@ -6,6 +6,7 @@ import pytest
 
 from covariant.calibration import DataSheet, NoiseLevels, gains, tune
 from covariant.calibration.identification._error_model import error_model, kalman
+from covariant.calibration.tuning._tuning_log import prepared
 from covariant.models import Lagrangian, Parametric
 from covariant.observers import Intrinsic, IntrinsicKalman, external_force, run
 from covariant.signals import Record
@@ -156,6 +157,23 @@ def test_a_log_that_is_too_short_is_refused(log):
     short = Record(*(np.asarray(a[:150]) for a in record[:3]))
     with pytest.raises(ValueError, match="too short to tune on"):
         tune(MODEL, [short], [v[:150]])
+
+
+def test_rows_in_holes_and_soon_after_them_are_not_judged(log):
+    """As long as enough others are left."""
+    record, v = log
+    t, y = np.asarray(record.t), record.y.copy()
+    y[3300:3340] = np.nan
+    part = prepared(MODEL, record._replace(y=y), v)
+    whole = prepared(MODEL, record, v)
+    near = (t > 32.99) & (t <= 33.4 + 0.5)
+    np.testing.assert_array_equal(part.held_out, whole.held_out & ~near)
+    np.testing.assert_array_equal(part.tuned, whole.tuned)
+    y[::50] = np.nan
+    y[1::50] = np.nan
+    y[2::50] = np.nan
+    y[0] = record.y[0]
+    np.testing.assert_array_equal(prepared(MODEL, record._replace(y=y), v).held_out, whole.held_out)
 
 
 @pytest.mark.exhaustive

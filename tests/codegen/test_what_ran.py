@@ -503,6 +503,25 @@ def texts(folder) -> list[str]:
     return [" ".join((folder / "c" / file).read_text(encoding="utf-8").split()) for file in files]
 
 
+OWN = """import jax.numpy as jnp
+from covariant.models import Lagrangian
+
+def make():
+    return Lagrangian(lambda q: jnp.eye(1, dtype=q.dtype), lambda q: 2.0 * q[0] ** 2, inputs=1)
+"""
+
+
+def test_an_input_of_a_model_in_python_has_the_unit_of_its_kind(tmp_path):
+    (tmp_path / "own_model.py").write_text(OWN)
+    model = 'system = "own_model:make"\n' + MODEL.split("\n\n", 1)[1].replace(
+        "[measurement]", '[units]\nu = "0.05 N m"\n\n[measurement]'
+    )
+    written(tmp_path, model + MOTION)
+    header, sheet, _ = texts(tmp_path)
+    assert "u: motor [N m]" in header
+    assert "- u: motor [N m]" in sheet
+
+
 def test_header_data_sheet_and_readme_tell_the_gate_the_units_and_each_code(tmp_path):
     result = written(tmp_path)
     assert result.warnings == ()

@@ -18,6 +18,7 @@ from ._stamps import odd_clock as odd_clock
 from ._tables import source_name as source_name
 from ._unit_in_name import (
     MEANT as MEANT,
+    is_unit_of as is_unit_of,
     unit_in_name as unit_in_name,
     unknown_unit as unknown_unit,
     unknown_unit_fault as unknown_unit_fault,

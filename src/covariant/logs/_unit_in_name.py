@@ -339,7 +339,17 @@ def words_of(name: str) -> set[str]:
 
 
 def is_unit_of(text: str, meant: Sequence[str]) -> bool:
-    """Whether a text is a unit of the same kind as one of several units."""
+    """Whether a text is a unit of the same kind as one of several units.
+
+    Args:
+        text: A unit, perhaps with a number, as "0.05 N m".
+        meant: Units of the kinds that it may be of.
+
+    Example:
+        >>> from covariant.logs import is_unit_of
+        >>> is_unit_of("0.05 N m", ("N", "N m")), is_unit_of("rpm", ("rad",))
+        (True, False)
+    """
     for unit in meant:
         with contextlib.suppress(ValueError):
             check_unit(text, unit)

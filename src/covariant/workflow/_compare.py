@@ -12,9 +12,9 @@ from covariant.calibration import estimators
 from covariant.engine import EngineName
 from covariant.models import Overrides
 from covariant.observers import AbstractObserver
+from covariant.scoring import SETTLED
 from covariant.workflow._design import log_sheet
 from covariant.workflow._estimate import hole_doubts
-from covariant.workflow._holes import SETTLED
 from covariant.workflow._inputs import (
     ColumnNames,
     Job,

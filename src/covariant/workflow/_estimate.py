@@ -12,12 +12,12 @@ from covariant.calibration import ESTIMATORS, STATE_ESTIMATORS, estimators
 from covariant.engine import EngineName
 from covariant.models import Overrides
 from covariant.observers import REGISTRY, AbstractObserver
-from covariant.scoring import rmse
+from covariant.scoring import SETTLED, rmse
 from covariant.signals import Run, StepCode
 from covariant.workflow._arguments import gain_pair
 from covariant.workflow._design import design, tells_noise, widens
 from covariant.workflow._determined import Determinacy, determined
-from covariant.workflow._holes import LONGEST_SHOWN, SETTLED
+from covariant.workflow._holes import LONGEST_SHOWN
 from covariant.workflow._inputs import (
     ColumnNames,
     Job,

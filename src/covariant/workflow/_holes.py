@@ -5,10 +5,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from covariant.scoring import find_holes
+from covariant.scoring import find_holes, near_holes
 
-SETTLED = 0.5
-"""Time [s] after a hole, within which its errors are counted as those of the hole."""
 LONGEST_SHOWN = 3
 """How many stretches without a measurement are named, the longest ones."""
 
@@ -68,8 +66,5 @@ def holes_of(t: np.ndarray, u: np.ndarray, y: np.ndarray) -> Holes | None:
     no_input = int((~np.isfinite(u)).any(1).sum())
     if not len(spans):
         return None
-    concerned = np.zeros(len(t), bool)
-    for begin, end in spans:
-        concerned |= (t > begin) & (t <= end + SETTLED)
     of_inputs = bool(u.shape[1]) and len(find_holes(t, np.asarray(np.isfinite(u).all(1)))) > 0
-    return Holes(t, spans, concerned, no_input, of_inputs)
+    return Holes(t, spans, near_holes(t, spans), no_input, of_inputs)

@@ -120,8 +120,11 @@ class AbstractMechanical(AbstractKind):
 
     def _input_labels(self, inputs: int) -> Labels:
         # A system of this library with as many inputs as velocities takes generalised forces.
-        forces = self.file.system and inputs == self.file.dimension
-        return Labels(_input_names(self.file, inputs), self.force_units if forces else ())
+        names = _input_names(self.file, inputs)
+        if self.file.system and inputs == self.file.dimension:
+            return Labels(names, self.force_units)
+        stated = [self.file.columns.unit_of("u", place) for place in range(inputs)]
+        return Labels(names, tuple(_unit_of_force(text) if text else "" for text in stated))
 
 
 class InCoordinates(AbstractMechanical):
@@ -294,6 +297,11 @@ def kind_of(file: ModelFile) -> AbstractKind:
     if not file.mechanical:
         return InStates(file)
     return InCoordinates(file) if file.model.manifold.commuting else OnGroup(file)
+
+
+def _unit_of_force(text: str) -> str:
+    """The unit that a model takes for an input that is logged in another one of the same kind."""
+    return next((unit for unit in logs.MEANT["u"] if logs.is_unit_of(text, (unit,))), "")
 
 
 def _input_names(file: ModelFile, count: int) -> tuple[str, ...]:

@@ -13,8 +13,8 @@ import numpy as np
 from covariant.engine import EngineName as Engine, run_log
 from covariant.models import ModelFile, Motion
 from covariant.observers import REGISTRY, AbstractObserver
+from covariant.scoring import SETTLED
 from covariant.signals import Run, StepCode
-from covariant.workflow._holes import SETTLED
 from covariant.workflow._inputs import Job, Loaded
 
 KEPT = ("innovation", "distance", "result", "nis", "velocity_std", "state_std", "slow", "slow_std", "sensors")

@@ -10,7 +10,7 @@ from covariant.calibration.diagnosis import outliers
 from covariant.calibration.identification import FITTED
 from covariant.models import MechanicalSystem
 from covariant.observers import Intrinsic, run
-from covariant.scoring import scored_window
+from covariant.scoring import find_holes, near_holes, scored_window
 from covariant.signals import Record, Run
 
 MOST_ROWS = 8000
@@ -49,7 +49,11 @@ def prepared(model: MechanicalSystem, record: Record, velocity: np.ndarray) -> T
         y = np.where(wrong, np.nan, y)
     border = t[0] + FITTED * (t[-1] - t[0])
     valid = scored_window(t) & np.isfinite(velocity).all(axis=1)
-    tuned, held_out = valid & (t < border), valid & (t >= border)
+    holes = find_holes(t, np.asarray(np.isfinite(y.reshape(len(y), -1)).any(1)))
+    for counts in (valid & ~near_holes(t, holes), valid):  # errors of holes are not those of noise and gains
+        tuned, held_out = counts & (t < border), counts & (t >= border)
+        if min(tuned.sum(), held_out.sum()) >= FEWEST_ROWS:
+            break
     tuned[np.flatnonzero(tuned)[MOST_ROWS:]] = False
     if min(tuned.sum(), held_out.sum()) < FEWEST_ROWS:
         raise ValueError(
