@@ -81,6 +81,10 @@ def _suspicion(
         for kind, joint, value in missing
     )
     alike = "; too small an inertia of the links looks like it" if "rotor inertia" in named else ""
+    if alike and case.file.system == "pendulum_chain" and np.all(np.asarray(case.model.parameters["gear"].value) == 1):
+        alike += (
+            ", and behind a gear it is the rotor's times the square of [parameters] gear, which has to be set first"
+        )
     words = ["where the inputs of the log are without those that carry the weight"] * weightless
     words += [f"with about {sizes}{alike}"] * bool(missing)
     lines = ["[parameters] gravity = 0, as the log has the inputs beyond gravity compensation"] * weightless
