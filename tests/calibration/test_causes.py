@@ -58,6 +58,16 @@ def test_a_unit_by_its_prefix_and_friction_are_no_delay_and_no_odd_scale(coulomb
     assert not {"delay against the inputs", "scale of an input"} & {each.what for each in found}
 
 
+@pytest.mark.long("40.0")
+@pytest.mark.parametrize("constant", [0.05, 40.0])
+def test_an_odd_constant_of_the_motor_and_friction_are_no_delay(constant):
+    found = diagnose(pendulum(), Record(T, TORQUE[:, None] / constant, read(swing(coulomb=0.6)))).findings
+    whats = [each.what for each in found if each.wrong]
+    assert whats == ["friction", "scale of an input"]
+    scale = next(each for each in found if each.what == "scale of an input")
+    assert abs(scale.numbers["scale"] / constant - 1) < 0.05
+
+
 @pytest.mark.parametrize(
     ("coulomb", "factor", "whats"),
     [

@@ -43,7 +43,7 @@ from covariant.calibration.diagnosis._jumps import (
     sender_finding,
     without_full_turns,
 )
-from covariant.calibration.diagnosis._missing_torques import missing_torques
+from covariant.calibration.diagnosis._missing_torques import friction_beside_scales, missing_torques
 from covariant.calibration.diagnosis._on_group import group_findings
 from covariant.calibration.diagnosis._readings import (
     known_ticks,
@@ -302,13 +302,15 @@ def _torques_or_timing(case: Case, half: float, as_it_is: Residual) -> tuple[lis
     together; where the model lacks torques, delays and scales are looked for in the model that has them.
     """
     timing = fit_timing(case, half)
-    torques = list(missing_torques(case, smoothed(case, half)))
-    if not torques:
+    log = smoothed(case, half)
+    torques, beside = list(missing_torques(case, log)), list(friction_beside_scales(case, log))
+    if not torques and not beside:
         return [], case, timing
     plain = [each for each in torques if each.threshold == "torques"]
     rotors = [each for each in torques if each.threshold == "rotors"]
     both, timings = [], {id(each): each for each in torques}
-    for each in torques:
+    for each in [*torques, *beside]:
+        timings[id(each)] = each
         later = fit_timing(each.apply(case), half)
         if later.suspicions:
             both.append(each._replace(apply=_both(each, later.together), threshold="torques and fitted"))

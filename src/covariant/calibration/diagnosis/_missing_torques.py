@@ -66,6 +66,17 @@ def missing_torques(case: Case, log: Smooth) -> Iterator[Suspicion]:
         yield each._replace(expected=regression.left(every))
 
 
+def friction_beside_scales(case: Case, log: Smooth) -> Iterator[Suspicion]:
+    """Friction that a model lacks, fitted together with the scale of each input, which may be wrong as well."""
+    before = residual(case.model, log)
+    if not log.u.shape[1] or not before.told.any() or before.misfit < THRESHOLDS["torques"].least:
+        return
+    regression = _Regression.of(case.model, log, before).beside_inputs(case.model, log, before)
+    if needed := regression.needed(range(2 * log.q.shape[1])):
+        each = _suspicion(case, regression.missing(needed), _speeds(log), "torques")
+        yield each._replace(expected=regression.left(needed))
+
+
 def _suspicion(
     case: Case, missing: list["_Missing"], speeds: np.ndarray, threshold: str, weightless: bool = False
 ) -> Suspicion:
@@ -185,6 +196,22 @@ class _Regression(NamedTuple):
         table = np.stack(columns, axis=1)
         multiple = np.linalg.lstsq(table, left[~self.held_out].ravel(), rcond=1e-9)[0][0]
         return self._replace(residual=left) if abs(multiple) < WEIGHTLESS else None
+
+    def beside_inputs(self, model: MechanicalSystem, log: Smooth, before: Residual) -> "_Regression":
+        """The same without what a multiple of each input explains, on the blocks that choose."""
+        told = before.told
+        scale = np.sqrt(np.mean(before.measured[before.used] ** 2, axis=0))[told]
+        effects = []
+        for j in range(log.u.shape[1]):
+            without = residual(model, log._replace(u=np.where(np.arange(log.u.shape[1]) == j, 0.0, log.u)))
+            effects.append((before.modelled - without.modelled)[before.used][:, told] / scale)
+        chosen = np.stack([effect[~self.held_out].ravel() for effect in effects], axis=1)
+
+        def beside(values):
+            multiples = np.linalg.lstsq(chosen, values[~self.held_out].ravel(), rcond=1e-9)[0]
+            return values - np.einsum("j,jkn->kn", multiples, np.array(effects))
+
+        return self._replace(columns=np.array([beside(each) for each in self.columns]), residual=beside(self.residual))
 
     @property
     def friction(self) -> int:
