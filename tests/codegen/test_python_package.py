@@ -200,7 +200,7 @@ BAD = {
     r"rows differ: 5 of t, 4 of y": (T, Y[1:]),
     r"y has the type complex128; it must be real numbers, which become float64": (T, Y * 1j),
     r"u has the type bool": (T, Y, Y > 0),
-    r"row 4: u is not a finite number; only measurements may be missing": (
+    r"row 4: u is not a finite number; mark a missing one by NaN": (
         T,
         Y,
         np.where(T[:, None] == T[3], np.inf, Y),
