@@ -7,6 +7,7 @@ import pytest
 
 from covariant import models
 from covariant.calibration import diagnose
+from covariant.calibration.diagnosis import later_line
 from covariant.calibration.diagnosis._jumps import periods, second_sender
 from covariant.calibration.diagnosis._readings import tick
 from covariant.models import ModelFile, free_body, load
@@ -213,3 +214,13 @@ def test_a_machine_on_a_slope_has_some_of_its_weight():
     found = diagnose(pendulum(), log).findings
     assert any(each.wrong for each in found)
     assert not any(each.what.startswith("gravity") for each in found)
+
+
+@pytest.mark.parametrize(
+    ("stated", "written"), [(0.0, "0.004"), (0.01, "0.014"), ([0.01], "[0.014]")], ids=["none", "one", "each"]
+)
+def test_a_delay_that_is_found_comes_on_top_of_the_stated_one(stated, written):
+    file = pendulum(**{"measurement.delay": stated, "inputs.delay": 0.002})
+    late, acting = later_line(file, 0.004).split(", or ")
+    assert late == f"[measurement] delay = {written} where measurements are late"
+    assert acting == "[inputs] delay = 0.006 where inputs act late"

@@ -82,13 +82,18 @@ def test_files_that_exist_are_kept(tmp_path):
     assert (tmp_path / "a_model.py").read_text() == "mine = 1\n"
 
 
-def test_the_command_writes_both_files(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
+def printed_by_init(draft: str, monkeypatch, capsys) -> str:
+    """What the command prints of a log of a cart-pole in the working folder."""
     log(["cart_m", "pole_deg"], 1).to_csv("run.csv", index=False)
-    monkeypatch.setattr(sys, "argv", ["covariant", "init", "run.csv", "-o", "bench.toml"])
+    monkeypatch.setattr(sys, "argv", ["covariant", "init", "run.csv", "-o", draft])
     with pytest.raises(SystemExit, match="0"):
         main()
-    assert "into the Python file beside it" in capsys.readouterr().out
+    return capsys.readouterr().out
+
+
+def test_the_command_writes_both_files(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert "into the Python file beside it" in printed_by_init("bench.toml", monkeypatch, capsys)
     assert (tmp_path / "bench_model.py").exists()
     assert 'system = "bench_model:make"' in (tmp_path / "bench.toml").read_text()
 
@@ -148,11 +153,7 @@ def test_the_marks_of_all_drafted_lines_can_be_taken_away_after_a_tuning(tmp_pat
 
 def test_the_command_names_every_file_that_it_wrote(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    log(["cart_m", "pole_deg"], 1).to_csv("run.csv", index=False)
-    monkeypatch.setattr(sys, "argv", ["covariant", "init", "run.csv", "-o", "2nd.toml"])
-    with pytest.raises(SystemExit, match="0"):
-        main()
-    assert "wrote 2nd.toml\nwrote _2nd_model.py" in capsys.readouterr().out
+    assert "wrote 2nd.toml\nwrote _2nd_model.py" in printed_by_init("2nd.toml", monkeypatch, capsys)
 
 
 def test_the_finding_of_friction_is_a_command_for_this_draft_and_log(tmp_path):

@@ -120,7 +120,8 @@ def _with_remedies_that_survive(job: Job, diagnosis: Diagnosis) -> Diagnosis:
             again = _diagnose(changed)[1].findings
             before = {each.what for each in diagnosis.findings}
             survives = not any(
-                (each.what, each.where) == (finding.what, finding.where) or (each.what == "model" not in before)
+                (each.what, each.where) == (finding.what, finding.where)
+                or (each.what == "model" and "model" not in before)
                 for each in again
                 if each.wrong
             )

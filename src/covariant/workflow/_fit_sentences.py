@@ -3,7 +3,7 @@
 import numpy as np
 
 from covariant.calibration import Fit
-from covariant.calibration.diagnosis import names_of
+from covariant.calibration.diagnosis import later_line, names_of
 from covariant.calibration.identification import Rival
 from covariant.models import ModelFile
 
@@ -33,9 +33,7 @@ def rival_sentence(rival: Rival, file: ModelFile, held_out: str, step: float) ->
         )
     time = abs(rival.rows) * step
     if rival.rows > 0:
-        late = float(np.max(np.asarray(file.delay, float))) + time
-        line = f"[measurement] delay = {late:.2g} where measurements are late, or [inputs] delay = "
-        line += f"{file.input_delay + time:.2g} where inputs act late"
+        line = later_line(file, time)
         claim = f"Positions seem to follow {names} by about {time:.2g} s later than the model file says"
     else:
         claim = f"The stamps of {names} seem to be about {time:.2g} s later than they act"

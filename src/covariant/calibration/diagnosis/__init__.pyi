@@ -10,7 +10,7 @@ from ._case import (
 from ._clock import mended_clock as mended_clock
 from ._columns import units as units
 from ._diagnose import FEW_ROWS as FEW_ROWS, MOST_ROWS as MOST_ROWS, diagnose as diagnose, misfit as misfit
-from ._finding import Diagnosis as Diagnosis, Finding as Finding
+from ._finding import Diagnosis as Diagnosis, Finding as Finding, later_line as later_line
 from ._jumps import periods as periods, without_full_turns as without_full_turns
 from ._readings import (
     one_or_each as one_or_each,

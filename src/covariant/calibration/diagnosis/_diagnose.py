@@ -309,8 +309,7 @@ def _torques_or_timing(case: Case, half: float, as_it_is: Residual) -> tuple[lis
     plain = [each for each in torques if each.threshold == "torques"]
     rotors = [each for each in torques if each.threshold == "rotors"]
     both, timings = [], {id(each): each for each in torques}
-    for each in [*torques, *beside]:
-        timings[id(each)] = each
+    for each in (*torques, *beside):
         later = fit_timing(each.apply(case), half)
         if later.suspicions:
             both.append(each._replace(apply=_both(each, later.together), threshold="torques and fitted"))

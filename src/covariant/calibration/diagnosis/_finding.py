@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from covariant.logs import unit_factor
+from covariant.models import ModelFile
 
 MOST_NAMED = 5
 """Largest number of rows that a message names."""
@@ -161,3 +162,11 @@ def _unit_text(stated: str, factor: float, kind: str) -> str:
 def quoted_list(names: Iterable[str]) -> str:
     """The names as a list of a model file."""
     return "[" + ", ".join(f'"{name}"' for name in names) + "]"
+
+
+def later_line(file: ModelFile, late: float) -> str:
+    """Lines of the model file for positions that follow the inputs later than it says, by a time [s]."""
+    delays = np.asarray(file.delay, float) + late
+    texts = ", ".join(f"{value:.2g}" for value in np.atleast_1d(delays))
+    line = f"[measurement] delay = {f'[{texts}]' if delays.ndim else texts} where measurements are late, or "
+    return f"{line}[inputs] delay = {file.input_delay + late:.2g} where inputs act late"

@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float
 
 from covariant.calibration.diagnosis._case import Case, Residual, residual, smoothed, smoothed_residual
 from covariant.calibration.diagnosis._columns import input_line, plain_scale
-from covariant.calibration.diagnosis._finding import Finding
+from covariant.calibration.diagnosis._finding import Finding, later_line
 from covariant.calibration.diagnosis._smooth import Smooth
 from covariant.calibration.diagnosis._suspicion import (
     BLOCKS,
@@ -300,12 +300,10 @@ def inputs_between_rows(case: Case) -> Iterator[Suspicion]:
             yield Suspicion("inputs between rows", names, words, lines[between], change, "rows")
     for k in range(1, LATEST + 1) if names else ():
         time = k * case.spacing
-        line = f"[measurement] delay = {time:.2g} where measurements are late, or [inputs] delay = "
-        line += f"{file.input_delay + time:.2g} where inputs act late"
         claim = f"positions follow the inputs {_count(k)} later than the model says, {1e3 * time:.3g} ms"
         numbers = {"delay": time, "rows": k}
         change = _rows_later(stated, k)
-        yield Suspicion("delay against the inputs", "", "then", line, change, "rows", claim, numbers)
+        yield Suspicion("delay against the inputs", "", "then", later_line(file, time), change, "rows", claim, numbers)
 
 
 def _rows_later(between: str, rows: int) -> Callable[[Case], Case]:

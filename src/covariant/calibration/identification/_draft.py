@@ -168,11 +168,7 @@ def draft(
         unnamed = [name for name, kind in kinds.items() if kind == "" and name != t]
         v = tuple(name for p in q for name in unnamed if _is_slope(columns[t], columns[p], columns[name]))
     v = v if len(v) == len(q) else ()
-    for field, names in (("t", (t,)), ("q", q), ("u", u), ("v", v)):
-        for name in names:
-            text = unknown_unit(labels[name], MEANT[field], [labels[each] for each in names])
-            if text is not None:
-                raise ValueError(unknown_unit_fault(name, field, text, labels[name] != name, drafted=True))
+    _refuse_unknown_units({"t": (t,), "q": q, "u": u, "v": v}, labels)
     lengths = tuple(unit_in_name(labels[name], ("m",)) is not None for name in q)
     order = sorted(range(len(q)), key=lambda i: not lengths[i])
     q, lengths = tuple(q[i] for i in order), tuple(lengths[i] for i in order)
@@ -215,6 +211,15 @@ def draft(
         guessed,
         period=tuple(wraps.tolist()),
     )
+
+
+def _refuse_unknown_units(fields: Mapping[str, Sequence[str]], labels: Mapping[str, str]) -> None:
+    """Raise `ValueError` for a column whose label states a unit that is none of its field."""
+    for field, names in fields.items():
+        for name in names:
+            text = unknown_unit(labels[name], MEANT[field], [labels[each] for each in names])
+            if text is not None:
+                raise ValueError(unknown_unit_fault(name, field, text, labels[name] != name, drafted=True))
 
 
 def _units(
@@ -400,11 +405,7 @@ def _draft_of_attitude(
     if "u" in given and len(u) not in (0, 3):
         raise ValueError(f"{len(u)} inputs ({', '.join(u)}) for a body that turns, needs 3 torques or none")
     u = tuple(u) if len(u) == 3 else ()
-    for field, each in (("t", (t,)), ("u", u)):
-        for name in each:
-            text = unknown_unit(labels[name], MEANT[field], [labels[other] for other in each])
-            if text is not None:
-                raise ValueError(unknown_unit_fault(name, field, text, labels[name] != name, drafted=True))
+    _refuse_unknown_units({"t": (t,), "u": u}, labels)
     fields = {"t": (labels[t],), "q": (), "u": tuple(labels[name] for name in u), "v": ()}
     units, guessed = _units(fields, columns[t], np.empty((0, 2)))
     step = float(np.median(np.diff(columns[t]))) * unit_factor(units.get("t", ("s",))[0])
