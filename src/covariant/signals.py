@@ -50,7 +50,7 @@ class StepCode(enum.IntEnum):
 _MESSAGES = {
     StepCode.OK: "ok",
     StepCode.COASTED: "no measurement: the model ran on alone",
-    StepCode.INPUT_HELD: "an input is not finite: the last finite one was held",
+    StepCode.INPUT_HELD: "an input is not finite: the last finite one was held, or the filter estimated it",
     StepCode.REPEATED: "the stamp is that of the sample before: the state was left as it was",
     StepCode.OUTLIER: "a measurement is too far from what is expected: it was refused, as if it were missing",
     StepCode.TOO_LATE: "a measurement came too late, beyond what is kept of the past: it was left out",

@@ -81,6 +81,12 @@ def test_a_hole_is_named_with_the_errors_with_and_without_it(cells):
     assert not any("NEES" in warning for warning in result.warnings)
 
 
+def test_an_input_that_is_missing_alone_is_not_said_to_be_held_where_it_is_estimated():
+    frame = motion().copy()
+    frame.loc[(frame.t > 4) & (frame.t < 4.25), "u"] = np.nan
+    assert "an input is not finite: the last finite one was held, or the filter estimated it" in str(estimate(frame))
+
+
 def test_a_log_without_holes_says_nothing_of_them():
     result = estimate(motion())
     assert "holes" not in result.summary
