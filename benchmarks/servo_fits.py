@@ -7,11 +7,16 @@ bias of each joint, one delay for all; here the stiffness too, which PACE takes 
 M6 of BAM with the numbers that it publishes for the XL330.
 
 Run `COVARIANT_DATA=... python benchmarks/servo_fits.py` from the repository's root, after
-`pip install -r benchmarks/requirements.txt`. The table goes to `benchmarks/servo_fits.md`.
+`pip install -r benchmarks/requirements.txt`. Words after it choose programs: `... servo_fits.py sysid`; rows of
+the others stay, with their dates, in `benchmarks/servo_fits.json`.
 """
 
+import datetime
+import functools
 import json
+import math
 import os
+import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -24,7 +29,7 @@ from mujoco import rollout, sysid
 from numpy.typing import NDArray
 
 DATA = Path(os.environ["COVARIANT_DATA"])
-TABLE = Path(__file__).with_name("servo_fits.md")
+TABLE = Path(__file__).with_name("servo_fits.json")
 GRAVITY, MASS, LENGTH = 9.80665, 0.49, 0.1
 DUTY = 4096 / (2 * np.pi) / (256 * 885)
 """Duty cycle of an XL330 for a unit of its position gain and of the error [1/rad]."""
@@ -94,7 +99,7 @@ def xl330() -> Machine:
 
     fitted = ("kp100_lift_and_drop", "kp100_sin_sin", "kp400_lift_and_drop", "kp400_sin_sin")
     held_out = ("kp200_sin_time_square", "kp200_up_and_down", "kp800_sin_time_square", "kp800_up_and_down")
-    most = (0.01, 0.2, 2.0, 0.01, 0.1, 0.2, 0.1, 0.03)
+    most = (0.01, 0.2, 2.0, 0.01, 0.1, 0.2, 0.1, 0.06)
     logs = [{name: log(name) for name in names} for names in (fitted, held_out)]
     return Machine("XL330", *logs, spec, ("servo",), most, 0.77)
 
@@ -132,17 +137,19 @@ def with_servos(machine: Machine, period: float, gain: float = 1.0, on: bool = T
         actuator = spec.add_actuator(name=joint, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
         actuator.set_to_position(kp=1.0)
         actuator.forcelimited, actuator.forcerange = True, [-1.0, 1.0]
+        # Linear between samples, so that the delay is a number like the others.
+        actuator.interp, actuator.nsample = 1, math.ceil(machine.most[-1] / spec.option.timestep) + 2
     return spec
 
 
 def set_servo(spec: mujoco.MjSpec, joint: str, numbers: NDArray) -> None:
-    """Write the numbers of a joint (7,), as in `NUMBERS` but without the delay, into a model."""
+    """Write the numbers of a joint, in the order of `NUMBERS`, into a model."""
     gain = float(spec.modelname)
-    kp, kv, limit, armature, damping, frictionloss, offset = (float(number) for number in numbers)
+    kp, kv, limit, armature, damping, frictionloss, offset, delay = (float(number) for number in numbers)
     actuator, hinge = spec.actuator(joint), spec.joint(joint)
     actuator.gainprm[0] = kp * gain
     actuator.biasprm[:3] = [kp * gain * offset, -kp * gain, -kv if gain else 0.0]
-    actuator.forcerange = [-limit, limit]
+    actuator.forcerange, actuator.delay = [-limit, limit], delay
     hinge.armature, hinge.frictionloss, hinge.damping = armature, frictionloss, [damping, 0.0, 0.0]
 
 
@@ -152,6 +159,20 @@ def pieces(log: Log) -> list[tuple[bool, slice]]:
         return [(True, slice(0, len(log.q)))]
     cut = int(np.argmin(log.on))
     return [(True, slice(0, cut)), (False, slice(cut, len(log.q)))]
+
+
+def initial_state(machine: Machine, model: mujoco.MjModel, q: NDArray, v: NDArray, c: NDArray) -> NDArray:
+    """State of a model at positions q, rates v and commands c (n,) of the joints, which held until then."""
+    data = mujoco.MjData(model)
+    for joint, position, rate, command in zip(machine.joints, q, v, c, strict=True):
+        actuator = model.actuator(joint).id
+        data.joint(joint).qpos[:], data.joint(joint).qvel[:] = position, rate
+        samples = int(model.actuator_history[actuator, 0])
+        times = model.opt.timestep * np.arange(-samples, 0.0)
+        mujoco.mj_initCtrlHistory(model, data, actuator, times, np.full(samples, command))
+    state = np.empty(mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_FULLPHYSICS))
+    mujoco.mj_getState(model, data, state, mujoco.mjtState.mjSTATE_FULLPHYSICS)
+    return state
 
 
 class Simulator:
@@ -164,81 +185,60 @@ class Simulator:
             for name, log in logs.items()
         }
 
-    def predict(self, numbers: NDArray, delays: NDArray) -> dict[str, NDArray]:
-        """Positions (T, n) of each log, for numbers (n, 7) of the joints and delays (n,) of their commands."""
+    def predict(self, numbers: NDArray) -> dict[str, NDArray]:
+        """Positions (T, n) of each log, for numbers (n, 8) of the joints, in the order of `NUMBERS`."""
         predictions = {}
         for name, log in self.logs.items():
-            t = log.period * np.arange(len(log.q))
-            fine = log.period / SUBSTEPS * np.arange(SUBSTEPS * len(log.q))
-            c = np.stack([np.interp(fine - delay, t, c) for delay, c in zip(delays, log.c.T, strict=True)], 1)
-            path, state = [], None
-            for spec, rows in self.stretches[name]:
+            rows = np.arange(len(log.q))
+            fine = np.arange(SUBSTEPS * len(log.q)) / SUBSTEPS
+            control = np.stack([np.interp(fine, rows, c) for c in log.c.T], 1)
+            path, (q, v) = [], (log.q[0], np.zeros(len(self.machine.joints)))
+            for spec, part in self.stretches[name]:
                 for joint, servo in zip(self.machine.joints, numbers, strict=True):
                     set_servo(spec, joint, servo)
                 model = spec.compile()
-                order = [model.joint(joint).qposadr[0] for joint in self.machine.joints]
-                if state is None:
-                    state = np.zeros(model.nq + model.nv)
-                    state[order] = log.q[0]
-                control = c[rows.start * SUBSTEPS : rows.stop * SUBSTEPS]
-                first = np.concatenate([[0.0], state])
-                states = rollout.rollout(model, mujoco.MjData(model), first[None], control[None])[0][0]
-                states = np.concatenate([first[None], states])[:, 1:]
+                first = initial_state(self.machine, model, q, v, log.c[part.start])
+                u = control[part.start * SUBSTEPS : part.stop * SUBSTEPS]
+                states = rollout.rollout(model, mujoco.MjData(model), first[None], u[None])[0][0]
+                states = np.concatenate([first[None], states])
+                order = 1 + np.array([model.joint(joint).qposadr[0] for joint in self.machine.joints])
                 path.append(states[:-1:SUBSTEPS][:, order])
-                state = states[-1]
+                q, v = states[-1, order], states[-1, model.nq + order]
             predictions[name] = np.concatenate(path)
         return predictions
 
 
 def by_sysid(machine: Machine) -> Outcome:
-    """Fit by `mujoco.sysid`: stiffness, damping of the servo, limit, rotor, friction and offset of each joint.
-
-    It has no delay of a control among its numbers; the delay is the best one of a grid, one for all joints.
-    """
+    """Fit by `mujoco.sysid`, which has all of `NUMBERS` for each joint."""
     start, cpu = time.perf_counter(), time.process_time()
-    most = np.array(machine.most[:-1])
-    lowest = np.where(np.array(NUMBERS[:-1]) == "offset", -most, 1e-4 * most)
-
-    def fit(delay: float, iterations: int, first: NDArray | None):
-        numbers = sysid.ParameterDict()
-        for i, joint in enumerate(machine.joints):
-            nominal = 0.3 * most * (most != machine.most[6]) if first is None else first[i]
-            change = lambda spec, number, joint=joint: set_servo(spec, joint, number.value)  # noqa: E731
-            numbers.add(sysid.Parameter(joint, nominal=nominal, min_value=lowest, max_value=most, modifier=change))
-        sequences = []
-        for name, log in machine.fitted.items():
-            t = log.period * np.arange(len(log.q))
-            c = np.stack([np.interp(t - delay, t, c) for c in log.c.T], 1)
-            for on, rows in pieces(log):
-                spec = with_servos(machine, log.period, log.gain, on)
-                model = spec.compile()
-                order = [model.joint(joint).qposadr[0] for joint in machine.joints]
-                q0, q = np.zeros(model.nq), log.q[rows]
-                q0[order] = q[0]
-                at = t[rows] - t[rows.start]
-                state = sysid.create_initial_state(model, q0, np.zeros(model.nv), np.zeros(0))
-                positions = sysid.TimeSeries.from_names(at, q, model, [f"{joint}_qpos" for joint in machine.joints])
-                control = sysid.TimeSeries(at, c[rows])
-                sequences.append(
-                    sysid.ModelSequences(
-                        f"{name}{on}", spec, name, state, control, positions, allow_missing_sensors=True
-                    )
-                )
-        residual = sysid.build_residual_fn(models_sequences=sequences, n_threads=1)
-        found, result = sysid.optimize(numbers, residual, optimizer="mujoco", verbose=False, max_iters=iterations)
-        values = found.as_vector()
-        cost = sum(float(np.sum(part**2)) for part in residual(values, found)[0])
-        return cost, values.reshape(len(machine.joints), -1), result
-
-    grid = np.linspace(0.0, 0.5 * machine.most[-1], 4)
-    delay, (_, first, _) = min(((d, fit(d, 6, None)) for d in grid), key=lambda tried: tried[1][0])
-    half = grid[1] / 2
-    tries = [(d, fit(d, 25, first)) for d in (delay - half, delay, delay + half) if d >= 0]
-    delay, (_, values, _) = min(tries, key=lambda tried: tried[1][0])
+    most = np.array(machine.most)
+    offset = np.array(NUMBERS) == "offset"
+    numbers, sequences = sysid.ParameterDict(), []
+    for joint in machine.joints:
+        lowest, first = np.where(offset, -most, 1e-4 * most), np.where(offset, 0.0, 0.3 * most)
+        change = functools.partial(write_parameter, joint)
+        numbers.add(sysid.Parameter(joint, nominal=first, min_value=lowest, max_value=most, modifier=change))
+    for name, log in machine.fitted.items():
+        for on, rows in pieces(log):
+            spec = with_servos(machine, log.period, log.gain, on)
+            model, q, c = spec.compile(), log.q[rows], log.c[rows]
+            t = log.period * np.arange(len(q))
+            state = initial_state(machine, model, q[0], np.zeros(len(q[0])), c[0])
+            # Positions of the state: those of a sensor are one step late in a rollout.
+            positions = sysid.TimeSeries.from_names(t, q, model, [f"{joint}_qpos" for joint in machine.joints])
+            parts = (spec, name, state, sysid.TimeSeries(t, c), positions)
+            sequences.append(sysid.ModelSequences(f"{name} {on}", *parts, allow_missing_sensors=True))
+    residual = sysid.build_residual_fn(models_sequences=sequences, n_threads=1)
+    found, _ = sysid.optimize(numbers, residual, optimizer="mujoco", verbose=False, max_iters=30)
     wall, cpu = time.perf_counter() - start, time.process_time() - cpu
-    predictions = Simulator(machine, machine.held_out).predict(values, np.full(len(values), delay))
-    print(machine.name, "sysid", np.round(values, 5).tolist(), delay, flush=True)
-    return Outcome(predictions, values.size + 1, True, wall, cpu)
+    values = found.as_vector().reshape(len(machine.joints), -1)
+    print(machine.name, "sysid", np.round(values, 5).tolist(), flush=True)
+    return Outcome(Simulator(machine, machine.held_out).predict(values), values.size, True, wall, cpu)
+
+
+def write_parameter(joint: str, spec: mujoco.MjSpec, numbers: sysid.Parameter) -> None:
+    """Write the numbers of a joint, as `mujoco.sysid` has them, into a model."""
+    set_servo(spec, joint, np.asarray(numbers.value))
 
 
 def by_evolution(machine: Machine) -> Outcome:
@@ -248,20 +248,19 @@ def by_evolution(machine: Machine) -> Outcome:
     fitted, n = Simulator(machine, machine.fitted), len(machine.joints)
     keys = ("kp", "armature", "damping", "frictionloss", "offset")
 
-    def unpack(x: NDArray) -> tuple[NDArray, NDArray]:
-        part = dict(zip(keys, np.reshape(x[:-1], (len(keys), n)), strict=True))
-        columns = [
-            np.full(n, machine.limit)
-            if key == "limit"
-            else np.zeros(n)
-            if key not in part
-            else most[key] * (2 * part[key] - 1 if key == "offset" else part[key] ** 2)
-            for key in NUMBERS[:-1]
-        ]
-        return np.stack(columns, 1), np.full(n, x[-1] * most["delay"])
+    def unpack(x: NDArray) -> NDArray:
+        part = dict(zip(keys, np.reshape(x[:-1], (len(keys), n)), strict=True)) | {"delay": np.full(n, x[-1])}
+        numbers = np.zeros((n, len(NUMBERS)))
+        for i, key in enumerate(NUMBERS):
+            if key == "offset":
+                numbers[:, i] = most[key] * (2 * part[key] - 1)
+            elif key in part:
+                numbers[:, i] = most[key] * part[key] ** 2
+        numbers[:, NUMBERS.index("limit")] = machine.limit
+        return numbers
 
     def cost(x: NDArray) -> float:
-        predictions = fitted.predict(*unpack(np.asarray(x)))
+        predictions = fitted.predict(unpack(np.asarray(x)))
         squares = [np.mean((predictions[name] - log.q) ** 2) for name, log in machine.fitted.items()]
         return float(np.mean(squares)) if np.all(np.isfinite(squares)) else 1e3
 
@@ -271,9 +270,9 @@ def by_evolution(machine: Machine) -> Outcome:
         points = search.ask()
         search.tell(points, [cost(x) for x in points])
     wall, cpu = time.perf_counter() - start, time.process_time() - cpu
-    numbers, delays = unpack(np.asarray(search.result.xbest))
-    print(machine.name, "CMA-ES", search.result.evaluations, np.round(numbers, 5).tolist(), delays[0], flush=True)
-    return Outcome(Simulator(machine, machine.held_out).predict(numbers, delays), len(keys) * n + 1, False, wall, cpu)
+    numbers = unpack(np.asarray(search.result.xbest))
+    print(machine.name, "CMA-ES", search.result.evaluations, np.round(numbers, 5).tolist(), flush=True)
+    return Outcome(Simulator(machine, machine.held_out).predict(numbers), len(keys) * n + 1, False, wall, cpu)
 
 
 def by_bam(machine: Machine, name: str) -> Outcome:
@@ -316,20 +315,61 @@ def friction(p: dict, v: float, motor: float, weight: float) -> float:
     return most + s * (p["friction_stribeck"] + at_rest + square)
 
 
-def row(program: str, machine: Machine, outcome: Outcome) -> str:
-    """The row of a program in the table."""
-    errors = [
-        1e3 * np.sqrt(np.mean((outcome.predictions[name] - log.q) ** 2)) for name, log in machine.held_out.items()
-    ]
-    total = np.sqrt(np.mean(np.square(errors)))
-    times = "published" if outcome.wall is None else f"{outcome.wall:.0f} ({outcome.cpu:.0f})"
-    cells = (
-        machine.name,
-        program,
-        times,
-        f"{total:.1f}",
-        ", ".join(f"{error:.1f}" for error in errors),
-        str(outcome.numbers),
-        "yes" if outcome.intervals else "no",
-    )
-    return f"| {' | '.join(cells)} |"
+def row(machine: Machine, outcome: Outcome) -> dict:
+    """What the table says of a program: times, errors of the predictions, count of numbers, intervals."""
+    errors = {
+        name: round(1e3 * float(np.sqrt(np.mean((outcome.predictions[name] - log.q) ** 2))), 1)
+        for name, log in machine.held_out.items()
+    }
+    return {
+        "wall_s": outcome.wall and round(outcome.wall),
+        "processor_s": outcome.cpu and round(outcome.cpu),
+        "rms_mrad": round(float(np.sqrt(np.mean(np.square(list(errors.values()))))), 1),
+        "errors_mrad": errors,
+        "numbers": outcome.numbers,
+        "intervals": outcome.intervals,
+        "date": datetime.date.today().isoformat(),
+    }
+
+
+PROGRAMS: dict[str, Callable[[Machine], Outcome]] = {
+    "`covariant fit`": by_covariant,
+    "`mujoco.sysid`": by_sysid,
+    "CMA-ES on PACE's numbers": by_evolution,
+    "BAM M1, published": functools.partial(by_bam, name="m1"),
+    "BAM M6, published": functools.partial(by_bam, name="m6"),
+}
+
+
+def printed(table: dict) -> None:
+    """Print the table."""
+    print("| machine | program | wall (processor) [s] | error [mrad] | of each log | numbers | intervals |")
+    print("|---|---|--:|--:|--:|--:|---|")
+    for machine, rows in table.items():
+        for program in (each for each in PROGRAMS if each in rows):
+            of = rows[program]
+            times = f"{of['wall_s']} ({of['processor_s']})" if of["wall_s"] else ""
+            errors = ", ".join(f"{error:.1f}" for error in of["errors_mrad"].values())
+            cells = (machine, program, times, f"{of['rms_mrad']:.1f}", errors, of["numbers"], _word(of["intervals"]))
+            print(f"| {' | '.join(str(cell) for cell in cells)} |")
+
+
+def _word(intervals: bool) -> str:
+    return "yes" if intervals else "no"
+
+
+def main() -> None:
+    """Run the programs, or those whose names contain an argument of the command line, and keep the rows of the others."""
+    table = json.loads(TABLE.read_text(encoding="utf-8")) if TABLE.exists() else {}
+    for machine in (xl330(), so101()):
+        rows = table.setdefault(machine.name, {})
+        for program, fit in PROGRAMS.items():
+            named = len(sys.argv) == 1 or any(word in program for word in sys.argv[1:])
+            if named and not (program.startswith("BAM") and machine.name != "XL330"):
+                rows[program] = row(machine, fit(machine))
+                TABLE.write_text(json.dumps(table, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+    printed(table)
+
+
+if __name__ == "__main__":
+    main()
