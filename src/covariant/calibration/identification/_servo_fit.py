@@ -121,6 +121,7 @@ def fit_servos(
     between: str = "held",
     progress: Callable[[int], object] = lambda _: None,
     length: float = WINDOW,
+    late: float = 0.0,
 ) -> RobotFit:
     """Fit open numbers of a robot with servos to logs of commands and positions.
 
@@ -131,6 +132,7 @@ def fit_servos(
         between: Whether a command is "held" to the next stamp, or "linear" between stamps.
         progress: Called with the number of each round.
         length: Length of the windows [s].
+        late: Time [s] by which the stamps of positions are ahead of those of the commands.
 
     Returns:
         Values, standard errors, and the combinations that the logs determine; `torque` are residual positions.
@@ -146,7 +148,7 @@ def fit_servos(
     """
     if not records or len(families) != len(records):
         raise ValueError("give a family and a log for each of the logs")
-    search = _Search.of(families, records, between, length)
+    search = _Search.of(families, records, between, length, late)
     point = search.started()
     damping, rounds = 1e-3, 0
     for rounds in range(ROUNDS):
@@ -181,10 +183,10 @@ def fit_servos(
 
 
 def predict_servos(
-    family: RobotFamily, x: Float[np.ndarray, "p"], record: Record, between: str = "held"
+    family: RobotFamily, x: Float[np.ndarray, "p"], record: Record, between: str = "held", late: float = 0.0
 ) -> Float[np.ndarray, "T n"]:
     """Predict the positions of a whole log from its first row and its commands alone."""
-    log = _Log.of(family, record, between)
+    log = _Log.of(family, record, between, late)
     cut = log.cut([np.arange(len(log.t))])
     simulated = _simulate(
         _stacked([log.drive(x)]), np.zeros((1, 0)), log.delays, cut, log.body(x, cut), (), SWEEPS
@@ -204,11 +206,12 @@ class _Log(NamedTuple):
     a: Float[np.ndarray, "T n"]
     between: str
     delays: Float[np.ndarray, "m"]
+    late: float
     drive: Callable[[Any], Drive]
     evaluate: Callable[..., Body]
 
     @classmethod
-    def of(cls, family: RobotFamily, record: Record, between: str) -> "_Log":
+    def of(cls, family: RobotFamily, record: Record, between: str, late: float) -> "_Log":
         model: Any = family.file.model
         t, u = np.asarray(record.t, float), np.asarray(record.u, float)
         y = scoring.unwrap(np.asarray(record.y, float), model.circles)
@@ -223,7 +226,8 @@ class _Log(NamedTuple):
         servos = servos_in(model)
         assert servos is not None  # whoever opens a fit of servos has looked
         return cls(
-            family, t, y, u, c[:, 0], c[:, 1], 2 * c[:, 2], between, np.asarray(servos.delay), drive, evaluate
+            *(family, t, y, u, c[:, 0], c[:, 1], 2 * c[:, 2], between, np.asarray(servos.delay), late),
+            *(drive, evaluate),
         )
 
     def windows(self, length: float) -> list[np.ndarray]:
@@ -277,10 +281,11 @@ class _Log(NamedTuple):
                 return gathered[k, own] + u[k, own] * past + slope[k, own] * inside**2 / 2, line, line
             return gathered[k, own] + u[k, own] * past, u[k, own], line
 
+        delays = self.delays + self.late
         ends = at[..., None] - width[..., None] / 2, at[..., None] + width[..., None] / 2
-        (first, before, low), (last, after, high) = (integral(end - self.delays) for end in ends)
+        (first, before, low), (last, after, high) = (integral(end - delays) for end in ends)
         eps = 1e-4
-        lower, higher = (integral(end - self.delays - eps)[2] for end in ends)
+        lower, higher = (integral(end - delays - eps)[2] for end in ends)
         width = width[..., None]
         rate = (high - low) / width
         return np.stack(
@@ -381,9 +386,11 @@ class _Search(NamedTuple):
     rigid: tuple[int, ...]
 
     @classmethod
-    def of(cls, families: Sequence[RobotFamily], records: Sequence[Record], between: str, length: float) -> "_Search":
+    def of(
+        cls, families: Sequence[RobotFamily], records: Sequence[Record], between: str, length: float, late: float
+    ) -> "_Search":
         family = families[0]
-        logs = tuple(_Log.of(each, record, between) for each, record in zip(families, records, strict=True))
+        logs = tuple(_Log.of(each, record, between, late) for each, record in zip(families, records, strict=True))
         windows = [log.windows(length) for log in logs]
         counts = tuple(len(each) for each in windows)
         if sum(counts) < FEWEST_WINDOWS:
@@ -423,39 +430,45 @@ class _Search(NamedTuple):
         for delay in DELAYS if late.any() else DELAYS[:1]:
             for factor in STIFFNESSES if stiff.any() else (1.0,):
                 tried.append(np.where(late, delay - family.first, np.where(stiff, (factor - 1) * family.first, 0.0)))
-        points = [self.point(np.maximum(x, self.least), slopes=False) for x in tried]
+        # In batches of the size of a point, so that one program serves both.
+        size = len(kinds) + 1
+        tried += tried[:1] * (-len(tried) % size)
+        points = []
+        for first in range(0, len(tried), size):
+            lanes = [np.maximum(x, self.least) for x in tried[first : first + size]]
+            residuals = self._residuals(lanes, lanes[0], np.zeros((size, len(self.rigid))))
+            points += [_Point(x, each, residuals[:0]) for x, each in zip(lanes, residuals, strict=True)]
         scale = np.array([_scale(column) for column in points[0].residual.reshape(-1, points[0].residual.shape[2]).T])
         best = min(points, key=lambda point: self.loss(point, scale))
         if not np.isfinite(self.loss(best, scale)):
             raise ValueError("the model predicts no finite motion from these commands; check units and first values")
         return self.point(best.x)
 
-    def point(self, x: np.ndarray, slopes: bool = True) -> _Point:
+    def point(self, x: np.ndarray) -> _Point:
         """Residuals at x, and their derivatives by finite differences, all in one batch."""
         x = np.maximum(x, self.least)
         p = len(x)
-        lanes = [x, *(x + DIFFERENCE * self.sizes[i] * np.eye(p)[i] for i in range(p if slopes else 0))]
-        # A number of the rigid body changes that alone.
-        weights = np.zeros((len(lanes), len(self.rigid)))
-        for k, i in enumerate(self.rigid if slopes else ()):
-            weights[1 + i, k] = DIFFERENCE * self.sizes[i]
+        steps = DIFFERENCE * self.sizes * np.eye(p)
+        weights = np.zeros((p + 1, len(self.rigid)))
+        for k, i in enumerate(self.rigid):
+            weights[1 + i, k] = steps[i, i]
+        every = self._residuals([x, *(x + step for step in steps)], x, weights)
+        return _Point(x, every[0], (every[1:] - every[:1]) / DIFFERENCE)
+
+    def _residuals(self, lanes: Sequence[np.ndarray], x: np.ndarray, weights: np.ndarray) -> np.ndarray:
+        """Residuals (P, B, R, n) of drives at P coordinates, with the rigid body at x and its changes by weights."""
         parts = []
         for log, cut, count in zip(self.logs, self.cuts, self.counts, strict=True):
-            drives = _stacked([log.drive(lane) for lane in lanes])
             body = log.body(x, cut)
             changes = []
-            for i in self.rigid if slopes else ():
-                d = DIFFERENCE * self.sizes[i] * np.eye(p)[i]
-                other = log.body(x + d, cut)
-                changes.append(
-                    Body(*((b - a) / (DIFFERENCE * self.sizes[i]) for a, b in zip(body, other, strict=True)))
-                )
+            for i in self.rigid:
+                d = DIFFERENCE * self.sizes[i]
+                other = log.body(x + d * np.eye(len(x))[i], cut)
+                changes.append(Body(*((b - a) / d for a, b in zip(body, other, strict=True))))
+            drives = _stacked([log.drive(lane) for lane in lanes])
             q = np.asarray(_simulate(drives, weights, log.delays, cut, body, tuple(changes), SWEEPS))
-            skipped = int(SETTLING / np.median(cut.step))
-            parts.append((q - cut.y)[:, :count, max(skipped, 1) :])
-        every = np.concatenate(parts, axis=1)
-        derivatives = (every[1:] - every[:1]) / DIFFERENCE
-        return _Point(x, every[0], derivatives)
+            parts.append((q - cut.y)[:, :count, max(int(SETTLING / np.median(cut.step)), 1) :])
+        return np.concatenate(parts, axis=1)
 
     def loss(self, point: _Point, scale: np.ndarray) -> float:
         e = np.nan_to_num(point.residual / scale, nan=np.inf)
