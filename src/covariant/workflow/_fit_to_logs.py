@@ -324,6 +324,7 @@ class _ServoProblem(NamedTuple):
     family: models.RobotFamily
     logs: FitLogs
     families: list[models.RobotFamily]
+    window: float | None
 
     search_again = False
 
@@ -343,9 +344,9 @@ class _ServoProblem(NamedTuple):
         same = all(job.overrides == jobs[0].overrides for job in jobs)
         family = families[0] if same else models.robot_family(jobs[0].model_name, names)
         # A servo whose numbers are first values explains little of a log, as the fit is for that.
-        logs = FitLogs.read([job._replace(anyway=True) for job in jobs], length)
+        logs = FitLogs.read([job._replace(anyway=True) for job in jobs], None)
         file = logs.logs[0].loaded.file
-        return cls(family, logs._replace(tried=(file.input_between,)), families)
+        return cls(family, logs._replace(tried=(file.input_between,)), families, length)
 
     def acting(self, log: Aligned, between: str) -> Record:
         """The record with the inputs that act in each step."""
@@ -363,6 +364,7 @@ class _ServoProblem(NamedTuple):
             records,
             word,
             lambda done: report(done, min(done / ROBOT_ROUNDS, 1.0)),
+            self.window,
             late=_late(self.logs.logs[0]),
         )
 

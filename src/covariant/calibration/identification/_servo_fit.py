@@ -11,6 +11,7 @@ solved by projected Gauss–Seidel sweeps; Huber 1981 for weights; White 1982 fo
 """
 
 import functools
+import math
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
@@ -38,6 +39,8 @@ WINDOW = 2.0
 SETTLING = 0.2
 """Time at the start of a window [s] that does not count: the initial speed is known roughly."""
 FEWEST_WINDOWS = 8
+BLOCKS_PER_NUMBER = 3
+"""Least count of the blocks of a covariance for each number: fewer of them leave it without full rank."""
 SMOOTHING = 3.5
 """Half width, in rows, of the windows in which positions are smoothed for the rigid body."""
 ROUNDS = 25
@@ -121,7 +124,7 @@ def fit_servos(
     records: Sequence[Record],
     between: str = "held",
     progress: Callable[[int], object] = lambda _: None,
-    length: float = WINDOW,
+    length: float | None = None,
     late: float = 0.0,
 ) -> RobotFit:
     """Fit open numbers of a robot with servos to logs of commands and positions.
@@ -132,7 +135,8 @@ def fit_servos(
         records: The logs, with the commands as they are logged.
         between: Whether a command is "held" to the next stamp, or "linear" between stamps.
         progress: Called with the number of each round.
-        length: Length of the windows [s].
+        length: Length of the windows [s]; by default 2 s, and less where logs are short. Longer ones suit joints that
+            stick for seconds.
         late: Time [s] by which the stamps of positions are ahead of those of the commands.
 
     Returns:
@@ -167,7 +171,7 @@ def fit_servos(
         known.determined,
         known.combinations,
         step.scale,
-        length / 2,
+        (WINDOW if length is None else length) / 2,
         rounds,
         point.x,
         step.losses,
@@ -382,19 +386,23 @@ class _Search(NamedTuple):
 
     @classmethod
     def of(
-        cls, families: Sequence[RobotFamily], records: Sequence[Record], between: str, length: float, late: float
+        cls, families: Sequence[RobotFamily], records: Sequence[Record], between: str, length: float | None, late: float
     ) -> "_Search":
         family = families[0]
         logs = tuple(_Log.of(each, record, between, late) for each, record in zip(families, records, strict=True))
-        # Sixteen windows are few for a covariance by blocks, so short logs are cut into shorter ones.
-        total = sum(float(log.t[-1] - log.t[0]) for log in logs)
-        length = max(min(length, total / (2 * FEWEST_WINDOWS + 1)), 3 * SETTLING)
+        fewest = FEWEST_WINDOWS
+        if length is None:
+            # Sixteen windows are few for a covariance by blocks, so short logs are cut into shorter ones.
+            total = sum(float(log.t[-1] - log.t[0]) for log in logs)
+            length = max(min(WINDOW, total / (2 * fewest + 1)), 3 * SETTLING)
+        else:
+            fewest = 2
         windows = [log.windows(length) for log in logs]
         counts = tuple(len(each) for each in windows)
-        if sum(counts) < FEWEST_WINDOWS:
+        if sum(counts) < fewest:
             raise ValueError(
                 f"the logs hold {sum(counts)} windows of {length:.3g} s without a gap, and a fit needs "
-                f"{FEWEST_WINDOWS}; give longer logs"
+                f"{fewest}; give longer logs"
             )
         # All logs have the same number of windows, so that one program serves all; copies do not count.
         most = max(counts)
@@ -501,7 +509,7 @@ class _Search(NamedTuple):
 
     @staticmethod
     def _skipped(log: _Log) -> int:
-        return max(int(SETTLING / np.median(np.diff(log.t))), 1)
+        return max(round(SETTLING / float(np.median(np.diff(log.t)))), 1)
 
     def loss(self, point: _Point, scale: np.ndarray) -> float:
         e = np.nan_to_num(point.residual / scale, nan=np.inf)
@@ -537,7 +545,7 @@ class _Search(NamedTuple):
         share = 1 / self._alike
         flat = z.reshape(len(z), -1)
         information, curvature = (share * (flat * w.ravel()) @ flat.T for w in (weight, weight**3))
-        scores = share * np.einsum("pbkj,bkj->bp", z, weight * e, optimize=True)
+        scores = share * self._by_blocks(np.einsum("pbkj,bkj->bkp", z, weight * e, optimize=True))
         prior = np.eye(len(z)) / PRIOR**2
         gradient = scores.sum(axis=0) + prior @ (point.x / self.sizes)
         covariance = block_covariance(scores, curvature, np.linalg.inv(curvature + prior), prior)
@@ -547,6 +555,15 @@ class _Search(NamedTuple):
         return _Normal(
             information + prior, gradient, least, self.sizes, scale, curvature / outer, covariance * outer, losses
         )
+
+
+    @staticmethod
+    def _by_blocks(scores: np.ndarray) -> np.ndarray:
+        """Sums over blocks (B, p) of scores (W, R, p): windows, or parts of them where windows are few."""
+        windows, rows, p = scores.shape
+        parts = min(math.ceil(BLOCKS_PER_NUMBER * p / windows), rows)
+        starts = np.linspace(0, rows, parts, endpoint=False).astype(int)
+        return np.add.reduceat(scores, starts, axis=1).reshape(-1, p)
 
 
 def _scale(values: np.ndarray) -> float:
