@@ -118,3 +118,42 @@ def test_numbers_of_a_servo_are_found_through_delay_ticks_and_friction(arm):
     assert rows(result)["delay"]["after"] == pytest.approx(0.033, abs=0.003)
     assert "open loop" in str(result)
     assert result.summary["held_out_errors"]["after"]["position"][0] < 2 * TICK
+
+
+def test_a_servo_that_counts_the_other_way_is_not_fitted_away(arm):
+    """Commands of the wrong sign are no motion of these commands: no numbers predict what is held out."""
+    record = simulated(20.0)
+    wrong = Record(record.t, -np.asarray(record.u), record.y)
+    result = covariant.fit(arm(), wrong, "servo.stiffness,servo.delay")
+    assert max(result.summary["held_out_errors"]["after"]["position"]) > 30 * TICK
+
+
+def test_logs_with_other_gains_share_the_numbers_of_the_servo(arm):
+    gains = (0.5, 2.0, 1.0)
+    logs = [simulated(16.0, gain=gain, seed=i) for i, gain in enumerate(gains)]
+    settings = [{"servo.elbow.gain": gain} for gain in gains]
+    result = covariant.fit(arm(), logs, "servo.stiffness,servo.coulomb,servo.delay,servo.armature", overrides=settings)
+    found = rows(result)
+    assert found["stiffness"]["after"] == pytest.approx(TRUTH["stiffness"], rel=0.1)
+    assert "gain" not in result.content["servo"]["elbow"]  # what holds for one log alone is not written
+    blind = covariant.fit(arm(), logs, "servo.stiffness,servo.coulomb,servo.delay,servo.armature")
+    errors = [each.summary["held_out_errors"]["after"]["position"][0] for each in (result, blind)]
+    assert errors[0] < 0.5 * errors[1]
+
+
+def test_what_is_fitted_is_the_same_in_all_logs(arm):
+    logs = [simulated(4.0, seed=i) for i in range(2)]
+    with pytest.raises(ValueError, match="servo.elbow.stiffness is fitted"):
+        covariant.fit(arm(), logs, "servo.stiffness", overrides=[{}, {"servo.elbow.stiffness": 3.0}])
+    with pytest.raises(ValueError, match="2 logs and values for 1"):
+        covariant.fit(arm(), logs, "servo.stiffness", overrides=[{}])
+
+
+def test_stiffness_and_inertia_without_weight_act_by_their_ratio(arm):
+    record = simulated(20.0, hanging=False, ticks=True)
+    names = "servo.stiffness,servo.armature,servo.damping,servo.coulomb"
+    start = {"delay": TRUTH["delay"], "feedforward": TRUTH["feedforward"], "viscous": 0.0}
+    result = covariant.fit(arm(hanging=False, **start), record, names)
+    assert not any(rows(result)[name]["determined"] for name in ("stiffness", "armature"))
+    said = " ".join(result.summary["undetermined"])
+    assert "elbow act by their ratio alone" in said and "known mass" in said
