@@ -2,8 +2,8 @@
 
 A servo holds its joint so firmly that residual accelerations say little of it: what shows is where the joint goes, and
 where it stops. So positions are predicted over windows from the commands alone. The rigid body is evaluated along the
-measured path, with the slope of its weight, so that only the servos and the dry friction are integrated. Dry friction is
-what stops a joint within a step, at most its size: a joint sticks truly, and no speed smooths it.
+measured path, with the slope of its weight, so that only the servos and the dry friction are integrated. Dry friction
+is what stops a joint within a step, at most its size: a joint sticks truly, and no speed smooths it.
 
 Source: Hairer, Lubich & Wanner 2003, Geometric numerical integration illustrated by the Störmer–Verlet method, Acta
 Numerica 12, for leapfrog; Moreau 1988, Unilateral contact and dry friction, for friction as an impulse within a step,
@@ -220,8 +220,8 @@ class _Log(NamedTuple):
     def windows(self, length: float) -> list[np.ndarray]:
         """Rows of consecutive windows of one length, each from a row that is measured, without gaps."""
         usual = float(np.median(np.diff(self.t)))
-        count = max(int(round(length / usual)), 4)
-        whole = np.isfinite(self.y).all(axis=1)
+        count = max(round(length / usual), 4)
+        whole = np.asarray(np.isfinite(self.y).all(axis=1))
         at, found = 0, []
         while at + count < len(self.t):
             if not whole[at]:
@@ -327,7 +327,7 @@ def _compiled(family: RobotFamily) -> _Compiled:
     def evaluate(x: np.ndarray, q: np.ndarray, v: np.ndarray) -> Body:
         flat, n = at(x), q.shape[1]
 
-        def rows(q: Array, v: Array) -> Array:
+        def rows(q: np.ndarray, v: np.ndarray) -> Array:
             parts = along(flat, q, v)
             return jnp.concatenate([part.reshape(len(q), -1) for part in parts], axis=1)
 
@@ -415,7 +415,10 @@ class _Search(NamedTuple):
         inertia = body.inertia + np.diag(armature)
         torque = np.einsum("tij,tj->ti", inertia, motion[2]) + body.coriolis + body.slope
         servos = logs[0].drive(np.zeros(len(family.names))).servos
-        held = np.concatenate([log.u for log in logs]) @ np.asarray(servos.commands).T - motion[0] @ np.asarray(servos.rows).T
+        held = (
+            np.concatenate([log.u for log in logs]) @ np.asarray(servos.commands).T
+            - motion[0] @ np.asarray(servos.rows).T
+        )
         pulled = (held - np.asarray(servos.zero)) * np.asarray(servos.stiffness) @ np.abs(np.asarray(servos.rows))
         usual = [np.maximum(np.sqrt(np.mean(part**2, axis=0)), 1e-9) for part in (torque, pulled, motion[1], motion[2])]
         sizes = family.sizes(np.maximum(usual[0], usual[1]), usual[2], usual[3])
@@ -435,7 +438,9 @@ class _Search(NamedTuple):
         points = []
         for delay in (None, *DELAYS) if late.any() else (None,):
             x = np.zeros(len(kinds)) if delay is None else np.where(late, delay - family.first, 0.0)
-            lanes = [np.where(stiff, (factor - 1) * family.first, x) for factor in STIFFNESSES[: 3 if stiff.any() else 1]]
+            lanes = [
+                np.where(stiff, (factor - 1) * family.first, x) for factor in STIFFNESSES[: 3 if stiff.any() else 1]
+            ]
             lanes = [np.maximum(lane, self.least) for lane in lanes]
             # In batches of the size of a point, so that one program serves both.
             lanes = (lanes * (len(kinds) + 1))[: max(len(kinds) + 1, 1)]
@@ -470,7 +475,11 @@ class _Search(NamedTuple):
         """Coordinates with other delays, and with leads that make up for these."""
         family = self.logs[0].family
         at = {(n.target, n.number): i for i, n in enumerate(family.numbers) if n.group == "servo"}
-        leads = [(i, at[target, "delay"], target) for (target, kind), i in at.items() if kind == "feedforward" and (target, "delay") in at]
+        leads = [
+            (i, at[target, "delay"], target)
+            for (target, kind), i in at.items()
+            if kind == "feedforward" and (target, "delay") in at
+        ]
         if not leads:
             return []
         values, servos = np.asarray(family.values(x)), self.logs[0].drive(x).servos
