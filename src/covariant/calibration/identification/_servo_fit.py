@@ -565,7 +565,6 @@ class _Search(NamedTuple):
             information + prior, gradient, least, self.sizes, scale, curvature / outer, covariance * outer, losses
         )
 
-
     @staticmethod
     def _by_blocks(scores: np.ndarray) -> np.ndarray:
         """Sums over blocks (B, p) of scores (W, R, p): windows, or parts of them where windows are few."""
