@@ -87,7 +87,8 @@ class Machine(NamedTuple):
         held_out: Logs to predict.
         spec: Model without servos.
         joints: Names of the joints (n).
-        most: Largest values of the servo's numbers, as in `NUMBERS`.
+        first: First values of the servo's numbers, as in `NUMBERS`: those of `covariant fit`, where it has them.
+        most: Their largest values.
         limit: Largest torque by the data sheet [N m].
         model_file: Text of the model file with first numbers.
         opened: Numbers that `covariant fit` finds, and the length of its windows [s].
@@ -98,6 +99,7 @@ class Machine(NamedTuple):
     held_out: dict[str, Log]
     spec: Callable[[], mujoco.MjSpec]
     joints: tuple[str, ...]
+    first: tuple[float, ...]
     most: tuple[float, ...]
     limit: float
     model_file: Callable[[], str]
@@ -133,6 +135,7 @@ def xl330() -> Machine:
 
     fitted = ("kp100_lift_and_drop", "kp100_sin_sin", "kp400_lift_and_drop", "kp400_sin_sin")
     held_out = ("kp200_sin_time_square", "kp200_up_and_down", "kp800_sin_time_square", "kp800_up_and_down")
+    first = (0.003, 0.05, 0.8, 0.002, 0.01, 0.01, 0.0, 0.005)
     most = (0.01, 0.2, 2.0, 0.01, 0.1, 0.2, 0.1, 0.06)
     logs = [{name: log(name) for name in names} for names in (fitted, held_out)]
 
@@ -145,7 +148,7 @@ def xl330() -> Machine:
 
     opened = [f"servo.servo.{key}" for key in ROUGH] + ["offsets.servo"]
     # Whole logs: this joint sticks for seconds.
-    return Machine("XL330", *logs, spec, ("servo",), most, 0.77, model_file, (opened, 5.9))
+    return Machine("XL330", *logs, spec, ("servo",), first, most, 0.77, model_file, (opened, 5.9))
 
 
 def so101() -> Machine:
@@ -164,6 +167,7 @@ def so101() -> Machine:
         return arm
 
     joints = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll")
+    first = (12.0, 0.5, 2.9, 0.01, 0.1, 0.06, 0.0, 0.03)
     most = (60.0, 5.0, 6.0, 0.3, 5.0, 1.0, 0.2, 0.15)
     logs = [
         {name: log(name) for name in names}
@@ -174,7 +178,7 @@ def so101() -> Machine:
         tables = (f"[servo.{joint}]\n" + "".join(f"{key} = {x}\n" for key, x in ARM.items()) for joint in joints)
         return 'system = "robot"\n[parameters]\npath = "so101"\nlock = { gripper = 0.5 }\n' + "".join(tables)
 
-    return Machine("SO-101", *logs, spec, joints, most, 2.94, model_file, (["servo"], None))
+    return Machine("SO-101", *logs, spec, joints, first, most, 2.94, model_file, (["servo"], None))
 
 
 def with_servos(machine: Machine, period: float, gain: float = 1.0, on: bool = True) -> mujoco.MjSpec:
@@ -296,7 +300,7 @@ def by_sysid(machine: Machine) -> Outcome:
     offset = np.array(NUMBERS) == "offset"
     numbers, sequences = sysid.ParameterDict(), []
     for joint in machine.joints:
-        lowest, first = np.where(offset, -most, 1e-4 * most), np.where(offset, 0.0, 0.3 * most)
+        lowest, first = np.where(offset, -most, 1e-4 * most), np.array(machine.first)
         change = functools.partial(write_parameter, joint)
         numbers.add(sysid.Parameter(joint, nominal=first, min_value=lowest, max_value=most, modifier=change))
     for name, log in machine.fitted.items():
