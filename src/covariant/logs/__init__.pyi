@@ -13,6 +13,7 @@ from ._configuration import (
     to_columns as to_columns,
 )
 from ._endings import MESSAGES as MESSAGES, WRITTEN as WRITTEN
+from ._episodes import episode_columns as episode_columns, episodes_fault as episodes_fault
 from ._read import OPTIONAL as OPTIONAL, LogSurvey as LogSurvey, read as read, record as record, survey as survey
 from ._stamps import odd_clock as odd_clock
 from ._tables import source_name as source_name
