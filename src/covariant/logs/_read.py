@@ -18,6 +18,7 @@ from covariant.logs._columns import ATTITUDES, ClockError, Columns, Log, LogErro
 from covariant.logs._configuration import bodies, from_cells
 from covariant.logs._entries import by_entries
 from covariant.logs._episodes import episodes_fault
+from covariant.logs._sign_bit import has_sign_bit, sign_bit_fault
 from covariant.logs._stamps import stamps, timed
 from covariant.logs._tables import LogSource, plain_text, source_name, stated_units, table_source
 from covariant.logs._text import read_text, sheet, with_points
@@ -191,6 +192,8 @@ def _of_columns(
                 # Without a number in any row it is another column, and not a sensor with gaps.
                 if not empty and len(values) and np.isnan(values).all():
                     raise LogError(f"{_where(name, column, unit)} holds no number in any row; name another column")
+                if has_sign_bit(values):
+                    raise LogError(f"{name}: {sign_bit_fault(column)}")
                 cells.append(values if unit is None else values * unit_factor(unit))
         return np.column_stack(cells) if cells else np.empty((len(table), 0))
 

@@ -1,4 +1,4 @@
-from ._draft import Draft as Draft, draft as draft
+from ._draft import Draft as Draft, Servo as Servo, draft as draft
 from ._error_model import (
     ErrorModel as ErrorModel,
     Filtered as Filtered,

@@ -2,15 +2,28 @@
 
 import re
 from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
 from covariant.calibration.diagnosis import periods, without_full_turns
+from covariant.calibration.identification._commands import pairs
+from covariant.calibration.identification._servo_columns import (
+    TORQUES,
+    Servo,
+    find_inputs,
+    position_units,
+    servos_of,
+)
 from covariant.logs import (
+    KNOWN,
     MEANT,
+    has_sign_bit,
+    is_unit_of,
     odd_clock,
+    sign_bit_fault,
     unit_factor,
     unit_in_name,
     unknown_unit,
@@ -21,13 +34,28 @@ from covariant.logs import (
 from covariant.scoring import unwrap
 
 _WORDS = {
-    "left out": "true truth ref reference des desired goal target set setpoint raw",
+    "left out": "true truth raw",
     "v": "v w dq qd dqdt dot qdot dth dtheta om omega vel velocity velocities speed rate gyro",
-    "u": "u tau torque torques tq trq current force effort motor volt voltage cmd command pwm input",
+    "u": "u tau torque torques tq trq effort force motor input",
     "t": "t time times timestamp timestamps stamp stamps sec secs seconds",
     "q": "q th theta phi psi angle ang pos position positions enc encoder joint x",
 }
 """Words in the names of columns, by role; the first role with a match counts."""
+_POSITION = frozenset("q th theta angle ang angles pos position positions enc encoder".split())
+"""Words that make a position of what else names a motor, an input, or what is measured now: motor_angle."""
+_UNITS = {1.0: "rad", unit_factor("deg"): "deg", unit_factor("turn/4096"): "turn/4096"}
+"""Units of commands that their size tells."""
+_CLOSED = frozenset("ref reference references desired goal goals target targets set setpoint setpoints".split())
+"""Words of commands that were never those of torques."""
+_COMMAND = _CLOSED | frozenset("cmd cmds command commands commanded action actions des leader sp demand demanded".split())
+_SWITCH = frozenset("enable enabled".split())
+REGISTERS = {
+    "current": "current currents amp amps ampere",
+    "load": "load loads pwm duty",
+    "voltage": "volt volts voltage voltages",
+    "temperature": "temp temperature temperatures",
+}
+"""Words of registers of a drive, by what they hold; none of these is a torque."""
 CLOCKS = ((0.5, "s"), (500.0, "ms"), (5e5, "us"), (np.inf, "ns"))
 """Upper bounds of the median step of the stamps, and the unit in which they then are."""
 DEGREES = 50.0
@@ -72,6 +100,12 @@ class Draft(NamedTuple):
         guessed: Fields whose units follow from the content and not from the header.
         quaternion: Columns of the attitude of a body that turns, scalar first, in place of positions.
         period: Period of each position after which its readings repeat, as of an encoder behind a gear; 0 for none.
+        servos: What the log tells of the servo of each position, None for one without a command; empty where the inputs
+            are no commands.
+        switches: Columns that are 0 where servos are switched off; the last of `u`.
+        registers: Columns of a drive that are no torques: by "current", "load", "voltage", "temperature".
+        remarks: Sentences on what was guessed of the inputs.
+        entries: What the log calls the entries of lists, by column.
 
     Example:
         >>> import numpy as np
@@ -97,11 +131,16 @@ class Draft(NamedTuple):
     guessed: tuple[str, ...]
     quaternion: tuple[str, ...] = ()
     period: tuple[float, ...] = ()
+    servos: tuple[Servo | None, ...] = ()
+    switches: tuple[str, ...] = ()
+    registers: Mapping[str, tuple[str, ...]] = MappingProxyType({})
+    remarks: tuple[str, ...] = ()
+    entries: Mapping[str, str] = MappingProxyType({})
 
     @property
     def plain_names(self) -> tuple[str, ...]:
         """Names of the positions without their units, `cart` for `cart [mm]`; full names where two would coincide."""
-        plain = tuple(without_unit(name) for name in self.q)
+        plain = tuple(without_unit(self.entries.get(name, name)).removesuffix(".pos") for name in self.q)
         return plain if "" not in plain and len(set(plain)) == len(plain) else self.q
 
 
@@ -109,6 +148,8 @@ def draft(
     columns: Mapping[str, np.ndarray],
     given: Mapping[str, Sequence[str] | None] | None = None,
     stated: Mapping[str, str] | None = None,
+    units: Mapping[str, Sequence[str]] | None = None,
+    entries: Mapping[str, str] | None = None,
 ) -> Draft:
     """Guess the role of each column of a log, from its name and, where that says nothing, from its content.
 
@@ -119,13 +160,15 @@ def draft(
         columns: The columns (T,) by name, numbers only.
         given: Names by the field t, q, u or v that are known and not to be guessed.
         stated: Units that the log states beside the names, by column.
+        units: Units of the columns of the fields t, q, u or v that are known: one, or one for each column.
+        entries: What the log calls the entries of its columns of lists, by column.
 
     Returns:
         The role of each column, with rate, units, ticks and noise.
 
     Raises:
-        ValueError: It is not clear which columns are the stamps, the positions or the inputs, or the first row lacks a
-            position. One line, which lists the columns.
+        ValueError: It is not clear which columns are the stamps, the positions or the inputs, or in which unit servos
+            are logged, or the first row lacks a position. One line, which lists the columns.
 
     Example:
         >>> import numpy as np
@@ -142,9 +185,13 @@ def draft(
     fixed = {name for names in given.values() for name in names}
     # Units that the log states are written as in a name, so that one parser reads both.
     labels = {name: f"{name} [{stated[name]}]" if stated and name in stated else name for name in columns}
-    kinds = {name: _kind(labels[name]) for name in columns if name not in fixed}
+    known, entries = dict(units or {}), dict(entries or {})
+    kinds = {name: _kind(labels[name], entries.get(name, "")) for name in columns if name not in fixed}
     t = given["t"][0] if "t" in given else _stamps(columns, kinds)
     step = _step(t, columns[t])
+    registers = {
+        kind: tuple(name for name, role in kinds.items() if role == kind) for kind in REGISTERS if kind in kinds.values()
+    }
     quaternion = () if "q" in given else _quaternion({name: columns[name] for name, kind in kinds.items() if name != t})
     if quaternion:
         return _draft_of_attitude(columns, labels, kinds, given, t, quaternion)
@@ -154,25 +201,37 @@ def draft(
             f'no column is named like a position, as q1 or theta; name them by `columns["q"]`{_columns_there(columns)}'
         )
     _one_family("q", q, given, columns)
-    u = given.get("u") or tuple(name for name, kind in kinds.items() if kind == "u")
-    _one_family("u", u, given, columns)
-    if "u" not in given:  # forces before torques, as lengths come before angles
-        u = tuple(sorted(u, key=lambda name: unit_in_name(labels[name], ("N m",)) is not None))
-    if len(u) > len(q):
+    _refuse_poses(q, entries)
+    labels |= _stated_by_user("t", (t,), known) | _stated_by_user("q", q, known)
+    clock = columns[t] * unit_factor(_unit_of_stamps(labels[t], columns[t]))
+    inputs = find_inputs(columns, labels, kinds, given.get("u"), clock, q)
+    commands = tuple(name for name in inputs.commands if name is not None)
+    _one_family("u", inputs.u, given, columns)
+    if len(inputs.u) > len(q):
         raise ValueError(
-            f'{len(u)} inputs ({", ".join(u)}) for {len(q)} positions; name them by `columns["u"]`'
+            f'{len(inputs.u)} inputs ({", ".join(inputs.u)}) for {len(q)} positions; name them by `columns["u"]`'
             f"{_columns_there(columns)}"
         )
+    for name in (*q, *commands):
+        if has_sign_bit(columns[name]):
+            raise ValueError(sign_bit_fault(name))
+    labels |= _stated_by_user("u", commands or inputs.u, known)
+    ticks = _unit_labels(columns, q, labels, bool(commands))
+    labels |= ticks
     v = given.get("v") or tuple(name for name, kind in kinds.items() if kind == "v")
     if not v:
         unnamed = [name for name, kind in kinds.items() if kind == "" and name != t]
         v = tuple(name for p in q for name in unnamed if _is_slope(columns[t], columns[p], columns[name]))
     v = v if len(v) == len(q) else ()
-    _refuse_unknown_units({"t": (t,), "q": q, "u": u, "v": v}, labels)
+    labels |= _stated_by_user("v", v, known)
+    _refuse_unknown_units({"t": (t,), "q": q, "u": inputs.u, "v": v}, labels)
     lengths = tuple(unit_in_name(labels[name], ("m",)) is not None for name in q)
     order = sorted(range(len(q)), key=lambda i: not lengths[i])
     q, lengths = tuple(q[i] for i in order), tuple(lengths[i] for i in order)
     v = tuple(v[i] for i in order) if v else ()
+    u = inputs.u
+    if "u" not in given:  # forces before torques, as lengths come before angles
+        u = tuple(sorted(u, key=lambda name: unit_in_name(labels[name], ("N m",)) is not None))
     logged = np.column_stack([columns[name] for name in q])
     if np.isnan(logged[0]).any():
         raise ValueError(f"row 1 lacks a position ({', '.join(q)}); cut the log to begin later")
@@ -184,33 +243,136 @@ def draft(
     seconds = unit_factor(units.get("t", ("s",))[0])
     factors = [unit_factor(text) for text in units.get("q", ("rad",) * len(q))]
     y = logged * factors
+    guessed += ("q",) if ticks and "q" not in guessed and "q" not in known else ()
+    servos, switches, remarks = (), (), list(inputs.remarks)
+    if commands:
+        paired = inputs._replace(
+            commands=tuple(inputs.commands[i] for i in order), following=tuple(inputs.following[i] for i in order)
+        )
+        servos = servos_of(paired, columns, labels, q, units.get("q", ("rad",) * len(q)))
+        switches = _switches(inputs.switches, [name for name, servo in zip(q, servos, strict=True) if servo], columns)
+        u = (*(servo.command for servo in servos if servo is not None), *switches)
+        units |= _units_of_commands(servos, len(switches), labels, dict(zip(q, units.get("q", ("rad",) * len(q)))))
+        v, odd_rates = _plausible_rates(columns, clock, q, factors, v, labels)
+        remarks += odd_rates
     rounding = [_rounding(column) * factor for column, factor in zip(logged.T, np.abs(factors), strict=True)]
     # Readings are whole ticks as they are: a period is known less exactly.
-    ticks, wraps = _tick(y, rounding), _periods(columns[t], y, rounding, lengths)
+    tick, wraps = _tick(y, rounding), _periods(columns[t], y, rounding, lengths)
     continuous = unwrap(y, (), wraps)
     noises = _noise(continuous, lengths)
-    if len(set(lengths)) == 2:  # a tick of a metre is none of a radian
+    if len(set(lengths)) == 2 or (servos and len(q) > 1):  # a tick of a metre is none of a radian
         each_tick = [_tick(y[:, [i]], [rounding[i]]) for i in range(len(q))]
-        ticks = None if None in each_tick else tuple(tick for tick in each_tick if tick is not None)
+        tick = None if None in each_tick else tuple(each for each in each_tick if each is not None)
         noises = tuple(
             _noise(column[:, None], (is_length,)) for column, is_length in zip(continuous.T, lengths, strict=True)
         )
+        if tick is not None and np.ptp(tick) < OFF_TICK / 100 * tick[0]:
+            tick = tick[0]
     return Draft(
         t,
         q,
         u,
         v,
-        tuple(name for name in columns if name not in (t, *q, *u, *v)),
+        tuple(name for name in columns if name not in (t, *q, *u, *v, *(n for each in registers.values() for n in each))),
         1 / (step * seconds),
         len(y),
         lengths,
-        ticks,
+        tick,
         noises,
         span,
         units,
         guessed,
         period=tuple(wraps.tolist()),
+        servos=servos,
+        switches=switches,
+        registers=registers,
+        remarks=tuple(remarks),
+        entries=entries,
     )
+
+
+def _stated_by_user(field: str, names: Sequence[str], known: Mapping[str, Sequence[str]]) -> dict[str, str]:
+    """Labels of columns with the units that the user gives for them."""
+    texts = known.get(field, ())
+    if not texts or not names:
+        return {}
+    if len(texts) not in (1, len(names)):
+        raise ValueError(f"{len(texts)} units are given for {field}, which has {len(names)} columns ({', '.join(names)})")
+    for text in texts:
+        if not is_unit_of(text, MEANT["q"] if field == "u" else MEANT[field]) and not is_unit_of(text, MEANT[field]):
+            raise ValueError(f"unit {text!r} is no unit of {field}; known are {KNOWN[field][0]}, as {KNOWN[field][1]}")
+    return {name: f"{name} [{texts[i if len(texts) > 1 else 0]}]" for i, name in enumerate(names)}
+
+
+def _unit_of_stamps(label: str, t: np.ndarray) -> str:
+    return unit_in_name(label, MEANT["t"]) or next(unit for limit, unit in CLOCKS if np.median(np.diff(t)) < limit)
+
+
+def _unit_labels(
+    columns: Mapping[str, np.ndarray], q: Sequence[str], labels: Mapping[str, str], servos: bool
+) -> dict[str, str]:
+    """Labels of positions with a unit that their numbers show; empty where the usual rule decides."""
+    texts = [unit_in_name(labels[name], MEANT["q"]) for name in q]
+    if None not in texts:
+        return {}
+    units = position_units(np.column_stack([columns[name] for name in q]), q, texts, servos)
+    return {} if units is None else {name: f"{name} [{unit}]" for name, unit in zip(q, units, strict=True)}
+
+
+def _switches(
+    names: Sequence[str], positions: Sequence[str], columns: Mapping[str, np.ndarray]
+) -> tuple[str, ...]:
+    """The switch of each servo: columns of 0 and 1 in which a servo is off for a while; one may be that of all."""
+    used = [name for name in names if set(np.unique(columns[name][np.isfinite(columns[name])]).tolist()) == {0.0, 1.0}]
+    if len(used) == 1:
+        return tuple(used) * len(positions)
+    paired = pairs(positions, used)
+    return tuple(name for name in paired if name is not None) if None not in paired else ()
+
+
+def _units_of_commands(
+    servos: Sequence[Servo | None], switches: int, labels: Mapping[str, str], of_positions: Mapping[str, str]
+) -> dict[str, tuple[str, ...]]:
+    """Units of the columns of commands, where they are not radians without a word of it; a switch has none."""
+    texts = []
+    for (_, unit), servo in zip(of_positions.items(), servos, strict=True):
+        if servo is not None:
+            factor = servo.unit / unit_factor(unit)
+            text = unit if factor == 1 else f"-1 {unit}" if factor == -1 else _UNITS.get(servo.unit, f"{servo.unit:.6g} rad")
+            texts.append(unit_in_name(labels[servo.command], MEANT["q"]) or text)
+    in_names = any(unit_in_name(servo.command, MEANT["q"]) for servo in servos if servo is not None)
+    plain = all(unit_factor(text) == 1 for text in texts)
+    return {} if plain and not in_names else {"u": (*texts, *("1",) * switches)}
+
+
+def _plausible_rates(
+    columns: Mapping[str, np.ndarray],
+    clock: np.ndarray,
+    q: Sequence[str],
+    factors: Sequence[float],
+    v: tuple[str, ...],
+    labels: Mapping[str, str],
+) -> tuple[tuple[str, ...], list[str]]:
+    """Registers of velocities, none where they are in another unit than their name says, with a sentence on it."""
+    for position, factor, name in zip(q, factors, v, strict=False):
+        slope = np.gradient(columns[position], clock) * factor
+        unit = unit_factor(unit_in_name(labels[name], MEANT["v"]) or "rad/s")
+        valid = np.isfinite(slope) & np.isfinite(columns[name])
+        size = float(np.sum(slope[valid] ** 2))
+        ratio = float(np.sum(slope[valid] * columns[name][valid])) * unit / size if size else 1.0
+        if np.count_nonzero(np.diff(columns[position])) > FEWEST_GAPS and not 0.4 < ratio < 1.6:
+            return (), [
+                f"the registers of velocity {', '.join(v)} are left out: {name} is {ratio:.3g} times the slope of "
+                f"{position}"
+            ]
+    return v, []
+
+
+def _refuse_poses(q: Sequence[str], entries: Mapping[str, str]) -> None:
+    """Raise `ValueError` for a state whose entries are a point in space, and no joints."""
+    if {"x", "y", "z"} <= {entries.get(name, name).lower().rpartition("_")[2] for name in q}:
+        named = ", ".join(f"{name} {entries[name]}" for name in q if name in entries)
+        raise ValueError(f"the state is a pose, and no joints: {named or ', '.join(q)}; name joints by `columns[\"q\"]`")
 
 
 def _refuse_unknown_units(fields: Mapping[str, Sequence[str]], labels: Mapping[str, str]) -> None:
@@ -251,14 +413,36 @@ def _columns_there(columns: Mapping[str, np.ndarray]) -> str:
     return f"; the columns of numbers are {', '.join(columns) or 'none'}"
 
 
-def _kind(name: str) -> str:
-    """Role of a column by its name, a key of `_WORDS`: by its words, else by its unit; empty where neither shows it."""
-    words = words_of(name)
-    if "left out" not in (roles := [kind for kind, synonyms in _WORDS.items() if words & set(synonyms.split())]):
-        # A unit of velocity decides, whatever the words: q1 [rad/s] is no position.
-        if unit_in_name(name, MEANT["v"]):
-            return "v"
-        roles += [kind for kind, units in MEANT.items() if unit_in_name(name, units)]
+def _kind(name: str, entry: str = "") -> str:
+    """Role of a column by its name, a key of `_WORDS`: by its words, else by its unit; empty where neither shows it.
+
+    Of a drive it may be a "command" of its position, the "switch" of its torque, or one of `REGISTERS`. `entry` is what
+    the log calls the entry of a list, whose column says that it is a state or an action.
+    """
+    words = words_of(f"{name} {entry}")
+    if words & set(_WORDS["left out"].split()):
+        return "left out"
+    if words & _SWITCH:
+        return "switch"
+    register = next((kind for kind, synonyms in REGISTERS.items() if words & set(synonyms.split())), "")
+    is_rate = bool(words & set(_WORDS["v"].split())) or unit_in_name(name, MEANT["v"]) is not None
+    is_torque = bool(words & TORQUES) or unit_in_name(name, MEANT["u"]) is not None
+    if words & _COMMAND:
+        if is_rate or register:
+            return "left out"
+        return "command" if not is_torque else "left out" if words & _CLOSED else "u"
+    if register and not words & _POSITION and not is_torque:
+        return register
+    if words & _POSITION and not is_torque and not is_rate:
+        return "q"
+    # Entries of a state are positions unless they say otherwise.
+    if re.fullmatch(r"(?:.*[_./])?state\[[0-9]+\]", name):
+        return "v" if is_rate else "u" if is_torque else "q"
+    roles = [kind for kind, synonyms in _WORDS.items() if words & set(synonyms.split())]
+    # A unit of velocity decides, whatever the words: q1 [rad/s] is no position.
+    if unit_in_name(name, MEANT["v"]):
+        return "v"
+    roles += [kind for kind, units in MEANT.items() if unit_in_name(name, units)]
     return next(iter(roles), "")
 
 
