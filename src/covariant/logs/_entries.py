@@ -60,7 +60,9 @@ def by_entries(source: LogSource, path: Path | None = None) -> LogSource:
         entry: source.units[column] for entry, (column, _) in entries.items() if column in source.units
     }
     labels = {} if path is None else _labels(path, lengths)
-    return source._replace(names=expand(source.names), shown=expand(source.shown), load=load, units=units, labels=labels)
+    return source._replace(
+        names=expand(source.names), shown=expand(source.shown), load=load, units=units, labels=labels
+    )
 
 
 def _labels(path: Path, lengths: Mapping[str, int]) -> dict[str, str]:

@@ -6,7 +6,9 @@ from collections.abc import Callable, Iterable
 import numpy as np
 from jaxtyping import Float
 
-_NAME = re.compile(r"(?:.*[_ ./])?(?:episode|trial|traj|trajectory|rollout|demo)(?:[_ ]?(?:index|idx|id|no|nr|number))?")
+_NAME = re.compile(
+    r"(?:.*[_ ./])?(?:episode|trial|traj|trajectory|rollout|demo)(?:[_ ]?(?:index|idx|id|no|nr|number))?"
+)
 SHOWN = 3
 """Number of episodes whose rows a message lists."""
 
@@ -23,7 +25,6 @@ def episode_columns(names: Iterable[str]) -> list[str]:
 
 
 def episodes_fault(
-    log: str,
     t: Float[np.ndarray, "T"],
     names: Iterable[str],
     cells: Callable[[str], Float[np.ndarray, "T"]],
@@ -32,7 +33,6 @@ def episodes_fault(
     """What is wrong with stamps that start again with each episode of a file: its rows, and how to take one.
 
     Args:
-        log: Name of the log.
         t: Stamps (T,) as logged.
         names: Names of all columns.
         cells: Function of a name: numbers (T,) of that column.
@@ -46,7 +46,7 @@ def episodes_fault(
         >>> import numpy as np
         >>> from covariant.logs import episodes_fault
         >>> numbers = {"episode_index": np.array([0, 0, 1, 1])}
-        >>> fault = episodes_fault("a.parquet", np.array([0.0, 0.1, 0.0, 0.1]), numbers, numbers.get)
+        >>> fault = episodes_fault(np.array([0.0, 0.1, 0.0, 0.1]), numbers, numbers.get)
         >>> fault.partition(";")[0]
         'starts again at row 3: by episode_index, 0 is rows 1 to 2, 1 is rows 3 to 4'
     """
@@ -63,17 +63,8 @@ def episodes_fault(
         listed = ", ".join(rows[:SHOWN]) + (f", and {len(rows) - SHOWN} more" if len(rows) > SHOWN else "")
         what = f"starts again at row {back[0] + 1}" if len(back) else "goes on over several recordings"
         longest = numbers[begins[int(np.argmax(np.subtract(ends, begins)))]]
-        return f"{what}: by {name}, {listed}; {_remedy(log, name, float(longest))}"
+        return (
+            f"{what}: by {name}, {listed}; take one of them, in pandas as frame[frame[{name!r}] == {longest:g}]"
+            '.to_parquet("episode.parquet")'
+        )
     return None
-
-
-def _remedy(log: str, name: str, number: float) -> str:
-    """How one episode is taken, in a line of pandas."""
-    suffix = log.rpartition(".")[2]
-    if suffix not in ("parquet", "csv"):
-        return f"take one of them, as table[table[{name!r}] == {number:g}]"
-    index = ", index=False" if suffix == "csv" else ""
-    return (
-        f"take one of them, in Python as frame = pandas.read_{suffix}({log!r}); "
-        f'frame[frame[{name!r}] == {number:g}].to_{suffix}("episode.{suffix}"{index})'
-    )

@@ -214,7 +214,7 @@ def _of_columns(
     try:
         record = _check_record(name, Record(t, u, y), missing_inputs)
     except ClockError as error:
-        fault = episodes_fault(name, t, source.shown, lambda each: _whole_column(name, source, each))
+        fault = episodes_fault(t, source.shown, lambda each: _whole_column(name, source, each))
         if fault is None:
             raise
         raise ClockError(f"{name}: column {columns.t!r} {fault}", error.record) from error

@@ -92,7 +92,9 @@ def table_source(name: str, log: Any) -> LogSource:
             {column: _arrow(name, column, frame[places[column]].to_arrow) for column in (*wanted, *beside)}
         )
 
-    return LogSource(names, names, load, units, lists=[str(name) for name in frame.columns if _may_hold_lists(frame[name])])
+    return LogSource(
+        names, names, load, units, lists=[str(name) for name in frame.columns if _may_hold_lists(frame[name])]
+    )
 
 
 def _may_hold_lists(cells: Any) -> bool:

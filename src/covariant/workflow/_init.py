@@ -29,7 +29,6 @@ from covariant.workflow._servo_draft import (
     with_joints,
 )
 
-
 SETTABLE = ("units.t", "units.q", "units.u", "units.v", "parameters.path")
 """What a draft may be told of the log and the machine before it is written."""
 
@@ -44,8 +43,8 @@ def init(
     otherwise of masses that move each on its own. Four columns that are a unit quaternion are the attitude of a body
     that turns about a point.
 
-    Where positions follow other columns as servos follow their commands, the machine is a robot with a servo at each of
-    its joints, which `covariant.fit` identifies. Its file is `parameters.path`; without one, each joint moves by itself.
+    Where positions follow other columns as servos follow their commands, the machine is a robot with a servo at each
+    joint, which `covariant.fit` identifies. Its file is `parameters.path`; without one, each joint moves by itself.
 
     Args:
         log: A path, a DataFrame, or an xarray Dataset.
@@ -73,7 +72,9 @@ def init(
     for key in settings:
         if key not in SETTABLE:
             raise ValueError(f"{key} is no value of a draft; write it into its file. There are {', '.join(SETTABLE)}")
-    units = {key: (texts,) if isinstance(texts, str) else tuple(texts) for key, texts in content.get("units", {}).items()}
+    units = {
+        key: (texts,) if isinstance(texts, str) else tuple(texts) for key, texts in content.get("units", {}).items()
+    }
     robot = str(settings.get("parameters.path", ""))
     survey = logs.survey(log)
     try:
@@ -412,11 +413,7 @@ def _units(guess: Draft) -> list[str]:
     lines = ["", "[units]"]
     for field, texts in guess.units.items():
         written = _quote_name(texts[0]) if len(set(texts)) == 1 else _names(texts)
-        why = (
-            "guessed from the numbers: `covariant check` looks closer"
-            if field in guess.guessed
-            else "as stated"
-        )
+        why = "guessed from the numbers: `covariant check` looks closer" if field in guess.guessed else "as stated"
         lines.append(f"{field} = {written}  # {why}")
     return lines
 

@@ -79,9 +79,7 @@ def match_joints(draft: Draft, path: str) -> Joints:
     more = [draft.q[i] for i in open_positions[len(open_joints) :]]
     if more:
         guess += f"{'; ' if guess else ''}{', '.join(more)} have no joint in {Path(path).name}, and are left out"
-    return Joints(
-        path, names, tuple(matched[j] for j in names), tuple(j for j in joints if j not in matched), guess
-    )
+    return Joints(path, names, tuple(matched[j] for j in names), tuple(j for j in joints if j not in matched), guess)
 
 
 def _words(name: str) -> frozenset[str]:
@@ -138,13 +136,15 @@ def robot_lines(draft: Draft, joints: Joints, path: str) -> list[str]:
         lines += [f"path = {_quoted(path)}"]
     else:
         lines += [
-            f"path = {_quoted(path)}  # each joint by itself, without weight: give the URDF or MJCF file of your robot",
-            "# here, with its joints in the order of columns.q, or draft anew with --set 'parameters.path=\"arm.urdf\"'",
+            f"path = {_quoted(path)}  # each joint by itself, without weight: give the file of your robot",
+            "# here, its joints in the order of columns.q, or draft anew with --set 'parameters.path=\"arm.urdf\"'",
         ]
     if joints.guess:
         lines += [f"# {line}" for line in _wrapped(joints.guess)]
     if joints.locked:
-        lines.append(f"lock = {{ {', '.join(f'{_key(name)} = 0.0' for name in joints.locked)} }}  # no column was found")
+        lines.append(
+            f"lock = {{ {', '.join(f'{_key(name)} = 0.0' for name in joints.locked)} }}  # no column was found"
+        )
     centred = _centres(draft)
     if any(centred):
         inside = ", ".join(f"{_key(n)} = {x:.6g}" for n, x in zip(joints.names, centred, strict=True) if x)
@@ -204,7 +204,7 @@ def loose_joints(draft: Draft, joints: Joints) -> str:
     lines = [
         '<?xml version="1.0"?>',
         "<!-- Drafted: each joint of a log of servos by itself, without weight. The inertias are placeholders: of a",
-        "     servo alone only the ratio of stiffness and inertia shows. Take the file of your robot in place of this. -->",
+        "     servo alone only the ratio of stiffness and inertia shows. Take the file of your robot in its place. -->",
         '<robot name="loose_joints">',
         '  <link name="base"/>',
     ]

@@ -7,6 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from covariant.logs import words_of
+
 LATEST = 0.3
 """Longest time [s] by which a position follows a command."""
 LAG_STEP = 0.01
@@ -25,10 +27,20 @@ COPIED = 0.95
 """Fraction of the rows in which a copy of the positions equals them."""
 FEWEST_CHANGES = 10
 """Fewest rows in which a position changes, for it to show anything."""
-ROLE_WORDS = frozenset(
-    "q th theta pos position positions angle ang enc encoder joint observation state present actual measured current "
-    "cmd cmds command commands commanded action actions goal target targets setpoint setpoints sp des desired ref "
-    "reference references leader follower demand demanded".split()
+POSITIONS = words_of("q th theta angle ang angles pos position positions enc encoder")
+"""Words that make a position of what else names a motor, an input, or what is measured now: motor_angle."""
+TORQUES = words_of("tau torque torques tq trq effort force forces moment moments")
+"""Words of torques and forces."""
+TARGETS = words_of("ref reference references desired goal goals target targets set setpoint setpoints")
+"""Words of commands that are never those of torques."""
+COMMANDS = TARGETS | words_of(
+    "cmd cmds command commands commanded action actions des leader sp demand demanded qdes qref qcmd posdes poscmd"
+)
+"""Words of commands."""
+ROLE_WORDS = (
+    POSITIONS
+    | COMMANDS
+    | words_of("joint observation state present actual act measured meas current curr fb feedback follower d")
 )
 """Words that names of a position and of its command do not share."""
 
@@ -62,7 +74,7 @@ def follow(
     `t` are seconds; `on` (T,) are the rows in which the servo is switched on, all by default.
     """
     valid = np.isfinite(q) & np.isfinite(c) & (True if on is None else on)
-    if np.count_nonzero(np.diff(q[valid])) < FEWEST_CHANGES or np.count_nonzero(np.diff(c[valid])) < 2:
+    if np.count_nonzero(np.diff(q[valid])) < FEWEST_CHANGES or not np.diff(c[valid]).any():
         return None
     rows = np.flatnonzero(valid)
     rows = rows[np.unique(np.linspace(0, len(rows) - 1, MOST_ROWS).astype(int))]
@@ -157,4 +169,3 @@ def command_unit(slope: float, factor: float, close: bool) -> float | None:
         return sign * factor
     units = (1.0, np.pi / 180, 2 * np.pi / 4096)
     return next((sign * unit for unit in units if close and 0.85 * unit < size < 1.05 * unit), None)
-

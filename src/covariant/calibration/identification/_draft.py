@@ -9,17 +9,20 @@ import numpy as np
 from jaxtyping import Float
 
 from covariant.calibration.diagnosis import periods, without_full_turns
-from covariant.calibration.identification._commands import pairs
+from covariant.calibration.identification._commands import COMMANDS, POSITIONS, TARGETS, TORQUES, pairs
 from covariant.calibration.identification._servo_columns import (
-    TORQUES,
+    Inputs,
     Servo,
     find_inputs,
     position_units,
+    refuse_commands_among,
+    remarks_on,
     servos_of,
 )
 from covariant.logs import (
     KNOWN,
     MEANT,
+    episodes_fault,
     has_sign_bit,
     is_unit_of,
     odd_clock,
@@ -34,21 +37,15 @@ from covariant.logs import (
 from covariant.scoring import unwrap
 
 _WORDS = {
-    "left out": "true truth raw",
+    "left out": "true truth raw error errors err limit limits",
     "v": "v w dq qd dqdt dot qdot dth dtheta om omega vel velocity velocities speed rate gyro",
     "u": "u tau torque torques tq trq effort force motor input",
     "t": "t time times timestamp timestamps stamp stamps sec secs seconds",
     "q": "q th theta phi psi angle ang pos position positions enc encoder joint x",
 }
 """Words in the names of columns, by role; the first role with a match counts."""
-_POSITION = frozenset("q th theta angle ang angles pos position positions enc encoder".split())
-"""Words that make a position of what else names a motor, an input, or what is measured now: motor_angle."""
 _UNITS = {1.0: "rad", unit_factor("deg"): "deg", unit_factor("turn/4096"): "turn/4096"}
 """Units of commands that their size tells."""
-_CLOSED = frozenset("ref reference references desired goal goals target targets set setpoint setpoints".split())
-"""Words of commands that were never those of torques."""
-_COMMAND = _CLOSED | frozenset("cmd cmds command commands commanded action actions des leader sp demand demanded".split())
-_SWITCH = frozenset("enable enabled".split())
 REGISTERS = {
     "current": "current currents amp amps ampere",
     "load": "load loads pwm duty",
@@ -62,6 +59,8 @@ DEGREES = 50.0
 """Span [rad] of an angle from which it is more likely in degrees."""
 SAME = 0.95
 """Least correlation of a column with the slope of a position for it to count as a velocity."""
+MOST_MOTORS = 64
+"""Most motors of a log that has a row for each in turn."""
 FEWEST_GAPS = 10
 """Least number of gaps between values for which ticks are looked for."""
 OFF_TICK = 0.1
@@ -186,11 +185,19 @@ def draft(
     # Units that the log states are written as in a name, so that one parser reads both.
     labels = {name: f"{name} [{stated[name]}]" if stated and name in stated else name for name in columns}
     known, entries = dict(units or {}), dict(entries or {})
-    kinds = {name: _kind(labels[name], entries.get(name, "")) for name in columns if name not in fixed}
+    # q_d is a desired position, unless there is a q_c.
+    desired = {
+        name for name in columns if words_of(name) & {"q", "dq"} and re.sub("_d(?![a-z])", "_c", name) not in columns
+    }
+    marks = {name: "desired" for name in desired if "d" in words_of(name)}
+    kinds = {name: _kind(labels[name], entries.get(name, marks.get(name, ""))) for name in columns if name not in fixed}
     t = given["t"][0] if "t" in given else _stamps(columns, kinds)
     step = _step(t, columns[t])
+    _refuse_rows_of_several(columns)
     registers = {
-        kind: tuple(name for name, role in kinds.items() if role == kind) for kind in REGISTERS if kind in kinds.values()
+        kind: tuple(name for name, role in kinds.items() if role == kind)
+        for kind in REGISTERS
+        if kind in kinds.values()
     }
     quaternion = () if "q" in given else _quaternion({name: columns[name] for name, kind in kinds.items() if name != t})
     if quaternion:
@@ -200,11 +207,15 @@ def draft(
         raise ValueError(
             f'no column is named like a position, as q1 or theta; name them by `columns["q"]`{_columns_there(columns)}'
         )
+    episodes = episodes_fault(columns[t], columns, columns.__getitem__, rising=True)
     _one_family("q", q, given, columns)
     _refuse_poses(q, entries)
     labels |= _stated_by_user("t", (t,), known) | _stated_by_user("q", q, known)
     clock = columns[t] * unit_factor(_unit_of_stamps(labels[t], columns[t]))
     inputs = find_inputs(columns, labels, kinds, given.get("u"), clock, q)
+    if "q" not in given:
+        q, inputs = _without_rates(columns, clock, q, inputs)
+        refuse_commands_among(columns, clock, q)
     commands = tuple(name for name in inputs.commands if name is not None)
     _one_family("u", inputs.u, given, columns)
     if len(inputs.u) > len(q):
@@ -245,6 +256,7 @@ def draft(
     y = logged * factors
     guessed += ("q",) if ticks and "q" not in guessed and "q" not in known else ()
     servos, switches, remarks = (), (), list(inputs.remarks)
+    remarks += [] if episodes is None else [f"the log {episodes}"]
     if commands:
         paired = inputs._replace(
             commands=tuple(inputs.commands[i] for i in order), following=tuple(inputs.following[i] for i in order)
@@ -252,9 +264,9 @@ def draft(
         servos = servos_of(paired, columns, labels, q, units.get("q", ("rad",) * len(q)))
         switches = _switches(inputs.switches, [name for name, servo in zip(q, servos, strict=True) if servo], columns)
         u = (*(servo.command for servo in servos if servo is not None), *switches)
-        units |= _units_of_commands(servos, len(switches), labels, dict(zip(q, units.get("q", ("rad",) * len(q)))))
+        units |= _units_of_commands(servos, len(switches), labels, units.get("q", ("rad",) * len(q)))
         v, odd_rates = _plausible_rates(columns, clock, q, factors, v, labels)
-        remarks += odd_rates
+        remarks += [*odd_rates, *remarks_on(paired, servos, columns, q, factors, entries, "q" in known)]
     rounding = [_rounding(column) * factor for column, factor in zip(logged.T, np.abs(factors), strict=True)]
     # Readings are whole ticks as they are: a period is known less exactly.
     tick, wraps = _tick(y, rounding), _periods(columns[t], y, rounding, lengths)
@@ -273,7 +285,9 @@ def draft(
         q,
         u,
         v,
-        tuple(name for name in columns if name not in (t, *q, *u, *v, *(n for each in registers.values() for n in each))),
+        tuple(
+            name for name in columns if name not in (t, *q, *u, *v, *(n for each in registers.values() for n in each))
+        ),
         1 / (step * seconds),
         len(y),
         lengths,
@@ -291,13 +305,37 @@ def draft(
     )
 
 
+def _without_rates(
+    columns: Mapping[str, np.ndarray], clock: np.ndarray, q: tuple[str, ...], inputs: Inputs
+) -> tuple[tuple[str, ...], Inputs]:
+    """Positions and inputs without entries of a state that are no positions of servos, but their velocities."""
+    driven = [name for name, command in zip(q, inputs.commands, strict=False) if command is not None]
+    rates = {
+        name
+        for name, command in zip(q, inputs.commands, strict=False)
+        if command is None and any(_is_slope(clock, columns[each], columns[name]) for each in driven)
+    }
+    kept = [i for i, name in enumerate(q) if name not in rates]
+    if not rates:
+        passive = [name for name, command in zip(q, inputs.commands, strict=False) if command is None]
+        remark = f"{', '.join(passive)} have no command, and move freely in this draft"
+        return q, inputs._replace(remarks=(*inputs.remarks, remark)) if passive and driven else inputs
+    return tuple(q[i] for i in kept), inputs._replace(
+        commands=tuple(inputs.commands[i] for i in kept),
+        following=tuple(inputs.following[i] for i in kept),
+        remarks=(*inputs.remarks, f"{', '.join(sorted(rates))} are velocities, and left out"),
+    )
+
+
 def _stated_by_user(field: str, names: Sequence[str], known: Mapping[str, Sequence[str]]) -> dict[str, str]:
     """Labels of columns with the units that the user gives for them."""
     texts = known.get(field, ())
     if not texts or not names:
         return {}
     if len(texts) not in (1, len(names)):
-        raise ValueError(f"{len(texts)} units are given for {field}, which has {len(names)} columns ({', '.join(names)})")
+        raise ValueError(
+            f"{len(texts)} units are given for {field}, which has {len(names)} columns ({', '.join(names)})"
+        )
     for text in texts:
         if not is_unit_of(text, MEANT["q"] if field == "u" else MEANT[field]) and not is_unit_of(text, MEANT[field]):
             raise ValueError(f"unit {text!r} is no unit of {field}; known are {KNOWN[field][0]}, as {KNOWN[field][1]}")
@@ -319,9 +357,7 @@ def _unit_labels(
     return {} if units is None else {name: f"{name} [{unit}]" for name, unit in zip(q, units, strict=True)}
 
 
-def _switches(
-    names: Sequence[str], positions: Sequence[str], columns: Mapping[str, np.ndarray]
-) -> tuple[str, ...]:
+def _switches(names: Sequence[str], positions: Sequence[str], columns: Mapping[str, np.ndarray]) -> tuple[str, ...]:
     """The switch of each servo: columns of 0 and 1 in which a servo is off for a while; one may be that of all."""
     used = [name for name in names if set(np.unique(columns[name][np.isfinite(columns[name])]).tolist()) == {0.0, 1.0}]
     if len(used) == 1:
@@ -331,14 +367,20 @@ def _switches(
 
 
 def _units_of_commands(
-    servos: Sequence[Servo | None], switches: int, labels: Mapping[str, str], of_positions: Mapping[str, str]
+    servos: Sequence[Servo | None], switches: int, labels: Mapping[str, str], of_positions: Sequence[str]
 ) -> dict[str, tuple[str, ...]]:
     """Units of the columns of commands, where they are not radians without a word of it; a switch has none."""
     texts = []
-    for (_, unit), servo in zip(of_positions.items(), servos, strict=True):
+    for unit, servo in zip(of_positions, servos, strict=True):
         if servo is not None:
             factor = servo.unit / unit_factor(unit)
-            text = unit if factor == 1 else f"-1 {unit}" if factor == -1 else _UNITS.get(servo.unit, f"{servo.unit:.6g} rad")
+            text = (
+                unit
+                if factor == 1
+                else f"-1 {unit}"
+                if factor == -1
+                else _UNITS.get(servo.unit, f"{servo.unit:.6g} rad")
+            )
             texts.append(unit_in_name(labels[servo.command], MEANT["q"]) or text)
     in_names = any(unit_in_name(servo.command, MEANT["q"]) for servo in servos if servo is not None)
     plain = all(unit_factor(text) == 1 for text in texts)
@@ -368,11 +410,24 @@ def _plausible_rates(
     return v, []
 
 
+def _refuse_rows_of_several(columns: Mapping[str, np.ndarray]) -> None:
+    """Raise `ValueError` for a log with a row for each motor in turn, in place of a column."""
+    for name, values in columns.items():
+        if not re.fullmatch(r"(?:(?:motor|servo|joint|device|axis|dxl|node|can)_?)?ids?", name, re.IGNORECASE):
+            continue
+        kinds = np.unique(values[np.isfinite(values)])
+        if 1 < len(kinds) <= MOST_MOTORS and np.mean(np.diff(values) != 0) > 0.5:
+            raise ValueError(
+                f"column {name!r} takes turns from row to row, from {kinds[0]:g} to {kinds[-1]:g}: each row is "
+                f'of another motor; give each a column, in pandas as table.pivot_table(index="t", columns={name!r})'
+            )
+
+
 def _refuse_poses(q: Sequence[str], entries: Mapping[str, str]) -> None:
     """Raise `ValueError` for a state whose entries are a point in space, and no joints."""
     if {"x", "y", "z"} <= {entries.get(name, name).lower().rpartition("_")[2] for name in q}:
         named = ", ".join(f"{name} {entries[name]}" for name in q if name in entries)
-        raise ValueError(f"the state is a pose, and no joints: {named or ', '.join(q)}; name joints by `columns[\"q\"]`")
+        raise ValueError(f'the state is a pose, and no joints: {named or ", ".join(q)}; name joints by `columns["q"]`')
 
 
 def _refuse_unknown_units(fields: Mapping[str, Sequence[str]], labels: Mapping[str, str]) -> None:
@@ -422,18 +477,18 @@ def _kind(name: str, entry: str = "") -> str:
     words = words_of(f"{name} {entry}")
     if words & set(_WORDS["left out"].split()):
         return "left out"
-    if words & _SWITCH:
+    if words & {"enable", "enabled"}:
         return "switch"
     register = next((kind for kind, synonyms in REGISTERS.items() if words & set(synonyms.split())), "")
     is_rate = bool(words & set(_WORDS["v"].split())) or unit_in_name(name, MEANT["v"]) is not None
     is_torque = bool(words & TORQUES) or unit_in_name(name, MEANT["u"]) is not None
-    if words & _COMMAND:
+    if words & COMMANDS:
         if is_rate or register:
             return "left out"
-        return "command" if not is_torque else "left out" if words & _CLOSED else "u"
-    if register and not words & _POSITION and not is_torque:
+        return "command" if not is_torque else "left out" if words & TARGETS else "u"
+    if register and not words & POSITIONS and not is_torque:
         return register
-    if words & _POSITION and not is_torque and not is_rate:
+    if words & POSITIONS and not is_torque and not is_rate:
         return "q"
     # Entries of a state are positions unless they say otherwise.
     if re.fullmatch(r"(?:.*[_./])?state\[[0-9]+\]", name):
@@ -452,6 +507,10 @@ def _stamps(columns: Mapping[str, np.ndarray], kinds: Mapping[str, str]) -> str:
     candidates = named or [name for name in rising if kinds.get(name) == ""]
     if len(candidates) == 1:
         return candidates[0]
+    for name in [each for each, kind in kinds.items() if kind == "t" and not named]:
+        fault = episodes_fault(columns[name], columns, columns.__getitem__)
+        if fault is not None:
+            raise ValueError(f"column {name!r} {fault}")
     what = (
         f"{', '.join(candidates)} all rise from row to row"
         if candidates

@@ -10,6 +10,7 @@ from covariant.calibration.identification._commands import (
     FOLLOWS,
     FOLLOWS_CLOSELY,
     LATE,
+    TORQUES,
     Following,
     command_unit,
     copied,
@@ -17,12 +18,10 @@ from covariant.calibration.identification._commands import (
     pairs,
     pairs_by_name,
 )
-from covariant.logs import MEANT, unit_factor, unit_in_name, words_of
+from covariant.logs import MEANT, unit_factor, unit_in_name, unknown_unit, words_of
 
-EXPLICIT = frozenset("action actions leader goal goals target targets pos position positions angle q qpos".split())
+EXPLICIT = words_of("action actions leader goal goals target targets pos position positions angle q qpos")
 """Words that, in the name of a command, say that it is one of a position."""
-TORQUES = frozenset("tau torque torques tq trq effort force forces".split())
-"""Words of torques and forces."""
 UNRELATED = 0.9
 """Error of a regression from which a position that moves does not follow a command by its name either."""
 SOFT = 0.7
@@ -33,6 +32,12 @@ NORMALISED = 100.5
 """Largest number of positions in per cent of their range, which servos of some data sets are logged in."""
 MOST_RADIANS = 7.0
 """Largest angle of a servo in radians, a turn and a little."""
+MOST_POSITIONS = 14
+"""Most positions that are compared with each other."""
+LATEST_TWIN = 0.15
+"""Longest time [s] by which a position follows its command among columns that are all named as positions."""
+MOST_DEGREES = 720.0
+"""Largest angle of a servo in degrees."""
 TICKS = 4096
 """Numbers of an encoder of 12 bits, as most serial-bus servos have."""
 FEWEST_TICKS = 1023
@@ -135,7 +140,7 @@ def _without_commands(
         followed = ", ".join(str(name) for name, yes in zip(paired, follows, strict=True) if yes)
         remark = (
             f"positions follow {followed} late, as a servo follows its commands; the torques {', '.join(torques)} are "
-            f"the inputs here, name the commands by `columns[\"u\"]` for a model of the servos"
+            f'the inputs here, name the commands by `columns["u"]` for a model of the servos'
         )
         return Inputs(torques, remarks=(remark,))
     silent = [name for name, kind in kinds.items() if kind in ("", "command") or name in torques]
@@ -226,11 +231,15 @@ def position_units(
         if values.min() >= 0 and largest < TICKS:
             return [f"turn/{TICKS}" if text is None else text for text in stated]
         raise ValueError(
-            f"the positions {listed} are whole numbers from {values.min():g} to {values.max():g}, as ticks of an encoder "
-            f"are; {answer}"
+            f"the positions {listed} are whole numbers from {values.min():g} to {values.max():g}, as ticks; {answer}"
         )
     if not servos or largest <= MOST_RADIANS:
         return None
+    if largest > MOST_DEGREES:
+        raise ValueError(
+            f"the positions {listed} are between {values.min():.4g} and {values.max():.4g}, more than a servo turns in "
+            f"degrees; {answer}"
+        )
     if whole:
         raise ValueError(
             f"the positions {listed} are whole numbers from {values.min():g} to {values.max():g}: ticks or degrees; "
@@ -238,10 +247,10 @@ def position_units(
         )
     if largest <= NORMALISED:
         raise ValueError(
-            f"the positions {listed} are between {values.min():.4g} and {values.max():.4g}: degrees, or per cent of the "
-            "range of each servo, as LeRobot logs them unless use_degrees is set, which is no angle. Name their unit "
-            "by `overrides=['units.q=\"deg\"']`; for -100 to 100 it is a 200th of the range of each joint, as "
-            "`overrides=['units.q=[\"1.1 deg\", \"0.9 deg\"]']` for ranges of 220 and 180 degrees, from the calibration "
+            f"the positions {listed} are between {values.min():.4g} and {values.max():.4g}: degrees, or per cent of "
+            "the range of each servo, as LeRobot logs them unless use_degrees is set, which is no angle. Name their "
+            "unit by `overrides=['units.q=\"deg\"']`; for -100 to 100 it is a 200th of the range of each joint, as "
+            '`overrides=[\'units.q=["1.1 deg", "0.9 deg"]\']` for ranges of 220 and 180 degrees, from the calibration '
             "file of the arm: (range_max - range_min) / 4096 * 360 / 200; of a gripper from 0 to 100 it is a 100th"
         )
     return ["deg" if text is None else text for text in stated]
@@ -254,7 +263,7 @@ def servos_of(
     q: Sequence[str],
     q_units: Sequence[str],
 ) -> tuple[Servo | None, ...]:
-    """What the log tells of each servo, with the unit of its command; raises `ValueError` for a unit that is unclear."""
+    """What the log tells of each servo, with the unit of its command; raises `ValueError` for one that is unclear."""
     servos: list[Servo | None] = []
     for position, text, command, how in zip(q, q_units, inputs.commands, inputs.following, strict=True):
         if command is None:
@@ -268,10 +277,17 @@ def servos_of(
                 'name the inputs by `columns["u"]`, or none with []'
             )
         factor, named = unit_factor(text), unit_in_name(labels[command], MEANT["q"])
+        odd = unknown_unit(labels[command], MEANT["q"])
+        if odd is not None and odd.lower() not in ("tick", "ticks", "count", "counts"):
+            raise ValueError(
+                f"column {command!r} has {odd!r} in its name, which is no unit of a command; name what one of it is by "
+                "`overrides=['units.u=\"deg\"']`"
+            )
         close = how is not None and how.error < FOLLOWS
         unit = unit_factor(named) if named else command_unit(how.slope, factor, close) if close and how else factor
-        if unit is None or (named and close and how and not 0.15 < how.slope * factor / unit < 1.5):
-            size = 0.0 if how is None else how.slope * factor
+        size = 0.0 if how is None else abs(how.slope) * factor
+        # A servo does not go beyond its command, be it followed well or not.
+        if unit is None or size > 1.5 * abs(unit) or (named and close and size < 0.15 * abs(unit)):
             raise ValueError(
                 f"column {command!r}: {position} [{text}] moves by {size:.3g} rad for one of it, which is no unit of a "
                 f"command{' in ' + named if named else ''}; name it by `overrides=['units.u=\"deg\"']`, or "
@@ -285,3 +301,55 @@ def servos_of(
             offset = how.position * factor - how.command * unit if stiff else 0.0
             servos.append(Servo(command, unit, how.lag if how.late > SHOWN else None, offset))
     return tuple(servos)
+
+
+def remarks_on(
+    inputs: Inputs,
+    servos: Sequence[Servo | None],
+    columns: Mapping[str, np.ndarray],
+    q: Sequence[str],
+    factors: Sequence[float],
+    entries: Mapping[str, str],
+    known: bool,
+) -> list[str]:
+    """Sentences on commands that may be in another unit or have gaps; `known` says whether the user gave units."""
+    remarks = []
+    for position, factor, servo, how in zip(q, factors, servos, inputs.following, strict=True):
+        if servo is None:
+            continue
+        gaps = int(np.count_nonzero(~np.isfinite(columns[servo.command])))
+        if gaps:
+            remarks.append(
+                f"{servo.command} is empty in {gaps} rows: hold the last one in the log, in pandas by .ffill()"
+            )
+        if how is not None and how.error >= FOLLOWS:
+            remarks.append(
+                f"{position} hardly follows {servo.command}, its command by name: {100 * how.whole:.0f} % of its "
+                "motion is another"
+            )
+        ratio = 1.0 if how is None else abs(how.slope * factor / servo.unit)
+        if how is not None and how.error < FOLLOWS_CLOSELY and not 0.9 < ratio < 1.1:
+            remarks.append(f"{position} moves by {ratio:.2g} for one of {servo.command}: a soft servo, or another unit")
+        name = entries.get(position, position)
+        if not known and words_of(name) & {"gripper", "jaw", "finger", "hand", "claw"}:
+            remarks.append(f"{name} is taken for an angle; grippers are often logged as a part of their range")
+    return remarks
+
+
+def refuse_commands_among(columns: Mapping[str, np.ndarray], clock: np.ndarray, q: Sequence[str]) -> None:
+    """Raise `ValueError` for positions of which one half follows the other, as servos follow their commands."""
+    if len(q) % 2 or len(q) > MOST_POSITIONS:
+        return
+    leaders = {}
+    for name in q:
+        each = [(other, follow(clock, columns[name], columns[other])) for other in q if other != name]
+        near = [(other, how) for other, how in each if how is not None and _is_close(how) and how.lag <= LATEST_TWIN]
+        if near:
+            leaders[name] = min(near, key=lambda pair: pair[1].error)[0]
+    commands = set(leaders.values())
+    if len(leaders) == len(commands) == len(q) // 2 and not commands & set(leaders):
+        pairs_seen = ", ".join(f"{name} follows {other}" for name, other in leaders.items())
+        raise ValueError(
+            f'{pairs_seen}, late, as servos follow their commands; name them by `columns["q"]` and `columns["u"]`, or '
+            'name all as positions by `columns["q"]`'
+        )
