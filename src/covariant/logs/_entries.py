@@ -69,7 +69,7 @@ def _labels(path: Path, lengths: Mapping[str, int]) -> dict[str, str]:
     """What a data set calls the entries of its columns, by `observation.state[0]`; empty where it does not say."""
     for place in _INFO:
         # A file beside the log that is something else, or broken, is no fault of the log.
-        with contextlib.suppress(OSError, ValueError, AttributeError, TypeError):
+        with contextlib.suppress(OSError, ValueError, AttributeError, KeyError, TypeError):
             features = json.loads((path.parent / place).read_text(encoding="utf-8"))["features"]
             return {
                 f"{name}[{k}]": text

@@ -192,6 +192,7 @@ def draft(
     marks = {name: "desired" for name in desired if "d" in words_of(name)}
     kinds = {name: _kind(labels[name], entries.get(name, marks.get(name, ""))) for name in columns if name not in fixed}
     t = given["t"][0] if "t" in given else _stamps(columns, kinds)
+    _refuse_episodes(t, columns)
     step = _step(t, columns[t])
     _refuse_rows_of_several(columns)
     registers = {
@@ -505,18 +506,23 @@ def _stamps(columns: Mapping[str, np.ndarray], kinds: Mapping[str, str]) -> str:
     rising = [name for name, values in columns.items() if np.isfinite(values).all() and (np.diff(values) > 0).all()]
     named = [name for name in rising if kinds.get(name) == "t"]
     candidates = named or [name for name in rising if kinds.get(name) == ""]
+    for name in [each for each, kind in kinds.items() if kind == "t" and not named]:
+        _refuse_episodes(name, columns)
     if len(candidates) == 1:
         return candidates[0]
-    for name in [each for each, kind in kinds.items() if kind == "t" and not named]:
-        fault = episodes_fault(columns[name], columns, columns.__getitem__)
-        if fault is not None:
-            raise ValueError(f"column {name!r} {fault}")
     what = (
         f"{', '.join(candidates)} all rise from row to row"
         if candidates
         else "no column of stamps rises from row to row"
     )
     raise ValueError(f'{what}; name the one of the stamps by `columns["t"]`{_columns_there(columns)}')
+
+
+def _refuse_episodes(name: str, columns: Mapping[str, np.ndarray]) -> None:
+    """Raise `ValueError` for stamps that start again with each episode."""
+    fault = episodes_fault(columns[name], columns, columns.__getitem__)
+    if fault is not None:
+        raise ValueError(f"column {name!r} {fault}")
 
 
 def _step(name: str, t: np.ndarray) -> float:
