@@ -52,8 +52,10 @@ KINDS = {
 @pytest.mark.parametrize("kind", KINDS.values(), ids=KINDS)
 @pytest.mark.parametrize("form", ["file", "arrow", "pandas"])
 def test_an_entry_of_a_list_is_a_column(tmp_path, kind, form):
-    log = table(kind) if not pa.types.is_integer(kind.value_type) else table().set_column(
-        0, "observation.state", pa.array([[1, 2]] * len(T), kind)
+    log = (
+        table(kind)
+        if not pa.types.is_integer(kind.value_type)
+        else table().set_column(0, "observation.state", pa.array([[1, 2]] * len(T), kind))
     )
     log = {"file": lambda: written(tmp_path / "a.parquet", log), "arrow": lambda: log, "pandas": log.to_pandas}[form]()
     whole = pa.types.is_integer(kind.value_type)
@@ -129,10 +131,13 @@ def test_a_unit_of_a_list_is_that_of_its_entries():
 
 def test_episodes_of_one_file_are_named_with_their_rows(tmp_path):
     path = written(tmp_path / "a.parquet", table(episodes=[4, 4, 5, 5, 5, 9]))
-    with pytest.raises(logs.ClockError, match=re.escape(
-        "column 'timestamp' starts again at row 3: by episode_index, 4 is rows 1 to 2, 5 is rows 3 to 5, 9 is rows 6 to "
-        "6; take one of them, in pandas as frame[frame['episode_index'] == 5].to_parquet(\"episode.parquet\")"
-    )):
+    with pytest.raises(
+        logs.ClockError,
+        match=re.escape(
+            "column 'timestamp' starts again at row 3: by episode_index, 4 is rows 1 to 2, 5 is rows 3 to 5, 9 is rows 6 to "
+            "6; take one of them, in pandas as frame[frame['episode_index'] == 5].to_parquet(\"episode.parquet\")"
+        ),
+    ):
         logs.record(path, "timestamp", "action[0]")
     frame = pandas.read_parquet(path)
     frame[frame["episode_index"] == 5].to_parquet(tmp_path / "episode.parquet")

@@ -163,8 +163,9 @@ class InitResult(AbstractResult):
         registers = [name for names in self.draft.registers.values() for name in names]
         if registers:
             lines.append(f"no torques, and left out: {', '.join(registers)}")
-        if self.draft.left_out:
-            lines.append(f"left out: {', '.join(self.draft.left_out)}")
+        others = [name for name in self.draft.left_out if name not in registers]
+        if others:
+            lines.append(f"left out: {', '.join(others)}")
         if self.joints is not None:
             return "\n".join([*lines, *self._next_of_servos()])
         todo = "put first values of your machine into [parameters] of the model file"
@@ -224,6 +225,8 @@ def _module_name(stem: str) -> str:
 
 def _model_file(name: str, guess: Draft, machine: list[str], remarks: Sequence[str] = ()) -> str:
     """The text of the model file; `machine` are the lines of the system and its parameters."""
+    registers = {name for names in guess.registers.values() for name in names}
+    others = [name for name in guess.left_out if name not in registers]
     lines = [
         f"# Drafted from the log {name}: {guess.rows} rows at {guess.rate:.4g} Hz. The columns are guessed from their",
         "# names and their content. Numbers with a comment `placeholder` are places to put yours, not measurements:",
@@ -239,7 +242,7 @@ def _model_file(name: str, guess: Draft, machine: list[str], remarks: Sequence[s
         f"u = {_names(guess.u)}" + ("" if guess.u else "  # no input was found"),
         *([f"v = {_names(guess.v)}  # only compared with, never used"] if guess.v else []),
         *register_lines(guess),
-        *([f"# left out: {', '.join(guess.left_out)}"] if guess.left_out else []),
+        *([f"# left out: {', '.join(others)}"] if others else []),
         *_units(guess),
         "",
         "[measurement]",

@@ -102,7 +102,7 @@ class Draft(NamedTuple):
         servos: What the log tells of the servo of each position, None for one without a command; empty where the inputs
             are no commands.
         switches: Columns that are 0 where servos are switched off; the last of `u`.
-        registers: Columns of a drive that are no torques: by "current", "load", "voltage", "temperature".
+        registers: Columns of a drive among those that are left out, and are no torques: by "current", "load", "voltage", "temperature".
         remarks: Sentences on what was guessed of the inputs.
         entries: What the log calls the entries of lists, by column.
 
@@ -286,9 +286,7 @@ def draft(
         q,
         u,
         v,
-        tuple(
-            name for name in columns if name not in (t, *q, *u, *v, *(n for each in registers.values() for n in each))
-        ),
+        tuple(name for name in columns if name not in (t, *q, *u, *v)),
         1 / (step * seconds),
         len(y),
         lengths,

@@ -32,8 +32,6 @@ NORMALISED = 100.5
 """Largest number of positions in per cent of their range, which servos of some data sets are logged in."""
 MOST_RADIANS = 7.0
 """Largest angle of a servo in radians, a turn and a little."""
-MOST_POSITIONS = 14
-"""Most positions that are compared with each other."""
 LATEST_TWIN = 0.15
 """Longest time [s] by which a position follows its command among columns that are all named as positions."""
 MOST_DEGREES = 720.0
@@ -337,19 +335,13 @@ def remarks_on(
 
 
 def refuse_commands_among(columns: Mapping[str, np.ndarray], clock: np.ndarray, q: Sequence[str]) -> None:
-    """Raise `ValueError` for positions of which one half follows the other, as servos follow their commands."""
-    if len(q) % 2 or len(q) > MOST_POSITIONS:
+    """Raise `ValueError` for two positions of which one follows the other; names of more say which are of a kind."""
+    if len(q) != 2:
         return
-    leaders = {}
-    for name in q:
-        each = [(other, follow(clock, columns[name], columns[other])) for other in q if other != name]
-        near = [(other, how) for other, how in each if how is not None and _is_close(how) and how.lag <= LATEST_TWIN]
-        if near:
-            leaders[name] = min(near, key=lambda pair: pair[1].error)[0]
-    commands = set(leaders.values())
-    if len(leaders) == len(commands) == len(q) // 2 and not commands & set(leaders):
-        pairs_seen = ", ".join(f"{name} follows {other}" for name, other in leaders.items())
-        raise ValueError(
-            f'{pairs_seen}, late, as servos follow their commands; name them by `columns["q"]` and `columns["u"]`, or '
-            'name all as positions by `columns["q"]`'
-        )
+    for name, other in (q, q[::-1]):
+        how = follow(clock, columns[name], columns[other])
+        if how is not None and _is_close(how) and how.lag <= LATEST_TWIN and how.slope > 0:
+            raise ValueError(
+                f'{name} follows {other}, late, as a servo its command; name them by `columns["q"]` and '
+                '`columns["u"]`, or name both as positions by `columns["q"]`'
+            )
