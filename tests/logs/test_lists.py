@@ -134,8 +134,8 @@ def test_episodes_of_one_file_are_named_with_their_rows(tmp_path):
     with pytest.raises(
         logs.ClockError,
         match=re.escape(
-            "column 'timestamp' starts again at row 3: by episode_index, 4 is rows 1 to 2, 5 is rows 3 to 5, 9 is rows 6 to "
-            "6; take one of them, in pandas as frame[frame['episode_index'] == 5].to_parquet(\"episode.parquet\")"
+            "column 'timestamp' starts again at row 3: by episode_index, 4 is rows 1 to 2, 5 is rows 3 to 5, 9 is rows 6 "
+            "to 6; take one of them, in pandas as frame[frame['episode_index'] == 5].to_parquet(\"episode.parquet\")"
         ),
     ):
         logs.record(path, "timestamp", "action[0]")
@@ -177,11 +177,11 @@ def test_a_word_with_a_sign_bit_is_refused_with_its_decoding(cells, field):
     if field == "u":
         cells = cells[np.isfinite(cells)]
     log = pandas.DataFrame({"t": 0.01 * np.arange(len(cells)), "x": cells, "y": 0.0})
-    columns = {"q": "x"} if field == "q" else {"q": "y", "u": "x"}
+    columns = Columns(q=("x",)) if field == "q" else Columns(q=("y",), u=("x",))
     with pytest.raises(LogError, match=re.escape("numpy.where(x >= 32768, 32768 - x, x)")):
-        logs.record(log, **columns)
+        logs.read(log, columns)
     log["x"] = np.where(log["x"] >= 32768, 32768 - log["x"], log["x"])
-    logs.record(log, **columns)
+    logs.read(log, columns)
 
 
 @pytest.mark.parametrize("cells", PLAIN.values(), ids=PLAIN)

@@ -206,7 +206,7 @@ class EstimateResult(AbstractEstimates):
 
     @property
     def _torques(self) -> dict[str, tuple[str, np.ndarray]]:
-        """Units and values (T,) of the torques of servos at the estimates, by column; empty where inputs are torques."""
+        """Units and values (T,) of the torques of servos at the estimates, by column; none where inputs are torques."""
         loaded, estimate = self.loaded, self.outcome.run.estimate
         servos = servos_in(loaded.model)
         if servos is None:

@@ -141,6 +141,9 @@ def robot_lines(draft: Draft, joints: Joints, path: str) -> list[str]:
         ]
     if joints.guess:
         lines += [f"# {line}" for line in _wrapped(joints.guess)]
+    driven = [name for name, servo in zip(joints.names, draft.servos, strict=True) if servo is not None]
+    if len(driven) < len(joints.names):
+        lines.append(f"actuated = [{', '.join(map(_quoted, driven))}]  # the others have no command")
     if joints.locked:
         lines.append(
             f"lock = {{ {', '.join(f'{_key(name)} = 0.0' for name in joints.locked)} }}  # no column was found"

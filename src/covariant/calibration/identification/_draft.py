@@ -102,7 +102,8 @@ class Draft(NamedTuple):
         servos: What the log tells of the servo of each position, None for one without a command; empty where the inputs
             are no commands.
         switches: Columns that are 0 where servos are switched off; the last of `u`.
-        registers: Columns of a drive among those that are left out, and are no torques: by "current", "load", "voltage", "temperature".
+        registers: Columns of a drive among those that are left out, which are no torques: by "current", "load",
+            "voltage", "temperature".
         remarks: Sentences on what was guessed of the inputs.
         entries: What the log calls the entries of lists, by column.
 
