@@ -109,7 +109,8 @@ def _regression(x: np.ndarray, y: np.ndarray) -> _Line:
         if np.count_nonzero(kept) < FEWEST_CHANGES or np.ptp(x[kept]) == 0:
             return _Line(np.inf, slope, centre, middle, np.inf)
         centre, middle = float(y[kept].mean()), float(x[kept].mean())
-        slope = float(np.polyfit(x[kept] - middle, y[kept] - centre, 1)[0])
+        about = x[kept] - middle
+        slope = float(about @ y[kept] / (about @ about))
         errors = y - centre - slope * (x - middle)
         kept = np.abs(errors) <= np.quantile(np.abs(errors), TRIMMED)
     motion = max(float(np.std(y)), 1e-300)
