@@ -11,7 +11,7 @@ from xml.sax.saxutils import quoteattr
 
 from covariant import models
 from covariant.calibration import Draft
-from covariant.calibration.identification import Servo
+from covariant.calibration.identification import DraftedServo
 from covariant.logs import unit_factor
 from covariant.workflow._placeholders import marked
 
@@ -189,7 +189,7 @@ def servo_lines(draft: Draft, joints: Joints) -> list[str]:
     return lines
 
 
-def _offset_line(servo: Servo, weighed: bool) -> list[str]:
+def _offset_line(servo: DraftedServo, weighed: bool) -> list[str]:
     """The line of the offset, a comment where the weight of the robot may explain it."""
     if abs(servo.offset) < LEAST_OFFSET:
         return []

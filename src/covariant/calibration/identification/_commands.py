@@ -25,6 +25,8 @@ LATE = 2.0
 """How much larger that error is without a lag, for a column whose name says nothing."""
 COPIED = 0.95
 """Fraction of the rows in which a copy of the positions equals them."""
+SAME = 0.95
+"""Least correlation of a column with the slope of a position for it to count as a velocity."""
 FEWEST_CHANGES = 10
 """Fewest rows in which a position changes, for it to show anything."""
 POSITIONS = words_of("q th theta angle ang angles pos position positions enc encoder")
@@ -170,3 +172,12 @@ def command_unit(slope: float, factor: float, close: bool) -> float | None:
         return sign * factor
     units = (1.0, np.pi / 180, 2 * np.pi / 4096)
     return next((sign * unit for unit in units if close and 0.85 * unit < size < 1.05 * unit), None)
+
+
+def is_slope(t: np.ndarray, y: np.ndarray, v: np.ndarray) -> bool:
+    """Whether a column follows the slope of a position."""
+    slope = np.gradient(y, t)
+    valid = np.isfinite(slope) & np.isfinite(v)
+    if valid.sum() < 10 or np.ptp(v[valid]) == 0 or np.ptp(slope[valid]) == 0:
+        return False
+    return bool(np.corrcoef(slope[valid], v[valid])[0, 1] > SAME)

@@ -9,22 +9,29 @@ import numpy as np
 from jaxtyping import Float
 
 from covariant.calibration.diagnosis import periods, without_full_turns
-from covariant.calibration.identification._commands import COMMANDS, POSITIONS, TARGETS, TORQUES, pairs
+from covariant.calibration.identification._commands import is_slope
+from covariant.calibration.identification._roles import REGISTERS, role
 from covariant.calibration.identification._servo_columns import (
-    Inputs,
-    Servo,
     find_inputs,
-    position_units,
     refuse_commands_among,
+    refuse_poses,
+    refuse_rows_of_several,
+    switches_of,
+    without_rates,
+)
+from covariant.calibration.identification._servo_units import (
+    DraftedServo,
+    plausible_rates,
     remarks_on,
     servos_of,
+    stated_by_user,
+    unit_labels,
+    units_of_commands,
 )
 from covariant.logs import (
-    KNOWN,
     MEANT,
     episodes_fault,
     has_sign_bit,
-    is_unit_of,
     odd_clock,
     sign_bit_fault,
     unit_factor,
@@ -36,31 +43,10 @@ from covariant.logs import (
 )
 from covariant.scoring import unwrap
 
-_WORDS = {
-    "left out": "true truth raw error errors err limit limits",
-    "v": "v w dq qd dqdt dot qdot dth dtheta om omega vel velocity velocities speed rate gyro",
-    "u": "u tau torque torques tq trq effort force motor input",
-    "t": "t time times timestamp timestamps stamp stamps sec secs seconds",
-    "q": "q th theta phi psi angle ang pos position positions enc encoder joint x",
-}
-"""Words in the names of columns, by role; the first role with a match counts."""
-_UNITS = {1.0: "rad", unit_factor("deg"): "deg", unit_factor("turn/4096"): "turn/4096"}
-"""Units of commands that their size tells."""
-REGISTERS = {
-    "current": "current currents amp amps ampere",
-    "load": "load loads pwm duty",
-    "voltage": "volt volts voltage voltages",
-    "temperature": "temp temperature temperatures",
-}
-"""Words of registers of a drive, by what they hold; none of these is a torque."""
 CLOCKS = ((0.5, "s"), (500.0, "ms"), (5e5, "us"), (np.inf, "ns"))
 """Upper bounds of the median step of the stamps, and the unit in which they then are."""
 DEGREES = 50.0
 """Span [rad] of an angle from which it is more likely in degrees."""
-SAME = 0.95
-"""Least correlation of a column with the slope of a position for it to count as a velocity."""
-MOST_MOTORS = 64
-"""Most motors of a log that has a row for each in turn."""
 FEWEST_GAPS = 10
 """Least number of gaps between values for which ticks are looked for."""
 OFF_TICK = 0.1
@@ -131,7 +117,7 @@ class Draft(NamedTuple):
     guessed: tuple[str, ...]
     quaternion: tuple[str, ...] = ()
     period: tuple[float, ...] = ()
-    servos: tuple[Servo | None, ...] = ()
+    servos: tuple[DraftedServo | None, ...] = ()
     switches: tuple[str, ...] = ()
     registers: Mapping[str, tuple[str, ...]] = MappingProxyType({})
     remarks: tuple[str, ...] = ()
@@ -191,11 +177,11 @@ def draft(
         name for name in columns if words_of(name) & {"q", "dq"} and re.sub("_d(?![a-z])", "_c", name) not in columns
     }
     marks = {name: "desired" for name in desired if "d" in words_of(name)}
-    kinds = {name: _kind(labels[name], entries.get(name, marks.get(name, ""))) for name in columns if name not in fixed}
+    kinds = {name: role(labels[name], entries.get(name, marks.get(name, ""))) for name in columns if name not in fixed}
     t = given["t"][0] if "t" in given else _stamps(columns, kinds)
     _refuse_episodes(t, columns)
     step = _step(t, columns[t])
-    _refuse_rows_of_several(columns)
+    refuse_rows_of_several(columns)
     registers = {
         kind: tuple(name for name, role in kinds.items() if role == kind)
         for kind in REGISTERS
@@ -211,12 +197,12 @@ def draft(
         )
     episodes = episodes_fault(columns[t], columns, columns.__getitem__, rising=True)
     _one_family("q", q, given, columns)
-    _refuse_poses(q, entries)
-    labels |= _stated_by_user("t", (t,), known) | _stated_by_user("q", q, known)
+    refuse_poses(q, entries)
+    labels |= stated_by_user("t", (t,), known) | stated_by_user("q", q, known)
     clock = columns[t] * unit_factor(_unit_of_stamps(labels[t], columns[t]))
     inputs = find_inputs(columns, labels, kinds, given.get("u"), clock, q)
     if "q" not in given:
-        q, inputs = _without_rates(columns, clock, q, inputs)
+        q, inputs = without_rates(columns, clock, q, inputs)
         refuse_commands_among(columns, clock, q)
     commands = tuple(name for name in inputs.commands if name is not None)
     _one_family("u", inputs.u, given, columns)
@@ -228,15 +214,15 @@ def draft(
     for name in (*q, *commands):
         if has_sign_bit(columns[name]):
             raise ValueError(sign_bit_fault(name))
-    labels |= _stated_by_user("u", commands or inputs.u, known)
-    ticks = _unit_labels(columns, q, labels, bool(commands))
+    labels |= stated_by_user("u", commands or inputs.u, known)
+    ticks = unit_labels(columns, q, labels, bool(commands))
     labels |= ticks
     v = given.get("v") or tuple(name for name, kind in kinds.items() if kind == "v")
     if not v:
         unnamed = [name for name, kind in kinds.items() if kind == "" and name != t]
-        v = tuple(name for p in q for name in unnamed if _is_slope(columns[t], columns[p], columns[name]))
+        v = tuple(name for p in q for name in unnamed if is_slope(columns[t], columns[p], columns[name]))
     v = v if len(v) == len(q) else ()
-    labels |= _stated_by_user("v", v, known)
+    labels |= stated_by_user("v", v, known)
     _refuse_unknown_units({"t": (t,), "q": q, "u": inputs.u, "v": v}, labels)
     lengths = tuple(unit_in_name(labels[name], ("m",)) is not None for name in q)
     order = sorted(range(len(q)), key=lambda i: not lengths[i])
@@ -264,10 +250,10 @@ def draft(
             commands=tuple(inputs.commands[i] for i in order), following=tuple(inputs.following[i] for i in order)
         )
         servos = servos_of(paired, columns, labels, q, units.get("q", ("rad",) * len(q)))
-        switches = _switches(inputs.switches, [name for name, servo in zip(q, servos, strict=True) if servo], columns)
+        switches = switches_of(inputs.switches, [name for name, servo in zip(q, servos, strict=True) if servo], columns)
         u = (*(servo.command for servo in servos if servo is not None), *switches)
-        units |= _units_of_commands(servos, len(switches), labels, units.get("q", ("rad",) * len(q)))
-        v, odd_rates = _plausible_rates(columns, clock, q, factors, v, labels)
+        units |= units_of_commands(servos, len(switches), labels, units.get("q", ("rad",) * len(q)))
+        v, odd_rates = plausible_rates(columns, clock, q, factors, v, labels)
         remarks += [*odd_rates, *remarks_on(paired, servos, columns, q, factors, entries, "q" in known)]
     rounding = [_rounding(column) * factor for column, factor in zip(logged.T, np.abs(factors), strict=True)]
     # Readings are whole ticks as they are: a period is known less exactly.
@@ -305,129 +291,8 @@ def draft(
     )
 
 
-def _without_rates(
-    columns: Mapping[str, np.ndarray], clock: np.ndarray, q: tuple[str, ...], inputs: Inputs
-) -> tuple[tuple[str, ...], Inputs]:
-    """Positions and inputs without entries of a state that are no positions of servos, but their velocities."""
-    driven = [name for name, command in zip(q, inputs.commands, strict=False) if command is not None]
-    rates = {
-        name
-        for name, command in zip(q, inputs.commands, strict=False)
-        if command is None and any(_is_slope(clock, columns[each], columns[name]) for each in driven)
-    }
-    kept = [i for i, name in enumerate(q) if name not in rates]
-    if not rates:
-        passive = [name for name, command in zip(q, inputs.commands, strict=False) if command is None]
-        remark = f"{', '.join(passive)} have no command, and move freely in this draft"
-        return q, inputs._replace(remarks=(*inputs.remarks, remark)) if passive and driven else inputs
-    return tuple(q[i] for i in kept), inputs._replace(
-        commands=tuple(inputs.commands[i] for i in kept),
-        following=tuple(inputs.following[i] for i in kept),
-        remarks=(*inputs.remarks, f"{', '.join(sorted(rates))} are velocities, and left out"),
-    )
-
-
-def _stated_by_user(field: str, names: Sequence[str], known: Mapping[str, Sequence[str]]) -> dict[str, str]:
-    """Labels of columns with the units that the user gives for them."""
-    texts = known.get(field, ())
-    if not texts or not names:
-        return {}
-    if len(texts) not in (1, len(names)):
-        raise ValueError(
-            f"{len(texts)} units are given for {field}, which has {len(names)} columns ({', '.join(names)})"
-        )
-    for text in texts:
-        if not is_unit_of(text, MEANT["q"] if field == "u" else MEANT[field]) and not is_unit_of(text, MEANT[field]):
-            raise ValueError(f"unit {text!r} is no unit of {field}; known are {KNOWN[field][0]}, as {KNOWN[field][1]}")
-    return {name: f"{name} [{texts[i if len(texts) > 1 else 0]}]" for i, name in enumerate(names)}
-
-
 def _unit_of_stamps(label: str, t: np.ndarray) -> str:
     return unit_in_name(label, MEANT["t"]) or next(unit for limit, unit in CLOCKS if np.median(np.diff(t)) < limit)
-
-
-def _unit_labels(
-    columns: Mapping[str, np.ndarray], q: Sequence[str], labels: Mapping[str, str], servos: bool
-) -> dict[str, str]:
-    """Labels of positions with a unit that their numbers show; empty where the usual rule decides."""
-    texts = [unit_in_name(labels[name], MEANT["q"]) for name in q]
-    if None not in texts:
-        return {}
-    units = position_units(np.column_stack([columns[name] for name in q]), q, texts, servos)
-    return {} if units is None else {name: f"{name} [{unit}]" for name, unit in zip(q, units, strict=True)}
-
-
-def _switches(names: Sequence[str], positions: Sequence[str], columns: Mapping[str, np.ndarray]) -> tuple[str, ...]:
-    """The switch of each servo: columns of 0 and 1 in which a servo is off for a while; one may be that of all."""
-    used = [name for name in names if set(np.unique(columns[name][np.isfinite(columns[name])]).tolist()) == {0.0, 1.0}]
-    if len(used) == 1:
-        return tuple(used) * len(positions)
-    paired = pairs(positions, used)
-    return tuple(name for name in paired if name is not None) if None not in paired else ()
-
-
-def _units_of_commands(
-    servos: Sequence[Servo | None], switches: int, labels: Mapping[str, str], of_positions: Sequence[str]
-) -> dict[str, tuple[str, ...]]:
-    """Units of the columns of commands, where they are not radians without a word of it; a switch has none."""
-    texts = []
-    for unit, servo in zip(of_positions, servos, strict=True):
-        if servo is not None:
-            factor = servo.unit / unit_factor(unit)
-            text = (
-                unit
-                if factor == 1
-                else f"-1 {unit}"
-                if factor == -1
-                else _UNITS.get(servo.unit, f"{servo.unit:.6g} rad")
-            )
-            texts.append(unit_in_name(labels[servo.command], MEANT["q"]) or text)
-    in_names = any(unit_in_name(servo.command, MEANT["q"]) for servo in servos if servo is not None)
-    plain = all(unit_factor(text) == 1 for text in texts)
-    return {} if plain and not in_names else {"u": (*texts, *("1",) * switches)}
-
-
-def _plausible_rates(
-    columns: Mapping[str, np.ndarray],
-    clock: np.ndarray,
-    q: Sequence[str],
-    factors: Sequence[float],
-    v: tuple[str, ...],
-    labels: Mapping[str, str],
-) -> tuple[tuple[str, ...], list[str]]:
-    """Registers of velocities, none where they are in another unit than their name says, with a sentence on it."""
-    for position, factor, name in zip(q, factors, v, strict=False):
-        slope = np.gradient(columns[position], clock) * factor
-        unit = unit_factor(unit_in_name(labels[name], MEANT["v"]) or "rad/s")
-        valid = np.isfinite(slope) & np.isfinite(columns[name])
-        size = float(np.sum(slope[valid] ** 2))
-        ratio = float(np.sum(slope[valid] * columns[name][valid])) * unit / size if size else 1.0
-        if np.count_nonzero(np.diff(columns[position])) > FEWEST_GAPS and not 0.4 < ratio < 1.6:
-            return (), [
-                f"the registers of velocity {', '.join(v)} are left out: {name} is {ratio:.3g} times the slope of "
-                f"{position}"
-            ]
-    return v, []
-
-
-def _refuse_rows_of_several(columns: Mapping[str, np.ndarray]) -> None:
-    """Raise `ValueError` for a log with a row for each motor in turn, in place of a column."""
-    for name, values in columns.items():
-        if not re.fullmatch(r"(?:(?:motor|servo|joint|device|axis|dxl|node|can)_?)?ids?", name, re.IGNORECASE):
-            continue
-        kinds = np.unique(values[np.isfinite(values)])
-        if 1 < len(kinds) <= MOST_MOTORS and np.mean(np.diff(values) != 0) > 0.5:
-            raise ValueError(
-                f"column {name!r} takes turns from row to row, from {kinds[0]:g} to {kinds[-1]:g}: each row is "
-                f'of another motor; give each a column, in pandas as table.pivot_table(index="t", columns={name!r})'
-            )
-
-
-def _refuse_poses(q: Sequence[str], entries: Mapping[str, str]) -> None:
-    """Raise `ValueError` for a state whose entries are a point in space, and no joints."""
-    if {"x", "y", "z"} <= {entries.get(name, name).lower().rpartition("_")[2] for name in q}:
-        named = ", ".join(f"{name} {entries[name]}" for name in q if name in entries)
-        raise ValueError(f'the state is a pose, and no joints: {named or ", ".join(q)}; name joints by `columns["q"]`')
 
 
 def _refuse_unknown_units(fields: Mapping[str, Sequence[str]], labels: Mapping[str, str]) -> None:
@@ -466,39 +331,6 @@ def _units(
 
 def _columns_there(columns: Mapping[str, np.ndarray]) -> str:
     return f"; the columns of numbers are {', '.join(columns) or 'none'}"
-
-
-def _kind(name: str, entry: str = "") -> str:
-    """Role of a column by its name, a key of `_WORDS`: by its words, else by its unit; empty where neither shows it.
-
-    Of a drive it may be a "command" of its position, the "switch" of its torque, or one of `REGISTERS`. `entry` is what
-    the log calls the entry of a list, whose column says that it is a state or an action.
-    """
-    words = words_of(f"{name} {entry}")
-    if words & set(_WORDS["left out"].split()):
-        return "left out"
-    if words & {"enable", "enabled"}:
-        return "switch"
-    register = next((kind for kind, synonyms in REGISTERS.items() if words & set(synonyms.split())), "")
-    is_rate = bool(words & set(_WORDS["v"].split())) or unit_in_name(name, MEANT["v"]) is not None
-    is_torque = bool(words & TORQUES) or unit_in_name(name, MEANT["u"]) is not None
-    if words & COMMANDS:
-        if is_rate or register:
-            return "left out"
-        return "command" if not is_torque else "left out" if words & TARGETS else "u"
-    if register and not words & POSITIONS and not is_torque:
-        return register
-    if words & POSITIONS and not is_torque and not is_rate:
-        return "q"
-    # Entries of a state are positions unless they say otherwise.
-    if re.fullmatch(r"(?:.*[_./])?state\[[0-9]+\]", name):
-        return "v" if is_rate else "u" if is_torque else "q"
-    roles = [kind for kind, synonyms in _WORDS.items() if words & set(synonyms.split())]
-    # A unit of velocity decides, whatever the words: q1 [rad/s] is no position.
-    if unit_in_name(name, MEANT["v"]):
-        return "v"
-    roles += [kind for kind, units in MEANT.items() if unit_in_name(name, units)]
-    return next(iter(roles), "")
 
 
 def _stamps(columns: Mapping[str, np.ndarray], kinds: Mapping[str, str]) -> str:
@@ -540,15 +372,6 @@ def _one_family(key: str, names: Sequence[str], fixed: Mapping[str, Sequence[str
         raise ValueError(
             f'{", ".join(names)} may all be {key}; name those that are by `columns["{key}"]`{_columns_there(columns)}'
         )
-
-
-def _is_slope(t: np.ndarray, y: np.ndarray, v: np.ndarray) -> bool:
-    """Whether a column follows the slope of a position."""
-    slope = np.gradient(y, t)
-    valid = np.isfinite(slope) & np.isfinite(v)
-    if valid.sum() < 10 or np.ptp(v[valid]) == 0 or np.ptp(slope[valid]) == 0:
-        return False
-    return bool(np.corrcoef(slope[valid], v[valid])[0, 1] > SAME)
 
 
 def _periods(
@@ -612,7 +435,7 @@ def _quaternion(columns: Mapping[str, np.ndarray]) -> tuple[str, ...]:
     groups: dict[str, dict[str, str]] = {}
     for name in columns:
         match = _QUATERNION.match(name)
-        if match is not None and _kind(name) not in ("left out", "t"):
+        if match is not None and role(name) not in ("left out", "t"):
             groups.setdefault(match[1], {})[match[2].lower()] = name
     for group in groups.values():
         for order in ("wxyz", "0123", "1234"):

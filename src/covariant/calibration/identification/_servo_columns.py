@@ -1,5 +1,6 @@
 """Inputs of a log of servos: commands that positions follow, switches, and registers that are no torques."""
 
+import re
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
@@ -12,55 +13,21 @@ from covariant.calibration.identification._commands import (
     LATE,
     TORQUES,
     Following,
-    command_unit,
-    copied,
     follow,
+    is_slope,
     pairs,
     pairs_by_name,
 )
-from covariant.logs import MEANT, unit_factor, unit_in_name, unknown_unit, words_of
+from covariant.logs import MEANT, unit_in_name, words_of
 
 EXPLICIT = words_of("action actions leader goal goals target targets pos position positions angle q qpos")
 """Words that, in the name of a command, say that it is one of a position."""
 UNRELATED = 0.9
 """Error of a regression from which a position that moves does not follow a command by its name either."""
-SOFT = 0.7
-"""Least motion for one of a command, at which the mean distance between them is an offset and no sag."""
-SHOWN = 1.05
-"""How much larger the error must be without a lag, for the lag to count."""
-NORMALISED = 100.5
-"""Largest number of positions in per cent of their range, which servos of some data sets are logged in."""
-MOST_RADIANS = 7.0
-"""Largest angle of a servo in radians, a turn and a little."""
+MOST_MOTORS = 64
+"""Most motors of a log that has a row for each in turn."""
 LATEST_TWIN = 0.15
 """Longest time [s] by which a position follows its command among columns that are all named as positions."""
-MOST_DEGREES = 720.0
-"""Largest angle of a servo in degrees."""
-TICKS = 4096
-"""Numbers of an encoder of 12 bits, as most serial-bus servos have."""
-FEWEST_TICKS = 1023
-"""Largest number from which whole numbers within `TICKS` are ticks for certain, and not degrees or another encoder."""
-
-
-class Servo(NamedTuple):
-    """What a log tells of the servo of a position.
-
-    Attributes:
-        command: Column of its command.
-        unit: Size [rad] of one of the command.
-        lag: Time [s] by which the position follows; None where it is not seen to.
-        offset: What has to be added to the command [rad].
-
-    Example:
-        >>> from covariant.calibration.identification import Servo
-        >>> Servo("cmd_hip", unit=1.0, lag=0.08, offset=0.0).command
-        'cmd_hip'
-    """
-
-    command: str
-    unit: float
-    lag: float | None
-    offset: float
 
 
 class Inputs(NamedTuple):
@@ -210,130 +177,6 @@ def _by_content(
     return tuple(name for name, _ in best), tuple(how for _, how in best)
 
 
-def position_units(
-    logged: Float[np.ndarray, "T n"], names: Sequence[str], stated: Sequence[str | None], servos: bool
-) -> list[str] | None:
-    """Units of positions that state none: ticks, or degrees of servos; None where that rule says nothing.
-
-    Raises `ValueError` where the numbers may be in two units.
-    """
-    open_ones = [i for i, text in enumerate(stated) if text is None]
-    values = logged[:, open_ones]
-    values = values[np.isfinite(values).all(axis=1)]
-    if not len(values):
-        return None
-    largest, whole = float(np.abs(values).max()), bool((values % 1 == 0).all())
-    listed = ", ".join(names[i] for i in open_ones)
-    answer = "name their unit by `overrides=['units.q=\"turn/4096\"']`, one for each in brackets where they differ"
-    if whole and largest > FEWEST_TICKS:
-        if values.min() >= 0 and largest < TICKS:
-            return [f"turn/{TICKS}" if text is None else text for text in stated]
-        raise ValueError(
-            f"the positions {listed} are whole numbers from {values.min():g} to {values.max():g}, as ticks; {answer}"
-        )
-    if not servos or largest <= MOST_RADIANS:
-        return None
-    if largest > MOST_DEGREES:
-        raise ValueError(
-            f"the positions {listed} are between {values.min():.4g} and {values.max():.4g}, more than a servo turns in "
-            f"degrees; {answer}"
-        )
-    if whole:
-        raise ValueError(
-            f"the positions {listed} are whole numbers from {values.min():g} to {values.max():g}: ticks or degrees; "
-            f"{answer}"
-        )
-    if largest <= NORMALISED:
-        raise ValueError(
-            f"the positions {listed} are between {values.min():.4g} and {values.max():.4g}: degrees, or per cent of "
-            "the range of each servo, as LeRobot logs them unless use_degrees is set, which is no angle. Name their "
-            "unit by `overrides=['units.q=\"deg\"']`; for -100 to 100 it is a 200th of the range of each joint, as "
-            '`overrides=[\'units.q=["1.1 deg", "0.9 deg"]\']` for ranges of 220 and 180 degrees, from the calibration '
-            "file of the arm: (range_max - range_min) / 4096 * 360 / 200; of a gripper from 0 to 100 it is a 100th"
-        )
-    return ["deg" if text is None else text for text in stated]
-
-
-def servos_of(
-    inputs: Inputs,
-    columns: Mapping[str, np.ndarray],
-    labels: Mapping[str, str],
-    q: Sequence[str],
-    q_units: Sequence[str],
-) -> tuple[Servo | None, ...]:
-    """What the log tells of each servo, with the unit of its command; raises `ValueError` for one that is unclear."""
-    servos: list[Servo | None] = []
-    for position, text, command, how in zip(q, q_units, inputs.commands, inputs.following, strict=True):
-        if command is None:
-            servos.append(None)
-            continue
-        rows = copied(columns[position], columns[command])
-        if rows is not None:
-            where = "of the same row" if rows == 0 else "of the next row"
-            raise ValueError(
-                f"column {command!r} is a copy of {position!r} {where}: a log of what was measured, and no command; "
-                'name the inputs by `columns["u"]`, or none with []'
-            )
-        factor, named = unit_factor(text), unit_in_name(labels[command], MEANT["q"])
-        odd = unknown_unit(labels[command], MEANT["q"])
-        if odd is not None and odd.lower() not in ("tick", "ticks", "count", "counts"):
-            raise ValueError(
-                f"column {command!r} has {odd!r} in its name, which is no unit of a command; name what one of it is by "
-                "`overrides=['units.u=\"deg\"']`"
-            )
-        close = how is not None and how.error < FOLLOWS
-        unit = unit_factor(named) if named else command_unit(how.slope, factor, close) if close and how else factor
-        size = 0.0 if how is None else abs(how.slope) * factor
-        # A servo does not go beyond its command, be it followed well or not.
-        if unit is None or size > 1.5 * abs(unit) or (named and close and size < 0.15 * abs(unit)):
-            raise ValueError(
-                f"column {command!r}: {position} [{text}] moves by {size:.3g} rad for one of it, which is no unit of a "
-                f"command{' in ' + named if named else ''}; name it by `overrides=['units.u=\"deg\"']`, or "
-                f"`overrides=['units.u=\"{size:.3g} rad\"']` if so much is meant"
-            )
-        if how is None or not close:
-            servos.append(Servo(command, unit, None, 0.0))
-        else:
-            # A soft servo sags, and a slow motion shows no lag.
-            stiff = SOFT < abs(how.slope * factor / unit) < 2 - SOFT
-            offset = how.position * factor - how.command * unit if stiff else 0.0
-            servos.append(Servo(command, unit, how.lag if how.late > SHOWN else None, offset))
-    return tuple(servos)
-
-
-def remarks_on(
-    inputs: Inputs,
-    servos: Sequence[Servo | None],
-    columns: Mapping[str, np.ndarray],
-    q: Sequence[str],
-    factors: Sequence[float],
-    entries: Mapping[str, str],
-    known: bool,
-) -> list[str]:
-    """Sentences on commands that may be in another unit or have gaps; `known` says whether the user gave units."""
-    remarks = []
-    for position, factor, servo, how in zip(q, factors, servos, inputs.following, strict=True):
-        if servo is None:
-            continue
-        gaps = int(np.count_nonzero(~np.isfinite(columns[servo.command])))
-        if gaps:
-            remarks.append(
-                f"{servo.command} is empty in {gaps} rows: hold the last one in the log, in pandas by .ffill()"
-            )
-        if how is not None and how.error >= FOLLOWS:
-            remarks.append(
-                f"{position} hardly follows {servo.command}, its command by name: {100 * how.whole:.0f} % of its "
-                "motion is another"
-            )
-        ratio = 1.0 if how is None else abs(how.slope * factor / servo.unit)
-        if how is not None and how.error < FOLLOWS_CLOSELY and not 0.9 < ratio < 1.1:
-            remarks.append(f"{position} moves by {ratio:.2g} for one of {servo.command}: a soft servo, or another unit")
-        name = entries.get(position, position)
-        if not known and words_of(name) & {"gripper", "jaw", "finger", "hand", "claw"}:
-            remarks.append(f"{name} is taken for an angle; grippers are often logged as a part of their range")
-    return remarks
-
-
 def refuse_commands_among(columns: Mapping[str, np.ndarray], clock: np.ndarray, q: Sequence[str]) -> None:
     """Raise `ValueError` for two positions of which one follows the other; names of more say which are of a kind."""
     if len(q) != 2:
@@ -345,3 +188,54 @@ def refuse_commands_among(columns: Mapping[str, np.ndarray], clock: np.ndarray, 
                 f'{name} follows {other}, late, as a servo its command; name them by `columns["q"]` and '
                 '`columns["u"]`, or name both as positions by `columns["q"]`'
             )
+
+
+def without_rates(
+    columns: Mapping[str, np.ndarray], clock: np.ndarray, q: tuple[str, ...], inputs: Inputs
+) -> tuple[tuple[str, ...], Inputs]:
+    """Positions and inputs without entries of a state that are no positions of servos, but their velocities."""
+    driven = [name for name, command in zip(q, inputs.commands, strict=False) if command is not None]
+    rates = {
+        name
+        for name, command in zip(q, inputs.commands, strict=False)
+        if command is None and any(is_slope(clock, columns[each], columns[name]) for each in driven)
+    }
+    kept = [i for i, name in enumerate(q) if name not in rates]
+    if not rates:
+        passive = [name for name, command in zip(q, inputs.commands, strict=False) if command is None]
+        remark = f"{', '.join(passive)} have no command, and move freely in this draft"
+        return q, inputs._replace(remarks=(*inputs.remarks, remark)) if passive and driven else inputs
+    return tuple(q[i] for i in kept), inputs._replace(
+        commands=tuple(inputs.commands[i] for i in kept),
+        following=tuple(inputs.following[i] for i in kept),
+        remarks=(*inputs.remarks, f"{', '.join(sorted(rates))} are velocities, and left out"),
+    )
+
+
+def switches_of(names: Sequence[str], positions: Sequence[str], columns: Mapping[str, np.ndarray]) -> tuple[str, ...]:
+    """The switch of each servo: columns of 0 and 1 in which a servo is off for a while; one may be that of all."""
+    used = [name for name in names if set(np.unique(columns[name][np.isfinite(columns[name])]).tolist()) == {0.0, 1.0}]
+    if len(used) == 1:
+        return tuple(used) * len(positions)
+    paired = pairs(positions, used)
+    return tuple(name for name in paired if name is not None) if None not in paired else ()
+
+
+def refuse_rows_of_several(columns: Mapping[str, np.ndarray]) -> None:
+    """Raise `ValueError` for a log with a row for each motor in turn, in place of a column."""
+    for name, values in columns.items():
+        if not re.fullmatch(r"(?:(?:motor|servo|joint|device|axis|dxl|node|can)_?)?ids?", name, re.IGNORECASE):
+            continue
+        kinds = np.unique(values[np.isfinite(values)])
+        if 1 < len(kinds) <= MOST_MOTORS and np.mean(np.diff(values) != 0) > 0.5:
+            raise ValueError(
+                f"column {name!r} takes turns from row to row, from {kinds[0]:g} to {kinds[-1]:g}: each row is "
+                f'of another motor; give each a column, in pandas as table.pivot_table(index="t", columns={name!r})'
+            )
+
+
+def refuse_poses(q: Sequence[str], entries: Mapping[str, str]) -> None:
+    """Raise `ValueError` for a state whose entries are a point in space, and no joints."""
+    if {"x", "y", "z"} <= {entries.get(name, name).lower().rpartition("_")[2] for name in q}:
+        named = ", ".join(f"{name} {entries[name]}" for name in q if name in entries)
+        raise ValueError(f'the state is a pose, and no joints: {named or ", ".join(q)}; name joints by `columns["q"]`')
