@@ -9,6 +9,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Inexact
 
+MOST_MISSING = 0.05
+"""How much of a lagged input may come from inputs that are missing, before it is missing itself."""
+LEAST_MISSING = 1e-6
+"""Share of missing inputs in a mean above which it is missing: an interval may touch the next one by rounding."""
+
 
 class StepCode(enum.IntEnum):
     """Outcome of a numerical step, stored in `info.result`; zero is good, and a larger code is worse.

@@ -110,6 +110,8 @@ from .sensors import (
     wrench as wrench,
 )
 from .wrappers import (
+    ActingInputs as ActingInputs,
+    ActingInputsState as ActingInputsState,
     Damped as Damped,
     DampedInfo as DampedInfo,
     DampedState as DampedState,
@@ -128,6 +130,7 @@ __all__ = [
     "REGISTRY",
     "UKF",
     "AbstractObserver",
+    "ActingInputs",
     "Contracting",
     "Damped",
     "Delayed",
