@@ -287,13 +287,39 @@ def refuse_delays(job: Job, loaded: Loaded, observer: AbstractObserver, why: str
         )
 
 
-def with_acting_inputs(observer: AbstractObserver, file: models.ModelFile, rate: float) -> AbstractObserver:
-    """Make an observer take inputs as they are sent, for samples at a rate [Hz], as `load` has them act in a log."""
+def with_acting_inputs(
+    observer: AbstractObserver, file: models.ModelFile, rate: float, log: Loaded | None = None
+) -> AbstractObserver:
+    """Make an observer take inputs as they are sent, and hold those that act later, as `load` does in a log.
+
+    It is for samples at a rate [Hz], or for those of a log as well.
+    """
     shifted = file.input_between != "held" or np.any(file.input_lag) or np.any(file.input_delay)
     if not (shifted and len(file.columns.u)):
         return observer
+    longest = float(np.max(file.input_delay))
+    if log is not None and longest:
+        rate = max(rate, densest_rate(np.asarray(log.record.t), longest))
     times = (file.input_delay, file.input_lag)
     return ActingInputs(observer, rate, *times, file.input_between, len(file.columns.u))
+
+
+def describe_inputs(file: models.ModelFile) -> str:
+    """Say how inputs are passed to a step, and when they act."""
+    when = (
+        "each to the step that ends at its stamp, and linear in between"
+        if file.input_between == "linear"
+        else ("each to the step that begins at its stamp")
+    )
+    times = {"a delay of": file.input_delay, "a lag of": file.input_lag}
+    shown = [
+        f"{name} {', '.join(f'{1e3 * each:g}' for each in np.atleast_1d(value))} ms"
+        for name, value in times.items()
+        if np.any(value)
+    ]
+    return f"Inputs are passed as they are sent, {when}" + (
+        f"; {' and '.join(shown)} is in the step." if shown else "."
+    )
 
 
 def _delay_note(file: models.ModelFile) -> str:

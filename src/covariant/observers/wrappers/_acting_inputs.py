@@ -7,7 +7,7 @@ are those that `signals.lag_inputs` and `signals.acting_inputs` compute for a wh
 
 import math
 from collections.abc import Sequence
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Inexact
 
-from covariant._typing import Number, Scalar, Vector
+from covariant._typing import Number, Scalar
 from covariant.observers.base import AbstractObserver, AbstractWrapper, as_numbers
 from covariant.signals import LEAST_MISSING, MOST_MISSING
 
@@ -93,10 +93,8 @@ class ActingInputs(AbstractWrapper):
     """
 
     observer: AbstractObserver
-    delay: Vector
-    lag: Vector
-    groups: tuple[tuple[int, ...], ...] = eqx.field(static=True)
-    lags: bool = eqx.field(static=True)
+    delay: tuple[float, ...] = eqx.field(static=True)
+    lag: tuple[float, ...] = eqx.field(static=True)
     linear: bool = eqx.field(static=True)
     length: int = eqx.field(static=True)
 
@@ -106,7 +104,7 @@ class ActingInputs(AbstractWrapper):
         rate: float,
         delay: Number | Sequence[float] = 0.0,
         lag: Number | Sequence[float] = 0.0,
-        between: Literal["held", "linear"] = "held",
+        between: str = "held",
         inputs: int | None = None,
     ):
         if between not in ("held", "linear"):
@@ -117,10 +115,7 @@ class ActingInputs(AbstractWrapper):
         delays, lags = (
             as_numbers("ActingInputs", name, value, count, 0.0) for name, value in (("delay", delay), ("lag", lag))
         )
-        self.observer, self.delay, self.lag = observer, jnp.asarray(delays), jnp.asarray(lags)
-        # Inputs of one delay share the times over which they act.
-        self.groups = tuple(tuple(np.flatnonzero(delays == d).tolist()) for d in np.unique(delays))
-        self.lags = bool(lags.any())
+        self.observer, self.delay, self.lag = observer, tuple(delays.tolist()), tuple(lags.tolist())
         longest = float(delays.max(initial=0.0))
         self.linear = between == "linear"
         # 1e-9 keeps rounding from adding one.
@@ -191,9 +186,8 @@ class ActingInputs(AbstractWrapper):
         value, missing = sent, absent.astype(sent.dtype)
         age = state.age + dt if self.linear else state.age
         gap = age[-1]  # infinite before the first input
-        if self.lags:
-            decay = jnp.exp(-jnp.where(self.lag > 0, gap / jnp.where(self.lag > 0, self.lag, 1.0), jnp.inf))
-            decay = decay.astype(sent.dtype)
+        if any(self.lag):
+            decay = jnp.stack([jnp.exp(-gap / lag) if lag else jnp.zeros_like(gap) for lag in self.lag])
             value = decay * state.u[-1] + (1 - decay) * value
             missing = decay * state.missing[-1] + (1 - decay) * missing
 
@@ -214,16 +208,17 @@ class ActingInputs(AbstractWrapper):
         """Mean (m,) of the inputs that act in the last dt [s]; NaN where it depends on one that was missing."""
         gone = (state.missing > MOST_MISSING).astype(state.u.dtype)
         means = [jnp.zeros((), state.u.dtype)] * len(self.delay)
-        for group in self.groups:
-            acted = self._times(state.age, self.delay[group[0]].astype(state.age.dtype), dt)
+        # Inputs of one delay share the times over which they act.
+        for delay in dict.fromkeys(self.delay):
+            acted = self._times(state.age, delay, dt)
             total = jnp.sum(acted)
             share = acted / jnp.where(total > 0, total, 1.0)
-            for i in group:
+            for i in np.flatnonzero(np.equal(self.delay, delay)):
                 absent = jnp.sum(share * gone[:, i]) > LEAST_MISSING
                 means[i] = jnp.where(absent, jnp.nan, jnp.sum(share * state.u[:, i]))
         return jnp.stack(means) if means else jnp.zeros(0, state.u.dtype)
 
-    def _times(self, age: Float[Array, "L"], delay: Scalar, dt: Scalar) -> Float[Array, "L"]:
+    def _times(self, age: Float[Array, "L"], delay: float, dt: Scalar) -> Float[Array, "L"]:
         """Times (L,) [s] for which inputs of these ages act from the age delay + dt to the age delay."""
         there = jnp.isfinite(age)
         older = jnp.concatenate([jnp.zeros(1, bool), there[:-1]])
