@@ -57,13 +57,13 @@ def log_of(fault: str) -> Record:
     return Record(5 + np.cumsum(dt), u, 0.01 * rng.normal(size=(ROWS, 2)))
 
 
-def acted(log: Record, between: str, delay, lag) -> np.ndarray:
+def acted(log: Record, between: str, delay, lag, lead=0.0) -> np.ndarray:
     """The inputs that act in a whole log, each after its own delay and lag."""
-    columns = []
-    for i, (d, c) in enumerate(zip(np.broadcast_to(delay, 2), np.broadcast_to(lag, 2), strict=True)):
-        lagged = _around_missing(lambda whole, c=c: lag_inputs(whole, c), log, MOST_MISSING)
-        columns.append(_around_missing(lambda whole, d=d: acting_inputs(whole, between, d), lagged).u[:, i])
-    return np.stack(columns, axis=1)
+    lagged = [
+        _around_missing(lambda each, c=c: lag_inputs(each, c), log, MOST_MISSING) for c in np.broadcast_to(lag, 2)
+    ]
+    whole = log._replace(u=np.stack([each.u[:, i] for i, each in enumerate(lagged)], axis=1))
+    return _around_missing(lambda each: acting_inputs(each, between, delay, lead=lead), whole).u
 
 
 def told(observer: ActingInputs, log: Record) -> np.ndarray:
@@ -88,18 +88,21 @@ def told(observer: ActingInputs, log: Record) -> np.ndarray:
 
 @pytest.mark.parametrize("fault", ["regular", "irregular", "missing"])
 @pytest.mark.parametrize(
-    ("between", "delay", "lag"),
+    ("between", "delay", "lag", "lead"),
     [
-        ("held", 0.02, 0.0),  # whole rows, where rounding decides which row an edge belongs to
-        ("held", (0.037, 0.004), (0.0, 0.02)),
-        ("linear", 0.0, 0.0),
-        ("linear", (0.037, 0.004), 0.01),
+        ("held", 0.02, 0.0, 0.015),  # whole rows, where rounding decides which row an edge belongs to
+        ("held", 0.0, 0.0, 0.02),
+        ("held", (0.037, 0.004), (0.0, 0.02), 0.0),
+        ("held", (0.02, 0.0371), 0.01, (0.0, -0.05)),
+        ("linear", 0.0, 0.0, 0.0),
+        ("linear", (0.037, 0.004), 0.01, (0.03, 0.0)),
+        ("linear", (0.01, 0.0), (0.0, 0.01), 0.02),
     ],
 )
-def test_a_step_gets_what_acts_in_the_log(between, delay, lag, fault):
+def test_a_step_gets_what_acts_in_the_log(between, delay, lag, lead, fault):
     log = log_of(fault)
-    observer = ActingInputs(RATES, 1 / (0.7 * STEP), delay, lag, between, 2)
-    expected = acted(log, between, delay, lag)[:-1]  # no step follows the last row
+    observer = ActingInputs(RATES, 1 / (0.7 * STEP), delay, lag, lead, between, 2)
+    expected = acted(log, between, delay, lag, lead)[:-1]  # no step follows the last row
     np.testing.assert_allclose(told(observer, log), expected, rtol=0, atol=1e-11)
     assert np.isnan(expected).any() == (fault == "missing")
 
@@ -107,8 +110,9 @@ def test_a_step_gets_what_acts_in_the_log(between, delay, lag, fault):
 @pytest.mark.parametrize("between", ["held", "linear"])
 def test_runs_streams_and_compiled_code_are_those_of_the_acting_inputs(between):
     log = log_of("irregular")
-    observer = ActingInputs(RATES, 1 / (0.7 * STEP), (0.013, 0.004), 0.02, between, 2)
-    expected = run(RATES, log._replace(u=acted(log, between, (0.013, 0.004), 0.02)))
+    times = (0.013, 0.004), 0.02, 0.01
+    observer = ActingInputs(RATES, 1 / (0.7 * STEP), *times, between, 2)
+    expected = run(RATES, log._replace(u=acted(log, between, *times)))
     for found in (run(observer, log), run_log(observer, log, engine="c")[0]):
         np.testing.assert_allclose(found.estimate, expected.estimate, rtol=1e-10, atol=1e-10)
         assert np.array_equal(found.info.result, expected.info.result)

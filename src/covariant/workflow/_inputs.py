@@ -227,7 +227,7 @@ def _around_missing(change: Callable[[Record], Record], record: Record, share: f
     held = np.take_along_axis(u, at, axis=0)
     held = np.where(np.isfinite(held), held, 0.0)
     changed, part = (change(record._replace(u=each)) for each in (held, absent.astype(float)))
-    return changed._replace(u=np.where(np.asarray(part.u) > share, np.nan, np.asarray(changed.u)))
+    return changed._replace(u=np.where(np.abs(np.asarray(part.u)) > share, np.nan, np.asarray(changed.u)))
 
 
 def _periods(job: Job, file: models.ModelFile) -> tuple[float, ...]:
@@ -300,8 +300,9 @@ def with_acting_inputs(
     longest = float(np.max(file.input_delay))
     if log is not None and longest:
         rate = max(rate, densest_rate(np.asarray(log.record.t), longest))
-    times = (file.input_delay, file.input_lag)
-    return ActingInputs(observer, rate, *times, file.input_between, len(file.columns.u))
+    lead = getattr(file, "input_lead", 0.0)
+    times: Any = {"delay": file.input_delay, "lag": file.input_lag, "lead": lead}
+    return ActingInputs(observer, rate, between=file.input_between, inputs=len(file.columns.u), **times)
 
 
 def describe_inputs(file: models.ModelFile) -> str:

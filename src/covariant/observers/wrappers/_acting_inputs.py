@@ -17,7 +17,7 @@ from jaxtyping import Array, Float, Inexact
 
 from covariant._typing import Number, Scalar
 from covariant.observers.base import AbstractObserver, AbstractWrapper, as_numbers
-from covariant.signals import LEAST_MISSING, MOST_MISSING
+from covariant.signals import LEAST_MISSING, MOST_MISSING, SAME_TIME
 
 SPARE_ROWS = 2
 """Rows beyond those of regular stamps, since irregular ones may put a few more into the same time."""
@@ -67,6 +67,7 @@ class ActingInputs(AbstractWrapper):
         rate: Largest number of samples in a second [Hz], from which the number of stored inputs follows.
         delay: Time from the stamp of an input until it acts [s]: a number, or one for each input (m,).
         lag: Time constant of a first-order lag [s] before the delay: a number, or one for each input (m,).
+        lead: Time [s] by which an input is ahead: its rate, times this, is added; a number, or one for each input (m,).
         between: How an input goes from a sample to the next: "held", and each step gets the input of its begin, or
             "linear", and each step gets that of its end; a step of length 0 after `init` tells the first.
         inputs: Number of inputs m; by default that of the inner observer.
@@ -94,6 +95,7 @@ class ActingInputs(AbstractWrapper):
 
     observer: AbstractObserver
     delay: tuple[float, ...] = eqx.field(static=True)
+    lead: tuple[float, ...] = eqx.field(static=True)
     lag: tuple[float, ...] = eqx.field(static=True)
     linear: bool = eqx.field(static=True)
     length: int = eqx.field(static=True)
@@ -104,6 +106,7 @@ class ActingInputs(AbstractWrapper):
         rate: float,
         delay: Number | Sequence[float] = 0.0,
         lag: Number | Sequence[float] = 0.0,
+        lead: Number | Sequence[float] = 0.0,
         between: str = "held",
         inputs: int | None = None,
     ):
@@ -111,15 +114,19 @@ class ActingInputs(AbstractWrapper):
             raise ValueError(f"ActingInputs: between must be 'held' or 'linear'; got {between!r}")
         if not 0 < rate < math.inf:
             raise ValueError(f"ActingInputs: rate must be a positive number [Hz]; got {rate}")
-        count = inputs if inputs is not None else max(np.size(delay), np.size(lag))
+        count = inputs if inputs is not None else max(map(np.size, (delay, lag, lead)))
         delays, lags = (
             as_numbers("ActingInputs", name, value, count, 0.0) for name, value in (("delay", delay), ("lag", lag))
         )
+        leads = as_numbers("ActingInputs", "lead", lead, count)
         self.observer, self.delay, self.lag = observer, tuple(delays.tolist()), tuple(lags.tolist())
+        self.lead = tuple(leads.tolist())
         longest = float(delays.max(initial=0.0))
         self.linear = between == "linear"
         # 1e-9 keeps rounding from adding one.
-        self.length = math.ceil(longest * rate - 1e-9) + 1 + self.linear + (SPARE_ROWS if longest else 0)
+        rows = math.ceil(longest * rate - 1e-9) + 1
+        # A rate takes the input before as well.
+        self.length = rows + (self.linear or bool(leads.any())) + (SPARE_ROWS if longest else 0)
 
     @property
     def input_at_end(self) -> bool:
@@ -208,32 +215,45 @@ class ActingInputs(AbstractWrapper):
         """Mean (m,) of the inputs that act in the last dt [s]; NaN where it depends on one that was missing."""
         gone = (state.missing > MOST_MISSING).astype(state.u.dtype)
         means = [jnp.zeros((), state.u.dtype)] * len(self.delay)
-        # Inputs of one delay share the times over which they act.
-        for delay in dict.fromkeys(self.delay):
-            acted = self._times(state.age, delay, dt)
-            total = jnp.sum(acted)
-            share = acted / jnp.where(total > 0, total, 1.0)
-            for i in np.flatnonzero(np.equal(self.delay, delay)):
-                absent = jnp.sum(share * gone[:, i]) > LEAST_MISSING
-                means[i] = jnp.where(absent, jnp.nan, jnp.sum(share * state.u[:, i]))
+        # Inputs of equal delays and leads share the weights of the stored ones.
+        times = tuple(zip(self.delay, self.lead, strict=True))
+        for delay, lead in dict.fromkeys(times):
+            weights = self._weights(state.age, delay, lead, dt)
+            for i in (i for i, each in enumerate(times) if each == (delay, lead)):
+                # The sign is that of a change: one from a missing input to a known one is not known either.
+                absent = jnp.abs(jnp.sum(weights * gone[:, i])) > LEAST_MISSING
+                means[i] = jnp.where(absent, jnp.nan, jnp.sum(weights * state.u[:, i]))
         return jnp.stack(means) if means else jnp.zeros(0, state.u.dtype)
 
-    def _times(self, age: Float[Array, "L"], delay: float, dt: Scalar) -> Float[Array, "L"]:
-        """Times (L,) [s] for which inputs of these ages act from the age delay + dt to the age delay."""
+    def _weights(self, age: Float[Array, "L"], delay: float, lead: float, dt: Scalar) -> Float[Array, "L"]:
+        """Weights (L,) of inputs of these ages in the mean of what acts from the age delay + dt to the age delay."""
         there = jnp.isfinite(age)
-        older = jnp.concatenate([jnp.zeros(1, bool), there[:-1]])
+        first = there & ~jnp.concatenate([jnp.zeros(1, bool), there[:-1]])
         # The first input acts before its stamp as well, the oldest that is stored for those before it, and the last
         # one until another is sent.
-        since, until = jnp.where(older, age, jnp.inf), jnp.append(age[1:], -jnp.inf)
+        since, until = jnp.where(first, jnp.inf, age), jnp.append(age[1:], -jnp.inf)
         acted = jnp.maximum(jnp.minimum(delay + dt, since) - jnp.maximum(delay, until), 0.0)
         acted = jnp.where(there, acted, 0.0)
-        if not self.linear:
-            return acted
-        # Between two stamps the input goes from one value to the next: a part of the time counts for the latter, which
-        # is how far the middle of that time is from the former.
-        start, end, both = jnp.where(there, age, 0.0)[:-1], age[1:], there[:-1]
-        end = jnp.where(both, end, -1.0)
-        first, last = jnp.minimum(delay + dt, start), jnp.maximum(delay, end)
-        part = jnp.maximum(first - last, 0.0) * (start - (first + last) / 2) / (start - end)
-        part = jnp.where(both, part, 0.0)
-        return acted - jnp.append(part, 0.0) + jnp.concatenate([jnp.zeros(1, part.dtype), part])
+        # From the age `start` to the age `end` a linear input goes from one value to the next.
+        both = there[:-1]
+        start, end = jnp.where(both, age[:-1], 0.0), jnp.where(both, age[1:], -1.0)
+
+        def passed_on(part: Array) -> Array:
+            """Weights of the latter input of each pair, taken from the former."""
+            part = jnp.where(both, part, 0.0)
+            return jnp.concatenate([jnp.zeros(1, part.dtype), part]) - jnp.append(part, 0.0)
+
+        def at(edge: Scalar) -> Array:
+            """Weights of the inputs at an age; a jump at this age is later."""
+            if not self.linear:
+                edge = edge + SAME_TIME
+                return (there & (since > edge) & (until <= edge)).astype(age.dtype)
+            return first.astype(age.dtype) + passed_on(jnp.clip((start - edge) / (start - end), 0.0, 1.0))
+
+        if self.linear:
+            begin, stop = jnp.minimum(delay + dt, start), jnp.maximum(delay, end)
+            # How far the middle of the time between two stamps is from the former counts for the latter.
+            acted += passed_on(jnp.maximum(begin - stop, 0.0) * (start - (begin + stop) / 2) / (start - end))
+        if lead:
+            acted += lead * (at(jnp.asarray(delay, age.dtype)) - at(delay + dt))
+        return acted / jnp.where(dt > 0, dt, 1.0)
