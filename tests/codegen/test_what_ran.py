@@ -590,12 +590,12 @@ def test_each_number_of_a_unit_has_its_unit(version, tmp_path, monkeypatch):
     [
         (
             "delay = 0.01",
-            "to the step that begins at its stamp; a delay of 10 ms is in the step.",
+            "to the step that begins at its stamp; the step has their delay 10 ms.",
             "the input since then",
         ),
         (
             'lag = 0.02\nbetween = "linear"',
-            "to the step that ends at its stamp, .*; a lag of 20 ms is",
+            "to the step that ends at its stamp, .*; the step has their lag 20 ms.",
             "the input at the stamp of y",
         ),
     ],

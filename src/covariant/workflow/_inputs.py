@@ -181,7 +181,7 @@ def load(job: Job, score: bool = True, why: str = "", missing_inputs: bool = Fal
     # Lag, delay and means are those of the whole log: what was cut off or left out between two rows acts in them too.
     lagging = _around_missing(lambda whole: lag_inputs(whole, file.input_lag), log.all_rows, MOST_MISSING)
     record = _around_missing(
-        lambda whole: acting_inputs(whole, file.input_between, file.input_delay, log.record), lagging
+        lambda whole: acting_inputs(whole, file.input_between, file.input_delay, log.record, file.input_lead), lagging
     )
     if not job.anyway:
         known = log._replace(record=_with_inputs_only(log.record))
@@ -294,33 +294,28 @@ def with_acting_inputs(
 
     It is for samples at a rate [Hz], or for those of a log as well.
     """
-    shifted = file.input_between != "held" or np.any(file.input_lag) or np.any(file.input_delay)
-    if not (shifted and len(file.columns.u)):
+    stated: Any = {"delay": file.input_delay, "lag": file.input_lag, "lead": file.input_lead}
+    count = len(file.columns.u)
+    if not count or (file.input_between == "held" and not any(map(np.any, stated.values()))):
         return observer
     longest = float(np.max(file.input_delay))
     if log is not None and longest:
         rate = max(rate, densest_rate(np.asarray(log.record.t), longest))
-    lead = getattr(file, "input_lead", 0.0)
-    times: Any = {"delay": file.input_delay, "lag": file.input_lag, "lead": lead}
-    return ActingInputs(observer, rate, between=file.input_between, inputs=len(file.columns.u), **times)
+    return ActingInputs(observer, rate, between=file.input_between, inputs=count, **stated)
 
 
 def describe_inputs(file: models.ModelFile) -> str:
     """Say how inputs are passed to a step, and when they act."""
-    when = (
-        "each to the step that ends at its stamp, and linear in between"
-        if file.input_between == "linear"
-        else ("each to the step that begins at its stamp")
-    )
-    times = {"a delay of": file.input_delay, "a lag of": file.input_lag}
-    shown = [
+    stated = {"delay": file.input_delay, "lag": file.input_lag, "lead": file.input_lead}
+    times = [
         f"{name} {', '.join(f'{1e3 * each:g}' for each in np.atleast_1d(value))} ms"
-        for name, value in times.items()
+        for name, value in stated.items()
         if np.any(value)
     ]
-    return f"Inputs are passed as they are sent, {when}" + (
-        f"; {' and '.join(shown)} is in the step." if shown else "."
-    )
+    linear = file.input_between == "linear"
+    when = "ends at its stamp, and linear in between" if linear else "begins at its stamp"
+    held = f"; the step has their {', '.join(times)}" if times else ""
+    return f"Inputs are passed as they are sent, each to the step that {when}{held}."
 
 
 def _delay_note(file: models.ModelFile) -> str:
@@ -336,7 +331,7 @@ def _refuse_misfit(job: Job, file: models.ModelFile, log: logs.Log, record: Reco
     if log.whole is None:
         finding = misfit(file, log.record)
     else:  # the inputs that act in the rows of a part of a log are known from the whole of it
-        finding = misfit(file._replace(input_lag=0.0, input_delay=0.0, input_between="held"), record)
+        finding = misfit(file._replace(input_lag=0.0, input_delay=0.0, input_lead=0.0, input_between="held"), record)
     if finding is not None:
         how = f"`covariant check {job.model_name} {job.log_name}` looks closer, and `anyway=True` goes on"
         raise MisfitError(f"{job.log_name}: {finding.evidence}. {finding.line}; {how}")
