@@ -21,6 +21,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import servo_machine
 
 import covariant
 from covariant.calibration import usual_speeds
@@ -178,7 +179,7 @@ INPUTS = MODEL + FASTER + "[inputs]\n"
 REFUSED = "a repeated stamp", "a stamp back in time", "an infinite input"
 """Faults with which `estimate` refuses a log, and so does the Python module."""
 DEAR = "an outlier", "rows lost for a quarter of a second", "a jump that stays"
-"""Faults of the logs of a group that `estimate` reads: it compiles anew for each of them."""
+"""Faults of the logs of a group or a robot that `estimate` reads: it compiles anew for each of them."""
 HOLES = "rows lost for a quarter of a second", "rows lost for more than a second", "an input missing"
 """Faults by which inputs are missing: the filter takes from the log what they may have been; it is exported with it."""
 
@@ -204,8 +205,9 @@ MEMBERS = {
     "implicit": Member("implicit-geodesic", suite=""),
     "geodesic": Member("geodesic", suite="exhaustive"),
     "late": Member("copy", (MODEL + FASTER).replace("std = 1e-3", "std = 1e-3\ndelay = 0.023"), suite="exhaustive"),
-    "sent": Member("copy", INPUTS + "delay = 0.013\nlag = 0.02"),
-    "between": Member("copy", INPUTS + 'delay = 0.004\nlag = 0.01\nbetween = "linear"', suite=""),
+    "sent": Member("copy", INPUTS + "delay = 0.013\nlag = 0.02\nlead = 0.015"),
+    "servos": Member("intrinsic", servo_machine.TEXT, lambda: servo_machine.run(1 / RATE, 2 * ROWS)[0]),
+    "between": Member("copy", INPUTS + 'delay = 0.004\nlag = 0.01\nlead = 0.02\nbetween = "linear"'),
     "commands": Member("intrinsic-kalman", INPUTS + "delay = 0.037", suite="exhaustive", hole="an input missing"),
     "group": Member("intrinsic", TOP.read_text(encoding="utf-8"), turn),
 }
@@ -265,7 +267,7 @@ def has_wasm() -> bool:
 def ran(model: Path, member: Member, steps: Callable, fault: str) -> Ran:
     log, refused = log_of(member, fault), ""
     codes, x = steps(log)
-    if log.y.ndim == 3 and fault not in (*DEAR, *REFUSED):
+    if (log.y.ndim == 3 or "robot" in member.text) and fault not in (*DEAR, *REFUSED):
         return Ran(log, codes, x)
     own_design = member.observer == "intrinsic-kalman" and (fault in HOLES or member.hole) and fault != member.hole
     if own_design and fault not in REFUSED:
