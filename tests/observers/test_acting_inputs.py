@@ -1,6 +1,6 @@
 """An observer that holds the inputs of the past gets what `acting_inputs` and `lag_inputs` make of a whole log."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -33,7 +33,7 @@ class Moved(AbstractObserver):
 
     def correct(self, state, u, y):
         missing = jnp.isnan(y)
-        innovation = jnp.where(missing, 0.0, y - state.q)
+        innovation: Any = jnp.where(missing, 0.0, y - state.q)
         result = jnp.where(missing.any(), int(StepCode.COASTED), int(StepCode.OK))
         return state._replace(q=state.q + innovation / 64), Info(innovation, jnp.sum(innovation), result)
 
@@ -63,7 +63,7 @@ def acted(log: Record, between: str, delay, lag, lead=0.0) -> np.ndarray:
         _around_missing(lambda each, c=c: lag_inputs(each, c), log, MOST_MISSING) for c in np.broadcast_to(lag, 2)
     ]
     whole = log._replace(u=np.stack([each.u[:, i] for i, each in enumerate(lagged)], axis=1))
-    return _around_missing(lambda each: acting_inputs(each, between, delay, lead=lead), whole).u
+    return np.asarray(_around_missing(lambda each: acting_inputs(each, between, delay, lead=lead), whole).u)
 
 
 def told(observer: ActingInputs, log: Record) -> np.ndarray:

@@ -233,8 +233,8 @@ def need_steady_friction(model: MechanicalSystem) -> None:
         remedy = (
             ""
             if servos is None
-            else "; a servo with a `limit`, a `switch` or friction by `load` has another: leave these out of [servo], and "
-            "the proof is about the machine while it stays within its limits and switched on"
+            else "; a servo with a `limit`, a `switch` or friction by `load` has another: leave these out of [servo], "
+            "and the proof is about the machine while it stays within its limits and switched on"
         )
         raise ValueError(
             f"the dissipation of this model depends on {', '.join(dependences)}; only friction of position and "
