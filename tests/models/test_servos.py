@@ -1,5 +1,7 @@
 """Robots whose joints are told positions: the torque of a servo, its friction, its keys, and how its command acts."""
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -13,7 +15,7 @@ from covariant.signals import Record, acting_inputs
 SERVO = {"stiffness": 20.0, "damping": 0.5, "delay": 0.03}
 
 
-def arm(**servo):
+def arm(**servo) -> Any:
     return models.load("double_pendulum", {"servo.shoulder": {**SERVO, **servo}, "servo.elbow": SERVO})
 
 
@@ -89,7 +91,7 @@ def test_a_sign_turns_the_coordinate_round():
 
 
 def test_an_encoder_offset_moves_the_weight_and_not_the_servo():
-    shifted = models.load(
+    shifted: Any = models.load(
         "double_pendulum", {"servo.shoulder": SERVO, "servo.elbow": SERVO, "parameters.offsets": {"shoulder": 0.7}}
     ).model
     plain = arm().model
@@ -114,7 +116,7 @@ def test_a_servo_of_an_mjcf_file_is_one_too(tmp_path):
     model = robots.load(file)
     force = model.force(jnp.zeros(()), jnp.array([0.1]), jnp.array([0.5]))
     assert force.tolist() == pytest.approx([2 * 5 * (0.5 - 2 * 0.1)])
-    delayed = models.load(str(file), {"servo.hinge.delay": 0.02, "servo.hinge.limit": 1.0})
+    delayed: Any = models.load(str(file), {"servo.hinge.delay": 0.02, "servo.hinge.limit": 1.0})
     assert delayed.input_delay == (0.02,)
     assert delayed.model.force(jnp.zeros(()), jnp.array([0.1]), jnp.array([0.5])).tolist() == [1.0]
 
@@ -170,7 +172,7 @@ def test_each_command_acts_after_its_own_delay_and_lead():
 def test_a_simulated_servo_settles_where_its_stiffness_holds_the_weight():
     overrides = {"servo.shoulder": {**SERVO, "damping": 4.0}, "servo.elbow": {**SERVO, "damping": 4.0}}
     log = covariant.simulate("double_pendulum", overrides=overrides, duration=4.0, rate=50.0, q0=[0.4, 0.1])
-    file = models.load("double_pendulum", overrides)
+    file: Any = models.load("double_pendulum", overrides)
     at = jnp.asarray(log.record.y[-1])
     weight = -jax.grad(file.model.potential)(at)
     np.testing.assert_allclose(20.0 * (0.0 - at) + weight, 0.0, atol=0.02)

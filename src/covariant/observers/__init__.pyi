@@ -130,7 +130,6 @@ __all__ = [
     "REGISTRY",
     "UKF",
     "AbstractObserver",
-    "ActingInputs",
     "Contracting",
     "Damped",
     "Delayed",
