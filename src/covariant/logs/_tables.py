@@ -102,7 +102,7 @@ def _may_hold_lists(cells: Any) -> bool:
     narwhals = load_optional("narwhals", use="reading data frames needs", extra="logs")
     if cells.dtype != narwhals.Object:
         return isinstance(cells.dtype, (narwhals.List, narwhals.Array))
-    return any(isinstance(cell, (list, tuple, np.ndarray)) for cell in cells.head(1).to_list())
+    return any(isinstance(cell, (list, tuple, np.ndarray)) for cell in cells.drop_nulls().head(1).to_list())
 
 
 def stated_units(schema: Any) -> dict[str, str]:
