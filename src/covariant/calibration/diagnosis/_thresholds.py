@@ -46,6 +46,10 @@ THRESHOLDS = {
     "rows for a delay": Threshold(0.0, 1.0, sure=-np.inf),
     # Delays and scales that least squares gave: their standard errors have judged them (below).
     "fitted": Threshold(0.0, np.inf, sure=-np.inf, alike=1.2),
+    # Commands in another unit, order or sign, and limits: faults of the whole log.
+    "servo": Threshold(0.01, 1 / 3, 0.5, alike=1.2),
+    # A servo that lets go, or changes its gain or zero: only a part of the log is otherwise.
+    "servo change": Threshold(4e-3, 1 / 2, 0.3, sure=2.5),
     # Torques and delays or scales together.
     "torques and fitted": Threshold(0.01, 1 / 2, 0.15),
 }
