@@ -52,7 +52,7 @@ class Servos(NamedTuple):
         gear: Position of the servo for a unit of its coordinate (k,).
         zero: Position (k,) where the coordinate is zero, less the offset of the servo.
         column: Column of the inputs that commands it.
-        switch: Column of the inputs that switches it, or −1.
+        factors: Columns of the inputs that multiply its torque, its switch and its voltage, with their usual values.
         stiffness: Stiffness (k,) that the model states.
         limited: Whether the model states a limit (k,) of its torque.
         circle: Whether its position is an angle on a full circle (k,).
@@ -63,7 +63,7 @@ class Servos(NamedTuple):
     gear: Float[np.ndarray, "k"]
     zero: Float[np.ndarray, "k"]
     column: np.ndarray
-    switch: np.ndarray
+    factors: tuple[tuple[tuple[int, float], ...], ...]
     stiffness: Float[np.ndarray, "k"]
     limited: Bool[np.ndarray, "k"]
     circle: Bool[np.ndarray, "k"]
@@ -80,7 +80,10 @@ class Servos(NamedTuple):
             rows[np.arange(len(rows)), joint],
             np.asarray(servos.zero) - np.asarray(servos.offset),
             np.argmax(np.abs(commands), axis=1),
-            np.asarray(servos.switches),
+            tuple(
+                tuple((place, usual) for place, usual in ((switch, 1.0), (volts, float(supply))) if place >= 0)
+                for switch, volts, supply in zip(servos.switches, servos.volts, np.asarray(servos.supply), strict=True)
+            ),
             np.asarray(servos.stiffness),
             np.isfinite(np.asarray(servos.limit)),
             np.asarray(servos.circles),
@@ -98,6 +101,7 @@ class Prepared(NamedTuple):
         columns: Explanations (k, K, p), averaged as accelerations are: rate, rotor, motion, 1, and weights.
         least, most: Bounds (k, p) of their multiples.
         moves: Points (K, k) at which the joint moves.
+        weighs: Whether the weight on a servo changes (k,).
         known: Whether a servo moves enough (k,).
         rows: Points (J,) of the grid that are used.
         blocks: Block (J,) of each.
@@ -111,6 +115,7 @@ class Prepared(NamedTuple):
     least: Float[np.ndarray, "k p"]
     most: Float[np.ndarray, "k p"]
     moves: Bool[np.ndarray, "K k"]
+    weighs: Bool[np.ndarray, "k"]
     known: Bool[np.ndarray, "k"]
     rows: np.ndarray
     blocks: np.ndarray
@@ -175,7 +180,7 @@ class CommandErrors:
     def fit(self, case: Case, i: int) -> ServoFit:
         """The numbers of servo i that explain its errors best."""
         prepared, servos, u = self.prepared(case), Servos.of(case), np.asarray(case.record.u)
-        places = [servos.column[i], *([servos.switch[i]] if servos.switch[i] >= 0 else [])]
+        places = [servos.column[i], *(place for place, _ in servos.factors[i])]
         key = (id(prepared), i, bool(servos.limited[i]), u[:, places].tobytes())
         if key not in self._fits:
             self._fits[key] = _fit(case, prepared, servos, i)
@@ -189,9 +194,9 @@ def errors(case: Case, prepared: Prepared, servos: Servos, i: int, delay: float)
     error = command - prepared.position[:, i]
     if servos.circle[i]:
         error = error - 2 * np.pi * np.round(error / (2 * np.pi))
-    if servos.switch[i] < 0:
-        return error
-    return error * held_inputs(t + delay, u[:, [servos.switch[i]]], log.t, log.step)[:, 0]
+    for place, usual in servos.factors[i]:
+        error = error * held_inputs(t + delay, u[:, [place]], log.t, log.step)[:, 0] / usual
+    return error
 
 
 def _prepare(case: Case) -> Prepared:
@@ -205,12 +210,13 @@ def _prepare(case: Case) -> Prepared:
         case.ticks,
     )
     motion, weight, slopes = _rigid(case.model, log.q.shape[1])(log.q, log.v, log.a)
-    columns, least, most = [], [], []
+    columns, least, most, weighs = [], [], [], []
     for j, gear in zip(servos.joint, servos.gear, strict=True):
         v = gear * log.v[:, j]
         weights = np.column_stack([weight[:, j], slopes[:, j]])
         shown = np.ptp(weights, axis=0) > 1e-9 * max(np.abs(weight).max(), 1e-300)
         weights = weights[:, shown]
+        weighs.append(bool(shown[0]))
         free = [v, np.ones_like(v), *weights.T]
         smoothed = averaged(log, np.column_stack([motion[:, j], *free]))
         part = np.column_stack([log.a[:, j] * gear, smoothed])
@@ -245,6 +251,7 @@ def _prepare(case: Case) -> Prepared:
         np.array([pad(np.array(each), -1.0) for each in least]),
         np.array([pad(np.array(each), 1.0) for each in most]),
         moves,
+        np.array(weighs),
         known,
         rows,
         blocks,
@@ -271,7 +278,7 @@ def _fit(case: Case, prepared: Prepared, servos: Servos, i: int) -> ServoFit:
     plain = direction * moves
     always = _always(prepared, i)
     # Also where the servo is off, so that errors before and after a suspicion are relative to the same.
-    raw = errors(case, prepared, servos._replace(switch=-np.ones_like(servos.switch)), i, 0.0)
+    raw = errors(case, prepared, servos._replace(factors=((),) * len(servos.factors)), i, 0.0)
     size = float(np.var(raw[prepared.rows])) or 1.0
     best, least = (0.0, np.inf), np.inf
     for delay in sorted({*DELAYS, stated}):

@@ -64,6 +64,8 @@ TWIN = 2.0
 # Numbers that least squares fit: standard errors, and the size that matters.
 DELAY_ERRORS, DELAY_ROWS = 4.0, 0.6
 """A delay of one coordinate against another; a model error may look like a delay below 0.6 rows."""
+COMMAND_ERRORS = 8.0
+"""The same of a command against its servo, whose friction and damping are not known either."""
 COMMON_ERRORS, COMMON_ROWS, COMMON_GAIN = 5.0, 1.5, 0.4
 """A delay of all coordinates against the inputs, and by which fraction the unexplained squares fall: a wrong friction
 looks like it, but explains less."""
