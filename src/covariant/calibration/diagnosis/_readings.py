@@ -11,10 +11,14 @@ from jaxtyping import Bool, Float
 from covariant.calibration.diagnosis._finding import MOST_NAMED, Finding, Rows
 from covariant.calibration.diagnosis._thresholds import (
     ALTERNATES,
+    AROUND,
     COARSE,
     FAR,
+    FAST_TICKS,
+    FEWEST_FAST,
     FEW_OUTLIERS,
     FEW_REPEATED,
+    HELD_TICKS,
     LATTICE,
     LEAST_TICK,
     STATED_LATTICE,
@@ -290,7 +294,7 @@ def repeated_findings(
     """
     moving = _moving(y, ticks)
     if not moving:
-        return []
+        return _held_ticks(y, ticks, names, rows)
     same = _find_repeats(y, moving)[1:]
     places = np.flatnonzero(same) + 1
     share = float(same.mean())
@@ -312,11 +316,48 @@ def repeated_findings(
     ]
 
 
+def _held_ticks(
+    y: Float[np.ndarray, "T n"], ticks: Float[np.ndarray, "n"], names: tuple[str, ...], rows: Rows
+) -> list[Finding]:
+    """Findings on encoders that read the same number again although they move by more than a tick a row."""
+    findings = []
+    for i in np.flatnonzero(ticks > 0):
+        same, fast = _held_and_fast(y[:, i], float(ticks[i]))
+        if fast.sum() < FEWEST_FAST or same[fast].mean() <= HELD_TICKS:
+            continue
+        places = np.flatnonzero(same & fast)
+        share = float(same[fast].mean())
+        evidence = (
+            f"of {fast.sum()} rows between which {names[i]} moves by more than a tick, {100 * share:.2g} % repeat the "
+            f"reading of the row before: {rows.listed(places)}"
+        )
+        line = "the sensor is slower than the log, or rows were copied: leave the cells that repeat empty"
+        numbers = {"rows": len(places), "share": share}
+        findings.append(Finding("repeated rows", names[i], evidence, line, True, numbers))
+    return findings
+
+
+def _held_and_fast(y: np.ndarray, tick: float) -> tuple[Bool[np.ndarray, "T"], Bool[np.ndarray, "T"]]:
+    """Rows (T,) that repeat the reading before, and those around which the position moves by more than a tick a row."""
+    same, fast = np.zeros(len(y), bool), np.zeros(len(y), bool)
+    if len(y) > 2 * AROUND:
+        same[1:] = np.diff(y) == 0
+        wide = y[2 * AROUND :] - y[: -2 * AROUND]
+        # The same direction on both sides, so that a turn or a spike is no motion.
+        there = (y[AROUND:-AROUND] - y[: -2 * AROUND]) * wide > 0
+        fast[AROUND:-AROUND] = there & (np.abs(wide) > FAST_TICKS * 2 * AROUND * tick)
+    return same, fast
+
+
 def without_repeated(y: Float[np.ndarray, "T n"], ticks: Float[np.ndarray, "n"]) -> Float[np.ndarray, "T n"]:
     """Positions whose readings are missing where they repeat those of the row before."""
     kept = y.copy()
     for i in _moving(y, ticks):
         kept[_find_repeats(y, [i]), i] = np.nan
+    for i in np.flatnonzero(ticks > 0):
+        same, fast = _held_and_fast(y[:, i], float(ticks[i]))
+        if fast.sum() >= FEWEST_FAST and same[fast].mean() > HELD_TICKS:
+            kept[same & fast, i] = np.nan
     return kept
 
 

@@ -305,7 +305,11 @@ def _with_strength(case: Case, i: int, strength: np.ndarray) -> Case:
 
 
 def _with_servos(case: Case, servos: Any) -> Any:
-    return eqx.tree_at(lambda each: each.force.servos, case.model, servos)
+    model: Any = case.model
+    more = servos.commands.shape[1] - model.force.motors.shape[1]
+    force = replace(model.force, servos=servos, motors=jnp.pad(model.force.motors, ((0, 0), (0, more))))
+    changed = force, replace(model.dissipation, servos=servos)
+    return eqx.tree_at(lambda each: (each.force, each.dissipation), model, changed)
 
 
 def _joint(case: Case, i: int) -> str:
@@ -542,7 +546,7 @@ def _first_guesses(case: Case, judge: CommandErrors) -> Iterator[Finding]:
             few.append((case.names.q[servos.joint[i]], _joint(case, int(i)), stated, best))
         yield from _sag(case, judge, int(i))
     if few:
-        listed = ", ".join(f"{name} {100 * s:.2g} % and {100 * b:.2g} %" for name, _, s, b in few)
+        listed = ", ".join(f"{name} {100 * s:.3g} % and {100 * b:.2g} %" for name, _, s, b in few)
         evidence = "of the squares of the errors of commands the numbers of the model leave, and the best ones would: "
         line = f"covariant fit MODEL LOG --parameters {','.join(f'servo.{joint}' for _, joint, _, _ in few)}"
         if len(few) == len(servos.joint):

@@ -98,6 +98,9 @@ FEW_OUTLIERS = 5e-3
 """Fraction of outliers up to which they are only a note."""
 FEW_REPEATED = 0.02
 """Fraction of rows that repeat the previous readings, up to which they are not an error."""
+AROUND, FAST_TICKS, FEWEST_FAST, HELD_TICKS = 3, 2.0, 40, 0.2
+"""Rows around one in which an encoder moves by so many ticks a row, the fewest such rows, and the fraction of them that
+repeat the reading before, from which readings are repeated."""
 LATTICE = 0.05
 """Largest distance of changes from whole ticks, as a fraction of one."""
 STATED_LATTICE = 0.1
