@@ -12,6 +12,7 @@ from covariant.calibration.diagnosis._finding import MOST_NAMED, Finding, Rows
 from covariant.calibration.diagnosis._thresholds import (
     ALTERNATES,
     AROUND,
+    AT_REST,
     COARSE,
     FAR,
     FAST_TICKS,
@@ -298,7 +299,7 @@ def repeated_findings(
     same = _find_repeats(y, moving)[1:]
     places = np.flatnonzero(same) + 1
     share = float(same.mean())
-    if share <= FEW_REPEATED and len(places) <= MOST_NAMED:
+    if (share <= FEW_REPEATED and len(places) <= MOST_NAMED) or _only_at_rest(y[:, moving], np.append(False, same)):
         return []
     # Distances between changes of the reading are the lengths of its runs.
     runs = np.diff(np.flatnonzero(np.concatenate([[True], ~same, [True]])))
@@ -364,6 +365,15 @@ def without_repeated(y: Float[np.ndarray, "T n"], ticks: Float[np.ndarray, "n"])
 def _moving(y: np.ndarray, ticks: np.ndarray) -> list[int]:
     """Positions without ticks that do not stand still."""
     return [i for i in range(y.shape[1]) if ticks[i] == 0 and np.nanmin(y[:, i]) < np.nanmax(y[:, i])]
+
+
+def _only_at_rest(y: Float[np.ndarray, "T k"], same: Bool[np.ndarray, "T"]) -> bool:
+    """Whether readings repeat at rest and hardly in the fastest quarter of the motion, as those of coarse encoders do."""
+    if len(y) < 8 * AROUND:
+        return False
+    moved = np.nan_to_num(np.abs(y[2 * AROUND :] - y[: -2 * AROUND]))
+    fastest = (moved > np.quantile(moved, 0.75, axis=0)).any(axis=1)
+    return bool(same[AROUND:-AROUND][fastest].mean() < AT_REST * same.mean()) if fastest.any() else False
 
 
 def _find_repeats(y: np.ndarray, moving: list[int]) -> Bool[np.ndarray, "T"]:

@@ -27,6 +27,10 @@ LEVELS = (0.3, 0.5, 0.7, 0.85, 0.95)
 """Largest errors that act, relative to the largest one seen, that are tried for a servo with a limit."""
 MOST_BEYOND = 0.6
 """Largest fraction of the log in which a servo may be at its limit."""
+FRACTIONS, NEARER = np.array([0.5, 1.0]), (0.85, 0.93, 1.0, 1.07, 1.15)
+"""Parts of the damping that may be within the limit, and factors by which a limit is refined."""
+RATE = 2
+"""Place of the rate among what explains an error."""
 REFINED, NUDGE = 3, 1e-3
 """Steps from the best of these delays to a finer one, and shift [s] of the differences for its slope."""
 MOST_POINTS = 2000
@@ -38,6 +42,8 @@ HEAVIEST, ASKEW = 10.0, 0.5
 says: larger ones explain other units and signs."""
 RIDGE = 1e-6
 """Weight of the squares of the numbers beside that of the errors, for numbers that a log does not show."""
+LIGHT = 0.02
+"""Change of the weight on a joint, relative to the largest weight on any, below which it is none."""
 ROUNDS = 4
 """Rounds in which friction at rest and the other numbers settle."""
 MOVED = 6.0
@@ -183,7 +189,7 @@ class CommandErrors:
         places = [servos.column[i], *(place for place, _ in servos.factors[i])]
         key = (id(prepared), i, bool(servos.limited[i]), u[:, places].tobytes())
         if key not in self._fits:
-            self._fits[key] = _fit(case, prepared, servos, i)
+            self._fits[key] = fit_servo(case, prepared, servos, i)
         return self._fits[key]
 
 
@@ -216,7 +222,7 @@ def _prepare(case: Case) -> Prepared:
         weights = np.column_stack([weight[:, j], slopes[:, j]])
         shown = np.ptp(weights, axis=0) > 1e-9 * max(np.abs(weight).max(), 1e-300)
         weights = weights[:, shown]
-        weighs.append(bool(shown[0]))
+        weighs.append(bool(np.std(weight[:, j]) > LIGHT * np.abs(weight).max()))
         free = [v, np.ones_like(v), *weights.T]
         smoothed = averaged(log, np.column_stack([motion[:, j], *free]))
         part = np.column_stack([log.a[:, j] * gear, smoothed])
@@ -272,29 +278,42 @@ def _rigid(model: MechanicalSystem, n: int) -> Callable:
     return on_batches(at, np.zeros(n), np.zeros(n), np.zeros(n))
 
 
-def _fit(case: Case, prepared: Prepared, servos: Servos, i: int) -> ServoFit:
+def fit_servo(case: Case, prepared: Prepared, servos: Servos, i: int) -> ServoFit:
+    """The delay, the limit where the model states one, and the other numbers that explain errors best."""
     stated = float(servos.delay[servos.column[i]])
-    moves, direction = prepared.moves[:, i], np.sign(prepared.rate[:, i])
-    plain = direction * moves
-    always = _always(prepared, i)
+    plain, always = np.sign(prepared.rate[:, i]) * prepared.moves[:, i], _always(prepared, i)
     # Also where the servo is off, so that errors before and after a suspicion are relative to the same.
     raw = errors(case, prepared, servos._replace(factors=((),) * len(servos.factors)), i, 0.0)
     size = float(np.var(raw[prepared.rows])) or 1.0
-    best, least = (0.0, np.inf), np.inf
+    best, least = (0.0, np.inf, 0.0), np.inf
+
+    def attempt(delay: float, level: float, damping: float) -> np.ndarray:
+        nonlocal best, least
+        error = cut(errors(case, prepared, servos, i, delay), prepared.rate[:, i], level, damping)
+        # Where nearly all errors are beyond the limit, a constant explains them.
+        if np.isfinite(level) and np.mean(np.abs(error[prepared.rows] - damping * prepared.rate[prepared.rows, i]) >= level) > MOST_BEYOND:
+            return np.zeros(1)
+        x, left = _solve(prepared, i, error, plain, always)
+        if left < least:
+            best, least = (delay, level, damping), left
+        return x
+
     for delay in sorted({*DELAYS, stated}):
-        error = errors(case, prepared, servos, i, delay)
-        largest = float(np.abs(error[prepared.rows]).max())
-        for level in (np.inf, *(each * largest for each in LEVELS if servos.limited[i])):
-            # Where nearly all errors are beyond the limit, a constant explains them.
-            if np.mean(np.abs(error[prepared.rows]) > level) > MOST_BEYOND:
-                continue
-            _, left = _solve(prepared, i, np.clip(error, -level, level), plain, always)
-            if left < least:
-                best, least = (delay, level), left
-    delay, level = best
+        largest = float(np.abs(errors(case, prepared, servos, i, delay)[prepared.rows]).max())
+        attempt(delay, np.inf, 0.0)
+        for level in (each * largest for each in LEVELS if servos.limited[i]):
+            attempt(delay, level, 0.0)
+    if servos.limited[i]:
+        for _ in range(REFINED):
+            # The limit is of the torque with the damping, whose share shows where it is not reached.
+            delay, level, damping = best
+            for other in ({damping, *(FRACTIONS * _damping(case, prepared, servos, i, best))} if np.isfinite(level) else ()):
+                for factor in NEARER:
+                    attempt(delay, level * factor, float(other))
+    delay, level, damping = best
 
     def acting(delay: float) -> np.ndarray:
-        return np.clip(errors(case, prepared, servos, i, delay), -level, level)
+        return cut(errors(case, prepared, servos, i, delay), prepared.rate[:, i], level, damping)
 
     for _ in range(REFINED):
         slope = (acting(delay + NUDGE) - acting(delay - NUDGE)) / (2 * NUDGE)
@@ -306,6 +325,20 @@ def _fit(case: Case, prepared: Prepared, servos: Servos, i: int) -> ServoFit:
     # Errors cut at a limit are the smaller, so that what is left of them counts the more.
     size = min(size, float(np.var(np.clip(raw, -level, level)[prepared.rows])) or 1.0)
     return settle(prepared, i, acting(delay), delay, size, level)
+
+
+def cut(error: np.ndarray, rate: np.ndarray, level: float, damping: float) -> np.ndarray:
+    """Errors (K,) that act under a limit, which cuts the torque with the damping, relative to the stiffness."""
+    return np.clip(error - damping * rate, -level, level) + damping * rate if np.isfinite(level) else error
+
+
+def _damping(case: Case, prepared: Prepared, servos: Servos, i: int, best: tuple[float, float, float]) -> float:
+    """Damping relative to the stiffness, from the points at which the error is far below a limit."""
+    delay, level, damping = best
+    error, rate = errors(case, prepared, servos, i, delay), prepared.rate[:, i]
+    within = averaged(prepared.log, (np.abs(error - damping * rate) < 0.9 * level).astype(float)[:, None])[:, 0] > 0.95
+    x, _ = _solve(prepared, i, error, np.sign(rate) * prepared.moves[:, i], within & _always(prepared, i))
+    return max(float(x[1 + RATE]), 0.0)
 
 
 def settle(prepared: Prepared, i: int, error: np.ndarray, delay: float, size: float, level: float) -> ServoFit:

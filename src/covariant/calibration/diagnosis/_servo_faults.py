@@ -16,9 +16,9 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from covariant.calibration.diagnosis._case import Case, averaged
-from covariant.calibration.diagnosis._columns import COUNTS, Change
+from covariant.calibration.diagnosis._columns import COUNTS
 from covariant.calibration.diagnosis._finding import Finding, quoted_list
-from covariant.calibration.diagnosis._servo_errors import CommandErrors, Prepared, ServoFit, Servos, errors, settle
+from covariant.calibration.diagnosis._servo_errors import CommandErrors, Prepared, ServoFit, Servos, cut, errors, fit_servo, settle
 from covariant.calibration.diagnosis._smooth import held_inputs
 from covariant.calibration.diagnosis._suspicion import BLOCKS, Suspicion, choose, compare_all
 from covariant.calibration.diagnosis._thresholds import (
@@ -55,8 +55,10 @@ FAR = 3.0
 """Factor between a command and the position from which another unit is looked for."""
 ROUNDS, NUDGE, FARTHEST_STEP = 5, 1e-3, 0.02
 """Steps to a delay, shift [s] of the differences for its slope, and the longest step [s]."""
-FAR_OFF = 0.3
-"""Error of a command [rad or m] from which its zero is said to be another one."""
+LONGEST = 0.11
+"""Longest delay of a command [s] that is named."""
+FAR_OFF, ALWAYS_OFF = 0.3, 3.0
+"""Error of a command [rad or m], alone and relative to its changes, from which its zero is said to be another one."""
 GUESSED, FIRST = 0.1, 4.0
 """Part of the errors that the stated numbers leave, alone and relative to the best ones, from which a fit comes first."""
 FIRST_WEIGHT = 4
@@ -103,8 +105,16 @@ def _best(case: Case, judge: CommandErrors, done: set[tuple[str, str]]) -> tuple
     return None
 
 
-def _none(case: Case) -> Change:
-    return Change.none(len(case.names.q), len(case.names.u))
+def _commands(factors: np.ndarray, order: np.ndarray | None = None) -> Callable[[Case], Case]:
+    """Function that multiplies inputs by factors, after they are put in another order; positions stay the same array."""
+
+    def apply(case: Case) -> Case:
+        places = np.arange(len(factors)) if order is None else order
+        same = {"t": [0], "q": list(range(len(case.names.q)))}
+        names = case.names.after({**same, "u": places.tolist()}, {"u": factors})
+        return case._replace(names=names, record=case.record._replace(u=np.asarray(case.record.u)[:, places] * factors))
+
+    return apply
 
 
 def _slope(case: Case, prepared: Prepared, servos: Servos, i: int) -> float:
@@ -118,7 +128,7 @@ def _slope(case: Case, prepared: Prepared, servos: Servos, i: int) -> float:
 
 def _command_units(case: Case, prepared: Prepared, off: Bool[np.ndarray, "k"]) -> Iterator[Suspicion]:
     """Commands in degrees, turns, ticks or another unit, one or all of them."""
-    servos, names, none = Servos.of(case), case.names, _none(case)
+    servos, names = Servos.of(case), case.names
     slopes = np.array([_slope(case, prepared, servos, i) for i in range(len(servos.joint))])
     known = {"degrees": np.pi / 180, "turns": 2 * np.pi}
     known |= {f"counts of {count} a turn": 2 * np.pi / count for count in (256, 1024, *COUNTS)}
@@ -131,29 +141,29 @@ def _command_units(case: Case, prepared: Prepared, off: Bool[np.ndarray, "k"]) -
         factors = np.ones(len(names.u))
         factors[servos.column[which]] = known[unit]
         where = ", ".join(names.u[j] for j in servos.column[which])
-        line, change = names.line("u", factors), none._replace(inputs=factors)
-        yield Suspicion("unit of a command", where, f"with {where} in {unit}", line, change.apply, "servo")
+        line = names.line("u", factors)
+        yield Suspicion("unit of a command", where, f"with {where} in {unit}", line, _commands(factors), "servo")
 
 
 def _command_signs(case: Case, prepared: Prepared, off: Bool[np.ndarray, "k"]) -> Iterator[Suspicion]:
-    servos, names, none = Servos.of(case), case.names, _none(case)
+    servos, names = Servos.of(case), case.names
     for i in np.flatnonzero(off):
         j = servos.column[i]
         factors = np.where(np.arange(len(names.u)) == j, -1.0, 1.0)
         words = f"with {names.u[j]} with the other sign"
-        change, line = none._replace(inputs=factors), names.line("u", factors)
-        yield Suspicion("sign of a command", names.u[j], words, line, change.apply, "servo")
+        line = names.line("u", factors)
+        yield Suspicion("sign of a command", names.u[j], words, line, _commands(factors), "servo")
 
 
 def _swapped_commands(case: Case, prepared: Prepared, off: Bool[np.ndarray, "k"]) -> Iterator[Suspicion]:
-    servos, names, none = Servos.of(case), case.names, _none(case)
+    servos, names = Servos.of(case), case.names
     for i, j in itertools.combinations([int(servos.column[i]) for i in np.flatnonzero(off)], 2):
         order = np.arange(len(names.u))
         order[[i, j]] = j, i
         words = f"with {names.u[i]} and {names.u[j]} in each other's place"
         line = f"[columns] u = {quoted_list(names.u[k] for k in order)}"
-        change = none._replace(input_order=order)
-        yield Suspicion("swapped commands", f"{names.u[i]}, {names.u[j]}", words, line, change.apply, "servo")
+        change = _commands(np.ones(len(order)), order)
+        yield Suspicion("swapped commands", f"{names.u[i]}, {names.u[j]}", words, line, change, "servo")
 
 
 def _wrapped_commands(case: Case, prepared: Prepared, off: Bool[np.ndarray, "k"]) -> Iterator[Suspicion]:
@@ -180,15 +190,15 @@ def _with_inputs(u: np.ndarray) -> Any:
 
 def _lets_go(case: Case, judge: CommandErrors, i: int) -> Iterator[Suspicion]:
     """A servo whose torque is off in parts of the log."""
-    prepared, now = judge.prepared(case), judge.fit(case, i)
-    spans = _spans_off(case, prepared, i, now)
+    prepared = judge.prepared(case)
+    spans, delay = _spans_off(case, prepared, i)
     if not spans:
         return
     log, t, servos = prepared.log, np.asarray(case.record.t), Servos.of(case)
     on = np.ones(len(t))
     # An error acts after the delay, and so does the switch.
     for begin, end in spans:
-        on[(t >= log.t[begin] - now.delay) & (t <= log.t[end] - now.delay)] = 0.0
+        on[(t >= log.t[begin] - delay) & (t <= log.t[end] - delay)] = 0.0
     joint = case.names.q[servos.joint[i]]
     listed = ", ".join(f"{log.t[begin]:.4g} to {log.t[end]:.4g} s" for begin, end in spans)
     to_start, to_end = spans[0][0] <= prepared.rows[0], spans[-1][1] >= prepared.rows[-1]
@@ -204,47 +214,65 @@ def _lets_go(case: Case, judge: CommandErrors, i: int) -> Iterator[Suspicion]:
     )
 
 
-def _spans_off(case: Case, prepared: Prepared, i: int, now: ServoFit) -> list[tuple[int, int]]:
-    """First and last points of the grid of the spans in which no torque explains more than the error does."""
-    log, servos = prepared.log, Servos.of(case)
-    error, rows = errors(case, prepared, servos, i, now.delay), prepared.rows
-    smoothed = averaged(log, error[:, None])[:, 0]
-    best: tuple[float, np.ndarray] | None = None
-    # A start from a part of the log in which the servo may be on.
-    for part in (None, *np.array_split(np.arange(len(rows)), 3)):
-        off = np.zeros(len(log.t), bool) if part is None else np.ones(len(log.t), bool)
-        if part is not None:
-            off[rows[part[0]] : rows[part[-1]] + 1] = False
+def _spans_off(case: Case, prepared: Prepared, i: int) -> tuple[list[tuple[int, int]], float]:
+    """First and last points of the grid of the spans in which the motion needs no torque of the servo, and its delay."""
+    log, servos, rows = prepared.log, Servos.of(case), prepared.rows
+    best: tuple[float, np.ndarray, ServoFit] | None = None
+    switched = _switched_off(case, prepared, servos, i)
+
+    def left(off: np.ndarray, smoothed: np.ndarray, explained: np.ndarray) -> float:
+        return float(np.mean((np.where(off, 0.0, smoothed) - explained)[rows] ** 2))
+
+    # Each start takes a part of the log for one in which the servo is on.
+    for part in np.array_split(np.arange(len(rows)), 3):
+        now = fit_servo(case, prepared._replace(rows=rows[part], blocks=np.arange(len(part)) % BLOCKS), servos, i)
+        error = errors(case, prepared, servos, i, now.delay)
+        smoothed = averaged(log, error[:, None])[:, 0]
+        off = np.ones(len(log.t), bool)
+        off[rows[part[0]] : rows[part[-1]] + 1] = False
         score = np.zeros(len(rows))
         for _ in range(3):
             explained = _explained(prepared, i, error, off, now)
             score = (smoothed - explained)[rows] ** 2 - explained[rows] ** 2
             off = _off(log.t, rows, score)
-            if off[rows].mean() > MOST_OFF:
+            if (off | switched)[rows].mean() > MOST_OFF:
                 break
-        total = float(score[off[rows]].sum())
-        if off.any() and off[rows].mean() < MOST_OFF and (best is None or total > best[0]):
-            best = total, off
+        if off.any() and (off | switched)[rows].mean() < MOST_OFF:
+            rest = left(off, smoothed, _explained(prepared, i, error, off, now))
+            best = (rest, off, now) if best is None or rest < best[0] else best
     if best is None:
-        return []
+        return [], 0.0
+    now = best[2]
+    error = errors(case, prepared, servos, i, now.delay)
+    smoothed = averaged(log, error[:, None])[:, 0]
     edges = np.flatnonzero(np.diff(np.concatenate([[False], best[1], [False]])))
     on = error[rows[~best[1][rows]]]
 
     def follows(begin: int, end: int) -> bool:
-        """Whether the position follows a command that moves, or is as near to it as while the servo is on."""
-        part, command = error[begin:end], (error + prepared.position[:, i])[begin:end]
-        near = np.sqrt(np.mean((part - np.median(on)) ** 2)) < FARTHER * np.std(on)
-        return bool(near or np.std(part) < UNLIKE * np.std(command))
+        """Whether a position follows a command that moves, is as near to it as while the servo is on, or both rest."""
+        part, position = error[begin:end], prepared.position[begin:end, i]
+        far = float(np.sqrt(np.mean((part - np.median(on)) ** 2)))
+        resting = np.ptp(position) + np.ptp(part + position) < far / 3
+        return bool(resting or far < FARTHER * np.std(on) or np.std(part) < UNLIKE * np.std(part + position))
 
     spans = [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True) if not follows(int(a), int(b))]
 
-    def left(edges: np.ndarray) -> float:
+    def left_with(edges: np.ndarray) -> float:
         off = np.zeros(len(log.t), bool)
         for begin, end in edges.reshape(-1, 2):
             off[begin:end] = True
-        return float(np.mean((np.where(off, 0.0, smoothed) - _explained(prepared, i, error, off, now))[rows] ** 2))
+        return left(off, smoothed, _explained(prepared, i, error, off, now))
 
-    return [(int(a), int(b) - 1) for a, b in _refined(np.array(spans, int).ravel(), left, len(log.t)).reshape(-1, 2)]
+    refined = _refined(np.array(spans, int).ravel(), left_with, len(log.t)).reshape(-1, 2)
+    return [(int(a), int(b) - 1) for a, b in refined], now.delay
+
+
+def _switched_off(case: Case, prepared: Prepared, servos: Servos, i: int) -> Bool[np.ndarray, "K"]:
+    """Points (K,) at which a servo is off already."""
+    off, t, log = np.zeros(len(prepared.log.t), bool), np.asarray(case.record.t), prepared.log
+    for place, usual in servos.factors[i]:
+        off |= held_inputs(t, np.asarray(case.record.u)[:, [place]], log.t, log.step)[:, 0] < usual / 2
+    return off
 
 
 def _refined(edges: np.ndarray, left: Callable[[np.ndarray], float], count: int) -> np.ndarray:
@@ -387,8 +415,9 @@ def _changed_gain(case: Case, judge: CommandErrors, i: int) -> Iterator[Suspicio
     table = table / size
     constant = np.ptp(table, axis=0) < 1e-9
     constant[-1] = True
+    everything, measured = table.copy(), target.copy()
     table[~moving], target = 0.0, np.where(moving, target, 0.0)
-    best: tuple[float, int, float] | None = None
+    best: tuple[float, int, float, np.ndarray] | None = None
     for row in _edges(prepared):
         parts = [(table[a].T @ table[a], table[a].T @ target[a]) for a in (slice(None, row), slice(row, None))]
         for gain in GAINS:
@@ -398,10 +427,19 @@ def _changed_gain(case: Case, judge: CommandErrors, i: int) -> Iterator[Suspicio
             x = np.linalg.lstsq(matrix, vector, rcond=1e-10)[0]
             left = -float(x @ vector)
             if best is None or left < best[0]:
-                best = left, int(row), float(gain)
+                best = left, int(row), float(gain), x
     if best is None or best[2] in (GAINS[0], GAINS[-1]) or abs(np.log(best[2])) < np.log(LEAST_GAIN):
         return
-    _, row, gain = best
+    _, row, gain, x = best
+    # A gain changes from one row to the next: just before it is the former one, and just after it the latter.
+    parts = (slice(max(row - len(rows) // 6, 0), row), slice(row, row + len(rows) // 6))
+    for part, expected in zip(parts, (1.0, 1 / gain), strict=True):
+        where = np.flatnonzero(moving[part]) + part.start
+        scaled = everything[where][:, ~constant] @ x[~constant]
+        rest = measured[where] - everything[where][:, constant] @ x[constant]
+        ratio = float(rest @ scaled / max(scaled @ scaled, 1e-300))
+        if not abs(np.log(max(ratio, 1e-9) / expected)) < abs(np.log(gain)) / 3:
+            return
     log, t, servos = prepared.log, np.asarray(case.record.t), Servos.of(case)
     time, joint = float(log.t[rows[row]]), case.names.q[servos.joint[i]]
     strength = np.where(t >= time - now.delay, gain, 1.0)
@@ -445,7 +483,7 @@ def _saturation(case: Case, judge: CommandErrors, i: int) -> Iterator[Suspicion]
 
 COMMANDS = (_command_units, _command_signs, _swapped_commands, _wrapped_commands)
 """Suspicions about columns of commands, in order of preference."""
-CHANGES = (_lets_go, _moved_zero, _changed_gain, _saturation)
+CHANGES = (_moved_zero, _lets_go, _changed_gain, _saturation)
 """Suspicions about one servo."""
 
 
@@ -501,6 +539,8 @@ def _delay(case: Case, judge: CommandErrors, i: int) -> Iterator[Finding]:
     off = delay - stated
     if not (abs(off) > max(DELAY_ROWS * case.spacing, COMMAND_ERRORS * std) and gain > COMMON_GAIN):
         return
+    if delay > LONGEST:  # in slow motions damping looks like a long delay
+        return
     name, q = names.u[servos.column[i]], names.q[servos.joint[i]]
     evidence = f"{q} follows {name} after {1e3 * delay:.3g} ms ± {1e3 * std:.2g} ms, "
     evidence += f"{abs(off) / case.spacing:.2g} rows {'later' if off > 0 else 'earlier'} than the model says; with that "
@@ -517,7 +557,7 @@ def _offset(case: Case, judge: CommandErrors, i: int) -> Iterator[Finding]:
     """A command that counts from far another zero than the position."""
     servos, fit, rows = Servos.of(case), judge.fit(case, i), judge.prepared(case).rows
     middle = float(np.median(fit.error[rows]))
-    if abs(middle) < max(FAR_OFF, FARTHER * float(np.std(fit.error[rows]))) or np.isfinite(fit.level):
+    if abs(middle) < max(FAR_OFF, ALWAYS_OFF * float(np.std(fit.error[rows]))) or np.isfinite(fit.level):
         return
     q, unit = case.names.q[servos.joint[i]], case.names.units[servos.joint[i]]
     held: Any = case.model.force
@@ -566,7 +606,7 @@ def _sag(case: Case, judge: CommandErrors, i: int) -> Iterator[Finding]:
     sag, by_weight = sag - sag.mean(), (table[:, first] - table[:, first].mean()) / servos.stiffness[i]
     ratio = float(sag @ by_weight / (by_weight @ by_weight))
     alike = float(sag @ by_weight) / max(float(np.linalg.norm(sag) * np.linalg.norm(by_weight)), 1e-300)
-    if np.std(sag) < SAGS * max(np.sqrt(prepared.noise[i]), np.std(fit.left)):
+    if prepared.moves[prepared.rows, i].sum() < 4 * BLOCKS or np.std(sag) < SAGS * max(np.sqrt(prepared.noise[i]), np.std(fit.left)):
         return
     q, unit, joint = case.names.q[servos.joint[i]], case.names.units[servos.joint[i]], _joint(case, i)
     evidence = f"{q} sags under its weight by {np.std(sag):.2g} {unit} (standard deviation), where the model says "

@@ -47,9 +47,9 @@ THRESHOLDS = {
     # Delays and scales that least squares gave: their standard errors have judged them (below).
     "fitted": Threshold(0.0, np.inf, sure=-np.inf, alike=1.2),
     # Commands in another unit, order or sign, and limits: faults of the whole log.
-    "servo": Threshold(0.01, 1 / 3, 0.5, alike=1.2),
+    "servo": Threshold(5e-3, 1 / 3, 0.5, alike=1.2),
     # A servo that lets go, or changes its gain or zero: only a part of the log is otherwise.
-    "servo change": Threshold(4e-3, 1 / 2, 0.3, sure=2.5),
+    "servo change": Threshold(4e-3, 1 / 2, 0.3, sure=2.5, alike=1.5),
     # Torques and delays or scales together.
     "torques and fitted": Threshold(0.01, 1 / 2, 0.15),
 }
@@ -101,6 +101,9 @@ FEW_REPEATED = 0.02
 AROUND, FAST_TICKS, FEWEST_FAST, HELD_TICKS = 3, 2.0, 40, 0.2
 """Rows around one in which an encoder moves by so many ticks a row, the fewest such rows, and the fraction of them that
 repeat the reading before, from which readings are repeated."""
+AT_REST = 0.25
+"""Repeated readings among the fastest rows, relative to those among all, below which they are ticks between which an
+encoder was interpolated."""
 LATTICE = 0.05
 """Largest distance of changes from whole ticks, as a fraction of one."""
 STATED_LATTICE = 0.1
