@@ -11,10 +11,10 @@ import numpy as np
 STEP = 1e-3
 MASS, LENGTH, HUB, GRAVITY = 0.3, 0.2, 0.002, 9.81
 TICK = 2 * np.pi / 4096
-JOINTS = ("turn", "lift")
+JOINTS = ("swivel", "lift")
 
 URDF = f"""<robot name="arm"><link name="base"/>
-<joint name="turn" type="revolute"><parent link="base"/><child link="hub"/><axis xyz="0 0 1"/>
+<joint name="swivel" type="revolute"><parent link="base"/><child link="hub"/><axis xyz="0 0 1"/>
 <limit lower="-3" upper="3" effort="10" velocity="10"/></joint>
 <link name="hub"><inertial><mass value="0.1"/><inertia ixx="1e-4" iyy="1e-4" izz="{HUB}" ixy="0" ixz="0" iyz="0"/>
 </inertial></link>
@@ -66,7 +66,7 @@ def _commands(random: np.random.Generator, kind: str, t: np.ndarray) -> np.ndarr
 def simulate(
     arm: Arm, t: np.ndarray, commands: np.ndarray, strength: Any = None, gain: Any = None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Positions and rates (T, 2) at stamps; `strength(t)` multiplies the torque of each servo, `gain(t)` its stiffness."""
+    """Positions and rates (T, 2) at stamps; `strength(t)` multiplies torques, and `gain(t)` the stiffness."""
     substeps = int(np.ceil((t[1] - t[0]) / STEP - 1e-9))
     q, v = commands[0] * 1.0, np.zeros(2)
     positions, rates, drawn = [], [], MASS * LENGTH**2
@@ -118,3 +118,77 @@ def made(
     commands = _commands(random, kind, t)
     q, v = simulate(arm, t, commands, strength, gain)
     return Made(t, commands, read(q), v, arm, q)
+
+
+class Fault(NamedTuple):
+    """A log with a fault: the name of its finding, and the joint concerned, or "" for both."""
+
+    t: np.ndarray
+    commands: np.ndarray
+    readings: np.ndarray
+    name: str
+    joint: str
+    arm: Arm
+
+
+def with_fault(kind: str, seed: int) -> Fault:
+    """A log with a fault of one joint; the time from which it holds depends on the seed as well."""
+    random = np.random.default_rng(seed + 77)
+    joint, time = int(random.integers(2)), float(random.uniform(7, 14))
+    one, log, until = np.eye(2)[joint], made(seed), 99.0
+    t, c, y, arm = log.t, log.commands.copy(), log.readings.copy(), log.arm
+    rows = np.arange(len(t))
+    match kind:
+        case "off":
+            until = time + float(random.uniform(2, 5)) if random.random() < 0.5 else until
+            y = made(seed, strength=lambda now: 1 - one * (time <= now < until)).readings
+        case "gain":
+            factor = float(random.choice([0.4, 0.6, 1.7, 2.5])) - 1
+            y = made(seed, gain=lambda now: 1 + factor * one * (now >= time)).readings
+        case "zero":
+            y[t >= time, joint] += TICK * int(random.choice([-1, 1]) * random.uniform(15, 60))
+        case "limit":
+            late = c[np.maximum(rows - int(np.ceil(arm.delay / t[1])), 0)]
+            torque = np.array(arm.stiffness) * (late + arm.offset - log.exact) - np.array(arm.damping) * log.rates
+            least = 0.6 * np.quantile(np.abs(torque), 0.995, axis=0)
+            least[1] = max(least[1], 0.75)  # it carries its weight
+            arm = arm._replace(limit=tuple(np.where(one > 0, least, 1e3)))
+            y = made(seed, arm=arm, rate=1 / t[1]).readings
+        case "sign":
+            c[:, joint] *= -1
+        case "degrees":
+            c = np.rad2deg(c)
+        case "degrees of one":
+            c[:, joint] = np.rad2deg(c[:, joint])
+        case "ticks":
+            c = np.round(c / TICK) + 2048
+        case "swapped":
+            c = c[:, ::-1]
+        case "wrapped":
+            c[:, joint] = (c[:, joint] + 0.2) % (2 * np.pi) - 0.2
+        case "row early":
+            c = c[np.minimum(rows + 1, len(t) - 1)]
+        case "row late":
+            c = c[np.maximum(rows - 1, 0)]
+        case "held":
+            y = y[rows // 2 * 2]
+    both = kind in ("degrees", "ticks", "swapped", "row early", "row late", "held")
+    return Fault(t, c, y, NAMES[kind], "" if both else JOINTS[joint], arm)
+
+
+NAMES = {
+    "off": "servo off",
+    "gain": "gain of a servo",
+    "zero": "zero of a servo",
+    "limit": "limit of a servo",
+    "sign": "sign of a command",
+    "degrees": "unit of a command",
+    "degrees of one": "unit of a command",
+    "ticks": "unit of a command",
+    "swapped": "swapped commands",
+    "wrapped": "period of a command",
+    "row early": "delay of a command",
+    "row late": "delay of a command",
+    "held": "repeated rows",
+}
+"""Findings by the fault that they name."""

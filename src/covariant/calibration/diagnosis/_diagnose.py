@@ -85,7 +85,11 @@ MOST_PAIRS = 6
 """Suspicions of missing torques, alone or with one about columns, that are tried: those that promise most."""
 MOST_CHANGES = 3
 """Suspicions about columns that are accepted one after another."""
+OF_COMMANDS = ("unit of a command", "sign of a command", "swapped commands", "period of a command")
+"""Findings on commands that make a log useless."""
 WEIGHTS = (
+    *OF_COMMANDS,
+    *("servo off", "gain of a servo", "zero of a servo", "limit of a servo"),
     *(
         "clock",
         "nothing moves",
@@ -379,7 +383,7 @@ def misfit(file: ModelFile, record: Record) -> Finding | None:
     case, _ = case_without_outliers(file, busiest(record, FEW_ROWS))
     if file.input_kind == "command":
         # What no servo explains; their numbers may be first guesses.
-        return next((each for each in servo_findings(case)[0] if each.what.endswith("of a command")), None)
+        return next((each for each in servo_findings(case)[0] if each.wrong and each.what in OF_COMMANDS), None)
     left = compared(case)
     if left is not None and left.told.any() and left.misfit < BARELY:
         return None

@@ -16,9 +16,9 @@ from covariant.calibration.diagnosis._thresholds import (
     COARSE,
     FAR,
     FAST_TICKS,
-    FEWEST_FAST,
     FEW_OUTLIERS,
     FEW_REPEATED,
+    FEWEST_FAST,
     HELD_TICKS,
     LATTICE,
     LEAST_TICK,
@@ -368,7 +368,7 @@ def _moving(y: np.ndarray, ticks: np.ndarray) -> list[int]:
 
 
 def _only_at_rest(y: Float[np.ndarray, "T k"], same: Bool[np.ndarray, "T"]) -> bool:
-    """Whether readings repeat at rest and hardly in the fastest quarter of the motion, as those of coarse encoders do."""
+    """Whether readings repeat at rest, and hardly in the fastest quarter of the motion: those of a coarse encoder."""
     if len(y) < 8 * AROUND:
         return False
     moved = np.nan_to_num(np.abs(y[2 * AROUND :] - y[: -2 * AROUND]))

@@ -1,9 +1,9 @@
 """How well a log shows what servos do: errors of their commands, and what no numbers of a servo explain of them.
 
-The torque of a servo is proportional to the error of its command until it reaches its limit. Divided by its stiffness,
-the equation of motion says what the error has to be: a share of the motion, of friction, weight and rotor, and a
-constant. These are fitted, with the delay, so that a first guess at a servo's numbers is no fault of a log. Dry friction
-of a joint at rest holds any torque up to its size, and takes what the others leave.
+The torque of a servo is proportional to the error of its command until it reaches its limit. Divided by its
+stiffness, the equation of motion says what the error has to be: a share of the motion, of friction, weight and rotor,
+and a constant. These are fitted, with the delay, so that a first guess at a servo's numbers is no fault of a log.
+Dry friction of a joint at rest holds any torque up to its size, and takes what the others leave.
 """
 
 import functools
@@ -233,7 +233,10 @@ def _prepare(case: Case) -> Prepared:
         most.append([np.inf, np.inf, np.inf, np.inf, *bound])
         columns.append(part)
     width = max(part.shape[1] for part in columns)
-    pad = lambda part, value: np.pad(part, (0, width - len(part)), constant_values=value)
+
+    def pad(part: list[float], value: float) -> np.ndarray:
+        return np.pad(np.array(part), (0, width - len(part)), constant_values=value)
+
     columns = [np.pad(part, ((0, 0), (0, width - part.shape[1]))) for part in columns]
     rate = log.v[:, servos.joint] * servos.gear
     position = log.q[:, servos.joint] * servos.gear + servos.zero
@@ -254,8 +257,8 @@ def _prepare(case: Case) -> Prepared:
         position,
         rate,
         np.array(columns),
-        np.array([pad(np.array(each), -1.0) for each in least]),
-        np.array([pad(np.array(each), 1.0) for each in most]),
+        np.array([pad(each, -1.0) for each in least]),
+        np.array([pad(each, 1.0) for each in most]),
         moves,
         np.array(weighs),
         known,
@@ -291,7 +294,10 @@ def fit_servo(case: Case, prepared: Prepared, servos: Servos, i: int) -> ServoFi
         nonlocal best, least
         error = cut(errors(case, prepared, servos, i, delay), prepared.rate[:, i], level, damping)
         # Where nearly all errors are beyond the limit, a constant explains them.
-        if np.isfinite(level) and np.mean(np.abs(error[prepared.rows] - damping * prepared.rate[prepared.rows, i]) >= level) > MOST_BEYOND:
+        if (
+            np.isfinite(level)
+            and np.mean(np.abs(error[prepared.rows] - damping * prepared.rate[prepared.rows, i]) >= level) > MOST_BEYOND
+        ):
             return np.zeros(1)
         x, left = _solve(prepared, i, error, plain, always)
         if left < least:
@@ -307,7 +313,9 @@ def fit_servo(case: Case, prepared: Prepared, servos: Servos, i: int) -> ServoFi
         for _ in range(REFINED):
             # The limit is of the torque with the damping, whose share shows where it is not reached.
             delay, level, damping = best
-            for other in ({damping, *(FRACTIONS * _damping(case, prepared, servos, i, best))} if np.isfinite(level) else ()):
+            for other in (
+                {damping, *(FRACTIONS * _damping(case, prepared, servos, i, best))} if np.isfinite(level) else ()
+            ):
                 for factor in NEARER:
                     attempt(delay, level * factor, float(other))
     delay, level, damping = best

@@ -13,12 +13,20 @@ from typing import Any
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool
 
 from covariant.calibration.diagnosis._case import Case, averaged
 from covariant.calibration.diagnosis._columns import COUNTS
 from covariant.calibration.diagnosis._finding import Finding, quoted_list
-from covariant.calibration.diagnosis._servo_errors import CommandErrors, Prepared, ServoFit, Servos, cut, errors, fit_servo, settle
+from covariant.calibration.diagnosis._servo_errors import (
+    CommandErrors,
+    Prepared,
+    ServoFit,
+    Servos,
+    errors,
+    fit_servo,
+    settle,
+)
 from covariant.calibration.diagnosis._smooth import held_inputs
 from covariant.calibration.diagnosis._suspicion import BLOCKS, Suspicion, choose, compare_all
 from covariant.calibration.diagnosis._thresholds import (
@@ -41,10 +49,12 @@ LEAST_GAIN = 1.15
 """Least ratio of two gains that counts."""
 EDGE = 2
 """Least number of blocks of the log on either side of a change."""
-MOST_OFF = 0.8
+MOST_OFF = 0.7
 """Largest fraction of the log in which a servo may be off."""
 FARTHER, UNLIKE = 1.5, 0.5
 """Error while a servo is off, relative to that while it is on, and relative to the motion of the command."""
+ALIKE = 0.7
+"""Correlation of a position with its command from which it follows."""
 EDGE_STEPS, MARGIN = (32, 16, 8, 4, 2, 1), 20
 """Points of the grid by which an edge of a span is moved, and from an end of the log within which none is."""
 JUMP = 0.5
@@ -60,7 +70,7 @@ LONGEST = 0.11
 FAR_OFF, ALWAYS_OFF = 0.3, 3.0
 """Error of a command [rad or m], alone and relative to its changes, from which its zero is said to be another one."""
 GUESSED, FIRST = 0.1, 4.0
-"""Part of the errors that the stated numbers leave, alone and relative to the best ones, from which a fit comes first."""
+"""Part of the errors that the stated numbers leave, alone and relative to the best ones, from which a fit is due."""
 FIRST_WEIGHT = 4
 """Place of the weight among what explains an error."""
 SAGS, SAG_OFF, ASKEW = 3.0, 1.5, 0.5
@@ -97,8 +107,8 @@ def _best(case: Case, judge: CommandErrors, done: set[tuple[str, str]]) -> tuple
     for i in np.argsort(-shares):
         if shares[i] > THRESHOLDS["servo change"].least:
             compare = functools.partial(judge.of, int(i))
-            suspicions = [each for suspect in CHANGES for each in suspect(case, judge, int(i))]
-            suspicions = [each for each in suspicions if (each.what, each.where) not in done]
+            tried = (each for suspect in CHANGES for each in suspect(case, judge, int(i)))
+            suspicions = [each for each in tried if (each.what, each.where) not in done]
             accepted = choose(compare_all(case, suspicions, compare), "errors of commands")
             if accepted is not None:
                 return accepted
@@ -106,7 +116,7 @@ def _best(case: Case, judge: CommandErrors, done: set[tuple[str, str]]) -> tuple
 
 
 def _commands(factors: np.ndarray, order: np.ndarray | None = None) -> Callable[[Case], Case]:
-    """Function that multiplies inputs by factors, after they are put in another order; positions stay the same array."""
+    """Function that multiplies inputs by factors, in another order; the positions stay the same array."""
 
     def apply(case: Case) -> Case:
         places = np.arange(len(factors)) if order is None else order
@@ -133,7 +143,10 @@ def _command_units(case: Case, prepared: Prepared, off: Bool[np.ndarray, "k"]) -
     known = {"degrees": np.pi / 180, "turns": 2 * np.pi}
     known |= {f"counts of {count} a turn": 2 * np.pi / count for count in (256, 1024, *COUNTS)}
     off = off & ((slopes < 1 / FAR) | (slopes > FAR)) & (slopes > 0)
-    units = [min(known, key=lambda unit, s=slope: abs(np.log(known[unit] / s))) if bad else "" for slope, bad in zip(slopes, off, strict=True)]
+    units = [
+        min(known, key=lambda unit, s=slope: abs(np.log(known[unit] / s))) if bad else ""
+        for slope, bad in zip(slopes, off, strict=True)
+    ]
     for which in [off] + [np.arange(len(off)) == i for i in np.flatnonzero(off)] * bool(off.sum() > 1):
         if not which.any():
             continue
@@ -215,7 +228,7 @@ def _lets_go(case: Case, judge: CommandErrors, i: int) -> Iterator[Suspicion]:
 
 
 def _spans_off(case: Case, prepared: Prepared, i: int) -> tuple[list[tuple[int, int]], float]:
-    """First and last points of the grid of the spans in which the motion needs no torque of the servo, and its delay."""
+    """First and last points of the grid of spans in which a motion needs no torque of the servo, and its delay."""
     log, servos, rows = prepared.log, Servos.of(case), prepared.rows
     best: tuple[float, np.ndarray, ServoFit] | None = None
     switched = _switched_off(case, prepared, servos, i)
@@ -252,8 +265,12 @@ def _spans_off(case: Case, prepared: Prepared, i: int) -> tuple[list[tuple[int, 
         """Whether a position follows a command that moves, is as near to it as while the servo is on, or both rest."""
         part, position = error[begin:end], prepared.position[begin:end, i]
         far = float(np.sqrt(np.mean((part - np.median(on)) ** 2)))
-        resting = np.ptp(position) + np.ptp(part + position) < far / 3
-        return bool(resting or far < FARTHER * np.std(on) or np.std(part) < UNLIKE * np.std(part + position))
+        command = part + position
+        resting = np.ptp(position) + np.ptp(command) < far / 3
+        # Dry friction lets a joint take only a part of small steps.
+        spread = np.std(position) * np.std(command)
+        alike = spread > 0 and np.mean((position - position.mean()) * (command - command.mean())) > ALIKE * spread
+        return bool(resting or alike or far < FARTHER * np.std(on) or np.std(part) < UNLIKE * np.std(command))
 
     spans = [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True) if not follows(int(a), int(b))]
 
@@ -280,7 +297,7 @@ def _refined(edges: np.ndarray, left: Callable[[np.ndarray], float], count: int)
     least = left(edges) if len(edges) else 0.0
     for k, step in itertools.product(range(len(edges)), EDGE_STEPS):
         for tried in (edges + step * (np.arange(len(edges)) == k), edges - step * (np.arange(len(edges)) == k)):
-            if MARGIN < edges[k] < count - MARGIN and (np.diff(tried) > 1).all() and 0 < tried[0] and tried[-1] < count:
+            if MARGIN < edges[k] < count - MARGIN and (np.diff(tried) > 1).all() and tried[0] > 0 and tried[-1] < count:
                 now = left(tried)
                 edges, least = (tried, now) if now < least else (edges, least)
     return edges
@@ -288,7 +305,14 @@ def _refined(edges: np.ndarray, left: Callable[[np.ndarray], float], count: int)
 
 def _explained(prepared: Prepared, i: int, error: np.ndarray, off: np.ndarray, now: ServoFit) -> np.ndarray:
     """What explains the error while the servo is on, fitted to those points, with the friction that the motion has."""
-    held = settle(prepared._replace(rows=prepared.rows[~off[prepared.rows]], blocks=prepared.blocks[~off[prepared.rows]]), i, error, now.delay, now.size, now.level)
+    held = settle(
+        prepared._replace(rows=prepared.rows[~off[prepared.rows]], blocks=prepared.blocks[~off[prepared.rows]]),
+        i,
+        error,
+        now.delay,
+        now.size,
+        now.level,
+    )
     return held.explained
 
 
@@ -322,14 +346,22 @@ def _with_strength(case: Case, i: int, strength: np.ndarray) -> Case:
     switches = tuple(column if k == i else each for k, each in enumerate(servos.switches))
     commands = jnp.pad(jnp.asarray(servos.commands), ((0, 0), (0, 1)))
     delay = jnp.append(jnp.asarray(servos.delay), servos.delay[Servos.of(case).column[i]])
-    model = _with_servos(case, replace(servos, commands=commands, switches=switches, delay=delay))
+    lead = jnp.append(jnp.asarray(servos.lead), servos.lead[Servos.of(case).column[i]])
+    names_units = {
+        "input_names": (*servos.input_names, f"on_{_joint(case, i)}"),
+        "input_units": (*servos.input_units, "1"),
+    }
+    changed = replace(servos, commands=commands, switches=switches, delay=delay, lead=lead, **names_units)
+    model = _with_servos(case, changed)
     delays = np.broadcast_to(np.asarray(case.file.input_delay, float), column)
     file = case.file._replace(input_delay=(*delays.tolist(), float(delays[Servos.of(case).column[i]])))
     stated = dict(names.stated)
     if len(stated.get("u", ())) > 1:
         stated["u"] = (*stated["u"], "1")
     names = names._replace(u=(*names.u, f"on_{_joint(case, i)}"), stated=stated)
-    return case._replace(file=file, model=model, names=names, record=case.record._replace(u=np.column_stack([u, strength])))
+    return case._replace(
+        file=file, model=model, names=names, record=case.record._replace(u=np.column_stack([u, strength]))
+    )
 
 
 def _with_servos(case: Case, servos: Any) -> Any:
@@ -358,7 +390,7 @@ def _moved_zero(case: Case, judge: CommandErrors, i: int) -> Iterator[Suspicion]
     rows = np.unique((fractions[2 * EDGE : -2 * EDGE] * len(prepared.rows)).astype(int))
     table = prepared.columns[i][prepared.rows]
     best: tuple[float, int, float] | None = None
-    target = (now.left + now.explained[prepared.rows])
+    target = now.left + now.explained[prepared.rows]
     size = np.maximum(np.sqrt(np.mean(table**2, axis=0)), 1e-12)
     friction = (now.explained - prepared.columns[i] @ now.multiples)[prepared.rows]
     basis = np.linalg.qr(np.column_stack([table / size, friction / max(np.std(friction), 1e-12)]))[0]
@@ -377,8 +409,10 @@ def _moved_zero(case: Case, judge: CommandErrors, i: int) -> Iterator[Suspicion]
         return
     _, row, jump = best
     log, t, servos = prepared.log, np.asarray(case.record.t), Servos.of(case)
-    near = log.half + (log.t[prepared.rows[-1]] - log.t[prepared.rows[0]]) / BLOCKS
-    place = _jump(t, servos.gear[i] * np.asarray(case.record.y)[:, servos.joint[i]], float(log.t[prepared.rows[row]]), near, -jump)
+    near = log.half + float(log.t[prepared.rows[-1]] - log.t[prepared.rows[0]]) / BLOCKS
+    place = _jump(
+        t, servos.gear[i] * np.asarray(case.record.y)[:, servos.joint[i]], float(log.t[prepared.rows[row]]), near, -jump
+    )
     if place is None:
         return
     time = float(t[place])
@@ -386,8 +420,12 @@ def _moved_zero(case: Case, judge: CommandErrors, i: int) -> Iterator[Suspicion]
     u[:, servos.column[i]] -= jump * (t >= time)
     joint, unit = case.names.q[servos.joint[i]], case.names.units[servos.joint[i]]
     claim = f"the zero of {joint} moves by {-jump:.3g} {unit} at about {time:.4g} s"
-    line = f"until = {time:.4g} keeps the rows before that, and start = {time:.4g} those after it: fit an offset to each"
-    yield Suspicion("zero of a servo", joint, "then", line, _with_inputs(u), "servo change", claim, {"jump": -jump, "time": time})
+    line = (
+        f"until = {time:.4g} keeps the rows before that, and start = {time:.4g} those after it: fit an offset to each"
+    )
+    yield Suspicion(
+        "zero of a servo", joint, "then", line, _with_inputs(u), "servo change", claim, {"jump": -jump, "time": time}
+    )
 
 
 def _jump(t: np.ndarray, position: np.ndarray, about: float, near: float, jump: float) -> int | None:
@@ -478,7 +516,9 @@ def _saturation(case: Case, judge: CommandErrors, i: int) -> Iterator[Suspicion]
     limit = float(servos.stiffness[i] * fit.level)
     claim = f"errors of {joint} beyond about {fit.level:.2g} {unit} give no more torque"
     line = f"[servo.{_joint(case, i)}] limit = {limit:.2g}"
-    yield Suspicion("limit of a servo", joint, "then", line, apply, "servo", claim, {"limit": limit, "error": fit.level})
+    yield Suspicion(
+        "limit of a servo", joint, "then", line, apply, "servo", claim, {"limit": limit, "error": fit.level}
+    )
 
 
 COMMANDS = (_command_units, _command_signs, _swapped_commands, _wrapped_commands)
@@ -543,8 +583,12 @@ def _delay(case: Case, judge: CommandErrors, i: int) -> Iterator[Finding]:
         return
     name, q = names.u[servos.column[i]], names.q[servos.joint[i]]
     evidence = f"{q} follows {name} after {1e3 * delay:.3g} ms ± {1e3 * std:.2g} ms, "
-    evidence += f"{abs(off) / case.spacing:.2g} rows {'later' if off > 0 else 'earlier'} than the model says; with that "
-    evidence += f"delay the best numbers of the servo leave {100 * (1 - gain):.2g} % of what they leave with the stated one"
+    evidence += (
+        f"{abs(off) / case.spacing:.2g} rows {'later' if off > 0 else 'earlier'} than the model says; with that "
+    )
+    evidence += (
+        f"delay the best numbers of the servo leave {100 * (1 - gain):.2g} % of what they leave with the stated one"
+    )
     line = f"[servo.{_joint(case, i)}] delay = {delay:.2g}"
     if delay < 0:
         line = f"subtract {-delay:.2g} s from the stamps of {name}: it acts before its row"
@@ -606,7 +650,9 @@ def _sag(case: Case, judge: CommandErrors, i: int) -> Iterator[Finding]:
     sag, by_weight = sag - sag.mean(), (table[:, first] - table[:, first].mean()) / servos.stiffness[i]
     ratio = float(sag @ by_weight / (by_weight @ by_weight))
     alike = float(sag @ by_weight) / max(float(np.linalg.norm(sag) * np.linalg.norm(by_weight)), 1e-300)
-    if prepared.moves[prepared.rows, i].sum() < 4 * BLOCKS or np.std(sag) < SAGS * max(np.sqrt(prepared.noise[i]), np.std(fit.left)):
+    if prepared.moves[prepared.rows, i].sum() < 4 * BLOCKS or np.std(sag) < SAGS * max(
+        np.sqrt(prepared.noise[i]), np.std(fit.left)
+    ):
         return
     q, unit, joint = case.names.q[servos.joint[i]], case.names.units[servos.joint[i]], _joint(case, i)
     evidence = f"{q} sags under its weight by {np.std(sag):.2g} {unit} (standard deviation), where the model says "
