@@ -224,7 +224,8 @@ class ExcitationResult(AbstractTable):
             for row in facts["joints"]
         ]
         noise = "; ".join(
-            f"{row['name']} ± {row['noise']:.3g} {row['unit']}, ± {row['torque']['noise']:.3g} {row['torque']['unit']}"
+            f"{row['name']} ± {row['noise']:.3g} {row['unit']}"
+            + (f", ± {row['torque']['noise']:.3g} {row['torque']['unit']}" if "noise" in row["torque"] else "")
             for row in facts["joints"]
         )
         condition = {key: "—" if each is None else f"{each:.3g}" for key, each in facts["condition"].items()}
@@ -232,6 +233,7 @@ class ExcitationResult(AbstractTable):
             [
                 f"{facts['rows']} rows over {facts['duration']:g} s: {facts['periods']} period"
                 f"{'s' * (facts['periods'] > 1)} of {1 / facts['frequency']:.4g} s, {facts['harmonics']} harmonics",
+                *self._parts,
                 f"Standard errors to expect of a fit that sees all of its log, with the noise of rows {noise}:",
                 "",
                 table(errors),
@@ -243,6 +245,14 @@ class ExcitationResult(AbstractTable):
                 COLLISIONS,
             ]
         )
+
+    @property
+    def _parts(self) -> list[str]:
+        """A sentence on what is commanded of servos, and when."""
+        if "moving" not in self.details:
+            return []
+        moving, rest = self.details["moving"], self.details["duration"] - self.details["moving"]
+        return [f"{moving:g} s of it are a motion" + (f", {rest:g} s slow reversals and steps" if rest else "")]
 
     def save(self, path: str | Path, overwrite: bool = False) -> Path:
         """Write the motion: stamps, positions and inputs in the units of the model file, the rest in SI units.
@@ -283,6 +293,8 @@ class ExcitationResult(AbstractTable):
 
     @property
     def _torques(self) -> list[np.ndarray]:
-        """Torques (T,) of the joints, which are the inputs through the motors."""
+        """Torques (T,) of the joints: those of servos, or the inputs through the motors."""
+        if "torques" in self.details:
+            return [self.si_columns[name] for name in self.details["torques"]]
         u = np.stack([self.si_columns[name] for name in self.layout.u])
         return list(np.array(self.details["motors"]) @ u)

@@ -1,3 +1,9 @@
+from ._commands import (
+    CommandErrors as CommandErrors,
+    command_excitation as command_excitation,
+    motion_periods as motion_periods,
+    of_coordinates as of_coordinates,
+)
 from ._draft import Draft as Draft, draft as draft
 from ._error_model import (
     ErrorModel as ErrorModel,
