@@ -42,7 +42,8 @@ def design_excitation(
 
     Each joint makes a Fourier series, which starts and ends each period at rest at the same place, so that the motion
     can be repeated. Positions, velocities and the torques of the model are within their limits. Collisions of links
-    with each other, or with anything else, are not looked at.
+    with each other, or with anything else, are not looked at. Of a robot with servos the inputs are commands that make
+    them do the motion; slow reversals and steps follow it, a third of the periods.
 
     The standard errors are those of a fit that sees the whole log. `fit` holds out the last third of a single log: log
     the motion twice, and give it both.
@@ -51,17 +52,18 @@ def design_excitation(
         model: A model file (.toml) of a robot, its URDF or MJCF file, or the name of a robot of the library; with
             [measurement] std or quantum.
         parameters: Names of the numbers, as for `fit`: "friction", "armature", "payload", "inertia", "gravity",
-            "torque_constants" or "offsets", for all joints and links or for one. Several in a list, or by commas.
+            "torque_constants", "offsets" or "servo", for all joints and links or for one. Several in a list, or by
+            commas.
         duration: Length [s], a whole number of periods of `frequency`.
         rate: Rows in a second [Hz].
         frequency: Frequency [Hz] of the first harmonic.
         harmonics: Number of harmonics, 2 or more.
         region: Ends of the positions [rad or m] by joint, in place of those of the robot's file.
         velocity: Largest speeds [rad/s or m/s], one or one for each joint, in place of those of the robot's file.
-        effort: Largest torques or forces [N m or N], in the same way.
+        effort: Largest torques or forces [N m or N], in the same way; that of a servo is also limited by its own limit.
         margin: Fraction of all limits that is used.
         torque_noise: Standard deviation of logged torques, as felt at the joints [N m or N], one or one for each joint;
-            1 % of `effort` by default.
+            1 % of `effort` by default. Servos log none.
         starts: Starts of the search.
         seed: Seed of the starts.
         overrides: Values that replace those of the model file, such as other first values.
