@@ -187,7 +187,7 @@ class _Simulation(NamedTuple):
             def one(slope: Array) -> Array:
                 return jax.jvp(lambda part: positions(part, inputs, start)[0], (flat,), (slope,))[1]
 
-            return jax.vmap(one, in_axes=1, out_axes=2)(to_arrays)
+            return jax.vmap(one, in_axes=1, out_axes=2)(jnp.asarray(to_arrays))
 
         return cls(model, servos, flat, positions, slopes, substeps, rate)
 
