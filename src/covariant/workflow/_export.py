@@ -41,7 +41,7 @@ from covariant.observers import (
 from covariant.workflow._arguments import above_zero, gain_pair
 from covariant.workflow._design import Design, design
 from covariant.workflow._exported_program import exported_program, open_family
-from covariant.workflow._inputs import Job, densest_rate, load, refuse_shifted_inputs
+from covariant.workflow._inputs import Job, densest_rate, describe_inputs, load, with_acting_inputs
 from covariant.workflow._kinds import kind_of
 from covariant.workflow._progress import Progress, silent
 from covariant.workflow._result import AbstractResult
@@ -181,8 +181,6 @@ def export(
     bounded = sampling is not None and sampling.substeps is not None and real == "double"
     if bounded and parameters:
         raise ValueError("the certificate is about the numbers of the model as they are; leave out `parameters`")
-    if entry.knows_model:
-        refuse_shifted_inputs(label, file)
     # Only an observer with a model can predict from the time of a late reading to the present.
     delay = reading_delays(runs, file.delay, designed.sensors, measured[0])
     late = entry.knows_model and np.any(delay)
@@ -195,12 +193,15 @@ def export(
     if lag is not None:
         delayed, description = _late(delayed, designed.name, lag, rate), f"{description} Estimates are {lag:g} s late."
     progress(f"writing {prefix}")
+    sent = with_acting_inputs(delayed, file, rate, logged) if entry.knows_model else delayed
+    if sent is not delayed:
+        delayed, description = sent, f"{description} {describe_inputs(file)}"
     if bounded and delayed is runs and kept is not None:
         delayed = kept.bounded(runs, radius=kept.radius)
         description, proved = f"{description} {_describe_start(kept)}", "\n".join([proved, *_list_premises()])
     unbounded = ""
     if sampling is not None and not delayed.fixed_numbers:
-        reason = "is about measurements without delays and periods"
+        reason = "is about measurements without delays and periods, and inputs that act as they are sent"
         if sampling.substeps is None:
             reason = "is about an observer that chooses its substeps, of which the errors of predictions are not proved"
         elif real != "double":

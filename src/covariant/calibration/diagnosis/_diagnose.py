@@ -376,6 +376,8 @@ def misfit(file: ModelFile, record: Record) -> Finding | None:
     accepted = judge(case, units(case), clearly_unexplained)
     if accepted is not None:
         return accepted[1]
+    if file.wrenches or file.external_force or file.external_force_std:
+        return None  # the forces that the file states may be what the model leaves
     findings = [each for each in unexplained(case, left) if each.what == "model"] if left else []
     log = clearly(case)
     if not findings or log is None:

@@ -6,7 +6,7 @@ import pytest
 
 import covariant
 from covariant import models
-from covariant.calibration.identification._commands import _Simulation
+from covariant.calibration.identification._servo_excitation import _Simulation
 
 ARM = """<robot name="arm"><link name="base"/>
   <link name="beam"><inertial><origin xyz="0 0 -0.12"/><mass value="0.3"/>
