@@ -45,6 +45,7 @@ from covariant.workflow._inputs import Job, densest_rate, describe_inputs, load,
 from covariant.workflow._kinds import kind_of
 from covariant.workflow._progress import Progress, silent
 from covariant.workflow._result import AbstractResult
+from covariant.workflow._robot_file import FORMATS, RobotFileResult, write_robot
 from covariant.workflow._sensors import reading_delays
 
 REALS = ("double", "float")
@@ -79,17 +80,21 @@ def export(
     overwrite: bool = False,
     overrides: Overrides = (),
     progress: Progress = silent,
-) -> "ExportResult":
+) -> "ExportResult | RobotFileResult":
     """Write an observer as C99 for microcontrollers and controllers, or as a unit (.fmu) for simulators.
 
     It is the observer that `estimate` runs at this sampling rate, with its gate: outliers, holes and missing numbers
     have the same result codes. The gate judges by the noise of the model file and by the usual speed of the motion,
     which `estimate` reads from its log.
 
+    Where `out` ends in .urdf, .xml or .json, the robot itself is written with the numbers of its model file, for
+    simulators: its URDF file, an MJCF file, or a table of its servos for configurations of actuators. Such a file takes
+    no options of an observer.
+
     Args:
         model: A model file (.toml), a robot, `module:attribute`, the name of a system, a `ModelFile`, or a system.
-        out: The folder to write, or a unit for simulators where it ends in .fmu.
-        rate: Sampling rate [Hz] that the observer is made for.
+        out: The folder to write, or a unit for simulators where it ends in .fmu, or the file of a robot.
+        rate: Sampling rate [Hz] that the observer is made for, or steps in a second of a robot's simulation.
         observer: Name of the observer; by default the first that fits the model.
         alpha, beta: As for `estimate`.
         real: Type of all numbers in C, "double" or "float".
@@ -131,7 +136,11 @@ def export(
         >>> sorted(path.suffix for path in result.files)[:2]
         ['.c', '.c']
     """
+    arguments = dict(locals())
     out = Path(out)
+    if out.suffix in FORMATS:
+        above_zero("rate", rate)
+        return write_robot(export, arguments)
     unit = out.suffix == ".fmu"
     limit = math.inf if flash is None else above_zero("flash", flash)
     above_zero("rate", rate)
