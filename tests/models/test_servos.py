@@ -210,3 +210,32 @@ stiffness = 10.0
     np.testing.assert_allclose(slopes[0, 0], 0.2)
     with pytest.raises(models.ModelError, match="has no"):
         models.robot_family(str(path), ["servo.elbow.stifness"])
+
+
+def test_servos_of_one_kind_share_what_they_do_not_state(tmp_path):
+    path = tmp_path / "arm.toml"
+    path.write_text(
+        """system = "robot"
+[parameters]
+path = "double_pendulum"
+[servo.shoulder]
+stiffness = 20.0
+delay = 0.03
+coulomb = 0.1
+[servo.elbow]
+like = "shoulder"
+coulomb = 0.2
+"""
+    )
+    family = models.robot_family(str(path), ["servo"])
+    assert family.names[3:] == ("servo.elbow.coulomb",)
+    assert models.robot_family(str(path), ["servo.stiffness"]).names == ("servo.shoulder.stiffness",)
+    content = family.with_values(np.array([30.0, 0.04, 0.1, 0.2]))
+    path.write_text(models.rewrite(path.read_text(), content))
+    file = models.load(str(path))
+    assert file.input_delay == (0.04, 0.04)
+    slopes = jax.jacfwd(lambda x: family.make(x).force(jnp.zeros(()), q, u))(jnp.zeros(4))
+    np.testing.assert_allclose(slopes[:, 0], [0.2, 0.1], atol=1e-12)
+    for wrong in ("elbow", "knee"):
+        with pytest.raises(models.ModelError, match="must be a joint with"):
+            models.load("double_pendulum", {"servo.shoulder": SERVO, "servo.elbow": {"like": wrong}})

@@ -121,7 +121,7 @@ def _limits(model: str, family: RobotFamily, given: Limits) -> JointLimits:
     file, parameters = family.file, family.document["parameters"]
     names = file.model.coordinates
     robot = robots.read(parameters["path"], motor_torques=parameters.get("motor_torques", False))
-    robot = robots.changed(robot, offsets=parameters.get("offsets"), servos=family.document.get("servo"))
+    robot = robots.changed(robot, offsets=parameters.get("offsets"), servos=models.servo_tables(family.document))
     if parameters.get("actuated") is None:
         _refuse_velocity_servos(model, robot, names)
     of_file = {joint.name: joint for joint in robot.joints}

@@ -4,6 +4,7 @@ from ._file import (
     document as document,
     from_recipe as from_recipe,
     recipe_text as recipe_text,
+    servo_tables as servo_tables,
 )
 from ._load import load as load, rebuild as rebuild, recipe as recipe, spec_name as spec_name
 from ._model_file import ModelError as ModelError, ModelFile as ModelFile

@@ -60,7 +60,7 @@ def _with_servos(file: ModelFile, content: dict[str, Any]) -> ModelFile:
         if np.any(several):
             file = file._replace(**{f"input_{key}": tuple(np.asarray(several, float).tolist())})
     backlash = [
-        table.get("backlash", 0.0) for table in (content.get("servo", {}).get(n, {}) for n in file.model.coordinates)
+        table.get("backlash", 0.0) for table in (servo_tables(content).get(n, {}) for n in file.model.coordinates)
     ]
     if any(backlash) and file.measurement_std is not None:
         # An error uniform over the play has the variance backlash²/12.
@@ -82,10 +82,22 @@ def parameters_of(content: dict[str, Any]) -> dict[str, Any]:
         return parameters
     if content.get("system") != "robot":
         raise ValueError(f'[servo] is for robots, system = "robot"; this model is {content.get("system")!r}')
-    for name, table in content["servo"].items():
+    return parameters | {"servos": servo_tables(content)}
+
+
+def servo_tables(content: dict[str, Any]) -> dict[str, dict[str, Any]]:
+    """The tables of the servos of a document, each with what it takes from the one that it is like."""
+    given = content.get("servo", {})
+    for name, table in given.items():
         if not isinstance(table, dict):
             raise ValueError(f"servo.{name} must be a table, [servo.{name}]; got {table!r}")
-    return parameters | {"servos": content["servo"]}
+        other = table.get("like", "")
+        if "like" in table and (other not in given or "like" in given[other]):
+            raise ValueError(
+                f"servo.{name}.like must be a joint with a [servo] table that is like no other; got {other!r}"
+            )
+    shared = {name: given.get(table.get("like", ""), {}) | table for name, table in given.items()}
+    return {name: {key: value for key, value in table.items() if key != "like"} for name, table in shared.items()}
 
 
 def from_recipe(made: dict[str, Any], model: Any = None) -> Model:

@@ -68,12 +68,13 @@ class OpenNumber(NamedTuple):
 
 
 class Scene(NamedTuple):
-    """The robot of which numbers are opened, and the group that they are in."""
+    """The robot of which numbers are opened, the group that they are in, and the tables of its servos."""
 
     file: ModelFile
     robot: Description
     parameters: dict[str, Any]
     group: str
+    servos: dict[str, dict[str, Any]]
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -225,7 +226,7 @@ def _gravity(scene: Scene, rest: list[str]) -> list[OpenNumber]:
 
 def _servo(scene: Scene, rest: list[str]) -> list[OpenNumber]:
     """Numbers of servos: those that their tables state, or one of them by its name."""
-    tables = scene.parameters.get("servos", {})
+    tables = scene.servos
     if not tables:
         raise ValueError("servo: the model has no [servo.JOINT] table, which states what each servo is")
     kinds = tuple(key for key in (*OF_SERVO, *OF_GEAR) if key not in NEVER_OPEN)
@@ -238,6 +239,9 @@ def _servo(scene: Scene, rest: list[str]) -> list[OpenNumber]:
         if name not in tables:
             continue
         joint, unit = scene.joint(name), scene.unit(name)
+        # What a table takes from another one is open there, once for all that are like it.
+        if rest and "like" in tables[name] and rest[0] not in tables[name] and len(joints) > 1:
+            continue
         for kind in rest or [kind for kind in kinds if kind in tables[name]]:
             first = _number_of_servo(joint, kind)
             if not np.isfinite(first):

@@ -218,7 +218,7 @@ def _family(spec: str, names: Sequence[str], content: dict[str, Any]) -> RobotFa
     for name in names:
         group, *rest = name.strip().removeprefix("parameters.").split(".")
         refuse_unknown("group of numbers", group, GROUPS)
-        numbers += OPENED[group](Scene(file, robot, parameters, group), rest)
+        numbers += OPENED[group](Scene(file, robot, parameters, group, content.get("servo", {})), rest)
     for number in numbers:
         if [other.name for other in numbers].count(number.name) > 1:
             raise ValueError(f"{number.name} is named twice; name it once")
