@@ -153,7 +153,8 @@ def with_fault(kind: str, seed: int) -> Fault:
             least = 0.6 * np.quantile(np.abs(torque), 0.995, axis=0)
             least[1] = max(least[1], 0.75)  # it carries its weight
             arm = arm._replace(limit=tuple(np.where(one > 0, least, 1e3)))
-            y = made(seed, arm=arm, rate=1 / t[1]).readings
+            again = made(seed, arm=arm, rate=1 / t[1])
+            c, y = again.commands, again.readings
         case "sign":
             c[:, joint] *= -1
         case "degrees":

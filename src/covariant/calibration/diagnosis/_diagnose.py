@@ -49,10 +49,9 @@ from covariant.calibration.diagnosis._readings import (
     known_ticks,
     missing_cells,
     readings,
-    repeated_findings,
     still_findings,
-    without_repeated,
 )
+from covariant.calibration.diagnosis._repeats import repeated_findings, without_repeated
 from covariant.calibration.diagnosis._sensor_checks import sensor_checks
 from covariant.calibration.diagnosis._sensor_findings import NOISIER, sensor_findings, standstill
 from covariant.calibration.diagnosis._sensor_motion import Beside

@@ -50,7 +50,7 @@ MOVED = 6.0
 """Range of the positions of a joint that moves, in the noise or the ticks of its encoder."""
 
 
-class Servos(NamedTuple):
+class JointServos(NamedTuple):
     """What is read of the servos of a model, k of them, one for each joint that has one.
 
     Attributes:
@@ -76,7 +76,7 @@ class Servos(NamedTuple):
     delay: Float[np.ndarray, "m"]
 
     @classmethod
-    def of(cls, case: Case) -> "Servos":
+    def of(cls, case: Case) -> "JointServos":
         """Those of the model of a case."""
         servos = case.model.force.servos  # pyright: ignore[reportFunctionMemberAccess]
         rows, commands = np.asarray(servos.rows), np.asarray(servos.commands)
@@ -185,7 +185,7 @@ class CommandErrors:
 
     def fit(self, case: Case, i: int) -> ServoFit:
         """The numbers of servo i that explain its errors best."""
-        prepared, servos, u = self.prepared(case), Servos.of(case), np.asarray(case.record.u)
+        prepared, servos, u = self.prepared(case), JointServos.of(case), np.asarray(case.record.u)
         places = [servos.column[i], *(place for place, _ in servos.factors[i])]
         key = (id(prepared), i, bool(servos.limited[i]), u[:, places].tobytes())
         if key not in self._fits:
@@ -193,7 +193,7 @@ class CommandErrors:
         return self._fits[key]
 
 
-def errors(case: Case, prepared: Prepared, servos: Servos, i: int, delay: float) -> Float[np.ndarray, "K"]:
+def errors(case: Case, prepared: Prepared, servos: JointServos, i: int, delay: float) -> Float[np.ndarray, "K"]:
     """Error (K,) of the command of a servo that acts after a delay, before any limit."""
     log, t, u = prepared.log, np.asarray(case.record.t), np.asarray(case.record.u)
     command = held_inputs(t + delay, u[:, [servos.column[i]]], log.t, log.step)[:, 0]
@@ -206,7 +206,7 @@ def errors(case: Case, prepared: Prepared, servos: Servos, i: int, delay: float)
 
 
 def _prepare(case: Case) -> Prepared:
-    servos, t = Servos.of(case), np.asarray(case.record.t)
+    servos, t = JointServos.of(case), np.asarray(case.record.t)
     nothing = np.zeros((len(t), 0))
     log = smooth(
         case.record._replace(u=nothing),
@@ -281,7 +281,7 @@ def _rigid(model: MechanicalSystem, n: int) -> Callable:
     return on_batches(at, np.zeros(n), np.zeros(n), np.zeros(n))
 
 
-def fit_servo(case: Case, prepared: Prepared, servos: Servos, i: int) -> ServoFit:
+def fit_servo(case: Case, prepared: Prepared, servos: JointServos, i: int) -> ServoFit:
     """The delay, the limit where the model states one, and the other numbers that explain errors best."""
     stated = float(servos.delay[servos.column[i]])
     plain, always = np.sign(prepared.rate[:, i]) * prepared.moves[:, i], _always(prepared, i)
@@ -340,7 +340,7 @@ def cut(error: np.ndarray, rate: np.ndarray, level: float, damping: float) -> np
     return np.clip(error - damping * rate, -level, level) + damping * rate if np.isfinite(level) else error
 
 
-def _damping(case: Case, prepared: Prepared, servos: Servos, i: int, best: tuple[float, float, float]) -> float:
+def _damping(case: Case, prepared: Prepared, servos: JointServos, i: int, best: tuple[float, float, float]) -> float:
     """Damping relative to the stiffness, from the points at which the error is far below a limit."""
     delay, level, damping = best
     error, rate = errors(case, prepared, servos, i, delay), prepared.rate[:, i]
@@ -417,3 +417,8 @@ def bounded(
         x[beyond] = np.clip(x, least * size, most * size)[beyond]
         free &= ~beyond
     return x / size
+
+
+def joint_name(case: Case, i: int) -> str:
+    """Name of the joint of a servo."""
+    return case.model.coordinates[JointServos.of(case).joint[i]]

@@ -1,0 +1,195 @@
+"""What a log says of the numbers that a model states of its servos."""
+
+import functools
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from covariant.calibration.diagnosis._case import Case, averaged
+from covariant.calibration.diagnosis._finding import Finding
+from covariant.calibration.diagnosis._servo_errors import (
+    CommandErrors,
+    JointServos,
+    errors,
+    joint_name,
+)
+from covariant.calibration.diagnosis._smooth import held_inputs
+from covariant.calibration.diagnosis._suspicion import BLOCKS
+from covariant.calibration.diagnosis._thresholds import (
+    BARELY,
+    COMMAND_ERRORS,
+    COMMON_GAIN,
+    DELAY_ROWS,
+)
+from covariant.lowering import on_batches
+from covariant.models import MechanicalSystem, applied_force, resistance
+
+ROUNDS, NUDGE, FARTHEST_STEP = 5, 1e-3, 0.02
+"""Steps to a delay, shift [s] of the differences for its slope, and the longest step [s]."""
+LONGEST = 0.11
+"""Longest delay of a command [s] that is named."""
+FAR_OFF, ALWAYS_OFF = 0.3, 3.0
+"""Error of a command [rad or m], alone and relative to its changes, from which its zero is said to be another one."""
+GUESSED, FIRST = 0.1, 4.0
+"""Part of the errors that the stated numbers leave, alone and relative to the best ones, from which a fit is due."""
+FIRST_WEIGHT = 4
+"""Place of the weight among what explains an error."""
+SAGS, SAG_OFF, ASKEW = 3.0, 1.5, 0.5
+"""Sag relative to what is left and to that of the model, and its likeness to the weight, from which it is named."""
+
+
+def delay_of(case: Case, judge: CommandErrors, i: int) -> tuple[float, float, float]:
+    """Delay of a command [s], its standard error, and by which fraction the squares fall against the stated one."""
+    prepared, servos, fit = judge.prepared(case), JointServos.of(case), judge.fit(case, i)
+    stated = float(servos.delay[servos.column[i]])
+    moving = prepared.moves[prepared.rows, i]
+    rows, blocks = prepared.rows[moving], prepared.blocks[moving]
+    if len(rows) < 4 * BLOCKS:
+        return stated, np.inf, 0.0
+    friction = averaged(prepared.log, (np.sign(prepared.rate) * prepared.moves)[:, [i]])[rows]
+    known = np.column_stack([prepared.columns[i][rows], friction])
+
+    def acting(delay: float) -> np.ndarray:
+        error = np.clip(errors(case, prepared, servos, i, delay), -fit.level, fit.level)
+        return averaged(prepared.log, error[:, None])[rows, 0]
+
+    def squares(delay: float) -> float:
+        now = acting(delay)
+        return float(np.sum((now - known @ np.linalg.lstsq(known, now, rcond=1e-10)[0]) ** 2))
+
+    delay, std = fit.delay, np.inf
+    for _ in range(ROUNDS):
+        table = np.column_stack([known, (acting(delay - NUDGE) - acting(delay + NUDGE)) / (2 * NUDGE)])
+        size, now = np.maximum(np.sqrt(np.mean(table**2, axis=0)), 1e-12), acting(delay)
+        table = table / size
+        inverse = np.linalg.pinv(table.T @ table, rcond=1e-10)
+        x = inverse @ (table.T @ now)
+        scores = np.array([table[blocks == b].T @ (now - table @ x)[blocks == b] for b in range(BLOCKS)])
+        std = float(np.sqrt((inverse @ scores.T @ scores @ inverse)[-1, -1])) / size[-1]
+        delay += float(np.clip(x[-1] / size[-1], -FARTHEST_STEP, FARTHEST_STEP))
+    before = squares(stated)
+    return delay, std, 1 - squares(delay) / before if before > 0 else 0.0
+
+
+def servo_numbers(case: Case, judge: CommandErrors) -> Iterator[Finding]:
+    """What the log says of numbers that the model states: delays, and what a fit has to find first."""
+    now = judge(case)
+    if now is None:
+        return
+    for i in np.flatnonzero(now.known & (now.blocks.mean(axis=0) < BARELY)):
+        yield from _delay(case, judge, int(i))
+        yield from _offset(case, judge, int(i))
+    yield from _first_guesses(case, judge)
+
+
+def _delay(case: Case, judge: CommandErrors, i: int) -> Iterator[Finding]:
+    """A command that acts at another time than the model says, where the motion is fast enough to tell."""
+    servos, names = JointServos.of(case), case.names
+    stated = float(servos.delay[servos.column[i]])
+    delay, std, gain = delay_of(case, judge, i)
+    off = delay - stated
+    if not (abs(off) > max(DELAY_ROWS * case.spacing, COMMAND_ERRORS * std) and gain > COMMON_GAIN):
+        return
+    if delay > LONGEST:  # in slow motions damping looks like a long delay
+        return
+    name, q = names.u[servos.column[i]], names.q[servos.joint[i]]
+    evidence = f"{q} follows {name} after {1e3 * delay:.3g} ms ± {1e3 * std:.2g} ms, "
+    evidence += (
+        f"{abs(off) / case.spacing:.2g} rows {'later' if off > 0 else 'earlier'} than the model says; with that "
+    )
+    evidence += (
+        f"delay the best numbers of the servo leave {100 * (1 - gain):.2g} % of what they leave with the stated one"
+    )
+    line = f"[servo.{joint_name(case, i)}] delay = {delay:.2g}"
+    if delay < 0:
+        line = f"subtract {-delay:.2g} s from the stamps of {name}: it acts before its row"
+    # A delay that nobody stated yet is what a fit looks for; a command never acts before its stamp.
+    wrong = bool(stated > 0 or delay < 0)
+    yield Finding("delay of a command", q, evidence, line, wrong, {"delay": delay, "std": std, "stated": stated})
+
+
+def _offset(case: Case, judge: CommandErrors, i: int) -> Iterator[Finding]:
+    """A command that counts from far another zero than the position."""
+    servos, fit, rows = JointServos.of(case), judge.fit(case, i), judge.prepared(case).rows
+    middle = float(np.median(fit.error[rows]))
+    if abs(middle) < max(FAR_OFF, ALWAYS_OFF * float(np.std(fit.error[rows]))) or np.isfinite(fit.level):
+        return
+    q, unit = case.names.q[servos.joint[i]], case.names.units[servos.joint[i]]
+    held: Any = case.model.force
+    offset = float(held.servos.offset[i]) - middle
+    evidence = f"the command of {q} is {middle:.3g} {unit} from its position all the time"
+    line = f"[servo.{joint_name(case, i)}] offset = {offset:.3g}"
+    yield Finding("offset of a command", q, evidence, line, False, {"offset": offset})
+
+
+def _first_guesses(case: Case, judge: CommandErrors) -> Iterator[Finding]:
+    """Numbers of servos that explain less than others would, and stiffness or offsets that the weight contradicts."""
+    prepared, servos = judge.prepared(case), JointServos.of(case)
+    file, coordinates = case.file, np.asarray(servos.joint)
+    u, t, log = np.asarray(case.record.u), np.asarray(case.record.t), prepared.log
+    late = np.broadcast_to(np.asarray(file.input_delay, float), u.shape[1])
+    acting = np.column_stack([held_inputs(t + d, u[:, [j]], log.t, log.step)[:, 0] for j, d in enumerate(late)])
+    lacking = _lacking(case.model, log.q.shape[1], u.shape[1])(log.q, log.v, log.a, acting)
+    few = []
+    for i in np.flatnonzero(prepared.known):
+        fit, rows = judge.fit(case, int(i)), prepared.rows[prepared.moves[prepared.rows, i]]
+        if len(rows) < 2 * BLOCKS:
+            continue
+        error = averaged(log, lacking[:, [coordinates[i]]] / servos.stiffness[i])[rows, 0]
+        stated, best = float(np.mean(error**2)) / fit.size, float(np.mean(fit.left**2)) / fit.size
+        if stated > max(GUESSED, FIRST * best):
+            few.append((case.names.q[servos.joint[i]], joint_name(case, int(i)), stated, best))
+        yield from _sag(case, judge, int(i))
+    if few:
+        listed = ", ".join(f"{name} {100 * s:.3g} % and {100 * b:.2g} %" for name, _, s, b in few)
+        evidence = "of the squares of the errors of commands the numbers of the model leave, and the best ones would: "
+        line = f"covariant fit MODEL LOG --parameters {','.join(f'servo.{joint}' for _, joint, _, _ in few)}"
+        if len(few) == len(servos.joint):
+            line = "covariant fit MODEL LOG --parameters servo"
+        numbers = {name: {"stated": s, "best": b} for name, _, s, b in few}
+        yield Finding("servo", ", ".join(name for name, *_ in few), evidence + listed, line, False, numbers)
+
+
+def _sag(case: Case, judge: CommandErrors, i: int) -> Iterator[Finding]:
+    """A static error that grows with the weight otherwise than by the stated stiffness."""
+    prepared, servos, fit = judge.prepared(case), JointServos.of(case), judge.fit(case, i)
+    table = prepared.columns[i][prepared.rows]
+    first = FIRST_WEIGHT
+    if table.shape[1] <= first or not np.ptp(table[:, first]) > 0 or not prepared.weighs[i]:
+        return
+    sag = table[:, first:] @ fit.multiples[first:]
+    sag, by_weight = sag - sag.mean(), (table[:, first] - table[:, first].mean()) / servos.stiffness[i]
+    ratio = float(sag @ by_weight / (by_weight @ by_weight))
+    alike = float(sag @ by_weight) / max(float(np.linalg.norm(sag) * np.linalg.norm(by_weight)), 1e-300)
+    if prepared.moves[prepared.rows, i].sum() < 4 * BLOCKS or np.std(sag) < SAGS * max(
+        np.sqrt(prepared.noise[i]), np.std(fit.left)
+    ):
+        return
+    q, unit, joint = case.names.q[servos.joint[i]], case.names.units[servos.joint[i]], joint_name(case, i)
+    evidence = f"{q} sags under its weight by {np.std(sag):.2g} {unit} (standard deviation), where the model says "
+    evidence += f"{np.std(by_weight):.2g} {unit}"
+    if abs(alike) < ASKEW:
+        line = f"covariant fit MODEL LOG --parameters offsets.{q}"
+        evidence += ", and not where its weight is largest"
+    elif alike < 0:
+        line = f"look at `sign` of [servo.{joint}] and at [parameters] offsets"
+        evidence += ", and against its weight"
+    elif 1 / SAG_OFF < ratio < SAG_OFF:
+        return
+    else:
+        line = f"[servo.{joint}] stiffness = {servos.stiffness[i] / ratio:.2g}"
+    yield Finding("sag of a servo", q, evidence, line, False, {"ratio": ratio, "alike": alike})
+
+
+@functools.lru_cache(maxsize=4)
+def _lacking(model: MechanicalSystem, n: int, m: int) -> Callable:
+    """Torque (n,) that a motion needs beyond what the model says."""
+
+    def at(q, v, a, u):
+        t = jnp.zeros(())
+        needed = model.space.lower(q, a) + model.space.connection_force(q, v, v)
+        return needed - applied_force(model, t, q, u) - resistance(model, t, q, v, u)
+
+    return on_batches(at, np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(m))

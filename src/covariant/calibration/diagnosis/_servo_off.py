@@ -1,0 +1,207 @@
+"""The suspicion that a servo lets go, and models and logs in which its torque has another strength."""
+
+import itertools
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool
+
+from covariant.calibration.diagnosis._case import Case, averaged
+from covariant.calibration.diagnosis._servo_errors import (
+    CommandErrors,
+    JointServos,
+    Prepared,
+    ServoFit,
+    errors,
+    fit_servo,
+    joint_name,
+    settle,
+)
+from covariant.calibration.diagnosis._smooth import held_inputs
+from covariant.calibration.diagnosis._suspicion import BLOCKS, Suspicion
+
+MOST_OFF = 0.7
+"""Largest fraction of the log in which a servo may be off."""
+FARTHER, UNLIKE = 1.5, 0.5
+"""Error while a servo is off, relative to that while it is on, and relative to the motion of the command."""
+ALIKE = 0.7
+"""Correlation of a position with its command from which it follows."""
+EDGE_STEPS, MARGIN = (32, 16, 8, 4, 2, 1), 20
+"""Points of the grid by which an edge of a span is moved, and from an end of the log within which none is."""
+SPANS = 6
+"""Most spans in which a servo may be off."""
+
+
+def lets_go(case: Case, judge: CommandErrors, i: int) -> Iterator[Suspicion]:
+    """A servo whose torque is off in parts of the log."""
+    prepared = judge.prepared(case)
+    spans, delay = _spans_off(case, prepared, i)
+    if not spans:
+        return
+    log, t, servos = prepared.log, np.asarray(case.record.t), JointServos.of(case)
+    on = np.ones(len(t))
+    # An error acts after the delay, and so does the switch.
+    for begin, end in spans:
+        on[(t >= log.t[begin] - delay) & (t <= log.t[end] - delay)] = 0.0
+    joint = case.names.q[servos.joint[i]]
+    listed = ", ".join(f"{log.t[begin]:.4g} to {log.t[end]:.4g} s" for begin, end in spans)
+    to_start, to_end = spans[0][0] <= prepared.rows[0], spans[-1][1] >= prepared.rows[-1]
+    line = f"with [servo.{joint_name(case, i)}] switch = true state a column that is 0 then, on_{joint_name(case, i)}"
+    if len(spans) == 1 and to_end:
+        line = f"until = {log.t[spans[0][0]]:.4g} keeps the rows before that, or {line}"
+    elif len(spans) == 1 and to_start:
+        line = f"start = {log.t[spans[0][1]]:.4g} keeps the rows after that, or {line}"
+    claim = f"{joint} does not follow its command from {listed}, as if its torque were off"
+    numbers = {"off": [[float(log.t[begin]), float(log.t[end])] for begin, end in spans]}
+    yield Suspicion(
+        "servo off", joint, "then", line, lambda case: with_strength(case, i, on), "servo change", claim, numbers
+    )
+
+
+def _spans_off(case: Case, prepared: Prepared, i: int) -> tuple[list[tuple[int, int]], float]:
+    """First and last points of the grid of spans in which a motion needs no torque of the servo, and its delay."""
+    log, servos, rows = prepared.log, JointServos.of(case), prepared.rows
+    best: tuple[float, np.ndarray, ServoFit] | None = None
+    switched = _switched_off(case, prepared, servos, i)
+
+    def left(off: np.ndarray, smoothed: np.ndarray, explained: np.ndarray) -> float:
+        return float(np.mean((np.where(off, 0.0, smoothed) - explained)[rows] ** 2))
+
+    # Each start takes a part of the log for one in which the servo is on.
+    for part in np.array_split(np.arange(len(rows)), 3):
+        now = fit_servo(case, prepared._replace(rows=rows[part], blocks=np.arange(len(part)) % BLOCKS), servos, i)
+        error = errors(case, prepared, servos, i, now.delay)
+        smoothed = averaged(log, error[:, None])[:, 0]
+        off = np.ones(len(log.t), bool)
+        off[rows[part[0]] : rows[part[-1]] + 1] = False
+        score = np.zeros(len(rows))
+        for _ in range(3):
+            explained = _explained(prepared, i, error, off, now)
+            score = (smoothed - explained)[rows] ** 2 - explained[rows] ** 2
+            off = _off(log.t, rows, score)
+            if (off | switched)[rows].mean() > MOST_OFF:
+                break
+        if off.any() and (off | switched)[rows].mean() < MOST_OFF:
+            rest = left(off, smoothed, _explained(prepared, i, error, off, now))
+            best = (rest, off, now) if best is None or rest < best[0] else best
+    if best is None:
+        return [], 0.0
+    now = best[2]
+    error = errors(case, prepared, servos, i, now.delay)
+    smoothed = averaged(log, error[:, None])[:, 0]
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], best[1], [False]])))
+    on = error[rows[~best[1][rows]]]
+
+    def follows(begin: int, end: int) -> bool:
+        """Whether a position follows a command that moves, is as near to it as while the servo is on, or both rest."""
+        part, position = error[begin:end], prepared.position[begin:end, i]
+        far = float(np.sqrt(np.mean((part - np.median(on)) ** 2)))
+        command = part + position
+        resting = np.ptp(position) + np.ptp(command) < far / 3
+        # Dry friction lets a joint take only a part of small steps.
+        spread = np.std(position) * np.std(command)
+        alike = spread > 0 and np.mean((position - position.mean()) * (command - command.mean())) > ALIKE * spread
+        return bool(resting or alike or far < FARTHER * np.std(on) or np.std(part) < UNLIKE * np.std(command))
+
+    spans = [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True) if not follows(int(a), int(b))]
+
+    def left_with(edges: np.ndarray) -> float:
+        off = np.zeros(len(log.t), bool)
+        for begin, end in edges.reshape(-1, 2):
+            off[begin:end] = True
+        return left(off, smoothed, _explained(prepared, i, error, off, now))
+
+    refined = _refined(np.array(spans, int).ravel(), left_with, len(log.t)).reshape(-1, 2)
+    return [(int(a), int(b) - 1) for a, b in refined], now.delay
+
+
+def _switched_off(case: Case, prepared: Prepared, servos: JointServos, i: int) -> Bool[np.ndarray, "K"]:
+    """Points (K,) at which a servo is off already."""
+    off, t, log = np.zeros(len(prepared.log.t), bool), np.asarray(case.record.t), prepared.log
+    for place, usual in servos.factors[i]:
+        off |= held_inputs(t, np.asarray(case.record.u)[:, [place]], log.t, log.step)[:, 0] < usual / 2
+    return off
+
+
+def _refined(edges: np.ndarray, left: Callable[[np.ndarray], float], count: int) -> np.ndarray:
+    """Edges of spans, moved one by one as long as less is left; those at an end of the log stay."""
+    least = left(edges) if len(edges) else 0.0
+    for k, step in itertools.product(range(len(edges)), EDGE_STEPS):
+        for tried in (edges + step * (np.arange(len(edges)) == k), edges - step * (np.arange(len(edges)) == k)):
+            if MARGIN < edges[k] < count - MARGIN and (np.diff(tried) > 1).all() and tried[0] > 0 and tried[-1] < count:
+                now = left(tried)
+                edges, least = (tried, now) if now < least else (edges, least)
+    return edges
+
+
+def _explained(prepared: Prepared, i: int, error: np.ndarray, off: np.ndarray, now: ServoFit) -> np.ndarray:
+    """What explains the error while the servo is on, fitted to those points, with the friction that the motion has."""
+    held = settle(
+        prepared._replace(rows=prepared.rows[~off[prepared.rows]], blocks=prepared.blocks[~off[prepared.rows]]),
+        i,
+        error,
+        now.delay,
+        now.size,
+        now.level,
+    )
+    return held.explained
+
+
+def _off(t: np.ndarray, rows: np.ndarray, score: np.ndarray) -> np.ndarray:
+    """Points (K,) in spans whose score is far above zero."""
+    off, left = np.zeros(len(t), bool), score.copy()
+    least = 0.02 * np.abs(score).sum()
+    for _ in range(SPANS):
+        sums = np.concatenate([[0.0], np.cumsum(left)])
+        lowest = np.minimum.accumulate(sums)
+        gains = sums - lowest
+        end = int(np.argmax(gains))
+        if gains[end] < least or not end:
+            break
+        begin = int(np.argmin(sums[: end + 1]))
+        off[rows[begin] : rows[end - 1] + 1] = True
+        left[begin:end] = -np.abs(left[begin:end]).sum()
+    return off
+
+
+def with_strength(case: Case, i: int, strength: np.ndarray) -> Case:
+    """The case whose model has a servo with a switch, and whose log multiplies its torque."""
+    servos: Any = case.model.force.servos  # pyright: ignore[reportFunctionMemberAccess]
+    u, names = np.asarray(case.record.u), case.names
+    place = servos.switches[i]
+    if place >= 0:
+        changed = u.copy()
+        changed[:, place] *= strength
+        return case._replace(record=case.record._replace(u=changed))
+    column = u.shape[1]
+    switches = tuple(column if k == i else each for k, each in enumerate(servos.switches))
+    commands = jnp.pad(jnp.asarray(servos.commands), ((0, 0), (0, 1)))
+    delay = jnp.append(jnp.asarray(servos.delay), servos.delay[JointServos.of(case).column[i]])
+    lead = jnp.append(jnp.asarray(servos.lead), servos.lead[JointServos.of(case).column[i]])
+    names_units = {
+        "input_names": (*servos.input_names, f"on_{joint_name(case, i)}"),
+        "input_units": (*servos.input_units, "1"),
+    }
+    changed = replace(servos, commands=commands, switches=switches, delay=delay, lead=lead, **names_units)
+    model = with_servos(case, changed)
+    delays = np.broadcast_to(np.asarray(case.file.input_delay, float), column)
+    file = case.file._replace(input_delay=(*delays.tolist(), float(delays[JointServos.of(case).column[i]])))
+    stated = dict(names.stated)
+    if len(stated.get("u", ())) > 1:
+        stated["u"] = (*stated["u"], "1")
+    names = names._replace(u=(*names.u, f"on_{joint_name(case, i)}"), stated=stated)
+    return case._replace(
+        file=file, model=model, names=names, record=case.record._replace(u=np.column_stack([u, strength]))
+    )
+
+
+def with_servos(case: Case, servos: Any) -> Any:
+    model: Any = case.model
+    more = servos.commands.shape[1] - model.force.motors.shape[1]
+    force = replace(model.force, servos=servos, motors=jnp.pad(model.force.motors, ((0, 0), (0, more))))
+    changed = force, replace(model.dissipation, servos=servos)
+    return eqx.tree_at(lambda each: (each.force, each.dissipation), model, changed)
