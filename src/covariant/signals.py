@@ -1,7 +1,7 @@
 """Data that pass between subpackages: a `Record` is the input of an observer, a `Run` its output."""
 
 import enum
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from itertools import accumulate
 from typing import Any, NamedTuple
 
@@ -338,7 +338,13 @@ def lag_inputs(record: Record, time_constant: float) -> Record:
     return record._replace(u=np.array([lagged(column) for column in u.T]).T.reshape(u.shape))
 
 
-def acting_inputs(record: Record, between: str = "held", delay: float = 0.0, rows: Record | None = None) -> Record:
+def acting_inputs(
+    record: Record,
+    between: str = "held",
+    delay: float | Sequence[float] = 0.0,
+    rows: Record | None = None,
+    lead: float | Sequence[float] = 0.0,
+) -> Record:
     """Replace each input by the mean, over its interval, of the input that acts there after a delay.
 
     The interval of a row reaches from its stamp to the next. Before the first stamp the first input acts. With "held"
@@ -349,14 +355,16 @@ def acting_inputs(record: Record, between: str = "held", delay: float = 0.0, row
         record: A log with inputs u (T, m), all its rows.
         between: How the input goes from a stamp to the next: "held" at the former value, or "linear" to the latter,
             which is known when the step between them is made.
-        delay: Time from the stamp of an input until it acts [s], 0 by default.
+        delay: Time from the stamp of an input until it acts [s], 0 by default; one number, or one for each input.
         rows: Rows of the record that are used, whose intervals count; by default all of them.
+        lead: Time [s] by which the input is ahead: the rate at which it changes, times this, is added. One number, or
+            one for each input.
 
     Returns:
         The used rows with the mean inputs.
 
     Raises:
-        ValueError: For another word, and for a delay that is not finite and ≥ 0.
+        ValueError: For another word, for a delay that is not finite and ≥ 0, and for a lead that is not finite.
 
     Example:
         >>> import numpy as np
@@ -371,9 +379,12 @@ def acting_inputs(record: Record, between: str = "held", delay: float = 0.0, row
     """
     if between not in ("held", "linear"):
         raise ValueError(f"acting_inputs: between must be 'held' or 'linear'; got {between!r}")
-    if not 0 <= delay < np.inf:
+    late, ahead = (np.broadcast_to(np.asarray(each, float), record.u.shape[1:]) for each in (delay, lead))
+    if not ((late >= 0) & np.isfinite(late)).all():
         raise ValueError(f"acting_inputs: delay must be a number ≥ 0 [s]; got {delay}")
-    unchanged = between == "held" and delay == 0
+    if not np.isfinite(ahead).all():
+        raise ValueError(f"acting_inputs: lead must be a finite number [s]; got {lead}")
+    unchanged = between == "held" and not late.any() and not ahead.any()
     if unchanged and rows is None:
         return record
     used = record if rows is None else rows
@@ -387,13 +398,18 @@ def acting_inputs(record: Record, between: str = "held", delay: float = 0.0, row
     gathered = np.concatenate([np.zeros_like(u[:1]), np.cumsum((u[:-1] + rise / 2) * step[:, None], axis=0)])
     slope = np.concatenate([rise / step[:, None], np.zeros_like(u[:1])])
     # The last input acts as long as the one before it.
-    edges = np.append(at, 2 * at[-1] - at[-2]) - delay
+    edges = np.append(at, 2 * at[-1] - at[-2])[:, None] - late
     # A mean is the difference of the integral of the input at the edges. Before the first stamp `past` is negative:
     # there the integral continues linearly, with the first input, and the slope does not count.
     k = np.maximum(np.searchsorted(t, edges, side="right") - 1, 0)
-    past = (edges - t[k])[:, None]
-    integral = gathered[k] + u[k] * past + slope[k] * np.maximum(past, 0.0) ** 2 / 2
-    return used._replace(u=np.diff(integral, axis=0) / np.diff(edges)[:, None])
+    past = edges - t[k]
+    value, rate, before = (np.take_along_axis(each, k, axis=0) for each in (u, slope, gathered))
+    integral = before + value * past + rate * np.maximum(past, 0.0) ** 2 / 2
+    # The mean rate over an interval is the change of the input from edge to edge; a jump at an edge is after it.
+    k = np.maximum(np.searchsorted(t, edges, side="left") - 1, 0)
+    value, rate = (np.take_along_axis(each, k, axis=0) for each in (u, slope))
+    integral = integral + ahead * (value + rate * np.maximum(edges - t[k], 0.0))
+    return used._replace(u=np.diff(integral, axis=0) / np.diff(edges, axis=0))
 
 
 def read_together(record: Record, delay: Float[np.ndarray, "n"]) -> Record:

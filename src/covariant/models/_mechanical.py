@@ -157,9 +157,12 @@ class MechanicalSystem(Functional):
         """Known units of the logged quantities.
 
         Returns:
-            Units of each entry, by field of `logs.Columns`: positions `q`, velocities `v` and the reference `truth`.
+            Units of each entry, by field of `logs.Columns`: positions `q`, velocities `v`, the reference `truth`, and
+            inputs `u` where they are commands.
         """
-        return {"q": self.units, "v": self.sought.units, "truth": self.sought.units}
+        units = {"q": self.units, "v": self.sought.units, "truth": self.sought.units}
+        servos = getattr(self.force, "servos", None)
+        return units if servos is None else units | {"u": servos.input_units}
 
     @property
     def sought(self) -> Sought:

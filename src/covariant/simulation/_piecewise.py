@@ -4,6 +4,7 @@ Within each interval of the stamps the input is smooth, so that an adaptive meth
 order at the jumps.
 """
 
+from collections.abc import Sequence
 from typing import Any
 
 import equinox as eqx
@@ -69,9 +70,10 @@ def logged_inputs(
     t: Float[NumpyArray, "T"],
     u: Float[NumpyArray, "T m"],
     between: str = "held",
-    delay: float = 0.0,
+    delay: float | Sequence[float] = 0.0,
     lag: float = 0.0,
     at: Float[NumpyArray, "_"] | None = None,
+    lead: float | Sequence[float] = 0.0,
 ) -> PiecewiseInputs:
     """Inputs that act on a machine when it is driven by those of a log.
 
@@ -79,9 +81,11 @@ def logged_inputs(
         t: Stamps (T,) of the log [s].
         u: Logged inputs (T, m). Before the first stamp the first one acts.
         between: How the input goes from a stamp to the next, as in `signals.acting_inputs`: "held" or "linear".
-        delay: Time [s] after its stamp at which an input acts.
+        delay: Time [s] after its stamp at which an input acts; one number, or one for each input.
         lag: Time constant [s] of a first-order lag between logged and acting input, which begins at rest; 0 for none.
         at: Times [s] at which intervals begin beside those at which inputs change, such as those of measurements.
+        lead: Time [s] which, times its rate, is added to an input; the change at a stamp of one that is held is spread
+            until the next stamp. One number, or one for each input.
 
     Returns:
         One interval from each of these times to the next.
@@ -98,17 +102,22 @@ def logged_inputs(
     """
     if between not in ("held", "linear"):
         raise ValueError(f"logged_inputs: between must be 'held' or 'linear'; got {between!r}")
+    late, ahead = (np.broadcast_to(np.asarray(each, float), u.shape[1:]) for each in (delay, lead))
     # Times that agree in so many digits are one, although they were computed in different ways.
-    begin = np.unique(np.round(np.concatenate([t + delay, [] if at is None else at]), DIGITS))
+    begin = np.unique(np.round(np.concatenate([(t[:, None] + late).ravel(), [] if at is None else at]), DIGITS))
     steps = np.diff(begin)
     middle = begin + np.append(steps / 2, 1.0)  # where no rounding of the ends decides which input acts
     # −1 before the first stamp, where the first input acts; `rise` has a zero row there, and the index becomes 0 below.
-    k = np.searchsorted(t + delay, middle) - 1
-    rise = np.diff(u, axis=0) / np.diff(t)[:, None] if between == "linear" else np.zeros_like(u[1:])
-    rise = np.concatenate([np.zeros_like(u[:1]), rise, np.zeros_like(u[:1])])  # none before the first, nor after
-    rate = rise[k + 1]
+    k = np.searchsorted(t, middle[:, None] - late) - 1
+    slope, none = np.diff(u, axis=0) / np.diff(t)[:, None], np.zeros_like(u[:1])
+    rise = slope if between == "linear" else np.zeros_like(slope)
+    rise = np.concatenate([none, rise, none])  # none before the first, nor after
+    # A jump of an input that is held is spread over the interval that follows it; the last one is as long as before.
+    jump = slope if between == "linear" else np.diff(u, axis=0) / np.append(np.diff(t)[1:], t[-1] - t[-2])[:, None]
+    jump = np.concatenate([none, jump, none] if between == "linear" else [none, none, jump])
+    rate, added = (np.take_along_axis(each, k + 1, axis=0) for each in (rise, ahead * jump))
     k = np.maximum(k, 0)
-    value = u[k] + rate * (begin - delay - t[k])[:, None]
+    value = np.take_along_axis(u, k, axis=0) + rate * (begin[:, None] - late - t[k]) + added
     if lag == 0:
         return PiecewiseInputs(begin, value, rate, np.zeros_like(value))
     value = value - rate * lag  # a ramp is followed later by the lag

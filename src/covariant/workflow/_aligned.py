@@ -17,18 +17,18 @@ class Aligned(NamedTuple):
     Attributes:
         loaded: Model and log; the inputs of its `log` act without their lag, those of its `record` with it.
         raw: The record with its inputs as they are logged.
-        late: Time [s] after its row at which an input acts.
+        late: Time [s] after its row at which an input acts, one number or one for each input.
         whole: The inputs of all rows of the log, of which `raw` may have a part.
     """
 
     loaded: Loaded
     raw: Record
-    late: float
+    late: Any
     whole: Record
 
     def acting(self, between: str, lag: float = 0.0) -> Record:
         """The record with the inputs that act in each step, behind a lag."""
-        return acting_inputs(lag_inputs(self.whole, lag), between, self.late, self.raw)
+        return acting_inputs(lag_inputs(self.whole, lag), between, self.late, self.raw, self.loaded.file.input_lead)
 
 
 def aligned(job: Job) -> Aligned:
@@ -45,7 +45,7 @@ def aligned(job: Job) -> Aligned:
     if np.ptp(delay) > 0:
         loaded = _together(loaded, delay)
     # What moves a position back by its delay moves an input on by as much against it.
-    raw, late = loaded.log.record, file.input_delay + float(delay.max())
+    raw, late = loaded.log.record, np.asarray(file.input_delay) + float(delay.max())
     log = Aligned(loaded, raw, late, whole)
     unlagged = loaded.log._replace(record=log.acting(file.input_between))
     return log._replace(loaded=loaded._replace(log=unlagged, record=log.acting(file.input_between, file.input_lag)))

@@ -183,7 +183,7 @@ def load(job: Job, score: bool = True, why: str = "", missing_inputs: bool = Fal
     # Lag, delay and means are those of the whole log: what was cut off or left out between two rows acts in them too.
     lagging = _around_missing(lambda whole: lag_inputs(whole, file.input_lag), log.all_rows, LITTLE)
     record = _around_missing(
-        lambda whole: acting_inputs(whole, file.input_between, file.input_delay, log.record), lagging
+        lambda whole: acting_inputs(whole, file.input_between, file.input_delay, log.record, file.input_lead), lagging
     )
     if not job.anyway:
         known = log._replace(record=_with_inputs_only(log.record))
@@ -291,7 +291,8 @@ def refuse_delays(job: Job, loaded: Loaded, observer: AbstractObserver, why: str
 
 def refuse_shifted_inputs(label: str, file: models.ModelFile) -> None:
     """Refuse what is done to the inputs of a whole log before an observer gets them."""
-    shifted = {key: value for key, value in (("lag", file.input_lag), ("delay", file.input_delay)) if value}
+    stated = (("lag", file.input_lag), ("delay", file.input_delay), ("lead", file.input_lead))
+    shifted = {key: value for key, value in stated if np.any(value)}
     shifted |= {"between": "linear"} if file.input_between != "held" else {}
     if shifted and len(file.columns.u):
         named = ", ".join(f"inputs.{key} = {value}" for key, value in shifted.items())
@@ -315,7 +316,7 @@ def _refuse_misfit(job: Job, file: models.ModelFile, log: logs.Log, record: Reco
     if log.whole is None:
         finding = misfit(file, log.record)
     else:  # the inputs that act in the rows of a part of a log are known from the whole of it
-        finding = misfit(file._replace(input_lag=0.0, input_delay=0.0, input_between="held"), record)
+        finding = misfit(file._replace(input_lag=0.0, input_delay=0.0, input_lead=0.0, input_between="held"), record)
     if finding is not None:
         how = f"`covariant check {job.model_name} {job.log_name}` looks closer, and `anyway=True` goes on"
         raise MisfitError(f"{job.log_name}: {finding.evidence}. {finding.line}; {how}")

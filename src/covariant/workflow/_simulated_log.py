@@ -131,7 +131,10 @@ def _inputs(
     u = amplitude * np.sin(pace * t[:, None])
     stamps = np.round(t, DIGITS)
     times = np.append(read.ravel(), stamps)
-    return u, simulation.logged_inputs(stamps, u, file.input_between, file.input_delay, file.input_lag, times)
+    acting = simulation.logged_inputs(
+        stamps, u, file.input_between, file.input_delay, file.input_lag, times, file.input_lead
+    )
+    return u, acting
 
 
 def _add_push(name: str, file: ModelFile, scenario: Scenario) -> tuple[Any, Callable[[Any], Any] | None]:

@@ -11,6 +11,7 @@ from jaxtyping import Float
 
 from covariant.logs import unit_factor
 from covariant.models import ModelFile
+from covariant.models.robots import servos_in
 
 MOST_NAMED = 5
 """Largest number of rows that a message names."""
@@ -166,7 +167,25 @@ def quoted_list(names: Iterable[str]) -> str:
 
 def later_line(file: ModelFile, late: float) -> str:
     """Lines of the model file for positions that follow the inputs later than it says, by a time [s]."""
-    delays = np.asarray(file.delay, float) + late
-    texts = ", ".join(f"{value:.2g}" for value in np.atleast_1d(delays))
-    line = f"[measurement] delay = {f'[{texts}]' if delays.ndim else texts} where measurements are late, or "
-    return f"{line}[inputs] delay = {file.input_delay + late:.2g} where inputs act late"
+
+    def later(delay: float | tuple[float, ...]) -> str:
+        delays = np.asarray(delay, float) + late
+        texts = ", ".join(f"{value:.2g}" for value in np.atleast_1d(delays))
+        return f"delay = {f'[{texts}]' if delays.ndim else texts}"
+
+    if file.input_kind == "command":
+        tables = (f"[servo.{name}] {later(delay)}" for name, delay in _command_delays(file))
+        acting = ", ".join(tables) + " where commands act late"
+    else:
+        acting = f"[inputs] {later(file.input_delay)} where inputs act late"
+    return f"[measurement] {later(file.delay)} where measurements are late, or {acting}"
+
+
+def _command_delays(file: ModelFile) -> list[tuple[str, float]]:
+    """The joints that are told positions, with the delays of their commands."""
+    servos = servos_in(file.model)
+    if servos is None:
+        return []
+    delays = np.broadcast_to(file.input_delay, len(servos.input_names)).tolist()
+    named = zip(servos.input_names, delays, strict=True)
+    return [(name.removeprefix("cmd_"), delay) for name, delay in named if name.startswith("cmd_")]

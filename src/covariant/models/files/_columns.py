@@ -8,6 +8,7 @@ from covariant.logs import ATTITUDES, Columns, check_unit
 from covariant.models._mechanical import MechanicalSystem, check_model, input_count
 from covariant.models._state_space import StateSpace
 from covariant.models.files._source import Model
+from covariant.models.robots import servos_in
 
 
 class _Needs(NamedTuple):
@@ -66,7 +67,9 @@ def _in_coordinates(model: MechanicalSystem, names: dict[str, Any]) -> Columns:
         raise ValueError("the model names no coordinates; give it some, or columns.q")
     check_model(model, n)
     m = input_count(model, n)
-    columns = Columns(q=model.coordinates, u=_numbered_names("u", m))._replace(**names)
+    servos = servos_in(model)
+    inputs = _numbered_names("u", m) if servos is None else servos.input_names
+    columns = Columns(q=model.coordinates, u=inputs)._replace(**names)
     _check_count("q", columns.q, n, "coordinates")
     _check_count("u", columns.u, m, "inputs")
     _check_count("v", columns.v or columns.q, n, "coordinates")

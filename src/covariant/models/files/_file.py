@@ -14,7 +14,7 @@ from covariant.models.files._rewrite import written
 from covariant.models.files._source import Model
 from covariant.models.files._systems import ROBOT_FILES, SYSTEMS, unknown_model
 from covariant.models.files._toml import Overrides
-from covariant.models.robots import ROBOTS
+from covariant.models.robots import ROBOTS, servos_in
 
 
 def finish(spec: str, content: dict[str, Any]) -> ModelFile:
@@ -26,7 +26,7 @@ def finish(spec: str, content: dict[str, Any]) -> ModelFile:
 
 def finish_object(given: Any, content: dict[str, Any]) -> ModelFile:
     """Build the model file of a model object, with the tables of a document applied to it."""
-    for table in ("system", "parameters"):
+    for table in ("system", "parameters", "servo"):
         if table in content:
             raise ValueError(f"{table} is for models that are made from a file or by name; this one is made already")
     loaded = _build(type(given).__name__, given, {})
@@ -41,13 +41,51 @@ def _complete_file(loaded: ModelFile, name: str, content: dict[str, Any]) -> Mod
     # On a group the errors are components in the body frame, not logged columns, so one number serves for all.
     count = len(columns.q) if model.manifold.commuting else 1
     states = 0 if loaded.mechanical else len(model.coordinates)
-    return loaded._replace(name=name, columns=columns, **_toml.numbers(content, count, states))
+    read = _toml.numbers(content, count, states, len(columns.u))
+    return _with_servos(loaded._replace(name=name, columns=columns, **read), content)
+
+
+def _with_servos(file: ModelFile, content: dict[str, Any]) -> ModelFile:
+    """The file with what its servos say of its inputs and of its positions."""
+    servos = servos_in(file.model)
+    if servos is None:
+        if file.input_kind == "command":
+            raise ValueError('inputs.kind = "command" needs [servo.JOINT] tables: how each joint follows its command')
+        return file
+    if file.input_kind == "torque" and "kind" in content.get("inputs", {}):
+        raise ValueError('inputs.kind = "torque" contradicts the servos of the robot, whose inputs are commands')
+    for key, several in (("delay", servos.delay), ("lead", servos.lead)):
+        if key in content.get("inputs", {}) and np.any(several):
+            raise ValueError(f"inputs.{key} states again what [servo.JOINT] says; keep one of them")
+        if np.any(several):
+            file = file._replace(**{f"input_{key}": tuple(np.asarray(several, float).tolist())})
+    backlash = [
+        table.get("backlash", 0.0) for table in (content.get("servo", {}).get(n, {}) for n in file.model.coordinates)
+    ]
+    if any(backlash) and file.measurement_std is not None:
+        # An error uniform over the play has the variance backlash²/12.
+        std = np.sqrt(np.square(file.measurement_std) + np.square(backlash) / 12)
+        file = file._replace(measurement_std=tuple(std.tolist()))
+    return file._replace(input_kind="command")
 
 
 def made(spec: str, content: dict[str, Any]) -> ModelFile:
     """Build the model of a document from its system, or from the attribute that a spec names, with its parameters."""
     name = content.get("system", spec.rpartition(":")[2])
-    return _build(name, _model_or_factory(spec, content), content.get("parameters", {}))
+    return _build(name, _model_or_factory(spec, content), parameters_of(content))
+
+
+def parameters_of(content: dict[str, Any]) -> dict[str, Any]:
+    """The parameters of the system of a document, with the servos that it has as tables of their own."""
+    parameters = content.get("parameters", {})
+    if "servo" not in content:
+        return parameters
+    if content.get("system") != "robot":
+        raise ValueError(f'[servo] is for robots, system = "robot"; this model is {content.get("system")!r}')
+    for name, table in content["servo"].items():
+        if not isinstance(table, dict):
+            raise ValueError(f"servo.{name} must be a table, [servo.{name}]; got {table!r}")
+    return parameters | {"servos": content["servo"]}
 
 
 def from_recipe(made: dict[str, Any], model: Any = None) -> Model:

@@ -10,12 +10,12 @@ from covariant.models._parameters import ANY_SIGN, POSITIVE, ZERO_OR_MORE
 _EXPECTED = {POSITIVE: "positive number", ZERO_OR_MORE: "number ≥ 0", ANY_SIGN: "finite number"}
 
 Counts = Mapping[str, int]
-"""Length of a list with one number for each "coordinate", and for each "state"; 0 where the model has none."""
+"""Length of a list with one number for each "coordinate", "state" and "input"; 0 where the model has none."""
 
 
 @dataclass(frozen=True)
 class Number:
-    """A number, or a list with one for each coordinate or state.
+    """A number, or a list with one for each coordinate, state or input.
 
     Attributes:
         path: Table and key, as in an override.
@@ -27,7 +27,7 @@ class Number:
 
     path: str
     least: float = POSITIVE
-    each: Literal["", "coordinate", "state"] = ""
+    each: Literal["", "coordinate", "state", "input"] = ""
     replaces: tuple[str, ...] = ()
     whole: bool = False
 

@@ -5,7 +5,7 @@ from typing import Any
 
 from covariant.models.files import _toml
 from covariant.models.files._family import family
-from covariant.models.files._file import document, finish, finish_object, from_recipe
+from covariant.models.files._file import document, finish, finish_object, from_recipe, parameters_of
 from covariant.models.files._model_file import ModelFile, named
 from covariant.models.files._source import Model
 from covariant.models.files._toml import Overrides
@@ -93,7 +93,7 @@ def recipe(spec: str, overrides: Overrides = ()) -> dict[str, Any]:
     """
     load(spec, overrides)
     content = document(spec, overrides)
-    parameters = {"parameters": content.get("parameters", {})}
+    parameters = {"parameters": parameters_of(content)}
     system = content.get("system", spec)
     return _Loaded({"attribute" if ":" in system else "system": system, **parameters})
 

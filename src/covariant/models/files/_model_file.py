@@ -57,7 +57,10 @@ class ModelFile(NamedTuple):
         columns: Columns of a log; empty `q` and `u` stand for the model's coordinates and for u1, u2, …. Where the
             model is a `StateSpace`, `q` are its outputs.
         input_lag: Time constant [s] of the first-order lag between logged input and force.
-        input_delay: Time [s] from the stamp of an input until it acts.
+        input_delay: Time [s] from the stamp of an input until it acts; for a command a key of its `[servo.JOINT]`.
+        input_lead: Time [s] which, times the rate of an input, is added to it. For a command it follows from the
+            `feedforward` of its servo.
+        input_kind: Whether inputs are each a "torque", or a force, or the "command" of a servo.
         input_between: Whether an input is "held" from one stamp to the next, or "linear" between them.
         measurement_std: Standard deviation of a measured position [its unit]; on a group that of each component of
             `log(g⁻¹ y)`, the error as seen from the body [rad, and m where there is a position].
@@ -108,7 +111,9 @@ class ModelFile(NamedTuple):
     model: Model
     columns: Columns = Columns()
     input_lag: Annotated[float, Number("inputs.lag", ZERO_OR_MORE)] = 0.0
-    input_delay: Annotated[float, Number("inputs.delay", ZERO_OR_MORE)] = 0.0
+    input_delay: Annotated[Several, Number("inputs.delay", ZERO_OR_MORE, "input")] = 0.0
+    input_lead: Annotated[Several, Number("inputs.lead", ANY_SIGN, "input")] = 0.0
+    input_kind: Annotated[str, Choice("inputs.kind", ("torque", "command"))] = "torque"
     input_between: Annotated[str, Choice("inputs.between", ("held", "linear"))] = "held"
     measurement_std: Annotated[Unknown, Number("measurement.std", each="coordinate", replaces=("quantum",))] = None
     delay: Annotated[Several, Number("measurement.delay", ZERO_OR_MORE, "coordinate")] = 0.0

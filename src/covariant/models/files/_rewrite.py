@@ -36,10 +36,9 @@ def rewrite(text: str, content: dict[str, Any]) -> str:
         damping = 0.5  # of the error
     """
     before = _toml.parse(text)
-    for table, values in content.items():
-        old = before.get(table, {})
-        if not isinstance(values, dict):
-            continue
+    stated = _tables(before)
+    for table, values in _tables(content).items():
+        old = stated.get(table, {})
         for key in [key for key in old if key not in values]:
             text = _replace_value(text, table, key, None)
         for key, value in values.items():
@@ -53,6 +52,13 @@ def rewrite(text: str, content: dict[str, Any]) -> str:
     if wrong is not None:
         raise ValueError(f"[{wrong}] is written in a way that cannot be changed; write it as lines key = value")
     return text
+
+
+def _tables(content: dict[str, Any]) -> dict[str, dict[str, Any]]:
+    """The tables of a document by the names in their headers; each servo has a table of its own."""
+    tables = {name: values for name, values in content.items() if isinstance(values, dict)}
+    servos = tables.pop(_toml.SERVO, {})
+    return tables | {f"{_toml.SERVO}.{_key(name)}": table for name, table in servos.items()}
 
 
 def _replace_value(text: str, table: str, key: str, value: Any, old: Any = None) -> str:

@@ -24,6 +24,9 @@ _OF_WRENCH = {"link": True, "force_std": True, "torque_std": False, "time": True
 SENSORS = "sensors"
 """Table of the sensors in addition to the measured positions, with one table for each sensor."""
 
+SERVO = "servo"
+"""Table of the servos of a robot, with one table for each joint; `models.robots` defines its keys."""
+
 _NAMES = tuple(field for field in Columns._fields if field != "units")
 """Keys of [columns], and of [units] except attitudes, which have no unit."""
 _PLACES = [key.path.split(".") for key in KEYS.values()]
@@ -100,7 +103,7 @@ def _value(text: str, value: str) -> Any:
 def check_layout(document: dict[str, Any]) -> None:
     """Check that a document has no table or key but those of a model file."""
     for table, content in document.items():
-        refuse_unknown("table or key", table, ("system", "parameters", *_OF_TABLE, WRENCH, SENSORS))
+        refuse_unknown("table or key", table, ("system", "parameters", *_OF_TABLE, WRENCH, SENSORS, SERVO))
         if table != "system" and not isinstance(content, dict):
             raise ValueError(f"{table} must be a table, [{table}]; got {content!r}")
         if table in _OF_TABLE:
@@ -136,8 +139,8 @@ def _units(table: dict[str, Any]) -> dict[str, tuple[str, ...]]:
     return {key: tuple(texts) for key, texts in units.items()}
 
 
-def numbers(document: dict[str, Any], count: int, states: int) -> dict[str, Any]:
-    """Read numbers and texts by field of `ModelFile`, with lists for `count` coordinates and `states` states."""
+def numbers(document: dict[str, Any], count: int, states: int, inputs: int) -> dict[str, Any]:
+    """Read numbers and texts by field of `ModelFile`, with lists for as many coordinates, states and inputs."""
     if {"std", "quantum"} <= document.get("measurement", {}).keys():
         raise ValueError("[measurement] has both std and quantum; keep one (std = quantum / sqrt(12))")
     forces = {"external_force", *_PASSING_FORCE} & document.get("uncertainty", {}).keys()
@@ -146,7 +149,7 @@ def numbers(document: dict[str, Any], count: int, states: int) -> dict[str, Any]
             "[uncertainty] needs external_force_std and external_force_time together, for a force that is forgotten, "
             f"or external_force alone, for one that stays; got {', '.join(sorted(forces))}"
         )
-    counts, fields = {"coordinate": count, "state": states}, {}
+    counts, fields = {"coordinate": count, "state": states, "input": inputs}, {}
     for field, key in KEYS.items():
         table, name = key.path.split(".")
         if name in document.get(table, {}):

@@ -12,9 +12,18 @@ from ._description import (
     FrictionLaw as FrictionLaw,
     Joint as Joint,
     Motor as Motor,
+    Servo as Servo,
 )
 from ._library import ROBOTS as ROBOTS, located as located
 from ._load import load as load, read as read
+from ._servos import (
+    OF_GEAR as OF_GEAR,
+    OF_SERVO as OF_SERVO,
+    ServoDissipation as ServoDissipation,
+    ServoForce as ServoForce,
+    Servos as Servos,
+    servos_in as servos_in,
+)
 from ._space import RobotSpace as RobotSpace
 from ._tree import KinematicTree as KinematicTree, Links as Links
 from ._urdf_inertias import urdf_with_inertias as urdf_with_inertias

@@ -16,8 +16,9 @@ from covariant.models._mechanical import MechanicalSystem
 from covariant.models._names import refuse_unknown
 from covariant.models._parameters import Parametric, known, namespace
 from covariant.models.robots._axes import Axis, Freedom, bodies_of, freedom_of, regrouped
-from covariant.models.robots._description import BodyInertia, Description, Joint, negative_inertia
-from covariant.models.robots._forces import Potential, dissipation, force, inputs, numbers, with_motors
+from covariant.models.robots._description import BodyInertia, Description, Joint, negative_inertia, numbers
+from covariant.models.robots._forces import Potential, dissipation, force, inputs_of, with_motors
+from covariant.models.robots._servos import ServoForce, loss, servo_of
 from covariant.models.robots._space import RobotSpace
 from covariant.models.robots._tree import KinematicTree, Links
 
@@ -204,24 +205,31 @@ def _system(
 ) -> MechanicalSystem:
     """The system on the space, with the springs, dampers and motors of the joints, and names and units."""
     motors = robot.motors if actuated is None else ()
-    springs = [with_motors(axis.joint, motors) for axis in axes]
-    motor_forces = inputs(robot, axes, freedom.matrix, freedom.moving, motors, actuated)
+    springs = [with_motors(axis.joint, [motor for motor in motors if servo_of(motor) is None]) for axis in axes]
+    motor_forces, servos = inputs_of(robot, axes, freedom, motors, actuated)
     floating, balls, free = space.floating, space.tree.balls, freedom.free
     units = tuple("rad" if axes[i].turn.any() else "m" for i in free)
     spins = tuple(f"w{k + 1}_{axes[i].joint.name}" for i in balls for k in range(3))
     velocities = (*TWIST * floating, *spins, *(f"rate_{axes[i].name}" for i in free))
     velocity_units = (*TWIST_UNITS * floating, *("rad/s" for _ in spins), *(f"{unit}/s" for unit in units))
+    potential = Potential(
+        space,
+        jnp.asarray(robot.gravity),
+        jnp.array([spring.stiffness for spring in springs], float),
+        jnp.array([spring.rest for spring in springs], float),
+        tuple(ball for ball, i in enumerate(balls) if springs[i].stiffness),
+    )
+    base = np.zeros(6 * floating)
+    friction: Any = dissipation(springs, freedom.matrix, base, free_joint)
+    motor_force: Any = Parametric(force, motors=motor_forces, base=base)
+    if servos is not None:
+        motor_force = ServoForce(servos, jnp.asarray(motor_forces), jnp.asarray(base))
+        friction = loss(servos, friction, potential)
     return MechanicalSystem(
         space,
-        potential=Potential(
-            space,
-            jnp.asarray(robot.gravity),
-            jnp.array([spring.stiffness for spring in springs], float),
-            jnp.array([spring.rest for spring in springs], float),
-            tuple(ball for ball, i in enumerate(balls) if springs[i].stiffness),
-        ),
-        force=Parametric(force, motors=motor_forces, base=np.zeros(6 * floating)),
-        dissipation=dissipation(springs, freedom.matrix, np.zeros(6 * floating), free_joint),
+        potential=potential,
+        force=motor_force,
+        dissipation=friction,
         coordinates=tuple(axes[i].name for i in free),
         units=units,
         velocities=velocities if floating or balls else (),

@@ -11,14 +11,12 @@ from covariant.models._parameters import ANY_SIGN, POSITIVE, ZERO_OR_MORE, check
 from covariant.models.robots._description import (
     BodyInertia,
     Description,
-    FrictionLaw,
     Joint,
     doubts_on,
     negative_inertia,
 )
+from covariant.models.robots._servos import checked_law, with_servos
 
-ABOVE_ZERO = ("stribeck_velocity", "smoothing")
-SIGNED = ("asymmetry",)
 OF_INERTIA = ("mass", "cx", "cy", "cz", "ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 """The ten inertial parameters of a link, in its frame: mass [kg], centre of mass [m], inertia about that [kg m²]."""
 
@@ -32,6 +30,7 @@ def changed(
     gravity: Number | Sequence[Number] | None = None,
     torque_constants: Mapping[str, Number] | None = None,
     offsets: Mapping[str, Number] | None = None,
+    servos: Mapping[str, Mapping[str, Any]] | None = None,
 ) -> Description:
     """Replace parameters of a robot; see `load`.
 
@@ -43,6 +42,7 @@ def changed(
         gravity: Its magnitude, along its direction in the file, or the vector (3,) [m/s²].
         torque_constants: Factor of the logged torque, by joint.
         offsets: Offset to add to a logged position, by joint [rad or m].
+        servos: Keys of `[servo.JOINT]`, by joint.
 
     Returns:
         The changed description.
@@ -50,7 +50,10 @@ def changed(
     Raises:
         ValueError: A joint or link does not exist, or a parameter is out of its range; the message names the first.
     """
-    laws = {name: _law(name, fields) for name, fields in (friction or {}).items()}
+    for name in (servos or {}).keys() & (armature or {}).keys():
+        if "armature" in (servos or {})[name]:
+            raise ValueError(f"joint {name!r} has an armature in [servo.{name}] and in [parameters]; keep one of them")
+    laws = {name: checked_law(name, fields) for name, fields in (friction or {}).items()}
     for what, named in (("friction", laws), ("armature", armature), ("torque_constants", torque_constants)):
         _check_joints(what, named or {}, robot.joints)
     _check_joints("offsets", offsets or {}, robot.joints)
@@ -74,11 +77,12 @@ def changed(
     for name, numbers in (inertia or {}).items():
         refuse_unknown("link of inertia", name, links)
         links[name] = inertia_of(name, numbers)
-    return robot._replace(
+    robot = robot._replace(
         links=links,
         joints=tuple(replaced(joint) for joint in robot.joints),
         gravity=robot.gravity if gravity is None else _gravity(robot.gravity, gravity),
     )
+    return with_servos(robot, servos or {})
 
 
 def inertia_of(name: str, numbers: Any) -> BodyInertia:
@@ -120,14 +124,6 @@ def numbers_of(inertia: BodyInertia) -> np.ndarray:
     centre = inertia.first / inertia.mass if inertia.mass > 0 else np.zeros(3)
     (xx, xy, xz), (_, yy, yz), (_, _, zz) = inertia.about_centre
     return np.array([inertia.mass, *centre, xx, yy, zz, xy, xz, yz])
-
-
-def _law(name: str, fields: Mapping[str, Any]) -> FrictionLaw:
-    for field, value in fields.items():
-        refuse_unknown(f"number of friction of {name!r},", field, FrictionLaw._fields)
-        least = ANY_SIGN if field in SIGNED else POSITIVE if field in ABOVE_ZERO else ZERO_OR_MORE
-        check_range(f"friction of {name!r}: {field}", value, least)
-    return FrictionLaw(**fields)
 
 
 def _gravity(direction: Any, gravity: Any) -> Any:

@@ -1,8 +1,11 @@
 """Descriptions of robots, whatever the format of the file: links, joints and the forces in them."""
 
+from collections.abc import Iterable
 from typing import Any, NamedTuple
 
 import numpy as np
+
+from covariant.models._parameters import namespace
 
 MOST_TURNS = 4
 """Number of turns beyond which the limits of a joint are suspected to be degrees."""
@@ -130,6 +133,9 @@ class FrictionLaw(NamedTuple):
         asymmetry: Half the difference between the Coulomb friction forwards and backwards [N m or N].
         stribeck: Friction at rest beyond the Coulomb friction [N m or N].
         stribeck_velocity: Speed at which that has fallen by a factor of e [rad/s or m/s].
+        load: Coulomb friction for a unit of the motor's torque, in a joint with a servo [1].
+        load_external: Coulomb friction for a unit of the weight's torque, in a joint with a servo [1]; both act as
+            `|load_external τ_weight − load τ_motor|`, so that friction is largest where the motor carries the weight.
         smoothing: Speed v0 [rad/s or m/s] up to which the Coulomb friction rises, as tanh(v/v0).
 
     Example:
@@ -143,7 +149,59 @@ class FrictionLaw(NamedTuple):
     asymmetry: Any = 0.0
     stribeck: Any = 0.0
     stribeck_velocity: Any = 0.1
+    load: Any = 0.0
+    load_external: Any = 0.0
     smoothing: Any = 0.02
+
+
+class Servo(NamedTuple):
+    """A motor that is told a position c, and gives `on (clip(gain k e − damping v, ±limit) − back_emf v)`.
+
+    The error is `e = c + offset − q`. The position q is that which the servo reports: an encoder offset of the joint
+    does not enter. Friction and rotor of the gear are those of the joint.
+
+    Attributes:
+        stiffness: Torque k per unit of the error, for a gain of 1 [N m/rad or N/m].
+        gain: The servo's own position gain, such as the number in its register [1].
+        damping: Damping within the limit [N m s/rad or N s/m].
+        feedforward: Torque per rate of the command [N m s/rad or N s/m].
+        delay: Time from the stamp of a command until it acts [s].
+        offset: What the servo adds to the command [rad or m].
+        dead_band: Error below which it gives no torque [rad or m].
+        limit: Largest torque, or force of a linear servo [N m or N]; infinite without one.
+        back_emf: Damping beyond the limit while it is on [N m s/rad or N s/m].
+        supply: Voltage of the drive [V]; 0 where no drive is stated.
+        resistance: Resistance of the winding [Ω].
+        torque_constant: Torque per current, at the joint [N m/A or N/A].
+        pwm_limit: Largest part of the voltage that the drive uses [1].
+        backlash: Play of the gear [rad or m]: the position of the link is known up to half of it.
+        switch: Whether an input switches the motor on (1) and off (0).
+        logged_supply: Whether an input is the voltage of the drive [V].
+        command_scale: Change of the servo's position for a unit of its command [1].
+
+    Example:
+        >>> from covariant.models import robots
+        >>> robots.Servo(stiffness=20.0, delay=0.04).limit
+        inf
+    """
+
+    stiffness: Any
+    gain: Any = 1.0
+    damping: Any = 0.0
+    feedforward: Any = 0.0
+    delay: Any = 0.0
+    offset: Any = 0.0
+    dead_band: Any = 0.0
+    limit: Any = np.inf
+    back_emf: Any = 0.0
+    supply: Any = 0.0
+    resistance: Any = 0.0
+    torque_constant: Any = 0.0
+    pwm_limit: Any = 1.0
+    backlash: Any = 0.0
+    switch: bool = False
+    logged_supply: bool = False
+    command_scale: float = 1.0
 
 
 class Joint(NamedTuple):
@@ -173,6 +231,7 @@ class Joint(NamedTuple):
         law: Friction in place of `damping` and `friction`; None without one.
         encoder_offset: What has to be added to a logged position for the true one [rad or m].
         torque_constant: Factor of the logged torque, force or input of the joint's motors.
+        servo: The servo that drives it; None where its input is a torque or force.
 
     Example:
         >>> from covariant.models import robots
@@ -202,6 +261,7 @@ class Joint(NamedTuple):
     law: FrictionLaw | None = None
     encoder_offset: Any = 0.0
     torque_constant: Any = 1.0
+    servo: Servo | None = None
 
 
 class Motor(NamedTuple):
@@ -217,6 +277,8 @@ class Motor(NamedTuple):
         unsupported: Reason why it cannot be an input here, empty where it can.
         direction: Direction of its torque among the axes of the joint; for a ball joint a vector (3,) in the frame of
             the child.
+        limit: Largest torque or force [N m or N]; infinite without one.
+        delay: Time from the stamp of an input until it acts [s].
 
     Example:
         >>> from covariant.models import robots
@@ -233,6 +295,8 @@ class Motor(NamedTuple):
     constant: float
     unsupported: str
     direction: tuple[float, ...] = (1.0,)
+    limit: float = np.inf
+    delay: float = 0.0
 
 
 class Description(NamedTuple):
@@ -267,6 +331,12 @@ class Description(NamedTuple):
     doubts: tuple[str, ...]
     motors: tuple[Motor, ...] = ()
     motor_torques: bool = False
+
+
+def numbers(values: Iterable[Any]) -> Any:
+    """An array of numbers some of which may be traced."""
+    listed = list(values)
+    return namespace(listed).asarray(listed, float)
 
 
 def exact(rotation: np.ndarray) -> np.ndarray:

@@ -1,6 +1,6 @@
 """The forces in a robot: weight and springs, motors with their servos, friction of its joints."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import equinox as eqx
@@ -11,8 +11,10 @@ from jaxtyping import Array, Float
 from covariant._functional import Functional
 from covariant._typing import Scalar
 from covariant.geometry.lie import SO3
-from covariant.models._parameters import Parametric, namespace
-from covariant.models.robots._description import Description, FrictionLaw, Joint, Motor
+from covariant.models._parameters import Parametric
+from covariant.models.robots._axes import Axis, Freedom
+from covariant.models.robots._description import Description, FrictionLaw, Joint, Motor, numbers
+from covariant.models.robots._servos import Driven, Servos, servo_of, servos_of
 from covariant.models.robots._space import RobotSpace
 
 COULOMB_STEEPNESS = 100.0
@@ -117,14 +119,12 @@ def _plain_friction(rates, damping, friction):
 
 def _friction_of_law(rates, law):
     sign = jnp.tanh(rates / law["smoothing"])
-    at_rest = law["stribeck"] * jnp.exp(-((rates / law["stribeck_velocity"]) ** 2))
-    return law["viscous"] * rates + (law["coulomb"] + at_rest) * sign + law["asymmetry"] * sign**2
+    return law["viscous"] * rates + dry_friction(rates, law) * sign + law["asymmetry"] * sign**2
 
 
-def numbers(values: Iterable[Any]) -> Any:
-    """An array of numbers some of which may be traced."""
-    listed = list(values)
-    return namespace(listed).asarray(listed, float)
+def dry_friction(rates, law):
+    """Size of the dry friction, without what a load adds; `law` holds arrays by name."""
+    return law["coulomb"] + law["stribeck"] * jnp.exp(-((rates / law["stribeck_velocity"]) ** 2))
 
 
 def dissipation(
@@ -173,34 +173,56 @@ def with_motors(joint: Joint, motors: Sequence[Motor]) -> Joint:
     )
 
 
-def inputs(
+def inputs_of(
     robot: Description,
-    axes: Sequence[Any],
-    coordinates: np.ndarray,
-    free: list[int],
+    axes: Sequence[Axis],
+    freedom: Freedom,
     motors: Sequence[Motor],
     actuated: Sequence[str] | None,
-) -> Any:
-    """Generalised force (n, m) of each input; traced where a torque constant is."""
-    if not motors:
-        driven = [i for i in free if actuated is None or axes[i].joint.name in actuated]
-        # By virtual work the transpose of coordinates ↦ joint positions takes torques to generalised forces.
-        factors = numbers(
-            axes[i].joint.torque_constant * (_reduction(axes[i].joint) if robot.motor_torques else 1.0) for i in driven
+) -> tuple[Any, Servos | None]:
+    """Generalised force (n, m) of each input that is a torque, traced where a constant is, and the servos."""
+    if motors:
+        chosen = [_of_motor(motor, axes, freedom) for motor in motors if _drives(motor, axes)]
+    else:
+        chosen = [
+            _of_joint(robot, axes[i].joint, i, freedom)
+            for i in freedom.free
+            if actuated is None or axes[i].joint.name in actuated
+        ]
+    servos = servos_of(axes, freedom, [each for each, _ in chosen])
+    more = 0 if servos is None else len(servos.input_names) - len(chosen)
+    columns = [column for _, column in chosen] + [np.zeros(freedom.matrix.shape[1])] * more
+    return numbers(columns).reshape(len(columns), freedom.matrix.shape[1]).T, servos
+
+
+def _drives(motor: Motor, axes: Sequence[Axis]) -> bool:
+    if motor.unsupported:
+        raise ValueError(
+            f"actuator {motor.name!r} {motor.unsupported}, which is not supported; give actuated=[...], the joints "
+            "whose torques are logged, or remove it"
         )
-        return coordinates[driven].T * factors[None, :]
-    columns = []
-    for motor in motors:
-        if motor.unsupported:
-            raise ValueError(
-                f"actuator {motor.name!r} {motor.unsupported}, which is not supported; give actuated=[...], the joints "
-                "whose torques are logged, or remove it"
-            )
-        driven = [coordinates[i] for i, axis in enumerate(axes) if axis.joint.name == motor.joint]
-        if driven:
-            constant = next(axis.joint.torque_constant for axis in axes if axis.joint.name == motor.joint)
-            columns.append(motor.gain * constant * (np.array(motor.direction) @ np.array(driven)))
-    return numbers(columns).reshape(len(columns), coordinates.shape[1]).T
+    return any(axis.joint.name == motor.joint for axis in axes)
+
+
+def _of_motor(motor: Motor, axes: Sequence[Axis], freedom: Freedom) -> tuple[Driven, Any]:
+    """The input of a motor of the file, and its generalised force (n,) where it is a torque."""
+    at = [i for i, axis in enumerate(axes) if axis.joint.name == motor.joint]
+    joint = axes[at[0]].joint
+    servo = joint.servo or servo_of(motor)
+    if servo is not None:
+        servo = servo._replace(command_scale=servo.command_scale * joint.torque_constant)
+        return Driven(at[0], servo, joint.servo is not None), np.zeros(freedom.matrix.shape[1])
+    # By virtual work the transpose of coordinates ↦ joint positions takes torques to generalised forces.
+    column = motor.gain * joint.torque_constant * (np.array(motor.direction) @ freedom.matrix[at])
+    return Driven(at[0], None), column
+
+
+def _of_joint(robot: Description, joint: Joint, axis: int, freedom: Freedom) -> tuple[Driven, Any]:
+    """The input of a joint without a motor in the file, and its generalised force (n,) where it is a torque."""
+    if joint.servo is not None:
+        return Driven(axis, joint.servo, True), np.zeros(freedom.matrix.shape[1])
+    factor = joint.torque_constant * (_reduction(joint) if robot.motor_torques else 1.0)
+    return Driven(axis, None), freedom.matrix[axis] * factor
 
 
 def _reduction(joint: Joint) -> float:

@@ -82,6 +82,7 @@ def load(
     gravity: Number | Sequence[Number] | None = None,
     torque_constants: Mapping[str, Number] | None = None,
     offsets: Mapping[str, Number] | None = None,
+    servos: Mapping[str, Mapping[str, Number | bool]] | None = None,
 ) -> MechanicalSystem:
     """Load the mechanical system of a robot from its URDF or MJCF file.
 
@@ -114,6 +115,8 @@ def load(
         gravity: Its magnitude, along its direction in the file, or the vector [m/s²].
         torque_constants: Factor of the logged torque, force or motor input, by joint.
         offsets: What has to be added to a logged position for the true one, by joint [rad or m].
+        servos: Keys of the tables `[servo.JOINT]` of a model file, by joint: such a joint is told positions, and holds
+            them by its own controller, `{joint: {"stiffness": 20.0, "delay": 0.04}}`. Its input is the command.
 
     Returns:
         The system, with its configuration space as a `RobotSpace`.
@@ -137,6 +140,7 @@ def load(
         "gravity": gravity,
         "torque_constants": torque_constants,
         "offsets": offsets,
+        "servos": servos,
     }
     try:
         if engine is not None:
