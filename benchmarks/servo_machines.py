@@ -5,10 +5,14 @@ has the rigid bodies and solves dry friction; the servos are here, in NumPy, at 
 library's own models or simulation is used for a log, so that the numbers of a fit have an independent judge. The
 numbers of the servos are drawn for each run from the ranges `SO101` and `LEGS`.
 
-Run `COVARIANT_DATA=... python benchmarks/servo_machines.py [numbers|velocity|payload|written] [runs]`.
+Run `COVARIANT_DATA=... python benchmarks/servo_machines.py [runs]`.
 """
 
 import os
+import sys
+import tempfile
+import time
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -143,10 +147,10 @@ def _link(name: str, parent: str, place, axis: str, mass: float, centre, moments
 """
 
 
-def quadruped() -> Machine:
-    """Four legs with the masses and lengths of a Go2, of three joints each, on a trunk that is held."""
+def quadruped(legs: int = 4) -> Machine:
+    """Legs with the masses and lengths of a Go2, of three joints each, on a trunk that is held."""
     text, names = '<robot name="quadruped"><link name="base"/>\n', []
-    for leg, fore, side in (("FL", 1, 1), ("FR", 1, -1), ("RL", -1, 1), ("RR", -1, -1)):
+    for leg, fore, side in (("FL", 1, 1), ("FR", 1, -1), ("RL", -1, 1), ("RR", -1, -1))[:legs]:
         hip, thigh, calf = (f"{leg}_{part}" for part in ("hip", "thigh", "calf"))
         centre, moments = (-0.0054 * fore, 0.0019 * side, -1e-4), (4.8e-4, 8.84e-4, 5.96e-4)
         text += _link(hip, "base", (0.1934 * fore, 0.0465 * side, 0), "1 0 0", 0.678, centre, moments)
@@ -154,7 +158,7 @@ def quadruped() -> Machine:
         text += _link(thigh, hip, (0, 0.0955 * side, 0), "0 1 0", 1.152, centre, moments)
         text += _link(calf, thigh, (0, 0, -0.213), "0 1 0", 0.194, (0.0044, 0, -0.135), (1.4e-3, 1.4e-3, 4e-5))
         names += [f"{link}_joint" for link in (hip, thigh, calf)]
-    middle, size = np.tile([0.0, 0.8, -1.5], 4), np.tile([0.4, 0.6, 0.7], 4)
+    middle, size = np.tile([0.0, 0.8, -1.5], legs), np.tile([0.4, 0.6, 0.7], legs)
     return Machine(text + "</robot>", tuple(names), middle, size, ("FL_calf", (0.0, 0.0, -0.213)), 2.5e-4)
 
 
@@ -343,6 +347,76 @@ def commands(machine: Machine, seconds: float, rate: float, rng: np.random.Gener
     return t, machine.middle + machine.size * moves
 
 
+def write_model(folder: Path, machine: Machine, servo: Servo) -> Path:
+    """A model file of a machine with servos of these numbers, and its URDF beside it; without a payload."""
+    (folder / "machine.urdf").write_text(machine.urdf, encoding="utf-8")
+    lines = ['system = "robot"', "", "[parameters]", 'path = "machine.urdf"', "", "[inputs]", 'between = "held"', ""]
+    lines += ["[measurement]", f"quantum = {TICK!r}", ""]
+    for j, joint in enumerate(machine.joints):
+        lines.append(f"[servo.{joint}]")
+        lines += [f"{key} = {float(value[j])!r}" for key, value in servo._asdict().items() if np.isfinite(value[j])]
+        lines.append("")
+    path = folder / "machine.toml"
+    path.write_text("\n".join(lines), encoding="utf-8")
+    return path
+
+
+def record_of(log: Log):
+    """A log as the library takes it: commands as inputs, and encoders."""
+    from covariant.signals import Record
+
+    return Record(log.t, log.command, log.q)
+
+
+class Numbers(NamedTuple):
+    """Numbers of servos as a fit found them.
+
+    Attributes:
+        names: Names (p,) of the numbers.
+        found: Their values (p,).
+        error: Errors of these (p,), over their standard errors.
+        determined: Whether the log determines each (p,).
+        servo: The servos with these numbers.
+    """
+
+    names: tuple[str, ...]
+    found: np.ndarray
+    error: np.ndarray
+    determined: np.ndarray
+    servo: Servo
+
+    @property
+    def within(self) -> np.ndarray:
+        """Whether each determined number is within four of its standard errors of the true one."""
+        return np.abs(self.error[self.determined]) <= 4
+
+
+def usual_servo(machine: Machine, ranges: dict[str, tuple[float, float]]) -> Servo:
+    """First values for a fit: the middle of the ranges, which are as good as a data sheet, and 20 ms."""
+    middle = {key: sum(limits) / 2 for key, limits in ranges.items()} | {"delay": 0.02}
+    return Servo.of(len(machine.joints), **middle)
+
+
+def fit_servo(folder: Path, machine: Machine, first: Servo, log: Log, true: Servo, keys: Iterable[str]) -> Numbers:
+    """Fit servos to a log of commands and encoders."""
+    from covariant import models
+    from covariant.calibration.identification import fit_servos
+
+    names = [f"servo.{joint}.{key}" for joint in machine.joints for key in keys]
+    family = models.robot_family(str(write_model(folder, machine, first)), names)
+    fit = fit_servos([family], [record_of(log)])
+    found = {key: np.array(value) for key, value in first._asdict().items()}
+    errors = []
+    for name, value, error in zip(fit.names, fit.values, fit.standard_errors, strict=True):
+        _, joint, key = name.split(".")
+        j = machine.joints.index(joint)
+        found[key][j] = value
+        errors.append((value - getattr(true, key)[j]) / error)
+    return Numbers(
+        tuple(fit.names), np.asarray(fit.values), np.array(errors), np.asarray(fit.determined), Servo(**found)
+    )
+
+
 LAGS = (0.0, 0.005, 0.01, 0.02, 0.04)
 """Ages [s] of the velocity that is asked for at each row."""
 SETTLED = 1.0
@@ -418,8 +492,81 @@ def best_without_model(log: Log) -> tuple[np.ndarray, list[list[str]]]:
     return np.take_along_axis(judged, best[None], axis=0)[0], [[names[i] for i in row] for row in best]
 
 
+class Case(NamedTuple):
+    """A machine with servos drawn from their ranges, a log for the fit, and stamps and commands for judging it."""
+
+    machine: Machine
+    ranges: dict[str, tuple[float, float]]
+    servo: Servo
+    log: Log
+    held_out: tuple[np.ndarray, np.ndarray]
+
+
+def draw_case(kind: str, seed: int, seconds: float = 60.0) -> Case:
+    """A machine of a kind, `so101`, `leg`, `quadruped` or `two`, and its motions."""
+    rng = np.random.default_rng(seed)
+    arm = kind in ("so101", "two")
+    if kind == "so101":
+        machine = so101(Path(os.environ["COVARIANT_DATA"]) / "so101")
+    else:
+        machine = two_joints() if kind == "two" else quadruped(1 if kind == "leg" else 4)
+    ranges, rate = SO101 if arm else LEGS, float(rng.choice(RATES["so101" if arm else "quadruped"]))
+    servo = draw_servo(machine, ranges, rng)
+    log = simulate(machine, servo, *commands(machine, seconds, rate, rng))
+    return Case(machine, ranges, servo, log, commands(machine, 20.0, rate, rng))
+
+
+ACCELERATIONS = (0.3, 1.0, 3.0, 10.0)
+"""Accelerations [rad/s²] that the model does not explain, of which the first half of a log has the best one."""
+
+
+def velocity_ratio(folder: Path, case: Case, servo: Servo, mass: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+    """Errors (n,) [rad/s] of velocities by the model, and of the best filters without one, both now, on a held-out log.
+
+    Both are searched on the first half and judged on the second.
+    """
+    import covariant
+
+    log = simulate(case.machine, case.servo, *case.held_out, mass=mass)
+    half = (log.t[0] + log.t[-1]) / 2
+    path, tried = str(write_model(folder, case.machine, servo)), []
+    for size in ACCELERATIONS:
+        velocity = covariant.estimate(path, record_of(log), overrides={"uncertainty.acceleration": size}).velocity
+        first = lagged_errors(log.t, velocity, log.velocity, (log.t > SETTLED) & (log.t < half))[0]
+        tried.append((float(np.sum(first**2)), lagged_errors(log.t, velocity, log.velocity, log.t >= half)[0]))
+    return min(tried, key=lambda each: each[0])[1], best_without_model(log)[0][0]
+
+
+def print_numbers(runs: int) -> None:
+    """Print how many determined numbers are within four standard errors, and what their velocities are worth."""
+    within, kinds = {}, ("so101", "leg")
+    for seed in range(runs):
+        kind = kinds[seed % len(kinds)]
+        case, start = draw_case(kind, seed), time.process_time()
+        with tempfile.TemporaryDirectory() as name:
+            first = usual_servo(case.machine, case.ranges)
+            numbers = fit_servo(Path(name), case.machine, first, case.log, case.servo, case.ranges)
+            spent = time.process_time() - start
+            ours, theirs = velocity_ratio(Path(name), case, numbers.servo)
+        within.setdefault(kind, []).append(numbers.within)
+        far = [
+            f"{name} {error:.1f}"
+            for name, error in zip(numbers.names, numbers.error, strict=True)
+            if abs(error) > 4 and numbers.determined[numbers.names.index(name)]
+        ]
+        rate = 1 / (case.log.t[1] - case.log.t[0])
+        print(
+            f"{kind} {seed}: {rate:.0f} Hz, delays {np.round(1e3 * case.servo.delay, 1)} ms, {spent:.0f} s; "
+            f"{numbers.within.sum()} of {len(numbers.within)} determined, {len(numbers.names)} asked; "
+            f"velocity {np.round(ours / theirs, 2)} of the best without a model, {np.round(1e3 * ours, 1)} mrad/s; "
+            f"beyond: {', '.join(far) or 'none'}",
+            flush=True,
+        )
+    for kind, each in within.items():
+        every = np.concatenate(each)
+        whole = sum(bool(one.all()) for one in each)
+        print(f"{kind}: {every.mean():.1%} of {len(every)} numbers, all of them in {whole} of {len(each)} runs")
+
+
 if __name__ == "__main__":
-    arm = so101(Path(os.environ["COVARIANT_DATA"]) / "so101")
-    rng = np.random.default_rng(0)
-    log = simulate(arm, draw_servo(arm, SO101, rng), *commands(arm, 30.0, 100.0, rng))
-    print(np.sqrt(np.mean((log.q - log.command) ** 2, axis=0)))
+    print_numbers(int(sys.argv[1]) if len(sys.argv) > 1 else 100)
