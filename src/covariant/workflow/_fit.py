@@ -22,7 +22,7 @@ def fit(
     parameters: str | Sequence[str],
     *,
     horizon: float | None = None,
-    overrides: Overrides = (),
+    overrides: Overrides | Sequence[Mapping[str, Any]] = (),
     every: int = 1,
     start: float | None = None,
     until: float | None = None,
@@ -41,10 +41,11 @@ def fit(
         log: A path, a `Record`, a DataFrame or an xarray Dataset, or a list of them. The last of several is held out to
             judge the fit by, or the last third of one.
         parameters: Names of the numbers to fit: "mass" or "com[0]" of [parameters], or "inputs.lag"; of a robot
-            "friction", "armature", "payload", "inertia", "gravity", "torque_constants" or "offsets", for all joints and
-            links or for one, as in "friction.elbow". Several in a list, or by commas; see `models.robot_family`.
+            "friction", "armature", "payload", "inertia", "gravity", "torque_constants", "offsets" or "servo", for all
+            joints and links or for one, as in "friction.elbow" or "servo.elbow.delay". Several in a list, or by commas; see `models.robot_family`.
         horizon: Length of the predictions [s]; by default as the motion suggests.
-        overrides: Values that replace those of the model file, such as other first values.
+        overrides: Values that replace those of the model file, such as other first values; or a list of such values,
+            one for each log, of what is known to differ between them, such as the gain of a servo or a payload.
         columns: Names of columns by field (t, q, u) that replace those of the model file.
         every, start, until, anyway, progress: As for `estimate`.
 
@@ -77,8 +78,21 @@ def fit(
     from covariant.workflow._fit_to_logs import fit_to_logs
     from covariant.workflow._inputs import Job
 
-    jobs = [Job(model, one, overrides, every, until, columns or {}, anyway, start) for one in logs]
+    own = _of_each_log(overrides, len(logs))
+    jobs = [
+        Job(model, one, values, every, until, columns or {}, anyway, start)
+        for one, values in zip(logs, own, strict=True)
+    ]
     return FitResult(*fit_to_logs(jobs, names, horizon, progress, sources), sources)
+
+
+def _of_each_log(overrides: Any, count: int) -> list[Overrides]:
+    """The overrides of each log, which may be a list of their own."""
+    if isinstance(overrides, Mapping) or not any(isinstance(each, Mapping) for each in overrides):
+        return [overrides] * count
+    if len(overrides) != count:
+        raise ValueError(f"overrides: there are {count} logs and values for {len(overrides)}; give a mapping for each")
+    return list(overrides)
 
 
 @dataclass(frozen=True, repr=False)
@@ -227,7 +241,9 @@ class FitResult(AbstractTable):
             }
             for i, (name, unit) in enumerate(zip(result["coordinates"], result["units"], strict=True))
         ]
-        if "windows" in result:
+        if result.get("open_loop"):
+            how = f"Predictions from the commands, over windows of {result['window']:.3g} s"
+        elif "windows" in result:
             how = f"{result['windows']} windows of {result['horizon']:.3g} s"
         else:
             how = f"Residual torques in windows of {result['window']:.3g} s"
@@ -238,13 +254,19 @@ class FitResult(AbstractTable):
             "",
             table(numbers),
             *self._on_numbers,
-            f"Errors (RMS) of predictions over {result['horizon']:.3g} s of {result['held_out']}, velocities against "
+            f"Errors (RMS) of predictions {_reach(result)} {result['held_out']}, velocities against "
             f"the {result['scored_against']} [unit/s]:",
             "",
             table(errors),
             *(() if self.better else (self._worse,)),
         ]
         return "\n".join(lines)
+
+
+def _reach(result: dict[str, Any]) -> str:
+    if result.get("open_loop"):
+        return "open loop, from the first row and the commands alone, of"
+    return f"over {result['horizon']:.3g} s of"
 
 
 def _size(error: float | None) -> str:

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from covariant import models
+from covariant import models, scoring
 from covariant.calibration import (
     Fit,
     PredictionErrors,
@@ -23,7 +23,9 @@ from covariant.calibration.identification import (
     FITTED,
     better_reading,
     error_growth,
+    fit_servos,
     held_out_logs,
+    predict_servos,
     predicts_worse,
     profile,
     robot_misfit,
@@ -69,7 +71,7 @@ def fit_to_logs(
     `sources` are the files of the model as they were first read.
     """
     progress("reading")
-    kind = _RobotProblem if _is_robot_fit(jobs[0], names) else _PredictionProblem
+    kind = _kind_of(jobs[0], names)
     problem = kind.read(jobs, names, length)
     logs, guessed = problem.logs, placeholders(jobs[0].model, jobs[0].overrides)
     check_read_once(sources)  # from here on no file of the model is read
@@ -316,7 +318,109 @@ class _RobotProblem(NamedTuple):
         return robot_details(best)
 
 
-_Problem = _PredictionProblem | _RobotProblem
+class _ServoProblem(NamedTuple):
+    """Numbers of a robot with servos, fitted by predictions from its commands."""
+
+    family: models.RobotFamily
+    logs: FitLogs
+    families: list[models.RobotFamily]
+
+    search_again = False
+
+    @classmethod
+    def read(cls, jobs: list[Job], names: Sequence[str], length: float | None) -> "_ServoProblem":
+        families = [models.robot_family(job.model_name, names, job.overrides) for job in jobs]
+        for job, family in zip(jobs, families, strict=True):
+            differing = [
+                name for name, a, b in zip(family.names, family.first, families[0].first, strict=True) if a != b
+            ]
+            if differing:
+                raise ValueError(
+                    f"{job.log_name}: {', '.join(differing)} is fitted, and so is one number for all logs; "
+                    "overrides of a log are for what is known, such as a gain or a payload"
+                )
+        # What holds for one log alone is not written to the file.
+        same = all(job.overrides == jobs[0].overrides for job in jobs)
+        family = families[0] if same else models.robot_family(jobs[0].model_name, names)
+        # A servo whose numbers are first values explains little of a log, as the fit is for that.
+        logs = FitLogs.read([job._replace(anyway=True) for job in jobs], length)
+        file = logs.logs[0].loaded.file
+        return cls(family, logs._replace(tried=(file.input_between,)), families)
+
+    def acting(self, log: Aligned, between: str) -> Record:
+        """The record with the inputs that act in each step."""
+        return log.acting(between, log.loaded.file.input_lag)
+
+    def fit(self, word: str, parts: Parts, start: RobotFit | None, report: Callable[[int, float], None]) -> RobotFit:
+        seen = self.logs.seen
+        records = [log.raw for log in self.logs.logs[:seen]]
+        if len(self.logs.logs) == 1:
+            t, u, y = (np.asarray(column) for column in records[0][:3])
+            first = t < t[0] + FITTED * (t[-1] - t[0])
+            records = [Record(t[first], u[first], y[first])]
+        return fit_servos(
+            self.families[:seen],
+            records,
+            word,
+            lambda done: report(done, min(done / ROBOT_ROUNDS, 1.0)),
+            late=_late(self.logs.logs[0]),
+        )
+
+    def judged(self, best: RobotFit, fitted: Windows) -> RobotFit:
+        del fitted
+        return best
+
+    def suspicion(self, best: RobotFit, fitted: Windows, held_out: Windows) -> str:
+        del best, fitted, held_out
+        return ""
+
+    def gain(self, parts: Parts, fits: dict[str, RobotFit]) -> Gain:
+        return Gain.of(fits["held"].losses - fits["linear"].losses)
+
+    def first_errors(self, held_out: Windows) -> PredictionErrors:
+        del held_out
+        return self._errors(np.zeros(len(self.family.names)))
+
+    def fitted_errors(self, best: RobotFit, held_out: Windows) -> PredictionErrors:
+        del held_out
+        return self._errors(best.coordinates)
+
+    def _errors(self, x: Float[np.ndarray, "p"]) -> PredictionErrors:
+        """Errors of the motion predicted from the first row and the commands of what is held out."""
+        several = len(self.logs.logs) > 1
+        chosen = range(self.logs.seen, len(self.logs.logs)) if several else range(1)
+        errors = []
+        for i in chosen:
+            log, reference = self.logs.logs[i], self.logs.references[i]
+            t, u, y = (np.asarray(column, float) for column in log.raw[:3])
+            late = np.flatnonzero((several or t >= t[0] + FITTED * (t[-1] - t[0])) & np.isfinite(y).all(axis=1))
+            rows = slice(int(late[0]), None)
+            record = Record(t[rows], u[rows], y[rows])
+            q = predict_servos(self.families[i], x, record, log.loaded.file.input_between, _late(log))
+            off = scoring.unwrap(y[rows], log.loaded.model.circles) - q
+            speed = np.gradient(q, t[rows], axis=0)
+            errors.append((np.diff(off, axis=0), off, reference[rows] - speed))
+        one_step, position, velocity = (np.concatenate(parts) for parts in zip(*errors, strict=True))
+        return PredictionErrors(*(np.sqrt(np.nanmean(part**2, axis=0)) for part in (one_step, position, velocity)))
+
+    def details(self, best: RobotFit, fitted: Windows) -> dict[str, Any]:
+        return servo_details(best, self.family)
+
+
+_Problem = _PredictionProblem | _RobotProblem | _ServoProblem
+
+
+def _kind_of(job: Job, names: Sequence[str]) -> "type[_Problem]":
+    """The kind of problem that the names of the numbers, and the inputs of the model, make it."""
+    if not _is_robot_fit(job, names):
+        return _PredictionProblem
+    model = models.load(job.model, job.overrides).model
+    return _RobotProblem if models.robots.servos_in(model) is None else _ServoProblem
+
+
+def _late(log: Aligned) -> float:
+    """Time [s] by which positions are late, which their stamps no longer say."""
+    return float(np.max(np.asarray(log.late) - np.asarray(log.loaded.file.input_delay)))
 
 
 def _is_robot_fit(job: Job, names: Sequence[str]) -> bool:
@@ -355,6 +459,28 @@ def robot_details(best: RobotFit) -> dict[str, Any]:
         "window": float(f"{2 * best.half:.4g}"),
         "residual_torque": [float(f"{size:.4g}") for size in best.torque],
     }
+
+
+def servo_details(best: RobotFit, family: models.RobotFamily) -> dict[str, Any]:
+    """What the logs do not determine of servos, and how large the residual positions are."""
+    details = robot_details(best)
+    position = details.pop("residual_torque")
+    at = {number.name: i for i, number in enumerate(family.numbers)}
+    ratios = [
+        number.target
+        for number in family.numbers
+        if (number.group, number.number) == ("servo", "stiffness")
+        and not best.determined[at[number.name]]
+        and (f"servo.{number.target}.armature" in at or f"armature.{number.target}" in at)
+    ]
+    if ratios:
+        sentence = (
+            f"stiffness and inertia of {', '.join(ratios)} act by their ratio alone where no weight pulls: a second log "
+            "with a known mass in the hand separates them, given by overrides of its own, "
+            "[{}, {'parameters.payload': {'LINK': [mass, x, y, z]}}]"
+        )
+        details["undetermined"] = [*details["undetermined"], sentence]
+    return {**details, "residual_position": position, "open_loop": True}
 
 
 def _rows(best: Fit | RobotFit):

@@ -299,7 +299,7 @@ class _Search(NamedTuple):
         np.add.at(scores, numbering, thinned * np.einsum("kjp,kj->kp", z, counts * weight * relative, optimize=True))
         gradient = np.sum(scores, axis=0) + prior @ (point.x / self.sizes)
         covariance = block_covariance(scores, curvature, np.linalg.inv(curvature + prior), prior)
-        dz = _minimise_above_bounds(information + prior, gradient, (self.family.least - point.x) / self.sizes)
+        dz = minimise_above_bounds(information + prior, gradient, (self.family.least - point.x) / self.sizes)
         dz *= min(1.0, LONGEST_STEP / max(np.abs(dz).max(), 1e-300))
         settled = bool(np.all(np.abs(dz) < CONVERGED * np.sqrt(np.diagonal(covariance))))
         outer = np.outer(self.sizes, self.sizes)
@@ -371,7 +371,7 @@ def _scale(values: np.ndarray) -> float:
     return float(max(STD_OF_MEDIAN * np.median(np.abs(values)), 1e-12)) if len(values) else 1.0
 
 
-def _minimise_above_bounds(matrix: np.ndarray, gradient: np.ndarray, least: np.ndarray) -> np.ndarray:
+def minimise_above_bounds(matrix: np.ndarray, gradient: np.ndarray, least: np.ndarray) -> np.ndarray:
     """The step that minimises a quadratic function above bounds: those that it would violate are held, one by one."""
     held = np.zeros(len(gradient), bool)
     step = np.zeros(len(gradient))

@@ -14,6 +14,7 @@ from ._description import (
     Motor as Motor,
     Servo as Servo,
 )
+from ._forces import dry_friction as dry_friction
 from ._library import ROBOTS as ROBOTS, located as located
 from ._load import load as load, read as read
 from ._servos import (
