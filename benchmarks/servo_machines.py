@@ -537,6 +537,36 @@ def velocity_ratio(folder: Path, case: Case, servo: Servo, mass: float = 0.0) ->
     return min(tried, key=lambda each: each[0])[1], best_without_model(log)[0][0]
 
 
+WRITTEN_RATE = 1000.0
+"""Steps a second of the MJCF file that is written after a fit."""
+
+
+def open_loop_errors(folder: Path, machine: Machine, servo: Servo, log: Log) -> tuple[np.ndarray, np.ndarray]:
+    """Errors (n,) [rad] of positions from the first row and the commands: by the MJCF file in MuJoCo, and by ours."""
+    import mujoco
+
+    import covariant
+    from covariant import models
+    from covariant.calibration.identification import predict_servos
+
+    path = write_model(folder, machine, servo)
+    covariant.export(str(path), folder / "machine.xml", rate=WRITTEN_RATE, overwrite=True)
+    model = mujoco.MjModel.from_xml_path(str(folder / "machine.xml"))
+    data, first = mujoco.MjData(model), log.command[0]
+    for i in np.flatnonzero(model.actuator_history[:, 0]):
+        mujoco.mj_initCtrlHistory(model, data, i, None, np.full(model.actuator_history[i, 0], first[i]))
+    data.qpos[:] = log.q[0]
+    steps = np.round((log.t - log.t[0]) / model.opt.timestep).astype(int)
+    theirs = np.empty_like(log.q)
+    for row, (count, command) in enumerate(zip(np.diff(steps, append=steps[-1]), log.command, strict=True)):
+        theirs[row], data.ctrl[:] = data.qpos, command
+        mujoco.mj_step(model, data, int(count))
+    names = [f"servo.{machine.joints[0]}.stiffness"]
+    ours = predict_servos(models.robot_family(str(path), names), np.zeros(1), record_of(log))
+    settled = log.t > log.t[0] + SETTLED
+    return tuple(np.sqrt(np.mean((q - log.q)[settled] ** 2, axis=0)) for q in (theirs, np.asarray(ours)))
+
+
 def print_numbers(runs: int) -> None:
     """Print how many determined numbers are within four standard errors, and what their velocities are worth."""
     within, kinds = {}, ("so101", "leg")
