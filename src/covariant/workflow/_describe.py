@@ -48,6 +48,7 @@ def describe_model(
     facts: dict[str, Any] = {"model": name, "name": file.name}
     facts |= {"coordinates": list(file.model.coordinates), "units": list(file.model.units)}
     facts |= {"velocities": list(file.model.velocities), "inputs": len(file.columns.u)}
+    facts |= {"commands": _commands(file)}
     facts |= {"placeholders": placeholders(model, overrides)}
     robot, box = _robot(model, overrides), None
     if robot is not None:
@@ -91,6 +92,14 @@ class ModelResult(AbstractResult):
         return "\n".join(_lines(self.facts))
 
 
+def _commands(file: models.ModelFile) -> dict[str, float]:
+    """The inputs that are commands, with their delays [s]; empty where inputs are torques or forces."""
+    if file.input_kind != "command":
+        return {}
+    delays = np.broadcast_to(file.input_delay, len(file.columns.u)).tolist()
+    return dict(zip(file.columns.u, delays, strict=True))
+
+
 def _robot(model: Any, overrides: Overrides) -> robots.Description | None:
     """The description of a robot's file, where the model is one."""
     if not isinstance(model, str | os.PathLike) or ":" in str(model):
@@ -99,7 +108,8 @@ def _robot(model: Any, overrides: Overrides) -> robots.Description | None:
     if recipe.get("system") != "robot":
         return None
     parameters = recipe["parameters"]
-    return robots.read(parameters["path"], motor_torques=parameters.get("motor_torques", False))
+    robot = robots.read(parameters["path"], motor_torques=parameters.get("motor_torques", False))
+    return robots.changed(robot, servos=parameters.get("servos"))
 
 
 def _of_robot(robot: robots.Description) -> dict[str, Any]:
@@ -143,7 +153,8 @@ def _limits(robot: robots.Description, coordinates: tuple[str, ...]) -> np.ndarr
 def _lines(result: dict[str, Any]) -> Iterator[str]:
     names = ", ".join(result["velocities"] or result["coordinates"])
     yield f"{result['name']}: {len(result['velocities'] or result['coordinates'])} velocities ({names})"
-    yield f"{result['inputs']} inputs"
+    told = ", ".join(f"{name} after {1e3 * delay:.3g} ms" for name, delay in result["commands"].items())
+    yield f"{result['inputs']} inputs" + f", of servos: {told}" * bool(told)
     if result["placeholders"]:
         yield placeholder_sentence(result["placeholders"])
     if "robot" in result:

@@ -26,10 +26,10 @@ from covariant.calibration._least_squares import PRIOR, STD_OF_MEDIAN, block_cov
 from covariant.calibration.identification._robot_fit import RobotFit, minimise_above_bounds
 from covariant.calibration.identification._robot_torques import Determined, batched
 from covariant.models import RobotFamily
-from covariant.models.robots import Servos, dry_friction, servos_in
+from covariant.models.robots import Servos, dry_friction
 from covariant.signals import Record
 
-LONGEST_STEP = 5e-3
+LONGEST_STEP = 4e-3
 """Longest step of the integration [s]: a servo's natural frequency is seldom above 60 rad/s."""
 SWEEPS = 3
 """Sweeps over the joints in a step. Each starts from the change in the step before, which differs little."""
@@ -41,7 +41,7 @@ FEWEST_WINDOWS = 8
 SMOOTHING = 3.5
 """Half width, in rows, of the windows in which positions are smoothed for the rigid body."""
 ROUNDS = 25
-TOLERANCE = 1e-3
+TOLERANCE = 3e-3
 """A step is the last one when it lowers the loss by less than this fraction of it."""
 DIFFERENCE = 1e-4
 """Step of finite differences, in usual sizes: 0.01 µm of a joint's motion is far above rounding."""
@@ -52,6 +52,8 @@ RIGID = ("payload", "inertia", "gravity", "offsets")
 """Groups of numbers that change the rigid body."""
 DELAYS, STIFFNESSES = (0.0, 0.02, 0.04, 0.08), (0.5, 1.0, 2.0)
 """First delays [s], and factors of the first stiffness, from which the search may start."""
+SHIFTS = 0.015, -0.01
+"""Changes of the delay [s] from which the search starts once more."""
 
 
 class Drive(NamedTuple):
@@ -101,18 +103,17 @@ class Body(NamedTuple):
 
 
 class Cut(NamedTuple):
-    """W windows of R rows each: measured positions, the motion at their starts, steps, inputs and the path of the rows.
+    """W windows of R rows each: the motion at their starts, steps, inputs and the path of the rows.
 
     `inputs` (W, R, N, 4, m) are the mean of each input over a substep, the derivative of that in the delay, the rate of
     the input, and its derivative.
     """
 
-    y: Float[np.ndarray, "W R1 n"]
+    q: Float[np.ndarray, "W n"]
     v: Float[np.ndarray, "W n"]
     step: Float[np.ndarray, "W R"]
     inputs: Float[np.ndarray, "W R N 4 m"]
     path: Float[np.ndarray, "W R n"]
-    rows: Any
 
 
 def fit_servos(
@@ -149,21 +150,12 @@ def fit_servos(
     if not records or len(families) != len(records):
         raise ValueError("give a family and a log for each of the logs")
     search = _Search.of(families, records, between, length, late)
-    point = search.started()
-    damping, rounds = 1e-3, 0
-    for rounds in range(ROUNDS):
-        progress(rounds)
-        step = search.normal(point)
-        lowered = 0.0
-        while damping < 1e6:
-            tried = search.point(point.x + step.to(damping))
-            lowered = search.loss(point, step.scale) - search.loss(tried, step.scale)
-            if lowered > 0:
-                point, damping = tried, damping / 5
-                break
-            damping = max(8 * damping, 1e-3)
-        if lowered <= TOLERANCE * search.loss(point, step.scale):
-            break
+    point, rounds = search.descend(search.started(), progress, 0)
+    # A delay and a lead of the command act alike but where it jumps: both sides of a fit are tried.
+    for x in search.shifted(point.x):
+        other, rounds = search.descend(search.point(x), progress, rounds)
+        scale = search.normal(point).scale
+        point = min(point, other, key=lambda each: search.loss(each, scale))
     step = search.normal(point)
     family = families[0]
     known = Determined.of(family, point.x, search.sizes, step.information, step.covariance)
@@ -176,7 +168,7 @@ def fit_servos(
         known.combinations,
         step.scale,
         length / 2,
-        rounds + 1,
+        rounds,
         point.x,
         step.losses,
     )
@@ -187,11 +179,8 @@ def predict_servos(
 ) -> Float[np.ndarray, "T n"]:
     """Predict the positions of a whole log from its first row and its commands alone."""
     log = _Log.of(family, record, between, late)
-    cut = log.cut([np.arange(len(log.t))])
-    simulated = _simulate(
-        _stacked([log.drive(x)]), np.zeros((1, 0)), log.delays, cut, log.body(x, cut), (), SWEEPS
-    )
-    return np.asarray(simulated)[0, 0]
+    rows = np.arange(len(log.t))[None]
+    return np.asarray(log.simulate([log.drive(x)], x, rows, np.zeros((1, 0)), ()))[0, 0]
 
 
 class _Log(NamedTuple):
@@ -205,7 +194,6 @@ class _Log(NamedTuple):
     v: Float[np.ndarray, "T n"]
     a: Float[np.ndarray, "T n"]
     between: str
-    delays: Float[np.ndarray, "m"]
     late: float
     drive: Callable[[Any], Drive]
     evaluate: Callable[..., Body]
@@ -223,12 +211,7 @@ class _Log(NamedTuple):
                 column[bad] = np.interp(t[bad], t[~bad], column[~bad])
         u = np.stack([np.interp(t, t[ok], each[ok]) for each, ok in zip(u.T, np.isfinite(u).T, strict=True)], axis=1)
         drive, evaluate = _compiled(family)
-        servos = servos_in(model)
-        assert servos is not None  # whoever opens a fit of servos has looked
-        return cls(
-            *(family, t, y, u, c[:, 0], c[:, 1], 2 * c[:, 2], between, np.asarray(servos.delay), late),
-            *(drive, evaluate),
-        )
+        return cls(family, t, y, u, c[:, 0], c[:, 1], 2 * c[:, 2], between, late, drive, evaluate)
 
     def windows(self, length: float) -> list[np.ndarray]:
         """Rows of consecutive windows of one length, each from a row that is measured, without gaps."""
@@ -249,18 +232,36 @@ class _Log(NamedTuple):
             at += count
         return found
 
-    def cut(self, windows: list[np.ndarray]) -> Cut:
-        """The windows with these rows."""
-        rows = np.stack(windows)
+    def simulate(
+        self,
+        drives: Sequence[Drive],
+        x: Float[np.ndarray, "p"],
+        rows: np.ndarray,
+        weights: Float[np.ndarray, "P r"],
+        steps: Sequence[Float[np.ndarray, "p"]],
+    ) -> Float[np.ndarray, "P W R1 n"]:
+        """Positions in windows with these rows (W, R + 1), for each of P drives.
+
+        Commands act with the delays of the first drive, and to first order with those of the others. The rigid body is
+        that at x, with its changes by steps (r) of x times the weights of each drive.
+        """
+        first = rows[:, :-1]
         t = self.t[rows]
         step = np.diff(t, axis=1)
         substeps = max(1, int(np.ceil(float(np.median(step)) / LONGEST_STEP - 1e-6)))
         h = step / substeps
+        delays = np.asarray(drives[0].servos.delay)
         middle = t[:, :-1, None] + h[..., None] * np.arange(substeps)
-        inputs = self._commands(middle, h[..., None])
-        return Cut(self.y[rows], self.v[rows[:, 0]], step, inputs, self.q[rows[:, :-1]], rows[:, :-1])
+        inputs = self._commands(middle, h[..., None], delays + self.late)
+        cut = Cut(self.y[rows[:, 0]], self.v[rows[:, 0]], step, inputs, self.q[first])
+        body = self.evaluate(x, self.q, self.v)
+        changes = [
+            Body(*(b - a for a, b in zip(body, self.evaluate(x + one, self.q, self.v), strict=True))) for one in steps
+        ]
+        bodies = [Body(*(part[first] for part in each)) for each in (body, *changes)]
+        return np.asarray(_simulate(_stacked(drives), weights, delays, cut, bodies[0], tuple(bodies[1:]), SWEEPS))
 
-    def _commands(self, at: np.ndarray, width: np.ndarray) -> np.ndarray:
+    def _commands(self, at: np.ndarray, width: np.ndarray, delays: np.ndarray) -> np.ndarray:
         """Mean inputs and rates around times, with their derivatives in the delay: (…, 4, m)."""
         t, u = self.t, self.u
         step = np.diff(t)[:, None]
@@ -281,7 +282,6 @@ class _Log(NamedTuple):
                 return gathered[k, own] + u[k, own] * past + slope[k, own] * inside**2 / 2, line, line
             return gathered[k, own] + u[k, own] * past, u[k, own], line
 
-        delays = self.delays + self.late
         ends = at[..., None] - width[..., None] / 2, at[..., None] + width[..., None] / 2
         (first, before, low), (last, after, high) = (integral(end - delays) for end in ends)
         eps = 1e-4
@@ -291,11 +291,6 @@ class _Log(NamedTuple):
         return np.stack(
             [(last - first) / width, -(after - before) / width, rate, ((higher - lower) / width - rate) / eps], axis=-2
         )
-
-    def body(self, x: np.ndarray, cut: Cut) -> Body:
-        """The rigid body along the rows of windows (W, R, …)."""
-        every = self.evaluate(x, self.q, self.v)
-        return Body(*(part[cut.rows] for part in every))
 
 
 _Compiled = tuple[Callable[[Any], Drive], Callable[..., Body]]
@@ -379,7 +374,7 @@ class _Search(NamedTuple):
     """What a fit works on."""
 
     logs: tuple[_Log, ...]
-    cuts: tuple[Cut, ...]
+    rows: tuple[np.ndarray, ...]
     counts: tuple[int, ...]
     sizes: Float[np.ndarray, "p"]
     least: Float[np.ndarray, "p"]
@@ -391,6 +386,9 @@ class _Search(NamedTuple):
     ) -> "_Search":
         family = families[0]
         logs = tuple(_Log.of(each, record, between, late) for each, record in zip(families, records, strict=True))
+        # Sixteen windows are few for a covariance by blocks, so short logs are cut into shorter ones.
+        total = sum(float(log.t[-1] - log.t[0]) for log in logs)
+        length = max(min(length, total / (2 * FEWEST_WINDOWS + 1)), 3 * SETTLING)
         windows = [log.windows(length) for log in logs]
         counts = tuple(len(each) for each in windows)
         if sum(counts) < FEWEST_WINDOWS:
@@ -402,7 +400,7 @@ class _Search(NamedTuple):
         most = max(counts)
         padded = [each + each[:1] * (most - len(each)) for each in windows if each]
         logs = tuple(log for log, each in zip(logs, windows, strict=True) if each)
-        cuts = tuple(log.cut(each) for log, each in zip(logs, padded, strict=True))
+        rows = tuple(np.stack(each) for each in padded)
         motion = [np.concatenate([getattr(log, name) for log in logs]) for name in ("q", "v", "a")]
         body = logs[0].evaluate(np.zeros(len(family.names)), motion[0], motion[1])
         armature = np.asarray(logs[0].drive(np.zeros(len(family.names))).armature)
@@ -418,7 +416,7 @@ class _Search(NamedTuple):
         sizes = np.where(own & (np.abs(family.first) > 0), np.abs(family.first), sizes)
         least = np.where(own, np.maximum(family.least, -(1 - LEAST_RATIO) * np.abs(family.first)), family.least)
         rigid = tuple(i for i, number in enumerate(family.numbers) if number.group in RIGID)
-        return cls(logs, cuts, counts, sizes, least, rigid)
+        return cls(logs, rows, tuple(count for count in counts if count), sizes, least, rigid)
 
     def started(self) -> _Point:
         """The first values, or those of them with another delay or stiffness that predict better."""
@@ -426,23 +424,58 @@ class _Search(NamedTuple):
         kinds = [number.number if number.group == "servo" else "" for number in family.numbers]
         late = np.array([kind == "delay" for kind in kinds])
         stiff = np.array([kind == "stiffness" for kind in kinds])
-        tried = [np.zeros(len(kinds))]
-        for delay in DELAYS if late.any() else DELAYS[:1]:
-            for factor in STIFFNESSES if stiff.any() else (1.0,):
-                tried.append(np.where(late, delay - family.first, np.where(stiff, (factor - 1) * family.first, 0.0)))
-        # In batches of the size of a point, so that one program serves both.
-        size = len(kinds) + 1
-        tried += tried[:1] * (-len(tried) % size)
         points = []
-        for first in range(0, len(tried), size):
-            lanes = [np.maximum(x, self.least) for x in tried[first : first + size]]
-            residuals = self._residuals(lanes, lanes[0], np.zeros((size, len(self.rigid))))
-            points += [_Point(x, each, residuals[:0]) for x, each in zip(lanes, residuals, strict=True)]
+        for delay in (None, *DELAYS) if late.any() else (None,):
+            x = np.zeros(len(kinds)) if delay is None else np.where(late, delay - family.first, 0.0)
+            lanes = [np.where(stiff, (factor - 1) * family.first, x) for factor in STIFFNESSES[: 3 if stiff.any() else 1]]
+            lanes = [np.maximum(lane, self.least) for lane in lanes]
+            # In batches of the size of a point, so that one program serves both.
+            lanes = (lanes * (len(kinds) + 1))[: max(len(kinds) + 1, 1)]
+            residuals = self._residuals(lanes, lanes[0], [], np.zeros((len(lanes), len(self.rigid))))
+            points += [_Point(lane, each, residuals[:0]) for lane, each in zip(lanes, residuals, strict=True)]
         scale = np.array([_scale(column) for column in points[0].residual.reshape(-1, points[0].residual.shape[2]).T])
         best = min(points, key=lambda point: self.loss(point, scale))
         if not np.isfinite(self.loss(best, scale)):
             raise ValueError("the model predicts no finite motion from these commands; check units and first values")
         return self.point(best.x)
+
+    def descend(self, point: _Point, progress: Callable[[int], object], rounds: int) -> tuple[_Point, int]:
+        """The lowest point that Levenberg–Marquardt steps reach, and the number of rounds with these."""
+        damping = 1e-3
+        for _ in range(ROUNDS):
+            progress(rounds)
+            rounds += 1
+            step = self.normal(point)
+            before = lowered = self.loss(point, step.scale)
+            while damping < 1e6:
+                tried = self.point(point.x + step.to(damping))
+                lowered = before - self.loss(tried, step.scale)
+                if lowered > 0:
+                    point, damping = tried, damping / 5
+                    break
+                damping = max(8 * damping, 1e-3)
+            if lowered <= TOLERANCE * before:
+                break
+        return point, rounds
+
+    def shifted(self, x: np.ndarray) -> list[np.ndarray]:
+        """Coordinates with other delays, and with leads that make up for these."""
+        family = self.logs[0].family
+        at = {(n.target, n.number): i for i, n in enumerate(family.numbers) if n.group == "servo"}
+        leads = [(i, at[target, "delay"], target) for (target, kind), i in at.items() if kind == "feedforward" and (target, "delay") in at]
+        if not leads:
+            return []
+        values, servos = np.asarray(family.values(x)), self.logs[0].drive(x).servos
+        stiffness = dict(zip(servos.input_names, np.asarray(servos.stiffness), strict=False))
+        others = []
+        for shift in SHIFTS:
+            other = x.copy()
+            for i, j, target in leads:
+                later = max(shift, -values[j])
+                other[j] += later
+                other[i] += later * stiffness.get(f"cmd_{target}", np.mean(np.asarray(servos.stiffness)))
+            others.append(other)
+        return others
 
     def point(self, x: np.ndarray) -> _Point:
         """Residuals at x, and their derivatives by finite differences, all in one batch."""
@@ -451,24 +484,24 @@ class _Search(NamedTuple):
         steps = DIFFERENCE * self.sizes * np.eye(p)
         weights = np.zeros((p + 1, len(self.rigid)))
         for k, i in enumerate(self.rigid):
-            weights[1 + i, k] = steps[i, i]
-        every = self._residuals([x, *(x + step for step in steps)], x, weights)
+            weights[1 + i, k] = 1.0
+        every = self._residuals([x, *(x + step for step in steps)], x, [steps[i] for i in self.rigid], weights)
         return _Point(x, every[0], (every[1:] - every[:1]) / DIFFERENCE)
 
-    def _residuals(self, lanes: Sequence[np.ndarray], x: np.ndarray, weights: np.ndarray) -> np.ndarray:
-        """Residuals (P, B, R, n) of drives at P coordinates, with the rigid body at x and its changes by weights."""
+    def _residuals(
+        self, lanes: Sequence[np.ndarray], x: np.ndarray, steps: Sequence[np.ndarray], weights: np.ndarray
+    ) -> np.ndarray:
+        """Residuals (P, B, R, n) of drives at P coordinates, with the rigid body at x and its changes."""
         parts = []
-        for log, cut, count in zip(self.logs, self.cuts, self.counts, strict=True):
-            body = log.body(x, cut)
-            changes = []
-            for i in self.rigid:
-                d = DIFFERENCE * self.sizes[i]
-                other = log.body(x + d * np.eye(len(x))[i], cut)
-                changes.append(Body(*((b - a) / d for a, b in zip(body, other, strict=True))))
-            drives = _stacked([log.drive(lane) for lane in lanes])
-            q = np.asarray(_simulate(drives, weights, log.delays, cut, body, tuple(changes), SWEEPS))
-            parts.append((q - cut.y)[:, :count, max(int(SETTLING / np.median(cut.step)), 1) :])
+        for log, rows, count in zip(self.logs, self.rows, self.counts, strict=True):
+            chosen = steps if len(steps) == weights.shape[1] else [np.zeros_like(x)] * weights.shape[1]
+            q = log.simulate([log.drive(lane) for lane in lanes], x, rows, weights, chosen)
+            parts.append((q - log.y[rows])[:, :count, self._skipped(log) :])
         return np.concatenate(parts, axis=1)
+
+    @staticmethod
+    def _skipped(log: _Log) -> int:
+        return max(int(SETTLING / np.median(np.diff(log.t))), 1)
 
     def loss(self, point: _Point, scale: np.ndarray) -> float:
         e = np.nan_to_num(point.residual / scale, nan=np.inf)
@@ -479,9 +512,12 @@ class _Search(NamedTuple):
 
     @property
     def _measured(self) -> np.ndarray:
-        skipped = [max(int(SETTLING / np.median(cut.step)), 1) for cut in self.cuts]
-        parts = [cut.y[:count, skip:] for cut, count, skip in zip(self.cuts, self.counts, skipped, strict=True)]
-        return np.concatenate(parts)
+        return np.concatenate(
+            [
+                log.y[rows[:count]][:, self._skipped(log) :]
+                for log, rows, count in zip(self.logs, self.rows, self.counts, strict=True)
+            ]
+        )
 
     @property
     def _alike(self) -> float:
@@ -547,10 +583,10 @@ def _simulate(
             state = jax.lax.scan(substep, state, inputs)[0]
             return state, state[0]
 
-        start = cut.y[0], cut.v, jnp.zeros_like(cut.v)
+        start = cut.q, cut.v, jnp.zeros_like(cut.v)
         h = cut.step / cut.inputs.shape[1]
         after = jax.lax.scan(row, start, (cut.inputs, cut.path, body, changes, h))[1]
-        return jnp.concatenate([cut.y[:1], after])
+        return jnp.concatenate([cut.q[None], after])
 
     over_windows = jax.vmap(window, in_axes=(None, None, 0, 0, 0))
     return jax.vmap(over_windows, in_axes=(0, 0, None, None, None))(drives, weights, cut, body, changes)
@@ -561,11 +597,13 @@ def _advance(drive: Drive, body: Any, path: Array, u: Array, h: Array, state: An
     q, v, last = state
     servos = drive.servos
     weight = -body.slope - body.bend @ (q - path)
-    torque, slope = jax.jvp(lambda w: servos.torque(q, w, u), (v,), (jnp.ones_like(v),))
+    # The velocity in the middle of the two: what depends on it is then known to second order.
+    mean = v + last / 2
+    torque, slope = jax.jvp(lambda w: servos.torque(q, w, u), (mean,), (jnp.ones_like(v),))
     # The rate of a servo is its row times that of its one coordinate, so its slope in that is the row's square.
     squares = servos.rows**2
     braking = squares.T @ (slope / jnp.sum(servos.rows, axis=1))
-    rates = drive.joints @ v
+    rates = drive.joints @ mean
     viscous = (drive.joints**2).T @ drive.viscous
     size = jnp.abs(drive.joints).T @ (drive.coulomb + dry_friction(rates, drive.law))
     if servos.loaded:
@@ -574,8 +612,8 @@ def _advance(drive: Drive, body: Any, path: Array, u: Array, h: Array, state: An
     aside = drive.joints.T @ drive.law["asymmetry"]
     inertia = body.inertia + jnp.diag(drive.armature)
     driving = weight - body.coriolis + servos.rows.T @ torque + drive.motors @ u
-    # Torque at the mean of both velocities: τ + braking (w − v)/2 − viscous (w + v)/2.
-    impulse = inertia @ v + h * driving - h / 2 * (braking + viscous) * v
+    # Torque at the mean of both velocities: τ + braking ((w + v)/2 − mean) − viscous (w + v)/2.
+    impulse = inertia @ v + h * (driving - braking * mean) + h / 2 * (braking - viscous) * v
     diagonal = jnp.diagonal(inertia)
     whole = diagonal + h / 2 * (viscous - braking)
     w = v + last
