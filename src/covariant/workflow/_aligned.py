@@ -45,7 +45,7 @@ def aligned(job: Job) -> Aligned:
     if np.ptp(delay) > 0:
         loaded = _together(loaded, delay)
     # What moves a position back by its delay moves an input on by as much against it.
-    raw, late = loaded.log.record, np.asarray(file.input_delay) + float(delay.max())
+    raw, late = loaded.log.record, (np.asarray(file.input_delay) + float(delay.max())).tolist()
     log = Aligned(loaded, raw, late, whole)
     unlagged = loaded.log._replace(record=log.acting(file.input_between))
     return log._replace(loaded=loaded._replace(log=unlagged, record=log.acting(file.input_between, file.input_lag)))

@@ -42,7 +42,8 @@ def fit(
             judge the fit by, or the last third of one.
         parameters: Names of the numbers to fit: "mass" or "com[0]" of [parameters], or "inputs.lag"; of a robot
             "friction", "armature", "payload", "inertia", "gravity", "torque_constants", "offsets" or "servo", for all
-            joints and links or for one, as in "friction.elbow" or "servo.elbow.delay". Several in a list, or by commas; see `models.robot_family`.
+            joints and links or for one, as in "friction.elbow" or "servo.elbow.delay". Several in a list, or by commas;
+            see `models.robot_family`.
         horizon: Length of the predictions [s]; by default as the motion suggests.
         overrides: Values that replace those of the model file, such as other first values; or a list of such values,
             one for each log, of what is known to differ between them, such as the gain of a servo or a payload.

@@ -475,8 +475,8 @@ def servo_details(best: RobotFit, family: models.RobotFamily) -> dict[str, Any]:
     ]
     if ratios:
         sentence = (
-            f"stiffness and inertia of {', '.join(ratios)} act by their ratio alone where no weight pulls: a second log "
-            "with a known mass in the hand separates them, given by overrides of its own, "
+            f"stiffness and inertia of {', '.join(ratios)} act by their ratio alone where no weight pulls: a second "
+            "log with a known mass in the hand separates them, given by overrides of its own, "
             "[{}, {'parameters.payload': {'LINK': [mass, x, y, z]}}]"
         )
         details["undetermined"] = [*details["undetermined"], sentence]

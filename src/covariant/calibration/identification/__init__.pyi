@@ -38,7 +38,8 @@ from ._robot_combinations import Combinations as Combinations
 from ._robot_fit import RobotFit as RobotFit, fit_robot as fit_robot
 from ._robot_misfit import robot_misfit as robot_misfit
 from ._robot_torques import motor_inputs as motor_inputs
-from ._servo_fit import fit_servos as fit_servos, predict_servos as predict_servos
+from ._servo_fit import fit_servos as fit_servos
+from ._servo_motion import predict_servos as predict_servos
 from ._unknowns import Unknowns as Unknowns
 from ._windows import (
     FITTED as FITTED,
