@@ -1,5 +1,6 @@
 """The machines of the benchmark, which judge fits of servos: their bodies, servos and friction are what they state."""
 
+import os
 import runpy
 from pathlib import Path
 
@@ -142,3 +143,27 @@ def test_the_quadruped_has_four_legs_alike():
     assert len(machine.joints) == 12
     model = bench["compile_machine"](machine, Servo.of(12))
     np.testing.assert_allclose(model.body_mass[1:].reshape(4, 3), np.tile([0.678, 1.152, 0.194], (4, 1)))
+
+
+def judged(case, folder):
+    """The numbers of a fit from usual first values, and errors of velocities over those of the best other filters."""
+    first = bench["usual_servo"](case.machine, case.ranges)
+    numbers = bench["fit_servo"](folder, case.machine, first, case.log, case.servo, case.ranges)
+    ours, theirs = bench["velocity_ratio"](folder, case, numbers.servo)
+    return numbers, ours / theirs
+
+
+def test_a_fit_finds_servos_that_mujoco_moves_and_velocities_profit(tmp_path):
+    numbers, ratio = judged(bench["draw_case"]("two", 4, seconds=30.0), tmp_path)
+    assert len(numbers.within) >= 14, "the log determines most of the numbers"
+    assert numbers.within.all(), dict(zip(numbers.names, numbers.error, strict=True))
+    assert (ratio <= 0.5).all(), ratio
+
+
+@pytest.mark.long  # half a minute: a fit of 55 numbers
+def test_an_so101_in_mujoco_is_fitted_and_its_velocities_profit(tmp_path):
+    if not (Path(os.environ.get("COVARIANT_DATA", "/none")) / "so101").exists():
+        pytest.skip("COVARIANT_DATA has no so101")
+    numbers, ratio = judged(bench["draw_case"]("so101", 2, seconds=40.0), tmp_path)
+    assert numbers.within.mean() >= 0.9, dict(zip(numbers.names, numbers.error, strict=True))
+    assert (ratio <= 0.5).all(), ratio
