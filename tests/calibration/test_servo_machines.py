@@ -153,6 +153,7 @@ def judged(case, folder):
     return numbers, ours / theirs
 
 
+@pytest.mark.long  # half a minute of a core, most of it to compile
 def test_a_fit_finds_servos_that_mujoco_moves_and_velocities_profit(tmp_path):
     numbers, ratio = judged(bench["draw_case"]("two", 4, seconds=30.0), tmp_path)
     assert len(numbers.within) >= 14, "the log determines most of the numbers"
