@@ -9,6 +9,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Inexact
 
+MOST_MISSING = 0.05
+"""How much of a lagged input may come from inputs that are missing, before it is missing itself."""
+SAME_TIME = 1e-6
+"""Times [s] closer than this count as equal, as stamps and delays of whole rows are but for rounding."""
+LEAST_MISSING = 1e-6
+"""Share of missing inputs in a mean above which it is missing: an interval may touch the next one by rounding."""
+
 
 class StepCode(enum.IntEnum):
     """Outcome of a numerical step, stored in `info.result`; zero is good, and a larger code is worse.
@@ -406,7 +413,7 @@ def acting_inputs(
     value, rate, before = (np.take_along_axis(each, k, axis=0) for each in (u, slope, gathered))
     integral = before + value * past + rate * np.maximum(past, 0.0) ** 2 / 2
     # The mean rate over an interval is the change of the input from edge to edge; a jump at an edge is after it.
-    k = np.maximum(np.searchsorted(t, edges, side="left") - 1, 0)
+    k = np.maximum(np.searchsorted(t, edges - SAME_TIME * (between == "held"), side="left") - 1, 0)
     value, rate = (np.take_along_axis(each, k, axis=0) for each in (u, slope))
     integral = integral + ahead * (value + rate * np.maximum(edges - t[k], 0.0))
     return used._replace(u=np.diff(integral, axis=0) / np.diff(edges, axis=0))

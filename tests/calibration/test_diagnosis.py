@@ -280,6 +280,8 @@ def test_a_model_of_another_machine_is_refused(clean):
     assert found is not None
     assert found.what == "model"
     assert "model" in whats(diagnose(other, clean))
+    # A file that states unknown forces leaves room for what the model does not explain.
+    assert misfit(other._replace(external_force_std=1.0, external_force_time=1.0), clean) is None
 
 
 def test_of_other_models_the_stamps_are_looked_at():

@@ -9,6 +9,7 @@ import functools
 import importlib
 import json
 import platform
+import re
 import shutil
 import subprocess
 import xml.etree.ElementTree as ElementTree
@@ -20,6 +21,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import servo_machine
 
 import covariant
 from covariant.calibration import usual_speeds
@@ -28,7 +30,7 @@ from covariant.geometry.lie import SO3
 from covariant.signals import Record, StepCode
 from covariant.workflow._design import design
 from covariant.workflow._export import beyond_proof
-from covariant.workflow._inputs import Job, load, with_sensor_delays
+from covariant.workflow._inputs import Job, load, with_acting_inputs, with_sensor_delays
 
 MODEL = """system = "pendulum_chain"
 parameters = {mass = [1.0], length = [0.5], viscous = [0.4]}
@@ -173,10 +175,11 @@ FAULTS: dict[str, Callable[[Record], Record]] = {
     "an input missing": input_missing,
     "an infinite input": input_infinite,
 }
+INPUTS = MODEL + FASTER + "[inputs]\n"
 REFUSED = "a repeated stamp", "a stamp back in time", "an infinite input"
 """Faults with which `estimate` refuses a log, and so does the Python module."""
 DEAR = "an outlier", "rows lost for a quarter of a second", "a jump that stays"
-"""Faults of the logs of a group that `estimate` reads: it compiles anew for each of them."""
+"""Faults of the logs of a group or a robot that `estimate` reads: it compiles anew for each of them."""
 HOLES = "rows lost for a quarter of a second", "rows lost for more than a second", "an input missing"
 """Faults by which inputs are missing: the filter takes from the log what they may have been; it is exported with it."""
 
@@ -202,6 +205,10 @@ MEMBERS = {
     "implicit": Member("implicit-geodesic", suite=""),
     "geodesic": Member("geodesic", suite="exhaustive"),
     "late": Member("copy", (MODEL + FASTER).replace("std = 1e-3", "std = 1e-3\ndelay = 0.023"), suite="exhaustive"),
+    "sent": Member("copy", INPUTS + "delay = 0.013\nlag = 0.02\nlead = 0.015"),
+    "servos": Member("intrinsic", servo_machine.TEXT, lambda: servo_machine.run(1 / RATE, 2 * ROWS)[0]),
+    "between": Member("copy", INPUTS + 'delay = 0.004\nlag = 0.01\nlead = 0.02\nbetween = "linear"'),
+    "commands": Member("intrinsic-kalman", INPUTS + "delay = 0.037", suite="exhaustive", hole="an input missing"),
     "group": Member("intrinsic", TOP.read_text(encoding="utf-8"), turn),
 }
 
@@ -260,7 +267,7 @@ def has_wasm() -> bool:
 def ran(model: Path, member: Member, steps: Callable, fault: str) -> Ran:
     log, refused = log_of(member, fault), ""
     codes, x = steps(log)
-    if log.y.ndim == 3 and fault not in (*DEAR, *REFUSED):
+    if (log.y.ndim == 3 or "robot" in member.text) and fault not in (*DEAR, *REFUSED):
         return Ran(log, codes, x)
     own_design = member.observer == "intrinsic-kalman" and (fault in HOLES or member.hole) and fault != member.hole
     if own_design and fault not in REFUSED:
@@ -295,6 +302,9 @@ def exported(request, tmp_path_factory) -> Exported:
     loaded = load(Job(model, known, anyway=True), missing_inputs=True)
     observer = design(loaded.file, member.observer, None, loaded.rate, loaded).observer
     (observer,) = with_sensor_delays({member.observer: observer}, loaded).values()
+    if member.observer != "filtered-derivative":
+        observer = with_acting_inputs(observer, loaded.file, RATE)
+    at_end = observer.input_at_end
 
     @jax.jit
     def stepped(t, u, y, dt):
@@ -303,7 +313,9 @@ def exported(request, tmp_path_factory) -> Exported:
             return state, (observer.estimate(state), info.result)
 
         start = observer.init(y[0], t[0])
-        return observer.estimate(start), jax.lax.scan(step, start, (u[:-1], y[1:], dt[1:]))[1]
+        if at_end:
+            start, _ = observer.step(start, u[0], y[0], 0.0)
+        return observer.estimate(start), jax.lax.scan(step, start, (u[1:] if at_end else u[:-1], y[1:], dt[1:]))[1]
 
     def steps(log: Record) -> tuple[list[str], np.ndarray]:
         first, (x, codes) = stepped(*(jnp.asarray(a) for a in (*log[:3], elapsed(log.t))))
@@ -345,10 +357,12 @@ def test_c_does_what_ran(exported):
         measured, acting = (np.ascontiguousarray(a.reshape(ROWS, k)) for a, k in ((log.y, y), (log.u, -1)))
         for k in range(ROWS):
             if k:
-                at_u = acting[k - 1].ctypes.data if u else None
+                at_u = acting[k - 1 + exported.program.input_at_end].ctypes.data if u else None
                 codes.append(step(state, params, at_u, measured[k].ctypes.data, None, dt[k]))
             else:
                 codes.append(init(state, params, measured[0].ctypes.data, log.t[0]))
+                if exported.program.input_at_end:
+                    step(state, params, acting[0].ctypes.data, measured[0].ctypes.data, None, 0.0)
             estimate(state, params, output)
             estimates.append(list(output))
         same(expected, codes, np.array(estimates)[:, : expected.x.shape[1]])
@@ -382,7 +396,7 @@ def test_the_python_module_does_it_sample_by_sample(exported, monkeypatch):
         log, observer, codes, estimates = expected.log, module.Observer(), [], []
         dt = elapsed(log.t)
         for k in range(ROWS):
-            inputs = (log.u[k - 1],) if k and exported.program.u else ()
+            inputs = (log.u[k - 1 + module.INPUT_AT_END],) if k + module.INPUT_AT_END and exported.program.u else ()
             codes.append(observer.step(log.y[k], dt[k], *inputs))
             q, v, *_ = observer.estimate()
             estimates.append(np.concatenate([q.ravel(), v]))
@@ -468,7 +482,7 @@ require("./c/NAME.js").load().then(({ Observer }) => {
     console.log(JSON.stringify(logs.map(([dt, y, u]) => {
         const observer = new Observer();
         return dt.map(([step], k) => {
-            const code = observer.step(y[k], step, k && INPUTS ? u[k - 1] : undefined);
+            const code = observer.step(y[k], step, k + END && INPUTS ? u[k - 1 + END] : undefined);
             const x = observer.estimate();
             return [code, ...x.q, ...x.v];
         });
@@ -479,6 +493,7 @@ require("./c/NAME.js").load().then(({ Observer }) => {
         ("ROWS", json.dumps(rows)),
         ("NAME", exported.name),
         ("INPUTS", str(exported.program.u)),
+        ("END", str(int(exported.program.input_at_end))),
     ):
         script = script.replace(word, text)
     (exported.folder / "use.js").write_text(script)
@@ -573,13 +588,28 @@ def test_each_number_of_a_unit_has_its_unit(version, tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("line", "named"), [("lag = 0.02", "inputs.lag=0"), ("delay = 0.01", "delay=0"), ('between = "linear"', "held")]
+    ("lines", "told", "use"),
+    [
+        (
+            "delay = 0.01",
+            "to the step that begins at its stamp; the step has their delay 10 ms.",
+            "the input since then",
+        ),
+        (
+            'lag = 0.02\nbetween = "linear"',
+            "to the step that ends at its stamp, .*; the step has their lag 20 ms.",
+            "the input at the stamp of y",
+        ),
+    ],
 )
-def test_inputs_that_estimate_shifts_in_the_log_are_refused_by_name(line, named, tmp_path):
-    text = f"{MODEL}{MOTION}[inputs]\n{line}\n"
-    with pytest.raises(ValueError, match=f"inputs.{line.split()[0]} = .*overrides=.*{named}"):
-        written(tmp_path, text, observer="intrinsic")
-    assert written(tmp_path, text).warnings == ()  # a filter that looks at no input
+def test_the_texts_say_how_inputs_are_passed(lines, told, use, tmp_path):
+    text = f"{MODEL}{MOTION}[inputs]\n{lines}\n"
+    written(tmp_path, text, observer="copy", alpha=20.0, beta=200.0)
+    header, *others = texts(tmp_path)
+    assert all(re.search(f"Inputs are passed as they are sent, each {told}", each) for each in (header, *others))
+    assert f"u: {use}" in header
+    written(tmp_path, text, overwrite=True)  # a filter that looks at no input
+    assert "as they are sent" not in texts(tmp_path)[0]
 
 
 def test_without_noise_a_gate_is_missed_in_every_text(tmp_path):

@@ -128,6 +128,14 @@ WRONG = {
         '<asset><mesh file="x.stl"/></asset><worldbody><body name="stand"><geom type="mesh" mesh="x"/>',
     ),
     "joint 'bend': springs and dampers that are not linear": ('stiffness="3"', 'stiffness="3 1"'),
+    "actuator 'm2' has a forcerange from -9 to 3, not the same in both directions": (
+        'kp="20"',
+        'kp="20" forcerange="-3 1"',
+    ),
+    "actuator 'm2' shares the actuatorfrcrange of its joint": (
+        '<motor name="m1" joint="turn" gear="50"/>',
+        '<motor name="m1" joint="bend"/></actuator><default><joint actuatorfrcrange="-1 1"/></default><actuator>',
+    ),
     "actuator 'm1' has a delay": ('<motor name="m1"', '<motor delay="0.01" nsample="3" name="m1"'),
     "actuator 'm1': a damper that is not linear": ('<motor name="m1"', '<motor damping="1 2" name="m1"'),
     "armature and damping are supported only where it drives a hinge or a slide": (
@@ -185,6 +193,23 @@ def test_rotors_and_dampers_of_actuators_act_on_the_joints_by_the_square_of_the_
     np.testing.assert_allclose(inertia(geared) - inertia(plain), np.diag([0.05, 0, 0, 0]), atol=1e-12)
     q, v = jnp.zeros(4), jnp.array([2.0, 0.0, 0.0, 0.0])
     np.testing.assert_allclose(geared.dissipation(q, v) - plain.dissipation(q, v), [-2.0, 0, 0, 0], atol=1e-12)
+
+
+def test_a_position_servo_has_its_limit_and_its_delay(tmp_path):
+    """A gear scales the limit; the smaller one of actuator and joint counts, and a motor's own has no meaning."""
+    text = ARM.replace(
+        'kp="20" kv="2" gear="3"', 'kp="20" kv="2" gear="-3" delay="0.02" nsample="30" forcerange="-4 4"'
+    )
+    path = tmp_path / "arm.xml"
+    path.write_text(text.replace('name="m1"', 'name="m1" forcerange="-1 2"'))
+    motor = robots.read(path).motors[1]
+    assert (motor.limit, motor.delay, motor.stiffness) == (12.0, 0.02, pytest.approx(180.0))
+    assert robots.read(path).ignored["actuator/forcerange"] == 1
+    servos = robots.load(path).force.servos
+    assert servos.limit.tolist() == [12.0]
+    assert servos.delay.tolist() == [0.0, 0.02, 0.0]
+    path.write_text(text.replace('name="bend"', 'name="bend" actuatorfrcrange="-5 5"'))
+    assert robots.read(path).motors[1].limit == 5.0
 
 
 def test_an_actuator_of_a_disabled_group_is_no_input_and_keeps_its_rotor(tmp_path):

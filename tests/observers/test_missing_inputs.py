@@ -1,6 +1,7 @@
 """Over a hole in which readings and torques are lost a filter is as uncertain as it is wrong."""
 
 import functools
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -167,3 +168,12 @@ def test_numbers_that_make_no_process_are_refused():
         MissingInputs(one, one, one, -2 * one, 0.1)
     with pytest.raises(ValueError, match="hold must be a positive"):
         MissingInputs(one, one, one, one, 0.0)
+
+
+def test_a_missing_input_beside_one_that_never_changes():
+    """As the switch of a servo that stays on: it has no correlation, and its size is 0."""
+    t = np.delete(np.arange(0.0, 20.0, 0.01), slice(700, 750))
+    u = np.stack([np.sin(3 * t), np.ones_like(t)], axis=1)
+    inputs: Any = missing_inputs(Record(t, u, np.zeros_like(u)))
+    assert inputs.std[1] == 0
+    assert np.isfinite(np.array([inputs.decay, inputs.square])).all()

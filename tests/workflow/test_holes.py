@@ -12,9 +12,9 @@ import covariant
 from covariant.models import Motion, advance, pendulum_chain
 from covariant.observers import EKF, run
 from covariant.scoring import find_holes
-from covariant.signals import Record, StepCode, acting_inputs, lag_inputs
+from covariant.signals import MOST_MISSING, Record, StepCode, acting_inputs, lag_inputs
 from covariant.workflow import MisfitError
-from covariant.workflow._inputs import LITTLE, _around_missing
+from covariant.workflow._inputs import _around_missing
 
 pandas = pytest.importorskip("pandas")
 MODEL = {
@@ -162,7 +162,7 @@ def test_inputs_that_are_late_or_lag_are_missing_a_while_longer():
     record = Record(t, u, np.zeros_like(u))
     late = _around_missing(lambda each: acting_inputs(each, "held", 0.025), record)
     assert np.flatnonzero(np.isnan(late.u[:, 0])).tolist() == list(range(102, 123))
-    lagged = _around_missing(lambda each: lag_inputs(each, 0.02), record, LITTLE)
+    lagged = _around_missing(lambda each: lag_inputs(each, 0.02), record, MOST_MISSING)
     absent = np.flatnonzero(np.isnan(lagged.u[:, 0]))
     # Of the lagged input less than a twentieth is missing after three time constants.
     assert absent[0] in (100, 101)

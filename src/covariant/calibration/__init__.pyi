@@ -10,6 +10,7 @@ from .diagnosis import (
 )
 from .identification import (
     Combinations as Combinations,
+    CommandErrors as CommandErrors,
     Draft as Draft,
     Excitation as Excitation,
     ExcitationPlan as ExcitationPlan,
@@ -22,6 +23,7 @@ from .identification import (
     RobotFit as RobotFit,
     Sensing as Sensing,
     Windows as Windows,
+    command_excitation as command_excitation,
     cut_windows as cut_windows,
     design_excitation as design_excitation,
     draft as draft,
@@ -29,7 +31,9 @@ from .identification import (
     fit as fit,
     fit_robot as fit_robot,
     horizon as horizon,
+    motion_periods as motion_periods,
     motor_inputs as motor_inputs,
+    of_coordinates as of_coordinates,
     prediction_errors as prediction_errors,
     relations as relations,
     rows_ahead as rows_ahead,

@@ -141,6 +141,7 @@ class Program(NamedTuple):
         signals: Names and units of measurement, input and estimate, for comments.
         units: Units of the open numbers that have one, by name.
         largest: Largest magnitude of each number of a configuration at which an estimate can start.
+        input_at_end: Whether the input of a step is that of its end, and not of its begin.
 
     Example:
         >>> import numpy as np
@@ -169,6 +170,7 @@ class Program(NamedTuple):
     signals: Signals = Signals()
     units: Mapping[str, str] = MappingProxyType({})
     largest: tuple[float, ...] = ()
+    input_at_end: bool = False
 
     @property
     def parts(self) -> tuple[tuple[str, int], ...]:
@@ -367,6 +369,7 @@ class TracedProgram(NamedTuple):
     alone: tuple[tuple[str, TracedFunction], ...] = ()
     units: Mapping[str, str] = MappingProxyType({})
     largest: tuple[float, ...] = ()
+    input_at_end: bool = False
 
     def lower(self, loops: bool = False) -> Program:
         """The graphs of the observer.
@@ -387,7 +390,7 @@ class TracedProgram(NamedTuple):
         used = _find_used_numbers(lowered, self.given)
         numbers = {leaf.name: value for leaf, value in zip(self.given, self.values, strict=True) if leaf.name in used}
         structure = (self.state, self.info, self.x, self.y, self.u, self.real, self.told_as)
-        rest = {"units": self.units, "largest": self.largest}
+        rest: Any = {"units": self.units, "largest": self.largest, "input_at_end": self.input_at_end}
         return Program(*lowered, numbers, self.given, self.values, *structure, self.sensors, alone, **rest)
 
 
@@ -488,7 +491,8 @@ def trace_program(
         structures["estimate"] = _kinds(x)
         # The state x of a state-space model is one array; elsewhere an estimate is q and v in halves. With a lag it is
         # that of a state in the state.
-        estimated: Any = getattr(state, "smoothed", state)
+        estimated: Any = getattr(state, "inner", state)
+        estimated = getattr(estimated, "smoothed", estimated)
         if isinstance(x, tuple) or "x" in getattr(estimated, "_fields", ()):
             return x
         return Motion(*jnp.split(x, 2))
@@ -528,6 +532,7 @@ def trace_program(
         tuple(alone_traced),
         recipe.units,
         tuple(first.configuration(np.asarray(first.largest(y), float)).ravel().tolist()),
+        first.input_at_end,
     )
 
 

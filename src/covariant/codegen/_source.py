@@ -155,6 +155,9 @@ def common_words(program: Program, name: str, about: str) -> Words:
         "MEASUREMENTS": program.measurements,
         "INPUTS": program.u,
         "WITH_U": ", u" if program.u else "",
+        "AT_END": int(program.input_at_end),
+        "SENT": "the input at the stamp of y" if program.input_at_end else "the input since then",
+        "U_SENT": "u is that of now" if program.input_at_end else "u acted since the last call",
     }
 
 

@@ -24,7 +24,7 @@ class CBackend:
         advance: `dt -> code`: one step of dt [s], in place.
     """
 
-    def __init__(self, kernel: Kernel, numbers: np.ndarray):
+    def __init__(self, kernel: Kernel, numbers: np.ndarray, input_at_end: bool = False):
         states, estimates, infos = kernel.sizes
         count = kernel.library.kernel_fixed()
         sizes = (states, kernel.layout.u, int(np.prod(kernel.layout.y)), estimates, infos, count)
@@ -32,6 +32,7 @@ class CBackend:
         self.state, self.u, self.y, self.x, self.info, fixed = np.split(self._numbers, np.cumsum(sizes)[:-1])
         self._open = np.ascontiguousarray(numbers)
         kernel.library.kernel_fix(kernel.pointer(self._open), kernel.pointer(fixed))
+        self._input_at_end = input_at_end
         self._kernel = kernel  # this reference keeps the library loaded
         self._t = np.zeros(1)
         self._starts = tuple(map(kernel.pointer, (self.y, self._t, self.state)))
@@ -45,8 +46,10 @@ class CBackend:
         self._t[0] = t
         self._kernel.library.kernel_init(self._kernel.pointer(self._open), *self._starts)
         u = self.u.copy()
-        self.u.fill(0.0)
-        self.advance(0.0)  # a step of zero length leaves the state unchanged and writes its estimate
+        if not self._input_at_end:
+            self.u.fill(0.0)
+        # A step of zero length leaves the state unchanged, but for an input of its end, and writes its estimate.
+        self.advance(0.0)
         self.u[:] = u
 
 
@@ -66,6 +69,8 @@ class JaxBackend:
     def start(self, t: float) -> None:
         """Start the observer at rest at the measurement in `y`, at the time t [s], and write its estimate to `x`."""
         self._state = self._begin(self._observer, jnp.asarray(self.y.reshape(self._shape)), jnp.asarray(t))
+        if self._observer.input_at_end:
+            self.advance(0.0)
         self.x[:] = self._estimate(self._observer, self._state)
 
     def advance(self, dt: float) -> int:
@@ -89,4 +94,6 @@ def backend(observer: Any, y: np.ndarray, inputs: int, asked: EngineName) -> tup
     """Engine and backend for a stream of an observer."""
     # A stream has no last row.
     chosen, (numbers,) = choose_open([observer], KernelForm(y.shape, inputs), math.inf, asked)
-    return str(chosen), JaxBackend(observer, y, inputs) if chosen.kernel is None else CBackend(chosen.kernel, numbers)
+    return str(chosen), JaxBackend(observer, y, inputs) if chosen.kernel is None else CBackend(
+        chosen.kernel, numbers, observer.input_at_end
+    )

@@ -118,7 +118,8 @@ def run_logs(
     chosen, numbers = choose_open([*many, *others], KernelForm(y, inputs, (), lanes, real), rows, engine)
     if chosen.kernel is not None:
         # np.resize repeats the rows, as for one observer over many logs.
-        runs = _by_c(chosen.kernel, np.resize(numbers[: len(many)], (count, numbers.shape[1])), logs, keep)
+        opened = np.resize(numbers[: len(many)], (count, numbers.shape[1]))
+        runs = _by_c(chosen.kernel, opened, logs, keep, many[0].input_at_end)
     else:
         runs = [_by_jax(observer, record, keep) for observer, record in zip(each, logs, strict=True)]
     return runs, str(chosen)
@@ -134,14 +135,16 @@ def _by_jax(observer: AbstractObserver, record: Record, keep: Collection[str] | 
     return jax.tree.map(np.array, run(observer, record, keep))
 
 
-def _by_c(kernel: Kernel, numbers: np.ndarray, logs: Sequence[Record], keep: Collection[str] | None) -> list[Run]:
+def _by_c(
+    kernel: Kernel, numbers: np.ndarray, logs: Sequence[Record], keep: Collection[str] | None, input_at_end: bool
+) -> list[Run]:
     cores, lanes = os.cpu_count() or 1, kernel.lanes
     form = _Columns.of(kernel, keep)
     # Runs of like lengths go together, since lanes wait for the longest.
     order = sorted(range(len(logs)), key=lambda k: len(logs[k].t))
     blocks = [order[k : k + lanes] for k in range(0, len(order), lanes)]
     # By identity, since one log may be in many runs and is laid out once.
-    rows = {id(log): _Rows.of(log) for log in logs}
+    rows = {id(log): _Rows.of(log, input_at_end) for log in logs}
     with ThreadPoolExecutor(min(len(blocks), cores)) as pool:  # C releases Python's lock while it runs
         results = pool.map(
             lambda block: _through(kernel, form, numbers[block], [rows[id(logs[k])] for k in block]), blocks
@@ -185,10 +188,11 @@ class _Rows(NamedTuple):
     dt: np.ndarray
 
     @classmethod
-    def of(cls, record: Record) -> "_Rows":
+    def of(cls, record: Record, input_at_end: bool) -> "_Rows":
         """Rows of a log as contiguous arrays."""
         t, u, y = map(np.ascontiguousarray, record[:3])
-        acting = np.concatenate([u[:1], u[:-1]])  # the input that acted since the previous stamp
+        # Usually the input that acted since the previous stamp.
+        acting = u if input_at_end else np.concatenate([u[:1], u[:-1]])
         # The first dt is 0, a step of zero length, so that the first row is the estimate at rest; see `_make_run`.
         return cls(t.copy(), float(t[0]), acting, y.reshape(len(t), -1), np.diff(t, prepend=t[:1]))
 

@@ -13,10 +13,13 @@ from ._configuration import (
     to_columns as to_columns,
 )
 from ._endings import MESSAGES as MESSAGES, WRITTEN as WRITTEN
+from ._episodes import episode_columns as episode_columns, episodes_fault as episodes_fault
 from ._read import OPTIONAL as OPTIONAL, LogSurvey as LogSurvey, read as read, record as record, survey as survey
+from ._sign_bit import has_sign_bit as has_sign_bit, sign_bit_fault as sign_bit_fault
 from ._stamps import odd_clock as odd_clock
 from ._tables import source_name as source_name
 from ._unit_in_name import (
+    KNOWN as KNOWN,
     MEANT as MEANT,
     is_unit_of as is_unit_of,
     unit_in_name as unit_in_name,

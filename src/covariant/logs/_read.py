@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from os import PathLike
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,6 +16,9 @@ from covariant.logs._bag import bag_columns, read_bag
 from covariant.logs._cells import numbers
 from covariant.logs._columns import ATTITUDES, ClockError, Columns, Log, LogError, kind, pyarrow
 from covariant.logs._configuration import bodies, from_cells
+from covariant.logs._entries import by_entries
+from covariant.logs._episodes import episodes_fault
+from covariant.logs._sign_bit import has_sign_bit, sign_bit_fault
 from covariant.logs._stamps import stamps, timed
 from covariant.logs._tables import LogSource, plain_text, source_name, stated_units, table_source
 from covariant.logs._text import read_text, sheet, with_points
@@ -172,7 +176,8 @@ def _of_columns(
     missing_inputs: bool,
 ) -> Log:
     """All rows of a log that has columns."""
-    columns, present, table, units = _columns_and_table(name, log, columns, optional, [each for each, _ in sensors])
+    columns, present, table, source = _columns_and_table(name, log, columns, optional, [each for each, _ in sensors])
+    units = source.units
     for field in ("t", *MEASURED, "u", *OPTIONAL):
         # Dates and durations state their unit by their type.
         if field != "t" or not timed(table.column(columns.t)):
@@ -187,6 +192,8 @@ def _of_columns(
                 # Without a number in any row it is another column, and not a sensor with gaps.
                 if not empty and len(values) and np.isnan(values).all():
                     raise LogError(f"{_where(name, column, unit)} holds no number in any row; name another column")
+                if has_sign_bit(values):
+                    raise LogError(f"{name}: {sign_bit_fault(column)}")
                 cells.append(values if unit is None else values * unit_factor(unit))
         return np.column_stack(cells) if cells else np.empty((len(table), 0))
 
@@ -204,7 +211,23 @@ def _of_columns(
     )
     v, truth = (stack(columns, field) if getattr(columns, field) else None for field in OPTIONAL)
     read = tuple(readings(each, si) if each in present else None for each, si in sensors)
-    return Log(_check_record(name, Record(t, u, y), missing_inputs), v, truth, origin, readings=read)
+    try:
+        record = _check_record(name, Record(t, u, y), missing_inputs)
+    except ClockError as error:
+        fault = episodes_fault(t, source.shown, lambda each: _whole_column(name, source, each))
+        if fault is None:
+            raise
+        raise ClockError(f"{name}: column {columns.t!r} {fault}", error.record) from error
+    return Log(record, v, truth, origin, readings=read)
+
+
+def _whole_column(name: str, source: LogSource, column: str) -> Float[np.ndarray, "T"]:
+    """A column of numbers (T,) of a log; NaN where it holds anything else."""
+    cells = source.load([column], (), ()).column(column)
+    try:
+        return numbers(name, cells, needed=False)
+    except LogError:
+        return np.full(len(cells), np.nan)
 
 
 def _need_units(log: str, columns: Columns, field: str, units: Mapping[str, str], si: str | None = None) -> None:
@@ -280,6 +303,7 @@ class LogSurvey(NamedTuple):
         columns: Arrays (T,) by name, in the order of the log and in its units; NaN where a cell is empty.
         units: Units that the log states beside the names, by column: attributes of a dataset, metadata of Parquet.
         remarks: Sentences on what is odd about the names, such as that there are none.
+        labels: What the log calls the entries of its columns of lists, by column: `{"action[0]": "shoulder_pan.pos"}`.
 
     Example:
         >>> import pandas
@@ -291,6 +315,7 @@ class LogSurvey(NamedTuple):
     columns: dict[str, Float[np.ndarray, "T"]]
     units: Mapping[str, str]
     remarks: tuple[str, ...]
+    labels: Mapping[str, str] = MappingProxyType({})
 
 
 def survey(log: str | PathLike[str] | Any) -> LogSurvey:
@@ -330,7 +355,7 @@ def survey(log: str | PathLike[str] | Any) -> LogSurvey:
             )
     if source.first_line:
         remarks.append(_no_header(source))
-    return LogSurvey(columns, source.units, tuple(remarks))
+    return LogSurvey(columns, source.units, tuple(remarks), source.labels)
 
 
 def _where(name: str, column: str, unit: str | None) -> str:
@@ -349,9 +374,9 @@ def _check_record(name: str, record: Record, missing_inputs: bool) -> Record:
 
 def _columns_and_table(
     name: str, log: Any, columns: Columns, optional: Collection[str], sensors: Sequence[Columns]
-) -> tuple[Columns, list[Columns], Any, Mapping[str, str]]:
+) -> tuple[Columns, list[Columns], Any, LogSource]:
     """The columns without the optional ones that the log lacks, those of the sensors that it has, a table of all, and
-    the units that the log states.
+    the source of these.
     """
     with _legible(name, log):
         source = _open_source(name, log)
@@ -365,7 +390,7 @@ def _columns_and_table(
         beside = [name for each in present for name in each.measured if name not in wanted]
         _find(name, wanted + beside, source)
         table, _ = _unite(name, source.load(wanted, columns.u, beside))
-        return columns, present, with_points(pyarrow(), name, table, source.decimal_commas), source.units
+        return columns, present, with_points(pyarrow(), name, table, source.decimal_commas), source
 
 
 @contextlib.contextmanager
@@ -387,7 +412,7 @@ def _legible(name: str, log: Any) -> Iterator[None]:
 
 def _open_source(name: str, log: Any) -> LogSource:
     if not isinstance(log, (str, PathLike)):
-        return table_source(name, log)
+        return by_entries(table_source(name, log))
     path = Path(log)
     ending = kind(path)
     if not path.exists():
@@ -402,10 +427,17 @@ def _open_source(name: str, log: Any) -> LogSource:
     if ending == ".parquet":
         with pyarrow().parquet.ParquetFile(path) as file:
             schema = file.schema_arrow
-        names = list(schema.names)
-        return LogSource(
-            names, names, lambda wanted, held, beside: _parquet(path, [*wanted, *beside]), stated_units(schema)
+        names, types = list(schema.names), pyarrow().types
+        lists = [
+            field.name
+            for field in schema
+            if types.is_list(field.type) or types.is_fixed_size_list(field.type) or types.is_large_list(field.type)
+        ]
+        source = LogSource(
+            *(names, names, lambda wanted, held, beside: _parquet(path, [*wanted, *beside]), stated_units(schema)),
+            lists=lists,
         )
+        return by_entries(source, path)
     text = sheet(path)
     return LogSource(
         text.header,

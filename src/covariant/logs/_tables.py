@@ -32,6 +32,8 @@ class LogSource(NamedTuple):
         units: Units that the log itself states, by column.
         first_line: The first line of a text that has no header, whose columns are called 1, 2, 3.
         decimal_commas: Whether a comma within a cell is a decimal mark for certain, as between semicolons.
+        lists: Columns whose cells may be lists.
+        labels: What the log calls the entries of lists, by column.
     """
 
     names: Sequence[str]
@@ -40,6 +42,8 @@ class LogSource(NamedTuple):
     units: Mapping[str, str] = MappingProxyType({})
     first_line: str = ""
     decimal_commas: bool = False
+    lists: Sequence[str] = ()
+    labels: Mapping[str, str] = MappingProxyType({})
 
 
 def source_name(log: Any) -> str:
@@ -88,7 +92,17 @@ def table_source(name: str, log: Any) -> LogSource:
             {column: _arrow(name, column, frame[places[column]].to_arrow) for column in (*wanted, *beside)}
         )
 
-    return LogSource(names, names, load, units)
+    return LogSource(
+        names, names, load, units, lists=[str(name) for name in frame.columns if _may_hold_lists(frame[name])]
+    )
+
+
+def _may_hold_lists(cells: Any) -> bool:
+    """Whether a series of narwhals holds lists; pandas keeps lists, arrays and texts alike as objects."""
+    narwhals = load_optional("narwhals", use="reading data frames needs", extra="logs")
+    if cells.dtype != narwhals.Object:
+        return isinstance(cells.dtype, (narwhals.List, narwhals.Array))
+    return any(isinstance(cell, (list, tuple, np.ndarray)) for cell in cells.drop_nulls().head(1).to_list())
 
 
 def stated_units(schema: Any) -> dict[str, str]:

@@ -34,6 +34,7 @@ from .files import (
     from_recipe as from_recipe,
     is_robot_number as is_robot_number,
     load as load,
+    override as override,
     rebuild as rebuild,
     recipe as recipe,
     recipe_text as recipe_text,

@@ -110,6 +110,8 @@ from .sensors import (
     wrench as wrench,
 )
 from .wrappers import (
+    ActingInputs as ActingInputs,
+    ActingInputsState as ActingInputsState,
     Damped as Damped,
     DampedInfo as DampedInfo,
     DampedState as DampedState,

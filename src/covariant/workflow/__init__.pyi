@@ -26,6 +26,7 @@ from ._progress import Progress as Progress
 from ._reduced_order import ReducedOrderResult as ReducedOrderResult, design_reduced_order as design_reduced_order
 from ._reproduce import ReproduceResult as ReproduceResult, reproduce_paper as reproduce_paper
 from ._result import AbstractResult as AbstractResult, AbstractTable as AbstractTable
+from ._robot_file import RobotFileResult as RobotFileResult
 from ._simulate import SimulateResult as SimulateResult, simulate as simulate
 from ._smooth import SmoothResult as SmoothResult, smooth as smooth
 from ._tune import TuneResult as TuneResult, tune as tune

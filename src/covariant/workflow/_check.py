@@ -87,8 +87,10 @@ def _diagnose(job: Job) -> tuple[Loaded, Diagnosis]:
     return loaded, diagnosis._replace(findings=(*clock, *diagnosis.findings))
 
 
-_SETTING = re.compile(r"""\[(\w+)\] (\w+) = ("[^"]*"|\[[^]]*\]|[-+\w.]+)""")
+_SETTING = re.compile(r"""\[(\w+|servo\.[\w-]+)\] (\w+) = ("[^"]*"|\[[^]]*\]|[-+\w.]+)""")
 """A line of a model file within a remedy: its table, key and value."""
+_WINDOW = re.compile(r"(start|until) = ([\d.]+) keeps")
+"""A part of the log that a remedy keeps."""
 _NOT_OF_A_RECORD = ("units", "columns")
 """Tables that say how a file is read, and nothing of a record."""
 
@@ -111,11 +113,12 @@ def _with_remedies_that_survive(job: Job, diagnosis: Diagnosis) -> Diagnosis:
     of_record, findings, pasted = isinstance(job.log, Record), [], dict[str, Any]()
     for finding in diagnosis.findings:
         settings = _settings(finding.line) if finding.wrong else {}
-        if not settings or (of_record and any(key.startswith(_NOT_OF_A_RECORD) for key in settings)):
+        window = {key: float(value) for key, value in _WINDOW.findall(finding.line)[:1]} if finding.wrong else {}
+        if not (settings or window) or (of_record and any(key.startswith(_NOT_OF_A_RECORD) for key in settings)):
             findings.append(finding)
             continue
         pasted |= settings
-        changed = job._replace(overrides=_more(job.overrides, pasted))
+        changed = job._replace(overrides=_more(job.overrides, pasted), **window)
         try:
             again = _diagnose(changed)[1].findings
             before = {each.what for each in diagnosis.findings}

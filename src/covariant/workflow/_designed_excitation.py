@@ -7,13 +7,16 @@ import numpy as np
 
 from covariant import logs, models
 from covariant.calibration import (
-    Excitation,
+    CommandErrors,
     ExcitationPlan,
     ExpectedErrors,
     JointLimits,
     Sensing,
+    command_excitation,
     design_excitation,
+    motion_periods,
     motor_inputs,
+    of_coordinates,
 )
 from covariant.models import ModelFile, Overrides, RobotFamily, robots
 from covariant.workflow._arguments import Amounts, Region, amounts, bounds, numbers
@@ -55,8 +58,14 @@ def designed_excitation(
         )
     limits = _limits(model, family, given)
     noise = np.broadcast_to(np.asarray(file.measurement_std, float), len(limits.names))
+    servos = robots.servos_in(machine)
     torque_noise = TORQUE_NOISE * limits.effort
-    if given.torque_noise is not None:
+    if servos is not None:
+        if given.torque_noise is not None:
+            raise ValueError(f"{model}: its servos are told positions and log no torque; leave out `torque_noise`")
+        # A torque is known as well as the error that makes it.
+        torque_noise = noise * of_coordinates(servos, servos.stiffness)
+    elif given.torque_noise is not None:
         torque_noise = amounts("torque-noise", given.torque_noise, limits.names)
     sensing = Sensing(noise, torque_noise, rate)
 
@@ -70,14 +79,25 @@ def designed_excitation(
     def report(fraction: float) -> None:
         progress(f"designing a motion of {file.name}", fraction)
 
+    t = np.arange(round(plan.duration * rate) + 1) / rate
     try:
-        found = design_excitation(family, limits, sensing, plan, file.reference_half, report)
+        if servos is None:
+            found: Any = design_excitation(family, limits, sensing, plan, file.reference_half, report)
+            q, v, third = found.motion.at(t)
+            u, motors = motor_inputs(machine, q, v, third)
+            halves = {"reference": found.expected_reference.window.half, "designed": found.expected.window.half}
+            kind = {"motors": motors.tolist(), "window": {key: 2 * half for key, half in halves.items()}}
+        else:
+            moving = motion_periods(plan) / plan.frequency
+            motion = design_excitation(
+                family, limits, sensing, plan._replace(duration=moving), file.reference_half, report
+            )
+            found = command_excitation(family, limits, sensing, plan, motion)
+            u, q, v, third, _ = found.designed
+            kind = {"torques": _third_names(file), "moving": moving}
     except ValueError as error:
         raise ValueError(f"{model}: {error}") from error
-    t = np.arange(round(plan.duration * rate) + 1) / rate
-    q, v, a = found.motion.at(t)
-    u, motors = motor_inputs(machine, q, v, a)
-    columns, units = _columns(file, t, (q, v, a, u))
+    columns, units = _columns(file, t, (q, v, third, u))
     details = {
         "model": model,
         "rows": len(t),
@@ -89,9 +109,9 @@ def designed_excitation(
         "margin": plan.margin,
         "starts": plan.starts,
         "seed": plan.seed,
-        "motors": motors.tolist(),
+        **kind,
         "joints": _joints(file, limits, sensing, found),
-        **_expected_errors(family, found),
+        **_expected_errors(family, found.expected, found.expected_reference),
     }
     return file.columns, columns, units, details
 
@@ -101,9 +121,9 @@ def _limits(model: str, family: RobotFamily, given: Limits) -> JointLimits:
     file, parameters = family.file, family.document["parameters"]
     names = file.model.coordinates
     robot = robots.read(parameters["path"], motor_torques=parameters.get("motor_torques", False))
-    robot = robots.changed(robot, **{key: parameters[key] for key in ("offsets",) if key in parameters})
+    robot = robots.changed(robot, offsets=parameters.get("offsets"), servos=family.document.get("servo"))
     if parameters.get("actuated") is None:
-        _refuse_servos(model, robot, names)
+        _refuse_velocity_servos(model, robot, names)
     of_file = {joint.name: joint for joint in robot.joints}
     joints = [of_file.get(name) for name in names]
     # The file limits true positions, and those of a log are off by the offset of the encoder.
@@ -111,13 +131,11 @@ def _limits(model: str, family: RobotFamily, given: Limits) -> JointLimits:
     _refuse_followers(model, robot, names, given)
     region = bounds("region", given.region, names, "joint")
     low, high = np.array([region.get(name, pair) for name, pair in zip(names, ends, strict=True)], float).T
-    limits = JointLimits(
-        names,
-        low,
-        high,
-        _largest("velocity", given.velocity, names, [j.velocity if j else np.inf for j in joints]),
-        _largest("effort", given.effort, names, [j.effort if j else np.inf for j in joints]),
-    )
+    effort = _largest("effort", given.effort, names, [j.effort if j else np.inf for j in joints])
+    if (servos := robots.servos_in(family.file.model)) is not None:
+        effort = np.minimum(effort, of_coordinates(servos, servos.limit))
+    velocity = _largest("velocity", given.velocity, names, [j.velocity if j else np.inf for j in joints])
+    limits = JointLimits(names, low, high, velocity, effort)
     _refuse_missing(model, limits)
     return limits
 
@@ -162,24 +180,31 @@ def _refuse_missing(model: str, limits: JointLimits) -> None:
             )
 
 
-def _refuse_servos(model: str, robot: robots.Description, names: Sequence[str]) -> None:
-    """Raise `ValueError` for a motor that is a servo: its torque is not its input."""
+def _refuse_velocity_servos(model: str, robot: robots.Description, names: Sequence[str]) -> None:
+    """Raise `ValueError` for a motor that is told a velocity: its torque is not its input."""
     for motor in robot.motors:
-        if motor.joint in names and (motor.stiffness or motor.damping):
+        if motor.joint in names and motor.damping and not motor.stiffness:
             raise ValueError(
-                f"{model}: actuator {motor.name!r} is a servo, whose torque is not its input; give the joints whose "
-                f"torques are logged, as `overrides=['parameters.actuated=[\"{motor.joint}\"]']`"
+                f"{model}: actuator {motor.name!r} is a servo of velocities, whose torque is not its input; give the "
+                f"joints whose torques are logged, as `overrides=['parameters.actuated=[\"{motor.joint}\"]']`"
             )
 
 
 def _column_names(file: ModelFile) -> list[str]:
     names = file.columns
-    groups = (names.q, kind_of(file).estimates.names, numbered("a", len(file.model.coordinates)), names.u)
+    groups = (names.q, kind_of(file).estimates.names, _third_names(file), names.u)
     listed = [names.t, *(name for group in groups for name in group)]
     for name in listed:
         if listed.count(name) > 1:
             raise ValueError(f"{file.name}: two columns would be named {name!r}; rename the one in [columns]")
     return listed
+
+
+def _third_names(file: ModelFile) -> list[str]:
+    """Names of the columns beside positions and velocities: accelerations, or the torques of servos."""
+    if robots.servos_in(file.model) is None:
+        return list(numbered("a", len(file.model.coordinates)))
+    return [f"torque_{name}" for name in file.model.coordinates]
 
 
 def _columns(
@@ -190,12 +215,16 @@ def _columns(
     arrays = dict(zip(listed, [t, *(column for each in rows for column in each.T)], strict=True))
     units = file.model.units
     si = ["s", *units, *(f"{unit}/s" for unit in units), *(f"{unit}/s^2" for unit in units)]
+    servos = robots.servos_in(file.model)
+    if servos is not None:
+        si[1 + 2 * len(units) :] = [*("N m" if unit == "rad" else "N" for unit in units), *servos.input_units]
     return arrays, dict(zip(listed, si, strict=False))
 
 
-def _joints(file: ModelFile, limits: JointLimits, sensing: Sensing, found: Excitation) -> list[dict[str, Any]]:
+def _joints(file: ModelFile, limits: JointLimits, sensing: Sensing, found: Any) -> list[dict[str, Any]]:
     """What of its limits each joint uses."""
-    rows = []
+    commanded, rows = robots.servos_in(file.model) is not None, []
+    used, reference = (found.designed.used, found.reference.used) if commanded else (found.used, found.used_reference)
     for i, (name, unit) in enumerate(zip(limits.names, file.model.units, strict=True)):
         force = "N m" if unit == "rad" else "N"
         sizes = (limits.room[i], limits.velocity[i], limits.effort[i])
@@ -206,18 +235,20 @@ def _joints(file: ModelFile, limits: JointLimits, sensing: Sensing, found: Excit
                 "unit": its_unit,
                 "limit": float(sizes[k]),
                 "ends": [float(middles[k] - sizes[k]), float(middles[k] + sizes[k])],
-                "largest": float(found.used[k, i] * sizes[k]),
-                "fraction": float(found.used[k, i]),
-                "reference_fraction": float(found.used_reference[k, i]),
+                "largest": float(used[k, i] * sizes[k]),
+                "fraction": float(used[k, i]),
+                "reference_fraction": float(reference[k, i]),
             }
-        kinds["torque"]["noise"] = float(sensing.torque_noise[i])
+        if not commanded:
+            kinds["torque"]["noise"] = float(sensing.torque_noise[i])
         rows.append({"name": name, "unit": unit, "noise": float(sensing.noise[i]), **kinds})
     return rows
 
 
-def _expected_errors(family: RobotFamily, found: Excitation) -> dict[str, Any]:
+def _expected_errors(
+    family: RobotFamily, after: ExpectedErrors | CommandErrors, before: ExpectedErrors | CommandErrors
+) -> dict[str, Any]:
     """Standard errors to expect, and what is not determined."""
-    after, before = found.expected, found.expected_reference
     unknown = [name for name, error in zip(family.names, after.errors, strict=True) if np.isnan(error)]
     sentences = [f"no log of this motion shows {', '.join(unknown)} alone"] if unknown else []
     near = [
@@ -242,7 +273,6 @@ def _expected_errors(family: RobotFamily, found: Excitation) -> dict[str, Any]:
         "redundant": list(after.combinations.absorbed),
         "rank": {"reference": before.combinations.rank, "designed": after.combinations.rank},
         "condition": {"reference": _condition(before), "designed": _condition(after)},
-        "window": {"reference": 2 * before.window.half, "designed": 2 * after.window.half},
     }
 
 
@@ -250,5 +280,5 @@ def _number_or_none(error: float) -> float | None:
     return None if np.isnan(error) else float(error)
 
 
-def _condition(expected: ExpectedErrors) -> float | None:
+def _condition(expected: ExpectedErrors | CommandErrors) -> float | None:
     return float(expected.condition) if np.isfinite(expected.condition) else None

@@ -5,12 +5,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 
 from covariant import logs
 from covariant.calibration import ESTIMATORS, STATE_ESTIMATORS, estimators
 from covariant.engine import EngineName
 from covariant.models import Overrides
+from covariant.models.robots import servos_in
 from covariant.observers import REGISTRY, AbstractObserver
 from covariant.scoring import SETTLED, rmse
 from covariant.signals import Run, StepCode
@@ -198,14 +201,33 @@ class EstimateResult(AbstractEstimates):
     @property
     def units(self) -> dict[str, str]:
         table = self.loaded.kind.estimates.table | self.loaded.kind.positions.table
-        return {"t": "s"} | table | {f"{name}_std": unit for name, unit in table.items()}
+        units = {"t": "s"} | table | {f"{name}_std": unit for name, unit in table.items()}
+        return units | {name: unit for name, (unit, _) in self._torques.items()}
+
+    @property
+    def _torques(self) -> dict[str, tuple[str, np.ndarray]]:
+        """Units and values (T,) of the torques of servos at the estimates, by column; none where inputs are torques."""
+        loaded, estimate = self.loaded, self.outcome.run.estimate
+        servos = servos_in(loaded.model)
+        if servos is None:
+            return {}
+        q, v = estimate[:, : len(loaded.model.coordinates)], self.outcome.velocity
+        values = jax.jit(jax.vmap(servos.torque))(jnp.asarray(q), jnp.asarray(v), jnp.asarray(loaded.record.u))
+        places = np.argmax(np.abs(np.asarray(servos.commands)), axis=1)
+        return {
+            f"torque_{servos.input_names[i].removeprefix('cmd_')}": (
+                "N m" if servos.input_units[i] == "rad" else "N",
+                column,
+            )
+            for i, column in zip(places, np.asarray(values).T, strict=True)
+        }
 
     def _columns(self, positions: tuple[str, ...], velocities: tuple[str, ...]) -> dict[str, np.ndarray]:
         """The columns: t, the configuration as the log has it, the velocities, and what else is estimated.
 
         An observer that knows how accurate it is adds standard deviations, v1_std…; one that estimates more than the
         motion adds that, as external_force1… and external_force1_std…, and one that estimates forces adds whether
-        something pushes, 1 or 0.
+        something pushes, 1 or 0. A robot with servos adds the torque of each, torque_elbow….
         """
         outcome, info = self.outcome, self.outcome.run.info
         table = {"t": self.t} | self.loaded.kind.configuration(outcome.run.estimate, positions)
@@ -216,6 +238,7 @@ class EstimateResult(AbstractEstimates):
             for suffix, each in (("", values), ("_std", std)):
                 if each is not None and each.size:
                     table |= {f"{name}{suffix}": column for name, column in zip(names, each.T, strict=True)}
+        table |= {name: values for name, (_, values) in self._torques.items()}
         return table if self.pushes is None else table | {"pushed": self.pushes.rows.astype(float)}
 
     written = logs.WRITTEN

@@ -42,7 +42,8 @@ def design_excitation(
 
     Each joint makes a Fourier series, which starts and ends each period at rest at the same place, so that the motion
     can be repeated. Positions, velocities and the torques of the model are within their limits. Collisions of links
-    with each other, or with anything else, are not looked at.
+    with each other, or with anything else, are not looked at. Of a robot with servos the inputs are commands that make
+    them do the motion; slow reversals and steps follow it, a third of the periods.
 
     The standard errors are those of a fit that sees the whole log. `fit` holds out the last third of a single log: log
     the motion twice, and give it both.
@@ -51,17 +52,18 @@ def design_excitation(
         model: A model file (.toml) of a robot, its URDF or MJCF file, or the name of a robot of the library; with
             [measurement] std or quantum.
         parameters: Names of the numbers, as for `fit`: "friction", "armature", "payload", "inertia", "gravity",
-            "torque_constants" or "offsets", for all joints and links or for one. Several in a list, or by commas.
+            "torque_constants", "offsets" or "servo", for all joints and links or for one. Several in a list, or by
+            commas.
         duration: Length [s], a whole number of periods of `frequency`.
         rate: Rows in a second [Hz].
         frequency: Frequency [Hz] of the first harmonic.
         harmonics: Number of harmonics, 2 or more.
         region: Ends of the positions [rad or m] by joint, in place of those of the robot's file.
         velocity: Largest speeds [rad/s or m/s], one or one for each joint, in place of those of the robot's file.
-        effort: Largest torques or forces [N m or N], in the same way.
+        effort: Largest torques or forces [N m or N], in the same way; that of a servo is also limited by its own limit.
         margin: Fraction of all limits that is used.
         torque_noise: Standard deviation of logged torques, as felt at the joints [N m or N], one or one for each joint;
-            1 % of `effort` by default.
+            1 % of `effort` by default. Servos log none.
         starts: Starts of the search.
         seed: Seed of the starts.
         overrides: Values that replace those of the model file, such as other first values.
@@ -224,7 +226,8 @@ class ExcitationResult(AbstractTable):
             for row in facts["joints"]
         ]
         noise = "; ".join(
-            f"{row['name']} ± {row['noise']:.3g} {row['unit']}, ± {row['torque']['noise']:.3g} {row['torque']['unit']}"
+            f"{row['name']} ± {row['noise']:.3g} {row['unit']}"
+            + (f", ± {row['torque']['noise']:.3g} {row['torque']['unit']}" if "noise" in row["torque"] else "")
             for row in facts["joints"]
         )
         condition = {key: "—" if each is None else f"{each:.3g}" for key, each in facts["condition"].items()}
@@ -232,6 +235,7 @@ class ExcitationResult(AbstractTable):
             [
                 f"{facts['rows']} rows over {facts['duration']:g} s: {facts['periods']} period"
                 f"{'s' * (facts['periods'] > 1)} of {1 / facts['frequency']:.4g} s, {facts['harmonics']} harmonics",
+                *self._parts,
                 f"Standard errors to expect of a fit that sees all of its log, with the noise of rows {noise}:",
                 "",
                 table(errors),
@@ -243,6 +247,14 @@ class ExcitationResult(AbstractTable):
                 COLLISIONS,
             ]
         )
+
+    @property
+    def _parts(self) -> list[str]:
+        """A sentence on what is commanded of servos, and when."""
+        if "moving" not in self.details:
+            return []
+        moving, rest = self.details["moving"], self.details["duration"] - self.details["moving"]
+        return [f"{moving:g} s of it are a motion" + (f", {rest:g} s slow reversals and steps" if rest else "")]
 
     def save(self, path: str | Path, overwrite: bool = False) -> Path:
         """Write the motion: stamps, positions and inputs in the units of the model file, the rest in SI units.
@@ -283,6 +295,8 @@ class ExcitationResult(AbstractTable):
 
     @property
     def _torques(self) -> list[np.ndarray]:
-        """Torques (T,) of the joints, which are the inputs through the motors."""
+        """Torques (T,) of the joints: those of servos, or the inputs through the motors."""
+        if "torques" in self.details:
+            return [self.si_columns[name] for name in self.details["torques"]]
         u = np.stack([self.si_columns[name] for name in self.layout.u])
         return list(np.array(self.details["motors"]) @ u)

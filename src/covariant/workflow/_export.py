@@ -41,10 +41,11 @@ from covariant.observers import (
 from covariant.workflow._arguments import above_zero, gain_pair
 from covariant.workflow._design import Design, design
 from covariant.workflow._exported_program import exported_program, open_family
-from covariant.workflow._inputs import Job, densest_rate, load, refuse_shifted_inputs
+from covariant.workflow._inputs import Job, densest_rate, describe_inputs, load, with_acting_inputs
 from covariant.workflow._kinds import kind_of
 from covariant.workflow._progress import Progress, silent
 from covariant.workflow._result import AbstractResult
+from covariant.workflow._robot_file import FORMATS, RobotFileResult, write_robot
 from covariant.workflow._sensors import reading_delays
 
 REALS = ("double", "float")
@@ -79,17 +80,21 @@ def export(
     overwrite: bool = False,
     overrides: Overrides = (),
     progress: Progress = silent,
-) -> "ExportResult":
+) -> "ExportResult | RobotFileResult":
     """Write an observer as C99 for microcontrollers and controllers, or as a unit (.fmu) for simulators.
 
     It is the observer that `estimate` runs at this sampling rate, with its gate: outliers, holes and missing numbers
     have the same result codes. The gate judges by the noise of the model file and by the usual speed of the motion,
     which `estimate` reads from its log.
 
+    Where `out` ends in .urdf, .xml or .json, the robot itself is written with the numbers of its model file, for
+    simulators: its URDF file, an MJCF file, or a table of its servos for configurations of actuators. Such a file takes
+    no options of an observer.
+
     Args:
         model: A model file (.toml), a robot, `module:attribute`, the name of a system, a `ModelFile`, or a system.
-        out: The folder to write, or a unit for simulators where it ends in .fmu.
-        rate: Sampling rate [Hz] that the observer is made for.
+        out: The folder to write, or a unit for simulators where it ends in .fmu, or the file of a robot.
+        rate: Sampling rate [Hz] that the observer is made for, or steps in a second of a robot's simulation.
         observer: Name of the observer; by default the first that fits the model.
         alpha, beta: As for `estimate`.
         real: Type of all numbers in C, "double" or "float".
@@ -131,7 +136,11 @@ def export(
         >>> sorted(path.suffix for path in result.files)[:2]
         ['.c', '.c']
     """
+    arguments = dict(locals())
     out = Path(out)
+    if out.suffix in FORMATS:
+        above_zero("rate", rate)
+        return write_robot(export, arguments)
     unit = out.suffix == ".fmu"
     limit = math.inf if flash is None else above_zero("flash", flash)
     above_zero("rate", rate)
@@ -172,8 +181,6 @@ def export(
     bounded = sampling is not None and sampling.substeps is not None and real == "double"
     if bounded and parameters:
         raise ValueError("the certificate is about the numbers of the model as they are; leave out `parameters`")
-    if entry.knows_model:
-        refuse_shifted_inputs(label, file)
     # Only an observer with a model can predict from the time of a late reading to the present.
     delay = reading_delays(runs, file.delay, designed.sensors, measured[0])
     late = entry.knows_model and np.any(delay)
@@ -186,12 +193,15 @@ def export(
     if lag is not None:
         delayed, description = _late(delayed, designed.name, lag, rate), f"{description} Estimates are {lag:g} s late."
     progress(f"writing {prefix}")
+    sent = with_acting_inputs(delayed, file, rate, logged) if entry.knows_model else delayed
+    if sent is not delayed:
+        delayed, description = sent, f"{description} {describe_inputs(file)}"
     if bounded and delayed is runs and kept is not None:
         delayed = kept.bounded(runs, radius=kept.radius)
         description, proved = f"{description} {_describe_start(kept)}", "\n".join([proved, *_list_premises()])
     unbounded = ""
     if sampling is not None and not delayed.fixed_numbers:
-        reason = "is about measurements without delays and periods"
+        reason = "is about measurements without delays and periods, and inputs that act as they are sent"
         if sampling.substeps is None:
             reason = "is about an observer that chooses its substeps, of which the errors of predictions are not proved"
         elif real != "double":

@@ -12,14 +12,30 @@ from covariant import logs, models
 from covariant._files import write_together
 from covariant._templates import fill
 from covariant.calibration import Draft, draft
+from covariant.models import Overrides
 from covariant.workflow._inputs import ColumnNames, column_names
 from covariant.workflow._outputs import check_output
 from covariant.workflow._placeholders import marked
 from covariant.workflow._progress import Progress, silent
 from covariant.workflow._result import AbstractResult
+from covariant.workflow._servo_draft import (
+    Joints,
+    loose_joints,
+    match_joints,
+    path_from,
+    register_lines,
+    robot_lines,
+    servo_lines,
+    with_joints,
+)
+
+SETTABLE = ("units.t", "units.q", "units.u", "units.v", "parameters.path")
+"""What a draft may be told of the log and the machine before it is written."""
 
 
-def init(log: Any, *, columns: ColumnNames | None = None, progress: Progress = silent) -> "InitResult":
+def init(
+    log: Any, *, columns: ColumnNames | None = None, overrides: Overrides = (), progress: Progress = silent
+) -> "InitResult":
     """Draft a model file from the header and the content of a log.
 
     Where all positions are angles, the machine is a chain of pendulums. Where some are lengths, its equations of motion
@@ -27,16 +43,21 @@ def init(log: Any, *, columns: ColumnNames | None = None, progress: Progress = s
     otherwise of masses that move each on its own. Four columns that are a unit quaternion are the attitude of a body
     that turns about a point.
 
+    Where positions follow other columns as servos follow their commands, the machine is a robot with a servo at each
+    joint, which `covariant.fit` identifies. Its file is `parameters.path`; without one, each joint moves by itself.
+
     Args:
         log: A path, a DataFrame, or an xarray Dataset.
         columns: Names of columns by field (t, q, u, v) that are known; the others are guessed.
+        overrides: Values of the draft that are known, `units.q`, `units.u`, `units.v`, `units.t` and `parameters.path`,
+            the file of a robot: `{"units.q": "deg", "parameters.path": "arm.urdf"}`.
         progress: Called with a description as the work goes on.
 
     Returns:
         The draft, with what was guessed in its comments; `save` writes it.
 
     Raises:
-        ValueError: For a log in which no stamps or positions are found.
+        ValueError: For a log in which no stamps or positions are found, or servos are in a unit that is not clear.
 
     Example:
         >>> import numpy as np, pandas, covariant
@@ -46,12 +67,26 @@ def init(log: Any, *, columns: ColumnNames | None = None, progress: Progress = s
     """
     progress("reading the log")
     known = {key: list(column_names(names)) for key, names in (columns or {}).items() if names is not None}
+    content = models.override({}, overrides)
+    settings = {f"{table}.{key}": value for table, keys in content.items() for key, value in keys.items()}
+    for key in settings:
+        if key not in SETTABLE:
+            raise ValueError(f"{key} is no value of a draft; write it into its file. There are {', '.join(SETTABLE)}")
+    units = {
+        key: (texts,) if isinstance(texts, str) else tuple(texts) for key, texts in content.get("units", {}).items()
+    }
+    robot = str(settings.get("parameters.path", ""))
     survey = logs.survey(log)
     try:
-        drafted = draft(survey.columns, known, survey.units)
+        drafted = draft(survey.columns, known, survey.units, units, survey.labels)
     except ValueError as error:
         raise ValueError(". ".join([f"{logs.source_name(log)}: {error}", *survey.remarks])) from error
-    return InitResult(logs.source_name(log), drafted, survey.remarks)
+    if robot and not drafted.servos:
+        raise ValueError(f"{logs.source_name(log)}: no commands of servos were found, and parameters.path is for these")
+    joints = match_joints(drafted, robot) if drafted.servos else None
+    if joints is not None:
+        drafted = with_joints(drafted, joints)
+    return InitResult(logs.source_name(log), drafted, (*survey.remarks, *drafted.remarks), joints)
 
 
 @dataclass(frozen=True, repr=False)
@@ -61,7 +96,8 @@ class InitResult(AbstractResult):
     Attributes:
         log: Name of the log.
         draft: Roles, units, ranges and noise of its columns, as they were guessed.
-        remarks: What is odd about the names of its columns.
+        remarks: What is odd about the names of its columns, and what was guessed of its inputs.
+        joints: Joints of a robot with servos, and their positions; None for another machine.
 
     Example:
         >>> import numpy as np, pandas, covariant
@@ -74,17 +110,24 @@ class InitResult(AbstractResult):
     log: str
     draft: Draft
     remarks: tuple[str, ...] = ()
+    joints: Joints | None = None
 
-    def texts(self, stem: str = "draft") -> dict[str, str]:
-        """Compose the model file, and for some machines a module with its equations of motion, as texts.
+    def texts(self, stem: str = "draft", folder: str | Path = ".") -> dict[str, str]:
+        """Compose the model file, and for some machines a module with its equations of motion or a robot, as texts.
 
         Args:
-            stem: Name of the model file without its suffix; the module is named after it.
+            stem: Name of the model file without its suffix; what is beside it is named after it.
+            folder: Folder of the model file, from which the path of a robot counts.
 
         Returns:
-            The texts by the names of their files, the module first where there is one.
+            The texts by the names of their files, the model file last.
         """
         log, module = Path(self.log).name, _module_name(stem)
+        if self.joints is not None:
+            path = path_from(Path(folder), self.joints.path) if self.joints.path else f"{stem}.urdf"
+            machine = robot_lines(self.draft, self.joints, path) + servo_lines(self.draft, self.joints)
+            robot = {} if self.joints.path else {path: loose_joints(self.draft, self.joints)}
+            return robot | {f"{stem}.toml": _model_file(log, self.draft, machine, self.remarks)}
         if not any(self.draft.lengths):
             machine = _turning_body() if self.draft.quaternion else _chain(self.draft)
             return {f"{stem}.toml": _model_file(log, self.draft, machine, self.remarks)}
@@ -108,7 +151,8 @@ class InitResult(AbstractResult):
         guess = self.draft
         measured = f"attitude {', '.join(guess.quaternion)}" if guess.quaternion else f"positions {', '.join(guess.q)}"
         line = f"stamps {guess.t}, {measured}"
-        line += f", inputs {', '.join(guess.u)}" if guess.u else ", no inputs"
+        kind = "commands" if guess.servos else "inputs"
+        line += f", {kind} {', '.join(dict.fromkeys(guess.u))}" if guess.u else ", no inputs"
         return line + (f", velocities {', '.join(guess.v)} to compare with" if guess.v else "")
 
     def __str__(self) -> str:
@@ -116,8 +160,14 @@ class InitResult(AbstractResult):
         if self.draft.units:
             units = (f"{field}: " + ", ".join(dict.fromkeys(texts)) for field, texts in self.draft.units.items())
             lines.append(f"units {', '.join(units)}")
-        if self.draft.left_out:
-            lines.append(f"left out: {', '.join(self.draft.left_out)}")
+        registers = [name for names in self.draft.registers.values() for name in names]
+        if registers:
+            lines.append(f"no torques, and left out: {', '.join(registers)}")
+        others = [name for name in self.draft.left_out if name not in registers]
+        if others:
+            lines.append(f"left out: {', '.join(others)}")
+        if self.joints is not None:
+            return "\n".join([*lines, *self._next_of_servos()])
         todo = "put first values of your machine into [parameters] of the model file"
         if any(self.draft.lengths):
             todo += (
@@ -126,12 +176,24 @@ class InitResult(AbstractResult):
             )
         return "\n".join([*lines, todo])
 
+    def _next_of_servos(self) -> list[str]:
+        """What was guessed of the joints of servos, and what to do next."""
+        assert self.joints is not None
+        if not self.joints.path:
+            return [
+                "each joint moves by itself, without weight, as in the .urdf file beside the model file; for a robot, "
+                "give its file by `overrides=['parameters.path=\"arm.urdf\"']`",
+                "then fit the servos: covariant fit MODEL LOG --parameters servo -o FITTED",
+            ]
+        guess = [self.joints.guess] if self.joints.guess else []
+        return [*guess, "then fit the servos: covariant fit MODEL LOG --parameters servo -o FITTED"]
+
     def written_files(self, path: str | Path) -> list[Path]:
         path = Path(path)
         return [path] + [path.with_name(name) for name in self.texts(path.stem) if name != path.name]
 
     def save(self, path: str | Path, overwrite: bool = False) -> Path:
-        """Write the model file, and beside it the equations of motion where they are drafted as well.
+        """Write the model file, and beside it the equations of motion or the robot where they are drafted as well.
 
         Args:
             path: The model file to write (.toml).
@@ -145,7 +207,7 @@ class InitResult(AbstractResult):
         """
         path = Path(path)
         check_output(path, ".toml", log=self.log)
-        texts = {path.with_name(name): text for name, text in self.texts(path.stem).items()}
+        texts = {path.with_name(name): text for name, text in self.texts(path.stem, path.parent).items()}
         # All names are free before the first file is written.
         for existing in [file for file in texts if file.exists() and not overwrite]:
             raise ValueError(f"{existing}: there is such a file already, and it is not overwritten; give another name")
@@ -163,6 +225,8 @@ def _module_name(stem: str) -> str:
 
 def _model_file(name: str, guess: Draft, machine: list[str], remarks: Sequence[str] = ()) -> str:
     """The text of the model file; `machine` are the lines of the system and its parameters."""
+    registers = {name for names in guess.registers.values() for name in names}
+    others = [name for name in guess.left_out if name not in registers]
     lines = [
         f"# Drafted from the log {name}: {guess.rows} rows at {guess.rate:.4g} Hz. The columns are guessed from their",
         "# names and their content. Numbers with a comment `placeholder` are places to put yours, not measurements:",
@@ -177,7 +241,8 @@ def _model_file(name: str, guess: Draft, machine: list[str], remarks: Sequence[s
         *_measured(guess),
         f"u = {_names(guess.u)}" + ("" if guess.u else "  # no input was found"),
         *([f"v = {_names(guess.v)}  # only compared with, never used"] if guess.v else []),
-        *([f"# left out: {', '.join(guess.left_out)}"] if guess.left_out else []),
+        *register_lines(guess),
+        *([f"# left out: {', '.join(others)}"] if others else []),
         *_units(guess),
         "",
         "[measurement]",
@@ -211,7 +276,9 @@ def _measured(guess: Draft) -> list[str]:
             f"quaternion_wxyz = {_names(guess.quaternion)}",
         ]
     spans = ", ".join(f"{q} {low:.3g} to {high:.3g}" for q, (low, high) in zip(guess.q, guess.span, strict=True))
-    return [f"q = {_names(guess.q)}  # in this log {spans}"]
+    called = [guess.entries[q] for q in guess.q if q in guess.entries]
+    names = f"; the data set calls them {', '.join(called)}" if called else ""
+    return [f"q = {_names(guess.q)}  # in this log {spans}{names}"]
 
 
 def _order_guess(guess: Draft) -> list[str]:
@@ -319,6 +386,8 @@ def _equations(guess: Draft) -> str:
 
 def _sensor(guess: Draft) -> str:
     unit = _both(guess, "m", "rad")
+    if isinstance(guess.quantum, tuple) and guess.servos:
+        return f"quantum = {_digits(guess.quantum, 6)}  # {unit}, the tick of each position of this log"
     if guess.quantum is not None:
         return f"quantum = {_digits(guess.quantum, 6)}  # {unit}, the tick that positions of this log are multiples of"
     return f"std = {_digits(guess.noise, 3)}  # {unit}, at most: from third differences of the positions"
@@ -347,11 +416,7 @@ def _units(guess: Draft) -> list[str]:
     lines = ["", "[units]"]
     for field, texts in guess.units.items():
         written = _quote_name(texts[0]) if len(set(texts)) == 1 else _names(texts)
-        why = (
-            "guessed from the numbers: `covariant check` looks closer"
-            if field in guess.guessed
-            else "as its header says"
-        )
+        why = "guessed from the numbers: `covariant check` looks closer" if field in guess.guessed else "as stated"
         lines.append(f"{field} = {written}  # {why}")
     return lines
 

@@ -10,8 +10,8 @@ import numpy as np
 from covariant import logs, models, scoring
 from covariant.calibration import misfit
 from covariant.models import Overrides
-from covariant.observers import REGISTRY, AbstractObserver, Delayed
-from covariant.signals import Record, acting_inputs, lag_inputs
+from covariant.observers import REGISTRY, AbstractObserver, ActingInputs, Delayed
+from covariant.signals import LEAST_MISSING, MOST_MISSING, Record, acting_inputs, lag_inputs
 from covariant.workflow._arguments import ColumnNames as ColumnNames
 from covariant.workflow._holes import Holes, holes_of
 from covariant.workflow._kind import AbstractKind, Labels, numbered as numbered
@@ -25,8 +25,6 @@ FEWEST_MOVES = 50
 """Fewest changes of positions that decide whether the log's ticks are coarser than those of the model file."""
 MOST_REVERSALS, QUICK = 0.05, 5
 """Largest fraction of changes that undo one within so few samples, as noise makes them and a motion seldom does."""
-LITTLE = 0.05
-"""How much of a lagged input may come from inputs that are missing, before it is missing itself."""
 OFF_TICK = 0.1
 """How far differences of positions may be from whole ticks, as a fraction of one: logs hold few digits."""
 
@@ -181,7 +179,7 @@ def load(job: Job, score: bool = True, why: str = "", missing_inputs: bool = Fal
     part, periods = (job.every, job.until, job.start), _periods(job, file)
     log = kind.with_inputs(logs.read(job.log, columns, *part, optional, sensors, periods, missing_inputs))
     # Lag, delay and means are those of the whole log: what was cut off or left out between two rows acts in them too.
-    lagging = _around_missing(lambda whole: lag_inputs(whole, file.input_lag), log.all_rows, LITTLE)
+    lagging = _around_missing(lambda whole: lag_inputs(whole, file.input_lag), log.all_rows, MOST_MISSING)
     record = _around_missing(
         lambda whole: acting_inputs(whole, file.input_between, file.input_delay, log.record, file.input_lead), lagging
     )
@@ -218,7 +216,7 @@ def _with_inputs_only(record: Record) -> Record:
     return Record(*rows)
 
 
-def _around_missing(change: Callable[[Record], Record], record: Record, share: float = 0.0) -> Record:
+def _around_missing(change: Callable[[Record], Record], record: Record, share: float = LEAST_MISSING) -> Record:
     """A record with changed inputs, NaN where more than a share of one depends on inputs that are missing."""
     u = np.asarray(record.u, float)
     absent = ~np.isfinite(u)
@@ -229,7 +227,7 @@ def _around_missing(change: Callable[[Record], Record], record: Record, share: f
     held = np.take_along_axis(u, at, axis=0)
     held = np.where(np.isfinite(held), held, 0.0)
     changed, part = (change(record._replace(u=each)) for each in (held, absent.astype(float)))
-    return changed._replace(u=np.where(np.asarray(part.u) > share, np.nan, np.asarray(changed.u)))
+    return changed._replace(u=np.where(np.abs(np.asarray(part.u)) > share, np.nan, np.asarray(changed.u)))
 
 
 def _periods(job: Job, file: models.ModelFile) -> tuple[float, ...]:
@@ -289,18 +287,35 @@ def refuse_delays(job: Job, loaded: Loaded, observer: AbstractObserver, why: str
         )
 
 
-def refuse_shifted_inputs(label: str, file: models.ModelFile) -> None:
-    """Refuse what is done to the inputs of a whole log before an observer gets them."""
-    stated = (("lag", file.input_lag), ("delay", file.input_delay), ("lead", file.input_lead))
-    shifted = {key: value for key, value in stated if np.any(value)}
-    shifted |= {"between": "linear"} if file.input_between != "held" else {}
-    if shifted and len(file.columns.u):
-        named = ", ".join(f"inputs.{key} = {value}" for key, value in shifted.items())
-        asked = [f"inputs.{key}={'held' if key == 'between' else 0}" for key in shifted]
-        raise ValueError(
-            f"{label}: an export takes the mean of the input that acts in each step, and does not compute it from what "
-            f"is commanded ({named}); compute it before the step, and give `overrides={asked}`"
-        )
+def with_acting_inputs(
+    observer: AbstractObserver, file: models.ModelFile, rate: float, log: Loaded | None = None
+) -> AbstractObserver:
+    """Make an observer take inputs as they are sent, and hold those that act later, as `load` does in a log.
+
+    It is for samples at a rate [Hz], or for those of a log as well.
+    """
+    stated: Any = {"delay": file.input_delay, "lag": file.input_lag, "lead": file.input_lead}
+    count = len(file.columns.u)
+    if not count or (file.input_between == "held" and not any(map(np.any, stated.values()))):
+        return observer
+    longest = float(np.max(file.input_delay))
+    if log is not None and longest:
+        rate = max(rate, densest_rate(np.asarray(log.record.t), longest))
+    return ActingInputs(observer, rate, between=file.input_between, inputs=count, **stated)
+
+
+def describe_inputs(file: models.ModelFile) -> str:
+    """Say how inputs are passed to a step, and when they act."""
+    stated = {"delay": file.input_delay, "lag": file.input_lag, "lead": file.input_lead}
+    times = [
+        f"{name} {', '.join(f'{1e3 * each:g}' for each in np.atleast_1d(value))} ms"
+        for name, value in stated.items()
+        if np.any(value)
+    ]
+    linear = file.input_between == "linear"
+    when = "ends at its stamp, and linear in between" if linear else "begins at its stamp"
+    held = f"; the step has their {', '.join(times)}" if times else ""
+    return f"Inputs are passed as they are sent, each to the step that {when}{held}."
 
 
 def _delay_note(file: models.ModelFile) -> str:

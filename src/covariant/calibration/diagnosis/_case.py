@@ -146,7 +146,8 @@ def names_of(file: ModelFile) -> Names:
     n = len(file.columns.q)
     units = file.model.units or ("",) * n
     angles = np.array([unit == "rad" or i in file.model.circles for i, unit in enumerate(units)])
-    return Names(file.columns.t, file.columns.q, file.columns.u, units, angles, file.columns.units)
+    commands = file.model.logged_units.get("u", ())
+    return Names(file.columns.t, file.columns.q, file.columns.u, units, angles, file.columns.units, commands)
 
 
 def case_without_outliers(

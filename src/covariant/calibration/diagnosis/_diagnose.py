@@ -56,6 +56,7 @@ from covariant.calibration.diagnosis._readings import (
 from covariant.calibration.diagnosis._sensor_checks import sensor_checks
 from covariant.calibration.diagnosis._sensor_findings import NOISIER, sensor_findings, standstill
 from covariant.calibration.diagnosis._sensor_motion import Beside
+from covariant.calibration.diagnosis._servo_faults import servo_findings
 from covariant.calibration.diagnosis._suspicion import (
     Comparison,
     Suspicion,
@@ -84,7 +85,11 @@ MOST_PAIRS = 6
 """Suspicions of missing torques, alone or with one about columns, that are tried: those that promise most."""
 MOST_CHANGES = 3
 """Suspicions about columns that are accepted one after another."""
+OF_COMMANDS = ("unit of a command", "sign of a command", "swapped commands", "period of a command")
+"""Findings on commands that make a log useless."""
 WEIGHTS = (
+    *OF_COMMANDS,
+    *("servo off", "gain of a servo", "zero of a servo", "limit of a servo"),
     *(
         "clock",
         "nothing moves",
@@ -200,6 +205,12 @@ def _findings(
     if any(each.wrong for each in repeated):
         case = case._replace(record=case.record._replace(y=without_repeated(np.asarray(case.record.y), ticks)))
     case = case._replace(record=busiest(case.record, MOST_ROWS))
+    if file.input_kind == "command":
+        on_servos, case = servo_findings(case)
+        findings += [*still, *period_findings(without_full_turns(wraps, case.model.circles), ticks, names), *outliers]
+        findings += [*repeated, *on_servos, *_sensors(case, quantum, edges), *sensor_checks(case, rows.t, sensors)]
+        checks += ("sensors beside the positions",) if sensors else ()
+        return findings, (*checks, "units, signs and order of commands", "servos", "delays of commands")
     corrections, changes, case = _correct_columns(case)
     for each in corrections:
         as_read = each.apply(as_read) if each.what.startswith("unit of") else as_read
@@ -370,12 +381,17 @@ def misfit(file: ModelFile, record: Record) -> Finding | None:
     if not in_coordinates(file):
         return None
     case, _ = case_without_outliers(file, busiest(record, FEW_ROWS))
+    if file.input_kind == "command":
+        # What no servo explains; their numbers may be first guesses.
+        return next((each for each in servo_findings(case)[0] if each.wrong and each.what in OF_COMMANDS), None)
     left = compared(case)
     if left is not None and left.told.any() and left.misfit < BARELY:
         return None
     accepted = judge(case, units(case), clearly_unexplained)
     if accepted is not None:
         return accepted[1]
+    if file.wrenches or file.external_force or file.external_force_std:
+        return None  # the forces that the file states may be what the model leaves
     findings = [each for each in unexplained(case, left) if each.what == "model"] if left else []
     log = clearly(case)
     if not findings or log is None:

@@ -106,6 +106,7 @@ class Names(NamedTuple):
         units: Units of the positions in the model.
         angles: Whether each position (n,) is an angle.
         stated: Units of the columns according to the model file, by the field t, q or u.
+        inputs: Units of the inputs in the model, where they are commands.
     """
 
     t: str
@@ -114,6 +115,7 @@ class Names(NamedTuple):
     units: tuple[str, ...]
     angles: np.ndarray
     stated: Mapping[str, tuple[str, ...]] = MappingProxyType({})
+    inputs: tuple[str, ...] = ()
 
     def after(self, orders: Mapping[str, Sequence[int]], factors: Mapping[str, np.ndarray]) -> "Names":
         """Names and units after the columns of some fields are reordered, and then multiplied by factors."""
@@ -136,7 +138,9 @@ class Names(NamedTuple):
 
     def _kind(self, field: str, place: int) -> str:
         """Unit of a column in the model; "1" where it states none."""
-        return {"t": "s", "u": "1"}.get(field) or ("rad" if self.angles[place] else self.units[place] or "1")
+        if field == "u":
+            return self.inputs[place] if place < len(self.inputs) else "1"
+        return {"t": "s"}.get(field) or ("rad" if self.angles[place] else self.units[place] or "1")
 
     def _stated(self, field: str, place: int) -> str:
         declared = self.stated.get(field, ())

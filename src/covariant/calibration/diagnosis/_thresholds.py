@@ -46,6 +46,10 @@ THRESHOLDS = {
     "rows for a delay": Threshold(0.0, 1.0, sure=-np.inf),
     # Delays and scales that least squares gave: their standard errors have judged them (below).
     "fitted": Threshold(0.0, np.inf, sure=-np.inf, alike=1.2),
+    # Commands in another unit, order or sign, and limits: faults of the whole log.
+    "servo": Threshold(5e-3, 1 / 3, 0.5, alike=1.2),
+    # A servo that lets go, or changes its gain or zero: only a part of the log is otherwise.
+    "servo change": Threshold(4e-3, 1 / 2, 0.3, sure=2.5, alike=1.5),
     # Torques and delays or scales together.
     "torques and fitted": Threshold(0.01, 1 / 2, 0.15),
 }
@@ -60,6 +64,8 @@ TWIN = 2.0
 # Numbers that least squares fit: standard errors, and the size that matters.
 DELAY_ERRORS, DELAY_ROWS = 4.0, 0.6
 """A delay of one coordinate against another; a model error may look like a delay below 0.6 rows."""
+COMMAND_ERRORS = 8.0
+"""The same of a command against its servo, whose friction and damping are not known either."""
 COMMON_ERRORS, COMMON_ROWS, COMMON_GAIN = 5.0, 1.5, 0.4
 """A delay of all coordinates against the inputs, and by which fraction the unexplained squares fall: a wrong friction
 looks like it, but explains less."""
@@ -92,6 +98,12 @@ FEW_OUTLIERS = 5e-3
 """Fraction of outliers up to which they are only a note."""
 FEW_REPEATED = 0.02
 """Fraction of rows that repeat the previous readings, up to which they are not an error."""
+AROUND, FAST_TICKS, FEWEST_FAST, HELD_TICKS = 3, 2.0, 40, 0.2
+"""Rows around one in which an encoder moves by so many ticks a row, the fewest such rows, and the fraction of them that
+repeat the reading before, from which readings are repeated."""
+AT_REST = 0.25
+"""Repeated readings among the fastest rows, relative to those among all, below which they are ticks between which an
+encoder was interpolated."""
 LATTICE = 0.05
 """Largest distance of changes from whole ticks, as a fraction of one."""
 STATED_LATTICE = 0.1

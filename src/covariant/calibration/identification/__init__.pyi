@@ -38,8 +38,15 @@ from ._robot_combinations import Combinations as Combinations
 from ._robot_fit import RobotFit as RobotFit, fit_robot as fit_robot
 from ._robot_misfit import robot_misfit as robot_misfit
 from ._robot_torques import motor_inputs as motor_inputs
+from ._servo_excitation import (
+    CommandErrors as CommandErrors,
+    command_excitation as command_excitation,
+    motion_periods as motion_periods,
+    of_coordinates as of_coordinates,
+)
 from ._servo_fit import fit_servos as fit_servos
 from ._servo_motion import predict_servos as predict_servos
+from ._servo_units import DraftedServo as DraftedServo
 from ._unknowns import Unknowns as Unknowns
 from ._windows import (
     FITTED as FITTED,

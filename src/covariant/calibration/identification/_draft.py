@@ -2,15 +2,38 @@
 
 import re
 from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
 from covariant.calibration.diagnosis import periods, without_full_turns
+from covariant.calibration.identification._commands import is_slope
+from covariant.calibration.identification._roles import REGISTERS, role
+from covariant.calibration.identification._servo_columns import (
+    find_inputs,
+    refuse_commands_among,
+    refuse_poses,
+    refuse_rows_of_several,
+    switches_of,
+    without_rates,
+)
+from covariant.calibration.identification._servo_units import (
+    DraftedServo,
+    plausible_rates,
+    remarks_on,
+    servos_of,
+    stated_by_user,
+    unit_labels,
+    units_of_commands,
+)
 from covariant.logs import (
     MEANT,
+    episodes_fault,
+    has_sign_bit,
     odd_clock,
+    sign_bit_fault,
     unit_factor,
     unit_in_name,
     unknown_unit,
@@ -20,20 +43,10 @@ from covariant.logs import (
 )
 from covariant.scoring import unwrap
 
-_WORDS = {
-    "left out": "true truth ref reference des desired goal target set setpoint raw",
-    "v": "v w dq qd dqdt dot qdot dth dtheta om omega vel velocity velocities speed rate gyro",
-    "u": "u tau torque torques tq trq current force effort motor volt voltage cmd command pwm input",
-    "t": "t time times timestamp timestamps stamp stamps sec secs seconds",
-    "q": "q th theta phi psi angle ang pos position positions enc encoder joint x",
-}
-"""Words in the names of columns, by role; the first role with a match counts."""
 CLOCKS = ((0.5, "s"), (500.0, "ms"), (5e5, "us"), (np.inf, "ns"))
 """Upper bounds of the median step of the stamps, and the unit in which they then are."""
 DEGREES = 50.0
 """Span [rad] of an angle from which it is more likely in degrees."""
-SAME = 0.95
-"""Least correlation of a column with the slope of a position for it to count as a velocity."""
 FEWEST_GAPS = 10
 """Least number of gaps between values for which ticks are looked for."""
 OFF_TICK = 0.1
@@ -72,6 +85,13 @@ class Draft(NamedTuple):
         guessed: Fields whose units follow from the content and not from the header.
         quaternion: Columns of the attitude of a body that turns, scalar first, in place of positions.
         period: Period of each position after which its readings repeat, as of an encoder behind a gear; 0 for none.
+        servos: What the log tells of the servo of each position, None for one without a command; empty where the inputs
+            are no commands.
+        switches: Columns that are 0 where servos are switched off; the last of `u`.
+        registers: Columns of a drive among those that are left out, which are no torques: by "current", "load",
+            "voltage", "temperature".
+        remarks: Sentences on what was guessed of the inputs.
+        entries: What the log calls the entries of lists, by column.
 
     Example:
         >>> import numpy as np
@@ -97,11 +117,16 @@ class Draft(NamedTuple):
     guessed: tuple[str, ...]
     quaternion: tuple[str, ...] = ()
     period: tuple[float, ...] = ()
+    servos: tuple[DraftedServo | None, ...] = ()
+    switches: tuple[str, ...] = ()
+    registers: Mapping[str, tuple[str, ...]] = MappingProxyType({})
+    remarks: tuple[str, ...] = ()
+    entries: Mapping[str, str] = MappingProxyType({})
 
     @property
     def plain_names(self) -> tuple[str, ...]:
         """Names of the positions without their units, `cart` for `cart [mm]`; full names where two would coincide."""
-        plain = tuple(without_unit(name) for name in self.q)
+        plain = tuple(without_unit(self.entries.get(name, name)).removesuffix(".pos") for name in self.q)
         return plain if "" not in plain and len(set(plain)) == len(plain) else self.q
 
 
@@ -109,6 +134,8 @@ def draft(
     columns: Mapping[str, np.ndarray],
     given: Mapping[str, Sequence[str] | None] | None = None,
     stated: Mapping[str, str] | None = None,
+    units: Mapping[str, Sequence[str]] | None = None,
+    entries: Mapping[str, str] | None = None,
 ) -> Draft:
     """Guess the role of each column of a log, from its name and, where that says nothing, from its content.
 
@@ -119,13 +146,15 @@ def draft(
         columns: The columns (T,) by name, numbers only.
         given: Names by the field t, q, u or v that are known and not to be guessed.
         stated: Units that the log states beside the names, by column.
+        units: Units of the columns of the fields t, q, u or v that are known: one, or one for each column.
+        entries: What the log calls the entries of its columns of lists, by column.
 
     Returns:
         The role of each column, with rate, units, ticks and noise.
 
     Raises:
-        ValueError: It is not clear which columns are the stamps, the positions or the inputs, or the first row lacks a
-            position. One line, which lists the columns.
+        ValueError: It is not clear which columns are the stamps, the positions or the inputs, or in which unit servos
+            are logged, or the first row lacks a position. One line, which lists the columns.
 
     Example:
         >>> import numpy as np
@@ -142,9 +171,22 @@ def draft(
     fixed = {name for names in given.values() for name in names}
     # Units that the log states are written as in a name, so that one parser reads both.
     labels = {name: f"{name} [{stated[name]}]" if stated and name in stated else name for name in columns}
-    kinds = {name: _kind(labels[name]) for name in columns if name not in fixed}
+    known, entries = dict(units or {}), dict(entries or {})
+    # q_d is a desired position, unless there is a q_c.
+    desired = {
+        name for name in columns if words_of(name) & {"q", "dq"} and re.sub("_d(?![a-z])", "_c", name) not in columns
+    }
+    marks = {name: "desired" for name in desired if "d" in words_of(name)}
+    kinds = {name: role(labels[name], entries.get(name, marks.get(name, ""))) for name in columns if name not in fixed}
     t = given["t"][0] if "t" in given else _stamps(columns, kinds)
+    _refuse_episodes(t, columns)
     step = _step(t, columns[t])
+    refuse_rows_of_several(columns)
+    registers = {
+        kind: tuple(name for name, role in kinds.items() if role == kind)
+        for kind in REGISTERS
+        if kind in kinds.values()
+    }
     quaternion = () if "q" in given else _quaternion({name: columns[name] for name, kind in kinds.items() if name != t})
     if quaternion:
         return _draft_of_attitude(columns, labels, kinds, given, t, quaternion)
@@ -153,26 +195,42 @@ def draft(
         raise ValueError(
             f'no column is named like a position, as q1 or theta; name them by `columns["q"]`{_columns_there(columns)}'
         )
+    episodes = episodes_fault(columns[t], columns, columns.__getitem__, rising=True)
     _one_family("q", q, given, columns)
-    u = given.get("u") or tuple(name for name, kind in kinds.items() if kind == "u")
-    _one_family("u", u, given, columns)
-    if "u" not in given:  # forces before torques, as lengths come before angles
-        u = tuple(sorted(u, key=lambda name: unit_in_name(labels[name], ("N m",)) is not None))
-    if len(u) > len(q):
+    refuse_poses(q, entries)
+    labels |= stated_by_user("t", (t,), known) | stated_by_user("q", q, known)
+    clock = columns[t] * unit_factor(_unit_of_stamps(labels[t], columns[t]))
+    inputs = find_inputs(columns, labels, kinds, given.get("u"), clock, q)
+    if "q" not in given:
+        q, inputs = without_rates(columns, clock, q, inputs)
+        refuse_commands_among(columns, clock, q)
+    commands = tuple(name for name in inputs.commands if name is not None)
+    _one_family("u", inputs.u, given, columns)
+    if len(inputs.u) > len(q):
         raise ValueError(
-            f'{len(u)} inputs ({", ".join(u)}) for {len(q)} positions; name them by `columns["u"]`'
+            f'{len(inputs.u)} inputs ({", ".join(inputs.u)}) for {len(q)} positions; name them by `columns["u"]`'
             f"{_columns_there(columns)}"
         )
+    for name in (*q, *commands):
+        if has_sign_bit(columns[name]):
+            raise ValueError(sign_bit_fault(name))
+    labels |= stated_by_user("u", commands or inputs.u, known)
+    ticks = unit_labels(columns, q, labels, bool(commands))
+    labels |= ticks
     v = given.get("v") or tuple(name for name, kind in kinds.items() if kind == "v")
     if not v:
         unnamed = [name for name, kind in kinds.items() if kind == "" and name != t]
-        v = tuple(name for p in q for name in unnamed if _is_slope(columns[t], columns[p], columns[name]))
+        v = tuple(name for p in q for name in unnamed if is_slope(columns[t], columns[p], columns[name]))
     v = v if len(v) == len(q) else ()
-    _refuse_unknown_units({"t": (t,), "q": q, "u": u, "v": v}, labels)
+    labels |= stated_by_user("v", v, known)
+    _refuse_unknown_units({"t": (t,), "q": q, "u": inputs.u, "v": v}, labels)
     lengths = tuple(unit_in_name(labels[name], ("m",)) is not None for name in q)
     order = sorted(range(len(q)), key=lambda i: not lengths[i])
     q, lengths = tuple(q[i] for i in order), tuple(lengths[i] for i in order)
     v = tuple(v[i] for i in order) if v else ()
+    u = inputs.u
+    if "u" not in given:  # forces before torques, as lengths come before angles
+        u = tuple(sorted(u, key=lambda name: unit_in_name(labels[name], ("N m",)) is not None))
     logged = np.column_stack([columns[name] for name in q])
     if np.isnan(logged[0]).any():
         raise ValueError(f"row 1 lacks a position ({', '.join(q)}); cut the log to begin later")
@@ -184,17 +242,32 @@ def draft(
     seconds = unit_factor(units.get("t", ("s",))[0])
     factors = [unit_factor(text) for text in units.get("q", ("rad",) * len(q))]
     y = logged * factors
+    guessed += ("q",) if ticks and "q" not in guessed and "q" not in known else ()
+    servos, switches, remarks = (), (), list(inputs.remarks)
+    remarks += [] if episodes is None else [f"the log {episodes}"]
+    if commands:
+        paired = inputs._replace(
+            commands=tuple(inputs.commands[i] for i in order), following=tuple(inputs.following[i] for i in order)
+        )
+        servos = servos_of(paired, columns, labels, q, units.get("q", ("rad",) * len(q)))
+        switches = switches_of(inputs.switches, [name for name, servo in zip(q, servos, strict=True) if servo], columns)
+        u = (*(servo.command for servo in servos if servo is not None), *switches)
+        units |= units_of_commands(servos, len(switches), labels, units.get("q", ("rad",) * len(q)))
+        v, odd_rates = plausible_rates(columns, clock, q, factors, v, labels)
+        remarks += [*odd_rates, *remarks_on(paired, servos, columns, q, factors, entries, "q" in known)]
     rounding = [_rounding(column) * factor for column, factor in zip(logged.T, np.abs(factors), strict=True)]
     # Readings are whole ticks as they are: a period is known less exactly.
-    ticks, wraps = _tick(y, rounding), _periods(columns[t], y, rounding, lengths)
+    tick, wraps = _tick(y, rounding), _periods(columns[t], y, rounding, lengths)
     continuous = unwrap(y, (), wraps)
     noises = _noise(continuous, lengths)
-    if len(set(lengths)) == 2:  # a tick of a metre is none of a radian
+    if len(set(lengths)) == 2 or (servos and len(q) > 1):  # a tick of a metre is none of a radian
         each_tick = [_tick(y[:, [i]], [rounding[i]]) for i in range(len(q))]
-        ticks = None if None in each_tick else tuple(tick for tick in each_tick if tick is not None)
+        tick = None if None in each_tick else tuple(each for each in each_tick if each is not None)
         noises = tuple(
             _noise(column[:, None], (is_length,)) for column, is_length in zip(continuous.T, lengths, strict=True)
         )
+        if tick is not None and np.ptp(tick) < OFF_TICK / 100 * tick[0]:
+            tick = tick[0]
     return Draft(
         t,
         q,
@@ -204,13 +277,22 @@ def draft(
         1 / (step * seconds),
         len(y),
         lengths,
-        ticks,
+        tick,
         noises,
         span,
         units,
         guessed,
         period=tuple(wraps.tolist()),
+        servos=servos,
+        switches=switches,
+        registers=registers,
+        remarks=tuple(remarks),
+        entries=entries,
     )
+
+
+def _unit_of_stamps(label: str, t: np.ndarray) -> str:
+    return unit_in_name(label, MEANT["t"]) or next(unit for limit, unit in CLOCKS if np.median(np.diff(t)) < limit)
 
 
 def _refuse_unknown_units(fields: Mapping[str, Sequence[str]], labels: Mapping[str, str]) -> None:
@@ -251,21 +333,12 @@ def _columns_there(columns: Mapping[str, np.ndarray]) -> str:
     return f"; the columns of numbers are {', '.join(columns) or 'none'}"
 
 
-def _kind(name: str) -> str:
-    """Role of a column by its name, a key of `_WORDS`: by its words, else by its unit; empty where neither shows it."""
-    words = words_of(name)
-    if "left out" not in (roles := [kind for kind, synonyms in _WORDS.items() if words & set(synonyms.split())]):
-        # A unit of velocity decides, whatever the words: q1 [rad/s] is no position.
-        if unit_in_name(name, MEANT["v"]):
-            return "v"
-        roles += [kind for kind, units in MEANT.items() if unit_in_name(name, units)]
-    return next(iter(roles), "")
-
-
 def _stamps(columns: Mapping[str, np.ndarray], kinds: Mapping[str, str]) -> str:
     rising = [name for name, values in columns.items() if np.isfinite(values).all() and (np.diff(values) > 0).all()]
     named = [name for name in rising if kinds.get(name) == "t"]
     candidates = named or [name for name in rising if kinds.get(name) == ""]
+    for name in [each for each, kind in kinds.items() if kind == "t" and not named]:
+        _refuse_episodes(name, columns)
     if len(candidates) == 1:
         return candidates[0]
     what = (
@@ -274,6 +347,13 @@ def _stamps(columns: Mapping[str, np.ndarray], kinds: Mapping[str, str]) -> str:
         else "no column of stamps rises from row to row"
     )
     raise ValueError(f'{what}; name the one of the stamps by `columns["t"]`{_columns_there(columns)}')
+
+
+def _refuse_episodes(name: str, columns: Mapping[str, np.ndarray]) -> None:
+    """Raise `ValueError` for stamps that start again with each episode."""
+    fault = episodes_fault(columns[name], columns, columns.__getitem__)
+    if fault is not None:
+        raise ValueError(f"column {name!r} {fault}")
 
 
 def _step(name: str, t: np.ndarray) -> float:
@@ -292,15 +372,6 @@ def _one_family(key: str, names: Sequence[str], fixed: Mapping[str, Sequence[str
         raise ValueError(
             f'{", ".join(names)} may all be {key}; name those that are by `columns["{key}"]`{_columns_there(columns)}'
         )
-
-
-def _is_slope(t: np.ndarray, y: np.ndarray, v: np.ndarray) -> bool:
-    """Whether a column follows the slope of a position."""
-    slope = np.gradient(y, t)
-    valid = np.isfinite(slope) & np.isfinite(v)
-    if valid.sum() < 10 or np.ptp(v[valid]) == 0 or np.ptp(slope[valid]) == 0:
-        return False
-    return bool(np.corrcoef(slope[valid], v[valid])[0, 1] > SAME)
 
 
 def _periods(
@@ -364,7 +435,7 @@ def _quaternion(columns: Mapping[str, np.ndarray]) -> tuple[str, ...]:
     groups: dict[str, dict[str, str]] = {}
     for name in columns:
         match = _QUATERNION.match(name)
-        if match is not None and _kind(name) not in ("left out", "t"):
+        if match is not None and role(name) not in ("left out", "t"):
             groups.setdefault(match[1], {})[match[2].lower()] = name
     for group in groups.values():
         for order in ("wxyz", "0123", "1234"):

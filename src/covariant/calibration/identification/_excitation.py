@@ -28,7 +28,7 @@ from covariant.calibration.identification._robot_torques import (
     batched,
     efforts,
     in_batches,
-    inverse_motors,
+    inverse_inputs,
     mapped,
     usual_sizes,
 )
@@ -287,7 +287,7 @@ class _Problem(NamedTuple):
     ) -> "_Problem":
         model: Any = family.file.model
         inner = limits.within(plan.margin)
-        idle = np.linalg.norm(inverse_motors(model), axis=0) == 0
+        idle = np.linalg.norm(inverse_inputs(model).force, axis=0) == 0
         if idle.any():
             raise ValueError(
                 f"no motor moves joint {limits.names[int(np.argmax(idle))]!r}: lock it, or give it a motor"
@@ -385,7 +385,8 @@ def _compiled(problem: _Problem) -> Callable[..., _Point]:
     # JAX differentiates each row of the motion by itself, forwards; the unknowns act on all rows linearly.
     plan, n, model = problem.plan, len(problem.amplitude), problem.model
     basis = fourier_basis(problem.times(COARSE), plan.frequency, plan.harmonics) @ problem.basis
-    back = inverse_motors(model)
+    inverse = inverse_inputs(model)
+    back, directly = inverse.force, np.concatenate([inverse.position, inverse.rate, 0 * inverse.rate], axis=1)
     slopes = problem.torques.slopes(np.zeros(len(problem.family.names)))
     objective, slack = jax.jit(jax.value_and_grad(_objective, argnums=(0, 1))), jax.jit(_slack)
     slack_slopes = jax.jit(jax.jacrev(_slack))
@@ -401,12 +402,13 @@ def _compiled(problem: _Problem) -> Callable[..., _Point]:
         q, v, a = basis @ (x[n:].reshape(-1, n) * problem.amplitude)
         q = q + problem.limits.middle + problem.limits.room * x[:n]
         torque, inertia, d_torque, d_inertia = map(np.asarray, mapped(_dynamics, model, q, v, a))
-        regressor, d_regressor = map(np.asarray, slopes(q, v, a, torque @ back.T))
+        regressor, d_regressor = map(np.asarray, slopes(q, v, a, inverse.apply(torque, q, v)))
         d_rows, d_inputs = np.split(d_regressor, [3 * n], axis=-1)
         value, (by_regressor, by_inertia) = objective(regressor * problem.sizes, inertia, window)
         by_regressor = np.asarray(by_regressor) * problem.sizes
         rows = np.einsum("kjp,kjpr->kr", by_regressor, d_rows)
         rows += np.einsum("kjp,kjpm,mi,kir->kr", by_regressor, d_inputs, back, d_torque, optimize=True)
+        rows += np.einsum("kjp,kjpm,mr->kr", by_regressor, d_inputs, directly, optimize=True)
         rows += np.einsum("kij,kijr->kr", by_inertia, d_inertia)
         fractions = np.stack(problem.limits.fractions(q, v, torque))
         # Derivatives (3, n, 3, K, n) of each bound in positions, velocities and torques.

@@ -27,7 +27,7 @@ from covariant.calibration.identification._robot_torques import (
     convolved,
     efforts,
     in_batches,
-    inverse_motors,
+    inverse_inputs,
     sticking_speeds,
     usual_sizes,
 )
@@ -135,7 +135,7 @@ def expected_errors(
     q, v, a = motion.at(step * np.arange(count))
     torque = in_batches(efforts, model, q, v, a)
     sizes, speed = usual_sizes(family, torque[:, 0], torque[:, 1], v, a)
-    u = torque[:, 0] @ inverse_motors(model).T
+    u = inverse_inputs(model).apply(torque[:, 0], q, v)
     repeats = round(duration * motion.frequency)
     rows = _Rows(
         np.tile(derivatives(q, v, a, u) * sizes, (repeats, 1, 1)),

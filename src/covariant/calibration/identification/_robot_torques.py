@@ -15,6 +15,7 @@ from covariant.calibration.diagnosis import acceleration_kernel
 from covariant.calibration.identification._robot_combinations import Combinations, combinations
 from covariant.geometry import differential
 from covariant.models import MechanicalSystem, RobotFamily, applied_force, input_count, resistance
+from covariant.models.robots import servos_in
 
 KNOWN = 0.1
 """The log shows a number if its standard error is below this fraction of its standard deviation in the prior."""
@@ -150,8 +151,13 @@ def needed(model: MechanicalSystem, q: Array, v: Array, a: Array) -> Array:
 
 def efforts(model: MechanicalSystem, q: Array, v: Array, a: Array) -> Float[Array, "2 n"]:
     """Torques (n,) that the motors have to give for a motion, and those that it needs without friction."""
-    without = needed(model, q, v, a)
-    braking = resistance(model, jnp.zeros(()), q, v, jnp.zeros(input_count(model, len(q))))
+    without, servos = needed(model, q, v, a), servos_in(model)
+    if servos is None:
+        braking = resistance(model, jnp.zeros(()), q, v, jnp.zeros(input_count(model, len(q))))
+    else:
+        # Of a servo it is the torque within its limit, so that its own damping is no load.
+        lost: Any = model.dissipation
+        braking = lost.friction(q, v) - servos.rows.T @ (servos.back_emf * (servos.rows @ v))
     return jnp.stack([without - braking, without])
 
 
@@ -162,9 +168,45 @@ def motor_matrix(model: MechanicalSystem) -> Float[np.ndarray, "n m"]:
     return np.asarray(jax.jit(jax.jacfwd(lambda u: model.force(jnp.zeros(()), origin, u)))(zero))
 
 
-def inverse_motors(model: MechanicalSystem) -> Float[np.ndarray, "m n"]:
-    """Inputs (m, n) that a unit of each generalised force needs, the smallest where there are more than joints."""
-    return np.linalg.pinv(motor_matrix(model))
+class InverseInputs(NamedTuple):
+    """Inputs that torques need, the smallest where there are more than joints: `force τ + position q + rate v + bias`.
+
+    Those of motors depend on the torques (m, n) alone, and commands on positions (m, n) and rates (m, n) too.
+    """
+
+    force: Float[np.ndarray, "m n"]
+    position: Float[np.ndarray, "m n"]
+    rate: Float[np.ndarray, "m n"]
+    bias: Float[np.ndarray, "m"]
+
+    def apply(self, torque: np.ndarray, q: np.ndarray, v: np.ndarray) -> Float[np.ndarray, "T m"]:
+        """Inputs (T, m) at rows (T, n)."""
+        return torque @ self.force.T + q @ self.position.T + v @ self.rate.T + self.bias
+
+
+def inverse_inputs(model: MechanicalSystem) -> InverseInputs:
+    """Inputs as functions of the torques that `efforts` returns."""
+    servos = servos_in(model)
+    if servos is None:
+        inverse = np.linalg.pinv(motor_matrix(model))
+        return InverseInputs(inverse, 0 * inverse, 0 * inverse, np.zeros(len(inverse)))
+    rows, stiffness, damping, offset, zero = (
+        np.asarray(each) for each in (servos.rows, servos.stiffness, servos.damping, servos.offset, servos.zero)
+    )
+    # With e the error, k e − d v is the torque, and e + q − offset what is commanded.
+    to_inputs = np.linalg.pinv(np.asarray(servos.commands))
+    to_servos = np.linalg.pinv(rows.T)
+    bias = to_inputs @ (zero - offset)
+    for places, value in ((servos.switches, 1.0), (servos.volts, servos.supply)):
+        for servo, place in enumerate(places):
+            if place >= 0:
+                bias[place] = np.broadcast_to(value, len(places))[servo]
+    return InverseInputs(
+        to_inputs @ (to_servos / stiffness[:, None]),
+        to_inputs @ rows,
+        to_inputs @ (rows * (damping / stiffness)[:, None]),
+        bias,
+    )
 
 
 def usual_sizes(
@@ -199,7 +241,7 @@ def motor_inputs(
         >>> motor_inputs(models.robots.load("double_pendulum"), np.array([[0.0, np.pi / 2]]), still, still)[0].round(3)
         array([[0.51, 0.51]])
     """
-    return in_batches(efforts, model, q, v, a)[:, 0] @ inverse_motors(model).T, motor_matrix(model)
+    return inverse_inputs(model).apply(in_batches(efforts, model, q, v, a)[:, 0], q, v), motor_matrix(model)
 
 
 def _torque(model: MechanicalSystem, q: Array, v: Array, a: Array, u: Array) -> Array:

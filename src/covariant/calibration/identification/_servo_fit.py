@@ -86,8 +86,8 @@ def fit_servos(
     family = families[0]
     # What steps of a few milliseconds leave of a motion shifts the numbers a little, the same way in every window.
     values = np.asarray(family.values(point.x))
-    late = np.array([number.group == "servo" and number.number == "delay" for number in family.numbers])
-    rough = np.where(late, LATE, ACCURACY * np.abs(values))
+    delays = np.array([number.group == "servo" and number.number == "delay" for number in family.numbers])
+    rough = np.where(delays, LATE, ACCURACY * np.abs(values))
     known = Determined.of(family, point.x, search.sizes, step.information, step.covariance + np.diag(rough**2))
     return RobotFit(
         family.names,

@@ -55,8 +55,10 @@ def _correlation(t: np.ndarray, u: np.ndarray, step: float, lags: np.ndarray) ->
     z = z - np.nanmean(z)
     pairs = [(z[:-lag], z[lag:]) for lag in lags]
     # Of the same pairs, so that an input that is not quite stationary has no correlation beyond one.
+    powers = [np.nansum(np.where(np.isfinite(a * b), a**2 + b**2, 0.0)) for a, b in pairs]
+    # An input that never changes, such as the switch of a servo that stays on, has none.
     return np.array(
-        [2 * np.nansum(a * b) / np.nansum(np.where(np.isfinite(a * b), a**2 + b**2, 0.0)) for a, b in pairs]
+        [2 * np.nansum(a * b) / power if power else np.nan for (a, b), power in zip(pairs, powers, strict=True)]
     )
 
 

@@ -226,11 +226,19 @@ def need_steady_friction(model: MechanicalSystem) -> None:
     u = jnp.zeros(input_count(model, v.size))
     read = entries_read(functools.partial(resistance, model), jnp.zeros(()), q, v, u)
     first = 1 + q.size + v.size
-    dependences = ["time"] * (0 in read) + [f"u{i + 1}" for i in range(u.size) if first + i in read]
+    servos = getattr(model.force, "servos", None)
+    names = [f"u{i + 1}" for i in range(u.size)] if servos is None else servos.input_names
+    dependences = ["time"] * (0 in read) + [names[i] for i in range(u.size) if first + i in read]
     if dependences:
+        remedy = (
+            ""
+            if servos is None
+            else "; a servo with a `limit`, a `switch` or friction by `load` has another: leave these out of [servo], "
+            "and the proof is about the machine while it stays within its limits and switched on"
+        )
         raise ValueError(
             f"the dissipation of this model depends on {', '.join(dependences)}; only friction of position and "
-            "velocity is covered by a proof"
+            f"velocity is covered by a proof{remedy}"
         )
 
 

@@ -58,6 +58,14 @@ static void tell(memory *m, const xNAMEx_state *state, const xNAMEx_params *para
     show(m, &output);
 }
 
+/* The input from now on. */
+static void act(memory *m)
+{
+    int i;
+    for (i = 0; i < xUPPERx_INPUTS; ++i)
+        m->acted[i] = (xNAMEx_real)m->numbers[xUPPERx_MEASUREMENTS + i];
+}
+
 /* Start at the measurement, where it is complete. */
 static void begin(memory *m, double t)
 {
@@ -72,6 +80,10 @@ static void begin(memory *m, double t)
     if (!m->started)
         m->outcome = xUPPERx_COASTED;
     m->t = m->now = t;
+    if (m->started && xAT_ENDx) {
+        act(m);
+        (void)xNAMEx_step(&m->state, &params, m->acted, y, NULL, 0);
+    }
     if (m->started)
         tell(m, &m->state, &params);
 }
@@ -95,6 +107,8 @@ static int advance(memory *m, double t, double h)
     if (!m->started || !m->stepped) {
         begin(m, t);
     } else {
+        if (xAT_ENDx) /* the input of a step is that of its end */
+            act(m);
         /* A step of length zero and one back in time leave the state as it was, and the outcome says so. */
         m->outcome = xNAMEx_step(&m->state, &params, m->acted, y, NULL, (xNAMEx_real)(t - m->t));
         m->started = m->outcome != xUPPERx_NOT_FINITE;
@@ -102,8 +116,7 @@ static int advance(memory *m, double t, double h)
     }
     m->stepped = m->started;
     m->now = t + h;
-    for (i = 0; i < xUPPERx_INPUTS; ++i)
-        m->acted[i] = (xNAMEx_real)m->numbers[xUPPERx_MEASUREMENTS + i];
+    act(m);
     if (!m->started)
         return OK;
     ahead = m->state;

@@ -45,6 +45,8 @@ MEASUREMENT = xMEASUREMENTx
 """Shape of a measurementxSENSORSx."""
 INPUTS = xINPUTSx
 """Number of inputs."""
+INPUT_AT_END = bool(xAT_ENDx)
+"""Whether the input of a step is that of its end, at the stamp of y, and not the one since the sample before."""
 
 _NAME, _TOKEN = "xNAMEx", "xTOKENx"
 _HERE = Path(__file__).parent
@@ -144,14 +146,14 @@ class Observer:
         return self._begin(t)
 
     def step(self, y: object, dt: float, u: object = None) -> Result:
-        """Advance by dt [s] under the input u, held over the step, then correct by the measurement y.
+        """Advance by dt [s] under the input u, then correct by the measurement y.
 
         The first complete measurement starts the observer, also after `NOT_FINITE`.
 
         Args:
             y: Measurement, of the shape `MEASUREMENT`; NaN marks what was not measured.
             dt: Time since the sample before [s].
-            u: Input (INPUTS,) since then; None counts as zero. One that is not finite is replaced by the last one.
+            u: Input (INPUTS,), xSENTx; None counts as zero. One that is not finite is replaced by the last one.
 
         Raises:
             ValueError: For arrays of another shape or kind. What numbers do is a result code.
@@ -159,9 +161,12 @@ class Observer:
         _read(self._y, y, "y", MEASUREMENT)
         if u is not None:
             _read(self._u, u, "u", (INPUTS,))
-        if not self.started:
-            return self._begin(0.0)
         x, p, at_u, at_y, _ = self._at
+        if not self.started:
+            result = self._begin(0.0)
+            if self.started and INPUT_AT_END and u is not None:
+                self._step(x, p, at_u, at_y, None, 0.0)
+            return result
         result = _CODES[self._step(x, p, None if u is None else at_u, at_y, None, float(dt))]
         if result is Result.NOT_FINITE:
             self.started = False
@@ -217,8 +222,8 @@ def run(t: object, y: object, u: object = None, params: Mapping | None = None) -
             f"rows are {step:g} s apart, and {_NAME} is made for {RATE:g} Hz: export it with --rate {1 / step:.3g}",
             stacklevel=2,
         )
-    # The input that acted since the stamp before.
-    acting = None if inputs is None else np.concatenate([inputs[:1], inputs[:-1]])
+    # Usually the input that acted since the stamp before.
+    acting = inputs if inputs is None or INPUT_AT_END else np.concatenate([inputs[:1], inputs[:-1]])
     outputs, reported = np.empty((rows, _size(_OUTPUT)), REAL), np.empty((rows, _size(_REPORTED)), REAL)
     results = np.empty(rows, np.intc)
     observer._y[:] = measured[0].ravel()

@@ -42,10 +42,10 @@ extern const xNAMEx_params xNAMEx_default;
  * matrix and no rotation, and xUPPERx_COASTED where a number is too large to tell a place. */
 int xNAMEx_init(xNAMEx_state *state, const xNAMEx_params *params, const xNAMEx_real *y, xNAMEx_real t);
 
-/* Advance by dt [s] under the input u, held over the step, then correct by the measurement y.
+/* Advance by dt [s] under the input u, then correct by the measurement y.
  *
  * missing: for each number of y, 1 where it was not measured; NULL for none. NaN in y says the same.
- * u: the input that acted since then; NULL counts as zero. One that is not finite is replaced by the last one.
+ * u: xSENTx; NULL counts as zero. One that is not finite is replaced by the last one.
  * dt: the time since the last stamp that was used. A step that is not positive leaves the state as it was.
  *
  * The outcome says what of this happened. Call xNAMEx_init first: a state without it has no meaning. */

@@ -14,7 +14,7 @@ xSIGNALSx */
 (function () {
 "use strict";
 
-const NAME = "xNAMEx", RATE = xRATEx, MEASUREMENTS = xMEASUREMENTSx, INPUTS = xINPUTSx;
+const NAME = "xNAMEx", RATE = xRATEx, MEASUREMENTS = xMEASUREMENTSx, INPUTS = xINPUTSx, INPUT_AT_END = xAT_ENDx;
 const RESULTS = xRESULTSx;
 const MESSAGES = xMESSAGESx;
 const OK = RESULTS.indexOf("OK"), COASTED = RESULTS.indexOf("COASTED"), NOT_FINITE = RESULTS.indexOf("NOT_FINITE");
@@ -89,7 +89,11 @@ async function load() {
             write(this.#y, y, "y");
             if (u === undefined || u === null) this.#u.fill(0);
             else write(this.#u, u, "u");
-            if (!this.started) return this.#begin(0);
+            if (!this.started) {
+                const begun = this.#begin(0);
+                if (this.started && INPUT_AT_END) this.#calls.step(0);
+                return begun;
+            }
             const code = this.#calls.step(dt);
             if (code === NOT_FINITE) this.started = false;
             return code;

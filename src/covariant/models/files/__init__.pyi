@@ -14,4 +14,4 @@ from ._robot_family import (
     robot_family as robot_family,
 )
 from ._systems import check_spec as check_spec
-from ._toml import Overrides as Overrides
+from ._toml import Overrides as Overrides, override as override

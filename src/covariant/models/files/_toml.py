@@ -119,7 +119,9 @@ def columns(document: dict[str, Any]) -> dict[str, Any]:
         if not isinstance(names, list) or not all(isinstance(name, str) and name for name in names):
             expected = "the name of a column" if key == "t" else 'a list of column names, as in ["q1", "q2"]'
             raise ValueError(f"columns.{key} must be {expected}; got {value!r}")
-        if len(set(names)) < len(names):
+        # One switch, or one supply, may be that of several servos; the commands come before these.
+        distinct = names[: len(document.get(SERVO, {})) or None] if key == "u" else names
+        if len(set(distinct)) < len(distinct):
             raise ValueError(f"columns.{key} names a column twice: {', '.join(names)}")
     fields = {key: value if key == "t" else tuple(value) for key, value in table.items()}
     return fields | ({"units": _units(document["units"])} if "units" in document else {})

@@ -27,6 +27,7 @@ from ._servos import (
 )
 from ._space import RobotSpace as RobotSpace
 from ._tree import KinematicTree as KinematicTree, Links as Links
-from ._urdf_inertias import urdf_with_inertias as urdf_with_inertias
+from ._write import robot_text as robot_text
+from ._write_urdf import urdf_with_inertias as urdf_with_inertias
 
 __all__ = ["load", "located", "read"]

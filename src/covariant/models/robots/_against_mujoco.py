@@ -17,12 +17,19 @@ from covariant._optional import load_optional
 from covariant.models.robots._description import BodyInertia, Description, Joint, Motor
 from covariant.models.robots._forces import with_motors
 from covariant.models.robots._mjcf import names_of
+from covariant.models.robots._write_mjcf import gathered, mjcf_text
 
 SCALES = (0.1, 0.3, 1.0, 3.0, 10.0)
 """Sizes of the random states and inputs; what acts from some state on, like a spring that yields, shows at the large
 ones."""
 TOLERANCE = 1e-9
 """Largest difference of a generalised force, relative to the sum of the sizes of its terms."""
+ANY_INERTIA = BodyInertia.of(
+    1.0, np.array([0.1, 0.2, 0.3]), np.array([[1.0, 0.1, 0.2], [0.1, 1.1, 0.3], [0.2, 0.3, 1.2]])
+)
+"""Inertia of all bodies while MuJoCo compiles them: it refuses bodies without mass, and treats others in a shorter
+way."""
+STEP = 1e-3
 QUATERNIONS = {"floating": slice(3, 7), "ball": slice(0, 4)}
 """Part of the position of a joint that is a unit quaternion, by the kind of the joint."""
 
@@ -59,6 +66,8 @@ def refuse_difference(engine: Any, robot: Description, actuated: Sequence[str] |
 def _smooth(mujoco: Any, engine: Any, actuated: bool) -> Any:
     """MuJoCo's model of the file without constraints, and without the forces of motors where these are no inputs."""
     model, flags = copy.copy(engine), mujoco.mjtDisableBit
+    if hasattr(model, "actuator_delay"):  # earlier versions delay nothing
+        model.actuator_delay[:] = 0
     model.opt.disableflags |= int(flags.mjDSBL_CONSTRAINT) | int(flags.mjDSBL_CLAMPCTRL)
     sleep = getattr(mujoco.mjtEnableBit, "mjENBL_SLEEP", None)  # earlier versions let nothing sleep
     model.opt.enableflags &= ~(0 if sleep is None else int(sleep))
@@ -72,23 +81,14 @@ def _smooth(mujoco: Any, engine: Any, actuated: bool) -> Any:
 
 def _written_back(mujoco: Any, robot: Description, motors: Sequence[Motor]) -> Any:
     """A plain MuJoCo model of a description, with the springs and dampers of motors at their joints."""
-    spec, kinds = mujoco.MjSpec(), mujoco.mjtJoint
-    types = {"floating": kinds.mjJNT_FREE, "ball": kinds.mjJNT_BALL, "prismatic": kinds.mjJNT_SLIDE}
-    bodies = {robot.root: spec.worldbody}
+    robot = gathered(robot)
+    joints = tuple(with_motors(joint, motors)._replace(friction=0.0, follows=None) for joint in robot.joints)
+    links = robot.links | {joint.child: ANY_INERTIA for joint in robot.joints if joint.kind != "fixed"}
+    text = mjcf_text(robot._replace(joints=joints, links=links, motors=()), STEP)
+    model = mujoco.MjModel.from_xml_string(text)
     for joint in robot.joints:
-        # The compiler refuses bodies without mass, and treats some others in a shorter way: any inertia will do here.
-        body = bodies[joint.child] = bodies[joint.parent].add_body(
-            name=joint.child, pos=joint.place, quat=_quaternion(mujoco, joint.rotation), mass=1.0
-        )
-        body.explicitinertial, body.ipos, body.fullinertia = True, [0.1, 0.2, 0.3], [1.0, 1.1, 1.2, 0.1, 0.2, 0.3]
         if joint.kind != "fixed":
-            body.add_joint(name=joint.name, type=types.get(joint.kind, kinds.mjJNT_HINGE), axis=joint.axis)
-    model = spec.compile()
-    model.opt.gravity[:] = robot.gravity
-    for joint in robot.joints:
-        _set_inertia(mujoco, model, model.body(joint.child).id, robot.links[joint.child])
-        if joint.kind != "fixed":
-            _set_joint(model, model.joint(joint.name).id, with_motors(joint, motors))
+            _set_inertia(mujoco, model, model.body(joint.child).id, robot.links[joint.child])
     mujoco.mj_setConst(model, mujoco.MjData(model))
     return model
 
@@ -98,22 +98,7 @@ def _set_inertia(mujoco: Any, model: Any, body: int, inertia: BodyInertia) -> No
     axes[:, 0] *= np.linalg.det(axes)
     model.body_mass[body], model.body_inertia[body] = inertia.mass, moments
     model.body_ipos[body] = inertia.first / inertia.mass if inertia.mass else 0.0
-    model.body_iquat[body] = _quaternion(mujoco, axes)
-
-
-def _set_joint(model: Any, k: int, joint: Joint) -> None:
-    place, dof = int(model.jnt_qposadr[k]), int(model.jnt_dofadr[k])
-    dofs = slice(dof, dof + {"floating": 6, "ball": 3}.get(joint.kind, 1))
-    model.dof_damping[dofs], model.dof_armature[dofs] = joint.damping, joint.armature
-    model.jnt_stiffness[k] = joint.stiffness
-    if joint.kind not in QUATERNIONS:
-        model.qpos_spring[place] = joint.rest
-
-
-def _quaternion(mujoco: Any, rotation: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "4"]:
-    quaternion = np.zeros(4)
-    mujoco.mju_mat2Quat(quaternion, np.ascontiguousarray(rotation, float).ravel())
-    return quaternion
+    mujoco.mju_mat2Quat(model.body_iquat[body], np.ascontiguousarray(axes, float).ravel())
 
 
 def _random_state(

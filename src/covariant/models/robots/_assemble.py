@@ -85,7 +85,7 @@ def _assemble(
 ) -> tuple[MechanicalSystem, list[Moved]]:
     """The system of a robot, whose inertia matrix is not checked yet, and what each component of its velocity moves."""
     _check_names(robot, [*locked, *(actuated or ())])
-    locked = _with_followers(robot, locked)
+    locked = still_joints(robot, locked)
     robot, free_joint = _on_its_base(robot, locked)
     floating = floating or free_joint is not None
     axes, bodies, base, frames = bodies_of(robot, locked)
@@ -277,7 +277,7 @@ def _on_its_base(robot: Description, locked: dict[str, float]) -> tuple[Descript
     return robot._replace(root=base, joints=joints), loose[0]
 
 
-def _with_followers(robot: Description, locked: dict[str, float]) -> dict[str, float]:
+def still_joints(robot: Description, locked: dict[str, float]) -> dict[str, float]:
     """The locked joints, and those that follow one of them."""
     still = locked | {joint.name: 0.0 for joint in robot.joints if joint.kind == "fixed"}
     still |= {j.name: j.follows.offset for j in robot.joints if j.follows is not None and not j.follows.joint}

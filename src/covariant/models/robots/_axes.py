@@ -87,7 +87,7 @@ def bodies_of(
         body, turned, shifted = frames[joint.parent]
         rotation, place = turned @ joint.rotation, shifted + turned @ joint.place
         if joint.name in locked:
-            inner, shift = _locked_pose(joint, locked[joint.name])
+            inner, shift = locked_pose(joint, locked[joint.name])
             rotation, place = rotation @ inner, place + rotation @ shift
             frames[joint.child] = body, rotation, place
             add(body, robot.links[joint.child].moved(rotation, place))
@@ -149,7 +149,7 @@ def _motions(joint: Joint) -> list[tuple[str, np.ndarray, np.ndarray, bool]]:
     ]
 
 
-def _locked_pose(joint: Joint, value: float) -> tuple[np.ndarray, np.ndarray]:
+def locked_pose(joint: Joint, value: float) -> tuple[np.ndarray, np.ndarray]:
     """Rotation and place of a locked joint."""
     if not np.isfinite(value):
         raise ValueError(f"joint {joint.name!r}: it must be locked at a finite number; got {value}")

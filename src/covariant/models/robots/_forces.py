@@ -221,11 +221,11 @@ def _of_joint(robot: Description, joint: Joint, axis: int, freedom: Freedom) -> 
     """The input of a joint without a motor in the file, and its generalised force (n,) where it is a torque."""
     if joint.servo is not None:
         return Driven(axis, joint.servo, True), np.zeros(freedom.matrix.shape[1])
-    factor = joint.torque_constant * (_reduction(joint) if robot.motor_torques else 1.0)
+    factor = joint.torque_constant * (reduction_of(joint) if robot.motor_torques else 1.0)
     return Driven(axis, None), freedom.matrix[axis] * factor
 
 
-def _reduction(joint: Joint) -> float:
+def reduction_of(joint: Joint) -> float:
     if len(joint.reductions) != 1:
         stated = f"{len(joint.reductions)} transmissions with a reduction" if joint.reductions else "no reduction"
         raise ValueError(

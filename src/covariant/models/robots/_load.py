@@ -132,7 +132,6 @@ def load(
         >>> scara.inputs == len(scara.coordinates)
         True
     """
-    robot, engine = _read(path, motor_torques)
     numbers = {
         "friction": friction,
         "armature": armature,
@@ -142,15 +141,30 @@ def load(
         "offsets": offsets,
         "servos": servos,
     }
+    robot = described(path, actuated, dry_friction=dry_friction, motor_torques=motor_torques, **numbers)
+    try:
+        return assemble(robot, floating=floating, lock=lock, actuated=actuated, payload=payload)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from error
+
+
+def described(
+    path: str | Path,
+    actuated: Sequence[str] | None = None,
+    *,
+    dry_friction: bool = True,
+    motor_torques: bool = False,
+    **numbers: Any,
+) -> Description:
+    """The description that `load` makes a system of: that of the file with other numbers."""
+    robot, engine = _read(path, motor_torques)
     try:
         if engine is not None:
             refuse_difference(engine, robot, actuated)
         robot = changed(robot, **numbers)
-        if not dry_friction:
-            robot = robot._replace(joints=tuple(map(_without_dry_friction, robot.joints)))
-        return assemble(robot, floating=floating, lock=lock, actuated=actuated, payload=payload)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
+    return robot if dry_friction else robot._replace(joints=tuple(map(_without_dry_friction, robot.joints)))
 
 
 def _without_dry_friction(joint: Joint) -> Joint:

@@ -51,7 +51,8 @@ MOTOR_LIMITS = {
     "actuator_forcelimited": "actuator/forcerange",
     "jnt_actfrclimited": "joint/actuatorfrcrange",
 }
-"""Limits of motors, which have no meaning here: the forces or inputs of a log are within them."""
+"""Limits of motors, which have no meaning where they are not those of a servo: forces and inputs of a log are within
+them."""
 
 
 class _Reader:
@@ -99,8 +100,9 @@ def read_mjcf(path: Path) -> tuple[Description, Any]:
         if getattr(model, size):
             read.ignored[what] += int(getattr(model, size))
     for field, what in MOTOR_LIMITS.items():
-        if getattr(model, field).any():
-            read.ignored[what] += int(getattr(model, field).sum())
+        count = int(getattr(model, field).sum()) - read.used[what]
+        if count > 0:
+            read.ignored[what] += count
     root, ordered = in_order(links, joints)
     gravity = np.zeros(3) if read.off("GRAVITY") else np.array(model.opt.gravity)
     robot = Description(
@@ -331,7 +333,7 @@ def _motors(read: _Reader) -> tuple[Motor, ...]:
             unsupported = f"is a servo on the ball joint {read.names[joint]!r}"
         elif int(model.actuator_dyntype[i]) != int(mujoco.mjtDyn.mjDYN_NONE):
             unsupported = "has a state of its own"
-        elif read.entry("actuator_delay", i):
+        elif read.entry("actuator_delay", i) and not bias[1]:
             unsupported = "has a delay"
         elif int(model.actuator_gaintype[i]) != int(mujoco.mjtGain.mjGAIN_FIXED) or (
             int(model.actuator_biastype[i]) not in linear
@@ -345,8 +347,28 @@ def _motors(read: _Reader) -> tuple[Motor, ...]:
         # A gear scales torque and position, so springs and dampers by its square. MuJoCo's bias is
         # b₀ + b₁ length + b₂ velocity, hence the sign.
         numbers = gear * gain, -(gear**2) * spring, -(gear**2) * damper, gear * constant
-        motors.append(Motor(name, of_joint, *numbers, unsupported, direction))
+        motor = Motor(name, of_joint, *numbers, unsupported, direction)
+        motors.append(_with_limit(read, i, abs(gear), motor) if of_joint and spring else motor)
     return tuple(motors)
+
+
+def _with_limit(read: _Reader, i: int, gear: float, servo: Motor) -> Motor:
+    """A servo with its delay and the limit of its torque, or the reason why it cannot be an input."""
+    model, joint = read.model, int(read.model.actuator_trnid[i, 0])
+    ranges = []
+    if model.actuator_forcelimited[i]:
+        read.used["actuator/forcerange"] += 1
+        ranges.append(("forcerange", gear * np.array(model.actuator_forcerange[i])))
+    if model.jnt_actfrclimited[joint]:
+        if [int(each) for each in model.actuator_trnid[:, 0]].count(joint) > 1:
+            return servo._replace(unsupported="shares the actuatorfrcrange of its joint with another one")
+        read.used["joint/actuatorfrcrange"] += 1
+        ranges.append(("actuatorfrcrange", np.array(model.jnt_actfrcrange[joint])))
+    for what, (low, high) in ranges:
+        if low != -high:
+            return servo._replace(unsupported=f"has a {what} from {low:g} to {high:g}, not the same in both directions")
+    limit = min((high for _, (_, high) in ranges), default=np.inf)
+    return servo._replace(limit=float(limit), delay=float(read.entry("actuator_delay", i)))
 
 
 def _rotation(quaternion: np.ndarray) -> np.ndarray:

@@ -46,28 +46,28 @@ def with_rotors(
             raise ValueError(f"{where}: there is no joint {driven[0]!r}")
         if joint.kind not in ONE_AXIS:
             raise ValueError(f"{where}: joint {joint.name!r} is {joint.kind}, and a motor needs one axis")
-        inertia, reduction = sum(_value(rotor, where) for rotor in rotors), _reduction(entry, where)
+        inertia, turns = sum(_value(rotor, where) for rotor in rotors), reduction(entry, where)
         if inertia < 0:
             raise ValueError(f"{where}: {ROTOR} must not be negative; got {inertia:g} kg m²")
         by_name[joint.name] = joint._replace(
             # The energy ½J(n q')² is that of n²J at the joint.
-            armature=joint.armature + reduction**2 * inertia,
-            reductions=(*joint.reductions, reduction) if geared else joint.reductions,
+            armature=joint.armature + turns**2 * inertia,
+            reductions=(*joint.reductions, turns) if geared else joint.reductions,
         )
     return list(by_name.values())
 
 
-def _reduction(entry: Element, where: str) -> float:
+def reduction(entry: Element, where: str) -> float:
     """Turns of the motor for one of the joint, or for 1 m: 1 where nothing is stated."""
     stated = [(name_of(part), _value(part, where)) for part in entry.iter() if name_of(part) in REDUCTIONS]
     # Joint and actuator may both state the reduction, by either name, but not with different numbers.
     if len({value for _, value in stated}) > 1:
         both = " and ".join(f"{name} {value:g}" for name, value in stated)
         raise ValueError(f"{where}: {both} differ; keep one")
-    name, reduction = stated[0] if stated else ("", 1.0)
-    if not reduction:
+    name, turns = stated[0] if stated else ("", 1.0)
+    if not turns:
         raise ValueError(f"{where}: {name} must not be 0")
-    return reduction
+    return turns
 
 
 def _value(entry: Element, where: str) -> float:

@@ -23,7 +23,7 @@ Everything that wraps an observer, such as a gate or a buffer for late sensors, 
 import abc
 import math
 from collections.abc import Callable, Collection
-from typing import Any, NamedTuple, final
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -173,7 +173,6 @@ class AbstractObserver(Functional):
                 finite.
         """
 
-    @final
     def step(self, state: Any, u: Float[Array, "m"], y: Inexact[Array, "*n"], dt: Number) -> tuple[Any, Any]:
         """Predict over dt to the time of a measurement, then correct by it; invalid numbers never spoil the state.
 
@@ -187,6 +186,8 @@ class AbstractObserver(Functional):
         - For dt = 0 the state is returned unchanged: `REPEATED`. A subnormal dt, which processors may take for zero, is
           zero.
         - For a dt that is negative or not finite the state is returned unchanged too: `STEP_REFUSED`.
+
+        A subclass leaves it as it is, unless it makes the step of another observer under another input.
 
         Args:
             state: State after the previous sample, from `init` or from this method.
@@ -322,6 +323,11 @@ class AbstractObserver(Functional):
     @property
     def fixed_numbers(self) -> bool:
         """Whether all numbers are constants in generated code, because a proof holds only for these numbers."""
+        return False
+
+    @property
+    def input_at_end(self) -> bool:
+        """Whether the input of a step is that of its end, as where inputs are linear between samples, or its begin."""
         return False
 
     def configuration(self, y: Any) -> Any:
@@ -657,10 +663,10 @@ class Rows(NamedTuple):
     dt: Array
 
     @classmethod
-    def of(cls, t: Array, u: Array, y: Array) -> "Rows":
+    def of(cls, t: Array, u: Array, y: Array, input_at_end: bool = False) -> "Rows":
         """Steps of the stamps t (T,), inputs u (T, m) and measurements y (T, *n) of a record."""
         # The input of a row is held from its stamp on, so that a step uses that of the row before.
-        return cls(jnp.concatenate([u[:1], u[:-1]]), y, jnp.diff(t, prepend=t[:1]))
+        return cls(u if input_at_end else jnp.concatenate([u[:1], u[:-1]]), y, jnp.diff(t, prepend=t[:1]))
 
 
 def scan(observer: AbstractObserver, state: Any, rows: Rows) -> tuple[Any, tuple[Any, Any]]:
@@ -683,7 +689,7 @@ def kept(info: Any, keep: Collection[str] | None) -> Any:
 
 @eqx.filter_jit
 def _scan(observer: AbstractObserver, t: Array, u: Array, y: Array, keep: frozenset[str] | None):
-    estimate, info = scan(observer, observer.init(y[0], t[0]), Rows.of(t, u, y))[1]
+    estimate, info = scan(observer, observer.init(y[0], t[0]), Rows.of(t, u, y, observer.input_at_end))[1]
     return estimate, kept(info, keep)
 
 

@@ -1,3 +1,4 @@
+from ._acting_inputs import ActingInputs as ActingInputs, ActingInputsState as ActingInputsState
 from ._damped import (
     Damped as Damped,
     DampedInfo as DampedInfo,

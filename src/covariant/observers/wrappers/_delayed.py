@@ -30,10 +30,8 @@ from jaxtyping import Array, Bool, Float, Inexact
 from covariant._typing import Number, Scalar, Vector
 from covariant.observers.base import AbstractObserver, AbstractWrapper, LastInput, check_whole
 from covariant.observers.sensors import Sensors
-from covariant.signals import StepCode
+from covariant.signals import SAME_TIME, StepCode
 
-SAME_TIME = 1e-6
-"""Times [s] closer than this count as equal: coordinates that were true then are processed together."""
 OF_ESTIMATE = ("velocity_std", "state_std", "slow", "slow_std", "bias")
 """Fields of an info that describe the estimate."""
 

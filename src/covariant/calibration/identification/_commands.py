@@ -1,0 +1,183 @@
+"""Commands of servos among the columns of a log: which ones positions follow, how late, in which unit."""
+
+import re
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from covariant.logs import words_of
+
+LATEST = 0.3
+"""Longest time [s] by which a position follows a command."""
+LAG_STEP = 0.01
+"""Distance [s] of the lags that are compared."""
+MOST_ROWS = 3000
+"""Number of rows at which positions and commands are compared."""
+TRIMMED = 0.8
+"""Fraction of the rows that count: a servo that lets go, or stands at its limit, does not follow for a while."""
+FOLLOWS = 0.3
+"""Largest error, as a fraction of the motion, with which a position follows a column that is named as a command."""
+FOLLOWS_CLOSELY = 0.15
+"""The same of a column whose name says nothing."""
+LATE = 2.0
+"""How much larger that error is without a lag, for a column whose name says nothing."""
+COPIED = 0.95
+"""Fraction of the rows in which a copy of the positions equals them."""
+SAME = 0.95
+"""Least correlation of a column with the slope of a position for it to count as a velocity."""
+FEWEST_CHANGES = 10
+"""Fewest rows in which a position changes, for it to show anything."""
+POSITIONS = words_of("q th theta angle ang angles pos position positions enc encoder")
+"""Words that make a position of what else names a motor, an input, or what is measured now: motor_angle."""
+TORQUES = words_of("tau torque torques tq trq effort force forces moment moments")
+"""Words of torques and forces."""
+TARGETS = words_of("ref reference references desired goal goals target targets set setpoint setpoints")
+"""Words of commands that are never those of torques."""
+COMMANDS = TARGETS | words_of(
+    "cmd cmds command commands commanded action actions des leader sp demand demanded qdes qref qcmd posdes poscmd"
+)
+"""Words of commands."""
+ROLE_WORDS = (
+    POSITIONS
+    | COMMANDS
+    | words_of("joint observation state present actual act measured meas current curr fb feedback follower d")
+)
+"""Words that names of a position and of its command do not share."""
+
+
+class Following(NamedTuple):
+    """How a position follows a command: `q(t) ≈ slope (c(t − lag) − command) + position`, in the numbers of the log.
+
+    Attributes:
+        error: Error of that, as a fraction of the motion; the worst fifth of the rows does not count.
+        lag: Lag [s].
+        slope: Change of the position for one of the command.
+        position, command: Means of both, where they count.
+        whole: Error with the worst rows, too.
+        late: Error without a lag, or with a command after the position, in this error.
+    """
+
+    error: float
+    lag: float
+    slope: float
+    position: float
+    command: float
+    whole: float
+    late: float
+
+
+def follow(
+    t: Float[np.ndarray, "T"], q: Float[np.ndarray, "T"], c: Float[np.ndarray, "T"], on: np.ndarray | None = None
+) -> Following | None:
+    """Regression of a position on a command at lags from 0 to `LATEST`; None where either stands still.
+
+    `t` are seconds; `on` (T,) are the rows in which the servo is switched on, all by default.
+    """
+    valid = np.isfinite(q) & np.isfinite(c) & (True if on is None else on)
+    if np.count_nonzero(np.diff(q[valid])) < FEWEST_CHANGES or not np.diff(c[valid]).any():
+        return None
+    rows = np.flatnonzero(valid)
+    rows = rows[np.unique(np.linspace(0, len(rows) - 1, MOST_ROWS).astype(int))]
+    given = np.isfinite(c)
+
+    def fitted(lag: float) -> _Line:
+        inside = rows[(t[rows] - lag >= t[0]) & (t[rows] - lag <= t[-1])]
+        return _regression(np.interp(t[inside] - lag, t[given], c[given]), q[inside])
+
+    fits = {lag: fitted(lag) for lag in np.arange(0.0, LATEST + LAG_STEP / 2, LAG_STEP)}
+    lag = min(fits, key=lambda each: fits[each][0])
+    best = fits[lag]
+    early = min(fits[0.0][0], *(fitted(-each)[0] for each in (0.02, 0.05, 0.1)))
+    return Following(best.error, float(lag), *best[1:], early / max(best.error, 1e-12))
+
+
+class _Line(NamedTuple):
+    """A line through points: error as a fraction of the motion, slope, means of both, and the error of all points."""
+
+    error: float
+    slope: float
+    position: float
+    command: float
+    whole: float
+
+
+def _regression(x: np.ndarray, y: np.ndarray) -> _Line:
+    """The line through y over x, without the worst rows."""
+    kept, slope, centre, middle = np.ones(len(x), bool), 0.0, 0.0, 0.0
+    errors = np.zeros(len(x))
+    for _ in range(3):
+        if np.count_nonzero(kept) < FEWEST_CHANGES or np.ptp(x[kept]) == 0:
+            return _Line(np.inf, slope, centre, middle, np.inf)
+        centre, middle = float(y[kept].mean()), float(x[kept].mean())
+        about = x[kept] - middle
+        slope = float(about @ y[kept] / (about @ about))
+        errors = y - centre - slope * (x - middle)
+        kept = np.abs(errors) <= np.quantile(np.abs(errors), TRIMMED)
+    motion = max(float(np.std(y)), 1e-300)
+    return _Line(float(np.std(errors[kept])) / motion, slope, centre, middle, float(np.std(errors)) / motion)
+
+
+def stem(name: str) -> frozenset[str]:
+    """What a name says beside the role of the column: `rotation` of `q_rotation` and `cmd_rotation`."""
+    return frozenset(re.findall(r"[a-z]+|[0-9]+", name.lower())) - ROLE_WORDS
+
+
+def pairs_by_name(names: Sequence[str], others: Sequence[str]) -> tuple[str | None, ...]:
+    """For each name the one of the others with the same stem, or None; empty where that says nothing."""
+    stems = [stem(other) for other in others]
+    by_stem = [others[stems.index(stem(name))] if stems.count(stem(name)) == 1 else None for name in names]
+    found = [name for name in by_stem if name is not None]
+    return tuple(by_stem) if found and len(set(found)) == len(found) else ()
+
+
+def pairs(names: Sequence[str], others: Sequence[str]) -> tuple[str | None, ...]:
+    """For each name the one of the others with the same stem; by their order where stems do not say it.
+
+    None where neither does, or where there is no other one left.
+    """
+    by_name = pairs_by_name(names, others)
+    if by_name:
+        return by_name
+    return tuple(others) if len(others) == len(names) else (None,) * len(names)
+
+
+def copied(q: Float[np.ndarray, "T"], c: Float[np.ndarray, "T"]) -> int | None:
+    """By how many rows a command is a copy of its position, 0 or 1; None where it is none."""
+    for rows in (0, 1):
+        later, command = q[rows:], c[: len(c) - rows]
+        moving = np.flatnonzero(np.diff(later) != 0) + 1
+        if len(moving) >= FEWEST_CHANGES and np.mean(later[moving] == command[moving]) >= COPIED:
+            return rows
+    return None
+
+
+def command_unit(slope: float, factor: float, close: bool) -> float | None:
+    """Size of one of a command in that of one of its position, from how far the position moves for it; None if unclear.
+
+    A servo falls short of its command where it is soft, and does not go beyond it.
+
+    Args:
+        slope: Change of the position for one of the command, in the numbers of the log.
+        factor: Unit of the position [rad].
+        close: Whether the position follows closely, so that another unit than that of the position may be told.
+
+    Returns:
+        The unit of the command [rad], with its sign.
+    """
+    size = abs(slope) * factor
+    sign = -1.0 if slope < 0 and close else 1.0
+    if 0.15 * factor < size < 1.3 * factor:
+        return sign * factor
+    units = (1.0, np.pi / 180, 2 * np.pi / 4096)
+    return next((sign * unit for unit in units if close and 0.85 * unit < size < 1.05 * unit), None)
+
+
+def is_slope(t: np.ndarray, y: np.ndarray, v: np.ndarray) -> bool:
+    """Whether a column follows the slope of a position."""
+    slope = np.gradient(y, t)
+    valid = np.isfinite(slope) & np.isfinite(v)
+    if valid.sum() < 10 or np.ptp(v[valid]) == 0 or np.ptp(slope[valid]) == 0:
+        return False
+    return bool(np.corrcoef(slope[valid], v[valid])[0, 1] > SAME)

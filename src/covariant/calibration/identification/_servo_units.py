@@ -1,0 +1,249 @@
+"""Units of the positions, commands and rates of servos, and what a log tells of each servo."""
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from covariant.calibration.identification._commands import (
+    FEWEST_CHANGES,
+    FOLLOWS,
+    FOLLOWS_CLOSELY,
+    command_unit,
+    copied,
+)
+from covariant.calibration.identification._servo_columns import Inputs
+from covariant.logs import KNOWN, MEANT, is_unit_of, unit_factor, unit_in_name, unknown_unit, words_of
+
+SOFT = 0.7
+"""Least motion for one of a command, at which the mean distance between them is an offset and no sag."""
+SHOWN = 1.05
+"""How much larger the error must be without a lag, for the lag to count."""
+NORMALISED = 100.5
+"""Largest number of positions in per cent of their range, which servos of some data sets are logged in."""
+MOST_RADIANS = 7.0
+"""Largest angle of a servo in radians, a turn and a little."""
+MOST_DEGREES = 720.0
+"""Largest angle of a servo in degrees."""
+TICKS = 4096
+"""Numbers of an encoder of 12 bits, as most serial-bus servos have."""
+FEWEST_TICKS = 1023
+"""Largest number from which whole numbers within `TICKS` are ticks for certain, and not degrees or another encoder."""
+_UNITS = {1.0: "rad", unit_factor("deg"): "deg", unit_factor("turn/4096"): "turn/4096"}
+"""Units of commands that their size tells."""
+
+
+class DraftedServo(NamedTuple):
+    """What a log tells of the servo of a position.
+
+    Attributes:
+        command: Column of its command.
+        unit: Size [rad] of one of the command.
+        lag: Time [s] by which the position follows; None where it is not seen to.
+        offset: What has to be added to the command [rad].
+
+    Example:
+        >>> from covariant.calibration.identification import DraftedServo
+        >>> DraftedServo("cmd_hip", unit=1.0, lag=0.08, offset=0.0).command
+        'cmd_hip'
+    """
+
+    command: str
+    unit: float
+    lag: float | None
+    offset: float
+
+
+def position_units(
+    logged: Float[np.ndarray, "T n"], names: Sequence[str], stated: Sequence[str | None], servos: bool
+) -> list[str] | None:
+    """Units of positions that state none: ticks, or degrees of servos; None where that rule says nothing.
+
+    Raises `ValueError` where the numbers may be in two units.
+    """
+    open_ones = [i for i, text in enumerate(stated) if text is None]
+    values = logged[:, open_ones]
+    values = values[np.isfinite(values).all(axis=1)]
+    if not len(values):
+        return None
+    largest, whole = float(np.abs(values).max()), bool((values % 1 == 0).all())
+    listed = ", ".join(names[i] for i in open_ones)
+    answer = "name their unit by `overrides=['units.q=\"turn/4096\"']`, one for each in brackets where they differ"
+    if whole and largest > FEWEST_TICKS:
+        if values.min() >= 0 and largest < TICKS:
+            return [f"turn/{TICKS}" if text is None else text for text in stated]
+        raise ValueError(
+            f"the positions {listed} are whole numbers from {values.min():g} to {values.max():g}, as ticks; {answer}"
+        )
+    if not servos or largest <= MOST_RADIANS:
+        return None
+    if largest > MOST_DEGREES:
+        raise ValueError(
+            f"the positions {listed} are between {values.min():.4g} and {values.max():.4g}, more than a servo turns in "
+            f"degrees; {answer}"
+        )
+    if whole:
+        raise ValueError(
+            f"the positions {listed} are whole numbers from {values.min():g} to {values.max():g}: ticks or degrees; "
+            f"{answer}"
+        )
+    if largest <= NORMALISED:
+        raise ValueError(
+            f"the positions {listed} are between {values.min():.4g} and {values.max():.4g}: degrees, or per cent of "
+            "the range of each servo, as LeRobot logs them unless use_degrees is set, which is no angle. Name their "
+            "unit by `overrides=['units.q=\"deg\"']`; for -100 to 100 it is a 200th of the range of each joint, as "
+            '`overrides=[\'units.q=["1.1 deg", "0.9 deg"]\']` for ranges of 220 and 180 degrees, from the calibration '
+            "file of the arm: (range_max - range_min) / 4096 * 360 / 200; of a gripper from 0 to 100 it is a 100th"
+        )
+    return ["deg" if text is None else text for text in stated]
+
+
+def stated_by_user(field: str, names: Sequence[str], known: Mapping[str, Sequence[str]]) -> dict[str, str]:
+    """Labels of columns with the units that the user gives for them."""
+    texts = known.get(field, ())
+    if not texts or not names:
+        return {}
+    if len(texts) not in (1, len(names)):
+        raise ValueError(
+            f"{len(texts)} units are given for {field}, which has {len(names)} columns ({', '.join(names)})"
+        )
+    for text in texts:
+        if not is_unit_of(text, MEANT["q"] if field == "u" else MEANT[field]) and not is_unit_of(text, MEANT[field]):
+            raise ValueError(f"unit {text!r} is no unit of {field}; known are {KNOWN[field][0]}, as {KNOWN[field][1]}")
+    return {name: f"{name} [{texts[i if len(texts) > 1 else 0]}]" for i, name in enumerate(names)}
+
+
+def unit_labels(
+    columns: Mapping[str, np.ndarray], q: Sequence[str], labels: Mapping[str, str], servos: bool
+) -> dict[str, str]:
+    """Labels of positions with a unit that their numbers show; empty where the usual rule decides."""
+    texts = [unit_in_name(labels[name], MEANT["q"]) for name in q]
+    if None not in texts:
+        return {}
+    units = position_units(np.column_stack([columns[name] for name in q]), q, texts, servos)
+    return {} if units is None else {name: f"{name} [{unit}]" for name, unit in zip(q, units, strict=True)}
+
+
+def servos_of(
+    inputs: Inputs,
+    columns: Mapping[str, np.ndarray],
+    labels: Mapping[str, str],
+    q: Sequence[str],
+    q_units: Sequence[str],
+) -> tuple[DraftedServo | None, ...]:
+    """What the log tells of each servo, with the unit of its command; raises `ValueError` for one that is unclear."""
+    servos: list[DraftedServo | None] = []
+    for position, text, command, how in zip(q, q_units, inputs.commands, inputs.following, strict=True):
+        if command is None:
+            servos.append(None)
+            continue
+        rows = copied(columns[position], columns[command])
+        if rows is not None:
+            where = "of the same row" if rows == 0 else "of the next row"
+            raise ValueError(
+                f"column {command!r} is a copy of {position!r} {where}: a log of what was measured, and no command; "
+                'name the inputs by `columns["u"]`, or none with []'
+            )
+        factor, named = unit_factor(text), unit_in_name(labels[command], MEANT["q"])
+        odd = unknown_unit(labels[command], MEANT["q"])
+        if odd is not None and odd.lower() not in ("tick", "ticks", "count", "counts"):
+            raise ValueError(
+                f"column {command!r} has {odd!r} in its name, which is no unit of a command; name what one of it is by "
+                "`overrides=['units.u=\"deg\"']`"
+            )
+        close = how is not None and how.error < FOLLOWS
+        unit = unit_factor(named) if named else command_unit(how.slope, factor, close) if close and how else factor
+        size = 0.0 if how is None else abs(how.slope) * factor
+        # A servo does not go beyond its command, be it followed well or not.
+        if unit is None or size > 1.5 * abs(unit) or (named and close and size < 0.15 * abs(unit)):
+            raise ValueError(
+                f"column {command!r}: {position} [{text}] moves by {size:.3g} rad for one of it, which is no unit of a "
+                f"command{' in ' + named if named else ''}; name it by `overrides=['units.u=\"deg\"']`, or "
+                f"`overrides=['units.u=\"{size:.3g} rad\"']` if so much is meant"
+            )
+        if how is None or not close:
+            servos.append(DraftedServo(command, unit, None, 0.0))
+        else:
+            # A soft servo sags, and a slow motion shows no lag.
+            stiff = SOFT < abs(how.slope * factor / unit) < 2 - SOFT
+            offset = how.position * factor - how.command * unit if stiff else 0.0
+            servos.append(DraftedServo(command, unit, how.lag if how.late > SHOWN else None, offset))
+    return tuple(servos)
+
+
+def units_of_commands(
+    servos: Sequence[DraftedServo | None], switches: int, labels: Mapping[str, str], of_positions: Sequence[str]
+) -> dict[str, tuple[str, ...]]:
+    """Units of the columns of commands, where they are not radians without a word of it; a switch has none."""
+    texts = []
+    for unit, servo in zip(of_positions, servos, strict=True):
+        if servo is not None:
+            factor = servo.unit / unit_factor(unit)
+            text = (
+                unit
+                if factor == 1
+                else f"-1 {unit}"
+                if factor == -1
+                else _UNITS.get(servo.unit, f"{servo.unit:.6g} rad")
+            )
+            texts.append(unit_in_name(labels[servo.command], MEANT["q"]) or text)
+    in_names = any(unit_in_name(servo.command, MEANT["q"]) for servo in servos if servo is not None)
+    plain = all(unit_factor(text) == 1 for text in texts)
+    return {} if plain and not in_names else {"u": (*texts, *("1",) * switches)}
+
+
+def plausible_rates(
+    columns: Mapping[str, np.ndarray],
+    clock: np.ndarray,
+    q: Sequence[str],
+    factors: Sequence[float],
+    v: tuple[str, ...],
+    labels: Mapping[str, str],
+) -> tuple[tuple[str, ...], list[str]]:
+    """Registers of velocities, none where they are in another unit than their name says, with a sentence on it."""
+    for position, factor, name in zip(q, factors, v, strict=False):
+        slope = np.gradient(columns[position], clock) * factor
+        unit = unit_factor(unit_in_name(labels[name], MEANT["v"]) or "rad/s")
+        valid = np.isfinite(slope) & np.isfinite(columns[name])
+        size = float(np.sum(slope[valid] ** 2))
+        ratio = float(np.sum(slope[valid] * columns[name][valid])) * unit / size if size else 1.0
+        if np.count_nonzero(np.diff(columns[position])) > FEWEST_CHANGES and not 0.4 < ratio < 1.6:
+            return (), [
+                f"the registers of velocity {', '.join(v)} are left out: {name} is {ratio:.3g} times the slope of "
+                f"{position}"
+            ]
+    return v, []
+
+
+def remarks_on(
+    inputs: Inputs,
+    servos: Sequence[DraftedServo | None],
+    columns: Mapping[str, np.ndarray],
+    q: Sequence[str],
+    factors: Sequence[float],
+    entries: Mapping[str, str],
+    known: bool,
+) -> list[str]:
+    """Sentences on commands that may be in another unit or have gaps; `known` says whether the user gave units."""
+    remarks = []
+    for position, factor, servo, how in zip(q, factors, servos, inputs.following, strict=True):
+        if servo is None:
+            continue
+        gaps = int(np.count_nonzero(~np.isfinite(columns[servo.command])))
+        if gaps:
+            remarks.append(
+                f"{servo.command} is empty in {gaps} rows: hold the last one in the log, in pandas by .ffill()"
+            )
+        if how is not None and how.error >= FOLLOWS:
+            remarks.append(
+                f"{position} hardly follows {servo.command}, its command by name: {100 * how.whole:.0f} % of its "
+                "motion is another"
+            )
+        ratio = 1.0 if how is None else abs(how.slope * factor / servo.unit)
+        if how is not None and how.error < FOLLOWS_CLOSELY and not 0.9 < ratio < 1.1:
+            remarks.append(f"{position} moves by {ratio:.2g} for one of {servo.command}: a soft servo, or another unit")
+        name = entries.get(position, position)
+        if not known and words_of(name) & {"gripper", "jaw", "finger", "hand", "claw"}:
+            remarks.append(f"{name} is taken for an angle; grippers are often logged as a part of their range")
+    return remarks

@@ -1,0 +1,86 @@
+"""Columns that hold lists: each entry is a column, as `observation.state[0]`, as data sets of robots are written."""
+
+import contextlib
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from covariant.logs._columns import pyarrow
+from covariant.logs._tables import LogSource
+
+MOST_ENTRIES = 256
+"""Longest list whose entries are columns; longer ones are pictures and scans."""
+_INFO = ("../meta/info.json", "../../meta/info.json")
+"""Where a data set of LeRobot describes its columns, from the folder of a file."""
+
+
+def _list_length(column: Any) -> int:
+    """Number of entries of each cell of a column of lists of numbers; 0 for another column, or lengths that differ."""
+    types, cell = pyarrow().types, column.type
+    fixed = types.is_fixed_size_list(cell)
+    if not (fixed or types.is_list(cell) or types.is_large_list(cell)):
+        return 0
+    number = cell.value_type
+    if not (types.is_floating(number) or types.is_integer(number) or types.is_decimal(number)):
+        return 0
+    if fixed:
+        return cell.list_size if cell.list_size <= MOST_ENTRIES else 0
+    lengths = pyarrow().compute.unique(pyarrow().compute.list_value_length(column).drop_null()).to_pylist()
+    return lengths[0] if len(lengths) == 1 and lengths[0] <= MOST_ENTRIES else 0
+
+
+def by_entries(source: LogSource, path: Path | None = None) -> LogSource:
+    """A source in which a column for each entry takes the place of each column of lists; `path` is that of its file."""
+    if not source.lists:
+        return source
+    lengths = {name: _list_length(source.load([name], (), ()).column(name)) for name in source.lists}
+    entries = {f"{name}[{k}]": (name, k) for name, length in lengths.items() for k in range(length)}
+    # A column that has this very name counts.
+    entries = {name: place for name, place in entries.items() if name not in source.names}
+    written = {name: [entry for entry, (column, _) in entries.items() if column == name] for name in lengths}
+
+    def expand(names: Sequence[str]) -> list[str]:
+        return [entry for name in names for entry in (written[name] if lengths.get(name) else [name])]
+
+    def load(wanted: Sequence[str], held: Sequence[str], beside: Sequence[str]) -> Any:
+        asked = [*wanted, *beside]
+        of_file = [list(dict.fromkeys(entries[n][0] if n in entries else n for n in part)) for part in (wanted, beside)]
+        table = source.load(of_file[0], held, [name for name in of_file[1] if name not in of_file[0]])
+        columns, names = [], []
+        for name, column in zip(table.column_names, table.columns, strict=True):
+            for entry in [each for each in dict.fromkeys(asked) if entries.get(each, (each, 0))[0] == name]:
+                columns.append(
+                    pyarrow().compute.list_element(column, entries[entry][1]) if entry in entries else column
+                )
+                names.append(entry)
+        return pyarrow().table(columns, names=names)
+
+    units = {name: text for name, text in source.units.items() if name not in entries} | {
+        entry: source.units[column] for entry, (column, _) in entries.items() if column in source.units
+    }
+    labels = {} if path is None else _labels(path, lengths)
+    return source._replace(
+        names=expand(source.names), shown=expand(source.shown), load=load, units=units, labels=labels
+    )
+
+
+def _labels(path: Path, lengths: Mapping[str, int]) -> dict[str, str]:
+    """What a data set calls the entries of its columns, by `observation.state[0]`; empty where it does not say."""
+    for place in _INFO:
+        # A file beside the log that is something else, or broken, is no fault of the log.
+        with contextlib.suppress(OSError, ValueError, AttributeError, KeyError, TypeError):
+            features = json.loads((path.parent / place).read_text(encoding="utf-8"))["features"]
+            return {
+                f"{name}[{k}]": text
+                for name, length in lengths.items()
+                for k, text in enumerate(_flat(features.get(name, {}).get("names"), length))
+            }
+    return {}
+
+
+def _flat(names: Any, length: int) -> list[str]:
+    """Names of the entries, which stand in a list, or in a table with one; none where their number is another."""
+    if isinstance(names, Mapping) and len(names) == 1:
+        (names,) = names.values()
+    return [str(name) for name in names] if isinstance(names, list) and len(names) == length else []

@@ -1,0 +1,70 @@
+"""Several recordings in one file, as the episodes of a data set: stamps that start again, and how to take one."""
+
+import re
+from collections.abc import Callable, Iterable
+
+import numpy as np
+from jaxtyping import Float
+
+_NAME = re.compile(
+    r"(?:.*[_ ./])?(?:episode|trial|traj|trajectory|rollout|demo)(?:[_ ]?(?:index|idx|id|no|nr|number))?"
+)
+SHOWN = 3
+"""Number of episodes whose rows a message lists."""
+
+
+def episode_columns(names: Iterable[str]) -> list[str]:
+    """Names of columns that may number episodes.
+
+    Example:
+        >>> from covariant.logs import episode_columns
+        >>> episode_columns(["timestamp", "episode_index", "frame_index"])
+        ['episode_index']
+    """
+    return [name for name in names if _NAME.fullmatch(name.lower())]
+
+
+def episodes_fault(
+    t: Float[np.ndarray, "T"],
+    names: Iterable[str],
+    cells: Callable[[str], Float[np.ndarray, "T"]],
+    rising: bool = False,
+) -> str | None:
+    """What is wrong with stamps that start again with each episode of a file: its rows, and how to take one.
+
+    Args:
+        t: Stamps (T,) as logged.
+        names: Names of all columns.
+        cells: Function of a name: numbers (T,) of that column.
+        rising: Whether a file of several episodes counts whose stamps go on rising, too.
+
+    Returns:
+        The fault and its remedy, which follow the name of the column of stamps; None for one recording, or stamps that
+        go back elsewhere than where an episode ends.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant.logs import episodes_fault
+        >>> numbers = {"episode_index": np.array([0, 0, 1, 1])}
+        >>> fault = episodes_fault(np.array([0.0, 0.1, 0.0, 0.1]), numbers, numbers.get)
+        >>> fault.partition(";")[0]
+        'starts again at row 3: by episode_index, 0 is rows 1 to 2, 1 is rows 3 to 4'
+    """
+    back = 1 + np.flatnonzero(np.diff(t) <= 0)
+    for name in episode_columns(names):
+        numbers = cells(name)
+        if len(numbers) != len(t) or not np.isfinite(numbers).all():
+            continue
+        begins = [0, *(1 + np.flatnonzero(np.diff(numbers) != 0)).tolist()]
+        if len(begins) == 1 or not set(back.tolist()) <= set(begins) or (not len(back) and not rising):
+            continue
+        ends = [*begins[1:], len(t)]
+        rows = [f"{numbers[a]:g} is rows {a + 1} to {b}" for a, b in zip(begins, ends, strict=True)]
+        listed = ", ".join(rows[:SHOWN]) + (f", and {len(rows) - SHOWN} more" if len(rows) > SHOWN else "")
+        what = f"starts again at row {back[0] + 1}" if len(back) else "goes on over several recordings"
+        longest = numbers[begins[int(np.argmax(np.subtract(ends, begins)))]]
+        return (
+            f"{what}: by {name}, {listed}; take one of them, in pandas as frame[frame[{name!r}] == {longest:g}]"
+            '.to_parquet("episode.parquet")'
+        )
+    return None

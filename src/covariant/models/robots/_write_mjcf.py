@@ -1,0 +1,197 @@
+"""Robots as MJCF files. Source: MuJoCo documentation, XML reference.
+
+The file has links, joints and actuators, and no shapes, so nothing touches anything. The position of a joint there is
+that of the log: an encoder offset o becomes `ref = −o`, the position at which the bodies have the pose of the file.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from xml.etree.ElementTree import Element, SubElement
+
+import numpy as np
+
+from covariant.models.robots._description import NO_INERTIA, BodyInertia, Description, Follows, Joint, Motor, Servo
+from covariant.models.robots._servos import drive_limit
+from covariant.models.robots._write_xml import numbers_text, xml_text
+
+KINDS = {"floating": "free", "ball": "ball", "prismatic": "slide", "revolute": "hinge", "continuous": "hinge"}
+ONE_AXIS = ("prismatic", "revolute", "continuous")
+STICKING = "0.999 0.999 0.001"
+"""Impedance of dry friction: MuJoCo's own default lets a joint creep under a load that friction could hold."""
+ROUNDING = 1e-9
+"""Part of a step that is rounding."""
+SPARE_SAMPLES = 2
+"""Samples of a delayed command beyond those of the delay: one is read before it is written, one for rounding."""
+
+
+def mjcf_text(robot: Description, step: float, about: Sequence[str] = ()) -> str:
+    """Text of the MJCF file of a robot whose joints all move, follow or are fixed.
+
+    `step` is the time step of the simulation [s]; `about` are lines of its head.
+    """
+    robot = gathered(robot)
+    whole = Element("mujoco", model=robot.name)
+    SubElement(whole, "compiler", angle="radian")
+    # The damping of servos makes joints of little inertia stiff, which this integrator takes implicitly.
+    gravity = numbers_text(robot.gravity)
+    SubElement(whole, "option", gravity=gravity, timestep=repr(step), integrator="implicitfast")
+    world = SubElement(whole, "worldbody")
+    if robot.root != "world":
+        world = _add_body(world, robot, robot.root, [], step)
+    below: dict[str, list[Joint]] = {}
+    for joint in robot.joints:
+        below.setdefault(joint.parent, []).append(joint)
+    _add_bodies(world, robot, robot.root, below, step)
+    _add_equalities(whole, robot)
+    _add_actuators(whole, robot, step)
+    return xml_text(whole, about)
+
+
+def gathered(robot: Description) -> Description:
+    """The robot with the inertia of fixed links at the links that carry them, so that frames need none."""
+    links, frames = dict(robot.links), {robot.root: (robot.root, np.eye(3), np.zeros(3))}
+    for joint in robot.joints:
+        carrier, turned, shifted = frames[joint.parent]
+        if joint.kind != "fixed":
+            frames[joint.child] = joint.child, np.eye(3), np.zeros(3)
+            continue
+        rotation, place = turned @ joint.rotation, shifted + turned @ joint.place
+        frames[joint.child] = carrier, rotation, place
+        links[carrier] = links[carrier].joined(links[joint.child].moved(rotation, place))
+        links[joint.child] = NO_INERTIA
+    return robot._replace(links=links)
+
+
+def _add_bodies(parent: Element, robot: Description, link: str, below: Mapping[str, list[Joint]], step: float) -> None:
+    """Add the bodies that a link carries."""
+    # Depth first without recursion: a chain may be longer than Python's stack.
+    stack = [(parent, joint, [joint]) for joint in reversed(below.get(link, []))]
+    while stack:
+        element, joint, chain = stack.pop()
+        carried = below.get(joint.child, [])
+        if len(carried) == 1 and _is_passed(robot.links[joint.child], chain, carried[0]):
+            # MuJoCo refuses moving bodies without mass, and gives one body several joints instead.
+            stack.append((element, carried[0], [*chain, carried[0]]))
+            continue
+        body = _add_body(element, robot, joint.child, chain, step)
+        stack += [(body, each, [each]) for each in reversed(carried)]
+
+
+def _is_passed(inertia: BodyInertia, chain: Sequence[Joint], after: Joint) -> bool:
+    """Whether a link without mass only passes on the motion of the joints before it."""
+    massless = not inertia.mass and not np.any(inertia.second)
+    return massless and chain[0].kind in ONE_AXIS and after.kind in (*ONE_AXIS, "fixed")
+
+
+def _add_body(parent: Element, robot: Description, link: str, chain: Sequence[Joint], step: float) -> Element:
+    """Add a link with the joints from its carrier to it."""
+    rotations, places = [np.eye(3)], [np.zeros(3)]  # of the frame of the link in those of the joints, last first
+    for joint in reversed(chain):
+        rotations.append(joint.rotation @ rotations[-1])
+        places.append(joint.place + joint.rotation @ places[-1])
+    body = SubElement(parent, "body", name=link, pos=numbers_text(places[-1]))
+    if not np.array_equal(rotations[-1], np.eye(3)):
+        body.set("xyaxes", numbers_text(rotations[-1].T[:2].ravel()))
+    for joint, rotation, place in zip(chain, reversed(rotations[:-1]), reversed(places[:-1]), strict=True):
+        if joint.kind != "fixed":
+            _add_joint(body, joint, rotation.T @ joint.axis, -rotation.T @ place, step)
+    inertia = robot.links[link]
+    if inertia.mass or np.any(inertia.second):
+        centre = inertia.first / inertia.mass if inertia.mass else np.zeros(3)
+        (xx, xy, xz), (_, yy, yz), (_, _, zz) = inertia.about_centre
+        tensor = numbers_text([xx, yy, zz, xy, xz, yz])
+        mass = repr(float(inertia.mass))
+        SubElement(body, "inertial", pos=numbers_text(centre), mass=mass, fullinertia=tensor)
+    return body
+
+
+def _add_joint(body: Element, joint: Joint, axis: np.ndarray, anchor: np.ndarray, step: float) -> None:
+    if joint.kind not in KINDS:
+        raise ValueError(f"joint {joint.name!r} is {joint.kind}, and MJCF has no such joint; lock it")
+    entry = SubElement(body, "joint", name=joint.name, type=KINDS[joint.kind])
+    if joint.kind in ONE_AXIS:
+        entry.set("axis", numbers_text(axis))
+        if joint.encoder_offset:
+            entry.set("ref", repr(-float(joint.encoder_offset)))
+        if joint.stiffness:
+            entry.set("springref", repr(float(joint.rest - joint.encoder_offset)))
+        if joint.kind != "continuous" and -np.inf < joint.lower < joint.upper < np.inf:
+            ends = np.array([joint.lower, joint.upper]) - joint.encoder_offset
+            entry.set("range", numbers_text(ends))
+    if joint.kind != "floating" and np.any(anchor):
+        entry.set("pos", numbers_text(anchor))
+    viscous, coulomb = plain_friction(joint)
+    for key, value in {
+        "stiffness": joint.stiffness,
+        "damping": viscous,
+        "frictionloss": coulomb,
+        "armature": joint.armature,
+    }.items():
+        if value:
+            entry.set(key, repr(float(value)))
+    if coulomb:
+        # Two steps are the shortest time constant that MuJoCo takes.
+        entry.attrib.update(solreffriction=numbers_text([2 * step, 1.0]), solimpfriction=STICKING)
+
+
+def plain_friction(joint: Joint) -> tuple[float, float]:
+    """Viscous and Coulomb friction of a joint, with what a servo that is on damps beyond its limit."""
+    viscous, coulomb = (joint.law.viscous, joint.law.coulomb) if joint.law else (joint.damping, joint.friction)
+    return viscous + (drive_limit(joint.servo)[1] if joint.servo else 0.0), coulomb
+
+
+def _add_equalities(whole: Element, robot: Description) -> None:
+    """Add the constraints of joints that follow others: between deviations from `ref`, which are angles of the file."""
+    followers = [(joint.name, joint.follows) for joint in robot.joints if joint.follows and joint.kind != "fixed"]
+    if not followers:
+        return
+    table = SubElement(whole, "equality")
+    for name, follows in followers:
+        entry = SubElement(table, "joint", joint1=name, polycoef=_polynomial(follows))
+        if follows.joint:
+            entry.set("joint2", follows.joint)
+
+
+def _polynomial(follows: Follows) -> str:
+    return numbers_text([follows.offset, follows.ratio if follows.joint else 0.0, 0.0, 0.0, 0.0])
+
+
+def _add_actuators(whole: Element, robot: Description, step: float) -> None:
+    if not robot.motors:
+        return
+    table, joints = SubElement(whole, "actuator"), {joint.name: joint for joint in robot.joints}
+    for motor in robot.motors:
+        servo = joints[motor.joint].servo
+        if servo is not None:
+            _add_servo(table, motor, servo, step)
+            continue
+        entry = SubElement(table, "general", name=motor.name, joint=motor.joint)
+        entry.set("gainprm", repr(float(motor.gain)))
+        if motor.constant or motor.stiffness or motor.damping:
+            bias = numbers_text([motor.constant, -motor.stiffness, -motor.damping])
+            entry.attrib.update(biastype="affine", biasprm=bias)
+        if len(motor.direction) > 1:
+            entry.set("gear", numbers_text(motor.direction))
+
+
+def _add_servo(table: Element, motor: Motor, servo: Servo, step: float) -> None:
+    """Add `k (c + offset − q) − damping v` within the limit: MuJoCo's general actuator, or its position servo."""
+    stiffness, (limit, _) = servo.gain * servo.stiffness, drive_limit(servo)
+    plain = not servo.offset and servo.command_scale == 1
+    entry = SubElement(table, "position" if plain else "general", name=motor.name, joint=motor.joint)
+    if plain:
+        entry.attrib.update(kp=repr(float(stiffness)), kv=repr(float(servo.damping)))
+    else:
+        bias = numbers_text([stiffness * servo.offset, -stiffness, -servo.damping])
+        entry.attrib.update(gainprm=repr(float(stiffness * servo.command_scale)), biastype="affine", biasprm=bias)
+    if np.isfinite(limit):
+        entry.set("forcerange", numbers_text([-limit, limit]))
+    delay = lasting_delay(servo)
+    if delay:
+        samples = math.ceil(delay / step - ROUNDING) + SPARE_SAMPLES
+        entry.attrib.update(delay=repr(delay), nsample=str(samples), interp="zoh")
+
+
+def lasting_delay(servo: Servo) -> float:
+    """Delay [s] of the command, less what the feedforward makes up for: to first order it is a lead."""
+    return max(float(servo.delay - servo.feedforward / (servo.gain * servo.stiffness)), 0.0)

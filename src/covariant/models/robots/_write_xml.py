@@ -1,0 +1,53 @@
+"""Text of XML files of robots: numbers to the last digit, and in a comment what a format cannot say."""
+
+import re
+from collections.abc import Iterable, Sequence
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Element
+
+import numpy as np
+
+from covariant.models.robots._description import FrictionLaw, Joint, Servo
+
+NOT_IN_XML = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\ud800-\udfff\ufffe\uffff]")
+"""Characters that XML 1.0 cannot hold, not even as references."""
+
+
+def numbers_text(numbers: Iterable[float]) -> str:
+    """Numbers with all their digits, as an attribute."""
+    return " ".join(repr(float(number) + 0.0) for number in numbers)
+
+
+def xml_text(whole: Element, head: Sequence[str]) -> str:
+    """Text of an XML file, with lines of a comment at its head."""
+    for entry in whole.iter():
+        for key, value in entry.attrib.items():
+            if NOT_IN_XML.search(value):
+                raise ValueError(f"<{entry.tag}> has the {key} {value!r}, which XML cannot hold; rename it")
+    ElementTree.indent(whole)
+    # Two hyphens end a comment.
+    lines = [re.sub("-(?=-)", "- ", NOT_IN_XML.sub("?", line)) for line in head]
+    comment = "<!--\n" + "".join(f"  {line}\n" for line in lines) + "-->\n" if lines else ""
+    return f'<?xml version="1.0"?>\n{comment}{ElementTree.tostring(whole, encoding="unicode")}\n'
+
+
+def numbers_left_out(joints: Iterable[Joint], of_servo: Sequence[str], of_law: Sequence[str]) -> tuple[str, ...]:
+    """Those numbers of servos and friction that a format has no entry for, a line for each joint that has some."""
+    lines = []
+    for joint in joints:
+        servo, law = joint.servo or Servo(0.0), joint.law or FrictionLaw()
+        values = {key: getattr(servo, key) for key in of_servo} | {key: getattr(law, key) for key in of_law}
+        if law.stribeck and "stribeck" in values:
+            values["stribeck_velocity"] = law.stribeck_velocity
+        stated = [f"{key} = {_text(value)}" for key, value in values.items() if _stated(key, value)]
+        if stated:
+            lines.append(f"{joint.name}: {', '.join(stated)}")
+    return tuple(lines)
+
+
+def _stated(key: str, value: float | bool) -> bool:
+    return bool(np.isfinite(value)) and value != (1 if key == "gain" else 0)
+
+
+def _text(value: float | bool) -> str:
+    return str(value).lower() if isinstance(value, bool) else f"{value:.6g}"
