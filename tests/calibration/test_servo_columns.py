@@ -44,16 +44,16 @@ def word(numbers):
     return np.where(np.round(numbers) < 0, 32768 - np.round(numbers), np.round(numbers))
 
 
-T, _swing, _told = servo()
+T, _swing, _sent = servo()
 Q1, Q2 = in_ticks(_swing).T / 4096 * TURN
-C1, C2 = _told.T
+C1, C2 = _sent.T
 V1, V2 = np.gradient(_swing, T, axis=0).T
-TICKS, TOLD = in_ticks(Q1) + 2048, in_ticks(C1) + 2048
+TICKS, SENT = in_ticks(Q1) + 2048, in_ticks(C1) + 2048
 ON, REST = np.where((T > 3) & (T < 4), 0.0, 1.0), np.zeros(T.size)
-HELD_T, HELD, HELD_TOLD = servo(held=10)
-SLOW_T, SLOW, SLOW_TOLD = servo(rate=30.0, seconds=10.0)
-STEP_T, STEP, STEP_TOLD = servo(steps=True)
-_, SAG, SAG_TOLD = servo(sag=0.2)
+HELD_T, HELD, HELD_SENT = servo(held=10)
+SLOW_T, SLOW, SLOW_SENT = servo(rate=30.0, seconds=10.0)
+STEP_T, STEP, STEP_SENT = servo(steps=True)
+_, SAG, SAG_SENT = servo(sag=0.2)
 RANDOM = np.random.default_rng(0).normal(size=(2, T.size))
 STATES, ACTIONS = (
     {"t": T, "observation.state[0]": Q1, "observation.state[1]": Q2},
@@ -91,8 +91,8 @@ COMMANDS = {
         {"t": T, "position": Q1, "position_error": C1 - Q1, "position_command": C1},
         ("position_command",),
     ),
-    "velocities told beside": ({"t": T, "q1": Q1, "dq1": V1, "q1_des": C1, "dq1_des": V1}, ("q1_des",)),
-    "moments told beside": (
+    "commanded velocities beside": ({"t": T, "q1": Q1, "dq1": V1, "q1_des": C1, "dq1_des": V1}, ("q1_des",)),
+    "commanded moments beside": (
         {"timestamp": T, "actual_q_0": Q1, "target_q_0": C1, "target_moment_0": V1, "target_current_0": V1},
         ("target_q_0",),
     ),
@@ -113,15 +113,15 @@ COMMANDS = {
         {"t": T, "q1": Q1, "q2": Q2, "cmd1": C1, "cmd2": C2, "torque_enable1": ON, "torque_enable2": 1 - ON},
         ("cmd1", "cmd2", "torque_enable1", "torque_enable2"),
     ),
-    "held": ({"t": HELD_T, "q1": HELD[:, 0], "cmd1": HELD_TOLD[:, 0]}, ("cmd1",)),
-    "30 rows a second": ({"t": SLOW_T, "q1": SLOW[:, 0], "cmd1": SLOW_TOLD[:, 0]}, ("cmd1",)),
-    "steps": ({"t": STEP_T, "q1": STEP[:, 0], "cmd1": STEP_TOLD[:, 0]}, ("cmd1",)),
+    "held": ({"t": HELD_T, "q1": HELD[:, 0], "cmd1": HELD_SENT[:, 0]}, ("cmd1",)),
+    "30 rows a second": ({"t": SLOW_T, "q1": SLOW[:, 0], "cmd1": SLOW_SENT[:, 0]}, ("cmd1",)),
+    "steps": ({"t": STEP_T, "q1": STEP[:, 0], "cmd1": STEP_SENT[:, 0]}, ("cmd1",)),
     "one step": (
         {"t": T, "q1": np.where(T < 3.05, -1.0, -np.exp(-10 * (T - 3.05))), "cmd1": 1.0 * (T >= 3) - 1},
         ("cmd1",),
     ),
     "a joint stands still": ({"t": T, "q1": Q1, "q2": REST + 0.2, "cmd1": C1, "cmd2": REST + 0.21}, ("cmd1", "cmd2")),
-    "a servo sags": ({"t": T, "q1": SAG[:, 0], "cmd1": SAG_TOLD[:, 0]}, ("cmd1",)),
+    "a servo sags": ({"t": T, "q1": SAG[:, 0], "cmd1": SAG_SENT[:, 0]}, ("cmd1",)),
     "noise": ({"t": T, "q1": Q1 + 0.03 * RANDOM[0], "cmd1": C1}, ("cmd1",)),
     "one of two": ({"t": T, "q_a": Q1, "q_b": Q2, "cmd_a": C1}, ("cmd_a",)),
     "velocities among the states": (
@@ -169,7 +169,7 @@ def test_registers_are_named_by_what_they_hold():
     log = {
         "time": T,
         "Present_Position_1": TICKS,
-        "Goal_Position_1": TOLD,
+        "Goal_Position_1": SENT,
         "Present_Current_1": V1,
         "Present_Load_1": V1,
     }
@@ -185,21 +185,21 @@ def test_registers_are_named_by_what_they_hold():
 
 
 UNITS = {
-    "ticks": ({"present_position": TICKS, "goal_position": TOLD}, "turn/4096", "turn/4096", ("q",)),
-    "ticks that are called so": ({"position_ticks": TICKS, "goal_ticks": TOLD}, "turn/4096", "turn/4096", ("q",)),
-    "ticks, told in radians": ({"present_position": TICKS, "goal_position": C1}, "turn/4096", None, ("q",)),
-    "ticks, told in degrees": ({"pos": TICKS, "target_deg": np.degrees(C1)}, "turn/4096", "deg", ("q",)),
+    "ticks": ({"present_position": TICKS, "goal_position": SENT}, "turn/4096", "turn/4096", ("q",)),
+    "ticks that are called so": ({"position_ticks": TICKS, "goal_ticks": SENT}, "turn/4096", "turn/4096", ("q",)),
+    "ticks, commanded in radians": ({"present_position": TICKS, "goal_position": C1}, "turn/4096", None, ("q",)),
+    "ticks, commanded in degrees": ({"pos": TICKS, "target_deg": np.degrees(C1)}, "turn/4096", "deg", ("q",)),
     "degrees": ({"q1": 3 * np.degrees(Q1), "cmd1": 3 * np.degrees(C1)}, "deg", "deg", ("q",)),
     "degrees by name": ({"q1_deg": np.degrees(Q1), "cmd1_deg": np.degrees(C1)}, "deg", "deg", ()),
-    "degrees, told in radians": ({"q1_deg": np.degrees(Q1), "cmd1": C1}, "deg", None, ()),
-    "radians, told in degrees": ({"q1": Q1, "cmd1": np.degrees(C1)}, None, "deg", ()),
+    "degrees, commanded in radians": ({"q1_deg": np.degrees(Q1), "cmd1": C1}, "deg", None, ()),
+    "radians, commanded in degrees": ({"q1": Q1, "cmd1": np.degrees(C1)}, None, "deg", ()),
     "radians by name": ({"q1_rad": Q1, "cmd1_rad": C1}, None, "rad", ()),
     "the other sign": ({"q1": Q1, "cmd1": -C1}, None, "-1 rad", ()),
 }
 
 
 @pytest.mark.parametrize(("log", "q", "u", "guessed"), UNITS.values(), ids=UNITS)
-def test_units_of_servos_are_told_by_name_or_numbers(log, q, u, guessed):
+def test_units_of_servos_are_known_by_name_or_numbers(log, q, u, guessed):
     found = draft({"t": T} | log)
     assert (found.units.get("q"), found.units.get("u")) == tuple((each,) if each else None for each in (q, u))
     assert found.guessed == guessed
@@ -207,11 +207,11 @@ def test_units_of_servos_are_told_by_name_or_numbers(log, q, u, guessed):
 
 
 REFUSED = {
-    "ticks about zero": ({"present_position": TICKS - 2048, "goal_position": TOLD - 2048}, "whole numbers from"),
-    "ticks of 10 bits": ({"present_position": TICKS // 4, "goal_position": TOLD // 4}, "whole numbers from"),
-    "ticks of several turns": ({"present_position": TICKS + 4096, "goal_position": TOLD + 4096}, "whole numbers from"),
-    "means of ticks": ({"present_position": TICKS + 0.25, "goal_position": TOLD}, "more than a servo turns"),
-    "two's complement": ({"position": (TICKS - 2048) % 65536, "goal_position": TOLD}, "whole numbers from"),
+    "ticks about zero": ({"present_position": TICKS - 2048, "goal_position": SENT - 2048}, "whole numbers from"),
+    "ticks of 10 bits": ({"present_position": TICKS // 4, "goal_position": SENT // 4}, "whole numbers from"),
+    "ticks of several turns": ({"present_position": TICKS + 4096, "goal_position": SENT + 4096}, "whole numbers from"),
+    "means of ticks": ({"present_position": TICKS + 0.25, "goal_position": SENT}, "more than a servo turns"),
+    "two's complement": ({"position": (TICKS - 2048) % 65536, "goal_position": SENT}, "whole numbers from"),
     "whole degrees": ({"q1": np.round(np.degrees(Q1)), "cmd1": np.round(np.degrees(C1))}, "ticks or degrees"),
     "per cent of the range": ({"q1": 60 * Q1, "cmd1": 60 * C1}, "degrees, or per cent of the range"),
     "commands in per cent": ({"q1": Q1, "cmd1": C1 / np.radians(150) * 100}, "no unit of a command"),
@@ -223,8 +223,8 @@ REFUSED = {
     "changes as actions": ({"state[0]": Q1, "action[0]": np.gradient(C1)}, "no unit of a command"),
     "a copy": ({"q1": Q1, "cmd1": Q1}, "is a copy of 'q1' of the same row"),
     "the next state as action": ({"state[0]": Q1, "action[0]": np.append(Q1[1:], 0)}, "'state\\[0\\]' of the next row"),
-    "words": ({"position": word(TICKS - 2048), "goal_position": word(TOLD - 2048)}, "highest bit is a sign"),
-    "words of commands": ({"q": Q1, "goal_position": word(TOLD - 2048)}, "highest bit is a sign"),
+    "words": ({"position": word(TICKS - 2048), "goal_position": word(SENT - 2048)}, "highest bit is a sign"),
+    "words of commands": ({"q": Q1, "goal_position": word(SENT - 2048)}, "highest bit is a sign"),
     "a row for each motor": (
         {
             "t": 0.005 * np.arange(2 * T.size),

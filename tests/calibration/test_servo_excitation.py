@@ -32,7 +32,7 @@ dead_band = 0.004
 ASKED = "servo.stiffness,servo.damping,servo.delay,servo.offset,servo.coulomb,servo.dead_band,servo.armature"
 PLAN = {"duration": 15.0, "rate": 50.0, "harmonics": 3, "starts": 1}
 TRIALS = 20
-pytestmark = pytest.mark.long("each design searches a motion and simulates its log")
+pytestmark = pytest.mark.long  # each design searches a motion and simulates its log
 
 
 @pytest.fixture(scope="module")

@@ -25,7 +25,7 @@ NOISE = {"uncertainty.acceleration": 20.0, "uncertainty.correlation_time": 0.02}
 
 
 @pytest.fixture(scope="module")
-def told():
+def recorded():
     """Positions that follow their commands, late and without weight, as servos do."""
     t = np.arange(0.0, 6.0, 0.02)
     waves = [lambda s: 0.5 * np.sin(4.4 * s), lambda s: 0.4 * np.sin(5.6 * s + 1)]
@@ -65,8 +65,8 @@ def test_from_a_data_set_of_lerobot_to_velocities_and_torques(tmp_path):
     simulated = covariant.simulate("double_pendulum", duration=6.0, rate=50.0, **settings).record
     log = data_set(tmp_path, simulated)
     path = tmp_path / "arm.toml"
-    told = {"units.q": "deg", "parameters.path": "double_pendulum"}
-    workflow.init(log, overrides=told).save(path)
+    known = {"units.q": "deg", "parameters.path": "double_pendulum"}
+    workflow.init(log, overrides=known).save(path)
     table = covariant.estimate(path, log, overrides=NOISE | SERVOS).to_pandas()
     velocity, torque = table.filter(regex="^v[0-9]+$"), table.filter(like="torque_")
     assert list(torque) == ["torque_shoulder", "torque_elbow"]
@@ -82,8 +82,8 @@ def test_from_a_data_set_of_lerobot_to_velocities_and_torques(tmp_path):
         assert np.sqrt(np.mean(error**2)) < 0.02 * np.std(np.asarray(true)[settled])
 
 
-def test_joints_are_matched_by_name_and_columns_follow_the_robot(tmp_path, told):
-    swapped = told._replace(y=told.y[:, ::-1], u=told.u[:, ::-1])
+def test_joints_are_matched_by_name_and_columns_follow_the_robot(tmp_path, recorded):
+    swapped = recorded._replace(y=recorded.y[:, ::-1], u=recorded.u[:, ::-1])
     log = data_set(tmp_path, swapped, names=("elbow.pos", "shoulder.pos"), unit=1.0)
     result = workflow.init(log, overrides={"parameters.path": "double_pendulum"})
     assert matched(result).names == ("shoulder", "elbow")
@@ -93,14 +93,14 @@ def test_joints_are_matched_by_name_and_columns_follow_the_robot(tmp_path, told)
     assert file.columns.u == ("action[1]", "action[0]")
 
 
-def test_joints_of_other_names_are_matched_in_order_and_it_is_said(tmp_path, told):
-    frame = pd.DataFrame({"t": told.t, "q_lift": told.y[:, 0], "q_fold": told.y[:, 1]})
-    frame = frame.assign(cmd_lift=told.u[:, 0], cmd_fold=told.u[:, 1])
+def test_joints_of_other_names_are_matched_in_order_and_it_is_said(tmp_path, recorded):
+    frame = pd.DataFrame({"t": recorded.t, "q_lift": recorded.y[:, 0], "q_fold": recorded.y[:, 1]})
+    frame = frame.assign(cmd_lift=recorded.u[:, 0], cmd_fold=recorded.u[:, 1])
     result = workflow.init(frame, overrides={"parameters.path": "double_pendulum"})
     assert "that shoulder is q_lift, elbow is q_fold is guessed from their order" in str(result)
     (text,) = result.texts().values()
     assert "# That shoulder is q_lift, elbow is q_fold is guessed from their order" in text
-    more = frame.assign(q_jaw=told.y[:, 0] + 0.1, cmd_jaw=told.u[:, 0] + 0.1)
+    more = frame.assign(q_jaw=recorded.y[:, 0] + 0.1, cmd_jaw=recorded.u[:, 0] + 0.1)
     result = workflow.init(more, overrides={"parameters.path": "double_pendulum"})
     assert "q_jaw have no joint in double_pendulum, and are left out" in str(result)
     assert result.draft.u == ("cmd_lift", "cmd_fold")
@@ -111,8 +111,8 @@ def test_joints_of_other_names_are_matched_in_order_and_it_is_said(tmp_path, tol
     assert "lock = { elbow = 0.0 }" in fewer.texts()["draft.toml"]
 
 
-def test_without_a_robot_each_joint_moves_by_itself(tmp_path, told):
-    log = data_set(tmp_path, told, names=("left arm.pos", "left-elbow/2.pos"))
+def test_without_a_robot_each_joint_moves_by_itself(tmp_path, recorded):
+    log = data_set(tmp_path, recorded, names=("left arm.pos", "left-elbow/2.pos"))
     result = workflow.init(log, overrides={"units.q": "deg"})
     assert list(result.texts("bench")) == ["bench.urdf", "bench.toml"]
     path = result.save(tmp_path / "bench.toml")
@@ -128,8 +128,8 @@ def test_without_a_robot_each_joint_moves_by_itself(tmp_path, told):
         result.save(path)
 
 
-def test_first_values_come_from_the_lag_and_are_placeholders(tmp_path, told):
-    path = workflow.init(data_set(tmp_path, told, unit=1.0)).save(tmp_path / "draft.toml")
+def test_first_values_come_from_the_lag_and_are_placeholders(tmp_path, recorded):
+    path = workflow.init(data_set(tmp_path, recorded, unit=1.0)).save(tmp_path / "draft.toml")
     servo = models.document(str(path))["servo"]["elbow"]
     lag = 2 * servo["delay"]
     assert lag == pytest.approx(0.1, abs=0.015)
@@ -141,10 +141,10 @@ def test_first_values_come_from_the_lag_and_are_placeholders(tmp_path, told):
     assert len(named) == 7
 
 
-def test_a_switch_is_an_input_of_each_servo(tmp_path, told):
-    on = np.where(np.arange(len(told.t)) % 200 < 150, 1.0, 0.0)
-    frame = pd.DataFrame({"t": told.t, "q_a": told.y[:, 0], "q_b": told.y[:, 1], "torque_enabled": on})
-    frame = frame.assign(cmd_a=told.u[:, 0], cmd_b=told.u[:, 1], volts_a=7.4)
+def test_a_switch_is_an_input_of_each_servo(tmp_path, recorded):
+    on = np.where(np.arange(len(recorded.t)) % 200 < 150, 1.0, 0.0)
+    frame = pd.DataFrame({"t": recorded.t, "q_a": recorded.y[:, 0], "q_b": recorded.y[:, 1], "torque_enabled": on})
+    frame = frame.assign(cmd_a=recorded.u[:, 0], cmd_b=recorded.u[:, 1], volts_a=7.4)
     result = workflow.init(frame)
     path = result.save(tmp_path / "draft.toml")
     file = models.load(path)
@@ -154,19 +154,19 @@ def test_a_switch_is_an_input_of_each_servo(tmp_path, told):
 
 
 @pytest.mark.long
-def test_a_servo_that_is_off_has_no_torque(tmp_path, told):
-    on = np.where(np.arange(len(told.t)) % 200 < 150, 1.0, 0.0)
-    frame = pd.DataFrame({"t": told.t, "q": told.y[:, 0], "cmd": told.u[:, 0], "torque_enabled": on})
+def test_a_servo_that_is_off_has_no_torque(tmp_path, recorded):
+    on = np.where(np.arange(len(recorded.t)) % 200 < 150, 1.0, 0.0)
+    frame = pd.DataFrame({"t": recorded.t, "q": recorded.y[:, 0], "cmd": recorded.u[:, 0], "torque_enabled": on})
     path = workflow.init(frame).save(tmp_path / "draft.toml")
     estimate = covariant.estimate(path, frame, anyway=True, overrides=NOISE).to_pandas()
     assert (estimate["torque_q"][160:198] == 0).all()
     assert (estimate["torque_q"][10:140] != 0).all()
 
 
-def test_ticks_have_their_middle_as_zero(tmp_path, told):
-    ticks = np.round(told.y / (2 * np.pi) * 4096) + 2048
-    goals = np.round(told.u / (2 * np.pi) * 4096) + 2048
-    frame = pd.DataFrame({"t": told.t, "present_position": ticks[:, 0], "goal_position": goals[:, 0]})
+def test_ticks_have_their_middle_as_zero(tmp_path, recorded):
+    ticks = np.round(recorded.y / (2 * np.pi) * 4096) + 2048
+    goals = np.round(recorded.u / (2 * np.pi) * 4096) + 2048
+    frame = pd.DataFrame({"t": recorded.t, "present_position": ticks[:, 0], "goal_position": goals[:, 0]})
     path = workflow.init(frame).save(tmp_path / "draft.toml")
     document = models.document(str(path))
     assert document["units"] == {"q": "turn/4096", "u": "turn/4096"}
@@ -176,9 +176,9 @@ def test_ticks_have_their_middle_as_zero(tmp_path, told):
     assert "guessed from the numbers" in path.read_text()
 
 
-def test_a_joint_without_a_command_is_free(tmp_path, told):
-    frame = pd.DataFrame({"t": told.t, "q_a": told.y[:, 0], "q_b": told.y[:, 1]})
-    result = workflow.init(frame.assign(cmd_a=told.u[:, 0]))
+def test_a_joint_without_a_command_is_free(tmp_path, recorded):
+    frame = pd.DataFrame({"t": recorded.t, "q_a": recorded.y[:, 0], "q_b": recorded.y[:, 1]})
+    result = workflow.init(frame.assign(cmd_a=recorded.u[:, 0]))
     assert "q_b have no command" in str(result)
     file = models.load(result.save(tmp_path / "draft.toml"))
     assert (file.model.coordinates, file.columns.u) == (("a", "b"), ("cmd_a",))
@@ -192,17 +192,17 @@ def test_a_joint_without_a_command_is_free(tmp_path, told):
         ({"units.q": "kg"}, "unit 'kg' is no unit of q"),
     ],
 )
-def test_what_a_draft_is_told_is_checked(overrides, message, told):
-    frame = pd.DataFrame({"t": told.t, "q": told.y[:, 0], "cmd": told.u[:, 0]})
+def test_values_that_are_given_to_a_draft_are_checked(overrides, message, recorded):
+    frame = pd.DataFrame({"t": recorded.t, "q": recorded.y[:, 0], "cmd": recorded.u[:, 0]})
     with pytest.raises(ValueError, match=re.escape(message)):
         workflow.init(frame, overrides=overrides)
     with pytest.raises(ValueError, match="no commands of servos were found"):
         workflow.init(frame[["t", "q"]], overrides={"parameters.path": "scara"})
 
 
-def test_the_command_asks_for_a_unit_in_its_own_words(tmp_path, monkeypatch, capsys, told):
+def test_the_command_asks_for_a_unit_in_its_own_words(tmp_path, monkeypatch, capsys, recorded):
     monkeypatch.chdir(tmp_path)
-    log = str(data_set(tmp_path, told))
+    log = str(data_set(tmp_path, recorded))
 
     def init(*more):
         monkeypatch.setattr(sys, "argv", ["covariant", "init", log, "-o", "draft.toml", *more])

@@ -30,7 +30,7 @@ from covariant.workflow._servo_draft import (
 )
 
 SETTABLE = ("units.t", "units.q", "units.u", "units.v", "parameters.path")
-"""What a draft may be told of the log and the machine before it is written."""
+"""Values of a draft that may be given before it is written."""
 
 
 def init(

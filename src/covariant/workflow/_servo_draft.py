@@ -168,7 +168,7 @@ def servo_lines(draft: Draft, joints: Joints) -> list[str]:
     lags = [servo.lag for servo in servos if servo.lag]
     lag = min(max(min(lags), LAGS[0]), LAGS[1]) if lags else USUAL_LAG
     seen = "of the shortest lag of a position behind its command in this log" if lags else "of a usual lag"
-    lines = ["", "[inputs]", 'kind = "command"  # u are the positions that the servos are told, no torques']
+    lines = ["", "[inputs]", 'kind = "command"  # u are positions that servos are commanded to, no torques']
     for name, servo in zip(joints.names, draft.servos, strict=True):
         if servo is None:
             continue

@@ -161,7 +161,7 @@ def command_unit(slope: float, factor: float, close: bool) -> float | None:
     Args:
         slope: Change of the position for one of the command, in the numbers of the log.
         factor: Unit of the position [rad].
-        close: Whether the position follows closely, so that another unit than that of the position may be told.
+        close: Whether the position follows closely, so that another unit than that of the position may be recognised.
 
     Returns:
         The unit of the command [rad], with its sign.

@@ -71,7 +71,7 @@ class Drive(NamedTuple):
         )
 
 
-class Body(NamedTuple):
+class RigidBody(NamedTuple):
     """The rigid body along a path of R rows: inertia without rotors, Coriolis force, weight and its slope."""
 
     inertia: Float[np.ndarray, "R n n"]
@@ -116,7 +116,7 @@ class ServoLog(NamedTuple):
     between: str
     late: float
     drive: Callable[[Any], Drive]
-    evaluate: Callable[..., Body]
+    evaluate: Callable[..., RigidBody]
 
     @classmethod
     def of(cls, family: RobotFamily, record: Record, between: str, late: float) -> "ServoLog":
@@ -176,9 +176,10 @@ class ServoLog(NamedTuple):
         cut = Cut(self.y[rows[:, 0]], self.v[rows[:, 0]], step, inputs, self.q[first])
         body = self.evaluate(x, self.q, self.v)
         changes = [
-            Body(*(b - a for a, b in zip(body, self.evaluate(x + one, self.q, self.v), strict=True))) for one in steps
+            RigidBody(*(b - a for a, b in zip(body, self.evaluate(x + one, self.q, self.v), strict=True)))
+            for one in steps
         ]
-        bodies = [Body(*(part[first] for part in each)) for each in (body, *changes)]
+        bodies = [RigidBody(*(part[first] for part in each)) for each in (body, *changes)]
         return np.asarray(_simulate(_stacked(drives), weights, delays, cut, bodies[0], tuple(bodies[1:]), SWEEPS))
 
     def _commands(self, at: np.ndarray, width: np.ndarray, delays: np.ndarray) -> np.ndarray:
@@ -213,7 +214,7 @@ class ServoLog(NamedTuple):
         )
 
 
-_Compiled = tuple[Callable[[Any], Drive], Callable[..., Body]]
+_Compiled = tuple[Callable[[Any], Drive], Callable[..., RigidBody]]
 _CACHE: dict[int, tuple[RobotFamily, _Compiled]] = {}
 
 
@@ -240,7 +241,7 @@ def _compiled(family: RobotFamily) -> _Compiled:
 
         return jax.vmap(one)(q, v)
 
-    def evaluate(x: np.ndarray, q: np.ndarray, v: np.ndarray) -> Body:
+    def evaluate(x: np.ndarray, q: np.ndarray, v: np.ndarray) -> RigidBody:
         flat, n = at(x), q.shape[1]
 
         def rows(q: np.ndarray, v: np.ndarray) -> Array:
@@ -249,7 +250,7 @@ def _compiled(family: RobotFamily) -> _Compiled:
 
         every = batched(rows, (q, v))
         inertia, coriolis, slope, bend = np.split(every, np.cumsum([n * n, n, n]), axis=1)
-        return Body(inertia.reshape(-1, n, n), coriolis, slope, bend.reshape(-1, n, n))
+        return RigidBody(inertia.reshape(-1, n, n), coriolis, slope, bend.reshape(-1, n, n))
 
     def drive(x: Any) -> Drive:
         return Drive.of(eqx.combine(unravel(at(x)), static))
@@ -269,8 +270,8 @@ def _simulate(
     weights: Float[Array, "P r"],
     delays: Float[Array, "m"],
     cut: Cut,
-    body: Body,
-    changes: tuple[Body, ...],
+    body: RigidBody,
+    changes: tuple[RigidBody, ...],
     sweeps: int,
 ) -> Float[Array, "P W R1 n"]:
     """Positions at all rows of all windows, for each of P drives."""
@@ -281,7 +282,7 @@ def _simulate(
         def row(state: Any, each: Any) -> Any:
             inputs, path, body, changes, h = each
             for k, change in enumerate(changes):
-                body = Body(*(a + weight[k] * b for a, b in zip(body, change, strict=True)))
+                body = RigidBody(*(a + weight[k] * b for a, b in zip(body, change, strict=True)))
 
             def substep(state: Any, inputs: Array) -> Any:
                 mean, slope, rate, bend = inputs
