@@ -10,11 +10,11 @@ from .diagnosis import (
 )
 from .identification import (
     Combinations as Combinations,
-    CommandErrors as CommandErrors,
     Draft as Draft,
     Excitation as Excitation,
     ExcitationPlan as ExcitationPlan,
     ExpectedErrors as ExpectedErrors,
+    ExpectedOfCommands as ExpectedOfCommands,
     Fit as Fit,
     FourierMotion as FourierMotion,
     JointLimits as JointLimits,

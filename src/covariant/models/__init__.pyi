@@ -40,6 +40,7 @@ from .files import (
     recipe_text as recipe_text,
     rewrite as rewrite,
     robot_family as robot_family,
+    servo_tables as servo_tables,
     spec_name as spec_name,
 )
 from .systems import (

@@ -7,9 +7,9 @@ import numpy as np
 
 from covariant import logs, models
 from covariant.calibration import (
-    CommandErrors,
     ExcitationPlan,
     ExpectedErrors,
+    ExpectedOfCommands,
     JointLimits,
     Sensing,
     command_excitation,
@@ -246,7 +246,7 @@ def _joints(file: ModelFile, limits: JointLimits, sensing: Sensing, found: Any) 
 
 
 def _expected_errors(
-    family: RobotFamily, after: ExpectedErrors | CommandErrors, before: ExpectedErrors | CommandErrors
+    family: RobotFamily, after: ExpectedErrors | ExpectedOfCommands, before: ExpectedErrors | ExpectedOfCommands
 ) -> dict[str, Any]:
     """Standard errors to expect, and what is not determined."""
     unknown = [name for name, error in zip(family.names, after.errors, strict=True) if np.isnan(error)]
@@ -280,5 +280,5 @@ def _number_or_none(error: float) -> float | None:
     return None if np.isnan(error) else float(error)
 
 
-def _condition(expected: ExpectedErrors | CommandErrors) -> float | None:
+def _condition(expected: ExpectedErrors | ExpectedOfCommands) -> float | None:
     return float(expected.condition) if np.isfinite(expected.condition) else None

@@ -39,7 +39,7 @@ from ._robot_fit import RobotFit as RobotFit, fit_robot as fit_robot
 from ._robot_misfit import robot_misfit as robot_misfit
 from ._robot_torques import motor_inputs as motor_inputs
 from ._servo_excitation import (
-    CommandErrors as CommandErrors,
+    ExpectedOfCommands as ExpectedOfCommands,
     command_excitation as command_excitation,
     motion_periods as motion_periods,
     of_coordinates as of_coordinates,

@@ -68,7 +68,7 @@ class Commanded(NamedTuple):
     used: Float[np.ndarray, "3 n"]
 
 
-class CommandErrors(NamedTuple):
+class ExpectedOfCommands(NamedTuple):
     """What a log of commands is expected to show of open numbers; the fields are those of `ExpectedErrors`."""
 
     errors: Float[np.ndarray, "p"]
@@ -82,8 +82,8 @@ class CommandedExcitation(NamedTuple):
 
     designed: Commanded
     reference: Commanded
-    expected: CommandErrors
-    expected_reference: CommandErrors
+    expected: ExpectedOfCommands
+    expected_reference: ExpectedOfCommands
 
 
 def of_coordinates(servos: Servos, values: Any) -> Float[np.ndarray, "n"]:
@@ -310,7 +310,7 @@ def _simulated(
 
 def _expected(
     family: RobotFamily, simulation: _Simulation, commanded: Commanded, sensing: Sensing, plan: ExcitationPlan
-) -> CommandErrors:
+) -> ExpectedOfCommands:
     """Standard errors of a fit that predicts the positions of the whole log from its commands."""
     forgotten = int(np.ceil(FORGOTTEN * sensing.rate))
     rows = simulation.derivatives(commanded.inputs)[forgotten:] / sensing.noise[:, None]
@@ -323,4 +323,4 @@ def _expected(
     known = Determined.of(family, np.zeros(len(sizes)), sizes, information / outer, covariance * outer)
     values, rank = np.linalg.eigvalsh(information)[::-1], known.combinations.rank
     condition = float(np.sqrt(values[0] / values[rank - 1])) if rank else np.inf
-    return CommandErrors(known.standard_errors, known.determined, known.combinations, condition)
+    return ExpectedOfCommands(known.standard_errors, known.determined, known.combinations, condition)

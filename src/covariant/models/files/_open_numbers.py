@@ -253,7 +253,7 @@ def _servo(scene: Scene, rest: list[str]) -> list[OpenNumber]:
                 )
             )
     if not opened:
-        raise ValueError(f"servo.{joints[0]}: the model has no [servo.{joints[0]}]")
+        raise ValueError(f"servo: the model has no [servo.JOINT] of {', '.join(joints)}")
     return opened
 
 
