@@ -42,6 +42,7 @@ KINDS = {
     "LostRows": TEXT,
     "EngineName": TEXT,
     "Overrides": Kind(list[str]),
+    "OverridesOfLogs": Kind(list[str]),
     "Region": Kind(str, _parse.interval_map, "<name=low:high,...>"),
     "Sequence[float | int]": NUMBERS,
     "Sequence[float]": NUMBERS,

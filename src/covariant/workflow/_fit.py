@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from covariant.workflow._arguments import ColumnNames, Overrides
+from covariant.workflow._arguments import ColumnNames, Overrides, OverridesOfLogs
 from covariant.workflow._model_output import as_logs, read_sources, write_model
 from covariant.workflow._placeholders import placeholder_sentence
 from covariant.workflow._progress import Progress, silent
@@ -22,7 +22,7 @@ def fit(
     parameters: str | Sequence[str],
     *,
     horizon: float | None = None,
-    overrides: Overrides | Sequence[Mapping[str, Any]] = (),
+    overrides: OverridesOfLogs = (),
     every: int = 1,
     start: float | None = None,
     until: float | None = None,

@@ -69,7 +69,19 @@ class Commanded(NamedTuple):
 
 
 class ExpectedOfCommands(NamedTuple):
-    """What a log of commands is expected to show of open numbers; the fields are those of `ExpectedErrors`."""
+    """What a log of commands is expected to show of open numbers.
+
+    Attributes:
+        errors: Standard errors (p,) of the numbers, NaN where the log would not show one by itself.
+        determined: Whether a fit of the log would say of each number (p,) that it is determined.
+        combinations: What it would determine of numbers that it cannot tell apart.
+        condition: Condition number of the regressor, scaled to usual sizes, over the directions that are determined.
+
+    Example:
+        >>> from covariant.calibration import ExpectedOfCommands
+        >>> ExpectedOfCommands._fields
+        ('errors', 'determined', 'combinations', 'condition')
+    """
 
     errors: Float[np.ndarray, "p"]
     determined: np.ndarray
