@@ -70,8 +70,7 @@ def simulated(
         mean = v + (v - before) / 2  # of the speeds before and after: v is that half a step ago
         acting = now - truth["delay"]
         row = min(max(int(acting * rate + 1e-9), 0), len(t) - 1)
-        following = min(row + 1, len(t) - 1)
-        slope = (command[following] - command[row]) * rate if acting > 0 else 0.0
+        slope = (command[row] - command[max(row - 1, 0)]) * rate
         error = command[row] + truth["feedforward"] / (gain * truth["stiffness"]) * slope - q
         error -= min(max(error, -band), band)
         torque = min(max(gain * truth["stiffness"] * error - truth["damping"] * mean, -limit), limit)

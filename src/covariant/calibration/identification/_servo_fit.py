@@ -90,8 +90,11 @@ def fit_servos(
     family = families[0]
     # What steps of a few milliseconds leave of a motion shifts the numbers a little, the same way in every window.
     values = np.asarray(family.values(point.x))
-    delays = np.array([number.group == "servo" and number.number == "delay" for number in family.numbers])
-    rough = np.where(delays, LATE, ACCURACY * np.abs(values))
+    stiffness = float(np.max(np.asarray(search.logs[0].drive(point.x).servos.stiffness)))
+    # A feedforward is a lead times a stiffness, and a lead is a time as a delay is.
+    of_times = {"delay": LATE, "feedforward": LATE * stiffness}
+    times = [of_times.get(number.number, 0.0) if number.group == "servo" else 0.0 for number in family.numbers]
+    rough = np.where(np.array(times) > 0, times, ACCURACY * np.abs(values))
     known = Determined.of(family, point.x, search.sizes, step.information, step.covariance + np.diag(rough**2))
     return RobotFit(
         family.names,

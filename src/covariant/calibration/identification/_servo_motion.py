@@ -198,9 +198,12 @@ class ServoLog(NamedTuple):
             past = s - t[k]
             # Before the first stamp the first input acts, and after the last one the one before it.
             inside = np.clip(past, 0.0, step[k, 0])
-            line = u[k, own] + slope[k, own] * inside
             if linear:
+                line = u[k, own] + slope[k, own] * inside
                 return gathered[k, own] + u[k, own] * past + slope[k, own] * inside**2 / 2, line, line
+            # A servo knows the rate of a command that is held from the one before it.
+            before = u[np.maximum(k - 1, 0), own]
+            line = before + (u[k, own] - before) * inside / step[k, 0]
             return gathered[k, own] + u[k, own] * past, u[k, own], line
 
         ends = at[..., None] - width[..., None] / 2, at[..., None] + width[..., None] / 2
