@@ -142,6 +142,16 @@ def test_a_servo_of_an_mjcf_file_is_one_too(tmp_path):
         ({"servo.elbow": {"stiffness": 1.0, "delay": 0.1}, "inputs.delay": 0.2}, "states again"),
         ({"servo.elbow": {"stiffness": 1.0}, "inputs.kind": "torque"}, "contradicts"),
         ({"inputs.kind": "command"}, "needs \\[servo.JOINT\\]"),
+        ({"servo.elbow": {"stiffness": "10"}}, "servo 'elbow': stiffness must be one number"),
+        ({"servo.elbow": {"stiffness": 1.0, "coulomb": True}}, "coulomb must be one number"),
+        ({"servo.elbow": {"stiffness": 1.0, "armature": -0.1}}, "servo 'elbow': armature must be"),
+        ({"servo.elbow": {"stiffness": 1.0, "like": ["elbow"]}}, "like must be a joint"),
+        (
+            {"servo.elbow": {"stiffness": 1.0, "supply": 7.0, "resistance": 0.0, "torque_constant": 1.0}},
+            "resistance must be positive",
+        ),
+        ({"servo.elbow": {"stiffness": 1.0, "pwm_limit": 0.5}}, "part of a drive"),
+        ({"servo.shoulder": {"stiffness": 1.0}, "parameters.actuated": ["elbow"]}, "has no input"),
     ],
 )
 def test_a_wrong_servo_is_refused_in_one_line(overrides, said):

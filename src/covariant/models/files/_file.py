@@ -14,7 +14,7 @@ from covariant.models.files._rewrite import written
 from covariant.models.files._source import Model
 from covariant.models.files._systems import ROBOT_FILES, SYSTEMS, unknown_model
 from covariant.models.files._toml import Overrides
-from covariant.models.robots import ROBOTS, servos_in
+from covariant.models.robots import ROBOTS, complete_tables, servos_in
 
 
 def finish(spec: str, content: dict[str, Any]) -> ModelFile:
@@ -87,17 +87,7 @@ def parameters_of(content: dict[str, Any]) -> dict[str, Any]:
 
 def servo_tables(content: dict[str, Any]) -> dict[str, dict[str, Any]]:
     """The tables of the servos of a document, each with what it takes from the one that it is like."""
-    given = content.get("servo", {})
-    for name, table in given.items():
-        if not isinstance(table, dict):
-            raise ValueError(f"servo.{name} must be a table, [servo.{name}]; got {table!r}")
-        other = table.get("like", "")
-        if "like" in table and (other not in given or "like" in given[other]):
-            raise ValueError(
-                f"servo.{name}.like must be a joint with a [servo] table that is like no other; got {other!r}"
-            )
-    shared = {name: given.get(table.get("like", ""), {}) | table for name, table in given.items()}
-    return {name: {key: value for key, value in table.items() if key != "like"} for name, table in shared.items()}
+    return complete_tables(content.get("servo", {}))
 
 
 def from_recipe(made: dict[str, Any], model: Any = None) -> Model:

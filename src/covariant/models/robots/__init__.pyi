@@ -23,6 +23,7 @@ from ._servos import (
     ServoDissipation as ServoDissipation,
     ServoForce as ServoForce,
     Servos as Servos,
+    complete_tables as complete_tables,
     servos_in as servos_in,
 )
 from ._space import RobotSpace as RobotSpace

@@ -189,6 +189,10 @@ def inputs_of(
             for i in freedom.free
             if actuated is None or axes[i].joint.name in actuated
         ]
+    without = [axes[i].joint.name for i in freedom.free if axes[i].joint.servo is not None]
+    without = [name for name in without if name not in {axes[each.axis].joint.name for each, _ in chosen}]
+    if without:
+        raise ValueError(f"servo {without[0]!r}: the joint has no input; name it in actuated, or remove its table")
     servos = servos_of(axes, freedom, [each for each, _ in chosen])
     more = 0 if servos is None else len(servos.input_names) - len(chosen)
     columns = [column for _, column in chosen] + [np.zeros(freedom.matrix.shape[1])] * more

@@ -82,7 +82,7 @@ def load(
     gravity: Number | Sequence[Number] | None = None,
     torque_constants: Mapping[str, Number] | None = None,
     offsets: Mapping[str, Number] | None = None,
-    servos: Mapping[str, Mapping[str, Number | bool]] | None = None,
+    servos: Mapping[str, Any] | None = None,
 ) -> MechanicalSystem:
     """Load the mechanical system of a robot from its URDF or MJCF file.
 

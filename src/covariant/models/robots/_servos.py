@@ -30,7 +30,8 @@ OF_GEAR = (*FrictionLaw._fields, "armature")
 """Numbers of the gear behind a servo that its table may state; they are those of the joint."""
 _RANGES: dict[Any, float] = {
     **dict.fromkeys(("stiffness", "gain", "limit", "pwm_limit"), POSITIVE),
-    **dict.fromkeys(("offset", "feedforward"), ANY_SIGN),
+    **dict.fromkeys(("supply", "resistance", "torque_constant", "stribeck_velocity", "smoothing"), POSITIVE),
+    **dict.fromkeys(("offset", "feedforward", "asymmetry"), ANY_SIGN),
 }
 _ABOVE_ZERO, _SIGNED = ("stribeck_velocity", "smoothing"), ("asymmetry",)
 _DRIVE = ("supply", "resistance", "torque_constant")
@@ -296,10 +297,11 @@ def _any(values: Any) -> bool:
 
 def with_servos(robot: Description, given: Mapping[str, Mapping[str, Any]]) -> Description:
     """The robot with the servos that tables describe, by joint, and with the friction and rotors of their gears."""
+    given = complete_tables(given)
     for name, table in given.items():
         refuse_unknown("joint of servo", name, [joint.name for joint in robot.joints])
         for key in table:
-            refuse_unknown(f"key of [servo.{name}]", key, (*OF_SERVO, *FLAGS, *OF_GEAR, "sign"))
+            refuse_unknown(f"key of [servo.{name}]", key, (*OF_SERVO, *FLAGS, *OF_GEAR, "sign", "like"))
     driving = {motor.joint: motor for motor in robot.motors if motor.joint in given}
     flipped = {name for name, table in given.items() if _sign(name, table) < 0}
     joints = []
@@ -311,9 +313,23 @@ def with_servos(robot: Description, given: Mapping[str, Mapping[str, Any]]) -> D
     return robot._replace(joints=tuple(joints))
 
 
+def complete_tables(given: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    """Tables of servos, each with what it takes from the one that it is like."""
+    for name, table in given.items():
+        if not isinstance(table, Mapping):
+            raise ValueError(f"servo.{name} must be a table, [servo.{name}]; got {table!r}")
+        other = table.get("like")
+        if "like" in table and not (isinstance(other, str) and other in given and "like" not in given[other]):
+            raise ValueError(
+                f"servo.{name}.like must be a joint with a [servo] table that is like no other; got {other!r}"
+            )
+    shared = {name: {**given.get(table.get("like", ""), {}), **table} for name, table in given.items()}
+    return {name: {key: value for key, value in table.items() if key != "like"} for name, table in shared.items()}
+
+
 def _sign(name: str, table: Mapping[str, Any]) -> int:
     sign = table.get("sign", 1)
-    if sign not in (1, -1):
+    if sign not in (1, -1) or isinstance(sign, bool):
         raise ValueError(f"servo {name!r}: sign must be 1 or -1; got {sign!r}")
     return int(sign)
 
@@ -336,7 +352,7 @@ def _with_servo(joint: Joint, table: Mapping[str, Any]) -> Joint:
     for key, value in table.items():
         if key in FLAGS and not isinstance(value, bool):
             raise ValueError(f"servo {name!r}: {key} must be true or false; got {value!r}")
-        if key in OF_SERVO:
+        if key in (*OF_SERVO, *OF_GEAR):
             _check_number(name, key, value)
     servo = (joint.servo or Servo(0.0))._replace(**{k: v for k, v in table.items() if k in (*OF_SERVO, *FLAGS)})
     stated = [key for key in _DRIVE if key in table]
@@ -345,6 +361,8 @@ def _with_servo(joint: Joint, table: Mapping[str, Any]) -> Joint:
             f"[servo.{name}] states its drive by {', '.join(_DRIVE)} together, or limit and back_emf instead; got "
             f"{', '.join(key for key in table if key in (*_DRIVE, 'limit', 'back_emf'))}"
         )
+    if "pwm_limit" in table and not stated:
+        raise ValueError(f"[servo.{name}] pwm_limit is a part of a drive; state {', '.join(_DRIVE)} too, or a limit")
     if servo.logged_supply and not stated:
         raise ValueError(f"[servo.{name}] logged_supply needs {', '.join(_DRIVE)}: which voltage its stiffness is for")
     friction = {key: value for key, value in table.items() if key in FrictionLaw._fields}
@@ -359,7 +377,9 @@ def _with_servo(joint: Joint, table: Mapping[str, Any]) -> Joint:
 
 def _check_number(name: str, key: str, value: Any) -> None:
     where = f"servo {name!r}: {key}"
-    if isinstance(value, bool | str) or (known(value) and np.ndim(value)):
+    if known(value) and not isinstance(value, int | float | np.number | jax.Array | np.ndarray):
+        raise ValueError(f"{where} must be one number; got {value!r}")
+    if isinstance(value, bool) or np.ndim(value):
         raise ValueError(f"{where} must be one number; got {value!r}")
     check_range(where, value, _RANGES.get(key, ZERO_OR_MORE))
 
