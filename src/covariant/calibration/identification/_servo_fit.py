@@ -333,7 +333,8 @@ class _Search(NamedTuple):
     def _by_blocks(scores: np.ndarray) -> np.ndarray:
         """Sums over blocks (B, p) of scores (W, R, p): windows, or parts of them where windows are few."""
         windows, rows, p = scores.shape
-        parts = min(math.ceil(BLOCKS_PER_NUMBER * p / windows), rows)
+        # Errors of a joint that sticks are alike for long: parts of a window are the last resort.
+        parts = 1 if windows >= FEWEST_WINDOWS else min(math.ceil(BLOCKS_PER_NUMBER * p / windows), rows)
         starts = np.linspace(0, rows, parts, endpoint=False).astype(int)
         return np.add.reduceat(scores, starts, axis=1).reshape(-1, p)
 
