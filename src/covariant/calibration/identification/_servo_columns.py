@@ -1,4 +1,4 @@
-"""Inputs of a log of servos: commands that positions follow, switches, and registers that are no torques."""
+"""Inputs of a log of servos: commands that positions follow, switches, and registers that are not torques."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -21,17 +21,17 @@ from covariant.calibration.identification._commands import (
 from covariant.logs import MEANT, unit_in_name, words_of
 
 EXPLICIT = words_of("action actions leader goal goals target targets pos position positions angle q qpos")
-"""Words that, in the name of a command, say that it is one of a position."""
+"""Words in the name of a column that mark it as the command of a position."""
 UNRELATED = 0.9
-"""Error of a regression from which a position that moves does not follow a command by its name either."""
+"""Regression error from which a moving position does not follow a column, even if the name says that it is a command."""
 MOST_MOTORS = 64
-"""Most motors of a log that has a row for each in turn."""
+"""Largest number of motors in a log with one row per motor."""
 LATEST_TWIN = 0.15
-"""Longest time [s] by which a position follows its command among columns that are all named as positions."""
+"""Longest lag [s] of a position behind its command, among columns that are all named as positions."""
 
 
 class Inputs(NamedTuple):
-    """The inputs of a log: columns, whether they are commands, how positions follow these, and remarks."""
+    """The inputs of a log: torques, the command of each position, how positions follow these, switches, and remarks."""
 
     u: tuple[str, ...]
     commands: tuple[str | None, ...] = ()
@@ -48,7 +48,7 @@ def find_inputs(
     clock: Float[np.ndarray, "T"],
     q: Sequence[str],
 ) -> Inputs:
-    """Inputs by name and content; `clock` are the stamps [s], `given` the columns of u that are known."""
+    """Identify inputs by name and content; `clock` are the stamps [s], `given` the columns of u that the user states."""
     torques = tuple(name for name, kind in kinds.items() if kind == "u")
     if given is not None:
         return _given_inputs(columns, labels, tuple(given), clock, q)
@@ -58,7 +58,7 @@ def find_inputs(
     on = _switched_on(columns, switches)
     found = _follow_all(columns, clock, q, paired, on)
     follows = [each is not None and each.error < FOLLOWS for each in found]
-    # Names may be in another order than the positions: what follows far more closely counts.
+    # The names may be in another order than the positions, so a pairing that follows far more closely replaces them.
     if not pairs_by_name(q, named) and len(named) == len(q) > 1:
         paired, found = _by_content(columns, clock, q, named, paired, found)
         follows = [each is not None and each.error < FOLLOWS for each in found]
@@ -78,7 +78,7 @@ def _given_inputs(
     clock: np.ndarray,
     q: Sequence[str],
 ) -> Inputs:
-    """Inputs that the user names: commands where positions follow them as such, or their names say so."""
+    """Inputs that the user names: commands if positions follow them or their names say so, otherwise torques."""
     named = [n for n in given if not words_of(n) & TORQUES and not unit_in_name(labels[n], MEANT["u"])]
     paired = pairs(q, named)
     if not any(paired):
@@ -100,7 +100,7 @@ def _without_commands(
     paired: Sequence[str | None],
     follows: Sequence[bool],
 ) -> Inputs:
-    """Torques as inputs, or columns that positions follow closely although their names say nothing of it."""
+    """Torques, or else columns that positions follow closely although their names do not mark them as commands."""
     if any(follows):
         followed = ", ".join(str(name) for name, yes in zip(paired, follows, strict=True) if yes)
         remark = (
@@ -125,7 +125,7 @@ def _without_commands(
 
 
 def _is_close(how: Following) -> bool:
-    """Whether a column is a command by content alone: followed closely, late, and by as much as it changes."""
+    """Whether a column is a command by content alone: the position follows closely, with a lag and a slope near 1."""
     return how.error < FOLLOWS_CLOSELY and how.late > LATE and how.lag > 0 and 0.7 < abs(how.slope) < 1.3
 
 
@@ -135,7 +135,7 @@ def _is_named_command(label: str) -> bool:
 
 
 def _switched_on(columns: Mapping[str, np.ndarray], switches: Sequence[str]) -> np.ndarray | None:
-    """Rows (T,) in which no servo is switched off; None without switches, or where one is always off."""
+    """Rows (T,) in which all servos are switched on; None without switches, or if there is no such row."""
     on = np.all([columns[name] != 0 for name in switches], axis=0) if switches else None
     return on if on is not None and on.any() else None
 
@@ -161,7 +161,7 @@ def _by_content(
     paired: Sequence[str | None],
     found: Sequence[Following | None],
 ) -> tuple[tuple[str | None, ...], tuple[Following | None, ...]]:
-    """The pairs, or those of another order that every position follows far more closely."""
+    """The pairs by name, or a pairing in another order that some position follows far more closely."""
     best: list[tuple[str, Following]] = []
     for position, now in zip(q, found, strict=True):
         each = [(name, follow(clock, columns[position], columns[name])) for name in named]
@@ -178,7 +178,7 @@ def _by_content(
 
 
 def refuse_commands_among(columns: Mapping[str, np.ndarray], clock: np.ndarray, q: Sequence[str]) -> None:
-    """Raise `ValueError` for two positions of which one follows the other; names of more say which are of a kind."""
+    """Raise `ValueError` if one of two positions follows the other; with more positions the names are unambiguous."""
     if len(q) != 2:
         return
     for name, other in (q, q[::-1]):
@@ -193,7 +193,7 @@ def refuse_commands_among(columns: Mapping[str, np.ndarray], clock: np.ndarray, 
 def without_rates(
     columns: Mapping[str, np.ndarray], clock: np.ndarray, q: tuple[str, ...], inputs: Inputs
 ) -> tuple[tuple[str, ...], Inputs]:
-    """Positions and inputs without entries of a state that are no positions of servos, but their velocities."""
+    """Positions and inputs without entries of a state that are velocities of servos and not positions."""
     driven = [name for name, command in zip(q, inputs.commands, strict=False) if command is not None]
     rates = {
         name
@@ -213,7 +213,7 @@ def without_rates(
 
 
 def switches_of(names: Sequence[str], positions: Sequence[str], columns: Mapping[str, np.ndarray]) -> tuple[str, ...]:
-    """The switch of each servo: columns of 0 and 1 in which a servo is off for a while; one may be that of all."""
+    """The switch of each servo, from columns of 0 and 1; a single such column switches all servos."""
     used = [name for name in names if set(np.unique(columns[name][np.isfinite(columns[name])]).tolist()) == {0.0, 1.0}]
     if len(used) == 1:
         return tuple(used) * len(positions)
@@ -222,7 +222,7 @@ def switches_of(names: Sequence[str], positions: Sequence[str], columns: Mapping
 
 
 def refuse_rows_of_several(columns: Mapping[str, np.ndarray]) -> None:
-    """Raise `ValueError` for a log with a row for each motor in turn, in place of a column."""
+    """Raise `ValueError` for a log that has one row per motor in place of one column per motor."""
     for name, values in columns.items():
         if not re.fullmatch(r"(?:(?:motor|servo|joint|device|axis|dxl|node|can)_?)?ids?", name, re.IGNORECASE):
             continue
@@ -235,7 +235,7 @@ def refuse_rows_of_several(columns: Mapping[str, np.ndarray]) -> None:
 
 
 def refuse_poses(q: Sequence[str], entries: Mapping[str, str]) -> None:
-    """Raise `ValueError` for a state whose entries are a point in space, and no joints."""
+    """Raise `ValueError` for a state whose entries are a point in space and not joints."""
     if {"x", "y", "z"} <= {entries.get(name, name).lower().rpartition("_")[2] for name in q}:
         named = ", ".join(f"{name} {entries[name]}" for name in q if name in entries)
         raise ValueError(f'the state is a pose, and no joints: {named or ", ".join(q)}; name joints by `columns["q"]`')

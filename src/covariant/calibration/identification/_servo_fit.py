@@ -1,9 +1,10 @@
-"""Numbers of a robot with servos from commands and positions: predictions over windows, by Gauss–Newton steps.
+"""Fit of a robot with servos to commands and positions: prediction errors over windows, Levenberg–Marquardt steps.
 
-A servo holds its joint so firmly that residual accelerations say little of it: what shows is where the joint goes, and
-where it stops. So positions are predicted over windows from the commands alone.
+A servo holds its joint so firmly that residual accelerations contain little information on it; the positions through
+which the joint moves, and at which it stops, contain more. So positions are predicted over windows from the commands
+alone.
 
-Source: Huber 1981 for weights; White 1982 for the sandwich by blocks.
+Source: Huber 1981 for the weights; White 1982 for the sandwich covariance, here over blocks.
 """
 
 import math
@@ -21,28 +22,28 @@ from covariant.models import RobotFamily
 from covariant.signals import Record
 
 WINDOW = 2.0
-"""Length of a window [s]: a servo forgets its start within a few tenths."""
+"""Length of a window [s]: the effect of the initial state decays within a few tenths of a second."""
 SETTLING = 0.2
-"""Time at the start of a window [s] that does not count: the initial speed is known roughly."""
+"""Time at the start of a window [s] that does not count, since the initial speed is only roughly known."""
 FEWEST_WINDOWS = 8
 BLOCKS_PER_NUMBER = 3
-"""Least count of the blocks of a covariance for each number: fewer of them leave it without full rank."""
+"""Least number of blocks per fitted number: with too few blocks their covariance has no full rank."""
 ROUNDS = 25
 TOLERANCE = 3e-3
-"""A step is the last one when it lowers the loss by less than this fraction of it."""
+"""Relative decrease of the loss below which the search stops."""
 ACCURACY, LATE = 2e-3, 2e-4
-"""Accuracy of the integration: relative to a number, and of a delay [s]."""
+"""Effect of the integration error on the numbers: relative to a number, and absolute for a time such as a delay [s]."""
 DIFFERENCE = 1e-4
-"""Step of finite differences, in usual sizes: 0.01 µm of a joint's motion is far above rounding."""
+"""Step of the finite differences, in usual sizes: the change that it causes in a position is far above rounding."""
 LEAST_RATIO = 0.02
-"""Least value of a number that must be positive, relative to its first one."""
+"""Least value of a number that must be positive, relative to its first value."""
 POSITIVE = ("stiffness", "resistance", "torque_constant", "stribeck_velocity", "limit")
 RIGID = ("payload", "inertia", "gravity", "offsets")
-"""Groups of numbers that change the rigid body."""
+"""Groups of open numbers that change the rigid body."""
 DELAYS, STIFFNESSES = (0.0, 0.02, 0.04, 0.08), (0.5, 1.0, 2.0)
-"""First delays [s], and factors of the first stiffness, from which the search may start."""
+"""Delays [s], and factors on the first stiffness, that are tried as starting points of the search."""
 SHIFTS = 0.015, -0.01
-"""Changes of the delay [s] from which the search starts once more."""
+"""Changes of the fitted delay [s] from which the search starts again."""
 
 
 def fit_servos(
@@ -55,18 +56,21 @@ def fit_servos(
 ) -> RobotFit:
     """Fit open numbers of a robot with servos to logs of commands and positions.
 
+    Positions are predicted over windows from the commands alone, with dry friction that sticks. The search starts from
+    several delays and stiffnesses, and again from other delays after the first fit, since delay and lead are similar.
+
     Args:
-        families: The robot as a function of its p open numbers, from `models.robot_family`, one for each log: settings
-            that are not open, such as a gain or a known payload, may differ.
-        records: The logs, with the commands as they are logged.
-        between: Whether a command is "held" to the next stamp, or "linear" between stamps.
+        families: The robot as a function of its p open numbers, from `models.robot_family`, one for each log. Settings
+            that are not open, such as a gain or a known payload, may differ between logs.
+        records: The logs, with the commands at the stamps at which they were sent.
+        between: "held" if a command is constant until the next stamp, "linear" if it is linear between stamps.
         progress: Called with the number of each round.
-        length: Length of the windows [s]; by default 2 s, and less where logs are short. Longer ones suit joints that
+        length: Length of the windows [s]; by default 2 s, and less for short logs. Longer windows suit joints that
             stick for seconds.
         late: Time [s] by which the stamps of positions are ahead of those of the commands.
 
     Returns:
-        Values, standard errors, and the combinations that the logs determine; `torque` are residual positions.
+        Values, standard errors, and the combinations that the logs determine; `torque` has residuals of positions.
 
     Raises:
         ValueError: The logs are too short, or no prediction is finite.
@@ -81,17 +85,17 @@ def fit_servos(
         raise ValueError("give a family and a log for each of the logs")
     search = _Search.of(families, records, between, length, late)
     point, rounds = search.descend(search.started(), progress, 0)
-    # A delay and a lead of the command act alike but where it jumps: both sides of a fit are tried.
+    # A delay and a lead differ only where the command jumps, so there is a local minimum on either side of a fit.
     for x in search.shifted(point.x):
         other, rounds = search.descend(search.point(x), progress, rounds)
         scale = search.normal(point).scale
         point = min(point, other, key=lambda each: search.loss(each, scale))
     step = search.normal(point)
     family = families[0]
-    # What steps of a few milliseconds leave of a motion shifts the numbers a little, the same way in every window.
+    # Integration steps of a few milliseconds bias the numbers in every window alike, which blocks do not show.
     values = np.asarray(family.values(point.x))
     stiffness = float(np.max(np.asarray(search.logs[0].drive(point.x).servos.stiffness)))
-    # A feedforward is a lead times a stiffness, and a lead is a time as a delay is.
+    # A feedforward is a lead times a stiffness, and a lead is a time like a delay.
     of_times = {"delay": LATE, "feedforward": LATE * stiffness}
     times = [of_times.get(number.number, 0.0) if number.group == "servo" else 0.0 for number in family.numbers]
     rough = np.where(np.array(times) > 0, times, ACCURACY * np.abs(values))
@@ -112,7 +116,7 @@ def fit_servos(
 
 
 class _Point(NamedTuple):
-    """Coordinates x (p,), residuals (B, R, n) of all windows, and their derivatives (p, B, R, n), in usual sizes."""
+    """Coordinates x (p,), residuals (B, R, n) of all windows, and their derivatives (p, B, R, n) per usual size of x."""
 
     x: Float[np.ndarray, "p"]
     residual: Float[np.ndarray, "B R n"]
@@ -120,7 +124,7 @@ class _Point(NamedTuple):
 
 
 class _Normal(NamedTuple):
-    """The normal equations at a point, in usual sizes, and what the logs say of the numbers."""
+    """The normal equations at a point, in usual sizes, with the information and the covariance of the numbers."""
 
     matrix: Float[np.ndarray, "p p"]
     gradient: Float[np.ndarray, "p"]
@@ -132,14 +136,14 @@ class _Normal(NamedTuple):
     losses: Float[np.ndarray, "B"]
 
     def to(self, damping: float) -> np.ndarray:
-        """The step of the coordinates (p,), above the bounds."""
+        """Damped step of the coordinates (p,) that stays above their bounds."""
         damped = self.matrix + damping * np.diag(np.diagonal(self.matrix))
         step = np.clip(minimise_above_bounds(damped, self.gradient, self.least), -1.5, 1.5)
         return step * self.sizes
 
 
 class _Search(NamedTuple):
-    """What a fit works on."""
+    """Logs and their windows, with the usual sizes and lower bounds of the open numbers."""
 
     logs: tuple[ServoLog, ...]
     rows: tuple[np.ndarray, ...]
@@ -156,7 +160,7 @@ class _Search(NamedTuple):
         logs = tuple(ServoLog.of(each, record, between, late) for each, record in zip(families, records, strict=True))
         fewest = FEWEST_WINDOWS
         if length is None:
-            # Sixteen windows are few for a covariance by blocks, so short logs are cut into shorter ones.
+            # A covariance over blocks needs more than about 16 windows, so the windows of short logs are shorter.
             total = sum(float(log.t[-1] - log.t[0]) for log in logs)
             length = max(min(WINDOW, total / (2 * fewest + 1)), 3 * SETTLING)
         else:
@@ -168,7 +172,7 @@ class _Search(NamedTuple):
                 f"the logs hold {sum(counts)} windows of {length:.3g} s without a gap, and a fit needs "
                 f"{fewest}; give longer logs"
             )
-        # All logs have the same number of windows, so that one program serves all; copies do not count.
+        # All logs have the same number of windows, so that one compiled program serves all; copies do not count.
         most = max(counts)
         padded = [each + each[:1] * (most - len(each)) for each in windows if each]
         logs = tuple(log for log, each in zip(logs, windows, strict=True) if each)
@@ -186,7 +190,7 @@ class _Search(NamedTuple):
         pulled = (held - np.asarray(servos.zero)) * np.asarray(servos.stiffness) @ np.abs(np.asarray(servos.rows))
         usual = [np.maximum(np.sqrt(np.mean(part**2, axis=0)), 1e-9) for part in (torque, pulled, motion[1], motion[2])]
         sizes = family.sizes(np.maximum(usual[0], usual[1]), usual[2], usual[3])
-        # A stiffness, a speed or a limit that the file states is usual by itself.
+        # If the file states a stiffness, a speed or a limit, that value is its usual size.
         own = np.array([number.number in POSITIVE for number in family.numbers])
         sizes = np.where(own & (np.abs(family.first) > 0), np.abs(family.first), sizes)
         least = np.where(own, np.maximum(family.least, -(1 - LEAST_RATIO) * np.abs(family.first)), family.least)
@@ -194,7 +198,7 @@ class _Search(NamedTuple):
         return cls(logs, rows, tuple(count for count in counts if count), sizes, least, rigid)
 
     def started(self) -> _Point:
-        """The first values, or those of them with another delay or stiffness that predict better."""
+        """The first values, with the delay and the stiffness among those tried that predict best."""
         family = self.logs[0].family
         kinds = [number.number if number.group == "servo" else "" for number in family.numbers]
         late = np.array([kind == "delay" for kind in kinds])
@@ -206,7 +210,7 @@ class _Search(NamedTuple):
                 np.where(stiff, (factor - 1) * family.first, x) for factor in STIFFNESSES[: 3 if stiff.any() else 1]
             ]
             lanes = [np.maximum(lane, self.least) for lane in lanes]
-            # In batches of the size of a point, so that one program serves both.
+            # Batches have the size of a point's batch, so that one compiled program serves both.
             lanes = (lanes * (len(kinds) + 1))[: max(len(kinds) + 1, 1)]
             residuals = self._residuals(lanes, lanes[0], [], np.zeros((len(lanes), len(self.rigid))))
             points += [_Point(lane, each, residuals[:0]) for lane, each in zip(lanes, residuals, strict=True)]
@@ -217,7 +221,7 @@ class _Search(NamedTuple):
         return self.point(best.x)
 
     def descend(self, point: _Point, progress: Callable[[int], object], rounds: int) -> tuple[_Point, int]:
-        """The lowest point that Levenberg–Marquardt steps reach, and the number of rounds with these."""
+        """The point that Levenberg–Marquardt steps reach, and the number of rounds so far."""
         damping = 1e-3
         for _ in range(ROUNDS):
             progress(rounds)
@@ -236,7 +240,7 @@ class _Search(NamedTuple):
         return point, rounds
 
     def shifted(self, x: np.ndarray) -> list[np.ndarray]:
-        """Coordinates with other delays, and with leads that make up for these."""
+        """Coordinates with changed delays, and with leads that compensate for the change."""
         family = self.logs[0].family
         at = {(n.target, n.number): i for i, n in enumerate(family.numbers) if n.group == "servo"}
         leads = [
@@ -272,7 +276,7 @@ class _Search(NamedTuple):
     def _residuals(
         self, lanes: Sequence[np.ndarray], x: np.ndarray, steps: Sequence[np.ndarray], weights: np.ndarray
     ) -> np.ndarray:
-        """Residuals (P, B, R, n) of drives at P coordinates, with the rigid body at x and its changes."""
+        """Residuals (P, B, R, n) of drives at P coordinates, with the rigid body at x and its changes by `steps`."""
         parts = []
         for log, rows, count in zip(self.logs, self.rows, self.counts, strict=True):
             chosen = steps if len(steps) == weights.shape[1] else [np.zeros_like(x)] * weights.shape[1]
@@ -302,7 +306,7 @@ class _Search(NamedTuple):
 
     @property
     def _alike(self) -> float:
-        """Number of rows that are one independent error: those of a tenth of a window."""
+        """Number of rows that count as one independent error: a tenth of a window."""
         return max(1.0, self._measured.shape[1] / 10)
 
     def normal(self, point: _Point) -> _Normal:
@@ -331,7 +335,7 @@ class _Search(NamedTuple):
 
     @staticmethod
     def _by_blocks(scores: np.ndarray) -> np.ndarray:
-        """Sums over blocks (B, p) of scores (W, R, p): windows, or parts of them where windows are few."""
+        """Sums (B, p) of scores (W, R, p) over blocks: windows, or parts of windows if there are few."""
         windows, rows, p = scores.shape
         parts = min(math.ceil(BLOCKS_PER_NUMBER * p / windows), rows)
         starts = np.linspace(0, rows, parts, endpoint=False).astype(int)
@@ -339,6 +343,6 @@ class _Search(NamedTuple):
 
 
 def _scale(values: np.ndarray) -> float:
-    """Robust standard deviation; 1 where there is nothing."""
+    """Robust standard deviation of the finite values; 1 if there are none."""
     values = values[np.isfinite(values)]
     return float(max(STD_OF_MEDIAN * np.median(np.abs(values)), 1e-9)) if len(values) else 1.0
