@@ -13,13 +13,13 @@ from covariant.workflow._result import AbstractResult
 
 FORMATS = {".urdf": "URDF", ".xml": "MJCF", ".json": "table of actuators"}
 """Formats of robot files by extension."""
-ABOUT = {
+HEAD_NOTES = {
     ".urdf": "Positions of joints are those of the log.",
     ".xml": "Positions of joints are those of the log. There are no shapes, so nothing touches anything.",
     ".json": "Positions of joints are those of the log. command_offsets are added to commands.",
 }
 """Notes for the head of a file, by extension."""
-USED = ("model", "out", "rate", "overwrite", "overrides", "progress", "audit")
+ROBOT_ARGUMENTS = ("model", "out", "rate", "overwrite", "overrides", "progress", "audit")
 """Arguments of `export` that apply to a robot; `audit` is accepted although robot files have no audit."""
 
 
@@ -28,7 +28,7 @@ def write_robot(verb: Callable[..., Any], values: Mapping[str, Any]) -> "RobotFi
     out, model, rate = Path(values["out"]), values["model"], values["rate"]
     defaults = {name: each.default for name, each in inspect.signature(verb).parameters.items()}
     for name, value in values.items():
-        if name not in USED and value != defaults[name]:
+        if name not in ROBOT_ARGUMENTS and value != defaults[name]:
             raise ValueError(f"{name} is for an observer, and {out} is the file of a robot; leave it out")
     check_output(out, *FORMATS, overwrite=values["overwrite"])
     label = models.spec_name(model)
@@ -39,7 +39,7 @@ def write_robot(verb: Callable[..., Any], values: Mapping[str, Any]) -> "RobotFi
         raise ValueError(f"{label}: only a robot is written as {FORMATS[out.suffix]} ({out.suffix})")
     parameters, step = dict(recipe["parameters"]), 1 / rate
     about = [f"Written by covariant export from {Path(label).name}, for steps of {step:.6g} s."]
-    about.append(ABOUT[out.suffix])
+    about.append(HEAD_NOTES[out.suffix])
     text, left_out = models.robots.robot_text(out.suffix, parameters.pop("path"), step, about, **parameters)
     write_together({out: text.encode()})
     return RobotFileResult(label, out, FORMATS[out.suffix], left_out)

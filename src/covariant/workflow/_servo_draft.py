@@ -15,17 +15,17 @@ from covariant.calibration.identification import DraftedServo
 from covariant.logs import unit_factor
 from covariant.workflow._placeholders import marked
 
-STIFFNESS = 10.0
+FIRST_STIFFNESS = 10.0
 """First stiffness [N m/rad] of a servo; without gravity a fit determines only its ratio to the inertia."""
-COULOMB = 0.01
+FIRST_COULOMB = 0.01
 """First dry friction, relative to the torque at an error of one radian."""
-LAGS = (0.02, 0.2)
+LAG_LIMITS = (0.02, 0.2)
 """Limits of the lag [s] from which the first delay and damping follow."""
 USUAL_LAG = 0.06
 """Lag [s] if the log shows none, as with a servo that stands still."""
-INERTIA = 0.001
+LINK_INERTIA = 0.001
 """Inertia [kg m^2] of the link of each joint if no robot is given."""
-LEAST_OFFSET = 0.005
+MIN_OFFSET = 0.005
 """Least offset [rad] between a servo and its joint that is written into the draft."""
 _REGISTERS = {
     "current": "currents of the drive, which are no torques",
@@ -77,8 +77,8 @@ def match_joints(draft: Draft, path: str) -> Joints:
     if in_order:
         guess = "that " + ", ".join(f"{joint} is {draft.q[i]}" for joint, i in in_order.items())
         guess += " is guessed from their order: compare names, and the signs of both"
-    more = [draft.q[i] for i in open_positions[len(open_joints) :]]
-    if more:
+    without_joint = [draft.q[i] for i in open_positions[len(open_joints) :]]
+    if without_joint:
         guess += f"{'; ' if guess else ''}{', '.join(more)} have no joint in {Path(path).name}, and are left out"
     return Joints(path, names, tuple(matched[j] for j in names), tuple(j for j in joints if j not in matched), guess)
 
@@ -167,17 +167,17 @@ def servo_lines(draft: Draft, joints: Joints) -> list[str]:
     """Lines of the servo tables."""
     servos = [servo for servo in draft.servos if servo is not None]
     lags = [servo.lag for servo in servos if servo.lag]
-    lag = min(max(min(lags), LAGS[0]), LAGS[1]) if lags else USUAL_LAG
+    lag = min(max(min(lags), LAG_LIMITS[0]), LAG_LIMITS[1]) if lags else USUAL_LAG
     seen = "of the shortest lag of a position behind its command in this log" if lags else "of a usual lag"
     lines = ["", "[inputs]", 'kind = "command"  # u are positions that servos are commanded to, no torques']
     for name, servo in zip(joints.names, draft.servos, strict=True):
         if servo is None:
             continue
         values = {
-            "stiffness": (STIFFNESS, "N m/rad"),
-            "damping": (STIFFNESS * lag / 2, "N m s/rad"),
-            "coulomb": (COULOMB * STIFFNESS, "N m, dry friction of the gear"),
-            "armature": (STIFFNESS * (lag / 2) ** 2 / 4, "kg m^2, of the rotor as felt at the joint"),
+            "stiffness": (FIRST_STIFFNESS, "N m/rad"),
+            "damping": (FIRST_STIFFNESS * lag / 2, "N m s/rad"),
+            "coulomb": (FIRST_COULOMB * FIRST_STIFFNESS, "N m, dry friction of the gear"),
+            "armature": (FIRST_STIFFNESS * (lag / 2) ** 2 / 4, "kg m^2, of the rotor as felt at the joint"),
         }
         lines += ["", f"[servo.{_key(name)}]"]
         for key, (value, what) in values.items():
@@ -192,7 +192,7 @@ def servo_lines(draft: Draft, joints: Joints) -> list[str]:
 
 def _offset_line(servo: DraftedServo, weighed: bool) -> list[str]:
     """The line of the offset, commented out if the weight of the robot may explain it."""
-    if abs(servo.offset) < LEAST_OFFSET:
+    if abs(servo.offset) < MIN_OFFSET:
         return []
     mark, why = ("# ", ", unless the weight does it") if weighed else ("", "")
     return [f"{mark}offset = {servo.offset:.3g}  # rad, by which positions of this log are beyond the command{why}"]

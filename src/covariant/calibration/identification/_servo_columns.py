@@ -20,13 +20,13 @@ from covariant.calibration.identification._commands import (
 )
 from covariant.logs import MEANT, unit_in_name, words_of
 
-EXPLICIT = words_of("action actions leader goal goals target targets pos position positions angle q qpos")
+POSITION_WORDS = words_of("action actions leader goal goals target targets pos position positions angle q qpos")
 """Words in the name of a column that mark it as the command of a position."""
-UNRELATED = 0.9
-"""Regression error from which a moving position does not follow a column, even if the name says that it is a command."""
-MOST_MOTORS = 64
+UNRELATED_ERROR = 0.9
+"""Regression error from which a moving position does not follow a column, even if its name marks a command."""
+MAX_MOTORS = 64
 """Largest number of motors in a log with one row per motor."""
-LATEST_TWIN = 0.15
+MAX_LAG_AMONG_POSITIONS = 0.15
 """Longest lag [s] of a position behind its command, among columns that are all named as positions."""
 
 
@@ -48,7 +48,7 @@ def find_inputs(
     clock: Float[np.ndarray, "T"],
     q: Sequence[str],
 ) -> Inputs:
-    """Identify inputs by name and content; `clock` are the stamps [s], `given` the columns of u that the user states."""
+    """Identify inputs by name and content, with stamps `clock` [s] and the columns of u that the user states."""
     torques = tuple(name for name, kind in kinds.items() if kind == "u")
     if given is not None:
         return _given_inputs(columns, labels, tuple(given), clock, q)
@@ -64,7 +64,7 @@ def find_inputs(
         follows = [each is not None and each.error < FOLLOWS for each in found]
     moving = [each.whole for each in found if each is not None]
     by_name = any(_is_named_command(labels[each]) for each in named) or bool(switches)
-    is_command = any(follows) or (by_name and (not moving or min(moving) < UNRELATED))
+    is_command = any(follows) or (by_name and (not moving or min(moving) < UNRELATED_ERROR))
     plain = tuple(name for name in named if words_of(name) & {"cmd", "command", "commands", "commanded"})
     if torques or not any(paired) or not is_command:
         return _without_commands(columns, clock, q, kinds, torques, plain, paired, follows)
@@ -131,7 +131,9 @@ def _is_close(how: Following) -> bool:
 
 def _is_named_command(label: str) -> bool:
     words = words_of(label)
-    return bool(words & EXPLICIT) and bool(words - EXPLICIT or words & {"action", "actions", "leader", "goal"})
+    return bool(words & POSITION_WORDS) and bool(
+        words - POSITION_WORDS or words & {"action", "actions", "leader", "goal"}
+    )
 
 
 def _switched_on(columns: Mapping[str, np.ndarray], switches: Sequence[str]) -> np.ndarray | None:
@@ -183,7 +185,7 @@ def refuse_commands_among(columns: Mapping[str, np.ndarray], clock: np.ndarray, 
         return
     for name, other in (q, q[::-1]):
         how = follow(clock, columns[name], columns[other])
-        if how is not None and _is_close(how) and how.lag <= LATEST_TWIN and how.slope > 0:
+        if how is not None and _is_close(how) and how.lag <= MAX_LAG_AMONG_POSITIONS and how.slope > 0:
             raise ValueError(
                 f'{name} follows {other}, late, as a servo its command; name them by `columns["q"]` and '
                 '`columns["u"]`, or name both as positions by `columns["q"]`'
@@ -227,7 +229,7 @@ def refuse_rows_of_several(columns: Mapping[str, np.ndarray]) -> None:
         if not re.fullmatch(r"(?:(?:motor|servo|joint|device|axis|dxl|node|can)_?)?ids?", name, re.IGNORECASE):
             continue
         kinds = np.unique(values[np.isfinite(values)])
-        if 1 < len(kinds) <= MOST_MOTORS and np.mean(np.diff(values) != 0) > 0.5:
+        if 1 < len(kinds) <= MAX_MOTORS and np.mean(np.diff(values) != 0) > 0.5:
             raise ValueError(
                 f"column {name!r} takes turns from row to row, from {kinds[0]:g} to {kinds[-1]:g}: each row is "
                 f'of another motor; give each a column, in pandas as table.pivot_table(index="t", columns={name!r})'

@@ -31,23 +31,23 @@ from covariant.calibration.identification._robot_torques import (
 from covariant.models import RobotFamily, acceleration, resistance
 from covariant.models.robots import Servos, servos_in
 
-PROBED = 1 / 3
+PROBE_FRACTION = 1 / 3
 """Fraction of the periods that have reversals and steps in place of the motion."""
-REACH = 0.6
+PROBE_REACH = 0.6
 """Fraction that reversals and steps use of the range on one side, and of the torque that is left while holding."""
-SLOW = 0.1
+REVERSAL_SPEED = 0.1
 """Largest speed of the slow reversals, as a fraction of the limit."""
-OVER = 1.6
+LIMIT_STEP = 1.6
 """Size of a step that has to reach the torque limit, in multiples of limit / stiffness."""
-SMALLER, TRIES = 0.8, 12
+AMPLITUDE_FACTOR, MAX_TRIES = 0.8, 12
 """Factor by which all amplitudes shrink as long as the simulation exceeds a limit, and the largest number of tries."""
-SLACK = 1e-3
+TORQUE_MARGIN = 1e-3
 """Relative margin by which a torque stays below its limit, since a clipped torque equals the limit exactly."""
-STABLE = 0.5
+MAX_STEP_RATE = 0.5
 """Largest product of the simulation step and the fastest rate of the robot."""
-MOST_STEPS = 64
+MAX_SUBSTEPS = 64
 """Largest number of simulation steps from row to row."""
-FORGOTTEN = 0.3
+SKIPPED_TIME = 0.3
 """Time [s] at the start of a log whose rows do not count, since the first state is not known."""
 
 
@@ -107,7 +107,7 @@ def of_coordinates(servos: Servos, values: Any) -> Float[np.ndarray, "n"]:
 def motion_periods(plan: ExcitationPlan) -> int:
     """Number of periods of the motion; the others have reversals and steps."""
     periods = round(plan.duration * plan.frequency)
-    return periods - int(periods * PROBED)
+    return periods - int(periods * PROBE_FRACTION)
 
 
 def command_excitation(
@@ -118,8 +118,8 @@ def command_excitation(
     t = np.arange(round(plan.duration * sensing.rate) + 1) / sensing.rate
     asked = {n.target for n in family.numbers if n.group == "servo" and n.number == "limit"}
     # A servo may reach its own limit if that limit is to be fitted and is the smallest one.
-    own = of_coordinates(simulation.servos, simulation.servos.limit)
-    limited = np.array([name in asked for name in limits.names]) & (own <= limits.effort)
+    own_limit = of_coordinates(simulation.servos, simulation.servos.limit)
+    limited = np.array([name in asked for name in limits.names]) & (own_limit <= limits.effort)
     moving = motion_periods(plan) / plan.frequency
     designed = _commanded(simulation, limits, plan, t, found.motion, moving, limited)
     reference = _commanded(simulation, limits, plan, t, found.reference, plan.duration, np.zeros_like(limited))
@@ -138,8 +138,8 @@ def _commanded(
 ) -> Commanded:
     """Scale the motion down until commands, positions, speeds and torques are within the limits."""
     inner, probes, length = limits.within(plan.margin), t > moving, plan.duration - moving
-    most = np.ones(len(limits.names))
-    for factor in SMALLER ** np.arange(TRIES):
+    largest_use = np.ones(len(limits.names))
+    for factor in AMPLITUDE_FACTOR ** np.arange(MAX_TRIES):
         inputs = simulation.commands(motion.scaled(factor), t, moving)
         if probes.any():
             inputs[probes] += simulation.probes(t[probes] - moving, length, inner, inputs[0], limited, factor)
@@ -150,10 +150,10 @@ def _commanded(
         if not np.isfinite(used).all():
             raise ValueError("the simulation of the commands is not stable: give a higher rate, or a larger armature")
         # A torque limit that is to be fitted has to be reached.
-        most = np.max([used[0], used[1], np.where(limited, 0.0, used[2] * (1 + SLACK)), reached], axis=0)
-        if most.max() <= 1:
+        largest_use = np.max([used[0], used[1], np.where(limited, 0.0, used[2] * (1 + TORQUE_MARGIN)), reached], axis=0)
+        if largest_use.max() <= 1:
             return Commanded(inputs, q, v, torque, used)
-    joint = limits.names[int(np.argmax(most))]
+    joint = limits.names[int(np.argmax(largest_use))]
     raise ValueError(
         f"joint {joint!r}: no commands were found that keep its limits of position, speed and torque; give a larger "
         "region, velocity or effort"
@@ -185,7 +185,7 @@ class _Simulation(NamedTuple):
         assert servos is not None
         if servos.rows.shape[0] != servos.rows.shape[1]:
             raise ValueError("commands are designed for robots of which each joint has a servo; lock the others")
-        substeps = int(np.clip(np.ceil(_fastest(model) / rate / STABLE), 1, MOST_STEPS))
+        substeps = int(np.clip(np.ceil(_fastest(model) / rate / MAX_STEP_RATE), 1, MAX_SUBSTEPS))
         step = 1 / rate / substeps
 
         @jax.jit
@@ -196,10 +196,10 @@ class _Simulation(NamedTuple):
 
         @jax.jit
         def slopes(inputs: Array, start: Array) -> Array:
-            def one(slope: Array) -> Array:
+            def one_direction(slope: Array) -> Array:
                 return jax.jvp(lambda part: positions(part, inputs, start)[0], (flat,), (slope,))[1]
 
-            return jax.vmap(one, in_axes=1, out_axes=2)(jnp.asarray(to_arrays))
+            return jax.vmap(one_direction, in_axes=1, out_axes=2)(jnp.asarray(to_arrays))
 
         return cls(model, servos, flat, positions, slopes, substeps, rate)
 
@@ -250,14 +250,14 @@ class _Simulation(NamedTuple):
         place = self.places(held[None])[0]
         up, down = inner.high - place, place - inner.low
         side = np.where(up >= down, 1.0, -1.0)
-        room = REACH * np.maximum(up, down)
+        room = PROBE_REACH * np.maximum(up, down)
         still = np.zeros((1, len(place)))
         holding = np.abs(in_batches(efforts, self.model, place[None], still, still)[0, 0])
         rows = np.abs(np.asarray(self.servos.rows))
         stiffness = of_coordinates(self.servos, np.asarray(self.servos.stiffness) * rows.sum(axis=1))
-        step = np.minimum(room, REACH * np.maximum(inner.effort - holding, 0.0) / stiffness)
-        step = np.where(limited, np.minimum(up + down, OVER * inner.effort / stiffness), step)
-        slow = np.minimum(room, SLOW * inner.velocity * length / 8)
+        step = np.minimum(room, PROBE_REACH * np.maximum(inner.effort - holding, 0.0) / stiffness)
+        step = np.where(limited, np.minimum(up + down, LIMIT_STEP * inner.effort / stiffness), step)
+        slow = np.minimum(room, REVERSAL_SPEED * inner.velocity * length / 8)
         phase = t / length
         # Two triangles, then a step up, back, half up and back.
         wave = 1 - np.abs(1 - np.mod(8 * phase, 2))
@@ -311,20 +311,20 @@ def _simulated(
         v = v + step * acceleration(model, t, q, v, u)
         return (q + step * v, v), None
 
-    def one_row(x: tuple[Array, Array], u: Array) -> tuple[tuple[Array, Array], tuple[Array, Array, Array]]:
+    def simulate_row(x: tuple[Array, Array], u: Array) -> tuple[tuple[Array, Array], tuple[Array, Array, Array]]:
         q, v = x
         torque = servos.rows.T @ (servos.torque(q, v, u[0]) + servos.back_emf * (servos.rows @ v))
         return jax.lax.scan(advance, x, u)[0], (q, v, torque)
 
     u = jax.vmap(acting)(jnp.arange(count * substeps, dtype=float)).reshape(count, substeps, -1)
-    return jax.lax.scan(one_row, (start, jnp.zeros_like(start)), u)[1]
+    return jax.lax.scan(simulate_row, (start, jnp.zeros_like(start)), u)[1]
 
 
 def _expected(
     family: RobotFamily, simulation: _Simulation, commanded: Commanded, sensing: Sensing, plan: ExcitationPlan
 ) -> ExpectedOfCommands:
     """Standard errors of a fit that predicts the positions of the whole log from its commands."""
-    forgotten = int(np.ceil(FORGOTTEN * sensing.rate))
+    forgotten = int(np.ceil(SKIPPED_TIME * sensing.rate))
     rows = simulation.derivatives(commanded.inputs)[forgotten:] / sensing.noise[:, None]
     a = np.gradient(commanded.v, 1 / sensing.rate, axis=0)
     sizes, _ = usual_sizes(family, commanded.torque, commanded.torque, commanded.v, a)

@@ -25,24 +25,24 @@ WINDOW = 2.0
 """Length of a window [s]: the effect of the initial state decays within a few tenths of a second."""
 SETTLING = 0.2
 """Time at the start of a window [s] that does not count, since the initial speed is only roughly known."""
-FEWEST_WINDOWS = 8
+MIN_WINDOWS = 8
 BLOCKS_PER_NUMBER = 3
 """Least number of blocks per fitted number: with too few blocks their covariance has no full rank."""
-ROUNDS = 25
+MAX_ROUNDS = 25
 TOLERANCE = 3e-3
 """Relative decrease of the loss below which the search stops."""
-ACCURACY, LATE = 2e-3, 2e-4
-"""Effect of the integration error on the numbers: relative to a number, and absolute for a time such as a delay [s]."""
-DIFFERENCE = 1e-4
+RELATIVE_ACCURACY, TIME_ACCURACY = 2e-3, 2e-4
+"""Integration error in the fitted numbers: relative, and for times such as a delay absolute [s]."""
+DIFFERENCE_STEP = 1e-4
 """Step of the finite differences, in usual sizes: the change that it causes in a position is far above rounding."""
-LEAST_RATIO = 0.02
+MIN_RATIO = 0.02
 """Least value of a number that must be positive, relative to its first value."""
-POSITIVE = ("stiffness", "resistance", "torque_constant", "stribeck_velocity", "limit")
-RIGID = ("payload", "inertia", "gravity", "offsets")
+POSITIVE_NUMBERS = ("stiffness", "resistance", "torque_constant", "stribeck_velocity", "limit")
+RIGID_BODY_GROUPS = ("payload", "inertia", "gravity", "offsets")
 """Groups of open numbers that change the rigid body."""
-DELAYS, STIFFNESSES = (0.0, 0.02, 0.04, 0.08), (0.5, 1.0, 2.0)
+FIRST_DELAYS, STIFFNESS_FACTORS = (0.0, 0.02, 0.04, 0.08), (0.5, 1.0, 2.0)
 """Delays [s], and factors on the first stiffness, that are tried as starting points of the search."""
-SHIFTS = 0.015, -0.01
+DELAY_SHIFTS = 0.015, -0.01
 """Changes of the fitted delay [s] from which the search starts again."""
 
 
@@ -96,10 +96,12 @@ def fit_servos(
     values = np.asarray(family.values(point.x))
     stiffness = float(np.max(np.asarray(search.logs[0].drive(point.x).servos.stiffness)))
     # A feedforward is a lead times a stiffness, and a lead is a time like a delay.
-    of_times = {"delay": LATE, "feedforward": LATE * stiffness}
+    of_times = {"delay": TIME_ACCURACY, "feedforward": TIME_ACCURACY * stiffness}
     times = [of_times.get(number.number, 0.0) if number.group == "servo" else 0.0 for number in family.numbers]
-    rough = np.where(np.array(times) > 0, times, ACCURACY * np.abs(values))
-    known = Determined.of(family, point.x, search.sizes, step.information, step.covariance + np.diag(rough**2))
+    integration_error = np.where(np.array(times) > 0, times, RELATIVE_ACCURACY * np.abs(values))
+    known = Determined.of(
+        family, point.x, search.sizes, step.information, step.covariance + np.diag(integration_error**2)
+    )
     return RobotFit(
         family.names,
         family.first,
@@ -116,7 +118,7 @@ def fit_servos(
 
 
 class _Point(NamedTuple):
-    """Coordinates x (p,), residuals (B, R, n) of all windows, and their derivatives (p, B, R, n) per usual size of x."""
+    """Coordinates x (p,), residuals (B, R, n) of all windows, and their derivatives (p, B, R, n) by usual sizes."""
 
     x: Float[np.ndarray, "p"]
     residual: Float[np.ndarray, "B R n"]
@@ -158,7 +160,7 @@ class _Search(NamedTuple):
     ) -> "_Search":
         family = families[0]
         logs = tuple(ServoLog.of(each, record, between, late) for each, record in zip(families, records, strict=True))
-        fewest = FEWEST_WINDOWS
+        fewest = MIN_WINDOWS
         if length is None:
             # A covariance over blocks needs more than about 16 windows, so the windows of short logs are shorter.
             total = sum(float(log.t[-1] - log.t[0]) for log in logs)
@@ -191,10 +193,12 @@ class _Search(NamedTuple):
         usual = [np.maximum(np.sqrt(np.mean(part**2, axis=0)), 1e-9) for part in (torque, pulled, motion[1], motion[2])]
         sizes = family.sizes(np.maximum(usual[0], usual[1]), usual[2], usual[3])
         # If the file states a stiffness, a speed or a limit, that value is its usual size.
-        own = np.array([number.number in POSITIVE for number in family.numbers])
-        sizes = np.where(own & (np.abs(family.first) > 0), np.abs(family.first), sizes)
-        least = np.where(own, np.maximum(family.least, -(1 - LEAST_RATIO) * np.abs(family.first)), family.least)
-        rigid = tuple(i for i, number in enumerate(family.numbers) if number.group in RIGID)
+        has_positive_number = np.array([number.number in POSITIVE_NUMBERS for number in family.numbers])
+        sizes = np.where(has_positive_number & (np.abs(family.first) > 0), np.abs(family.first), sizes)
+        least = np.where(
+            has_positive_number, np.maximum(family.least, -(1 - MIN_RATIO) * np.abs(family.first)), family.least
+        )
+        rigid = tuple(i for i, number in enumerate(family.numbers) if number.group in RIGID_BODY_GROUPS)
         return cls(logs, rows, tuple(count for count in counts if count), sizes, least, rigid)
 
     def started(self) -> _Point:
@@ -204,10 +208,11 @@ class _Search(NamedTuple):
         late = np.array([kind == "delay" for kind in kinds])
         stiff = np.array([kind == "stiffness" for kind in kinds])
         points = []
-        for delay in (None, *DELAYS) if late.any() else (None,):
+        for delay in (None, *FIRST_DELAYS) if late.any() else (None,):
             x = np.zeros(len(kinds)) if delay is None else np.where(late, delay - family.first, 0.0)
             lanes = [
-                np.where(stiff, (factor - 1) * family.first, x) for factor in STIFFNESSES[: 3 if stiff.any() else 1]
+                np.where(stiff, (factor - 1) * family.first, x)
+                for factor in STIFFNESS_FACTORS[: 3 if stiff.any() else 1]
             ]
             lanes = [np.maximum(lane, self.least) for lane in lanes]
             # Batches have the size of a point's batch, so that one compiled program serves both.
@@ -223,7 +228,7 @@ class _Search(NamedTuple):
     def descend(self, point: _Point, progress: Callable[[int], object], rounds: int) -> tuple[_Point, int]:
         """The point that Levenberg–Marquardt steps reach, and the number of rounds so far."""
         damping = 1e-3
-        for _ in range(ROUNDS):
+        for _ in range(MAX_ROUNDS):
             progress(rounds)
             rounds += 1
             step = self.normal(point)
@@ -253,7 +258,7 @@ class _Search(NamedTuple):
         values, servos = np.asarray(family.values(x)), self.logs[0].drive(x).servos
         stiffness = dict(zip(servos.input_names, np.asarray(servos.stiffness), strict=False))
         others = []
-        for shift in SHIFTS:
+        for shift in DELAY_SHIFTS:
             other = x.copy()
             for i, j, target in leads:
                 later = max(shift, -values[j])
@@ -266,12 +271,12 @@ class _Search(NamedTuple):
         """Residuals at x, and their derivatives by finite differences, all in one batch."""
         x = np.maximum(x, self.least)
         p = len(x)
-        steps = DIFFERENCE * self.sizes * np.eye(p)
+        steps = DIFFERENCE_STEP * self.sizes * np.eye(p)
         weights = np.zeros((p + 1, len(self.rigid)))
         for k, i in enumerate(self.rigid):
             weights[1 + i, k] = 1.0
         every = self._residuals([x, *(x + step for step in steps)], x, [steps[i] for i in self.rigid], weights)
-        return _Point(x, every[0], (every[1:] - every[:1]) / DIFFERENCE)
+        return _Point(x, every[0], (every[1:] - every[:1]) / DIFFERENCE_STEP)
 
     def _residuals(
         self, lanes: Sequence[np.ndarray], x: np.ndarray, steps: Sequence[np.ndarray], weights: np.ndarray

@@ -26,11 +26,11 @@ from covariant.models import RobotFamily
 from covariant.models.robots import Servos, dry_friction
 from covariant.signals import Record
 
-LONGEST_STEP = 4e-3
+MAX_STEP = 4e-3
 """Longest step of the integration [s]: a servo's natural frequency is seldom above 60 rad/s."""
 SWEEPS = 3
 """Gauss–Seidel sweeps over the joints in a step; they start from the velocity change of the step before."""
-SMOOTHING = 3.5
+SMOOTHING_ROWS = 3.5
 """Half width, in rows, of the smoothing windows for the path of the rigid body."""
 
 
@@ -123,7 +123,7 @@ class ServoLog(NamedTuple):
         model: Any = family.file.model
         t, u = np.asarray(record.t, float), np.asarray(record.u, float)
         y = scoring.unwrap(np.asarray(record.y, float), model.circles)
-        half = SMOOTHING * float(np.median(np.diff(t)))
+        half = SMOOTHING_ROWS * float(np.median(np.diff(t)))
         c = scoring.local_polynomials(t, y, t, half, 2)
         for part in (c[:, 0], c[:, 1], c[:, 2]):
             for column in part.T:
@@ -168,7 +168,7 @@ class ServoLog(NamedTuple):
         first = rows[:, :-1]
         t = self.t[rows]
         step = np.diff(t, axis=1)
-        substeps = max(1, int(np.ceil(float(np.median(step)) / LONGEST_STEP - 1e-6)))
+        substeps = max(1, int(np.ceil(float(np.median(step)) / MAX_STEP - 1e-6)))
         h = step / substeps
         delays = np.asarray(drives[0].servos.delay)
         middle = t[:, :-1, None] + h[..., None] * np.arange(substeps)

@@ -16,19 +16,19 @@ from covariant.calibration.identification._commands import (
 from covariant.calibration.identification._servo_columns import Inputs
 from covariant.logs import KNOWN, MEANT, is_unit_of, unit_factor, unit_in_name, unknown_unit, words_of
 
-SOFT = 0.7
+MIN_STIFF_SLOPE = 0.7
 """Least slope of a position over its command from which their mean distance is an offset and not a sag."""
-SHOWN = 1.05
+LAG_ERROR_RATIO = 1.05
 """Ratio of the regression errors without and with a lag from which the lag counts."""
-NORMALISED = 100.5
+MAX_PER_CENT = 100.5
 """Largest value of positions that are logged in per cent of their range, as in some data sets."""
-MOST_RADIANS = 7.0
+MAX_RADIANS = 7.0
 """Largest plausible angle of a servo in radians, a little more than a turn."""
-MOST_DEGREES = 720.0
+MAX_DEGREES = 720.0
 """Largest plausible angle of a servo in degrees."""
 TICKS = 4096
 """Ticks per turn of a 12-bit encoder, which most serial-bus servos have."""
-FEWEST_TICKS = 1023
+CERTAIN_TICKS = 1023
 """Whole numbers below `TICKS` are certainly ticks, and not degrees or another encoder, if the largest exceeds this."""
 _UNITS = {1.0: "rad", unit_factor("deg"): "deg", unit_factor("turn/4096"): "turn/4096"}
 """Units of commands that are recognised by their size."""
@@ -70,15 +70,15 @@ def position_units(
     largest, whole = float(np.abs(values).max()), bool((values % 1 == 0).all())
     listed = ", ".join(names[i] for i in open_ones)
     answer = "name their unit by `overrides=['units.q=\"turn/4096\"']`, one for each in brackets where they differ"
-    if whole and largest > FEWEST_TICKS:
+    if whole and largest > CERTAIN_TICKS:
         if values.min() >= 0 and largest < TICKS:
             return [f"turn/{TICKS}" if text is None else text for text in stated]
         raise ValueError(
             f"the positions {listed} are whole numbers from {values.min():g} to {values.max():g}, as ticks; {answer}"
         )
-    if not servos or largest <= MOST_RADIANS:
+    if not servos or largest <= MAX_RADIANS:
         return None
-    if largest > MOST_DEGREES:
+    if largest > MAX_DEGREES:
         raise ValueError(
             f"the positions {listed} are between {values.min():.4g} and {values.max():.4g}, more than a servo turns in "
             f"degrees; {answer}"
@@ -88,7 +88,7 @@ def position_units(
             f"the positions {listed} are whole numbers from {values.min():g} to {values.max():g}: ticks or degrees; "
             f"{answer}"
         )
-    if largest <= NORMALISED:
+    if largest <= MAX_PER_CENT:
         raise ValueError(
             f"the positions {listed} are between {values.min():.4g} and {values.max():.4g}: degrees, or per cent of "
             "the range of each servo, as LeRobot logs them unless use_degrees is set, which is no angle. Name their "
@@ -166,9 +166,9 @@ def servos_of(
             servos.append(DraftedServo(command, unit, None, 0.0))
         else:
             # For a soft servo the mean distance may be sag, so it is no offset; a slow motion shows no lag.
-            stiff = SOFT < abs(how.slope * factor / unit) < 2 - SOFT
+            stiff = MIN_STIFF_SLOPE < abs(how.slope * factor / unit) < 2 - MIN_STIFF_SLOPE
             offset = how.position * factor - how.command * unit if stiff else 0.0
-            servos.append(DraftedServo(command, unit, how.lag if how.late > SHOWN else None, offset))
+            servos.append(DraftedServo(command, unit, how.lag if how.late > LAG_ERROR_RATIO else None, offset))
     return tuple(servos)
 
 

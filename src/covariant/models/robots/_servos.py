@@ -106,7 +106,7 @@ class Servos(Functional):
         return _chosen(u, self.switches, jnp.ones_like(rate)) * (inner - self.back_emf * rate)
 
     def added_friction(self, torque: Float[Array, "k"], weight: Float[Array, "k"]) -> Float[Array, "k"]:
-        """Dry friction (k,) that grows with the load: with the torques of the motors and of the weight at the servos."""
+        """Dry friction (k,) due to the load: to the torques of the motors and of the weight at the servos."""
         return jnp.abs(self.load_external * weight - self.load * torque)
 
     def cast(self, dtype: Any) -> "Servos":
@@ -295,7 +295,7 @@ def _any(values: Any) -> bool:
 
 
 def with_servos(robot: Description, given: Mapping[str, Mapping[str, Any]]) -> Description:
-    """The robot with the servos that the tables of its joints describe, and with the friction and armature of their gears."""
+    """The robot with the servos that tables by joint describe, and with the friction and armature of their gears."""
     for name, table in given.items():
         refuse_unknown("joint of servo", name, [joint.name for joint in robot.joints])
         for key in table:
