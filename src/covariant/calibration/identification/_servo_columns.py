@@ -56,19 +56,19 @@ def find_inputs(
     switches = tuple(name for name, kind in kinds.items() if kind == "switch")
     paired = pairs(q, named)
     on = _switched_on(columns, switches)
-    found = _follow_all(columns, clock, q, paired, on)
-    follows = [each is not None and each.error < FOLLOWS for each in found]
+    follow_fits = _follow_all(columns, clock, q, paired, on)
+    follows = [each is not None and each.error < FOLLOWS for each in follow_fits]
     # The names may be in another order than the positions, so a pairing that follows far more closely replaces them.
     if not pairs_by_name(q, named) and len(named) == len(q) > 1:
-        paired, found = _by_content(columns, clock, q, named, paired, found)
-        follows = [each is not None and each.error < FOLLOWS for each in found]
-    moving = [each.whole for each in found if each is not None]
+        paired, follow_fits = _by_content(columns, clock, q, named, paired, follow_fits)
+        follows = [each is not None and each.error < FOLLOWS for each in follow_fits]
+    moving = [each.whole for each in follow_fits if each is not None]
     by_name = any(_is_named_command(labels[each]) for each in named) or bool(switches)
     is_command = any(follows) or (by_name and (not moving or min(moving) < UNRELATED_ERROR))
     plain = tuple(name for name in named if words_of(name) & {"cmd", "command", "commands", "commanded"})
     if torques or not any(paired) or not is_command:
         return _without_commands(columns, clock, q, kinds, torques, plain, paired, follows)
-    return Inputs((), paired, found, switches)
+    return Inputs((), paired, follow_fits, switches)
 
 
 def _given_inputs(
@@ -83,11 +83,11 @@ def _given_inputs(
     paired = pairs(q, named)
     if not any(paired):
         return Inputs(given)
-    found = _follow_all(columns, clock, q, paired)
-    by_content = any(each is not None and each.error < FOLLOWS for each in found)
+    follow_fits = _follow_all(columns, clock, q, paired)
+    by_content = any(each is not None and each.error < FOLLOWS for each in follow_fits)
     if not by_content and not all(_is_named_command(labels[name]) for name in named):
         return Inputs(given)
-    return Inputs((), paired, found, tuple(name for name in given if name not in paired))
+    return Inputs((), paired, follow_fits, tuple(name for name in given if name not in paired))
 
 
 def _without_commands(
@@ -113,20 +113,27 @@ def _without_commands(
     best: list[tuple[str, Following]] = []
     for position in q:
         each = [(name, follow(clock, columns[position], columns[name])) for name in silent]
-        near = [(name, how) for name, how in each if how is not None and _is_close(how)]
-        if near:
-            best.append(min(near, key=lambda pair: pair[1].error))
+        candidates = [
+            (name, follow_fit) for name, follow_fit in each if follow_fit is not None and _is_close(follow_fit)
+        ]
+        if candidates:
+            best.append(min(candidates, key=lambda pair: pair[1].error))
     if len(best) == len(q) == len({name for name, _ in best}):
         switches = tuple(name for name, kind in kinds.items() if kind == "switch")
-        return Inputs((), tuple(name for name, _ in best), tuple(how for _, how in best), switches)
+        return Inputs((), tuple(name for name, _ in best), tuple(follow_fit for _, follow_fit in best), switches)
     named = ", ".join(plain)
     remark = f"{named}: taken for torques [N m], since no position follows them as its command"
     return Inputs((*torques, *plain), remarks=(remark,) if plain else ())
 
 
-def _is_close(how: Following) -> bool:
+def _is_close(follow_fit: Following) -> bool:
     """Whether a column is a command by content alone: the position follows closely, with a lag and a slope near 1."""
-    return how.error < FOLLOWS_CLOSELY and how.late > LATE and how.lag > 0 and 0.7 < abs(how.slope) < 1.3
+    return (
+        follow_fit.error < FOLLOWS_CLOSELY
+        and follow_fit.late > LATE
+        and follow_fit.lag > 0
+        and 0.7 < abs(follow_fit.slope) < 1.3
+    )
 
 
 def _is_named_command(label: str) -> bool:
@@ -161,22 +168,26 @@ def _by_content(
     q: Sequence[str],
     named: Sequence[str],
     paired: Sequence[str | None],
-    found: Sequence[Following | None],
+    follow_fits: Sequence[Following | None],
 ) -> tuple[tuple[str | None, ...], tuple[Following | None, ...]]:
     """The pairs by name, or a pairing in another order that some position follows far more closely."""
     best: list[tuple[str, Following]] = []
-    for position, now in zip(q, found, strict=True):
+    for position, now in zip(q, follow_fits, strict=True):
         each = [(name, follow(clock, columns[position], columns[name])) for name in named]
-        near = [(name, how) for name, how in each if how is not None]
-        if not near or now is None:
-            return tuple(paired), tuple(found)
-        best.append(min(near, key=lambda pair: pair[1].error))
+        candidates = [(name, follow_fit) for name, follow_fit in each if follow_fit is not None]
+        if not candidates or now is None:
+            return tuple(paired), tuple(follow_fits)
+        best.append(min(candidates, key=lambda pair: pair[1].error))
     if len({name for name, _ in best}) < len(q):
-        return tuple(paired), tuple(found)
-    closer = [how.error < now.error / LATE for (_, how), now in zip(best, found, strict=True) if now is not None]
+        return tuple(paired), tuple(follow_fits)
+    closer = [
+        follow_fit.error < now.error / LATE
+        for (_, follow_fit), now in zip(best, follow_fits, strict=True)
+        if now is not None
+    ]
     if not any(closer):
-        return tuple(paired), tuple(found)
-    return tuple(name for name, _ in best), tuple(how for _, how in best)
+        return tuple(paired), tuple(follow_fits)
+    return tuple(name for name, _ in best), tuple(follow_fit for _, follow_fit in best)
 
 
 def refuse_commands_among(columns: Mapping[str, np.ndarray], clock: np.ndarray, q: Sequence[str]) -> None:
@@ -184,8 +195,13 @@ def refuse_commands_among(columns: Mapping[str, np.ndarray], clock: np.ndarray, 
     if len(q) != 2:
         return
     for name, other in (q, q[::-1]):
-        how = follow(clock, columns[name], columns[other])
-        if how is not None and _is_close(how) and how.lag <= MAX_LAG_AMONG_POSITIONS and how.slope > 0:
+        follow_fit = follow(clock, columns[name], columns[other])
+        if (
+            follow_fit is not None
+            and _is_close(follow_fit)
+            and follow_fit.lag <= MAX_LAG_AMONG_POSITIONS
+            and follow_fit.slope > 0
+        ):
             raise ValueError(
                 f'{name} follows {other}, late, as a servo its command; name them by `columns["q"]` and '
                 '`columns["u"]`, or name both as positions by `columns["q"]`'
@@ -202,14 +218,14 @@ def without_rates(
         for name, command in zip(q, inputs.commands, strict=False)
         if command is None and any(is_slope(clock, columns[each], columns[name]) for each in driven)
     }
-    kept = [i for i, name in enumerate(q) if name not in rates]
+    remaining = [i for i, name in enumerate(q) if name not in rates]
     if not rates:
         passive = [name for name, command in zip(q, inputs.commands, strict=False) if command is None]
         remark = f"{', '.join(passive)} have no command, and move freely in this draft"
         return q, inputs._replace(remarks=(*inputs.remarks, remark)) if passive and driven else inputs
-    return tuple(q[i] for i in kept), inputs._replace(
-        commands=tuple(inputs.commands[i] for i in kept),
-        following=tuple(inputs.following[i] for i in kept),
+    return tuple(q[i] for i in remaining), inputs._replace(
+        commands=tuple(inputs.commands[i] for i in remaining),
+        following=tuple(inputs.following[i] for i in remaining),
         remarks=(*inputs.remarks, f"{', '.join(sorted(rates))} are velocities, and left out"),
     )
 

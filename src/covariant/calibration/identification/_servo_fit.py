@@ -160,23 +160,23 @@ class _Search(NamedTuple):
     ) -> "_Search":
         family = families[0]
         logs = tuple(ServoLog.of(each, record, between, late) for each, record in zip(families, records, strict=True))
-        fewest = MIN_WINDOWS
+        min_windows = MIN_WINDOWS
         if length is None:
             # A covariance over blocks needs more than about 16 windows, so the windows of short logs are shorter.
             total = sum(float(log.t[-1] - log.t[0]) for log in logs)
-            length = max(min(WINDOW, total / (2 * fewest + 1)), 3 * SETTLING)
+            length = max(min(WINDOW, total / (2 * min_windows + 1)), 3 * SETTLING)
         else:
-            fewest = 2
+            min_windows = 2
         windows = [log.windows(length) for log in logs]
         counts = tuple(len(each) for each in windows)
-        if sum(counts) < fewest:
+        if sum(counts) < min_windows:
             raise ValueError(
                 f"the logs hold {sum(counts)} windows of {length:.3g} s without a gap, and a fit needs "
                 f"{fewest}; give longer logs"
             )
         # All logs have the same number of windows, so that one compiled program serves all; copies do not count.
-        most = max(counts)
-        padded = [each + each[:1] * (most - len(each)) for each in windows if each]
+        max_windows = max(counts)
+        padded = [each + each[:1] * (max_windows - len(each)) for each in windows if each]
         logs = tuple(log for log, each in zip(logs, windows, strict=True) if each)
         rows = tuple(np.stack(each) for each in padded)
         motion = [np.concatenate([getattr(log, name) for log in logs]) for name in ("q", "v", "a")]
@@ -185,12 +185,17 @@ class _Search(NamedTuple):
         inertia = body.inertia + np.diag(armature)
         torque = np.einsum("tij,tj->ti", inertia, motion[2]) + body.coriolis + body.slope
         servos = logs[0].drive(np.zeros(len(family.names))).servos
-        held = (
+        command_errors = (
             np.concatenate([log.u for log in logs]) @ np.asarray(servos.commands).T
             - motion[0] @ np.asarray(servos.rows).T
         )
-        pulled = (held - np.asarray(servos.zero)) * np.asarray(servos.stiffness) @ np.abs(np.asarray(servos.rows))
-        usual = [np.maximum(np.sqrt(np.mean(part**2, axis=0)), 1e-9) for part in (torque, pulled, motion[1], motion[2])]
+        servo_torques = (
+            (command_errors - np.asarray(servos.zero)) * np.asarray(servos.stiffness) @ np.abs(np.asarray(servos.rows))
+        )
+        usual = [
+            np.maximum(np.sqrt(np.mean(part**2, axis=0)), 1e-9)
+            for part in (torque, servo_torques, motion[1], motion[2])
+        ]
         sizes = family.sizes(np.maximum(usual[0], usual[1]), usual[2], usual[3])
         # If the file states a stiffness, a speed or a limit, that value is its usual size.
         has_positive_number = np.array([number.number in POSITIVE_NUMBERS for number in family.numbers])
@@ -206,19 +211,21 @@ class _Search(NamedTuple):
         family = self.logs[0].family
         kinds = [number.number if number.group == "servo" else "" for number in family.numbers]
         late = np.array([kind == "delay" for kind in kinds])
-        stiff = np.array([kind == "stiffness" for kind in kinds])
+        is_stiffness = np.array([kind == "stiffness" for kind in kinds])
         points = []
         for delay in (None, *FIRST_DELAYS) if late.any() else (None,):
             x = np.zeros(len(kinds)) if delay is None else np.where(late, delay - family.first, 0.0)
-            lanes = [
-                np.where(stiff, (factor - 1) * family.first, x)
-                for factor in STIFFNESS_FACTORS[: 3 if stiff.any() else 1]
+            candidates = [
+                np.where(is_stiffness, (factor - 1) * family.first, x)
+                for factor in STIFFNESS_FACTORS[: 3 if is_stiffness.any() else 1]
             ]
-            lanes = [np.maximum(lane, self.least) for lane in lanes]
+            candidates = [np.maximum(candidate, self.least) for candidate in candidates]
             # Batches have the size of a point's batch, so that one compiled program serves both.
-            lanes = (lanes * (len(kinds) + 1))[: max(len(kinds) + 1, 1)]
-            residuals = self._residuals(lanes, lanes[0], [], np.zeros((len(lanes), len(self.rigid))))
-            points += [_Point(lane, each, residuals[:0]) for lane, each in zip(lanes, residuals, strict=True)]
+            candidates = (candidates * (len(kinds) + 1))[: max(len(kinds) + 1, 1)]
+            residuals = self._residuals(candidates, candidates[0], [], np.zeros((len(candidates), len(self.rigid))))
+            points += [
+                _Point(candidate, each, residuals[:0]) for candidate, each in zip(candidates, residuals, strict=True)
+            ]
         scale = np.array([_scale(column) for column in points[0].residual.reshape(-1, points[0].residual.shape[2]).T])
         best = min(points, key=lambda point: self.loss(point, scale))
         if not np.isfinite(self.loss(best, scale)):
@@ -275,17 +282,17 @@ class _Search(NamedTuple):
         weights = np.zeros((p + 1, len(self.rigid)))
         for k, i in enumerate(self.rigid):
             weights[1 + i, k] = 1.0
-        every = self._residuals([x, *(x + step for step in steps)], x, [steps[i] for i in self.rigid], weights)
-        return _Point(x, every[0], (every[1:] - every[:1]) / DIFFERENCE_STEP)
+        batch = self._residuals([x, *(x + step for step in steps)], x, [steps[i] for i in self.rigid], weights)
+        return _Point(x, batch[0], (batch[1:] - batch[:1]) / DIFFERENCE_STEP)
 
     def _residuals(
-        self, lanes: Sequence[np.ndarray], x: np.ndarray, steps: Sequence[np.ndarray], weights: np.ndarray
+        self, candidates: Sequence[np.ndarray], x: np.ndarray, steps: Sequence[np.ndarray], weights: np.ndarray
     ) -> np.ndarray:
         """Residuals (P, B, R, n) of drives at P coordinates, with the rigid body at x and its changes by `steps`."""
         parts = []
         for log, rows, count in zip(self.logs, self.rows, self.counts, strict=True):
-            chosen = steps if len(steps) == weights.shape[1] else [np.zeros_like(x)] * weights.shape[1]
-            q = log.simulate([log.drive(lane) for lane in lanes], x, rows, weights, chosen)
+            body_steps = steps if len(steps) == weights.shape[1] else [np.zeros_like(x)] * weights.shape[1]
+            q = log.simulate([log.drive(candidate) for candidate in candidates], x, rows, weights, body_steps)
             parts.append((q - log.y[rows])[:, :count, self._skipped(log) :])
         return np.concatenate(parts, axis=1)
 

@@ -138,7 +138,7 @@ class ServoLog(NamedTuple):
         usual = float(np.median(np.diff(self.t)))
         count = max(round(length / usual), 4)
         whole = np.asarray(np.isfinite(self.y).all(axis=1))
-        at, found = 0, []
+        at, windows = 0, []
         while at + count < len(self.t):
             if not whole[at]:
                 at += 1
@@ -148,9 +148,9 @@ class ServoLog(NamedTuple):
             if len(gap):
                 at += int(gap[-1]) + 1
                 continue
-            found.append(rows)
+            windows.append(rows)
             at += count
-        return found
+        return windows
 
     def simulate(
         self,
@@ -188,8 +188,8 @@ class ServoLog(NamedTuple):
         step = np.diff(t)[:, None]
         slope = np.diff(u, axis=0) / step
         linear = self.between == "linear"
-        risen = np.diff(u, axis=0) / 2 if linear else 0.0
-        gathered = np.concatenate([np.zeros_like(u[:1]), np.cumsum((u[:-1] + risen) * step, axis=0)])
+        mean_rise = np.diff(u, axis=0) / 2 if linear else 0.0
+        cumulative = np.concatenate([np.zeros_like(u[:1]), np.cumsum((u[:-1] + mean_rise) * step, axis=0)])
         own = np.arange(u.shape[1])
 
         def integral(s: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -200,11 +200,11 @@ class ServoLog(NamedTuple):
             inside = np.clip(past, 0.0, step[k, 0])
             if linear:
                 line = u[k, own] + slope[k, own] * inside
-                return gathered[k, own] + u[k, own] * past + slope[k, own] * inside**2 / 2, line, line
+                return cumulative[k, own] + u[k, own] * past + slope[k, own] * inside**2 / 2, line, line
             # The rate of a held command is its difference from the command before it.
             before = u[np.maximum(k - 1, 0), own]
             line = before + (u[k, own] - before) * inside / step[k, 0]
-            return gathered[k, own] + u[k, own] * past, u[k, own], line
+            return cumulative[k, own] + u[k, own] * past, u[k, own], line
 
         ends = at[..., None] - width[..., None] / 2, at[..., None] + width[..., None] / 2
         (first, before, low), (last, after, high) = (integral(end - delays) for end in ends)
@@ -311,27 +311,29 @@ def _advance(drive: Drive, body: Any, path: Array, u: Array, h: Array, state: An
     weight = -body.slope - body.bend @ (q - path)
     # An estimate of the mean of old and new velocity: forces at it are accurate to second order.
     mean = v + last / 2
-    torque, slope = jax.jvp(lambda w: servos.torque(q, w, u), (mean,), (jnp.ones_like(v),))
+    torque, torque_slope = jax.jvp(lambda w: servos.torque(q, w, u), (mean,), (jnp.ones_like(v),))
     # A servo drives one coordinate, at the ratio in its row: damping at the coordinate is damping times ratio².
-    squares = servos.rows**2
-    braking = squares.T @ (slope / jnp.sum(servos.rows, axis=1))
+    squared_rows = servos.rows**2
+    braking = squared_rows.T @ (torque_slope / jnp.sum(servos.rows, axis=1))
     rates = drive.joints @ mean
     viscous = (drive.joints**2).T @ drive.viscous
-    size = jnp.abs(drive.joints).T @ (drive.coulomb + dry_friction(rates, drive.law))
+    friction_size = jnp.abs(drive.joints).T @ (drive.coulomb + dry_friction(rates, drive.law))
     if servos.loaded:
-        at_servo = (servos.rows @ weight) / jnp.sum(squares, axis=1)
-        size = size + jnp.abs(servos.rows).T @ servos.added_friction(torque, at_servo)
-    aside = drive.joints.T @ drive.law["asymmetry"]
+        at_servo = (servos.rows @ weight) / jnp.sum(squared_rows, axis=1)
+        friction_size = friction_size + jnp.abs(servos.rows).T @ servos.added_friction(torque, at_servo)
+    asymmetry = drive.joints.T @ drive.law["asymmetry"]
     inertia = body.inertia + jnp.diag(drive.armature)
     driving = weight - body.coriolis + servos.rows.T @ torque + drive.motors @ u
     # Torque at the mean of old velocity v and new velocity w: τ + braking ((w + v)/2 − mean) − viscous (w + v)/2.
     impulse = inertia @ v + h * (driving - braking * mean) + h / 2 * (braking - viscous) * v
     diagonal = jnp.diagonal(inertia)
-    whole = diagonal + h / 2 * (viscous - braking)
+    effective_inertia = diagonal + h / 2 * (viscous - braking)
     w = v + last
     for _ in range(sweeps):
         for j in range(v.shape[0]):
-            pushed = impulse[j] - (inertia[j] @ w - diagonal[j] * w[j])
-            stopped = jnp.clip(pushed, -h * (size[j] - aside[j]), h * (size[j] + aside[j]))
-            w = w.at[j].set((pushed - stopped) / whole[j])
+            net_impulse = impulse[j] - (inertia[j] @ w - diagonal[j] * w[j])
+            friction_impulse = jnp.clip(
+                net_impulse, -h * (friction_size[j] - asymmetry[j]), h * (friction_size[j] + asymmetry[j])
+            )
+            w = w.at[j].set((net_impulse - friction_impulse) / effective_inertia[j])
     return q + h * w, w, w - v

@@ -62,13 +62,13 @@ def position_units(
 
     Raises `ValueError` if the values are ambiguous.
     """
-    open_ones = [i for i, text in enumerate(stated) if text is None]
-    values = logged[:, open_ones]
+    without_unit = [i for i, text in enumerate(stated) if text is None]
+    values = logged[:, without_unit]
     values = values[np.isfinite(values).all(axis=1)]
     if not len(values):
         return None
     largest, whole = float(np.abs(values).max()), bool((values % 1 == 0).all())
-    listed = ", ".join(names[i] for i in open_ones)
+    listed = ", ".join(names[i] for i in without_unit)
     answer = "name their unit by `overrides=['units.q=\"turn/4096\"']`, one for each in brackets where they differ"
     if whole and largest > CERTAIN_TICKS:
         if values.min() >= 0 and largest < TICKS:
@@ -134,7 +134,7 @@ def servos_of(
 ) -> tuple[DraftedServo | None, ...]:
     """The servo of each position with the unit of its command; raises `ValueError` for an ambiguous unit."""
     servos: list[DraftedServo | None] = []
-    for position, text, command, how in zip(q, q_units, inputs.commands, inputs.following, strict=True):
+    for position, text, command, follow_fit in zip(q, q_units, inputs.commands, inputs.following, strict=True):
         if command is None:
             servos.append(None)
             continue
@@ -146,15 +146,21 @@ def servos_of(
                 'name the inputs by `columns["u"]`, or none with []'
             )
         factor, named = unit_factor(text), unit_in_name(labels[command], MEANT["q"])
-        odd = unknown_unit(labels[command], MEANT["q"])
-        if odd is not None and odd.lower() not in ("tick", "ticks", "count", "counts"):
+        unknown = unknown_unit(labels[command], MEANT["q"])
+        if unknown is not None and unknown.lower() not in ("tick", "ticks", "count", "counts"):
             raise ValueError(
                 f"column {command!r} has {odd!r} in its name, which is no unit of a command; name what one of it is by "
                 "`overrides=['units.u=\"deg\"']`"
             )
-        close = how is not None and how.error < FOLLOWS
-        unit = unit_factor(named) if named else command_unit(how.slope, factor, close) if close and how else factor
-        size = 0.0 if how is None else abs(how.slope) * factor
+        close = follow_fit is not None and follow_fit.error < FOLLOWS
+        unit = (
+            unit_factor(named)
+            if named
+            else command_unit(follow_fit.slope, factor, close)
+            if close and follow_fit
+            else factor
+        )
+        size = 0.0 if follow_fit is None else abs(follow_fit.slope) * factor
         # A position never moves farther than its command, however well it follows.
         if unit is None or size > 1.5 * abs(unit) or (named and close and size < 0.15 * abs(unit)):
             raise ValueError(
@@ -162,13 +168,15 @@ def servos_of(
                 f"command{' in ' + named if named else ''}; name it by `overrides=['units.u=\"deg\"']`, or "
                 f"`overrides=['units.u=\"{size:.3g} rad\"']` if so much is meant"
             )
-        if how is None or not close:
+        if follow_fit is None or not close:
             servos.append(DraftedServo(command, unit, None, 0.0))
         else:
             # For a soft servo the mean distance may be sag, so it is no offset; a slow motion shows no lag.
-            stiff = MIN_STIFF_SLOPE < abs(how.slope * factor / unit) < 2 - MIN_STIFF_SLOPE
-            offset = how.position * factor - how.command * unit if stiff else 0.0
-            servos.append(DraftedServo(command, unit, how.lag if how.late > LAG_ERROR_RATIO else None, offset))
+            is_stiff = MIN_STIFF_SLOPE < abs(follow_fit.slope * factor / unit) < 2 - MIN_STIFF_SLOPE
+            offset = follow_fit.position * factor - follow_fit.command * unit if is_stiff else 0.0
+            servos.append(
+                DraftedServo(command, unit, follow_fit.lag if follow_fit.late > LAG_ERROR_RATIO else None, offset)
+            )
     return tuple(servos)
 
 
@@ -227,7 +235,7 @@ def remarks_on(
 ) -> list[str]:
     """Remarks on commands that may be in another unit or have gaps; `known` is true if the user stated units."""
     remarks = []
-    for position, factor, servo, how in zip(q, factors, servos, inputs.following, strict=True):
+    for position, factor, servo, follow_fit in zip(q, factors, servos, inputs.following, strict=True):
         if servo is None:
             continue
         gaps = int(np.count_nonzero(~np.isfinite(columns[servo.command])))
@@ -235,13 +243,13 @@ def remarks_on(
             remarks.append(
                 f"{servo.command} is empty in {gaps} rows: hold the last one in the log, in pandas by .ffill()"
             )
-        if how is not None and how.error >= FOLLOWS:
+        if follow_fit is not None and follow_fit.error >= FOLLOWS:
             remarks.append(
                 f"{position} hardly follows {servo.command}, its command by name: {100 * how.whole:.0f} % of its "
                 "motion is another"
             )
-        ratio = 1.0 if how is None else abs(how.slope * factor / servo.unit)
-        if how is not None and how.error < FOLLOWS_CLOSELY and not 0.9 < ratio < 1.1:
+        ratio = 1.0 if follow_fit is None else abs(follow_fit.slope * factor / servo.unit)
+        if follow_fit is not None and follow_fit.error < FOLLOWS_CLOSELY and not 0.9 < ratio < 1.1:
             remarks.append(f"{position} moves by {ratio:.2g} for one of {servo.command}: a soft servo, or another unit")
         name = entries.get(position, position)
         if not known and words_of(name) & {"gripper", "jaw", "finger", "hand", "claw"}:

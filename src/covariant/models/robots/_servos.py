@@ -99,11 +99,11 @@ class Servos(Functional):
             error = error - jnp.where(np.array(self.circles), 2 * np.pi * jnp.round(error / (2 * np.pi)), 0.0)
         if self.banded:
             error = error - jnp.clip(error, -self.dead_band, self.dead_band)
-        part = _chosen(u, self.volts, self.supply)
-        inner = part * self.stiffness * error - self.damping * rate
+        supply_ratio = _input_ratio(u, self.volts, self.supply)
+        controller_torque = supply_ratio * self.stiffness * error - self.damping * rate
         if self.limited:
-            inner = jnp.clip(inner, -part * self.limit, part * self.limit)
-        return _chosen(u, self.switches, jnp.ones_like(rate)) * (inner - self.back_emf * rate)
+            controller_torque = jnp.clip(controller_torque, -supply_ratio * self.limit, supply_ratio * self.limit)
+        return _input_ratio(u, self.switches, jnp.ones_like(rate)) * (controller_torque - self.back_emf * rate)
 
     def added_friction(self, torque: Float[Array, "k"], weight: Float[Array, "k"]) -> Float[Array, "k"]:
         """Dry friction (k,) due to the load: to the torques of the motors and of the weight at the servos."""
@@ -114,7 +114,7 @@ class Servos(Functional):
         return jax.tree.map(lambda leaf: leaf.astype(dtype), self)
 
 
-def _chosen(u: Array, places: tuple[int, ...], usual: Array) -> Array:
+def _input_ratio(u: Array, places: tuple[int, ...], usual: Array) -> Array:
     """Inputs at these indices, divided by their nominal values; 1 where an index is −1."""
     if all(place < 0 for place in places):
         return jnp.ones_like(usual)
@@ -160,7 +160,7 @@ class ServoDissipation(Functional):
         n = servos.rows.shape[1]
         joints, rates = _last(q, n), _last(v, n)
         torque = servos.torque(joints, rates, u)
-        lost = torque - servos.torque(joints, jnp.zeros_like(rates), u)
+        damping_torque = torque - servos.torque(joints, jnp.zeros_like(rates), u)
         if servos.loaded:
             weight = jnp.zeros_like(torque)
             if servos.weighted:
@@ -168,9 +168,9 @@ class ServoDissipation(Functional):
                 slope = jax.grad(self.potential)(q)
                 weight = -servos.rows @ _last(slope, n) / jnp.sum(servos.rows**2, axis=1)
             sign = jnp.tanh(servos.rows @ rates / servos.smoothing)
-            lost = lost - servos.added_friction(torque, weight) * sign
-        others = jnp.zeros(v.shape[0] - n, v.dtype)
-        return self.friction(q, v) + jnp.concatenate([others, servos.rows.T @ lost])
+            damping_torque = damping_torque - servos.added_friction(torque, weight) * sign
+        without_servo = jnp.zeros(v.shape[0] - n, v.dtype)
+        return self.friction(q, v) + jnp.concatenate([without_servo, servos.rows.T @ damping_torque])
 
 
 class ServoDamping(Functional):
@@ -187,8 +187,8 @@ class ServoDamping(Functional):
     def __call__(self, q: Array, v: Array) -> Array:
         servos = self.servos.cast(v.dtype)
         n = servos.rows.shape[1]
-        lost = servos.rows.T @ ((servos.damping + servos.back_emf) * (servos.rows @ _last(v, n)))
-        return self.friction(q, v) - jnp.concatenate([jnp.zeros(v.shape[0] - n, v.dtype), lost])
+        damping_torque = servos.rows.T @ ((servos.damping + servos.back_emf) * (servos.rows @ _last(v, n)))
+        return self.friction(q, v) - jnp.concatenate([jnp.zeros(v.shape[0] - n, v.dtype), damping_torque])
 
 
 def loss(servos: Servos, friction: Any, potential: Any) -> ServoDamping | ServoDissipation:
