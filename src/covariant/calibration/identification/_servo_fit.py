@@ -34,7 +34,7 @@ TOLERANCE = 3e-3
 RELATIVE_ACCURACY, TIME_ACCURACY = 2e-3, 2e-4
 """Integration error in the fitted numbers: relative, and for times such as a delay absolute [s]."""
 DIFFERENCE_STEP = 1e-4
-"""Step of the finite differences, in usual sizes: the change that it causes in a position is far above rounding."""
+"""Step of the finite differences, in usual sizes: it moves a joint by some 0.01 µm, which is far above rounding."""
 MIN_RATIO = 0.02
 """Least value of a number that must be positive, relative to its first value."""
 POSITIVE_NUMBERS = ("stiffness", "resistance", "torque_constant", "stribeck_velocity", "limit")
