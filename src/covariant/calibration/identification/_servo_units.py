@@ -183,7 +183,7 @@ def servos_of(
 def units_of_commands(
     servos: Sequence[DraftedServo | None], switches: int, labels: Mapping[str, str], of_positions: Sequence[str]
 ) -> dict[str, tuple[str, ...]]:
-    """Units of the inputs; empty if all commands are in radians and no name states a unit. A switch has the unit 1."""
+    """Units of the inputs; empty if all commands are in radians and no name states a unit; a switch has none."""
     texts = []
     for unit, servo in zip(of_positions, servos, strict=True):
         if servo is not None:
