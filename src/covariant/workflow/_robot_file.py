@@ -1,4 +1,4 @@
-"""`export` of a robot itself: its fitted numbers as a file for simulators."""
+"""`export` of a robot itself, with its fitted numbers, as a file for simulators."""
 
 import inspect
 from collections.abc import Callable, Mapping
@@ -12,23 +12,23 @@ from covariant.workflow._outputs import check_output
 from covariant.workflow._result import AbstractResult
 
 FORMATS = {".urdf": "URDF", ".xml": "MJCF", ".json": "table of actuators"}
-"""Endings of the files of robots, and what they are."""
-ABOUT = {
+"""Formats of robot files by extension."""
+HEAD_NOTES = {
     ".urdf": "Positions of joints are those of the log.",
     ".xml": "Positions of joints are those of the log. There are no shapes, so nothing touches anything.",
     ".json": "Positions of joints are those of the log. command_offsets are added to commands.",
 }
-"""What a user of a file has to know, in its head."""
-USED = ("model", "out", "rate", "overwrite", "overrides", "progress", "audit")
-"""Arguments of `export` that a robot has a use for; an audit is of observers, and there is none to skip."""
+"""Notes for the head of a file, by extension."""
+ROBOT_ARGUMENTS = ("model", "out", "rate", "overwrite", "overrides", "progress", "audit")
+"""Arguments of `export` that apply to a robot; `audit` is accepted although robot files have no audit."""
 
 
 def write_robot(verb: Callable[..., Any], values: Mapping[str, Any]) -> "RobotFileResult":
-    """Write a robot with the arguments of `export`, whose ending of `out` is one of `FORMATS`."""
+    """Write a robot from the arguments of `export`, where the extension of `out` is one of `FORMATS`."""
     out, model, rate = Path(values["out"]), values["model"], values["rate"]
     defaults = {name: each.default for name, each in inspect.signature(verb).parameters.items()}
     for name, value in values.items():
-        if name not in USED and value != defaults[name]:
+        if name not in ROBOT_ARGUMENTS and value != defaults[name]:
             raise ValueError(f"{name} is for an observer, and {out} is the file of a robot; leave it out")
     check_output(out, *FORMATS, overwrite=values["overwrite"])
     label = models.spec_name(model)
@@ -39,7 +39,7 @@ def write_robot(verb: Callable[..., Any], values: Mapping[str, Any]) -> "RobotFi
         raise ValueError(f"{label}: only a robot is written as {FORMATS[out.suffix]} ({out.suffix})")
     parameters, step = dict(recipe["parameters"]), 1 / rate
     about = [f"Written by covariant export from {Path(label).name}, for steps of {step:.6g} s."]
-    about.append(ABOUT[out.suffix])
+    about.append(HEAD_NOTES[out.suffix])
     text, left_out = models.robots.robot_text(out.suffix, parameters.pop("path"), step, about, **parameters)
     write_together({out: text.encode()})
     return RobotFileResult(label, out, FORMATS[out.suffix], left_out)
@@ -50,10 +50,10 @@ class RobotFileResult(AbstractResult):
     """The file of a robot.
 
     Attributes:
-        model_name: The model, by its path or name.
-        out: The file.
-        kind: What it is: URDF, MJCF, or a table of actuators.
-        left_out: Numbers that it has no entry for, in a line for each joint.
+        model_name: Path or name of the model.
+        out: Path of the file.
+        kind: Format of the file: URDF, MJCF, or a table of actuators.
+        left_out: Numbers for which the format has no entry, one line for each joint.
 
     Example:
         >>> import covariant, tempfile

@@ -1,4 +1,4 @@
-"""The part of a drafted model file that describes servos: a robot, a table for each servo, and what else was logged."""
+"""The part of a drafted model file on servos: the robot, a table for each servo, and comments on other columns."""
 
 import math
 import os
@@ -15,17 +15,18 @@ from covariant.calibration.identification import DraftedServo
 from covariant.logs import unit_factor
 from covariant.workflow._placeholders import marked
 
-STIFFNESS = 10.0
-"""First stiffness [N m/rad] of a servo; without gravity only its ratio to the inertia shows."""
-COULOMB = 0.01
-"""First dry friction, relative to the torque of a radian."""
-LAGS = (0.02, 0.2)
-"""Lags [s] between which the first delay and damping are drawn from; a servo that stands still shows none."""
+FIRST_STIFFNESS = 10.0
+"""First stiffness [N m/rad] of a servo; without gravity a fit determines only its ratio to the inertia."""
+FIRST_COULOMB = 0.01
+"""First dry friction, relative to the torque at an error of one radian."""
+LAG_LIMITS = (0.02, 0.2)
+"""Limits of the lag [s] from which the first delay and damping follow."""
 USUAL_LAG = 0.06
-INERTIA = 0.001
-"""Inertia [kg m^2] of what each joint moves, where no robot is given."""
-LEAST_OFFSET = 0.005
-"""Offset [rad] between a servo and its joint from which it is drafted."""
+"""Lag [s] if the log shows none, as with a servo that stands still."""
+LINK_INERTIA = 0.001
+"""Inertia [kg m^2] of the link of each joint if no robot is given."""
+MIN_OFFSET = 0.005
+"""Least offset [rad] between a servo and its joint that is written into the draft."""
 _REGISTERS = {
     "current": "currents of the drive, which are no torques",
     "load": "per cent of the drive's voltage or load, which are no torques",
@@ -39,11 +40,11 @@ class Joints(NamedTuple):
     """The joints of a robot and the positions of a log.
 
     Attributes:
-        path: Path of the robot, or the name of one that comes along; "" for joints that each move by themselves.
+        path: Path of the robot, or the name of an included one; "" for independent joints.
         names: Names of the joints that have a position, in the order of the robot.
-        positions: Index of the position of each in the draft.
-        locked: Names of the joints without one.
-        guess: A sentence on what was guessed of them; "" where names say it.
+        positions: Index of the position of each joint in the draft.
+        locked: Names of the joints without a position.
+        guess: Text on joints that were matched by order, and on positions without a joint; "" if there are none.
     """
 
     path: str
@@ -54,7 +55,7 @@ class Joints(NamedTuple):
 
 
 def match_joints(draft: Draft, path: str) -> Joints:
-    """Joints of the positions of a log: by their names, where these are alike, and else in their order."""
+    """Match joints to the positions of a log, by name where the names agree, and the others in their order."""
     plain = draft.plain_names
     if not path:
         return Joints("", tuple(_joint_name(name) for name in plain), tuple(range(len(plain))))
@@ -76,20 +77,20 @@ def match_joints(draft: Draft, path: str) -> Joints:
     if in_order:
         guess = "that " + ", ".join(f"{joint} is {draft.q[i]}" for joint, i in in_order.items())
         guess += " is guessed from their order: compare names, and the signs of both"
-    more = [draft.q[i] for i in open_positions[len(open_joints) :]]
-    if more:
+    without_joint = [draft.q[i] for i in open_positions[len(open_joints) :]]
+    if without_joint:
         guess += f"{'; ' if guess else ''}{', '.join(more)} have no joint in {Path(path).name}, and are left out"
     return Joints(path, names, tuple(matched[j] for j in names), tuple(j for j in joints if j not in matched), guess)
 
 
 def _words(name: str) -> frozenset[str]:
-    """Words of the name of a joint or column that tell it from others."""
+    """Words in the name of a joint or column that distinguish it from others."""
     words = re.findall(r"[a-z]+|[0-9]+", name.lower())
     return frozenset(words) - {"q", "pos", "position", "joint", "angle", "present", "observation", "state", "motor"}
 
 
 def _joint_name(name: str) -> str:
-    """Name of a joint after its column, without the word that says that it is a position."""
+    """Name of a joint from its column, without the word that marks a position."""
     short = re.sub(r"^(?:q|pos|position|angle|present_position|joint_position|joint_pos)[_./ ]+(?=\D)", "", name)
     short = re.sub(r"[_./ ]+(?:q|pos|position|angle|present_position)$", "", short)
     return re.sub(r"\W+", "_", short, flags=re.ASCII).strip("_") or "joint"
@@ -130,7 +131,7 @@ def with_joints(draft: Draft, joints: Joints) -> Draft:
 
 
 def robot_lines(draft: Draft, joints: Joints, path: str) -> list[str]:
-    """The system and its parameters; `path` is that of the robot from the folder of the model file."""
+    """Lines of the system and its parameters; `path` is the robot's path relative to the folder of the model file."""
     lines = ['system = "robot"', "", "[parameters]"]
     if joints.path:
         lines += [f"path = {_quoted(path)}"]
@@ -156,27 +157,27 @@ def robot_lines(draft: Draft, joints: Joints, path: str) -> list[str]:
 
 
 def _centres(draft: Draft) -> list[float]:
-    """What to add to each position [rad] so that the middle of an encoder of 4096 ticks is zero."""
+    """Angle to add to each position [rad] so that the middle of a 4096-tick encoder is zero."""
     units = draft.units.get("q", ("",) * len(draft.q))
     ticks = [unit == "turn/4096" and low >= 0 for unit, (low, _) in zip(units, draft.span, strict=True)]
     return [-math.pi if each else 0.0 for each in ticks]
 
 
 def servo_lines(draft: Draft, joints: Joints) -> list[str]:
-    """The tables of the servos."""
+    """Lines of the servo tables."""
     servos = [servo for servo in draft.servos if servo is not None]
     lags = [servo.lag for servo in servos if servo.lag]
-    lag = min(max(min(lags), LAGS[0]), LAGS[1]) if lags else USUAL_LAG
+    lag = min(max(min(lags), LAG_LIMITS[0]), LAG_LIMITS[1]) if lags else USUAL_LAG
     seen = "of the shortest lag of a position behind its command in this log" if lags else "of a usual lag"
     lines = ["", "[inputs]", 'kind = "command"  # u are positions that servos are commanded to, no torques']
     for name, servo in zip(joints.names, draft.servos, strict=True):
         if servo is None:
             continue
         values = {
-            "stiffness": (STIFFNESS, "N m/rad"),
-            "damping": (STIFFNESS * lag / 2, "N m s/rad"),
-            "coulomb": (COULOMB * STIFFNESS, "N m, dry friction of the gear"),
-            "armature": (STIFFNESS * (lag / 2) ** 2 / 4, "kg m^2, of the rotor as felt at the joint"),
+            "stiffness": (FIRST_STIFFNESS, "N m/rad"),
+            "damping": (FIRST_STIFFNESS * lag / 2, "N m s/rad"),
+            "coulomb": (FIRST_COULOMB * FIRST_STIFFNESS, "N m, dry friction of the gear"),
+            "armature": (FIRST_STIFFNESS * (lag / 2) ** 2 / 4, "kg m^2, of the rotor as felt at the joint"),
         }
         lines += ["", f"[servo.{_key(name)}]"]
         for key, (value, what) in values.items():
@@ -190,8 +191,8 @@ def servo_lines(draft: Draft, joints: Joints) -> list[str]:
 
 
 def _offset_line(servo: DraftedServo, weighed: bool) -> list[str]:
-    """The line of the offset, a comment where the weight of the robot may explain it."""
-    if abs(servo.offset) < LEAST_OFFSET:
+    """The line of the offset, commented out if the weight of the robot may explain it."""
+    if abs(servo.offset) < MIN_OFFSET:
         return []
     mark, why = ("# ", ", unless the weight does it") if weighed else ("", "")
     return [f"{mark}offset = {servo.offset:.3g}  # rad, by which positions of this log are beyond the command{why}"]
@@ -203,7 +204,7 @@ def register_lines(draft: Draft) -> list[str]:
 
 
 def loose_joints(draft: Draft, joints: Joints) -> str:
-    """The URDF file of joints that each move by themselves, about or along a vertical axis, so without weight."""
+    """The URDF file of independent joints, about a vertical or along a horizontal axis, so that no weight acts."""
     lines = [
         '<?xml version="1.0"?>',
         "<!-- Drafted: each joint of a log of servos by itself, without weight. The inertias are placeholders: of a",
@@ -231,7 +232,7 @@ def loose_joints(draft: Draft, joints: Joints) -> str:
 
 
 def path_from(folder: Path, path: str) -> str:
-    """Path of a robot from the folder of a model file; the name of one that comes along stays."""
+    """Path of a robot relative to the folder of a model file; the name of an included robot stays."""
     located = models.robots.located(path)
     if str(located) != path:
         return path

@@ -17,12 +17,12 @@ from covariant.calibration.diagnosis._servo_errors import (
 )
 from covariant.calibration.diagnosis._suspicion import Suspicion
 
-FAR = 3.0
-"""Factor between a command and the position from which another unit is looked for."""
+UNIT_RATIO = 3.0
+"""Ratio of position to command, or its inverse, from which another unit is tried."""
 
 
 def _commands(factors: np.ndarray, order: np.ndarray | None = None) -> Callable[[Case], Case]:
-    """Function that multiplies inputs by factors, in another order; the positions stay the same array."""
+    """Function that reorders inputs and multiplies them by factors; positions stay the same array, for the cache."""
 
     def apply(case: Case) -> Case:
         places = np.arange(len(factors)) if order is None else order
@@ -34,7 +34,7 @@ def _commands(factors: np.ndarray, order: np.ndarray | None = None) -> Callable[
 
 
 def _slope(case: Case, prepared: Prepared, servos: JointServos, i: int) -> float:
-    """Motion of a servo for a unit of its command."""
+    """Regression slope of the position of a servo over its command."""
     error = errors(case, prepared, servos._replace(factors=((),) * len(servos.factors)), i, 0.0)[prepared.rows]
     position = prepared.position[prepared.rows, i]
     command = error + position
@@ -43,23 +43,23 @@ def _slope(case: Case, prepared: Prepared, servos: JointServos, i: int) -> float
 
 
 def _command_units(case: Case, prepared: Prepared, off: Bool[np.ndarray, "k"]) -> Iterator[Suspicion]:
-    """Commands in degrees, turns, ticks or another unit, one or all of them."""
+    """Commands in degrees, turns or ticks: all suspicious ones together, and each alone."""
     servos, names = JointServos.of(case), case.names
     slopes = np.array([_slope(case, prepared, servos, i) for i in range(len(servos.joint))])
     known = {"degrees": np.pi / 180, "turns": 2 * np.pi}
     known |= {f"counts of {count} a turn": 2 * np.pi / count for count in (256, 1024, *COUNTS)}
-    off = off & ((slopes < 1 / FAR) | (slopes > FAR)) & (slopes > 0)
+    off = off & ((slopes < 1 / UNIT_RATIO) | (slopes > UNIT_RATIO)) & (slopes > 0)
     units = [
         min(known, key=lambda unit, s=slope: abs(np.log(known[unit] / s))) if bad else ""
         for slope, bad in zip(slopes, off, strict=True)
     ]
-    for which in [off] + [np.arange(len(off)) == i for i in np.flatnonzero(off)] * bool(off.sum() > 1):
-        if not which.any():
+    for chosen in [off] + [np.arange(len(off)) == i for i in np.flatnonzero(off)] * bool(off.sum() > 1):
+        if not chosen.any():
             continue
-        unit = units[int(np.flatnonzero(which)[0])]
+        unit = units[int(np.flatnonzero(chosen)[0])]
         factors = np.ones(len(names.u))
-        factors[servos.column[which]] = known[unit]
-        where = ", ".join(names.u[j] for j in servos.column[which])
+        factors[servos.column[chosen]] = known[unit]
+        where = ", ".join(names.u[j] for j in servos.column[chosen])
         line = names.line("u", factors)
         yield Suspicion("unit of a command", where, f"with {where} in {unit}", line, _commands(factors), "servo")
 
@@ -86,7 +86,7 @@ def _swapped_commands(case: Case, prepared: Prepared, off: Bool[np.ndarray, "k"]
 
 
 def _wrapped_commands(case: Case, prepared: Prepared, off: Bool[np.ndarray, "k"]) -> Iterator[Suspicion]:
-    """Commands and positions that begin anew at different angles."""
+    """Commands and positions that wrap at different angles."""
     servos, names = JointServos.of(case), case.names
     y, u = np.asarray(case.record.y), np.asarray(case.record.u)
     for i in np.flatnonzero(off & ~servos.circle):

@@ -1,9 +1,9 @@
-"""How well a log shows what servos do: errors of their commands, and what no numbers of a servo explain of them.
+"""Command errors of servos, and the part of them that no parameters of a servo explain.
 
-The torque of a servo is proportional to the error of its command until it reaches its limit. Divided by its
-stiffness, the equation of motion says what the error has to be: a share of the motion, of friction, weight and rotor,
-and a constant. These are fitted, with the delay, so that a first guess at a servo's numbers is no fault of a log.
-Dry friction of a joint at rest holds any torque up to its size, and takes what the others leave.
+The torque of a servo is proportional to its command error until it reaches its limit. Divided by the stiffness, the
+equation of motion states this error as a sum: multiples of the rate, of rotor, inertial torque, dry friction and
+weight, and a constant. These multiples and the delay are fitted, so that wrong first guesses of parameters do not count
+as a fault of the log. At rest, dry friction takes any value up to its size, here the rest that the other terms leave.
 """
 
 import functools
@@ -21,48 +21,48 @@ from covariant.geometry import differential
 from covariant.lowering import on_batches
 from covariant.models import MechanicalSystem
 
-DELAYS = (0.0, 0.01, 0.02, 0.04, 0.06, 0.08, 0.1)
-"""Delays of a command [s] that are tried."""
-LEVELS = (0.3, 0.5, 0.7, 0.85, 0.95)
-"""Largest errors that act, relative to the largest one seen, that are tried for a servo with a limit."""
-MOST_BEYOND = 0.6
-"""Largest fraction of the log in which a servo may be at its limit."""
-FRACTIONS, NEARER = np.array([0.5, 1.0]), (0.85, 0.93, 1.0, 1.07, 1.15)
-"""Parts of the damping that may be within the limit, and factors by which a limit is refined."""
-RATE = 2
-"""Place of the rate among what explains an error."""
-REFINED, NUDGE = 3, 1e-3
-"""Steps from the best of these delays to a finer one, and shift [s] of the differences for its slope."""
-MOST_POINTS = 2000
+FIRST_DELAYS = (0.0, 0.01, 0.02, 0.04, 0.06, 0.08, 0.1)
+"""Delays [s] of a command that are tried first."""
+LIMIT_LEVELS = (0.3, 0.5, 0.7, 0.85, 0.95)
+"""Clipping levels of the error, relative to its largest value, that are tried for a servo with a limit."""
+MAX_LIMITED = 0.6
+"""Largest fraction of points at which a servo may be at its limit."""
+DAMPING_FRACTIONS, LIMIT_FACTORS = np.array([0.5, 1.0]), (0.85, 0.93, 1.0, 1.07, 1.15)
+"""Fractions of the damping that the limit may clip, and factors by which a limit is refined."""
+RATE_INDEX = 2
+"""Index of the rate among the explanations of an error."""
+REFINEMENTS, DELAY_DIFFERENCE = 3, 1e-3
+"""Steps that refine the best delay or limit, and shift [s] of the finite difference for the slope in the delay."""
+MAX_POINTS = 2000
 """Largest number of points of the grid in a fit."""
-SLOW = 0.1
-"""Speed, relative to the usual one, below which a joint may stick."""
-HEAVIEST, ASKEW = 10.0, 0.5
-"""Largest error by the weight, relative to the motion, and largest one by a weight in another direction than the model
-says: larger ones explain other units and signs."""
+STICKING_SPEED = 0.1
+"""Speed, relative to the RMS speed, below which a joint may stick."""
+MAX_WEIGHT_ERROR, MAX_SLOPE_ERROR = 10.0, 0.5
+"""Largest error due to the weight, relative to the motion, and largest one due to a weight in another direction than
+the model states: larger ones would explain wrong units and signs."""
 RIDGE = 1e-6
-"""Weight of the squares of the numbers beside that of the errors, for numbers that a log does not show."""
-LIGHT = 0.02
-"""Change of the weight on a joint, relative to the largest weight on any, below which it is none."""
+"""Ridge weight of the multiples relative to the errors, for multiples that a log does not determine."""
+MIN_WEIGHT_CHANGE = 0.02
+"""Change of the weight on a joint, relative to the largest weight on any joint, up to which it counts as constant."""
 ROUNDS = 4
-"""Rounds in which friction at rest and the other numbers settle."""
-MOVED = 6.0
-"""Range of the positions of a joint that moves, in the noise or the ticks of its encoder."""
+"""Rounds of alternating between friction at rest and the other multiples."""
+MIN_RANGE = 6.0
+"""Least range of the positions of a joint that moves, in multiples of the noise or tick of its encoder."""
 
 
 class JointServos(NamedTuple):
-    """What is read of the servos of a model, k of them, one for each joint that has one.
+    """The k servos of a model, as arrays that the diagnosis needs.
 
     Attributes:
-        joint: Coordinate (k,) of each.
-        gear: Position of the servo for a unit of its coordinate (k,).
-        zero: Position (k,) where the coordinate is zero, less the offset of the servo.
-        column: Column of the inputs that commands it.
-        factors: Columns of the inputs that multiply its torque, its switch and its voltage, with their usual values.
+        joint: Index of the coordinate (k,) of each servo.
+        gear: Position of the servo (k,) per unit of its coordinate.
+        zero: Position (k,) where the coordinate is zero, minus the offset of the servo.
+        column: Column of the inputs (k,) that commands each servo.
+        factors: Columns of the inputs that multiply the torque, switch and voltage, with their nominal values.
         stiffness: Stiffness (k,) that the model states.
         limited: Whether the model states a limit (k,) of its torque.
-        circle: Whether its position is an angle on a full circle (k,).
-        delay: Delay (m,) of each input that the model states [s].
+        circle: Whether the position (k,) is an angle on a full circle.
+        delay: Delay (m,) of each input [s], as the model states it.
     """
 
     joint: np.ndarray
@@ -77,7 +77,7 @@ class JointServos(NamedTuple):
 
     @classmethod
     def of(cls, case: Case) -> "JointServos":
-        """Those of the model of a case."""
+        """The servos of the model of a case."""
         servos = case.model.force.servos  # pyright: ignore[reportFunctionMemberAccess]
         rows, commands = np.asarray(servos.rows), np.asarray(servos.commands)
         joint = np.argmax(np.abs(rows), axis=1)
@@ -98,20 +98,21 @@ class JointServos(NamedTuple):
 
 
 class Prepared(NamedTuple):
-    """The smoothed positions of a case, and per servo what may explain its errors.
+    """The smoothed positions of a case, and the possible explanations of the errors of each servo.
 
     Attributes:
         log: Smoothed positions on the grid.
         position: Positions (K, k) of the servos.
         rate: Rates (K, k).
-        columns: Explanations (k, K, p), averaged as accelerations are: rate, rotor, motion, 1, and weights.
-        least, most: Bounds (k, p) of their multiples.
+        columns: Explanations (k, K, p), averaged as the accelerations are: rotor, inertial torque, rate, 1, weight, and
+            the derivatives of the weight.
+        least, most: Bounds (k, p) of the multiples of these.
         moves: Points (K, k) at which the joint moves.
-        weighs: Whether the weight on a servo changes (k,).
-        known: Whether a servo moves enough (k,).
-        rows: Points (J,) of the grid that are used.
-        blocks: Block (J,) of each.
-        noise: Variance (k,) of an error that the reading causes.
+        weighs: Whether the weight on a servo (k,) changes.
+        known: Whether a servo (k,) moves enough to be judged.
+        rows: Indices (J,) of the points of the grid that are used.
+        blocks: Block (J,) of each of these points.
+        noise: Variance (k,) of an error due to the noise or ticks of the encoder.
     """
 
     log: Smooth
@@ -129,17 +130,17 @@ class Prepared(NamedTuple):
 
 
 class ServoFit(NamedTuple):
-    """The numbers of one servo that explain its errors best.
+    """The parameters of one servo that explain its errors best.
 
     Attributes:
-        left: Error (J,) that is left at the points that are used, averaged [rad].
+        left: Averaged error (J,) that is left unexplained at the points that are used [rad].
         error: Error (K,) that acts, not averaged.
-        explained: What explains it (K,), averaged.
+        explained: Explained part (K,) of it, averaged.
         multiples: Multiples (p,) of the explanations.
-        friction: Dry friction (1,) relative to the stiffness [rad].
+        friction: Dry friction divided by the stiffness [rad].
         delay: Delay of the command [s].
-        size: Variance of the error without a delay.
-        level: Largest error that acts.
+        size: Variance of the error without a delay, to which errors are relative.
+        level: Error at which the torque reaches its limit; infinite without a limit.
     """
 
     left: Float[np.ndarray, "J"]
@@ -153,9 +154,9 @@ class ServoFit(NamedTuple):
 
 
 class CommandErrors:
-    """Function from a case to what no numbers of its servos explain of the errors of their commands.
+    """Function from a case to the part of its command errors that no parameters of its servos explain.
 
-    It remembers what positions and commands have shown, since most suspicions change one column.
+    It caches results by positions and by commands, since most suspicions change one column.
     """
 
     def __init__(self) -> None:
@@ -166,7 +167,7 @@ class CommandErrors:
         return self.of(None, case)
 
     def of(self, servo: int | None, case: Case) -> Unexplained | None:
-        """What is unexplained of all servos that move, or of one of them."""
+        """The unexplained part for all servos that move, or for one of them."""
         prepared = self.prepared(case)
         if len(prepared.rows) < 2 * BLOCKS or not prepared.known.any():
             return None
@@ -177,14 +178,14 @@ class CommandErrors:
         return Unexplained(np.array(blocks), noise, known)
 
     def prepared(self, case: Case) -> Prepared:
-        """What the positions of a case say."""
+        """Smoothed positions and explanations of a case, cached by its positions."""
         y = case.record.y
         if id(y) not in self._prepared:
             self._prepared[id(y)] = y, _prepare(case)  # pyright: ignore[reportArgumentType]
         return self._prepared[id(y)][1]
 
     def fit(self, case: Case, i: int) -> ServoFit:
-        """The numbers of servo i that explain its errors best."""
+        """The best fit of servo i, cached by positions and inputs."""
         prepared, servos, u = self.prepared(case), JointServos.of(case), np.asarray(case.record.u)
         places = [servos.column[i], *(place for place, _ in servos.factors[i])]
         key = (id(prepared), i, bool(servos.limited[i]), u[:, places].tobytes())
@@ -194,7 +195,7 @@ class CommandErrors:
 
 
 def errors(case: Case, prepared: Prepared, servos: JointServos, i: int, delay: float) -> Float[np.ndarray, "K"]:
-    """Error (K,) of the command of a servo that acts after a delay, before any limit."""
+    """Command error (K,) of servo i under this delay, not clipped by a limit."""
     log, t, u = prepared.log, np.asarray(case.record.t), np.asarray(case.record.u)
     command = held_inputs(t + delay, u[:, [servos.column[i]]], log.t, log.step)[:, 0]
     error = command - prepared.position[:, i]
@@ -222,14 +223,14 @@ def _prepare(case: Case) -> Prepared:
         weights = np.column_stack([weight[:, j], slopes[:, j]])
         shown = np.ptp(weights, axis=0) > 1e-9 * max(np.abs(weight).max(), 1e-300)
         weights = weights[:, shown]
-        weighs.append(bool(np.std(weight[:, j]) > LIGHT * np.abs(weight).max()))
+        weighs.append(bool(np.std(weight[:, j]) > MIN_WEIGHT_CHANGE * np.abs(weight).max()))
         free = [v, np.ones_like(v), *weights.T]
         smoothed = averaged(log, np.column_stack([motion[:, j], *free]))
         part = np.column_stack([log.a[:, j] * gear, smoothed])
         range_of = np.std(log.q[log.used, j]) if log.used.any() else 1.0
-        bound = ASKEW * range_of / np.maximum(np.std(weights, axis=0), 1e-300)
+        bound = MAX_SLOPE_ERROR * range_of / np.maximum(np.std(weights, axis=0), 1e-300)
         least.append([0.0, 0.0, -np.inf, -np.inf, *-bound])
-        bound = np.where(shown[0] & (np.arange(len(bound)) == 0), HEAVIEST / ASKEW, 1.0) * bound
+        bound = np.where(shown[0] & (np.arange(len(bound)) == 0), MAX_WEIGHT_ERROR / MAX_SLOPE_ERROR, 1.0) * bound
         most.append([np.inf, np.inf, np.inf, np.inf, *bound])
         columns.append(part)
     width = max(part.shape[1] for part in columns)
@@ -241,16 +242,18 @@ def _prepare(case: Case) -> Prepared:
     rate = log.v[:, servos.joint] * servos.gear
     position = log.q[:, servos.joint] * servos.gear + servos.zero
     usual = np.sqrt(np.mean(rate[log.used] ** 2, axis=0)) if log.used.any() else np.ones(len(servos.joint))
-    # A tick within the window is no motion.
-    least_rate = np.maximum(SLOW * usual, case.ticks[servos.joint] * np.abs(servos.gear) / log.half / 2)
+    # A change by one tick within the smoothing window is not motion.
+    least_rate = np.maximum(STICKING_SPEED * usual, case.ticks[servos.joint] * np.abs(servos.gear) / log.half / 2)
     moves = np.abs(rate) > least_rate
     used = np.flatnonzero(log.used)
-    rows = used[:: max(1, -(-len(used) // MOST_POINTS))]
+    rows = used[:: max(1, -(-len(used) // MAX_POINTS))]
     blocks = np.zeros(len(rows), int)
     for b, part in enumerate(np.array_split(np.arange(len(rows)), BLOCKS)):
         blocks[part] = b
     resolved = np.maximum(log.noise, case.ticks)[servos.joint] * np.abs(servos.gear)
-    known = np.array([len(rows) > 0 and np.ptp(position[used, i]) > MOVED * resolved[i] for i in range(len(resolved))])
+    known = np.array(
+        [len(rows) > 0 and np.ptp(position[used, i]) > MIN_RANGE * resolved[i] for i in range(len(resolved))]
+    )
     std = np.maximum(np.where(case.ticks > 0, case.ticks / np.sqrt(12), log.noise)[servos.joint] * servos.gear, 1e-12)
     return Prepared(
         log,
@@ -270,7 +273,7 @@ def _prepare(case: Case) -> Prepared:
 
 @functools.lru_cache(maxsize=4)
 def _rigid(model: MechanicalSystem, n: int) -> Callable:
-    """Torques of the motion (n,) beside the weight (n,), and the slopes (n, n) of the weight."""
+    """Function to inertial torques (n,), weight (n,) and the derivative (n, n) of the weight."""
 
     def at(q, v, a):
         def weight(q):
@@ -282,10 +285,10 @@ def _rigid(model: MechanicalSystem, n: int) -> Callable:
 
 
 def fit_servo(case: Case, prepared: Prepared, servos: JointServos, i: int) -> ServoFit:
-    """The delay, the limit where the model states one, and the other numbers that explain errors best."""
+    """Fit the delay, the limit if the model states one, and the multiples of the explanations."""
     stated = float(servos.delay[servos.column[i]])
     plain, always = np.sign(prepared.rate[:, i]) * prepared.moves[:, i], _always(prepared, i)
-    # Also where the servo is off, so that errors before and after a suspicion are relative to the same.
+    # Includes times at which the servo is off, so that errors before and after a suspicion have the same reference.
     raw = errors(case, prepared, servos._replace(factors=((),) * len(servos.factors)), i, 0.0)
     size = float(np.var(raw[prepared.rows])) or 1.0
     best, least = (0.0, np.inf, 0.0), np.inf
@@ -293,10 +296,10 @@ def fit_servo(case: Case, prepared: Prepared, servos: JointServos, i: int) -> Se
     def attempt(delay: float, level: float, damping: float) -> np.ndarray:
         nonlocal best, least
         error = cut(errors(case, prepared, servos, i, delay), prepared.rate[:, i], level, damping)
-        # Where nearly all errors are beyond the limit, a constant explains them.
+        # If most errors are beyond the limit, they are clipped to a constant, which explains anything.
         if (
             np.isfinite(level)
-            and np.mean(np.abs(error[prepared.rows] - damping * prepared.rate[prepared.rows, i]) >= level) > MOST_BEYOND
+            and np.mean(np.abs(error[prepared.rows] - damping * prepared.rate[prepared.rows, i]) >= level) > MAX_LIMITED
         ):
             return np.zeros(1)
         x, left = _solve(prepared, i, error, plain, always)
@@ -304,62 +307,64 @@ def fit_servo(case: Case, prepared: Prepared, servos: JointServos, i: int) -> Se
             best, least = (delay, level, damping), left
         return x
 
-    for delay in sorted({*DELAYS, stated}):
+    for delay in sorted({*FIRST_DELAYS, stated}):
         largest = float(np.abs(errors(case, prepared, servos, i, delay)[prepared.rows]).max())
         attempt(delay, np.inf, 0.0)
-        for level in (each * largest for each in LEVELS if servos.limited[i]):
+        for level in (each * largest for each in LIMIT_LEVELS if servos.limited[i]):
             attempt(delay, level, 0.0)
     if servos.limited[i]:
-        for _ in range(REFINED):
-            # The limit is of the torque with the damping, whose share shows where it is not reached.
+        for _ in range(REFINEMENTS):
+            # The limit clips the torque with the damping, which is estimated where the limit is not reached.
             delay, level, damping = best
             for other in (
-                {damping, *(FRACTIONS * _damping(case, prepared, servos, i, best))} if np.isfinite(level) else ()
+                {damping, *(DAMPING_FRACTIONS * _damping(case, prepared, servos, i, best))}
+                if np.isfinite(level)
+                else ()
             ):
-                for factor in NEARER:
+                for factor in LIMIT_FACTORS:
                     attempt(delay, level * factor, float(other))
     delay, level, damping = best
 
     def acting(delay: float) -> np.ndarray:
         return cut(errors(case, prepared, servos, i, delay), prepared.rate[:, i], level, damping)
 
-    for _ in range(REFINED):
-        slope = (acting(delay + NUDGE) - acting(delay - NUDGE)) / (2 * NUDGE)
+    for _ in range(REFINEMENTS):
+        slope = (acting(delay + DELAY_DIFFERENCE) - acting(delay - DELAY_DIFFERENCE)) / (2 * DELAY_DIFFERENCE)
         finer = delay - float(np.clip(_solve(prepared, i, acting(delay), plain, always, slope)[0][-1], -0.01, 0.01))
         left = _solve(prepared, i, acting(finer), plain, always)[1]
         if left >= least:
             break
         delay, least = finer, left
-    # Errors cut at a limit are the smaller, so that what is left of them counts the more.
+    # Errors clipped at a limit are smaller, and so is the reference for what is left of them.
     size = min(size, float(np.var(np.clip(raw, -level, level)[prepared.rows])) or 1.0)
     return settle(prepared, i, acting(delay), delay, size, level)
 
 
 def cut(error: np.ndarray, rate: np.ndarray, level: float, damping: float) -> np.ndarray:
-    """Errors (K,) that act under a limit, which cuts the torque with the damping, relative to the stiffness."""
+    """Errors (K,) that act under a limit, which clips error and damping together, relative to the stiffness."""
     return np.clip(error - damping * rate, -level, level) + damping * rate if np.isfinite(level) else error
 
 
 def _damping(case: Case, prepared: Prepared, servos: JointServos, i: int, best: tuple[float, float, float]) -> float:
-    """Damping relative to the stiffness, from the points at which the error is far below a limit."""
+    """Damping relative to the stiffness, from the points at which the error is well below the limit."""
     delay, level, damping = best
     error, rate = errors(case, prepared, servos, i, delay), prepared.rate[:, i]
     within = averaged(prepared.log, (np.abs(error - damping * rate) < 0.9 * level).astype(float)[:, None])[:, 0] > 0.95
     x, _ = _solve(prepared, i, error, np.sign(rate) * prepared.moves[:, i], within & _always(prepared, i))
-    return max(float(x[1 + RATE]), 0.0)
+    return max(float(x[1 + RATE_INDEX]), 0.0)
 
 
 def settle(prepared: Prepared, i: int, error: np.ndarray, delay: float, size: float, level: float) -> ServoFit:
-    """Fit the numbers of a servo together with the dry friction at rest, to an error (K,) that acts."""
+    """Fit the multiples together with the dry friction at rest to an error (K,) that acts."""
     log, moves, direction = prepared.log, prepared.moves[:, i], np.sign(prepared.rate[:, i])
     friction, smoothed = direction * moves, averaged(log, error[:, None])[:, 0]
     always, chosen = _always(prepared, i), prepared.rows[~HELD_OUT[prepared.blocks]]
-    # Nothing but a constant, where the joint hardly moves.
+    # The start is a constant alone, which stays the answer if the joint hardly moves.
     mean = float(smoothed[chosen].mean())
     best = np.zeros(prepared.columns.shape[2] + 1), np.full(len(error), mean)
     least = float(np.var(smoothed[chosen]))
     for k in range(ROUNDS):
-        # At first only points at which the joint moves.
+        # The first round uses only points around which the joint moves.
         x, _ = _solve(prepared, i, error, friction, always if k == 0 else None)
         rest = error - prepared.columns[i] @ x[1:]
         holding = np.clip(rest / x[0], -1.0, 1.0) if x[0] > 0 else np.zeros_like(rest)
@@ -374,8 +379,8 @@ def settle(prepared: Prepared, i: int, error: np.ndarray, delay: float, size: fl
 
 
 def _always(prepared: Prepared, i: int) -> Bool[np.ndarray, "K"]:
-    """Points (K,) around which a joint does not stop."""
-    return averaged(prepared.log, prepared.moves[:, [i]].astype(float))[:, 0] > 1 - SLOW
+    """Points (K,) around which a joint moves without a stop."""
+    return averaged(prepared.log, prepared.moves[:, [i]].astype(float))[:, 0] > 1 - STICKING_SPEED
 
 
 def _solve(
@@ -386,7 +391,7 @@ def _solve(
     where: np.ndarray | None,
     slope: np.ndarray | None = None,
 ) -> tuple[np.ndarray, float]:
-    """Multiples (1 + p,) of friction and the explanations on the blocks that choose, and the mean square they leave."""
+    """Multiples (1 + p,) of friction and the explanations by least squares, and the mean square that is left."""
     more = () if slope is None else (slope,)
     both = averaged(prepared.log, np.column_stack([error, friction, *more]))
     chosen = ~HELD_OUT[prepared.blocks]
@@ -403,7 +408,7 @@ def _solve(
 def bounded(
     table: Float[np.ndarray, "J p"], target: Float[np.ndarray, "J"], least: np.ndarray, most: np.ndarray
 ) -> Float[np.ndarray, "p"]:
-    """Least squares whose numbers stay at a bound once they are beyond it."""
+    """Least squares with bounds: a number that exceeds a bound stays at that bound."""
     size = np.maximum(np.sqrt(np.mean(table**2, axis=0)), 1e-12)
     matrix, vector = (table / size).T @ (table / size), (table / size).T @ target
     matrix[np.diag_indices(len(size))] += RIDGE * len(table)

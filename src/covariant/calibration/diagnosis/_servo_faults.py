@@ -1,7 +1,7 @@
-"""Suspicions about servos and their commands, and what a log shows of their numbers.
+"""Findings on servos: suspicions about them and their commands, and parameters that the log contradicts.
 
-Commands may be in other units, reversed, wrapped or swapped; a servo may let go, change its gain or its zero during the
-log, or reach the limit of its torque. All are judged by what no numbers of a servo explain of the errors of commands.
+Commands may be in other units, reversed, wrapped or swapped. A servo may be off, change its gain or its zero during the
+log, or reach its torque limit. Each suspicion is judged by the part of the command errors that no parameters explain.
 """
 
 import functools
@@ -28,24 +28,24 @@ from covariant.calibration.diagnosis._thresholds import (
     THRESHOLDS,
 )
 
-MOST_CHANGES = 4
-"""Suspicions that are accepted one after another."""
-GAINS = np.exp(np.linspace(np.log(0.2), np.log(5.0), 41))
-"""Gains after a change, relative to the gain before, that are tried."""
-BEYOND_FRICTION = 2.0
-"""Least torque at the limit of a servo, relative to its dry friction."""
-LEAST_GAIN = 1.15
-"""Least ratio of two gains that counts."""
-EDGE = 2
+MAX_ACCEPTED = 4
+"""Largest number of suspicions that are accepted one after another."""
+GAIN_RATIOS = np.exp(np.linspace(np.log(0.2), np.log(5.0), 41))
+"""Ratios of the gain after a change to the gain before it that are tried."""
+MIN_LIMIT_TO_FRICTION = 2.0
+"""Least torque limit of a servo that moves, relative to its dry friction."""
+MIN_GAIN_RATIO = 1.15
+"""Least ratio of the larger gain to the smaller one that is reported."""
+EDGE_BLOCKS = 2
 """Least number of blocks of the log on either side of a change."""
-JUMP = 0.5
-"""Part of the change of a zero that shows from one row to the next."""
+MIN_JUMP_FRACTION = 0.5
+"""Least fraction of a change of zero that happens from one row to the next."""
 
 
 def servo_findings(case: Case) -> tuple[list[Finding], Case]:
-    """Findings on the servos of a case, and the case with what is accepted of them."""
+    """Findings on the servos of a case, and the case with the accepted suspicions applied."""
     judge, findings, done = CommandErrors(), [], set[tuple[str, str]]()
-    for _ in range(MOST_CHANGES):
+    for _ in range(MAX_ACCEPTED):
         accepted = _best(case, judge, done)
         if accepted is None:
             break
@@ -56,7 +56,7 @@ def servo_findings(case: Case) -> tuple[list[Finding], Case]:
 
 
 def _best(case: Case, judge: CommandErrors, done: set[tuple[str, str]]) -> tuple[Suspicion, Finding] | None:
-    """What explains most: commands of all servos first, then each servo by itself, the one that explains least."""
+    """The best suspicion: first about all commands, then about one servo at a time, the worst explained servo first."""
     prepared = judge.prepared(case)
     if len(prepared.rows) < 2 * BLOCKS or not prepared.known.any():
         return None
@@ -81,16 +81,16 @@ def _best(case: Case, judge: CommandErrors, done: set[tuple[str, str]]) -> tuple
 
 
 def _edges(prepared: Prepared) -> np.ndarray:
-    """Rows at which blocks of time begin, without the first and last ones."""
-    begins = np.searchsorted(prepared.blocks, np.arange(EDGE, BLOCKS - EDGE + 1))
+    """Rows at which blocks begin, without those near the ends of the log."""
+    begins = np.searchsorted(prepared.blocks, np.arange(EDGE_BLOCKS, BLOCKS - EDGE_BLOCKS + 1))
     return np.unique(begins)
 
 
 def _moved_zero(case: Case, judge: CommandErrors, i: int) -> Iterator[Suspicion]:
-    """A zero of the servo that moved once: from then on the error has another constant."""
+    """A change of the zero of servo i at one time, after which the error has another constant."""
     prepared, now = judge.prepared(case), judge.fit(case, i)
     fractions = np.arange(2 * BLOCKS) / (2 * BLOCKS)
-    rows = np.unique((fractions[2 * EDGE : -2 * EDGE] * len(prepared.rows)).astype(int))
+    rows = np.unique((fractions[2 * EDGE_BLOCKS : -2 * EDGE_BLOCKS] * len(prepared.rows)).astype(int))
     table = prepared.columns[i][prepared.rows]
     best: tuple[float, int, float] | None = None
     target = now.left + now.explained[prepared.rows]
@@ -107,7 +107,7 @@ def _moved_zero(case: Case, judge: CommandErrors, i: int) -> Iterator[Suspicion]
         gain = float(step @ rest) ** 2 / length
         if best is None or gain > best[0]:
             best = gain, int(row), float(step @ rest) / length
-    # Within its dry friction a joint may rest anywhere.
+    # Dry friction can hold a joint anywhere within a band, so a smaller jump shows nothing.
     if best is None or abs(best[2]) < now.friction:
         return
     _, row, jump = best
@@ -132,25 +132,25 @@ def _moved_zero(case: Case, judge: CommandErrors, i: int) -> Iterator[Suspicion]
 
 
 def _jump(t: np.ndarray, position: np.ndarray, about: float, near: float, jump: float) -> int | None:
-    """The row from which positions are farther on by a jump than the motion before and after says; or none."""
+    """The row at which positions jump relative to the motion before and after it; None without such a row."""
     seen = np.flatnonzero(np.isfinite(position) & (np.abs(t - about) < near))
     if len(seen) < 4:
         return None
     steps = np.diff(position[seen])
-    # The smaller of the steps before and after is that of the motion.
+    # The mean of the steps before and after is the step of the motion.
     usual = np.concatenate([steps[:1], (steps[2:] + steps[:-2]) / 2, steps[-1:]])
     best = int(np.argmax((steps - usual) * np.sign(jump)))
-    return int(seen[best + 1]) if (steps - usual)[best] * np.sign(jump) > JUMP * abs(jump) else None
+    return int(seen[best + 1]) if (steps - usual)[best] * np.sign(jump) > MIN_JUMP_FRACTION * abs(jump) else None
 
 
 def _changed_gain(case: Case, judge: CommandErrors, i: int) -> Iterator[Suspicion]:
-    """A gain that changed once: from then on all but the constant is another multiple of the error."""
+    """A change of the gain of servo i at one time, after which all explanations but the constant scale by 1 / gain."""
     prepared, now = judge.prepared(case), judge.fit(case, i)
     rows = prepared.rows
     target = now.left + now.explained[rows]
     friction = (now.explained - prepared.columns[i] @ now.multiples)[rows]
     moving = prepared.moves[rows, i]
-    # A wrong delay is an error proportional to the rate, which no gain changes; nor does it change an offset.
+    # A wrong delay causes an error proportional to the rate. A gain scales neither that error nor an offset.
     table = np.column_stack([prepared.columns[i][rows], friction, prepared.rate[rows, i]])
     size = np.maximum(np.sqrt(np.mean(table**2, axis=0)), 1e-12)
     table = table / size
@@ -161,7 +161,7 @@ def _changed_gain(case: Case, judge: CommandErrors, i: int) -> Iterator[Suspicio
     best: tuple[float, int, float, np.ndarray] | None = None
     for row in _edges(prepared):
         parts = [(table[a].T @ table[a], table[a].T @ target[a]) for a in (slice(None, row), slice(row, None))]
-        for gain in GAINS:
+        for gain in GAIN_RATIOS:
             scale = np.where(constant, 1.0, 1 / gain)
             matrix = parts[0][0] + scale[:, None] * parts[1][0] * scale
             vector = parts[0][1] + scale * parts[1][1]
@@ -169,10 +169,10 @@ def _changed_gain(case: Case, judge: CommandErrors, i: int) -> Iterator[Suspicio
             left = -float(x @ vector)
             if best is None or left < best[0]:
                 best = left, int(row), float(gain), x
-    if best is None or best[2] in (GAINS[0], GAINS[-1]) or abs(np.log(best[2])) < np.log(LEAST_GAIN):
+    if best is None or best[2] in (GAIN_RATIOS[0], GAIN_RATIOS[-1]) or abs(np.log(best[2])) < np.log(MIN_GAIN_RATIO):
         return
     _, row, gain, x = best
-    # A gain changes from one row to the next: just before it is the former one, and just after it the latter.
+    # A gain changes from one row to the next, so the old gain has to hold just before it and the new one just after.
     parts = (slice(max(row - len(rows) // 6, 0), row), slice(row, row + len(rows) // 6))
     for part, expected in zip(parts, (1.0, 1 / gain), strict=True):
         where = np.flatnonzero(moving[part]) + part.start
@@ -184,7 +184,7 @@ def _changed_gain(case: Case, judge: CommandErrors, i: int) -> Iterator[Suspicio
     log, t, servos = prepared.log, np.asarray(case.record.t), JointServos.of(case)
     time, joint = float(log.t[rows[row]]), case.names.q[servos.joint[i]]
     strength = np.where(t >= time - now.delay, gain, 1.0)
-    strength /= np.sqrt(np.mean(strength**2))  # or else a small gain would leave small errors
+    strength /= np.sqrt(np.mean(strength**2))  # otherwise a small gain would leave small errors
     claim = f"the gain of {joint} from about {time:.4g} s on is {gain:.2g} times that before"
     line = f"until = {time:.4g} keeps the rows before that; those after it, start = {time:.4g}, have "
     line += f"[servo.{joint_name(case, i)}] gain = {gain:.2g}"
@@ -201,7 +201,7 @@ def _changed_gain(case: Case, judge: CommandErrors, i: int) -> Iterator[Suspicio
 
 
 def _saturation(case: Case, judge: CommandErrors, i: int) -> Iterator[Suspicion]:
-    """A servo without a limit whose torque does not grow with large errors."""
+    """A limit that the model does not state: beyond some error, the torque does not grow."""
     servos = JointServos.of(case)
     if servos.limited[i]:
         return
@@ -212,8 +212,8 @@ def _saturation(case: Case, judge: CommandErrors, i: int) -> Iterator[Suspicion]
         return case._replace(model=with_servos(case, replace(held.servos, limit=limit)))
 
     fit = judge.fit(apply(case), i)
-    # A joint whose limit is hardly beyond its friction would not move.
-    if not np.isfinite(fit.level) or fit.level < BEYOND_FRICTION * fit.friction:
+    # A joint with a torque limit near its dry friction would not move.
+    if not np.isfinite(fit.level) or fit.level < MIN_LIMIT_TO_FRICTION * fit.friction:
         return
     joint, unit = case.names.q[servos.joint[i]], case.names.units[servos.joint[i]]
     limit = float(servos.stiffness[i] * fit.level)

@@ -1,4 +1,4 @@
-"""What a log says of the numbers that a model states of its servos."""
+"""Findings on servo parameters that the model states and the log contradicts."""
 
 import functools
 from collections.abc import Callable, Iterator
@@ -26,22 +26,22 @@ from covariant.calibration.diagnosis._thresholds import (
 from covariant.lowering import on_batches
 from covariant.models import MechanicalSystem, applied_force, resistance
 
-ROUNDS, NUDGE, FARTHEST_STEP = 5, 1e-3, 0.02
-"""Steps to a delay, shift [s] of the differences for its slope, and the longest step [s]."""
-LONGEST = 0.11
-"""Longest delay of a command [s] that is named."""
-FAR_OFF, ALWAYS_OFF = 0.3, 3.0
-"""Error of a command [rad or m], alone and relative to its changes, from which its zero is said to be another one."""
-GUESSED, FIRST = 0.1, 4.0
-"""Part of the errors that the stated numbers leave, alone and relative to the best ones, from which a fit is due."""
-FIRST_WEIGHT = 4
-"""Place of the weight among what explains an error."""
-SAGS, SAG_OFF, ASKEW = 3.0, 1.5, 0.5
-"""Sag relative to what is left and to that of the model, and its likeness to the weight, from which it is named."""
+ROUNDS, DELAY_DIFFERENCE, MAX_STEP = 5, 1e-3, 0.02
+"""Gauss–Newton steps for a delay, shift [s] of the finite difference for its slope, and the longest step [s]."""
+MAX_DELAY = 0.11
+"""Longest delay [s] of a command that is reported."""
+MIN_OFFSET, MIN_OFFSET_TO_STD = 0.3, 3.0
+"""Median command error [rad or m], and its ratio to the standard deviation, from which an offset is reported."""
+MIN_UNEXPLAINED, MIN_UNEXPLAINED_RATIO = 0.1, 4.0
+"""Fraction of the errors that the stated numbers leave, and its ratio to the best one, that call for a fit."""
+WEIGHT_INDEX = 4
+"""Index of the weight among the explanations of an error."""
+MIN_SAG_TO_RESIDUAL, MIN_SAG_RATIO, MIN_CORRELATION = 3.0, 1.5, 0.5
+"""Thresholds of a sag: its ratios to the residual and to that of the model, and its correlation with the weight."""
 
 
 def delay_of(case: Case, judge: CommandErrors, i: int) -> tuple[float, float, float]:
-    """Delay of a command [s], its standard error, and by which fraction the squares fall against the stated one."""
+    """Delay of a command [s], its standard error, and the relative decrease of the squares from the stated delay."""
     prepared, servos, fit = judge.prepared(case), JointServos.of(case), judge.fit(case, i)
     stated = float(servos.delay[servos.column[i]])
     moving = prepared.moves[prepared.rows, i]
@@ -61,20 +61,22 @@ def delay_of(case: Case, judge: CommandErrors, i: int) -> tuple[float, float, fl
 
     delay, std = fit.delay, np.inf
     for _ in range(ROUNDS):
-        table = np.column_stack([known, (acting(delay - NUDGE) - acting(delay + NUDGE)) / (2 * NUDGE)])
+        table = np.column_stack(
+            [known, (acting(delay - DELAY_DIFFERENCE) - acting(delay + DELAY_DIFFERENCE)) / (2 * DELAY_DIFFERENCE)]
+        )
         size, now = np.maximum(np.sqrt(np.mean(table**2, axis=0)), 1e-12), acting(delay)
         table = table / size
         inverse = np.linalg.pinv(table.T @ table, rcond=1e-10)
         x = inverse @ (table.T @ now)
         scores = np.array([table[blocks == b].T @ (now - table @ x)[blocks == b] for b in range(BLOCKS)])
         std = float(np.sqrt((inverse @ scores.T @ scores @ inverse)[-1, -1])) / size[-1]
-        delay += float(np.clip(x[-1] / size[-1], -FARTHEST_STEP, FARTHEST_STEP))
+        delay += float(np.clip(x[-1] / size[-1], -MAX_STEP, MAX_STEP))
     before = squares(stated)
     return delay, std, 1 - squares(delay) / before if before > 0 else 0.0
 
 
 def servo_numbers(case: Case, judge: CommandErrors) -> Iterator[Finding]:
-    """What the log says of numbers that the model states: delays, and what a fit has to find first."""
+    """Findings on stated delays and offsets, and on parameters that have to be fitted first."""
     now = judge(case)
     if now is None:
         return
@@ -85,14 +87,14 @@ def servo_numbers(case: Case, judge: CommandErrors) -> Iterator[Finding]:
 
 
 def _delay(case: Case, judge: CommandErrors, i: int) -> Iterator[Finding]:
-    """A command that acts at another time than the model says, where the motion is fast enough to tell."""
+    """A command that acts at another time than the model states, if the motion is fast enough to show it."""
     servos, names = JointServos.of(case), case.names
     stated = float(servos.delay[servos.column[i]])
     delay, std, gain = delay_of(case, judge, i)
     off = delay - stated
     if not (abs(off) > max(DELAY_ROWS * case.spacing, COMMAND_ERRORS * std) and gain > COMMON_GAIN):
         return
-    if delay > LONGEST:  # in slow motions damping looks like a long delay
+    if delay > MAX_DELAY:  # in slow motions damping looks like a long delay
         return
     name, q = names.u[servos.column[i]], names.q[servos.joint[i]]
     evidence = f"{q} follows {name} after {1e3 * delay:.3g} ms ± {1e3 * std:.2g} ms, "
@@ -105,16 +107,16 @@ def _delay(case: Case, judge: CommandErrors, i: int) -> Iterator[Finding]:
     line = f"[servo.{joint_name(case, i)}] delay = {delay:.2g}"
     if delay < 0:
         line = f"subtract {-delay:.2g} s from the stamps of {name}: it acts before its row"
-    # A delay that nobody stated yet is what a fit looks for; a command never acts before its stamp.
+    # A delay that is not stated yet is for a fit to estimate. A command never acts before its stamp.
     wrong = bool(stated > 0 or delay < 0)
     yield Finding("delay of a command", q, evidence, line, wrong, {"delay": delay, "std": std, "stated": stated})
 
 
 def _offset(case: Case, judge: CommandErrors, i: int) -> Iterator[Finding]:
-    """A command that counts from far another zero than the position."""
+    """A command whose zero is far from that of the position."""
     servos, fit, rows = JointServos.of(case), judge.fit(case, i), judge.prepared(case).rows
     middle = float(np.median(fit.error[rows]))
-    if abs(middle) < max(FAR_OFF, ALWAYS_OFF * float(np.std(fit.error[rows]))) or np.isfinite(fit.level):
+    if abs(middle) < max(MIN_OFFSET, MIN_OFFSET_TO_STD * float(np.std(fit.error[rows]))) or np.isfinite(fit.level):
         return
     q, unit = case.names.q[servos.joint[i]], case.names.units[servos.joint[i]]
     held: Any = case.model.force
@@ -125,58 +127,60 @@ def _offset(case: Case, judge: CommandErrors, i: int) -> Iterator[Finding]:
 
 
 def _first_guesses(case: Case, judge: CommandErrors) -> Iterator[Finding]:
-    """Numbers of servos that explain less than others would, and stiffness or offsets that the weight contradicts."""
+    """Stated numbers that explain far less than the best ones, and stiffness or offsets that the weight contradicts."""
     prepared, servos = judge.prepared(case), JointServos.of(case)
     file, coordinates = case.file, np.asarray(servos.joint)
     u, t, log = np.asarray(case.record.u), np.asarray(case.record.t), prepared.log
     late = np.broadcast_to(np.asarray(file.input_delay, float), u.shape[1])
     acting = np.column_stack([held_inputs(t + d, u[:, [j]], log.t, log.step)[:, 0] for j, d in enumerate(late)])
     lacking = _lacking(case.model, log.q.shape[1], u.shape[1])(log.q, log.v, log.a, acting)
-    few = []
+    poorly_explained = []
     for i in np.flatnonzero(prepared.known):
         fit, rows = judge.fit(case, int(i)), prepared.rows[prepared.moves[prepared.rows, i]]
         if len(rows) < 2 * BLOCKS:
             continue
         error = averaged(log, lacking[:, [coordinates[i]]] / servos.stiffness[i])[rows, 0]
         stated, best = float(np.mean(error**2)) / fit.size, float(np.mean(fit.left**2)) / fit.size
-        if stated > max(GUESSED, FIRST * best):
-            few.append((case.names.q[servos.joint[i]], joint_name(case, int(i)), stated, best))
+        if stated > max(MIN_UNEXPLAINED, MIN_UNEXPLAINED_RATIO * best):
+            poorly_explained.append((case.names.q[servos.joint[i]], joint_name(case, int(i)), stated, best))
         yield from _sag(case, judge, int(i))
-    if few:
-        listed = ", ".join(f"{name} {100 * s:.3g} % and {100 * b:.2g} %" for name, _, s, b in few)
+    if poorly_explained:
+        listed = ", ".join(f"{name} {100 * s:.3g} % and {100 * b:.2g} %" for name, _, s, b in poorly_explained)
         evidence = "of the squares of the errors of commands the numbers of the model leave, and the best ones would: "
         line = f"covariant fit MODEL LOG --parameters {','.join(f'servo.{joint}' for _, joint, _, _ in few)}"
-        if len(few) == len(servos.joint):
+        if len(poorly_explained) == len(servos.joint):
             line = "covariant fit MODEL LOG --parameters servo"
-        numbers = {name: {"stated": s, "best": b} for name, _, s, b in few}
-        yield Finding("servo", ", ".join(name for name, *_ in few), evidence + listed, line, False, numbers)
+        numbers = {name: {"stated": s, "best": b} for name, _, s, b in poorly_explained}
+        yield Finding(
+            "servo", ", ".join(name for name, *_ in poorly_explained), evidence + listed, line, False, numbers
+        )
 
 
 def _sag(case: Case, judge: CommandErrors, i: int) -> Iterator[Finding]:
-    """A static error that grows with the weight otherwise than by the stated stiffness."""
+    """A static error that grows with the weight, but not as the stated stiffness predicts."""
     prepared, servos, fit = judge.prepared(case), JointServos.of(case), judge.fit(case, i)
     table = prepared.columns[i][prepared.rows]
-    first = FIRST_WEIGHT
+    first = WEIGHT_INDEX
     if table.shape[1] <= first or not np.ptp(table[:, first]) > 0 or not prepared.weighs[i]:
         return
     sag = table[:, first:] @ fit.multiples[first:]
     sag, by_weight = sag - sag.mean(), (table[:, first] - table[:, first].mean()) / servos.stiffness[i]
     ratio = float(sag @ by_weight / (by_weight @ by_weight))
     alike = float(sag @ by_weight) / max(float(np.linalg.norm(sag) * np.linalg.norm(by_weight)), 1e-300)
-    if prepared.moves[prepared.rows, i].sum() < 4 * BLOCKS or np.std(sag) < SAGS * max(
+    if prepared.moves[prepared.rows, i].sum() < 4 * BLOCKS or np.std(sag) < MIN_SAG_TO_RESIDUAL * max(
         np.sqrt(prepared.noise[i]), np.std(fit.left)
     ):
         return
     q, unit, joint = case.names.q[servos.joint[i]], case.names.units[servos.joint[i]], joint_name(case, i)
     evidence = f"{q} sags under its weight by {np.std(sag):.2g} {unit} (standard deviation), where the model says "
     evidence += f"{np.std(by_weight):.2g} {unit}"
-    if abs(alike) < ASKEW:
+    if abs(alike) < MIN_CORRELATION:
         line = f"covariant fit MODEL LOG --parameters offsets.{q}"
         evidence += ", and not where its weight is largest"
     elif alike < 0:
         line = f"look at `sign` of [servo.{joint}] and at [parameters] offsets"
         evidence += ", and against its weight"
-    elif 1 / SAG_OFF < ratio < SAG_OFF:
+    elif 1 / MIN_SAG_RATIO < ratio < MIN_SAG_RATIO:
         return
     else:
         line = f"[servo.{joint}] stiffness = {servos.stiffness[i] / ratio:.2g}"
@@ -185,7 +189,7 @@ def _sag(case: Case, judge: CommandErrors, i: int) -> Iterator[Finding]:
 
 @functools.lru_cache(maxsize=4)
 def _lacking(model: MechanicalSystem, n: int, m: int) -> Callable:
-    """Torque (n,) that a motion needs beyond what the model says."""
+    """Function to the torque (n,) that a motion needs in addition to the torque of the model."""
 
     def at(q, v, a, u):
         t = jnp.zeros(())

@@ -1,4 +1,4 @@
-"""The suspicion that a servo lets go, and models and logs in which its torque has another strength."""
+"""The suspicion that a servo is off for a while, and cases in which its torque is multiplied by a factor."""
 
 import itertools
 from collections.abc import Callable, Iterator
@@ -24,27 +24,27 @@ from covariant.calibration.diagnosis._servo_errors import (
 from covariant.calibration.diagnosis._smooth import held_inputs
 from covariant.calibration.diagnosis._suspicion import BLOCKS, Suspicion
 
-MOST_OFF = 0.7
+MAX_OFF = 0.7
 """Largest fraction of the log in which a servo may be off."""
-FARTHER, UNLIKE = 1.5, 0.5
-"""Error while a servo is off, relative to that while it is on, and relative to the motion of the command."""
-ALIKE = 0.7
-"""Correlation of a position with its command from which it follows."""
-EDGE_STEPS, MARGIN = (32, 16, 8, 4, 2, 1), 20
-"""Points of the grid by which an edge of a span is moved, and from an end of the log within which none is."""
-SPANS = 6
-"""Most spans in which a servo may be off."""
+MIN_ERROR_RATIO, MIN_ERROR_TO_COMMAND = 1.5, 0.5
+"""Least error while a servo is off, relative to the error while it is on, and to the motion of the command."""
+FOLLOWING_CORRELATION = 0.7
+"""Correlation of a position with its command from which the position follows."""
+EDGE_STEPS, END_POINTS = (32, 16, 8, 4, 2, 1), 20
+"""Grid points by which an edge of a span is moved in turn, and distance from the ends of the log where edges stay."""
+MAX_SPANS = 6
+"""Largest number of spans in which a servo may be off."""
 
 
 def lets_go(case: Case, judge: CommandErrors, i: int) -> Iterator[Suspicion]:
-    """A servo whose torque is off in parts of the log."""
+    """Suspect that the torque of servo i is off in parts of the log."""
     prepared = judge.prepared(case)
     spans, delay = _spans_off(case, prepared, i)
     if not spans:
         return
     log, t, servos = prepared.log, np.asarray(case.record.t), JointServos.of(case)
     on = np.ones(len(t))
-    # An error acts after the delay, and so does the switch.
+    # The switch acts after the delay, as a command does.
     for begin, end in spans:
         on[(t >= log.t[begin] - delay) & (t <= log.t[end] - delay)] = 0.0
     joint = case.names.q[servos.joint[i]]
@@ -63,7 +63,7 @@ def lets_go(case: Case, judge: CommandErrors, i: int) -> Iterator[Suspicion]:
 
 
 def _spans_off(case: Case, prepared: Prepared, i: int) -> tuple[list[tuple[int, int]], float]:
-    """First and last points of the grid of spans in which a motion needs no torque of the servo, and its delay."""
+    """First and last grid points of spans in which the motion needs no torque of servo i, and its delay."""
     log, servos, rows = prepared.log, JointServos.of(case), prepared.rows
     best: tuple[float, np.ndarray, ServoFit] | None = None
     switched = _switched_off(case, prepared, servos, i)
@@ -71,7 +71,7 @@ def _spans_off(case: Case, prepared: Prepared, i: int) -> tuple[list[tuple[int, 
     def left(off: np.ndarray, smoothed: np.ndarray, explained: np.ndarray) -> float:
         return float(np.mean((np.where(off, 0.0, smoothed) - explained)[rows] ** 2))
 
-    # Each start takes a part of the log for one in which the servo is on.
+    # Each of three starts assumes that the servo is on in one third of the log.
     for part in np.array_split(np.arange(len(rows)), 3):
         now = fit_servo(case, prepared._replace(rows=rows[part], blocks=np.arange(len(part)) % BLOCKS), servos, i)
         error = errors(case, prepared, servos, i, now.delay)
@@ -83,9 +83,9 @@ def _spans_off(case: Case, prepared: Prepared, i: int) -> tuple[list[tuple[int, 
             explained = _explained(prepared, i, error, off, now)
             score = (smoothed - explained)[rows] ** 2 - explained[rows] ** 2
             off = _off(log.t, rows, score)
-            if (off | switched)[rows].mean() > MOST_OFF:
+            if (off | switched)[rows].mean() > MAX_OFF:
                 break
-        if off.any() and (off | switched)[rows].mean() < MOST_OFF:
+        if off.any() and (off | switched)[rows].mean() < MAX_OFF:
             rest = left(off, smoothed, _explained(prepared, i, error, off, now))
             best = (rest, off, now) if best is None or rest < best[0] else best
     if best is None:
@@ -97,15 +97,23 @@ def _spans_off(case: Case, prepared: Prepared, i: int) -> tuple[list[tuple[int, 
     on = error[rows[~best[1][rows]]]
 
     def follows(begin: int, end: int) -> bool:
-        """Whether a position follows a command that moves, is as near to it as while the servo is on, or both rest."""
+        """Whether the position follows its command, has errors as while the servo is on, or rests as it does."""
         part, position = error[begin:end], prepared.position[begin:end, i]
         far = float(np.sqrt(np.mean((part - np.median(on)) ** 2)))
         command = part + position
         resting = np.ptp(position) + np.ptp(command) < far / 3
         # Dry friction lets a joint take only a part of small steps.
         spread = np.std(position) * np.std(command)
-        alike = spread > 0 and np.mean((position - position.mean()) * (command - command.mean())) > ALIKE * spread
-        return bool(resting or alike or far < FARTHER * np.std(on) or np.std(part) < UNLIKE * np.std(command))
+        alike = (
+            spread > 0
+            and np.mean((position - position.mean()) * (command - command.mean())) > FOLLOWING_CORRELATION * spread
+        )
+        return bool(
+            resting
+            or alike
+            or far < MIN_ERROR_RATIO * np.std(on)
+            or np.std(part) < MIN_ERROR_TO_COMMAND * np.std(command)
+        )
 
     spans = [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True) if not follows(int(a), int(b))]
 
@@ -120,7 +128,7 @@ def _spans_off(case: Case, prepared: Prepared, i: int) -> tuple[list[tuple[int, 
 
 
 def _switched_off(case: Case, prepared: Prepared, servos: JointServos, i: int) -> Bool[np.ndarray, "K"]:
-    """Points (K,) at which a servo is off already."""
+    """Points (K,) at which the log itself states that servo i is off."""
     off, t, log = np.zeros(len(prepared.log.t), bool), np.asarray(case.record.t), prepared.log
     for place, usual in servos.factors[i]:
         off |= held_inputs(t, np.asarray(case.record.u)[:, [place]], log.t, log.step)[:, 0] < usual / 2
@@ -128,18 +136,23 @@ def _switched_off(case: Case, prepared: Prepared, servos: JointServos, i: int) -
 
 
 def _refined(edges: np.ndarray, left: Callable[[np.ndarray], float], count: int) -> np.ndarray:
-    """Edges of spans, moved one by one as long as less is left; those at an end of the log stay."""
+    """Edges of spans, moved one by one while that leaves less unexplained; edges at an end of the log stay."""
     least = left(edges) if len(edges) else 0.0
     for k, step in itertools.product(range(len(edges)), EDGE_STEPS):
         for tried in (edges + step * (np.arange(len(edges)) == k), edges - step * (np.arange(len(edges)) == k)):
-            if MARGIN < edges[k] < count - MARGIN and (np.diff(tried) > 1).all() and tried[0] > 0 and tried[-1] < count:
+            if (
+                END_POINTS < edges[k] < count - END_POINTS
+                and (np.diff(tried) > 1).all()
+                and tried[0] > 0
+                and tried[-1] < count
+            ):
                 now = left(tried)
                 edges, least = (tried, now) if now < least else (edges, least)
     return edges
 
 
 def _explained(prepared: Prepared, i: int, error: np.ndarray, off: np.ndarray, now: ServoFit) -> np.ndarray:
-    """What explains the error while the servo is on, fitted to those points, with the friction that the motion has."""
+    """Explained error (K,) from a fit to the points at which the servo is on."""
     held = settle(
         prepared._replace(rows=prepared.rows[~off[prepared.rows]], blocks=prepared.blocks[~off[prepared.rows]]),
         i,
@@ -152,10 +165,10 @@ def _explained(prepared: Prepared, i: int, error: np.ndarray, off: np.ndarray, n
 
 
 def _off(t: np.ndarray, rows: np.ndarray, score: np.ndarray) -> np.ndarray:
-    """Points (K,) in spans whose score is far above zero."""
+    """Points (K,) in the spans with the largest sums of scores."""
     off, left = np.zeros(len(t), bool), score.copy()
     least = 0.02 * np.abs(score).sum()
-    for _ in range(SPANS):
+    for _ in range(MAX_SPANS):
         sums = np.concatenate([[0.0], np.cumsum(left)])
         lowest = np.minimum.accumulate(sums)
         gains = sums - lowest
@@ -169,7 +182,7 @@ def _off(t: np.ndarray, rows: np.ndarray, score: np.ndarray) -> np.ndarray:
 
 
 def with_strength(case: Case, i: int, strength: np.ndarray) -> Case:
-    """The case whose model has a servo with a switch, and whose log multiplies its torque."""
+    """The case with a switch of servo i in its model, and factors `strength` on its torque in its log."""
     servos: Any = case.model.force.servos  # pyright: ignore[reportFunctionMemberAccess]
     u, names = np.asarray(case.record.u), case.names
     place = servos.switches[i]

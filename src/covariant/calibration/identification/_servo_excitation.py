@@ -1,9 +1,9 @@
-"""Commands of servos that make a robot do a designed motion, then slow reversals and steps, and what their log shows.
+"""Servo commands for a designed motion, slow reversals and steps, and the expected errors of a fit of their log.
 
-A servo does a motion when its command is ahead by the delay, and beyond by what the torque takes of its stiffness. The
-reversals show friction and dead band, the steps and holds delay, damping and stiffness. The information is that of a
-fit which predicts positions from the commands alone: derivatives of the simulated positions in the open numbers, over
-the noise of the encoders.
+A servo tracks a motion if its command leads the motion by the delay, and exceeds it by the torque divided by the
+stiffness. The reversals show friction and dead band; the steps and holds show delay, damping and stiffness. The
+information is that of a fit that predicts positions from the commands alone: derivatives of the simulated positions
+with respect to the open numbers, divided by the noise of the encoders.
 """
 
 from collections.abc import Callable
@@ -31,28 +31,28 @@ from covariant.calibration.identification._robot_torques import (
 from covariant.models import RobotFamily, acceleration, resistance
 from covariant.models.robots import Servos, servos_in
 
-PROBED = 1 / 3
-"""Part of the periods that are reversals and steps in place of the motion."""
-REACH = 0.6
-"""Part of the room on one side, and of the torque that holding leaves, that reversals and steps use."""
-SLOW = 0.1
+PROBE_FRACTION = 1 / 3
+"""Fraction of the periods that have reversals and steps in place of the motion."""
+PROBE_REACH = 0.6
+"""Fraction that reversals and steps use of the range on one side, and of the torque that is left while holding."""
+REVERSAL_SPEED = 0.1
 """Largest speed of the slow reversals, as a fraction of the limit."""
-OVER = 1.6
-"""Size of a step that is to reach the limit of the torque, in multiples of that limit over the stiffness."""
-SMALLER, TRIES = 0.8, 12
-"""Factor on all amplitudes while the simulation finds that a limit is exceeded, and the largest number of factors."""
-SLACK = 1e-3
-"""Part of the torque by which a servo stays off its limit, at which its torque is neither more nor less."""
-STABLE = 0.5
-"""Step of the simulation times the fastest rate of the robot."""
-MOST_STEPS = 64
-"""Largest number of steps from row to row."""
-FORGOTTEN = 0.3
-"""Time [s] from the start of a log whose rows do not count: the first state is not known."""
+LIMIT_STEP = 1.6
+"""Size of a step that has to reach the torque limit, in multiples of limit / stiffness."""
+AMPLITUDE_FACTOR, MAX_TRIES = 0.8, 12
+"""Factor by which all amplitudes shrink as long as the simulation exceeds a limit, and the largest number of tries."""
+TORQUE_MARGIN = 1e-3
+"""Relative margin by which a torque stays below its limit, since a clipped torque equals the limit exactly."""
+MAX_STEP_RATE = 0.5
+"""Largest product of the simulation step and the fastest rate of the robot."""
+MAX_SUBSTEPS = 64
+"""Largest number of simulation steps from row to row."""
+SKIPPED_TIME = 0.3
+"""Time [s] at the start of a log whose rows do not count, since the first state is not known."""
 
 
 class Commanded(NamedTuple):
-    """Commands, and the motion that the model makes of them.
+    """Commands, and the motion that the model simulates from them.
 
     Attributes:
         inputs: Commands and further inputs (T, m).
@@ -69,12 +69,12 @@ class Commanded(NamedTuple):
 
 
 class ExpectedOfCommands(NamedTuple):
-    """What a log of commands is expected to show of open numbers.
+    """Expected errors and information of a fit of open numbers to a log of commands.
 
     Attributes:
-        errors: Standard errors (p,) of the numbers, NaN where the log would not show one by itself.
-        determined: Whether a fit of the log would say of each number (p,) that it is determined.
-        combinations: What it would determine of numbers that it cannot tell apart.
+        errors: Standard errors (p,) of the numbers, NaN where the log would not determine a number by itself.
+        determined: Whether a fit of the log would report each number (p,) as determined.
+        combinations: Combinations that it would determine of numbers that it cannot distinguish.
         condition: Condition number of the regressor, scaled to usual sizes, over the directions that are determined.
 
     Example:
@@ -90,7 +90,7 @@ class ExpectedOfCommands(NamedTuple):
 
 
 class CommandedExcitation(NamedTuple):
-    """A designed log of commands, and one sine a joint, each with what it is expected to show."""
+    """A designed log of commands and a reference with one sine per joint, each with the expected errors of a fit."""
 
     designed: Commanded
     reference: Commanded
@@ -99,27 +99,27 @@ class CommandedExcitation(NamedTuple):
 
 
 def of_coordinates(servos: Servos, values: Any) -> Float[np.ndarray, "n"]:
-    """Torques (n,) of the coordinates from those of their servos, such as limits; zero without a servo."""
+    """Torques (n,) at the coordinates from torques of their servos, such as limits; zero without a servo."""
     rows = np.abs(np.asarray(servos.rows))
     return np.sum(np.where(rows > 0, rows * np.asarray(values)[:, None], 0.0), axis=0)
 
 
 def motion_periods(plan: ExcitationPlan) -> int:
-    """Number of periods of the motion; the rest are reversals and steps."""
+    """Number of periods of the motion; the others have reversals and steps."""
     periods = round(plan.duration * plan.frequency)
-    return periods - int(periods * PROBED)
+    return periods - int(periods * PROBE_FRACTION)
 
 
 def command_excitation(
     family: RobotFamily, limits: JointLimits, sensing: Sensing, plan: ExcitationPlan, found: Excitation
 ) -> CommandedExcitation:
-    """Turn a designed motion into commands within the limits; `plan` is that of the whole log."""
+    """Turn a designed motion into commands within the limits; `plan` describes the whole log."""
     simulation = _Simulation.of(family, sensing.rate)
     t = np.arange(round(plan.duration * sensing.rate) + 1) / sensing.rate
     asked = {n.target for n in family.numbers if n.group == "servo" and n.number == "limit"}
-    # A servo may reach its own limit where nothing else limits its torque.
-    own = of_coordinates(simulation.servos, simulation.servos.limit)
-    limited = np.array([name in asked for name in limits.names]) & (own <= limits.effort)
+    # A servo may reach its own limit if that limit is to be fitted and is the smallest one.
+    own_limit = of_coordinates(simulation.servos, simulation.servos.limit)
+    limited = np.array([name in asked for name in limits.names]) & (own_limit <= limits.effort)
     moving = motion_periods(plan) / plan.frequency
     designed = _commanded(simulation, limits, plan, t, found.motion, moving, limited)
     reference = _commanded(simulation, limits, plan, t, found.reference, plan.duration, np.zeros_like(limited))
@@ -136,10 +136,10 @@ def _commanded(
     moving: float,
     limited: np.ndarray,
 ) -> Commanded:
-    """The largest commands, up to those of the motion, that keep commands, positions, speeds and torques in limits."""
+    """Scale the motion down until commands, positions, speeds and torques are within the limits."""
     inner, probes, length = limits.within(plan.margin), t > moving, plan.duration - moving
-    most = np.ones(len(limits.names))
-    for factor in SMALLER ** np.arange(TRIES):
+    largest_use = np.ones(len(limits.names))
+    for factor in AMPLITUDE_FACTOR ** np.arange(MAX_TRIES):
         inputs = simulation.commands(motion.scaled(factor), t, moving)
         if probes.any():
             inputs[probes] += simulation.probes(t[probes] - moving, length, inner, inputs[0], limited, factor)
@@ -149,11 +149,11 @@ def _commanded(
         used = limits.used(q, v, torque)
         if not np.isfinite(used).all():
             raise ValueError("the simulation of the commands is not stable: give a higher rate, or a larger armature")
-        # A limit that is itself asked for has to be reached.
-        most = np.max([used[0], used[1], np.where(limited, 0.0, used[2] * (1 + SLACK)), reached], axis=0)
-        if most.max() <= 1:
+        # A torque limit that is to be fitted has to be reached.
+        largest_use = np.max([used[0], used[1], np.where(limited, 0.0, used[2] * (1 + TORQUE_MARGIN)), reached], axis=0)
+        if largest_use.max() <= 1:
             return Commanded(inputs, q, v, torque, used)
-    joint = limits.names[int(np.argmax(most))]
+    joint = limits.names[int(np.argmax(largest_use))]
     raise ValueError(
         f"joint {joint!r}: no commands were found that keep its limits of position, speed and torque; give a larger "
         "region, velocity or effort"
@@ -161,7 +161,7 @@ def _commanded(
 
 
 class _Simulation(NamedTuple):
-    """The robot of a family as a function of its numbers, with commands held from row to row."""
+    """Simulation of the robot of a family with commands held from row to row, differentiable in its open numbers."""
 
     model: Any
     servos: Servos
@@ -185,7 +185,7 @@ class _Simulation(NamedTuple):
         assert servos is not None
         if servos.rows.shape[0] != servos.rows.shape[1]:
             raise ValueError("commands are designed for robots of which each joint has a servo; lock the others")
-        substeps = int(np.clip(np.ceil(_fastest(model) / rate / STABLE), 1, MOST_STEPS))
+        substeps = int(np.clip(np.ceil(_fastest(model) / rate / MAX_STEP_RATE), 1, MAX_SUBSTEPS))
         step = 1 / rate / substeps
 
         @jax.jit
@@ -196,10 +196,10 @@ class _Simulation(NamedTuple):
 
         @jax.jit
         def slopes(inputs: Array, start: Array) -> Array:
-            def one(slope: Array) -> Array:
+            def one_direction(slope: Array) -> Array:
                 return jax.jvp(lambda part: positions(part, inputs, start)[0], (flat,), (slope,))[1]
 
-            return jax.vmap(one, in_axes=1, out_axes=2)(jnp.asarray(to_arrays))
+            return jax.vmap(one_direction, in_axes=1, out_axes=2)(jnp.asarray(to_arrays))
 
         return cls(model, servos, flat, positions, slopes, substeps, rate)
 
@@ -213,11 +213,11 @@ class _Simulation(NamedTuple):
         return np.asarray(self.slopes_at(inputs, self._start(inputs)))
 
     def _start(self, inputs: np.ndarray) -> np.ndarray:
-        # The first row is the command that holds the first place.
+        # The command of the first row holds the robot at its first position.
         return self.places(inputs[:1])[0]
 
     def places(self, inputs: np.ndarray) -> np.ndarray:
-        """Places (T, n) where the robot is at rest with these inputs: near those that are commanded."""
+        """Equilibrium positions (T, n) under these inputs, near the commanded positions."""
         place, gain = self.positions(inputs), inverse_inputs(self.model)
         for _ in range(20):
             still = np.zeros_like(place)
@@ -226,13 +226,13 @@ class _Simulation(NamedTuple):
         return place
 
     def positions(self, inputs: np.ndarray, offset: float = 1.0) -> np.ndarray:
-        """Positions (T, n) that inputs (T, m) command."""
+        """Commanded positions (T, n) of inputs (T, m)."""
         servos = self.servos
         asked = inputs @ np.asarray(servos.commands).T + offset * np.asarray(servos.offset - servos.zero)
         return asked @ np.linalg.inv(np.asarray(servos.rows)).T
 
     def commands(self, motion: FourierMotion, t: np.ndarray, moving: float) -> np.ndarray:
-        """Inputs (T, m) that make the servos do a motion, and hold its first place when it is over."""
+        """Inputs (T, m) with which the servos track a motion, and hold its first position when it is over."""
         servos, gain = self.servos, inverse_inputs(self.model)
         ahead, inputs = np.asarray(servos.delay - servos.lead), []
         for j, shift in enumerate(ahead):
@@ -246,20 +246,20 @@ class _Simulation(NamedTuple):
     def probes(
         self, t: np.ndarray, length: float, inner: JointLimits, held: np.ndarray, limited: np.ndarray, factor: float
     ) -> np.ndarray:
-        """Slow reversals over the first half, then steps with holds, added to the inputs that hold the first place."""
+        """Slow reversals over the first half, then steps with holds, to be added to the inputs `held`."""
         place = self.places(held[None])[0]
         up, down = inner.high - place, place - inner.low
         side = np.where(up >= down, 1.0, -1.0)
-        room = REACH * np.maximum(up, down)
+        room = PROBE_REACH * np.maximum(up, down)
         still = np.zeros((1, len(place)))
         holding = np.abs(in_batches(efforts, self.model, place[None], still, still)[0, 0])
         rows = np.abs(np.asarray(self.servos.rows))
         stiffness = of_coordinates(self.servos, np.asarray(self.servos.stiffness) * rows.sum(axis=1))
-        step = np.minimum(room, REACH * np.maximum(inner.effort - holding, 0.0) / stiffness)
-        step = np.where(limited, np.minimum(up + down, OVER * inner.effort / stiffness), step)
-        slow = np.minimum(room, SLOW * inner.velocity * length / 8)
+        step = np.minimum(room, PROBE_REACH * np.maximum(inner.effort - holding, 0.0) / stiffness)
+        step = np.where(limited, np.minimum(up + down, LIMIT_STEP * inner.effort / stiffness), step)
+        slow = np.minimum(room, REVERSAL_SPEED * inner.velocity * length / 8)
         phase = t / length
-        # Two triangles, then up, back, half up and back.
+        # Two triangles, then a step up, back, half up and back.
         wave = 1 - np.abs(1 - np.mod(8 * phase, 2))
         level = np.select([phase < 0.5, phase < 0.65, phase < 0.8, phase < 0.9], [0.0, 1.0, 0.0, 0.5], 0.0)
         wave = np.where(phase < 0.5, wave, 0.0)
@@ -269,7 +269,7 @@ class _Simulation(NamedTuple):
 
 
 def _fastest(model: Any) -> float:
-    """Largest rate [1/s] of the robot at rest: of its friction over its inertia, or of its servos."""
+    """Largest rate [1/s] of the robot at rest: damping rate or natural frequency of its servos."""
     q = jnp.asarray(model.manifold.origin())
     n = len(q)
     u, t, zero = jnp.zeros(model.inputs), jnp.zeros(()), jnp.zeros(n)
@@ -286,16 +286,16 @@ def _fastest(model: Any) -> float:
 def _simulated(
     model: Any, inputs: Array, start: Array, step: float, substeps: int
 ) -> tuple[Float[Array, "T n"], Float[Array, "T n"], Float[Array, "T n"]]:
-    """Positions, velocities and torques at the rows, by steps of first order that are stable for stiff servos."""
+    """Positions, velocities and torques at the rows, by symplectic Euler steps, which suit stiff servos."""
     servos: Any = servos_in(model)
     count = len(inputs)
     length = step * substeps
 
     def acting(k: Array) -> Array:
-        """Mean over step k of inputs that are held from row to row and act late: linear in the delay."""
+        """Mean over step k of inputs that are held from row to row and delayed; piecewise linear in the delay."""
         place = (k * step - servos.delay) / length
         row = jnp.floor(place)
-        # The part of the step that is in the next row.
+        # Fraction of the step that lies in the next row.
         part = jnp.clip((place - row) * substeps - (substeps - 1), 0.0, 1.0)
 
         def at(shift: int) -> Array:
@@ -311,20 +311,20 @@ def _simulated(
         v = v + step * acceleration(model, t, q, v, u)
         return (q + step * v, v), None
 
-    def one_row(x: tuple[Array, Array], u: Array) -> tuple[tuple[Array, Array], tuple[Array, Array, Array]]:
+    def simulate_row(x: tuple[Array, Array], u: Array) -> tuple[tuple[Array, Array], tuple[Array, Array, Array]]:
         q, v = x
         torque = servos.rows.T @ (servos.torque(q, v, u[0]) + servos.back_emf * (servos.rows @ v))
         return jax.lax.scan(advance, x, u)[0], (q, v, torque)
 
     u = jax.vmap(acting)(jnp.arange(count * substeps, dtype=float)).reshape(count, substeps, -1)
-    return jax.lax.scan(one_row, (start, jnp.zeros_like(start)), u)[1]
+    return jax.lax.scan(simulate_row, (start, jnp.zeros_like(start)), u)[1]
 
 
 def _expected(
     family: RobotFamily, simulation: _Simulation, commanded: Commanded, sensing: Sensing, plan: ExcitationPlan
 ) -> ExpectedOfCommands:
     """Standard errors of a fit that predicts the positions of the whole log from its commands."""
-    forgotten = int(np.ceil(FORGOTTEN * sensing.rate))
+    forgotten = int(np.ceil(SKIPPED_TIME * sensing.rate))
     rows = simulation.derivatives(commanded.inputs)[forgotten:] / sensing.noise[:, None]
     a = np.gradient(commanded.v, 1 / sensing.rate, axis=0)
     sizes, _ = usual_sizes(family, commanded.torque, commanded.torque, commanded.v, a)

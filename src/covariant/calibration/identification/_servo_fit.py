@@ -1,9 +1,10 @@
-"""Numbers of a robot with servos from commands and positions: predictions over windows, by Gauss–Newton steps.
+"""Fit of a robot with servos to commands and positions: prediction errors over windows, Levenberg–Marquardt steps.
 
-A servo holds its joint so firmly that residual accelerations say little of it: what shows is where the joint goes, and
-where it stops. So positions are predicted over windows from the commands alone.
+A servo holds its joint so firmly that residual accelerations contain little information on it; the positions through
+which the joint moves, and at which it stops, contain more. So positions are predicted over windows from the commands
+alone.
 
-Source: Huber 1981 for weights; White 1982 for the sandwich by blocks.
+Source: Huber 1981 for the weights; White 1982 for the sandwich covariance, here over blocks.
 """
 
 import math
@@ -21,28 +22,28 @@ from covariant.models import RobotFamily
 from covariant.signals import Record
 
 WINDOW = 2.0
-"""Length of a window [s]: a servo forgets its start within a few tenths."""
+"""Length of a window [s]: the effect of the initial state decays within a few tenths of a second."""
 SETTLING = 0.2
-"""Time at the start of a window [s] that does not count: the initial speed is known roughly."""
-FEWEST_WINDOWS = 8
+"""Time at the start of a window [s] that does not count, since the initial speed is only roughly known."""
+MIN_WINDOWS = 8
 BLOCKS_PER_NUMBER = 3
-"""Least count of the blocks of a covariance for each number: fewer of them leave it without full rank."""
-ROUNDS = 25
+"""Least number of blocks per fitted number: with too few blocks their covariance has no full rank."""
+MAX_ROUNDS = 25
 TOLERANCE = 3e-3
-"""A step is the last one when it lowers the loss by less than this fraction of it."""
-ACCURACY, LATE = 2e-3, 2e-4
-"""Accuracy of the integration: relative to a number, and of a delay [s]."""
-DIFFERENCE = 1e-4
-"""Step of finite differences, in usual sizes: 0.01 µm of a joint's motion is far above rounding."""
-LEAST_RATIO = 0.02
-"""Least value of a number that must be positive, relative to its first one."""
-POSITIVE = ("stiffness", "resistance", "torque_constant", "stribeck_velocity", "limit")
-RIGID = ("payload", "inertia", "gravity", "offsets")
-"""Groups of numbers that change the rigid body."""
-DELAYS, STIFFNESSES = (0.0, 0.02, 0.04, 0.08), (0.5, 1.0, 2.0)
-"""First delays [s], and factors of the first stiffness, from which the search may start."""
-SHIFTS = 0.015, -0.01
-"""Changes of the delay [s] from which the search starts once more."""
+"""Relative decrease of the loss below which the search stops."""
+RELATIVE_ACCURACY, TIME_ACCURACY = 2e-3, 2e-4
+"""Integration error in the fitted numbers: relative, and for times such as a delay absolute [s]."""
+DIFFERENCE_STEP = 1e-4
+"""Step of the finite differences, in usual sizes: it moves a joint by some 0.01 µm, which is far above rounding."""
+MIN_RATIO = 0.02
+"""Least value of a number that must be positive, relative to its first value."""
+POSITIVE_NUMBERS = ("stiffness", "resistance", "torque_constant", "stribeck_velocity", "limit")
+RIGID_BODY_GROUPS = ("payload", "inertia", "gravity", "offsets")
+"""Groups of open numbers that change the rigid body."""
+FIRST_DELAYS, STIFFNESS_FACTORS = (0.0, 0.02, 0.04, 0.08), (0.5, 1.0, 2.0)
+"""Delays [s], and factors on the first stiffness, that are tried as starting points of the search."""
+DELAY_SHIFTS = 0.015, -0.01
+"""Changes of the fitted delay [s] from which the search starts again."""
 
 
 def fit_servos(
@@ -55,18 +56,21 @@ def fit_servos(
 ) -> RobotFit:
     """Fit open numbers of a robot with servos to logs of commands and positions.
 
+    Positions are predicted over windows from the commands alone, with dry friction that sticks. The search starts from
+    several delays and stiffnesses, and again from other delays after the first fit, since delay and lead are similar.
+
     Args:
-        families: The robot as a function of its p open numbers, from `models.robot_family`, one for each log: settings
-            that are not open, such as a gain or a known payload, may differ.
-        records: The logs, with the commands as they are logged.
-        between: Whether a command is "held" to the next stamp, or "linear" between stamps.
+        families: The robot as a function of its p open numbers, from `models.robot_family`, one for each log. Settings
+            that are not open, such as a gain or a known payload, may differ between logs.
+        records: The logs, with the commands at the stamps at which they were sent.
+        between: "held" if a command is constant until the next stamp, "linear" if it is linear between stamps.
         progress: Called with the number of each round.
-        length: Length of the windows [s]; by default 2 s, and less where logs are short. Longer ones suit joints that
+        length: Length of the windows [s]; by default 2 s, and less for short logs. Longer windows suit joints that
             stick for seconds.
         late: Time [s] by which the stamps of positions are ahead of those of the commands.
 
     Returns:
-        Values, standard errors, and the combinations that the logs determine; `torque` are residual positions.
+        Values, standard errors, and the combinations that the logs determine; `torque` has residuals of positions.
 
     Raises:
         ValueError: The logs are too short, or no prediction is finite.
@@ -81,21 +85,23 @@ def fit_servos(
         raise ValueError("give a family and a log for each of the logs")
     search = _Search.of(families, records, between, length, late)
     point, rounds = search.descend(search.started(), progress, 0)
-    # A delay and a lead of the command act alike but where it jumps: both sides of a fit are tried.
+    # A delay and a lead differ only where the command jumps, so there is a local minimum on either side of a fit.
     for x in search.shifted(point.x):
         other, rounds = search.descend(search.point(x), progress, rounds)
         scale = search.normal(point).scale
         point = min(point, other, key=lambda each: search.loss(each, scale))
     step = search.normal(point)
     family = families[0]
-    # What steps of a few milliseconds leave of a motion shifts the numbers a little, the same way in every window.
+    # Integration steps of a few milliseconds bias the numbers in every window alike, which blocks do not show.
     values = np.asarray(family.values(point.x))
     stiffness = float(np.max(np.asarray(search.logs[0].drive(point.x).servos.stiffness)))
-    # A feedforward is a lead times a stiffness, and a lead is a time as a delay is.
-    of_times = {"delay": LATE, "feedforward": LATE * stiffness}
+    # A feedforward is a lead times a stiffness, and a lead is a time like a delay.
+    of_times = {"delay": TIME_ACCURACY, "feedforward": TIME_ACCURACY * stiffness}
     times = [of_times.get(number.number, 0.0) if number.group == "servo" else 0.0 for number in family.numbers]
-    rough = np.where(np.array(times) > 0, times, ACCURACY * np.abs(values))
-    known = Determined.of(family, point.x, search.sizes, step.information, step.covariance + np.diag(rough**2))
+    integration_error = np.where(np.array(times) > 0, times, RELATIVE_ACCURACY * np.abs(values))
+    known = Determined.of(
+        family, point.x, search.sizes, step.information, step.covariance + np.diag(integration_error**2)
+    )
     return RobotFit(
         family.names,
         family.first,
@@ -112,7 +118,7 @@ def fit_servos(
 
 
 class _Point(NamedTuple):
-    """Coordinates x (p,), residuals (B, R, n) of all windows, and their derivatives (p, B, R, n), in usual sizes."""
+    """Coordinates x (p,), residuals (B, R, n) of all windows, and their derivatives (p, B, R, n) by usual sizes."""
 
     x: Float[np.ndarray, "p"]
     residual: Float[np.ndarray, "B R n"]
@@ -120,7 +126,7 @@ class _Point(NamedTuple):
 
 
 class _Normal(NamedTuple):
-    """The normal equations at a point, in usual sizes, and what the logs say of the numbers."""
+    """The normal equations at a point, in usual sizes, with the information and the covariance of the numbers."""
 
     matrix: Float[np.ndarray, "p p"]
     gradient: Float[np.ndarray, "p"]
@@ -132,14 +138,14 @@ class _Normal(NamedTuple):
     losses: Float[np.ndarray, "B"]
 
     def to(self, damping: float) -> np.ndarray:
-        """The step of the coordinates (p,), above the bounds."""
+        """Damped step of the coordinates (p,) that stays above their bounds."""
         damped = self.matrix + damping * np.diag(np.diagonal(self.matrix))
         step = np.clip(minimise_above_bounds(damped, self.gradient, self.least), -1.5, 1.5)
         return step * self.sizes
 
 
 class _Search(NamedTuple):
-    """What a fit works on."""
+    """Logs and their windows, with the usual sizes and lower bounds of the open numbers."""
 
     logs: tuple[ServoLog, ...]
     rows: tuple[np.ndarray, ...]
@@ -154,23 +160,23 @@ class _Search(NamedTuple):
     ) -> "_Search":
         family = families[0]
         logs = tuple(ServoLog.of(each, record, between, late) for each, record in zip(families, records, strict=True))
-        fewest = FEWEST_WINDOWS
+        min_windows = MIN_WINDOWS
         if length is None:
-            # Sixteen windows are few for a covariance by blocks, so short logs are cut into shorter ones.
+            # A covariance over blocks needs more than about 16 windows, so the windows of short logs are shorter.
             total = sum(float(log.t[-1] - log.t[0]) for log in logs)
-            length = max(min(WINDOW, total / (2 * fewest + 1)), 3 * SETTLING)
+            length = max(min(WINDOW, total / (2 * min_windows + 1)), 3 * SETTLING)
         else:
-            fewest = 2
+            min_windows = 2
         windows = [log.windows(length) for log in logs]
         counts = tuple(len(each) for each in windows)
-        if sum(counts) < fewest:
+        if sum(counts) < min_windows:
             raise ValueError(
                 f"the logs hold {sum(counts)} windows of {length:.3g} s without a gap, and a fit needs "
                 f"{fewest}; give longer logs"
             )
-        # All logs have the same number of windows, so that one program serves all; copies do not count.
-        most = max(counts)
-        padded = [each + each[:1] * (most - len(each)) for each in windows if each]
+        # All logs have the same number of windows, so that one compiled program serves all; copies do not count.
+        max_windows = max(counts)
+        padded = [each + each[:1] * (max_windows - len(each)) for each in windows if each]
         logs = tuple(log for log, each in zip(logs, windows, strict=True) if each)
         rows = tuple(np.stack(each) for each in padded)
         motion = [np.concatenate([getattr(log, name) for log in logs]) for name in ("q", "v", "a")]
@@ -179,37 +185,47 @@ class _Search(NamedTuple):
         inertia = body.inertia + np.diag(armature)
         torque = np.einsum("tij,tj->ti", inertia, motion[2]) + body.coriolis + body.slope
         servos = logs[0].drive(np.zeros(len(family.names))).servos
-        held = (
+        command_errors = (
             np.concatenate([log.u for log in logs]) @ np.asarray(servos.commands).T
             - motion[0] @ np.asarray(servos.rows).T
         )
-        pulled = (held - np.asarray(servos.zero)) * np.asarray(servos.stiffness) @ np.abs(np.asarray(servos.rows))
-        usual = [np.maximum(np.sqrt(np.mean(part**2, axis=0)), 1e-9) for part in (torque, pulled, motion[1], motion[2])]
+        servo_torques = (
+            (command_errors - np.asarray(servos.zero)) * np.asarray(servos.stiffness) @ np.abs(np.asarray(servos.rows))
+        )
+        usual = [
+            np.maximum(np.sqrt(np.mean(part**2, axis=0)), 1e-9)
+            for part in (torque, servo_torques, motion[1], motion[2])
+        ]
         sizes = family.sizes(np.maximum(usual[0], usual[1]), usual[2], usual[3])
-        # A stiffness, a speed or a limit that the file states is usual by itself.
-        own = np.array([number.number in POSITIVE for number in family.numbers])
-        sizes = np.where(own & (np.abs(family.first) > 0), np.abs(family.first), sizes)
-        least = np.where(own, np.maximum(family.least, -(1 - LEAST_RATIO) * np.abs(family.first)), family.least)
-        rigid = tuple(i for i, number in enumerate(family.numbers) if number.group in RIGID)
+        # If the file states a stiffness, a speed or a limit, that value is its usual size.
+        has_positive_number = np.array([number.number in POSITIVE_NUMBERS for number in family.numbers])
+        sizes = np.where(has_positive_number & (np.abs(family.first) > 0), np.abs(family.first), sizes)
+        least = np.where(
+            has_positive_number, np.maximum(family.least, -(1 - MIN_RATIO) * np.abs(family.first)), family.least
+        )
+        rigid = tuple(i for i, number in enumerate(family.numbers) if number.group in RIGID_BODY_GROUPS)
         return cls(logs, rows, tuple(count for count in counts if count), sizes, least, rigid)
 
     def started(self) -> _Point:
-        """The first values, or those of them with another delay or stiffness that predict better."""
+        """The first values, with the delay and the stiffness among those tried that predict best."""
         family = self.logs[0].family
         kinds = [number.number if number.group == "servo" else "" for number in family.numbers]
         late = np.array([kind == "delay" for kind in kinds])
-        stiff = np.array([kind == "stiffness" for kind in kinds])
+        is_stiffness = np.array([kind == "stiffness" for kind in kinds])
         points = []
-        for delay in (None, *DELAYS) if late.any() else (None,):
+        for delay in (None, *FIRST_DELAYS) if late.any() else (None,):
             x = np.zeros(len(kinds)) if delay is None else np.where(late, delay - family.first, 0.0)
-            lanes = [
-                np.where(stiff, (factor - 1) * family.first, x) for factor in STIFFNESSES[: 3 if stiff.any() else 1]
+            candidates = [
+                np.where(is_stiffness, (factor - 1) * family.first, x)
+                for factor in STIFFNESS_FACTORS[: 3 if is_stiffness.any() else 1]
             ]
-            lanes = [np.maximum(lane, self.least) for lane in lanes]
-            # In batches of the size of a point, so that one program serves both.
-            lanes = (lanes * (len(kinds) + 1))[: max(len(kinds) + 1, 1)]
-            residuals = self._residuals(lanes, lanes[0], [], np.zeros((len(lanes), len(self.rigid))))
-            points += [_Point(lane, each, residuals[:0]) for lane, each in zip(lanes, residuals, strict=True)]
+            candidates = [np.maximum(candidate, self.least) for candidate in candidates]
+            # Batches have the size of a point's batch, so that one compiled program serves both.
+            candidates = (candidates * (len(kinds) + 1))[: max(len(kinds) + 1, 1)]
+            residuals = self._residuals(candidates, candidates[0], [], np.zeros((len(candidates), len(self.rigid))))
+            points += [
+                _Point(candidate, each, residuals[:0]) for candidate, each in zip(candidates, residuals, strict=True)
+            ]
         scale = np.array([_scale(column) for column in points[0].residual.reshape(-1, points[0].residual.shape[2]).T])
         best = min(points, key=lambda point: self.loss(point, scale))
         if not np.isfinite(self.loss(best, scale)):
@@ -217,9 +233,9 @@ class _Search(NamedTuple):
         return self.point(best.x)
 
     def descend(self, point: _Point, progress: Callable[[int], object], rounds: int) -> tuple[_Point, int]:
-        """The lowest point that Levenberg–Marquardt steps reach, and the number of rounds with these."""
+        """The point that Levenberg–Marquardt steps reach, and the number of rounds so far."""
         damping = 1e-3
-        for _ in range(ROUNDS):
+        for _ in range(MAX_ROUNDS):
             progress(rounds)
             rounds += 1
             step = self.normal(point)
@@ -236,7 +252,7 @@ class _Search(NamedTuple):
         return point, rounds
 
     def shifted(self, x: np.ndarray) -> list[np.ndarray]:
-        """Coordinates with other delays, and with leads that make up for these."""
+        """Coordinates with changed delays, and with leads that compensate for the change."""
         family = self.logs[0].family
         at = {(n.target, n.number): i for i, n in enumerate(family.numbers) if n.group == "servo"}
         leads = [
@@ -249,7 +265,7 @@ class _Search(NamedTuple):
         values, servos = np.asarray(family.values(x)), self.logs[0].drive(x).servos
         stiffness = dict(zip(servos.input_names, np.asarray(servos.stiffness), strict=False))
         others = []
-        for shift in SHIFTS:
+        for shift in DELAY_SHIFTS:
             other = x.copy()
             for i, j, target in leads:
                 later = max(shift, -values[j])
@@ -262,21 +278,21 @@ class _Search(NamedTuple):
         """Residuals at x, and their derivatives by finite differences, all in one batch."""
         x = np.maximum(x, self.least)
         p = len(x)
-        steps = DIFFERENCE * self.sizes * np.eye(p)
+        steps = DIFFERENCE_STEP * self.sizes * np.eye(p)
         weights = np.zeros((p + 1, len(self.rigid)))
         for k, i in enumerate(self.rigid):
             weights[1 + i, k] = 1.0
-        every = self._residuals([x, *(x + step for step in steps)], x, [steps[i] for i in self.rigid], weights)
-        return _Point(x, every[0], (every[1:] - every[:1]) / DIFFERENCE)
+        batch = self._residuals([x, *(x + step for step in steps)], x, [steps[i] for i in self.rigid], weights)
+        return _Point(x, batch[0], (batch[1:] - batch[:1]) / DIFFERENCE_STEP)
 
     def _residuals(
-        self, lanes: Sequence[np.ndarray], x: np.ndarray, steps: Sequence[np.ndarray], weights: np.ndarray
+        self, candidates: Sequence[np.ndarray], x: np.ndarray, steps: Sequence[np.ndarray], weights: np.ndarray
     ) -> np.ndarray:
-        """Residuals (P, B, R, n) of drives at P coordinates, with the rigid body at x and its changes."""
+        """Residuals (P, B, R, n) of drives at P coordinates, with the rigid body at x and its changes by `steps`."""
         parts = []
         for log, rows, count in zip(self.logs, self.rows, self.counts, strict=True):
-            chosen = steps if len(steps) == weights.shape[1] else [np.zeros_like(x)] * weights.shape[1]
-            q = log.simulate([log.drive(lane) for lane in lanes], x, rows, weights, chosen)
+            body_steps = steps if len(steps) == weights.shape[1] else [np.zeros_like(x)] * weights.shape[1]
+            q = log.simulate([log.drive(candidate) for candidate in candidates], x, rows, weights, body_steps)
             parts.append((q - log.y[rows])[:, :count, self._skipped(log) :])
         return np.concatenate(parts, axis=1)
 
@@ -302,7 +318,7 @@ class _Search(NamedTuple):
 
     @property
     def _alike(self) -> float:
-        """Number of rows that are one independent error: those of a tenth of a window."""
+        """Number of rows that count as one independent error: a tenth of a window."""
         return max(1.0, self._measured.shape[1] / 10)
 
     def normal(self, point: _Point) -> _Normal:
@@ -331,7 +347,7 @@ class _Search(NamedTuple):
 
     @staticmethod
     def _by_blocks(scores: np.ndarray) -> np.ndarray:
-        """Sums over blocks (B, p) of scores (W, R, p): windows, or parts of them where windows are few."""
+        """Sums (B, p) of scores (W, R, p) over blocks: windows, or parts of windows if there are few."""
         windows, rows, p = scores.shape
         # Errors of a joint that sticks are alike for long: parts of a window are the last resort.
         parts = 1 if windows >= FEWEST_WINDOWS else min(math.ceil(BLOCKS_PER_NUMBER * p / windows), rows)
@@ -340,6 +356,6 @@ class _Search(NamedTuple):
 
 
 def _scale(values: np.ndarray) -> float:
-    """Robust standard deviation; 1 where there is nothing."""
+    """Robust standard deviation of the finite values; 1 if there are none."""
     values = values[np.isfinite(values)]
     return float(max(STD_OF_MEDIAN * np.median(np.abs(values)), 1e-9)) if len(values) else 1.0

@@ -1,8 +1,8 @@
-"""Motion of a robot with servos from its commands: what the fit of a servo predicts.
+"""Motion of a robot with servos, simulated from its commands: the prediction in a fit of servos.
 
-The rigid body is evaluated along the measured path, with the slope of its weight, so that only the servos and the dry
-friction are integrated. Dry friction is what stops a joint within a step, at most its size: a joint sticks truly, and
-no speed smooths it.
+The rigid body is evaluated once along the measured path, with the slope of its weight, so that the integration needs
+only the servos and the friction. In each step dry friction is the impulse, up to its size, that stops the joint. So a
+joint sticks exactly, and no smoothing speed is needed.
 
 Source: Hairer, Lubich & Wanner 2003, Geometric numerical integration illustrated by the Störmer–Verlet method, Acta
 Numerica 12, for leapfrog; Moreau 1988, Unilateral contact and dry friction, for friction as an impulse within a step,
@@ -26,23 +26,23 @@ from covariant.models import RobotFamily
 from covariant.models.robots import Servos, dry_friction
 from covariant.signals import Record
 
-LONGEST_STEP = 4e-3
+MAX_STEP = 4e-3
 """Longest step of the integration [s]: a servo's natural frequency is seldom above 60 rad/s."""
 SWEEPS = 3
-"""Sweeps over the joints in a step. Each starts from the change in the step before, which differs little."""
-SMOOTHING = 3.5
-"""Half width, in rows, of the windows in which positions are smoothed for the rigid body."""
+"""Gauss–Seidel sweeps over the joints in a step; they start from the velocity change of the step before."""
+SMOOTHING_ROWS = 3.5
+"""Half width, in rows, of the smoothing windows for the path of the rigid body."""
 
 
 class Drive(NamedTuple):
-    """What moves and brakes the joints of a robot.
+    """Servos, motors, friction and armature of a robot: all that acts on its rigid body.
 
     Attributes:
         servos: The servos.
-        motors: Generalised force (n, m) of a unit of each input that is a torque.
-        joints: Rate (k, n) of each joint with friction, for a unit of the rate of each coordinate.
+        motors: Generalised force (n, m) per unit of each input that is a torque.
+        joints: Rate (k, n) of each joint with friction, per rate of each coordinate.
         viscous: Viscous friction (k,).
-        coulomb: Coulomb friction (k,) of joints without a law.
+        coulomb: Coulomb friction (k,) of joints without a friction law.
         law: Numbers (k,) of the friction laws, by name.
         armature: Inertia (n,) of the rotors.
     """
@@ -72,7 +72,7 @@ class Drive(NamedTuple):
 
 
 class RigidBody(NamedTuple):
-    """The rigid body along a path of R rows: inertia without rotors, Coriolis force, weight and its slope."""
+    """The rigid body along a path of R rows: inertia without armature, Coriolis force, weight and its derivative."""
 
     inertia: Float[np.ndarray, "R n n"]
     coriolis: Float[np.ndarray, "R n"]
@@ -81,10 +81,10 @@ class RigidBody(NamedTuple):
 
 
 class Cut(NamedTuple):
-    """W windows of R rows each: the motion at their starts, steps, inputs and the path of the rows.
+    """W windows of R rows each: initial positions and velocities, steps, inputs and the measured path.
 
-    `inputs` (W, R, N, 4, m) are the mean of each input over a substep, the derivative of that in the delay, the rate of
-    the input, and its derivative.
+    `inputs` (W, R, N, 4, m) has, for each of N substeps: the mean input, its derivative with respect to the delay, the
+    rate of the input, and the derivative of that rate with respect to the delay.
     """
 
     q: Float[np.ndarray, "W n"]
@@ -104,7 +104,7 @@ def predict_servos(
 
 
 class ServoLog(NamedTuple):
-    """A log, its smoothed motion, and its robot as functions of the coordinates x."""
+    """A log, its smoothed motion, and the drive and rigid body of its robot as functions of the coordinates x."""
 
     family: RobotFamily
     t: Float[np.ndarray, "T"]
@@ -123,7 +123,7 @@ class ServoLog(NamedTuple):
         model: Any = family.file.model
         t, u = np.asarray(record.t, float), np.asarray(record.u, float)
         y = scoring.unwrap(np.asarray(record.y, float), model.circles)
-        half = SMOOTHING * float(np.median(np.diff(t)))
+        half = SMOOTHING_ROWS * float(np.median(np.diff(t)))
         c = scoring.local_polynomials(t, y, t, half, 2)
         for part in (c[:, 0], c[:, 1], c[:, 2]):
             for column in part.T:
@@ -134,11 +134,11 @@ class ServoLog(NamedTuple):
         return cls(family, t, y, u, c[:, 0], c[:, 1], 2 * c[:, 2], between, late, drive, evaluate)
 
     def windows(self, length: float) -> list[np.ndarray]:
-        """Rows of consecutive windows of one length, each from a row that is measured, without gaps."""
+        """Rows of consecutive windows without gaps, of one length, each starting at a fully measured row."""
         usual = float(np.median(np.diff(self.t)))
         count = max(round(length / usual), 4)
         whole = np.asarray(np.isfinite(self.y).all(axis=1))
-        at, found = 0, []
+        at, windows = 0, []
         while at + count < len(self.t):
             if not whole[at]:
                 at += 1
@@ -148,9 +148,9 @@ class ServoLog(NamedTuple):
             if len(gap):
                 at += int(gap[-1]) + 1
                 continue
-            found.append(rows)
+            windows.append(rows)
             at += count
-        return found
+        return windows
 
     def simulate(
         self,
@@ -162,13 +162,13 @@ class ServoLog(NamedTuple):
     ) -> Float[np.ndarray, "P W R1 n"]:
         """Positions in windows with these rows (W, R + 1), for each of P drives.
 
-        Commands act with the delays of the first drive, and to first order with those of the others. The rigid body is
-        that at x, with its changes by steps (r) of x times the weights of each drive.
+        Commands are delayed exactly for the first drive, and to first order for the others. The rigid body is that at x
+        plus its changes under r steps of x, weighted for each drive.
         """
         first = rows[:, :-1]
         t = self.t[rows]
         step = np.diff(t, axis=1)
-        substeps = max(1, int(np.ceil(float(np.median(step)) / LONGEST_STEP - 1e-6)))
+        substeps = max(1, int(np.ceil(float(np.median(step)) / MAX_STEP - 1e-6)))
         h = step / substeps
         delays = np.asarray(drives[0].servos.delay)
         middle = t[:, :-1, None] + h[..., None] * np.arange(substeps)
@@ -183,28 +183,28 @@ class ServoLog(NamedTuple):
         return np.asarray(_simulate(_stacked(drives), weights, delays, cut, bodies[0], tuple(bodies[1:]), SWEEPS))
 
     def _commands(self, at: np.ndarray, width: np.ndarray, delays: np.ndarray) -> np.ndarray:
-        """Mean inputs and rates around times, with their derivatives in the delay: (…, 4, m)."""
+        """Mean inputs and rates around these times, with their derivatives with respect to the delay: (…, 4, m)."""
         t, u = self.t, self.u
         step = np.diff(t)[:, None]
         slope = np.diff(u, axis=0) / step
         linear = self.between == "linear"
-        risen = np.diff(u, axis=0) / 2 if linear else 0.0
-        gathered = np.concatenate([np.zeros_like(u[:1]), np.cumsum((u[:-1] + risen) * step, axis=0)])
+        mean_rise = np.diff(u, axis=0) / 2 if linear else 0.0
+        cumulative = np.concatenate([np.zeros_like(u[:1]), np.cumsum((u[:-1] + mean_rise) * step, axis=0)])
         own = np.arange(u.shape[1])
 
         def integral(s: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-            """The integral of the inputs to a time s (…, m), the inputs there, and these joined by lines."""
+            """Integral of the inputs up to times s (…, m), the inputs at s, and their linear interpolation at s."""
             k = np.clip(np.searchsorted(t, s, side="right") - 1, 0, len(t) - 2)
             past = s - t[k]
-            # Before the first stamp the first input acts, and after the last one the one before it.
+            # Before the first stamp the first input acts, and after the last stamp the last but one.
             inside = np.clip(past, 0.0, step[k, 0])
             if linear:
                 line = u[k, own] + slope[k, own] * inside
-                return gathered[k, own] + u[k, own] * past + slope[k, own] * inside**2 / 2, line, line
-            # A servo knows the rate of a command that is held from the one before it.
+                return cumulative[k, own] + u[k, own] * past + slope[k, own] * inside**2 / 2, line, line
+            # The rate of a held command is its difference from the command before it.
             before = u[np.maximum(k - 1, 0), own]
             line = before + (u[k, own] - before) * inside / step[k, 0]
-            return gathered[k, own] + u[k, own] * past, u[k, own], line
+            return cumulative[k, own] + u[k, own] * past, u[k, own], line
 
         ends = at[..., None] - width[..., None] / 2, at[..., None] + width[..., None] / 2
         (first, before, low), (last, after, high) = (integral(end - delays) for end in ends)
@@ -222,7 +222,7 @@ _CACHE: dict[int, tuple[RobotFamily, _Compiled]] = {}
 
 
 def _compiled(family: RobotFamily) -> _Compiled:
-    """The drive at x, and the rigid body at x along a path; compiled once for a family."""
+    """Functions of x for the drive and for the rigid body along a path, compiled once for a family."""
     if id(family) in _CACHE:
         return _CACHE[id(family)][1]
     numbers, static = eqx.partition(family.make(np.zeros(len(family.names))), eqx.is_inexact_array)
@@ -305,33 +305,35 @@ def _simulate(
 
 
 def _advance(drive: Drive, body: Any, path: Array, u: Array, h: Array, state: Any, sweeps: int) -> Any:
-    """One leapfrog step: positions at its ends, velocities in its middle, damping at the mean velocity."""
+    """One leapfrog step: positions at its ends, velocities at its middle, damping at the mean velocity."""
     q, v, last = state
     servos = drive.servos
     weight = -body.slope - body.bend @ (q - path)
-    # The velocity in the middle of the two: what depends on it is then known to second order.
+    # An estimate of the mean of old and new velocity: forces at it are accurate to second order.
     mean = v + last / 2
-    torque, slope = jax.jvp(lambda w: servos.torque(q, w, u), (mean,), (jnp.ones_like(v),))
-    # The rate of a servo is its row times that of its one coordinate, so its slope in that is the row's square.
-    squares = servos.rows**2
-    braking = squares.T @ (slope / jnp.sum(servos.rows, axis=1))
+    torque, torque_slope = jax.jvp(lambda w: servos.torque(q, w, u), (mean,), (jnp.ones_like(v),))
+    # A servo drives one coordinate, at the ratio in its row: damping at the coordinate is damping times ratio².
+    squared_rows = servos.rows**2
+    braking = squared_rows.T @ (torque_slope / jnp.sum(servos.rows, axis=1))
     rates = drive.joints @ mean
     viscous = (drive.joints**2).T @ drive.viscous
-    size = jnp.abs(drive.joints).T @ (drive.coulomb + dry_friction(rates, drive.law))
+    friction_size = jnp.abs(drive.joints).T @ (drive.coulomb + dry_friction(rates, drive.law))
     if servos.loaded:
-        at_servo = (servos.rows @ weight) / jnp.sum(squares, axis=1)
-        size = size + jnp.abs(servos.rows).T @ servos.added_friction(torque, at_servo)
-    aside = drive.joints.T @ drive.law["asymmetry"]
+        at_servo = (servos.rows @ weight) / jnp.sum(squared_rows, axis=1)
+        friction_size = friction_size + jnp.abs(servos.rows).T @ servos.added_friction(torque, at_servo)
+    asymmetry = drive.joints.T @ drive.law["asymmetry"]
     inertia = body.inertia + jnp.diag(drive.armature)
     driving = weight - body.coriolis + servos.rows.T @ torque + drive.motors @ u
-    # Torque at the mean of both velocities: τ + braking ((w + v)/2 − mean) − viscous (w + v)/2.
+    # Torque at the mean of old velocity v and new velocity w: τ + braking ((w + v)/2 − mean) − viscous (w + v)/2.
     impulse = inertia @ v + h * (driving - braking * mean) + h / 2 * (braking - viscous) * v
     diagonal = jnp.diagonal(inertia)
-    whole = diagonal + h / 2 * (viscous - braking)
+    effective_inertia = diagonal + h / 2 * (viscous - braking)
     w = v + last
     for _ in range(sweeps):
         for j in range(v.shape[0]):
-            pushed = impulse[j] - (inertia[j] @ w - diagonal[j] * w[j])
-            stopped = jnp.clip(pushed, -h * (size[j] - aside[j]), h * (size[j] + aside[j]))
-            w = w.at[j].set((pushed - stopped) / whole[j])
+            net_impulse = impulse[j] - (inertia[j] @ w - diagonal[j] * w[j])
+            friction_impulse = jnp.clip(
+                net_impulse, -h * (friction_size[j] - asymmetry[j]), h * (friction_size[j] + asymmetry[j])
+            )
+            w = w.at[j].set((net_impulse - friction_impulse) / effective_inertia[j])
     return q + h * w, w, w - v

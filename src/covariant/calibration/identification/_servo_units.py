@@ -1,4 +1,4 @@
-"""Units of the positions, commands and rates of servos, and what a log tells of each servo."""
+"""Units of positions, commands and rates of servos, and the servo that a log shows for each position."""
 
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
@@ -16,32 +16,32 @@ from covariant.calibration.identification._commands import (
 from covariant.calibration.identification._servo_columns import Inputs
 from covariant.logs import KNOWN, MEANT, is_unit_of, unit_factor, unit_in_name, unknown_unit, words_of
 
-SOFT = 0.7
-"""Least motion for one of a command, at which the mean distance between them is an offset and no sag."""
-SHOWN = 1.05
-"""How much larger the error must be without a lag, for the lag to count."""
-NORMALISED = 100.5
-"""Largest number of positions in per cent of their range, which servos of some data sets are logged in."""
-MOST_RADIANS = 7.0
-"""Largest angle of a servo in radians, a turn and a little."""
-MOST_DEGREES = 720.0
-"""Largest angle of a servo in degrees."""
+MIN_STIFF_SLOPE = 0.7
+"""Least slope of a position over its command from which their mean distance is an offset and not a sag."""
+LAG_ERROR_RATIO = 1.05
+"""Ratio of the regression errors without and with a lag from which the lag counts."""
+MAX_PER_CENT = 100.5
+"""Largest value of positions that are logged in per cent of their range, as in some data sets."""
+MAX_RADIANS = 7.0
+"""Largest plausible angle of a servo in radians, a little more than a turn."""
+MAX_DEGREES = 720.0
+"""Largest plausible angle of a servo in degrees."""
 TICKS = 4096
-"""Numbers of an encoder of 12 bits, as most serial-bus servos have."""
-FEWEST_TICKS = 1023
-"""Largest number from which whole numbers within `TICKS` are ticks for certain, and not degrees or another encoder."""
+"""Ticks per turn of a 12-bit encoder, which most serial-bus servos have."""
+CERTAIN_TICKS = 1023
+"""Whole numbers below `TICKS` are certainly ticks, and not degrees or another encoder, if the largest exceeds this."""
 _UNITS = {1.0: "rad", unit_factor("deg"): "deg", unit_factor("turn/4096"): "turn/4096"}
-"""Units of commands that their size tells."""
+"""Units of commands that are recognised by their size."""
 
 
 class DraftedServo(NamedTuple):
-    """What a log tells of the servo of a position.
+    """The servo of a position, as far as a log shows it.
 
     Attributes:
         command: Column of its command.
-        unit: Size [rad] of one of the command.
-        lag: Time [s] by which the position follows; None where it is not seen to.
-        offset: What has to be added to the command [rad].
+        unit: Angle [rad] of one unit of the command.
+        lag: Time [s] by which the position lags the command; None if the log shows no lag.
+        offset: Angle [rad] to add to the command.
 
     Example:
         >>> from covariant.calibration.identification import DraftedServo
@@ -58,27 +58,27 @@ class DraftedServo(NamedTuple):
 def position_units(
     logged: Float[np.ndarray, "T n"], names: Sequence[str], stated: Sequence[str | None], servos: bool
 ) -> list[str] | None:
-    """Units of positions that state none: ticks, or degrees of servos; None where that rule says nothing.
+    """Units of positions that state none: ticks, or degrees for servos; None if the values decide neither.
 
-    Raises `ValueError` where the numbers may be in two units.
+    Raises `ValueError` if the values are ambiguous.
     """
-    open_ones = [i for i, text in enumerate(stated) if text is None]
-    values = logged[:, open_ones]
+    without_unit = [i for i, text in enumerate(stated) if text is None]
+    values = logged[:, without_unit]
     values = values[np.isfinite(values).all(axis=1)]
     if not len(values):
         return None
     largest, whole = float(np.abs(values).max()), bool((values % 1 == 0).all())
-    listed = ", ".join(names[i] for i in open_ones)
+    listed = ", ".join(names[i] for i in without_unit)
     answer = "name their unit by `overrides=['units.q=\"turn/4096\"']`, one for each in brackets where they differ"
-    if whole and largest > FEWEST_TICKS:
+    if whole and largest > CERTAIN_TICKS:
         if values.min() >= 0 and largest < TICKS:
             return [f"turn/{TICKS}" if text is None else text for text in stated]
         raise ValueError(
             f"the positions {listed} are whole numbers from {values.min():g} to {values.max():g}, as ticks; {answer}"
         )
-    if not servos or largest <= MOST_RADIANS:
+    if not servos or largest <= MAX_RADIANS:
         return None
-    if largest > MOST_DEGREES:
+    if largest > MAX_DEGREES:
         raise ValueError(
             f"the positions {listed} are between {values.min():.4g} and {values.max():.4g}, more than a servo turns in "
             f"degrees; {answer}"
@@ -88,7 +88,7 @@ def position_units(
             f"the positions {listed} are whole numbers from {values.min():g} to {values.max():g}: ticks or degrees; "
             f"{answer}"
         )
-    if largest <= NORMALISED:
+    if largest <= MAX_PER_CENT:
         raise ValueError(
             f"the positions {listed} are between {values.min():.4g} and {values.max():.4g}: degrees, or per cent of "
             "the range of each servo, as LeRobot logs them unless use_degrees is set, which is no angle. Name their "
@@ -117,7 +117,7 @@ def stated_by_user(field: str, names: Sequence[str], known: Mapping[str, Sequenc
 def unit_labels(
     columns: Mapping[str, np.ndarray], q: Sequence[str], labels: Mapping[str, str], servos: bool
 ) -> dict[str, str]:
-    """Labels of positions with a unit that their numbers show; empty where the usual rule decides."""
+    """Labels of positions with the unit that their values show; empty if the general rules decide."""
     texts = [unit_in_name(labels[name], MEANT["q"]) for name in q]
     if None not in texts:
         return {}
@@ -132,9 +132,9 @@ def servos_of(
     q: Sequence[str],
     q_units: Sequence[str],
 ) -> tuple[DraftedServo | None, ...]:
-    """What the log tells of each servo, with the unit of its command; raises `ValueError` for one that is unclear."""
+    """The servo of each position with the unit of its command; raises `ValueError` for an ambiguous unit."""
     servos: list[DraftedServo | None] = []
-    for position, text, command, how in zip(q, q_units, inputs.commands, inputs.following, strict=True):
+    for position, text, command, follow_fit in zip(q, q_units, inputs.commands, inputs.following, strict=True):
         if command is None:
             servos.append(None)
             continue
@@ -146,36 +146,44 @@ def servos_of(
                 'name the inputs by `columns["u"]`, or none with []'
             )
         factor, named = unit_factor(text), unit_in_name(labels[command], MEANT["q"])
-        odd = unknown_unit(labels[command], MEANT["q"])
-        if odd is not None and odd.lower() not in ("tick", "ticks", "count", "counts"):
+        unknown = unknown_unit(labels[command], MEANT["q"])
+        if unknown is not None and unknown.lower() not in ("tick", "ticks", "count", "counts"):
             raise ValueError(
                 f"column {command!r} has {odd!r} in its name, which is no unit of a command; name what one of it is by "
                 "`overrides=['units.u=\"deg\"']`"
             )
-        close = how is not None and how.error < FOLLOWS
-        unit = unit_factor(named) if named else command_unit(how.slope, factor, close) if close and how else factor
-        size = 0.0 if how is None else abs(how.slope) * factor
-        # A servo does not go beyond its command, be it followed well or not.
+        close = follow_fit is not None and follow_fit.error < FOLLOWS
+        unit = (
+            unit_factor(named)
+            if named
+            else command_unit(follow_fit.slope, factor, close)
+            if close and follow_fit
+            else factor
+        )
+        size = 0.0 if follow_fit is None else abs(follow_fit.slope) * factor
+        # A position never moves farther than its command, however well it follows.
         if unit is None or size > 1.5 * abs(unit) or (named and close and size < 0.15 * abs(unit)):
             raise ValueError(
                 f"column {command!r}: {position} [{text}] moves by {size:.3g} rad for one of it, which is no unit of a "
                 f"command{' in ' + named if named else ''}; name it by `overrides=['units.u=\"deg\"']`, or "
                 f"`overrides=['units.u=\"{size:.3g} rad\"']` if so much is meant"
             )
-        if how is None or not close:
+        if follow_fit is None or not close:
             servos.append(DraftedServo(command, unit, None, 0.0))
         else:
-            # A soft servo sags, and a slow motion shows no lag.
-            stiff = SOFT < abs(how.slope * factor / unit) < 2 - SOFT
-            offset = how.position * factor - how.command * unit if stiff else 0.0
-            servos.append(DraftedServo(command, unit, how.lag if how.late > SHOWN else None, offset))
+            # For a soft servo the mean distance may be sag, so it is no offset; a slow motion shows no lag.
+            is_stiff = MIN_STIFF_SLOPE < abs(follow_fit.slope * factor / unit) < 2 - MIN_STIFF_SLOPE
+            offset = follow_fit.position * factor - follow_fit.command * unit if is_stiff else 0.0
+            servos.append(
+                DraftedServo(command, unit, follow_fit.lag if follow_fit.late > LAG_ERROR_RATIO else None, offset)
+            )
     return tuple(servos)
 
 
 def units_of_commands(
     servos: Sequence[DraftedServo | None], switches: int, labels: Mapping[str, str], of_positions: Sequence[str]
 ) -> dict[str, tuple[str, ...]]:
-    """Units of the columns of commands, where they are not radians without a word of it; a switch has none."""
+    """Units of the inputs; empty if all commands are in radians and no name states a unit; a switch has none."""
     texts = []
     for unit, servo in zip(of_positions, servos, strict=True):
         if servo is not None:
@@ -201,7 +209,7 @@ def plausible_rates(
     v: tuple[str, ...],
     labels: Mapping[str, str],
 ) -> tuple[tuple[str, ...], list[str]]:
-    """Registers of velocities, none where they are in another unit than their name says, with a sentence on it."""
+    """Velocity registers; none, and a remark, if the slopes of the positions contradict their unit."""
     for position, factor, name in zip(q, factors, v, strict=False):
         slope = np.gradient(columns[position], clock) * factor
         unit = unit_factor(unit_in_name(labels[name], MEANT["v"]) or "rad/s")
@@ -225,9 +233,9 @@ def remarks_on(
     entries: Mapping[str, str],
     known: bool,
 ) -> list[str]:
-    """Sentences on commands that may be in another unit or have gaps; `known` says whether the user gave units."""
+    """Remarks on commands that may be in another unit or have gaps; `known` is true if the user stated units."""
     remarks = []
-    for position, factor, servo, how in zip(q, factors, servos, inputs.following, strict=True):
+    for position, factor, servo, follow_fit in zip(q, factors, servos, inputs.following, strict=True):
         if servo is None:
             continue
         gaps = int(np.count_nonzero(~np.isfinite(columns[servo.command])))
@@ -235,13 +243,13 @@ def remarks_on(
             remarks.append(
                 f"{servo.command} is empty in {gaps} rows: hold the last one in the log, in pandas by .ffill()"
             )
-        if how is not None and how.error >= FOLLOWS:
+        if follow_fit is not None and follow_fit.error >= FOLLOWS:
             remarks.append(
                 f"{position} hardly follows {servo.command}, its command by name: {100 * how.whole:.0f} % of its "
                 "motion is another"
             )
-        ratio = 1.0 if how is None else abs(how.slope * factor / servo.unit)
-        if how is not None and how.error < FOLLOWS_CLOSELY and not 0.9 < ratio < 1.1:
+        ratio = 1.0 if follow_fit is None else abs(follow_fit.slope * factor / servo.unit)
+        if follow_fit is not None and follow_fit.error < FOLLOWS_CLOSELY and not 0.9 < ratio < 1.1:
             remarks.append(f"{position} moves by {ratio:.2g} for one of {servo.command}: a soft servo, or another unit")
         name = entries.get(position, position)
         if not known and words_of(name) & {"gripper", "jaw", "finger", "hand", "claw"}:

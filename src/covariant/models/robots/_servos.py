@@ -1,7 +1,7 @@
-"""Servos: motors that are told a position, and hold it through their own controller, gear and friction.
+"""Servos: motors with a position controller, a gear and friction, whose input is a commanded position.
 
-Their torque at rest depends on the measured position and on time, as the force S(q, t) of Aghannan & Rouchon 2003,
-section II, may; what depends on the speed belongs to the dissipation.
+At rest, their torque depends on the measured position and on time only, which the force S(q, t) of Aghannan & Rouchon
+2003, section II, allows. The part that depends on the speed belongs to the dissipation.
 
 Source: Duclusaud et al. 2025, Extended Friction Models for the Physics Simulation of Servo Actuators, section III, for
 the controller behind a limited voltage, and for friction that depends on the load of the gear.
@@ -23,11 +23,11 @@ from covariant.models.robots._axes import Axis, Freedom
 from covariant.models.robots._description import Description, FrictionLaw, Joint, Motor, Servo, numbers
 
 FLAGS = ("switch", "logged_supply")
-"""Keys of a servo that are true or false."""
+"""Keys of a servo table that are true or false."""
 OF_SERVO = tuple(field for field in Servo._fields if field not in (*FLAGS, "command_scale"))
-"""Numbers of a servo that its table may state."""
+"""Keys of a servo table that are numbers of the servo."""
 OF_GEAR = (*FrictionLaw._fields, "armature")
-"""Numbers of the gear behind a servo that its table may state; they are those of the joint."""
+"""Keys of a servo table that are numbers of the gear; the joint has them."""
 _RANGES: dict[Any, float] = {
     **dict.fromkeys(("stiffness", "gain", "limit", "pwm_limit"), POSITIVE),
     **dict.fromkeys(("supply", "resistance", "torque_constant", "stribeck_velocity", "smoothing"), POSITIVE),
@@ -41,23 +41,23 @@ class Servos(Functional):
     """The servos of a robot as one function of positions, rates and inputs.
 
     Attributes:
-        rows: Rate of each servo (k, n) for a unit of the rate of each coordinate.
+        rows: Rate of each servo (k, n) per rate of each coordinate.
         zero: Position (k,) of each servo where all coordinates are zero [rad or m].
-        commands: Position (k, m) that a unit of each input commands.
+        commands: Commanded position (k, m) per unit of each input.
         stiffness: Torque (k,) per unit of the command's error [N m/rad or N/m].
-        offset: What is added to each command (k,) [rad or m].
+        offset: Position (k,) that is added to each command [rad or m].
         damping: Damping (k,) within the limit [N m s/rad or N s/m].
-        dead_band: Error (k,) below which a servo gives no torque [rad or m].
-        limit: Largest torque (k,) [N m or N]; infinite without one.
-        back_emf: Damping (k,) beyond the limit, while a servo is on [N m s/rad or N s/m].
-        supply: Voltage (k,) to which stiffness and limit belong [V].
+        dead_band: Error (k,) up to which a servo has no torque [rad or m].
+        limit: Largest torque (k,) [N m or N]; infinite without a limit.
+        back_emf: Damping (k,) that the limit does not clip, while a servo is on [N m s/rad or N s/m].
+        supply: Voltage (k,) at which stiffness and limit hold [V].
         load: Dry friction (k,) per torque of the motor [1].
         load_external: Dry friction (k,) per torque of the weight on the joint [1].
-        smoothing: Speed (k,) up to which dry friction rises [rad/s or m/s].
+        smoothing: Speed (k,) over which dry friction rises to its size [rad/s or m/s].
         delay: Time (m,) from the stamp of each input until it acts [s].
-        lead: Time (m,) by which each input is ahead, times its rate [s].
+        lead: Time (m,) [s]; each input has its rate, multiplied by this time, added.
         switches: Index of the input that switches each servo; −1 for one that is always on.
-        volts: Index of the input that is the voltage of each servo; −1 where it is constant.
+        volts: Index of the input that is the voltage of each servo; −1 if the voltage is constant.
         circles: Whether the position of each servo is an angle on a full circle.
         limited: Whether any torque is limited.
         banded: Whether any servo has a dead band.
@@ -93,42 +93,42 @@ class Servos(Functional):
     input_units: tuple[str, ...] = eqx.field(static=True)
 
     def torque(self, q: Float[Array, "n"], v: Float[Array, "n"], u: Float[Array, "m"]) -> Float[Array, "k"]:
-        """Torques of the servos at coordinates q of the joints and their rates v, with the inputs u."""
+        """Torques of the servos (k,) at joint coordinates q and rates v, with inputs u."""
         rate = self.rows @ v
         error = self.commands @ u + self.offset - self.rows @ q - self.zero
         if any(self.circles):
             error = error - jnp.where(np.array(self.circles), 2 * np.pi * jnp.round(error / (2 * np.pi)), 0.0)
         if self.banded:
             error = error - jnp.clip(error, -self.dead_band, self.dead_band)
-        part = _chosen(u, self.volts, self.supply)
-        inner = part * self.stiffness * error - self.damping * rate
+        supply_ratio = _input_ratio(u, self.volts, self.supply)
+        controller_torque = supply_ratio * self.stiffness * error - self.damping * rate
         if self.limited:
-            inner = jnp.clip(inner, -part * self.limit, part * self.limit)
-        return _chosen(u, self.switches, jnp.ones_like(rate)) * (inner - self.back_emf * rate)
+            controller_torque = jnp.clip(controller_torque, -supply_ratio * self.limit, supply_ratio * self.limit)
+        return _input_ratio(u, self.switches, jnp.ones_like(rate)) * (controller_torque - self.back_emf * rate)
 
     def added_friction(self, torque: Float[Array, "k"], weight: Float[Array, "k"]) -> Float[Array, "k"]:
-        """Dry friction that the torques of the motors and of the weight, at the servos, add to that of the gears."""
+        """Dry friction (k,) due to the load: to the torques of the motors and of the weight at the servos."""
         return jnp.abs(self.load_external * weight - self.load * torque)
 
     def cast(self, dtype: Any) -> "Servos":
-        """The servos with numbers of another type, so that a state in single precision stays so."""
+        """The servos with numbers of another type, so that a single-precision state keeps its precision."""
         return jax.tree.map(lambda leaf: leaf.astype(dtype), self)
 
 
-def _chosen(u: Array, places: tuple[int, ...], usual: Array) -> Array:
-    """Inputs at some places, relative to their usual values; 1 where a place is −1."""
+def _input_ratio(u: Array, places: tuple[int, ...], usual: Array) -> Array:
+    """Inputs at these indices, divided by their nominal values; 1 where an index is −1."""
     if all(place < 0 for place in places):
         return jnp.ones_like(usual)
     return jnp.where(np.array(places) < 0, 1.0, u[np.array(places)] / usual)
 
 
 class ServoForce(Functional):
-    """Generalised force of plain motors, and of servos while they stand still.
+    """Generalised force of torque-controlled motors, and of servos at zero speed.
 
     Attributes:
         servos: The servos.
-        motors: Generalised force (n, m) of a unit of each input that is a torque.
-        base: Zeros (b,) of a floating base.
+        motors: Generalised force (n, m) per unit of each input that is a torque.
+        base: Zeros (b,), for the velocities of a floating base.
     """
 
     servos: Servos
@@ -144,12 +144,12 @@ class ServoForce(Functional):
 
 
 class ServoDissipation(Functional):
-    """What servos lose by their speed, and the friction of all joints.
+    """Part of the servo torques that depends on the speed, and the friction of all joints.
 
     Attributes:
         servos: The servos.
-        friction: Friction of the joints without the part that depends on loads, `(q, v) -> (n,)`.
-        potential: Potential energy of the robot, whose slope is the load by weight.
+        friction: Friction of the joints without the part that depends on the load, `(q, v) -> (n,)`.
+        potential: Potential energy of the robot; its gradient gives the torque of the weight.
     """
 
     servos: Servos
@@ -161,21 +161,21 @@ class ServoDissipation(Functional):
         n = servos.rows.shape[1]
         joints, rates = _last(q, n), _last(v, n)
         torque = servos.torque(joints, rates, u)
-        lost = torque - servos.torque(joints, jnp.zeros_like(rates), u)
+        damping_torque = torque - servos.torque(joints, jnp.zeros_like(rates), u)
         if servos.loaded:
             weight = jnp.zeros_like(torque)
             if servos.weighted:
-                # A servo drives one coordinate, by its row: torque over row is what the weight gives at the servo.
+                # A servo drives one coordinate, at the ratio in its row, so the weight at the servo is torque / ratio.
                 slope = jax.grad(self.potential)(q)
                 weight = -servos.rows @ _last(slope, n) / jnp.sum(servos.rows**2, axis=1)
             sign = jnp.tanh(servos.rows @ rates / servos.smoothing)
-            lost = lost - servos.added_friction(torque, weight) * sign
-        others = jnp.zeros(v.shape[0] - n, v.dtype)
-        return self.friction(q, v) + jnp.concatenate([others, servos.rows.T @ lost])
+            damping_torque = damping_torque - servos.added_friction(torque, weight) * sign
+        without_servo = jnp.zeros(v.shape[0] - n, v.dtype)
+        return self.friction(q, v) + jnp.concatenate([without_servo, servos.rows.T @ damping_torque])
 
 
 class ServoDamping(Functional):
-    """As `ServoDissipation` for servos whose loss is linear in the speed, and so does not depend on their inputs.
+    """`ServoDissipation` of servos whose dissipation is linear in the speed, and so independent of their inputs.
 
     Attributes:
         servos: The servos.
@@ -188,12 +188,12 @@ class ServoDamping(Functional):
     def __call__(self, q: Array, v: Array) -> Array:
         servos = self.servos.cast(v.dtype)
         n = servos.rows.shape[1]
-        lost = servos.rows.T @ ((servos.damping + servos.back_emf) * (servos.rows @ _last(v, n)))
-        return self.friction(q, v) - jnp.concatenate([jnp.zeros(v.shape[0] - n, v.dtype), lost])
+        damping_torque = servos.rows.T @ ((servos.damping + servos.back_emf) * (servos.rows @ _last(v, n)))
+        return self.friction(q, v) - jnp.concatenate([jnp.zeros(v.shape[0] - n, v.dtype), damping_torque])
 
 
 def loss(servos: Servos, friction: Any, potential: Any) -> ServoDamping | ServoDissipation:
-    """The dissipation of a robot with servos and a friction of its joints."""
+    """The dissipation of a robot from its servos and the friction of its joints, linear where possible."""
     linear = not servos.limited and not servos.loaded and all(place < 0 for place in servos.switches)
     return ServoDamping(servos, friction) if linear else ServoDissipation(servos, friction, potential)
 
@@ -206,9 +206,9 @@ class Driven(NamedTuple):
     """An input of a robot: a torque, or the command of a servo.
 
     Attributes:
-        axis: Number of the axis that it drives.
+        axis: Index of the axis that it drives.
         servo: The servo; None for a torque.
-        named: Whether the input has a name of its own, rather than u1, u2, ….
+        named: Whether the input is named after its joint, and not u1, u2, ….
     """
 
     axis: int
@@ -217,7 +217,7 @@ class Driven(NamedTuple):
 
 
 def servos_of(axes: Sequence[Axis], freedom: Freedom, inputs: Sequence[Driven]) -> Servos | None:
-    """The servos among the inputs of a robot; None where all are torques."""
+    """The servos among the inputs of a robot; None if all inputs are torques."""
     chosen = [(i, each.axis, each.servo) for i, each in enumerate(inputs) if each.servo is not None]
     if not chosen:
         return None
@@ -271,13 +271,13 @@ def servos_of(axes: Sequence[Axis], freedom: Freedom, inputs: Sequence[Driven]) 
 
 
 def servos_in(model: Any) -> Servos | None:
-    """The servos of a model; None for one whose inputs are torques."""
+    """The servos of a model; None if its inputs are torques."""
     force = getattr(model, "force", None)
     return force.servos if isinstance(force, ServoForce) else None
 
 
 def servo_of(motor: Motor) -> Servo | None:
-    """The servo that a motor of a file is; None for one whose input is a torque."""
+    """The servo that a motor of a file describes; None if its input is a torque."""
     if motor.unsupported or not motor.stiffness:
         return None
     return Servo(
@@ -291,12 +291,12 @@ def servo_of(motor: Motor) -> Servo | None:
 
 
 def _any(values: Any) -> bool:
-    """Whether any number is not zero, or is traced and so may become one."""
+    """Whether any number is not zero, or is traced and so may differ from zero."""
     return any(not known(value) or bool(value) for value in values)
 
 
 def with_servos(robot: Description, given: Mapping[str, Mapping[str, Any]]) -> Description:
-    """The robot with the servos that tables describe, by joint, and with the friction and rotors of their gears."""
+    """The robot with the servos that tables by joint describe, and with the friction and armature of their gears."""
     given = complete_tables(given)
     for name, table in given.items():
         refuse_unknown("joint of servo", name, [joint.name for joint in robot.joints])
@@ -306,7 +306,7 @@ def with_servos(robot: Description, given: Mapping[str, Mapping[str, Any]]) -> D
     flipped = {name for name, table in given.items() if _sign(name, table) < 0}
     joints = []
     for joint in (_flipped(joint, flipped) for joint in robot.joints):
-        # A table completes the servo that the file has.
+        # A table adds to the servo that the file states.
         own = servo_of(driving[joint.name]) if joint.name in driving and joint.servo is None else joint.servo
         joint = joint._replace(servo=own)
         joints.append(_with_servo(joint, given[joint.name]) if joint.name in given else joint)
@@ -335,7 +335,7 @@ def _sign(name: str, table: Mapping[str, Any]) -> int:
 
 
 def _flipped(joint: Joint, names: set[str]) -> Joint:
-    """A joint that counts against the axis of the file where it is named, and follows one that does."""
+    """The joint with its axis reversed if it is in `names`, and its ratio reversed if the joint that it follows is."""
     if joint.follows is not None and joint.follows.joint in names:
         joint = joint._replace(follows=joint.follows._replace(ratio=-joint.follows.ratio))
     if joint.name not in names:
@@ -385,7 +385,7 @@ def _check_number(name: str, key: str, value: Any) -> None:
 
 
 def checked_law(name: str, fields: Mapping[str, Any]) -> FrictionLaw:
-    """The friction law with these fields; raises `ValueError` for another field, or a number out of its range."""
+    """The friction law with these fields; raises `ValueError` for an unknown field or a number out of range."""
     for field, value in fields.items():
         refuse_unknown(f"number of friction of {name!r},", field, FrictionLaw._fields)
         least = ANY_SIGN if field in _SIGNED else POSITIVE if field in _ABOVE_ZERO else ZERO_OR_MORE
@@ -394,7 +394,7 @@ def checked_law(name: str, fields: Mapping[str, Any]) -> FrictionLaw:
 
 
 def drive_limit(servo: Servo) -> tuple[Any, Any]:
-    """Limit of the torque and damping beyond it: those of the drive where it is stated."""
+    """Torque limit and back-EMF damping; both follow from the drive where the servo states one."""
     if known(servo.supply) and not servo.supply:
         return servo.limit, servo.back_emf
     current = servo.torque_constant / servo.resistance

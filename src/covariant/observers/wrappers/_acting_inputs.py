@@ -1,8 +1,8 @@
-"""Inputs that act later than they are sent: an observer that holds the inputs of the past in its state.
+"""Inputs that act later than they are sent: an observer that stores past inputs in its state.
 
-A step from t to t + dt needs the mean of the input that acts in it. With a delay d that is the mean of what was sent
-from t − d to t + dt − d, which the last rows of the input tell: each is held from its stamp to the next. The numbers
-are those that `signals.lag_inputs` and `signals.acting_inputs` compute for a whole log.
+A step from t to t + dt needs the mean of the input that acts in it. With a delay d, that is the mean of the input that
+was sent from t − d to t + dt − d. It follows from the last rows of the input, each held from its stamp to the next. The
+results equal those of `signals.lag_inputs` and `signals.acting_inputs` for a whole log.
 """
 
 import math
@@ -20,19 +20,19 @@ from covariant.observers.base import AbstractObserver, AbstractWrapper, as_numbe
 from covariant.signals import LEAST_MISSING, MOST_MISSING, SAME_TIME
 
 SPARE_ROWS = 2
-"""Rows beyond those of regular stamps, since irregular ones may put a few more into the same time."""
+"""Rows in addition to those for regular stamps, since irregular stamps may put a few more into the same time."""
 
 
 class ActingInputsState(NamedTuple):
-    """State of an `ActingInputs` observer: that of its inner observer, and the last inputs.
+    """State of an `ActingInputs` observer: the state of its inner observer, and the last inputs.
 
     Attributes:
         inner: State of the inner observer.
         age: Ages (L,) [s] of the stored inputs, the oldest first; infinity marks an empty entry.
-        u: These inputs (L, m), after their lag.
-        missing: How much of each of them (L, m) comes from inputs that were missing, from 0 to 1.
-        sent: Last finite input (m,) as it was sent; 0 before there is any.
-        acting: Mean input (m,) that acted in the last step; NaN where it depends on inputs that were missing.
+        u: Stored inputs (L, m), after the lag.
+        missing: Fraction of each stored input (L, m) that comes from missing inputs, from 0 to 1.
+        sent: Last finite input (m,) as it was sent; 0 before the first one.
+        acting: Mean input (m,) that acted in the last step; NaN where it depends on missing inputs.
 
     Example:
         >>> import jax.numpy as jnp
@@ -54,30 +54,31 @@ class ActingInputsState(NamedTuple):
 class ActingInputs(AbstractWrapper):
     """Any observer, for inputs that act later than they are sent, as the commands of a servo do.
 
-    Pass the inputs as they are sent; the step computes the mean of what acts in it. Before the first input the first
-    one acts. A mean that depends on an input that was missing counts as missing. The numbers are those of
-    `signals.lag_inputs` and `signals.acting_inputs`, which `covariant.estimate` applies to a log.
+    Pass the inputs as they are sent; each step computes the mean of the input that acts in it. For times before the
+    first input, the first input acts. A mean that depends on a missing input counts as missing. The results equal those
+    of `signals.lag_inputs` and `signals.acting_inputs`, which `covariant.estimate` applies to a log.
 
-    Use it for a command or a torque with a known delay or lag, in a stream or in exported code; put it around all other
-    wrappers. Where samples come faster than `rate`, the stored inputs may reach back too short a time, and the oldest
-    of them acts before.
+    Use it for a command or a torque with a known delay or lag, in a stream or in exported code. It has to be the
+    outermost wrapper. If samples come faster than `rate`, the stored inputs may not reach back far enough; then the
+    oldest stored input acts in place of earlier ones.
 
     Args:
         observer: Observer to which the acting inputs are passed.
-        rate: Largest number of samples in a second [Hz], from which the number of stored inputs follows.
+        rate: Highest sampling rate [Hz], from which the number of stored inputs follows.
         delay: Time from the stamp of an input until it acts [s]: a number, or one for each input (m,).
         lag: Time constant of a first-order lag [s] before the delay: a number, or one for each input (m,).
-        lead: Time [s] by which an input is ahead: its rate, times this, is added; a number, or one for each input (m,).
-        between: How an input goes from a sample to the next: "held", and each step gets the input of its begin, or
-            "linear", and each step gets that of its end; a step of length 0 after `init` tells the first.
-        inputs: Number of inputs m; by default that of the inner observer.
+        lead: Time [s] by which the rate of an input is multiplied, before it is added to the input: a number, or one
+            for each input (m,).
+        between: Course of an input between samples. With "held", pass each step the input at its begin. With "linear",
+            pass each step the input at its end; a step of length 0 after `init` passes the first input.
+        inputs: Number of inputs m; by default the largest length of `delay`, `lag` and `lead`.
 
     Raises:
-        ValueError: A time is not finite and ≥ 0, the rate is not positive and finite, or the inner observer does not
-            state its number of inputs.
+        ValueError: A delay or lag is negative or not finite, a lead is not finite, `rate` is not positive and finite,
+            `between` is unknown, or a sequence does not have one number for each input.
 
     Example:
-        An input of 1 that is sent from the first sample on acts 0.1 s later, and is 0 before.
+        The input is 0 in the first step and 1 from 0.1 s on, and acts 0.15 s later.
 
         >>> import jax.numpy as jnp
         >>> from covariant import models, observers
@@ -125,7 +126,7 @@ class ActingInputs(AbstractWrapper):
         self.linear = between == "linear"
         # 1e-9 keeps rounding from adding one.
         rows = math.ceil(longest * rate - 1e-9) + 1
-        # A rate takes the input before as well.
+        # The rate of an input needs the input before it as well.
         self.length = rows + (self.linear or bool(leads.any())) + (SPARE_ROWS if longest else 0)
 
     @property
@@ -145,23 +146,23 @@ class ActingInputs(AbstractWrapper):
     def step(
         self, state: ActingInputsState, u: Float[Array, "m"], y: Inexact[Array, "*n"], dt: Number
     ) -> tuple[ActingInputsState, Any]:
-        """Store the input, and make the step of the inner observer under the mean input that acts in it.
+        """Store the input, then step the inner observer under the mean input that acts in the step.
 
         Args:
             state: State after the previous sample.
-            u: Input (m,) that was sent at the previous sample and held since, or that of this sample where inputs are
-                linear between samples; NaN where it is missing.
+            u: Input (m,) that was sent at the previous sample and held since then; with linear inputs, the input of
+                this sample. NaN marks a missing input.
             y: Measurement at the end of the step.
             dt: Time from the previous sample to this one [s].
 
         Returns:
-            The state and the info of the inner observer, whose result codes are about the acting input.
+            The state, and the info of the inner observer, whose result codes refer to the acting input.
         """
         dt = jnp.asarray(dt, jnp.result_type(dt, state.age.dtype))
         advances = jnp.isfinite(dt) & (dt >= jnp.finfo(dt.dtype).tiny)
         length = jnp.where(advances, dt, 0.0).astype(state.age.dtype)
-        # A step that is refused stores nothing; one of length 0 stores the input of the stamp where it is that of its
-        # end.
+        # A refused step stores nothing. A step of length 0 stores its input only if inputs are linear, since the input
+        # is then that of its end.
         stores = advances | (jnp.abs(dt) < jnp.finfo(dt.dtype).tiny) if self.linear else advances
         moved = self._stored(state, u, length)
         inner, info = self.observer.step(state.inner, moved.acting.astype(u.dtype), y, dt)
@@ -183,11 +184,11 @@ class ActingInputs(AbstractWrapper):
         return self.observer.innovation(state.inner, self._known(state), y)
 
     def _known(self, state: ActingInputsState) -> Float[Array, "m"]:
-        """The acting input, with what was last sent in place of a missing one."""
+        """The acting input, with the last sent input in place of a missing one."""
         return jnp.where(jnp.isfinite(state.acting), state.acting, state.sent)
 
     def _stored(self, state: ActingInputsState, u: Float[Array, "m"], dt: Scalar) -> ActingInputsState:
-        """The state dt later with an input of the begin of that time, or of its end, and the mean of what acts."""
+        """The state dt later with the input of that step stored, and the mean input that acts in the step."""
         absent = ~jnp.isfinite(u)
         sent = jnp.where(absent, state.sent, u).astype(state.sent.dtype)
         value, missing = sent, absent.astype(sent.dtype)
@@ -200,7 +201,7 @@ class ActingInputs(AbstractWrapper):
 
         def appended(rows: Array, row: Array) -> Array:
             longer = jnp.concatenate([rows[1:], row[None]])
-            # An input of the stamp of the last one replaces it.
+            # An input with the same stamp as the last one replaces it.
             return jnp.where(gap == 0, rows.at[-1].set(row), longer) if self.linear else longer
 
         stored = state._replace(
@@ -212,39 +213,38 @@ class ActingInputs(AbstractWrapper):
         return stored._replace(acting=self._mean(stored, dt))
 
     def _mean(self, state: ActingInputsState, dt: Scalar) -> Float[Array, "m"]:
-        """Mean (m,) of the inputs that act in the last dt [s]; NaN where it depends on one that was missing."""
+        """Mean (m,) of the inputs that act in the last dt [s]; NaN where it depends on a missing input."""
         gone = (state.missing > MOST_MISSING).astype(state.u.dtype)
         means = [jnp.zeros((), state.u.dtype)] * len(self.delay)
-        # Inputs of equal delays and leads share the weights of the stored ones.
+        # Inputs with equal delay and lead have the same weights.
         times = tuple(zip(self.delay, self.lead, strict=True))
         for delay, lead in dict.fromkeys(times):
             weights = self._weights(state.age, delay, lead, dt)
             for i in (i for i, each in enumerate(times) if each == (delay, lead)):
-                # The sign is that of a change: one from a missing input to a known one is not known either.
+                # A lead has weights of either sign; a change from a missing input to a known one is not known either.
                 absent = jnp.abs(jnp.sum(weights * gone[:, i])) > LEAST_MISSING
                 means[i] = jnp.where(absent, jnp.nan, jnp.sum(weights * state.u[:, i]))
         return jnp.stack(means) if means else jnp.zeros(0, state.u.dtype)
 
     def _weights(self, age: Float[Array, "L"], delay: float, lead: float, dt: Scalar) -> Float[Array, "L"]:
-        """Weights (L,) of inputs of these ages in the mean of what acts from the age delay + dt to the age delay."""
+        """Weights (L,) of stored inputs in the mean of the input that acts from age delay + dt to age delay."""
         there = jnp.isfinite(age)
         first = there & ~jnp.concatenate([jnp.zeros(1, bool), there[:-1]])
-        # The first input acts before its stamp as well, the oldest that is stored for those before it, and the last
-        # one until another is sent.
+        # The oldest stored input acts for all times before its stamp as well, and the last one until another is sent.
         since, until = jnp.where(first, jnp.inf, age), jnp.append(age[1:], -jnp.inf)
         acted = jnp.maximum(jnp.minimum(delay + dt, since) - jnp.maximum(delay, until), 0.0)
         acted = jnp.where(there, acted, 0.0)
-        # From the age `start` to the age `end` a linear input goes from one value to the next.
+        # A linear input goes from one stored value to the next between the ages `start` and `end`.
         both = there[:-1]
         start, end = jnp.where(both, age[:-1], 0.0), jnp.where(both, age[1:], -1.0)
 
         def passed_on(part: Array) -> Array:
-            """Weights of the latter input of each pair, taken from the former."""
+            """Weights that give `part` of each pair to its later input, and take it from the earlier one."""
             part = jnp.where(both, part, 0.0)
             return jnp.concatenate([jnp.zeros(1, part.dtype), part]) - jnp.append(part, 0.0)
 
         def at(edge: Scalar) -> Array:
-            """Weights of the inputs at an age; a jump at this age is later."""
+            """Weights of the stored inputs in the input at an age; at a jump, the value before it."""
             if not self.linear:
                 edge = edge + SAME_TIME
                 return (there & (since > edge) & (until <= edge)).astype(age.dtype)
@@ -252,7 +252,7 @@ class ActingInputs(AbstractWrapper):
 
         if self.linear:
             begin, stop = jnp.minimum(delay + dt, start), jnp.maximum(delay, end)
-            # How far the middle of the time between two stamps is from the former counts for the latter.
+            # The mean over a time between two stamps has the weight of its middle, which increases to the later stamp.
             acted += passed_on(jnp.maximum(begin - stop, 0.0) * (start - (begin + stop) / 2) / (start - end))
         if lead:
             acted += lead * (at(jnp.asarray(delay, age.dtype)) - at(delay + dt))
