@@ -31,6 +31,7 @@ from covariant.calibration.identification import (
     robot_misfit,
     search,
     split_windows,
+    standing_still,
     window_losses,
 )
 from covariant.signals import Record
@@ -345,6 +346,10 @@ class _ServoProblem(NamedTuple):
         family = families[0] if same else models.robot_family(jobs[0].model_name, names)
         # A servo whose numbers are first values explains little of a log, as the fit is for that.
         logs = FitLogs.read([job._replace(anyway=True) for job in jobs], None)
+        for name, log in zip(logs.names, logs.logs, strict=True):
+            finding = None if jobs[0].anyway else standing_still(log.loaded.file, log.raw)
+            if finding is not None:
+                raise MisfitError(f"{name}: {finding.evidence}. {finding.line}; `anyway=True` goes on")
         file = logs.logs[0].loaded.file
         return cls(family, logs._replace(tried=(file.input_between,)), families, length)
 

@@ -39,14 +39,10 @@ explains any unit."""
 def robot_misfit(family: RobotFamily, file: ModelFile, record: Record) -> Finding | None:
     """Reason why a fit of a robot must not use a log: nothing moves, or another unit explains its torques; or None."""
     case, _ = case_without_outliers(file, busiest(record, FEW_ROWS))
-    still, whole = still_findings(np.asarray(record.y), case.names.q, case.names.units)
-    if whole:
-        return still[0]
+    found = _standing_still(case, record)
     log = clearly(case)
-    if log is None or not log.used.any():
-        return None  # it is too short, which whoever fits says
-    if not (np.ptp(log.q[log.used], axis=0) > MOVED * np.maximum(log.noise, case.ticks)).any():
-        return standstill(case.record, case.model.circles, case.names, case.ticks)
+    if found is not None or log is None or not log.used.any():
+        return found  # what is too short, whoever fits says
     model, scaled = family.make(np.zeros(len(family.names))), any(n.group == "torque_constants" for n in family.numbers)
 
     # As the log is, a rotor or load of any size is granted.
@@ -68,6 +64,23 @@ def robot_misfit(family: RobotFamily, file: ModelFile, record: Record) -> Findin
             finding = accepted[1]
             return finding._replace(evidence=f"whatever friction, rotors and loads may be, {finding.evidence}")
     return None
+
+
+def standing_still(file: ModelFile, record: Record) -> Finding | None:
+    """Reason why a fit must not use a log in which nothing moves; None where something does."""
+    return _standing_still(case_without_outliers(file, busiest(record, FEW_ROWS))[0], record)
+
+
+def _standing_still(case: Case, record: Record) -> Finding | None:
+    still, whole = still_findings(np.asarray(record.y), case.names.q, case.names.units)
+    if whole:
+        return still[0]
+    log = clearly(case)
+    if log is None or not log.used.any():
+        return None
+    if (np.ptp(log.q[log.used], axis=0) > MOVED * np.maximum(log.noise, case.ticks)).any():
+        return None
+    return standstill(case.record, case.model.circles, case.names, case.ticks)
 
 
 def _unexplained_torques(model: MechanicalSystem, log: Smooth, scaled: bool, heaviest: float) -> Unexplained | None:

@@ -350,7 +350,7 @@ class _Search(NamedTuple):
         """Sums (B, p) of scores (W, R, p) over blocks: windows, or parts of windows if there are few."""
         windows, rows, p = scores.shape
         # Errors of a joint that sticks are alike for long: parts of a window are the last resort.
-        parts = 1 if windows >= FEWEST_WINDOWS else min(math.ceil(BLOCKS_PER_NUMBER * p / windows), rows)
+        parts = 1 if windows >= MIN_WINDOWS else min(math.ceil(BLOCKS_PER_NUMBER * p / windows), rows)
         starts = np.linspace(0, rows, parts, endpoint=False).astype(int)
         return np.add.reduceat(scores, starts, axis=1).reshape(-1, p)
 
