@@ -79,7 +79,9 @@ def match_joints(draft: Draft, path: str) -> Joints:
         guess += " is guessed from their order: compare names, and the signs of both"
     without_joint = [draft.q[i] for i in open_positions[len(open_joints) :]]
     if without_joint:
-        guess += f"{'; ' if guess else ''}{', '.join(more)} have no joint in {Path(path).name}, and are left out"
+        guess += (
+            f"{'; ' if guess else ''}{', '.join(without_joint)} have no joint in {Path(path).name}, and are left out"
+        )
     return Joints(path, names, tuple(matched[j] for j in names), tuple(j for j in joints if j not in matched), guess)
 
 
@@ -218,10 +220,10 @@ def loose_joints(draft: Draft, joints: Joints) -> str:
         margin = max(0.2 * (ends[1] - ends[0]), 0.1)
         kind = "prismatic" if is_length else "revolute"
         limits = f'lower="{ends[0] - margin:.4g}" upper="{ends[1] + margin:.4g}" effort="100" velocity="100"'
-        inertia = f'ixx="{INERTIA}" ixy="0" ixz="0" iyy="{INERTIA}" iyz="0" izz="{INERTIA}"'
+        inertia = f'ixx="{LINK_INERTIA}" ixy="0" ixz="0" iyy="{LINK_INERTIA}" iyz="0" izz="{LINK_INERTIA}"'
         lines += [
             f"  <link name={quoteattr(name + '_link')}>",
-            f'    <inertial><mass value="{INERTIA * 100:g}"/><inertia {inertia}/></inertial>',
+            f'    <inertial><mass value="{LINK_INERTIA * 100:g}"/><inertia {inertia}/></inertial>',
             "  </link>",
             f'  <joint name={quoteattr(name)} type="{kind}">',
             f'    <parent link="base"/><child link={quoteattr(name + "_link")}/>',

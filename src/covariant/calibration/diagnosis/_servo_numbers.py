@@ -147,7 +147,9 @@ def _first_guesses(case: Case, judge: CommandErrors) -> Iterator[Finding]:
     if poorly_explained:
         listed = ", ".join(f"{name} {100 * s:.3g} % and {100 * b:.2g} %" for name, _, s, b in poorly_explained)
         evidence = "of the squares of the errors of commands the numbers of the model leave, and the best ones would: "
-        line = f"covariant fit MODEL LOG --parameters {','.join(f'servo.{joint}' for _, joint, _, _ in few)}"
+        line = (
+            f"covariant fit MODEL LOG --parameters {','.join(f'servo.{joint}' for _, joint, _, _ in poorly_explained)}"
+        )
         if len(poorly_explained) == len(servos.joint):
             line = "covariant fit MODEL LOG --parameters servo"
         numbers = {name: {"stated": s, "best": b} for name, _, s, b in poorly_explained}

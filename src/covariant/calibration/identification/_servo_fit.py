@@ -172,7 +172,7 @@ class _Search(NamedTuple):
         if sum(counts) < min_windows:
             raise ValueError(
                 f"the logs hold {sum(counts)} windows of {length:.3g} s without a gap, and a fit needs "
-                f"{fewest}; give longer logs"
+                f"{min_windows}; give longer logs"
             )
         # All logs have the same number of windows, so that one compiled program serves all; copies do not count.
         max_windows = max(counts)
