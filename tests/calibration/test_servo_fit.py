@@ -127,6 +127,7 @@ def test_a_servo_that_counts_the_other_way_is_not_fitted_away(arm):
     wrong = Record(record.t, -np.asarray(record.u), record.y)
     result = covariant.fit(arm(), wrong, "servo.stiffness,servo.delay")
     assert max(result.summary["held_out_errors"]["after"]["position"]) > 30 * TICK
+    assert "as no servo does" in result.summary["suspicion"]
 
 
 @pytest.mark.long

@@ -212,7 +212,11 @@ class EstimateResult(AbstractEstimates):
         if servos is None:
             return {}
         q, v = estimate[:, : len(loaded.model.coordinates)], self.outcome.velocity
-        values = jax.jit(jax.vmap(servos.torque))(jnp.asarray(q), jnp.asarray(v), jnp.asarray(loaded.record.u))
+        u = np.asarray(loaded.record.u, float)
+        # As in the estimate, the last command stands for one that is missing.
+        last = np.maximum.accumulate(np.where(np.isfinite(u), np.arange(len(u))[:, None], 0), axis=0)
+        u = np.take_along_axis(u, last, axis=0)
+        values = jax.jit(jax.vmap(servos.torque))(jnp.asarray(q), jnp.asarray(v), jnp.asarray(u))
         places = np.argmax(np.abs(np.asarray(servos.commands)), axis=1)
         return {
             f"torque_{servos.input_names[i].removeprefix('cmd_')}": (

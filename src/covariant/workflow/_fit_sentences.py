@@ -1,11 +1,20 @@
 """Sentences of a fit: where its search began, and which other reading of the log would explain it better."""
 
 import numpy as np
+from jaxtyping import Float
 
-from covariant.calibration import Fit
+from covariant import scoring
+from covariant.calibration import Fit, RobotFit
 from covariant.calibration.diagnosis import later_line, names_of
 from covariant.calibration.identification import Rival
-from covariant.models import ModelFile
+from covariant.models import ModelFile, RobotFamily
+from covariant.workflow._aligned import Aligned
+
+LEAST_MOTION, LEAST_FOLLOWED = 0.1, 0.7
+"""Motion of a joint relative to that of the one that moves most, and error relative to its motion, from which a fitted
+servo does not explain what its joint does."""
+LONGEST_DELAY = 0.3
+"""A delay [s] longer than that of any servo, which a reversed command looks like in a motion of one frequency."""
 
 
 def start_sentence(best: Fit) -> str:
@@ -39,3 +48,21 @@ def rival_sentence(rival: Rival, file: ModelFile, held_out: str, step: float) ->
         claim = f"The stamps of {names} seem to be about {time:.2g} s later than they act"
         line = f"taking {time:.2g} s off them"
     return f"{claim}: {less}. Mend it by {line}, and fit again; `covariant check` looks closer"
+
+
+def unlike_servos(family: RobotFamily, best: RobotFit, log: Aligned, left: Float[np.ndarray, "n"]) -> str:
+    """A sentence on joints that do not follow their commands as servos do, by the errors left (n,); or ""."""
+    file = log.loaded.file
+    moved = np.nanstd(scoring.unwrap(np.asarray(log.raw.y, float), log.loaded.model.circles), axis=0)
+    wrong = (moved > LEAST_MOTION * moved.max()) & (left > LEAST_FOLLOWED * moved)
+    names = [name for name, one in zip(file.columns.q, wrong, strict=True) if one]
+    for number, value in zip(family.numbers, best.values, strict=True):
+        if (number.group, number.number) == ("servo", "delay") and value > LONGEST_DELAY:
+            names.append(file.columns.q[number.joint] if number.joint >= 0 else number.target)
+    if not names:
+        return ""
+    follow = "follows its command" if len(set(names)) == 1 else "follow their commands"
+    return (
+        f"{', '.join(dict.fromkeys(names))} {follow} as no servo does: look for units, signs and the order of "
+        "commands, as `covariant check` does"
+    )

@@ -36,7 +36,7 @@ from covariant.calibration.identification import (
 )
 from covariant.signals import Record
 from covariant.workflow._aligned import Aligned, aligned
-from covariant.workflow._fit_sentences import rival_sentence, start_sentence
+from covariant.workflow._fit_sentences import rival_sentence, start_sentence, unlike_servos
 from covariant.workflow._inputs import Job, MisfitError, coordinates
 from covariant.workflow._model_output import check_read_once
 from covariant.workflow._outcome import rounded
@@ -378,8 +378,9 @@ class _ServoProblem(NamedTuple):
         return best
 
     def suspicion(self, best: RobotFit, fitted: Windows, held_out: Windows) -> str:
-        del best, fitted, held_out
-        return ""
+        """A sentence on joints that do not follow their commands, whatever the numbers of their servos; or ""."""
+        del fitted, held_out
+        return unlike_servos(self.family, best, self.logs.logs[-1], self._errors(best.coordinates).position)
 
     def gain(self, parts: Parts, fits: dict[str, RobotFit]) -> Gain:
         return Gain.of(fits["held"].losses - fits["linear"].losses)

@@ -149,8 +149,8 @@ def servos_of(
         unknown = unknown_unit(labels[command], MEANT["q"])
         if unknown is not None and unknown.lower() not in ("tick", "ticks", "count", "counts"):
             raise ValueError(
-                f"column {command!r} has {unknown!r} in its name, which is no unit of a command; name what one of it is by "
-                "`overrides=['units.u=\"deg\"']`"
+                f"column {command!r} has {unknown!r} in its name, which is no unit of a command; name what one of it "
+                "is by `overrides=['units.u=\"deg\"']`"
             )
         close = follow_fit is not None and follow_fit.error < FOLLOWS
         unit = (
@@ -245,8 +245,8 @@ def remarks_on(
             )
         if follow_fit is not None and follow_fit.error >= FOLLOWS:
             remarks.append(
-                f"{position} hardly follows {servo.command}, its command by name: {100 * follow_fit.whole:.0f} % of its "
-                "motion is another"
+                f"{position} hardly follows {servo.command}, its command by name: {100 * follow_fit.whole:.0f} % of "
+                "its motion is another"
             )
         ratio = 1.0 if follow_fit is None else abs(follow_fit.slope * factor / servo.unit)
         if follow_fit is not None and follow_fit.error < FOLLOWS_CLOSELY and not 0.9 < ratio < 1.1:
