@@ -130,6 +130,13 @@ def test_a_servo_that_counts_the_other_way_is_not_fitted_away(arm):
     assert "as no servo does" in result.summary["suspicion"]
 
 
+def test_a_log_in_which_nothing_moves_is_not_fitted(arm):
+    t = np.arange(0.0, 20.0, 0.02)
+    still = Record(t, np.full((len(t), 1), 0.1), np.full((len(t), 1), 0.1))
+    with pytest.raises(covariant.workflow.MisfitError, match="log a motion"):
+        covariant.fit(arm(), still, "servo.stiffness")
+
+
 @pytest.mark.long
 def test_logs_with_other_gains_share_the_numbers_of_the_servo(arm):
     gains = (0.5, 2.0, 1.0)

@@ -188,6 +188,18 @@ def test_a_simulated_servo_settles_where_its_stiffness_holds_the_weight():
     np.testing.assert_allclose(20.0 * (0.0 - at) + weight, 0.0, atol=0.02)
 
 
+def test_torques_are_those_of_the_last_command_where_one_is_missing():
+    overrides = {"servo.shoulder": SERVO, "servo.elbow": SERVO}
+    record = covariant.simulate(
+        "double_pendulum", overrides=overrides, duration=4.0, rate=50.0, amplitude=[0.2, 0.2]
+    ).record
+    commands = np.array(record.u)
+    commands[50:60] = np.nan
+    gaps = record._replace(u=commands)
+    result = covariant.estimate("double_pendulum", gaps, alpha=40.0, beta=800.0, overrides=overrides)
+    assert np.isfinite(result.columns["torque_elbow"]).all()
+
+
 def test_numbers_of_servos_are_opened_and_written_back(tmp_path):
     text = """system = "robot"
 [parameters]

@@ -1,5 +1,6 @@
 """`estimate`: velocities or states from a log, by one observer."""
 
+import functools
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,6 +26,7 @@ from covariant.workflow._inputs import (
     ColumnNames,
     Job,
     Loaded,
+    last_known,
     load,
     with_sensor_delays,
 )
@@ -204,7 +206,7 @@ class EstimateResult(AbstractEstimates):
         units = {"t": "s"} | table | {f"{name}_std": unit for name, unit in table.items()}
         return units | {name: unit for name, (unit, _) in self._torques.items()}
 
-    @property
+    @functools.cached_property
     def _torques(self) -> dict[str, tuple[str, np.ndarray]]:
         """Units and values (T,) of the torques of servos at the estimates, by column; none where inputs are torques."""
         loaded, estimate = self.loaded, self.outcome.run.estimate
@@ -212,10 +214,7 @@ class EstimateResult(AbstractEstimates):
         if servos is None:
             return {}
         q, v = estimate[:, : len(loaded.model.coordinates)], self.outcome.velocity
-        u = np.asarray(loaded.record.u, float)
-        # As in the estimate, the last command stands for one that is missing.
-        last = np.maximum.accumulate(np.where(np.isfinite(u), np.arange(len(u))[:, None], 0), axis=0)
-        u = np.take_along_axis(u, last, axis=0)
+        u = last_known(np.asarray(loaded.record.u, float))  # as in the estimate
         values = jax.jit(jax.vmap(servos.torque))(jnp.asarray(q), jnp.asarray(v), jnp.asarray(u))
         places = np.argmax(np.abs(np.asarray(servos.commands)), axis=1)
         return {

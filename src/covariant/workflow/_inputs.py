@@ -222,12 +222,16 @@ def _around_missing(change: Callable[[Record], Record], record: Record, share: f
     absent = ~np.isfinite(u)
     if not absent.any():
         return change(record)
-    # The last known input stands for one that is missing, or the first one at the start.
-    at = np.maximum.accumulate(np.where(absent, 0, np.arange(len(u))[:, None]), axis=0)
-    held = np.take_along_axis(u, at, axis=0)
+    held = last_known(u)
     held = np.where(np.isfinite(held), held, 0.0)
     changed, part = (change(record._replace(u=each)) for each in (held, absent.astype(float)))
     return changed._replace(u=np.where(np.abs(np.asarray(part.u)) > share, np.nan, np.asarray(changed.u)))
+
+
+def last_known(u: np.ndarray) -> np.ndarray:
+    """Inputs (T, m) with the last known one in place of one that is missing; NaN before the first."""
+    at = np.maximum.accumulate(np.where(np.isfinite(u), np.arange(len(u))[:, None], 0), axis=0)
+    return np.take_along_axis(u, at, axis=0)
 
 
 def _periods(job: Job, file: models.ModelFile) -> tuple[float, ...]:
