@@ -151,6 +151,7 @@ def test_a_servo_of_an_mjcf_file_is_one_too(tmp_path):
             "resistance must be positive",
         ),
         ({"servo.elbow": {"stiffness": 1.0, "pwm_limit": 0.5}}, "part of a drive"),
+        ({"parameters.friction": {"elbow": {"coulomb": 0.1, "load": 0.3}}}, "need a servo"),
         ({"servo.shoulder": {"stiffness": 1.0}, "parameters.actuated": ["elbow"]}, "has no input"),
     ],
 )

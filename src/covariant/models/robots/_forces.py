@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 from covariant._functional import Functional
 from covariant._typing import Scalar
 from covariant.geometry.lie import SO3
-from covariant.models._parameters import Parametric
+from covariant.models._parameters import Parametric, known
 from covariant.models.robots._axes import Axis, Freedom
 from covariant.models.robots._description import Description, FrictionLaw, Joint, Motor, numbers
 from covariant.models.robots._servos import Driven, Servos, servo_of, servos_of
@@ -193,6 +193,13 @@ def inputs_of(
     without = [name for name in without if name not in {axes[each.axis].joint.name for each, _ in chosen}]
     if without:
         raise ValueError(f"servo {without[0]!r}: the joint has no input; name it in actuated, or remove its table")
+    served = {axes[each.axis].joint.name for each, _ in chosen if each.servo is not None}
+    for joint in (axes[i].joint for i in freedom.free):
+        law = joint.law
+        if law is not None and joint.name not in served and any(known(x) and x for x in (law.load, law.load_external)):
+            raise ValueError(
+                f"friction of {joint.name!r}: load and load_external need a servo, whose torque is the load"
+            )
     servos = servos_of(axes, freedom, [each for each, _ in chosen])
     more = 0 if servos is None else len(servos.input_names) - len(chosen)
     columns = [column for _, column in chosen] + [np.zeros(freedom.matrix.shape[1])] * more
