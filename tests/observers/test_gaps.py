@@ -21,9 +21,7 @@ ALPHA, BETA = 20.0, 200.0
 @jax.jit
 def corrected(stiffness, dt, xi):
     zero = jnp.zeros(1)
-    taken = sampled_correction(
-        Euclidean(), Motion(zero, zero), sampled_gains(ALPHA, BETA, dt), dt, xi, -stiffness * xi
-    )
+    taken = sampled_correction(Euclidean(), Motion(zero, zero), sampled_gains(ALPHA, BETA, dt), dt, xi, -stiffness * xi)
     return taken.part, taken.velocity, taken.restarted
 
 

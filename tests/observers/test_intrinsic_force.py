@@ -1,4 +1,4 @@
-"""The observer with an unknown force: three poles, in continuous time and sampled, and what it leaves to `Intrinsic`."""
+"""The observer with an unknown force: its three poles, in continuous time and sampled, and its limit `Intrinsic`."""
 
 import equinox as eqx
 import jax

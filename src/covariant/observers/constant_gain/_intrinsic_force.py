@@ -4,8 +4,8 @@ Source: an extension of Aghannan & Rouchon 2003, equation (5); Johnson 1971, Acc
 linear regulator and servomechanism problems, IEEE TAC 16(6), for the state of the disturbance.
 
 With the force d, a covector, the model accelerates by `S(q) + raise(d)`. To an observer that knows d this is another
-source, so that transport, curvature and the sampled correction apply to it as they do to S. Where the estimate is off by
-δ, the error law of the observer becomes
+source, so that transport, curvature and the sampled correction apply to it as they do to S. Where the estimate is off
+by δ, the error law of the observer becomes
 
     ξ' = ζ − (α + ρ)ξ,   ζ' = −(β + αρ)ξ + η,   η' = −βρ ξ − raise(δ ∘ B(v, ·)),   η = raise(δ).
 
@@ -155,6 +155,8 @@ class IntrinsicForce(AbstractMechanicalObserver):
     def slow_names(self) -> tuple[str, ...]:
         """Names (n) of the components of the force, in the order of `IntrinsicForceInfo.slow`."""
         manifold = self.model.manifold
+        if None in manifold.shape:  # coordinates without names, whose number is not known
+            return ()
         return tuple(f"external_force{i + 1}" for i in range(jax.eval_shape(manifold.zero, manifold.origin()).size))
 
     def init(self, y: Array, t: Number = 0.0) -> IntrinsicForceState:
