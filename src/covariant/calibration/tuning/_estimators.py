@@ -69,7 +69,7 @@ def observer_gains(sheet: DataSheet, rate: float, space: AbstractSpace | None = 
 
 
 def _force_acceleration(sheet: DataSheet, space: AbstractSpace) -> tuple[float, float | None, float | None]:
-    """The acceleration by an unknown force, its time constant, and the rate at which it is to be learnt, for `gains`."""
+    """The acceleration by an unknown force, its time constant, and the rate at which it is learnt, for `gains`."""
     force = sheet.external_force if sheet.external_force_std is None else sheet.external_force_std
     if force is None:
         return 0.0, None, sheet.force_rate

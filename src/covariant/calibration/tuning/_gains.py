@@ -42,8 +42,8 @@ class Gains(NamedTuple):
         """The gains and predicted errors in one line."""
         rate = f", force rate = {self.force_rate:.4g} 1/s" if self.force_rate else ""
         return (
-            f"alpha = {self.alpha:.4g} 1/s, beta = {self.beta:.4g} 1/s²{rate}; predicted standard deviation of the position "
-            f"{self.position_std:.2g} and of the velocity {self.velocity_std:.2g}"
+            f"alpha = {self.alpha:.4g} 1/s, beta = {self.beta:.4g} 1/s²{rate}; predicted standard deviation of the "
+            f"position {self.position_std:.2g} and of the velocity {self.velocity_std:.2g}"
         )
 
 
