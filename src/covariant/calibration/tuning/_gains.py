@@ -81,8 +81,8 @@ def gains(
         force_rate: Another rate ρ [1/s] at which the force is learnt, 0 for none.
 
     Returns:
-        The gains, and the errors that they should leave. With a force they leave a velocity error that is within 3 % of
-        that of the best linear filter.
+        The gains, and the errors that they should leave. With a force the velocity error is 2 to 6 % above that of the
+        stationary Kalman filter, which forgets the force.
 
     Raises:
         ValueError: A number is not positive.
