@@ -143,10 +143,10 @@ def _force_poles(
     # (s + r)(s² + k1 s + k2) + k3, the polynomial of the filter with its feedback k, has these coefficients.
     k1 = first - r
     k2 = second - k1 * r
-    poles = np.roots([1.0, k1, k2, max(third - k2 * r, 0.0)]).astype(complex)
+    poles = np.asarray(np.roots([1.0, k1, k2, max(third - k2 * r, 0.0)]), complex)
     # A cubic has a real root; of three the slowest one is that of the force.
-    real = np.abs(poles.imag) <= np.abs(poles.imag).min()
-    rho = -float(poles.real[real].max())
+    turning = np.abs(np.imag(poles))
+    rho = -float(np.real(poles)[turning <= turning.min()].max())
     others = poles[np.argsort(np.abs(poles + rho))[1:]]
     return math.sqrt(abs(np.prod(others))), max(rho, 0.0)
 
