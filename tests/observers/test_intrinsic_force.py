@@ -78,6 +78,21 @@ def test_on_a_stiff_model_the_poles_stay_to_second_order_in_the_step(stiffness):
     assert np.log2(gaps[1] / gaps[0]) > 3.5  # (N dt²)²
 
 
+@pytest.mark.parametrize("stiffness", [-40.0, 40.0])
+def test_gains_over_a_long_step_are_those_that_a_stiff_model_needs(stiffness):
+    """Solved from the three invariants of the sampled loop."""
+    dt = 0.1
+    poles = np.poly(np.exp(np.append(np.roots([1.0, 20.0, 200.0]), -10.0) * dt)).real
+
+    def invariants(gains):
+        return np.poly(sampled(gains, dt, stiffness))[1:].real
+
+    # They are linear in the gains, so that differences are derivatives.
+    slopes = np.stack([invariants(row) - invariants(np.zeros(3)) for row in np.eye(3)], axis=1)
+    wanted = np.linalg.solve(slopes, poles[1:] - invariants(np.zeros(3)))
+    np.testing.assert_allclose(one_sample(stiffness, jnp.asarray(dt), jnp.ones(1)), wanted, rtol=1e-2)
+
+
 @pytest.mark.parametrize("stiffness", [-100.0, -20.0, 20.0, 100.0])
 def test_it_is_stable_after_gaps_in_which_it_does_not_start_anew(stiffness):
     for dt in np.geomspace(1e-3, np.pi / 2 / abs(stiffness) ** 0.5 * 0.999, 9):
