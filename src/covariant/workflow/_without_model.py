@@ -8,6 +8,7 @@ from jaxtyping import Float
 from covariant.calibration import filtered_velocity
 from covariant.observers import REGISTRY, AbstractLinearFilter
 from covariant.scoring import scored_window, unwrap
+from covariant.signals import Record
 from covariant.workflow._design import log_sheet, tells_noise
 from covariant.workflow._inputs import Loaded, ReferenceVelocity
 from covariant.workflow._trial import trial_part
@@ -18,6 +19,8 @@ SURE = 3.0
 """Standard errors by which one error must be smaller than another to be called so."""
 CLEAR = 0.01
 """Least relative difference of errors that is called one."""
+MOST = 30_000
+"""Largest number of rows that a reference is made for."""
 FEWEST = 10 * BLOCKS
 """Least number of rows to judge by."""
 
@@ -76,11 +79,8 @@ def without_model(loaded: Loaded, velocity: Float[np.ndarray, "T n"]) -> Without
     if not (loaded.kind.has_model_free_filters and tells_noise(loaded.file)):
         return None
     t = np.asarray(loaded.record.t)
-    reference = loaded.reference
-    if reference is None:
-        v, label = loaded.kind.slopes(loaded.log) or (np.full_like(velocity, np.nan), "")
-        reference = ReferenceVelocity(v, label, scored_window(t))
-        loaded = loaded._replace(reference=reference)
+    reference = loaded.reference or _slopes(loaded)
+    loaded = loaded._replace(reference=reference)
     trial, tuned_on = trial_part(loaded)
     judged = reference.scored & ~tuned_on & np.isfinite(reference.v).all(1) & np.isfinite(velocity).all(1)
     judged &= True if loaded.holes is None else ~loaded.holes.concerned
@@ -101,6 +101,18 @@ def without_model(loaded: Loaded, velocity: Float[np.ndarray, "T n"]) -> Without
     best, own = min(found, key=lambda name: found[name].mean()), squares(velocity)
     error, of_estimate = (float(np.sqrt(each.mean())) for each in (found[best], own))
     return WithoutModel(best, error, of_estimate, _in_standard_errors(own - found[best]), reference.label)
+
+
+def _slopes(loaded: Loaded) -> ReferenceVelocity:
+    """Slopes of the positions, of the rows in the middle of a long log only: those of a million take seconds."""
+    log, t = loaded.log, np.asarray(loaded.record.t)
+    middle = slice(max(0, (len(t) - MOST) // 2), (len(t) + MOST) // 2)
+    part = Record(*(np.asarray(column)[middle] for column in log.record[:3]))
+    found = loaded.kind.slopes(log._replace(record=part, whole=log.all_rows))
+    v, label = np.full((len(t), loaded.file.dimension), np.nan), ""
+    if found is not None:
+        v[middle], label = found
+    return ReferenceVelocity(v, label, scored_window(t))
 
 
 def _in_standard_errors(differences: Float[np.ndarray, "K"]) -> float:
