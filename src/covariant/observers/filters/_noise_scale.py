@@ -61,7 +61,7 @@ class NoiseScale(NamedTuple):
         cov = transition @ self.cov @ transition.T + noise @ noise.T
         return self._replace(cov=cov, estimate=transition @ self.estimate)
 
-    def corrected(self, root: Matrix, after: Matrix, correction: Vector, reset: Matrix, restart: Flag) -> "NoiseScale":
+    def corrected(self, root: Matrix, after: Matrix, correction: Vector, reset: Matrix, restart: Flag, size: Scalar) -> "NoiseScale":
         """The same after a correction.
 
         The lower triangular `root` is that of the covariance before, `after` one of the covariance after the
@@ -73,9 +73,9 @@ class NoiseScale(NamedTuple):
         left, remaining, e, c = solved[:, :k], solved[:, k : 2 * k], solved[:, -2], solved[:, -1]
         share = lower_solve(root, left.T)
         kept = remaining @ remaining.T
-        lost = (jnp.eye(k, dtype=root.dtype) - kept) @ share
-        score = (e @ share @ e - jnp.trace(lost)) / 2 + e @ c
-        information = jnp.sum(lost * lost.T) / 2 + c @ (c - kept @ c)
+        e = e / jnp.sqrt(jnp.maximum(size, 1.0))
+        score = e @ c + jnp.minimum(size - 1.0, 0.0) / 2 * (jnp.trace(share) - jnp.sum(kept * share))
+        information = c @ (c - kept @ c)
         step = score / (1 / SPREAD + information)
         # A step up is one of s and not of its logarithm: the square of an outlier would else count in full.
         step = jnp.where(step > 0, jnp.log1p(jnp.maximum(step, 0.0)), step)
