@@ -19,6 +19,7 @@ from covariant.observers.constant_gain import (
     Geodesic,
     ImplicitGeodesic,
     Intrinsic,
+    IntrinsicForce,
     ModelCopy,
     Salcudean,
     of_mean_inertia,
@@ -92,7 +93,7 @@ class Entry(NamedTuple):
         observer: Class of the observer.
         make: Function that constructs the observer, `make(model, *numbers)`, with the numbers of `tuned_by`.
         tuned_by: Numbers that the observer needs. For a mechanical system `calibration.tuned_estimators` computes them.
-            "gains" are α [1/s] and β [1/s²].
+            "gains" are α [1/s] and β [1/s²]; "gains and force" are these and the rate [1/s] at which a force is learnt.
             "noise" are the process covariance (n, n), the measurement covariance (n, n) and the standard deviation of
             the initial velocity; "noise or ticks" are these, one tick of the encoders or None, and the slow states that
             are estimated, a tuple of `SlowVariables`, the sensors beside the configuration, a tuple of `Sensor`, and
@@ -126,7 +127,9 @@ class Entry(NamedTuple):
     name: str
     observer: type[AbstractObserver]
     make: Callable[..., AbstractObserver]
-    tuned_by: Literal["gains", "noise", "noise or ticks", "bandwidth", "window", "motion", "jerk", "state noise"]
+    tuned_by: Literal[
+        "gains", "gains and force", "noise", "noise or ticks", "bandwidth", "window", "motion", "jerk", "state noise"
+    ]
     about: str
     when: str
     source: str
@@ -160,6 +163,15 @@ REGISTRY = (
         when="larger errors at little cost",
         source="an addition to Aghannan & Rouchon 2003, (5)",
         promises=("error law",),
+    ),
+    Entry(
+        name="intrinsic-force",
+        observer=IntrinsicForce,
+        make=IntrinsicForce,
+        tuned_by="gains and force",
+        about="`Intrinsic` with an estimate of an unknown constant force: integral action, three poles",
+        when="loads, friction or masses that the model does not know; in the loop of a controller",
+        source="an addition to Aghannan & Rouchon 2003, (5); Johnson 1971 for the state of the force",
     ),
     Entry(
         name="geodesic",

@@ -19,7 +19,7 @@ from covariant.observers import REGISTRY, AbstractObserver
 from covariant.scoring import SETTLED, rmse
 from covariant.signals import Run, StepCode
 from covariant.workflow._arguments import gain_pair
-from covariant.workflow._design import design, tells_noise, widens
+from covariant.workflow._design import default_observer, design, tells_noise, widens
 from covariant.workflow._determined import Determinacy, determined
 from covariant.workflow._holes import LONGEST_SHOWN
 from covariant.workflow._inputs import (
@@ -114,7 +114,7 @@ def estimate(
     job = Job(model, log, overrides, every, until, columns or {}, anyway, start)
     progress("reading the log")
     loaded = load(job, score, missing_inputs=True)
-    observer = observer or estimators(loaded.model)[0]
+    observer = observer or (estimators(loaded.model)[0] if gains else default_observer(loaded.file))
     chosen, notes = choose_observer(job, loaded, observer, gains)
     chosen = with_sensor_delays({observer: chosen}, loaded)[observer]
     progress(f"estimating with {observer}")
