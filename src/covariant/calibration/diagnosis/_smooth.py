@@ -13,7 +13,10 @@ HALF = 10
 """Points of the grid in half a window."""
 ORDER = 3
 FEWEST = 5.0
-"""Least number of samples in half a window."""
+"""Least number of samples in half a window, as long as the motion is no faster."""
+NARROWEST = 3.0
+"""The same for a motion that changes from row to row: seven samples determine the four coefficients, the outer two
+with hardly any weight."""
 FULL = 0.6
 """Fraction of the usual number of samples that a window must hold to be used."""
 
@@ -51,14 +54,20 @@ class Smooth(NamedTuple):
     step: float
 
 
-def smooth(record: Record, half: float, circles: tuple[int, ...], delay: Any = 0.0, ticks: Any = 0.0) -> Smooth:
-    """Smooth a record in coordinates by polynomials of degree 3 over windows of ±`half`."""
+def smooth(
+    record: Record,
+    half: float,
+    circles: tuple[int, ...],
+    delay: Any = 0.0,
+    ticks: Any = 0.0,
+    fewest: float = FEWEST,
+) -> Smooth:
+    """Smooth a record in coordinates by polynomials of degree 3 over windows of ±`half`, or of `fewest` samples."""
     t, u = np.asarray(record.t), np.asarray(record.u)
     y = scoring.unwrap(np.asarray(record.y), circles)
     n, delay = y.shape[1], np.broadcast_to(delay, y.shape[1:])
-    # A sensor that is slower than the log leaves cells empty: its own readings fill the windows.
-    spacing = max(float(np.median(np.diff(t[np.isfinite(column)]))) for column in y.T)
-    half = max(half, FEWEST * spacing)
+    spacing = slowest(t, y)
+    half = max(half, fewest * spacing)
     step = half / HALF
     grid = t[0] + step * np.arange(int((t[-1] - t[0]) / step) + 1)
     c, used = np.empty((len(grid), ORDER + 1, n)), (grid >= t[0] + half) & (grid <= t[-1] - half)
@@ -74,6 +83,11 @@ def smooth(record: Record, half: float, circles: tuple[int, ...], delay: Any = 0
     q, v, a, held = c[:, 0], c[:, 1], 2 * c[:, 2], held_inputs(t, u, grid, step)
     a_noise = np.maximum(gain * noise, _tick_noise(t, y, grid, c, delay, half, np.broadcast_to(ticks, n), used))
     return Smooth(grid, q, v, a, held, used, _kernel(half), noise, a_noise, half, step)
+
+
+def slowest(t: Float[np.ndarray, "T"], y: Float[np.ndarray, "T n"]) -> float:
+    """Usual time [s] between readings of the slowest sensor, whose cells are empty in between: it fills the windows."""
+    return max(float(np.median(np.diff(t[np.isfinite(column)]))) for column in y.T)
 
 
 def _noise(t, y, grid, c, delay):
