@@ -208,7 +208,7 @@ def windows(case: Case, multiples: Sequence[float]) -> tuple[float, ...]:
     narrowest, noise = FEWEST * spacing, readings(case.record, case.model.circles).std
     allowed = np.maximum(LOST * np.nanstd(y, axis=0), LOST_NOISE * np.where(np.isfinite(noise), noise, np.inf))
     narrow = max(half, narrowest)
-    while (smoothed(case, narrow).noise > allowed).any() and narrow > NARROWEST * spacing:
+    while (smoothed(case, narrow).removed > allowed).any() and narrow > NARROWEST * spacing:
         half, narrowest = narrow, NARROWEST * spacing
         half = narrow = max(narrow / 2, narrowest)
     fast = narrowest < FEWEST * spacing
