@@ -1,18 +1,19 @@
 """Comparison of a log with its model: smoothed accelerations, those of the model along the log, and their residuals."""
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 from covariant.calibration.diagnosis._finding import Finding, Names, Rows
-from covariant.calibration.diagnosis._readings import known_ticks, outlier_findings, outliers
-from covariant.calibration.diagnosis._smooth import FEWEST, ORDER, Smooth, smooth
+from covariant.calibration.diagnosis._readings import known_ticks, outlier_findings, outliers, readings
+from covariant.calibration.diagnosis._smooth import FEWEST, NARROWEST, ORDER, Smooth, slowest, smooth
 from covariant.calibration.diagnosis._thresholds import CLEAR
 from covariant.lowering import on_batches
 from covariant.models import MechanicalSystem, ModelFile, acceleration
+from covariant.scoring import unwrap
 from covariant.signals import Record, acting_inputs, lag_inputs
 
 POINTS = 2048
@@ -24,6 +25,12 @@ WINDOWS = (1.0, 2.0, 3.0)
 """Half windows to try, in multiples of the model file's reference one; the one with the least misfit is used."""
 WIDER = (2.0, 4.0, 8.0, 16.0)
 """Half windows to try, in the same multiples, until accelerations exceed the noise; slow motions need wide windows."""
+DOUBLED = 10
+"""How often the widest of them is doubled for motions that are slower still."""
+LOST = 0.05
+"""Fraction of a motion that smoothing may remove; a faster motion is smoothed in narrower windows."""
+LOST_NOISE = 3.0
+"""The same as a multiple of the noise of the readings, which smoothing is to remove."""
 
 
 class Residual(NamedTuple):
@@ -167,7 +174,8 @@ def case_without_outliers(
 
 def smoothed(case: Case, half: float) -> Smooth:
     """Smooth the record over windows of ±`half` [s], with the sensor delays of the model file removed."""
-    return smooth(acting(case), half, case.model.circles, np.asarray(case.file.delay, float), case.ticks)
+    delay = np.asarray(case.file.delay, float)
+    return smooth(acting(case), half, case.model.circles, delay, case.ticks, NARROWEST)
 
 
 def smoothed_residual(case: Case, half: float) -> Residual:
@@ -190,10 +198,30 @@ def long_enough(case: Case, half: float) -> bool:
     return bool(enough and t[-1] - t[0] >= SHORTEST * max(half, FEWEST * case.spacing))
 
 
+def windows(case: Case, multiples: Sequence[float]) -> tuple[float, ...]:
+    """Half windows [s], in multiples of that of the model file, or of a narrower one for a motion that is faster."""
+    t, y = np.asarray(case.record.t), unwrap(np.asarray(case.record.y), case.model.circles)
+    half = min(case.file.reference_half, (t[-1] - t[0]) / SHORTEST)
+    if not long_enough(case, half):
+        return ()
+    spacing = slowest(t, y)
+    narrowest, noise = FEWEST * spacing, readings(case.record, case.model.circles).std
+    allowed = np.maximum(LOST * np.nanstd(y, axis=0), LOST_NOISE * np.where(np.isfinite(noise), noise, np.inf))
+    narrow = max(half, narrowest)
+    while (smoothed(case, narrow).removed > allowed).any() and narrow > NARROWEST * spacing:
+        half, narrowest = narrow, NARROWEST * spacing
+        half = narrow = max(narrow / 2, narrowest)
+    fast = narrowest < FEWEST * spacing
+    # A log of a slow motion that is shorter than the windows of the model file is too short.
+    usual = half if fast else case.file.reference_half
+    halves = (max(w * usual, narrowest) for w in ((1.0, *multiples) if fast else multiples))
+    return tuple(each for each in dict.fromkeys(halves) if long_enough(case, each))
+
+
 def clearly(case: Case) -> Smooth | None:
     """Smooth a record by the narrowest window whose accelerations exceed the noise, or else by the widest one."""
-    log = None
-    for half in (w * case.file.reference_half for w in WIDER):
+    log, halves = None, windows(case, WIDER)
+    for half in (*halves, *(max(halves) * 2.0**k for k in range(1, DOUBLED + 1) if halves)):
         if not long_enough(case, half):
             break
         log = smoothed(case, half)
@@ -210,8 +238,7 @@ def compared(case: Case) -> Residual | None:
 
 def best_window(case: Case) -> tuple[float, Residual] | None:
     """Half window with the least misfit, and its residuals; None if no window has accelerations above the noise."""
-    halves = [half for half in (w * case.file.reference_half for w in WINDOWS) if long_enough(case, half)]
-    tried = [(half, residual(case.model, smoothed(case, half))) for half in halves]
+    tried = [(half, residual(case.model, smoothed(case, half))) for half in windows(case, WINDOWS)]
     if not any(left.told.any() for _, left in tried) and (log := clearly(case)) is not None:
         tried = [(log.half, residual(case.model, log))]
     known = [(half, left) for half, left in tried if left.told.any()]

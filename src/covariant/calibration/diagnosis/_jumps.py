@@ -150,6 +150,10 @@ def second_sender(t: Float[np.ndarray, "T"], y: Float[np.ndarray, "T"]) -> Bool[
     among = _usual_error(t[rare[apart]], y[rare[apart]])
     if not APART * max(error, among) < float(np.median(distance[apart])):
         return None
+    # Of one fast motion each half predicts the other: only readings of two motions do not predict each other.
+    edges = second & (np.insert(~second[:-1], 0, False) | np.append(~second[1:], False))
+    if not APART * max(error, among) < float(np.median(np.abs(prediction_errors(t[seen], y[seen])[edges]))):
+        return None
     rows = np.zeros(len(y), bool)
     rows[rare] = True
     return rows

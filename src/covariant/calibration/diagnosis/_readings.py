@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float
 from covariant.calibration.diagnosis._finding import Finding, Rows
 from covariant.calibration.diagnosis._thresholds import (
     ALTERNATES,
+    ALTERNATES_WHOLLY,
     COARSE,
     FAR,
     FEW_OUTLIERS,
@@ -32,8 +33,12 @@ FEWEST_GAPS = 10
 """Least number of distances between neighbouring values that show ticks which were rounded."""
 ALIKE = 0.05
 """Relative difference up to which the numbers of coordinates of one unit are reported as one."""
+ROUNDING = 1e-9
+"""Differences of readings, relative to the largest of them, up to which they are rounding errors and no change."""
 TOGETHER = 5
 """Number of neighbouring speeds of which the median is taken: one wrong measurement spoils two."""
+NEIGHBOURS = (4, 6, 8, 10)
+"""Numbers of neighbours that predict a reading: the fewest whose errors are noise, and not motion between the rows."""
 USUAL = 0.99
 """Quantile of these medians: high, since a log may stand still for a long time."""
 
@@ -124,20 +129,24 @@ def outliers(
     return wrong, sizes
 
 
-def prediction_errors(t: Float[np.ndarray, "T"], y: Float[np.ndarray, "T"]) -> Float[np.ndarray, "T"]:
-    """Errors of measurements against the cubic through their four neighbours, scaled to the noise of one."""
+def prediction_errors(
+    t: Float[np.ndarray, "T"], y: Float[np.ndarray, "T"], neighbours: int = 4
+) -> Float[np.ndarray, "T"]:
+    """Errors of measurements against the polynomial through their neighbours, scaled to the noise of one."""
     rows = np.arange(len(t))
-    five = np.clip(rows - 2, 0, len(t) - 5)[:, None] + np.arange(5)  # at the ends the neighbours are on one side
-    return _errors(t, y, five[five != rows[:, None]].reshape(-1, 4), t, y)
+    # At the ends the neighbours are on one side.
+    around = np.clip(rows - neighbours // 2, 0, len(t) - neighbours - 1)[:, None] + np.arange(neighbours + 1)
+    return _errors(t, y, around[around != rows[:, None]].reshape(-1, neighbours), t, y)
 
 
 def _errors(t, y, neighbours, at, value) -> np.ndarray:
-    """Scaled errors of values (k,) at stamps (k,) against the cubics through the measurements `neighbours` (k, 4)."""
+    """Scaled errors of values (k,) at stamps (k,) against the polynomials through the `neighbours` (k, p)."""
     # In units of the span, so that the products below are of order one whatever the unit of time.
     offsets = (t[neighbours] - at[:, None]) / (t[neighbours[:, -1:]] - t[neighbours[:, :1]])
     weights = np.ones_like(offsets)  # Lagrange's, at zero
-    for k in range(4):
-        for other in range(4):
+    count = neighbours.shape[1]
+    for k in range(count):
+        for other in range(count):
             if other != k:
                 weights[:, k] *= offsets[:, other] / (offsets[:, other] - offsets[:, k])
     # The variance of an error is that of the measurement and of its weighted neighbours.
@@ -168,7 +177,7 @@ def _local_range(y: np.ndarray) -> np.ndarray:
 def tick(y: Float[np.ndarray, "T"]) -> float:
     """Step of which all changes of readings are multiples, up to the digits with which they were printed."""
     changes = np.abs(np.diff(y[np.isfinite(y)]))
-    changes = changes[changes > 1e-9 * max(1.0, np.ptp(y[np.isfinite(y)]))]
+    changes = changes[changes > ROUNDING * np.max(np.abs(y[np.isfinite(y)]), initial=0.0)]
     if len(changes) < 20:
         return 0.0
     if printed := rounded_tick(y):
@@ -194,7 +203,7 @@ def rounded_tick(y: Float[np.ndarray, "T"]) -> float:
     """
     levels = np.unique(y[np.isfinite(y)])
     gaps = np.diff(levels)
-    gaps = gaps[gaps > 1e-9 * max(1.0, np.max(np.abs(levels), initial=0.0))]
+    gaps = gaps[gaps > ROUNDING * np.max(np.abs(levels), initial=0.0)]
     if len(gaps) < FEWEST_GAPS:
         return 0.0
     smallest = float(np.quantile(gaps, 0.02))
@@ -311,13 +320,26 @@ def readings(record: Record, circles: tuple[int, ...]) -> Readings:
     for i, column in enumerate(y.T):
         seen = np.isfinite(column)
         if seen.sum() > FEWEST:
-            error = prediction_errors(t[seen], column[seen])
-            # The factor makes the median size of normal errors their standard deviation.
-            noise[i] = 1.4826 * np.median(np.abs(error))
-            # Neighbouring errors share measurements with opposite signs: those of white noise alternate.
-            # At even stamps the weights are (1, −4, 6, −4, 1)/6: white noise has −0.8, smooth motion a positive number.
-            white[i] = np.mean(error[1:] * error[:-1]) < ALTERNATES * np.mean(error**2)
+            noise[i], white[i] = _noise(t[seen], column[seen])
     return Readings(noise, white, quanta(y, np.nan_to_num(noise)))
+
+
+def _noise(t: np.ndarray, y: np.ndarray) -> tuple[float, bool]:
+    """Noise of a column, and whether it is white; otherwise the noise is an upper bound."""
+    noise, white = np.inf, False
+    for neighbours in NEIGHBOURS:
+        error = prediction_errors(t, y, neighbours)
+        # The factor makes the median size of normal errors their standard deviation.
+        noise = min(noise, 1.4826 * float(np.median(np.abs(error))))
+        # Neighbouring errors share measurements with opposite signs: those of white noise alternate. At even stamps the
+        # weights of p neighbours are binomial, as (1, −4, 6, −4, 1)/6: the correlation of white noise is −p/(p + 1),
+        # that of smooth motion positive. What many neighbours do not predict of a fast motion alternates as well.
+        usual = neighbours / (neighbours + 1)
+        least = ALTERNATES if neighbours == NEIGHBOURS[0] else ALTERNATES_WHOLLY * usual
+        white = bool(np.mean(error[1:] * error[:-1]) < least * np.mean(error**2))
+        if white:
+            break
+    return noise, white
 
 
 def known_ticks(

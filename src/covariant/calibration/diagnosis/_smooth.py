@@ -13,7 +13,10 @@ HALF = 10
 """Points of the grid in half a window."""
 ORDER = 3
 FEWEST = 5.0
-"""Least number of samples in half a window."""
+"""Least number of samples in half a window, as long as the motion is no faster."""
+NARROWEST = 3.0
+"""The same for a motion that changes from row to row: seven samples determine the four coefficients, the outer two
+with hardly any weight."""
 FULL = 0.6
 """Fraction of the usual number of samples that a window must hold to be used."""
 
@@ -33,6 +36,7 @@ class Smooth(NamedTuple):
         used: Points (K,) whose windows are full.
         kernel: Weights (2 HALF + 1,): `a` is the true acceleration averaged with them over the neighbouring points.
         noise: Standard deviation (n,) of a measurement.
+        removed: Usual size (n,) of what smoothing removes from a measurement, noise or motion, whatever the outliers.
         a_noise: Standard deviation (n,) of `a` that this noise causes.
         half: Half width of a window [s].
         step: Time between points of the grid [s].
@@ -46,19 +50,26 @@ class Smooth(NamedTuple):
     used: Bool[np.ndarray, "K"]
     kernel: Float[np.ndarray, "k"]
     noise: Float[np.ndarray, "n"]
+    removed: Float[np.ndarray, "n"]
     a_noise: Float[np.ndarray, "n"]
     half: float
     step: float
 
 
-def smooth(record: Record, half: float, circles: tuple[int, ...], delay: Any = 0.0, ticks: Any = 0.0) -> Smooth:
-    """Smooth a record in coordinates by polynomials of degree 3 over windows of ±`half`."""
+def smooth(
+    record: Record,
+    half: float,
+    circles: tuple[int, ...],
+    delay: Any = 0.0,
+    ticks: Any = 0.0,
+    fewest: float = FEWEST,
+) -> Smooth:
+    """Smooth a record in coordinates by polynomials of degree 3 over windows of ±`half`, or of `fewest` samples."""
     t, u = np.asarray(record.t), np.asarray(record.u)
     y = scoring.unwrap(np.asarray(record.y), circles)
     n, delay = y.shape[1], np.broadcast_to(delay, y.shape[1:])
-    # A sensor that is slower than the log leaves cells empty: its own readings fill the windows.
-    spacing = max(float(np.median(np.diff(t[np.isfinite(column)]))) for column in y.T)
-    half = max(half, FEWEST * spacing)
+    spacing = slowest(t, y)
+    half = max(half, fewest * spacing)
     step = half / HALF
     grid = t[0] + step * np.arange(int((t[-1] - t[0]) / step) + 1)
     c, used = np.empty((len(grid), ORDER + 1, n)), (grid >= t[0] + half) & (grid <= t[-1] - half)
@@ -69,20 +80,27 @@ def smooth(record: Record, half: float, circles: tuple[int, ...], delay: Any = 0
         seen = t[np.isfinite(y[:, i])] - delay[i]
         held = np.searchsorted(seen, grid + half) - np.searchsorted(seen, grid - half)
         used &= held >= FULL * 2 * half / spacing
-    noise, gain = _noise(t, y, grid, c, delay), _acceleration_weights(half, spacing)
+    (noise, removed), gain = _noise(t, y, grid, c, delay), _acceleration_weights(half, spacing)
     # Coefficient c is the c-th derivative divided by c!.
     q, v, a, held = c[:, 0], c[:, 1], 2 * c[:, 2], held_inputs(t, u, grid, step)
     a_noise = np.maximum(gain * noise, _tick_noise(t, y, grid, c, delay, half, np.broadcast_to(ticks, n), used))
-    return Smooth(grid, q, v, a, held, used, _kernel(half), noise, a_noise, half, step)
+    return Smooth(grid, q, v, a, held, used, _kernel(half), noise, removed, a_noise, half, step)
+
+
+def slowest(t: Float[np.ndarray, "T"], y: Float[np.ndarray, "T n"]) -> float:
+    """Usual time [s] between readings of the slowest sensor, whose cells are empty in between: it fills the windows."""
+    return max(float(np.median(np.diff(t[np.isfinite(column)]))) for column in y.T)
 
 
 def _noise(t, y, grid, c, delay):
-    """Standard deviation (n,) of the measurements about the smoothed positions."""
-    std = np.empty(y.shape[1])
+    """Standard deviation (n,) of the measurements about the smoothed positions, and one that few of them decide."""
+    std, usual = np.empty((2, y.shape[1]))
     for i, shift in enumerate(delay):
         seen = np.isfinite(y[:, i])
-        std[i] = np.sqrt(np.mean((y[seen, i] - _along(t[seen] - shift, grid, c[:, :, i])) ** 2))
-    return std
+        error = y[seen, i] - _along(t[seen] - shift, grid, c[:, :, i])
+        # Of normal errors 90 % are below 1.645 standard deviations.
+        std[i], usual[i] = np.sqrt(np.mean(error**2)), np.quantile(np.abs(error), 0.9) / 1.645
+    return std, usual
 
 
 def _along(t, grid, c):

@@ -112,6 +112,8 @@ LEAST_TICK = 1.5
 """Least size of a tick, in standard deviations of the noise: below that the noise hides it."""
 ALTERNATES = -0.5
 """Correlation of neighbouring errors of prediction below which they are noise, and not motion between the rows."""
+ALTERNATES_WHOLLY = -0.9
+"""The same for more than four neighbours, as a multiple of the correlation that white noise has."""
 CLEAR = 10.0
 """Ratio of the mean square of accelerations to that of their noise from which they count as more than noise."""
 
