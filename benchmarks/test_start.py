@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +24,17 @@ def log(tmp_path):
     columns = np.column_stack([0.002 * np.arange(100), np.zeros((100, 4))])
     np.savetxt(path, columns, delimiter=",", header="t,q1,q2,tau1,tau2", comments="")
     return path
+
+
+@pytest.fixture
+def arm(tmp_path):
+    """A Panda that sways for a minute, with the torques of its motors, and a model file that says how these go."""
+    model = tmp_path / "panda.toml"
+    model.write_text('system = "robot"\nparameters = {path = "panda"}\ninputs = {between = "held"}\n', encoding="utf-8")
+    program = Path(sys.executable).with_name("covariant")
+    words = ("--duration", 60, "--rate", 1000, "--noise", 1e-5, "--amplitude", "1,20,1,8,0.3,0.8,0.1", "-o", "log.csv")
+    subprocess.run([program, "simulate", model, *map(str, words)], cwd=tmp_path, check=True, capture_output=True)
+    return model
 
 
 @pytest.mark.benchmark(group="start")
@@ -57,3 +69,20 @@ def test_first_estimate(benchmark, log):
     program = Path(sys.executable).with_name("covariant")
     words = (program, "estimate", "examples/demo_double_pendulum.toml", log, "-o", log.with_name("velocities.csv"))
     benchmark.pedantic(call, words, rounds=ROUNDS)
+
+
+@pytest.mark.benchmark(group="start: an arm of seven joints")
+@pytest.mark.parametrize("verb", ["fit", "estimate"])
+def test_arm(benchmark, arm, verb, monkeypatch):
+    """A fit to 60 000 rows, and the first estimate with a force by a Kalman filter in C, both with an empty cache."""
+    program, log = Path(sys.executable).with_name("covariant"), arm.with_name("log.csv")
+    force = ("--set", "uncertainty.external_force_std=1.0", "--set", "uncertainty.external_force_time=0.3")
+    words = {
+        "fit": ("--parameters", "friction,armature", "--anyway"),
+        "estimate": ("--observer", "intrinsic-kalman", *force, "--until", 1, "--engine", "c", "--anyway"),
+    }[verb]
+
+    def empty() -> None:
+        monkeypatch.setenv("COVARIANT_CACHE", tempfile.mkdtemp(dir=arm.parent))
+
+    benchmark.pedantic(call, (program, verb, arm, log, *words), setup=empty, rounds=1)

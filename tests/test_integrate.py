@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from covariant._adaptive import solve, solve_until
-from covariant._integrate import dormand_prince, rk4, rk4_step, rk8
+from covariant._integrate import dormand_prince, linearised, rk4, rk4_step, rk8
 
 START, DURATION = 0.3, 2.0
 STATE = {"position": jnp.array([1.0, 0.2]), "speed": jnp.array(0.5)}
@@ -178,3 +178,13 @@ def test_a_single_precision_solution_stays_single_and_may_be_one_number():
 def test_nothing_finite_is_made_of_a_slope_that_is_not():
     run = jax.jit(lambda x: solve(lambda t, x: x * jnp.nan, x, jnp.array([0.0, 1.0])))(jnp.ones(2))
     assert np.all(np.isinf(run[1]))
+
+
+def test_a_step_of_the_equation_of_variation_has_the_derivative_of_the_step():
+    def flow(t, x):
+        return jnp.stack([x[1] * x[2], jnp.sin(t) - jnp.cos(x[0]) * x[1], 0.0 * x[2]])
+
+    x, into = jnp.array([0.3, -0.7, 1.2]), jnp.array([[1.0, 0.2], [0.0, 1.0], [0.5, 0.0]])
+    end, slope = rk4_step(linearised(flow), 0.4, (x, into), 0.3)
+    np.testing.assert_allclose(end, rk4_step(flow, 0.4, x, 0.3), rtol=1e-15)
+    np.testing.assert_allclose(slope, jax.jacfwd(lambda x: rk4_step(flow, 0.4, x, 0.3))(x) @ into, rtol=1e-13)

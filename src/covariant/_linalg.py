@@ -40,6 +40,8 @@ class Pivot(NamedTuple):
 
 WHOLE = 6
 """Largest matrix whose elimination `solve` unrolls: somewhat faster, and far longer to compile."""
+LONG = 12
+"""Most rows that `triangular` unrolls."""
 BLOCK = 10
 """Number of elimination steps of a larger matrix that are one loop over a matrix of fixed size."""
 
@@ -246,18 +248,32 @@ def triangular_with_rank(a: Float[Array, "n k"]) -> Matrix:
 
 
 def _triangular(a: Float[Array, "n k"], rounding: float) -> Matrix:
-    columns, rest = [], a
-    for k in range(a.shape[0]):
+    def first(rest: Array, row: Array) -> tuple[Array, Array]:
+        """The column of L of the first row, which was `row` in a, and the rows after it."""
         length = jnp.sqrt(jnp.sum(rest[0] ** 2))
         if rounding:
-            length = jnp.where(length > rounding * jnp.sqrt(jnp.sum(a[k] ** 2)), length, 0.0)
+            length = jnp.where(length > rounding * jnp.sqrt(jnp.sum(row**2)), length, 0.0)
             rest = rest.at[0].set(jnp.where(length > 0, rest[0], 0.0))
         # A row that depends on those before it has length zero here, and a column of zeros in L.
         axis = rest[0] / jnp.where(length > 0, length, 1.0)
         # Modified Gram and Schmidt, a = L Qᵀ: the rows that remain lose their part along `axis`.
         below = rest @ axis
+        return below, rest[1:] - jnp.outer(below[1:], axis)
+
+    def turn(_, carried):
+        # Rows that are done are zeros at the end, so that all turns are of one shape.
+        rest, columns, rows = carried
+        below, rest = first(rest, rows[0])
+        rows = jnp.roll(rows, -1, 0) if rounding else rows
+        return jnp.pad(rest, ((0, 1), (0, 0))), jnp.concatenate([columns[1:], below[None]]), rows
+
+    n, columns, rest = len(a), [], a
+    if n > LONG:
+        columns = jax.lax.fori_loop(0, n, turn, (a, jnp.zeros((n, n), a.dtype), a))[1]
+        return jnp.stack([jnp.roll(column, k) for k, column in enumerate(columns)], axis=1)
+    for k in range(n):
+        below, rest = first(rest, a[k])
         columns.append(jnp.concatenate([jnp.zeros(k, a.dtype), below]))
-        rest = rest[1:] - jnp.outer(below[1:], axis)
     return jnp.stack(columns, axis=1)
 
 

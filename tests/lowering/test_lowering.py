@@ -11,12 +11,22 @@ from hypothesis import given, settings, strategies as st
 
 from covariant import lowering, metrics, models
 from covariant._integrate import rk4
-from covariant._linalg import solve
+from covariant._linalg import solve, triangular, triangular_with_rank
 from covariant.geometry import Budget, christoffel, curvature, hyperbolic, sphere
 from covariant.geometry.lie import SE3, SO3
-from covariant.lowering import LoweringError, equations, evaluate_batch, expand, lower, numbers, operations, pairs
+from covariant.lowering import (
+    LoweringError,
+    equations,
+    evaluate_batch,
+    expand,
+    lower,
+    numbers,
+    on_batches,
+    operations,
+    pairs,
+)
 from covariant.lowering.graph._constants import compute, padded, part_at, updated_at
-from covariant.lowering.graph._jaxpr import MOST_UNROLLED
+from covariant.lowering.graph._loops import MOST_UNROLLED
 from covariant.observers import Geodesic, Intrinsic, with_fixed_substeps
 
 PENDULUM = models.pendulum_chain((1.0, 0.7), (0.5, 0.4), viscous=(0.1, 0.2))
@@ -440,3 +450,46 @@ def test_windows_of_known_numbers_and_of_nodes_are_those_of_jax(name, mode, dtyp
         np.testing.assert_array_equal(compute(equation, [known[atom] for atom in equation.invars])[0], expected)
         if dtype is float:
             np.testing.assert_array_equal(numbers(lower(move, x, y), x, y), expected)
+
+
+def entries(graph) -> int:
+    """Nodes of a graph and of the turns of its loops."""
+    inner = [each for node in graph.nodes if node.op == "loop" for each in node.value.graphs]
+    return len(graph.nodes) + sum(entries(each.graph) for each in inner)
+
+
+def block(a, b):
+    """A product of which some rows have zeros at the same places, as those of a transition."""
+    return jnp.concatenate([a, jnp.eye(15, 20)]) @ b
+
+
+@pytest.mark.parametrize(
+    ("function", "shapes"),
+    [
+        (jnp.matmul, [(15, 14), (14, 16)]),
+        (block, [(9, 20), (20, 16)]),
+        (triangular, [(14, 20)]),
+        (triangular_with_rank, [(14, 20)]),
+    ],
+)
+def test_large_products_and_factors_stay_loops_in_generated_code(function, shapes):
+    random = np.random.default_rng(0)
+    arguments = [random.normal(size=shape) for shape in shapes]
+    looped, unrolled = (lower(function, *arguments, loops=loops) for loops in ("any", "unrolled"))
+    assert entries(looped.graph) < entries(unrolled.graph) / 2
+    expected = np.asarray(function(*arguments))
+    np.testing.assert_allclose(numbers(looped, *arguments), expected, atol=1e-13)
+    np.testing.assert_allclose(numbers(unrolled, *arguments), expected, atol=1e-13)
+
+
+def test_what_is_the_same_in_all_rows_is_given_once_with_and_without_a_graph():
+    def plain(a, x):
+        return a * jnp.sin(x)
+
+    def without_graph(a, x):
+        return jax.lax.while_loop(lambda s: s < x, lambda s: s + a, 0.0 * x)
+
+    for function in (plain, without_graph):
+        rows = np.array([0.5, 1.5, 2.5])
+        found = on_batches(function, np.array(1.0), np.array(0.0))(np.ones(1), rows)
+        np.testing.assert_allclose(found, [float(function(1.0, x)) for x in rows], rtol=1e-14)

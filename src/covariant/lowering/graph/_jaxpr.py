@@ -32,7 +32,7 @@ from covariant.lowering.graph._jax_forms import (
     expanded,
     need_pure,
 )
-from covariant.lowering.graph._loops import Turn, loop_of, operations
+from covariant.lowering.graph._loops import LONG, MOST_UNROLLED, Turn, loop_of, operations
 from covariant.lowering.graph._lowered import Conditions, Lowered, LoweringError
 from covariant.lowering.graph._primitives import NOT_ON_INTEGERS, RULES
 
@@ -40,11 +40,6 @@ EXACT = 2.0**53
 """All integers up to this one are doubles."""
 MOST_ITERATIONS = 100_000
 """Largest number of iterations of a loop that is unrolled; a longer one is refused."""
-LONG = 400
-"""Operations of a turn from which a loop of known length is not unrolled."""
-MOST_UNROLLED = 0.8
-"""Share of the operations of a loop that its turns may have for the loop to be unrolled. A loop is shorter to write and
-to compile, so that it stays where little is saved."""
 Loops = Literal["unrolled", "long", "any"]
 
 

@@ -5,6 +5,7 @@ the carried numbers after the last turn. Loops are for generated code, and not f
 intervals have rules for them.
 """
 
+import itertools
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
@@ -17,6 +18,14 @@ from covariant.lowering.graph._lowered import Lowered
 
 NO_OPERATIONS = ("input", "constant", "loop", "part")
 """Nodes that compute nothing by themselves."""
+LONG = 400
+"""Operations of a turn from which a loop of known length is not unrolled."""
+MOST_UNROLLED = 0.8
+"""Share of the operations of a loop that its turns may have for the loop to be unrolled. A loop is shorter to write and
+to compile, so that it stays where little is saved."""
+SLOWLY = 4
+"""Attempts after which an array with some entries that change counts as one whose entries all do: where a turn shifts
+an array by a row, each attempt shows one row more."""
 Turn = Callable[[Graph, list[Value]], tuple[list[Value], Value | None]]
 
 
@@ -79,15 +88,17 @@ def loop_of(
     carry: Sequence[Value],
     count: int | None = None,
     least: int = 0,
+    all_change: bool = False,
 ) -> list[Value] | None:
     """Add a loop over arrays to a graph.
 
     Entries that a turn does not change count as fixed, so that what is known of them is known in the loop too. At first
-    all count as such; those that a turn changes no longer do, until there are no more.
+    all count as such, unless `all_change`; those that a turn changes no longer do, until there are no more.
     """
     starts = _flat(graph, carry)
-    changes = np.zeros(len(starts), bool)
-    while True:
+    changes = np.full(len(starts), all_change)
+    ends_of_arrays = np.cumsum([_size(value) for value in carry])
+    for attempt in itertools.count(1):
         inner, used = Graph(), dict[int, None]()
 
         def outer(i: int, inner: Graph = inner, used: dict[int, None] = used) -> int:
@@ -105,6 +116,9 @@ def loop_of(
         now = changes | (np.array(ends, int) != np.array(begins, int))
         if (now == changes).all():
             break
+        if attempt >= SLOWLY:
+            parts = np.split(now, ends_of_arrays[:-1])
+            now = np.concatenate([np.full(len(part), part.any()) for part in parts])
         changes = now
     places = np.flatnonzero(changes).tolist()
     order = {position: n for n, position in enumerate([*(2 * i for i in used), *(2 * k + 1 for k in places)])}
@@ -154,6 +168,10 @@ def turn_operations(nodes: Sequence[Node]) -> int:
     return sum(operations(each.graph.nodes) for loop in loops for each in loop.graphs)
 
 
+def _size(value: Value) -> int:
+    return int(value.ids.size if isinstance(value, Scalars) else np.size(value))
+
+
 def _flat(graph: Graph, values: Sequence[Value]) -> list[int]:
     return [int(i) for value in values for i in nodes_of(graph, value).ravel()]
 
@@ -164,7 +182,7 @@ def _fill_values(ids: Sequence[int], like: Sequence[Value], changes: np.ndarray 
     for value in like:
         known = not isinstance(value, Scalars)
         shape = value.shape if known else value.ids.shape
-        size = int(np.prod(shape, dtype=int))
+        size = _size(value)
         same = known and (changes is None or not changes[start : start + size].any())
         filled.append(value if same else Scalars(np.array(ids[start : start + size], int).reshape(shape)))
         start += size

@@ -16,9 +16,12 @@ from covariant.lowering.graph._arrays import Scalars, Value, Writer, nodes_of
 from covariant.lowering.graph._constants import padded
 from covariant.lowering.graph._graph import Graph
 from covariant.lowering.graph._jax_forms import JaxprEquation
+from covariant.lowering.graph._loops import LONG, MOST_UNROLLED, loop_of
 from covariant.lowering.graph._lowered import LoweringError
 from covariant.lowering.graph._places import at_places
 
+FEW_ROWS = 2
+"""Most rows of a product that are never turns of a loop."""
 Rule = Callable[[Writer, JaxprEquation, list], list[Value]]
 
 
@@ -87,10 +90,48 @@ def _dot(write: Writer, eqn: JaxprEquation, values: list) -> list[Value]:
         return np.transpose(ids, [*batch, *free, *over]).reshape(counts), sizes
 
     (a, (batch, rows, _)), (b, (_, columns, _)) = arranged(a, batch_a, over_a), arranged(b, batch_b, over_b)
-    products = write.map("mul", Scalars(a[:, :, None, :]), Scalars(b[:, None, :, :]))
+    if write.tables and len(a) == 1 and 2 * b.size >= LONG:
+        return [Scalars(_by_rows(write, a[0], b[0]).reshape([*rows, *columns]))]
+    return [Scalars(_products(write, a, b).reshape([*batch, *rows, *columns]))]
+
+
+def _products(write: Writer, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """The nodes (..., m, n) of the product of a (..., m, k) and b (..., n, k)."""
+    products = write.map("mul", Scalars(a[..., :, None, :]), Scalars(b[..., None, :, :]))
     # By halving, whose rounding errors grow with the logarithm of the length.
-    total = write.reduce("add", products.ids, [3])
-    return [Scalars(total.ids.reshape([*batch, *rows, *columns]))]
+    return write.reduce("add", products.ids, [a.ndim]).ids
+
+
+def _by_rows(write: Writer, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """The nodes (m, n) of a product; rows of a with entries at the same places are turns of a loop where that pays."""
+    graph = write.graph
+    nonzero_a, nonzero_b = (~np.vectorize(graph.is_zero, otypes=[bool])(ids) for ids in (a, b))
+    groups: dict[bytes, list[int]] = {}
+    for i, row in enumerate(nonzero_a):
+        groups.setdefault(row.tobytes(), []).append(i)
+    result = np.empty((len(a), len(b)), int)
+    for group in groups.values():
+        places = np.flatnonzero(nonzero_a[group[0]])
+        some_a, some_b = a[np.ix_(group, places)], b[:, places]
+        dense = np.mean(nonzero_b[:, places]) > MOST_UNROLLED if some_b.size else False
+        looped = dense and len(group) > FEW_ROWS and 2 * some_b.size >= LONG
+        result[group] = _row_by_row(graph, some_a, some_b) if looped else _products(write, a[group], b)
+    return result
+
+
+def _row_by_row(graph: Graph, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """The nodes (m, n) of the product of a (m, k) and b (n, k), with a turn of a loop for each row of a."""
+
+    def turn(inner: Graph, values: list[Value]):
+        fixed, left, done = (nodes_of(inner, value) for value in values)
+        row = _products(Writer(inner), left[:1], fixed)
+        # The next turn finds its row first; after the last one all results are in order.
+        return [Scalars(np.roll(left, -1, 0)), Scalars(np.concatenate([done[1:], row]))], None
+
+    start = np.full((len(a), len(b)), graph.constant(0.0))
+    done = loop_of(graph, turn, [Scalars(b)], [Scalars(a), Scalars(start)], len(a), all_change=True)
+    assert done is not None
+    return nodes_of(graph, done[1])
 
 
 def _reduction(op: str) -> Rule:

@@ -19,10 +19,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Inexact
 
+from covariant._integrate import linearised, rk4_step
 from covariant._linalg import semidefinite_root, triangular
 from covariant._typing import Code, Matrix, Number, Scalar, Vector
 from covariant.geometry import AbstractManifold, AbstractSpace, Budget
-from covariant.models import MechanicalSystem, Motion, advance
+from covariant.models import MechanicalSystem, Motion, acceleration, advance
 from covariant.observers.base import (
     Covariance,
     Encoded,
@@ -496,15 +497,31 @@ class IntrinsicKalman(AbstractMechanicalFilter):
         space, manifold, n = self.model.space, self.model.manifold, state.v.shape[0]
         states, at = self._slow_over(state.missing_input, u), self._inputs_at
 
+        def acting(mean):
+            return u if self.inputs is None else states.groups[len(self.slow)].acting(u, mean[at])
+
         def propagated_error(error):
             start = Motion(manifold.retract(state.q, error[:n]), state.v + error[n : 2 * n])
             mean, slow = states.advanced(state.slow + error[2 * n :], h)
-            acting = u if self.inputs is None else states.groups[len(self.slow)].acting(u, mean[at])
-            end = advance(states.in_model(self.model, mean), state.t, start, acting, h, 1)
+            end = advance(states.in_model(self.model, mean), state.t, start, acting(mean), h, 1)
             # The value is zero, since the end is compared with itself; the derivative is the displacement in the frame.
             return jnp.concatenate([manifold.local(jax.lax.stop_gradient(end.q), end.q), end.v, slow]), (*end, slow)
 
-        slope, (q, v, slow) = jax.jacfwd(propagated_error, has_aux=True)(jnp.zeros(state.root.shape[0], state.v.dtype))
+        def rates(t, x):
+            q, v, mean = jnp.split(x, [n, 2 * n])
+            rate = acceleration(states.in_model(self.model, mean), t, q, v, acting(mean))
+            return jnp.concatenate([v, rate, jnp.zeros_like(mean)])
+
+        first = jnp.zeros(state.root.shape[0], state.v.dtype)
+        if manifold.commuting:  # the equation of variation beside that of motion is less work than differences of it
+            mean, slow = states.advanced(state.slow, h)
+            of_mean, of_slow = jax.jacfwd(lambda error: states.advanced(state.slow + error[2 * n :], h))(first)
+            start = jnp.concatenate([state.q, state.v, mean])
+            axes = jnp.concatenate([jnp.eye(2 * n, len(first), dtype=start.dtype), of_mean])
+            end, slope = rk4_step(linearised(rates), state.t, (start, axes), h)
+            (q, v, _), slope = jnp.split(end, [n, 2 * n]), jnp.concatenate([slope[: 2 * n], of_slow])
+        else:
+            slope, (q, v, slow) = jax.jacfwd(propagated_error, has_aux=True)(first)
         # From right to left: from the parallel frame to the frame at the start, the flow, and back at the end.
         transition = (
             _with_slow(parallel(space, q, v), state) @ slope @ _with_slow(apart(space, state.q, state.v), state)
