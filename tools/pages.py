@@ -29,6 +29,7 @@ DOCS = ROOT / "docs"
 
 NUMBERS = {
     "gains": "α, β",
+    "gains and force": "α, β, ρ",
     "noise": "covariances",
     "noise or ticks": "covariances, quantum",
     "bandwidth": "bandwidth",

@@ -9,7 +9,7 @@ import pytest
 from covariant.geometry import Euclidean
 from covariant.models import Motion, advance, pendulum_chain
 from covariant.observers import EKF, Geodesic, Intrinsic, IntrinsicKalman, ModelCopy
-from covariant.observers.base._sampled import LONGEST_GAP, sampled_correction
+from covariant.observers.base._sampled import LONGEST_GAP, sampled_correction, sampled_gains
 from covariant.signals import StepCode
 
 ALPHA, BETA = 20.0, 200.0
@@ -21,7 +21,7 @@ ALPHA, BETA = 20.0, 200.0
 @jax.jit
 def corrected(stiffness, dt, xi):
     zero = jnp.zeros(1)
-    taken = sampled_correction(Euclidean(), Motion(zero, zero), ALPHA, BETA, dt, xi, -stiffness * xi)
+    taken = sampled_correction(Euclidean(), Motion(zero, zero), sampled_gains(ALPHA, BETA, dt), dt, xi, -stiffness * xi)
     return taken.part, taken.velocity, taken.restarted
 
 

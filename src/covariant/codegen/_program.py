@@ -23,7 +23,7 @@ DTYPES = {"double": np.float64, "float": np.float32}
 BOUND = ("position_bound", "velocity_bound", "premise")
 REPORTED = ("innovation", "distance", "nis", "velocity_std", "state_std", "slow", "slow_std", *BOUND)
 """Fields of an info that the code stores, beside the result code."""
-GAIN_UNITS = {"alpha": "1/s", "beta": "1/s^2"}
+GAIN_UNITS = {"alpha": "1/s", "beta": "1/s^2", "force_rate": "1/s"}
 """Units of the gains of observers of second order."""
 CONFIGURATION = "configuration"
 """Name of the first part of a measurement of a filter with sensors."""

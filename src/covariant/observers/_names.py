@@ -3,6 +3,7 @@
 OBSERVER_NAMES = (
     "intrinsic",
     "intrinsic2",
+    "intrinsic-force",
     "geodesic",
     "implicit-geodesic",
     "copy",

@@ -19,6 +19,7 @@ from covariant.observers.constant_gain import (
     Geodesic,
     ImplicitGeodesic,
     Intrinsic,
+    IntrinsicForce,
     ModelCopy,
     Salcudean,
     of_mean_inertia,
@@ -76,11 +77,13 @@ def intrinsic_kalman(
     n = measurement.shape[0]
     velocity = jnp.asarray(speed**2 * np.eye(n))
     if quantum is None or not model.manifold.commuting:
-        return IntrinsicKalman(model, process, measurement, velocity, slow, sensors=sensors, inputs=inputs)
+        return IntrinsicKalman(
+            model, process, measurement, velocity, slow, sensors=sensors, inputs=inputs, adaptive=True
+        )
     # A reading is an interval here, so that the only noise is that of the positions of edges.
     ticks = jnp.broadcast_to(jnp.asarray(quantum, float), n)
     return IntrinsicKalman(
-        model, process, jnp.diag((EDGE * ticks) ** 2), velocity, slow, ticks, sensors=sensors, inputs=inputs
+        model, process, jnp.diag((EDGE * ticks) ** 2), velocity, slow, ticks, sensors=sensors, inputs=inputs, adaptive=True
     )
 
 
@@ -92,7 +95,7 @@ class Entry(NamedTuple):
         observer: Class of the observer.
         make: Function that constructs the observer, `make(model, *numbers)`, with the numbers of `tuned_by`.
         tuned_by: Numbers that the observer needs. For a mechanical system `calibration.tuned_estimators` computes them.
-            "gains" are α [1/s] and β [1/s²].
+            "gains" are α [1/s] and β [1/s²]; "gains and force" are these and the rate [1/s] at which a force is learnt.
             "noise" are the process covariance (n, n), the measurement covariance (n, n) and the standard deviation of
             the initial velocity; "noise or ticks" are these, one tick of the encoders or None, and the slow states that
             are estimated, a tuple of `SlowVariables`, the sensors beside the configuration, a tuple of `Sensor`, and
@@ -126,7 +129,9 @@ class Entry(NamedTuple):
     name: str
     observer: type[AbstractObserver]
     make: Callable[..., AbstractObserver]
-    tuned_by: Literal["gains", "noise", "noise or ticks", "bandwidth", "window", "motion", "jerk", "state noise"]
+    tuned_by: Literal[
+        "gains", "gains and force", "noise", "noise or ticks", "bandwidth", "window", "motion", "jerk", "state noise"
+    ]
     about: str
     when: str
     source: str
@@ -160,6 +165,15 @@ REGISTRY = (
         when="larger errors at little cost",
         source="an addition to Aghannan & Rouchon 2003, (5)",
         promises=("error law",),
+    ),
+    Entry(
+        name="intrinsic-force",
+        observer=IntrinsicForce,
+        make=IntrinsicForce,
+        tuned_by="gains and force",
+        about="`Intrinsic` with an estimate of an unknown constant force: integral action, three poles",
+        when="loads, friction or masses that the model does not know; in the loop of a controller",
+        source="an addition to Aghannan & Rouchon 2003, (5); Johnson 1971 for the state of the force",
     ),
     Entry(
         name="geodesic",
@@ -203,7 +217,7 @@ REGISTRY = (
     Entry(
         name="ekf",
         observer=EKF,
-        make=EKF,
+        make=partial(EKF, adaptive=True),
         tuned_by="noise",
         about="extended Kalman filter, Joseph form; on SO(3) the multiplicative, on SE(3) the left-invariant one",
         when="known noise, large initial uncertainty",
@@ -213,7 +227,7 @@ REGISTRY = (
     Entry(
         name="ukf",
         observer=UKF,
-        make=UKF,
+        make=partial(UKF, adaptive=True),
         tuned_by="noise",
         about="unscented Kalman filter, square-root form; on a group its points are drawn in the frame",
         when="known noise, strong nonlinearity between few samples",

@@ -288,7 +288,7 @@ class CompareResult(AbstractComparison):
 def line_up(loaded: Loaded) -> tuple[dict[str, AbstractObserver], str, np.ndarray]:
     """Tune all observers that fit a model."""
     kind, sheet = loaded.kind, functools.cache(lambda: log_sheet(loaded.file, loaded))
-    note = kind.note(sheet, loaded.rate, every=True) + loaded.note
+    note = kind.note(sheet, loaded.rate) + loaded.note
     trial, tuned_on = trial_part(loaded)
     if trial is not None:
         begin, end = np.asarray(loaded.record.t)[tuned_on][[0, -1]] - np.asarray(loaded.record.t)[0]

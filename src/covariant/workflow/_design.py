@@ -22,7 +22,7 @@ from covariant.certificates import any_configuration
 from covariant.models import ModelFile, input_count
 from covariant.observers import AbstractObserver, Gated, chooses_substeps, with_fixed_substeps
 from covariant.workflow._inputs import Loaded
-from covariant.workflow._kinds import kind_of
+from covariant.workflow._kinds import WITH_FORCE, kind_of
 from covariant.workflow._sensors import FileSensor, file_sensors, with_readings
 from covariant.workflow._sheet import data_sheet, first_estimate
 
@@ -137,7 +137,7 @@ def design(
     """Design the observer of a model file: the same one for every verb."""
     model: Any = file.model
     fitting = estimators(model)
-    name, spec = name or fitting[0], spec or file.name
+    name, spec = name or (default_observer(file) if gains is None else fitting[0]), spec or file.name
     if name not in fitting:
         raise ValueError(f"observer {name} does not fit {spec}; these do: {', '.join(fitting)}")
     sheet = functools.cache(lambda: log_sheet(file, log))
@@ -164,7 +164,19 @@ def design(
         sheet()  # first names the numbers that the model file lacks, if any
         raise ValueError("gains are designed for a sampling rate; give `sampling` [Hz], or `alpha` and `beta`")
     kind = kind_of(file)
-    return Design(file, name, kind.tuned(sheet, rate, (name,))[name], kind.note(sheet, rate), sheet, log)
+    return Design(file, name, kind.tuned(sheet, rate, (name,))[name], kind.note(sheet, rate, name), sheet, log)
+
+
+def default_observer(file: ModelFile) -> str:
+    """Name of the observer of a model file where none is asked for: one that learns a force where the file tells one.
+
+    A natural frequency without a rate at which a force is learnt is that of an observer without a force.
+    """
+    told = file.force_rate
+    if told is None and file.natural_frequency is None:
+        told = file.external_force_time
+    fitting = estimators(file.model)
+    return WITH_FORCE if told and WITH_FORCE in fitting else fitting[0]
 
 
 def tells_noise(file: ModelFile) -> bool:

@@ -19,7 +19,7 @@ from covariant.observers import REGISTRY, AbstractObserver
 from covariant.scoring import SETTLED, rmse
 from covariant.signals import Run, StepCode
 from covariant.workflow._arguments import gain_pair
-from covariant.workflow._design import design, tells_noise, widens
+from covariant.workflow._design import default_observer, design, tells_noise, widens
 from covariant.workflow._determined import Determinacy, determined
 from covariant.workflow._holes import LONGEST_SHOWN
 from covariant.workflow._inputs import (
@@ -49,6 +49,7 @@ from covariant.workflow._outcome import (
 from covariant.workflow._pages import AbstractEstimates, estimate_report
 from covariant.workflow._progress import Progress, silent
 from covariant.workflow._sensors import SensorCount, sensor_counts
+from covariant.workflow._without_model import WithoutModel, without_model
 
 INFORMED = frozenset(entry.name for entry in REGISTRY if entry.knows_model)
 """Observers that predict with the model."""
@@ -114,7 +115,7 @@ def estimate(
     job = Job(model, log, overrides, every, until, columns or {}, anyway, start)
     progress("reading the log")
     loaded = load(job, score, missing_inputs=True)
-    observer = observer or estimators(loaded.model)[0]
+    observer = observer or (estimators(loaded.model)[0] if gains else default_observer(loaded.file))
     chosen, notes = choose_observer(job, loaded, observer, gains)
     chosen = with_sensor_delays({observer: chosen}, loaded)[observer]
     progress(f"estimating with {observer}")
@@ -194,6 +195,11 @@ class EstimateResult(AbstractEstimates):
     def pushes(self) -> Pushes | None:
         """Rows in which something pushes; None of an observer that estimates no force."""
         return pushes(self.loaded.file, self.outcome)
+
+    @functools.cached_property
+    def without_model(self) -> WithoutModel | None:
+        """What the best linear filter without a model makes of the log; None where nothing can be judged."""
+        return without_model(self.loaded, self.velocity) if self.observer_name in INFORMED else None
 
     @property
     def columns(self) -> dict[str, np.ndarray]:
@@ -283,6 +289,11 @@ class EstimateResult(AbstractEstimates):
             result["determined"] = [
                 {"name": each.name, "ratio": plain(each.ratio), **_stds(each)} for each in self.determined
             ]
+        free = self.without_model
+        if free is not None:
+            result["without_model"] = {"filter": free.filter} | {
+                name: plain(getattr(free, name)) for name in ("error", "own", "surplus")
+            }
         if reference is not None and logged is not None:
             both = reference.scored & np.isfinite(logged).all(1)
             result["difference_to_logged_velocity"] = rounded(rmse(outcome.velocity[both], logged[both]))
@@ -304,11 +315,12 @@ class EstimateResult(AbstractEstimates):
 
         Of samples without a measurement the longest stretches are named.
         """
-        counts, rows = self.outcome.counts, len(self.t)
+        counts, rows, free = self.outcome.counts, len(self.t), self.without_model
         doubts = (
             unexplained(self.job, self.loaded, self.observer_name, self.outcome),
             inconsistent(self.loaded, self.observer_name, self.outcome),
             *hole_doubts(self.loaded, {self.observer_name: self.outcome}),
+            None if free is None or not free.is_better else free.advice(self.observer_name),
         )
         return tuple(doubt for doubt in doubts if doubt is not None) + tuple(
             f"{count} of {rows} samples: {StepCode[name.upper()].message}"
@@ -330,6 +342,8 @@ class EstimateResult(AbstractEstimates):
                 for name, each in self.sensors.items()
             ),
         ]
+        free = self.without_model
+        lines += [] if free is None or free.is_better else [free.sentence(self.observer_name)]
         lines += [] if self.pushes is None else [str(self.pushes)]
         lines += [str(each) for each in self.determined]
         if "logged_velocity_rmse" in result:

@@ -413,7 +413,7 @@ def beyond_proof(lost: int) -> str:
 def _plain(designed: Design, gains: tuple[float, float] | None) -> str:
     """How an observer was designed, in characters that stand in a comment of C."""
     entry = next(entry for entry in REGISTRY if entry.name == designed.name)
-    if gains is None and entry.tuned_by not in ("gains", "state noise"):
+    if gains is None and entry.tuned_by not in ("gains", "gains and force", "state noise"):
         return "Tuned from its data sheet."  # the note is on gains that it does not have
     return designed.notes.replace("²", "^2").replace("±", "+-")
 

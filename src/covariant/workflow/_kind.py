@@ -157,7 +157,7 @@ class AbstractKind(abc.ABC):
         """Observers of these names that fit the model, tuned to the noise that the model file tells."""
 
     @abc.abstractmethod
-    def note(self, sheet: Callable[[], DataSheet], rate: float, every: bool = False) -> str:
+    def note(self, sheet: Callable[[], DataSheet], rate: float, name: str | None = None) -> str:
         """A sentence on what an observer, or every one of them, is designed from."""
 
     def unused(self, observer: AbstractObserver, name: str, sensors: bool) -> str:

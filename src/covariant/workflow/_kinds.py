@@ -34,6 +34,12 @@ OUTLIER_ROW, OUTLIER = 23, 1.5
 """The row of the self-test that a gate has to refuse, and how far it is off [rad or m]."""
 USE_TORQUES = "intrinsic-kalman", "ukf"
 """Observers whose noise may depend on the configuration, as that of torques does."""
+WITH_FORCE = "intrinsic-force"
+"""The observer with constant gains that estimates an unknown force."""
+NO_FORCE = (
+    "It learns no force: the model file tells neither `force_rate` in [design], nor the size of a force in "
+    "[uncertainty]."
+)
 
 
 class AbstractMechanical(AbstractKind):
@@ -68,16 +74,23 @@ class AbstractMechanical(AbstractKind):
     ) -> dict[str, AbstractObserver]:
         return tuned_estimators(self.model, self.file.dimension, sheet(), rate, trial, names)
 
-    def note(self, sheet: Callable[[], DataSheet], rate: float, every: bool = False) -> str:
-        gains = observer_gains(sheet(), rate).summary
-        return f"All tuned from one data sheet; the observers have {gains}." if every else f"Designed {gains}."
+    def note(self, sheet: Callable[[], DataSheet], rate: float, name: str | None = None) -> str:
+        if name is None:
+            return f"All tuned from one data sheet; the observers have {observer_gains(sheet(), rate).summary}."
+        if name != WITH_FORCE:
+            return f"Designed {observer_gains(sheet(), rate).summary}."
+        gains = observer_gains(sheet(), rate, self.model.space)
+        return f"Designed {gains.summary}." + ("" if gains.force_rate else f" {NO_FORCE}")
 
     def unused(self, observer: AbstractObserver, name: str, sensors: bool) -> str:
         file, text = self.file, ""
         asked = [
             what
             for what, stated in (
-                ("the external force of [uncertainty]", file.external_force or file.external_force_std),
+                (
+                    "the external force of [uncertainty]",
+                    None if name == WITH_FORCE else file.external_force or file.external_force_std,
+                ),
                 ("the bias of [measurement]", file.bias),
                 ("the parameters of [uncertainty]", file.family),
                 ("the forces of [wrench]", file.wrenches or None),
@@ -85,7 +98,8 @@ class AbstractMechanical(AbstractKind):
             )
             if stated is not None
         ]
-        if asked and not (getattr(observer, "slow_names", ()) or getattr(observer, "sensors", ())):
+        filters = getattr(observer, "slow_names", ()) or getattr(observer, "sensors", ())
+        if asked and (name == WITH_FORCE or not filters):
             text = f" It does not estimate {' and '.join(asked)}; intrinsic-kalman does."
         if file.torque_std is not None and name not in USE_TORQUES:
             text += f" It does not use the torque of [uncertainty]; {' and '.join(USE_TORQUES)} do."
@@ -264,7 +278,7 @@ class InStates(AbstractKind):
     ) -> dict[str, AbstractObserver]:
         return tuned_state_estimators(self.model, state_noise(self.file, rate), names)
 
-    def note(self, sheet: Callable[[], DataSheet], rate: float, every: bool = False) -> str:
+    def note(self, sheet: Callable[[], DataSheet], rate: float, name: str | None = None) -> str:
         start, deviation = first_estimate(self.file)
         named = zip(self.estimates.names, start, deviation, self.estimates.units, strict=True)
         first = ", ".join(f"{name} {x:.4g} ± {std:.3g} {unit}".rstrip() for name, x, std, unit in named)

@@ -17,7 +17,7 @@ from covariant.scoring import SETTLED
 from covariant.signals import Run, StepCode
 from covariant.workflow._inputs import Job, Loaded
 
-KEPT = ("innovation", "distance", "result", "nis", "velocity_std", "state_std", "slow", "slow_std", "sensors")
+KEPT = ("innovation", "distance", "result", "nis", "velocity_std", "state_std", "slow", "slow_std", "sensors", "noise_scale")
 """What the commands use of the info of an observer."""
 MARGIN = 2.0
 """How far above the band of a right model the mean NIS is before it is called too large: noise is seldom known well."""
@@ -103,9 +103,13 @@ def scored(
     """Score a run of an observer on a log."""
     velocity = np.asarray(loaded.model.sought.of(run.estimate))
     score = None if loaded.reference is None else _score(velocity, run.info, loaded)
-    # Behind a gate or a delay, too.
-    named = getattr(getattr(observer, "observer", observer), "slow_names", ())
-    return Outcome(run, velocity, mean_nis(run.info, loaded), score, microseconds, engine, named)
+    return Outcome(run, velocity, mean_nis(run.info, loaded), score, microseconds, engine, _slow_names(observer))
+
+
+def _slow_names(observer: Any) -> tuple[str, ...]:
+    """Names of what an observer estimates along with the motion, behind a gate or a delay, too."""
+    inner = getattr(observer, "observer", None)
+    return getattr(observer, "slow_names", ()) if inner is None else _slow_names(inner)
 
 
 def engine_is_notable(by: str, asked: Engine) -> bool:

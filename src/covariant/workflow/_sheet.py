@@ -36,6 +36,7 @@ def data_sheet(file: ModelFile, record: Record | None = None) -> DataSheet:
         "motion_time": file.motion_time,
         "damping": file.damping,
         "natural_frequency": file.natural_frequency,
+        "force_rate": file.force_rate,
     }
     return DataSheet(**{name: value for name, value in known.items() if value is not None})
 

@@ -28,6 +28,8 @@ class DataSheet(NamedTuple):
             N m]; None where no such force is estimated.
         speed: Usual size of each velocity, as from `usual_speeds`, by which gates judge; None where it is unknown.
         natural_frequency: ω [rad/s] of the gains α = 2ζω and β = ω²; None where it is designed from the noise.
+        force_rate: Rate ρ [1/s] at which `IntrinsicForce` learns an unknown force; None where it is designed from the
+            size and time of that force.
         external_force_std: Usual size of a force that the model does not know and that is forgotten [N or N m], one for
             all components or one for each; None where no such force is estimated.
         external_force_time: Its time constant [s]; both or neither.
@@ -56,6 +58,7 @@ class DataSheet(NamedTuple):
     external_force: float | None = None
     speed: tuple[float, ...] | None = None
     natural_frequency: float | None = None
+    force_rate: float | None = None
     slow: tuple[SlowVariables, ...] = ()
     external_force_std: float | tuple[float, ...] | None = None
     external_force_time: float | None = None

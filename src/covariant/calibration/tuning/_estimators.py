@@ -33,8 +33,8 @@ STATE_ESTIMATORS = STATE_OBSERVER_NAMES
 """Names of all estimators of state-space models: as in `covariant.observers.REGISTRY`."""
 
 
-def observer_gains(sheet: DataSheet, rate: float) -> Gains:
-    """Gains α and β for a data sheet, by `gains`.
+def observer_gains(sheet: DataSheet, rate: float, space: AbstractSpace | None = None) -> Gains:
+    """Gains α and β for a data sheet, by `gains`, and with a space also the rate at which a force is learnt.
 
     Use it where the numbers are in a `DataSheet` already, as `covariant.estimate` does with the numbers of a model
     file. It returns one pair of gains for all coordinates. `tuned_estimators` returns complete observers.
@@ -42,14 +42,20 @@ def observer_gains(sheet: DataSheet, rate: float) -> Gains:
     Args:
         sheet: The data sheet.
         rate: Sampling rate [Hz].
+        space: Configuration space of the model, for gains of `IntrinsicForce`, whose unknown force accelerates the
+            coordinates as it does at the origin, in the mean; None (default) for an observer without a force.
 
     Returns:
         The gains, and the errors that they should leave.
 
     Example:
         >>> from covariant.calibration import DataSheet, observer_gains
+        >>> from covariant.models import oscillator
         >>> round(observer_gains(DataSheet(measurement_std=1e-3, acceleration_std=0.5), rate=100.0).beta)
         500
+        >>> sheet = DataSheet(1e-3, 0.1, 0.5, external_force_std=1.0, external_force_time=0.5)
+        >>> round(observer_gains(sheet, 100.0, oscillator().space).force_rate)
+        16
     """
     return gains(
         sheet.measurement_std,
@@ -58,7 +64,19 @@ def observer_gains(sheet: DataSheet, rate: float) -> Gains:
         sheet.correlation_time,
         sheet.damping,
         sheet.natural_frequency,
+        *((0.0,) if space is None else _force_acceleration(sheet, space)),
     )
+
+
+def _force_acceleration(sheet: DataSheet, space: AbstractSpace) -> tuple[float, float | None, float | None]:
+    """The acceleration by an unknown force, its time constant, and the rate at which it is to be learnt, for `gains`."""
+    force = sheet.external_force if sheet.external_force_std is None else sheet.external_force_std
+    if force is None:
+        return 0.0, None, sheet.force_rate
+    q = space.manifold.origin()
+    inverse = np.linalg.inv(np.asarray(jax.jit(space)(q)))
+    accelerations = np.linalg.norm(inverse * np.broadcast_to(force, len(inverse)), axis=1)
+    return float(accelerations.mean()), sheet.external_force_time, sheet.force_rate
 
 
 def estimators(model: Any) -> tuple[str, ...]:
@@ -234,6 +252,11 @@ def _gains(entry: Entry, known: _Known) -> tuple:
     return chosen.alpha, chosen.beta
 
 
+def _gains_and_force(entry: Entry, known: _Known) -> tuple:
+    chosen = observer_gains(known.sheet, known.rate, known.space)
+    return chosen.alpha, chosen.beta, chosen.force_rate
+
+
 def _noise(entry: Entry, known: _Known) -> tuple:
     sheet, time = known.sheet, known.sheet.white_time(known.rate)
     process_cov = jnp.asarray(2 * sheet.acceleration_std**2 * time * np.eye(known.n))
@@ -260,6 +283,7 @@ def _bandwidth(entry: Entry, known: _Known) -> tuple:
 
 TUNINGS: dict[str, Callable[[Entry, _Known], tuple]] = {
     "gains": _gains,
+    "gains and force": _gains_and_force,
     "noise": _noise,
     "noise or ticks": _ticks,
     "bandwidth": _bandwidth,

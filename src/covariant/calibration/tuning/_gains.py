@@ -23,6 +23,7 @@ class Gains(NamedTuple):
         beta: Velocity gain β [1/s²].
         position_std: Predicted standard deviation of the position error, in metric units.
         velocity_std: Predicted standard deviation of the velocity error, in metric units.
+        force_rate: Rate ρ [1/s] at which `IntrinsicForce` learns an unknown force; 0 for observers without one.
 
     Example:
         >>> from covariant.calibration import Gains
@@ -34,12 +35,14 @@ class Gains(NamedTuple):
     beta: float
     position_std: float
     velocity_std: float
+    force_rate: float = 0.0
 
     @property
     def summary(self) -> str:
         """The gains and predicted errors in one line."""
+        rate = f", force rate = {self.force_rate:.4g} 1/s" if self.force_rate else ""
         return (
-            f"alpha = {self.alpha:.4g} 1/s, beta = {self.beta:.4g} 1/s²; predicted standard deviation of the position "
+            f"alpha = {self.alpha:.4g} 1/s, beta = {self.beta:.4g} 1/s²{rate}; predicted standard deviation of the position "
             f"{self.position_std:.2g} and of the velocity {self.velocity_std:.2g}"
         )
 
@@ -51,6 +54,9 @@ def gains(
     correlation_time: float | None = None,
     damping: float = math.sqrt(0.5),
     natural_frequency: float | None = None,
+    force_std: float = 0.0,
+    force_time: float | None = None,
+    force_rate: float | None = None,
 ) -> Gains:
     """Gains α = 2ζω, β = ω² with ω = (S_a/S_m)^¼, for the noise of a sensor and the error of a model.
 
@@ -68,9 +74,15 @@ def gains(
         damping: Damping ratio ζ; √½ is optimal for white disturbances, and a larger one helps when they are faster than
             the observer.
         natural_frequency: Another ω [rad/s], such as one identified from a log.
+        force_std: Standard deviation of the acceleration by an unknown force that lasts, for `IntrinsicForce`
+            [rad/s² or m/s²]; 0 (default) for none.
+        force_time: Time constant [s] with which that force is forgotten. By default it is a random walk, with
+            `force_std` the standard deviation of its change in one second.
+        force_rate: Another rate ρ [1/s] at which the force is learnt, 0 for none.
 
     Returns:
-        The gains, and the errors that they should leave.
+        The gains, and the errors that they should leave. With a force they leave a velocity error that is within 3 % of
+        that of the best linear filter.
 
     Raises:
         ValueError: A number is not positive.
@@ -80,6 +92,9 @@ def gains(
         >>> design = gains(measurement_std=1e-3, rate=100.0, acceleration_std=1.0, correlation_time=0.5)
         >>> round(design.alpha, 2), round(design.beta)  # ω = (1 / 1e-8)^¼ = 100 rad/s
         (141.42, 10000)
+        >>> loaded = gains(1e-3, 100.0, 0.1, 0.5, force_std=1.0, force_time=0.5)
+        >>> round(loaded.beta**0.5), round(loaded.force_rate)
+        (33, 16)
     """
     # Independent at each sample: S_a = 2 std² time is then std² / rate, as for the measurement.
     time = 1 / (2 * rate) if correlation_time is None else correlation_time
@@ -90,15 +105,66 @@ def gains(
         "correlation_time": time,
         "damping": damping,
     }
-    if natural_frequency is not None:
-        numbers["natural_frequency"] = natural_frequency
+    optional = {"natural_frequency": natural_frequency, "force_time": force_time}
+    numbers |= {name: value for name, value in optional.items() if value is not None}
     for name, value in numbers.items():
         if not (math.isfinite(value) and value > 0):
             raise ValueError(f"gains: {name} must be a positive number; got {value}")
+    for name, value in {"force_std": force_std, "force_rate": force_rate or 0.0}.items():
+        if not (math.isfinite(value) and value >= 0):
+            raise ValueError(f"gains: {name} must be a number ≥ 0; got {value}")
     measurement_density = measurement_std**2 / rate
     acceleration_density = 2 * acceleration_std**2 * time
-    omega = natural_frequency or (acceleration_density / measurement_density) ** 0.25
-    return predict_errors(2 * damping * omega, omega**2, measurement_density, acceleration_density)
+    forgetting = 0.0 if force_time is None else 1 / force_time
+    force_density = force_std**2 * (1 if force_time is None else 2 * forgetting)
+    densities = measurement_density, acceleration_density, force_density, forgetting
+    designed, rho = (acceleration_density / measurement_density) ** 0.25, 0.0
+    if force_std:
+        designed, rho = _force_poles(*densities)
+    omega = natural_frequency or designed
+    rho = rho * omega / designed if force_rate is None else force_rate
+    if not rho:
+        return predict_errors(2 * damping * omega, omega**2, measurement_density, acceleration_density)
+    return _force_errors(Gains(2 * damping * omega, omega**2, math.nan, math.nan, rho), *densities)
+
+
+def _force_poles(
+    measurement_density: float, acceleration_density: float, force_density: float, forgetting: float
+) -> tuple[float, float]:
+    """ω of two poles and ρ of the third for an unknown acceleration that is coloured noise, forgotten at a rate r.
+
+    The spectral density `(W + D/(r² − s²))/s⁴` of the positions that the model does not explain gives the poles of the
+    stationary Kalman filter as roots of `R x²(r² − x) + W(r² − x) + D = 0` in x = s². Here its feedback acts on a force
+    that is not forgotten, and the poles are those of this loop. For D → 0 they are (W/R)^¼ and 0.
+    """
+    r, noise = forgetting, measurement_density
+    squares = np.roots([-noise, noise * r**2, -acceleration_density, force_density + acceleration_density * r**2])
+    _, first, second, third = np.poly(-np.sqrt(squares.astype(complex))).real
+    # (s + r)(s² + k1 s + k2) + k3, the polynomial of the filter with its feedback k, has these coefficients.
+    k1 = first - r
+    k2 = second - k1 * r
+    poles = np.roots([1.0, k1, k2, max(third - k2 * r, 0.0)]).astype(complex)
+    # A cubic has a real root; of three the slowest one is that of the force.
+    real = np.abs(poles.imag) <= np.abs(poles.imag).min()
+    rho = -float(poles.real[real].max())
+    others = poles[np.argsort(np.abs(poles + rho))[1:]]
+    return math.sqrt(abs(np.prod(others))), max(rho, 0.0)
+
+
+def _force_errors(gains: Gains, noise: float, acceleration: float, force: float, forgetting: float) -> Gains:
+    """Gains with the stationary errors of `IntrinsicForce` under white noise and the noise that drives a force."""
+    alpha, beta, rho, r = gains.alpha, gains.beta, gains.force_rate, forgetting
+    # ξ' = ζ − k1(ξ − n), ζ' = η − k2(ξ − n) − w, η' = −k3(ξ − n) + r a − d, a' = −r a + d, with white n, w and d.
+    gain = np.array([alpha + rho, beta + alpha * rho, beta * rho, 0.0])
+    loop = np.diag([1.0, 1.0, r], 1) - np.diag([0.0, 0.0, 0.0, r])
+    loop[:, 0] -= gain
+    sources = np.stack([gain, [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, -1.0, 1.0]], axis=1)
+    # A random walk drifts without a bound, and does not act on the errors.
+    n = 4 if r else 3
+    loop, sources, eye = loop[:n, :n], sources[:n], np.eye(n)
+    added = sources * np.array([noise, acceleration, force]) @ sources.T
+    cov = np.linalg.solve(np.kron(loop, eye) + np.kron(eye, loop), -added.ravel()).reshape(n, n)
+    return gains._replace(position_std=math.sqrt(cov[0, 0]), velocity_std=math.sqrt(cov[1, 1]))
 
 
 def predict_errors(alpha: Number, beta: Number, measurement_density: float, acceleration_density: float) -> Gains:

@@ -329,6 +329,10 @@ def _error_system(
 
 def _gains(observer: AbstractObserver, explicit: tuple[float, float] | None) -> tuple[float, float]:
     pair = (own(observer, "alpha"), own(observer, "beta")) if explicit is None else explicit
+    rate = own(observer, "force_rate")
+    if explicit is None and rate is not None:
+        # With the force held, the feedback of position and velocity is that of three poles.
+        pair = pair[0] + rate, pair[1] + pair[0] * rate
     if any(gain is None for gain in pair):
         raise ValueError(
             f"audit: {type(observer).__name__} has no gains alpha and beta, nor the laws that go with them; give an "

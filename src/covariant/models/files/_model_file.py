@@ -89,6 +89,8 @@ class ModelFile(NamedTuple):
         damping: Damping ratio of the error [1].
         natural_frequency: Natural frequency [rad/s] of the error under constant gains, where it is not designed from
             the noise.
+        force_rate: Rate [1/s] at which an unknown force is learnt under constant gains, 0 for none. By default it is
+            designed from the size and time of the force in `[uncertainty]`.
         reference_half: Half width [s] of the windows of the local polynomials that give the reference velocity for
             scoring.
         reference_order: Degree of these polynomials.
@@ -141,6 +143,7 @@ class ModelFile(NamedTuple):
     initial_std: Annotated[Unknown, Number("initial.std", each="state")] = None
     damping: Annotated[float, Number("design.damping")] = math.sqrt(0.5)
     natural_frequency: Annotated[float | None, Number("design.natural_frequency")] = None
+    force_rate: Annotated[float | None, Number("design.force_rate", ZERO_OR_MORE)] = None
     reference_half: Annotated[float, Number("reference.half")] = 0.03
     reference_order: Annotated[float, Number("reference.order", whole=True)] = 3
     wrenches: Mapping[str, Mapping[str, Any]] = MappingProxyType({})

@@ -44,6 +44,7 @@ from ._sampled import (
     predict as predict,
     predicted as predicted,
     sampled_correction as sampled_correction,
+    sampled_force_gains as sampled_force_gains,
     sampled_gains as sampled_gains,
     step_result as step_result,
     steps_for as steps_for,

@@ -8,6 +8,12 @@ Without correction the model changes an error by `ξ' = ζ, ζ' = Nξ` with N = 
 gains are
 `K1 = 1 − ab` and `K2 = √N ((1 + ab) cosh(√N dt) − a − b)/sinh(√N dt) = k2 + κN + O(N²)`, with `k2 = (1 − a)(1 − b)/dt`
 and `κ = ½(1 + ab) dt − k2 dt²/6`. For dt → 0 they are α dt and β dt + N dt.
+
+With an unknown force that is estimated too the error law is a triple integrator, `ξ' = ζ, ζ' = Nξ + η, η' = 0` without
+correction, and has a third pole c = exp(−ρ dt). With `C = (cosh(√N dt) − 1)/N` and S = sinh(√N dt)/√N the determinant,
+trace and second invariant of the sampled loop give, for a constant N,
+`K1 = 1 − abc`, `K2 = (2(1 + abc) cosh(√N dt) + 1 + abc − T − P)/2S` and `K3 = (1 − abc − T + P)/2C`, where T = a + b + c
+and P = ab + bc + ca. To first order K2 is again k2 + κN with the same κ, and `K3 = k3 (1 − N dt²/12)`.
 """
 
 import dataclasses
@@ -171,6 +177,19 @@ def sampled_gains(alpha: Number, beta: Number, dt: Number) -> tuple[Scalar, Scal
     return jnp.where(dt > 0, -jnp.expm1(-alpha * positive_dt), 0.0), jnp.where(dt > 0, k2, 0.0)
 
 
+def sampled_force_gains(alpha: Number, beta: Number, force_rate: Number, dt: Number) -> tuple[Scalar, Scalar, Scalar]:
+    """Gains of position, velocity and unknown acceleration of one sample, for the poles of s² + αs + β and −`force_rate`.
+
+    With 1 − a, 1 − b and 1 − c = r their elementary symmetric functions e1, e2, e3 give `k1 = e1 − e2 + e3`,
+    `k2 = (e2 − 3e3/2)/dt`, `k3 = e3/dt²`. For r = 0 the first two are those of `sampled_gains`.
+    """
+    k1, k2 = sampled_gains(alpha, beta, dt)
+    third = -jnp.expm1(-force_rate * dt)
+    # For dt ≤ 0 the 1 keeps the unused branch and its derivative finite.
+    per_time = jnp.where(dt > 0, third / jnp.where(dt > 0, dt, 1.0), 0.0)
+    return k1 + third * (1 - k1), k2 + per_time * (k1 - k2 * dt / 2), k2 * per_time
+
+
 def acceleration_gain(k1: Scalar, k2: Scalar, dt: Number) -> Scalar:
     """Gain `κ = ½(1 + ab) dt − k2 dt²/6` of the acceleration that is missing in a prediction, to first order in N."""
     # ½(1 + ab) dt, since k1 = 1 − ab.
@@ -193,13 +212,13 @@ class Correction(NamedTuple):
 
 
 def sampled_correction(
-    space: AbstractSpace, motion: Motion, alpha: Number, beta: Number, dt: Number, xi: Vector, missing: Vector
+    space: AbstractSpace, motion: Motion, gains: tuple[Scalar, Scalar], dt: Number, xi: Vector, missing: Vector
 ) -> Correction:
-    """Correction of a predicted motion by the error ξ.
+    """Correction of a predicted motion by the error ξ, with the gains of position and velocity of one sample.
 
     N is an operator that is known in the direction of ξ only; terms beyond first order in `|N| dt²` use its size.
     """
-    k1, k2 = sampled_gains(alpha, beta, dt)
+    k1, k2 = gains
     size, gap = space.norm(motion.q, xi), space.norm(motion.q, missing) * dt * dt
     # An error below the rounding of the distance moved says nothing about N.
     rounding = float(jnp.finfo(xi.dtype).eps) ** 0.5 * dt * space.norm(*motion)

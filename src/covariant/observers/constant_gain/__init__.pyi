@@ -7,6 +7,11 @@ from ._copy import ModelCopy as ModelCopy
 from ._geodesic import Geodesic as Geodesic, GeodesicInfo as GeodesicInfo, GeodesicState as GeodesicState
 from ._implicit_geodesic import ImplicitGeodesic as ImplicitGeodesic
 from ._intrinsic import Intrinsic as Intrinsic, second_order as second_order
+from ._intrinsic_force import (
+    IntrinsicForce as IntrinsicForce,
+    IntrinsicForceInfo as IntrinsicForceInfo,
+    IntrinsicForceState as IntrinsicForceState,
+)
 from ._passive_ship import (
     PassiveGains as PassiveGains,
     PassiveShip as PassiveShip,

@@ -20,6 +20,7 @@ from covariant.observers.base import (
     outcome,
     predicted,
     sampled_correction,
+    sampled_gains,
     step_result,
     still,
     time_since_measurement,
@@ -83,7 +84,8 @@ class ModelCopy(AbstractMechanicalObserver):
         e = -self.innovation(state, u, y)
         # The prediction used S(q̂); the observer (15) uses S at the measurement.
         missing = source(self.model, t, self.model.manifold.measured(q, y), u) - source(self.model, t, q, u)
-        correction = sampled_correction(self.model.space, Motion(q, v), self.alpha, self.beta, waited, e, missing)
+        gains = sampled_gains(self.alpha, self.beta, waited)
+        correction = sampled_correction(self.model.space, Motion(q, v), gains, waited, e, missing)
         new_q, new_v = self.model.manifold.retract(q, -correction.part * e), v + correction.velocity
         result = outcome(new_q, new_v, y, step_result(correction, uniqueness(self.model, q, y)))
         new = state._replace(q=new_q, v=new_v, age=aged(self.model, state, y))

@@ -23,6 +23,7 @@ from covariant.observers.base import (
     outcome,
     predicted,
     sampled_correction,
+    sampled_gains,
     step_result,
     still,
     time_since_measurement,
@@ -191,7 +192,8 @@ class Geodesic(AbstractMechanicalObserver):
         space, (q, v, t), waited = self.model.space, state[:3], time_since_measurement(state)
         path, drive = self._correction(t, state, u, y, self.budget)
         missing = drive - source(self.model, t, q, u)  # acceleration missing in the prediction, which used S(q̂)
-        correction = sampled_correction(space, Motion(q, v), self.alpha, self.beta, waited, -path.log, missing)
+        gains = sampled_gains(self.alpha, self.beta, waited)
+        correction = sampled_correction(space, Motion(q, v), gains, waited, -path.log, missing)
         # Move along the geodesic by the fraction `part`, and transport the velocity with it.
         corrected, displacement = v + correction.velocity, correction.part * path.log
         end = space.transport_along(q, displacement, corrected, self.budget)

@@ -137,7 +137,8 @@ class Intrinsic(AbstractMechanicalObserver):
     def correct(self, state: SampledState, u: Float[Array, "m"], y: Array) -> tuple[SampledState, Info]:
         (q, v, t), waited = state[:3], time_since_measurement(state)
         xi, missing = self.missing_acceleration(t, q, v, u, y)
-        correction = sampled_correction(self.model.space, Motion(q, v), self.alpha, self.beta, waited, xi, missing)
+        gains = self.sample_gains(waited)
+        correction = sampled_correction(self.model.space, Motion(q, v), gains, waited, xi, missing)
         new_q, new_v = self.moved(q, v, -correction.part * xi, correction.velocity)
         result = outcome(new_q, new_v, y, step_result(correction, uniqueness(self.model, q, y)))
         info = Info(self.innovation(state, u, y), self.model.space.norm(q, xi), result)

@@ -218,7 +218,9 @@ class Gated(AbstractObserver):
             return restarted
         v = verdict.velocity.mean
         credible = jnp.all(jnp.abs(v) <= CREDIBLE * self.speed)
-        return restarted._replace(inner=restarted.inner._replace(v=jnp.where(credible, v, 0.0)))
+        # A force that the observer has learnt acts on.
+        learnt = {"force": state.inner.force} if "force" in state.inner._fields else {}
+        return restarted._replace(inner=restarted.inner._replace(v=jnp.where(credible, v, 0.0), **learnt))
 
 
 def without_last_input(state: Any) -> Any:
