@@ -132,6 +132,7 @@ class Gate(eqx.Module):
             shape = _shape(jax.tree.map(lambda a, block=block: a[block], line), noise)
             shapes = zip((even, moving, joined, continued), shape, strict=True)
             even, moving, joined, continued = (a.at[block].set(b) for a, b in shapes)
+        unequal = moving | ~even
         # A start after long patience needs a complete configuration.
         patient = far & (memory.refused >= self.patience) & jnp.all(present)
         even, credible = even & far & (memory.refused >= 1), _credible(manifold, line, predicted, usual)
@@ -143,8 +144,8 @@ class Gate(eqx.Module):
         moved = moved | (even & possible & (memory.refused >= 2) & (line.gap > HOLE * line.step))
         # Readings within the reach of motion that go on as motion does, or stay off in a fourth row, and are not equal
         # as after a slip: it is the model or the noise that is wrong, and the gate learns it without a cap.
-        later = memory.refused > 2
-        motion = far & moving & _reached(manifold, line, usual) & (later | (continued & (memory.refused >= 1)))
+        persistent = (memory.refused > 2) | (continued & (memory.refused >= 1))
+        motion = far & unequal & persistent & _reached(manifold, line, usual)
         believed = jnp.where(motion, square, jnp.minimum(square, BELIEVED * memory.scale))
         scale = memory.scale + jnp.where(measured, (believed - memory.scale) / self.memory, 0.0)
         far = far & (moved | ~motion)
