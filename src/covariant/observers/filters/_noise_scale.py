@@ -61,7 +61,9 @@ class NoiseScale(NamedTuple):
         cov = transition @ self.cov @ transition.T + noise @ noise.T
         return self._replace(cov=cov, estimate=transition @ self.estimate)
 
-    def corrected(self, root: Matrix, after: Matrix, correction: Vector, reset: Matrix, restart: Flag, size: Scalar) -> "NoiseScale":
+    def corrected(
+        self, root: Matrix, after: Matrix, correction: Vector, reset: Matrix, restart: Flag, size: Scalar
+    ) -> "NoiseScale":
         """The same after a correction.
 
         The lower triangular `root` is that of the covariance before, `after` one of the covariance after the
