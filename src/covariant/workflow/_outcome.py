@@ -18,16 +18,8 @@ from covariant.signals import Run, StepCode
 from covariant.workflow._inputs import Job, Loaded
 
 KEPT = (
-    "innovation",
-    "distance",
-    "result",
-    "nis",
-    "velocity_std",
-    "state_std",
-    "slow",
-    "slow_std",
-    "sensors",
-    "noise_scale",
+    *("innovation", "innovation_cov", "distance", "result", "nis", "noise_scale", "sensors"),
+    *("velocity_std", "state_std", "slow", "slow_std"),
 )
 """What the commands use of the info of an observer."""
 MARGIN = 2.0
