@@ -194,8 +194,12 @@ def smoothed(errors: ErrorModel, noise: NoiseLevels, speed: Scalar | float) -> F
     return jax.lax.scan(backwards, jnp.zeros(3 * n), rows, reverse=True)[1]
 
 
-def from_later(errors: ErrorModel, noise: NoiseLevels, speed: Scalar | float) -> Float[Array, "T n2"]:
+def from_later(
+    errors: ErrorModel, noise: NoiseLevels, speed: Scalar | float
+) -> tuple[Float[Array, "T n2"], Float[Array, "T n"]]:
     """Estimate the errors at each row from the rows after it only, by the Kalman filter in reversed time.
+
+    The second result are the standard deviations of the velocities.
 
     It knows nothing before the last row. Given the state x at a row, so also the force, the rows before and after it are
     independent, and the mean of this estimate v_l is v. An estimate v̂ from the rows before thus has
@@ -213,7 +217,7 @@ def from_later(errors: ErrorModel, noise: NoiseLevels, speed: Scalar | float) ->
 
 
 @eqx.filter_jit
-def _from_later(errors: ErrorModel, inverse: Array, noise: NoiseLevels, speed: Scalar | float) -> Array:
+def _from_later(errors: ErrorModel, inverse: Array, noise: NoiseLevels, speed: Scalar | float) -> Any:
     n, variance = errors.residual.shape[1], noise.measurement**2
     # Nothing is known: positions and velocities far beyond their size, and a force far beyond its own.
     first = VAGUE**2 * _first(noise, speed, n)
@@ -226,9 +230,8 @@ def _from_later(errors: ErrorModel, inverse: Array, noise: NoiseLevels, speed: S
         remains = jnp.diag(1 / jnp.diag(decay))
         back = jnp.block([[back, -back @ push @ remains], [jnp.zeros((n, 2 * n)), remains]])
         x = jnp.where(last, 0.0, back @ (state[0] - defect))
-        cov = back @ (state[1] + added) @ back.T
-        cov = jnp.where(last, first, (cov + cov.T) / 2)
-        estimate = x[: 2 * n]
+        cov = jnp.where(last, first, _symmetric(back @ (state[1] + added) @ back.T))
+        estimate = x[: 2 * n], jnp.sqrt(jnp.diag(cov)[n : 2 * n])
         for i in range(n):
             x, cov, _ = _reading(x, cov, i, row.residual[i], variance[i], row.present[i])
         return (x, cov), estimate
@@ -247,7 +250,7 @@ def _recursion(errors: ErrorModel, noise: NoiseLevels, speed: Scalar | float):
         x, cov = state
         whole, defect, added = _transition(row, noise)
         x = whole @ x + defect
-        cov = whole @ cov @ whole.T + added
+        cov = _symmetric(whole @ cov @ whole.T + added)
         current: Any = jnp.where(row.fresh, 0.0, x), jnp.where(row.fresh, first, cov)
         corrections: list[Any] = []
         for i in range(n):  # their noise is independent, so they correct one after the other
@@ -262,6 +265,11 @@ def _recursion(errors: ErrorModel, noise: NoiseLevels, speed: Scalar | float):
         return tuple(current), result, _Past(whole, x, cov, gains, innovation, used)
 
     return (jnp.zeros(3 * n), first), step
+
+
+def _symmetric(cov: Array) -> Array:
+    """The symmetric part: rounding would otherwise grow, since a correction uses the columns of a covariance only."""
+    return (cov + cov.T) / 2
 
 
 def _first(noise: NoiseLevels, speed: Scalar | float, n: int) -> Float[Array, "n3 n3"]:

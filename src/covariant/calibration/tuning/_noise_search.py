@@ -17,8 +17,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from covariant.calibration.identification import ErrorModel, Filtered, NoiseLevels, error_model, kalman, smoothed
-from covariant.calibration.tuning._tuning_log import TuningLog, intrinsic
+from covariant.calibration.identification import (
+    ErrorModel,
+    Filtered,
+    NoiseLevels,
+    error_model,
+    from_later,
+    kalman,
+    smoothed,
+)
+from covariant.calibration.tuning._tuning_log import TuningLog, constant_gains
 from covariant.models import MechanicalSystem
 from covariant.observers import with_fixed_substeps
 
@@ -45,7 +53,7 @@ class RunErrors(NamedTuple):
         q, v, _ = estimate
         t, u, y = (jnp.asarray(each) for each in log.record[:3])
         sampled = np.linspace(0, len(t) - 2, min(200, len(t) - 1)).astype(int)
-        fixed = with_fixed_substeps(intrinsic(model, 1.0, 1.0), log.rate, q[sampled], v[sampled], u[sampled])
+        fixed = with_fixed_substeps(constant_gains(model, 1.0, 1.0), log.rate, q[sampled], v[sampled], u[sampled])
         substeps = fixed.substeps or 1
         return cls(log, np.asarray(v), substeps, error_model(model, q, v, t, u, y, substeps))
 
@@ -59,7 +67,7 @@ class RunErrors(NamedTuple):
         return self.v + np.asarray(errors)[:, n : 2 * n]
 
 
-_filtered, smoothed_errors = eqx.filter_jit(kalman), eqx.filter_jit(smoothed)
+_filtered, smoothed_errors, later_errors = eqx.filter_jit(kalman), eqx.filter_jit(smoothed), from_later
 
 
 @eqx.filter_jit
