@@ -1,10 +1,10 @@
-"""Constant gains from logs: several candidates, of which the one is taken that is nearest to the truth on held-out rows.
+"""Constant gains from logs: several candidates, of which the one is taken that is best on held-out rows.
 
 Designs follow from the noise; the stationary gains are those that a Kalman filter with this noise has in the mean along
-the log; searches minimise innovations, and distances of velocities. Two estimates judge that use rows which the observer
-has not seen: one from the rows after each only, whose error is independent of the observer's, so that it is right in the
-mean even where sizes of the noise are wrong; and the smoother's, which has less scatter. No reference velocity takes
-part: where the estimate is better than the reference, comparing with it misleads.
+the log; searches minimise innovations, and distances of velocities. Two estimates judge that use rows which the
+observer has not seen: one from the rows after each only, whose error is independent of the observer's, so that it is
+right in the mean even where sizes of the noise are wrong; and the smoother's, which has less scatter. No reference
+velocity takes part: where the estimate is better than the reference, comparing with it misleads.
 
 Source: Kalata 1984, The tracking index, IEEE TAES 20(2), for gains of the sampled filter; Bayley & Hammersley 1946, The
 "effective" number of independent observations in an autocorrelated time series, JRSS Supplement 8(2), for means of
@@ -32,7 +32,7 @@ others a larger or a smaller one; below 0.3 an error rings for so long that a lo
 USUAL = 0.5**0.5
 """Damping ratio that is best for white disturbances."""
 GRID = np.geomspace(1 / 6, 6, 9), (0.3, 0.5, 0.8, 1.5, 2.5), (0.0, 0.1, 0.35)
-"""The grid of a search: ω and ρ in units of the innovations' ω, and ζ."""
+"""The grid of a search: ω in units of that of the innovations, ζ, and ρ in units of ω."""
 FINER = 2
 """Number of times that the grid is made finer around its best."""
 DESIGNS = ("model file", "three poles", "sampled design", "rule", "Kalman filter")
@@ -42,7 +42,8 @@ BLOCKS, CERTAIN = 16, 2.0
 SAME = 1.02
 """Ratio of errors up to which gains are said to be the same."""
 VAGUER = 3.0
-"""Rows count whose velocity the later rows leave at most so many times as uncertain as usual: near holes they tell little."""
+"""Rows count whose velocity the later rows leave at most so many times as uncertain as usual: before holes they tell
+little."""
 FAILED = 1e6
 
 
@@ -113,7 +114,7 @@ def best_innovations(
 def candidates(
     noise: NoiseLevels, systems: Sequence[ErrorModel], filtered: Sequence[Filtered], rate: float
 ) -> dict[str, Poles]:
-    """Natural frequencies [rad/s], damping ratios and force rates [1/s] that follow from the noise, within the bounds."""
+    """Natural frequencies [rad/s], damping ratios and force rates [1/s] that follow from the noise, within bounds."""
     std = float(np.sqrt(np.mean(np.asarray(noise.measurement) ** 2)))
     squares = [np.sum((np.asarray(s.input_matrix)[1:] * np.asarray(noise.force)) ** 2, axis=(1, 2)) for s in systems]
     force = float(np.mean(np.concatenate(squares))) / len(noise.measurement)  # mean square of its accelerations
@@ -134,7 +135,7 @@ def candidates(
     if force:
         white = max(float(noise.acceleration), 1e-9 * std * rate**1.5) * np.sqrt(rate)
         three = gains(std, rate, white, force_std=force**0.5, force_time=None if np.isinf(time) else time)
-        designs["three poles"] = as_frequency(three.alpha, three.beta) + (three.force_rate,)
+        designs["three poles"] = (*as_frequency(three.alpha, three.beta), three.force_rate)
     return {
         name: (_within(w / rate, FREQUENCIES) * rate, _within(z, DAMPINGS), r) for name, (w, z, r) in designs.items()
     }
@@ -169,7 +170,7 @@ def sampled_design(std: float, density: float, rate: float) -> tuple[float, floa
 
 
 class Judge(NamedTuple):
-    """Velocities (T, n) of a log from the rows after each, and from all rows, with the rows (T,) where they tell most."""
+    """Velocities (T, n) of a log from the rows after each, and from all rows; and the rows (T,) that count."""
 
     later: Float[np.ndarray, "T n"]
     smooth: Float[np.ndarray, "T n"]
@@ -193,11 +194,11 @@ class Judge(NamedTuple):
 
 
 class GainSearch(NamedTuple):
-    """The gains that were taken, all candidates, and the range of ω [rad/s] of gains that are as good, if it is known."""
+    """The gains that were taken, all candidates, and the range of ω [rad/s] of gains that are as good."""
 
     best: Candidate
     judged: tuple[Candidate, ...]
-    same: tuple[float, float] | None
+    same: tuple[float, float]
 
 
 def best_gains(
@@ -208,10 +209,7 @@ def best_gains(
     runs: Runs,
     force: bool,
 ) -> GainSearch:
-    """Search for gains on the first part of the logs, and judge all candidates on held-out rows.
-
-    `force`: whether gains that learn a force are searched for, too.
-    """
+    """Search for gains on the first part of the logs, with those that learn a `force`, and judge on held-out rows."""
     parts = [log.first_part for log in logs]
     tuned, held_out = [log.tuned for log in logs], [log.held_out for log in logs]
 
@@ -222,9 +220,9 @@ def best_gains(
         for record, mask, judge in zip(over, masks, judges, strict=True):
             estimates = (model.motion(done.estimate).v for done in runs(observers, [record]))
             by_log.append([judge.distances(np.asarray(v), mask) for v in estimates])
-        return list(zip(*by_log, strict=True))
+        return [list(each) for each in zip(*by_log, strict=True)]
 
-    tried: dict[Poles, Float[np.ndarray, "2"]] = {}
+    tried: dict[Poles, np.ndarray] = {}
 
     def search(poles: Sequence[Poles]) -> None:
         new = [each for each in dict.fromkeys(poles) if each not in tried]
@@ -235,17 +233,19 @@ def best_gains(
     frequencies, dampings, rates = GRID
     at = proposed["innovations"][0]
     rates = rates if force else (0.0,)
-    search([
-        *proposed.values(),
-        *((_within(w * at, bounds), z, r * _within(w * at, bounds)) for w in frequencies for z in dampings for r in rates),
-    ])  # fmt: skip
+    grid = [(_within(w * at, bounds), z, r) for w in frequencies for z in dampings for r in rates]
+    search([*proposed.values(), *((w, z, r * w) for w, z, r in grid)])
     ratios = np.array([frequencies[1] / frequencies[0], 1.6, 1.8])
     for _ in range(FINER):
         ratios = ratios**0.5
         for k in range(2):
             w, z, r = min(tried, key=lambda each, k=k: tried[each][k])
             search([
-                (_within(w * ratios[0] ** i, bounds), _within(z * ratios[1] ** j, DAMPINGS), r * ratios[2] ** m)
+                (
+                    _within(w * ratios[0] ** i, bounds),
+                    _within(z * ratios[1] ** j, DAMPINGS),
+                    float(r * ratios[2] ** m),
+                )
                 for i in (-1, 0, 1) for j in (-1, 0, 1) for m in ((-1, 0, 1) if r else (0,))
             ])  # fmt: skip
     by_later, by_smoother = (min(tried, key=lambda each, k=k: tried[each][k]) for k in range(2))

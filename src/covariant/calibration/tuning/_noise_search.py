@@ -1,8 +1,8 @@
 """Noise of the greatest likelihood of innovations, on the errors of one run as in `_error_model`.
 
 A force that the model does not know has a size in each component, and is forgotten: a Gauss–Markov process, of which a
-random walk is the limit of a long time. Its sizes start from those of the force that a smoother finds, so that the model
-need not be right in anything. The likelihood of its time constant has several maxima, so that several are tried.
+random walk is the limit of a long time. Its sizes start from those of the force that a smoother finds, so that the
+model need not be right in anything. The likelihood of its time constant has several maxima: several starts are tried.
 
 Source: Schweppe 1965; Ljung 1999, System Identification, section 7.4; Schwarz 1978, Estimating the dimension of a
 model, Annals of Statistics 6(2).

@@ -90,7 +90,7 @@ class Tuning(NamedTuple):
         gains_kept: Whether the gains are those of the data sheet because others, which seemed better, had a larger
             velocity error on held-out rows.
         noise_kept: Why the noise is that of the data sheet: "likelihood", because held-out measurements are likelier
-            with it, or "velocities", because the Kalman filter's velocities are better; empty where it is the tuned one.
+            with it, or "velocities", because the Kalman filter's velocities are better; empty where it is tuned.
         reference_noise: Standard deviation (n,) of the reference velocities that noise of the readings causes, and of
             the Kalman filter's velocities as it predicts it, (2, n) [rad/s or m/s]; None where that is unknown.
 

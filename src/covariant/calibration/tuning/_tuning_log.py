@@ -66,7 +66,7 @@ def prepared(model: MechanicalSystem, record: Record, velocity: np.ndarray) -> T
 def constant_gains(
     model: MechanicalSystem, frequency: float, damping: float, force_rate: float = 0.0
 ) -> IntrinsicForce:
-    """The observer with the gains α = 2ζω and β = ω², which learns a force at the rate ρ; for ρ = 0 it is `Intrinsic`."""
+    """The observer with the gains α = 2ζω and β = ω² that learns a force at the rate ρ; for ρ = 0 it is `Intrinsic`."""
     return IntrinsicForce(model, 2 * damping * frequency, frequency**2, force_rate)
 
 
