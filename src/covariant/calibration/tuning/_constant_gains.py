@@ -31,7 +31,7 @@ FREQUENCIES, DAMPINGS = (2e-3, 3.0), (0.3, 3.0)
 others a larger or a smaller one; below 0.3 an error rings for so long that a log shows it by chance only."""
 USUAL = 0.5**0.5
 """Damping ratio that is best for white disturbances."""
-GRID = np.geomspace(1 / 6, 6, 9), (0.3, 0.5, 0.8, 1.5, 2.5), (0.0, 0.1, 0.35, 1.0)
+GRID = np.geomspace(1 / 6, 6, 9), (0.3, 0.5, 0.8, 1.5, 2.5), (0.0, 0.15, 0.5, 1.0, 2.0)
 """The grid of a search: ω in units of that of the innovations, ζ, and ρ in units of ω."""
 FINER = 2
 """Number of times that the grid is made finer around its best."""
