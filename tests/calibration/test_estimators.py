@@ -226,7 +226,8 @@ def test_a_motion_that_makes_no_sense_is_named(field, number):
 def test_a_model_is_offered_the_estimators_that_fit_it():
     top, vehicle = heavy_top((0.1, 0.2, 0.6)), underwater_vehicle()
     assert estimators(FLAT) == tuple(tuned_estimators(FLAT, AXES, SHEET, RATE))
-    anywhere = ("intrinsic", "intrinsic2", "geodesic", "implicit-geodesic", "copy", "intrinsic-kalman", "ekf", "ukf")
+    gains = ("intrinsic", "intrinsic2", "intrinsic-force", "geodesic", "implicit-geodesic", "copy")
+    anywhere = (*gains, "intrinsic-kalman", "ekf", "ukf")
     assert estimators(top) == (*anywhere, "salcudean") == tuple(tuned_estimators(top, 3, SHEET, RATE))
     assert estimators(vehicle) == anywhere == tuple(tuned_estimators(vehicle, 6, SHEET, RATE))
     assert {*estimators(FLAT), *estimators(top)} == set(ESTIMATORS)
