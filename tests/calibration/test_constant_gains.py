@@ -5,8 +5,15 @@ import numpy as np
 import pytest
 from scipy.linalg import solve_discrete_are
 
-from covariant.calibration import Candidate, NoiseLevels, errors_ahead, predict_sampled_errors
-from covariant.calibration.identification._error_model import ErrorModel, error_model, forgotten, kalman, smoothed
+from covariant.calibration import NoiseLevels, errors_ahead, predict_sampled_errors
+from covariant.calibration.identification._error_model import (
+    ErrorModel,
+    error_model,
+    forgotten,
+    from_later,
+    kalman,
+    smoothed,
+)
 from covariant.calibration.identification._predict import size
 from covariant.calibration.tuning._constant_gains import as_poles, chosen, sampled_design
 from covariant.models import Motion, oscillator
@@ -90,19 +97,26 @@ def test_predictions_leave_out_what_is_missing_and_beyond_gaps_and_report_what_f
 
 
 def taken(**errors):
-    return chosen([Candidate(name.replace("_", " "), 1.0, 1.0, error) for name, error in errors.items()]).source
+    """The source that is taken, by pairs of errors against later rows and against the smoother, with their scatter."""
+    random, rows = np.random.default_rng(0), 4000
+    shared = random.normal(size=rows)  # the error of the estimate from later rows
+    squares = [
+        [np.stack([(later * random.normal(size=rows) + shared) ** 2, np.full(rows, smooth**2)], axis=1)]
+        for later, smooth in errors.values()
+    ]
+    names = {name.replace("_", " "): (1.0, 1.0, 0.0) for name in errors}
+    return chosen(names, squares)[1].source
 
 
-def test_what_is_worse_than_the_model_file_is_never_taken():
-    assert taken(model_file=1.0, innovations=1.1, rule=1.01) == "model file"
-    assert taken(model_file=1.0, innovations=0.8, rule=1.2) == "innovations"
-    assert taken(model_file=1.02, predictions=1.0, rule=1.04) == "model file"
+def test_what_is_clearly_farther_from_what_later_rows_tell_is_never_taken():
+    assert taken(model_file=(1.0, 1.0), rule=(1.5, 0.5), later_rows=(1.6, 0.5)) == "model file"
+    assert taken(model_file=(2.0, 1.0), rule=(1.9, 1.0), later_rows=(1.0, 2.0)) == "later rows"
 
 
-def test_what_predicts_best_has_to_be_clearly_better_than_the_designs_from_the_noise():
-    assert taken(model_file=2.0, predictions=1.0, rule=1.02, sampled_design=1.04) == "sampled design"
-    assert taken(predictions=1.0, innovations=1.01, rule=1.04, sampled_design=1.06) == "rule"
-    assert taken(predictions=1.0, innovations=1.01, rule=1.06) == "predictions"
+def test_equal_ones_are_ordered_by_the_smoother_and_then_the_model_file_comes_first():
+    assert taken(model_file=(1.0, 1.1), rule=(1.0, 1.0), later_rows=(1.0, 1.2)) == "rule"
+    assert taken(later_rows=(1.0, 1.0), rule=(1.0, 1.0), model_file=(1.0, 1.0)) == "model file"
+    assert taken(later_rows=(1.0, 1.0), rule=(1.0, 1.0), sampled_design=(1.0, 1.0)) == "sampled design"
 
 
 @pytest.mark.parametrize("time", [0.05, 3.0])
@@ -131,14 +145,10 @@ def plainly_smoothed(system, noise, start):
     """The smoother of Rauch, Tung & Striebel as in textbooks, with inverses: estimates (T, 6) of a system of n = 2."""
     before, after, steps = [], [], []
     for k in range(len(system.dt)):
-        h, push = float(system.dt[k]), np.asarray(system.input_matrix[k])
-        whole, added = np.eye(6), np.zeros((6, 6))
-        whole[:4, :4], whole[:2, 4:], whole[2:4, 4:] = system.transition[k], h**2 / 2 * push, h * push
-        blocks = float(noise.acceleration) ** 2 * np.array([[h**3 / 3, h**2 / 2], [h**2 / 2, h]])
-        added[:4, :4], added[4:, 4:] = np.kron(blocks, np.eye(2)), float(noise.force) ** 2 * h * np.eye(2)
+        whole, defect, added = _plain_step(system, noise, k)
         x, cov = np.zeros(6), start
         if not system.fresh[k]:
-            x = whole @ after[-1][0] + np.append(system.defect[k], [0.0, 0.0])
+            x = whole @ after[-1][0] + defect
             cov = whole @ after[-1][1] @ whole.T + added
         before.append((x, cov))
         seen = np.flatnonzero(system.present[k])
@@ -169,4 +179,54 @@ def test_the_smoother_of_errors_is_that_of_rauch_tung_and_striebel():
     )
     noise = NoiseLevels(jnp.asarray(0.5), jnp.array([0.3, 0.4]), jnp.asarray(0.7))
     expected = plainly_smoothed(system, noise, np.diag([0.09, 0.16, 1.0, 1.0, 0.49, 0.49]))
-    np.testing.assert_allclose(smoothed(system, noise, 1.0), expected[:, :4], atol=1e-12)
+    np.testing.assert_allclose(smoothed(system, noise, 1.0), expected, atol=1e-12)
+
+
+@pytest.mark.long
+def test_the_estimate_from_later_rows_is_that_of_least_squares():
+    """Of the state at a row, with the rows after it as observations, nothing known before: position, velocity, force."""
+    system, noise = _random_system(12), NoiseLevels(jnp.asarray(0.5), jnp.array([0.3, 0.4]), jnp.asarray(0.7))
+    at, count = 3, 12
+    # x_k = A x_at + b + Σ added noise; all rows after `at` together have the covariance below.
+    maps, offsets, covs = [np.eye(6)], [np.zeros(6)], [[np.zeros((6, 6))]]
+    for k in range(at + 1, count):
+        whole, defect, added = _plain_step(system, noise, k)
+        maps.append(whole @ maps[-1])
+        offsets.append(whole @ offsets[-1] + defect)
+        crossed = [whole @ each for each in covs[-1]]  # cov(x_k, x_j)
+        covs.append([*crossed, whole @ covs[-1][-1] @ whole.T + added])
+    pick = np.eye(6)[:2]
+    rows = range(1, len(maps))
+    design = np.concatenate([pick @ maps[k] for k in rows])
+    seen = np.concatenate([np.asarray(system.residual[at + k]) - offsets[k][:2] for k in rows])
+    blocks = [[pick @ (covs[i][j] if j <= i else covs[j][i].T) @ pick.T for j in rows] for i in rows]
+    cov = np.block(blocks) + np.kron(np.eye(len(rows)), np.diag(np.asarray(noise.measurement) ** 2))
+    weighted = design.T @ np.linalg.inv(cov)
+    expected_cov = np.linalg.inv(weighted @ design)
+    expected = expected_cov @ weighted @ seen
+    estimate, std = from_later(system, noise, 1e3)
+    np.testing.assert_allclose(estimate[at], expected[:4], rtol=1e-4, atol=1e-5)
+    np.testing.assert_allclose(std[at], np.sqrt(np.diag(expected_cov))[2:4], rtol=1e-4)
+
+
+def _random_system(count):
+    rng = np.random.default_rng(1)
+    return ErrorModel(
+        jnp.asarray(np.eye(4) + 0.1 * rng.normal(size=(count, 4, 4)) + 0.3 * np.eye(4, k=2)),
+        jnp.asarray(0.1 * rng.normal(size=(count, 4))),
+        jnp.asarray(np.eye(2) + 0.3 * rng.normal(size=(count, 2, 2))),
+        jnp.asarray(0.3 * rng.normal(size=(count, 2))),
+        jnp.ones((count, 2), bool),
+        jnp.full(count, 0.3),
+        jnp.arange(count) == 0,
+    )
+
+
+def _plain_step(system, noise, k):
+    """Transition, defect and added covariance of the step to row k, for a random walk of the force."""
+    h, push = float(system.dt[k]), np.asarray(system.input_matrix[k])
+    whole, added = np.eye(6), np.zeros((6, 6))
+    whole[:4, :4], whole[:2, 4:], whole[2:4, 4:] = system.transition[k], h**2 / 2 * push, h * push
+    blocks = float(noise.acceleration) ** 2 * np.array([[h**3 / 3, h**2 / 2], [h**2 / 2, h]])
+    added[:4, :4], added[4:, 4:] = np.kron(blocks, np.eye(2)), float(noise.force) ** 2 * h * np.eye(2)
+    return whole, np.append(system.defect[k], [0.0, 0.0]), added

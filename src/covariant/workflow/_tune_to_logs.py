@@ -8,9 +8,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from covariant import models
-from covariant.calibration import DataSheet, HeldOut, Tuning, gated, observer_gains, tune, usual_speeds
+from covariant.calibration import DataSheet, HeldOut, Tuning, tune, tuned_estimators, usual_speeds
 from covariant.engine import EngineName, run_logs
-from covariant.observers import AbstractObserver, Intrinsic
+from covariant.observers import AbstractObserver
 from covariant.report import EstimateReport
 from covariant.signals import Record, Run
 from covariant.workflow._aligned import aligned
@@ -93,18 +93,24 @@ def tune_to_logs(jobs: list[Job], engine: EngineName, progress: Progress, source
 
 def tuned_page(title: str, tuned: Tuned, notes: tuple[str, ...], rows: tuple[dict[str, Any], ...]) -> EstimateReport:
     """Collect a page of the constant-gain observer on the last log, before and after."""
-    loaded, omega = tuned.loaded[-1], tuned.tuning.natural_frequency
-    gains = {"after": (2 * tuned.tuning.damping * omega, omega**2)}
-    if tuned.before is not None:
-        old = observer_gains(tuned.before, loaded.rate)
-        gains = {"before": (old.alpha, old.beta), **gains}
+    loaded, tuning = tuned.loaded[-1], tuned.tuning
+    typical = float(np.sqrt(np.mean(np.asarray(tuning.noise.measurement) ** 2)))
+    sheet = tuned.before or DataSheet(typical, float(tuning.noise.acceleration))
     # Behind the gate that `estimate` has: an outlier is drawn as what it does there.
-    noise = tuned.tuning.noise
-    typical = float(np.sqrt(np.mean(np.asarray(noise.measurement) ** 2)))
-    sheet = tuned.before or DataSheet(typical, float(noise.acceleration))
     sheet = sheet._replace(speed=usual_speeds(loaded.model, loaded.record))
-    intrinsic = {when: gated(Intrinsic(loaded.model, *numbers), loaded.model, sheet) for when, numbers in gains.items()}
-    observers = with_sensor_delays(intrinsic, loaded)
+    chosen = {
+        "natural_frequency": tuning.natural_frequency,
+        "damping": tuning.damping,
+        "force_rate": tuning.force_rate,
+    }
+    sheets = {"after": sheet._replace(**chosen)}
+    if tuned.before is not None:
+        sheets = {"before": sheet, **sheets}
+    name, n = "intrinsic-force", loaded.file.dimension
+    drawn = {
+        when: tuned_estimators(loaded.model, n, each, loaded.rate, names=(name,))[name] for when, each in sheets.items()
+    }
+    observers = with_sensor_delays(drawn, loaded)
     curves = report_curves({when: drive(observer, loaded) for when, observer in observers.items()})
     return estimate_report(title, loaded, curves, notes, rows)
 
@@ -141,6 +147,8 @@ def _tables(file: models.ModelFile, tuning: Tuning, rate: float) -> dict[str, di
         "uncertainty": uncertainty,
         "design": {"damping": _short(tuning.damping), "natural_frequency": _short(tuning.natural_frequency)},
     }
+    if tuning.force_rate:
+        tables["design"]["force_rate"] = _short(tuning.force_rate)
     # Rounding to ticks has a uniform error, of the standard deviation quantum/√12.
     ticks = np.inf if file.quantum is None else np.asarray(file.quantum) / np.sqrt(12)
     if file.quantum is None or np.any(np.asarray(tuning.noise.measurement) > COARSER * ticks):
@@ -156,8 +164,7 @@ def _force(file: models.ModelFile, tuning: Tuning) -> dict[str, Any]:
         return {}
     if not np.isfinite(time):
         return {"external_force": _short(force)}
-    each = isinstance(file.external_force_std, tuple)
-    std = [_short(one) for one in np.broadcast_to(force, file.dimension)] if each else _short(force.max())
+    std = [_short(one) for one in np.broadcast_to(force, file.dimension)] if file.dimension > 1 else _short(force.max())
     return {"external_force_std": std, "external_force_time": _short(time)}
 
 
@@ -170,9 +177,10 @@ def _with_tables(content: dict[str, Any], tables: dict[str, dict[str, Any]]) -> 
     for table, numbers in tables.items():
         content.setdefault(table, {}).update(numbers)
     # The tuned acceleration holds what was torque.
-    for key in ("torque", "external_force", "external_force_std", "external_force_time"):
-        if key not in tables["uncertainty"]:
-            content["uncertainty"].pop(key, None)
+    optional = {"uncertainty": ("torque", "external_force", "external_force_std", "external_force_time")}
+    for table, keys in (optional | {"design": ("force_rate",)}).items():
+        for key in set(keys) - set(tables[table]):
+            content[table].pop(key, None)
     # std stands in its place: a model file may not have both.
     if "measurement" in tables:
         content["measurement"].pop("quantum", None)
@@ -200,10 +208,10 @@ def _details(
         "model_free": None if free is None else {"estimator": free[0], "relative": rounded(np.array([free[1]]))[0]},
         "gains": {
             "from": tuning.source,
-            "horizon": tuning.horizon,
+            "same": None if tuning.same is None else [_short(each) for each in tuning.same],
             "candidates": [_round_numbers(each._asdict()) for each in tuning.candidates],
         },
-        "notes": notes(tuning, loaded[0].rate, units),
+        "notes": notes(tuning, units),
         "warning": warning(tuning, np.atleast_1d(np.equal(delay, np.max(delay)))),
     }
 
@@ -212,23 +220,33 @@ def _round_numbers(numbers: dict[str, Any]) -> dict[str, Any]:
     return {key: value if isinstance(value, str) else _short(value) for key, value in numbers.items()}
 
 
-def notes(found: Tuning, rate: float, units: Sequence[str]) -> list[str]:
+def notes(found: Tuning, units: Sequence[str]) -> list[str]:
     """Say where the gains are from, what was kept, and whether the reference is good enough to compare with."""
     said = []
     if found.candidates:
-        named = ", ".join(f"{each.source} {_short(each.error):g}" for each in found.candidates)
+        named = ", ".join(f"{each.source} {_short(each.smoothed):g}" for each in found.candidates)
         said.append(
-            f"Gains: {found.source}, by the prediction of held-out positions up to {found.horizon} rows "
-            f"({1e3 * found.horizon / rate:.3g} ms) ahead; RMS errors: {named}."
-            if found.horizon
-            else f"Gains: {found.source}, by the distance of held-out velocities to those of a smoother that estimates "
-            f"the force which acts, too; RMS: {named}."
+            f"Gains: {found.source}. Distances of held-out velocities to those of a smoother, as fractions of the "
+            f"velocity: {named}."
         )
-    if found.source == "model file":
-        what = "predict held-out positions clearly better" if found.horizon else "give better held-out velocities"
-        said.append(f"No other gains {what} than those of the model file, which are kept.")
+        near = [each.source for each in found.candidates if each.ties]
+        if len(near) > 1:
+            said.append(f"By the rows after each alone these are equally good: {', '.join(near)}.")
+    if found.same is not None:
+        low, high = (f"{_short(each):g}" for each in found.same)
+        said.append(f"Gains with a natural frequency between {low} and {high} rad/s give the same within 2 %.")
+    if found.gains_kept:
+        said.append(
+            "Other gains seemed better, but had a larger velocity error on held-out rows; those of the model file are "
+            "kept."
+        )
+    elif found.source == "model file":
+        said.append(
+            "No other gains give clearly better held-out velocities than those of the model file, which are kept."
+        )
     if found.noise_kept:
-        said.append("Held-out readings are likelier with the noise of the model file, which is kept.")
+        why = "readings are likelier" if found.noise_kept == "likelihood" else "velocities are better"
+        said.append(f"Held-out {why} with the noise of the model file, which is kept.")
     if found.reference_noise is not None:
         reference, estimate = found.reference_noise
         worst = int(np.argmax(reference / np.maximum(estimate, 1e-300)))

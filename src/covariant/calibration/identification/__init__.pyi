@@ -4,6 +4,7 @@ from ._error_model import (
     Filtered as Filtered,
     NoiseLevels as NoiseLevels,
     error_model as error_model,
+    from_later as from_later,
     kalman as kalman,
     smoothed as smoothed,
 )

@@ -19,6 +19,7 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from covariant._gauss_markov import gauss_markov
@@ -28,6 +29,8 @@ from covariant.models import MechanicalSystem, Motion, advance
 
 CREDIBLE = 5.0
 """Standard deviations beyond which an innovation is an outlier: it corrects no more than one of this size."""
+VAGUE = 100.0
+"""Standard deviations before anything is measured, of a filter that must know nothing, in usual ones."""
 
 
 class NoiseLevels(NamedTuple):
@@ -161,8 +164,8 @@ def kalman(errors: ErrorModel, noise: NoiseLevels, speed: Scalar | float) -> Fil
     return jax.lax.scan(row, start, errors)[1]
 
 
-def smoothed(errors: ErrorModel, noise: NoiseLevels, speed: Scalar | float) -> Float[Array, "T n2"]:
-    """Estimate the errors at each row from all rows, by the smoother that belongs to `kalman`.
+def smoothed(errors: ErrorModel, noise: NoiseLevels, speed: Scalar | float) -> Float[Array, "T n3"]:
+    """Estimate the errors and the unknown force at each row from all rows, by the smoother that belongs to `kalman`.
 
     Of the smoothed velocity v_s, the mean given all readings, `E(v̂ − v)² = E(v̂ − v_s)² + E(v_s − v)²` for any estimate
     v̂ from these readings: with the right noise the distance to it orders estimates as their errors do.
@@ -184,30 +187,70 @@ def smoothed(errors: ErrorModel, noise: NoiseLevels, speed: Scalar | float) -> F
             # λ ← (I − K H)ᵀ λ − Hᵀ e/S of each correction, the last one first.
             change = adjoint @ past.gain[i] + past.innovation[i] / past.variance[i]
             adjoint = adjoint.at[i].add(jnp.where(present[i], -change, 0.0))
-        return jnp.where(fresh, 0.0, past.transition.T @ adjoint), estimate[: 2 * n]
+        return jnp.where(fresh, 0.0, past.transition.T @ adjoint), estimate
 
     pasts = jax.lax.scan(forwards, start, errors)[1]
     rows = pasts, errors.present, errors.fresh
     return jax.lax.scan(backwards, jnp.zeros(3 * n), rows, reverse=True)[1]
 
 
+def from_later(
+    errors: ErrorModel, noise: NoiseLevels, speed: Scalar | float
+) -> tuple[Float[Array, "T n2"], Float[Array, "T n"]]:
+    """Estimate the errors at each row from the rows after it only, by the Kalman filter in reversed time.
+
+    The second result are the standard deviations of the velocities.
+
+    It knows nothing before the last row. Given the state x at a row, so also the force, the rows before and after it are
+    independent, and the mean of this estimate v_l is v. An estimate v̂ from the rows before thus has
+    `E(v̂ − v_l)² = E(v̂ − v)² + E(v_l − v)²`, whatever the sizes of the noise: the distance to v_l orders estimates as
+    their errors do. Of predictions over single times this does not hold: after a time h the error is
+    `ξ + hζ + h²/2 a`, where a lasting acceleration a that the model lacks has the sign of the lag ζ that it causes, so that
+    too fast an estimate predicts best. Here all times after a row count, and a is estimated from them too.
+
+    Source: Fraser & Potter 1969, The optimum linear smoother as a combination of two optimum linear filters, IEEE TAC
+    14(4), for the filter in reversed time.
+    """
+    # Without LAPACK's inverse of each step the reversed filter would have to be compiled with solves of every size.
+    steps = np.where(np.asarray(errors.fresh)[:, None, None], np.eye(errors.defect.shape[1]), errors.transition)
+    return _from_later(errors, jnp.asarray(np.linalg.inv(steps)), noise, speed)
+
+
+@eqx.filter_jit
+def _from_later(errors: ErrorModel, inverse: Array, noise: NoiseLevels, speed: Scalar | float) -> Any:
+    n, variance = errors.residual.shape[1], noise.measurement**2
+    # Nothing is known: positions and velocities far beyond their size, and a force far beyond its own.
+    first = VAGUE**2 * _first(noise, speed, n)
+    later = jax.tree.map(lambda column: jnp.roll(column, -1, axis=0), (errors, inverse))
+
+    def step(state, rows):
+        row, (then, back), last = rows
+        whole, defect, added = _transition(then, noise)
+        push, decay = whole[: 2 * n, 2 * n :], whole[2 * n :, 2 * n :]
+        remains = jnp.diag(1 / jnp.diag(decay))
+        back = jnp.block([[back, -back @ push @ remains], [jnp.zeros((n, 2 * n)), remains]])
+        x = jnp.where(last, 0.0, back @ (state[0] - defect))
+        cov = jnp.where(last, first, _symmetric(back @ (state[1] + added) @ back.T))
+        estimate = x[: 2 * n], jnp.sqrt(jnp.diag(cov)[n : 2 * n])
+        for i in range(n):
+            x, cov, _ = _reading(x, cov, i, row.residual[i], variance[i], row.present[i])
+        return (x, cov), estimate
+
+    rows = errors, later, later[0].fresh.at[-1].set(True)
+    return jax.lax.scan(step, (jnp.zeros(3 * n), first), rows, reverse=True)[1]
+
+
 def _recursion(errors: ErrorModel, noise: NoiseLevels, speed: Scalar | float):
     """The start of the filter, and its step `(state, row) -> (state, Filtered, _Past)`."""
     n = errors.residual.shape[1]
     variance = noise.measurement**2
-    force_variance = jnp.broadcast_to(jnp.asarray(noise.force) ** 2, n)
-    # Before any measurement a random walk has its variance of one second, and a force with a time its usual one.
-    first = jnp.diag(jnp.concatenate([variance, jnp.full(n, speed**2), force_variance]))
+    first = _first(noise, speed, n)
 
     def step(state, row):
         x, cov = state
-        # The force is constant over a step, at its mean.
-        mean, decay, added = forgotten(row.dt, noise.force_time)
-        input_matrix = mean * jnp.concatenate([row.dt**2 / 2 * row.input_matrix, row.dt * row.input_matrix])
-        whole = jnp.block([[row.transition, input_matrix], [jnp.zeros((n, 2 * n)), decay * jnp.eye(n)]])
-        x = whole @ x + jnp.concatenate([row.defect, jnp.zeros(n)])
-        walk = jnp.zeros((3 * n, 3 * n)).at[2 * n :, 2 * n :].set(jnp.diag(added * force_variance))
-        cov = whole @ cov @ whole.T + walk + _white(noise.acceleration, row.dt, n)
+        whole, defect, added = _transition(row, noise)
+        x = whole @ x + defect
+        cov = _symmetric(whole @ cov @ whole.T + added)
         current: Any = jnp.where(row.fresh, 0.0, x), jnp.where(row.fresh, first, cov)
         corrections: list[Any] = []
         for i in range(n):  # their noise is independent, so they correct one after the other
@@ -222,6 +265,32 @@ def _recursion(errors: ErrorModel, noise: NoiseLevels, speed: Scalar | float):
         return tuple(current), result, _Past(whole, x, cov, gains, innovation, used)
 
     return (jnp.zeros(3 * n), first), step
+
+
+def _symmetric(cov: Array) -> Array:
+    """The symmetric part: rounding would otherwise grow, since a correction uses the columns of a covariance only."""
+    return (cov + cov.T) / 2
+
+
+def _first(noise: NoiseLevels, speed: Scalar | float, n: int) -> Float[Array, "n3 n3"]:
+    """Covariance of the errors and the force before any measurement.
+
+    A random walk then has its variance of one second, and a force with a time its usual one.
+    """
+    force = jnp.broadcast_to(jnp.asarray(noise.force) ** 2, n)
+    return jnp.diag(jnp.concatenate([noise.measurement**2, jnp.full(n, speed**2), force]))
+
+
+def _transition(row: ErrorModel, noise: NoiseLevels) -> tuple[Array, Array, Array]:
+    """Transition (3n, 3n) of errors and force to a row, its defect (3n,), and the covariance that it adds."""
+    n = row.residual.shape[0]
+    # The force is constant over a step, at its mean.
+    mean, decay, added = forgotten(row.dt, noise.force_time)
+    push = mean * jnp.concatenate([row.dt**2 / 2 * row.input_matrix, row.dt * row.input_matrix])
+    whole = jnp.block([[row.transition, push], [jnp.zeros((n, 2 * n)), decay * jnp.eye(n)]])
+    force = added * jnp.broadcast_to(jnp.asarray(noise.force) ** 2, n)
+    walk = jnp.zeros((3 * n, 3 * n)).at[2 * n :, 2 * n :].set(jnp.diag(force))
+    return whole, jnp.concatenate([row.defect, jnp.zeros(n)]), walk + _white(noise.acceleration, row.dt, n)
 
 
 def forgotten(dt: Scalar, time: Scalar | float) -> tuple[Scalar, Scalar, Scalar]:
@@ -251,10 +320,8 @@ def _reading(x: Vector, cov: Array, i: int, residual: Scalar, variance: Scalar, 
     # With the noise enlarged so, the corrected innovation has exactly `CREDIBLE` deviations.
     inflation = jnp.maximum(square / limit, 1.0)
     gain = jnp.where(present, cov[:, i] / (total_variance * inflation), 0.0)
-    reduction = jnp.eye(len(x)) - jnp.outer(gain, jnp.eye(len(x))[i])
-    noise = jnp.where(present, total_variance * inflation - cov[i, i], 0.0)
-    # Joseph's form stays symmetric and positive; `noise` is the enlarged variance of an outlier.
-    cov = reduction @ cov @ reduction.T + noise * jnp.outer(gain, gain)
+    # Joseph's form (I − KH) P (I − KH)ᵀ + K R Kᵀ, in which R is the enlarged variance of an outlier, multiplied out.
+    cov = cov - total_variance * inflation * jnp.outer(gain, gain)
     # Beyond the limit the square grows as its logarithm only, continuously with its slope.
     loss = jnp.log(total_variance) + jnp.where(square > limit, limit * (1 + jnp.log(inflation)), square)
     results = (jnp.where(present, each, 0.0) for each in (loss, innovation, jnp.sqrt(total_variance)))

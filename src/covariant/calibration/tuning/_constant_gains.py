@@ -1,15 +1,14 @@
-"""Constant gains from logs: several candidates, of which the one is taken that predicts held-out measurements best.
+"""Constant gains from logs: several candidates, of which the one is taken that is best on held-out rows.
 
-The rule and the sampled design follow from the noise; the stationary gains are those that a Kalman filter with this
-noise has in the mean along the log; two searches minimise innovations, and errors of predictions further ahead. No
-reference velocity takes part: where the estimate is better than the reference, comparing with it misleads.
+Designs follow from the noise; the stationary gains are those that a Kalman filter with this noise has in the mean along
+the log; searches minimise innovations, and distances of velocities. Two estimates judge that use rows which the
+observer has not seen: one from the rows after each only, whose error is independent of the observer's, so that it is
+right in the mean even where sizes of the noise are wrong; and the smoother's, which has less scatter. No reference
+velocity takes part: where the estimate is better than the reference, comparing with it misleads.
 
-A force that the model does not know pushes every prediction the same way, and an estimate lags to that side: both add
-up, so that predictions favour gains that are too fast. Where the noise has such a force, velocities are compared
-instead with those of the smoother that estimates the force, which orders estimates as their errors do.
-
-Source: Kalata 1984, The tracking index, IEEE TAES 20(2), for gains of the sampled filter; Ljung 1999, System
-Identification, section 7.4, for prediction errors.
+Source: Kalata 1984, The tracking index, IEEE TAES 20(2), for gains of the sampled filter; Bayley & Hammersley 1946, The
+"effective" number of independent observations in an autocorrelated time series, JRSS Supplement 8(2), for means of
+blocks.
 """
 
 from collections.abc import Callable, Sequence
@@ -20,18 +19,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
-from covariant.calibration.identification import (
-    ErrorModel,
-    Filtered,
-    NoiseLevels,
-    errors_ahead,
-    mean_square,
-    rows_ahead,
-    size,
-)
-from covariant.calibration.tuning._gains import predict_sampled_errors
-from covariant.calibration.tuning._tuning_log import Runs, TuningLog, intrinsic
-from covariant.models import MechanicalSystem, Motion
+from covariant.calibration.identification import ErrorModel, Filtered, NoiseLevels, mean_square
+from covariant.calibration.tuning._gains import gains, predict_sampled_errors
+from covariant.calibration.tuning._noise_search import RunErrors, later_errors, smoothed_errors
+from covariant.calibration.tuning._tuning_log import Runs, TuningLog, constant_gains
+from covariant.models import MechanicalSystem
 from covariant.signals import Record
 
 FREQUENCIES, DAMPINGS = (2e-3, 3.0), (0.3, 3.0)
@@ -39,26 +31,39 @@ FREQUENCIES, DAMPINGS = (2e-3, 3.0), (0.3, 3.0)
 others a larger or a smaller one; below 0.3 an error rings for so long that a log shows it by chance only."""
 USUAL = 0.5**0.5
 """Damping ratio that is best for white disturbances."""
-DESIGNS, SLACK = ("sampled design", "rule", "Kalman filter", "model file"), 1.05
-"""Candidates that follow from the noise or are in place, the first ones best for velocities where the noise is right,
-and the ratio of errors up to which they go before those that predict better."""
+GRID = np.geomspace(1 / 6, 6, 9), (0.3, 0.5, 0.8, 1.5, 2.5), (0.0, 0.1, 0.35)
+"""The grid of a search: ω in units of that of the innovations, ζ, and ρ in units of ω."""
+FINER = 2
+"""Number of times that the grid is made finer around its best."""
+DESIGNS = ("model file", "three poles", "sampled design", "rule", "Kalman filter")
+"""Candidates that are in place or follow from the noise, in the order in which they are taken from equal ones."""
+BLOCKS, CERTAIN = 16, 2.0
+"""Number of blocks of rows whose means show the scatter of a mean, and how many of its deviations make a difference."""
+SAME = 1.02
+"""Ratio of errors up to which gains are said to be the same."""
+VAGUER = 3.0
+"""Rows count whose velocity the later rows leave at most so many times as uncertain as usual: before holes they tell
+little."""
 FAILED = 1e6
 
 
 class Candidate(NamedTuple):
-    """Constant gains, and how well they predict.
+    """Constant gains, and how near their velocities are to what other rows tell.
 
     Attributes:
-        source: Where they are from: "model file", "rule", "sampled design", "Kalman filter", "innovations",
-            "predictions" or "smoothed velocities".
+        source: Where they are from: "model file", "rule", "sampled design", "three poles", "Kalman filter",
+            "innovations", "later rows" or "smoothed velocities".
         natural_frequency: ω [rad/s].
         damping: ζ.
-        error: Root mean square error of held-out measurements predicted over the horizon [rad or m], or of velocities
-            against the smoothed ones [rad/s or m/s]; geometric mean over the coordinates.
+        error: Distance of held-out velocities to those that the rows after each tell, as a fraction of the velocities,
+            root mean square over the coordinates. It contains the error of the latter.
+        smoothed: The same distance to the velocities of a smoother.
+        force_rate: ρ [1/s]; 0 for an observer without a force.
+        ties: Whether `error` is the least one up to its scatter.
 
     Example:
         >>> from covariant.calibration import Candidate
-        >>> Candidate("rule", 20.0, 0.7, error=1e-3).source
+        >>> Candidate("rule", 20.0, 0.7, error=1e-3, smoothed=9e-4).source
         'rule'
     """
 
@@ -66,6 +71,13 @@ class Candidate(NamedTuple):
     natural_frequency: float
     damping: float
     error: float
+    smoothed: float
+    force_rate: float = 0.0
+    ties: bool = False
+
+
+Poles = tuple[float, float, float]
+"""ω [rad/s], ζ and ρ [1/s]."""
 
 
 def best_innovations(
@@ -101,8 +113,8 @@ def best_innovations(
 
 def candidates(
     noise: NoiseLevels, systems: Sequence[ErrorModel], filtered: Sequence[Filtered], rate: float
-) -> dict[str, tuple[float, float]]:
-    """Natural frequencies [rad/s] and damping ratios that follow from the noise, by design, brought to the bounds."""
+) -> dict[str, Poles]:
+    """Natural frequencies [rad/s], damping ratios and force rates [1/s] that follow from the noise, within bounds."""
     std = float(np.sqrt(np.mean(np.asarray(noise.measurement) ** 2)))
     squares = [np.sum((np.asarray(s.input_matrix)[1:] * np.asarray(noise.force)) ** 2, axis=(1, 2)) for s in systems]
     force = float(np.mean(np.concatenate(squares))) / len(noise.measurement)  # mean square of its accelerations
@@ -115,12 +127,23 @@ def candidates(
     whole = [np.asarray(system.present).all(axis=1) for system in systems]
     gain = np.concatenate([np.asarray(each.gain)[rows] for each, rows in zip(filtered, whole, strict=True)])
     mean = np.mean(gain[len(gain) // 10 :], axis=0)  # without the first tenth, in which the filter settles
-    found = {
-        "rule": (float(grid[at]), USUAL),
-        "sampled design": sampled_design(std, max(float(density[at]), 1e-12 * std**2 * rate**3), rate),
-        "Kalman filter": as_poles(float(mean[0]), float(mean[1]), rate),
+    designs = {
+        "rule": (float(grid[at]), USUAL, 0.0),
+        "sampled design": (*sampled_design(std, max(float(density[at]), 1e-12 * std**2 * rate**3), rate), 0.0),
+        "Kalman filter": (*as_poles(float(mean[0]), float(mean[1]), rate), 0.0),
     }
-    return {name: (_within(w / rate, FREQUENCIES) * rate, _within(z, DAMPINGS)) for name, (w, z) in found.items()}
+    if force:
+        white = max(float(noise.acceleration), 1e-9 * std * rate**1.5) * np.sqrt(rate)
+        three = gains(std, rate, white, force_std=force**0.5, force_time=None if np.isinf(time) else time)
+        designs["three poles"] = (*as_frequency(three.alpha, three.beta), three.force_rate)
+    return {
+        name: (_within(w / rate, FREQUENCIES) * rate, _within(z, DAMPINGS), r) for name, (w, z, r) in designs.items()
+    }
+
+
+def as_frequency(alpha: float, beta: float) -> tuple[float, float]:
+    """Natural frequency [rad/s] and damping ratio of the gains α and β."""
+    return beta**0.5, alpha / (2 * beta**0.5)
 
 
 def as_poles(k1: float, k2: float, rate: float) -> tuple[float, float]:
@@ -146,72 +169,130 @@ def sampled_design(std: float, density: float, rate: float) -> tuple[float, floa
     return float(np.exp(best[0])) * rate, float(np.exp(best[1]))
 
 
+class Judge(NamedTuple):
+    """Velocities (T, n) of a log from the rows after each, and from all rows; and the rows (T,) that count."""
+
+    later: Float[np.ndarray, "T n"]
+    smooth: Float[np.ndarray, "T n"]
+    rows: Bool[np.ndarray, "T"]
+    size: Float[np.ndarray, "n"]
+
+    @classmethod
+    def of(cls, run: RunErrors, noise: NoiseLevels, speed: jax.Array) -> "Judge":
+        errors, std = later_errors(run.system, noise, speed)
+        std, log = np.asarray(std), run.log
+        rows = (std <= VAGUER * np.median(std, axis=0)).all(axis=1)
+        size = np.sqrt(np.mean(log.velocity[log.tuned | log.held_out] ** 2, axis=0))
+        smooth = run.corrected(smoothed_errors(run.system, noise, speed))
+        return cls(run.corrected(errors), smooth, rows, np.maximum(size, np.finfo(float).tiny))
+
+    def distances(self, v: Float[np.ndarray, "K n"], rows: Bool[np.ndarray, "T"]) -> Float[np.ndarray, "R 2"]:
+        """Squared distances of the velocities of the first K rows to both, where `rows` count."""
+        rows = (rows & self.rows)[: len(v)]
+        both = [np.mean(((v - each[: len(v)])[rows] / self.size) ** 2, axis=1) for each in (self.later, self.smooth)]
+        return np.where(np.isfinite(both), both, FAILED).T
+
+
+class GainSearch(NamedTuple):
+    """The gains that were taken, all candidates, and the range of ω [rad/s] of gains that are as good."""
+
+    best: Candidate
+    judged: tuple[Candidate, ...]
+    same: tuple[float, float]
+
+
 def best_gains(
     model: MechanicalSystem,
     logs: list[TuningLog],
-    proposed: dict[str, tuple[float, float]],
-    substeps: Sequence[int],
+    proposed: dict[str, Poles],
+    judges: list[Judge],
     runs: Runs,
-    smooth: Sequence[Float[np.ndarray, "_ n"]] | None = None,
-) -> tuple[Candidate, tuple[Candidate, ...], int]:
-    """Judge candidates by the prediction of measurements, or by smoothed velocities, and search for better ones.
+    force: bool,
+) -> GainSearch:
+    """Search for gains on the first part of the logs, with those that learn a `force`, and judge on held-out rows."""
+    parts = [log.first_part for log in logs]
+    tuned, held_out = [log.tuned for log in logs], [log.held_out for log in logs]
 
-    Smoothed velocities judge where a force acts that the model does not know. The best candidate on the held-out rows,
-    all of them, and the number of rows of the horizon; 0 where velocities were compared.
+    def distances(poles: Sequence[Poles], over: list[Record], masks: list[np.ndarray]) -> list[list[np.ndarray]]:
+        """Squared distances (R, 2) by gains and log."""
+        observers = [constant_gains(model, *each) for each in poles]
+        by_log = []
+        for record, mask, judge in zip(over, masks, judges, strict=True):
+            estimates = (model.motion(done.estimate).v for done in runs(observers, [record]))
+            by_log.append([judge.distances(np.asarray(v), mask) for v in estimates])
+        return [list(each) for each in zip(*by_log, strict=True)]
+
+    tried: dict[Poles, np.ndarray] = {}
+
+    def search(poles: Sequence[Poles]) -> None:
+        new = [each for each in dict.fromkeys(poles) if each not in tried]
+        means = [np.concatenate(each).mean(axis=0) for each in distances(new, parts, tuned)]
+        tried.update(zip(new, means, strict=True))
+
+    bounds = np.array(FREQUENCIES) * logs[0].rate
+    frequencies, dampings, rates = GRID
+    at = proposed["innovations"][0]
+    rates = rates if force else (0.0,)
+    grid = [(_within(w * at, bounds), z, r) for w in frequencies for z in dampings for r in rates]
+    search([*proposed.values(), *((w, z, r * w) for w, z, r in grid)])
+    ratios = np.array([frequencies[1] / frequencies[0], 1.6, 1.8])
+    for _ in range(FINER):
+        ratios = ratios**0.5
+        for k in range(2):
+            w, z, r = min(tried, key=lambda each, k=k: tried[each][k])
+            search([
+                (
+                    _within(w * ratios[0] ** i, bounds),
+                    _within(z * ratios[1] ** j, DAMPINGS),
+                    float(r * ratios[2] ** m),
+                )
+                for i in (-1, 0, 1) for j in (-1, 0, 1) for m in ((-1, 0, 1) if r else (0,))
+            ])  # fmt: skip
+    by_later, by_smoother = (min(tried, key=lambda each, k=k: tried[each][k]) for k in range(2))
+    everything = proposed | {"later rows": by_later, "smoothed velocities": by_smoother}
+    squares = distances(list(everything.values()), [log.record for log in logs], held_out)
+    judged, best = chosen(everything, squares)
+    least = min(each[1] for each in tried.values())
+    same = [w for (w, _, _), each in tried.items() if each[1] <= SAME**2 * least]
+    return GainSearch(best, judged, (min(same), max(same)))
+
+
+def chosen(
+    proposed: dict[str, Poles], squares: Sequence[Sequence[Float[np.ndarray, "_ 2"]]]
+) -> tuple[tuple[Candidate, ...], Candidate]:
+    """All candidates, and the one to take, by their squared distances by log to both estimates.
+
+    Those that differ from the nearest to the later rows by no more than the scatter are ordered by the smoother, and
+    those that tie there too are taken in the order of `DESIGNS`.
     """
-    rate = logs[0].rate
-    horizon = 0 if smooth is not None else rows_ahead(rate, proposed["innovations"][0])
-    parts, records = [log.first_part for log in logs], [log.record for log in logs]
-
-    def errors(gains: tuple[float, float], over: list[Record], masks: list[Bool[np.ndarray, "T"]]) -> list[np.ndarray]:
-        found = []
-        results = runs([intrinsic(model, *gains)], over)
-        for k, (done, record, mask) in enumerate(zip(results, over, masks, strict=True)):
-            motion = Motion(*model.motion(done.estimate)[:2])
-            if smooth is None:
-                found.append(errors_ahead(model, record, motion, mask, horizon, substeps[k]))
-            else:
-                found.append((np.asarray(motion.v) - smooth[k][: len(mask)])[mask, None])
-        return found
-
-    tuned = [log.tuned[: len(part.t)] for log, part in zip(logs, parts, strict=True)]
-    first = {name: _total(errors(gains, parts, tuned)) for name, gains in proposed.items()}
-    start = proposed[min(first, key=first.__getitem__)]
-    z = np.log([start[0] / rate, start[1]])
-    best, _ = _descend(lambda z: np.log(_total(errors((np.exp(z[0]) * rate, np.exp(z[1])), parts, tuned))), z, 30)
-    searched = "predictions" if smooth is None else "smoothed velocities"
-    everything = proposed | {searched: (float(np.exp(best[0])) * rate, float(np.exp(best[1])))}
-    held_out = [log.held_out for log in logs]
+    names = list(proposed)
+    means = np.array([np.concatenate(each).mean(axis=0) for each in squares])
+    near = _ties(squares, range(len(names)), means, 0)
+    equal = _ties(squares, near, means, 1)
+    order = (*DESIGNS, *names)
     judged = tuple(
-        Candidate(name, *gains, _total(errors(gains, records, held_out))) for name, gains in everything.items()
+        Candidate(name, w, z, *np.sqrt(mean).tolist(), r, k in near)
+        for k, ((name, (w, z, r)), mean) in enumerate(zip(proposed.items(), means, strict=True))
     )
-    # The order of designs is for predictions; distances to smoothed velocities order good estimates too.
-    return chosen(judged) if smooth is None else min(judged, key=lambda each: each.error), judged, horizon
+    return judged, judged[min(equal, key=lambda k: order.index(names[k]))]
 
 
-def _total(errors: list[Float[np.ndarray, "_ _ n"]]) -> float:
-    """Geometric mean over the coordinates of the root mean square errors."""
-    with np.errstate(all="ignore"):
-        value = float(np.exp(np.mean(np.log(size(errors)))))
-    return value if np.isfinite(value) else FAILED
+def _ties(squares: Sequence, among: Sequence[int], means: np.ndarray, judge: int) -> list[int]:
+    """Those of `among` whose mean is the least one up to the scatter of the difference."""
+    best = min(among, key=lambda k: means[k, judge])
+    pairs = {k: [a[:, judge] - b[:, judge] for a, b in zip(squares[k], squares[best], strict=True)] for k in among}
+    return [k for k, differences in pairs.items() if not clearly_positive(differences)]
 
 
-def chosen(judged: Sequence[Candidate]) -> Candidate:
-    """The candidate to take: a design from the noise that predicts nearly as well as the best, else the best.
-
-    Predictions confirm a design, and find out one whose noise is wrong. They do not order good ones: where the model
-    errs for a while, positions are predicted best from velocities that err along with it, by gains that are too fast.
-    What is worse than the gains of the model file is never taken.
-    """
-    best = min(judged, key=lambda each: each.error)
-    errors = {each.source: each.error for each in judged}
-    limit = min(SLACK * best.error, errors.get("model file", np.inf))
-    design = next((name for name in DESIGNS if errors.get(name, np.inf) <= limit), best.source)
-    return next(each for each in judged if each.source == design)
+def clearly_positive(differences: Sequence[Float[np.ndarray, "_"]]) -> bool:
+    """Whether the mean of the differences of several logs is positive beyond its scatter, that of means of blocks."""
+    each = max(2, BLOCKS // len(differences))
+    means = np.array([block.mean() for one in differences for block in np.array_split(one, each) if len(block)])
+    return bool(means.mean() > CERTAIN * means.std(ddof=1) / np.sqrt(len(means)))
 
 
 def _observer(model: MechanicalSystem, z: np.ndarray, rate: float):
-    return intrinsic(model, float(np.exp(z[0])) * rate, float(np.exp(z[1])))
+    return constant_gains(model, float(np.exp(z[0])) * rate, float(np.exp(z[1])))
 
 
 def _usable(model: MechanicalSystem, record) -> Bool[np.ndarray, "T n"]:
@@ -229,5 +310,5 @@ def _descend(cost: Callable[[np.ndarray], float], start: np.ndarray, most: int) 
     return best.x, float(best.fun)
 
 
-def _within(value: float, bounds: tuple[float, float]) -> float:
+def _within(value: float, bounds: Sequence[float] | np.ndarray) -> float:
     return float(np.clip(value, *bounds))

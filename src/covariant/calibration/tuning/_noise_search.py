@@ -1,13 +1,14 @@
 """Noise of the greatest likelihood of innovations, on the errors of one run as in `_error_model`.
 
-A force that the model does not know is a random walk, or is forgotten: a Gauss–Markov process, whose size and time
-constant come from a coarse grid first, because the likelihood of both has several maxima.
+A force that the model does not know has a size in each component, and is forgotten: a Gauss–Markov process, of which a
+random walk is the limit of a long time. Its sizes start from those of the force that a smoother finds, so that the
+model need not be right in anything. The likelihood of its time constant has several maxima: several starts are tried.
 
 Source: Schweppe 1965; Ljung 1999, System Identification, section 7.4; Schwarz 1978, Estimating the dimension of a
 model, Annals of Statistics 6(2).
 """
 
-from collections.abc import Callable
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -16,16 +17,27 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from covariant.calibration.identification import ErrorModel, Filtered, NoiseLevels, error_model, kalman, smoothed
-from covariant.calibration.tuning._tuning_log import TuningLog, intrinsic
+from covariant.calibration.identification import (
+    ErrorModel,
+    Filtered,
+    NoiseLevels,
+    error_model,
+    from_later,
+    kalman,
+    smoothed,
+)
+from covariant.calibration.tuning._tuning_log import TuningLog, constant_gains
 from covariant.models import MechanicalSystem
 from covariant.observers import with_fixed_substeps
 
 LEAST = 0.01
 """Least noise of a reading, as a fraction of the innovations: with less of it no estimate changes."""
-TIMES, SIZES, REST = 7, np.geomspace(1e-3, 3.0, 8), (1.0, 0.3, 0.1, 0.01)
-"""The grid of a force that is forgotten: number of time constants, from four samples to a quarter of the log; sizes, as
-fractions of the acceleration that would explain all innovations; and what is left of the white acceleration."""
+TIMES, ROUNDS = 3, 3
+"""Number of time constants that the search starts from, and rounds in which a smoother measures the force for each."""
+RANGE = 1e4
+"""Ratio of the bounds of a noise to what explains all innovations."""
+STEPS, FIRST_STEPS = 40, 6
+"""Largest number of steps of a search, and of that from each start."""
 
 
 class RunErrors(NamedTuple):
@@ -41,7 +53,7 @@ class RunErrors(NamedTuple):
         q, v, _ = estimate
         t, u, y = (jnp.asarray(each) for each in log.record[:3])
         sampled = np.linspace(0, len(t) - 2, min(200, len(t) - 1)).astype(int)
-        fixed = with_fixed_substeps(intrinsic(model, 1.0, 1.0), log.rate, q[sampled], v[sampled], u[sampled])
+        fixed = with_fixed_substeps(constant_gains(model, 1.0, 1.0), log.rate, q[sampled], v[sampled], u[sampled])
         substeps = fixed.substeps or 1
         return cls(log, np.asarray(v), substeps, error_model(model, q, v, t, u, y, substeps))
 
@@ -50,21 +62,28 @@ class RunErrors(NamedTuple):
         return _filtered(self.system, noise, speed)
 
     def corrected(self, errors: Any) -> Float[np.ndarray, "T n"]:
-        """Velocities (T, n) with estimates (T, 2n) of the errors of the run."""
-        return self.v + np.asarray(errors)[:, self.v.shape[1] :]
+        """Velocities (T, n) with estimates (T, ≥ 2n) of the errors of the run."""
+        n = self.v.shape[1]
+        return self.v + np.asarray(errors)[:, n : 2 * n]
 
 
-_filtered, smoothed_errors = eqx.filter_jit(kalman), eqx.filter_jit(smoothed)
+_filtered, smoothed_errors, later_errors = eqx.filter_jit(kalman), eqx.filter_jit(smoothed), from_later
 
 
 @eqx.filter_jit
-def _losses(system: ErrorModel, noises: NoiseLevels, mask: jax.Array, speed: jax.Array) -> jax.Array:
-    """Twice the negative log-likelihoods (K,) of K noises, whose fields have K rows."""
+def _loss_and_slope(z: jax.Array, system: ErrorModel, mask: jax.Array, speed: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Twice the negative log-likelihood of the noise `_levels(z)`, and its derivative."""
 
-    def loss(*levels):
-        return jnp.sum(jnp.where(mask, kalman(system, NoiseLevels(*levels), speed).loss, 0.0))
+    def loss(z):
+        return jnp.sum(jnp.where(mask, kalman(system, _levels(z, mask.shape[1]), speed).loss, 0.0))
 
-    return jax.vmap(loss)(*noises)
+    return jax.value_and_grad(loss)(z)
+
+
+def _levels(z: Any, n: int) -> NoiseLevels:
+    """Noise of the logarithms of the noise of acceleration, readings (n,) and force (n,), and of the force's time."""
+    each = jnp.exp(jnp.asarray(z))
+    return NoiseLevels(each[0], each[1 : 1 + n], each[1 + n : 1 + 2 * n], each[1 + 2 * n])
 
 
 def largest_speed(logs: list[TuningLog]) -> jax.Array:
@@ -72,87 +91,89 @@ def largest_speed(logs: list[TuningLog]) -> jax.Array:
     return jnp.asarray(max(float(np.abs(log.velocity[log.tuned]).max()) for log in logs))
 
 
-def best_noise(
-    runs: list[RunErrors],
-    frequency: float,
-    size: np.ndarray,
-    std: np.ndarray | None,
-    forgotten: Float[np.ndarray, "n"] | None = None,
-) -> NoiseLevels:
+def best_noise(runs: list[RunErrors], frequency: float, size: np.ndarray, std: np.ndarray | None) -> NoiseLevels:
     """Noise of the greatest likelihood; with an unknown force where that gains more than its parameters cost.
 
     `frequency` [rad/s] and `size` (n,) are those of the least innovations, `std` the least noise (n,) of a reading.
-    The force is forgotten where `forgotten` has the relative sizes (n,) of its components; without, it is a walk.
     """
-    logs, systems = [run.log for run in runs], [run.system for run in runs]
+    logs, systems, n = [run.log for run in runs], [run.system for run in runs], len(size)
     least = LEAST * size if std is None else np.asarray(std, float)
     # At first one half of the variance of the innovations is noise of the reading.
     first = np.maximum(size / np.sqrt(2), least)
     explained = frequency**2 * float(np.sqrt(np.mean(first**2)))
-    gain = float(np.mean([np.abs(np.asarray(s.input_matrix)).max() for s in systems]))
-    force = explained * np.sqrt(frequency / logs[0].rate) / gain
+    gains = [np.sqrt(np.mean(np.asarray(s.input_matrix) ** 2, axis=(0, 1))) for s in systems]
+    force = explained / np.mean(gains, axis=0)  # (n,) that explains all innovations
+    rate = logs[0].rate
     ends = [len(log.first_part.t) for log in logs]
     parts = [jax.tree.map(lambda a, end=end: a[:end], system) for system, end in zip(systems, ends, strict=True)]
     masks = [np.asarray(part.present) & log.tuned[:end, None] for log, part, end in zip(logs, parts, ends, strict=True)]
     speed = largest_speed(logs)
-    shape = np.ones(()) if forgotten is None else forgotten
+    span = min(float(np.ptp(np.asarray(log.record.t))) for log in logs)
+    usual = np.log([explained / np.sqrt(rate), *first, *force, 4 / rate])
+    lower, upper = usual - np.log(RANGE), usual + np.log(RANGE)
+    lower[1 : 1 + n], lower[-1], upper[-1] = np.log(least), np.log(4 / rate), np.log(max(span, 8 / rate))
+    bounds = np.stack([lower, upper], axis=1)
 
-    def noise(z):
-        """Of the logarithms of the noise of acceleration, force and its time constant, and of readings."""
-        measured = np.maximum(np.exp(z[3:]), least)
-        levels = np.exp(z[0]), measured, np.exp(z[1]) * shape, np.exp(z[2])
-        return NoiseLevels(*(jnp.asarray(x) for x in levels))
+    def search(start, free, steps):
+        return _descend(start, free, bounds, parts, masks, speed, steps)
 
-    def loss(z, of, counted):
-        levels = noise(z)
-        return sum(
-            float(np.sum(np.where(mask, _filtered(one, levels, speed).loss, 0.0)))
-            for one, mask in zip(of, counted, strict=True)
-        )
-
-    def cost(z):
-        total = loss(z, parts, masks)
-        return total if np.isfinite(total) else np.inf
-
-    # The logarithms of no force, and of a time without an end.
-    start = np.log([explained / np.sqrt(logs[0].rate), 1.0, 1.0, *first])
-    start[1:3] = -np.inf, np.inf
-    plain, without = _descend(cost, start)
-    forced = plain.copy()
+    none = usual.copy()
+    none[1 + n : 1 + 2 * n] = -np.inf
+    plain, without = search(none, np.arange(1 + n), STEPS)
+    starts = []
+    for time in np.geomspace(8 / rate, span / 4, TIMES):
+        start = np.concatenate([plain[: 1 + n], np.log(force), [np.log(time)]])
+        start[0] = max(start[0] - np.log(10), lower[0])
+        for _ in range(ROUNDS):
+            start[1 + n : 1 + 2 * n] = np.log(_measured_force(parts, _levels(start, n), speed, masks))
+            start = np.clip(start, lower, upper)
+        starts.append(search(start, np.arange(2 + 2 * n), FIRST_STEPS))
+    forced, lower_loss = search(min(starts, key=lambda each: each[1])[0], np.arange(2 + 2 * n), STEPS)
     count = sum(int(mask.sum()) for mask in masks)
-    if forgotten is None:
-        forced[1] = np.log(force)
-        forced, lower = _descend(cost, forced)
-        # Schwarz's criterion: one parameter more has to lower twice the negative log-likelihood by log N.
-        return noise(forced if without - lower > np.log(count) else plain)
-    spans = [float(np.ptp(np.asarray(log.record.t))) for log in logs]
-    times = np.geomspace(4 / logs[0].rate, min(spans) / 4, TIMES)
-    sizes = explained / gain * SIZES
-    grid = [(plain[0] + np.log(rest), np.log(one), np.log(time), *plain[3:]) for time in times for one in sizes
-            for rest in REST]  # fmt: skip
-    levels = [noise(np.array(z)) for z in grid]
-    noises = NoiseLevels(*(jnp.stack([jnp.asarray(x) for x in field]) for field in zip(*levels, strict=True)))
-    totals = sum(_losses(part, noises, jnp.asarray(mask), speed) for part, mask in zip(parts, masks, strict=True))
-    forced, lower = _descend(cost, np.array(grid[int(np.nanargmin(np.asarray(totals)))]))
     held_out = [np.asarray(system.present) & log.held_out[:, None] for log, system in zip(logs, systems, strict=True)]
-    # Two parameters more, and what is held out has to confirm them.
-    confirmed = without - lower > 2 * np.log(count)
-    confirmed = confirmed and loss(forced, systems, held_out) < loss(plain, systems, held_out)
-    return noise(forced if confirmed else plain)
+    tried = [_total(z, systems, held_out, speed)[0] for z in (plain, forced)]
+    # Schwarz's criterion for n + 1 parameters more, and what is held out has to confirm them.
+    confirmed = without - lower_loss > (n + 1) * np.log(count) and tried[1] < tried[0]
+    return _levels(forced if confirmed else plain, n)._replace(**({} if confirmed else {"force": jnp.asarray(0.0)}))
 
 
-def _descend(cost: Callable, start: np.ndarray) -> tuple[np.ndarray, float]:
-    """Minimise the cost from a start whose infinite entries stay; returns the minimiser and the cost."""
+def _measured_force(parts: list[ErrorModel], noise: NoiseLevels, speed: jax.Array, masks: list[np.ndarray]):
+    """Root mean square (n,) of the force that the smoother finds in the rows that count."""
+    n = masks[0].shape[1]
+    forces = [np.asarray(smoothed_errors(part, noise, speed))[:, 2 * n :] for part in parts]
+    rows = np.concatenate([force[mask.any(axis=1)] for force, mask in zip(forces, masks, strict=True)])
+    return np.maximum(np.sqrt(np.mean(rows**2, axis=0)), np.finfo(float).tiny)
+
+
+def _total(z: np.ndarray, systems: Sequence[ErrorModel], masks: Sequence[np.ndarray], speed: jax.Array):
+    """Loss of a noise over several logs, and its derivative."""
+    each = [_loss_and_slope(jnp.asarray(z), *pair, speed) for pair in zip(systems, masks, strict=True)]
+    return sum(float(loss) for loss, _ in each), np.sum([np.asarray(slope) for _, slope in each], axis=0)
+
+
+def _descend(
+    start: np.ndarray,
+    free: np.ndarray,
+    bounds: np.ndarray,
+    parts: list[ErrorModel],
+    masks: list[np.ndarray],
+    speed: jax.Array,
+    steps: int,
+) -> tuple[np.ndarray, float]:
+    """Minimise the loss over the entries `free`, within their bounds; returns the minimiser and the loss."""
     from scipy.optimize import minimize
-
-    moving = np.isfinite(start)
-    simplex = np.concatenate([np.zeros((1, moving.sum())), np.eye(int(moving.sum()))])
 
     def at(z):
         full = start.copy()
-        full[moving] += z
+        full[free] = z
         return full
 
-    options = {"initial_simplex": simplex, "xatol": 0.03, "fatol": 0.1, "maxfev": 60 * int(moving.sum())}
-    minimum = minimize(lambda z: cost(at(z)), simplex[0], method="Nelder-Mead", options=options)
+    def cost(z):
+        loss, slope = _total(at(z), parts, masks, speed)
+        valid = np.isfinite(loss) and np.isfinite(slope[free]).all()
+        return (loss, slope[free]) if valid else (np.inf, np.zeros(len(free)))
+
+    options = {"maxiter": steps, "ftol": 1e-7, "maxls": 10}
+    inside = np.clip(start[free], *bounds[free].T)
+    minimum = minimize(cost, inside, jac=True, method="L-BFGS-B", bounds=bounds[free], options=options)
     return at(minimum.x), float(minimum.fun)

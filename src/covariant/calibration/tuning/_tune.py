@@ -1,8 +1,9 @@
 """Noise and gains from logs: those with the likeliest innovations, confirmed on held-out rows.
 
-The gains of a constant-gain observer are those of several candidates that predict held-out measurements best, as in
-`_constant_gains`. The noise of Kalman filters is that of the greatest likelihood of their innovations,
-computed on the errors of one run as in `_error_model`. Velocities are compared with a reference on the later rows only.
+The gains of a constant-gain observer are those of several candidates whose velocities are nearest to what other rows
+tell, as in `_constant_gains`. The noise of Kalman filters is that of the greatest likelihood of their innovations,
+computed on the errors of one run as in `_error_model`. A reference is compared with on the later rows only; what is
+worse there than before is not taken.
 
 Source: Ljung 1999, System Identification, section 7.4, for prediction errors and likelihood; Schweppe 1965; Mehra 1970,
 On the identification of variances and adaptive Kalman filtering, IEEE TAC 15(2), for whiteness.
@@ -17,16 +18,20 @@ from jaxtyping import Float
 
 from covariant import scoring
 from covariant.calibration.identification import NoiseLevels
-from covariant.calibration.tuning._constant_gains import Candidate, best_gains, best_innovations, candidates
+from covariant.calibration.tuning._constant_gains import (
+    Candidate,
+    Judge,
+    Poles,
+    as_frequency,
+    best_gains,
+    best_innovations,
+    candidates,
+    clearly_positive,
+)
 from covariant.calibration.tuning._data_sheet import DataSheet, Trial
 from covariant.calibration.tuning._estimators import estimators, observer_gains, tuned_estimators
 from covariant.calibration.tuning._filters import relative_error
-from covariant.calibration.tuning._noise_search import (
-    RunErrors,
-    best_noise,
-    largest_speed,
-    smoothed_errors,
-)
+from covariant.calibration.tuning._noise_search import RunErrors, best_noise, largest_speed
 from covariant.calibration.tuning._tuning_log import Runs, TuningLog, by_jax, followed, prepared
 from covariant.models import MechanicalSystem
 from covariant.observers import REGISTRY, run
@@ -78,12 +83,14 @@ class Tuning(NamedTuple):
         model_free: Name of the best filter without a model, and its velocity RMSE on the held-out rows as a fraction of
             the velocities; None where there is none for this kind of system.
         rows: Number of rows for tuning.
-        candidates: Gains that were compared by the prediction of held-out measurements, or by smoothed velocities;
-            empty where none were.
+        candidates: Gains that were compared by their velocities on held-out rows; empty where none were.
         source: Which of them these gains are.
-        horizon: Number of rows over which they predicted; 0 where velocities were compared with smoothed ones, because
-            the noise has a force.
-        noise_kept: Whether the noise is that of the data sheet, because held-out measurements are likelier with it.
+        force_rate: Rate ρ [1/s] at which `IntrinsicForce` learns a force; 0 for an observer without one.
+        same: Least and largest ω [rad/s] of gains that are as good within 2 %; None where that is unknown.
+        gains_kept: Whether the gains are those of the data sheet because others, which seemed better, had a larger
+            velocity error on held-out rows.
+        noise_kept: Why the noise is that of the data sheet: "likelihood", because held-out measurements are likelier
+            with it, or "velocities", because the Kalman filter's velocities are better; empty where it is tuned.
         reference_noise: Standard deviation (n,) of the reference velocities that noise of the readings causes, and of
             the Kalman filter's velocities as it predicts it, (2, n) [rad/s or m/s]; None where that is unknown.
 
@@ -107,8 +114,10 @@ class Tuning(NamedTuple):
     rows: int
     candidates: tuple[Candidate, ...] = ()
     source: str = "innovations"
-    horizon: int = 1
-    noise_kept: bool = False
+    force_rate: float = 0.0
+    same: tuple[float, float] | None = None
+    gains_kept: bool = False
+    noise_kept: str = ""
     reference_noise: Float[NumpyArray, "2 n"] | None = None
 
     @property
@@ -141,9 +150,8 @@ def tune(
             a model are tuned to them.
         std: Least standard deviation (n,) of a reading, such as that of one tick of an encoder; by default a small
             fraction of the innovations.
-        before: Data sheet whose gains and noise are judged as well. What is worse than it on held-out rows, by
-            predictions, or by smoothed velocities where a force acts, is not taken. Where it has an
-            `external_force_std`, such a force is searched for.
+        before: Data sheet whose gains and noise are judged as well. What is worse than it on held-out rows, by the
+            likelihood or by the error of velocities, is not taken.
         progress: Called with the name of each of the four stages when it begins.
         runs: Runs the observers with constant gains, of which there are dozens; by default JAX, one by one.
         window: Half width [s] and order of the polynomials of the reference, and rate [Hz] of the positions that they
@@ -160,37 +168,34 @@ def tune(
     progress("gains")
     runner = runs or by_jax
     frequency, damping, size = best_innovations(model, logs, runner)
-    proposed = {"innovations": (frequency, damping)}
+    proposed: dict[str, Poles] = {"innovations": (frequency, damping, 0.0)}
+    estimates = followed(model, logs, proposed["innovations"], runner)
     progress("noise")
-    estimates = followed(model, logs, frequency, damping, runner)
     errors = [RunErrors.of(model, *each) for each in zip(logs, estimates, strict=True)]
-    shape = None
-    if before is not None and before.external_force_std is not None:
-        shape = np.broadcast_to(before.external_force_std, n) / np.max(before.external_force_std)
-    noise = best_noise(errors, frequency, size, std, shape)
-    speed = largest_speed(logs)
-    proposed |= candidates(
-        noise, [each.system for each in errors], [each.filtered(noise, speed) for each in errors], rate
-    )
+    likeliest = best_noise(errors, frequency, size, std)
+    noise, speed = likeliest, largest_speed(logs)
     progress("held-out rows")
-    baseline, kept = None, False
+    baseline, kept = None, ""
     if before is not None:
-        gains = observer_gains(before, rate)
-        old = gains.beta**0.5, gains.alpha / (2 * gains.beta**0.5)
-        proposed = {"model file": old} | proposed
-        baseline = _held_out_errors(errors, followed(model, logs, *old, runner), noise_levels(before, rate, n), speed)
+        proposed |= {"model file": sheet_poles(model, before, rate)}
+        old = followed(model, logs, proposed["model file"], runner), noise_levels(before, rate, n)
+        baseline = _held_out_errors(errors, *old, speed)
         if _held_out_errors(errors, estimates, noise, speed).likelihood < baseline.likelihood:
-            kept, noise = True, noise_levels(before, rate, n)
-    smooth = None
-    if np.any(noise.force):
-        smooth = [each.corrected(smoothed_errors(each.system, noise, speed)) for each in errors]
-    best, compared, horizon = best_gains(model, logs, proposed, [each.substeps for each in errors], runner, smooth)
-    chosen = followed(model, logs, best.natural_frequency, best.damping, runner)
-    after = _held_out_errors(errors, chosen, noise, speed)
+            kept, noise, likeliest = "likelihood", old[1], old[1]
+        elif _worse(logs, *(_filtered_velocities(errors, each, speed) for each in (noise, old[1]))):
+            kept, noise = "velocities", old[1]
+    filtered = [each.filtered(likeliest, speed) for each in errors]
+    proposed |= candidates(likeliest, [each.system for each in errors], filtered, rate)
+    judges = [Judge.of(each, likeliest, speed) for each in errors]
+    found = best_gains(model, logs, proposed, judges, runner, bool(np.any(likeliest.force)))
+    best, gains_kept = found.best, False
+    gained = followed(model, logs, (best.natural_frequency, best.damping, best.force_rate), runner)
+    if before is not None and best.source != "model file" and _worse(logs, *(_velocities(e) for e in (gained, old[0]))):
+        best, gains_kept, gained = next(each for each in found.judged if each.source == "model file"), True, old[0]
+    after = _held_out_errors(errors, gained, noise, speed)
     progress("filters without a model")
     free = _best_model_free(model, logs, noise, before)
     known = None if window is None else _reference_noise(errors, noise, speed, *window)
-    rows = sum(int(log.tuned.sum()) for log in logs)
     return Tuning(
         best.natural_frequency,
         best.damping,
@@ -198,13 +203,43 @@ def tune(
         baseline,
         after,
         free,
-        rows,
-        compared,
+        sum(int(log.tuned.sum()) for log in logs),
+        found.judged,
         best.source,
-        horizon,
+        best.force_rate,
+        found.same,
+        gains_kept,
         kept,
         known,
     )
+
+
+def sheet_poles(model: MechanicalSystem, sheet: DataSheet, rate: float) -> Poles:
+    """Natural frequency, damping and force rate of the observer that is designed from a data sheet by default."""
+    learns = sheet.external_force_time if sheet.force_rate is None and sheet.natural_frequency is None else None
+    gains = observer_gains(sheet, rate, model.space if learns or sheet.force_rate else None)
+    return *as_frequency(gains.alpha, gains.beta), gains.force_rate
+
+
+def _velocities(estimates: list[Any]) -> list[np.ndarray]:
+    return [np.asarray(v) for _, v, _ in estimates]
+
+
+def _filtered_velocities(errors: list[RunErrors], noise: NoiseLevels, speed: Any) -> list[np.ndarray]:
+    return [each.corrected(each.filtered(noise, speed).error) for each in errors]
+
+
+def _worse(logs: list[TuningLog], new: list[np.ndarray], old: list[np.ndarray]) -> bool:
+    """Whether velocities are farther from the reference than others on held-out rows, beyond the scatter."""
+    size = [np.sqrt(np.mean(log.velocity[log.held_out] ** 2, axis=0)) for log in logs]
+    squares = [
+        [
+            np.mean(((v - log.velocity)[log.held_out] / each) ** 2, axis=1)
+            for v, log, each in zip(vs, logs, size, strict=True)
+        ]
+        for vs in (new, old)
+    ]
+    return clearly_positive([a - b for a, b in zip(*squares, strict=True)])
 
 
 def noise_levels(sheet: DataSheet, rate: float, n: int) -> NoiseLevels:

@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float
 from covariant.calibration.diagnosis import outliers
 from covariant.calibration.identification import FITTED
 from covariant.models import MechanicalSystem
-from covariant.observers import Intrinsic, run
+from covariant.observers import IntrinsicForce, run
 from covariant.scoring import find_holes, near_holes, scored_window
 from covariant.signals import Record, Run
 
@@ -17,7 +17,7 @@ MOST_ROWS = 8000
 """Largest number of rows of each log for tuning: the search runs an observer over them dozens of times."""
 FEWEST_ROWS = 100
 """Least number of rows in each part of a log."""
-Runs = Callable[[Sequence[Intrinsic], Sequence[Record]], Sequence[Run]]
+Runs = Callable[[Sequence[IntrinsicForce], Sequence[Record]], Sequence[Run]]
 """Runs each of several observers over each of several records, and returns estimates and innovations."""
 
 
@@ -63,21 +63,25 @@ def prepared(model: MechanicalSystem, record: Record, velocity: np.ndarray) -> T
     return TuningLog(Record(t, np.asarray(record.u), y), velocity, tuned, held_out)
 
 
-def intrinsic(model: MechanicalSystem, frequency: float, damping: float) -> Intrinsic:
-    """The observer with the gains α = 2ζω and β = ω²."""
-    return Intrinsic(model, 2 * damping * frequency, frequency**2)
+def constant_gains(
+    model: MechanicalSystem, frequency: float, damping: float, force_rate: float = 0.0
+) -> IntrinsicForce:
+    """The observer with the gains α = 2ζω and β = ω² that learns a force at the rate ρ; for ρ = 0 it is `Intrinsic`."""
+    return IntrinsicForce(model, 2 * damping * frequency, frequency**2, force_rate)
 
 
-def by_jax(observers: Sequence[Intrinsic], records: Sequence[Record]) -> list[Run]:
+def by_jax(observers: Sequence[IntrinsicForce], records: Sequence[Record]) -> list[Run]:
     """Run each observer over each record, one by one."""
     pairs = [(observer, record) for observer in observers for record in records]
     return [run(observer, record, ("innovation",)) for observer, record in pairs]
 
 
-def followed(model: MechanicalSystem, logs: list[TuningLog], frequency: float, damping: float, runs: Runs) -> list[Any]:
+def followed(
+    model: MechanicalSystem, logs: list[TuningLog], poles: tuple[float, float, float], runs: Runs
+) -> list[Any]:
     """Configurations, velocities (T, n) and innovations (T, n) of the observer over each of the whole logs."""
     estimates = []
-    for done in runs([intrinsic(model, frequency, damping)], [log.record for log in logs]):
+    for done in runs([constant_gains(model, *poles)], [log.record for log in logs]):
         motion = model.motion(done.estimate)
         estimates.append((motion.q, motion.v, np.asarray(done.info.innovation)))
     return estimates
