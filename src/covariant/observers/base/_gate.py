@@ -30,6 +30,8 @@ AGREEING = 3.0
 """Standard deviations of the noise within which readings are on a line."""
 MOVING = 4.0
 """Least distance of neighbours on a line, in standard deviations of the noise, at which it shows a velocity."""
+GROWING = 0.25
+"""Least."""
 HOLE = 3.0
 """Length of a hole before refused readings, in steps between them, from which they are asked among themselves."""
 
@@ -106,22 +108,22 @@ class Gate(eqx.Module):
         line, present, widening = memory.line(sample.innovation), sample.present, jnp.maximum(memory.scale, least)
         # The noise of lines is at least what is said: a scale below 1 tells of large speeds or process noise.
         noisier = jnp.maximum(memory.scale, 1.0)
-        far, even, moving, joined = (jnp.zeros_like(present),) * 4
-        scale = memory.scale
+        measured, far, even, moving, joined, growing = (jnp.zeros_like(present),) * 6
+        square = memory.scale
         for together in manifold.measured_together(present.shape[0]):
             block, n = jnp.asarray(together), len(together)
             # A block is judged as a whole, so it needs all of its components.
-            measured = jnp.all(present[block])
+            complete = jnp.all(present[block])
             # An estimate that is off does not make an outlier of a reading that continues the last used one.
             innovation, width = sample.innovation[block], jnp.sqrt(widening[block])
             vectors = jnp.stack([innovation, innovation / width, line.change[block] / width], axis=1)
-            square, *narrowed = _mean_squares(sample.cov[jnp.ix_(block, block)], vectors)
-            far = far.at[block].set(measured & (jnp.minimum(*narrowed) > self._limit(n) / n))
+            whole, *narrowed = _mean_squares(sample.cov[jnp.ix_(block, block)], vectors)
+            measured, square = measured.at[block].set(complete), square.at[block].set(whole)
+            far = far.at[block].set(complete & (jnp.minimum(*narrowed) > self._limit(n) / n))
             noise = jnp.asarray(sample.noise)[jnp.ix_(block, block)] * noisier[block[0]]
             shape = _shape(jax.tree.map(lambda a, block=block: a[block], line), noise)
-            even, moving, joined = (a.at[block].set(b) for a, b in zip((even, moving, joined), shape, strict=True))
-            change = (jnp.minimum(square, BELIEVED * memory.scale[block]) - memory.scale[block]) / self.memory
-            scale = scale.at[block].add(jnp.where(measured, change, 0.0))
+            shapes = zip((even, moving, joined, growing), shape, strict=True)
+            even, moving, joined, growing = (a.at[block].set(b) for a, b in shapes)
         # A start after long patience needs a complete configuration.
         patient = far & (memory.refused >= self.patience) & jnp.all(present)
         even, credible = even & far & (memory.refused >= 1), _credible(manifold, line, predicted, usual)
@@ -131,6 +133,12 @@ class Gate(eqx.Module):
         # Before a hole nothing tells of the motion after it: three readings that agree with each other are believed.
         possible = credible if usual is not None else jnp.ones_like(credible)
         moved = moved | (even & possible & (memory.refused >= 2) & (line.gap > HOLE * line.step))
+        # Refused readings that motion may have left there, and that do not stay as after a slip: the model is wrong.
+        doubtful = far & moving & _reached(manifold, line, predicted, usual)
+        doubtful = doubtful & jnp.where(memory.refused <= 2, growing & (memory.refused >= 1), True)
+        believed = jnp.where(doubtful, square, jnp.minimum(square, BELIEVED * memory.scale))
+        scale = memory.scale + jnp.where(measured, (believed - memory.scale) / self.memory, 0.0)
+        far = far & (moved | ~doubtful)
         restart, anew = jnp.any(patient | moved), present & (~far | patient | moved)
         velocity = predicted
         if usual is not None:
@@ -180,7 +188,7 @@ def _shape(line: Line, noise: Matrix) -> tuple[Flag, Flag, Flag]:
     since = jnp.clip(slope @ change / jnp.maximum(slope @ slope, jnp.finfo(slope.dtype).tiny), step, length)
     apart, steps = change - since * slope, since / step
     joined = apart @ apart <= AGREEING**2 * (1 + 2 * steps**2) + (BEND * steps) ** 2 * displacement
-    return even, displacement >= MOVING**2, joined
+    return even, displacement >= MOVING**2, joined, joined | (apart @ apart <= GROWING**2 * (change @ change))
 
 
 def _credible(manifold: AbstractManifold, line: Line, predicted: Velocity, usual: Matrix | None) -> Bool[Array, "n"]:
@@ -200,6 +208,18 @@ def _credible(manifold: AbstractManifold, line: Line, predicted: Velocity, usual
         bound = jnp.where(line.refused[block] > 1, CREDIBLE**2, jnp.maximum(before, 1.0))
         credible = credible.at[block].set(after <= bound)
     return credible
+
+
+def _reached(manifold: AbstractManifold, line: Line, predicted: Velocity, usual: Matrix | None) -> Bool[Array, "n"]:
+    """Which components (n,) a motion that turned back at the usual speed may have carried where they are read."""
+    reached = jnp.zeros(line.change.shape, bool)
+    if usual is None:
+        return reached
+    for together in manifold.measured_together(len(usual)):
+        block = jnp.asarray(together)
+        change = (line.change / (line.gap + line.step))[block, None]
+        reached = reached.at[block].set(_mean_squares(usual[jnp.ix_(block, block)], change)[0] <= 4)
+    return reached
 
 
 def with_block(cov: Matrix, block: Matrix, places: Bool[Array, "n"]) -> Matrix:
