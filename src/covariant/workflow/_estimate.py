@@ -19,6 +19,7 @@ from covariant.observers import REGISTRY, AbstractObserver
 from covariant.scoring import SETTLED, rmse
 from covariant.signals import Run, StepCode
 from covariant.workflow._arguments import gain_pair
+from covariant.workflow._bands import narrow_bands
 from covariant.workflow._design import default_observer, design, tells_noise, widens
 from covariant.workflow._determined import Determinacy, determined
 from covariant.workflow._holes import LONGEST_SHOWN
@@ -319,6 +320,7 @@ class EstimateResult(AbstractEstimates):
         doubts = (
             unexplained(self.job, self.loaded, self.observer_name, self.outcome),
             inconsistent(self.loaded, self.observer_name, self.outcome),
+            *narrow_bands(self.loaded, self.observer_name, self.outcome),
             *hole_doubts(self.loaded, {self.observer_name: self.outcome}),
             None if free is None or not free.is_better else free.advice(self.observer_name),
         )

@@ -240,7 +240,9 @@ class AbstractMechanicalFilter(AbstractGatedFilter):
             return corrected
         # The covariance after the correction and before the reset.
         after = solve_square(step.reset, self.root(step.state))
-        scale = state.noise_scale.corrected(self.root(state), after, step.error, step.reset, restart, jnp.mean(state.gate.scale))
+        scale = state.noise_scale.corrected(
+            self.root(state), after, step.error, step.reset, restart, jnp.mean(state.gate.scale)
+        )
         return corrected._replace(noise_scale=scale)
 
     def _start(self, state: Any, expected: Expectation) -> Array:

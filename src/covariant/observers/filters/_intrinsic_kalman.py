@@ -366,7 +366,9 @@ class IntrinsicKalman(AbstractMechanicalFilter):
         sensors = None if sensed is None else sensed.info
         scale = factor_of(new.noise_scale, nis)
         deviations = self.deviations(new)
-        return KalmanInfo(innovation, distance, cov, nis, **deviations, result=result, sensors=sensors, noise_scale=scale)
+        return KalmanInfo(
+            innovation, distance, cov, nis, **deviations, result=result, sensors=sensors, noise_scale=scale
+        )
 
     def _result(self, state: KalmanState, new: KalmanState, y: Array, expected: Expectation, verdict: Judged) -> Code:
         configuration, sensed = self._split(y)[0], expected.details[1]
@@ -397,7 +399,9 @@ class IntrinsicKalman(AbstractMechanicalFilter):
     def _unknown(self, n: int) -> np.ndarray:
         """Which entries of the error (2n + k,) have the noise whose size is learnt: forces, or else the motion."""
         groups = self._slow.groups
-        forces = [isinstance(each, SlowVariables) and each.force is not None and each.time is not None for each in groups]
+        forces = [
+            isinstance(each, SlowVariables) and each.force is not None and each.time is not None for each in groups
+        ]
         slow = np.repeat(forces, [len(each.names) for each in groups]).astype(bool)
         return np.concatenate([np.full(2 * n, not slow.any()), slow])
 

@@ -29,6 +29,8 @@ SPREAD = 0.5
 """Variance of log s that the rows in memory leave."""
 MEMORY = 20.0
 """Information after which a change of log s is forgotten: that of 40 independent numbers that show nothing but s."""
+HELD = 2
+"""Latest rows whose corrections are not compared with an innovation: noise of neighbouring readings is correlated."""
 LARGEST = math.log(1e6)
 """Largest log s, so that single precision can hold the covariance."""
 
@@ -39,17 +41,18 @@ class NoiseScale(NamedTuple):
     Attributes:
         log: Logarithm of s, the variance of the unknown over that which the filter was built with.
         cov: Derivative ∂P/∂log s (N, N) of the covariance of the error.
-        estimate: Derivative (N,) of the estimate.
+        estimates: Derivative (N, 1 + H) of the estimate: by corrections that are `HELD` rows old or older, then by each
+            of the newer ones, the oldest first.
     """
 
     log: Scalar
     cov: Float[Array, "N N"]
-    estimate: Float[Array, "N"]
+    estimates: Float[Array, "N H1"]
 
     @classmethod
     def at_start(cls, root: Matrix) -> "NoiseScale":
         """The scale 1 for a filter whose covariance has the root (N, N)."""
-        return cls(jnp.zeros((), root.dtype), jnp.zeros_like(root), jnp.zeros_like(root[0]))
+        return cls(jnp.zeros((), root.dtype), jnp.zeros_like(root), jnp.zeros((root.shape[0], HELD + 1), root.dtype))
 
     @property
     def factor(self) -> Scalar:
@@ -59,21 +62,24 @@ class NoiseScale(NamedTuple):
     def advanced(self, transition: Matrix, noise: Float[Array, "N m"]) -> "NoiseScale":
         """The same after a prediction, in which the unknown adds noise with this root at its present size."""
         cov = transition @ self.cov @ transition.T + noise @ noise.T
-        return self._replace(cov=cov, estimate=transition @ self.estimate)
+        return self._replace(cov=cov, estimates=transition @ self.estimates)
 
-    def corrected(self, root: Matrix, after: Matrix, correction: Vector, reset: Matrix, restart: Flag, size: Scalar) -> "NoiseScale":
+    def corrected(
+        self, root: Matrix, after: Matrix, correction: Vector, reset: Matrix, restart: Flag, size: Scalar
+    ) -> "NoiseScale":
         """The same after a correction.
 
         The lower triangular `root` is that of the covariance before, `after` one of the covariance after the
         correction and before the reset.
         """
         k = root.shape[0]
-        columns = jnp.concatenate([self.cov, after, correction[:, None], self.estimate[:, None]], axis=1)
+        columns = jnp.concatenate([self.cov, after, correction[:, None], self.estimates], axis=1)
         solved = lower_solve(root, columns)
-        left, remaining, e, c = solved[:, :k], solved[:, k : 2 * k], solved[:, -2], solved[:, -1]
+        left, remaining, e, each = solved[:, :k], solved[:, k : 2 * k], solved[:, 2 * k], solved[:, 2 * k + 1 :]
         share = lower_solve(root, left.T)
         kept = remaining @ remaining.T
         e = e / jnp.sqrt(jnp.maximum(size, 1.0))
+        c = each[:, 0]
         score = e @ c + jnp.minimum(size - 1.0, 0.0) / 2 * (jnp.trace(share) - jnp.sum(kept * share))
         information = c @ (c - kept @ c)
         step = score / (1 / SPREAD + information)
@@ -82,11 +88,13 @@ class NoiseScale(NamedTuple):
         log = jnp.clip((1 - jnp.minimum(information / MEMORY, 0.5)) * self.log + step, 0.0, LARGEST)
         into = reset @ root
         cov = into @ (kept @ share @ kept) @ into.T
-        estimate = into @ (kept @ (c + share @ e))
+        each = jnp.concatenate([each, (share @ e)[:, None]], axis=1)
+        each = jnp.concatenate([each[:, :1] + each[:, 1:2], each[:, 2:]], axis=1)
+        estimates = into @ (kept @ each)
         # What starts anew depends on no noise of before.
         gone = restart | ~jnp.isfinite(score)
         return NoiseScale(
-            jnp.where(gone, self.log, log), jnp.where(gone, 0.0, (cov + cov.T) / 2), jnp.where(gone, 0.0, estimate)
+            jnp.where(gone, self.log, log), jnp.where(gone, 0.0, (cov + cov.T) / 2), jnp.where(gone, 0.0, estimates)
         )
 
 
