@@ -154,6 +154,10 @@ LEAST_DAMPING = 0.3
 """The least damping ratio that `tune` takes, and the search too."""
 GRIDS = {1: (17,), 2: (9, 5), 3: (7, 5, 5)}
 """Points of a grid over the numbers of an observer, by how many these are."""
+COARSE = {1: (17,), 2: (5, 3), 3: (5, 3, 3)}
+"""The same for an arm, whose steps cost ten times as much."""
+FEW = 3
+"""Most coordinates of a machine that is not an arm."""
 
 
 class Family(NamedTuple):
@@ -178,9 +182,9 @@ class Family(NamedTuple):
     def searched(self, log: Judged, model: models.MechanicalSystem) -> float:
         """The least error over all numbers, by a grid that is made finer around the best."""
         best, numbers, spans = np.inf, self.at, np.array(self.spans)
-        counts = GRIDS[len(numbers)]
-        # An arm costs ten times as much as a pendulum, and its optimum is as flat.
-        for _ in range(5 if log.v.shape[1] <= 3 else 3):
+        arm = log.v.shape[1] > FEW and model.manifold.commuting
+        counts = (COARSE if arm else GRIDS)[len(numbers)]
+        for _ in range(3 if arm else 5):
             axes = [
                 np.maximum(centre * np.exp(np.linspace(-span, span, count)), floor)
                 for centre, span, count, floor in zip(numbers, spans, counts, self.least, strict=True)
@@ -195,17 +199,29 @@ class Family(NamedTuple):
         return best
 
 
+def constant_gains(model: models.MechanicalSystem, frequency: float, damping: float, rate: float) -> AbstractObserver:
+    """The observer with the poles of s² + 2ζωs + ω² and that of the force, ρ."""
+    return observers.IntrinsicForce(model, 2 * damping * frequency, frequency**2, rate)
+
+
+def gate_cost(log: Judged, model: models.MechanicalSystem, observer: AbstractObserver, sheet: DataSheet) -> float:
+    """Error of an observer behind the gate, as a multiple of its error without one."""
+    gated = calibration.gated(observer, model, sheet)
+    on, off = (log.error(model.motion(engine.run_log(each, log.record)[0].estimate).v) for each in (gated, observer))
+    return on / off
+
+
 def informed(log: Judged, model: models.MechanicalSystem, tuning: Any, sheet: DataSheet) -> Iterator[Family]:
     """Observers that know the model: constant gains with a force, with and without a gate, and Kalman filters."""
 
-    def gains(frequency: float, damping: float, rate: float) -> AbstractObserver:
-        return observers.IntrinsicForce(model, 2 * damping * frequency, frequency**2, rate)
+    gains = partial(constant_gains, model)
 
-    def gated(frequency: float, damping: float, rate: float) -> AbstractObserver:
-        return calibration.gated(gains(frequency, damping, rate), model, sheet)
+    def gated(*numbers: float) -> AbstractObserver:
+        return calibration.gated(gains(*numbers), model, sheet)
 
     frequency, n = tuning.natural_frequency, log.v.shape[1]
-    for name, make in (("constant gains", gains), ("constant gains, gate", gated)):
+    arm = n > FEW and model.manifold.commuting
+    for name, make in (("constant gains", gains), ("constant gains, gate", gated))[: 1 if arm else 2]:
         yield Family(name, make, (frequency, 0.7, 0.1 * frequency), (2.0, 1.2, 3.0), (0.0, LEAST_DAMPING, 0.0))
     rate, std = 1 / float(np.median(np.diff(log.record.t))), sheet.measurement_std
     density = max(float(np.asarray(tuning.noise.acceleration)) ** 2, 1e-5 * std**2 * rate**3)
@@ -217,7 +233,7 @@ def informed(log: Judged, model: models.MechanicalSystem, tuning: Any, sheet: Da
         (2.0, 6.0),
         (0.0, 0.0),
     )
-    if n <= 3 and model.manifold.commuting:
+    if n <= FEW and model.manifold.commuting:
         size = float(np.sqrt(np.mean(np.gradient(log.v, log.record.t, axis=0) ** 2)))
         inertia = float(np.median(np.diag(np.asarray(model.metric(jnp.asarray(log.record.y[0]))))))
 
@@ -246,12 +262,10 @@ def uninformed(log: Judged, model: models.MechanicalSystem, std: float) -> Itera
             yield Family(entry.name, make, at, spans, (0.0,) * len(at), False)
     if not model.manifold.commuting:
         free = models.GroupSystem(model.manifold, jnp.eye(n))
-
-        def tracking(frequency: float, damping: float, rate: float) -> AbstractObserver:
-            return observers.IntrinsicForce(free, 2 * damping * frequency, frequency**2, rate)
-
         start = 0.3 * rate, 0.7, 0.1 * rate
-        yield Family("tracking loop", tracking, start, (2.0, 1.2, 3.0), (0.0, LEAST_DAMPING, 0.0), False)
+        yield Family(
+            "tracking loop", partial(constant_gains, free), start, (2.0, 1.2, 3.0), (0.0, LEAST_DAMPING, 0.0), False
+        )
 
 
 def best_polynomial(log: Judged) -> float:
@@ -282,7 +296,8 @@ class Entry(NamedTuple):
         file: Of the default with the model file as it is.
         tuned: Of the default after `tune`.
         kalman: Of the intrinsic Kalman filter after `tune`.
-        gate: Error of constant gains behind the gate, as a multiple of that without it.
+        gate: Error of constant gains behind the gate, as a multiple of that without it; the larger one of the gains of
+            the model file and of those that are tuned.
         band: Fraction of the true velocities within the 95 % band of the Kalman filter, and of the fastest tenth.
         best: Least error of each family, and whether it knows the model.
         source: Which candidate the tuned gains are.
@@ -319,14 +334,14 @@ class Entry(NamedTuple):
         ratio = (np.abs(kalman.velocity - log.v) / kalman.velocity_std)[log.judged]
         speed = np.linalg.norm(log.v[log.judged] / np.std(log.v[log.judged], axis=0), axis=1)
         fast = speed >= np.quantile(speed, TENTH)
-        gains = observers.IntrinsicForce(
-            model,
-            2 * found.damping * found.natural_frequency,
-            found.natural_frequency**2,
-            result.lines["design"].get("force_rate", 0.0),
+        rate, noise = 1 / float(np.median(np.diff(log.record.t))), float(file.typical_std or 0.0)
+        stated = DataSheet(noise, file.acceleration_std, file.correlation_time or 1 / rate, speed=sheet.speed)
+        first = calibration.observer_gains(stated, rate)
+        poles = found.natural_frequency, found.damping, result.lines["design"].get("force_rate", 0.0)
+        gate = max(
+            gate_cost(log, model, observers.Intrinsic(model, first.alpha, first.beta), stated),
+            gate_cost(log, model, constant_gains(model, *poles), sheet),
         )
-        runs = [engine.run_log(each, log.record)[0] for each in (calibration.gated(gains, model, sheet), gains)]
-        gated, free = (log.error(model.motion(run.estimate).v) for run in runs)
         families = [*informed(log, model, found, sheet), *uninformed(log, model, sheet.measurement_std)]
         best = {family.name: (family.searched(log, model), family.informed) for family in families}
         return cls(
@@ -335,7 +350,7 @@ class Entry(NamedTuple):
             log.error(estimate(file).velocity),
             log.error(estimate(tuned).velocity),
             log.error(kalman.velocity),
-            gated / free,
+            gate,
             (float(np.mean(ratio < DEVIATIONS)), float(np.mean(ratio[fast] < DEVIATIONS))),
             best | {"savitzky-golay": (best_polynomial(log), False)},
             found.source,
@@ -381,7 +396,10 @@ def main() -> None:
     available = TWINS if asked.twins else all_logs()
     for entry in entries(asked.only, available, {"none": FAULTS["none"]} if asked.twins else FAULTS):
         rows.append(entry)
-        print(entry, flush=True)
+        best = ", ".join(
+            f"{name} {error:.5f}" for name, (error, _) in sorted(entry.best.items(), key=lambda pair: pair[1])
+        )
+        print(f"{entry}\n  {best}", flush=True)
     print(
         "\n| log | fault | tuned ÷ best | model file ÷ best | Kalman ÷ best | best with a model | best without | "
         "gate | 95 % band, fastest tenth | gains from |\n|---|---|--:|--:|--:|---|---|--:|---|---|"

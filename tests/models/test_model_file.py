@@ -505,3 +505,13 @@ def test_a_model_file_as_an_object_keeps_its_uncertain_numbers():
     again = load(file, {"measurement.std": 1e-3})
     assert again.uncertain == {"coulomb": 1.0}
     assert again.family.names == file.family.names
+
+
+def test_an_override_of_an_object_replaces_the_number_that_states_the_same():
+    ticks = load("oscillator")._replace(measurement_std=0.03, quantum=0.1, external_force=2.0)
+    file = load(
+        ticks, {"measurement.std": 0.5, "uncertainty.external_force_std": 1.0, "uncertainty.external_force_time": 2.0}
+    )
+    assert (file.measurement_std, file.quantum) == (0.5, None)
+    assert (file.external_force, file.external_force_std, file.external_force_time) == (None, 1.0, 2.0)
+    assert load(ticks, {"measurement.quantum": 12.0}).measurement_std == pytest.approx(math.sqrt(12))
