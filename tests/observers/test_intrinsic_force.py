@@ -9,6 +9,8 @@ from scipy.linalg import expm
 
 from covariant import models, observers
 from covariant._integrate import rk8
+from covariant.certificates import error_system
+from covariant.certificates.audit import audit
 from covariant.observers import Intrinsic, IntrinsicForce
 from covariant.observers.base._sampled import sampled_force_gains, sampled_gains
 from covariant.signals import Record, StepCode
@@ -231,3 +233,17 @@ def test_late_readings_give_the_same_force():
 def test_gains_that_make_no_sense_are_refused(gains, message):
     with pytest.raises(ValueError, match=message):
         IntrinsicForce(SPRING, *gains)
+
+
+def test_no_certificate_is_about_it():
+    observer = IntrinsicForce(DOUBLE, ALPHA, BETA, RATE)
+    with pytest.raises(TypeError, match=r"certificates are about .*; got IntrinsicForce"):
+        error_system(observer, np.eye(2))
+
+
+@pytest.mark.long
+def test_with_its_force_held_it_keeps_the_laws_of_an_audit():
+    """With the gains of position and velocity that three poles have."""
+    audited = audit(IntrinsicForce(DOUBLE, ALPHA, BETA, RATE), points=2, laws=("plant", "error"))
+    assert audited.passed
+    assert "α = 19 1/s, β = 170 1/s²" in str(audited)
