@@ -476,3 +476,35 @@ def test_what_a_model_lacks_is_named_before_an_estimate_and_for_chains():
     refused = misfit(fault.file, fault.record)
     assert refused is not None
     assert refused.what == "rotor inertia"
+
+
+@pytest.mark.parametrize("size", [1.0, 1e-6, 1e-9])
+def test_a_fast_small_motion_is_no_standstill_and_no_second_sender(size):
+    """A mass on a spring with nine rows in a period, in m, in µm and in nm, with and without stated noise."""
+    t = np.arange(1500) / 610.0
+    random, pace = np.random.default_rng(0), 2 * np.pi * 68.0
+    exact = size * (np.sin(pace * t) + 0.1 * np.sin(pace * t + 1.0))
+    record = Record(t, np.zeros((1500, 1)), (exact + 1e-3 * size * random.normal(size=1500))[:, None])
+    spring = models.ModelFile("spring", models.oscillator(stiffness=pace**2), measurement_std=1e-3 * size)
+    spring = spring._replace(columns=spring.columns._replace(q=("q",), u=("u",)))
+    for file in (spring, spring._replace(measurement_std=None)):
+        done = diagnose(file, record)
+        assert (done.findings, done.skipped) == ((), ())
+    late = diagnose(spring, record._replace(t=1e3 * t))
+    assert whats(late) == ["unit of time"]
+
+
+def test_a_motion_of_hours_is_compared_as_well():
+    t = np.arange(2000) * 30.0
+    y = 7e6 * np.cos(1e-3 * t) + 50.0 * np.random.default_rng(0).normal(size=2000)
+    file = models.ModelFile("orbit", models.oscillator(stiffness=1e-6), measurement_std=50.0)
+    file = file._replace(columns=file.columns._replace(q=("q",), u=("u",)))
+    done = diagnose(file, Record(t, np.zeros((2000, 1)), y[:, None]))
+    assert done.findings == ()
+    assert "accelerations" in done.looked_for
+
+
+def test_checks_that_a_standstill_hides_are_named(pendulum, clean):
+    still = clean._replace(y=np.tile(clean.y[:1], (len(clean.t), 1)))
+    assert "delays" in diagnose(pendulum, still).skipped
+    assert diagnose(pendulum, clean).skipped == ()

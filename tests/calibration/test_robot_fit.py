@@ -186,6 +186,18 @@ def test_a_log_in_degrees_is_named_whatever_the_friction_and_the_rotors_are(name
     assert finding.line == '[units] q = "deg"'
 
 
+def test_a_joint_without_a_motor_hides_no_wrong_unit_and_is_none():
+    """All its torques sum to zero: relative to their sum nothing of it would be explained."""
+    truth = Truth((0.002, 0.05), (0.001, 0.05), (0.0, 0.0), armature=(0.0, 0.004), constants=(0.0, 1.0))
+    t, u, y = swing(1, truth, 4.0, torque_noise=0.002)
+    family = models.robot_family("double_pendulum", ["friction"])
+    record = Record(t, u[0] * [0.0, 1.0], y[0])
+    assert robot_misfit(family, family.file, record) is None
+    finding = robot_misfit(family, family.file, record._replace(y=np.degrees(record.y)))
+    assert finding is not None
+    assert finding.line == '[units] q = "deg"'
+
+
 @pytest.mark.long
 @pytest.mark.parametrize(("what", "noise"), [("nothing moves", 0.0), ("too little motion", 1e-3)])
 def test_a_log_at_rest_shows_nothing(what, noise):

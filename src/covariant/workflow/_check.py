@@ -189,6 +189,7 @@ class CheckResult(AbstractResult):
             "wrong": self.wrong,
             "findings": [finding._asdict() for finding in self.findings],
             "looked_for": self.diagnosis.looked_for,
+            "skipped": self.diagnosis.skipped,
         }
 
     @property
@@ -206,6 +207,8 @@ class CheckResult(AbstractResult):
     def __str__(self) -> str:
         head = f"{self.log}: {self.rows} rows at {self.rate:.4g} Hz, compared with {self.model}"
         looked = f"looked for: {', '.join(self.diagnosis.looked_for)}"
+        if self.diagnosis.skipped:
+            looked += f"; not looked for, since this log shows no accelerations: {', '.join(self.diagnosis.skipped)}"
         if not self.findings:
             return f"{head}\nnothing found; {looked}"
         verdict = "the log is not what the model file says it is" if self.wrong else "nothing is wrong"

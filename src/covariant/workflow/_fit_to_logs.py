@@ -214,7 +214,8 @@ class _PredictionProblem(NamedTuple):
 
     @classmethod
     def read(cls, jobs: list[Job], names: Sequence[str], length: float | None) -> "_PredictionProblem":
-        return cls(models.family(jobs[0].model_name, names, jobs[0].overrides), FitLogs.read(jobs, length))
+        family = models.family(jobs[0].model_name, names, jobs[0].overrides)
+        return cls(family, FitLogs.read([job._replace(fits=True) for job in jobs], length))
 
     def acting(self, log: Aligned, between: str) -> Record:
         """The record with the inputs that act in each step, without their lag, which may be fitted."""

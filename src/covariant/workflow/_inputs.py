@@ -41,6 +41,7 @@ class Job(NamedTuple):
         columns: Names of columns that replace those of the model file.
         anyway: Go on with a log that does not fit the model at all.
         start: Use the log from this time [s] on, counted from its first row.
+        fits: Numbers of the model are fitted, so that friction and rotors which it lacks are no reason to refuse a log.
     """
 
     model: Any
@@ -51,6 +52,7 @@ class Job(NamedTuple):
     columns: ColumnNames = MappingProxyType({})
     anyway: bool = False
     start: float | None = None
+    fits: bool = False
 
     @property
     def model_name(self) -> str:
@@ -66,6 +68,10 @@ class Job(NamedTuple):
     def title(self) -> str:
         """The model and the log in a headline."""
         return f"{Path(self.model_name).stem} from {Path(self.log_name).name}"
+
+
+FITTED = ("friction", "rotor inertia", "friction and rotor inertia")
+"""Findings on what a fit is for: with it the model explains the log."""
 
 
 class MisfitError(ValueError):
@@ -336,7 +342,7 @@ def _refuse_misfit(job: Job, file: models.ModelFile, log: logs.Log, record: Reco
         finding = misfit(file, log.record)
     else:  # the inputs that act in the rows of a part of a log are known from the whole of it
         finding = misfit(file._replace(input_lag=0.0, input_delay=0.0, input_lead=0.0, input_between="held"), record)
-    if finding is not None:
+    if finding is not None and not (job.fits and finding.what in FITTED):
         how = f"`covariant check {job.model_name} {job.log_name}` looks closer, and `anyway=True` goes on"
         raise MisfitError(f"{job.log_name}: {finding.evidence}. {finding.line}; {how}")
 

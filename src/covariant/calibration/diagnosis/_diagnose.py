@@ -84,6 +84,13 @@ MOST_PAIRS = 6
 """Suspicions of missing torques, alone or with one about columns, that are tried: those that promise most."""
 MOST_CHANGES = 3
 """Suspicions about columns that are accepted one after another."""
+COMPARED = (
+    *("units", "order and signs of columns", "scales of inputs", "delays"),
+    *("friction and rotor inertia", "accelerations"),
+)
+"""Checks that compare accelerations."""
+HIDING = ("nothing moves", "several senders", "too little motion")
+"""Findings on logs that show no accelerations."""
 OF_COMMANDS = ("unit of a command", "sign of a command", "swapped commands", "period of a command")
 """Findings on commands that make a log useless."""
 WEIGHTS = (
@@ -155,7 +162,9 @@ def diagnose(
         ()
     """
     findings, checks = _findings(file, record, quantum, Rows(np.asarray(record.t), first_row, every), sensors)
-    return Diagnosis(tuple(sorted(findings, key=_weight)), checks)
+    findings = sorted(findings, key=_weight)
+    hidden = any(each.what in HIDING for each in findings)
+    return Diagnosis(tuple(findings), checks, tuple(each for each in COMPARED if hidden and each not in checks))
 
 
 def _weight(finding: Finding) -> tuple[bool, int]:
@@ -236,10 +245,7 @@ def _findings(
             *sensor_checks(case, rows.t, sensors),
             standstill(case.record, case.model.circles, case.names, case.ticks),
         ], checks
-    checks += (
-        *("units", "order and signs of columns", "scales of inputs", "delays"),
-        *("friction and rotor inertia", "accelerations"),
-    )
+    checks += COMPARED
     lacking, case, timing = _torques_or_timing(case, *best)
     delays = timing.findings(case, best[0])
     in_time = timing.apply(case)

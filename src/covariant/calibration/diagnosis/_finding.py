@@ -56,6 +56,7 @@ class Diagnosis(NamedTuple):
     Attributes:
         findings: The findings, the gravest first.
         looked_for: Names of the checks that log and model allow.
+        skipped: Names of the checks that a finding made impossible, which says why.
 
     Example:
         >>> from covariant.calibration import Diagnosis, Finding
@@ -66,6 +67,7 @@ class Diagnosis(NamedTuple):
 
     findings: tuple[Finding, ...]
     looked_for: tuple[str, ...]
+    skipped: tuple[str, ...] = ()
 
     @property
     def wrong(self) -> bool:

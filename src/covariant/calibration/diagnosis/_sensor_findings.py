@@ -73,7 +73,8 @@ def standstill(record: Record, circles: tuple[int, ...], columns: Names, ticks: 
         "",
         f"in {t[-1] - t[0]:.3g} s of {len(t)} rows {', '.join(ranges)} moved: too little or too short to tell an "
         "acceleration from noise",
-        "log a motion: nothing can be told of units, signs, order and delays from this log",
+        "log a motion that is large against the noise: accelerations, on which units, signs, order and delays are "
+        "judged, cannot be compared in this log",
         # Of known encoders that are too coarse for this motion nothing is wrong with the log.
         not (ticks > 0).all(),
         {"rows": len(t)},

@@ -64,11 +64,13 @@ TWIN = 2.0
 # Numbers that least squares fit: standard errors, and the size that matters.
 DELAY_ERRORS, DELAY_ROWS = 4.0, 0.6
 """A delay of one coordinate against another; a model error may look like a delay below 0.6 rows."""
+LONG_GAIN = 0.4
+"""By which fraction the unexplained squares fall at least by a delay of more rows than are tried one by one: a wrong
+friction looks like it, but explains less."""
 COMMAND_ERRORS = 8.0
 """The same of a command against its servo, whose friction and damping are not known either."""
-COMMON_ERRORS, COMMON_ROWS, COMMON_GAIN = 5.0, 1.5, 0.4
-"""A delay of all coordinates against the inputs, and by which fraction the unexplained squares fall: a wrong friction
-looks like it, but explains less."""
+COMMON_ERRORS, COMMON_ROWS, COMMON_GAIN = 5.0, 1.5, LONG_GAIN
+"""A delay of all coordinates against the inputs, and by which fraction the unexplained squares fall."""
 SCALE_ERRORS, SCALE_OFF, SCALE_GAIN = 5.0, 0.25, 0.5
 """A scale of an input: its deviation from 1, and the fraction by which it reduces the squares once others are right."""
 WHOLE_ROW = 0.2

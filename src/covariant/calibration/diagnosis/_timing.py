@@ -31,6 +31,7 @@ from covariant.calibration.diagnosis._thresholds import (
     COMMON_ROWS,
     DELAY_ERRORS,
     DELAY_ROWS,
+    LONG_GAIN,
     SCALE_ERRORS,
     SCALE_GAIN,
     SCALE_OFF,
@@ -93,8 +94,12 @@ class Timing(NamedTuple):
         return Comparison.of(*(Unexplained.of(smoothed_residual(each, half)) for each in (case, self.apply(case))))
 
     def where_explained(self, case: Case, half: float) -> "Timing":
-        """Nothing where much is unexplained even so: free numbers imitate another fault in part."""
-        if not self.suspicions or self.comparison(case, half).after < THRESHOLDS["torques"].most:
+        """Nothing where much is unexplained even so, or a long delay explains little: it imitates another fault."""
+        if not self.suspicions:
+            return self
+        comparison, late = self.comparison(case, half), self.delay - self.delay.min()
+        little = comparison.after > (1 - LONG_GAIN) * comparison.before and late.max() > MOST_ROWS * case.spacing
+        if comparison.after < THRESHOLDS["torques"].most and not little:
             return self
         return Timing(np.zeros_like(self.delay), np.ones_like(self.scale), np.zeros_like(self.rows))
 

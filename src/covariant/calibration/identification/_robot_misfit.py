@@ -109,7 +109,10 @@ def _unexplained_torques(model: MechanicalSystem, log: Smooth, scaled: bool, hea
         # Relative to the torques as scaled, or else the smallest scale would explain all.
         motor = motor[rows] * (1 + (best.x[-1] / size[-1] if scaled else 0.0))
         squares = np.array([part.mean() for part in np.array_split(best.fun**2, BLOCKS)])
-        blocks.append(2 * squares / np.mean(motor**2 + moving[rows, j] ** 2))
+        # Of a joint without a motor all torques sum to zero: its error is compared with those that have to balance.
+        inertial = (standing - weight)[rows, j]
+        balancing = np.mean(inertial**2 + (moving[rows, j] - inertial) ** 2)
+        blocks.append(2 * squares / max(np.mean(motor**2 + moving[rows, j] ** 2), balancing))
     if not blocks:
         return None
     return Unexplained(np.stack(blocks, axis=1), np.zeros(len(blocks)), np.ones(len(blocks), bool))
