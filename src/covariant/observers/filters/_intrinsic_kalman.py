@@ -500,16 +500,14 @@ class IntrinsicKalman(AbstractMechanicalFilter):
 
         def rates(t, x):
             q, v, mean = jnp.split(x, [n, 2 * n])
-            rate = acceleration(states.in_model(self.model, mean), t, q, v, acting(mean))
-            return jnp.concatenate([v, rate, jnp.zeros_like(mean)])
+            return jnp.hstack([v, acceleration(states.in_model(self.model, mean), t, q, v, acting(mean)), 0 * mean])
 
         first = jnp.zeros(state.root.shape[0], state.v.dtype)
         if manifold.commuting:  # the equation of variation beside that of motion is less work than differences of it
             mean, slow = states.advanced(state.slow, h)
             of_mean, of_slow = jax.jacfwd(lambda error: states.advanced(state.slow + error[2 * n :], h))(first)
-            start = jnp.concatenate([state.q, state.v, mean])
-            axes = jnp.concatenate([jnp.eye(2 * n, len(first), dtype=start.dtype), of_mean])
-            end, slope = rk4_step(linearised(rates), state.t, (start, axes), h)
+            axes = jnp.concatenate([jnp.eye(2 * n, len(first), dtype=first.dtype), of_mean])
+            end, slope = rk4_step(linearised(rates), state.t, (jnp.concatenate([state.q, state.v, mean]), axes), h)
             (q, v, _), slope = jnp.split(end, [n, 2 * n]), jnp.concatenate([slope[: 2 * n], of_slow])
         else:
             slope, (q, v, slow) = jax.jacfwd(propagated_error, has_aux=True)(first)
