@@ -39,6 +39,7 @@ from covariant.observers import (
     HighGain,
     ImplicitGeodesic,
     Intrinsic,
+    IntrinsicForce,
     IntrinsicKalman,
     JointKalman,
     Levant,
@@ -180,6 +181,7 @@ def test_all_estimators_come_from_one_data_sheet():
     for name, kind in {
         "intrinsic": Intrinsic,
         "intrinsic2": Intrinsic,
+        "intrinsic-force": IntrinsicForce,  # which learns no force without one on the sheet
         "geodesic": Geodesic,
         "implicit-geodesic": ImplicitGeodesic,
         "copy": ModelCopy,
@@ -198,7 +200,7 @@ def test_all_estimators_come_from_one_data_sheet():
     np.testing.assert_allclose(kalman.initial_velocity_cov, np.eye(1), rtol=1e-12)
     assert eqx.tree_equal(estimators["filtered-derivative"], FilteredDerivative(filter_bandwidth(SHEET, RATE)))
     assert eqx.tree_equal(estimators["savitzky-golay"], SavitzkyGolay(*polynomial(SHEET, RATE)))
-    assert len(estimators) == 14
+    assert len(estimators) == 15
 
 
 def test_an_acceleration_new_at_each_sample_is_white_over_one():

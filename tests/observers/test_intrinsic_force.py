@@ -9,6 +9,8 @@ from scipy.linalg import expm
 
 from covariant import models, observers
 from covariant._integrate import rk8
+from covariant.certificates import error_system
+from covariant.certificates.audit import audit
 from covariant.observers import Intrinsic, IntrinsicForce
 from covariant.observers.base._sampled import sampled_force_gains, sampled_gains
 from covariant.signals import Record, StepCode
@@ -76,6 +78,21 @@ def test_on_a_stiff_model_the_poles_stay_to_second_order_in_the_step(stiffness):
         gaps.append(np.abs(found - wanted).max())
     assert gaps[1] < 5e-5
     assert np.log2(gaps[1] / gaps[0]) > 3.5  # (N dt²)²
+
+
+@pytest.mark.parametrize("stiffness", [-40.0, 40.0])
+def test_gains_over_a_long_step_are_those_that_a_stiff_model_needs(stiffness):
+    """Solved from the three invariants of the sampled loop."""
+    dt = 0.1
+    poles = np.poly(np.exp(np.append(np.roots([1.0, 20.0, 200.0]), -10.0) * dt)).real
+
+    def invariants(gains):
+        return np.poly(sampled(gains, dt, stiffness))[1:].real
+
+    # They are linear in the gains, so that differences are derivatives.
+    slopes = np.stack([invariants(row) - invariants(np.zeros(3)) for row in np.eye(3)], axis=1)
+    wanted = np.linalg.solve(slopes, poles[1:] - invariants(np.zeros(3)))
+    np.testing.assert_allclose(one_sample(stiffness, jnp.asarray(dt), jnp.ones(1)), wanted, rtol=1e-2)
 
 
 @pytest.mark.parametrize("stiffness", [-100.0, -20.0, 20.0, 100.0])
@@ -216,3 +233,17 @@ def test_late_readings_give_the_same_force():
 def test_gains_that_make_no_sense_are_refused(gains, message):
     with pytest.raises(ValueError, match=message):
         IntrinsicForce(SPRING, *gains)
+
+
+def test_no_certificate_is_about_it():
+    observer = IntrinsicForce(DOUBLE, ALPHA, BETA, RATE)
+    with pytest.raises(TypeError, match=r"certificates are about .*; got IntrinsicForce"):
+        error_system(observer, np.eye(2))
+
+
+@pytest.mark.long
+def test_with_its_force_held_it_keeps_the_laws_of_an_audit():
+    """With the gains of position and velocity that three poles have."""
+    audited = audit(IntrinsicForce(DOUBLE, ALPHA, BETA, RATE), points=2, laws=("plant", "error"))
+    assert audited.passed
+    assert "α = 19 1/s, β = 170 1/s²" in str(audited)
