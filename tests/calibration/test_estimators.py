@@ -39,6 +39,7 @@ from covariant.observers import (
     HighGain,
     ImplicitGeodesic,
     Intrinsic,
+    IntrinsicForce,
     IntrinsicKalman,
     JointKalman,
     Levant,
@@ -180,6 +181,7 @@ def test_all_estimators_come_from_one_data_sheet():
     for name, kind in {
         "intrinsic": Intrinsic,
         "intrinsic2": Intrinsic,
+        "intrinsic-force": IntrinsicForce,  # which learns no force without one on the sheet
         "geodesic": Geodesic,
         "implicit-geodesic": ImplicitGeodesic,
         "copy": ModelCopy,
@@ -198,7 +200,7 @@ def test_all_estimators_come_from_one_data_sheet():
     np.testing.assert_allclose(kalman.initial_velocity_cov, np.eye(1), rtol=1e-12)
     assert eqx.tree_equal(estimators["filtered-derivative"], FilteredDerivative(filter_bandwidth(SHEET, RATE)))
     assert eqx.tree_equal(estimators["savitzky-golay"], SavitzkyGolay(*polynomial(SHEET, RATE)))
-    assert len(estimators) == 14
+    assert len(estimators) == 15
 
 
 def test_an_acceleration_new_at_each_sample_is_white_over_one():
@@ -226,7 +228,8 @@ def test_a_motion_that_makes_no_sense_is_named(field, number):
 def test_a_model_is_offered_the_estimators_that_fit_it():
     top, vehicle = heavy_top((0.1, 0.2, 0.6)), underwater_vehicle()
     assert estimators(FLAT) == tuple(tuned_estimators(FLAT, AXES, SHEET, RATE))
-    anywhere = ("intrinsic", "intrinsic2", "geodesic", "implicit-geodesic", "copy", "intrinsic-kalman", "ekf", "ukf")
+    gains = ("intrinsic", "intrinsic2", "intrinsic-force", "geodesic", "implicit-geodesic", "copy")
+    anywhere = (*gains, "intrinsic-kalman", "ekf", "ukf")
     assert estimators(top) == (*anywhere, "salcudean") == tuple(tuned_estimators(top, 3, SHEET, RATE))
     assert estimators(vehicle) == anywhere == tuple(tuned_estimators(vehicle, 6, SHEET, RATE))
     assert {*estimators(FLAT), *estimators(top)} == set(ESTIMATORS)

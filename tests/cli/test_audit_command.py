@@ -73,7 +73,7 @@ def test_a_broken_law_is_exit_code_1(run, folder):
     ("arguments", "message"),
     [
         (("oscillator", "--observer", "ekf"), "observer ekf does not fit oscillator"),
-        (("oscillator", "--observer", "salcudean"), "these do: intrinsic, intrinsic2, geodesic"),
+        (("oscillator", "--observer", "salcudean"), "these do: intrinsic, intrinsic2, intrinsic-force"),
         (("heavy_top", "--observer", "savitzky-golay"), "observer savitzky-golay does not fit heavy_top"),
         (("heavy_top", "--observer", "salcudean"), "Salcudean has no gains alpha and beta"),
         (("oscillator", "--alpha", "2"), "--alpha and --beta belong together"),

@@ -258,7 +258,7 @@ def test_a_bad_argument_on_a_group(folder, monkeypatch, capsys, arguments, named
 def test_only_what_fits_a_pose_is_offered(folder, monkeypatch, capsys):
     (folder / "log.csv").write_text(UNIT.replace("qw,qx,qy,qz,u1,u2,u3", "px,py,angle,u1,u2,a,b"))
     message = refused(monkeypatch, capsys, "estimate", "hovercraft", *BARE, "--observer", "salcudean")
-    these = "intrinsic, intrinsic2, geodesic, implicit-geodesic, copy, intrinsic-kalman, ekf, ukf"
+    these = "intrinsic, intrinsic2, intrinsic-force, geodesic, implicit-geodesic, copy, intrinsic-kalman, ekf, ukf"
     assert f"salcudean does not fit hovercraft; these do: {these}\n" in message
 
 

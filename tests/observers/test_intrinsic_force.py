@@ -9,9 +9,12 @@ from scipy.linalg import expm
 
 from covariant import models, observers
 from covariant._integrate import rk8
+from covariant.certificates import error_system
+from covariant.certificates.audit import audit
 from covariant.observers import Intrinsic, IntrinsicForce
 from covariant.observers.base._sampled import sampled_force_gains, sampled_gains
-from covariant.signals import Record
+from covariant.signals import Record, StepCode
+from covariant.simulation import hold, simulate
 
 FORCE_GAINS = jax.jit(sampled_force_gains)
 POLES = [(8.0, 16.0, 3.0), (20.0, 200.0, 20.0), (50.0, 100.0, 0.5), (14.0, 1e4, 40.0)]
@@ -77,6 +80,21 @@ def test_on_a_stiff_model_the_poles_stay_to_second_order_in_the_step(stiffness):
     assert np.log2(gaps[1] / gaps[0]) > 3.5  # (N dt²)²
 
 
+@pytest.mark.parametrize("stiffness", [-40.0, 40.0])
+def test_gains_over_a_long_step_are_those_that_a_stiff_model_needs(stiffness):
+    """Solved from the three invariants of the sampled loop."""
+    dt = 0.1
+    poles = np.poly(np.exp(np.append(np.roots([1.0, 20.0, 200.0]), -10.0) * dt)).real
+
+    def invariants(gains):
+        return np.poly(sampled(gains, dt, stiffness))[1:].real
+
+    # They are linear in the gains, so that differences are derivatives.
+    slopes = np.stack([invariants(row) - invariants(np.zeros(3)) for row in np.eye(3)], axis=1)
+    wanted = np.linalg.solve(slopes, poles[1:] - invariants(np.zeros(3)))
+    np.testing.assert_allclose(one_sample(stiffness, jnp.asarray(dt), jnp.ones(1)), wanted, rtol=1e-2)
+
+
 @pytest.mark.parametrize("stiffness", [-100.0, -20.0, 20.0, 100.0])
 def test_it_is_stable_after_gaps_in_which_it_does_not_start_anew(stiffness):
     for dt in np.geomspace(1e-3, np.pi / 2 / abs(stiffness) ** 0.5 * 0.999, 9):
@@ -106,31 +124,126 @@ def test_without_a_rate_it_is_the_observer_of_the_paper():
 # The error law in continuous time.
 
 ALPHA, BETA, RATE = 14.0, 100.0, 5.0
+FORCE = jnp.array([0.5, -0.3])
+ERRORS = jnp.array([[0.8, -0.6], [3.0, 5.0], [4.0, 2.0]])
 
 
 @eqx.filter_jit
-def error_after(model, speed, size, duration, mistake=1.0):
-    """Error (3, n) of position, velocity and acceleration by the force, at the end, of a plant under a constant force.
+def errors(model, speed, size, coupling=1.0, duration=0.3):
+    """Errors (3, n) of position, velocity and acceleration by the force, and those of the law; over `size`.
 
-    Position and velocity in components at the true motion, to first order.
+    A plant moves under a constant force that the observer does not know. All are components at the truth.
     """
-    q, v, force = jnp.array([0.4, 0.6]), speed * jnp.array([0.7, -0.6]), jnp.array([0.5, -0.3])
-    space, u = model.space, jnp.zeros(2)
-    observer = IntrinsicForce(model, ALPHA, BETA, RATE)
-    xi, zeta, delta = size * jnp.array([[0.8, -0.6], [3.0, 5.0], [4.0, 2.0]])
-    state = observer.init(q + xi)
-    start = state._replace(
-        v=v + zeta - space.connection(q, xi, v), force=mistake * force + delta, last_input=None, age=None
-    )
+    space, u, observer = model.space, jnp.zeros(2), IntrinsicForce(model, ALPHA, BETA, RATE)
+    q, v = jnp.array([0.4, 0.6]), speed * jnp.array([0.7, -0.6])
+    xi, zeta, delta = size * ERRORS
+    state = observer.init(q + xi)._replace(v=v + zeta - space.connection(q, xi, v), force=FORCE + delta)
+    law = jnp.stack([xi, zeta, space.raise_(q, delta)])
 
     def flow(t, joint):
-        (q, v), state = joint
-        return (v, models.acceleration(model, t, q, v, force)), observer.flow(t, state, u, q)
+        q, v, state, (xi, zeta, eta) = joint
+        along = jax.vmap(lambda a: space.connection(q, v, a))
+        delta = space.lower(q, eta)
+        rates = (
+            zeta - (ALPHA + RATE) * xi,
+            -(BETA + ALPHA * RATE) * xi + eta,
+            -BETA * RATE * xi - coupling * space.raise_(q, along(jnp.eye(2)) @ delta),
+        )
+        slopes = jnp.stack(rates) - along(jnp.stack([xi, zeta, eta]))
+        return v, models.acceleration(model, t, q, v, FORCE), observer.flow(t, state, u, q), slopes
 
-    (q, v), end = rk8(flow, jnp.zeros(()), ((q, v), start), duration, 200)
+    start = q, v, state._replace(last_input=None, age=None), law
+    q, v, end, law = rk8(flow, jnp.zeros(()), start, jnp.asarray(duration), 100)
     xi = end.q - q
-    zeta = end.v + space.connection(q, xi, v) - v
-    first = jnp.stack(
-        [jnp.array([0.8, -0.6]), jnp.array([3.0, 5.0]), space.raise_(jnp.array([0.4, 0.6]), delta) / size]
+    found = jnp.stack([xi, end.v + space.connection(q, xi, v) - v, space.raise_(q, end.force - FORCE)])
+    return found / size, law / size
+
+
+def test_the_error_law_has_three_poles_exactly_where_the_metric_is_constant():
+    """At any size of the error, and whatever the potential."""
+    model = models.Lagrangian(
+        lambda q: jnp.array([[2.0, 0.3], [0.3, 1.0]]), lambda q: -3.0 * jnp.cos(q[0] + 2 * q[1]), inputs=2
     )
-    return jnp.stack([xi, zeta, space.raise_(q, end.force - force)]) / size, first
+    found, law = errors(model, 3.0, 1.0)
+    np.testing.assert_allclose(found, law, atol=1e-9)
+    raised = np.linalg.solve([[2.0, 0.3], [0.3, 1.0]], ERRORS[2])
+    np.testing.assert_allclose(found, expm(0.3 * matrix(ALPHA, BETA, RATE)) @ [*ERRORS[:2], raised], atol=1e-9)
+
+
+@pytest.mark.parametrize("speed", [0.0, 10.0])
+def test_on_a_curved_metric_the_force_couples_by_the_connection_alone(speed):
+    found, law = errors(DOUBLE, speed, 1e-6)
+    assert np.abs(found - law).max() < 1e-4 * np.abs(law).max()
+
+
+def test_without_the_coupling_the_law_is_another_one():
+    for coupling in (0.0, -1.0):
+        found, law = errors(DOUBLE, 10.0, 1e-6, coupling)
+        assert np.abs(found - law).max() > 1e-2 * np.abs(law).max()
+
+
+# Behind a gate, on groups, and late.
+
+
+def test_a_new_start_keeps_the_force():
+    """Readings that jump and stay: the gate starts the estimate anew there, and the load is the same."""
+    gated = observers.Gated(IntrinsicForce(SPRING, 20.0, 200.0, 10.0), SPRING, noise=1e-3, speed=0.05)
+    step = jax.jit(gated.step)
+    state, codes = gated.init(jnp.array([2.0])), []
+    for y in [2.0] * 200 + [1.0] * 14:
+        state, info = step(state, jnp.zeros(1), jnp.array([y]), 0.01)
+        codes.append(int(info.result))
+        if codes[-1] == StepCode.RESTARTED:
+            break
+    assert codes[-1] == StepCode.RESTARTED
+    np.testing.assert_allclose(state.inner.force, 2.0, rtol=1e-3)  # on a unit spring at 2
+    np.testing.assert_allclose(state.inner.q, 1.0)
+
+
+def test_a_torque_on_a_body_is_found_in_the_frame_of_the_body():
+    body, torque = models.free_body((0.9, 1.0, 1.2)), jnp.array([0.3, -0.2, 0.1])
+    t = jnp.linspace(0.0, 3.0, 301)
+    start = models.Motion(jnp.eye(3), jnp.array([0.3, 0.8, -0.2]))
+    true = jax.jit(lambda: simulate(body, start, t, hold(t, jnp.broadcast_to(torque, (301, 3)))))()
+    run = observers.run(IntrinsicForce(body, 28.0, 400.0, 10.0, substeps=1), Record(t, jnp.zeros((301, 3)), true.y))
+    np.testing.assert_allclose(run.info.slow[-1], torque, atol=2e-3)
+    np.testing.assert_allclose(run.estimate.v[-1], true.x.v[-1], atol=1e-3)
+
+
+def test_late_readings_give_the_same_force():
+    observer = IntrinsicForce(SPRING, 20.0, 200.0, 10.0, substeps=1)
+    late = observers.Delayed(observer, delay=0.05, rate=100.0)
+    t = np.arange(400) * 0.01
+    y = 2.0 - np.cos(t)
+    record = Record(t, np.zeros((400, 1)), y[:, None])
+    delayed = Record(t, np.zeros((400, 1)), np.interp(t - 0.05, t, y)[:, None])
+    one, two = observers.run(observer, record), observers.run(late, delayed)
+    np.testing.assert_allclose(two.info.slow[-1], one.info.slow[-1], atol=1e-3)
+    np.testing.assert_allclose(two.estimate[-1], one.estimate[-1], atol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("gains", "message"),
+    [
+        ((-1.0, 2.0, 3.0), "IntrinsicForce: alpha must be a positive"),
+        ((1.0, 0.0, 3.0), "IntrinsicForce: beta must be a positive"),
+        ((1.0, 2.0, -3.0), "IntrinsicForce: force_rate must be a finite number, 0 or more"),
+    ],
+)
+def test_gains_that_make_no_sense_are_refused(gains, message):
+    with pytest.raises(ValueError, match=message):
+        IntrinsicForce(SPRING, *gains)
+
+
+def test_no_certificate_is_about_it():
+    observer = IntrinsicForce(DOUBLE, ALPHA, BETA, RATE)
+    with pytest.raises(TypeError, match="certificates are about the flows of Intrinsic and Geodesic.* IntrinsicForce"):
+        error_system(observer, np.eye(2))
+
+
+@pytest.mark.long
+def test_with_its_force_held_it_keeps_the_laws_of_an_audit():
+    """With the gains of position and velocity that three poles have."""
+    audited = audit(IntrinsicForce(DOUBLE, ALPHA, BETA, RATE), points=2, laws=("plant", "error"))
+    assert audited.passed
+    assert "α = 19 1/s, β = 170 1/s²" in str(audited)

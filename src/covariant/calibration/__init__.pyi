@@ -51,6 +51,7 @@ from .tuning import (
     contracting_gain as contracting_gain,
     estimators as estimators,
     filter_bandwidth as filter_bandwidth,
+    filtered_velocity as filtered_velocity,
     gains as gains,
     gated as gated,
     missing_inputs as missing_inputs,

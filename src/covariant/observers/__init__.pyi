@@ -160,7 +160,6 @@ __all__ = [
     "Sensor",
     "SlowVariables",
     "StateEKF",
-    "StateNoise",
     "accelerometer",
     "craft_observer",
     "encoder",

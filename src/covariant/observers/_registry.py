@@ -77,11 +77,13 @@ def intrinsic_kalman(
     n = measurement.shape[0]
     velocity = jnp.asarray(speed**2 * np.eye(n))
     if quantum is None or not model.manifold.commuting:
-        return IntrinsicKalman(model, process, measurement, velocity, slow, sensors=sensors, inputs=inputs)
+        return IntrinsicKalman(
+            model, process, measurement, velocity, slow, sensors=sensors, inputs=inputs, adaptive=True
+        )
     # A reading is an interval here, so that the only noise is that of the positions of edges.
     ticks = jnp.broadcast_to(jnp.asarray(quantum, float), n)
     return IntrinsicKalman(
-        model, process, jnp.diag((EDGE * ticks) ** 2), velocity, slow, ticks, sensors=sensors, inputs=inputs
+        model, process, jnp.diag((EDGE * ticks) ** 2), velocity, slow, ticks, sensors=sensors, inputs=inputs, adaptive=True
     )
 
 
@@ -215,7 +217,7 @@ REGISTRY = (
     Entry(
         name="ekf",
         observer=EKF,
-        make=EKF,
+        make=partial(EKF, adaptive=True),
         tuned_by="noise",
         about="extended Kalman filter, Joseph form; on SO(3) the multiplicative, on SE(3) the left-invariant one",
         when="known noise, large initial uncertainty",
@@ -225,7 +227,7 @@ REGISTRY = (
     Entry(
         name="ukf",
         observer=UKF,
-        make=UKF,
+        make=partial(UKF, adaptive=True),
         tuned_by="noise",
         about="unscented Kalman filter, square-root form; on a group its points are drawn in the frame",
         when="known noise, strong nonlinearity between few samples",

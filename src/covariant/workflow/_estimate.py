@@ -49,6 +49,7 @@ from covariant.workflow._outcome import (
 from covariant.workflow._pages import AbstractEstimates, estimate_report
 from covariant.workflow._progress import Progress, silent
 from covariant.workflow._sensors import SensorCount, sensor_counts
+from covariant.workflow._without_model import WithoutModel, without_model
 
 INFORMED = frozenset(entry.name for entry in REGISTRY if entry.knows_model)
 """Observers that predict with the model."""
@@ -195,6 +196,11 @@ class EstimateResult(AbstractEstimates):
         """Rows in which something pushes; None of an observer that estimates no force."""
         return pushes(self.loaded.file, self.outcome)
 
+    @functools.cached_property
+    def without_model(self) -> WithoutModel | None:
+        """What the best linear filter without a model makes of the log; None where nothing can be judged."""
+        return without_model(self.loaded, self.velocity) if self.observer_name in INFORMED else None
+
     @property
     def columns(self) -> dict[str, np.ndarray]:
         kind = self.loaded.kind
@@ -283,6 +289,11 @@ class EstimateResult(AbstractEstimates):
             result["determined"] = [
                 {"name": each.name, "ratio": plain(each.ratio), **_stds(each)} for each in self.determined
             ]
+        free = self.without_model
+        if free is not None:
+            result["without_model"] = {"filter": free.filter} | {
+                name: plain(getattr(free, name)) for name in ("error", "own", "surplus")
+            }
         if reference is not None and logged is not None:
             both = reference.scored & np.isfinite(logged).all(1)
             result["difference_to_logged_velocity"] = rounded(rmse(outcome.velocity[both], logged[both]))
@@ -304,11 +315,12 @@ class EstimateResult(AbstractEstimates):
 
         Of samples without a measurement the longest stretches are named.
         """
-        counts, rows = self.outcome.counts, len(self.t)
+        counts, rows, free = self.outcome.counts, len(self.t), self.without_model
         doubts = (
             unexplained(self.job, self.loaded, self.observer_name, self.outcome),
             inconsistent(self.loaded, self.observer_name, self.outcome),
             *hole_doubts(self.loaded, {self.observer_name: self.outcome}),
+            None if free is None or not free.is_better else free.advice(self.observer_name),
         )
         return tuple(doubt for doubt in doubts if doubt is not None) + tuple(
             f"{count} of {rows} samples: {StepCode[name.upper()].message}"
@@ -330,6 +342,8 @@ class EstimateResult(AbstractEstimates):
                 for name, each in self.sensors.items()
             ),
         ]
+        free = self.without_model
+        lines += [] if free is None or free.is_better else [free.sentence(self.observer_name)]
         lines += [] if self.pushes is None else [str(self.pushes)]
         lines += [str(each) for each in self.determined]
         if "logged_velocity_rmse" in result:

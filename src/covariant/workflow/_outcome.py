@@ -17,7 +17,7 @@ from covariant.scoring import SETTLED
 from covariant.signals import Run, StepCode
 from covariant.workflow._inputs import Job, Loaded
 
-KEPT = ("innovation", "distance", "result", "nis", "velocity_std", "state_std", "slow", "slow_std", "sensors")
+KEPT = ("innovation", "distance", "result", "nis", "velocity_std", "state_std", "slow", "slow_std", "sensors", "noise_scale")
 """What the commands use of the info of an observer."""
 MARGIN = 2.0
 """How far above the band of a right model the mean NIS is before it is called too large: noise is seldom known well."""

@@ -35,7 +35,6 @@ from covariant.calibration.identification._robot_torques import (
     Torques,
     averaging,
     convolved,
-    in_batches,
     needed,
     sticking_speeds,
     usual_sizes,
@@ -219,15 +218,17 @@ class _Step(NamedTuple):
 
 
 class _Search(NamedTuple):
-    """What a fit works on: the family, the logs, usual sizes (p,), and the speeds (n,) below which a joint rests, and
-    below which it may stick."""
+    """What a fit works on: the family, the logs, usual sizes (p,), the speeds (n,) below which a joint rests, and below
+    which it may stick, and functions of x and rows of a motion."""
 
     family: RobotFamily
     tracks: tuple[_Track, ...]
     sizes: Float[np.ndarray, "p"]
     resting: Float[np.ndarray, "n"]
     sticking: Float[np.ndarray, "n"]
-    compiled: Torques
+    derivatives: Callable[..., np.ndarray]
+    accelerations: Callable[..., np.ndarray]
+    momenta: Callable[..., np.ndarray]
 
     @classmethod
     def of(cls, family: RobotFamily, records: Sequence[Record], half: float) -> "_Search":
@@ -242,20 +243,19 @@ class _Search(NamedTuple):
                 f"the logs hold {len(v) * tracks[0].step:.3g} s without a gap, and a fit needs "
                 f"{FEWEST_BLOCKS * BLOCK * tracks[0].half:.3g} s; give longer logs"
             )
-        compiled = Torques.of(family)
-        first = compiled.model(np.zeros(len(family.names)))
-        torques = in_batches(driving, first, u), in_batches(needed, first, q, v, a)
-        sizes, speed = usual_sizes(family, *torques, v, a)
-        return cls(family, tracks, sizes, np.array(family.resting), sticking_speeds(family, speed), compiled)
+        torques, first = Torques.of(family), np.zeros(len(family.names))
+        both = torques.rows(driving)(first, u), torques.rows(needed)(first, q, v, a)
+        sizes, speed = usual_sizes(family, *both, v, a)
+        functions = torques.derivatives, torques.rows(_accelerations), torques.rows(_momentum)
+        return cls(family, tracks, sizes, np.array(family.resting), sticking_speeds(family, speed), *functions)
 
     def point(self, x: np.ndarray, half: float, before: tuple[_Path, ...] | None = None) -> _Point:
         """The motion along each log under the model at x: smoothed with the accelerations along the motion before."""
-        model = self.compiled.model(x)
         motions = []
         for i, track in enumerate(self.tracks):
             path = before[i] if before else _smooth_positions(track, track.half, None)
             moving = 1.0 - self._still(track, path.v)
-            modelled = in_batches(_accelerations, model, path.q, path.v, track.u, moving)
+            modelled = self.accelerations(x, path.q, path.v, track.u, moving)
             motions.append(_smooth_positions(track, half, np.where(np.isfinite(modelled), modelled, 0.0)))
         if not any(motion.used.any() for motion in motions):
             raise ValueError("no window of the logs is complete; give logs with fewer gaps")
@@ -313,10 +313,10 @@ class _Search(NamedTuple):
         total = sum(len(one.grid) for one in self.tracks)
         stride = max(1, -(-total // MOST_ROWS), int(point.half / 4 / track.step))
         rows = np.arange(0, len(track.grid), stride)
-        raw = self.compiled.derivatives(point.x, path.q[rows], path.v[rows], path.modelled[rows], track.u[rows])
+        raw = self.derivatives(point.x, path.q[rows], path.v[rows], path.modelled[rows], track.u[rows])
         weights = averaging(point.half, track.step * stride)
         slopes = convolved(np.where(np.isfinite(raw), raw, 0.0), weights)
-        torque = in_batches(_momentum, self.compiled.model(point.x), path.q[rows], path.residual[rows])
+        torque = self.momenta(point.x, path.q[rows], path.residual[rows])
         slow = (np.abs(path.v[rows]) < self.sticking).astype(float)
         sticks = convolved(slow, np.abs(weights) / np.abs(weights).sum())
         used = path.used[rows]

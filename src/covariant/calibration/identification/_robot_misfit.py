@@ -23,7 +23,7 @@ from covariant.calibration.diagnosis import (
     units,
 )
 from covariant.calibration.identification._robot_fit import driving
-from covariant.calibration.identification._robot_torques import in_batches, needed
+from covariant.calibration.identification._robot_torques import at_rows, needed
 from covariant.models import MechanicalSystem, ModelFile, RobotFamily
 from covariant.signals import Record
 
@@ -91,10 +91,9 @@ def _unexplained_torques(model: MechanicalSystem, log: Smooth, scaled: bool, hea
     from scipy.optimize import lsq_linear
 
     blocks, none = [], np.zeros_like(log.q)
-    weight, standing, moving = (
-        in_batches(needed, model, log.q, v, a) for v, a in ((none, none), (none, log.a), (log.v, log.a))
-    )
-    for j, (v, a, motor) in enumerate(zip(log.v.T, log.a.T, in_batches(driving, model, log.u).T, strict=True)):
+    needs, drives = (at_rows(lambda _, *row, of=function: of(model, *row)) for function in (needed, driving))
+    weight, standing, moving = (needs((), log.q, v, a) for v, a in ((none, none), (none, log.a), (log.v, log.a)))
+    for j, (v, a, motor) in enumerate(zip(log.v.T, log.a.T, drives((), log.u).T, strict=True)):
         rows = log.used & (np.abs(v) > SLOW * np.sqrt(np.mean(v[log.used] ** 2))) if log.used.any() else log.used
         if rows.sum() < 2 * BLOCKS:
             continue

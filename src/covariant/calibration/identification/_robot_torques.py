@@ -14,6 +14,7 @@ from covariant.calibration._least_squares import PRIOR
 from covariant.calibration.diagnosis import acceleration_kernel
 from covariant.calibration.identification._robot_combinations import Combinations, combinations
 from covariant.geometry import differential
+from covariant.lowering import on_batches
 from covariant.models import MechanicalSystem, RobotFamily, applied_force, input_count, resistance
 from covariant.models.robots import servos_in
 
@@ -40,42 +41,38 @@ BATCH = 1024
 
 
 class Torques(NamedTuple):
-    """The robot as compiled functions of the coordinates x.
+    """The robot as functions of the coordinates x.
 
     Attributes:
-        model: `x (p,) -> model`, without building it from its files again.
+        rows: Turns a function of the model and one row into `(x, *columns) -> values` at all rows. Its graph in NumPy
+            evaluates it: a fit calls it a few dozen times, which takes less than to compile a program of JAX.
         derivatives: Derivatives (K, n, p) of the torques in x, at x and K rows (q, v, a, u) of a motion.
         slopes: `x -> function of rows` that returns these derivatives (n, p) of each row, and their derivatives (n, p,
-            n + n + n + m) in the row.
+            n + n + n + m) in the row; compiled, for searches.
     """
 
-    model: Callable[[np.ndarray], Any]
+    rows: Callable[[Callable[..., Array]], Callable[..., np.ndarray]]
     derivatives: Callable[..., np.ndarray]
     slopes: Callable[[np.ndarray], Callable[..., tuple[Array, Array]]]
 
     @classmethod
     def of(cls, family: RobotFamily) -> "Torques":
-        """Compile the functions of a family."""
+        """The functions of a family."""
         numbers, static = eqx.partition(family.make(np.zeros(len(family.names))), eqx.is_inexact_array)
         unravel = ravel_pytree(numbers)[1]
 
+        @jax.jit  # traced once for all functions of the model
         def arrays(x: Array) -> Array:
             return ravel_pytree(eqx.filter(family.make(x), eqx.is_inexact_array))[0]
 
-        at, slopes_at = jax.jit(arrays), jax.jit(jax.jacfwd(arrays))
+        def model(x: Array) -> MechanicalSystem:
+            return eqx.combine(unravel(arrays(x)), static)
 
-        @jax.jit
-        def batch(flat: Array, slopes: Array, *columns: Array) -> Array:
-            # Torques are fewer than numbers: reverse mode from each torque to the arrays of the model, then to the
-            # numbers.
-            def one(*row: Array) -> Array:
-                return jax.jacrev(lambda part: _torque(eqx.combine(unravel(part), static), *row))(flat) @ slopes
+        def rows(function: Callable[..., Array]) -> Callable[..., np.ndarray]:
+            return at_rows(lambda x, *row: function(model(x), *row))
 
-            return jax.vmap(one)(*columns)
-
-        def derivatives(x: np.ndarray, *columns: np.ndarray) -> np.ndarray:
-            flat, slopes = at(x), slopes_at(x)
-            return batched(lambda *part: batch(flat, slopes, *part), columns)
+        # Torques are fewer than numbers: reverse mode from each torque.
+        derivatives = at_rows(lambda x, *row: jax.jacrev(lambda x: _torque(model(x), *row))(x))
 
         @jax.jit
         def with_slopes(flat: Array, slopes: Array, *columns: Array) -> tuple[Array, Array]:
@@ -91,11 +88,27 @@ class Torques(NamedTuple):
             slope, value = jax.vmap(jax.jacfwd(lambda row: one(row, n), has_aux=True))(jnp.concatenate(columns, axis=1))
             return value, slope
 
+        slopes_at = jax.jit(jax.jacfwd(arrays))
+
         def slopes(x: np.ndarray) -> Callable[..., tuple[Array, Array]]:
-            flat, to_arrays = at(x), slopes_at(x)
+            flat, to_arrays = arrays(x), slopes_at(x)
             return lambda *columns: with_slopes(flat, to_arrays, *columns)
 
-        return cls(lambda x: eqx.combine(unravel(at(x)), static), derivatives, slopes)
+        return cls(rows, derivatives, slopes)
+
+
+def at_rows(function: Callable[..., Array]) -> Callable[..., np.ndarray]:
+    """A function `(fixed, *row)` at all rows of some columns, by its graph, which is made at the first call."""
+    graphs: dict[tuple[int, ...], Callable[..., np.ndarray]] = {}
+
+    def evaluate(fixed: Any, *columns: np.ndarray) -> np.ndarray:
+        widths = tuple(column.shape[1] for column in columns)
+        if widths not in graphs:
+            graphs[widths] = on_batches(function, fixed, *(column[0] for column in columns))
+        once = jax.tree.map(lambda leaf: leaf[None], fixed)
+        return batched(lambda *part: graphs[widths](once, *part), columns)
+
+    return evaluate
 
 
 class Determined(NamedTuple):

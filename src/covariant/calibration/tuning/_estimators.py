@@ -64,19 +64,23 @@ def observer_gains(sheet: DataSheet, rate: float, space: AbstractSpace | None = 
         sheet.correlation_time,
         sheet.damping,
         sheet.natural_frequency,
-        *((0.0,) if space is None else _force_acceleration(sheet, space)),
+        **({} if space is None else _force_acceleration(sheet, space)),
     )
 
 
-def _force_acceleration(sheet: DataSheet, space: AbstractSpace) -> tuple[float, float | None, float | None]:
-    """The acceleration by an unknown force, its time constant, and the rate at which it is to be learnt, for `gains`."""
+def _force_acceleration(sheet: DataSheet, space: AbstractSpace) -> dict[str, Any]:
+    """The acceleration by an unknown force, its time constant, and the rate at which it is learnt, for `gains`."""
     force = sheet.external_force if sheet.external_force_std is None else sheet.external_force_std
     if force is None:
-        return 0.0, None, sheet.force_rate
+        return {"force_rate": sheet.force_rate}
     q = space.manifold.origin()
     inverse = np.linalg.inv(np.asarray(jax.jit(space)(q)))
     accelerations = np.linalg.norm(inverse * np.broadcast_to(force, len(inverse)), axis=1)
-    return float(accelerations.mean()), sheet.external_force_time, sheet.force_rate
+    return {
+        "force_std": float(accelerations.mean()),
+        "force_time": sheet.external_force_time,
+        "force_rate": sheet.force_rate,
+    }
 
 
 def estimators(model: Any) -> tuple[str, ...]:

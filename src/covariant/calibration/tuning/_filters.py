@@ -24,6 +24,8 @@ from covariant.observers import (
 
 LONGEST_WINDOW = 120
 """Longest window [samples] of a polynomial filter."""
+COARSE = 8
+"""Steps of a first search: the error falls and rises once as a filter becomes faster."""
 
 
 def filter_bandwidth(
@@ -50,7 +52,7 @@ def filter_bandwidth(
         True
     """
     # From a memory of 200 samples to a filter that all but follows the last difference.
-    return _best((np.geomspace(0.005, 3.0, 80) * rate).tolist(), kind, sheet, rate, trial)
+    return _nearby((np.geomspace(0.005, 3.0, 80) * rate).tolist(), kind, sheet, rate, trial)
 
 
 def polynomial(sheet: DataSheet, rate: float, trial: Trial | None = None) -> tuple[int, int]:
@@ -70,7 +72,7 @@ def joint_noise(sheet: DataSheet, rate: float, trial: Trial | None = None) -> tu
 
     # Steps of a tenth of a decade: the error is flat about its minimum.
     stds = [sheet.motion_std] if trial is None else (sheet.motion_std * np.geomspace(1e-3, 1e3, 61)).tolist()
-    return _best(stds, kind, sheet, rate, trial), sheet.motion_time, sheet.measurement_std
+    return _nearby(stds, kind, sheet, rate, trial), sheet.motion_time, sheet.measurement_std
 
 
 def jerk_bound(sheet: DataSheet, trial: Trial | None = None) -> float:
@@ -110,6 +112,13 @@ def _best(candidates: Iterable, kind: Callable, sheet: DataSheet, rate: float, t
     return min(candidates, key=lambda candidate: filter_error(kind(candidate).weights(rate), sheet, rate, trial))
 
 
+def _nearby(candidates: list[float], kind: Callable, sheet: DataSheet, rate: float, trial: Trial | None) -> float:
+    """As `_best`, of candidates in order: every eighth one, then those beside the best of these."""
+    coarse = candidates[::COARSE]
+    at = coarse.index(_best(coarse, kind, sheet, rate, trial)) * COARSE
+    return _best(candidates[max(0, at - COARSE + 1) : at + COARSE], kind, sheet, rate, trial)
+
+
 def filter_error(weights: Float[np.ndarray, "k"], sheet: DataSheet, rate: float, trial: Trial | None = None) -> float:
     """Velocity error of a linear filter with weights [1/s] of the newest and earlier samples.
 
@@ -118,14 +127,43 @@ def filter_error(weights: Float[np.ndarray, "k"], sheet: DataSheet, rate: float,
     if trial is None:
         return linear_filter_error(weights, sheet, rate)
     t = np.asarray(trial.t)
-    even = np.arange(t[0], t[-1], 1 / rate)
-    late = _late(even)
-    estimates, true = [], []
-    for y, v in zip(np.transpose(trial.y), np.transpose(trial.v), strict=True):
-        measured = np.isfinite(y)
-        estimates.append(filtered(weights, np.interp(even, t[measured], y[measured]))[late])
-        true.append(np.interp(even, t, v)[late])
-    return relative_error(np.transpose(estimates), np.transpose(true))
+    late = _late(t)
+    return relative_error(filtered_velocity(weights, rate, t, trial.y)[late], np.asarray(trial.v)[late])
+
+
+def filtered_velocity(
+    weights: Float[np.ndarray, "k"], rate: float, t: Float[np.ndarray, "T"], y: Float[np.ndarray, "T n"]
+) -> Float[np.ndarray, "T n"]:
+    """Velocities of a linear filter from positions, which are interpolated to even stamps and back.
+
+    Use it where a filter without a model is compared on a whole log: it costs a convolution, and no compilation.
+
+    Args:
+        weights: Weights [1/s] of the newest and earlier samples, as from `AbstractLinearFilter.weights`.
+        rate: Sampling rate [Hz] that the weights are for.
+        t: Stamps (T,) [s].
+        y: Positions (T, n), continuous across full turns; NaN where missing.
+
+    Returns:
+        Velocities (T, n) [unit of the position/s].
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant.calibration import filtered_velocity
+        >>> from covariant.observers import SavitzkyGolay
+        >>> t = np.arange(0.0, 1.0, 0.01)
+        >>> velocity = filtered_velocity(SavitzkyGolay(5).weights(100.0), 100.0, t, 3.0 * t[:, None])
+        >>> velocity[-1].round(6).tolist()
+        [3.0]
+    """
+    count = round((t[-1] - t[0]) * rate) + 1
+    even = t[0] + np.arange(count) / rate
+    columns = []
+    for column in np.transpose(y):
+        measured = np.isfinite(column)
+        positions = np.interp(even, t[measured], column[measured])
+        columns.append(np.interp(t, even, filtered(weights, positions)))
+    return np.stack(columns, axis=1)
 
 
 def relative_error(found: Float[np.ndarray, "T n"], true: Float[np.ndarray, "T n"]) -> float:

@@ -42,8 +42,8 @@ class Gains(NamedTuple):
         """The gains and predicted errors in one line."""
         rate = f", force rate = {self.force_rate:.4g} 1/s" if self.force_rate else ""
         return (
-            f"alpha = {self.alpha:.4g} 1/s, beta = {self.beta:.4g} 1/s²{rate}; predicted standard deviation of the position "
-            f"{self.position_std:.2g} and of the velocity {self.velocity_std:.2g}"
+            f"alpha = {self.alpha:.4g} 1/s, beta = {self.beta:.4g} 1/s²{rate}; predicted standard deviation of the "
+            f"position {self.position_std:.2g} and of the velocity {self.velocity_std:.2g}"
         )
 
 
@@ -81,8 +81,8 @@ def gains(
         force_rate: Another rate ρ [1/s] at which the force is learnt, 0 for none.
 
     Returns:
-        The gains, and the errors that they should leave. With a force they leave a velocity error that is within 3 % of
-        that of the best linear filter.
+        The gains, and the errors that they should leave. With a force the velocity error is 2 to 6 % above that of the
+        stationary Kalman filter, which forgets the force.
 
     Raises:
         ValueError: A number is not positive.
@@ -143,10 +143,10 @@ def _force_poles(
     # (s + r)(s² + k1 s + k2) + k3, the polynomial of the filter with its feedback k, has these coefficients.
     k1 = first - r
     k2 = second - k1 * r
-    poles = np.roots([1.0, k1, k2, max(third - k2 * r, 0.0)]).astype(complex)
+    poles = np.asarray(np.roots([1.0, k1, k2, max(third - k2 * r, 0.0)]), complex)
     # A cubic has a real root; of three the slowest one is that of the force.
-    real = np.abs(poles.imag) <= np.abs(poles.imag).min()
-    rho = -float(poles.real[real].max())
+    turning = np.abs(np.imag(poles))
+    rho = -float(np.real(poles)[turning <= turning.min()].max())
     others = poles[np.argsort(np.abs(poles + rho))[1:]]
     return math.sqrt(abs(np.prod(others))), max(rho, 0.0)
 

@@ -133,8 +133,9 @@ def on_batches(function: Callable, *arguments: Any) -> Callable:
         arguments: Its arguments as arrays or pytrees of them, of which shapes and types count.
 
     Returns:
-        A function of arguments that have one leading batch axis (B, ...) each. It returns the results of the function
-        with the batch axis first, as arrays of NumPy of the types that JAX gives them.
+        A function of arguments that have one leading batch axis (B, ...) each, or (1, ...) where they are the same for
+        all. It returns the results of the function with the batch axis first, as arrays of NumPy of the types that JAX
+        gives them.
 
     Example:
         >>> import jax.numpy as jnp
@@ -148,7 +149,7 @@ def on_batches(function: Callable, *arguments: Any) -> Callable:
         lowered = lower(function, *arguments)
     except LoweringError:
         compiled = jax.jit(jax.vmap(function))
-        return lambda *batch: jax.tree.map(np.asarray, compiled(*batch))
+        return lambda *batch: jax.tree.map(np.asarray, compiled(*_of_one_length(batch)))
     results = jax.tree.unflatten(lowered.tree, lowered.results)
     return lambda *batch: jax.tree.map(lambda leaf, like: leaf.astype(like.dtype), numbers(lowered, *batch), results)
 
@@ -171,6 +172,12 @@ def evaluate_batch(function: Callable, *batch: Any) -> Any:
         [3.0, 7.0]
     """
     return on_batches(function, *jax.tree.map(lambda leaf: leaf[0], batch))(*batch)
+
+
+def _of_one_length(batch: Any) -> Any:
+    """The arguments with all batch axes as long as the longest."""
+    longest = max((np.shape(leaf)[0] for leaf in jax.tree.leaves(batch)), default=1)
+    return jax.tree.map(lambda leaf: np.broadcast_to(leaf, (longest, *np.shape(leaf)[1:])), batch)
 
 
 def _entries(leaf: np.ndarray, shape: tuple[int, ...]) -> list[np.ndarray]:

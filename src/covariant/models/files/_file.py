@@ -9,7 +9,7 @@ import numpy as np
 from covariant.models.files import _source, _toml
 from covariant.models.files._check import check_metric
 from covariant.models.files._columns import model_columns
-from covariant.models.files._model_file import ModelError, ModelFile
+from covariant.models.files._model_file import KEYS, ModelError, ModelFile
 from covariant.models.files._rewrite import written
 from covariant.models.files._source import Model
 from covariant.models.files._systems import ROBOT_FILES, SYSTEMS, unknown_model
@@ -30,7 +30,12 @@ def finish_object(given: Any, content: dict[str, Any]) -> ModelFile:
         if table in content:
             raise ValueError(f"{table} is for models that are made from a file or by name; this one is made already")
     loaded = _build(type(given).__name__, given, {})
-    return _complete_file(loaded, loaded.name, content)
+    stated = {f"{table}.{key}" for table, keys in content.items() if isinstance(keys, dict) for key in keys}
+    rivals = {
+        f"{key.path.partition('.')[0]}.{rival}" for key in KEYS.values() if key.path in stated for rival in key.replaces
+    }
+    replaced = {field: ModelFile._field_defaults[field] for field, key in KEYS.items() if key.path in rivals}
+    return _complete_file(loaded._replace(**replaced), loaded.name, content)
 
 
 def _complete_file(loaded: ModelFile, name: str, content: dict[str, Any]) -> ModelFile:

@@ -10,10 +10,10 @@ gains are
 and `κ = ½(1 + ab) dt − k2 dt²/6`. For dt → 0 they are α dt and β dt + N dt.
 
 With an unknown force that is estimated too the error law is a triple integrator, `ξ' = ζ, ζ' = Nξ + η, η' = 0` without
-correction, and has a third pole c = exp(−ρ dt). With `C = (cosh(√N dt) − 1)/N` and S = sinh(√N dt)/√N the determinant,
-trace and second invariant of the sampled loop give, for a constant N,
-`K1 = 1 − abc`, `K2 = (2(1 + abc) cosh(√N dt) + 1 + abc − T − P)/2S` and `K3 = (1 − abc − T + P)/2C`, where T = a + b + c
-and P = ab + bc + ca. To first order K2 is again k2 + κN with the same κ, and `K3 = k3 (1 − N dt²/12)`.
+correction, and has a third pole c = exp(−ρ dt). The determinant, trace and second invariant of the sampled loop give,
+for a constant N, with T = a + b + c, P = ab + bc + ca, `S = sinh(√N dt)/√N` and `C = (cosh(√N dt) − 1)/N`,
+`K1 = 1 − abc`, `K2 = (2(1 + abc) cosh(√N dt) + 1 + abc − T − P)/2S`, `K3 = (1 − abc − T + P)/2C`. To first order K2 is
+again k2 + κN, with κ as above, and K3 is k3 (1 − N dt²/12).
 """
 
 import dataclasses
@@ -178,7 +178,7 @@ def sampled_gains(alpha: Number, beta: Number, dt: Number) -> tuple[Scalar, Scal
 
 
 def sampled_force_gains(alpha: Number, beta: Number, force_rate: Number, dt: Number) -> tuple[Scalar, Scalar, Scalar]:
-    """Gains of position, velocity and unknown acceleration of one sample, for the poles of s² + αs + β and −`force_rate`.
+    """Gains of position, velocity and unknown acceleration of one sample: `sampled_gains` with a third pole at −ρ.
 
     With 1 − a, 1 − b and 1 − c = r their elementary symmetric functions e1, e2, e3 give `k1 = e1 − e2 + e3`,
     `k2 = (e2 − 3e3/2)/dt`, `k3 = e3/dt²`. For r = 0 the first two are those of `sampled_gains`.

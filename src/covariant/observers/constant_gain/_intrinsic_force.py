@@ -11,7 +11,8 @@ by δ, the error law of the observer becomes
 
 Without the last term its poles are those of (s² + αs + β)(s + ρ). That term is there because a force whose components
 are constant in the frame is not parallel: along a motion with the velocity v its covariant derivative is −d ∘ B(v, ·).
-It is of the size |B(v, ·)| |η|, zero where the metric is constant, and only disturbs ξ and ζ as far as δ is not 0.
+It is of the size |B(v, ·)| |η|, and zero where the metric is constant. On a double pendulum at 20 rad/s it changes the
+rates of decay by 1 % for ω = 50 and ρ = 18, and by a fourth for ω = 10 and ρ = 5, slower than the motion.
 """
 
 from typing import Literal, NamedTuple

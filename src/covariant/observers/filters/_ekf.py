@@ -32,6 +32,7 @@ from covariant.observers.base import (
     with_block,
 )
 from covariant.observers.filters._gated_filter import AbstractMechanicalFilter, Expectation, Moved, Used
+from covariant.observers.filters._noise_scale import NoiseScale, factor_of
 
 
 class EKFState(NamedTuple):
@@ -44,6 +45,7 @@ class EKFState(NamedTuple):
         cov: Covariance (2n, 2n) of the error `(local(q̂, q), v − v̂)`.
         gate: Memory of the gate.
         last_input: Last finite input (m,), which replaces an input that is not finite; None where none is stored.
+        noise_scale: Size of what the filter does not know, and its sensitivities; None where it is not adaptive.
 
     Example:
         >>> import numpy as np
@@ -59,6 +61,7 @@ class EKFState(NamedTuple):
     cov: Float[Array, "two_n two_n"]
     gate: GateMemory
     last_input: LastInput = None
+    noise_scale: NoiseScale | None = None
 
 
 class EKFInfo(NamedTuple):
@@ -72,6 +75,8 @@ class EKFInfo(NamedTuple):
             χ²-distributed with as many degrees of freedom as there are measured components.
         velocity_std: Standard deviations (n,) of the velocity after the correction.
         result: A `covariant.signals.StepCode` code.
+        noise_scale: Variance of what the filter does not know, relative to that which it was built with; 1 where it is
+            not adaptive.
 
     Example:
         >>> import numpy as np
@@ -89,6 +94,7 @@ class EKFInfo(NamedTuple):
     nis: Scalar
     velocity_std: Vector
     result: Code
+    noise_scale: Scalar | float = 1.0
 
 
 class EKF(AbstractMechanicalFilter):
@@ -108,6 +114,8 @@ class EKF(AbstractMechanicalFilter):
             1 by default.
         substeps: Runge–Kutta steps in each sample; None (default) takes as many as dt and the friction need (offline).
         gate: Which measurements are refused as outliers; None refuses none. See `Gate`.
+        adaptive: Whether the filter learns the size of what it does not know from its innovations: `process_cov` is
+            then the least that it assumes, and where the log shows more, the band widens. False by default.
 
     Raises:
         ValueError: A covariance or the standard deviation is not finite.
@@ -128,6 +136,7 @@ class EKF(AbstractMechanicalFilter):
     initial_velocity_std: Scalar = eqx.field(default=1.0, converter=as_gain)
     substeps: int | None = eqx.field(default=None, static=True)
     gate: Gate | None = Gate()
+    adaptive: bool = eqx.field(default=False, static=True)
 
     def __check_init__(self):
         check_finite("EKF", process_cov=self.process_cov, measurement_cov=self.measurement_cov)
@@ -135,9 +144,9 @@ class EKF(AbstractMechanicalFilter):
 
     def init(self, y: Array, t: Number = 0.0) -> EKFState:
         q, v, t, last_input, _ = at_rest(self.model, y, t)
-        return EKFState(
-            q, v, t, self._first_cov(isotropic(self.initial_velocity_std, v)), GateMemory.at_start(v), last_input
-        )
+        cov = self._first_cov(isotropic(self.initial_velocity_std, v))
+        scale = NoiseScale.at_start(cov) if self.adaptive else None
+        return EKFState(q, v, t, cov, GateMemory.at_start(v), last_input, scale)
 
     def _predicted(
         self, state: EKFState, u: Float[Array, "m"], dt: Scalar, carry: bool
@@ -154,9 +163,12 @@ class EKF(AbstractMechanicalFilter):
         transition, (q, v) = jax.jacfwd(propagated_error, has_aux=True)(jnp.zeros(2 * n, state.v.dtype))
         # Covariance of the double and the single integral of white noise over dt: dt³/3, dt²/2, dt.
         q_part, cross, v_part = (self.process_cov * dt**k / c for k, c in ((3, 3), (2, 2), (1, 1)))
-        noise = jnp.block([[q_part, cross], [cross, v_part]])
+        noise, scale = jnp.block([[q_part, cross], [cross, v_part]]), state.noise_scale
+        if scale is not None:
+            noise = scale.factor * noise
+            scale = scale.advanced(transition, semidefinite_root(noise))
         cov = transition @ state.cov @ transition.T + noise
-        new = state._replace(q=q, v=v, t=state.t + dt, cov=cov, gate=state.gate.advanced(dt))
+        new = state._replace(q=q, v=v, t=state.t + dt, cov=cov, gate=state.gate.advanced(dt), noise_scale=scale)
         return new, transition @ self.root(state) if carry else None
 
     def _expected(self, state: EKFState, u: Float[Array, "m"], y: Array) -> Expectation:
@@ -208,7 +220,7 @@ class EKF(AbstractMechanicalFilter):
         return corrected._replace(q=self._start(state, expected), v=velocity.mean, cov=cov)
 
     def _info(self, state: EKFState, new: EKFState, expected: Expectation, result: Code) -> EKFInfo:
-        return ekf_info(self.model, state.q, expected, self.deviations(new), result)
+        return ekf_info(self.model, state.q, expected, self.deviations(new), result, new.noise_scale)
 
     def _first_cov(self, velocity_cov: Matrix) -> Float[Array, "two_n two_n"]:
         zero = jnp.zeros_like(velocity_cov)
@@ -223,9 +235,15 @@ def moved(model: MechanicalSystem, state: Any, error: Float[Array, "two_n"]) -> 
 
 
 def ekf_info(
-    model: MechanicalSystem, q: Array, expected: Expectation, deviations: dict[str, Vector], result: Code
+    model: MechanicalSystem,
+    q: Array,
+    expected: Expectation,
+    deviations: dict[str, Vector],
+    result: Code,
+    scale: NoiseScale | None,
 ) -> EKFInfo:
     """Diagnostics of a correction, for filters with the error of the EKF."""
     _, innovation, cov, _, present, *_ = expected
     nis = normalised_square(cov, innovation, present)
-    return EKFInfo(innovation, model.space.norm(q, innovation), cov, nis, **deviations, result=result)
+    distance = model.space.norm(q, innovation)
+    return EKFInfo(innovation, distance, cov, nis, **deviations, result=result, noise_scale=factor_of(scale, nis))

@@ -16,6 +16,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from covariant._linalg import solve_square
 from covariant._typing import Code, Flag, Matrix, Scalar, Vector
 from covariant.geometry import AbstractManifold
 from covariant.models import MechanicalSystem, Motion
@@ -143,7 +144,7 @@ class AbstractGatedFilter(AbstractObserver):
             # A new start leaves nothing behind of what it takes.
             left = jnp.where(restart, 0.0, self._expected(corrected, u, y).innovation)
             memory = memory.used(anew, left)
-        corrected = corrected._replace(gate=memory)
+        corrected = self._rescaled(state, step, restart, corrected._replace(gate=memory))
         velocity = verdict.velocity
         if usual is not None:  # an estimate that is too uncertain tells nothing of its velocity but the mean
             velocity = velocity._replace(cov=jnp.where(expected.lost, usual, velocity.cov))
@@ -156,6 +157,10 @@ class AbstractGatedFilter(AbstractObserver):
     @final
     def innovation(self, state: Any, u: Float[Array, "m"], y: Array) -> Vector:
         return self._expected(state, u, y).innovation
+
+    def _rescaled(self, state: Any, step: Used, restart: Flag, corrected: Any) -> Any:
+        """The corrected state, with what a predicted state and its correction show of the size of the unknown."""
+        return corrected
 
     @abc.abstractmethod
     def root(self, state: Any) -> Float[Array, "N N"]:
@@ -229,6 +234,14 @@ class AbstractMechanicalFilter(AbstractGatedFilter):
 
     def estimate(self, state: Any) -> Any:
         return self.model.state(Motion(state.q, state.v))
+
+    def _rescaled(self, state: Any, step: Used, restart: Flag, corrected: Any) -> Any:
+        if state.noise_scale is None:
+            return corrected
+        # The covariance after the correction and before the reset.
+        after = solve_square(step.reset, self.root(step.state))
+        scale = state.noise_scale.corrected(self.root(state), after, step.error, step.reset, restart, jnp.mean(state.gate.scale))
+        return corrected._replace(noise_scale=scale)
 
     def _start(self, state: Any, expected: Expectation) -> Array:
         """The configuration of a new start: measured where entries of the measurement are present, else predicted."""

@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Inexact
 
 from covariant._linalg import semidefinite_root, triangular
@@ -45,6 +46,7 @@ from covariant.observers.base import (
     with_block,
 )
 from covariant.observers.filters._gated_filter import AbstractMechanicalFilter, Expectation, Moved, Used
+from covariant.observers.filters._noise_scale import NoiseScale, factor_of
 from covariant.observers.sensors import (
     InputStates,
     MissingInputs,
@@ -80,6 +82,7 @@ class KalmanState(NamedTuple):
         readings: Last readings of encoders that count ticks; None where measurements have noise.
         sensor_gates: Memories of the gates of further sensors, one each.
         missing_input: Which inputs (m,) were missing over the last step; None where that makes no difference.
+        noise_scale: Size of what the filter does not know, and its sensitivities; None where it is not adaptive.
 
     Example:
         >>> import numpy as np
@@ -100,6 +103,7 @@ class KalmanState(NamedTuple):
     readings: Readings | None = None
     sensor_gates: tuple[GateMemory, ...] = ()
     missing_input: Bool[Array, "m"] | None = None
+    noise_scale: NoiseScale | None = None
 
 
 class KalmanInfo(NamedTuple):
@@ -117,6 +121,8 @@ class KalmanInfo(NamedTuple):
         slow_std: Standard deviations (k,) of the slow states.
         result: A `covariant.signals.StepCode` code.
         sensors: Diagnostics of further sensors; None where the filter has none.
+        noise_scale: Variance of what the filter does not know, relative to that which it was built with; 1 where it is
+            not adaptive.
 
     Example:
         >>> import numpy as np
@@ -137,6 +143,7 @@ class KalmanInfo(NamedTuple):
     slow_std: SlowVector
     result: Code
     sensors: SensorInfo | None = None
+    noise_scale: Scalar | float = 1.0
 
 
 class MeasuredOutput(NamedTuple):
@@ -195,6 +202,9 @@ class IntrinsicKalman(AbstractMechanicalFilter):
             as held, without a doubt.
         budget: Work spent on geodesics, from the estimate to the measurement and along the correction.
         substeps: Runge–Kutta steps in each sample; None (default) takes as many as dt and the friction need (offline).
+        adaptive: Whether the filter learns the size of what it does not know from its innovations: that of the forces
+            among `slow` that have a `time`, or of `process_cov` where there are none. What is given is then the least
+            that it assumes, and where the log shows more, the band widens. False by default.
 
     Raises:
         ValueError: A covariance is not valid, the measurement covariance is singular, the slow states do not
@@ -221,6 +231,7 @@ class IntrinsicKalman(AbstractMechanicalFilter):
     substeps: int | None = eqx.field(default=None, static=True)
     sensors: tuple[Sensor, ...] = eqx.field(default=(), converter=as_groups)
     inputs: MissingInputs | None = None
+    adaptive: bool = eqx.field(default=False, static=True)
 
     def __check_init__(self):
         check_covariance("IntrinsicKalman", "measurement_cov", self.measurement_cov, positive=True)
@@ -253,7 +264,8 @@ class IntrinsicKalman(AbstractMechanicalFilter):
         root = self._first_root(q, self._velocity_cov(q), slow)
         gates = self._sensors.at_start(v)
         missing = None if self.inputs is None else jnp.zeros(self.inputs.mean.shape, bool)
-        return KalmanState(q, v, t, slow, root, GateMemory.at_start(v), last_input, readings, gates, missing)
+        scale = NoiseScale.at_start(root) if self.adaptive else None
+        return KalmanState(q, v, t, slow, root, GateMemory.at_start(v), last_input, readings, gates, missing, scale)
 
     def admitted(self, y: Array) -> Array:
         configuration, readings = self._split(y)
@@ -352,7 +364,9 @@ class IntrinsicKalman(AbstractMechanicalFilter):
         distance = self.model.space.norm(state.q, innovation)
         sensed = expected.details[1]
         sensors = None if sensed is None else sensed.info
-        return KalmanInfo(innovation, distance, cov, nis, **self.deviations(new), result=result, sensors=sensors)
+        scale = factor_of(new.noise_scale, nis)
+        deviations = self.deviations(new)
+        return KalmanInfo(innovation, distance, cov, nis, **deviations, result=result, sensors=sensors, noise_scale=scale)
 
     def _result(self, state: KalmanState, new: KalmanState, y: Array, expected: Expectation, verdict: Judged) -> Code:
         configuration, sensed = self._split(y)[0], expected.details[1]
@@ -379,6 +393,13 @@ class IntrinsicKalman(AbstractMechanicalFilter):
         zeros = jnp.zeros_like(self.inputs.mean)
         states = InputStates(self.inputs, zeros > 0 if missing is None else missing, zeros if u is None else u)
         return SlowStates((*self.slow, states, *self._sensors.slow))
+
+    def _unknown(self, n: int) -> np.ndarray:
+        """Which entries of the error (2n + k,) have the noise whose size is learnt: forces, or else the motion."""
+        groups = self._slow.groups
+        forces = [isinstance(each, SlowVariables) and each.force is not None and each.time is not None for each in groups]
+        slow = np.repeat(forces, [len(each.names) for each in groups]).astype(bool)
+        return np.concatenate([np.full(2 * n, not slow.any()), slow])
 
     @property
     def _inputs_at(self) -> slice:
@@ -491,11 +512,18 @@ class IntrinsicKalman(AbstractMechanicalFilter):
         noise = white_acceleration(covariance_at(self.process_cov, space, q), h)
         if state.slow.shape[0]:
             noise = diagonal(noise, states.walk_root(h).astype(noise.dtype))
+        scale = state.noise_scale
+        if scale is not None:
+            unknown = jnp.asarray(self._unknown(n))[:, None]
+            noise = jnp.where(unknown, jnp.sqrt(scale.factor) * noise, noise)
+            scale = scale.advanced(transition, jnp.where(unknown, noise, 0.0))
         readings = state.readings and state.readings._replace(age=state.readings.age + h)
         # Roots side by side have the sum of both covariances; the triangular factor is square again.
         root = triangular(jnp.concatenate([transition @ state.root, noise], axis=1))
         gate = state.gate.advanced(h)
-        new = state._replace(q=q, v=v, t=state.t + h, slow=slow, root=root, gate=gate, readings=readings)
+        new = state._replace(
+            q=q, v=v, t=state.t + h, slow=slow, root=root, gate=gate, readings=readings, noise_scale=scale
+        )
         return new, None if carried is None else transition @ carried
 
     def moved(self, state: KalmanState, error: Float[Array, "two_n_k"]) -> Moved:

@@ -17,6 +17,7 @@ Time Series Analysis 3(4); Dempster, Laird & Rubin 1977, Maximum likelihood from
 Journal of the Royal Statistical Society B 39(1).
 """
 
+import dataclasses
 import math
 from typing import Any, NamedTuple
 
@@ -119,11 +120,13 @@ def noise_step(observer: AbstractObserver, record: Record) -> NoiseStep:
         raise ValueError("noise_step: the noise of encoders that count ticks, or have an offset, is not estimated")
     if getattr(observer, "sensors", ()):
         raise ValueError("noise_step: the noise of sensors beside the positions is not estimated; leave them out")
+    # A filter that is adaptive would change the sizes that are sought.
+    fixed = dataclasses.replace(observer, adaptive=False)
     rows = in_jax(checked(observer, record))
     process, measurement = (jnp.asarray(each) for each in (observer.process_cov, observer.measurement_cov))
     parts = _parts(process)
     stacked = jnp.concatenate([parts, jnp.zeros_like(process)[None]])
-    sums = _statistics(observer, stacked, *rows)
+    sums = _statistics(fixed, stacked, *rows)
     n = len(sums.squares)
     # Noise of r joints enters each Runge–Kutta step by position and velocity; more columns would be slower, not wrong.
     columns = 2 * n if observer.substeps is None else min(2 * observer.substeps * n // len(parts), 2 * n)

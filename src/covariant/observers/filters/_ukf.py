@@ -20,7 +20,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Inexact
 
-from covariant._linalg import semidefinite_root, triangular
+from covariant._linalg import semidefinite_root, triangular, upper_solve
 from covariant._typing import Code, Matrix, Number, Scalar, Vector
 from covariant.models import MechanicalSystem, Motion
 from covariant.observers.base import (
@@ -43,6 +43,7 @@ from covariant.observers.base import (
 )
 from covariant.observers.filters._ekf import EKFInfo, ekf_info, moved
 from covariant.observers.filters._gated_filter import AbstractMechanicalFilter, Expectation, Moved, Used
+from covariant.observers.filters._noise_scale import NoiseScale
 
 
 class UKFState(NamedTuple):
@@ -55,6 +56,7 @@ class UKFState(NamedTuple):
         root: Square root S (2n, 2n) of the covariance `S Sᵀ` of the error `(local(q̂, q), v − v̂)`.
         gate: Memory of the gate.
         last_input: Last finite input (m,), which replaces an input that is not finite; None where none is stored.
+        noise_scale: Size of what the filter does not know, and its sensitivities; None where it is not adaptive.
 
     Example:
         >>> import numpy as np
@@ -70,6 +72,7 @@ class UKFState(NamedTuple):
     root: Float[Array, "two_n two_n"]
     gate: GateMemory
     last_input: LastInput = None
+    noise_scale: NoiseScale | None = None
 
 
 class UKF(AbstractMechanicalFilter):
@@ -92,6 +95,8 @@ class UKF(AbstractMechanicalFilter):
             whose other parameters are κ = 0 and β = 2. Points closer to the mean let terms beyond the quadratic ones
             affect the covariance less; between .52 and 1.93 no weight of the covariance is negative. .6 by default.
         gate: Which measurements are refused as outliers; None refuses none. See `Gate`.
+        adaptive: Whether the filter learns the size of what it does not know from its innovations: `process_cov` is
+            then the least that it assumes, and where the log shows more, the band widens. False by default.
 
     Raises:
         ValueError: A covariance is not valid, the measurement has no noise, or the spread is out of bounds.
@@ -113,6 +118,7 @@ class UKF(AbstractMechanicalFilter):
     substeps: int | None = eqx.field(default=None, static=True)
     spread: float = eqx.field(default=0.6, static=True)
     gate: Gate | None = Gate()
+    adaptive: bool = eqx.field(default=False, static=True)
 
     def __check_init__(self):
         check_covariance("UKF", "process_cov", self.process_cov)
@@ -124,9 +130,9 @@ class UKF(AbstractMechanicalFilter):
 
     def init(self, y: Array, t: Number = 0.0) -> UKFState:
         q, v, t, last_input, _ = at_rest(self.model, y, t)
-        return UKFState(
-            q, v, t, self._first_root(q, isotropic(self.initial_velocity_std, v)), GateMemory.at_start(v), last_input
-        )
+        root = self._first_root(q, isotropic(self.initial_velocity_std, v))
+        scale = NoiseScale.at_start(root) if self.adaptive else None
+        return UKFState(q, v, t, root, GateMemory.at_start(v), last_input, scale)
 
     def cov(self, state: UKFState) -> Float[Array, "two_n two_n"]:
         """Covariance (2n, 2n) of the error `(local(q̂, q), v − v̂)` in a state, from its square root."""
@@ -156,13 +162,17 @@ class UKF(AbstractMechanicalFilter):
         centre = 4 - self.spread**-2 - self.spread**2  # λ/(L + λ) + 1 − α² + β
         columns = jnp.concatenate([centre**0.5 * deviations[:1], deviations[1:] / (2 * squared_radius) ** 0.5]).T
         noise = white_acceleration(covariance_at(self.process_cov, self.model.space, q), dt)
-        # The triangular factor of both roots side by side is the root of the sum of their covariances.
-        root = triangular(jnp.concatenate([columns, noise.astype(columns.dtype)], axis=1))
-        new = state._replace(q=q, v=v, t=state.t + dt, root=root, gate=state.gate.advanced(dt))
         # The statistical linearisation of ΦS is half the difference of opposite points, over their distance from the
         # mean: S times its transpose is the covariance of the points before and after, as with a transition matrix Φ.
         plus, minus = jnp.split(deviations[1:], 2)
-        return new, (plus - minus).T / (2 * squared_radius**0.5) if carry else None
+        carried, scale = (plus - minus).T / (2 * squared_radius**0.5), state.noise_scale
+        if scale is not None:
+            noise = jnp.sqrt(scale.factor) * noise
+            scale = scale.advanced(upper_solve(state.root, carried.T).T, noise)
+        # The triangular factor of both roots side by side is the root of the sum of their covariances.
+        root = triangular(jnp.concatenate([columns, noise.astype(columns.dtype)], axis=1))
+        new = state._replace(q=q, v=v, t=state.t + dt, root=root, gate=state.gate.advanced(dt), noise_scale=scale)
+        return new, carried if carry else None
 
     def _expected(self, state: UKFState, u: Float[Array, "m"], y: Array) -> Expectation:
         manifold, n = self.model.manifold, state.v.shape[0]
@@ -206,7 +216,7 @@ class UKF(AbstractMechanicalFilter):
         return corrected._replace(q=q, v=velocity.mean, root=root.at[:n, :n].set(position))
 
     def _info(self, state: UKFState, new: UKFState, expected: Expectation, result: Code) -> EKFInfo:
-        return ekf_info(self.model, state.q, expected, self.deviations(new), result)
+        return ekf_info(self.model, state.q, expected, self.deviations(new), result, new.noise_scale)
 
     def _first_root(self, q: Array, velocity_cov: Matrix) -> Float[Array, "two_n two_n"]:
         position = semidefinite_root(covariance_at(self.measurement_cov, self.model.space, q))

@@ -1,0 +1,95 @@
+"""Size of what a filter does not know, learnt on line from its own innovations.
+
+The variance of the unknown, of forces that are forgotten or else of the process noise, is s times what the filter was
+built with, and s ≥ 1 follows the log. With D = ∂P/∂log s and d = ∂x̂/∂log s a row with the correction δ says by how much
+a larger s would have made its innovation likelier. In the basis of a root R of the predicted covariance, P⁻ = R Rᵀ,
+where e = R⁻¹δ, M = R⁻¹P⁺R⁻ᵀ, E = R⁻¹DR⁻ᵀ and c = R⁻¹d, the log-likelihood has the derivative g and the information i,
+
+    g = ½(eᵀE e − tr((I − M)E)) + eᵀc,   i = ½ tr((I − M)E(I − M)E) + cᵀ(I − M)c,
+
+and both go on as E ← M E M, c ← M(c + E e). Every correction by Gaussian conditioning has this form, of whatever was
+measured. A step of scoring, g/(1/`SPREAD` + i), changes log s. Where the model is right, s stays near 1; where it is
+wrong, the band widens and the gains rise, in the limit to those of a filter without a model.
+
+Source: Mehra 1970, On the identification of variances and adaptive Kalman filtering, IEEE TAC 15(2); Gupta & Mehra
+1974, Computational aspects of maximum likelihood estimation and reduction in sensitivity function calculations, IEEE
+TAC 19(6), for the sensitivities; Ljung & Söderström 1983, Theory and Practice of Recursive Identification.
+"""
+
+import math
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from covariant._linalg import lower_solve
+from covariant._typing import Flag, Matrix, Scalar, Vector
+
+SPREAD = 0.5
+"""Variance of log s that the rows in memory leave."""
+MEMORY = 20.0
+"""Information after which a change of log s is forgotten: that of 40 independent numbers that show nothing but s."""
+LARGEST = math.log(1e6)
+"""Largest log s, so that single precision can hold the covariance."""
+
+
+class NoiseScale(NamedTuple):
+    """The learnt size of what a filter does not know, with the sensitivities that it takes to learn it.
+
+    Attributes:
+        log: Logarithm of s, the variance of the unknown over that which the filter was built with.
+        cov: Derivative ∂P/∂log s (N, N) of the covariance of the error.
+        estimate: Derivative (N,) of the estimate.
+    """
+
+    log: Scalar
+    cov: Float[Array, "N N"]
+    estimate: Float[Array, "N"]
+
+    @classmethod
+    def at_start(cls, root: Matrix) -> "NoiseScale":
+        """The scale 1 for a filter whose covariance has the root (N, N)."""
+        return cls(jnp.zeros((), root.dtype), jnp.zeros_like(root), jnp.zeros_like(root[0]))
+
+    @property
+    def factor(self) -> Scalar:
+        """The variance s, relative to that which the filter was built with."""
+        return jnp.exp(self.log)
+
+    def advanced(self, transition: Matrix, noise: Float[Array, "N m"]) -> "NoiseScale":
+        """The same after a prediction, in which the unknown adds noise with this root at its present size."""
+        cov = transition @ self.cov @ transition.T + noise @ noise.T
+        return self._replace(cov=cov, estimate=transition @ self.estimate)
+
+    def corrected(self, root: Matrix, after: Matrix, correction: Vector, reset: Matrix, restart: Flag, size: Scalar) -> "NoiseScale":
+        """The same after a correction.
+
+        The lower triangular `root` is that of the covariance before, `after` one of the covariance after the
+        correction and before the reset.
+        """
+        k = root.shape[0]
+        columns = jnp.concatenate([self.cov, after, correction[:, None], self.estimate[:, None]], axis=1)
+        solved = lower_solve(root, columns)
+        left, remaining, e, c = solved[:, :k], solved[:, k : 2 * k], solved[:, -2], solved[:, -1]
+        share = lower_solve(root, left.T)
+        kept = remaining @ remaining.T
+        e = e / jnp.sqrt(jnp.maximum(size, 1.0))
+        score = e @ c + jnp.minimum(size - 1.0, 0.0) / 2 * (jnp.trace(share) - jnp.sum(kept * share))
+        information = c @ (c - kept @ c)
+        step = score / (1 / SPREAD + information)
+        # A step up is one of s and not of its logarithm: the square of an outlier would else count in full.
+        step = jnp.where(step > 0, jnp.log1p(jnp.maximum(step, 0.0)), step)
+        log = jnp.clip((1 - jnp.minimum(information / MEMORY, 0.5)) * self.log + step, 0.0, LARGEST)
+        into = reset @ root
+        cov = into @ (kept @ share @ kept) @ into.T
+        estimate = into @ (kept @ (c + share @ e))
+        # What starts anew depends on no noise of before.
+        gone = restart | ~jnp.isfinite(score)
+        return NoiseScale(
+            jnp.where(gone, self.log, log), jnp.where(gone, 0.0, (cov + cov.T) / 2), jnp.where(gone, 0.0, estimate)
+        )
+
+
+def factor_of(scale: NoiseScale | None, like: Scalar) -> Scalar:
+    """The variance s of the unknown; 1 for a filter that is not adaptive."""
+    return jnp.ones_like(like) if scale is None else scale.factor
