@@ -96,7 +96,7 @@ def test_predictions_leave_out_what_is_missing_and_beyond_gaps_and_report_what_f
         errors_ahead(oscillator(), RECORD, TRUE, T < 0.0, 9)
 
 
-def taken(**errors):
+def taken(slack=1.0, **errors):
     """The source that is taken, by pairs of errors against later rows and against the smoother, with their scatter."""
     random, rows = np.random.default_rng(0), 4000
     shared = random.normal(size=rows)  # the error of the estimate from later rows
@@ -105,7 +105,7 @@ def taken(**errors):
         for later, smooth in errors.values()
     ]
     names = {name.replace("_", " "): (1.0, 1.0, 0.0) for name in errors}
-    return chosen(names, squares)[1].source
+    return chosen(names, squares, slack)[1].source
 
 
 def test_what_is_clearly_farther_from_what_later_rows_tell_is_never_taken():
@@ -117,6 +117,12 @@ def test_equal_ones_are_ordered_by_the_smoother_and_then_the_model_file_comes_fi
     assert taken(model_file=(1.0, 1.1), rule=(1.0, 1.0), later_rows=(1.0, 1.2)) == "rule"
     assert taken(later_rows=(1.0, 1.0), rule=(1.0, 1.0), model_file=(1.0, 1.0)) == "model file"
     assert taken(later_rows=(1.0, 1.0), rule=(1.0, 1.0), sampled_design=(1.0, 1.0)) == "sampled design"
+
+
+def test_within_the_slack_the_smoother_decides():
+    assert taken(later_rows=(1.0, 1.1), rule=(1.1, 1.0)) == "later rows"
+    assert taken(1.1, later_rows=(1.0, 1.1), rule=(1.1, 1.0)) == "rule"
+    assert taken(1.1, later_rows=(1.0, 1.1), rule=(2.0, 1.0)) == "later rows"
 
 
 @pytest.mark.parametrize("time", [0.05, 3.0])
@@ -184,7 +190,7 @@ def test_the_smoother_of_errors_is_that_of_rauch_tung_and_striebel():
 
 @pytest.mark.long
 def test_the_estimate_from_later_rows_is_that_of_least_squares():
-    """Of the state at a row, with the rows after it as observations, nothing known before: position, velocity, force."""
+    """Of position, velocity and force at a row, observed by the rows after it, with nothing known before."""
     system, noise = _random_system(12), NoiseLevels(jnp.asarray(0.5), jnp.array([0.3, 0.4]), jnp.asarray(0.7))
     at, count = 3, 12
     # x_k = A x_at + b + Σ added noise; all rows after `at` together have the covariance below.

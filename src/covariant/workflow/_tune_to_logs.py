@@ -278,7 +278,7 @@ def warning(found: Tuning, as_logged: np.ndarray | bool = True) -> str | None:
     if kalman > WORSE * gains:
         return (
             f"the noise is not white: the most likely Kalman filter leaves {kalman:.3g} of the velocity and constant "
-            f"gains {gains:.3g}; estimate with the observer intrinsic"
+            f"gains {gains:.3g}; estimate with the observer {'intrinsic-force' if found.force_rate else 'intrinsic'}"
         )
     worst = float(np.max(np.abs(found.after.correlation) * as_logged))
     if worst > NOT_WHITE:

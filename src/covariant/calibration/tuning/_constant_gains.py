@@ -12,7 +12,7 @@ blocks.
 """
 
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -31,7 +31,7 @@ FREQUENCIES, DAMPINGS = (2e-3, 3.0), (0.3, 3.0)
 others a larger or a smaller one; below 0.3 an error rings for so long that a log shows it by chance only."""
 USUAL = 0.5**0.5
 """Damping ratio that is best for white disturbances."""
-GRID = np.geomspace(1 / 6, 6, 9), (0.3, 0.5, 0.8, 1.5, 2.5), (0.0, 0.1, 0.35)
+GRID = np.geomspace(1 / 6, 6, 9), (0.3, 0.5, 0.8, 1.5, 2.5), (0.0, 0.15, 0.5, 1.0, 2.0)
 """The grid of a search: ω in units of that of the innovations, ζ, and ρ in units of ω."""
 FINER = 2
 """Number of times that the grid is made finer around its best."""
@@ -39,6 +39,9 @@ DESIGNS = ("model file", "three poles", "sampled design", "rule", "Kalman filter
 """Candidates that are in place or follow from the noise, in the order in which they are taken from equal ones."""
 BLOCKS, CERTAIN = 16, 2.0
 """Number of blocks of rows whose means show the scatter of a mean, and how many of its deviations make a difference."""
+SLACK = 1.1
+"""Ratio of distances to what later rows tell, up to which the smoother decides where the noise has a force: a force
+that changes steadily, and not at random, has a share in an estimate's lag and in the error of that from later rows."""
 SAME = 1.02
 """Ratio of errors up to which gains are said to be the same."""
 VAGUER = 3.0
@@ -181,10 +184,10 @@ class Judge(NamedTuple):
     def of(cls, run: RunErrors, noise: NoiseLevels, speed: jax.Array) -> "Judge":
         errors, std = later_errors(run.system, noise, speed)
         std, log = np.asarray(std), run.log
-        rows = (std <= VAGUER * np.median(std, axis=0)).all(axis=1)
+        rows = np.all(std <= VAGUER * np.median(std, axis=0), axis=1)
         size = np.sqrt(np.mean(log.velocity[log.tuned | log.held_out] ** 2, axis=0))
         smooth = run.corrected(smoothed_errors(run.system, noise, speed))
-        return cls(run.corrected(errors), smooth, rows, np.maximum(size, np.finfo(float).tiny))
+        return cls(run.corrected(errors), smooth, np.asarray(rows), np.maximum(size, np.finfo(float).tiny))
 
     def distances(self, v: Float[np.ndarray, "K n"], rows: Bool[np.ndarray, "T"]) -> Float[np.ndarray, "R 2"]:
         """Squared distances of the velocities of the first K rows to both, where `rows` count."""
@@ -251,37 +254,38 @@ def best_gains(
     by_later, by_smoother = (min(tried, key=lambda each, k=k: tried[each][k]) for k in range(2))
     everything = proposed | {"later rows": by_later, "smoothed velocities": by_smoother}
     squares = distances(list(everything.values()), [log.record for log in logs], held_out)
-    judged, best = chosen(everything, squares)
+    judged, best = chosen(everything, squares, SLACK if force else 1.0)
     least = min(each[1] for each in tried.values())
     same = [w for (w, _, _), each in tried.items() if each[1] <= SAME**2 * least]
     return GainSearch(best, judged, (min(same), max(same)))
 
 
 def chosen(
-    proposed: dict[str, Poles], squares: Sequence[Sequence[Float[np.ndarray, "_ 2"]]]
+    proposed: dict[str, Poles], squares: Sequence[Sequence[Float[np.ndarray, "_ 2"]]], slack: float = 1.0
 ) -> tuple[tuple[Candidate, ...], Candidate]:
     """All candidates, and the one to take, by their squared distances by log to both estimates.
 
-    Those that differ from the nearest to the later rows by no more than the scatter are ordered by the smoother, and
-    those that tie there too are taken in the order of `DESIGNS`.
+    Those that differ from the nearest to the later rows by no more than the scatter, or the slack, are ordered by the
+    smoother, and those that tie there too are taken in the order of `DESIGNS`.
     """
     names = list(proposed)
     means = np.array([np.concatenate(each).mean(axis=0) for each in squares])
-    near = _ties(squares, range(len(names)), means, 0)
+    near = _ties(squares, range(len(names)), means, 0, slack)
     equal = _ties(squares, near, means, 1)
     order = (*DESIGNS, *names)
     judged = tuple(
-        Candidate(name, w, z, *np.sqrt(mean).tolist(), r, k in near)
+        Candidate(name, w, z, float(mean[0]) ** 0.5, float(mean[1]) ** 0.5, r, k in near)
         for k, ((name, (w, z, r)), mean) in enumerate(zip(proposed.items(), means, strict=True))
     )
     return judged, judged[min(equal, key=lambda k: order.index(names[k]))]
 
 
-def _ties(squares: Sequence, among: Sequence[int], means: np.ndarray, judge: int) -> list[int]:
-    """Those of `among` whose mean is the least one up to the scatter of the difference."""
+def _ties(squares: Sequence, among: Sequence[int], means: np.ndarray, judge: int, slack: float = 1.0) -> list[int]:
+    """Those of `among` whose mean is the least one up to the scatter of the difference, or to the slack of its root."""
     best = min(among, key=lambda k: means[k, judge])
     pairs = {k: [a[:, judge] - b[:, judge] for a, b in zip(squares[k], squares[best], strict=True)] for k in among}
-    return [k for k, differences in pairs.items() if not clearly_positive(differences)]
+    limit = slack**2 * means[best, judge]
+    return [k for k, each in pairs.items() if means[k, judge] <= limit or not clearly_positive(each)]
 
 
 def clearly_positive(differences: Sequence[Float[np.ndarray, "_"]]) -> bool:
@@ -310,5 +314,5 @@ def _descend(cost: Callable[[np.ndarray], float], start: np.ndarray, most: int) 
     return best.x, float(best.fun)
 
 
-def _within(value: float, bounds: Sequence[float] | np.ndarray) -> float:
+def _within(value: float, bounds: Any) -> float:
     return float(np.clip(value, *bounds))

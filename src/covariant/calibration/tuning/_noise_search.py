@@ -36,8 +36,10 @@ TIMES, ROUNDS = 3, 3
 """Number of time constants that the search starts from, and rounds in which a smoother measures the force for each."""
 RANGE = 1e4
 """Ratio of the bounds of a noise to what explains all innovations."""
-STEPS, FIRST_STEPS = 40, 6
+STEPS, FIRST_STEPS = 30, 4
 """Largest number of steps of a search, and of that from each start."""
+GAINED = 0.2
+"""Decrease of twice the negative log-likelihood in a step below which a search ends."""
 
 
 class RunErrors(NamedTuple):
@@ -147,7 +149,10 @@ def _measured_force(parts: list[ErrorModel], noise: NoiseLevels, speed: jax.Arra
 
 def _total(z: np.ndarray, systems: Sequence[ErrorModel], masks: Sequence[np.ndarray], speed: jax.Array):
     """Loss of a noise over several logs, and its derivative."""
-    each = [_loss_and_slope(jnp.asarray(z), *pair, speed) for pair in zip(systems, masks, strict=True)]
+    each = [
+        _loss_and_slope(jnp.asarray(z), system, jnp.asarray(mask), speed)
+        for system, mask in zip(systems, masks, strict=True)
+    ]
     return sum(float(loss) for loss, _ in each), np.sum([np.asarray(slope) for _, slope in each], axis=0)
 
 
@@ -173,7 +178,7 @@ def _descend(
         valid = np.isfinite(loss) and np.isfinite(slope[free]).all()
         return (loss, slope[free]) if valid else (np.inf, np.zeros(len(free)))
 
-    options = {"maxiter": steps, "ftol": 1e-7, "maxls": 10}
     inside = np.clip(start[free], *bounds[free].T)
+    options = {"maxiter": steps, "ftol": GAINED / max(abs(cost(inside)[0]), 1.0), "maxls": 10}
     minimum = minimize(cost, inside, jac=True, method="L-BFGS-B", bounds=bounds[free], options=options)
     return at(minimum.x), float(minimum.fun)
