@@ -15,8 +15,20 @@ from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 from covariant.geometry.lie import SE3
-from covariant.models import GroupSystem, Lagrangian, Motion, advance, pendulum_chain
-from covariant.observers import EKF, UKF, Gate, Gated, GateMemory, Intrinsic, IntrinsicKalman, JointKalman, run
+from covariant.models import GroupSystem, Lagrangian, Motion, advance, free_body, pendulum_chain
+from covariant.observers import (
+    EKF,
+    UKF,
+    Gate,
+    Gated,
+    GateMemory,
+    Intrinsic,
+    IntrinsicKalman,
+    JointKalman,
+    Sample,
+    Velocity,
+    run,
+)
 from covariant.signals import Record, StepCode
 
 NOISE = 1e-3
@@ -206,8 +218,6 @@ def test_a_burst_costs_no_more_than_the_same_rows_missing(kind, length):
     ],
 )
 def test_two_refused_readings_show_a_velocity_where_they_continue_the_last_used_one(change, moves):
-    from covariant.observers import Sample, Velocity
-
     gate, manifold = Gate(), ROD.manifold
     memory, eye = GateMemory.at_start(jnp.zeros(1)), jnp.eye(1)
     for value in change:
@@ -218,6 +228,46 @@ def test_two_refused_readings_show_a_velocity_where_they_continue_the_last_used_
     assert bool(verdict.moved[0]) == moves
     if moves:
         assert float(verdict.velocity.mean[0]) == pytest.approx(10.0)
+
+
+@pytest.mark.parametrize(
+    ("change", "refused"),
+    [
+        ([0.01, 0.04], [True, False]),  # faster than usual and still faster: a blow that the model does not know
+        ([0.03, -0.03, 0.03, -0.03], [True, True, True, False]),  # noise that is larger than given
+        ([0.03, 0.03, 0.03, 0.03], [True] * 4),  # a slip, or outliers that are equal
+        ([0.04, 0.03, 0.0, 0.0], [True, True, False, False]),  # outliers, of which the second is smaller
+        ([0.2, 0.5, 0.2, 0.5], [True] * 4),  # farther than any motion goes in two rows
+    ],
+)
+def test_readings_that_motion_explains_are_used_where_they_go_on_as_it_does(change, refused):
+    gate, memory, eye = Gate(), GateMemory.at_start(jnp.zeros(1)), jnp.eye(1)
+    for value, outlying in zip(change, refused, strict=True):
+        memory = memory.advanced(jnp.asarray(0.005))
+        sample = Sample(jnp.array([value]), 1.5 * NOISE**2 * eye, NOISE**2 * eye, jnp.ones(1, bool))
+        verdict = gate.judge(ROD.manifold, sample, memory, Velocity(jnp.zeros(1), eye), 16.0 * eye)
+        assert bool(verdict.far[0]) == outlying
+        assert not bool(verdict.restart)
+        memory = verdict.memory.used(~verdict.far, jnp.zeros(1))
+    # What is used teaches the gate, which then lets as much pass; what is refused teaches it little.
+    assert bool(memory.scale[0] > 8) if value and not refused[-1] else bool(memory.scale[0] < 2)
+
+
+@pytest.mark.long
+def test_a_spin_is_no_outlier_where_noise_is_given_too_small():
+    """A body that turns over about its middle axis; a twentieth of the noise is given, and of the usual speed."""
+    body, std = free_body((1.0, 2.0, 3.5)), 2e-3
+
+    def step(motion, _):
+        return advance(body, 0.0, motion, jnp.zeros(3), 0.01, 4), motion
+
+    motion = Motion(jnp.eye(3), jnp.array([0.05, 8.0, 0.02]))
+    true = jax.jit(lambda: jax.lax.scan(step, motion, None, 400)[1])()
+    turns = Rotation.from_rotvec(std * np.random.default_rng(0).normal(size=(400, 3))).as_matrix()
+    record = Record(0.01 * np.arange(400), np.zeros((400, 3)), np.asarray(true.q) @ turns)
+    filters = (EKF(body, jnp.eye(3), (std / 20) ** 2 * jnp.eye(3), 8.0, substeps=1, gate=g) for g in (Gate(), None))
+    gated, free = (np.asarray(run(each, record).estimate.v - true.v)[10:] for each in filters)
+    assert np.sqrt(np.mean(gated**2)) <= 1.05 * np.sqrt(np.mean(free**2))
 
 
 def two_masses(hit: bool) -> tuple[Lagrangian, np.ndarray, np.ndarray, np.ndarray]:

@@ -144,6 +144,10 @@ def test_an_innovation_is_one_of_used_rows():
     assert result.summary["innovation_rms"][0] < 0.01
     assert result.summary["innovation_rms_refused"][0] == pytest.approx(2.0, abs=0.05)
     assert " of rows that were used, 2" in str(result)
+    (refused,) = result.summary["refused"]
+    assert (refused["name"], refused["rows"], refused["stayed"]) == ("q", 1, False)
+    assert refused["read"] - refused["expected"] == pytest.approx(2.0, abs=0.05)
+    assert f"1 reading of q at 3 s (read {refused['read']:.4g}, expected {refused['expected']:.4g} rad)" in str(result)
 
 
 def test_inputs_may_be_missing_only_where_an_estimate_runs_over_them():

@@ -9,9 +9,8 @@ from functools import partial
 from typing import Any, Literal, NamedTuple
 
 import jax.numpy as jnp
-import numpy as np
 
-from covariant._typing import Matrix
+from covariant._typing import Matrix, Vector
 from covariant.geometry.lie import SO3
 from covariant.models import MechanicalSystem
 from covariant.observers.base import AbstractObserver, Covariance
@@ -67,7 +66,7 @@ def intrinsic_kalman(
     model: MechanicalSystem,
     process: Covariance,
     measurement: Matrix,
-    speed: float,
+    speed: float | Vector,
     quantum: float | tuple[float, ...] | None,
     slow: tuple[SlowVariables, ...] = (),
     sensors: tuple[Sensor, ...] = (),
@@ -75,7 +74,7 @@ def intrinsic_kalman(
 ) -> IntrinsicKalman:
     """Intrinsic Kalman filter, for encoders that count ticks where their tick is known, else for Gaussian noise."""
     n = measurement.shape[0]
-    velocity = jnp.asarray(speed**2 * np.eye(n))
+    velocity = jnp.diag(jnp.broadcast_to(jnp.asarray(speed, float), n) ** 2)
     if quantum is None or not model.manifold.commuting:
         return IntrinsicKalman(
             model, process, measurement, velocity, slow, sensors=sensors, inputs=inputs, adaptive=True

@@ -49,6 +49,7 @@ from covariant.workflow._outcome import (
 )
 from covariant.workflow._pages import AbstractEstimates, estimate_report
 from covariant.workflow._progress import Progress, silent
+from covariant.workflow._refusals import LISTED, Refusal, refusals, refused_text
 from covariant.workflow._sensors import SensorCount, sensor_counts
 from covariant.workflow._without_model import WithoutModel, without_model
 
@@ -193,6 +194,11 @@ class EstimateResult(AbstractEstimates):
         return {} if info is None or readings is None else sensor_counts(self.loaded.sensors, readings, info)
 
     @property
+    def refused(self) -> list[Refusal]:
+        """Refused readings, each stretch of them with what the first one read and what was expected."""
+        return refusals(self.loaded, self.outcome)
+
+    @property
     def pushes(self) -> Pushes | None:
         """Rows in which something pushes; None of an observer that estimates no force."""
         return pushes(self.loaded.file, self.outcome)
@@ -283,6 +289,8 @@ class EstimateResult(AbstractEstimates):
                 name: {"readings": each.readings, "refused": each.refused, "nis": plain(each.nis)}
                 for name, each in self.sensors.items()
             }
+        if self.refused:
+            result["refused"] = [each.data for each in self.refused[:LISTED]]
         if self.pushes is not None:
             result["pushes"] = len(self.pushes.starts)
             result["share_of_rows_pushed"] = plain(float(np.mean(self.pushes.rows)))
@@ -327,6 +335,7 @@ class EstimateResult(AbstractEstimates):
         return tuple(doubt for doubt in doubts if doubt is not None) + tuple(
             f"{count} of {rows} samples: {StepCode[name.upper()].message}"
             + (f" ({_longest(self.t, self.codes == StepCode.COASTED)})" if name == "coasted" else "")
+            + (f": {refused_text(self.refused)}" if name == "outlier" and self.refused else "")
             for name, count in counts.items()
             if name != "ok"
         )

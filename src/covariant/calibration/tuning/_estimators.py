@@ -267,7 +267,7 @@ def _noise(entry: Entry, known: _Known) -> tuple:
     if sheet.torque_std is not None and entry.observer is not EKF:  # which has the same noise everywhere
         torque = np.sqrt(2 * time) * np.broadcast_to(np.asarray(sheet.torque_std, float), known.n)
         process_cov = _TorqueNoise(known.space, process_cov, jnp.asarray(torque))
-    return process_cov, jnp.asarray(np.diag(sheet.stds(known.n) ** 2)), np.max(sheet.speeds)
+    return process_cov, jnp.asarray(np.diag(sheet.stds(known.n) ** 2)), jnp.broadcast_to(sheet.speeds, known.n)
 
 
 def _ticks(entry: Entry, known: _Known) -> tuple:

@@ -38,9 +38,9 @@ def check_covariance(whose: str, name: str, covariance: Any, positive: bool = Fa
         raise ValueError(f"{whose}: {name} must have variances that are {condition}; its least is {smallest:.3g}")
 
 
-def isotropic(std: Scalar, like: Vector) -> Matrix:
-    """Covariance (n, n) of n independent numbers of one standard deviation."""
-    return jnp.eye(like.shape[0], dtype=like.dtype) * std**2
+def isotropic(std: Scalar | Vector, like: Vector) -> Matrix:
+    """Covariance (n, n) of n independent numbers, of one standard deviation or of one each."""
+    return jnp.diag(jnp.broadcast_to(std**2, like.shape).astype(like.dtype))
 
 
 def covariance_at(covariance: Covariance, space: AbstractSpace, q: Array) -> Float[Array, "n n"]:

@@ -6,6 +6,14 @@ whose slope is a credible velocity, show an impact, or an estimate whose velocit
 estimate starts anew, with their position and their velocity. Readings that agree otherwise, as after a slip, have to
 stay for `patience` samples. After a hole without readings three that agree with each other suffice.
 
+Refused readings that the usual speed can explain, and that continue without being on a line, tell of a wrong model,
+noise that is larger than given, or contact. Such a reading is used by the ordinary correction, as without a gate, and
+its whole square enters the scale of the gate. Two errors are weighed so: an outlier of the size d that is used changes
+the velocity by about Kd, K the gain, until it is forgotten after 1/(K dt) rows, a squared error of K d²/dt in all. A
+motion of the size d that is refused leaves the velocity off by d/dt for one row more, (d/dt)², but if it is refused
+again, by 2, 3, … times as much as the error adds up. So one refusal costs at most what a missing reading does, while
+one in every row leaves nothing of the estimate; outliers farther off than motion reaches stay refused.
+
 Source: Bar-Shalom, Li & Kirubarajan 2001, Estimation with Applications to Tracking and Navigation, section 5.4 for the
 gate.
 """
@@ -30,8 +38,8 @@ AGREEING = 3.0
 """Standard deviations of the noise within which readings are on a line."""
 MOVING = 4.0
 """Least distance of neighbours on a line, in standard deviations of the noise, at which it shows a velocity."""
-GROWING = 0.25
-"""Least."""
+ROUGHLY = 0.25
+"""Distance at which a line passes the last used reading, as a fraction of the change since then."""
 HOLE = 3.0
 """Length of a hole before refused readings, in steps between them, from which they are asked among themselves."""
 
@@ -108,7 +116,7 @@ class Gate(eqx.Module):
         line, present, widening = memory.line(sample.innovation), sample.present, jnp.maximum(memory.scale, least)
         # The noise of lines is at least what is said: a scale below 1 tells of large speeds or process noise.
         noisier = jnp.maximum(memory.scale, 1.0)
-        measured, far, even, moving, joined, growing = (jnp.zeros_like(present),) * 6
+        measured, far, even, moving, joined, continued = (jnp.zeros_like(present),) * 6
         square = memory.scale
         for together in manifold.measured_together(present.shape[0]):
             block, n = jnp.asarray(together), len(together)
@@ -122,8 +130,9 @@ class Gate(eqx.Module):
             far = far.at[block].set(complete & (jnp.minimum(*narrowed) > self._limit(n) / n))
             noise = jnp.asarray(sample.noise)[jnp.ix_(block, block)] * noisier[block[0]]
             shape = _shape(jax.tree.map(lambda a, block=block: a[block], line), noise)
-            shapes = zip((even, moving, joined, growing), shape, strict=True)
-            even, moving, joined, growing = (a.at[block].set(b) for a, b in shapes)
+            shapes = zip((even, moving, joined, continued), shape, strict=True)
+            even, moving, joined, continued = (a.at[block].set(b) for a, b in shapes)
+        unequal = moving | ~even
         # A start after long patience needs a complete configuration.
         patient = far & (memory.refused >= self.patience) & jnp.all(present)
         even, credible = even & far & (memory.refused >= 1), _credible(manifold, line, predicted, usual)
@@ -133,12 +142,13 @@ class Gate(eqx.Module):
         # Before a hole nothing tells of the motion after it: three readings that agree with each other are believed.
         possible = credible if usual is not None else jnp.ones_like(credible)
         moved = moved | (even & possible & (memory.refused >= 2) & (line.gap > HOLE * line.step))
-        # Refused readings that motion may have left there, and that do not stay as after a slip: the model is wrong.
-        doubtful = far & moving & _reached(manifold, line, predicted, usual)
-        doubtful = doubtful & jnp.where(memory.refused <= 2, growing & (memory.refused >= 1), True)
-        believed = jnp.where(doubtful, square, jnp.minimum(square, BELIEVED * memory.scale))
+        # Readings within the reach of motion that go on as motion does, or stay off in a fourth row, and are not equal
+        # as after a slip: it is the model or the noise that is wrong, and the gate learns it without a cap.
+        persistent = (memory.refused > 2) | (continued & (memory.refused >= 1))
+        motion = far & unequal & persistent & _reached(manifold, line, usual)
+        believed = jnp.where(motion, square, jnp.minimum(square, BELIEVED * memory.scale))
         scale = memory.scale + jnp.where(measured, (believed - memory.scale) / self.memory, 0.0)
-        far = far & (moved | ~doubtful)
+        far = far & (moved | ~motion)
         restart, anew = jnp.any(patient | moved), present & (~far | patient | moved)
         velocity = predicted
         if usual is not None:
@@ -174,9 +184,9 @@ def _mean_squares(cov: Matrix, vectors: Float[Array, "n k"]) -> Float[Array, "k"
     return jnp.sum(half_solve(cov, vectors) ** 2, axis=0) / len(vectors)
 
 
-def _shape(line: Line, noise: Matrix) -> tuple[Flag, Flag, Flag]:
-    """Whether the last three readings of a block are on a line, whether that moves, and whether it starts at the last
-    used one.
+def _shape(line: Line, noise: Matrix) -> tuple[Flag, Flag, Flag, Flag]:
+    """Whether the last three readings of a block are on a line, whether that moves, whether it starts at the last used
+    one, and whether it does so roughly.
     """
     step, length = line.step[0], line.length[0]
     columns = half_solve(noise, jnp.stack([line.slope, line.bend, line.change], axis=1)) / len(noise) ** 0.5
@@ -188,7 +198,7 @@ def _shape(line: Line, noise: Matrix) -> tuple[Flag, Flag, Flag]:
     since = jnp.clip(slope @ change / jnp.maximum(slope @ slope, jnp.finfo(slope.dtype).tiny), step, length)
     apart, steps = change - since * slope, since / step
     joined = apart @ apart <= AGREEING**2 * (1 + 2 * steps**2) + (BEND * steps) ** 2 * displacement
-    return even, displacement >= MOVING**2, joined, joined | (apart @ apart <= GROWING**2 * (change @ change))
+    return even, displacement >= MOVING**2, joined, joined | (apart @ apart <= ROUGHLY**2 * (change @ change))
 
 
 def _credible(manifold: AbstractManifold, line: Line, predicted: Velocity, usual: Matrix | None) -> Bool[Array, "n"]:
@@ -210,8 +220,10 @@ def _credible(manifold: AbstractManifold, line: Line, predicted: Velocity, usual
     return credible
 
 
-def _reached(manifold: AbstractManifold, line: Line, predicted: Velocity, usual: Matrix | None) -> Bool[Array, "n"]:
-    """Which components (n,) a motion that turned back at the usual speed may have carried where they are read."""
+def _reached(manifold: AbstractManifold, line: Line, usual: Matrix | None) -> Bool[Array, "n"]:
+    """Which components (n,) may have come where they are read by motion: it turned back at the usual speed, at most two
+    readings before, so that a large outlier that stays does not come into reach by waiting.
+    """
     reached = jnp.zeros(line.change.shape, bool)
     if usual is None:
         return reached

@@ -110,8 +110,8 @@ class EKF(AbstractMechanicalFilter):
         process_cov: Spectral density (n, n) of the white acceleration noise, in the frame
             [(rad/s²)² s, or (m/s²)² s].
         measurement_cov: Covariance (n, n) of `local(q, y)` of one sample [rad² or m²].
-        initial_velocity_std: Standard deviation of the initial velocity, whose mean is zero [rad/s or m/s];
-            1 by default.
+        initial_velocity_std: Standard deviation of the initial velocity, whose mean is zero [rad/s or m/s], one for all
+            components or one for each (n,); 1 by default. The gate takes it for the usual speed.
         substeps: Runge–Kutta steps in each sample; None (default) takes as many as dt and the friction need (offline).
         gate: Which measurements are refused as outliers; None refuses none. See `Gate`.
         adaptive: Whether the filter learns the size of what it does not know from its innovations: `process_cov` is
@@ -133,7 +133,7 @@ class EKF(AbstractMechanicalFilter):
     model: MechanicalSystem
     process_cov: Matrix
     measurement_cov: Matrix
-    initial_velocity_std: Scalar = eqx.field(default=1.0, converter=as_gain)
+    initial_velocity_std: Scalar | Vector = eqx.field(default=1.0, converter=as_gain)
     substeps: int | None = eqx.field(default=None, static=True)
     gate: Gate | None = Gate()
     adaptive: bool = eqx.field(default=False, static=True)

@@ -88,8 +88,8 @@ class UKF(AbstractMechanicalFilter):
         model: Mechanical system, in coordinates or on a Lie group.
         process_cov: Spectral density of the white acceleration noise [(rad/s²)² s, or (m/s²)² s].
         measurement_cov: Covariance of `local(q, y)` of one sample [rad² or m²].
-        initial_velocity_std: Standard deviation of the initial velocity, whose mean is zero [rad/s or m/s];
-            1 by default.
+        initial_velocity_std: Standard deviation of the initial velocity, whose mean is zero [rad/s or m/s], one for all
+            components or one for each (n,); 1 by default. The gate takes it for the usual speed.
         substeps: Runge–Kutta steps in each sample; None (default) takes as many as dt and the friction need (offline).
         spread: Distance of the sigma points from the mean, in units of √(2n) standard deviations: α of the scaled set,
             whose other parameters are κ = 0 and β = 2. Points closer to the mean let terms beyond the quadratic ones
@@ -114,7 +114,7 @@ class UKF(AbstractMechanicalFilter):
     model: MechanicalSystem
     process_cov: Covariance = eqx.field(converter=as_gain)
     measurement_cov: Covariance = eqx.field(converter=as_gain)
-    initial_velocity_std: Scalar = eqx.field(default=1.0, converter=as_gain)
+    initial_velocity_std: Scalar | Vector = eqx.field(default=1.0, converter=as_gain)
     substeps: int | None = eqx.field(default=None, static=True)
     spread: float = eqx.field(default=0.6, static=True)
     gate: Gate | None = Gate()
