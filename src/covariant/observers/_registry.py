@@ -79,8 +79,8 @@ def intrinsic_kalman(
         return IntrinsicKalman(
             model, process, measurement, velocity, slow, sensors=sensors, inputs=inputs, adaptive=True
         )
-    # A reading is an interval here, so that the only noise is that of the positions of edges. Its error repeats from row
-    # to row, as that of a wrong model does: the filter cannot learn from it what it does not know.
+    # A reading is an interval here, so that the only noise is that of the positions of edges. Its error repeats from
+    # row to row, as that of a wrong model does: the filter cannot learn from it what it does not know.
     ticks = jnp.broadcast_to(jnp.asarray(quantum, float), n)
     return IntrinsicKalman(
         model, process, jnp.diag((EDGE * ticks) ** 2), velocity, slow, ticks, sensors=sensors, inputs=inputs

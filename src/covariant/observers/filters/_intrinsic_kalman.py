@@ -16,7 +16,6 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Bool, Float, Inexact
 
 from covariant._linalg import semidefinite_root, triangular
@@ -364,11 +363,8 @@ class IntrinsicKalman(AbstractMechanicalFilter):
         distance = self.model.space.norm(state.q, innovation)
         sensed = expected.details[1]
         sensors = None if sensed is None else sensed.info
-        scale = factor_of(new.noise_scale, nis)
-        deviations = self.deviations(new)
-        return KalmanInfo(
-            innovation, distance, cov, nis, **deviations, result=result, sensors=sensors, noise_scale=scale
-        )
+        known = self.deviations(new) | {"noise_scale": factor_of(new.noise_scale, nis)}
+        return KalmanInfo(innovation, distance, cov, nis, **known, result=result, sensors=sensors)
 
     def _result(self, state: KalmanState, new: KalmanState, y: Array, expected: Expectation, verdict: Judged) -> Code:
         configuration, sensed = self._split(y)[0], expected.details[1]
@@ -395,15 +391,6 @@ class IntrinsicKalman(AbstractMechanicalFilter):
         zeros = jnp.zeros_like(self.inputs.mean)
         states = InputStates(self.inputs, zeros > 0 if missing is None else missing, zeros if u is None else u)
         return SlowStates((*self.slow, states, *self._sensors.slow))
-
-    def _unknown(self, n: int) -> np.ndarray:
-        """Which entries of the error (2n + k,) have the noise whose size is learnt: forces, or else the motion."""
-        groups = self._slow.groups
-        forces = [
-            isinstance(each, SlowVariables) and each.force is not None and each.time is not None for each in groups
-        ]
-        slow = np.repeat(forces, [len(each.names) for each in groups]).astype(bool)
-        return np.concatenate([np.full(2 * n, not slow.any()), slow])
 
     @property
     def _inputs_at(self) -> slice:
@@ -518,7 +505,8 @@ class IntrinsicKalman(AbstractMechanicalFilter):
             noise = diagonal(noise, states.walk_root(h).astype(noise.dtype))
         scale = state.noise_scale
         if scale is not None:
-            unknown = jnp.asarray(self._unknown(n))[:, None]
+            forces = states.forgotten_forces
+            unknown = jnp.asarray([not any(forces)] * (2 * n) + forces)[:, None]
             noise = jnp.where(unknown, jnp.sqrt(scale.factor) * noise, noise)
             scale = scale.advanced(transition, jnp.where(unknown, noise, 0.0))
         readings = state.readings and state.readings._replace(age=state.readings.age + h)

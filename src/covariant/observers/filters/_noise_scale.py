@@ -3,13 +3,15 @@
 The variance of the unknown, of forces that are forgotten or else of the process noise, is s times what the filter was
 built with, and s ≥ 1 follows the log. With D = ∂P/∂log s and d = ∂x̂/∂log s a row with the correction δ says by how much
 a larger s would have made its innovation likelier. In the basis of a root R of the predicted covariance, P⁻ = R Rᵀ,
-where e = R⁻¹δ, M = R⁻¹P⁺R⁻ᵀ, E = R⁻¹DR⁻ᵀ and c = R⁻¹d, the log-likelihood has the derivative g and the information i,
+where e = R⁻¹δ, M = R⁻¹P⁺R⁻ᵀ, E = R⁻¹DR⁻ᵀ and c = R⁻¹d, the correlation of e with what older corrections changed has
 
-    g = ½(eᵀE e − tr((I − M)E)) + eᵀc,   i = ½ tr((I − M)E(I − M)E) + cᵀ(I − M)c,
+    g = eᵀc,   i = cᵀ(I − M)c,   E ← M E M,   c ← M(c + E e),
 
-and both go on as E ← M E M, c ← M(c + E e). Every correction by Gaussian conditioning has this form, of whatever was
-measured. A step of scoring, g/(1/`SPREAD` + i), changes log s. Where the model is right, s stays near 1; where it is
-wrong, the band widens and the gains rise, in the limit to those of a filter without a model.
+whatever was measured: g is 0 on average where the gains are best, and its derivative in log s is −i. The part of the
+likelihood that sees the size of innovations, ½ tr((I − M)E) for each unit above 1, counts only where they are smaller
+than expected: noise of the readings that is larger than assumed must not raise the gains. A step of scoring,
+g/(1/`SPREAD` + i), changes log s. Where the model is right, s stays near 1; where it is wrong, the band widens and the
+gains rise, in the limit to those of a filter without a model.
 
 Source: Mehra 1970, On the identification of variances and adaptive Kalman filtering, IEEE TAC 15(2); Gupta & Mehra
 1974, Computational aspects of maximum likelihood estimation and reduction in sensitivity function calculations, IEEE
@@ -70,7 +72,7 @@ class NoiseScale(NamedTuple):
         """The same after a correction.
 
         The lower triangular `root` is that of the covariance before, `after` one of the covariance after the
-        correction and before the reset.
+        correction and before the reset; `size` is the mean square of innovations relative to what is expected.
         """
         k = root.shape[0]
         columns = jnp.concatenate([self.cov, after, correction[:, None], self.estimates], axis=1)

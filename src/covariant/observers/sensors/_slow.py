@@ -140,6 +140,12 @@ class SlowStates(NamedTuple):
         return tuple(name for group in self.groups for name in group.names)
 
     @property
+    def forgotten_forces(self) -> list[bool]:
+        """Which states (k) are forces that are forgotten, whose usual size a filter can learn."""
+        forces = [group.force is not None and group.time is not None for group in self.groups]
+        return [force for force, group in zip(forces, self.groups, strict=True) for _ in group.names]
+
+    @property
     def measured(self) -> bool:
         """Whether any group gives measurements an offset."""
         return any(group.offset is not None for group in self.groups)
