@@ -190,7 +190,7 @@ def test_the_smoother_of_errors_is_that_of_rauch_tung_and_striebel():
 
 @pytest.mark.long
 def test_the_estimate_from_later_rows_is_that_of_least_squares():
-    """Of the state at a row, with the rows after it as observations, nothing known before: position, velocity, force."""
+    """Of position, velocity and force at a row, observed by the rows after it, with nothing known before."""
     system, noise = _random_system(12), NoiseLevels(jnp.asarray(0.5), jnp.array([0.3, 0.4]), jnp.asarray(0.7))
     at, count = 3, 12
     # x_k = A x_at + b + Σ added noise; all rows after `at` together have the covariance below.

@@ -18,9 +18,8 @@ STIFFNESS = 20.0
 
 def swing(inertia):
     """An inertia on a spring: linear, so that all filters are exact."""
-    return Lagrangian(
-        Parametric(_inertia, inertia=inertia), lambda q: STIFFNESS * q[0] ** 2 / 2, inputs=1, coordinates=("q",)
-    )
+    metric = Parametric(_inertia, inertia=inertia)
+    return Lagrangian(metric, lambda q: STIFFNESS * q[0] ** 2 / 2, inputs=1, coordinates=("q",))
 
 
 def _inertia(q, inertia):

@@ -515,3 +515,11 @@ def test_an_override_of_an_object_replaces_the_number_that_states_the_same():
     assert (file.measurement_std, file.quantum) == (0.5, None)
     assert (file.external_force, file.external_force_std, file.external_force_time) == (None, 1.0, 2.0)
     assert load(ticks, {"measurement.quantum": 12.0}).measurement_std == pytest.approx(math.sqrt(12))
+
+
+def test_on_a_group_each_velocity_has_its_own_force():
+    top = ModelFile("top", models.heavy_top(), Columns(quaternion_wxyz=("w", "x", "y", "z")))
+    sizes = {"uncertainty.external_force_std": [1.0, 2.0, 3.0], "uncertainty.external_force_time": 0.5}
+    assert load(top, sizes).external_force_std == (1.0, 2.0, 3.0)
+    with pytest.raises(ModelError, match=r"external_force_std lists 2 numbers; give 3"):
+        load(top, {**sizes, "uncertainty.external_force_std": [1.0, 2.0]})

@@ -201,12 +201,12 @@ def from_later(
 
     The second result are the standard deviations of the velocities.
 
-    It knows nothing before the last row. Given the state x at a row, so also the force, the rows before and after it are
-    independent, and the mean of this estimate v_l is v. An estimate v̂ from the rows before thus has
+    It knows nothing before the last row. Given the state x at a row, so also the force, the rows before and after it
+    are independent, and the mean of this estimate v_l is v. An estimate v̂ from the rows before thus has
     `E(v̂ − v_l)² = E(v̂ − v)² + E(v_l − v)²`, whatever the sizes of the noise: the distance to v_l orders estimates as
     their errors do. Of predictions over single times this does not hold: after a time h the error is
-    `ξ + hζ + h²/2 a`, where a lasting acceleration a that the model lacks has the sign of the lag ζ that it causes, so that
-    too fast an estimate predicts best. Here all times after a row count, and a is estimated from them too.
+    `ξ + hζ + h²/2 a`, where a lasting acceleration a that the model lacks has the sign of the lag ζ that it causes, so
+    that too fast an estimate predicts best. Here all times after a row count, and a is estimated from them too.
 
     Source: Fraser & Potter 1969, The optimum linear smoother as a combination of two optimum linear filters, IEEE TAC
     14(4), for the filter in reversed time.
@@ -225,6 +225,7 @@ def _from_later(errors: ErrorModel, inverse: Array, noise: NoiseLevels, speed: S
 
     def step(state, rows):
         row, (then, back), last = rows
+        x: Any
         whole, defect, added = _transition(then, noise)
         push, decay = whole[: 2 * n, 2 * n :], whole[2 * n :, 2 * n :]
         remains = jnp.diag(1 / jnp.diag(decay))

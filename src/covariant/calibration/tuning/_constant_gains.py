@@ -12,7 +12,7 @@ blocks.
 """
 
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -40,8 +40,8 @@ DESIGNS = ("model file", "three poles", "sampled design", "rule", "Kalman filter
 BLOCKS, CERTAIN = 16, 2.0
 """Number of blocks of rows whose means show the scatter of a mean, and how many of its deviations make a difference."""
 SLACK = 1.1
-"""Where the noise has a force, ratio of distances to what later rows tell up to which the smoother decides: a force that
-changes steadily, and not at random, has a share in both an estimate's lag and the error of that from later rows."""
+"""Ratio of distances to what later rows tell, up to which the smoother decides where the noise has a force: a force
+that changes steadily, and not at random, has a share in an estimate's lag and in the error of that from later rows."""
 SAME = 1.02
 """Ratio of errors up to which gains are said to be the same."""
 VAGUER = 3.0
@@ -184,10 +184,10 @@ class Judge(NamedTuple):
     def of(cls, run: RunErrors, noise: NoiseLevels, speed: jax.Array) -> "Judge":
         errors, std = later_errors(run.system, noise, speed)
         std, log = np.asarray(std), run.log
-        rows = (std <= VAGUER * np.median(std, axis=0)).all(axis=1)
+        rows = np.all(std <= VAGUER * np.median(std, axis=0), axis=1)
         size = np.sqrt(np.mean(log.velocity[log.tuned | log.held_out] ** 2, axis=0))
         smooth = run.corrected(smoothed_errors(run.system, noise, speed))
-        return cls(run.corrected(errors), smooth, rows, np.maximum(size, np.finfo(float).tiny))
+        return cls(run.corrected(errors), smooth, np.asarray(rows), np.maximum(size, np.finfo(float).tiny))
 
     def distances(self, v: Float[np.ndarray, "K n"], rows: Bool[np.ndarray, "T"]) -> Float[np.ndarray, "R 2"]:
         """Squared distances of the velocities of the first K rows to both, where `rows` count."""
@@ -274,7 +274,7 @@ def chosen(
     equal = _ties(squares, near, means, 1)
     order = (*DESIGNS, *names)
     judged = tuple(
-        Candidate(name, w, z, *np.sqrt(mean).tolist(), r, k in near)
+        Candidate(name, w, z, float(mean[0]) ** 0.5, float(mean[1]) ** 0.5, r, k in near)
         for k, ((name, (w, z, r)), mean) in enumerate(zip(proposed.items(), means, strict=True))
     )
     return judged, judged[min(equal, key=lambda k: order.index(names[k]))]
@@ -314,5 +314,5 @@ def _descend(cost: Callable[[np.ndarray], float], start: np.ndarray, most: int) 
     return best.x, float(best.fun)
 
 
-def _within(value: float, bounds: Sequence[float] | np.ndarray) -> float:
+def _within(value: float, bounds: Any) -> float:
     return float(np.clip(value, *bounds))

@@ -149,7 +149,10 @@ def _measured_force(parts: list[ErrorModel], noise: NoiseLevels, speed: jax.Arra
 
 def _total(z: np.ndarray, systems: Sequence[ErrorModel], masks: Sequence[np.ndarray], speed: jax.Array):
     """Loss of a noise over several logs, and its derivative."""
-    each = [_loss_and_slope(jnp.asarray(z), *pair, speed) for pair in zip(systems, masks, strict=True)]
+    each = [
+        _loss_and_slope(jnp.asarray(z), system, jnp.asarray(mask), speed)
+        for system, mask in zip(systems, masks, strict=True)
+    ]
     return sum(float(loss) for loss, _ in each), np.sum([np.asarray(slope) for _, slope in each], axis=0)
 
 

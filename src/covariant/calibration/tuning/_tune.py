@@ -175,7 +175,7 @@ def tune(
     likeliest = best_noise(errors, frequency, size, std)
     noise, speed = likeliest, largest_speed(logs)
     progress("held-out rows")
-    baseline, kept = None, ""
+    baseline, kept, old = None, "", None
     if before is not None:
         proposed |= {"model file": sheet_poles(model, before, rate)}
         old = followed(model, logs, proposed["model file"], runner), noise_levels(before, rate, n)
@@ -190,7 +190,7 @@ def tune(
     found = best_gains(model, logs, proposed, judges, runner, bool(np.any(likeliest.force)))
     best, gains_kept = found.best, False
     gained = followed(model, logs, (best.natural_frequency, best.damping, best.force_rate), runner)
-    if before is not None and best.source != "model file" and _worse(logs, *(_velocities(e) for e in (gained, old[0]))):
+    if old is not None and best.source != "model file" and _worse(logs, *(_velocities(e) for e in (gained, old[0]))):
         best, gains_kept, gained = next(each for each in found.judged if each.source == "model file"), True, old[0]
     after = _held_out_errors(errors, gained, noise, speed)
     progress("filters without a model")

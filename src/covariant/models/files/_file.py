@@ -44,9 +44,13 @@ def _complete_file(loaded: ModelFile, name: str, content: dict[str, Any]) -> Mod
     if loaded.mechanical and model.manifold.commuting:
         check_metric(model, _points(len(columns.q)))
     # On a group the errors are components in the body frame, not logged columns, so one number serves for all.
-    count = len(columns.q) if model.manifold.commuting else 1
-    states = 0 if loaded.mechanical else len(model.coordinates)
-    read = _toml.numbers(content, count, states, len(columns.u))
+    counts = {
+        "coordinate": len(columns.q) if model.manifold.commuting else 1,
+        "velocity": len(model.velocities if loaded.mechanical else ()) or len(columns.q),
+        "state": 0 if loaded.mechanical else len(model.coordinates),
+        "input": len(columns.u),
+    }
+    read = _toml.numbers(content, counts)
     return _with_servos(loaded._replace(name=name, columns=columns, **read), content)
 
 

@@ -10,7 +10,7 @@ from covariant.models._parameters import ANY_SIGN, POSITIVE, ZERO_OR_MORE
 _EXPECTED = {POSITIVE: "positive number", ZERO_OR_MORE: "number ≥ 0", ANY_SIGN: "finite number"}
 
 Counts = Mapping[str, int]
-"""Length of a list with one number for each "coordinate", "state" and "input"; 0 where the model has none."""
+"""Length of a list with one number for each "coordinate", "velocity", "state" and "input"; 0 where there are none."""
 
 
 @dataclass(frozen=True)
@@ -27,7 +27,7 @@ class Number:
 
     path: str
     least: float = POSITIVE
-    each: Literal["", "coordinate", "state", "input"] = ""
+    each: Literal["", "coordinate", "velocity", "state", "input"] = ""
     replaces: tuple[str, ...] = ()
     whole: bool = False
 

@@ -124,7 +124,7 @@ class ModelFile(NamedTuple):
     bias: Annotated[Unknown, Number("measurement.bias", ZERO_OR_MORE, "coordinate")] = None
     bias_drift: Annotated[Several, Number("measurement.bias_drift", ZERO_OR_MORE, "coordinate")] = 0.0
     acceleration_std: Annotated[float | None, Number("uncertainty.acceleration")] = None
-    torque_std: Annotated[Unknown, Number("uncertainty.torque", each="coordinate")] = None
+    torque_std: Annotated[Unknown, Number("uncertainty.torque", each="velocity")] = None
     correlation_time: Annotated[float | None, Number("uncertainty.correlation_time")] = None
     process_std: Annotated[Unknown, Number("uncertainty.process", each="state")] = None
     external_force: Annotated[
@@ -132,7 +132,7 @@ class ModelFile(NamedTuple):
         Number("uncertainty.external_force", replaces=("external_force_std", "external_force_time")),
     ] = None
     external_force_std: Annotated[
-        Unknown, Number("uncertainty.external_force_std", each="coordinate", replaces=("external_force",))
+        Unknown, Number("uncertainty.external_force_std", each="velocity", replaces=("external_force",))
     ] = None
     external_force_time: Annotated[float | None, Number("uncertainty.external_force_time")] = None
     uncertain: Annotated[Mapping[str, float], Deviations("uncertainty.parameters")] = MappingProxyType({})

@@ -9,7 +9,7 @@ from typing import Any
 from covariant.logs import ATTITUDES, Columns, unit_factor
 from covariant.models._names import refuse_unknown
 from covariant.models._parameters import ZERO_OR_MORE
-from covariant.models.files._keys import Number
+from covariant.models.files._keys import Counts, Number
 from covariant.models.files._model_file import KEYS
 from covariant.models.files._sensor_keys import EVERY_SENSOR, SENSOR_KEYS
 
@@ -141,8 +141,8 @@ def _units(table: dict[str, Any]) -> dict[str, tuple[str, ...]]:
     return {key: tuple(texts) for key, texts in units.items()}
 
 
-def numbers(document: dict[str, Any], count: int, states: int, inputs: int) -> dict[str, Any]:
-    """Read numbers and texts by field of `ModelFile`, with lists for as many coordinates, states and inputs."""
+def numbers(document: dict[str, Any], counts: Counts) -> dict[str, Any]:
+    """Read numbers and texts by field of `ModelFile`, with lists of the lengths `counts`."""
     if {"std", "quantum"} <= document.get("measurement", {}).keys():
         raise ValueError("[measurement] has both std and quantum; keep one (std = quantum / sqrt(12))")
     forces = {"external_force", *_PASSING_FORCE} & document.get("uncertainty", {}).keys()
@@ -151,7 +151,7 @@ def numbers(document: dict[str, Any], count: int, states: int, inputs: int) -> d
             "[uncertainty] needs external_force_std and external_force_time together, for a force that is forgotten, "
             f"or external_force alone, for one that stays; got {', '.join(sorted(forces))}"
         )
-    counts, fields = {"coordinate": count, "state": states, "input": inputs}, {}
+    fields = {}
     for field, key in KEYS.items():
         table, name = key.path.split(".")
         if name in document.get(table, {}):
