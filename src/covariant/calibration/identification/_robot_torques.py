@@ -268,7 +268,9 @@ def in_batches(function: Callable[..., Array], model: MechanicalSystem, *columns
     return batched(lambda *part: mapped(function, model, *part), columns)
 
 
-def batched(function: Callable[..., Array], columns: Sequence[np.ndarray], batch: int = BATCH) -> np.ndarray:
+def batched(
+    function: Callable[..., Array | np.ndarray], columns: Sequence[np.ndarray], batch: int = BATCH
+) -> np.ndarray:
     """Evaluate a function of `batch` rows at all rows."""
     count = len(columns[0])
     size = -(-count // batch) * batch

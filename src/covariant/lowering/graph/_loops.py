@@ -5,7 +5,6 @@ the carried numbers after the last turn. Loops are for generated code, and not f
 intervals have rules for them.
 """
 
-import itertools
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
@@ -98,7 +97,9 @@ def loop_of(
     starts = _flat(graph, carry)
     changes = np.full(len(starts), all_change)
     ends_of_arrays = np.cumsum([_size(value) for value in carry])
-    for attempt in itertools.count(1):
+    attempt = 0
+    while True:
+        attempt += 1
         inner, used = Graph(), dict[int, None]()
 
         def outer(i: int, inner: Graph = inner, used: dict[int, None] = used) -> int:

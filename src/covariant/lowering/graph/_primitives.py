@@ -112,7 +112,7 @@ def _by_rows(write: Writer, a: np.ndarray, b: np.ndarray) -> np.ndarray:
     result = np.empty((len(a), len(b)), int)
     for group in groups.values():
         places = np.flatnonzero(nonzero_a[group[0]])
-        some_a, some_b = a[np.ix_(group, places)], b[:, places]
+        some_a, some_b = a[group][:, places], b[:, places]
         dense = np.mean(nonzero_b[:, places]) > MOST_UNROLLED if some_b.size else False
         looped = dense and len(group) > FEW_ROWS and 2 * some_b.size >= LONG
         result[group] = _row_by_row(graph, some_a, some_b) if looped else _products(write, a[group], b)
@@ -122,7 +122,7 @@ def _by_rows(write: Writer, a: np.ndarray, b: np.ndarray) -> np.ndarray:
 def _row_by_row(graph: Graph, a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """The nodes (m, n) of the product of a (m, k) and b (n, k), with a turn of a loop for each row of a."""
 
-    def turn(inner: Graph, values: list[Value]):
+    def turn(inner: Graph, values: list[Value]) -> tuple[list[Value], None]:
         fixed, left, done = (nodes_of(inner, value) for value in values)
         row = _products(Writer(inner), left[:1], fixed)
         # The next turn finds its row first; after the last one all results are in order.

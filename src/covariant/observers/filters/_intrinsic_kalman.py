@@ -18,11 +18,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Inexact
 
-from covariant._integrate import linearised, rk4_step
 from covariant._linalg import semidefinite_root, triangular
 from covariant._typing import Code, Matrix, Number, Scalar, Vector
 from covariant.geometry import AbstractManifold, AbstractSpace, Budget
-from covariant.models import MechanicalSystem, Motion, acceleration, advance
+from covariant.models import MechanicalSystem
 from covariant.observers.base import (
     Covariance,
     Encoded,
@@ -45,8 +44,9 @@ from covariant.observers.base import (
     white_acceleration,
     with_block,
 )
+from covariant.observers.filters._flow import flow_with_slope
 from covariant.observers.filters._gated_filter import AbstractMechanicalFilter, Expectation, Moved, Used
-from covariant.observers.filters._noise_scale import NoiseScale, factor_of
+from covariant.observers.filters._noise_scale import NoiseScale, factor_of, scaled
 from covariant.observers.sensors import (
     InputStates,
     MissingInputs,
@@ -491,26 +491,10 @@ class IntrinsicKalman(AbstractMechanicalFilter):
         def acting(mean):
             return u if self.inputs is None else states.groups[len(self.slow)].acting(u, mean[at])
 
-        def propagated_error(error):
-            start = Motion(manifold.retract(state.q, error[:n]), state.v + error[n : 2 * n])
-            mean, slow = states.advanced(state.slow + error[2 * n :], h)
-            end = advance(states.in_model(self.model, mean), state.t, start, acting(mean), h, 1)
-            # The value is zero, since the end is compared with itself; the derivative is the displacement in the frame.
-            return jnp.concatenate([manifold.local(jax.lax.stop_gradient(end.q), end.q), end.v, slow]), (*end, slow)
+        def model(mean):
+            return states.in_model(self.model, mean)
 
-        def rates(t, x):
-            q, v, mean = jnp.split(x, [n, 2 * n])
-            return jnp.hstack([v, acceleration(states.in_model(self.model, mean), t, q, v, acting(mean)), 0 * mean])
-
-        first = jnp.zeros(state.root.shape[0], state.v.dtype)
-        if manifold.commuting:  # the equation of variation beside that of motion is less work than differences of it
-            mean, slow = states.advanced(state.slow, h)
-            of_mean, of_slow = jax.jacfwd(lambda error: states.advanced(state.slow + error[2 * n :], h))(first)
-            axes = jnp.concatenate([jnp.eye(2 * n, len(first), dtype=first.dtype), of_mean])
-            end, slope = rk4_step(linearised(rates), state.t, (jnp.concatenate([state.q, state.v, mean]), axes), h)
-            (q, v, _), slope = jnp.split(end, [n, 2 * n]), jnp.concatenate([slope[: 2 * n], of_slow])
-        else:
-            slope, (q, v, slow) = jax.jacfwd(propagated_error, has_aux=True)(first)
+        (q, v, slow), slope = flow_with_slope(manifold, model, acting, states, state[:4], h)
         # From right to left: from the parallel frame to the frame at the start, the flow, and back at the end.
         transition = (
             _with_slow(parallel(space, q, v), state) @ slope @ _with_slow(apart(space, state.q, state.v), state)
@@ -518,12 +502,9 @@ class IntrinsicKalman(AbstractMechanicalFilter):
         noise = white_acceleration(covariance_at(self.process_cov, space, q), h)
         if state.slow.shape[0]:
             noise = diagonal(noise, states.walk_root(h).astype(noise.dtype))
-        scale = state.noise_scale
-        if scale is not None:
-            forces = states.forgotten_forces
-            unknown = jnp.asarray([not any(forces)] * (2 * n) + forces)[:, None]
-            noise = jnp.where(unknown, jnp.sqrt(scale.factor) * noise, noise)
-            scale = scale.advanced(transition, jnp.where(unknown, noise, 0.0))
+        forces = states.forgotten_forces
+        unknown = jnp.asarray([not any(forces)] * (2 * n) + forces)[:, None]
+        noise, scale = scaled(state.noise_scale, transition, noise, unknown)
         readings = state.readings and state.readings._replace(age=state.readings.age + h)
         # Roots side by side have the sum of both covariances; the triangular factor is square again.
         root = triangular(jnp.concatenate([transition @ state.root, noise], axis=1))

@@ -22,7 +22,7 @@ import math
 from typing import NamedTuple
 
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from covariant._linalg import lower_solve
 from covariant._typing import Flag, Matrix, Scalar, Vector
@@ -98,6 +98,16 @@ class NoiseScale(NamedTuple):
         return NoiseScale(
             jnp.where(gone, self.log, log), jnp.where(gone, 0.0, (cov + cov.T) / 2), jnp.where(gone, 0.0, estimates)
         )
+
+
+def scaled(
+    scale: NoiseScale | None, transition: Matrix, noise: Float[Array, "N m"], unknown: Bool[Array, "N 1"] | bool = True
+) -> tuple[Float[Array, "N m"], NoiseScale | None]:
+    """The root of the noise of a prediction at the learnt size of its `unknown` rows, and the scale after it."""
+    if scale is None:
+        return noise, None
+    noise = jnp.where(unknown, jnp.sqrt(scale.factor) * noise, noise)
+    return noise, scale.advanced(transition, jnp.where(unknown, noise, 0.0))
 
 
 def factor_of(scale: NoiseScale | None, like: Scalar) -> Scalar:

@@ -43,7 +43,7 @@ from covariant.observers.base import (
 )
 from covariant.observers.filters._ekf import EKFInfo, ekf_info, moved
 from covariant.observers.filters._gated_filter import AbstractMechanicalFilter, Expectation, Moved, Used
-from covariant.observers.filters._noise_scale import NoiseScale
+from covariant.observers.filters._noise_scale import NoiseScale, scaled
 
 
 class UKFState(NamedTuple):
@@ -165,10 +165,8 @@ class UKF(AbstractMechanicalFilter):
         # The statistical linearisation of ΦS is half the difference of opposite points, over their distance from the
         # mean: S times its transpose is the covariance of the points before and after, as with a transition matrix Φ.
         plus, minus = jnp.split(deviations[1:], 2)
-        carried, scale = (plus - minus).T / (2 * squared_radius**0.5), state.noise_scale
-        if scale is not None:
-            noise = jnp.sqrt(scale.factor) * noise
-            scale = scale.advanced(upper_solve(state.root, carried.T).T, noise)
+        carried = (plus - minus).T / (2 * squared_radius**0.5)
+        noise, scale = scaled(state.noise_scale, upper_solve(state.root, carried.T).T, noise)
         # The triangular factor of both roots side by side is the root of the sum of their covariances.
         root = triangular(jnp.concatenate([columns, noise.astype(columns.dtype)], axis=1))
         new = state._replace(q=q, v=v, t=state.t + dt, root=root, gate=state.gate.advanced(dt), noise_scale=scale)

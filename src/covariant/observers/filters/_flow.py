@@ -1,0 +1,62 @@
+"""A step of a motion and of slow states, with its derivative in all of them."""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from covariant._integrate import linearised, rk4_step
+from covariant._typing import Matrix, Scalar, Vector
+from covariant.geometry import AbstractManifold
+from covariant.models import MechanicalSystem, Motion, acceleration, advance
+from covariant.observers.sensors import SlowStates, SlowVector
+
+
+def flow_with_slope(
+    manifold: AbstractManifold,
+    model: Callable[[SlowVector], MechanicalSystem],
+    acting: Callable[[SlowVector], Float[Array, "m"]],
+    states: SlowStates,
+    start: tuple[Array, Vector, Scalar, SlowVector],
+    h: Scalar,
+) -> tuple[tuple[Array, Vector, SlowVector], Matrix]:
+    """One Runge–Kutta step.
+
+    Args:
+        manifold: Manifold of the configurations.
+        model: The model with given slow states in it.
+        acting: The inputs that act with given slow states.
+        states: The slow states, k in all.
+        start: Configuration, velocity (n,), time [s] and slow states (k,).
+        h: Length of the step [s].
+
+    Returns:
+        Configuration, velocity and slow states after the step, and their derivative (2n + k, 2n + k) in the frame.
+    """
+    q, v, t, slow = start
+    n = len(v)
+
+    def displaced(error: Vector) -> Any:
+        begin = Motion(manifold.retract(q, error[:n]), v + error[n : 2 * n])
+        mean, end_slow = states.advanced(slow + error[2 * n :], h)
+        end = advance(model(mean), t, begin, acting(mean), h, 1)
+        # The value is zero, since the end is compared with itself; the derivative is the displacement in the frame.
+        return jnp.concatenate([manifold.local(jax.lax.stop_gradient(end.q), end.q), end.v, end_slow]), (*end, end_slow)
+
+    def rates(t: Scalar, x: Vector) -> Vector:
+        q, v, mean = jnp.split(x, [n, 2 * n])
+        return jnp.hstack([v, acceleration(model(mean), t, q, v, acting(mean)), 0 * mean])
+
+    none = jnp.zeros(2 * n + len(slow), v.dtype)
+    if not manifold.commuting:
+        slope, end = jax.jacfwd(displaced, has_aux=True)(none)
+        return end, slope
+    # In coordinates the equation of variation beside that of motion is less work.
+    mean, end_slow = states.advanced(slow, h)
+    of_mean, of_slow = jax.jacfwd(lambda error: states.advanced(slow + error[2 * n :], h))(none)
+    axes = jnp.concatenate([jnp.eye(2 * n, len(none), dtype=none.dtype), of_mean])
+    end, slope = rk4_step(linearised(rates), t, (jnp.concatenate([q, v, mean]), axes), h)
+    end_q, end_v, _ = jnp.split(end, [n, 2 * n])
+    return (end_q, end_v, end_slow), jnp.concatenate([slope[: 2 * n], of_slow])
