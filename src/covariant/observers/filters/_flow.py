@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from covariant._integrate import linearised, rk4_step
-from covariant._typing import Matrix, Scalar, Vector
+from covariant._typing import Scalar, Vector
 from covariant.geometry import AbstractManifold
 from covariant.models import MechanicalSystem, Motion, acceleration, advance
 from covariant.observers.sensors import SlowStates, SlowVector
@@ -21,7 +21,7 @@ def flow_with_slope(
     states: SlowStates,
     start: tuple[Array, Vector, Scalar, SlowVector],
     h: Scalar,
-) -> tuple[tuple[Array, Vector, SlowVector], Matrix]:
+) -> tuple[tuple[Array, Vector, SlowVector], Float[Array, "e e"]]:
     """One Runge–Kutta step.
 
     Args:
@@ -38,14 +38,14 @@ def flow_with_slope(
     q, v, t, slow = start
     n = len(v)
 
-    def displaced(error: Vector) -> Any:
+    def displaced(error: Float[Array, "e"]) -> Any:
         begin = Motion(manifold.retract(q, error[:n]), v + error[n : 2 * n])
         mean, end_slow = states.advanced(slow + error[2 * n :], h)
         end = advance(model(mean), t, begin, acting(mean), h, 1)
         # The value is zero, since the end is compared with itself; the derivative is the displacement in the frame.
         return jnp.concatenate([manifold.local(jax.lax.stop_gradient(end.q), end.q), end.v, end_slow]), (*end, end_slow)
 
-    def rates(t: Scalar, x: Vector) -> Vector:
+    def rates(t: Scalar, x: Float[Array, "e"]) -> Float[Array, "e"]:
         q, v, mean = jnp.split(x, [n, 2 * n])
         return jnp.hstack([v, acceleration(model(mean), t, q, v, acting(mean)), 0 * mean])
 
