@@ -90,7 +90,7 @@ def driven(
     seconds: float,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Stamps, inputs, positions and velocities of a model under a law of its state (q, v) and of time."""
-    t, n = jnp.arange(round(seconds * rate)) / rate, len(q0)
+    t, n = jnp.asarray(np.arange(round(seconds * rate)) / rate), len(q0)
 
     def row(x, now):
         u = law(now, x)
@@ -288,7 +288,7 @@ def racquet(seed: int = 0) -> Twin:
     """A racquet that spins about its middle axis in the air, whose drag the model does not know."""
     random = np.random.default_rng(seed)
     air = models.heavy_top(RACQUET, moment=0.0, viscous=2e-4)
-    t = jnp.arange(1200) / 120.0
+    t = jnp.asarray(np.arange(1200) / 120.0)
     start = models.Motion(lie.SO3.exp(jnp.asarray(random.normal(size=3))), jnp.array([0.05, 9.0, 0.1]))
     true = simulation.simulate(air, start, t)
     noise = jax.vmap(lie.SO3.exp)(jnp.asarray(random.normal(0, 2e-3, (len(t), 3))))

@@ -229,8 +229,9 @@ def best_gains(
 
     def search(poles: Sequence[Poles]) -> None:
         new = [each for each in dict.fromkeys(poles) if each not in tried]
-        means = [np.concatenate(each).mean(axis=0) for each in distances(new, parts, tuned)]
-        tried.update(zip(new, means, strict=True))
+        if new:  # the best gains of both judges may have the same neighbours
+            means = [np.concatenate(each).mean(axis=0) for each in distances(new, parts, tuned)]
+            tried.update(zip(new, means, strict=True))
 
     bounds = np.array(FREQUENCIES) * logs[0].rate
     frequencies, dampings, rates = GRID
