@@ -449,3 +449,20 @@ def test_a_loop_whose_length_the_arguments_decide_is_one_of_c(tmp_path):
     np.testing.assert_allclose(in_lanes(lowered, tmp_path, most_statements=3)(points), expected, rtol=1e-12)
     assert text.count("for (;;)") == 2
     assert "y[2] = 3.0;" in text, "what never moves is not carried"
+
+
+def test_a_statement_that_is_known_in_a_loop_is_a_statement_there_in_lanes_too(tmp_path):
+    import jax
+    import jax.numpy as jnp
+
+    def halved(x):
+        def turn(carry):
+            total, known, k = carry
+            return jnp.where(known, jnp.sin(total), total), known, k + 1.0
+
+        return jax.lax.while_loop(lambda carry: carry[2] < x[1], turn, (x[0], jnp.array(True), 0.0))[0]
+
+    lowered = lower(halved, jnp.zeros(2), loops="any")
+    points = np.random.default_rng(5).uniform(0, 6, (40, 2))
+    expected = np.asarray(jax.vmap(halved)(points))[:, None]
+    np.testing.assert_allclose(in_lanes(lowered, tmp_path)(points), expected, atol=1e-12)

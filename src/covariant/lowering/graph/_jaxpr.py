@@ -492,7 +492,9 @@ def _differ(a: Value, b: Value) -> bool:
 
 def _statement(write: Writer, value: Value, is_truth: bool) -> Value:
     """A number that was 0 or 1 as a statement again."""
-    return write.map("lt", np.asarray(0.5), value) if is_truth and isinstance(value, Scalars) else value
+    if not is_truth:
+        return value
+    return write.map("lt", np.asarray(0.5), value) if isinstance(value, Scalars) else np.asarray(value) > 0.5
 
 
 def _number(write: Writer, value: Value, is_truth: bool) -> Value:
