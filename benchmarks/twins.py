@@ -335,8 +335,11 @@ class ArmLog(NamedTuple):
     beside: np.ndarray
 
 
-def moved(name: str, plant: Plant, middle: np.ndarray, rate: float, seconds: float, seed: int) -> ArmLog:
-    """A robot of the library, moved by MuJoCo under a controller that knows its file and its friction."""
+def moved(
+    name: str, plant: Plant, middle: np.ndarray, rate: float, seconds: float, seed: int, compensated: bool = True
+) -> ArmLog:
+    """A robot of the library, moved by MuJoCo under a controller that knows its file, and its friction if that is
+    `compensated`."""
     import mujoco
 
     random, n = np.random.default_rng(seed), len(middle)
@@ -375,7 +378,7 @@ def moved(name: str, plant: Plant, middle: np.ndarray, rate: float, seconds: flo
         u = (
             inertia @ (a + 900 * (q - data.qpos) + 48 * (v - data.qvel))
             + file.qfrc_bias
-            - plant.torque(q, v, file.qfrc_bias)
+            - (plant.torque(q, v, file.qfrc_bias) if compensated else 0.0)
         )
         log.u[k], log.q[k], log.v[k] = u, data.qpos, data.qvel
         for step in range(STEPS):
@@ -414,11 +417,11 @@ def six_joints(seed: int = 0) -> Twin:
     return Twin("six joints, fitted", file, covariant.Record(log.t, u, ticked(log.q, FINE)), log.v)
 
 
-def panda(seed: int = 0) -> Twin:
+def panda(seed: int = 0, compensated: bool = False) -> Twin:
     """A Panda with friction of .2 to .6 N m that the model does not know, and masses that are off by 5 %."""
     friction = np.array([0.6, 0.6, 0.5, 0.5, 0.3, 0.3, 0.2])
     plant = Plant(friction, friction, 0 * friction, mass=0.05)
-    log = moved("panda", plant, np.array([0.0, 0.2, 0.0, -1.6, 0.0, 1.8, 0.5]), 500.0, 6.0, seed)
+    log = moved("panda", plant, np.array([0.0, 0.2, 0.0, -1.6, 0.0, 1.8, 0.5]), 500.0, 6.0, seed, compensated)
     file = models.load("panda", {"measurement.quantum": FINE, "uncertainty.acceleration": 5.0})
     record = covariant.Record(log.t, log.u, ticked(log.q, FINE))
     return Twin("panda, unknown friction", file, record, log.v, log.beside)

@@ -246,7 +246,7 @@ def test_on_groups_all_have_the_same_gains_and_noise():
     ekf = tuned_estimators(FLAT, 3, SHEET, RATE)["ekf"]
     np.testing.assert_array_equal(made["ekf"].process_cov, ekf.process_cov)
     np.testing.assert_array_equal(made["ekf"].measurement_cov, ekf.measurement_cov)
-    assert made["ekf"].initial_velocity_std == ekf.initial_velocity_std
+    np.testing.assert_array_equal(made["ekf"].initial_velocity_std, ekf.initial_velocity_std)
 
 
 # Filters that know no model, tuned on a part of a log.
