@@ -152,7 +152,7 @@ def second_sender(t: Float[np.ndarray, "T"], y: Float[np.ndarray, "T"]) -> Bool[
         return None
     # Of one fast motion each half predicts the other: only readings of two motions do not predict each other.
     edges = second & (np.insert(~second[:-1], 0, False) | np.append(~second[1:], False))
-    if not APART * max(error, among) < float(np.median(np.abs(prediction_errors(t[seen], y[seen])[edges]))):
+    if not APART * error < float(np.median(np.abs(prediction_errors(t[seen], y[seen])[edges]))):
         return None
     rows = np.zeros(len(y), bool)
     rows[rare] = True

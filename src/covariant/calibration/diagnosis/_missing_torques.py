@@ -22,6 +22,9 @@ from covariant.models import Lagrangian, MechanicalSystem, Parametric, resistanc
 
 SMOOTHED = 0.05
 """Speed over which dry friction is smoothed, relative to the root mean square of the speed of the joint."""
+LARGEST_ROTOR = 1e4
+"""Largest inertia of a rotor behind a gear, over that of the links at its joint: slow motions in another unit of time
+look like a larger one."""
 KINDS = ("viscous friction", "Coulomb friction", "rotor inertia")
 OF_CHAIN = {
     "viscous friction": ("viscous", 1.0),
@@ -62,8 +65,10 @@ def missing_torques(case: Case, log: Smooth) -> Iterator[Suspicion]:
         yield each._replace(expected=beyond.left(more))
     every = regression.needed()
     if every and every[-1] >= len(friction):
-        each = _suspicion(case, regression.missing(every), speeds, "rotors")
-        yield each._replace(expected=regression.left(every))
+        missing, inertia = regression.missing(every), _inertias(case.model, log)
+        rotors = [each.value / inertia[each.joint] for each in missing if each.kind == "rotor inertia"]
+        if max(rotors) < LARGEST_ROTOR:
+            yield _suspicion(case, missing, speeds, "rotors")._replace(expected=regression.left(every))
 
 
 def friction_beside_scales(case: Case, log: Smooth) -> Iterator[Suspicion]:
@@ -252,6 +257,12 @@ class _Regression(NamedTuple):
         if used:
             left = left - np.einsum("k,kjn->jn", self.values(used), self.columns[used][:, ~self.held_out])
         return float(np.mean(left**2))
+
+
+def _inertias(model: MechanicalSystem, log: Smooth) -> Float[np.ndarray, "n"]:
+    """Usual inertia (n,) of the model that each joint moves."""
+    some = jnp.asarray(log.q[log.used][:: max(1, len(log.q) // 20)])
+    return np.median(np.diagonal(jax.vmap(model.space)(some), axis1=1, axis2=2), axis=0)
 
 
 def _speeds(log: Smooth) -> Float[np.ndarray, "n"]:
