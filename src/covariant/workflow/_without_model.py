@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from covariant.calibration import filtered_velocity
+from covariant.calibration import even_velocity
 from covariant.observers import REGISTRY, AbstractLinearFilter
 from covariant.scoring import scored_window, unwrap
 from covariant.signals import Record
@@ -92,15 +92,23 @@ def without_model(loaded: Loaded, velocity: Float[np.ndarray, "T n"]) -> Without
     filters: dict[str, Any] = loaded.kind.tuned(lambda: sheet, loaded.rate, names, trial)
     y = unwrap(loaded.kind.without_outliers(t, np.asarray(loaded.record.y)), loaded.model.circles)
 
-    def squares(v: Float[np.ndarray, "T n"]) -> Float[np.ndarray, "K"]:
-        return np.mean(((v - reference.v)[judged] / size) ** 2, axis=1)
-
+    own = np.mean(((velocity - reference.v)[judged] / size) ** 2, axis=1)
     found = {
-        name: squares(filtered_velocity(each.weights(loaded.rate), loaded.rate, t, y)) for name, each in filters.items()
+        name: _squares(
+            *even_velocity(each.weights(loaded.rate), loaded.rate, t, y), t, reference.v / size, judged, size
+        )
+        for name, each in filters.items()
     }
-    best, own = min(found, key=lambda name: found[name].mean()), squares(velocity)
+    best = min(found, key=lambda name: found[name].mean())
     error, of_estimate = (float(np.sqrt(each.mean())) for each in (found[best], own))
-    return WithoutModel(best, error, of_estimate, _in_standard_errors(own - found[best]), reference.label)
+    return WithoutModel(best, error, of_estimate, _in_standard_errors(own, found[best]), reference.label)
+
+
+def _squares(even: np.ndarray, v: np.ndarray, t: np.ndarray, true: np.ndarray, judged: np.ndarray) -> np.ndarray:
+    """Mean squares (K,) of the errors of velocities at even stamps, between rows that count."""
+    rows = np.interp(even, t, judged.astype(float)) == 1
+    known = np.stack([np.interp(even[rows], t[judged], column) for column in true[judged].T], axis=1)
+    return np.mean((v[rows] - known) ** 2, axis=1)
 
 
 def _slopes(loaded: Loaded) -> ReferenceVelocity:
@@ -115,8 +123,9 @@ def _slopes(loaded: Loaded) -> ReferenceVelocity:
     return ReferenceVelocity(v, label, scored_window(t))
 
 
-def _in_standard_errors(differences: Float[np.ndarray, "K"]) -> float:
-    """The mean of differences of neighbouring rows, which are not independent, in standard errors."""
-    means = np.array([part.mean() for part in np.array_split(differences, BLOCKS)])
-    spread = np.std(means, ddof=1) / np.sqrt(BLOCKS)
-    return float(means.mean() / max(spread, np.finfo(float).tiny))
+def _in_standard_errors(own: Float[np.ndarray, "K"], other: Float[np.ndarray, "E"]) -> float:
+    """The mean of squares minus that of others, in standard errors; those of neighbouring rows are not independent."""
+    means = [np.array([part.mean() for part in np.array_split(each, BLOCKS)]) for each in (own, other)]
+    differences = means[0] - means[1]
+    spread = np.std(differences, ddof=1) / np.sqrt(BLOCKS)
+    return float(differences.mean() / max(spread, np.finfo(float).tiny))

@@ -11,7 +11,7 @@ from ._estimators import (
     tuned_state_estimators as tuned_state_estimators,
     with_gains as with_gains,
 )
-from ._filters import filter_bandwidth as filter_bandwidth, filtered_velocity as filtered_velocity
+from ._filters import even_velocity as even_velocity, filter_bandwidth as filter_bandwidth
 from ._gains import (
     Gains as Gains,
     gains as gains,

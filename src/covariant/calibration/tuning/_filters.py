@@ -126,15 +126,16 @@ def filter_error(weights: Float[np.ndarray, "k"], sheet: DataSheet, rate: float,
     """
     if trial is None:
         return linear_filter_error(weights, sheet, rate)
-    t = np.asarray(trial.t)
-    late = _late(t)
-    return relative_error(filtered_velocity(weights, rate, t, trial.y)[late], np.asarray(trial.v)[late])
+    even, found = even_velocity(weights, rate, trial.t, trial.y)
+    true = np.stack([np.interp(even, trial.t, v) for v in np.transpose(trial.v)], axis=1)
+    late = _late(even)
+    return relative_error(found[late], true[late])
 
 
-def filtered_velocity(
+def even_velocity(
     weights: Float[np.ndarray, "k"], rate: float, t: Float[np.ndarray, "T"], y: Float[np.ndarray, "T n"]
-) -> Float[np.ndarray, "T n"]:
-    """Velocities of a linear filter from positions, which are interpolated to even stamps and back.
+) -> tuple[Float[np.ndarray, "E"], Float[np.ndarray, "E n"]]:
+    """Velocities of a linear filter from positions that are interpolated to even stamps.
 
     Use it where a filter without a model is compared on a whole log: it costs a convolution, and no compilation.
 
@@ -145,25 +146,22 @@ def filtered_velocity(
         y: Positions (T, n), continuous across full turns; NaN where missing.
 
     Returns:
-        Velocities (T, n) [unit of the position/s].
+        Even stamps (E,) [s], and velocities (E, n) [unit of the position/s].
 
     Example:
         >>> import numpy as np
-        >>> from covariant.calibration import filtered_velocity
+        >>> from covariant.calibration import even_velocity
         >>> from covariant.observers import SavitzkyGolay
         >>> t = np.arange(0.0, 1.0, 0.01)
-        >>> velocity = filtered_velocity(SavitzkyGolay(5).weights(100.0), 100.0, t, 3.0 * t[:, None])
+        >>> _, velocity = even_velocity(SavitzkyGolay(5).weights(100.0), 100.0, t, 3.0 * t[:, None])
         >>> velocity[-1].round(6).tolist()
         [3.0]
     """
-    count = round((t[-1] - t[0]) * rate) + 1
-    even = t[0] + np.arange(count) / rate
-    columns = []
+    even, columns = np.arange(t[0], t[-1], 1 / rate), []
     for column in np.transpose(y):
         measured = np.isfinite(column)
-        positions = np.interp(even, t[measured], column[measured])
-        columns.append(np.interp(t, even, filtered(weights, positions)))
-    return np.stack(columns, axis=1)
+        columns.append(filtered(weights, np.interp(even, t[measured], column[measured])))
+    return even, np.stack(columns, axis=1)
 
 
 def relative_error(found: Float[np.ndarray, "T n"], true: Float[np.ndarray, "T n"]) -> float:
