@@ -91,14 +91,11 @@ def without_model(loaded: Loaded, velocity: Float[np.ndarray, "T n"]) -> Without
     names = [entry.name for entry in REGISTRY if issubclass(entry.observer, AbstractLinearFilter)]
     filters: dict[str, Any] = loaded.kind.tuned(lambda: sheet, loaded.rate, names, trial)
     y = unwrap(loaded.kind.without_outliers(t, np.asarray(loaded.record.y)), loaded.model.circles)
-
     own = np.mean(((velocity - reference.v)[judged] / size) ** 2, axis=1)
-    found = {
-        name: _squares(
-            *even_velocity(each.weights(loaded.rate), loaded.rate, t, y), t, reference.v / size, judged, size
-        )
-        for name, each in filters.items()
-    }
+    true, rate, found = reference.v / size, loaded.rate, {}
+    for name, each in filters.items():
+        even, v = even_velocity(each.weights(rate), rate, t, y)
+        found[name] = _squares(even, v / size, t, true, judged)
     best = min(found, key=lambda name: found[name].mean())
     error, of_estimate = (float(np.sqrt(each.mean())) for each in (found[best], own))
     return WithoutModel(best, error, of_estimate, _in_standard_errors(own, found[best]), reference.label)
