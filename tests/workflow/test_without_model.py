@@ -70,6 +70,23 @@ def test_a_filter_by_its_weights_is_the_observer_that_runs(observer, log):
     np.testing.assert_allclose(by_weights[settled], np.asarray(run.estimate)[: len(even)][settled, 2:], atol=1e-6)
 
 
+def test_the_filter_is_judged_with_the_outliers_that_it_would_read(log):
+    random, y = np.random.default_rng(0), np.array(log.y)
+    wrong = random.random(y.shape) < 0.02
+    wrong[0] = False
+    spoilt = log._replace(y=y + wrong * random.normal(0, 0.15, y.shape))
+    result = covariant.estimate("pendulum_chain", spoilt, score=True, overrides=NOISE)
+    found, loaded = result.without_model, result.loaded
+    assert found is not None
+    sheet = log_sheet(loaded.file, loaded)
+    observer = loaded.kind.tuned(lambda: sheet, loaded.rate, (found.filter,), trial_part(loaded)[0])[found.filter]
+    run = np.asarray(loaded.model.motion(observers.run(observer, loaded.record).estimate).v)
+    again = without_model(loaded, run)
+    assert again is not None
+    assert again.own == pytest.approx(again.error, rel=1e-6)
+    assert again.error == pytest.approx(found.error, rel=1e-9)
+
+
 def test_nothing_is_said_where_nothing_can_be_judged(log):
     short = covariant.estimate("pendulum_chain", log, overrides=NOISE, until=1.0)
     free = covariant.estimate("pendulum_chain", log, overrides=NOISE, observer="savitzky-golay")

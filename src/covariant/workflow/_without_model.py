@@ -11,6 +11,7 @@ from covariant.scoring import scored_window, unwrap
 from covariant.signals import Record
 from covariant.workflow._design import log_sheet, tells_noise
 from covariant.workflow._inputs import Loaded, ReferenceVelocity
+from covariant.workflow._outcome import drive
 from covariant.workflow._trial import trial_part
 
 BLOCKS = 20
@@ -70,7 +71,8 @@ class WithoutModel(NamedTuple):
         """What to do where the filter is better."""
         return (
             f"{self.sentence(observer)}; `covariant check` and `covariant fit` look for what is wrong with the model, "
-            f"`covariant tune` for its noise, and until then estimate with the observer {self.filter}"
+            f"`covariant tune` for its noise, and until then estimate with the observer {self.filter}, whose numbers "
+            "are from `motion_acceleration` and `motion_time` in [uncertainty]; `covariant compare` tunes it to the log"
         )
 
 
@@ -83,22 +85,26 @@ def without_model(loaded: Loaded, velocity: Float[np.ndarray, "T n"]) -> Without
     loaded = loaded._replace(reference=reference)
     trial, tuned_on = trial_part(loaded)
     judged = reference.scored & ~tuned_on & np.isfinite(reference.v).all(1) & np.isfinite(velocity).all(1)
-    judged &= True if loaded.holes is None else ~loaded.holes.concerned
+    holes = loaded.holes
+    judged &= True if holes is None else ~holes.concerned
     size = np.sqrt(np.mean(reference.v[judged] ** 2, axis=0))
     if trial is None or judged.sum() < FEWEST or not size.all():
         return None
-    sheet = log_sheet(loaded.file, loaded)._replace(speed=None)
+    sheet = log_sheet(loaded.file, loaded)
     names = [entry.name for entry in REGISTRY if issubclass(entry.observer, AbstractLinearFilter)]
     filters: dict[str, Any] = loaded.kind.tuned(lambda: sheet, loaded.rate, names, trial)
     y = unwrap(loaded.kind.without_outliers(t, np.asarray(loaded.record.y)), loaded.model.circles)
-    own = np.mean(((velocity - reference.v)[judged] / size) ** 2, axis=1)
     true, rate, found = reference.v / size, loaded.rate, {}
     for name, each in filters.items():
-        even, v = even_velocity(each.weights(rate), rate, t, y)
-        found[name] = _squares(even, v / size, t, true, judged)
-    best = min(found, key=lambda name: found[name].mean())
-    error, of_estimate = (float(np.sqrt(each.mean())) for each in (found[best], own))
-    return WithoutModel(best, error, of_estimate, _in_standard_errors(own, found[best]), reference.label)
+        weights = getattr(each, "observer", each).weights(rate)
+        even, v = even_velocity(weights, rate, t, y)
+        found[name] = float(_squares(even, v / size, t, true, judged).mean())
+    best = min(found, key=found.__getitem__)
+    # By its weights the best one is found; judged is what it does with the readings as they are, behind its gate.
+    run = drive(filters[best], loaded).velocity
+    free, own = (np.mean(((each - reference.v)[judged] / size) ** 2, axis=1) for each in (run, velocity))
+    error, of_estimate = (float(np.sqrt(each.mean())) for each in (free, own))
+    return WithoutModel(best, error, of_estimate, _in_standard_errors(own - free), reference.label)
 
 
 def _squares(even: np.ndarray, v: np.ndarray, t: np.ndarray, true: np.ndarray, judged: np.ndarray) -> np.ndarray:
@@ -120,9 +126,7 @@ def _slopes(loaded: Loaded) -> ReferenceVelocity:
     return ReferenceVelocity(v, label, scored_window(t))
 
 
-def _in_standard_errors(own: Float[np.ndarray, "K"], other: Float[np.ndarray, "E"]) -> float:
-    """The mean of squares minus that of others, in standard errors; those of neighbouring rows are not independent."""
-    means = [np.array([part.mean() for part in np.array_split(each, BLOCKS)]) for each in (own, other)]
-    differences = means[0] - means[1]
-    spread = np.std(differences, ddof=1) / np.sqrt(BLOCKS)
-    return float(differences.mean() / max(spread, np.finfo(float).tiny))
+def _in_standard_errors(differences: Float[np.ndarray, "K"]) -> float:
+    """The mean of differences of neighbouring rows, which are not independent, in standard errors."""
+    means = np.array([part.mean() for part in np.array_split(differences, BLOCKS)])
+    return float(means.mean() / max(np.std(means, ddof=1) / np.sqrt(BLOCKS), np.finfo(float).tiny))
