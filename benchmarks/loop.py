@@ -1,29 +1,33 @@
 """An arm under computed torque whose velocities come from encoders: torque ripple and tracking error against the gain.
 
-python benchmarks/loop.py
+python benchmarks/loop.py docs/images/twice_the_gain.png
 
 MuJoCo moves a Panda at 1 kHz. Its masses are each off by up to 5 %, each joint has friction that nobody knows, of up
-to .6 N m and .6 N m s. Torques have noise of .05 N m and act one sample late, and a load comes and goes. The controller
-is `M(a + w²e + 1.6wė) + h` by the file of the robot. Its velocity comes from a filtered difference, from a tracking
-loop of second or third order, or from the C that `covariant.export` writes of `IntrinsicForce`, with and without force.
+to .9 N m and .9 N m s. Torques have noise of .05 N m and act one sample late, and a load comes and goes. The controller
+is `M(a + w²e + 1.6wė) + h` by the file of the robot. Its velocity comes from the C that `covariant.export` writes of a
+filtered difference, of tracking loops of second and third order, and of `IntrinsicForce`, with and without its force.
 Ripple is the root mean square of the torque above about 25 Hz.
+
+Each of them is tuned in the same way: of a grid over its one or two numbers that setting is taken with which the arm
+tracks best at the gain that the ripple allows, on the machines of `TUNED`. The tables are of those of `JUDGED`, which
+have other masses, frictions, motions, loads and noise.
 """
 
+import functools
 import importlib
+import itertools
 import sys
 import tempfile
 from collections.abc import Callable, Sequence
-from functools import partial
+from pathlib import Path
 from typing import Any, NamedTuple
 
-import jax
-import jax.numpy as jnp
 import mujoco
 import numpy as np
 
 import covariant
-from covariant import observers
 from covariant.models import robots
+from covariant.report import PALETTE, new_figure, save_figure
 
 RATE, STEPS, SECONDS = 1000.0, 4, 1.6
 REST = np.array([0.0, 0.2, 0.0, -1.6, 0.0, 1.8, 0.5])
@@ -34,153 +38,272 @@ NOISE, MASSES, LOST = 0.05, 0.05, 0.5
 LOAD, LOADED = np.array([0.0, 4.0, 0.0, 2.0, 0.0, 0.0, 0.0]), (0.6, 1.1)
 DAMPING, THIRD = 0.5**0.5, 0.35
 """Damping ratio of two poles, and the third one, the rate at which the force is learnt, over their frequency."""
-GAINS = (60.0, 75.0, 90.0, 110.0, 130.0, 155.0, 180.0, 210.0, 240.0)
-
-
-class Source:
-    """An observer of the library without a model, with the methods of an exported one."""
-
-    def __init__(self, observer: observers.AbstractObserver):
-        self.state, self._init = None, observer.init
-        self._step = jax.jit(lambda state, y, dt: observer.step(state, jnp.zeros(0), y, dt)[0])
-        self._estimate = observer.estimate
-
-    def step(self, y: np.ndarray, dt: float, u: np.ndarray) -> None:
-        """Take a sample, or start from it."""
-        self.state = self._init(jnp.asarray(y)) if self.state is None else self._step(self.state, y, dt)
-
-    def estimate(self) -> list[np.ndarray]:
-        """Positions and velocities."""
-        return np.split(np.asarray(self._estimate(self.state)), 2)
+GAINS = (40.0, 48.0, 58.0, 70.0, 84.0, 100.0, 120.0, 145.0, 175.0, 210.0, 250.0, 300.0, 360.0, 430.0)
+SHOWN = (2, 4, 6, 8, 10)
+"""Which of the gains the table has."""
+LIMITS = {17: 1.0, 20: 0.2}
+"""Ripple [N m] that is allowed, by the bits of the encoders."""
+OWN, WITHOUT = "`IntrinsicForce`", "without its force"
+TUNED, JUDGED = (0, 1), tuple(range(10, 18))
 
 
 class Row(NamedTuple):
-    """Torque ripple [N m], tracking error [mrad] and velocity error [rad/s], root mean squares over all joints."""
+    """Torque ripple [N m] and tracking error [mrad], root mean squares over all joints."""
 
     ripple: float
     tracking: float
-    velocity: float
 
     def __str__(self) -> str:
         return f"{self.ripple:.2f} / {self.tracking:.2f}"
 
 
-def exported(folder: str) -> Any:
-    """The module of the observer in C, by the file of the robot."""
-    tick = 2 * np.pi / 2**17
+class Limit(NamedTuple):
+    """Gain Kd = 1.6 w [1/s] at which the ripple is the one that is allowed, and the tracking error [mrad] there."""
+
+    damping: float
+    tracking: float
+
+
+class Kind(NamedTuple):
+    """A source of velocities: its exported module, its parameters by one or two numbers, and grids of these."""
+
+    module: Any
+    parameters: Callable[..., dict[str, float]]
+    grids: tuple[Sequence[float], ...]
+
+    def maker(self, *setting: float) -> Callable[[], Any]:
+        """What makes an observer with these numbers."""
+        return lambda: self.module.Observer(self.parameters(*setting))
+
+
+def exported(spec: str | Path, folder: str, observer: str, parameters: Sequence[str]) -> Any:
+    """The Python module around the C of an observer. The gate is left out: no reading is wrong here."""
     overrides = {
-        "measurement.std": tick / 12**0.5,
+        "measurement.std": 2 * np.pi / 2**17 / 12**0.5,
         "uncertainty.acceleration": 1.0,
         "uncertainty.motion_acceleration": 10.0,
         "uncertainty.motion_time": 0.2,
-        "design.natural_frequency": 180.0,
-        "design.force_rate": THIRD * 180.0,
     }
-    names = ["alpha", "beta", "force_rate"]
+    if observer == "intrinsic-force":
+        overrides |= {"design.natural_frequency": 180.0, "design.force_rate": THIRD * 180.0}
+    name = f"{Path(spec).stem}_{observer.replace('-', '_')}"
     covariant.export(
-        "panda", folder, rate=RATE, name="arm", python=True, parameters=names, audit=False, overrides=overrides
+        str(spec),
+        f"{folder}/{name}",
+        observer=observer,
+        rate=RATE,
+        name=name,
+        python=True,
+        parameters=list(parameters),
+        audit=False,
+        gate=False,
+        overrides=overrides,
     )
-    sys.path.insert(0, f"{folder}/python")
-    return importlib.import_module("arm")
+    sys.path.insert(0, f"{folder}/{name}/python")
+    return importlib.import_module(name)
 
 
-def with_force(arm: Any, frequency: float = 130.0, third: float = THIRD) -> Callable[[], Any]:
-    """The exported observer with poles at a frequency [rad/s], and at `third` times it."""
-    gains = {"alpha": 2 * DAMPING * frequency, "beta": frequency**2, "force_rate": third * frequency}
-    return lambda: arm.Observer(gains)
+def poles(frequency: float, third: float = THIRD) -> dict[str, float]:
+    """Gains of two poles at a frequency [rad/s] and of one at `third` times it."""
+    return {"alpha": 2 * DAMPING * frequency, "beta": frequency**2, "force_rate": third * frequency}
 
 
-def machine(masses: float = 0.0, friction: float = 0.0) -> mujoco.MjModel:
-    """The robot of the file, with factors of its masses and inertias, and a share of `FRICTION`."""
+def panda(folder: str) -> Any:
+    """The module of `IntrinsicForce` for the robot of the file."""
+    return exported("panda", folder, "intrinsic-force", ["alpha", "beta", "force_rate"])
+
+
+def kinds(folder: str) -> dict[str, Kind]:
+    """The sources of velocities by name, exported to a folder."""
+    # The tracking loop of third order is the observer itself, of joints that are free unit masses without torques.
+    masses = Path(folder) / "masses.xml"
+    joint = '<body><joint name="j{}" type="slide"/><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/></body>'
+    bodies = "".join(joint.format(i) for i in range(7))
+    masses.write_text(f'<mujoco><option gravity="0 0 0"/><worldbody>{bodies}</worldbody></mujoco>', encoding="utf-8")
+    arm, free = panda(folder), exported(masses, folder, "intrinsic-force", ["alpha", "beta", "force_rate"])
+    difference = exported("panda", folder, "filtered-derivative", ["bandwidth"])
+    loop = exported("panda", folder, "pll", ["bandwidth", "damping"])
+    frequencies, thirds = (60.0, 80.0, 100.0, 115.0, 130.0, 150.0, 180.0, 220.0, 280.0), (0.1, 0.2, 0.35, 0.6, 1.0)
+    return {
+        "filtered difference": Kind(
+            difference,
+            lambda hertz: {"bandwidth": 2 * np.pi * hertz},
+            ((8.0, 10.0, 12.5, 15.0, 17.5, 20.0, 25.0, 30.0, 40.0, 60.0),),
+        ),
+        "tracking loop of 2nd order": Kind(
+            loop,
+            lambda frequency, damping: {"bandwidth": frequency, "damping": damping},
+            ((100.0, 130.0, 170.0, 200.0, 250.0, 300.0, 400.0, 520.0), (0.5, 0.7, 1.0, 1.4, 2.0)),
+        ),
+        "tracking loop of 3rd order": Kind(
+            free, poles, ((100.0, 130.0, 170.0, 200.0, 250.0, 300.0, 400.0), (0.02, 0.05, 0.1, 0.2, 0.35))
+        ),
+        OWN: Kind(arm, poles, (frequencies, thirds)),
+        WITHOUT: Kind(arm, functools.partial(poles, third=0.0), ((100.0, 130.0, 180.0, 250.0, 400.0, 600.0, 800.0),)),
+    }
+
+
+@functools.cache
+def machine(seed: int | None = None, masses: float = MASSES) -> mujoco.MjModel:
+    """The robot of the file, or one with masses and inertias that are off and with friction."""
     model = mujoco.MjModel.from_xml_string(robots.located("panda").read_text(encoding="utf-8"))
     model.opt.timestep, model.opt.gravity[:] = 1 / (RATE * STEPS), (0, 0, -9.81)
     model.opt.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
-    factors = np.random.default_rng(7).uniform(1 - masses, 1 + masses, model.nbody)
     model.jnt_limited[:], model.dof_armature[:] = 0, 0
-    model.body_mass[:] *= factors
-    model.body_inertia[:] *= factors[:, None]
-    model.dof_frictionloss[:], model.dof_damping[:] = friction * FRICTION, friction * FRICTION
+    model.dof_frictionloss[:] = model.dof_damping[:] = 0
+    if seed is not None:
+        random = np.random.default_rng(seed)
+        factors = random.uniform(1 - masses, 1 + masses, model.nbody)
+        model.body_mass[:] *= factors
+        model.body_inertia[:] *= factors[:, None]
+        model.dof_frictionloss[:], model.dof_damping[:] = FRICTION * random.uniform(0.5, 1.5, (2, 7))
     mujoco.mj_setConst(model, mujoco.MjData(model))
     return model
 
 
-def run(make: Callable[[], Any], gain: float, bits: int = 17, seconds: float = SECONDS, seed: int = 0) -> Row | None:
-    """A run in which the velocity comes from an observer; None where the loop is unstable."""
-    plant, known, random, observer = machine(MASSES, 1.0), machine(), np.random.default_rng(seed), make()
+def run(
+    make: Callable[[], Any],
+    gain: float,
+    bits: int = 17,
+    seed: int = 0,
+    masses: float = MASSES,
+    torque_known: bool = True,
+) -> Row | None:
+    """A run in which the velocity comes from an observer; None where the loop is unstable.
+
+    Without `torque_known` the observer takes the command for the torque that acts, a sample before it does.
+    """
+    plant, known, random, observer = machine(seed, masses), machine(), np.random.default_rng((seed, 1)), make()
     real, expected, inertia = mujoco.MjData(plant), mujoco.MjData(known), np.zeros((7, 7))
-    dt, tick, count = 1 / RATE, 2 * np.pi / 2**bits, round(seconds * RATE)
+    dt, tick, count = 1 / RATE, 2 * np.pi / 2**bits, round(SECONDS * RATE)
+    pace, load = PACE * random.uniform(0.8, 1.2, 7), LOAD * random.uniform(0.5, 1.5) * random.choice((-1.0, 1.0))
     real.qpos[:] = REST
     mujoco.mj_forward(plant, real)
-    acting, sent, rows = np.zeros(7), None, np.empty((count, 3, 7))
+    acting, sent, rows = np.zeros(7), None, np.empty((count, 2, 7))
     for k in range(count):
-        observer.step(tick * np.round(real.qpos / tick), dt, u=acting)
-        q, v = observer.estimate()[:2]
-        turn = PACE * k * dt
-        ahead = REST + SWING * (1 - np.cos(turn)), SWING * PACE * np.sin(turn), SWING * PACE**2 * np.cos(turn)
+        observer.step(tick * np.round(real.qpos / tick), dt, u=acting if torque_known or sent is None else sent)
+        # The exported C of a tracking loop has one array for both, the others two or three.
+        q, v = np.split(np.concatenate(observer.estimate())[:14], 2)
+        turn = pace * k * dt
+        ahead = REST + SWING * (1 - np.cos(turn)), SWING * pace * np.sin(turn), SWING * pace**2 * np.cos(turn)
         expected.qpos[:], expected.qvel[:] = q, v
         mujoco.mj_fwdPosition(known, expected)
         mujoco.mj_fwdVelocity(known, expected)
         mujoco.mj_fullM(known, expected, inertia)
         new = inertia @ (ahead[2] + gain**2 * (ahead[0] - q) + 1.6 * gain * (ahead[1] - v)) + expected.qfrc_bias
-        rows[k] = new, ahead[0] - real.qpos, v - real.qvel
+        rows[k] = new, ahead[0] - real.qpos
         if not (np.isfinite(rows[k]).all() and np.abs(rows[k, 1]).max() < LOST):
             return None
         # The command of a sample acts over the next one.
         acting, sent = (new if sent is None else sent), new
-        loaded = LOAD if LOADED[0] < k * dt < LOADED[1] else 0.0
+        loaded = load if LOADED[0] < k * dt < LOADED[1] else 0.0
         real.qfrc_applied[:] = acting + NOISE * random.standard_normal(7) + loaded
         mujoco.mj_step(plant, real, nstep=STEPS)
     window = np.hanning(41) / np.hanning(41).sum()
     fast = rows[:, 0] - np.apply_along_axis(lambda u: np.convolve(u, window, "same"), 0, rows[:, 0])
-    rms = [np.sqrt(np.mean(part**2)) for part in (fast[320:-40], rows[300:, 1], rows[300:, 2])]
-    return Row(rms[0], 1e3 * rms[1], rms[2])
+    ripple, tracking = (float(np.sqrt(np.mean(part**2))) for part in (fast[320:-40], rows[300:, 1]))
+    return Row(ripple, 1e3 * tracking)
 
 
-def rows(make: Callable[[], Any], bits: int, gains: Sequence[float] = GAINS) -> list[Row | None]:
-    """Runs at rising gains, up to the first that is unstable."""
+def at_limit(make: Callable[[], Any], bits: int, seed: int, **machine: Any) -> Limit:
+    """Gain and tracking error at the ripple that is allowed, between those of `GAINS`; NaN where it is never below."""
+    last, limit = None, np.log(LIMITS[bits])
+    for gain in GAINS:
+        row = run(make, gain, bits, seed, **machine)
+        if row is None:
+            break
+        new = np.log([row.ripple, 1.6 * gain, row.tracking])
+        if new[0] > limit:
+            if last is None:
+                break
+            share = (limit - last[0]) / (new[0] - last[0])
+            return Limit(*np.exp(last + share * (new - last))[1:])
+        last = new
+    return Limit(np.nan, np.nan) if last is None else Limit(*np.exp(last)[1:])
+
+
+def tune(kind: Kind, bits: int) -> tuple[float, ...]:
+    """The setting of the grids with which the arms of `TUNED` track best at the ripple that is allowed."""
+
+    def error(setting: tuple[float, ...]) -> float:
+        mean = np.mean([at_limit(kind.maker(*setting), bits, seed).tracking for seed in TUNED])
+        return float(np.nan_to_num(mean, nan=np.inf))
+
+    return min(itertools.product(*kind.grids), key=error)
+
+
+def across(make: Callable[[], Any], bits: int) -> list[Row | None]:
+    """Root mean squares over the arms of `JUDGED` for each of `GAINS`; None from that on where one is unstable."""
     found: list[Row | None] = []
-    for gain in gains:
-        found.append(None if found and found[-1] is None else run(make, gain, bits))
+    for gain in GAINS:
+        rows = [] if None in found else [run(make, gain, bits, seed) for seed in JUDGED]
+        found.append(None if None in rows or not rows else Row(*np.sqrt(np.mean(np.square(rows), axis=0))))
     return found
 
 
-def damping_at(found: Sequence[Row | None], limit: float) -> float:
-    """Largest Kd = 1.6 w [1/s] with a ripple below a limit, between those of `GAINS`; NaN where it is never below."""
-    stable = [(w, row.ripple) for w, row in zip(GAINS, found, strict=True) if row is not None]
-    over = next((i for i, (_, ripple) in enumerate(stable) if ripple > limit), len(stable))
-    if over in (0, len(stable)):
-        return np.nan if over == 0 else 1.6 * stable[-1][0]
-    (w0, r0), (w1, r1) = stable[over - 1 : over + 1]
-    return float(1.6 * w0 * (w1 / w0) ** (np.log(limit / r0) / np.log(r1 / r0)))
+def print_tables(sources: dict[str, Kind], bits: int) -> dict[str, list[Row | None]]:
+    """Print what the tuned sources allow, and their errors at some gains; returns those at `GAINS`."""
+    tuned, allowed, rows = {}, {}, {}
+    print(
+        f"\n| {bits} bits | setting | Kd at {LIMITS[bits]:g} N m | error there [mrad] |\n|---|---|--:|--:|", flush=True
+    )
+    for name, kind in sources.items():
+        setting = tuned[name] = tune(kind, bits)
+        make = kind.maker(*setting)
+        allowed[name] = np.array([at_limit(make, bits, seed) for seed in JUDGED])
+        rows[name] = across(make, bits)
+        (low, _), (high, _), (kd, error) = (f(allowed[name], axis=0) for f in (np.min, np.max, np.mean))
+        numbers = ", ".join(map("{:g}".format, setting))
+        print(f"| {name} | {numbers} | {kd:.0f} ({low:.0f} to {high:.0f}) | {error:.2f} |", flush=True)
+    own, rivals = allowed[OWN], np.stack([found for name, found in allowed.items() if name not in (OWN, WITHOUT)])
+    gain, error = own[:, 0] / rivals[..., 0].max(axis=0), rivals[..., 1].min(axis=0) / own[:, 1]
+    print(f"\n{OWN} and the best rival of each arm: gain × {spread(gain)}, tracking error ÷ {spread(error)}")
+    for change in ({"masses": 0.2}, {"torque_known": False}):
+        other = np.array([at_limit(sources[OWN].maker(*tuned[OWN]), bits, seed, **change) for seed in JUDGED])
+        print(f"{change}: Kd {spread(other[:, 0])}, tracking error {spread(other[:, 1])}", flush=True)
+    print(f"\n| {bits} bits | {' | '.join(f'w = {GAINS[i]:g}' for i in SHOWN)} |\n{'|---' * (len(SHOWN) + 1)}|")
+    for name, found in rows.items():
+        print(f"| {name} | {' | '.join(str(found[i] or 'unstable') for i in SHOWN)} |")
+    return rows
+
+
+def spread(values: np.ndarray) -> str:
+    """Mean, least and largest value."""
+    return f"{np.mean(values):.2f} ({np.min(values):.2f} to {np.max(values):.2f})"
+
+
+def draw(rows: dict[int, dict[str, list[Row | None]]], path: str) -> None:
+    """Draw ripple and tracking error against the gain, for both encoders."""
+    titles = [f"{bits} bits: {what}" for what in ("torque ripple", "tracking error") for bits in rows]
+    figure, axes = new_figure(2, len(rows), panel=(4.35, 2.5), titles=titles)
+    colours = dict(zip((OWN, WITHOUT), (PALETTE[0], PALETTE[5]), strict=True))
+    others = iter((PALETTE[2], PALETTE[3], PALETTE[6]))
+    for column, (bits, sources) in enumerate(rows.items()):
+        for name, found in sources.items():
+            colour = colours.get(name) or colours.setdefault(name, next(others))
+            stable = [(1.6 * gain, *row) for gain, row in zip(GAINS, found, strict=True) if row is not None]
+            kd, *values = np.transpose(stable)
+            for axis, each in zip(axes[:, column], values, strict=True):
+                style = {"ls": "--"} if name == WITHOUT else {}
+                axis.loglog(kd, each, color=colour, lw=2.2 if name == OWN else 1.4, label=name.strip("`"), **style)
+                axis.plot(kd[-1], each[-1], "x" if None in found else "", color=colour)
+        axes[0, column].axhline(LIMITS[bits], color="0.4", lw=1, ls=":")
+        axes[0, column].set_ylim(LIMITS[bits] / 20, LIMITS[bits] * 8)
+        axes[1, column].set_xlabel("gain Kd [1/s]; x: unstable above")
+    axes[0, 0].set_ylabel("[N m]")
+    axes[1, 0].set_ylabel("[mrad]")
+    axes[0, 0].legend(fontsize=8)
+    save_figure(figure, path)
 
 
 def main() -> None:
-    """Print a table for two encoders, and the gain at equal ripple of each kind with its best bandwidth."""
-
-    def differences(f: float) -> Callable[[], Any]:
-        return lambda: Source(observers.FilteredDerivative(2 * np.pi * f))
-
-    def loops(kind: Any, frequency: float) -> Callable[[], Any]:
-        return lambda: Source(kind(frequency))
-
+    """Print the tables for two encoders, and draw them where a file is named."""
     with tempfile.TemporaryDirectory() as folder:
-        arm = exported(f"{folder}/c")
-        kinds = {
-            "filtered difference, Hz": (differences, (10.0, 15.0, 20.0, 25.0, 30.0, 60.0)),
-            "tracking loop of 2nd order, rad/s": (partial(loops, observers.PLL), (200.0, 250.0, 300.0, 400.0, 600.0)),
-            "tracking loop of 3rd order, rad/s": (partial(loops, observers.HighGain), (150.0, 200.0, 250.0, 400.0)),
-            "`IntrinsicForce`, rad/s": (partial(with_force, arm), (100.0, 130.0, 180.0, 250.0)),
-            "without its force, rad/s": (partial(with_force, arm, third=0.0), (180.0, 400.0, 800.0)),
-        }
-        for bits, limit in ((17, 1.0), (20, 0.2)):
-            print(f"\n| {bits} bits | {' | '.join(f'w = {w:g}' for w in GAINS)} | Kd at {limit:g} N m |")
-            print("|---" * (len(GAINS) + 2) + "|")
-            for kind, (make, bandwidths) in kinds.items():
-                for bandwidth in bandwidths:
-                    found = rows(make(bandwidth), bits)
-                    cells = " | ".join(str(row or "unstable") for row in found)
-                    print(f"| {kind} {bandwidth:g} | {cells} | {damping_at(found, limit):.0f} |", flush=True)
+        sources = kinds(folder)
+        rows = {bits: print_tables(sources, bits) for bits in LIMITS}
+    for path in sys.argv[1:]:
+        draw(rows, path)
 
 
 if __name__ == "__main__":
