@@ -8,7 +8,7 @@ is `M(a + w²e + 1.6wė) + h` by the file of the robot. Its velocity comes from 
 filtered difference, of tracking loops of second and third order, and of `IntrinsicForce`, with and without its force.
 Ripple is the root mean square of the torque above about 25 Hz.
 
-Each of them is tuned in the same way: of a grid over its one or two numbers that setting is taken with which the arm
+Each of them is tuned in the same way: of a grid over its one to three numbers that setting is taken with which the arm
 tracks best at the gain that the ripple allows, on the machines of `TUNED`. The tables are of those of `JUDGED`, which
 have other masses, frictions, motions, loads and noise.
 """
@@ -38,8 +38,8 @@ NOISE, MASSES, LOST = 0.05, 0.05, 0.5
 LOAD, LOADED = np.array([0.0, 4.0, 0.0, 2.0, 0.0, 0.0, 0.0]), (0.6, 1.1)
 DAMPING, THIRD = 0.5**0.5, 0.35
 """Damping ratio of two poles, and the third one, the rate at which the force is learnt, over their frequency."""
-GAINS = (40.0, 48.0, 58.0, 70.0, 84.0, 100.0, 120.0, 145.0, 175.0, 210.0, 250.0, 300.0, 360.0, 430.0)
-SHOWN = (2, 4, 6, 8, 10)
+GAINS = (58.0, 70.0, 84.0, 100.0, 120.0, 145.0, 175.0, 210.0, 250.0, 300.0, 360.0, 430.0)
+SHOWN = (0, 2, 4, 6, 8)
 """Which of the gains the table has."""
 LIMITS = {17: 1.0, 20: 0.2}
 """Ripple [N m] that is allowed, by the bits of the encoders."""
@@ -103,9 +103,9 @@ def exported(spec: str | Path, folder: str, observer: str, parameters: Sequence[
     return importlib.import_module(name)
 
 
-def poles(frequency: float, third: float = THIRD) -> dict[str, float]:
-    """Gains of two poles at a frequency [rad/s] and of one at `third` times it."""
-    return {"alpha": 2 * DAMPING * frequency, "beta": frequency**2, "force_rate": third * frequency}
+def poles(frequency: float, third: float = THIRD, damping: float = DAMPING) -> dict[str, float]:
+    """Gains of two poles at a frequency [rad/s] with a damping ratio, and of one at `third` times the frequency."""
+    return {"alpha": 2 * damping * frequency, "beta": frequency**2, "force_rate": third * frequency}
 
 
 def panda(folder: str) -> Any:
@@ -123,23 +123,22 @@ def kinds(folder: str) -> dict[str, Kind]:
     arm, free = panda(folder), exported(masses, folder, "intrinsic-force", ["alpha", "beta", "force_rate"])
     difference = exported("panda", folder, "filtered-derivative", ["bandwidth"])
     loop = exported("panda", folder, "pll", ["bandwidth", "damping"])
-    frequencies, thirds = (60.0, 80.0, 100.0, 115.0, 130.0, 150.0, 180.0, 220.0, 280.0), (0.1, 0.2, 0.35, 0.6, 1.0)
     return {
         "filtered difference": Kind(
             difference,
             lambda hertz: {"bandwidth": 2 * np.pi * hertz},
-            ((8.0, 10.0, 12.5, 15.0, 17.5, 20.0, 25.0, 30.0, 40.0, 60.0),),
+            ((10.0, 12.5, 15.0, 17.5, 20.0, 25.0, 30.0, 40.0, 60.0, 90.0),),
         ),
         "tracking loop of 2nd order": Kind(
             loop,
             lambda frequency, damping: {"bandwidth": frequency, "damping": damping},
-            ((100.0, 130.0, 170.0, 200.0, 250.0, 300.0, 400.0, 520.0), (0.5, 0.7, 1.0, 1.4, 2.0)),
+            ((200.0, 300.0, 350.0, 400.0, 450.0, 520.0, 700.0, 900.0), (0.7, 1.0, 1.4, 1.7, 2.0, 2.5)),
         ),
         "tracking loop of 3rd order": Kind(
-            free, poles, ((100.0, 130.0, 170.0, 200.0, 250.0, 300.0, 400.0), (0.02, 0.05, 0.1, 0.2, 0.35))
+            free, poles, ((200.0, 250.0, 300.0, 400.0, 500.0, 700.0), (0.02, 0.05, 0.1, 0.2), (0.7, 1.0, 1.4))
         ),
-        OWN: Kind(arm, poles, (frequencies, thirds)),
-        WITHOUT: Kind(arm, functools.partial(poles, third=0.0), ((100.0, 130.0, 180.0, 250.0, 400.0, 600.0, 800.0),)),
+        OWN: Kind(arm, poles, ((80.0, 100.0, 115.0, 130.0, 150.0, 180.0, 220.0, 280.0), (0.2, 0.35, 0.6, 1.0, 1.5))),
+        WITHOUT: Kind(arm, functools.partial(poles, third=0.0), ((130.0, 180.0, 215.0, 250.0, 320.0, 400.0, 520.0),)),
     }
 
 
@@ -289,7 +288,7 @@ def draw(rows: dict[int, dict[str, list[Row | None]]], path: str) -> None:
                 axis.loglog(kd, each, color=colour, lw=2.2 if name == OWN else 1.4, label=name.strip("`"), **style)
                 axis.plot(kd[-1], each[-1], "x" if None in found else "", color=colour)
         axes[0, column].axhline(LIMITS[bits], color="0.4", lw=1, ls=":")
-        axes[0, column].set_ylim(LIMITS[bits] / 20, LIMITS[bits] * 8)
+        axes[0, column].set_ylim(LIMITS[bits] / 12, LIMITS[bits] * 10)
         axes[1, column].set_xlabel("gain Kd [1/s]; x: unstable above")
     axes[0, 0].set_ylabel("[N m]")
     axes[1, 0].set_ylabel("[mrad]")

@@ -52,16 +52,22 @@ def kalman(system: System, *sensors: observers.Sensor) -> observers.AbstractObse
     return observers.IntrinsicKalman(system.model, *covariances, substeps=1, sensors=sensors)
 
 
+def ekf(system: System) -> observers.AbstractObserver:
+    n = dimension(system)
+    return observers.EKF(system.model, 0.1 * jnp.eye(n), 1e-8 * jnp.eye(n), 1.0, substeps=1)
+
+
 OBSERVERS: dict[str, Callable[[System], observers.AbstractObserver]] = {
     "intrinsic": intrinsic,
     "gated": lambda system: observers.Gated(intrinsic(system), system.model, 1e-3, 1.0),
     "delayed": lambda system: observers.Delayed(intrinsic(system), 0.01, 250.0),
     "geodesic": lambda system: observers.Geodesic(system.model, 50.0, 1250.0, substeps=1),
+    "ekf": ekf,
     "kalman": kalman,
     "kalman with a gyro": lambda system: kalman(system, observers.gyro(system.model.space, system.link, 0.01)),
 }
 SHORT = {
-    "double pendulum": ("intrinsic", "gated", "delayed", "geodesic", "kalman"),
+    "double pendulum": ("intrinsic", "gated", "delayed", "geodesic", "ekf", "kalman"),
     "top": ("intrinsic", "gated"),
     "SCARA": ("intrinsic", "gated"),
     "Panda": ("intrinsic",),
@@ -69,8 +75,8 @@ SHORT = {
 """Steps that the short suite counts."""
 LONG = {
     "top": ("delayed", "geodesic", "kalman"),
-    "SCARA": ("delayed", "geodesic", "kalman", "kalman with a gyro"),
-    "Panda": ("gated",),
+    "SCARA": ("delayed", "geodesic", "ekf", "kalman", "kalman with a gyro"),
+    "Panda": ("gated", "ekf"),
     "quadruped": ("intrinsic",),
 }
 """Steps that the long suite counts."""
