@@ -167,11 +167,11 @@ def run(
     bits: int = 17,
     seed: int = 0,
     masses: float = MASSES,
-    torque_known: bool = True,
+    late: int = 0,
 ) -> Row | None:
     """A run in which the velocity comes from an observer; None where the loop is unstable.
 
-    Without `torque_known` the observer takes the command for the torque that acts, a sample before it does.
+    The observer is told the torque that acted, or the one of `late` samples before that.
     """
     plant, known, random, observer = machine(seed, masses), machine(), np.random.default_rng((seed, 1)), make()
     real, expected, inertia = mujoco.MjData(plant), mujoco.MjData(known), np.zeros((7, 7))
@@ -179,9 +179,9 @@ def run(
     pace, load = PACE * random.uniform(0.8, 1.2, 7), LOAD * random.uniform(0.5, 1.5) * random.choice((-1.0, 1.0))
     real.qpos[:] = REST
     mujoco.mj_forward(plant, real)
-    acting, sent, rows = np.zeros(7), None, np.empty((count, 2, 7))
+    commands, rows = [], np.empty((count, 2, 7))
     for k in range(count):
-        observer.step(tick * np.round(real.qpos / tick), dt, u=acting if torque_known or sent is None else sent)
+        observer.step(tick * np.round(real.qpos / tick), dt, u=commands[-2 - late] if commands else np.zeros(7))
         # The exported C of a tracking loop has one array for both, the others two or three.
         q, v = np.split(np.concatenate(observer.estimate())[:14], 2)
         turn = pace * k * dt
@@ -195,9 +195,9 @@ def run(
         if not (np.isfinite(rows[k]).all() and np.abs(rows[k, 1]).max() < LOST):
             return None
         # The command of a sample acts over the next one.
-        acting, sent = (new if sent is None else sent), new
+        commands = [*commands[-3:], new] if commands else [new] * 4
         loaded = load if LOADED[0] < k * dt < LOADED[1] else 0.0
-        real.qfrc_applied[:] = acting + NOISE * random.standard_normal(7) + loaded
+        real.qfrc_applied[:] = commands[-2] + NOISE * random.standard_normal(7) + loaded
         mujoco.mj_step(plant, real, nstep=STEPS)
     window = np.hanning(41) / np.hanning(41).sum()
     fast = rows[:, 0] - np.apply_along_axis(lambda u: np.convolve(u, window, "same"), 0, rows[:, 0])
@@ -258,7 +258,7 @@ def print_tables(sources: dict[str, Kind], bits: int) -> dict[str, list[Row | No
     own, rivals = allowed[OWN], np.stack([found for name, found in allowed.items() if name not in (OWN, WITHOUT)])
     gain, error = own[:, 0] / rivals[..., 0].max(axis=0), rivals[..., 1].min(axis=0) / own[:, 1]
     print(f"\n{OWN} and the best rival of each arm: gain × {spread(gain)}, tracking error ÷ {spread(error)}")
-    for change in ({"masses": 0.2}, {"torque_known": False}):
+    for change in ({"masses": 0.2}, {"late": 1}, {"late": -1}):
         other = np.array([at_limit(sources[OWN].maker(*tuned[OWN]), bits, seed, **change) for seed in JUDGED])
         print(f"{change}: Kd {spread(other[:, 0])}, tracking error {spread(other[:, 1])}", flush=True)
     print(f"\n| {bits} bits | {' | '.join(f'w = {GAINS[i]:g}' for i in SHOWN)} |\n{'|---' * (len(SHOWN) + 1)}|")
