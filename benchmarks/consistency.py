@@ -1,8 +1,8 @@
 """From what size of error on the intrinsic Kalman filter is no longer as accurate as it says: NEES and NIS by size.
 
 A thousand runs for each size, the truth drawn as the filter believes it is, as in the tests. Run
-`python benchmarks/consistency.py` from the repository's root. With `--bands` it prints instead how often the 95 % band of
-velocities holds the truth, on logs of a double pendulum of which the model does not know something.
+`python benchmarks/consistency.py` from the repository's root. With `--bands` it prints instead how often the 95 % band
+of velocities holds the truth, on logs of a double pendulum of which the model does not know something.
 """
 
 import sys
