@@ -34,6 +34,8 @@ REST = np.array([0.0, 0.2, 0.0, -1.6, 0.0, 1.8, 0.5])
 SWING = np.array([0.4, 0.25, 0.35, 0.3, 0.45, 0.35, 0.5])
 PACE = np.array([2.1, 2.9, 2.5, 3.3, 3.7, 2.3, 4.1])
 FRICTION = np.array([0.6, 0.6, 0.5, 0.5, 0.3, 0.3, 0.2])
+ROTORS = np.array([0.3, 0.3, 0.2, 0.2, 0.05, 0.05, 0.03])
+"""Inertias of rotors as felt at the joints [kg m²], which the arm has only where that is asked."""
 NOISE, MASSES, LOST = 0.05, 0.05, 0.5
 LOAD, LOADED = np.array([0.0, 4.0, 0.0, 2.0, 0.0, 0.0, 0.0]), (0.6, 1.1)
 DAMPING, THIRD = 0.5**0.5, 0.35
@@ -44,6 +46,8 @@ SHOWN = (0, 2, 4, 6, 8)
 LIMITS = {17: 1.0, 20: 0.2}
 """Ripple [N m] that is allowed, by the bits of the encoders."""
 OWN, WITHOUT = "`IntrinsicForce`", "without its force"
+BEST, BEST_DIFFERENCE = (100.0, 1.0), (17.5,)
+"""The settings that are found for 17 bits."""
 TUNED, JUDGED = (0, 1), tuple(range(10, 18))
 
 
@@ -76,7 +80,7 @@ class Kind(NamedTuple):
         return lambda: self.module.Observer(self.parameters(*setting))
 
 
-def exported(spec: str | Path, folder: str, observer: str, parameters: Sequence[str]) -> Any:
+def exported(spec: str | Path, folder: str, observer: str, parameters: Sequence[str], suffix: str = "", **more) -> Any:
     """The Python module around the C of an observer. The gate is left out: no reading is wrong here."""
     overrides = {
         "measurement.std": 2 * np.pi / 2**17 / 12**0.5,
@@ -86,7 +90,7 @@ def exported(spec: str | Path, folder: str, observer: str, parameters: Sequence[
     }
     if observer == "intrinsic-force":
         overrides |= {"design.natural_frequency": 180.0, "design.force_rate": THIRD * 180.0}
-    name = f"{Path(spec).stem}_{observer.replace('-', '_')}"
+    name = f"{Path(spec).stem}_{observer.replace('-', '_')}{suffix}"
     covariant.export(
         str(spec),
         f"{folder}/{name}",
@@ -97,7 +101,7 @@ def exported(spec: str | Path, folder: str, observer: str, parameters: Sequence[
         parameters=list(parameters),
         audit=False,
         gate=False,
-        overrides=overrides,
+        overrides=overrides | more,
     )
     sys.path.insert(0, f"{folder}/{name}/python")
     return importlib.import_module(name)
@@ -108,9 +112,11 @@ def poles(frequency: float, third: float = THIRD, damping: float = DAMPING) -> d
     return {"alpha": 2 * damping * frequency, "beta": frequency**2, "force_rate": third * frequency}
 
 
-def panda(folder: str) -> Any:
-    """The module of `IntrinsicForce` for the robot of the file."""
-    return exported("panda", folder, "intrinsic-force", ["alpha", "beta", "force_rate"])
+def panda(folder: str, rotors: bool = False) -> Any:
+    """The module of `IntrinsicForce` for the robot of the file, or for the same with `ROTORS`."""
+    armature = {f"panda_joint{i + 1}": float(inertia) for i, inertia in enumerate(ROTORS)}
+    more = {"suffix": "_rotors", "parameters.armature": armature} if rotors else {}
+    return exported("panda", folder, "intrinsic-force", ["alpha", "beta", "force_rate"], **more)
 
 
 def kinds(folder: str) -> dict[str, Kind]:
@@ -143,13 +149,13 @@ def kinds(folder: str) -> dict[str, Kind]:
 
 
 @functools.cache
-def machine(seed: int | None = None, masses: float = MASSES) -> mujoco.MjModel:
-    """The robot of the file, or one with masses and inertias that are off and with friction."""
+def machine(seed: int | None = None, masses: float = MASSES, rotors: float = 0.0) -> mujoco.MjModel:
+    """The robot of the file, or one with masses and inertias that are off and with friction; and a part of `ROTORS`."""
     model = mujoco.MjModel.from_xml_string(robots.located("panda").read_text(encoding="utf-8"))
     model.opt.timestep, model.opt.gravity[:] = 1 / (RATE * STEPS), (0, 0, -9.81)
     model.opt.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
-    model.jnt_limited[:], model.dof_armature[:] = 0, 0
+    model.jnt_limited[:], model.dof_armature[:] = 0, rotors * ROTORS
     model.dof_frictionloss[:] = model.dof_damping[:] = 0
     if seed is not None:
         random = np.random.default_rng(seed)
@@ -167,13 +173,16 @@ def run(
     bits: int = 17,
     seed: int = 0,
     masses: float = MASSES,
+    rotors: tuple[float, float] = (0.0, 0.0),
     late: int = 0,
 ) -> Row | None:
     """A run in which the velocity comes from an observer; None where the loop is unstable.
 
-    The observer is told the torque that acted, or the one of `late` samples before that.
+    The observer is told the torque that acted, or the one of `late` samples before that. The arm has the first part of
+    `ROTORS`, and the controller knows of the second.
     """
-    plant, known, random, observer = machine(seed, masses), machine(), np.random.default_rng((seed, 1)), make()
+    plant, known = machine(seed, masses, rotors[0]), machine(rotors=rotors[1])
+    random, observer = np.random.default_rng((seed, 1)), make()
     real, expected, inertia = mujoco.MjData(plant), mujoco.MjData(known), np.zeros((7, 7))
     dt, tick, count = 1 / RATE, 2 * np.pi / 2**bits, round(SECONDS * RATE)
     pace, load = PACE * random.uniform(0.8, 1.2, 7), LOAD * random.uniform(0.5, 1.5) * random.choice((-1.0, 1.0))
@@ -258,13 +267,31 @@ def print_tables(sources: dict[str, Kind], bits: int) -> dict[str, list[Row | No
     own, rivals = allowed[OWN], np.stack([found for name, found in allowed.items() if name not in (OWN, WITHOUT)])
     gain, error = own[:, 0] / rivals[..., 0].max(axis=0), rivals[..., 1].min(axis=0) / own[:, 1]
     print(f"\n{OWN} and the best rival of each arm: gain × {spread(gain)}, tracking error ÷ {spread(error)}")
-    for change in ({"masses": 0.2}, {"late": 1}, {"late": -1}):
-        other = np.array([at_limit(sources[OWN].maker(*tuned[OWN]), bits, seed, **change) for seed in JUDGED])
-        print(f"{change}: Kd {spread(other[:, 0])}, tracking error {spread(other[:, 1])}", flush=True)
     print(f"\n| {bits} bits | {' | '.join(f'w = {GAINS[i]:g}' for i in SHOWN)} |\n{'|---' * (len(SHOWN) + 1)}|")
     for name, found in rows.items():
         print(f"| {name} | {' | '.join(str(found[i] or 'unstable') for i in SHOWN)} |")
     return rows
+
+
+def print_losses(sources: dict[str, Kind], rotors: Any, bits: int = 17) -> None:
+    """Print what the observer and a difference allow on arms of which more is unknown, with settings tuned before."""
+    own, difference = sources[OWN].maker(*BEST), sources["filtered difference"].maker(*BEST_DIFFERENCE)
+    known = Kind(rotors, poles, ()).maker(*BEST)
+    changes = {
+        "as above": (own, {}),
+        "masses off by up to 20 %": (own, {"masses": 0.2}),
+        "the torque told one sample late": (own, {"late": 1}),
+        "the torque told one sample early": (own, {"late": -1}),
+        "rotors that the file does not know": (own, {"rotors": (1.0, 0.0)}),
+        "rotors 10 % heavier than in the file": (known, {"rotors": (1.1, 1.0)}),
+    }
+    print(f"\n| {bits} bits | Kd | error [mrad] | filtered difference: Kd | error [mrad] |\n|---|--:|--:|--:|--:|")
+    for name, (make, change) in changes.items():
+        pairs = [
+            np.mean([at_limit(each, bits, seed, **change) for seed in JUDGED], axis=0) for each in (make, difference)
+        ]
+        cells = " | ".join(f"{kd:.0f} | {error:.2f}" for kd, error in pairs)
+        print(f"| {name} | {cells} |", flush=True)
 
 
 def spread(values: np.ndarray) -> str:
@@ -301,6 +328,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         sources = kinds(folder)
         rows = {bits: print_tables(sources, bits) for bits in LIMITS}
+        print_losses(sources, panda(folder, rotors=True))
     for path in sys.argv[1:]:
         draw(rows, path)
 
