@@ -45,7 +45,7 @@ SHOWN = (0, 2, 4, 6, 8)
 """Which of the gains the table has."""
 LIMITS = {17: 1.0, 20: 0.2}
 """Ripple [N m] that is allowed, by the bits of the encoders."""
-OWN, WITHOUT = "`IntrinsicForce`", "without its force"
+OWN, WITHOUT = "`intrinsic-force`", "without its force"
 BEST, BEST_DIFFERENCE = (100.0, 1.0), (17.5,)
 """The settings that are found for 17 bits."""
 TUNED, JUDGED = (0, 1), tuple(range(10, 18))
@@ -315,11 +315,16 @@ def draw(rows: dict[int, dict[str, list[Row | None]]], path: str) -> None:
                 axis.loglog(kd, each, color=colour, lw=2.2 if name == OWN else 1.4, label=name.strip("`"), **style)
                 axis.plot(kd[-1], each[-1], "x" if None in found else "", color=colour)
         axes[0, column].axhline(LIMITS[bits], color="0.4", lw=1, ls=":")
-        axes[0, column].set_ylim(LIMITS[bits] / 12, LIMITS[bits] * 10)
+        axes[0, column].set_ylim(LIMITS[bits] / 30, LIMITS[bits] * 10)
         axes[1, column].set_xlabel("gain Kd [1/s]; x: unstable above")
+        axes[1, column].set_xticks([100, 200, 400])
+    for axis in axes.flat:
+        axis.minorticks_off()
+        axis.xaxis.set_major_formatter("{x:g}")
+        axis.yaxis.set_major_formatter("{x:g}")
     axes[0, 0].set_ylabel("[N m]")
     axes[1, 0].set_ylabel("[mrad]")
-    axes[0, 0].legend(fontsize=8)
+    axes[0, 0].legend(loc="lower right", fontsize=8)
     save_figure(figure, path)
 
 
