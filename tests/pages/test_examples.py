@@ -31,6 +31,7 @@ each_page = over(EXECUTED)
     "spaces.md",
     "step-by-hand.md",
     "tuning.md",
+    "twice-the-gain.md",
     "your-log.md",
 )
 @each_page
