@@ -5,11 +5,13 @@
 
 import ast
 import re
+import tomllib
 from pathlib import Path
 from typing import NamedTuple
 
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
+from mkdocs.structure.pages import Page
 
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "src" / "covariant"
@@ -18,6 +20,22 @@ IMAGES = ROOT / "docs" / "images"
 WITHOUT_PAGE = ("cli", "papers")
 LATER = "---\nsearch:\n  boost: 0.5\n---\n\n"
 """Head of a page that the search lists behind those that explain."""
+SEARCHED = {
+    "forces.md": ["external torque", "external force", "disturbance observer", "contact force", "collision", "wrench"],
+    "identification.md": ["system identification", "parameter estimation", "friction", "inertia", "calibration"],
+    "logs.md": ["encoder resolution", "quantisation", "quantization", "encoder ticks", "CSV", "rosbag"],
+    "observers.md": ["residual", "innovation", "outliers", "Kalman filter", "delay", "time delay"],
+    "smoothing.md": ["offline", "Rauch–Tung–Striebel", "RTS smoother", "fixed lag", "zero phase"],
+    "step-by-hand.md": ["Python API", "real time", "stream"],
+    "tuning.md": ["noise covariance", "Q and R", "observer gains", "maximum likelihood"],
+    "without-a-model.md": ["Savitzky–Golay", "tracking loop", "PLL", "filtered derivative", "lag"],
+    "ekf.md": ["EKF", "extended Kalman filter", "UKF"],
+    "firmware.md": ["microcontroller", "embedded", "Arduino", "C code"],
+    "ros.md": ["ROS 2", "JointState"],
+    "fmu.md": ["Simulink", "Modelica"],
+    "robots.md": ["URDF", "MJCF", "MuJoCo"],
+}
+"""Words under which the search finds a page, beside those that it has."""
 
 
 def front_page(readme: str) -> str:
@@ -97,10 +115,29 @@ def gallery_index(scripts: list[Script]) -> str:
 
 
 def rooms() -> dict[str, list[str]]:
-    """The public names of every room, from its text; none where everything without an underscore is public."""
+    """The public names of every room, in the order of `docs/api.md`; the rooms that it does not have come last.
+
+    A room without names shows everything without an underscore.
+    """
     paths = [*PACKAGE.glob("*/**/__init__.py"), *PACKAGE.glob("[!_]*.py")]
-    found = {".".join(p.relative_to(PACKAGE).with_suffix("").parts).removesuffix(".__init__"): names(p) for p in paths}
-    return {room: listed for room, listed in sorted(found.items()) if room not in WITHOUT_PAGE}
+    found = {".".join(p.relative_to(PACKAGE).with_suffix("").parts).removesuffix(".__init__"): p for p in paths}
+    order = api_order()
+    last = sorted(set(found) - set(order) - set(WITHOUT_PAGE))
+    return {"": order[""]} | {
+        room: sorted_names(names(found[room]), order.get(room, [])) for room in [*order, *last] if room
+    }
+
+
+def api_order() -> dict[str, list[str]]:
+    """Rooms and names in the order of the page `docs/api.md`; the package itself, with the verbs, is the room ""."""
+    page = (ROOT / "docs" / "api.md").read_text(encoding="utf-8")
+    parts = re.split(r"^## covariant\.?", page, flags=re.MULTILINE)[1:]
+    return {part.partition("\n")[0]: re.findall(r"^- \*\*`(\w+)`\*\*", part, re.MULTILINE) for part in parts}
+
+
+def sorted_names(listed: list[str], order: list[str]) -> list[str]:
+    """Names in an order, with those that it lacks behind it."""
+    return [name for name in order if name in listed] + [name for name in listed if name not in order]
 
 
 def names(path: Path) -> list[str]:
@@ -115,16 +152,34 @@ def names(path: Path) -> list[str]:
 def reference(room: str, listed: list[str]) -> str:
     """The page of one room."""
     options = "    options:\n      members:\n" + "".join(f"        - {name}\n" for name in listed) if listed else ""
-    return f"{LATER}# covariant.{room}\n\n::: covariant.{room}\n{options}"
+    title = f"covariant.{room}".removesuffix(".")
+    return f"{LATER}# {title}\n\n::: {title}\n{options}"
 
 
 def on_config(config: MkDocsConfig) -> None:
-    """Put gallery and reference into the navigation, before and behind the notation."""
+    """Put the gallery and the reference into the navigation, and the version into the foot of every page."""
     assert config.nav is not None
-    place = next(k for k, entry in enumerate(config.nav) if "Notation" in entry)
+    place = next(k for k, entry in enumerate(config.nav) if "API" in entry)
     pages = [{script.name: script.page} for script in gallery()]
-    config.nav.insert(place + 1, {"API reference": [{f"covariant.{room}": f"reference/{room}.md"} for room in rooms()]})
+    public, reference = len(api_order()), [{title: page} for page, title in _reference_pages().items()]
+    config.nav[place]["API"] += [*reference[:public], {"Inside the library": reference[public:]}]
     config.nav.insert(place, {"Gallery": [{"All scripts": "gallery/index.md"}, *pages]})
+    version = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["version"]
+    config.copyright = f"covariant {version} · BSD-3-Clause"
+
+
+def _reference_pages() -> dict[str, str]:
+    """The page of each room, with its title."""
+    titles = [f"covariant.{room}".removesuffix(".") for room in rooms()]
+    return {f"reference/{title.removeprefix('covariant.')}.md": title for title in titles}
+
+
+def on_page_markdown(markdown: str, page: Page, **_: object) -> None:
+    """Let the search list guides first, and find them by the words that others use."""
+    if page.file.src_uri in SEARCHED:
+        page.meta["tags"] = SEARCHED[page.file.src_uri]
+    if page.file.src_uri.count("/") == 0:
+        page.meta.setdefault("search", {"boost": 2})
 
 
 def on_files(files: Files, config: MkDocsConfig) -> None:
@@ -137,7 +192,7 @@ def on_files(files: Files, config: MkDocsConfig) -> None:
         "gallery/index.md": gallery_index(scripts),
     }
     text |= {script.page: gallery_page(script) for script in scripts}
-    text |= {f"reference/{room}.md": reference(room, listed) for room, listed in rooms().items()}
+    text |= dict(zip(_reference_pages(), (reference(*room) for room in rooms().items()), strict=True))
     for name, content in text.items():
         files.append(File.generated(config, name, content=content))
     for figure in {script.figure for script in scripts if script.figure and script.figure.parent != IMAGES}:
