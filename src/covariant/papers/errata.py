@@ -194,7 +194,7 @@ ERRATA: tuple[Erratum, ...] = (
         "K2 = A1 − Rᵀ(ψ)",
         "K2 = A1 + Rᵀ(ψ), where also A2 + A2ᵀ < 0",
         "a sign",
-        "the error of the supply vessel is unstable: its largest real part is +0.60 instead of −0.52, in its scaled time",
+        "the error of the supply vessel is unstable: its largest real part is +0.60 and not −0.52, in its scaled time",
         f"{_FOSSEN}::test_printed_gain_of_the_ship_is_unstable_and_the_corrected_one_is_not",
     ),
     Erratum(
