@@ -133,7 +133,7 @@ def api_page() -> str:
     for room in ROOMS:
         module = importlib.import_module(f"covariant.{room}")
         names = [name for name in module.__all__ if not inspect.ismodule(getattr(module, name))]
-        parts.append(_api_of(f"covariant.{room}", module, sorted(names, key=_use)))
+        parts.append(_api_of(f"covariant.{room}", module, sorted(names, key=partial(_use, module))))
     return head + "\n\n".join(parts) + "\n"
 
 
@@ -142,9 +142,9 @@ def _api_of(title: str, module: ModuleType, names: list[str]) -> str:
     return "\n".join([f"## {title}", "", _about_room(module), "", *entries])
 
 
-def _use(name: str) -> tuple[bool, str]:
+def _use(module: ModuleType, name: str) -> tuple[bool, str]:
     """Key of the order in which a user looks for names: constants and what is to be inherited from come last."""
-    return name.startswith("Abstract") or name.isupper(), name.lower()
+    return name.startswith("Abstract") or not callable(getattr(module, name)), name.lower()
 
 
 def _about_room(module: ModuleType) -> str:
