@@ -1,4 +1,4 @@
-"""How large may the first error be? Basins of observers with sampled measurements, by gain and sampling interval.
+"""How large may the initial error be? Basins of observers with sampled measurements, by gain and sampling interval.
 
 Each observer starts with an error of position and velocity that is a multiple of one direction: on the ball and beam
 that of figure 4 of Aghannan & Rouchon 2003, on the double pendulum .2 rad and 2 rad/s a joint, on the heavy top .3 rad

@@ -112,6 +112,8 @@ def llms_text() -> str:
     return "\n".join(["# covariant", "", f"> {_paragraph(readme)}", "", "## Pages", "", *lines, ""])
 
 
+VERBS = ("check", "fit", "tune", "estimate", "smooth", "compare", "simulate", "design_excitation", "export", "certify")
+"""The verbs in the order in which a user meets them."""
 ROOMS = (
     *("models", "models.robots", "models.marine", "observers", "logs", "simulation", "calibration", "engine"),
     *("codegen", "certificates", "certificates.audit", "geometry", "geometry.lie", "metrics", "lowering", "proofs"),
@@ -126,18 +128,23 @@ def api_page() -> str:
         "# API\n\nThe names for users. The changelog says when one of them changes. Other names can be imported too, "
         "but serve the library itself.\n\n"
     )
-    front = ["Record", "StepCode", "Run", *covariant.VERBS]
-    parts = [_api_of("covariant", covariant, front)]
+    parts = [_api_of("covariant", covariant, [*VERBS, "Record", "Run", "StepCode"])]
+    assert set(VERBS) == set(covariant.VERBS)
     for room in ROOMS:
         module = importlib.import_module(f"covariant.{room}")
         names = [name for name in module.__all__ if not inspect.ismodule(getattr(module, name))]
-        parts.append(_api_of(f"covariant.{room}", module, names))
+        parts.append(_api_of(f"covariant.{room}", module, sorted(names, key=partial(_use, module))))
     return head + "\n\n".join(parts) + "\n"
 
 
 def _api_of(title: str, module: ModuleType, names: list[str]) -> str:
-    entries = [f"- **`{name}`**: {_prose(_documentation(module, name))}" for name in sorted(names, key=str.lower)]
+    entries = [f"- **`{name}`**: {_prose(_documentation(module, name))}" for name in names]
     return "\n".join([f"## {title}", "", _about_room(module), "", *entries])
+
+
+def _use(module: ModuleType, name: str) -> tuple[bool, str]:
+    """Key of the order in which a user looks for names: constants and what is to be inherited from come last."""
+    return name.startswith("Abstract") or not callable(getattr(module, name)), name.lower()
 
 
 def _about_room(module: ModuleType) -> str:

@@ -5,11 +5,14 @@
 
 import ast
 import re
+import tomllib
+from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
+from mkdocs.structure.pages import Page
 
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "src" / "covariant"
@@ -18,6 +21,22 @@ IMAGES = ROOT / "docs" / "images"
 WITHOUT_PAGE = ("cli", "papers")
 LATER = "---\nsearch:\n  boost: 0.5\n---\n\n"
 """Head of a page that the search lists behind those that explain."""
+SEARCHED = {
+    "forces.md": ["external torque", "external force", "disturbance observer", "contact force", "collision", "wrench"],
+    "identification.md": ["system identification", "parameter estimation", "friction", "inertia", "calibration"],
+    "logs.md": ["encoder resolution", "quantisation", "quantization", "encoder ticks", "CSV", "rosbag"],
+    "observers.md": ["residual", "innovation", "outliers", "Kalman filter", "delay", "time delay"],
+    "smoothing.md": ["offline", "Rauch–Tung–Striebel", "RTS smoother", "fixed lag", "zero phase"],
+    "step-by-hand.md": ["Python API", "real time", "stream"],
+    "tuning.md": ["noise covariance", "Q and R", "observer gains", "maximum likelihood"],
+    "without-a-model.md": ["Savitzky–Golay", "tracking loop", "PLL", "filtered derivative", "lag"],
+    "ekf.md": ["EKF", "extended Kalman filter", "UKF"],
+    "firmware.md": ["microcontroller", "embedded", "Arduino", "C code"],
+    "ros.md": ["ROS 2", "JointState"],
+    "fmu.md": ["Simulink", "Modelica"],
+    "robots.md": ["URDF", "MJCF", "MuJoCo"],
+}
+"""Words under which the search finds a page, beside those that it has."""
 
 
 def front_page(readme: str) -> str:
@@ -96,15 +115,57 @@ def gallery_index(scripts: list[Script]) -> str:
     )
 
 
-def rooms() -> dict[str, list[str]]:
-    """The public names of every room, from its text; none where everything without an underscore is public."""
+@cache
+def defined() -> set[str]:
+    """Names of the classes of the library."""
+    sources = (path.read_text(encoding="utf-8") for path in PACKAGE.rglob("*.py"))
+    return {name for source in sources for name in re.findall(r"^class (\w+)", source, re.MULTILINE)}
+
+
+class Room(NamedTuple):
+    """A room of the library: its full name, and its public names in the order of `docs/api.md`.
+
+    `about` has the first sentence of each name that is for users. Their classes have a page each.
+    """
+
+    title: str
+    listed: list[str]
+    about: dict[str, str]
+
+    @property
+    def page(self) -> str:
+        return f"reference/{self.title.removeprefix('covariant.')}.md"
+
+    @property
+    def classes(self) -> dict[str, str]:
+        """Page of each class for users."""
+        return {name: f"{self.page.removesuffix('.md')}/{name}.md" for name in self.about if name in defined()}
+
+
+def rooms() -> list[Room]:
+    """The rooms for users in the order of `docs/api.md`, and behind them the others."""
+    users = {f"covariant.{name}".removesuffix("."): about for name, about in api_page().items()}
     paths = [*PACKAGE.glob("*/**/__init__.py"), *PACKAGE.glob("[!_]*.py")]
-    found = {".".join(p.relative_to(PACKAGE).with_suffix("").parts).removesuffix(".__init__"): names(p) for p in paths}
-    return {room: listed for room, listed in sorted(found.items()) if room not in WITHOUT_PAGE}
+    found = {
+        ".".join(path.relative_to(PACKAGE.parent).with_suffix("").parts).removesuffix(".__init__"): path
+        for path in paths
+    }
+    rest = sorted(set(found) - set(users) - {f"covariant.{name}" for name in WITHOUT_PAGE})
+    return [Room(title, list(about), about) for title, about in users.items()] + [
+        Room(title, names(found[title]), {}) for title in rest
+    ]
+
+
+def api_page() -> dict[str, dict[str, str]]:
+    """First sentence of each name in each room of `docs/api.md`; the package itself, with the verbs, is the room ""."""
+    page = (ROOT / "docs" / "api.md").read_text(encoding="utf-8")
+    entry = re.compile(r"^- \*\*`(\w+)`\*\*: (.+?(?:\.(?= )|$))", re.MULTILINE)
+    parts = re.split(r"^## covariant\.?", page, flags=re.MULTILINE)[1:]
+    return {part.partition("\n")[0]: dict(entry.findall(part)) for part in parts}
 
 
 def names(path: Path) -> list[str]:
-    """What a room's stub, or a file, lists in `__all__`."""
+    """What a room's stub, or a file, lists in `__all__`; nothing if everything without an underscore is public."""
     stub = path.with_suffix(".pyi")
     for node in ast.parse((stub if stub.exists() else path).read_text(encoding="utf-8")).body:
         if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "__all__":
@@ -112,19 +173,42 @@ def names(path: Path) -> list[str]:
     return []
 
 
-def reference(room: str, listed: list[str]) -> str:
-    """The page of one room."""
-    options = "    options:\n      members:\n" + "".join(f"        - {name}\n" for name in listed) if listed else ""
-    return f"{LATER}# covariant.{room}\n\n::: covariant.{room}\n{options}"
+def reference(room: Room) -> dict[str, str]:
+    """The pages of one room and of its classes."""
+    rows = [f"| [`{name}`][{room.title}.{name}] | {text} |\n" for name, text in room.about.items()]
+    table = "| name | what it is |\n|---|---|\n" + "".join(rows) + "\n" if rows else ""
+    members = [name for name in room.listed if name not in room.classes]
+    chosen = "      members:" + ("".join(f"\n        - {name}" for name in members) or " false") if room.listed else ""
+    options = f"    options:\n      summary: {'false' if rows else 'true'}\n{chosen}\n"
+    head = "    options:\n      heading_level: 1\n      show_root_heading: true\n      show_root_full_path: false\n"
+    pages = {page: f"{LATER}::: {room.title}.{name}\n{head}" for name, page in room.classes.items()}
+    return {room.page: f"{LATER}# {room.title}\n\n{table}::: {room.title}\n{options}"} | pages
+
+
+def _entry(room: Room) -> dict:
+    """A room in the navigation, and below it its classes."""
+    classes = [{name: page} for name, page in room.classes.items()]
+    return {room.title: [{"Overview": room.page}, *classes] if classes else room.page}
 
 
 def on_config(config: MkDocsConfig) -> None:
-    """Put gallery and reference into the navigation, before and behind the notation."""
+    """Put the gallery and the reference into the navigation, and the version into the foot of every page."""
     assert config.nav is not None
-    place = next(k for k, entry in enumerate(config.nav) if "Notation" in entry)
+    place = next(k for k, entry in enumerate(config.nav) if "API" in entry)
     pages = [{script.name: script.page} for script in gallery()]
-    config.nav.insert(place + 1, {"API reference": [{f"covariant.{room}": f"reference/{room}.md"} for room in rooms()]})
+    users, inside = [room for room in rooms() if room.about], [room for room in rooms() if not room.about]
+    config.nav[place]["API"] += [*map(_entry, users), {"Inside the library": [*map(_entry, inside)]}]
     config.nav.insert(place, {"Gallery": [{"All scripts": "gallery/index.md"}, *pages]})
+    version = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["version"]
+    config.copyright = f"covariant {version} · BSD-3-Clause"
+
+
+def on_page_markdown(markdown: str, page: Page, **_: object) -> None:
+    """Let the search list guides first, and find them by the words that others use."""
+    if page.file.src_uri in SEARCHED:
+        page.meta["tags"] = SEARCHED[page.file.src_uri]
+    if page.file.src_uri.count("/") == 0:
+        page.meta.setdefault("search", {"boost": 2})
 
 
 def on_files(files: Files, config: MkDocsConfig) -> None:
@@ -137,7 +221,8 @@ def on_files(files: Files, config: MkDocsConfig) -> None:
         "gallery/index.md": gallery_index(scripts),
     }
     text |= {script.page: gallery_page(script) for script in scripts}
-    text |= {f"reference/{room}.md": reference(room, listed) for room, listed in rooms().items()}
+    for room in rooms():
+        text |= reference(room)
     for name, content in text.items():
         files.append(File.generated(config, name, content=content))
     for figure in {script.figure for script in scripts if script.figure and script.figure.parent != IMAGES}:

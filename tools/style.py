@@ -1,9 +1,11 @@
 """The style of a package of Python in numbers: docstrings, examples, comments, private words, long functions and files.
 
     python tools/style.py [FOLDER ...]
+    python tools/style.py --pages
 
-For each folder, by default this library's own, prints one line a number. What is public is what has no name with a
-leading underscore, whichever file it is in. Prose is docstrings and comments.
+For each folder, by default this library's own, prints one line per number. What is public is what has no name with a
+leading underscore, whichever file it is in. Prose is docstrings and comments. With `--pages`, every number in README,
+changelog and `docs` gets the zero that SI wants before its decimal point.
 """
 
 import argparse
@@ -23,6 +25,10 @@ WORDS = {
 }
 """Words that say little by themselves: right English in places, and riddles as names."""
 MOST_PARAMETERS, LONGEST_BODY, LONGEST_FILE = 7, 60, 400
+WITHOUT_ZERO = re.compile(r"(?<![\w.)\]\\:%~])\.(?=\d)")
+"""The decimal point of a number without a digit before it; those of formats, as in `{x:.3f}`, are none."""
+ROOT = Path(__file__).parents[1]
+PAGES = [ROOT / "README.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").glob("*.md"))]
 Function = ast.FunctionDef | ast.AsyncFunctionDef
 
 
@@ -131,6 +137,11 @@ def measure(folder: Path) -> Style:
     return Style(numbers, words, wide, long, large)
 
 
+def with_zeros(text: str) -> str:
+    """The text with a zero before each decimal point that has no digit there."""
+    return WITHOUT_ZERO.sub("0.", text)
+
+
 def report(name: str, style: Style) -> str:
     """The numbers as lines of text."""
     of = style.numbers
@@ -153,7 +164,11 @@ def main() -> None:
     """Print the numbers of the folders that are named."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("folders", nargs="*", type=Path, default=[HERE])
-    for folder in parser.parse_args().folders:
+    parser.add_argument("--pages", action="store_true", help="write zeros before decimal points into the pages")
+    options = parser.parse_args()
+    for page in PAGES if options.pages else ():
+        page.write_text(with_zeros(page.read_text(encoding="utf-8")), encoding="utf-8")
+    for folder in options.folders if not options.pages else ():
         print(report(str(folder), measure(folder)))
 
 

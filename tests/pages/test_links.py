@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 from pages import WRITTEN
+from style import PAGES as WITH_NUMBERS, with_zeros
 
 from covariant import observers
 
@@ -43,6 +44,14 @@ def test_the_site_names_every_page():
     navigation = (ROOT / "mkdocs.yml").read_text(encoding="utf-8").split("nav:")[-1]
     named = re.findall(r"[\w/-]+\.md", navigation)
     assert sorted(named) == sorted(["index.md", *(page.name for page in PAGES[1:])])
+
+
+def test_numbers_have_a_zero_before_their_decimal_point():
+    texts = {page.name: page.read_text(encoding="utf-8") for page in WITH_NUMBERS}
+    assert not [name for name, text in texts.items() if with_zeros(text) != text], "run: python tools/style.py --pages"
+    assert with_zeros("`--push .5,.2`, -.03 or (.9), v.2, 1.5, {x[.1]:.3f}, %.4g") == (
+        "`--push 0.5,0.2`, -0.03 or (0.9), v.2, 1.5, {x[0.1]:.3f}, %.4g"
+    )
 
 
 @pytest.mark.parametrize("path", WRITTEN, ids=lambda p: p.name)

@@ -1,6 +1,7 @@
 """The site builds without a warning, is searched without a server, and asks no other machine for anything."""
 
 import importlib.util
+import json
 import os
 import shutil
 import subprocess
@@ -46,6 +47,26 @@ def test_what_is_wrong_with_a_site_is_found(site, tmp_path):
         "choose.html loads gone.png, which is not there",
         "choose.html loads http://a.b/c.png, from elsewhere",
     ]
+
+
+def test_pages_are_found_by_the_words_of_others(site):
+    script = (site / "search" / "search_index.js").read_text(encoding="utf-8")
+    entries = json.loads(script.removeprefix("var __index = "))["docs"]
+    found = {tag: entry["location"] for entry in entries for tag in entry.get("tags", ())}
+    for words, page in (
+        ("quantisation", "logs.html"),
+        ("external torque", "forces.html"),
+        ("residual", "observers.html"),
+    ):
+        assert found[words].startswith(page)
+
+
+def test_every_class_for_users_has_a_page(site):
+    pages = {path.stem for path in (site / "reference" / "observers").glob("*.html")}
+    assert {"Intrinsic", "EKF", "AbstractObserver"} <= pages
+    assert "REGISTRY" not in pages
+    table = (site / "reference" / "observers.html").read_text(encoding="utf-8")
+    assert table.index("observers/Intrinsic.html") < table.index("observers/AbstractObserver.html")
 
 
 def test_the_gallery_and_the_papers_are_pages(site):

@@ -52,7 +52,7 @@ ERRATA: tuple[Erratum, ...] = (
         "in v̂_r': (v̂_r v̂_θ e_θ − v̂_θ² e_r)/(1 + r̂²); in v̂_θ': (−v̂_r² e_θ + v̂_r v̂_θ e_r)/(1 + r̂²)²",
         "all four curvature terms have the sign opposite to equation (5) of the same paper",
         "the observer diverges in the scenario of figure 4: the error is 1.2 after 10 s and 509 after 40 s, where the "
-        "corrected one is at .043 and 1.4e-10",
+        "corrected one is at 0.043 and 1.4e-10",
         f"{_AUDIT}::test_the_printed_ball_and_beam",
     ),
     Erratum(
@@ -61,7 +61,7 @@ ERRATA: tuple[Erratum, ...] = (
         "V' = −<ξ, ξ> − <ζ, ζ>",
         "V' = −½(<ξ, ξ> + <ζ, ζ>)",
         "a factor ½, since V is half of a squared length and Q solves AᵀQ + QA = −I",
-        "the rate λ read off the print is .770 1/s for figure 4, twice the best that holds, .385 1/s",
+        "the rate λ read off the print is 0.770 1/s for figure 4, twice the best that holds, 0.385 1/s",
         f"{_ERRATA}::test_the_lyapunov_function_falls_at_half_the_printed_rate",
     ),
     Erratum(
@@ -81,7 +81,7 @@ ERRATA: tuple[Erratum, ...] = (
         "ζ̃' = … − R(ζ̃, ζ_e)ζ̃ − βζ_e",
         "with the curvature of (5), which is that of this library, the term enters with a minus",
         "an elongated top still converges, since its curvature is positive; with (8) as printed too, a tumbling disc "
-        "is off by 1.4 rad/s after 10 s, where the corrected observer is off by .061",
+        "is off by 1.4 rad/s after 10 s, where the corrected observer is off by 0.061",
         _GROUPS,
         "curvature sign",
     ),
@@ -176,7 +176,7 @@ ERRATA: tuple[Erratum, ...] = (
         "F = ∂f(x̂, β(x̂), t)/∂x̂ − K ∂h/∂x̂ is uniformly negative definite",
         "F = ∂f/∂x(x̂, u, t) − K ∂h/∂x̂ is, at fixed u",
         "plant and observer have the same input, so that its dependence on the estimate cancels",
-        "A = B = 1, G = −3, C = 1, K = ½ is called contracting at −2.5 1/s, and the error grows at +.5 1/s",
+        "A = B = 1, G = −3, C = 1, K = ½ is called contracting at −2.5 1/s, and the error grows at +0.5 1/s",
         f"{_CASCADE}::test_print_of_theorem_2_says_the_opposite_of_what_happens",
     ),
     Erratum(
@@ -194,7 +194,7 @@ ERRATA: tuple[Erratum, ...] = (
         "K2 = A1 − Rᵀ(ψ)",
         "K2 = A1 + Rᵀ(ψ), where also A2 + A2ᵀ < 0",
         "a sign",
-        "the error of the supply vessel is unstable: its largest real part is +.60 instead of −.52, in its scaled time",
+        "the error of the supply vessel is unstable: its largest real part is +0.60 and not −0.52, in its scaled time",
         f"{_FOSSEN}::test_printed_gain_of_the_ship_is_unstable_and_the_corrected_one_is_not",
     ),
     Erratum(
@@ -230,7 +230,7 @@ ERRATA: tuple[Erratum, ...] = (
         "γ1 bounds the coupling without Jᵀ",
         "γ1 bounds Jᵀ times it; the two are equal for orthogonal J only",
         "T_Θ is not orthogonal in Euler angles",
-        "for ODIN, rolled and pitched by .5 rad, γ1 is 30.8 and not 28.4",
+        "for ODIN, rolled and pitched by 0.5 rad, γ1 is 30.8 and not 28.4",
         f"{_FOSSEN}::test_gamma_1_is_the_norm_of_the_coupling",
     ),
     Erratum(

@@ -128,7 +128,7 @@ def certify_distance(
             bounds are not finite and in order, or allow no error at all; or the recipe is that of another model.
 
     Example:
-        A ball on a beam, expected up to .25 m and .25 rad from where it is, by an observer that starts at rest:
+        A ball on a beam, expected up to 0.25 m and 0.25 rad from where it is, by an observer that starts at rest:
 
         >>> from covariant import models, observers
         >>> from covariant.certificates import certify_distance

@@ -124,7 +124,7 @@ def distance_decay(h: float, part: float, sigma: float, bounds: DistanceBounds) 
             in (0, 1].
 
     Example:
-        A ball on a beam at up to .5 m/s, first seen 1 m away, by an observer that does not know its velocity. Lengths
+        A ball on a beam at up to 0.5 m/s, first seen 1 m away, by an observer that does not know its velocity. Lengths
         of curves may grow, distances do not:
 
         >>> from covariant.certificates import CurvedErrors, DistanceBounds, distance_decay, proved_decay

@@ -130,7 +130,7 @@ class Geodesic(AbstractMechanicalObserver):
     Where there is no finite geodesic, the first-order error of `Intrinsic` replaces it and `result` says
     `NOT_CONVERGED`.
 
-    Use it where first errors are large, gains are low, or the chart is strongly curved. The estimate is the same in all
+    Use it if initial errors are large, gains are low, or the chart is strongly curved. The estimate is the same in all
     coordinates. Without a closed form each step searches a geodesic, so it costs more than `Intrinsic`.
 
     Attributes:

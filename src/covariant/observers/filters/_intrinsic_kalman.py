@@ -179,7 +179,7 @@ class IntrinsicKalman(AbstractMechanicalFilter):
     predicted velocity, and `result` is `RESTARTED`. Its slow states are then as uncertain as at the start. In other
     coordinates, with noise that is the same tensor, the estimate is the same to the accuracy of the budget.
 
-    It is the most accurate choice where the noise is known: for large first errors, gaps and outliers, and for further
+    It is the most accurate choice if the noise is known: for large initial errors, gaps and outliers, and for further
     sensors, external forces, biases and parameters. It costs more than observers with constant gains, and has no
     certificate. `EKF` is the usual filter, for comparison.
 

@@ -93,7 +93,7 @@ class UKF(AbstractMechanicalFilter):
         substeps: Runge–Kutta steps in each sample; None (default) takes as many as dt and the friction need (offline).
         spread: Distance of the sigma points from the mean, in units of √(2n) standard deviations: α of the scaled set,
             whose other parameters are κ = 0 and β = 2. Points closer to the mean let terms beyond the quadratic ones
-            affect the covariance less; between .52 and 1.93 no weight of the covariance is negative. .6 by default.
+            affect the covariance less; between 0.52 and 1.93 no weight of the covariance is negative. 0.6 by default.
         gate: Which measurements are refused as outliers; None refuses none. See `Gate`.
         adaptive: Whether the filter learns the size of what it does not know from its innovations: `process_cov` is
             then the least that it assumes, and where the log shows more, the band widens. False by default.
@@ -126,7 +126,7 @@ class UKF(AbstractMechanicalFilter):
         check_finite("UKF", initial_velocity_std=self.initial_velocity_std)
         # The weight 4 − α⁻² − α² of the central point is positive for α² between 2 − √3 and 2 + √3.
         if not 0.52 <= self.spread <= 1.93:
-            raise ValueError(f"UKF: spread must be between .52 and 1.93; got {self.spread}")
+            raise ValueError(f"UKF: spread must be between 0.52 and 1.93; got {self.spread}")
 
     def init(self, y: Array, t: Number = 0.0) -> UKFState:
         q, v, t, last_input, _ = at_rest(self.model, y, t)
