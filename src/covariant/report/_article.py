@@ -51,4 +51,4 @@ def _block(block: Block, heading: str) -> str:
         return f'<div class="picture" tabindex="0" role="region" aria-label="{label}">{picture}</div>'
     if isinstance(block, str):
         return f"<h2>{escape(block[2:])}</h2>" if block.startswith("# ") else f"<p>{escape(block)}</p>"
-    return table_html(block, mark_best=False)
+    return table_html(block)

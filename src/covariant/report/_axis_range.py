@@ -71,6 +71,8 @@ def axis_range(quantity: Quantity, column: int) -> AxisRange | None:
 def _ranges(quantity: Quantity, column: int) -> list[_Range]:
     ranges = []
     for curve in quantity.curves:
+        if curve.role in ("raw", "mark"):
+            continue
         t, values = curve.t, curve.values[:, column]
         if curve.below is not None:
             t, values = np.tile(t, 2), np.concatenate([curve.below[:, column], values])
@@ -81,6 +83,8 @@ def _ranges(quantity: Quantity, column: int) -> list[_Range]:
             ends = float(y.min()), float(y.max())
             late = y if quantity.log else y[_late(t)[visible]]
             wanted = ends if curve.backdrop else _core(late if len(late) >= _FEW else y)
+            # How far a band reaches at the start is no news.
+            ends = wanted if curve.role == "bounds" else ends
             ranges.append(_Range(curve.label, curve.backdrop, *ends, *wanted))
     return ranges
 

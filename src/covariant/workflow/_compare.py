@@ -28,7 +28,6 @@ from covariant.workflow._outcome import (
     drive,
     engine_is_notable,
     inconsistent,
-    report_curves,
     rounded,
     summary,
     with_units,
@@ -249,11 +248,20 @@ class CompareResult(AbstractComparison):
 
     def _write_page(self, path: Path) -> list[Path]:
         title = f"Estimators compared: {Path(self.job.model_name).stem}, {Path(self.job.log_name).name}"
-        curves = report_curves(self.outcomes)
         ranked = f"Ranked by {ranked_by(self.loaded, self.predicted)}."
-        rows, notes = self._rows(), (ranked, self.design, rows_that_count(self.loaded))
-        page = estimate_report(title, self.loaded, curves, notes, rows, self.headline, self.warnings)
-        return write_report(path, page._replace(ranked=True))
+        notes = (ranked, self.design, rows_that_count(self.loaded))
+        page = estimate_report(
+            title,
+            self.job,
+            self.loaded,
+            self.outcomes,
+            notes,
+            rows=self._rows(),
+            headline=self.headline,
+            warnings=self.warnings,
+            best=1,
+        )
+        return write_report(path, page)
 
     def _cells_without_holes(self, outcome: Outcome) -> dict[str, float]:
         if outcome.score is None or outcome.score.apart is None:

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from covariant.engine import EngineName as Engine, run_log
-from covariant.models import ModelFile, Motion
+from covariant.models import ModelFile
 from covariant.observers import REGISTRY, AbstractObserver
 from covariant.scoring import SETTLED
 from covariant.signals import Run, StepCode
@@ -215,22 +215,6 @@ def with_units(values: Iterable[float | None], units: tuple[str, ...]) -> str:
         for v, unit in zip(values, units, strict=True)
     )
     return ", ".join(written)
-
-
-def report_curves(outcomes: dict[str, Outcome]) -> dict[str, Any]:
-    """Collect the curves of several outcomes for a page."""
-    infos = {name: outcome.run.info for name, outcome in outcomes.items()}
-    return {
-        "estimates": {name: _curves_to_draw(outcome) for name, outcome in outcomes.items()},
-        "innovation": {name: np.asarray(info.innovation) for name, info in infos.items()},
-        "distance": {name: np.asarray(info.distance) for name, info in infos.items() if "distance" in info._fields},
-    }
-
-
-def _curves_to_draw(outcome: Outcome) -> np.ndarray:
-    """The curves to draw: states in coordinates (T, 2n), velocities (T, n) where the estimate is on a group."""
-    x = outcome.run.estimate
-    return outcome.velocity if isinstance(x, Motion) else np.asarray(x)
 
 
 class Pushes(NamedTuple):

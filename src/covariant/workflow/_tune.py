@@ -154,9 +154,17 @@ class TuneResult(AbstractResult):
         check_output(Path(path), ".html")
         logs = ", ".join(Path(job.log_name).name for job in self.jobs)
         title = f"Gains of {Path(self.jobs[0].model_name).stem} tuned on {logs}"
-        notes = (*self.summary["notes"], *_lines(self.summary))
-        page = tuned_page(title, self.tuned, notes, tuple(_rows(self.summary)))
-        return write_report(Path(path), page._replace(headline=self.headline, warnings=self.warnings))
+        page = tuned_page(
+            title,
+            self.jobs[-1],
+            self.tuned,
+            tuple(self.summary["notes"]),
+            rows=tuple(_rows(self.summary)),
+            headline=self.headline,
+            warnings=self.warnings,
+            code="\n".join(_lines(self.summary)),
+        )
+        return write_report(Path(path), page)
 
     def __str__(self) -> str:
         from covariant.report import table
