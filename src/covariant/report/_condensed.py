@@ -12,7 +12,7 @@ MOST_SAMPLES = 2000
 MOST_INTERVALS = 600
 """Intervals that a running RMS has: panels have no more pixels that one can tell apart."""
 
-NUMBERS = 450_000
+NUMBERS = 200_000
 """Numbers that all curves of a report may have together, so that its page stays below 3 MB."""
 
 RUNNING = 1 / 60
@@ -30,7 +30,8 @@ def condensed(found: dict[str, Quantity], numbers: int = NUMBERS) -> dict[str, Q
     samples = len(next(iter(found.values())).curves[0].t)
     if samples > MOST_SAMPLES:
         found = {name: _running_rms_of(quantity) for name, quantity in found.items()}
-    whole = sum(curve.values.size for quantity in found.values() for curve in quantity.curves)
+    curves = [curve for quantity in found.values() for curve in quantity.curves]
+    whole = sum(curve.values.size * (1 if curve.below is None else 2) for curve in curves)
     if whole <= numbers:
         return found
     # Two samples stay of each interval; −(−a // b) rounds a/b up.

@@ -156,11 +156,11 @@ def _csv(report: EstimateReport) -> str:
         return ""
     text = io.StringIO()
     columns = np.column_stack([np.asarray(column, float) for column in report.table.values()])
-    np.savetxt(text, columns, fmt="%.7g", delimiter=",", header=",".join(report.table), comments="")
+    np.savetxt(text, columns, fmt="%.6g", delimiter=",", header=",".join(report.table), comments="")
     return _pack_text("csv", text.getvalue().replace("nan", ""))
 
 
-MOST_CELLS = 100_000
+MOST_CELLS = 60_000
 """Numbers of a table up to which a page holds it."""
 
 
@@ -172,7 +172,7 @@ def _facts(report: EstimateReport) -> str:
     """What was computed, from what, and how."""
     lines = "".join(
         f"<div{' class=long' * (len(text) > LONG)}><dt>{escape(name)}</dt><dd>{escape(text)}</dd></div>"
-        for name, text in report.facts.items()
+        for name, text in sorted(report.facts.items(), key=lambda fact: len(fact[1]) > LONG)
     )
     return f'<dl class="facts">{lines}</dl>\n' if lines else ""
 

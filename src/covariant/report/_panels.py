@@ -178,6 +178,8 @@ def _along(report: EstimateReport, t: Float[np.ndarray, "T"], label: str) -> tup
     names, units, values, std = report.along
     labels = tuple(f"{name}\n[{unit}]" if unit else name for name, unit in zip(names, units, strict=True))
     band = Curve(t, values + BAND * std, label, "bounds", values - BAND * std)
+    pushed = report.shaded is not None and len(report.shaded) > 0
+    title = "Estimated along with the motion" + "; shaded where something pushes" * pushed
     return (Quantity("along", title, labels, (Curve(t, values, label), band), span(values)),)
 
 

@@ -138,7 +138,7 @@ def _y_axis(quantity: Quantity, column: int, limits: AxisRange | None) -> dict[s
 
 
 def _log_ticks(limits: AxisRange | None) -> dict[str, Any]:
-    """Ticks of a logarithmic axis as plain numbers of one size: equally far apart, at 1, 2 and 5, or at powers of 10."""
+    """Ticks of a logarithmic axis as numbers of one size: equally far apart, at 1, 2 and 5, or at powers of 10."""
     if limits is None:
         return {}
     decades = math.log10(limits.high / limits.low)
@@ -203,8 +203,8 @@ def _traces(curve: Curve, column: int, quantity: Quantity, style: Style, axis: s
 
 
 def _round_values(values: np.ndarray) -> np.ndarray:
-    """Values to 5 digits, so that one can zoom: single precision with a short mantissa, which compresses well."""
+    """Values to 4 digits and more, so that one can zoom: single precision with a short mantissa, which compresses well."""
     bits = values.astype(np.float32).view(np.uint32)
-    # Half of the last digit that stays is added before the 7 low bits are cut: this rounds to nearest.
-    short = ((bits + np.uint32(1 << 6)) & np.uint32(0xFFFFFF80)).view(np.float32)
+    # Half of the last digit that stays is added before the 9 low bits are cut: this rounds to nearest.
+    short = ((bits + np.uint32(1 << 8)) & np.uint32(0xFFFFFE00)).view(np.float32)
     return np.where(np.isfinite(values), short, np.float32(np.nan))

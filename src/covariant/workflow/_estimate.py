@@ -310,12 +310,16 @@ class EstimateResult(AbstractEstimates):
 
     @property
     def headline(self) -> str:
+        odd = sum(count for name, count in self.outcome.counts.items() if name != "ok")
+        return f"{self._verdict}; {odd} samples were not ordinary" if odd else self._verdict
+
+    @property
+    def _verdict(self) -> str:
         what = self.loaded.kind.what
         text = f"{what} from {len(self.t)} rows by {self.observer_name}"
         if self.outcome.score is not None:
             text += f", RMSE {with_units(rounded(self.outcome.score.rmse), self.loaded.kind.estimates.units)}"
-        odd = sum(count for name, count in self.outcome.counts.items() if name != "ok")
-        return f"{text}; {odd} samples were not ordinary" if odd else text
+        return text
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -365,7 +369,8 @@ class EstimateResult(AbstractEstimates):
 
     def _page(self) -> Any:
         result, free = self.summary, self.without_model
-        notes = (*error_lines(result, self.loaded), *hole_lines(result, self.loaded))
+        errors = (line for line in error_lines(result, self.loaded) if "RMSE" not in line)  # these are in the table
+        notes = (*errors, *hole_lines(result, self.loaded))
         notes += () if free is None or free.is_better else (free.sentence(self.observer_name),)
         notes += () if self.pushes is None else (str(self.pushes),)
         return estimate_report(
@@ -376,7 +381,7 @@ class EstimateResult(AbstractEstimates):
             (*notes, *map(str, self.determined)),
             {"observer": self.observer_name, "design": " ".join(self.design)},
             rows=accuracy(self.loaded, self.outcome),
-            headline=self.headline,
+            headline=self._verdict,
             warnings=self.warnings,
             table=self.columns,
         )

@@ -167,12 +167,12 @@ def accuracy(loaded: Loaded, outcome: Outcome) -> tuple[dict[str, Any], ...]:
         if score is not None:
             row |= {"RMSE": score.rmse[i], "median error": score.median[i]}
         if lags is not None and kind.what == "velocity":
-            row["lag [ms]"] = 1e3 * lags[i]
+            row["lag [ms]"] = round(1e3 * lags[i], 2)
         if std is not None:
             row["median σ"] = float(np.nanmedian(std[:, i]))
         if std is not None and reference is not None:
             off = np.abs(outcome.velocity[:, i] - reference.v[:, i])[reference.scored]
-            row["within ±2σ [%]"] = 100 * float(np.mean(off <= 2 * std[reference.scored, i]))
+            row["within ±2σ [%]"] = round(100 * float(np.mean(off <= 2 * std[reference.scored, i])), 1)
         rows.append(row)
     return tuple(rows) if rows and len(rows[0]) > 1 else ()
 
