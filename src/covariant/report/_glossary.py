@@ -16,7 +16,8 @@ _MEANINGS = {
     "Zero-phase reference": "slope of a polynomial through the positions before and after each sample: without delay, "
     "as only a whole log allows, but smoothed, so it is no exact truth.",
     "Coasted": "predicted by the model alone, without a measurement.",
-    "±2σ": "two standard deviations, as the filter claims them: a right model with right noise is outside in 5 % of rows.",
+    "±2σ": "two standard deviations, as the filter claims them; where model and noise are right, 5 % of the rows are "
+    "outside.",
     "Autocorrelation": "correlation of innovations with those some rows later. Of a right model 95 % of the bars stay "
     "between the dashed lines; many outside at short lags show noise or a force that the model does not have.",
 }

@@ -118,7 +118,7 @@ def _sections(
     """The sections of a page and the figure of each: the coordinates, what else is estimated, and correlations."""
     stacked = [quantity for quantity in panels.values() if quantity.name not in ("distance", "along")]
     names = ", ".join(quantity.title.lower() for quantity in stacked)
-    figures = [stack(stacked, i, styled, report.shaded) for i in range(len(report.coordinates))]
+    figures = [stack(stacked, i, styled, report.shaded, report.hidden) for i in range(len(report.coordinates))]
     sections = [_section(name, f"{name}: {names} over time in seconds") for name in report.coordinates]
     if "along" in panels and report.along is not None:
         for i, name in enumerate(report.along.names):

@@ -94,6 +94,7 @@ def quantities(report: EstimateReport) -> dict[str, Quantity]:
         for name, stds in (("error", report.std), ("innovation", report.innovation_std))
     }
     first = next(iter(velocities))
+    drawn = np.asarray(next(iter(report.innovation.values()), velocities[first]), float)
     panels = (
         Quantity("position", "Position", names["position"], positions, travel),
         Quantity(
@@ -109,11 +110,7 @@ def quantities(report: EstimateReport) -> dict[str, Quantity]:
             "innovation",
             "Innovation",
             names["innovation"],
-            innovations
-            + around["innovation"]
-            + _marks(report, t, np.asarray(report.innovation[first], float), "refused")
-            if innovations
-            else (),
+            innovations + around["innovation"] + _marks(report, t, drawn, "refused") if innovations else (),
             travel,
             deviation=True,
         ),

@@ -1,6 +1,7 @@
 """Panels stacked above one time axis, as a plotly figure."""
 
 import math
+from collections.abc import Collection
 from html import escape
 from typing import TYPE_CHECKING, Any
 
@@ -24,7 +25,11 @@ _ROW, _GAP, _TOP, _BOTTOM = 170, 46, 58, 44
 
 
 def stack(
-    shown: list[Quantity], column: int, styled: dict[str, Style], shaded: Spans | None = None
+    shown: list[Quantity],
+    column: int,
+    styled: dict[str, Style],
+    shaded: Spans | None = None,
+    hidden: Collection[str] = (),
 ) -> "plotly.graph_objects.Figure":
     """Draw one column of several quantities above a common time axis, with a common zoom in time."""
     inner = len(shown) * (_ROW + _GAP) - _GAP
@@ -39,7 +44,7 @@ def stack(
     for k, quantity in enumerate(shown, start=1):
         # Domains are fractions of the height from the bottom, and panels are listed from the top.
         top = 1 - (k - 1) * (_ROW + _GAP) / inner
-        limits = axis_range(quantity, column)
+        limits = axis_range(quantity, column, hidden)
         layout[f"yaxis{k}"] = _y_axis(quantity, column, limits) | {"domain": [max(0.0, top - _ROW / inner), top]}
         layout["annotations"] += _captions(_caption(quantity), top, limits)
         for curve, depth in zip(quantity.curves, depths(quantity, column), strict=True):
@@ -183,7 +188,7 @@ def _traces(curve: Curve, column: int, quantity: Quantity, style: Style, axis: s
     stroke = {"color": style.color, "width": style.width, "dash": dash}
     values = curve.values[:, column]
     if curve.role == "mark":
-        marker = {"color": style.color, "size": 9, "symbol": style.symbol, "line": {"width": 1.5}}
+        marker = {"color": style.color, "size": 7, "symbol": style.symbol, "line": {"width": 1.5}}
         drawn = [((curve.t, values), {"mode": "markers", "marker": marker})]
     elif curve.below is not None and quantity.deviation:
         edges = {"mode": "lines", "line": {"color": BOUNDS, "width": 1.2}, "hoverinfo": "skip", "hovertemplate": None}
@@ -203,7 +208,7 @@ def _traces(curve: Curve, column: int, quantity: Quantity, style: Style, axis: s
 
 
 def _round_values(values: np.ndarray) -> np.ndarray:
-    """Values to 4 digits and more, so that one can zoom: single precision with a short mantissa, which compresses well."""
+    """Values to more than 4 digits, so that one can zoom: single precision, whose mantissa is cut to compress well."""
     bits = values.astype(np.float32).view(np.uint32)
     # Half of the last digit that stays is added before the 9 low bits are cut: this rounds to nearest.
     short = ((bits + np.uint32(1 << 8)) & np.uint32(0xFFFFFE00)).view(np.float32)

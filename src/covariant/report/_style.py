@@ -81,7 +81,8 @@ def styles(report: EstimateReport) -> dict[str, Style]:
         styled[DIFFERENCE] = Style(BACKDROP, "#6B737C", 0.8)
     if report.v_reference is not None:
         styled[report.v_reference_label] = Style(INK, "#F2F4F6", 1.2, (4, 5))
-    for i, label in enumerate(report.estimates):
+    # Curves that are shown at first get the colours that differ most; the first estimate is among them.
+    for i, label in enumerate(sorted(report.estimates, key=lambda label: label in report.hidden)):
         dash = _DASHES[i // len(PALETTE) % len(_DASHES)]
         color = PALETTE[i % len(PALETTE)]
         styled[label] = Style(color, DARK.get(color, color), 1.1 if i else 2.0, dash)

@@ -46,6 +46,9 @@ def estimate_report(
     kind, y, t = loaded.kind, np.asarray(loaded.record.y), np.asarray(loaded.record.t)
     first = next(iter(outcomes.values()))
     curves = _curves(outcomes)
+    if more.get("contrast"):  # a smoother has the innovations of its filter
+        for name in ("innovation", "innovation_std", "distance"):
+            curves[name].pop(more["contrast"], None)
     if not kind.draws_innovations:
         curves = {name: curves[name] for name in ("estimates", "std")}
     report = EstimateReport(
@@ -63,6 +66,8 @@ def estimate_report(
         report = report._replace(v_reference=loaded.reference.v, v_reference_label=loaded.reference.label)
     if len(outcomes) <= MOST_MARKED:
         report = report._replace(marks=_marks(first), along=_along(loaded, first), shaded=_pushed(loaded, first, t))
+    else:  # the bands of many would hide each other
+        report = report._replace(std={}, innovation_std={})
     return report._replace(**more)
 
 

@@ -102,9 +102,9 @@ function save(name, text) {
 
   // One time axis for all figures, and y axes that fit what is seen of it; the whole of it has the ranges of the start.
   const timed = plots.filter((plot) => !plot.closest("section").classList.contains("lag"));
-  function fitted(plot, range) {
+  function fitted(plot, range, anew = false) {
     const before = ranges[plots.indexOf(plot)], change = {};
-    const whole = range[0] <= before.xaxis[0] && range[1] >= before.xaxis[1];
+    const whole = !anew && range[0] <= before.xaxis[0] && range[1] >= before.xaxis[1];
     for (const key of Object.keys(before).filter((each) => each.startsWith("yaxis"))) {
       const log = plot.layout[key].type === "log", axis = key.replace("axis", "").replace(/^y1$/, "y");
       const next = whole ? before[key] : fitting(plot.data, axis, log, range);
@@ -146,7 +146,11 @@ function save(name, text) {
     const next = buttons.map(wanted);
     buttons.forEach((button, i) => button.setAttribute("aria-pressed", String(next[i])));
     for (const plot of plots) {
-      if (plot.data.length) Plotly.restyle(plot, { visible: plot.data.map((trace) => isOn(trace.legendgroup)) });
+      if (!plot.data.length) continue;
+      const visible = plot.data.map((trace) => isOn(trace.legendgroup));
+      Plotly.restyle(plot, { visible }).then(() => {
+        if (timed.includes(plot)) Plotly.relayout(plot, fitted(plot, plot.layout.xaxis.range, true));
+      });
     }
   }
   for (const button of buttons) {
