@@ -1,7 +1,7 @@
 """Long logs as they fit a page: fewer samples of each curve, and the running RMS of the errors of several estimates."""
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from covariant.report._panels import Curve, Quantity
 from covariant.report._polylines import drawable
@@ -63,7 +63,9 @@ def _thin(curve: Curve, size: int, log: bool) -> Curve:
     return curve._replace(t=stamps, values=np.stack(pairs, axis=1).reshape(-1, low.shape[1]))
 
 
-def _extremes(values: Columns, size: int, log: bool, sign: int) -> tuple[Columns, np.ndarray]:
+def _extremes(
+    values: Columns, size: int, log: bool, sign: int
+) -> tuple[Float[np.ndarray, "k c"], Int[np.ndarray, "k c"]]:
     """The smallest (sign 1) or largest (−1) sample of each interval and its place; NaN where no sample is there."""
     filled, seen = _intervals(values, size, log)
     place = np.where(seen, sign * filled, np.inf).argmin(axis=1)

@@ -78,7 +78,7 @@ def styles(report: EstimateReport) -> dict[str, Style]:
     styled = {}
     if report.q_measured is not None:
         styled[MEASURED] = Style(BACKDROP, BACKDROP, 3.2)
-        styled[DIFFERENCE] = Style(BACKDROP, "#6B737C", 0.8)
+        styled[DIFFERENCE] = Style(BACKDROP, BACKDROP, 0.8)  # in other panels than these
     if report.v_reference is not None:
         styled[report.v_reference_label] = Style(INK, "#F2F4F6", 1.2, (4, 5))
     # Curves that are shown at first get the colours that differ most; the first estimate is among them.
