@@ -94,8 +94,8 @@ def page(report: EstimateReport) -> str:
     words = {
         "TITLE": escape(report.title),
         "STYLE": template("report", "page.css"),
-        "VERDICT": _verdict(report),
-        "FACTS": _facts(report) + _code(report),
+        "VERDICT": verdict_html(report.headline, report.warnings),
+        "FACTS": facts_html(report.facts) + _code(report),
         "TABLE": table_html(report.rows, report.best, report.pale),
         "DETAILS": _details(report, panels),
         "LEGEND": _legend(_used(styled, panels), report.hidden),
@@ -168,11 +168,11 @@ LONG = 60
 """Characters from which a fact has a line of its own."""
 
 
-def _facts(report: EstimateReport) -> str:
+def facts_html(facts: Mapping[str, str]) -> str:
     """What was computed, from what, and how."""
     lines = "".join(
         f"<div{' class=long' * (len(text) > LONG)}><dt>{escape(name)}</dt><dd>{escape(text)}</dd></div>"
-        for name, text in sorted(report.facts.items(), key=lambda fact: len(fact[1]) > LONG)
+        for name, text in sorted(facts.items(), key=lambda fact: len(fact[1]) > LONG)
     )
     return f'<dl class="facts">{lines}</dl>\n' if lines else ""
 
@@ -211,13 +211,13 @@ def _pack_text(name: str, text: str) -> str:
     return f'<script type="text/plain" id="{name}" data-bytes="{len(squeezed)}">{letters}</script>'
 
 
-def _verdict(report: EstimateReport) -> str:
+def verdict_html(headline: str, warnings: Sequence[str]) -> str:
     """The result in one line, and the warnings."""
-    if not report.headline:
-        return _odd(report.warnings)
-    line = report.headline[:1].upper() + report.headline[1:].rstrip(".")
-    calm = "" if report.warnings else ' <span class="calm">No warnings.</span>'
-    return f'<p class="verdict">{escape(line)}.{calm}</p>\n{_odd(report.warnings)}'
+    if not headline:
+        return _odd(warnings)
+    line = headline[:1].upper() + headline[1:].rstrip(".")
+    calm = "" if warnings else ' <span class="calm">No warnings.</span>'
+    return f'<p class="verdict">{escape(line)}.{calm}</p>\n{_odd(warnings)}'
 
 
 def _odd(warnings: Sequence[str]) -> str:

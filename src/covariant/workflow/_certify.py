@@ -343,6 +343,16 @@ class CertifyResult(AbstractResult):
             raise ValueError(f"{path}: no certificate is written of a statement that is wrong")
         return self.certificate.save(path)
 
+    def _write_page(self, path: Path) -> list[Path]:
+        from covariant.workflow._pages import write_result_page
+
+        figures = []
+        if self.certificate.sampling is None:
+            figures = [path.with_suffix(".png")]
+            self.plot(figures[0])
+        title = f"Certificate of {self.certificate.name}"
+        return [*write_result_page(path, title, self, [*figures, str(self)]), *figures]
+
     def plot(self, path: str | Path | None = None) -> "Figure":
         """Draw region, tube, distances and gains; also written (.png, .pdf, .svg) where a path is given.
 

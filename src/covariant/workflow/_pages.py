@@ -4,7 +4,7 @@ import abc
 import shlex
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
@@ -13,11 +13,11 @@ import numpy as np
 
 import covariant
 from covariant.models import Motion
-from covariant.report import Along, EstimateReport, write_report as write_page_and_figures
+from covariant.report import Along, EstimateReport, write_article, write_report as write_page_and_figures
 from covariant.signals import StepCode
 from covariant.workflow._inputs import Job, Loaded, numbered
 from covariant.workflow._outcome import AXES, Outcome, deviations, known, pushes
-from covariant.workflow._result import AbstractTable
+from covariant.workflow._result import AbstractResult, AbstractTable
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -203,6 +203,17 @@ def write_report(path: Path, report: EstimateReport) -> list[Path]:
         The paths of all files, the page first.
     """
     return write_page_and_figures(report, path)
+
+
+def write_result_page(
+    path: Path,
+    title: str,
+    result: AbstractResult,
+    blocks: Sequence[Any],
+    facts: Mapping[str, str] = MappingProxyType({}),
+) -> list[Path]:
+    """Write a page of text, tables and figures about a result that is no curve, with the header that all pages have."""
+    return [write_article(title, blocks, path, result.headline, result.warnings, {**facts, **made()})]
 
 
 class AbstractEstimates(AbstractTable):
