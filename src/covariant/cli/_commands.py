@@ -195,6 +195,7 @@ REPORT = Option(
     flags=("--report",),
     suffixes=(".html",),
 )
+PAGE = REPORT._replace(help="Write a page (.html) of the numbers, and figures beside it where there are some.")
 OVERWRITE = Option("overwrite", FLAG, "Let --out replace a file of another origin.", False, ("--overwrite",))
 LISTED = {
     "observer": {
@@ -236,13 +237,13 @@ COMMANDS = (
     ),
     Command(
         "check",
-        own=(REPORT,),
+        own=(PAGE,),
         exit_code=lambda result: bool(result.wrong),
         note="Exit code 1 where something is wrong.",
     ),
     Command(
         "fit",
-        own=(MODEL_FILE, REPORT, OVERWRITE),
+        own=(MODEL_FILE, PAGE, OVERWRITE),
         changes={"log": SEVERAL | {"help": "Logs to fit; the last of several, or the last third of one, is held out."}},
         run=_fit,
         exit_code=lambda result: result.exit_code,
@@ -272,7 +273,7 @@ COMMANDS = (
     Command(
         "reproduce_paper",
         "reproduce",
-        own=(_output("Write the paper's figure here", ".png", name="figure"), REPORT),
+        own=(_output("Write the paper's figure here", ".png", name="figure"), PAGE),
     ),
     Command(
         "audit_observer",
@@ -292,7 +293,7 @@ COMMANDS = (
         "certify",
         own=(
             _output("Write the certificate here", ".json"),
-            REPORT,
+            PAGE,
             Option(
                 "figure",
                 PATH,

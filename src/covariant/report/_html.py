@@ -215,7 +215,9 @@ def verdict_html(headline: str, warnings: Sequence[str]) -> str:
     """The result in one line, and the warnings."""
     if not headline:
         return _odd(warnings)
-    line = headline[:1].upper() + headline[1:].rstrip(".")
+    line = headline.rstrip(".")
+    if line.split()[0].isalpha() and " = " not in line:  # else it begins with a name, such as com[0]
+        line = line[:1].upper() + line[1:]
     calm = "" if warnings else ' <span class="calm">No warnings.</span>'
     return f'<p class="verdict">{escape(line)}.{calm}</p>\n{_odd(warnings)}'
 

@@ -346,12 +346,8 @@ class CertifyResult(AbstractResult):
     def _write_page(self, path: Path) -> list[Path]:
         from covariant.workflow._pages import write_result_page
 
-        figures = []
-        if self.certificate.sampling is None:
-            figures = [path.with_suffix(".png")]
-            self.plot(figures[0])
-        title = f"Certificate of {self.certificate.name}"
-        return [*write_result_page(path, title, self, [*figures, str(self)]), *figures]
+        title, drawn = f"Certificate of {Path(self.model_name).stem}", self.certificate.sampling is None
+        return write_result_page(path, title, self, [str(self)], drawn=drawn)
 
     def plot(self, path: str | Path | None = None) -> "Figure":
         """Draw region, tube, distances and gains; also written (.png, .pdf, .svg) where a path is given.

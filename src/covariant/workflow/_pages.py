@@ -211,9 +211,14 @@ def write_result_page(
     result: AbstractResult,
     blocks: Sequence[Any],
     facts: Mapping[str, str] = MappingProxyType({}),
+    drawn: bool = False,
 ) -> list[Path]:
-    """Write a page of text, tables and figures about a result that is no curve, with the header that all pages have."""
-    return [write_article(title, blocks, path, result.headline, result.warnings, {**facts, **made()})]
+    """Write a page of text, tables and the figure, if any, of a result, with the header that all pages have."""
+    figures = [path.with_suffix(".png")] if drawn else []
+    for figure in figures:
+        result.plot(figure)
+    page = write_article(title, [*figures, *blocks], path, result.headline, result.warnings, {**facts, **made()})
+    return [page, *figures]
 
 
 class AbstractEstimates(AbstractTable):
