@@ -131,7 +131,9 @@ def _sections(
     if len(report.innovation) == 1:
         [(label, innovation)] = report.innovation.items()
         found = autocorrelation(np.asarray(report.t, float), np.asarray(innovation, float))
-        for i, name in enumerate(report.coordinates if found is not None else ()):
+        if found is None:
+            return sections, figures
+        for i, name in enumerate(report.coordinates):
             figures.append(correlogram(found, i, styled[label]))
             title = f"{name}: autocorrelation of the innovation"
             sections.append(

@@ -296,9 +296,9 @@ class CompareResult(AbstractComparison):
         informed = [total[name] for name in self.ranking if name in INFORMED and np.isfinite(total[name])]
         if len(informed) > len(equals):
             text += f"; the {len(informed)} with the model differ by {max(informed) / min(informed) - 1:.0%}"
-        if free is None or free in equals or equals[0] not in INFORMED:
+        if free is None or free in equals or self.ranking[0] not in INFORMED:
             return f"{text}; {len(self.outcomes)} estimators"
-        return f"{text}; {free}, the best without it, has {total[free] / total[equals[0]]:.2g} times the error"
+        return f"{text}; {free}, the best without it, has {total[free] / total[self.ranking[0]]:.2g} times the error"
 
     def _rows_by_knowledge(self) -> tuple[dict[str, Any], ...]:
         """The rows of the table, with what each estimator knows."""
