@@ -38,7 +38,7 @@ def synthetic(n: int = 3, samples: int = 400, labels: tuple[str, ...] = LABELS) 
         v_reference=v,
         v_reference_label="zero-phase <reference>",
         rows=[{"observer": label, "RMS [rad/s]": 0.0123 * (k + 1)} for k, label in enumerate(labels)],
-        ranked=True,
+        best=1,
         notes=("Gains α = 12 1/s & β = 36 1/s².",),
     )
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from plotly.offline import get_plotlyjs
 
-from covariant.report import new_figure, save_figure, write_article, write_html, write_report
+from covariant.report import Along, new_figure, save_figure, write_article, write_html, write_report
 
 
 class Page(HTMLParser):
@@ -44,7 +44,15 @@ class Page(HTMLParser):
         return gzip.decompress(packed[: int(self.all("script")[at]["data-bytes"])]).decode()
 
     def figures(self):
-        return json.loads(self.unpacked("figures"))
+        packed = json.loads(self.unpacked("figures"))
+        for figure in packed["figures"]:
+            for trace in figure["data"]:
+                trace["x"] = packed["stamps"][trace["x"]]
+        return packed["figures"]
+
+    def timed(self):
+        """The figures over time: those of correlations come last, and have bars."""
+        return [figure for figure in self.figures() if figure["data"][0]["type"] == "scatter"]
 
     def all(self, tag):
         return [attrs for name, attrs in self.elements if name == tag]
@@ -73,7 +81,7 @@ def test_labels_are_text(page, report):
     assert not page.all("i")
     assert len(page.scripts) == 3
     buttons = [attrs["data-label"] for attrs in page.all("button")]
-    assert buttons == ["measured", report.v_reference_label, *report.estimates]
+    assert buttons == ["difference of the readings", report.v_reference_label, *report.estimates]
     for text in (report.title, *report.notes, *report.estimates, *report.coordinates, "0.0123"):
         assert text in page.text
 
@@ -89,13 +97,13 @@ def test_the_result_stands_first_and_what_was_odd_below_it(make, tmp_path):
 
 
 def test_only_a_ranking_has_a_best_row(make, tmp_path):
-    unranked = make(1)._replace(rows=[{"when": "before", "RMS": 2.0}, {"when": "after", "RMS": 1.0}], ranked=False)
+    unranked = make(1)._replace(rows=[{"when": "before", "RMS": 2.0}, {"when": "after", "RMS": 1.0}], best=0)
     page = Page(write_html(unranked, tmp_path / "report.html").read_text(encoding="utf-8"))
     assert all("class" not in attrs for attrs in page.all("tr"))
 
 
 def test_numbers_on_axes_have_no_prefixes_of_units(page):
-    axes = [axis for figure in page.figures() for key, axis in figure["layout"].items() if key.startswith("yaxis")]
+    axes = [axis for figure in page.timed() for key, axis in figure["layout"].items() if key.startswith("yaxis")]
     assert {axis["exponentformat"] for axis in axes} == {"power"}
 
 
@@ -111,14 +119,14 @@ def test_terms_are_explained_where_they_occur(make, tmp_path):
         "NEES",
         "RMSE",
     ]
-    assert terms(make(1)) == ["Innovation"]
+    assert terms(make(1)) == ["Innovation", "Autocorrelation"]
 
 
 def test_figures_and_tables_are_named_for_those_who_do_not_see_them(page, report):
     figures = [attrs for attrs in page.all("div") if attrs.get("class") == "figure"]
-    assert len(figures) == len(report.coordinates) + 1
-    for attrs, name in zip(figures, report.coordinates, strict=False):
-        assert attrs["aria-label"].startswith(f"{name}: position, velocity, velocity error, innovation")
+    assert len(figures) == len(report.coordinates)
+    for attrs, name in zip(figures, report.coordinates, strict=True):
+        assert attrs["aria-label"].startswith(f"{name}: velocity, velocity error, innovation")
     assert all("seconds" in attrs["aria-label"] for attrs in figures)
     for figure in page.figures():
         axes = [axis for key, axis in figure["layout"].items() if re.match("[xy]axis", key)]
@@ -128,7 +136,7 @@ def test_figures_and_tables_are_named_for_those_who_do_not_see_them(page, report
 
 def test_curves_carry_the_colour_of_a_dark_page(page):
     for trace in page.figures()[0]["data"]:
-        assert re.fullmatch("#[0-9A-F]{6}", trace["meta"])
+        assert re.fullmatch("#[0-9A-F]{6}", trace["meta"]["dark"])
 
 
 @pytest.mark.parametrize("missing", ["plotly.offline", "matplotlib.figure"])
@@ -146,34 +154,84 @@ def test_page_and_figures_are_written_all_or_none(missing, make, tmp_path, monke
     assert (tmp_path / "log.html").read_text() == "old"
 
 
-def test_one_figure_a_coordinate_and_one_for_the_distance(page, report):
+def test_one_figure_a_coordinate(page, report):
     figures = page.figures()
-    assert len(figures) == len(page.all("section")) == len(report.coordinates) + 1
+    assert len(figures) == len(page.all("section")) == len(report.coordinates)
     for figure in figures:
         assert {trace["xaxis"] for trace in figure["data"]} == {"x"}  # panels of a figure share one time axis
         assert {trace["legendgroup"] for trace in figure["data"]} <= {a["data-label"] for a in page.all("button")}
         assert figure["layout"]["hovermode"] == "x unified"
-    assert len([key for key in figures[0]["layout"] if key.startswith("yaxis")]) == 4
-    assert figures[-1]["layout"]["yaxis"]["type"] == "log"
+    assert len([key for key in figures[0]["layout"] if key.startswith("yaxis")]) == 3  # the position is left out
     assert page.all("tr")[1] == {"class": "best"}
 
 
 def test_missing_samples_are_gaps(page, report):
-    measured = page.figures()[0]["data"][0]
-    np.testing.assert_array_equal(np.isnan(values(measured["y"])), np.isnan(report.q_measured[:, 0]))
-    distance = values(page.figures()[-1]["data"][0]["y"])
-    zero = next(iter(report.distance.values())) == 0
-    np.testing.assert_array_equal(np.isnan(distance), zero)
+    slopes = page.figures()[0]["data"][0]
+    missing = np.isnan(report.q_measured[:, 0])
+    np.testing.assert_array_equal(np.isnan(values(slopes["y"])), missing | np.roll(missing, 1) | (report.t == 0))
 
 
 def test_a_long_log_of_many_estimators_stays_small_and_is_told(make, tmp_path):
     path = write_html(make(2, 100_000, labels=tuple(f"estimator {i}" for i in range(13))), tmp_path / "large.html")
-    assert path.stat().st_size < 2_000_000
+    assert path.stat().st_size < 3_000_000
     page = Page(path.read_text(encoding="utf-8"))
-    assert "The log has 100000 samples" in page.text
+    assert re.search(r"Of each \S+ of the 100000 samples the smallest and the largest", page.text)
     assert page.unpacked("plotly") == get_plotlyjs()
-    bands = [trace for trace in page.figures()[0]["data"] if trace.get("fill") == "toself"]
-    assert [trace["legendgroup"] for trace in bands] == ["measured", "zero-phase <reference>"]
+
+
+def test_all_samples_of_a_log_can_be_zoomed_to(make, tmp_path):
+    """The velocity is one line through every sample, to four digits and more, not the range of an interval."""
+    report = make(1, 5000, labels=("one",))
+    report = report._replace(table={"t": report.t, "v": report.estimates["one"][:, 1]})
+    path = write_html(report, tmp_path / "page.html")
+    page = Page(path.read_text(encoding="utf-8"))
+    assert path.stat().st_size < 3_000_000
+    [line] = [
+        trace for trace in page.figures()[0]["data"] if trace["legendgroup"] == "one" and trace.get("yaxis") == "y"
+    ]
+    np.testing.assert_array_equal(values(line["x"]), report.t)
+    np.testing.assert_allclose(values(line["y"]), report.estimates["one"][:, 1], rtol=4e-5)
+    rows = page.unpacked("csv").splitlines()
+    assert rows[0] == "t,v"
+    assert len(rows) == 5001
+
+
+def test_bands_marks_pushes_and_forces_are_drawn(make, tmp_path):
+    report = make(1, labels=("filter",))
+    one = np.ones((len(report.t), 1))
+    report = report._replace(
+        std={"filter": 0.02 * one},
+        innovation_std={"filter": 0.03 * one},
+        along=Along(("hand",), ("N m",), 0.5 * one, 0.1 * one),
+        marks={"refused": report.t > 19, "no measurement": (report.t > 8) & (report.t < 9)},
+        shaded=np.array([[1.0, 2.0]]),
+    )
+    page = Page(write_html(report, tmp_path / "page.html").read_text(encoding="utf-8"))
+    motion, force, _ = page.figures()
+    assert [shape["x0"] for shape in motion["layout"]["shapes"]] == [1.0] == [force["layout"]["shapes"][0]["x0"]]
+    bounds = [trace for trace in motion["data"] if trace["yaxis"] == "y3" and trace.get("hoverinfo") == "skip"]
+    assert sorted(values(trace["y"])[0].round(4) for trace in bounds) == [-0.06, 0.06]
+    marks = {trace["legendgroup"]: trace for trace in motion["data"] if trace.get("yaxis") == "y" and "marker" in trace}
+    assert len(values(marks["refused"]["x"])) == int((report.t > 19).sum())
+    assert force["layout"]["yaxis"]["title"]["text"] == "hand<br>[N m]"
+    band = values(next(trace for trace in force["data"] if trace.get("fill") == "toself")["y"])
+    np.testing.assert_allclose([np.nanmin(band), np.nanmax(band)], [0.3, 0.7], rtol=1e-4)
+
+
+def test_hidden_curves_wait_for_a_click_and_pale_columns_are_grey(make, tmp_path):
+    report = make(1, labels=("one", "two"))._replace(hidden=("two",), pale=("RMS [rad/s]",))
+    page = Page(write_html(report, tmp_path / "page.html").read_text(encoding="utf-8"))
+    pressed = {attrs["data-label"]: attrs["aria-pressed"] for attrs in page.all("button")}
+    assert (pressed["one"], pressed["two"]) == ("true", "false")
+    assert page.all("th")[1]["class"] == "number pale"
+
+
+def test_lines_to_copy_and_facts_are_text(make, tmp_path):
+    report = make(1)._replace(code='[design]\na = "<b>"', facts={"command": "covariant estimate <arm>"})
+    page = Page(write_html(report, tmp_path / "page.html").read_text(encoding="utf-8"))
+    assert not page.all("b")
+    assert '[design]\na = "<b>"' in page.text
+    assert "covariant estimate <arm>" in page.text
 
 
 def test_degenerate(degenerate, tmp_path):
@@ -212,6 +270,7 @@ def test_without_plotly(make, tmp_path, monkeypatch):
         ({"innovation": {"other": np.zeros((400, 3))}}, "other"),
         ({"distance": {"other": np.zeros(400)}}, "other"),
         ({"v_reference_label": "EKF $x"}, "EKF"),
+        ({"std": {"EKF $x": np.zeros((400, 1))}}, "std"),
     ],
 )
 def test_check(make, change, message):

@@ -119,12 +119,12 @@ def _compare(call: Invocation, force: str | None, report: Path | None, out: Path
     return call.show(call() if force is None else call("compare_force", force=force), out, report)
 
 
-def _fit(call: Invocation, out: Path | None, overwrite: bool) -> Any:
+def _fit(call: Invocation, out: Path | None, report: Path | None, overwrite: bool) -> Any:
     model, parameters = call.values["model"], call.values["parameters"].split(",")
     inertias = any(name.strip().removeprefix("parameters.").split(".")[0] == "inertia" for name in parameters)
     check_model_output(model, out, overwrite, urdf=inertias and not model.endswith(".xml"))
     result = call()
-    return call.show(result, out if result.better else None, overwrite=overwrite)
+    return call.show(result, out if result.better else None, report, overwrite=overwrite)
 
 
 def _tune(call: Invocation, out: Path | None, report: Path | None, overwrite: bool) -> Any:
@@ -151,11 +151,15 @@ def _export(call: Invocation) -> Any:
     return call.show(result)
 
 
-def _certify(call: Invocation, out: Path | None, figure: Path | None, check: Path | None, given: str | None) -> Any:
+def _certify(
+    call: Invocation, out: Path | None, report: Path | None, figure: Path | None, check: Path | None, given: str | None
+) -> Any:
     if given is not None and check is None:
         raise ValueError("--model goes with --check FILE; the model to certify is the first argument")
     if ("model" in call.values) == (check is not None):
         raise ValueError("give a model to certify, or --check FILE to verify a saved certificate")
+    if report is not None and check is not None:
+        raise ValueError("--report shows a certificate that is computed; leave --check out")
     if check is not None:
         if not check.exists():
             raise ValueError(f"{check} does not exist; give the path of a saved certificate")
@@ -163,7 +167,7 @@ def _certify(call: Invocation, out: Path | None, figure: Path | None, check: Pat
     if figure is not None and "interval" in call.values:
         raise ValueError("--figure is for certificates in continuous time; leave --interval out")
     result = call()
-    return call.show(result, None if result.wrong else out, figure=figure)
+    return call.show(result, None if result.wrong else out, report, figure=figure)
 
 
 def _metric(call: Invocation) -> Any:
@@ -191,6 +195,7 @@ REPORT = Option(
     flags=("--report",),
     suffixes=(".html",),
 )
+PAGE = REPORT._replace(help="Write a page (.html) of the numbers, and figures beside it where there are some.")
 OVERWRITE = Option("overwrite", FLAG, "Let --out replace a file of another origin.", False, ("--overwrite",))
 LISTED = {
     "observer": {
@@ -230,10 +235,15 @@ COMMANDS = (
         ),
         run=_compare,
     ),
-    Command("check", exit_code=lambda result: bool(result.wrong), note="Exit code 1 where something is wrong."),
+    Command(
+        "check",
+        own=(PAGE,),
+        exit_code=lambda result: bool(result.wrong),
+        note="Exit code 1 where something is wrong.",
+    ),
     Command(
         "fit",
-        own=(MODEL_FILE, OVERWRITE),
+        own=(MODEL_FILE, PAGE, OVERWRITE),
         changes={"log": SEVERAL | {"help": "Logs to fit; the last of several, or the last third of one, is held out."}},
         run=_fit,
         exit_code=lambda result: result.exit_code,
@@ -263,7 +273,7 @@ COMMANDS = (
     Command(
         "reproduce_paper",
         "reproduce",
-        own=(_output("Write the paper's figure here", ".png", name="figure"), REPORT),
+        own=(_output("Write the paper's figure here", ".png", name="figure"), PAGE),
     ),
     Command(
         "audit_observer",
@@ -283,6 +293,7 @@ COMMANDS = (
         "certify",
         own=(
             _output("Write the certificate here", ".json"),
+            PAGE,
             Option(
                 "figure",
                 PATH,

@@ -365,7 +365,8 @@ def write_page(results: dict[str, Any], figures: tuple[Path, ...], path: Path) -
             "# What the print does",
             "Equation (8) counts parts of the curvature twice, and (18) has the sign of the other convention. "
             "An elongated top has positive curvature: there the printed term only adds stiffness, which is why the "
-            "paper's figure looks well. A tumbling disc has negative curvature, and the printed observer fails on it.",
+            "paper's figure looks well. A tumbling disc has negative curvature, and the printed observer fails on it. "
+            "Velocity error after 10 s [rad/s]:",
             prints,
             figures[1],
             "# Two logarithms",

@@ -5,16 +5,24 @@ import os
 from collections.abc import Mapping, Sequence
 from html import escape
 from pathlib import Path
+from types import MappingProxyType
 
 from covariant._files import write_atomically
 from covariant._templates import fill, template
-from covariant.report._html import table_html
+from covariant.report._html import facts_html, table_html, verdict_html
 
 Block = str | Path | Sequence[Mapping[str, object]]
-"""A paragraph ("# …" makes it a heading), a PNG file, or the rows of a table."""
+"""A paragraph ("# …" makes it a heading), lines that stay as they are, a PNG file, or the rows of a table."""
 
 
-def write_article(title: str, blocks: Sequence[Block], path: str | os.PathLike[str], headline: str = "") -> Path:
+def write_article(
+    title: str,
+    blocks: Sequence[Block],
+    path: str | os.PathLike[str],
+    headline: str = "",
+    warnings: Sequence[str] | None = None,
+    facts: Mapping[str, str] = MappingProxyType({}),
+) -> Path:
     """Write blocks one below the other, with figures embedded, as one complete file.
 
     Args:
@@ -22,6 +30,8 @@ def write_article(title: str, blocks: Sequence[Block], path: str | os.PathLike[s
         blocks: Paragraphs, headings, figures and tables.
         path: The page (.html).
         headline: The result in one line, under the title.
+        warnings: Sentences on what was unusual; None where nothing is said of it.
+        facts: What was computed, from what, and how, by name.
 
     Returns:
         The path.
@@ -33,6 +43,9 @@ def write_article(title: str, blocks: Sequence[Block], path: str | os.PathLike[s
         'article.html'
     """
     heading, parts = title, [f'<p class="verdict">{escape(headline)}</p>'] if headline else []
+    if warnings is not None:
+        parts = [verdict_html(headline, warnings)]
+    parts.append(facts_html(facts))
     for block in blocks:
         heading = block[2:] if isinstance(block, str) and block.startswith("# ") else heading
         parts.append(_block(block, heading))
@@ -50,5 +63,7 @@ def _block(block: Block, heading: str) -> str:
         # A container that scrolls can be reached by the keyboard.
         return f'<div class="picture" tabindex="0" role="region" aria-label="{label}">{picture}</div>'
     if isinstance(block, str):
+        if "\n" in block:
+            return f'<pre class="lines">{escape(block)}</pre>'
         return f"<h2>{escape(block[2:])}</h2>" if block.startswith("# ") else f"<p>{escape(block)}</p>"
-    return table_html(block, mark_best=False)
+    return table_html(block)

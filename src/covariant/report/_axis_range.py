@@ -1,5 +1,6 @@
 """The initial range of a panel's y axis: that of the steady part of the estimates, without the tip of an overshoot."""
 
+from collections.abc import Collection
 from typing import NamedTuple
 
 import numpy as np
@@ -50,13 +51,14 @@ class _Range(NamedTuple):
     wanted_high: float
 
 
-def axis_range(quantity: Quantity, column: int) -> AxisRange | None:
-    """Choose the limits of the y axis of one panel.
+def axis_range(quantity: Quantity, column: int, hidden: Collection[str] = ()) -> AxisRange | None:
+    """Choose the limits of the y axis of one panel, by the curves that are not hidden.
 
     Backdrops are shown in full. An estimate is shown from the end of its transient (on a log axis, from the start),
     except single spikes farther from its central 99.5 % than the width of these, and unless it has diverged.
     """
-    ranges = _ranges(quantity, column)
+    shown = tuple(curve for curve in quantity.curves if curve.label not in hidden)
+    ranges = _ranges(quantity._replace(curves=shown), column)
     if not ranges:
         return None
     shown = ranges if quantity.log else _drop_diverged(ranges, quantity.scale[column])
@@ -71,6 +73,8 @@ def axis_range(quantity: Quantity, column: int) -> AxisRange | None:
 def _ranges(quantity: Quantity, column: int) -> list[_Range]:
     ranges = []
     for curve in quantity.curves:
+        if curve.role in ("raw", "mark"):
+            continue
         t, values = curve.t, curve.values[:, column]
         if curve.below is not None:
             t, values = np.tile(t, 2), np.concatenate([curve.below[:, column], values])
@@ -81,6 +85,8 @@ def _ranges(quantity: Quantity, column: int) -> list[_Range]:
             ends = float(y.min()), float(y.max())
             late = y if quantity.log else y[_late(t)[visible]]
             wanted = ends if curve.backdrop else _core(late if len(late) >= _FEW else y)
+            # How far a band reaches at the start is no news.
+            ends = wanted if curve.role == "bounds" else ends
             ranges.append(_Range(curve.label, curve.backdrop, *ends, *wanted))
     return ranges
 

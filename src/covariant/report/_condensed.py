@@ -1,25 +1,19 @@
-"""Long logs as they fit a screen: bands from the smallest to the largest sample of an interval, and running RMS.
-
-Drawn sample by sample, thousands of samples of an oscillation or of noise are a solid bar.
-"""
+"""Long logs as they fit a page: fewer samples of each curve, and the running RMS of the errors of several estimates."""
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from covariant.report._panels import Curve, Quantity
 from covariant.report._polylines import drawable
 
 MOST_SAMPLES = 2000
-"""Samples up to which a curve is drawn sample by sample."""
+"""Samples up to which the errors of several estimates are drawn one by one; of more they are a solid bar."""
 
-MOST_INTERVALS, FEWEST_INTERVALS = 600, 100
-"""Intervals that a longer log is divided into: panels have no more pixels that one can tell apart."""
+MOST_INTERVALS = 600
+"""Intervals that a running RMS has: panels have no more pixels that one can tell apart."""
 
-NUMBERS = 34_000
-"""Numbers that all curves of a report may have together, so that its page stays small with many estimators."""
-
-LEAST = 4
-"""Samples of an interval, at least."""
+NUMBERS = 200_000
+"""Numbers that all curves of a report may have together, so that its page stays below 3 MB."""
 
 RUNNING = 1 / 60
 """Part of the log over which a running RMS is taken."""
@@ -27,51 +21,69 @@ RUNNING = 1 / 60
 Columns = Float[np.ndarray, "T c"]
 
 
-def condensed(found: dict[str, Quantity]) -> dict[str, Quantity]:
+def condensed(found: dict[str, Quantity], numbers: int = NUMBERS) -> dict[str, Quantity]:
     """Replace the curves of a long log by ones with fewer points.
 
-    Positions and velocities become bands, those of the backdrops and of the first estimate: the others are compared by
-    their errors. Errors become their running RMS: of one estimate with its band behind, of several on a logarithmic
-    axis, which shows small beside large.
+    All samples are kept where they are at most `numbers`, so that one can zoom; else the smallest and the largest of
+    each short interval, of every curve. Errors of several estimates become their running RMS, on a logarithmic axis.
     """
     samples = len(next(iter(found.values())).curves[0].t)
-    whole = sum(len(quantity.curves) * len(quantity.labels) for quantity in found.values())
-    if samples <= min(MOST_SAMPLES, max(FEWEST_INTERVALS, NUMBERS // whole)):
+    if samples > MOST_SAMPLES:
+        found = {name: _running_rms_of(quantity) for name, quantity in found.items()}
+    curves = [curve for quantity in found.values() for curve in quantity.curves]
+    whole = sum(curve.values.size * (1 if curve.below is None else 2) for curve in curves)
+    if whole <= numbers:
         return found
-    found = {name: quantity._replace(curves=_curves_to_draw(quantity)) for name, quantity in found.items()}
-    numbers = sum((2 + len(quantity.curves)) * len(quantity.labels) for quantity in found.values())
-    # −(−a // b) rounds a/b up, so that there are no more intervals than allowed.
-    size = max(LEAST, -(-samples // min(MOST_INTERVALS, max(FEWEST_INTERVALS, NUMBERS // numbers))))
-    return {name: _condense_quantity(quantity, size) for name, quantity in found.items()}
+    # Two samples stay of each interval; −(−a // b) rounds a/b up.
+    size = -(-2 * whole // numbers)
+    return {name: _thin_quantity(quantity, size) for name, quantity in found.items()}
 
 
-def _curves_to_draw(quantity: Quantity) -> tuple[Curve, ...]:
-    """The curves that are drawn of a long log."""
-    if quantity.deviation:
-        return quantity.curves
-    first = sum(curve.backdrop for curve in quantity.curves)
-    return quantity.curves[: first + 1]
+def _thin_quantity(quantity: Quantity, size: int) -> Quantity:
+    curves = tuple(
+        curve if len(curve.t) <= MOST_SAMPLES else _thin(curve, size, quantity.log) for curve in quantity.curves
+    )
+    return quantity._replace(curves=curves)
 
 
-def _condense_quantity(quantity: Quantity, size: int) -> Quantity:
-    t = quantity.curves[0].t
-    length = (t[-1] - t[0]) * size / len(t)
-    bands = tuple(_band(curve, size, quantity.log) for curve in quantity.curves)
-    if not quantity.deviation:
-        return quantity._replace(curves=bands, title=f"{quantity.title}, range in every {length:.2g} s")
-    run = max(1, round(RUNNING * len(bands[0].t)))
-    lines = tuple(_running_rms(curve, size, run, quantity.log) for curve in quantity.curves)
-    shown = lines if len(lines) > 1 else (*bands, *lines)
-    title = f"{quantity.title}, RMS over {run * length:.2g} s"
-    return quantity._replace(curves=shown, title=title, log=quantity.log or len(lines) > 1)
+def _thin(curve: Curve, size: int, log: bool) -> Curve:
+    """The smallest and the largest sample of each interval, in the order in which they occur."""
+    if curve.role == "mark":
+        return curve
+    t = _middles(curve.t, size)
+    quarter = np.diff(t, append=2 * t[-1] - t[-2]) / 4
+    stamps = np.stack([t - quarter, t + quarter], axis=1).ravel()
+    (low, early), (high, late) = (_extremes(curve.values, size, log, sign) for sign in (1, -1))
+    if curve.below is not None:
+        low = _extremes(curve.below, size, log, 1)[0]
+        upper, lower = (np.repeat(edge, 2, axis=0) for edge in (high, low))
+        return curve._replace(t=stamps, values=upper, below=lower)
+    rising = early <= late
+    pairs = np.where(rising, low, high), np.where(rising, high, low)
+    return curve._replace(t=stamps, values=np.stack(pairs, axis=1).reshape(-1, low.shape[1]))
 
 
-def _band(curve: Curve, size: int, log: bool) -> Curve:
-    values, seen = _intervals(curve.values, size, log)
-    low, high = np.where(seen, values, np.inf).min(axis=1), np.where(seen, values, -np.inf).max(axis=1)
-    absent = ~seen.any(axis=1)
-    low[absent] = high[absent] = np.nan  # else an interval without samples would keep ±∞
-    return curve._replace(t=_middles(curve.t, size), values=high, below=low)
+def _extremes(
+    values: Columns, size: int, log: bool, sign: int
+) -> tuple[Float[np.ndarray, "k c"], Int[np.ndarray, "k c"]]:
+    """The smallest (sign 1) or largest (−1) sample of each interval and its place; NaN where no sample is there."""
+    filled, seen = _intervals(values, size, log)
+    place = np.where(seen, sign * filled, np.inf).argmin(axis=1)
+    chosen = np.take_along_axis(filled, place[:, None], axis=1)[:, 0]
+    return np.where(seen.any(axis=1), chosen, np.nan), place
+
+
+def _running_rms_of(quantity: Quantity) -> Quantity:
+    """A quantity of errors of several estimates by their running RMS; any other as it is."""
+    lines = tuple(curve for curve in quantity.curves if curve.role == "estimate")
+    if not quantity.deviation or len(lines) < 2:
+        return quantity
+    t = lines[0].t
+    size = -(-len(t) // MOST_INTERVALS)
+    run = max(1, round(RUNNING * len(t) / size))
+    length = (t[-1] - t[0]) * size * run / len(t)
+    rms = tuple(_running_rms(curve, size, run, quantity.log) for curve in lines)
+    return quantity._replace(curves=rms, title=f"{quantity.title}, RMS over {length:.2g} s", log=True)
 
 
 def _running_rms(curve: Curve, size: int, run: int, log: bool) -> Curve:

@@ -5,12 +5,27 @@ from types import MappingProxyType
 from typing import Literal, NamedTuple
 
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 MEASURED = "measured"
 """Legend entry of the measured positions."""
 
+DIFFERENCE = "difference of the readings"
+"""Legend entry of the raw velocity, the slope from one reading to the next."""
+
+MARKS = {"no measurement": "circle-open", "refused": "x", "restarted": "diamond-open"}
+"""Legend entries of the rows that a report may mark, with the name of a symbol each."""
+
 Samples = Float[np.ndarray | Array, "T n"]
+
+
+class Along(NamedTuple):
+    """What is estimated along with the motion, such as external forces: names, units, values and deviations (T, k)."""
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    values: Float[np.ndarray, "T k"]
+    std: Float[np.ndarray, "T k"]
 
 
 class EstimateReport(NamedTuple):
@@ -38,7 +53,18 @@ class EstimateReport(NamedTuple):
         estimated: "velocity" or "state".
         headline: The result in one line: what was estimated, and how good it is.
         warnings: Sentences on what was unusual, such as samples without measurement.
-        ranked: The rows are a ranking, and the first, which is marked, is the best.
+        best: How many of the first rows are marked as the best: several where they are equally good.
+        std: By label, (T, n): standard deviations of what is estimated, in the same units; drawn as bands of ±2σ.
+        innovation_std: By label, (T, n): those that the filter expects of the innovation.
+        along: What the first observer estimates along with the motion; None where that is nothing.
+        marks: Rows (T,) of the first observer that are marked, by a name of `MARKS`.
+        shaded: (k, 2), begin and end [s] of stretches that are shaded, in which something pushes.
+        contrast: Label of the estimate that the others are drawn as differences to, such as a smoother's; "" for none.
+        facts: What was computed, from what, and how, by name: log, rate, gains, version, command.
+        code: Lines to copy, such as those of a model file.
+        table: Columns (T,) by name, which the page offers as a CSV file; none where it is empty.
+        hidden: Labels of curves that are shown on a click only.
+        pale: Headings of columns of the table that say less than the others, such as errors against a noisy reference.
 
     Example:
         >>> import numpy as np
@@ -74,7 +100,18 @@ class EstimateReport(NamedTuple):
     estimated: Literal["velocity", "state"] = "velocity"
     headline: str = ""
     warnings: tuple[str, ...] = ()
-    ranked: bool = False
+    best: int = 0
+    std: Mapping[str, Samples] = MappingProxyType({})
+    innovation_std: Mapping[str, Samples] = MappingProxyType({})
+    along: Along | None = None
+    marks: Mapping[str, Bool[np.ndarray, "T"]] = MappingProxyType({})
+    shaded: Float[np.ndarray, "k 2"] | None = None
+    contrast: str = ""
+    facts: Mapping[str, str] = MappingProxyType({})
+    code: str = ""
+    table: Mapping[str, np.ndarray] = MappingProxyType({})
+    hidden: tuple[str, ...] = ()
+    pale: tuple[str, ...] = ()
 
     def check(self) -> "EstimateReport":
         """Check the shapes and labels of the report.
@@ -101,7 +138,8 @@ class EstimateReport(NamedTuple):
         for name, array, shape in self._shapes(samples, n):
             if np.shape(array) != shape:
                 raise ValueError(f"{name} must have the shape {shape}; got {np.shape(array)}")
-        for name, entries in (("innovation", self.innovation), ("distance", self.distance)):
+        for name in ("innovation", "distance", "std", "innovation_std"):
+            entries = getattr(self, name)
             unknown = set(entries) - set(self.estimates)
             if unknown:
                 raise ValueError(
@@ -117,7 +155,7 @@ class EstimateReport(NamedTuple):
     @property
     def backdrops(self) -> list[str]:
         """Labels of the curves that the estimates are compared with."""
-        measured = [] if self.q_measured is None else [MEASURED]
+        measured = [] if self.q_measured is None else [MEASURED, DIFFERENCE]
         return measured if self.v_reference is None else [*measured, self.v_reference_label]
 
     def _accepted(self, samples: int, n: int) -> dict[tuple[int, int], str]:
@@ -133,8 +171,9 @@ class EstimateReport(NamedTuple):
             yield "q_measured", self.q_measured, (samples, n)
         if self.v_reference is not None:
             yield "v_reference", self.v_reference, (samples, n)
-        for label, e in self.innovation.items():
-            yield f"innovation[{label!r}]", e, (samples, n)
+        for name in ("innovation", "std", "innovation_std"):
+            for label, e in getattr(self, name).items():
+                yield f"{name}[{label!r}]", e, (samples, n)
         for label, d in self.distance.items():
             yield f"distance[{label!r}]", d, (samples,)
 

@@ -12,11 +12,16 @@ _MEANINGS = {
     "NEES": "squared error of the estimate over the variance that the filter claims (normalised estimation error "
     "squared). About 1 is expected; above it, the estimate is less accurate than its standard deviation says.",
     "RMSE": "root mean square error, after the start of the log.",
+    "Lag": "time by which the estimate follows the reference, by least squares over all rows; negative where it leads.",
     "Zero-phase reference": "slope of a polynomial through the positions before and after each sample: without delay, "
     "as only a whole log allows, but smoothed, so it is no exact truth.",
     "Coasted": "predicted by the model alone, without a measurement.",
+    "±2σ": "two standard deviations, as the filter claims them; where model and noise are right, 5 % of the rows are "
+    "outside.",
+    "Autocorrelation": "correlation of innovations with those some rows later. Of a right model 95 % of the bars stay "
+    "between the dashed lines; many outside at short lags show noise or a force that the model does not have.",
 }
-_PANELS = {"Innovation": "innovation"}
+_PANELS = {"Innovation": "innovation", "Autocorrelation": "innovation"}
 
 
 def glossary(report: EstimateReport, panels: Container[str]) -> dict[str, str]:
@@ -26,5 +31,5 @@ def glossary(report: EstimateReport, panels: Container[str]) -> dict[str, str]:
     return {
         term: meaning
         for term, meaning in _MEANINGS.items()
-        if _PANELS.get(term, "") in panels or re.search(rf"\b{term}\b", text, re.IGNORECASE)
+        if _PANELS.get(term, "") in panels or re.search(rf"(?<!\w){term}(?!\w)", text, re.IGNORECASE)
     }

@@ -6,10 +6,15 @@ Its figures and the code that draws them are compressed, and the browser unpacks
 import base64
 import functools
 import gzip
+import io
+import json
 import os
 from collections.abc import Callable, Mapping, Sequence
 from html import escape
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from covariant._templates import fill, template
 from covariant.report._condensed import condensed
@@ -17,10 +22,11 @@ from covariant.report._estimate import EstimateReport
 from covariant.report._glossary import glossary
 from covariant.report._optional import optional
 from covariant.report._panels import Quantity, quantities
-from covariant.report._plotly import stack
+from covariant.report._plotly import correlogram, stack
 from covariant.report._png import draw_png, write_all
 from covariant.report._style import Style, styles
 from covariant.report._table import cells
+from covariant.report._whiteness import autocorrelation
 
 
 def write_html(report: EstimateReport, path: str | os.PathLike[str]) -> Path:
@@ -80,30 +86,110 @@ def page(report: EstimateReport) -> str:
     """Compose the text of the page of a report."""
     report.check()
     library = _library(optional("plotly.offline").get_plotlyjs)
-    panels, styled = condensed(quantities(report)), styles(report)
-    stacked = [quantity for quantity in panels.values() if quantity.name != "distance"]
-    figures = [stack(stacked, i, styled) for i in range(len(report.coordinates))]
-    names = ", ".join(quantity.title.lower() for quantity in stacked)
-    sections = [_section(name, f"{name}: {names} over time in seconds") for name in report.coordinates]
-    if "distance" in panels:
-        figures.append(stack([panels["distance"]], 0, styled))
-        title = panels["distance"].title
-        sections.append(_section(title, f"{title} over time in seconds", "wide"))
-    data = ",".join(str(figure.to_json()) for figure in figures)
+    panels, styled = quantities(report), styles(report)
+    # Where innovations show how far measurement and estimate are apart, the two curves that coincide do not.
+    panels = {name: each for name, each in panels.items() if "innovation" not in panels or name not in _SAID_BETTER}
+    panels = condensed(panels)
+    sections, figures = _sections(report, panels, styled)
     words = {
         "TITLE": escape(report.title),
         "STYLE": template("report", "page.css"),
-        "VERDICT": _verdict(report),
-        "TABLE": table_html(report.rows, report.ranked),
+        "VERDICT": verdict_html(report.headline, report.warnings),
+        "FACTS": facts_html(report.facts) + _code(report),
+        "TABLE": table_html(report.rows, report.best, report.pale),
         "DETAILS": _details(report, panels),
-        "LEGEND": _legend(styled),
+        "LEGEND": _legend(_used(styled, panels), report.hidden),
         "COLUMNS": len(report.coordinates),
         "SECTIONS": sections,
-        "FIGURES": _pack_text("figures", f"[{data}]"),
+        "FIGURES": _pack_text("figures", _with_common_stamps(figures)) + _csv(report),
         "LIBRARY": library,
         "SCRIPT": template("report", "page.js"),
     }
     return fill("report", "page.html", words)
+
+
+_SAID_BETTER = ("position", "distance")
+"""Panels that are left out where there are innovations."""
+
+
+def _sections(
+    report: EstimateReport, panels: dict[str, Quantity], styled: dict[str, Style]
+) -> tuple[list[str], list[Any]]:
+    """The sections of a page and the figure of each: the coordinates, what else is estimated, and correlations."""
+    stacked = [quantity for quantity in panels.values() if quantity.name not in ("distance", "along")]
+    names = ", ".join(quantity.title.lower() for quantity in stacked)
+    figures = [stack(stacked, i, styled, report.shaded, report.hidden) for i in range(len(report.coordinates))]
+    sections = [_section(name, f"{name}: {names} over time in seconds") for name in report.coordinates]
+    if "along" in panels and report.along is not None:
+        for i, name in enumerate(report.along.names):
+            figures.append(stack([panels["along"]], i, styled, report.shaded))
+            sections.append(_section(name, f"{name} over time in seconds"))
+    if "distance" in panels:
+        figures.append(stack([panels["distance"]], 0, styled))
+        title = panels["distance"].title
+        sections.append(_section(title, f"{title} over time in seconds", "wide"))
+    if len(report.innovation) == 1:
+        [(label, innovation)] = report.innovation.items()
+        found = autocorrelation(np.asarray(report.t, float), np.asarray(innovation, float))
+        if found is None:
+            return sections, figures
+        for i, name in enumerate(report.coordinates):
+            figures.append(correlogram(found, i, styled[label]))
+            title = f"{name}: autocorrelation of the innovation"
+            sections.append(
+                _section(title, f"{title} over lag in milliseconds, with 95 % bounds of white noise", "lag")
+            )
+    return sections, figures
+
+
+def _with_common_stamps(figures: Sequence[Any]) -> str:
+    """The figures as JSON, with each array of stamps once: traces refer to it by number."""
+    stamps: dict[str, int] = {}
+    drawn = [json.loads(figure.to_json()) for figure in figures]
+    for figure in drawn:
+        for trace in figure["data"]:
+            trace["x"] = stamps.setdefault(json.dumps(trace["x"]), len(stamps))
+    return f'{{"stamps":[{",".join(stamps)}],"figures":{json.dumps(drawn, separators=(",", ":"))}}}'
+
+
+def _csv(report: EstimateReport) -> str:
+    """The columns of the table as a CSV file for the download button; nothing where they are too long for a page."""
+    if not 0 < sum(map(len, report.table.values())) <= MOST_CELLS:
+        return ""
+    text = io.StringIO()
+    columns = np.column_stack([np.asarray(column, float) for column in report.table.values()])
+    np.savetxt(text, columns, fmt="%.6g", delimiter=",", header=",".join(report.table), comments="")
+    return _pack_text("csv", text.getvalue().replace("nan", ""))
+
+
+MOST_CELLS = 60_000
+"""Numbers of a table up to which a page holds it."""
+
+
+LONG = 60
+"""Characters from which a fact has a line of its own."""
+
+
+def facts_html(facts: Mapping[str, str]) -> str:
+    """What was computed, from what, and how."""
+    lines = "".join(
+        f"<div{' class=long' * (len(text) > LONG)}><dt>{escape(name)}</dt><dd>{escape(text)}</dd></div>"
+        for name, text in sorted(facts.items(), key=lambda fact: len(fact[1]) > LONG)
+    )
+    return f'<dl class="facts">{lines}</dl>\n' if lines else ""
+
+
+def _code(report: EstimateReport) -> str:
+    """Lines to copy, with a button that does."""
+    if not report.code:
+        return ""
+    button = '<button type="button" id="copy">Copy</button>'
+    return f'<div class="code">{button}<pre><code>{escape(report.code)}</code></pre></div>\n'
+
+
+def _used(styled: dict[str, Style], panels: dict[str, Quantity]) -> dict[str, Style]:
+    labels = {curve.label for quantity in panels.values() for curve in quantity.curves}
+    return {label: style for label, style in styled.items() if label in labels}
 
 
 def _section(heading: str, description: str, kind: str = "") -> str:
@@ -127,13 +213,15 @@ def _pack_text(name: str, text: str) -> str:
     return f'<script type="text/plain" id="{name}" data-bytes="{len(squeezed)}">{letters}</script>'
 
 
-def _verdict(report: EstimateReport) -> str:
+def verdict_html(headline: str, warnings: Sequence[str]) -> str:
     """The result in one line, and the warnings."""
-    if not report.headline:
-        return _odd(report.warnings)
-    line = report.headline[:1].upper() + report.headline[1:].rstrip(".")
-    calm = "" if report.warnings else ' <span class="calm">No warnings.</span>'
-    return f'<p class="verdict">{escape(line)}.{calm}</p>\n{_odd(report.warnings)}'
+    if not headline:
+        return _odd(warnings)
+    line = headline.rstrip(".")
+    if line.split()[0].isalpha() and " = " not in line:  # else it begins with a name, such as com[0]
+        line = line[:1].upper() + line[1:]
+    calm = "" if warnings else ' <span class="calm">No warnings.</span>'
+    return f'<p class="verdict">{escape(line)}.{calm}</p>\n{_odd(warnings)}'
 
 
 def _odd(warnings: Sequence[str]) -> str:
@@ -142,9 +230,10 @@ def _odd(warnings: Sequence[str]) -> str:
 
 
 def _details(report: EstimateReport, panels: dict[str, Quantity]) -> str:
-    """Notes and terms; page.js folds them on a narrow screen, where they would fill it."""
-    text = _notes(report, panels) + _glossary(report, panels)
-    return f"<details open><summary>Design, notes and terms</summary>\n{text}</details>\n" if text else ""
+    """Notes, and terms that are folded; page.js folds the notes too on a narrow screen, which they would fill."""
+    notes, terms = _notes(report, panels), _glossary(report, panels)
+    text = f"<details open><summary>Notes</summary>\n{notes}</details>\n" if notes else ""
+    return text + (f"<details><summary>Terms</summary>\n{terms}</details>\n" if terms else "")
 
 
 def _glossary(report: EstimateReport, panels: dict[str, Quantity]) -> str:
@@ -154,47 +243,54 @@ def _glossary(report: EstimateReport, panels: dict[str, Quantity]) -> str:
 
 
 def _notes(report: EstimateReport, panels: dict[str, Quantity]) -> str:
-    samples = len(report.t)
     notes = list(report.notes)
-    if any(curve.below is not None for quantity in panels.values() for curve in quantity.curves):
+    samples, drawn = len(report.t), len(panels["velocity"].curves[0].t)
+    if drawn < samples:
         notes.append(
-            f"The log has {samples} samples. Positions and velocities are drawn as the range from the smallest to the "
-            "largest in short intervals, those of the first estimate only; errors and innovations as their "
-            "running root mean square (RMS)."
+            f"Of each {2 * samples / drawn:.3g} of the {samples} samples the smallest and the largest are drawn."
         )
     return "<ul>" + "".join(f"<li>{escape(note)}</li>" for note in notes) + "</ul>\n" if notes else ""
 
 
-def table_html(rows: Sequence[Mapping[str, object]], mark_best: bool) -> str:
-    """Format a table in HTML."""
+def table_html(rows: Sequence[Mapping[str, object]], best: int = 0, pale: Sequence[str] = ()) -> str:
+    """Format a table in HTML, with the first rows marked as the best, and columns that say less in grey."""
     if not rows:
         return ""
     header, body, numeric = cells(rows)
-    side = [' class="number"' if right else "" for right in numeric]
+    kinds = [
+        " ".join(["number"] * right + ["pale"] * (name in pale)) for name, right in zip(header, numeric, strict=True)
+    ]
+    side = [f' class="{kind}"' if kind else "" for kind in kinds]
 
     def line(tag: str, texts: list[str]) -> str:
         return "".join(f"<{tag}{at}>{escape(text)}</{tag[:2]}>" for text, at in zip(texts, side, strict=True))
 
-    first, *others = (line("td", texts) for texts in body)
-    mark = ' class="best"' if mark_best else ""
-    lines = [f"<tr{mark}>{first}</tr>", *(f"<tr>{other}</tr>" for other in others)]
+    marks = [' class="best"' if i < best else "" for i in range(len(body))]
+    lines = [f"<tr{mark}>{line('td', texts)}</tr>" for mark, texts in zip(marks, body, strict=True)]
     heading = line('th scope="col"', header)
     head, rest = f"<thead><tr>{heading}</tr></thead>", f"<tbody>{''.join(lines)}</tbody>"
     # A container that scrolls can be reached by the keyboard.
     return f'<div class="table" tabindex="0" role="region" aria-label="Table"><table>{head}{rest}</table></div>\n'
 
 
-def _legend(styled: dict[str, Style]) -> str:
+def _legend(styled: dict[str, Style], hidden: Sequence[str]) -> str:
     """Buttons that show or hide a label in all panels at once."""
     return "".join(
-        f'<button type="button" aria-pressed="true" data-label="{name}">{_swatch(style)}{name}</button>'
-        for name, style in ((escape(label), style) for label, style in styled.items())
+        f'<button type="button" aria-pressed="{"false" if label in hidden else "true"}" data-label="{escape(label)}">'
+        f"{_swatch(style)}{escape(label)}</button>"
+        for label, style in styled.items()
     )
 
 
 def _swatch(style: Style) -> str:
-    dash = " ".join(map(str, style.dash))
     look = f"--light: {style.color}; --dark: {style.dark}"
+    if style.symbol:
+        return f'<span class="mark" style="{look}" aria-hidden="true">{_SYMBOLS[style.symbol]}</span>'
+    dash = " ".join(map(str, style.dash))
     width = min(5.0, 1.2 + style.width)
     line = f'<line x1="1" x2="25" y1="5" y2="5" style="{look}" stroke-width="{width:g}" stroke-dasharray="{dash}"/>'
     return f'<svg width="26" height="10" aria-hidden="true">{line}</svg>'
+
+
+_SYMBOLS = {"circle-open": "○", "x": "✕", "diamond-open": "◇"}
+"""Characters that look like the symbols of plotly that styles name."""

@@ -1,11 +1,15 @@
 """The panels of a report, the same for every medium: their curves, labels, and drawing order."""
 
-from typing import Literal, NamedTuple
+from collections.abc import Mapping
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
-from covariant.report._estimate import MEASURED, EstimateReport
+from covariant.report._estimate import DIFFERENCE, MEASURED, EstimateReport
+
+BAND = 2.0
+"""Half width of a band, in standard deviations."""
 
 
 class Curve(NamedTuple):
@@ -15,20 +19,21 @@ class Curve(NamedTuple):
         t: Stamps (T,) [s].
         values: Samples (T, c), a column for each panel; the upper edge of a band.
         label: Entry of the legend.
-        role: What was measured is drawn behind the estimates, and a reference in front of them.
+        role: What was measured is drawn behind the estimates, and a reference in front of them. Raw slopes are behind
+            all and do not set the axis; bounds are a band; marks are single samples.
         below: Lower edge (T, c) of a band; None for a line.
     """
 
     t: Float[np.ndarray, "T"]
     values: Float[np.ndarray, "T c"]
     label: str
-    role: Literal["estimate", "measured", "reference"] = "estimate"
+    role: Literal["estimate", "measured", "raw", "reference", "bounds", "mark"] = "estimate"
     below: Float[np.ndarray, "T c"] | None = None
 
     @property
     def backdrop(self) -> bool:
         """Whether estimates are compared with it, so that it is shown in full."""
-        return self.role != "estimate"
+        return self.role in ("measured", "reference")
 
 
 class Quantity(NamedTuple):
@@ -38,7 +43,7 @@ class Quantity(NamedTuple):
         name: Name in file names.
         title: Title above the panel.
         labels: Labels (c) of the y axes, with units.
-        curves: Backdrops first, then the estimates in their order.
+        curves: Backdrops first, then the estimates in their order, bands of ±2σ and marks.
         scale: Size (c) of the motion itself; an error many times as large shows only that the estimate has diverged.
         deviation: Whether the values are errors, so that zero is marked and the smallest curve is drawn in front.
         log: Whether the y axis is logarithmic.
@@ -63,13 +68,14 @@ def quantities(report: EstimateReport) -> dict[str, Quantity]:
     def estimated(arrays) -> tuple[Curve, ...]:
         return tuple(Curve(t, np.asarray(values, float).reshape(len(t), -1), label) for label, values in arrays.items())
 
-    positions, travel = (), np.zeros(n)
+    positions, raw, travel = (), (), np.zeros(n)
     if report.q_measured is not None:
         measured = np.asarray(report.q_measured, float)
         travel = span(measured)
         # Estimates of n columns are velocities alone: then there is no estimated position to draw.
         configurations = {label: x[:, :n] for label, x in states.items() if x.shape[1] == 2 * n}
         positions = (Curve(t, measured, MEASURED, "measured"), *estimated(configurations))
+        raw = (Curve(t, _slopes(t, measured), DIFFERENCE, "raw"),)
     velocities = {label: x[:, -n:] for label, x in states.items()}
     reference, errors, speed = (), (), np.zeros(n)
     if report.v_reference is not None:
@@ -79,11 +85,35 @@ def quantities(report: EstimateReport) -> dict[str, Quantity]:
         speed = span(v)
     names = {name: _labels(report, *form) for name, form in words.items()}
     innovations, kind = estimated(report.innovation), report.estimated.capitalize()
+    bands = tuple(
+        Curve(t, velocities[label] + BAND * std, label, "bounds", velocities[label] - BAND * std)
+        for label, std in _arrays(report.std).items()
+    )
+    around = {
+        name: tuple(Curve(t, BAND * std, label, "bounds", -BAND * std) for label, std in _arrays(stds).items())
+        for name, stds in (("error", report.std), ("innovation", report.innovation_std))
+    }
+    first = next(iter(velocities))
+    drawn = np.asarray(next(iter(report.innovation.values()), velocities[first]), float)
     panels = (
         Quantity("position", "Position", names["position"], positions, travel),
-        Quantity("velocity", kind, names["velocity"], reference + estimated(velocities), speed),
-        Quantity("error", f"{kind} error", names["error"], errors, speed, deviation=True),
-        Quantity("innovation", "Innovation", names["innovation"], innovations, travel, deviation=True),
+        Quantity(
+            "velocity",
+            kind,
+            names["velocity"],
+            raw + reference + estimated(velocities) + bands + _marks(report, t, velocities[first]),
+            speed,
+        ),
+        *_differences(report, t, velocities, names["velocity"]),
+        Quantity("error", f"{kind} error", names["error"], errors + (around["error"] if errors else ()), speed, True),
+        Quantity(
+            "innovation",
+            "Innovation",
+            names["innovation"],
+            innovations + around["innovation"] + _marks(report, t, drawn, "refused") if innovations else (),
+            travel,
+            deviation=True,
+        ),
         Quantity(
             "distance",
             "Distance to the measurement",
@@ -93,8 +123,61 @@ def quantities(report: EstimateReport) -> dict[str, Quantity]:
             deviation=True,
             log=True,
         ),
+        *_along(report, t, first),
     )
     return {quantity.name: quantity for quantity in panels if quantity.curves}
+
+
+def _arrays(samples: Mapping[str, Any]) -> dict[str, np.ndarray]:
+    return {label: np.asarray(values, float) for label, values in samples.items()}
+
+
+def _slopes(t: Float[np.ndarray, "T"], y: Float[np.ndarray, "T c"]) -> Float[np.ndarray, "T c"]:
+    """Slopes from one reading to the next, at the later; NaN where one is missing or no time has passed."""
+    steps = np.diff(t, prepend=np.nan)[:, None]
+    return np.diff(y, axis=0, prepend=np.nan) / np.where(steps > 0, steps, np.nan)
+
+
+def _marks(
+    report: EstimateReport, t: Float[np.ndarray, "T"], values: Float[np.ndarray, "T c"], *names: str
+) -> tuple[Curve, ...]:
+    """The rows that are marked, or those of some names only, on the curve of the first estimate."""
+    chosen = {name: rows for name, rows in report.marks.items() if not names or name in names}
+    return tuple(Curve(t[rows], values[rows], name, "mark") for name, rows in chosen.items() if rows.any())
+
+
+def _differences(
+    report: EstimateReport, t: Float[np.ndarray, "T"], velocities: dict[str, np.ndarray], labels: tuple[str, ...]
+) -> tuple[Quantity, ...]:
+    """How the other estimates differ from the one of `contrast`.
+
+    A filter's error minus the smoother's has the difference of their covariances (Rauch, Tung & Striebel 1965).
+    """
+    if not report.contrast:
+        return ()
+    base, stds = velocities[report.contrast], _arrays(report.std)
+    curves = []
+    for label in velocities:
+        if label == report.contrast:
+            continue
+        curves.append(Curve(t, velocities[label] - base, label))
+        if label in stds and report.contrast in stds:
+            std = np.sqrt(np.maximum(stds[label] ** 2 - stds[report.contrast] ** 2, 0.0))
+            curves.append(Curve(t, BAND * std, label, "bounds", -BAND * std))
+    title = f"Difference to the {report.contrast} one, with what is expected of it"
+    return (Quantity("difference", title, labels, tuple(curves), span(base), deviation=True),)
+
+
+def _along(report: EstimateReport, t: Float[np.ndarray, "T"], label: str) -> tuple[Quantity, ...]:
+    """What is estimated along with the motion, with its band."""
+    if report.along is None:
+        return ()
+    names, units, values, std = report.along
+    labels = tuple(f"{name}\n[{unit}]" if unit else name for name, unit in zip(names, units, strict=True))
+    band = Curve(t, values + BAND * std, label, "bounds", values - BAND * std)
+    pushed = report.shaded is not None and len(report.shaded) > 0
+    title = "Estimated along with the motion" + "; shaded where something pushes" * pushed
+    return (Quantity("along", title, labels, (Curve(t, values, label), band), span(values)),)
 
 
 _IN_COORDINATES = {
@@ -125,8 +208,8 @@ def span(values: Float[np.ndarray, "T c"]) -> Float[np.ndarray, "c"]:
 def depths(quantity: Quantity, column: int) -> list[int]:
     """Drawing order of the curves.
 
-    Bands of errors and what was measured are behind; then come the estimates, the first or the smallest in front; then
-    a reference, a dashed line whose gaps show the estimate under it.
+    What was measured and bands are behind; then come the estimates, the first or the smallest in front; then a
+    reference, a dashed line whose gaps show the estimate under it, the bounds of errors, and marks.
     """
     size = [_size(c.values[:, column]) if quantity.deviation else rank for rank, c in enumerate(quantity.curves)]
     layers = [_layer(curve, quantity.deviation) for curve in quantity.curves]
@@ -136,9 +219,9 @@ def depths(quantity: Quantity, column: int) -> list[int]:
 
 
 def _layer(curve: Curve, deviation: bool) -> int:
-    if curve.role == "measured" or (curve.below is not None and deviation):
-        return 0
-    return 2 if curve.role == "reference" else 1
+    if curve.role == "bounds":
+        return 3 if deviation else 0
+    return {"raw": 0, "measured": 0, "estimate": 1, "reference": 2, "mark": 4}[curve.role]
 
 
 def shorten(text: str, most: int) -> str:

@@ -12,14 +12,19 @@ from covariant.report._condensed import condensed
 from covariant.report._estimate import EstimateReport
 from covariant.report._optional import optional
 from covariant.report._panels import Quantity, depths, quantities, shorten
-from covariant.report._polylines import outline, polyline
-from covariant.report._style import BAND, DPI, EDGE, INK, MUTED, Style, new_figure, styles
+from covariant.report._polylines import polyline
+from covariant.report._style import BAND, BOUNDS, DPI, INK, MUTED, Style, new_figure, styles
 
 if TYPE_CHECKING:
     import matplotlib.axes
     import matplotlib.figure
 
-_FIGURES = {"velocity": ("velocity", "error"), "position": ("position", "innovation"), "distance": ("distance",)}
+_FIGURES = {
+    "velocity": ("velocity", "error"),
+    "position": ("position", "innovation"),
+    "distance": ("distance",),
+    "along": ("along",),
+}
 
 
 def write_png(report: EstimateReport, path: str | os.PathLike[str]) -> list[Path]:
@@ -130,35 +135,44 @@ def _draw(ax: "matplotlib.axes.Axes", quantity: Quantity, column: int, styled: d
         ax.text(0.5, 0.5, "nothing to draw", transform=ax.transAxes, ha="center", va="center", color=MUTED, fontsize=9)
         return
     for curve, depth in zip(quantity.curves, depths(quantity, column), strict=True):
-        color, _, width, dash = styled[curve.label]
-        stroke = (0, dash) if dash else "-"
-        order = 2 + depth / 100  # between grid and text
-        if curve.below is not None:
-            low, high = curve.below[:, column], curve.values[:, column]
-            if curve.backdrop or quantity.deviation:
-                ax.fill_between(curve.t, low, high, color=color, alpha=BAND[curve.role], linewidth=0, zorder=order)
-            if not quantity.deviation:
-                ax.plot(
-                    *outline(curve.t, low, high),
-                    color=color,
-                    linewidth=EDGE[curve.role] * width,
-                    linestyle=stroke,
-                    zorder=order,
-                )
-            continue
-        line, dots = polyline(curve.t, curve.values[:, column], quantity.log)
-        ax.plot(*line, color=color, linewidth=width, linestyle=stroke, zorder=order)
-        ax.plot(*dots, ".", color=color, markersize=1.5 + width, zorder=order)
+        style = styled[curve.label]
+        color, width, order = style.color, style.width, 2 + depth / 100  # between grid and text
+        values = curve.values[:, column]
+        if curve.role == "mark":
+            ax.plot(curve.t, values, **_MARKERS[style.symbol], color=color, linestyle="none", zorder=order)
+        elif curve.below is not None and quantity.deviation:
+            for edge in (values, curve.below[:, column]):
+                ax.plot(curve.t, edge, color=BOUNDS, linewidth=0.8, zorder=order)
+        elif curve.below is not None:
+            ax.fill_between(curve.t, curve.below[:, column], values, color=color, alpha=BAND, linewidth=0, zorder=order)
+        else:
+            line, dots = polyline(curve.t, values, quantity.log)
+            width = min(width, 0.6) if quantity.deviation and not quantity.log else width
+            stroke = (0, style.dash) if style.dash else "-"
+            ax.plot(*line, color=color, linewidth=width, linestyle=stroke, zorder=order)
+            ax.plot(*dots, ".", color=color, markersize=1.5 + width, zorder=order)
     ax.set_ylim(limits.low, limits.high)
     ax.set_title(_plain(limits.outside), loc="right", fontsize=7, color=MUTED)
+
+
+_MARKERS = {
+    "circle-open": {"marker": "o", "markersize": 4, "markerfacecolor": "none", "markeredgewidth": 0.8},
+    "x": {"marker": "x", "markersize": 4},
+    "diamond-open": {"marker": "D", "markersize": 4, "markerfacecolor": "none", "markeredgewidth": 0.8},
+}
+"""How matplotlib draws the symbols of plotly that styles name."""
 
 
 def _legend(figure: "matplotlib.figure.Figure", styled: dict[str, Style]) -> int:
     """One legend below all panels, in as many columns as fit its labels; returns its number of lines."""
     line = optional("matplotlib.lines").Line2D
     handles = [
-        line([], [], color=color, linewidth=max(width, 1.5), linestyle=(0, dash) if dash else "-")
-        for color, _, width, dash in styled.values()
+        line([], [], color=each.color, linestyle="none", **_MARKERS[each.symbol])
+        if each.symbol
+        else line(
+            [], [], color=each.color, linewidth=max(each.width, 1.5), linestyle=(0, each.dash) if each.dash else "-"
+        )
+        for each in styled.values()
     ]
     labels = [_plain(shorten(label, 60)) for label in styled]
     fitting = max(1, int(11.5 * figure.get_figwidth() / (max(map(len, labels)) + 7)))

@@ -33,11 +33,6 @@ def polyline(t: Samples, values: Samples, log: bool) -> Polyline:
     return Polyline((t[:some], joined[:some]), (t[alone], shown[alone]))
 
 
-def outline(t: Samples, low: Samples, high: Samples) -> Points:
-    """Join the lower and the upper edge of a band to one line with a gap."""
-    return np.concatenate([t, t[-1:], t]), np.concatenate([low, [np.nan], high])
-
-
 def polygons(t: Samples, low: Samples, high: Samples) -> Points:
     """Convert a band to closed polygons with gaps between them, one for each run of samples that are there."""
     there = np.pad(np.isfinite(low) & np.isfinite(high), 1).astype(int)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from covariant._files import write_atomically
-from covariant.report._estimate import MEASURED, EstimateReport
+from covariant.report._estimate import DIFFERENCE, MARKS, MEASURED, EstimateReport
 from covariant.report._optional import optional
 
 if TYPE_CHECKING:
@@ -39,11 +39,14 @@ INK, MUTED, GRID = "#24292F", "#6B737C", "#E4E7EA"
 
 DPI = 150
 
-BAND = {"estimate": 0.3, "measured": 0.7, "reference": 0.15}
-"""Opacity of the bands of long logs."""
+BAND = 0.2
+"""Opacity of bands."""
 
-EDGE = {"estimate": 0.9, "measured": 1.0, "reference": 1.0}
-"""Width of the edges of a band, in widths of the line."""
+SHADE = "#E69F00"
+"""Colour of stretches in which something pushes, of the opacity `BAND`."""
+
+BOUNDS, BOUNDS_DARK = "#24292F", "#F2F4F6"
+"""Colour of the bounds of errors, which lie in front of these."""
 
 _DASHES = ((), (7, 3), (2, 2), (7, 2, 2, 2))
 
@@ -56,12 +59,14 @@ class Style(NamedTuple):
         dark: Colour on a dark page.
         width: Width of the line [points].
         dash: Lengths of dashes and gaps [points], empty if solid.
+        symbol: Name of a symbol of plotly, of marks.
     """
 
     color: str
     dark: str
     width: float
     dash: tuple[int, ...] = ()
+    symbol: str = ""
 
 
 def styles(report: EstimateReport) -> dict[str, Style]:
@@ -73,13 +78,25 @@ def styles(report: EstimateReport) -> dict[str, Style]:
     styled = {}
     if report.q_measured is not None:
         styled[MEASURED] = Style(BACKDROP, BACKDROP, 3.2)
+        styled[DIFFERENCE] = Style(BACKDROP, BACKDROP, 0.8)  # in other panels than these
     if report.v_reference is not None:
         styled[report.v_reference_label] = Style(INK, "#F2F4F6", 1.2, (4, 5))
-    for i, label in enumerate(report.estimates):
+    # Curves that are shown at first get the colours that differ most; the first estimate is among them.
+    for i, label in enumerate(sorted(report.estimates, key=lambda label: label in report.hidden)):
         dash = _DASHES[i // len(PALETTE) % len(_DASHES)]
         color = PALETTE[i % len(PALETTE)]
         styled[label] = Style(color, DARK.get(color, color), 1.1 if i else 2.0, dash)
+    for label in report.marks:
+        styled[label] = Style(*_MARK_COLORS[label], 2.0, symbol=MARKS[label])
     return styled
+
+
+_MARK_COLORS = {
+    "no measurement": (INK, "#F2F4F6"),
+    "refused": ("#D55E00", "#FF8A3D"),
+    "restarted": ("#9C2A78", "#FF7AD0"),
+}
+"""Colours of the marks, on white and on a dark page."""
 
 
 def _png(figure: Any) -> bytes:

@@ -28,7 +28,7 @@ from covariant.workflow._arguments import Amounts, Region, above_zero, amounts, 
 from covariant.workflow._design import design
 from covariant.workflow._find import FIND, largest_proved
 from covariant.workflow._inputs import numbered
-from covariant.workflow._outputs import FIGURES, check_output
+from covariant.workflow._outputs import check_output
 from covariant.workflow._progress import Progress, silent
 from covariant.workflow._result import AbstractResult
 
@@ -343,22 +343,18 @@ class CertifyResult(AbstractResult):
             raise ValueError(f"{path}: no certificate is written of a statement that is wrong")
         return self.certificate.save(path)
 
-    def plot(self, path: str | Path | None = None) -> "Figure":
-        """Draw region, tube, distances and gains; also written (.png, .pdf, .svg) where a path is given.
+    def _write_page(self, path: Path) -> list[Path]:
+        from covariant.workflow._pages import write_result_page
 
-        Raises:
-            ValueError: For a certificate about sampled measurements.
-        """
-        from covariant.report import certificate_figure, save_figure
+        title, drawn = f"Certificate of {Path(self.model_name).stem}", self.certificate.sampling is None
+        return write_result_page(path, title, self, [str(self)], drawn=drawn)
+
+    def _figure(self) -> "Figure":
+        from covariant.report import certificate_figure
 
         if self.certificate.sampling is not None:
             raise ValueError("figures are of certificates in continuous time; this one is about sampled measurements")
-        if path is not None:
-            check_output(Path(path), *FIGURES)
-        figure = certificate_figure(self.certificate)
-        if path is not None:
-            save_figure(figure, path)
-        return figure
+        return certificate_figure(self.certificate)
 
 
 def check_certificate(

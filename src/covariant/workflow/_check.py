@@ -7,6 +7,7 @@ import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from os import PathLike
+from pathlib import Path
 from typing import Any
 
 from covariant import logs, models
@@ -203,6 +204,24 @@ class CheckResult(AbstractResult):
     def warnings(self) -> tuple[str, ...]:
         """The findings that are wrong, a sentence each."""
         return tuple(f"{_name(each)}: {each.evidence}; {each.line}" for each in self.findings if each.wrong)
+
+    def _write_page(self, path: Path) -> list[Path]:
+        from covariant.workflow._pages import write_result_page
+
+        rows = [
+            {
+                "": "WRONG" if each.wrong else "note",
+                "finding": _name(each),
+                "evidence": each.evidence,
+                "what to do": each.line or None,
+            }
+            for each in self.findings
+        ]
+        skipped = ", ".join(self.diagnosis.skipped)
+        facts = {"model": self.model, "log": f"{self.log}, {self.rows} rows at {self.rate:.4g} Hz"}
+        facts |= {"looked for": ", ".join(self.diagnosis.looked_for)} | ({"not looked for": skipped} if skipped else {})
+        title = f"{Path(self.log).name} checked against {Path(self.model).stem}"
+        return write_result_page(path, title, self, [rows] if rows else [], facts)
 
     def __str__(self) -> str:
         head = f"{self.log}: {self.rows} rows at {self.rate:.4g} Hz, compared with {self.model}"

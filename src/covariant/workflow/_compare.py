@@ -14,7 +14,7 @@ from covariant.models import Overrides
 from covariant.observers import AbstractObserver
 from covariant.scoring import SETTLED
 from covariant.workflow._design import log_sheet
-from covariant.workflow._estimate import hole_doubts
+from covariant.workflow._estimate import INFORMED, hole_doubts
 from covariant.workflow._inputs import (
     ColumnNames,
     Job,
@@ -28,9 +28,9 @@ from covariant.workflow._outcome import (
     drive,
     engine_is_notable,
     inconsistent,
-    report_curves,
     rounded,
     summary,
+    timed,
     with_units,
 )
 from covariant.workflow._outputs import write_table
@@ -86,7 +86,9 @@ def compare(
     outcomes: dict[str, Outcome] = {}
     for place, (name, observer) in enumerate(observers.items()):
         progress(name, place / len(observers))
-        outcomes[name] = drive(observer, loaded, engine, timed=True)
+        outcomes[name] = drive(observer, loaded, engine)
+    progress("timing")
+    outcomes = timed(outcomes, observers, loaded)
     progress("predicting")
     predicted = ahead(outcomes, loaded, tuned_on)
     ranked = {name: outcomes[name] for name in rank(outcomes, loaded, predicted)}
@@ -249,11 +251,61 @@ class CompareResult(AbstractComparison):
 
     def _write_page(self, path: Path) -> list[Path]:
         title = f"Estimators compared: {Path(self.job.model_name).stem}, {Path(self.job.log_name).name}"
-        curves = report_curves(self.outcomes)
         ranked = f"Ranked by {ranked_by(self.loaded, self.predicted)}."
-        rows, notes = self._rows(), (ranked, self.design, rows_that_count(self.loaded))
-        page = estimate_report(title, self.loaded, curves, notes, rows, self.headline, self.warnings)
-        return write_report(path, page._replace(ranked=True))
+        drawn, rest = self._drawn_first, len(self.outcomes)
+        ranked += f" Drawn are {', '.join(drawn)}; a click on a label shows another." if rest > len(drawn) else ""
+        notes = (ranked, self.design, rows_that_count(self.loaded))
+        page = estimate_report(
+            title,
+            self.job,
+            self.loaded,
+            self.outcomes,
+            notes,
+            rows=self._rows_by_knowledge(),
+            headline=self._verdict,
+            warnings=self.warnings,
+            best=len(self._equals),
+            hidden=tuple(name for name in self.ranking if name not in drawn),
+        )
+        return write_report(path, page)
+
+    @property
+    def _badness(self) -> dict[str, float]:
+        return badness(self.outcomes, self.loaded, self.predicted)
+
+    @property
+    def _equals(self) -> tuple[str, ...]:
+        """The best estimator, and those whose errors are as small up to `EQUAL`."""
+        total = self._badness
+        return tuple(name for name in self.ranking if total[name] <= EQUAL * total[self.ranking[0]])
+
+    @property
+    def _drawn_first(self) -> tuple[str, ...]:
+        """A few estimators that are drawn at once: the best, the best without a model, and those best known."""
+        free = [name for name in self.ranking if name not in INFORMED][:1]
+        wanted = (self.ranking[0], *free, "intrinsic", "ekf", *self.ranking)
+        return tuple(dict.fromkeys(name for name in wanted if name in self.outcomes))[:DRAWN]
+
+    @property
+    def _verdict(self) -> str:
+        """Who is best, who is as good, and how far the best one without the model is behind."""
+        total, equals = self._badness, self._equals
+        text = f"{', '.join(equals)} {'are equally good' if len(equals) > 1 else 'is best'}"
+        text += f" (within {100 * (EQUAL - 1):.0f} %)" * (len(equals) > 1)
+        free = next((name for name in self.ranking if name not in INFORMED), None)
+        informed = [total[name] for name in self.ranking if name in INFORMED and np.isfinite(total[name])]
+        if len(informed) > len(equals):
+            text += f"; the {len(informed)} with the model differ by {max(informed) / min(informed) - 1:.0%}"
+        if free is None or free in equals or self.ranking[0] not in INFORMED:
+            return f"{text}; {len(self.outcomes)} estimators"
+        return f"{text}; {free}, the best without it, has {total[free] / total[self.ranking[0]]:.2g} times the error"
+
+    def _rows_by_knowledge(self) -> tuple[dict[str, Any], ...]:
+        """The rows of the table, with what each estimator knows."""
+        return tuple(
+            {"estimator": row["estimator"], "knows": "model" if row["estimator"] in INFORMED else "—"} | row
+            for row in self._rows()
+        )
 
     def _cells_without_holes(self, outcome: Outcome) -> dict[str, float]:
         if outcome.score is None or outcome.score.apart is None:
@@ -344,8 +396,20 @@ def without_holes(
     return tuple(rank({name: outcome._replace(score=apart[name]) for name, outcome in outcomes.items()}, loaded))
 
 
+EQUAL = 1.03
+"""Ratio of errors up to which estimators are called equally good."""
+DRAWN = 4
+"""Curves that a page of a comparison shows at first."""
+
+
 def rank(outcomes: dict[str, Outcome], loaded: Loaded, predicted: Ahead | None = None) -> list[str]:
     """Order estimators by error, diverged ones last."""
+    total = badness(outcomes, loaded, predicted)
+    return sorted(outcomes, key=lambda name: total[name])
+
+
+def badness(outcomes: dict[str, Outcome], loaded: Loaded, predicted: Ahead | None = None) -> dict[str, float]:
+    """Errors relative to the motion, as one number for each estimator; ∞ where it diverged."""
     reference = loaded.reference
     if predicted is not None:
         finite = np.array([np.where(np.isfinite(e), e, np.inf) for e in predicted.errors.values()])
@@ -355,14 +419,14 @@ def rank(outcomes: dict[str, Outcome], loaded: Loaded, predicted: Ahead | None =
     else:
         scale = np.sqrt(np.mean(reference.v[reference.scored] ** 2, axis=0))
 
-    def badness(name: str) -> float:
+    def of(name: str) -> float:
         errors = rmse(outcomes[name]) if predicted is None else predicted.errors[name]
         relative = errors / np.where(scale > 0, scale, 1.0)  # a column at rest has no size to divide by
         total = float(np.sqrt(np.mean(relative**2)))
         # NaN compares as neither smaller nor larger, which would leave the order undefined.
         return total if np.isfinite(total) else float("inf")
 
-    return sorted(outcomes, key=badness)
+    return {name: of(name) for name in outcomes}
 
 
 def rmse(outcome: Outcome) -> np.ndarray:

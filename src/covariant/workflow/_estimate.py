@@ -41,13 +41,12 @@ from covariant.workflow._outcome import (
     known,
     plain,
     pushes,
-    report_curves,
     rounded,
     summary,
     unexplained,
     with_units,
 )
-from covariant.workflow._pages import AbstractEstimates, estimate_report
+from covariant.workflow._pages import AbstractEstimates, accuracy, estimate_report
 from covariant.workflow._progress import Progress, silent
 from covariant.workflow._refusals import LISTED, Refusal, refusals, refused_text
 from covariant.workflow._sensors import SensorCount, sensor_counts
@@ -311,12 +310,16 @@ class EstimateResult(AbstractEstimates):
 
     @property
     def headline(self) -> str:
+        odd = sum(count for name, count in self.outcome.counts.items() if name != "ok")
+        return f"{self._verdict}; {odd} samples were not ordinary" if odd else self._verdict
+
+    @property
+    def _verdict(self) -> str:
         what = self.loaded.kind.what
         text = f"{what} from {len(self.t)} rows by {self.observer_name}"
         if self.outcome.score is not None:
             text += f", RMSE {with_units(rounded(self.outcome.score.rmse), self.loaded.kind.estimates.units)}"
-        odd = sum(count for name, count in self.outcome.counts.items() if name != "ok")
-        return f"{text}; {odd} samples were not ordinary" if odd else text
+        return text
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -365,15 +368,23 @@ class EstimateResult(AbstractEstimates):
         return "\n".join([*lines, *self.warnings])
 
     def _page(self) -> Any:
-        curves = report_curves({self.observer_name: self.outcome})
-        result = self.summary
-        notes = (*self.design, *error_lines(result, self.loaded), *hole_lines(result, self.loaded))
-        title = f"{self.loaded.kind.title} of {self.job.title}"
-        rows = tuple(
-            {"estimated along": each.name, "std without the log": each.first, "std": each.last}
-            for each in self.determined
+        result, free = self.summary, self.without_model
+        errors = (line for line in error_lines(result, self.loaded) if "RMSE" not in line)  # these are in the table
+        notes = (*errors, *hole_lines(result, self.loaded))
+        notes += () if free is None or free.is_better else (free.sentence(self.observer_name),)
+        notes += () if self.pushes is None else (str(self.pushes),)
+        return estimate_report(
+            f"{self.loaded.kind.title} of {self.job.title}",
+            self.job,
+            self.loaded,
+            {self.observer_name: self.outcome},
+            (*notes, *map(str, self.determined)),
+            {"observer": self.observer_name, "design": " ".join(self.design)},
+            rows=accuracy(self.loaded, self.outcome),
+            headline=self._verdict,
+            warnings=self.warnings,
+            table=self.columns,
         )
-        return estimate_report(title, self.loaded, curves, notes, rows, self.headline, self.warnings)
 
 
 def _stds(each: Determinacy) -> dict[str, float | None]:

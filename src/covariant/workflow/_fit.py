@@ -217,11 +217,10 @@ class FitResult(AbstractTable):
         remarks = [*(f"#   {sentence}." for sentence in self.details["undetermined"]), *([f"# {rest}"] * bool(rest))]
         return "\n".join([*lines, *remarks, "", ""])
 
-    def __str__(self) -> str:
-        from covariant.report import table
-
-        result = self.details
-        numbers = [
+    @property
+    def _numbers(self) -> list[dict[str, Any]]:
+        """Rows of the fitted numbers."""
+        return [
             {
                 "parameter": row["name"],
                 "before": f"{row['before']:.5g}",
@@ -229,9 +228,14 @@ class FitResult(AbstractTable):
                 "± standard error": "—" if row["standard_error"] is None else f"{row['standard_error']:.2g}",
                 "determined": row["determined"],
             }
-            for row in result["parameters"]
+            for row in self.details["parameters"]
         ]
-        errors = [
+
+    @property
+    def _errors(self) -> list[dict[str, Any]]:
+        """Rows of the errors on what is held out."""
+        result = self.details
+        return [
             {
                 "coordinate": f"{name} [{unit}]" if unit else name,
                 **{
@@ -242,6 +246,31 @@ class FitResult(AbstractTable):
             }
             for i, (name, unit) in enumerate(zip(result["coordinates"], result["units"], strict=True))
         ]
+
+    def _write_page(self, path: Path) -> list[Path]:
+        from covariant.workflow._pages import write_result_page
+
+        result = self.details
+        inputs = result["inputs"]["sentence"]
+        blocks = [
+            "# Parameters",
+            self._numbers,
+            "# Errors on held-out rows",
+            f"Root mean square errors of predictions {_reach(result)} {result['held_out']}, velocities against the "
+            f"{result['scored_against']} [unit/s].",
+            self._errors,
+            *([inputs] if inputs else []),
+            *([result["start"]] if result.get("start") else []),
+        ]
+        model, logs = self.jobs[0].model_name, ", ".join(result["logs"])
+        facts = {"model": model, "logs": logs, "fitted to": result["fitted_to"], "held out": result["held_out"]}
+        return write_result_page(path, f"{Path(model).stem} fitted to {Path(logs).name}", self, blocks, facts)
+
+    def __str__(self) -> str:
+        from covariant.report import table
+
+        result = self.details
+        numbers, errors = self._numbers, self._errors
         if result.get("open_loop"):
             how = f"Predictions from the commands, over windows of {result['window']:.3g} s"
         elif "windows" in result:

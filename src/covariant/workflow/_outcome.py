@@ -2,7 +2,7 @@
 
 import math
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from statistics import NormalDist
 from typing import Any, NamedTuple
 
@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from covariant.engine import EngineName as Engine, run_log
-from covariant.models import ModelFile, Motion
+from covariant.models import ModelFile
 from covariant.observers import REGISTRY, AbstractObserver
 from covariant.scoring import SETTLED
 from covariant.signals import Run, StepCode
@@ -87,26 +87,36 @@ class Outcome(NamedTuple):
         return "not_finite" in self.counts
 
 
-def drive(observer: AbstractObserver, loaded: Loaded, engine: Engine = "auto", timed: bool = False) -> Outcome:
+def drive(observer: AbstractObserver, loaded: Loaded, engine: Engine = "auto") -> Outcome:
     """Run an observer on a log and score it."""
     run, by = run_log(observer, loaded.record_for(observer), KEPT, engine)
-    run = jax.block_until_ready(run)
-    spent = float("inf")
-    for _ in range(3 if timed else 0):  # the quickest of three, since other load only lengthens a run
-        began = time.perf_counter()
-        # The engine that did the first run, by its name: what it compiled is used again.
-        jax.block_until_ready(run_log(observer, loaded.record_for(observer), KEPT, "c" if by == "c" else "jax")[0])
-        spent = min(spent, time.perf_counter() - began)
-    return scored(observer, run, loaded, by, 1e6 * spent / len(run.t) if timed else math.nan)
+    return scored(observer, jax.block_until_ready(run), loaded, by)
 
 
-def scored(
-    observer: AbstractObserver, run: Run, loaded: Loaded, engine: str, microseconds: float = math.nan
-) -> Outcome:
+ROUNDS = 9
+"""Runs of which the quickest counts, since other load only lengthens a run."""
+
+
+def timed(
+    outcomes: dict[str, Outcome], observers: Mapping[str, AbstractObserver], loaded: Loaded
+) -> dict[str, Outcome]:
+    """Measure the computing time of each run. They take turns, so that load which comes and goes hits all alike."""
+    least = dict.fromkeys(outcomes, math.inf)
+    for _ in range(ROUNDS):
+        for name, outcome in outcomes.items():
+            began = time.perf_counter()
+            # The engine that did the first run, by its name: what it compiled is used again.
+            engine = "c" if outcome.engine == "c" else "jax"
+            jax.block_until_ready(run_log(observers[name], loaded.record_for(observers[name]), KEPT, engine)[0])
+            least[name] = min(least[name], time.perf_counter() - began)
+    return {name: each._replace(microseconds=1e6 * least[name] / len(each.run.t)) for name, each in outcomes.items()}
+
+
+def scored(observer: AbstractObserver, run: Run, loaded: Loaded, engine: str) -> Outcome:
     """Score a run of an observer on a log."""
     velocity = np.asarray(loaded.model.sought.of(run.estimate))
     score = None if loaded.reference is None else _score(velocity, run.info, loaded)
-    return Outcome(run, velocity, mean_nis(run.info, loaded), score, microseconds, engine, _slow_names(observer))
+    return Outcome(run, velocity, mean_nis(run.info, loaded), score, math.nan, engine, _slow_names(observer))
 
 
 def _slow_names(observer: Any) -> tuple[str, ...]:
@@ -215,22 +225,6 @@ def with_units(values: Iterable[float | None], units: tuple[str, ...]) -> str:
         for v, unit in zip(values, units, strict=True)
     )
     return ", ".join(written)
-
-
-def report_curves(outcomes: dict[str, Outcome]) -> dict[str, Any]:
-    """Collect the curves of several outcomes for a page."""
-    infos = {name: outcome.run.info for name, outcome in outcomes.items()}
-    return {
-        "estimates": {name: _curves_to_draw(outcome) for name, outcome in outcomes.items()},
-        "innovation": {name: np.asarray(info.innovation) for name, info in infos.items()},
-        "distance": {name: np.asarray(info.distance) for name, info in infos.items() if "distance" in info._fields},
-    }
-
-
-def _curves_to_draw(outcome: Outcome) -> np.ndarray:
-    """The curves to draw: states in coordinates (T, 2n), velocities (T, n) where the estimate is on a group."""
-    x = outcome.run.estimate
-    return outcome.velocity if isinstance(x, Motion) else np.asarray(x)
 
 
 class Pushes(NamedTuple):

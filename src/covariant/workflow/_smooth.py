@@ -18,7 +18,7 @@ from covariant.workflow._inputs import (
     load,
     refuse_delays,
 )
-from covariant.workflow._outcome import KEPT, deviations, report_curves, rounded, scored, with_units
+from covariant.workflow._outcome import KEPT, deviations, rounded, scored, with_units
 from covariant.workflow._pages import AbstractEstimates, estimate_report
 from covariant.workflow._progress import Progress, silent
 
@@ -216,11 +216,20 @@ class SmoothResult(AbstractEstimates):
 
     def _page(self) -> Any:
         loaded, name = self.smoothed.loaded, self.smoothed.observer_name
-        curves = report_curves({"smoothed": self.smoothed.outcome, name: self.filtered.outcome})
         result = self.summary
-        notes = (*self.smoothed.design, *error_lines(result, loaded), *hole_lines(result, loaded))
-        title = f"{loaded.kind.title} of {self.smoothed.job.title}, smoothed"
-        return estimate_report(title, loaded, curves, notes, self._rows(), self.headline, self.warnings)
+        return estimate_report(
+            f"{loaded.kind.title} of {self.smoothed.job.title}, smoothed",
+            self.smoothed.job,
+            loaded,
+            {"smoothed": self.smoothed.outcome, name: self.filtered.outcome},
+            (*error_lines(result, loaded), *hole_lines(result, loaded)),
+            {"observer": f"{name}, {self._extent}", "design": " ".join(self.smoothed.design)},
+            rows=self._rows(),
+            headline=self.headline,
+            warnings=self.warnings,
+            contrast="smoothed",
+            table=self.columns,
+        )
 
     def _rows(self) -> tuple[dict[str, Any], ...]:
         """The smoother and the filter: errors, where they are known, and median standard deviations."""

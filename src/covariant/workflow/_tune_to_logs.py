@@ -16,7 +16,7 @@ from covariant.signals import Record, Run
 from covariant.workflow._aligned import aligned
 from covariant.workflow._inputs import Job, Loaded, coordinates, data_sheet, with_sensor_delays
 from covariant.workflow._model_output import check_read_once
-from covariant.workflow._outcome import drive, report_curves, rounded
+from covariant.workflow._outcome import drive, rounded
 from covariant.workflow._pages import estimate_report
 from covariant.workflow._progress import Progress
 
@@ -91,7 +91,7 @@ def tune_to_logs(jobs: list[Job], engine: EngineName, progress: Progress, source
     return Tuned(loaded, tuning, before, _with_tables(content, tables) if has_file else {}, details)
 
 
-def tuned_page(title: str, tuned: Tuned, notes: tuple[str, ...], rows: tuple[dict[str, Any], ...]) -> EstimateReport:
+def tuned_page(title: str, job: Job, tuned: Tuned, notes: tuple[str, ...], **more: Any) -> EstimateReport:
     """Collect a page of the constant-gain observer on the last log, before and after."""
     loaded, tuning = tuned.loaded[-1], tuned.tuning
     typical = float(np.sqrt(np.mean(np.asarray(tuning.noise.measurement) ** 2)))
@@ -111,8 +111,8 @@ def tuned_page(title: str, tuned: Tuned, notes: tuple[str, ...], rows: tuple[dic
         when: tuned_estimators(loaded.model, n, each, loaded.rate, names=(name,))[name] for when, each in sheets.items()
     }
     observers = with_sensor_delays(drawn, loaded)
-    curves = report_curves({when: drive(observer, loaded) for when, observer in observers.items()})
-    return estimate_report(title, loaded, curves, notes, rows)
+    runs = {when: drive(observer, loaded) for when, observer in observers.items()}
+    return estimate_report(title, job, loaded, runs, notes, {"drawn": f"{name}, on {job.log_name}"}, **more)
 
 
 def _window(job: Job, loaded: Loaded) -> tuple[float, int, float] | None:
