@@ -278,7 +278,11 @@ def test_angles_go_around_the_circle():
         (PrintedBallAndBeam(ALPHA, BETA), {}, "no model of its own; give model="),
         (eqx.tree_at(lambda o: o.alpha, Intrinsic(BEAM, ALPHA, BETA), -1.0), {}, "gains must be positive"),
         (Intrinsic(BEAM, ALPHA, BETA), {"gains": (ALPHA, 0.0)}, "gains must be positive"),
-        (Intrinsic(BEAM, ALPHA, BETA), {"laws": ("eror",)}, "no law 'eror'; choose from plant, error"),
+        (
+            Intrinsic(BEAM, ALPHA, BETA),
+            {"laws": ("eror",)},
+            r"unknown law 'eror'\. Did you mean 'error'\? Known: plant, error",
+        ),
         (Intrinsic(BEAM, ALPHA, BETA), {"points": 0}, "points, speed and error must be positive"),
         (
             Intrinsic(BEAM, ALPHA, BETA),

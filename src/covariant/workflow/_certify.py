@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from covariant import certificates, models
+from covariant._names import unknown
 from covariant.certificates import (
     AbstractClaim,
     Attempt,
@@ -137,7 +138,7 @@ def certify(
     if error is None:
         raise ValueError("error is missing: give how far an estimated position may be off, one bound or one each")
     if observer not in OBSERVERS:
-        raise ValueError(f"unknown observer {observer!r}; choose one of {', '.join(OBSERVERS)}")
+        raise ValueError(unknown("observer", observer, OBSERVERS))
     pair = gain_pair(alpha, beta)
     name = models.spec_name(model)
     progress("reading the model")
