@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from covariant._names import did_you_mean
+from covariant._names import unknown
 
 Region = Mapping[str, Sequence[float | int]]
 """Low and high ends of coordinates by name, such as `{"theta": (-1.0, 1.0)}`."""
@@ -85,11 +85,7 @@ def bounds(
     intervals = {}
     for name, pair in given.items():
         if name not in names:
-            raise ValueError(
-                f"{argument}: there is no {what} {name!r}; the {what}s are {', '.join(names)}.{did_you_mean(name, names)}".rstrip(
-                    "."
-                )
-            )
+            raise ValueError(f"{argument}: {unknown(what, name, names)}")
         ends = numbers(f"{argument} {name}", pair, ("the low end", "the high end"))
         low, high = float(ends[0]), float(ends[1])
         if not (low < high or (equal and low == high)):
