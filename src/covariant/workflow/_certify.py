@@ -2,7 +2,7 @@
 
 import math
 import os
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -26,6 +26,7 @@ from covariant.certificates import (
 from covariant.models import MechanicalSystem, Overrides, input_count
 from covariant.proofs import read_file
 from covariant.workflow._arguments import Amounts, Region, above_zero, amounts, bounds, gain_pair, numbers
+from covariant.workflow._certify_sentences import in_degrees, verdict
 from covariant.workflow._design import design
 from covariant.workflow._find import FIND, largest_proved
 from covariant.workflow._inputs import numbered
@@ -268,7 +269,7 @@ class CertifyResult(AbstractResult):
     def __str__(self) -> str:
         cert, domain = self.certificate, self.certificate.domain
         lines = [
-            *([self._verdict, ""] if self.holds else []),  # other statements begin with their verdict themselves
+            *([verdict(cert), ""] if self.holds else []),  # other statements begin with their verdict themselves
             str(cert.statement),
             "",
             self.design,
@@ -283,12 +284,12 @@ class CertifyResult(AbstractResult):
         ):
             low, high = low + 0.0, high + 0.0  # takes the sign from a zero
             ends = f"  {low:.4g} ≤ {_KINDS[kind]} {name} ≤ {high:.4g} {unit}".rstrip()
-            lines.append(ends + _in_degrees(high, unit, low))
+            lines.append(ends + in_degrees(high, unit, low))
         if cert.counterexample is not None:
             point = cert.counterexample.mean(axis=0)
             lines.append("it is wrong at")
             lines += [
-                f"  {name} = {x:.6g} {unit}".rstrip() + _in_degrees(x, unit)
+                f"  {name} = {x:.6g} {unit}".rstrip() + in_degrees(x, unit)
                 for name, unit, x in zip(domain.names, domain.units, point, strict=True)
             ]
         lines += [
@@ -300,27 +301,6 @@ class CertifyResult(AbstractResult):
         if self.wrong:
             lines.append("no certificate is written of a statement that is wrong")
         return "\n".join(lines)
-
-    @property
-    def _verdict(self) -> str:
-        """The answer in one line: the errors that a proof allows, and how fast they fall."""
-        cert = self.certificate
-        names = [unit.removesuffix("/s") for unit in cert.domain.units[: len(cert.velocity)]]
-        units = [*names, *(f"{name}/s" if name else "" for name in names)]
-        largest = _by_unit(cert.half_widths, units, max, up=True)
-        whose = "the truth"
-        subject = "any estimate in the tube stays in it, so"
-        if cert.start is not None:
-            # The smallest bound of each unit, for all entries: that box is within the one that is proved.
-            covered = _by_unit(cert.start.together, units, min, up=False)
-            subject, whose = f"any estimate that starts within {covered} of the truth stays", "it"
-        mark = "PROVED" if cert.statement.proved else f"HOLDS ({cert.statement.evidence})"
-        halved = ""
-        if cert.decay > 0:
-            every = _by_unit([math.log(2) / cert.decay], ["s"], max, up=True)
-            end = f" down to {100 * cert.steady / cert.radius:.2g} % of the tube's radius" if cert.steady else ""
-            halved = f", and its distance in the metric halves every {every} or sooner{end}"
-        return f"{mark}: {subject} within {largest} of {whose}{halved}"
 
     @property
     def _unlimited(self) -> bool:
@@ -346,7 +326,7 @@ class CertifyResult(AbstractResult):
             *covered,
             f"tube of the radius ε = {cert.radius:.4g}: every estimate in it stays within",
             *(
-                f"  {w:.4g} {unit} of {what} {name}{_in_degrees(w, unit)}"
+                f"  {w:.4g} {unit} of {what} {name}{in_degrees(w, unit)}"
                 for what, widths, each in (
                     ("position", cert.half_widths[:n], turns),
                     ("velocity", cert.half_widths[n:], rates),
@@ -541,27 +521,3 @@ def _start(start: Start) -> dict[str, dict[str, float]]:
 
 def _undecided_claims(certificate: ContractionCertificate) -> list[AbstractClaim]:
     return [claim for claim in certificate.claims if claim.proof.verdict == "undecided"]
-
-
-def _by_unit(values: Iterable[float], units: Sequence[str], of: Callable[..., float], up: bool) -> str:
-    """One number of two digits for each unit, angles in degrees, rounded to the safe side."""
-    by: dict[str, list[float]] = {}
-    for value, unit in zip(values, units, strict=True):
-        by.setdefault(unit, []).append(float(value))
-    written: list[str] = []
-    for unit, each in by.items():
-        angle = unit in ("rad", "rad/s")
-        value = math.degrees(of(each)) if angle else of(each)
-        sign = unit.replace("rad", "°") if angle else f" {unit}".rstrip()
-        step = 10.0 ** (math.floor(math.log10(value)) - 1) if 0 < value < math.inf else 1.0
-        written.append(f"{(math.ceil if up else math.floor)(value / step) * step:.10g}{sign}")
-    return " and ".join([", ".join(written[:-1]), written[-1]] if len(written) > 1 else written)
-
-
-def _in_degrees(value: float, unit: str, low: float | None = None) -> str:
-    """An angle also in degrees, in brackets; empty for other units."""
-    if unit not in ("rad", "rad/s"):
-        return ""
-    each = unit.removeprefix("rad")
-    start = "" if low is None else f"{math.degrees(low):.4g} to "
-    return f" ({start}{math.degrees(value):.4g}°{each})"
