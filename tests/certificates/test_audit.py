@@ -278,12 +278,16 @@ def test_angles_go_around_the_circle():
         (PrintedBallAndBeam(ALPHA, BETA), {}, "no model of its own; give model="),
         (eqx.tree_at(lambda o: o.alpha, Intrinsic(BEAM, ALPHA, BETA), -1.0), {}, "gains must be positive"),
         (Intrinsic(BEAM, ALPHA, BETA), {"gains": (ALPHA, 0.0)}, "gains must be positive"),
-        (Intrinsic(BEAM, ALPHA, BETA), {"laws": ("eror",)}, "no law 'eror'; choose from plant, error"),
+        (
+            Intrinsic(BEAM, ALPHA, BETA),
+            {"laws": ("eror",)},
+            r"law 'eror'\. Did you mean 'error'\? Known: plant",
+        ),
         (Intrinsic(BEAM, ALPHA, BETA), {"points": 0}, "points, speed and error must be positive"),
         (
             Intrinsic(BEAM, ALPHA, BETA),
             {"domain": box(x=(0.0, 1.0))},
-            "no coordinate 'x'; the coordinates are r, theta",
+            "unknown coordinate 'x'. Known: r, theta",
         ),
         (Intrinsic(Lagrangian(sphere(), jnp.sum), ALPHA, BETA), {}, "does not name its coordinates"),
         (Intrinsic(models.oscillator("r"), ALPHA, BETA), {"domain": box(r=(-2.0, -1.0))}, "only 0 of 384"),

@@ -80,7 +80,7 @@ def test_a_broken_law_is_exit_code_1(run, folder):
         (("oscillator", "--alpha", "2", "--beta", "-1"), "must be positive numbers"),
         (("oscillator", "--box", "q=1"), "does not have the form NAME=LOW:HIGH"),
         (("oscillator", "--box", "q=1:2,q=1:2"), "q is given twice"),
-        (("oscillator", "--box", "r=1:2"), "no coordinate 'r'; the coordinates are q"),
+        (("oscillator", "--box", "r=1:2"), "unknown coordinate 'r'. Known: q"),
         (("oscillator", "--box", "q=2:1"), "the low end of q must be below the high one"),
         (("oscillator", "--speed", "0"), "speed must be a positive number"),
         (("oscillator", "-o", "page.txt"), "must end in .html"),

@@ -133,6 +133,10 @@ def test_for_a_person_angles_are_in_degrees_too(proved, monkeypatch):
         None,
     )
     text = str(workflow.CertifyResult("pendulum.toml", found, "Given gains."))
+    # The first line says what it means in degrees, from the tube's half widths alone, which are no set of starts.
+    verdict, _, text = text.partition("\n\n")
+    assert verdict.startswith("PROVED: any estimate in the tube stays in it, so within ")
+    assert "°/s of the truth, and its distance in the metric halves every " in verdict
     assert text.startswith(
         f"holds (proved): {proved['statement']}\nhypotheses:\n- proved: they shrink\n\nGiven gains.\n"
     )

@@ -63,13 +63,15 @@ def inside(folder, monkeypatch):
 def test_a_log_that_fits_is_told_to(capsys):
     assert run("check", "model.toml", "log.csv") == 0
     text = capsys.readouterr().out
-    assert "nothing found; looked for: clock, missing rows" in text
+    assert text.startswith("OK: nothing wrong (0 notes, ")
+    assert "\nlooked for: clock, missing rows" in text
     assert "801 rows at 200 Hz" in text
 
 
 def test_what_is_wrong_is_printed_with_the_remedy(capsys):
     assert run("check", "model.toml", "ms.csv") == 1
     text = capsys.readouterr().out
+    assert text.startswith("WRONG: the log is not what the model file says it is (1 wrong, ")
     assert "WRONG unit of time" in text
     assert '-> [units] t = "ms"' in text
     assert run("check", "model.toml", "ms.csv", "--json") == 1

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from covariant import calibration, observers
+from covariant.cli import main as run_command
 from covariant.models import ModelError, check_spec, duffing, load
 from covariant.models.files._source import system
 from covariant.models.files._systems import SYSTEMS
@@ -32,12 +33,12 @@ REFUSED = {
     "no log to check": ("check oscillator nolog.csv", "nolog.csv: no such file"),
     "no observer": (
         "estimate oscillator log.csv --observer magic",
-        "unknown observer 'magic'; choose one of intrinsic,",
+        "unknown observer 'magic'. Known: intrinsic,",
     ),
     "no observer to export": ("export oscillator --rate 100 -o c --observer magic", "unknown observer 'magic'"),
-    "no observer to certify": ("certify oscillator --observer ekf", "unknown observer 'ekf'; choose one of intrinsic"),
+    "no observer to certify": ("certify oscillator --observer ekf", "unknown observer 'ekf'. Known: intrinsic"),
     "no engine": ("estimate oscillator log.csv --engine fortran", "fortran"),
-    "no paper": ("reproduce nobody", "unknown paper 'nobody'; choose one of aghannan-rouchon"),
+    "no paper": ("reproduce nobody", "unknown paper 'nobody'. Known: aghannan-rouchon"),
     "another kind of output": ("estimate oscillator log.csv -o v.xlsx", "must end in .csv"),
     "another kind of report": ("compare oscillator log.csv --report page.pdf", "must end in .html"),
     "a page of a saved certificate": ("certify --check a.json --report page.html", "leave --check out"),
@@ -83,3 +84,26 @@ def test_what_is_refused_early_is_what_cannot_be_loaded(tmp_path, monkeypatch):
 
 def test_every_system_is_made_by_a_function_that_is_found_again():
     assert all(callable(system(name)) and system(name) is system(name) for name in SYSTEMS)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ("estimate log.csv arm.toml", "unknown model 'log.csv'. The model comes first and then the log: did you swap"),
+        (
+            "estimate oscillator log.csv --observer ekff",
+            "unknown observer 'ekff'. Did you mean 'ekf'? Known: ",
+        ),
+        ("reproduce maithripla", "unknown paper 'maithripla'. Did you mean 'maithripala'?"),
+        ("export oscillator --rate 100 -o c --real flaot", "; got 'flaot'. Did you mean 'float'?"),
+    ],
+)
+def test_a_name_that_is_nearly_right_is_suggested(arguments, words, capsys, monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "log.csv").write_text("t,q\n0,0\n")
+    (tmp_path / "arm.toml").write_text('system = "oscillator"\n')
+    monkeypatch.setattr("sys.argv", ["covariant", *arguments.split()])
+    with pytest.raises(SystemExit) as left:
+        run_command()
+    assert left.value.code == 2
+    assert words in capsys.readouterr().err

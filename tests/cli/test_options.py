@@ -2,11 +2,14 @@
 
 import inspect
 import sys
+from pathlib import Path
 
 import pytest
+from typer.testing import CliRunner
 
 from covariant import workflow
 from covariant.cli import main
+from covariant.cli._app import app
 from covariant.cli._commands import COMMANDS
 from covariant.cli._options import COLUMNS, in_options
 from covariant.cli._signature import REQUIRED, signature
@@ -102,3 +105,20 @@ def test_a_function_and_its_command_say_what_to_give_each_in_its_words(
         main()
     assert left.value.code == 2
     assert on_the_command_line in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("command", COMMANDS, ids=lambda command: command.verb)
+def test_the_example_in_the_help_has_options_of_its_command_and_its_page_is_there(command):
+    words = command.example.split()
+    assert command.example.startswith(command.name or command.verb)
+    flags = {flag for option in command.options for flag in option.flags}
+    assert {word for word in words if word.startswith("-")} <= flags
+    assert (Path(__file__).parents[2] / command.page).is_file()
+
+
+def test_the_help_cuts_no_line_and_puts_the_log_first():
+    shown = CliRunner().invoke(app, ["--help"]).output
+    assert "…" not in shown
+    assert "..." not in shown.partition("Your log:")[2]
+    assert shown.index("Your log:") < shown.index("  init ") < shown.index("  estimate ") < shown.index("Proofs")
+    assert "Example:  covariant check arm.toml log.csv\n" in CliRunner().invoke(app, ["check", "--help"]).output

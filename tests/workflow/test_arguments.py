@@ -38,7 +38,7 @@ def test_bounds_are_those_of_names_that_there_are():
     assert arguments.bounds("region", {"elbow": (-1, 1)}, NAMES) == {"elbow": (-1.0, 1.0)}
     assert arguments.bounds("region", {"elbow": (1, 1)}, NAMES, equal=True) == {"elbow": (1.0, 1.0)}
     for given, message in (
-        ({"wrist": (0, 1)}, "no coordinate 'wrist'; the coordinates are shoulder, elbow"),
+        ({"wrist": (0, 1)}, "unknown coordinate 'wrist'. Known: shoulder, elbow"),
         ({"elbow": (1, 0)}, "region: the low end of elbow must be below the high one; got 1 and 0"),
         ({"elbow": (1, 1)}, "below"),
         ({"elbow": (0, math.inf)}, "region elbow needs 2 finite"),

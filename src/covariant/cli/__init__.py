@@ -13,11 +13,12 @@ def main() -> None:
     A log that does not fit its model at all gives exit code 1.
     """
     from covariant.cli._app import app
+    from covariant.cli._terminal import say
 
     try:
         app()  # leaves by SystemExit, with code 2 when the options are wrong
     except (ValueError, OSError, ImportError) as error:
         if os.environ.get("COVARIANT_DEBUG"):
             raise
-        print(f"covariant: {' '.join(str(error).split())}", file=sys.stderr)
+        say(f"covariant: {' '.join(str(error).split())}", sys.stderr)
         sys.exit(getattr(error, "exit_code", 2))

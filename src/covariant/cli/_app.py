@@ -5,12 +5,38 @@ from collections.abc import Callable
 from typing import Annotated, Any
 
 import typer
+from typer.core import TyperGroup
 
 from covariant.cli._commands import COMMANDS, Command
 from covariant.cli._signature import signature
 
-app = typer.Typer(no_args_is_help=True, pretty_exceptions_enable=False, rich_markup_mode=None)
+WIDEST = 120
+"""Columns of the help in a terminal that has as many; longer lines are hard to read."""
+
+
+class Grouped(TyperGroup):
+    """A group whose help lists its commands by what they are for, each with its whole first sentence."""
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        listed = {name: self.commands[name] for name in self.list_commands(ctx)}
+        rows = {name: each.get_short_help_str(limit=10**6) for name, each in listed.items()}
+        widest = max(map(len, rows))
+        for group in dict.fromkeys(GROUPS.get(name, "Commands") for name in rows):
+            with formatter.section(group):
+                parts = {name: text for name, text in rows.items() if GROUPS.get(name, "Commands") == group}
+                # The longest name of all commands sets the column, so that the texts of all groups begin in one.
+                formatter.write_dl([(name.ljust(widest), text) for name, text in parts.items()])
+
+
+app = typer.Typer(
+    cls=Grouped,
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+    context_settings={"max_content_width": WIDEST},
+)
 design = typer.Typer(
+    cls=Grouped,
     no_args_is_help=True,
     rich_markup_mode=None,
     help="Design what an observer needs: a metric, an injection, or a motion that shows numbers of a robot.",
@@ -30,10 +56,17 @@ def _function(command: Command) -> Callable[..., None]:
     return call
 
 
+def _epilog(command: Command) -> str:
+    """The end of the help: a line to try, and the page that explains it. The mark \\b keeps their lines apart."""
+    return f"\b\nExample:  covariant {command.example}\nPage:     {command.page}"
+
+
+GROUPS = {(command.name or command.verb).partition(" ")[0]: command.group for command in COMMANDS}
 for command in COMMANDS:
     group, _, name = (command.name or command.verb).rpartition(" ")
-    (design if group else app).command(name)(_function(command))
-app.add_typer(design, name="design")
+    if group and group not in {each.name for each in app.registered_groups}:
+        app.add_typer(design, name=group)
+    (design if group else app).command(name, epilog=_epilog(command))(_function(command))
 
 
 def _version(asked: bool) -> bool:

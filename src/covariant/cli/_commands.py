@@ -12,6 +12,7 @@ from covariant.cli import _parse
 from covariant.cli._console import progress_bar, show
 from covariant.cli._options import COLUMNS, FLAG, PATH, TEXT, Kind, Option, flags_of, in_options, of_verb
 from covariant.cli._signature import REQUIRED, signature
+from covariant.cli._terminal import say
 from covariant.logs import WRITTEN
 from covariant.observers import OBSERVER_NAMES, STATE_OBSERVER_NAMES
 from covariant.workflow import FIGURES, TABLES, check_model_output, check_output
@@ -23,6 +24,9 @@ class Command:
 
     Attributes:
         verb: Name of a function of `covariant.workflow`.
+        group: Heading of the help under which it stands.
+        example: A line to try, without the name of the program.
+        page: The page of the documentation that explains it.
         name: Name of the command, with its group where it is in one; by default that of the verb.
         own: Options that the verb does not have. A file to write, with `suffixes`, is checked before the verb runs.
         changes: Fields of the options of the verb, by the name of the argument, that are otherwise here.
@@ -33,6 +37,9 @@ class Command:
     """
 
     verb: str
+    group: str
+    example: str
+    page: str
     name: str = ""
     own: tuple[Option, ...] = ()
     changes: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
@@ -147,7 +154,7 @@ def _export(call: Invocation) -> Any:
     result = call()
     # On standard error, so that --json prints its object alone.
     for warning in result.warnings:
-        print(f"covariant: warning: {call.words(warning)}", file=sys.stderr)
+        say(f"covariant: warning: {call.words(warning)}", sys.stderr)
     return call.show(result)
 
 
@@ -175,7 +182,7 @@ def _metric(call: Invocation) -> Any:
     try:
         result = call()
     except KeyboardInterrupt as stopped:
-        print(f"covariant: {stopped}", file=sys.stderr)
+        say(f"covariant: {stopped}", sys.stderr)
         # 128 + 2, what shells report of a process that SIGINT ended.
         raise SystemExit(130) from None
     return call.show(result)
@@ -206,9 +213,52 @@ LISTED = {
 """The option `observer` of commands that take all of them."""
 SEVERAL = {"kind": Kind(list[Path], _parse.log_paths, "LOG...")}
 
+LOG, ROBOTS, EXPORT, PROOFS, HELP = "Your log", "Robots and models", "Export", "Proofs and papers", "This program"
+"""Headings of the help."""
 COMMANDS = (
     Command(
+        "init",
+        LOG,
+        "init log.csv -o arm.toml",
+        "docs/your-log.md",
+        own=(_output("Model file to write, which must not exist", ".toml", needed=True),),
+        run=_init,
+        note="What is guessed is said in its comments.",
+    ),
+    Command(
+        "check",
+        LOG,
+        "check arm.toml log.csv",
+        "docs/check.md",
+        own=(PAGE,),
+        exit_code=lambda result: bool(result.wrong),
+        note="Exit code 1 where something is wrong.",
+    ),
+    Command(
+        "fit",
+        LOG,
+        "fit arm.toml log.csv --parameters com,viscous -o fitted.toml",
+        "docs/identification.md",
+        own=(MODEL_FILE, PAGE, OVERWRITE),
+        changes={"log": SEVERAL | {"help": "Logs to fit; the last of several, or the last third of one, is held out."}},
+        run=_fit,
+        exit_code=lambda result: result.exit_code,
+        note="Exit code 1 where the fitted model predicts worse than before what is held out; it is not written then.",
+    ),
+    Command(
+        "tune",
+        LOG,
+        "tune arm.toml log.csv -o tuned.toml",
+        "docs/tuning.md",
+        own=(MODEL_FILE._replace(flags=("-o", "--out", "--write")), REPORT, OVERWRITE),
+        changes={"log": SEVERAL | {"help": "Logs; the last third of each is held out to judge by."}},
+        run=_tune,
+    ),
+    Command(
         "estimate",
+        LOG,
+        "estimate arm.toml log.csv -o velocity.csv --report page.html",
+        "docs/your-log.md",
         own=(
             _output("Write the estimate here", *WRITTEN),
             REPORT,
@@ -220,9 +270,19 @@ COMMANDS = (
         run=_estimate,
         again=True,
     ),
-    Command("smooth", own=(_output("Write the estimate here", *WRITTEN), REPORT, OVERWRITE), again=True),
+    Command(
+        "smooth",
+        LOG,
+        "smooth arm.toml log.csv -o smooth.csv",
+        "docs/smoothing.md",
+        own=(_output("Write the estimate here", *WRITTEN), REPORT, OVERWRITE),
+        again=True,
+    ),
     Command(
         "compare",
+        LOG,
+        "compare arm.toml log.csv",
+        "docs/choose.md",
         own=(
             _output("Write the table here", ".csv"),
             REPORT,
@@ -235,62 +295,62 @@ COMMANDS = (
         ),
         run=_compare,
     ),
-    Command(
-        "check",
-        own=(PAGE,),
-        exit_code=lambda result: bool(result.wrong),
-        note="Exit code 1 where something is wrong.",
-    ),
-    Command(
-        "fit",
-        own=(MODEL_FILE, PAGE, OVERWRITE),
-        changes={"log": SEVERAL | {"help": "Logs to fit; the last of several, or the last third of one, is held out."}},
-        run=_fit,
-        exit_code=lambda result: result.exit_code,
-        note="Exit code 1 where the fitted model predicts worse than before what is held out; it is not written then.",
-    ),
-    Command(
-        "tune",
-        own=(MODEL_FILE._replace(flags=("-o", "--out", "--write")), REPORT, OVERWRITE),
-        changes={"log": SEVERAL | {"help": "Logs; the last third of each is held out to judge by."}},
-        run=_tune,
-    ),
-    Command(
-        "init",
-        own=(_output("Model file to write, which must not exist", ".toml", needed=True),),
-        run=_init,
-        note="What is guessed is said in its comments.",
-    ),
+    Command("describe_model", ROBOTS, "model panda", "docs/robots.md", "model"),
     Command(
         "simulate",
+        ROBOTS,
+        "simulate arm.toml --duration 10 --rate 500 -o log.csv",
+        "docs/robots.md",
         own=(_output("Log to write", *WRITTEN, needed=True), OVERWRITE),
         note="The log has the true state beside the measurements.",
         again=True,
     ),
-    Command("describe_model", "model"),
-    Command("cite", own=(_output("Write the BibTeX entries here", ".bib"),), changes=LISTED),
-    Command("doctor", exit_code=lambda result: bool(result.problems), note="Exit code 1 on a problem."),
     Command(
-        "reproduce_paper",
-        "reproduce",
-        own=(_output("Write the paper's figure here", ".png", name="figure"), PAGE),
+        "design_excitation",
+        ROBOTS,
+        "design excitation arm.toml --parameters friction -o excitation.csv --duration 5",
+        "docs/identification.md",
+        "design excitation",
+        own=(
+            _output("Motion and torques to write", *TABLES, needed=True),
+            Option(
+                "figure", PATH, "Draw the motion and its limits here (.png).", flags=("--figure",), suffixes=FIGURES
+            ),
+            OVERWRITE,
+        ),
+        note="Collisions are not looked at.",
     ),
     Command(
-        "audit_observer",
-        "audit",
-        own=(_output("Write a page or its figure here", ".html", *FIGURES, flags=("-o", "--out", "--html")),),
-        run=_audit,
-        exit_code=lambda result: not result.passed,
-        note="Exit code 1 where a law is broken, or none was measured.",
+        "design_metric",
+        ROBOTS,
+        "design metric unknown_frequency --grid 9 --rate 8 -o P.zarr",
+        "docs/metrics.md",
+        "design metric",
+        changes={"start": {"flags": ("--start",)}},
+        run=_metric,
+        note="A run that was stopped goes on where it was.",
+    ),
+    Command(
+        "design_reduced_order",
+        ROBOTS,
+        "design reduced-order lorenz --rate 1",
+        "docs/contracting.md",
+        "design reduced-order",
     ),
     Command(
         "export",
+        EXPORT,
+        "export arm.toml --rate 500 -o arm",
+        "docs/firmware.md",
         changes=LISTED
         | {"parameters": {"help": "Numbers of the model that may be changed at run time; all by default, or none."}},
         run=_export,
     ),
     Command(
         "certify",
+        PROOFS,
+        "certify examples/heavy_top.toml --alpha 10 --beta 50 --velocity 1 --error 0.05 --rate 2",
+        "docs/certificates.md",
         own=(
             _output("Write the certificate here", ".json"),
             PAGE,
@@ -317,24 +377,39 @@ COMMANDS = (
         note="Angles are in radians. Exit code 0 proved or verified, 1 wrong, undecided or refused, 2 bad input.",
     ),
     Command(
-        "design_metric",
-        "design metric",
-        changes={"start": {"flags": ("--start",)}},
-        run=_metric,
-        note="A run that was stopped goes on where it was.",
+        "audit_observer",
+        PROOFS,
+        "audit ball_and_beam --out audit.html",
+        "docs/certificates.md",
+        "audit",
+        own=(_output("Write a page or its figure here", ".html", *FIGURES, flags=("-o", "--out", "--html")),),
+        run=_audit,
+        exit_code=lambda result: not result.passed,
+        note="Exit code 1 where a law is broken, or none was measured.",
     ),
     Command(
-        "design_excitation",
-        "design excitation",
-        own=(
-            _output("Motion and torques to write", *TABLES, needed=True),
-            Option(
-                "figure", PATH, "Draw the motion and its limits here (.png).", flags=("--figure",), suffixes=FIGURES
-            ),
-            OVERWRITE,
-        ),
-        note="Collisions are not looked at.",
+        "reproduce_paper",
+        PROOFS,
+        "reproduce maithripala",
+        "docs/maithripala.md",
+        "reproduce",
+        own=(_output("Write the paper's figure here", ".png", name="figure"), PAGE),
     ),
-    Command("design_reduced_order", "design reduced-order"),
+    Command(
+        "cite",
+        HELP,
+        "cite arm.toml --observer ekf",
+        "docs/observers.md",
+        own=(_output("Write the BibTeX entries here", ".bib"),),
+        changes=LISTED,
+    ),
+    Command(
+        "doctor",
+        HELP,
+        "doctor",
+        "README.md",
+        exit_code=lambda result: bool(result.problems),
+        note="Exit code 1 on a problem.",
+    ),
 )
 """All commands, in the order of the help. A verb whose arguments are all that its command has is one line here."""

@@ -9,6 +9,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from covariant.cli._terminal import say
+
 if TYPE_CHECKING:
     from covariant.workflow import AbstractResult, Progress
 
@@ -91,9 +93,7 @@ def show(
         ValueError: Where the result cannot be saved or drawn so; the JSON object is printed all the same.
     """
     if not as_json:
-        print(
-            words(str(result)), flush=True
-        )  # before anything is written: what fails later leaves the answer on the screen
+        say(words(str(result)))  # before anything is written: what fails later leaves the answer on the screen
     places: dict[str, Any] = {} if report is None else {"report": []}
     try:
         if out is not None:
@@ -121,5 +121,5 @@ def _draw(result: Any, report: Path | None, figure: Path | None, places: dict[st
 
 
 def _print_paths(paths: list[str], quiet: bool) -> None:
-    if not quiet:
-        print(*(f"wrote {path}" for path in paths), sep="\n", flush=True)
+    for path in () if quiet else paths:
+        say(f"wrote {path}")

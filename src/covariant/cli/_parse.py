@@ -5,6 +5,7 @@ Each function takes the option, for its message, and the text of its value.
 
 from pathlib import Path
 
+from covariant._names import did_you_mean, unknown
 from covariant._numbers import integer, number
 from covariant.models import check_spec
 from covariant.observers import OBSERVER_NAMES, STATE_OBSERVER_NAMES
@@ -103,6 +104,6 @@ def one_of(option: str, text: str, names: tuple[str, ...]) -> str:
     if text not in names:
         listed, thing = ", ".join(names), option.removeprefix("--")
         if thing in ("observer", "paper"):
-            raise ValueError(f"unknown {thing} {text!r}; choose one of {listed}")
-        raise ValueError(f"{option} must be one of {listed}; got {text!r}")
+            raise ValueError(unknown(thing, text, names))
+        raise ValueError(f"{option} must be one of {listed}; got {text!r}.{did_you_mean(text, names)}".rstrip("."))
     return text

@@ -1,7 +1,6 @@
 """Reading of logs of every kind into records in SI units."""
 
 import contextlib
-import difflib
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from os import PathLike
@@ -12,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from covariant._names import did_you_mean
 from covariant.logs._bag import bag_columns, read_bag
 from covariant.logs._cells import numbers
 from covariant.logs._columns import ATTITUDES, ClockError, Columns, Log, LogError, kind, pyarrow
@@ -459,10 +459,8 @@ def _find(log: str, wanted: Sequence[str], source: LogSource) -> None:
     for name in wanted:
         if name in source.names:
             continue
-        close = difflib.get_close_matches(name, source.names, 1)
-        meant = f" Did you mean {close[0]!r}?" if close else ""
         there = _no_header(source) if source.first_line else f"There are: {', '.join(source.shown)}"
-        raise LogError(f"{log}: no column {name!r}.{meant} {there}")
+        raise LogError(f"{log}: no column {name!r}.{did_you_mean(name, source.names)} {there}")
 
 
 def _no_header(source: LogSource) -> str:

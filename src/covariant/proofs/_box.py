@@ -55,7 +55,10 @@ class Box(NamedTuple):
 
     def __str__(self) -> str:
         parts = zip(self.names, self.units, self.low, self.high, strict=True)
-        return ", ".join(f"{low:.4g} ≤ {name} ≤ {high:.4g} {unit}".rstrip() for name, unit, low, high in parts)
+        # + 0.0 takes the sign from a zero.
+        return ", ".join(
+            f"{low + 0.0:.4g} ≤ {name} ≤ {high + 0.0:.4g} {unit}".rstrip() for name, unit, low, high in parts
+        )
 
 
 def box(**bounds: tuple[float, float] | tuple[float, float, str]) -> Box:

@@ -7,6 +7,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from covariant._names import unknown
+
 Region = Mapping[str, Sequence[float | int]]
 """Low and high ends of coordinates by name, such as `{"theta": (-1.0, 1.0)}`."""
 Amounts = float | int | Sequence[Any] | np.ndarray
@@ -83,7 +85,7 @@ def bounds(
     intervals = {}
     for name, pair in given.items():
         if name not in names:
-            raise ValueError(f"{argument}: there is no {what} {name!r}; the {what}s are {', '.join(names)}")
+            raise ValueError(f"{argument}: {unknown(what, name, names)}")
         ends = numbers(f"{argument} {name}", pair, ("the low end", "the high end"))
         low, high = float(ends[0]), float(ends[1])
         if not (low < high or (equal and low == high)):

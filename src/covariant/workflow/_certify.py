@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from covariant import certificates, models
+from covariant._names import unknown
 from covariant.certificates import (
     AbstractClaim,
     Attempt,
@@ -25,6 +26,7 @@ from covariant.certificates import (
 from covariant.models import MechanicalSystem, Overrides, input_count
 from covariant.proofs import read_file
 from covariant.workflow._arguments import Amounts, Region, above_zero, amounts, bounds, gain_pair, numbers
+from covariant.workflow._certify_sentences import in_degrees, verdict
 from covariant.workflow._design import design
 from covariant.workflow._find import FIND, largest_proved
 from covariant.workflow._inputs import numbered
@@ -137,7 +139,7 @@ def certify(
     if error is None:
         raise ValueError("error is missing: give how far an estimated position may be off, one bound or one each")
     if observer not in OBSERVERS:
-        raise ValueError(f"unknown observer {observer!r}; choose one of {', '.join(OBSERVERS)}")
+        raise ValueError(unknown("observer", observer, OBSERVERS))
     pair = gain_pair(alpha, beta)
     name = models.spec_name(model)
     progress("reading the model")
@@ -267,6 +269,7 @@ class CertifyResult(AbstractResult):
     def __str__(self) -> str:
         cert, domain = self.certificate, self.certificate.domain
         lines = [
+            *([verdict(cert), ""] if self.holds else []),  # other statements begin with their verdict themselves
             str(cert.statement),
             "",
             self.design,
@@ -279,13 +282,14 @@ class CertifyResult(AbstractResult):
         for kind, name, unit, low, high in zip(
             cert.kinds, domain.names, domain.units, domain.low, domain.high, strict=True
         ):
+            low, high = low + 0.0, high + 0.0  # takes the sign from a zero
             ends = f"  {low:.4g} ≤ {_KINDS[kind]} {name} ≤ {high:.4g} {unit}".rstrip()
-            lines.append(ends + _in_degrees(high, unit, low))
+            lines.append(ends + in_degrees(high, unit, low))
         if cert.counterexample is not None:
             point = cert.counterexample.mean(axis=0)
             lines.append("it is wrong at")
             lines += [
-                f"  {name} = {x:.6g} {unit}".rstrip() + _in_degrees(x, unit)
+                f"  {name} = {x:.6g} {unit}".rstrip() + in_degrees(x, unit)
                 for name, unit, x in zip(domain.names, domain.units, point, strict=True)
             ]
         lines += [
@@ -322,7 +326,7 @@ class CertifyResult(AbstractResult):
             *covered,
             f"tube of the radius ε = {cert.radius:.4g}: every estimate in it stays within",
             *(
-                f"  {w:.4g} {unit} of {what} {name}{_in_degrees(w, unit)}"
+                f"  {w:.4g} {unit} of {what} {name}{in_degrees(w, unit)}"
                 for what, widths, each in (
                     ("position", cert.half_widths[:n], turns),
                     ("velocity", cert.half_widths[n:], rates),
@@ -513,12 +517,3 @@ def _start(start: Start) -> dict[str, dict[str, float]]:
 
 def _undecided_claims(certificate: ContractionCertificate) -> list[AbstractClaim]:
     return [claim for claim in certificate.claims if claim.proof.verdict == "undecided"]
-
-
-def _in_degrees(value: float, unit: str, low: float | None = None) -> str:
-    """An angle also in degrees, in brackets; empty for other units."""
-    if unit not in ("rad", "rad/s"):
-        return ""
-    each = unit.removeprefix("rad")
-    start = "" if low is None else f"{math.degrees(low):.4g} to "
-    return f" ({start}{math.degrees(value):.4g}°{each})"

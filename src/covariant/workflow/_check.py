@@ -224,15 +224,22 @@ class CheckResult(AbstractResult):
         return write_result_page(path, title, self, [rows] if rows else [], facts)
 
     def __str__(self) -> str:
-        head = f"{self.log}: {self.rows} rows at {self.rate:.4g} Hz, compared with {self.model}"
+        wrong = sum(finding.wrong for finding in self.findings)
+        notes, checks = len(self.findings) - wrong, len(self.diagnosis.looked_for)
+        counted = f"{notes} note{'s' * (notes != 1)}, {checks} check{'s' * (checks != 1)}"
+        verdict = f"WRONG: the log is not what the model file says it is ({wrong} wrong, {counted})"
         looked = f"looked for: {', '.join(self.diagnosis.looked_for)}"
         if self.diagnosis.skipped:
             looked += f"; not looked for, since this log shows no accelerations: {', '.join(self.diagnosis.skipped)}"
-        if not self.findings:
-            return f"{head}\nnothing found; {looked}"
-        verdict = "the log is not what the model file says it is" if self.wrong else "nothing is wrong"
-        lines = [line for finding in self.findings for line in ("", *_lines(finding))]
-        return "\n".join([head, *lines, "", f"{verdict}; {looked}"])
+        return "\n".join(
+            [
+                verdict if self.wrong else f"OK: nothing wrong ({counted})",
+                f"{self.log}: {self.rows} rows at {self.rate:.4g} Hz, compared with {self.model}",
+                *(line for finding in self.findings for line in ("", *_lines(finding))),
+                *([""] if self.findings else []),
+                looked,
+            ]
+        )
 
 
 def _with_names(finding: Finding, job: Job) -> Finding:

@@ -239,11 +239,11 @@ class CompareResult(AbstractComparison):
         notable = any(engine_is_notable(each.engine, self.asked_engine) for each in self.outcomes.values())
         lines = [
             f"{self.job.log_name}, {what} errors against the {scored_against(self.loaded)}",
-            f"Ranked by {ranked_by(self.loaded, self.predicted)}.",
-            self.design,
             "",
             table(self._rows()),
+            f"Ranked by {ranked_by(self.loaded, self.predicted)}.",
             rows_that_count(self.loaded),
+            self.design,
             *self.warnings,
             *(_engines(self.outcomes) if notable else []),
         ]

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from covariant import logs
+from covariant._names import unknown as unknown_name
 from covariant.calibration import ESTIMATORS, STATE_ESTIMATORS, estimators
 from covariant.engine import EngineName
 from covariant.models import Overrides
@@ -396,7 +397,7 @@ def _gains(observer: str | None, alpha: float | None, beta: float | None) -> tup
     """The gains, where they are given; raises `ValueError` for an unknown observer and for gains that make no sense."""
     names = (*ESTIMATORS, *STATE_ESTIMATORS)
     if observer is not None and observer not in names:
-        raise ValueError(f"unknown observer {observer!r}; choose one of {', '.join(names)}")
+        raise ValueError(unknown_name("observer", observer, names))
     return gain_pair(alpha, beta)
 
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from covariant import models
+from covariant._names import unknown
 from covariant.codegen import Program, Recipe, of_family, program, with_open_numbers
 from covariant.lowering import LoweringError
 from covariant.models import Family, ModelFile, Overrides
@@ -66,7 +67,7 @@ def _recipe(observer: AbstractObserver, parameters: Sequence[str] | None) -> Rec
     everything = with_open_numbers(observer)
     for pattern in parameters:
         if not any(fnmatchcase(name, pattern) for name in everything.numbers):
-            raise ValueError(f"parameters: there is no {pattern!r}; there are: {', '.join(everything.numbers)}")
+            raise ValueError(f"parameters: {unknown('number', pattern, tuple(everything.numbers))}")
     closed = [n for n in everything.numbers if not any(fnmatchcase(n, pattern) for pattern in parameters)]
     return with_open_numbers(observer, closed)
 

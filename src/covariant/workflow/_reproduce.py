@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from covariant._names import unknown
 from covariant.workflow._outputs import check_output
 from covariant.workflow._progress import Progress, silent
 from covariant.workflow._result import AbstractResult
@@ -36,10 +37,10 @@ def reproduce_paper(paper: str, *, progress: Progress = silent) -> "ReproduceRes
         >>> workflow.reproduce_paper("kalman")
         Traceback (most recent call last):
             ...
-        ValueError: unknown paper 'kalman'; choose one of aghannan-rouchon, maithripala, ...
+        ValueError: unknown paper 'kalman'. Known: aghannan-rouchon, maithripala, ...
     """
     if paper not in PAPERS:
-        raise ValueError(f"unknown paper {paper!r}; choose one of {', '.join(PAPERS)}")
+        raise ValueError(unknown("paper", paper, PAPERS))
     progress("reading the paper's models", 0.0)
     module = importlib.import_module(f"covariant.papers.{PAPERS[paper]}")
     begun = 0

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from covariant._names import unknown
 from covariant.certificates import Hypothesis, Statement, lyapunov, rate_of
 from covariant.certificates.audit._laws import (
     STEP,
@@ -278,9 +279,9 @@ def audit(
     """
     flow, model = _error_system(observer, model)
     alpha, beta = _gains(observer, gains)
-    unknown = [name for name in laws if name not in LAWS]
-    if unknown:
-        raise ValueError(f"audit: there is no law {unknown[0]!r}; choose from {', '.join(LAWS)}")
+    for name in laws:
+        if name not in LAWS:
+            raise ValueError(f"audit: {unknown('law', name, LAWS)}")
     if points < 1 or not (0 < speed < math.inf and 0 < error < math.inf):
         raise ValueError(f"audit: points, speed and error must be positive; got {points}, {speed:g}, {error:g}")
     box = _box(model, domain)
@@ -353,9 +354,9 @@ def _box(model: MechanicalSystem, domain: Box | None) -> Box:
         check_box(domain)
         if not names:
             return domain
-        unknown = [name for name in domain.names if name not in names]
-        if unknown:
-            raise ValueError(f"audit: there is no coordinate {unknown[0]!r}; the coordinates are {', '.join(names)}")
+        for name in domain.names:
+            if name not in names:
+                raise ValueError(f"audit: {unknown('coordinate', name, names)}")
     low, high = (np.full(len(names), end) for end in ((0.2, 1.2) if model.manifold.commuting else (-1.0, 1.0)))
     low[list(circles)], high[list(circles)] = -np.pi, np.pi
     for name, least, most in zip(domain.names, domain.low, domain.high, strict=True) if domain is not None else ():

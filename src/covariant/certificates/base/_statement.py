@@ -161,7 +161,7 @@ def lines(hypotheses: Iterable[Hypothesis]) -> list[str]:
 
 def exact(value: float) -> str:
     """The shortest text that is this number."""
-    return repr(float(value)).removesuffix(".0")
+    return repr(float(value) + 0.0).removesuffix(".0")  # + 0.0 takes the sign from a zero
 
 
 def rounded_up(value: float) -> str:

@@ -12,8 +12,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
+from covariant._names import refuse_unknown
 from covariant.models._mechanical import input_count, resistance
-from covariant.models._names import refuse_unknown
 from covariant.models.files import _source
 from covariant.models.files._file import document, finish, made
 from covariant.models.files._model_file import ModelFile, named

@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from covariant.models._names import refuse_unknown
+from covariant._names import refuse_unknown
 from covariant.models.files._model_file import ModelFile
 from covariant.models.robots import (
     OF_GEAR,

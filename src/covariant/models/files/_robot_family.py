@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from covariant.models._names import refuse_unknown
+from covariant._names import refuse_unknown
 from covariant.models._parameters import AnyArray
 from covariant.models.files._file import document, finish, made, parameters_of
 from covariant.models.files._model_file import ModelFile, named

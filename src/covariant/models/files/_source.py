@@ -16,9 +16,9 @@ from typing import Any, Union, get_args, get_origin
 import jax
 import numpy as np
 
+from covariant._names import refuse_unknown
 from covariant._typing import Number
 from covariant.models._mechanical import MechanicalSystem
-from covariant.models._names import refuse_unknown
 from covariant.models._state_space import StateSpace, state_space
 from covariant.models.files._systems import SYSTEMS
 

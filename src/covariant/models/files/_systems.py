@@ -5,9 +5,11 @@ import os
 from os import PathLike
 from pathlib import Path
 
-from covariant.models._names import unknown
+from covariant._names import unknown
 from covariant.models.robots import ROBOTS
 
+LOG_FILES = (".csv", ".txt", ".parquet", ".mcap", ".db3", ".bag")
+"""Suffixes of logs, which are sometimes given in place of a model."""
 ROBOT_FILES = (".urdf", ".xml")
 """Suffixes of robot files."""
 SYSTEMS = {
@@ -64,4 +66,9 @@ def check_spec(spec: str | PathLike[str]) -> None:
 
 def unknown_model(name: str) -> str:
     """Message for a name that is no model."""
+    if Path(name).suffix in LOG_FILES:
+        return (
+            f"unknown model {name!r}. The model comes first and then the log: did you swap them? A model is a .toml, "
+            ".urdf or .xml file, module:attribute, or the name of a system or a robot"
+        )
     return f"{unknown('model', name, (*SYSTEMS, *ROBOTS))}, a .toml, .urdf or .xml file, or module:attribute"

@@ -6,8 +6,8 @@ import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
+from covariant._names import refuse_unknown
 from covariant.logs import ATTITUDES, Columns, unit_factor
-from covariant.models._names import refuse_unknown
 from covariant.models._parameters import ZERO_OR_MORE
 from covariant.models.files._keys import Counts, Number
 from covariant.models.files._model_file import KEYS

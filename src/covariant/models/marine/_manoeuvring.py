@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from covariant._linalg import solve
-from covariant.models._names import refuse_unknown
+from covariant._names import refuse_unknown
 from covariant.models._parameters import Parameter, Parametric
 from covariant.models._state_space import StateSpace
 from covariant.models.marine._craft import yaw_rotation

@@ -9,11 +9,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from covariant._names import refuse_unknown
 from covariant.geometry import AbstractManifold, Coordinates, ProductManifold
 from covariant.geometry.lie import SE3, SO3
 from covariant.lowering import evaluate_batch
 from covariant.models._mechanical import MechanicalSystem
-from covariant.models._names import refuse_unknown
 from covariant.models._parameters import Parametric, known, namespace
 from covariant.models.robots._axes import Axis, Freedom, bodies_of, freedom_of, regrouped
 from covariant.models.robots._description import BodyInertia, Description, Joint, negative_inertia, numbers

@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 
+from covariant._names import refuse_unknown
 from covariant._typing import Number
-from covariant.models._names import refuse_unknown
 from covariant.models._parameters import ANY_SIGN, POSITIVE, ZERO_OR_MORE, check_range, known, namespace
 from covariant.models.robots._description import (
     BodyInertia,

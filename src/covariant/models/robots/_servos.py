@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from covariant._functional import Functional
-from covariant.models._names import refuse_unknown
+from covariant._names import refuse_unknown
 from covariant.models._parameters import ANY_SIGN, POSITIVE, ZERO_OR_MORE, check_range, known
 from covariant.models.robots._axes import Axis, Freedom
 from covariant.models.robots._description import Description, FrictionLaw, Joint, Motor, Servo, numbers

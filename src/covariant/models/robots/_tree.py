@@ -4,7 +4,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Float
 
-from covariant.models._names import refuse_unknown
+from covariant._names import refuse_unknown
 
 
 class KinematicTree(eqx.Module):

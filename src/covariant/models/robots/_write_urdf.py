@@ -7,7 +7,7 @@ from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 
-from covariant.models._names import refuse_unknown
+from covariant._names import refuse_unknown
 from covariant.models.robots._changes import numbers_of
 from covariant.models.robots._description import Description, Joint, turn_about
 from covariant.models.robots._library import located

@@ -4,11 +4,16 @@ import difflib
 from collections.abc import Collection
 
 
+def did_you_mean(name: str, known: Collection[str]) -> str:
+    """Suggest the nearest known name, as a sentence after a blank; empty if none is near."""
+    lists = (each.partition("[")[0] for each in known)  # com[0] and com[1] are meant by com
+    nearest = difflib.get_close_matches(name, [*known, *lists], 1)
+    return f" Did you mean {nearest[0]!r}?" if nearest else ""
+
+
 def unknown(what: str, name: str, known: Collection[str]) -> str:
     """Message for an unknown name: one line that suggests the nearest known name and lists all."""
-    nearest = difflib.get_close_matches(name, known, 1)
-    suggestion = f" Did you mean {nearest[0]!r}?" if nearest else ""
-    return f"unknown {what} {name!r}.{suggestion} Known: {', '.join(known) or 'none'}"
+    return f"unknown {what} {name!r}.{did_you_mean(name, known)} Known: {', '.join(known) or 'none'}"
 
 
 def refuse_unknown(what: str, name: str, known: Collection[str]) -> None:
