@@ -12,11 +12,13 @@ import time
 from pathlib import Path
 
 import rclpy
+from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import QoSProfile
+from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 
 plan, out, *command = json.loads(Path(sys.argv[1]).read_text()), Path(sys.argv[2]), *sys.argv[3:]
@@ -25,6 +27,7 @@ node = rclpy.create_node("driver")
 executor = SingleThreadedExecutor()
 executor.add_node(node)
 sender = node.create_publisher(JointState, "joint_states", QoSProfile(depth=5000))
+time_of_ros = node.create_publisher(Clock, "/clock", 10)
 heard, sent, counts, taken = [], {}, [], {}
 
 
@@ -86,6 +89,11 @@ for item in plan:
     elif "set" in item:
         spin(0.5)
         answers += set_numbers(item["set"])
+    elif "clock" in item:
+        for ns in item["clock"]:
+            spin(0.5)
+            time_of_ros.publish(Clock(clock=Time(sec=ns // 10**9, nanosec=ns % 10**9)))
+        spin(0.5)
     else:
         begin = time.monotonic()
         for k, (ns, names, position, effort) in enumerate(item["messages"]):

@@ -229,7 +229,7 @@ def export(
     else:
         facts = Facts(rate, substeps, proved, broken, refusals)
         run = vectors(written, measured, rate)
-        texts = export_texts(written, prefix, description, measured, facts, limit, run, python, wasm)
+        texts = export_texts(written, prefix, description, measured, facts, limit, run, python, wasm, ros2)
         more = python_files(written, texts, prefix, description, rate) if python else {}
         more |= ros_files(written, texts, prefix, description, rate) if ros2 else {}
         if python and not any(path.endswith(".whl") for path in more):

@@ -11,6 +11,7 @@ import math
 import sys
 
 import rclpy
+import xNAMEx
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor, SetParametersResult
 from rclpy.clock import JumpThreshold
@@ -21,8 +22,6 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from sensor_msgs.msg import JointState
-
-import xNAMEx
 
 JOINTS = xJOINTSx
 FORCE = xFORCEx
