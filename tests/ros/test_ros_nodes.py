@@ -172,15 +172,15 @@ def test_nodes_equal_the_batch_run_through_faults(kind, commands, model, message
 def test_numbers_of_the_model_change_at_run_time(commands, messages, tmp_path):
     part = messages[:200]
     plan = [
-        {"set": {"model.mass.2": 0.6, "model.coulomb.1": 0.0}},
-        {"set": {"model.mass.2": 1e9}},
+        {"set": {"model.mass_2": 0.6, "model.coulomb_1": 0.0}},
+        {"set": {"model.mass_2": 1e9}},
         {"rate": RATE, "messages": part},
     ]
     seen = drive(commands["python"], plan, tmp_path)
     assert [ok for ok, _ in seen["answers"]] == [True, True, False]
     assert "range" in seen["answers"][2][1]
     # The node in C takes them at its start.
-    values = ["--ros-args", "-p", "model.mass.2:=0.6", "-p", "model.coulomb.1:=0.0"]
+    values = ["--ros-args", "-p", "model.mass_2:=0.6", "-p", "model.coulomb_1:=0.0"]
     other = drive([*commands["c"], *values], plan[2:], tmp_path)
     rows = {ns: v for ns, _, _, v, _ in seen["heard"]}
     assert max(abs(a - b) for ns, _, _, v, _ in other["heard"] for a, b in zip(v, rows[ns], strict=True)) < 1e-12

@@ -92,7 +92,7 @@ def _words(program: Program, name: str, about: str, rate: float) -> Words:
     force = next((x.name for x in program.stored if x.name.endswith("force") and x.size == n), "")
     effort = program.u == n
     numbers = [
-        (f"model.{key}{f'.{k + 1}' if len(values) > 1 else ''}", f"&params.{key}{f'[{k}]' if shape else ''}")
+        (f"model.{key}{f'_{k + 1}' if len(values) > 1 else ''}", f"&params.{key}{f'[{k}]' if shape else ''}")
         for (key, values), shape in zip(flat.items(), (leaf.shape for leaf in program.parameters), strict=True)
         for k in range(len(values))
     ]

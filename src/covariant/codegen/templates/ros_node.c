@@ -30,7 +30,7 @@
 
 static const char *const joints[JOINTS] = {xJOINTS_Cx};
 static xNAMEx_params params;
-/* Numbers of the model, set at the start by -p model.NAME:=VALUE, counted from 1 where there are several. */
+/* Numbers of the model, set at the start by -p model.NAME:=VALUE, as model.mass_1 where there are several. */
 static const struct {
     const char *name;
     xNAMEx_real *value;

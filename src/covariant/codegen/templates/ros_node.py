@@ -53,6 +53,7 @@ class ObserverNode(Node):
         if len(self.joints) != len(JOINTS):
             raise ValueError(f"joints has {len(self.joints)} names; the model has {len(JOINTS)}: {', '.join(JOINTS)}")
         self.observer = xNAMEx.Observer()
+        self.numbers = {}  # array and place of each number of the model, by the name of its parameter
         for name, values in self.observer.params.items():
             for place, value in enumerate(values.ravel().tolist()):
                 self._declare_number(name, place, values.size, value)
@@ -170,19 +171,20 @@ class ObserverNode(Node):
             description=f"{name}{which}{f' [{unit}]' if unit else ''}",
             floating_point_range=[FloatingPointRange(from_value=least, to_value=largest)],
         )
-        self.declare_parameter(f"model.{name}.{place + 1}" if size > 1 else f"model.{name}", value, details)
+        key = f"model.{name}_{place + 1}" if size > 1 else f"model.{name}"
+        self.numbers[key] = self.observer.params[name].reshape(-1), place
+        self.declare_parameter(key, value, details)
 
     def _check(self, parameters: list) -> SetParametersResult:
-        bad = [p.name for p in parameters if p.name.startswith("model.") and not math.isfinite(p.value)]
+        bad = [p.name for p in parameters if p.name in self.numbers and not math.isfinite(p.value)]
         return SetParametersResult(successful=not bad, reason=f"{', '.join(bad)}: not finite" if bad else "")
 
     def _apply(self, parameters: list) -> None:
         """Take over changed numbers of the model, from the next sample on."""
         for parameter in parameters:
-            start, _, rest = parameter.name.partition(".")
-            if start == "model":
-                name, _, place = rest.partition(".")
-                self.observer.params[name].reshape(-1)[int(place or 1) - 1] = parameter.value
+            if parameter.name in self.numbers:
+                array, place = self.numbers[parameter.name]
+                array[place] = parameter.value
 
 
 def main() -> None:
