@@ -330,7 +330,8 @@ def _check(
         raise ValueError("step_per_sensor is for C, and a unit has one step for all; leave it out")
     if unit and (python or wasm or ros2):
         raise ValueError(
-            f"{'python' if python else 'wasm' if wasm else 'ros2'} is for a folder, and a unit is one file; name a folder by -o"
+            f"{'python' if python else 'wasm' if wasm else 'ros2'} is for a folder, and a unit is one file; name a "
+            "folder by -o"
         )
 
 
