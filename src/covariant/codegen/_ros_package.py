@@ -1,0 +1,135 @@
+"""An exported observer as two packages of ROS 2: a node in Python around its module, and one in C on rcl.
+
+Sources: REP 149, package.xml; the messages of sensor_msgs and diagnostic_msgs.
+"""
+
+import json
+import math
+from collections.abc import Mapping
+from xml.sax.saxutils import escape
+
+import numpy as np
+
+from covariant._templates import Words, fill
+from covariant.codegen._program import Program
+from covariant.codegen._python_package import python_files
+from covariant.codegen._source import common_words
+
+LONGEST_GAP, SET_BACK = 1.0, 5
+"""Gap [s] and number of late samples in a row after which the estimate starts anew, as in `engine.Stream`."""
+POSITIVE = ("mass", "inertia", "length", "alpha", "beta", "noise", "speed")
+"""Numbers that stay above zero; a tenth and ten times of the exported ones are their range."""
+DEPENDS = {
+    "ament_python": (
+        "exec",
+        ("rclpy", "sensor_msgs", "diagnostic_msgs", "rcl_interfaces", "launch_ros", "python3-numpy"),
+    ),
+    "ament_cmake": ("", ("rcl", "sensor_msgs", "diagnostic_msgs")),
+}
+
+
+def ros_files(program: Program, texts: Mapping[str, str], name: str, about: str, rate: float) -> dict[str, bytes]:
+    """Two packages of ROS 2 around an exported observer of joints.
+
+    Args:
+        program: The observer as graphs.
+        texts: Its header and source, as `export_texts` writes them.
+        name: Prefix of all names in C, and name of the Python module.
+        about: A line that says what the observer is.
+        rate: Sampling rate [Hz] that it is made for.
+
+    Returns:
+        Contents by their path in the folder of the export: `ros2/NAME_ros`, which pip and colcon build, and
+        `ros2/NAME_ros_c`, which colcon builds.
+
+    Raises:
+        ValueError: The observer reads something else than a position of each joint.
+        OSError: The compiler refuses the sources.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant import codegen, observers
+        >>> recipe = codegen.with_open_numbers(observers.FilteredDerivative(20.0))
+        >>> program = codegen.program(recipe, np.zeros(1))._replace(signals=codegen.Signals(("q1 [rad]",)))
+        >>> source = codegen.write_source(program, "speed", "A filtered derivative.")
+        >>> texts = {"speed.h": source.header, "speed.c": source.source}
+        >>> files = codegen.ros_files(program, texts, "speed", "A filtered derivative.", 100.0)
+        >>> "ros2/speed_ros/package.xml" in files, "ros2/speed_ros_c/src/node.c" in files
+        (True, True)
+    """
+    if len(program.y) != 1 or program.sensors or [leaf.name for leaf in program.output][:2] != ["q", "v"]:
+        raise ValueError("--ros2 is for observers of joints, each with a position; this one reads something else")
+    words = common_words(program, name, about) | _words(program, name, about, rate)
+    package, native = f"{name.lower()}_ros", f"{name.lower()}_ros_c"
+    module = python_files(program, texts, name, about, rate)
+    files = {path.removeprefix("python/"): data for path, data in module.items() if not path.endswith(".whl")}
+    files |= {
+        "package.xml": _manifest(package, about, "ament_python"),
+        "setup.py": fill("codegen", "ros_setup.py", words),
+        "setup.cfg": f"[develop]\nscript_dir=$base/lib/{package}\n[install]\ninstall_scripts=$base/lib/{package}\n",
+        f"resource/{package}": "",
+        f"{package}/__init__.py": "",
+        f"{package}/node.py": fill("codegen", "ros_node.py", words),
+        f"launch/{name}.launch.py": fill("codegen", "ros_launch.py", words),
+        f"config/{name}.yaml": fill("codegen", "ros_config.yaml", words),
+    }
+    in_c = {
+        "package.xml": _manifest(native, about, "ament_cmake"),
+        "CMakeLists.txt": fill("codegen", "ros_CMakeLists.txt", words | {"PACKAGE": native}),
+        "src/node.c": fill("codegen", "ros_node.c", words),
+        f"src/{name}.c": texts[f"{name}.c"],
+        f"src/{name}.h": texts[f"{name}.h"],
+    }
+    written = {f"ros2/{package}/{path}": content for path, content in files.items()}
+    written |= {f"ros2/{native}/{path}": content for path, content in in_c.items()}
+    return {path: text.encode() if isinstance(text, str) else text for path, text in written.items()}
+
+
+def _words(program: Program, name: str, about: str, rate: float) -> Words:
+    n, flat = program.measurements, {leaf.name: np.ravel(program.numbers[leaf.name]) for leaf in program.parameters}
+    labels = program.signals.y if len(program.signals.y) == n else tuple(f"joint{k + 1}" for k in range(n))
+    joints = [label.partition(" [")[0].removesuffix("/position").rpartition("/")[2] for label in labels]
+    force = next((x.name for x in program.stored if x.name.endswith("force") and x.size == n), "")
+    effort = program.u == n
+    numbers = [
+        (f"model.{key}{f'_{k + 1}' if len(values) > 1 else ''}", f"&params.{key}{f'[{k}]' if shape else ''}")
+        for (key, values), shape in zip(flat.items(), (leaf.shape for leaf in program.parameters), strict=True)
+        for k in range(len(values))
+    ]
+    return {
+        "PACKAGE": f"{name.lower()}_ros",
+        "ABOUT": about.replace("\\", "/").replace('"', "'").replace("*/", ""),
+        "JOINTS": json.dumps(joints),
+        "JOINTS_C": ", ".join(map(json.dumps, joints)),
+        "FORCE": json.dumps(force),
+        "FORCE_FIELD": force or "none",
+        "HAS_FORCE": int(bool(force)),
+        "RATE": repr(float(rate)),
+        "LONGEST_GAP": LONGEST_GAP,
+        "SET_BACK": SET_BACK,
+        "U": max(1, program.u),
+        "USE_EFFORT": str(effort).lower(),
+        "USE_EFFORT_C": int(effort),
+        "RANGES": [
+            f"    {key!r}: {[(*_range(key, value), program.units.get(key) or '') for value in values.tolist()]},"
+            for key, values in flat.items()
+        ],
+        "NUMBERS": [f'    {{"{key}", {place}}},' for key, place in numbers],
+    }
+
+
+def _range(name: str, value: float) -> tuple[float, float]:
+    """The range that a number of the model may be set to at run time."""
+    if name.startswith(POSITIVE) and value > 0:
+        return value / 10, value * 10
+    reach = 10 * abs(value) if value and math.isfinite(value) else 10.0
+    return (0.0 if name.startswith(("viscous", "coulomb")) and value >= 0 else -reach), reach
+
+
+def _manifest(package: str, about: str, build: str) -> str:
+    kind, names = DEPENDS[build]
+    tag = f"{kind}_depend" if kind else "depend"
+    depends = [f"  <{tag}>{each}</{tag}>" for each in names]
+    depends += ["  <buildtool_depend>ament_cmake</buildtool_depend>"] if build == "ament_cmake" else []
+    words = {"PACKAGE": package, "DESCRIPTION": escape(about), "LICENSE": "Proprietary", "BUILD": build}
+    return fill("codegen", "ros_package.xml", words | {"DEPENDS": depends})
