@@ -191,6 +191,13 @@ REPORT = Option(
     flags=("--report",),
     suffixes=(".html",),
 )
+RERUN = Option(
+    "rerun",
+    PATH,
+    "Write a recording for the Rerun viewer (.rrd): curves, bands, and the robot in motion.",
+    flags=("--rerun",),
+    suffixes=(".rrd",),
+)
 OVERWRITE = Option("overwrite", FLAG, "Let --out replace a file of another origin.", False, ("--overwrite",))
 LISTED = {
     "observer": {
@@ -207,6 +214,7 @@ COMMANDS = (
         own=(
             _output("Write the estimate here", *WRITTEN),
             REPORT,
+            RERUN,
             OVERWRITE,
             Option("smooth", FLAG, default=False, flags=("--smooth",), hidden=True),
             Option("lag", Kind(float), flags=("--lag",), hidden=True),
@@ -215,7 +223,7 @@ COMMANDS = (
         run=_estimate,
         again=True,
     ),
-    Command("smooth", own=(_output("Write the estimate here", *WRITTEN), REPORT, OVERWRITE), again=True),
+    Command("smooth", own=(_output("Write the estimate here", *WRITTEN), REPORT, RERUN, OVERWRITE), again=True),
     Command(
         "compare",
         own=(
