@@ -60,10 +60,10 @@ class Health(NamedTuple):
 class Stream:
     """An observer that is fed sample by sample: `x = stream.step(t, y, u)`.
 
-    It is compiled on construction. `step` never raises an error of its own. The first complete measurement that is a configuration
-    starts the estimate; until then the estimate is NaN. NaN and infinite entries of y are missing. A sample with the
-    stamp of the one before changes nothing, nor does one with an earlier stamp, unless `SET_BACK` of them come in a
-    row. `health` counts what was wrong.
+    It is compiled on construction. `step` never raises an error of its own. The first complete measurement that is a
+    configuration starts the estimate; until then the estimate is NaN. NaN and infinite entries of y are missing. A
+    sample with the stamp of the one before changes nothing, nor does one with an earlier stamp, unless `SET_BACK` of
+    them come in a row. `health` counts what was wrong.
 
     Args:
         observer: Any observer.

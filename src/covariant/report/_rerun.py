@@ -91,5 +91,8 @@ def _arrangement(rr: Any, curves: Sequence[Curve], bodies: Sequence[MovingBody])
     right = rrb.Vertical(plots, results, row_shares=[5, 1])
     if not bodies:
         return rrb.Blueprint(right, collapse_panels=True)
-    robot = rrb.Spatial3DView(origin="/robot", name="robot")
+    places = np.concatenate([body.poses[:, :3, 3] for body in bodies])
+    middle, size = (places.min(0) + places.max(0)) / 2, np.ptp(places, axis=0).max() + 10 * RADIUS
+    eye = rrb.EyeControls3D(position=middle + size * np.array([1.8, 1.2, 0.6]), look_target=middle, eye_up=[0, 0, 1])
+    robot = rrb.Spatial3DView(origin="/robot", name="robot", eye_controls=eye)
     return rrb.Blueprint(rrb.Horizontal(robot, right, column_shares=[1, 2]), collapse_panels=True)

@@ -72,19 +72,20 @@ def _bodies(result: Any, rows: np.ndarray) -> list[MovingBody]:
     q = q if hasattr(estimate, "q") else q[:, : len(result.loaded.model.coordinates)]
     tree, links = space.tree, space.links
     names = {body: name for name, body in reversed(list(zip(links.names, links.bodies, strict=True)))}
-    poses = jax.jit(jax.vmap(lambda x: [space.pose(x, name) for name in links.names]))(q)
+    joints = jax.jit(jax.vmap(space.joints))(q)
+    base = np.asarray(q).reshape(len(q), -1)[:, :16].reshape(-1, 4, 4) if space.floating else np.eye(4)
+    poses = {-1: np.broadcast_to(base, (len(q), 4, 4))}
+    for body, parent in enumerate(tree.parents):  # parents come first
+        step = np.broadcast_to(np.eye(4), (len(q), 4, 4)).copy()
+        step[:, :3, :3], step[:, :3, 3] = np.asarray(joints.rotation)[:, body], np.asarray(joints.place)[:, body]
+        poses[body] = poses[parent] @ step
     bodies = []
     for body, name in names.items():
-        i = links.names.index(name)
-        to_link = np.eye(4)
-        to_link[:3, :3], to_link[:3, 3] = np.asarray(links.rotation[i]), np.asarray(links.place[i])
-        to_link = np.linalg.inv(to_link)  # from the frame of the body to that of the link that stands for it
         ends = [np.asarray(tree.place[k]) for k, parent in enumerate(tree.parents) if parent == body]
-        ends += [np.asarray(links.place[k]) for k, of in enumerate(links.bodies) if of == body and k != i]
+        ends += [np.asarray(links.place[k]) for k, of in enumerate(links.bodies) if of == body]
         mass, first = (tree.mass[body], tree.first[body]) if body >= 0 else (tree.base_mass, tree.base_first)
         centre = np.asarray(first) / max(float(mass), 1e-12)
         ends = [end for end in ends if np.linalg.norm(end) > 0] or [centre]  # a last link reaches to its centre of mass
-        points = np.array([np.zeros(3), centre, *ends]) @ to_link[:3, :3].T + to_link[:3, 3]
-        segments = np.stack([np.broadcast_to(points[0], points[2:].shape), points[2:]], axis=1)
-        bodies.append(MovingBody(name, segments, points[1], np.asarray(poses[i])))
+        segments = np.stack([np.zeros((len(ends), 3)), np.array(ends)], axis=1)
+        bodies.append(MovingBody(name, segments, centre, poses[body]))
     return bodies
