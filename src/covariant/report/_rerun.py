@@ -11,7 +11,9 @@ from covariant._optional import load_optional
 MOST_ROWS_OF_VIEWS = 3
 """Most coordinates whose views stand one below the other; more of them are on tabs."""
 RADIUS = 0.015
-"""Radius [m] with which links and centres of mass are drawn."""
+"""Radius [m] with which links are drawn."""
+AXES = 0.1
+"""Length [m] of the axes of a body's frame, which show how a last link turns."""
 
 
 class Curve(NamedTuple):
@@ -25,11 +27,10 @@ class Curve(NamedTuple):
 
 
 class MovingBody(NamedTuple):
-    """A body of a robot: line segments (k, 2, 3) and centre of mass (3,) in its frame [m], and its poses (R, 4, 4)."""
+    """A body of a robot: line segments (k, 2, 3) in its frame [m], and its poses (R, 4, 4)."""
 
     name: str
     segments: np.ndarray
-    centre: np.ndarray
     poses: np.ndarray
 
 
@@ -71,8 +72,7 @@ def _rgba(color: str) -> int:
 def _send_body(rr: Any, recording: Any, body: MovingBody, times: list[Any]) -> None:
     entity = rr.new_entity_path(["robot", body.name])
     recording.log(f"{entity}/link", rr.LineStrips3D(body.segments, radii=RADIUS, colors=_rgba("#56B4E9")), static=True)
-    centre = rr.Points3D([body.centre], radii=2 * RADIUS, colors=_rgba("#D55E00"))
-    recording.log(f"{entity}/centre_of_mass", centre, static=True)
+    recording.log(entity, rr.TransformAxes3D(AXES), static=True)
     columns = rr.Transform3D.columns(translation=body.poses[:, :3, 3], mat3x3=body.poses[:, :3, :3])
     recording.send_columns(entity, times, columns)
 

@@ -83,9 +83,7 @@ def _bodies(result: Any, rows: np.ndarray) -> list[MovingBody]:
     for body, name in names.items():
         ends = [np.asarray(tree.place[k]) for k, parent in enumerate(tree.parents) if parent == body]
         ends += [np.asarray(links.place[k]) for k, of in enumerate(links.bodies) if of == body]
-        mass, first = (tree.mass[body], tree.first[body]) if body >= 0 else (tree.base_mass, tree.base_first)
-        centre = np.asarray(first) / max(float(mass), 1e-12)
-        ends = [end for end in ends if np.linalg.norm(end) > 0] or [centre]  # a last link reaches to its centre of mass
-        segments = np.stack([np.zeros((len(ends), 3)), np.array(ends)], axis=1)
-        bodies.append(MovingBody(name, segments, centre, poses[body]))
+        ends = [end for end in ends if np.linalg.norm(end) > 0]
+        segments = np.stack([np.zeros((len(ends), 3)), np.reshape(ends, (-1, 3))], axis=1)
+        bodies.append(MovingBody(name, segments, poses[body]))
     return bodies
