@@ -203,6 +203,13 @@ REPORT = Option(
     suffixes=(".html",),
 )
 PAGE = REPORT._replace(help="Write a page (.html) of the numbers, and figures beside it where there are some.")
+RERUN = Option(
+    "rerun",
+    PATH,
+    "Write a recording for the Rerun viewer (.rrd): curves, bands, and the robot in motion.",
+    flags=("--rerun",),
+    suffixes=(".rrd",),
+)
 OVERWRITE = Option("overwrite", FLAG, "Let --out replace a file of another origin.", False, ("--overwrite",))
 LISTED = {
     "observer": {
@@ -262,6 +269,7 @@ COMMANDS = (
         own=(
             _output("Write the estimate here", *WRITTEN),
             REPORT,
+            RERUN,
             OVERWRITE,
             Option("smooth", FLAG, default=False, flags=("--smooth",), hidden=True),
             Option("lag", Kind(float), flags=("--lag",), hidden=True),
@@ -275,7 +283,7 @@ COMMANDS = (
         LOG,
         "smooth arm.toml log.csv -o smooth.csv",
         "docs/smoothing.md",
-        own=(_output("Write the estimate here", *WRITTEN), REPORT, OVERWRITE),
+        own=(_output("Write the estimate here", *WRITTEN), REPORT, RERUN, OVERWRITE),
         again=True,
     ),
     Command(

@@ -75,6 +75,7 @@ def show(
     out: Path | None = None,
     report: Path | None = None,
     figure: Path | None = None,
+    rerun: Path | None = None,
     words: Callable[[str], str] = str,
     **save: bool,
 ) -> None:
@@ -86,6 +87,7 @@ def show(
         out: Where `result.save` writes, or None.
         report: Where `result.report` writes its page, or None.
         figure: Where `result.draw` draws its figures, or None.
+        rerun: Where `result.rerun` writes its recording, or None.
         words: Puts the text of the result into the words of the command line.
         save: Further arguments of `result.save`.
 
@@ -101,6 +103,9 @@ def show(
             _print_paths([str(path) for path in result.written_files(out)], quiet=as_json)
         if report is not None or figure is not None:
             _print_paths(_draw(result, report, figure, places, as_json), quiet=as_json)
+        if rerun is not None:
+            places["rerun"] = str(result.rerun(rerun))
+            _print_paths([places["rerun"]], quiet=as_json)
     finally:  # a result that cannot be drawn is still printed, with the files that were written
         if as_json:
             print(json.dumps(result.summary | places), flush=True)

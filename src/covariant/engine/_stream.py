@@ -2,6 +2,7 @@
 
 import math
 from collections import Counter
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -59,10 +60,10 @@ class Health(NamedTuple):
 class Stream:
     """An observer that is fed sample by sample: `x = stream.step(t, y, u)`.
 
-    It is compiled on construction. `step` never raises an error. The first complete measurement that is a configuration
-    starts the estimate; until then the estimate is NaN. NaN and infinite entries of y are missing. A sample with the
-    stamp of the one before changes nothing, nor does one with an earlier stamp, unless `SET_BACK` of them come in a
-    row. `health` counts what was wrong.
+    It is compiled on construction. `step` never raises an error of its own. The first complete measurement that is a
+    configuration starts the estimate; until then the estimate is NaN. NaN and infinite entries of y are missing. A
+    sample with the stamp of the one before changes nothing, nor does one with an earlier stamp, unless `SET_BACK` of
+    them come in a row. `health` counts what was wrong.
 
     Args:
         observer: Any observer.
@@ -71,6 +72,8 @@ class Stream:
         rate: Usual sampling rate [Hz], at which one step is tried before the first sample.
         inputs: Number of inputs m; by default that of the observer's model.
         engine: "auto" and "c" compile it in C where that is possible, "jax" in JAX.
+        sink: Called as `sink(t, estimate, result)` after each sample, for a live picture or a file. `result` is a
+            `StepCode`. What it raises, `step` raises.
 
     Attributes:
         engine: "c", or "jax: " with the reason.
@@ -89,7 +92,13 @@ class Stream:
     """
 
     def __init__(
-        self, observer: AbstractObserver, y: Any, rate: float, inputs: int | None = None, engine: EngineName = "auto"
+        self,
+        observer: AbstractObserver,
+        y: Any,
+        rate: float,
+        inputs: int | None = None,
+        engine: EngineName = "auto",
+        sink: Callable[[float, Any, StepCode], None] | None = None,
     ):
         if not 0 < rate < math.inf:
             raise ValueError(f"Stream: rate must be a positive, finite number; got {rate}")
@@ -105,6 +114,7 @@ class Stream:
         n = len(configuration) if stated is None else stated
         m = inputs if inputs is not None else 0 if model is None else n
         self.observer: Any = observer
+        self._sink = sink
         self.engine, self._backend = backend(self.observer, y, m, engine)
         self._y, self._u = self._backend.y, self._backend.u
         self._y_place, self._u_place = self._backend.places
@@ -167,7 +177,7 @@ class Stream:
         dt = t - self._t
         # Both comparisons are false for NaN, as for a sample without a stamp.
         if not (self._started and 0.0 <= dt <= LONGEST_GAP):
-            return self._out_of_turn(t, dt)
+            return self._give(t, self._out_of_turn(t, dt))
         self._t, self._back = t, 0
         code = self._advance(dt)
         if code == NOT_FINITE:
@@ -175,7 +185,14 @@ class Stream:
             self._counts["restarts"] += 1
         self._results[code] += 1
         self._last = code
-        return self._copy() if self._shape is None else self._motion()
+        x = self._copy() if self._shape is None else self._motion()
+        return x if self._sink is None else self._give(t, x)
+
+    def _give(self, t: float, x: Any) -> Any:
+        """Hand an estimate to the sink, where there is one; returns it."""
+        if self._sink is not None:
+            self._sink(t, x, self.result)
+        return x
 
     def _out_of_turn(self, t: float, dt: float) -> Any:
         """Handle the first sample, one without a stamp, a late one, and one after a gap."""

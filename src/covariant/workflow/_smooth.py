@@ -160,6 +160,10 @@ class SmoothResult(AbstractEstimates):
             units |= {f"{name}_filtered": unit, f"{name}_filtered_std": unit}
         return units
 
+    @property
+    def _estimated(self) -> EstimateResult:
+        return self.smoothed
+
     written = logs.WRITTEN
 
     @property

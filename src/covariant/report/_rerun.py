@@ -1,0 +1,98 @@
+"""Estimates as a Rerun recording: curves, results of the samples, and the bodies of a robot in motion."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from covariant._optional import load_optional
+
+MOST_ROWS_OF_VIEWS = 3
+"""Most coordinates whose views stand one below the other; more of them are on tabs."""
+RADIUS = 0.015
+"""Radius [m] with which links are drawn."""
+AXES = 0.1
+"""Length [m] of the axes of a body's frame, which show how a last link turns."""
+
+
+class Curve(NamedTuple):
+    """One curve: its view, as ("velocity", "q1"), its label with the unit, values (T,), colour and width."""
+
+    view: tuple[str, str]
+    label: str
+    values: np.ndarray
+    color: str
+    width: float = 1.5
+
+
+class MovingBody(NamedTuple):
+    """A body of a robot: line segments (k, 2, 3) in its frame [m], and its poses (R, 4, 4)."""
+
+    name: str
+    segments: np.ndarray
+    poses: np.ndarray
+
+
+def write_rerun(
+    path: Path,
+    title: str,
+    t: np.ndarray,
+    curves: Sequence[Curve],
+    results: Mapping[float, str],
+    bodies: Sequence[MovingBody] = (),
+    body_times: np.ndarray | None = None,
+) -> None:
+    """Write a recording (.rrd) with its arrangement of views; `results` are states by the stamp [s] of their start."""
+    rr = load_optional("rerun", use=f"{path}: recordings are written with", extra="live")
+    partial = path.with_name(f"{path.name}.partial")
+    with rr.RecordingStream("covariant", send_properties=False) as recording:
+        recording.send_recording_name(title)
+        recording.save(partial, default_blueprint=_arrangement(rr, curves, bodies))
+        times = [rr.TimeColumn("t", duration=np.asarray(t, float))]
+        for curve in curves:
+            entity = rr.new_entity_path([*curve.view, curve.label])
+            style = rr.SeriesLines(names=curve.label, colors=_rgba(curve.color), widths=curve.width)
+            recording.log(entity, style, static=True)
+            recording.send_columns(entity, times, rr.Scalars.columns(scalars=np.asarray(curve.values, float)))
+        starts = [rr.TimeColumn("t", duration=list(results))]
+        recording.send_columns("result", starts, rr.StateChange.columns(state=list(results.values())))
+        for body in bodies:
+            _send_body(rr, recording, body, [rr.TimeColumn("t", duration=body_times)])
+        recording.flush()
+        recording.disconnect()
+    partial.replace(path)
+
+
+def _rgba(color: str) -> int:
+    """A colour "#RRGGBB" as Rerun's number, opaque."""
+    return int(color[1:], 16) << 8 | 0xFF
+
+
+def _send_body(rr: Any, recording: Any, body: MovingBody, times: list[Any]) -> None:
+    entity = rr.new_entity_path(["robot", body.name])
+    recording.log(f"{entity}/link", rr.LineStrips3D(body.segments, radii=RADIUS, colors=_rgba("#56B4E9")), static=True)
+    recording.log(entity, rr.TransformAxes3D(AXES), static=True)
+    columns = rr.Transform3D.columns(translation=body.poses[:, :3, 3], mat3x3=body.poses[:, :3, :3])
+    recording.send_columns(entity, times, columns)
+
+
+def _arrangement(rr: Any, curves: Sequence[Curve], bodies: Sequence[MovingBody]) -> Any:
+    """The robot on the left, curves by quantity and coordinate on the right, and the results of the samples below."""
+    rrb = load_optional("rerun.blueprint", use="recordings are written with", extra="live")
+    views: dict[str, list[Any]] = {}
+    for quantity, name in dict.fromkeys(curve.view for curve in curves):
+        origin = rr.new_entity_path([quantity, name])
+        views.setdefault(quantity, []).append(rrb.TimeSeriesView(origin=origin, name=f"{quantity} {name}"))
+    few = max(map(len, views.values())) <= MOST_ROWS_OF_VIEWS
+    columns = [(rrb.Vertical if few else rrb.Grid)(*each, name=quantity) for quantity, each in views.items()]
+    plots = rrb.Horizontal(*columns) if few else rrb.Tabs(*columns)
+    results = rrb.StateTimelineView(origin="/result", name="result of each sample")
+    right = rrb.Vertical(plots, results, row_shares=[5, 1])
+    if not bodies:
+        return rrb.Blueprint(right, collapse_panels=True)
+    places = np.concatenate([body.poses[:, :3, 3] for body in bodies])
+    middle, size = (places.min(0) + places.max(0)) / 2, np.ptp(places, axis=0).max() + 10 * RADIUS
+    eye = rrb.EyeControls3D(position=middle + size * np.array([1.8, 1.2, 0.6]), look_target=middle, eye_up=[0, 0, 1])
+    robot = rrb.Spatial3DView(origin="/robot", name="robot", eye_controls=eye)
+    return rrb.Blueprint(rrb.Horizontal(robot, right, column_shares=[1, 2]), collapse_panels=True)

@@ -1,0 +1,89 @@
+"""The Rerun recording of estimates: what their curves are, and how the bodies of a robot stand."""
+
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from covariant.models.robots import RobotSpace
+from covariant.report import PALETTE, Curve, MovingBody, write_rerun
+from covariant.signals import StepCode
+
+FRAME_SECONDS = 0.02
+"""Least time [s] between two poses of a robot that are drawn; curves have every row."""
+ESTIMATED, MEASURED, FILTERED, BAND = PALETTE[0], PALETTE[4], PALETTE[3], PALETTE[5]
+
+
+def write_recording(path: Path, title: str, columns: dict[str, np.ndarray], result: Any) -> None:
+    """Write the columns of a table, the measurements and results of an `EstimateResult`, and its robot."""
+    kind, t = result.loaded.kind, result.t
+    drawn = kind.drawn(np.asarray(result.loaded.record.y))
+    measured = {} if drawn is None else dict(zip(kind.positions.names, np.asarray(drawn).T, strict=False))
+    curves = []
+    for name, values in measured.items():
+        unit = kind.positions.table.get(name, "")
+        curves.append(Curve(("position", name), _label("measured", unit), values, MEASURED))
+    units = result.units | dict(zip(result.outcome.slow_names, kind.force_units, strict=False))
+    for name, values in columns.items():
+        plain = name.removesuffix("_filtered")
+        if name == "t" or name.endswith("_std"):
+            continue
+        quantity = _quantity(plain, kind, result.outcome.slow_names)
+        unit = units.get(plain, "")
+        label, color = ("filtered", FILTERED) if plain != name else ("estimated", ESTIMATED)
+        std = columns.get(f"{name}_std")
+        if std is not None:
+            for sign, end in ((1, "+2σ"), (-1, "−2σ")):
+                curves.append(
+                    Curve((quantity, plain), _label(f"{label} {end}", unit), values + sign * 2 * std, BAND, 0.7)
+                )
+        curves.append(Curve((quantity, plain), _label(label, unit), values, color))
+    codes = np.asarray(result.codes)
+    changes = np.flatnonzero(np.r_[True, codes[1:] != codes[:-1]])
+    results = {float(t[k]): StepCode(int(codes[k])).name.lower().replace("_", " ") for k in changes}
+    rows = _rows_of_frames(t)
+    write_rerun(path, title, t, curves, results, _bodies(result, rows), t[rows])
+
+
+def _label(what: str, unit: str) -> str:
+    return f"{what} [{unit}]" if unit else what
+
+
+def _quantity(name: str, kind: Any, slow: tuple[str, ...]) -> str:
+    if name in kind.estimates.names:
+        return kind.what
+    return "position" if name in kind.positions.names else "force" if name in slow else "other"
+
+
+def _rows_of_frames(t: np.ndarray) -> np.ndarray:
+    """First rows of the frames of the moving robot."""
+    return np.unique(np.floor((t - t[0]) / FRAME_SECONDS), return_index=True)[1]
+
+
+def _bodies(result: Any, rows: np.ndarray) -> list[MovingBody]:
+    """The bodies of a robot at its estimated configurations; none of another model."""
+    space = getattr(result.loaded.model, "space", None)
+    if not isinstance(space, RobotSpace):
+        return []
+    estimate = result.run.estimate
+    q = jnp.asarray(getattr(estimate, "q", estimate))[rows]
+    q = q if hasattr(estimate, "q") else q[:, : len(result.loaded.model.coordinates)]
+    tree, links = space.tree, space.links
+    names = {body: name for name, body in reversed(list(zip(links.names, links.bodies, strict=True)))}
+    joints = jax.jit(jax.vmap(space.joints))(q)
+    base = np.asarray(q).reshape(len(q), -1)[:, :16].reshape(-1, 4, 4) if space.floating else np.eye(4)
+    poses = {-1: np.broadcast_to(base, (len(q), 4, 4))}
+    for body, parent in enumerate(tree.parents):  # parents come first
+        step = np.broadcast_to(np.eye(4), (len(q), 4, 4)).copy()
+        step[:, :3, :3], step[:, :3, 3] = np.asarray(joints.rotation)[:, body], np.asarray(joints.place)[:, body]
+        poses[body] = poses[parent] @ step
+    bodies = []
+    for body, name in names.items():
+        ends = [np.asarray(tree.place[k]) for k, parent in enumerate(tree.parents) if parent == body]
+        ends += [np.asarray(links.place[k]) for k, of in enumerate(links.bodies) if of == body]
+        ends = [end for end in ends if np.linalg.norm(end) > 0]
+        segments = np.stack([np.zeros((len(ends), 3)), np.reshape(ends, (-1, 3))], axis=1)
+        bodies.append(MovingBody(name, segments, poses[body]))
+    return bodies

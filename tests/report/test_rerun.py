@@ -1,0 +1,47 @@
+"""Recordings for the Rerun viewer hold what the result holds."""
+
+import sys
+
+import numpy as np
+import pytest
+
+import covariant
+
+rerun = pytest.importorskip("rerun")
+pytest.importorskip("rerun.chunk")
+
+
+@pytest.fixture(scope="module")
+def result():
+    log = covariant.simulate("oscillator", duration=0.5, rate=100.0, q0=[1.0], noise=1e-4).record
+    return covariant.estimate("oscillator", log, alpha=40.0, beta=800.0, engine="jax")
+
+
+def columns_of(path) -> dict[str, np.ndarray]:
+    found = {}
+    for chunk in rerun.chunk.RrdReader(path).stream().to_chunks():
+        batch = chunk.to_record_batch()
+        for name in batch.schema.names:
+            if name.endswith("Scalars:scalars"):
+                values = np.array([cell[0] for cell in batch.column(name).to_pylist()])
+                found.setdefault(chunk.entity_path, []).append(values)
+    return {entity: np.concatenate(parts) for entity, parts in found.items()}
+
+
+def test_curves_of_a_recording_are_the_columns_of_the_result(result, tmp_path):
+    columns = columns_of(result.rerun(tmp_path / "run.rrd"))
+    entity = rerun.new_entity_path(["velocity", "v1", "estimated [m/s]"])
+    assert np.array_equal(columns[entity], result.velocity[:, 0])
+    assert len(columns) == 3  # measured, and estimated position and velocity
+
+
+def test_a_recording_without_rerun_names_the_extra(result, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "rerun", None)
+    with pytest.raises(ImportError, match=r"pip install 'covariant\[live\]'"):
+        result.rerun(tmp_path / "run.rrd")
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_recording_has_its_suffix(result, tmp_path):
+    with pytest.raises(ValueError, match=r"must end in \.rrd"):
+        result.rerun(tmp_path / "run.csv")
