@@ -157,6 +157,15 @@ class AbstractObserver(Functional):
         ([4.0], 'COASTED')
     """
 
+    def __repr__(self) -> str:
+        # A model has its short text, and a bare `vars` of an unfinished module shows what is there so far.
+        numbers = {name: x for name, x in vars(self).items() if isinstance(x, MechanicalSystem | int | float | str)}
+        numbers |= {name: x for name, x in vars(self).items() if eqx.is_array(x) and x.ndim == 0}
+        shown = (
+            f"{name}={x!r}" if isinstance(x, MechanicalSystem | str) else f"{name}={x}" for name, x in numbers.items()
+        )
+        return f"<{type(self).__name__}: {', '.join(shown)}>"
+
     @abc.abstractmethod
     def init(self, y: Inexact[Array, "*n"], t: Number = 0.0) -> Any:
         """State at rest at a measured configuration.
