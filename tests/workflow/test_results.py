@@ -1,6 +1,7 @@
 """Results of `estimate` and `compare`: the same numbers by function and by command, complete before they are drawn."""
 
 import ast
+import dataclasses
 import json
 import re
 import sys
@@ -75,7 +76,7 @@ def test_a_result_is_short_where_it_is_looked_at(estimate, log):
     assert len(repr(estimate)) < 200
     model = covariant.models.load("double_pendulum").model
     assert repr(model) == "<MechanicalSystem: shoulder [rad], elbow [rad]>"
-    observer = covariant.observers.IntrinsicObserver(model, alpha=3.0, beta=9.0)
+    observer = covariant.observers.Intrinsic(model, alpha=3.0, beta=9.0)
     assert len(repr(observer).splitlines()) == 1
     assert "alpha=3.0" in repr(observer)
 
