@@ -96,7 +96,7 @@ class AbstractResult(abc.ABC):
         except (ValueError, ImportError):  # a result without a figure, or nothing that draws
             return "".join(parts)
         alt = html.escape(self.headline, quote=True)
-        image = f'<img alt="{alt}" src="data:image/png;base64,{base64.b64encode(picture).decode()}">'
+        image = f'<img src="data:image/png;base64,{base64.b64encode(picture).decode()}" alt="{alt}">'
         return "".join([*parts, image])
 
     written: ClassVar[tuple[str, ...]] = ()
