@@ -117,6 +117,10 @@ class Info(NamedTuple):
     result: Code
 
 
+def _is_number(x: Any) -> bool:
+    return isinstance(x, int | float) or (eqx.is_array(x) and x.ndim == 0)
+
+
 class AbstractObserver(Functional):
     """Estimates the state of a system from measured positions, sample by sample.
 
@@ -158,13 +162,9 @@ class AbstractObserver(Functional):
     """
 
     def __repr__(self) -> str:
-        # A model has its short text, and a bare `vars` of an unfinished module shows what is there so far.
-        numbers = {name: x for name, x in vars(self).items() if isinstance(x, MechanicalSystem | int | float | str)}
-        numbers |= {name: x for name, x in vars(self).items() if eqx.is_array(x) and x.ndim == 0}
-        shown = (
-            f"{name}={x!r}" if isinstance(x, MechanicalSystem | str) else f"{name}={x}" for name, x in numbers.items()
-        )
-        return f"<{type(self).__name__}: {', '.join(shown)}>"
+        # `vars` and not the fields: a module that is still being constructed shows what is there so far.
+        numbers = (f"{name}={x}" for name, x in vars(self).items() if _is_number(x))
+        return f"<{type(self).__name__}: {', '.join(numbers)}>"
 
     @abc.abstractmethod
     def init(self, y: Inexact[Array, "*n"], t: Number = 0.0) -> Any:
