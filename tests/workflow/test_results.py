@@ -1,6 +1,7 @@
 """Results of `estimate` and `compare`: the same numbers by function and by command, complete before they are drawn."""
 
 import ast
+import dataclasses
 import json
 import re
 import sys
@@ -73,7 +74,32 @@ def test_an_estimate_is_a_table_with_units(estimate):
 def test_a_result_is_short_where_it_is_looked_at(estimate, log):
     assert repr(estimate).startswith("<EstimateResult: velocity from 601 rows by intrinsic, RMSE ")
     assert len(repr(estimate)) < 200
-    assert "<pre>" in estimate._repr_html_()
+    model = covariant.models.load("double_pendulum").model
+    assert repr(model) == "<MechanicalSystem: shoulder [rad], elbow [rad]>"
+    observer = covariant.observers.Intrinsic(model, alpha=3.0, beta=9.0)
+    assert len(repr(observer).splitlines()) == 1
+    assert "alpha=3.0" in repr(observer)
+
+
+def test_a_notebook_shows_tables_warnings_and_links(tmp_path):
+    @dataclasses.dataclass(frozen=True, repr=False)
+    class Shown(covariant.workflow.AbstractResult):
+        summary, headline, warnings = {}, "one <row>", ("x < 3",)
+
+        def __str__(self):
+            return "| a_std | b |\n|---|---|\n| 1 | *2* |\n\n<script>\nx < 3"
+
+        def _write_page(self, path):
+            return [path]
+
+    text = Shown()._repr_html_()
+    assert "<td>*2*</td>" in text
+    assert "<script>" not in text
+    assert "<b>one &lt;row&gt;</b>" in text
+    assert text.count("x &lt; 3") == 1
+    written = Shown().report(tmp_path / "a b.html")
+    assert written == [tmp_path / "a b.html"]
+    assert 'a%20b.html">' in written._repr_html_()
 
 
 def test_a_notebook_shows_the_figure(estimate, log):

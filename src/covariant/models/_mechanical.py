@@ -137,6 +137,13 @@ class MechanicalSystem(Functional):
         if None not in self.manifold.shape:
             check_model(self)
 
+    def __repr__(self) -> str:
+        names = self.coordinates or self.velocities or (type(self.manifold).__name__,)
+        units = self.units if self.coordinates else self.velocity_units if self.velocities else ()
+        listed = (f"{name} [{unit}]" for name, unit in zip(names, units or [""] * len(names), strict=False))
+        numbers = f"; {len(self.parameters)} parameters: {', '.join(self.parameters)}" if self.parameters else ""
+        return f"<{type(self).__name__}: {', '.join(listed).replace(' []', '')}{numbers}>"
+
     @property
     def manifold(self) -> AbstractManifold:
         """The manifold of the configurations."""

@@ -5,11 +5,34 @@ import base64
 import html
 from pathlib import Path
 from typing import Any, ClassVar
+from urllib.parse import quote
 
 import numpy as np
 
 from covariant._optional import load_optional
 from covariant.workflow._outputs import FIGURES, check_output, has_columns
+
+
+class WrittenFiles(list[Path]):
+    """Paths of the files that were written, which a notebook shows as links."""
+
+    def _repr_html_(self) -> str:
+        links = (f'<a href="{html.escape(quote(path.as_posix()))}">{html.escape(str(path))}</a>' for path in self)
+        return "wrote " + ", ".join(links)
+
+
+def _warning_html(warning: str) -> str:
+    return f'<p style="color:#b45309;margin:0">⚠ {html.escape(warning)}</p>'
+
+
+def _html(text: str) -> str:
+    """The printed text in HTML: its tables as tables, its lines as lines, and everything else escaped."""
+    try:
+        from markdown_it import MarkdownIt
+    except ImportError:  # it comes with the command line's `rich`
+        return f"<pre>{html.escape(text)}</pre>"
+    # The rules of "zero" leave signs such as * and _ alone: the text has names of columns, not emphasis.
+    return MarkdownIt("zero", {"breaks": True}).enable(["table", "newline"]).render(text)
 
 
 class AbstractResult(abc.ABC):
@@ -63,13 +86,18 @@ class AbstractResult(abc.ABC):
         return f"<{type(self).__name__}: {self.headline}>"
 
     def _repr_html_(self) -> str:
-        """What a notebook shows: headline, text and, for a result that has one, its figure."""
-        text = f"<b>{html.escape(self.headline)}</b><pre>{html.escape(str(self))}</pre>"
+        """What a notebook shows: headline, warnings in colour, text with its tables, and the figure if there is one."""
+        rest = str(self)
+        for warning in self.warnings:
+            rest = rest.replace(warning, "")
+        parts = [f"<p><b>{html.escape(self.headline)}</b></p>", *map(_warning_html, self.warnings), _html(rest)]
         try:
             picture = self._figure()._repr_png_()
         except (ValueError, ImportError):  # a result without a figure, or nothing that draws
-            return text
-        return f'{text}<img src="data:image/png;base64,{base64.b64encode(picture).decode()}">'
+            return "".join(parts)
+        alt = html.escape(self.headline, quote=True)
+        image = f'<img src="data:image/png;base64,{base64.b64encode(picture).decode()}" alt="{alt}">'
+        return "".join([*parts, image])
 
     written: ClassVar[tuple[str, ...]] = ()
     """Suffixes of the file that `save` writes; none for a result that has no file."""
@@ -127,14 +155,14 @@ class AbstractResult(abc.ABC):
             path: The page to write (.html).
 
         Returns:
-            The paths of all files.
+            The paths of all files, a list that a notebook shows as links.
 
         Raises:
             ValueError: For a result that has no page, another suffix, or a folder that does not exist.
             ImportError: Without the packages that draw, `pip install 'covariant[report]'`; nothing is written then.
         """
         check_output(Path(path), ".html")
-        return self._write_page(Path(path))
+        return WrittenFiles(self._write_page(Path(path)))
 
     def _write_page(self, path: Path) -> list[Path]:
         raise ValueError(f"{path}: a {type(self).__name__} has no page")

@@ -117,6 +117,10 @@ class Info(NamedTuple):
     result: Code
 
 
+def _is_number(x: Any) -> bool:
+    return isinstance(x, int | float) or (eqx.is_array(x) and x.ndim == 0)
+
+
 class AbstractObserver(Functional):
     """Estimates the state of a system from measured positions, sample by sample.
 
@@ -156,6 +160,11 @@ class AbstractObserver(Functional):
         >>> observer.estimate(state).tolist(), StepCode(int(info.result)).name
         ([4.0], 'COASTED')
     """
+
+    def __repr__(self) -> str:
+        # `vars` and not the fields: a module that is still being constructed shows what is there so far.
+        numbers = (f"{name}={x}" for name, x in vars(self).items() if _is_number(x))
+        return f"<{type(self).__name__}: {', '.join(numbers)}>"
 
     @abc.abstractmethod
     def init(self, y: Inexact[Array, "*n"], t: Number = 0.0) -> Any:
