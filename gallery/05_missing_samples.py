@@ -52,19 +52,19 @@ titles = ("Velocity of the second joint", "Error of the velocity", "Result code 
 figure, axes = new_figure(3, 1, panel=(8.0, 2.0), titles=titles, sharex=True)
 velocity, error, result = axes[:, 0]
 for ax in axes[:, 0]:
-    ax.axvspan(2.0, 2.3, color="0.93", zorder=0)
-velocity.plot(t, v[:, 1], color="0.7", linewidth=3.5, label="true")
-for color, (name, done) in zip(PALETTE, runs.items(), strict=False):
+    ax.axvspan(2.0, 2.3, color=PALETTE.shade, zorder=0)
+velocity.plot(t, v[:, 1], color=PALETTE.truth, linewidth=3.5, label="true")
+for color, (name, done) in zip((PALETTE.covariant, PALETTE.filter), runs.items(), strict=True):
     estimate = np.asarray(done.estimate)[:, 3]
     velocity.plot(t, estimate, color, label=name)
     error.plot(t, estimate - v[:, 1], color, label=name)
     gap = (t > 2.0) & (t < 2.3)
     print(f"{name}: at most {np.abs(estimate - v[:, 1])[gap].max():.2g} rad/s off within the gap")
-result.plot(t, codes, "|", color=PALETTE[0])
+result.plot(t, codes, "|", color=PALETTE.covariant)
 velocity.set(xlim=(1.5, 3.0), ylabel="dq₂/dt [rad/s]")
 error.set(ylabel="estimate − truth [rad/s]", ylim=(-3, 3))
 result.set(ylim=(-0.5, 1.5), yticks=(0, 1), yticklabels=("0: ok", "1: coasted"), xlabel="t [s]")
-velocity.legend(fontsize=8, loc="upper right")
-velocity.annotate("no readings", (2.15, -25), ha="center", color="0.4", fontsize=8)
+velocity.legend(loc="upper right")
+velocity.annotate("no readings", (2.15, -25), ha="center", color=PALETTE.text)
 FIGURE.parent.mkdir(exist_ok=True)
 save_figure(figure, FIGURE)
