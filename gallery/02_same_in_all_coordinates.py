@@ -6,6 +6,9 @@ observer (`Geodesic`) delivers them, to the accuracy of the integration, since i
 explicit observer (`Intrinsic`) agrees to second order in its error, so the better the closer it is. A Kalman filter
 takes slopes and noise as they are in its coordinates, so its estimates depend on them for good. (It starts faster than
 the others because it is told to expect velocities of 1 m/s; their gains are constant.)
+
+Figure: at most 6e-10 m/s between the two descriptions for Geodesic, 0.02 m/s for Intrinsic, 0.3 m/s for the EKF, in
+the first moments.
 """
 
 from pathlib import Path

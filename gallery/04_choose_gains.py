@@ -6,6 +6,8 @@ left. Here a double pendulum swings for a minute with random accelerations that 
 angles, and observers with an eighth to eight times the designed bandwidth ω estimate its velocities (α = 2ζω, β = ω²).
 The prediction holds to 15 % for all of them, although the inertia of the pendulum changes all the time, and the design
 sits at the minimum.
+
+Figure: 0.018 rad/s are predicted for the designed gains, 0.017 rad/s found in simulation.
 """
 
 from pathlib import Path
@@ -92,9 +94,9 @@ def predicted(measurement_density, acceleration_density):
 figure, axes = new_figure(panel=(7.0, 3.8), titles=("Velocity error by the bandwidth of the observer",))
 ax = axes[0, 0]
 ax.loglog(omega, predicted(S_m, S_a), label="predicted")
-ax.loglog(omega, predicted(S_m, 0.0), color=PALETTE.ekf, linestyle="--", label="its part from the encoder steps")
+ax.loglog(omega, predicted(S_m, 0.0), color=PALETTE.purple, linestyle="--", label="its part from the encoder steps")
 ax.loglog(
-    omega, predicted(0.0, S_a), color=PALETTE.filter, linestyle="--", label="its part from the unknown accelerations"
+    omega, predicted(0.0, S_a), color=PALETTE.sky, linestyle="--", label="its part from the unknown accelerations"
 )
 ax.loglog(np.sqrt(betas), found, "ko", markersize=4.5, label="found in simulation")
 ax.axvline(np.sqrt(chosen.beta), color=PALETTE.text, linestyle=":")

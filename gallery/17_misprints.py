@@ -9,6 +9,9 @@ the metric several hundred times too large in one direction. A theorem calls an 
 
 Sources: Aghannan & Rouchon 2003, (14); Maithripala, Berg & Dayawansa 2004, (8) and (18); Sanfelice & Praly 2015,
 figure 1; Jouffroy & Fossen 2004, Theorem 2.
+
+Figure: (14) as printed is off by 510 after 40 s, corrected by 1.4e-10; entries of the metric are right to 0.001 and
+its distance is 6.6; Theorem 2 promises −2.5 1/s, and +0.5 1/s happens.
 """
 
 from pathlib import Path

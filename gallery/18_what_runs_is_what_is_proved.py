@@ -5,6 +5,9 @@ corrects when a sample comes, which may be late or never come. `certificates.cer
 step brings the estimate of a pendulum nearer to the truth, at any interval within a range and with samples missing, and
 that the errors of the Runge–Kutta steps do not spoil it. The figure shows the rate that is proved beside the
 slowest one that the step really has, at many states of the region, up to intervals at which errors grow.
+
+Figure: 1.86 to 1.98 1/s are proved for intervals from 1 to 50 ms, where the slowest rate found at 400 states is 5
+1/s.
 """
 
 from pathlib import Path

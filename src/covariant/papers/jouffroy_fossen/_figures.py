@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from covariant.papers.jouffroy_fossen._odin import PRINTED_K2, RATE, Loop, odin_loop
-from covariant.papers.jouffroy_fossen._sea import GAPS, Sea, sea, sea_errors
+from covariant.papers.jouffroy_fossen._sea import GAPS, SETTLED, Sea, sea, sea_errors
 
 
 def draw(path: Path) -> tuple[Path, Path]:
@@ -37,7 +37,7 @@ def draw_odin(repaired: Loop, path: Path) -> Path:
     printed = odin_loop(PRINTED_K2, 12.0)
     for label, color, loop in (
         ("K2 as repaired", PALETTE.covariant, repaired),
-        (f"K2 = I − Kp, as printed: escapes by {printed.t[-1]:g} s", PALETTE.purple, printed),
+        (f"K2 = I − Kp, as printed, run to {printed.t[-1]:g} s", PALETTE.purple, printed),
     ):
         for ax, error in zip(axes[0], (loop.observer, loop.tracking), strict=True):
             ax.semilogy(loop.t, np.where(error > 1e-10, error, np.nan), color=color, label=label)
@@ -76,7 +76,7 @@ def draw_sea(log: Sea, path: Path) -> Path:
     axes[0, 0].set_ylabel("north [m]")
     axes[1, 0].plot(t, truth[:, 3], color=PALETTE.truth, linewidth=4, label="truth")
     for name, error in reversed(errors.items()):
-        size = np.sqrt(np.mean(error[len(t) // 10 :, 0] ** 2))
+        size = np.sqrt(np.mean(error[t > SETTLED, 0] ** 2))
         axes[2, 0].plot(t, error[:, 0], linewidth=0.9, color=colors[name], label=f"{name}: {size:.2g} m/s")
         axes[1, 0].plot(t, truth[:, 3] + error[:, 0], linewidth=0.9, color=colors[name], label=name)
     for ax in axes[:, 0]:
