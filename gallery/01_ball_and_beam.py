@@ -7,6 +7,9 @@ the gains ask for, with the double pole −0.7071 1/s. Without its curvature ter
 output injection (the copy observer), and neither ever arrives.
 
 Scenario: Aghannan & Rouchon 2003, figure 4, without noise.
+
+Figure: after 30 s the error of the intrinsic observer is 7e-8, as the double pole of the theory asks; without the
+curvature term it is 56, for the copy 10.
 """
 
 from pathlib import Path
@@ -17,10 +20,16 @@ import numpy as np
 
 from covariant.models import ball_and_beam
 from covariant.observers import Intrinsic, ModelCopy
-from covariant.report import new_figure, save_figure
+from covariant.report import PALETTE, new_figure, save_figure
 from covariant.simulation import observe
 
 FIGURE = Path(__file__).parent / "out" / "01_ball_and_beam.png"
+
+COLORS = {
+    "intrinsic": PALETTE.covariant,
+    "intrinsic, curvature left out": PALETTE.sky,
+    "copy": PALETTE.purple,
+}
 
 alpha, beta = 2**0.5, 0.5  # double pole at −√½
 plant = ball_and_beam()
@@ -51,20 +60,23 @@ runs = {name: follow(observer) for name, observer in observers.items()}
 real = next(iter(runs.values()))[0]
 
 figure, axes = new_figure(
-    1, 2, panel=(5.6, 3.6), titles=("Velocity of the ball", "Error, both positions and velocities"), sharex=False
+    1, 2, panel=(4.5, 3.4), titles=("Velocity of the ball", "Error, both positions and velocities"), sharex=False
 )
 velocity, error = axes[0]
-velocity.plot(t, real[:, 2], color="0.7", linewidth=3.5, label="true")
+velocity.plot(t, real[:, 2], color=PALETTE.truth, linewidth=3.5, label="true")
 for name, (x, estimate) in runs.items():
     off = np.linalg.norm(estimate - x, axis=1)
-    velocity.plot(t, np.where(np.isfinite(off), estimate[:, 2], np.nan), label=name)
-    error.semilogy(t, np.where(np.isfinite(off), off, np.nan), label=name)
+    last = off[np.isfinite(off)][-1]
+    velocity.plot(t, np.where(np.isfinite(off), estimate[:, 2], np.nan), color=COLORS[name], label=name)
+    error.semilogy(
+        t, np.where(np.isfinite(off), off, np.nan), color=COLORS[name], label=f"{name}: {last:.1g} at the end"
+    )
     print(f"{name}: error {off[0]:.2g} at first, {off[-1]:.2g} after {t[-1]:.0f} s")
 omega = alpha / 2
-error.semilogy(t, 2 * (1 + omega * t) * np.exp(-omega * t), "k:", label="theory: (1 + ωt) exp(−ωt), ω = 0.7071 1/s")
-velocity.set(xlim=(0, 15), ylim=(-0.5, 1.3), xlabel="t [s]", ylabel="dr/dt [m/s]")
-error.set(ylim=(1e-8, 1e3), xlabel="t [s]", ylabel="|(q̂ − q, v̂ − v)|")
-velocity.legend(fontsize=8, loc="upper right")
-error.legend(fontsize=8)
+error.semilogy(t, 2 * (1 + omega * t) * np.exp(-omega * t), ":", color=PALETTE.text, label="theory: (1 + ωt) exp(−ωt)")
+velocity.set(xlim=(0, 15), ylim=(-0.6, 2.2), xlabel="t [s]", ylabel="dr/dt [m/s]")
+error.set(ylim=(1e-8, 1e8), xlabel="t [s]", ylabel="|(q̂ − q, v̂ − v)|")
+velocity.legend(loc="upper right")
+error.legend(loc="upper left")
 FIGURE.parent.mkdir(exist_ok=True)
 save_figure(figure, FIGURE)

@@ -6,6 +6,9 @@ observer (`Geodesic`) delivers them, to the accuracy of the integration, since i
 explicit observer (`Intrinsic`) agrees to second order in its error, so the better the closer it is. A Kalman filter
 takes slopes and noise as they are in its coordinates, so its estimates depend on them for good. (It starts faster than
 the others because it is told to expect velocities of 1 m/s; their gains are constant.)
+
+Figure: at most 6e-10 m/s between the two descriptions for Geodesic, 0.02 m/s for Intrinsic, 0.3 m/s for the EKF, in
+the first moments.
 """
 
 from pathlib import Path
@@ -67,21 +70,21 @@ observers = {
 }
 
 titles = ("Velocity of the puck from both instruments", "How far the two velocities are apart")
-figure, axes = new_figure(1, 2, panel=(5.6, 3.6), titles=titles, sharex=False)
+figure, axes = new_figure(1, 2, panel=(4.5, 3.4), titles=titles, sharex=False)
 velocity, apart = axes[0]
-velocity.plot(t, truth.x[:, 3], color="0.7", linewidth=3.5, label="true")
-for color, (name, pair) in zip(PALETTE, observers.items(), strict=False):
+velocity.plot(t, truth.x[:, 3], color=PALETTE.truth, linewidth=3.5, label="true")
+for color, (name, pair) in zip((PALETTE.covariant, PALETTE.sky, PALETTE.ekf), observers.items(), strict=True):
     from_camera, from_scanner = (run(observer, record).estimate for observer, record in zip(pair, read, strict=True))
     from_scanner = jax.vmap(state)(from_scanner)
     difference = np.linalg.norm((from_scanner - from_camera)[:, 2:], axis=1)
-    apart.semilogy(t[1:], difference[1:], color, label=name)
+    apart.semilogy(t[1:], difference[1:], color, label=f"{name}: at most {difference.max():.0e} m/s")
     print(f"{name}: velocities from the two instruments are at most {difference.max():.1e} m/s apart")
     if name != "Intrinsic":  # one more pair of curves would only hide the others
         velocity.plot(t, from_camera[:, 3], color, label=f"{name}, camera")
         velocity.plot(t, from_scanner[:, 3], color, linestyle=":", linewidth=3, label=f"{name}, scanner")
 velocity.set(xlim=(0, 2.2), xlabel="t [s]", ylabel="dy/dt [m/s]")
-apart.set(ylim=(1e-14, 10), xlabel="t [s]", ylabel="|difference| [m/s]")
-velocity.legend(fontsize=8, loc="lower right")
-apart.legend(fontsize=8, loc="upper right", ncols=3)
+apart.set(ylim=(1e-14, 1e3), xlabel="t [s]", ylabel="|difference| [m/s]")
+velocity.legend(loc="lower right")
+apart.legend(loc="upper left")
 FIGURE.parent.mkdir(exist_ok=True)
 save_figure(figure, FIGURE)

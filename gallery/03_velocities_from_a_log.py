@@ -4,6 +4,8 @@ A double pendulum with motors is logged: stamps, torques, and the angles its enc
 of the file, `calibration.gains` turns data-sheet numbers into gains, `run` drives the observer along the record, and
 `scoring.rmse` says how good the velocities are. The last lines do the work of `run` step by step, as a controller would
 in real time, and find the same estimates.
+
+Figure: the observer is 0.0051 rad/s off in the second joint (RMSE), the difference of two readings 0.63 rad/s.
 """
 
 from pathlib import Path
@@ -14,7 +16,7 @@ import numpy as np
 
 from covariant import calibration, logs, models, scoring, simulation
 from covariant.observers import Intrinsic, run
-from covariant.report import new_figure, save_figure
+from covariant.report import PALETTE, new_figure, save_figure
 
 OUT = Path(__file__).parent / "out"
 FIGURE, LOG = OUT / "03_velocities_from_a_log.png", OUT / "03_log.csv"
@@ -59,18 +61,29 @@ difference = np.abs(np.stack(by_hand) - np.asarray(done.estimate)).max()
 print(f"the loop by hand differs from run by {difference:.1e}")
 assert difference < 1e-9
 
-titles = ("Velocity of the second joint", "The same, a closer look", "Error of the estimate")
-figure, axes = new_figure(1, 3, panel=(4.4, 3.2), titles=titles, sharex=False)
-whole, close, off = axes[0]
+titles = (
+    "Velocity of the second joint",
+    "The same, a closer look",
+    "Error of the estimate",
+    "Error of the differences",
+)
+figure, axes = new_figure(2, 2, panel=(4.5, 2.6), titles=titles, sharex=False)
+whole, close, off, coarse = axes.flat
 raw = np.diff(y[:, 1], prepend=y[0, 1]) / np.diff(t, prepend=t[0] - 1e-3)
 for ax in (whole, close):
-    ax.plot(t, raw, color="0.8", linewidth=0.8, label="difference of the readings")
-    ax.plot(t, log.truth[:, 1], color="0.4", linewidth=3, label="true")
-    ax.plot(t, velocities[:, 1], label="intrinsic observer")
-    ax.set(xlabel="t [s]", ylabel="dq₂/dt [rad/s]")
+    ax.plot(t, raw, color=PALETTE.amber, linewidth=0.8, label="difference of the readings")
+    ax.plot(t, log.truth[:, 1], color=PALETTE.truth, linewidth=4, label="true")
+    ax.plot(t, velocities[:, 1], color=PALETTE.covariant, label="intrinsic observer")
+    ax.set(ylabel="dq₂/dt [rad/s]")
 close.set(xlim=(3.6, 4.05), ylim=(6.5, 12.5))
-off.plot(t, velocities - log.truth, label=("dq₁/dt", "dq₂/dt"))
-off.set(xlabel="t [s]", ylabel="estimate − truth [rad/s]", ylim=(-0.03, 0.03))
-whole.legend(fontsize=7)
-off.legend(fontsize=8)
+off.plot(t, (velocities - log.truth)[:, 1], color=PALETTE.covariant, label=f"RMSE {error[1]:.2g} rad/s")
+coarse_error = np.sqrt(np.mean((raw - log.truth[:, 1])[scored] ** 2))
+print(f"differences of the readings: {coarse_error:.2g} rad/s")
+coarse.plot(t, raw - log.truth[:, 1], color=PALETTE.amber, linewidth=0.8, label=f"RMSE {coarse_error:.2g} rad/s")
+off.set(ylabel="estimate − truth [rad/s]", ylim=(-0.03, 0.03))
+coarse.set(ylim=(-3, 3))
+for ax in (off, coarse):
+    ax.set(xlabel="t [s]")
+    ax.legend(loc="upper right")
+whole.legend(loc="lower left", ncols=3)
 save_figure(figure, FIGURE)

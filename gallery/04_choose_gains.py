@@ -6,6 +6,8 @@ left. Here a double pendulum swings for a minute with random accelerations that 
 angles, and observers with an eighth to eight times the designed bandwidth ω estimate its velocities (α = 2ζω, β = ω²).
 The prediction holds to 15 % for all of them, although the inertia of the pendulum changes all the time, and the design
 sits at the minimum.
+
+Figure: 0.018 rad/s are predicted for the designed gains, 0.017 rad/s found in simulation.
 """
 
 from pathlib import Path
@@ -89,15 +91,17 @@ def predicted(measurement_density, acceleration_density):
     return [calibration.predict_errors(2**0.5 * w, w**2, *densities).velocity_std for w in omega]
 
 
-figure, axes = new_figure(panel=(6.4, 3.8), titles=("Velocity error by the bandwidth of the observer",))
+figure, axes = new_figure(panel=(7.0, 3.8), titles=("Velocity error by the bandwidth of the observer",))
 ax = axes[0, 0]
 ax.loglog(omega, predicted(S_m, S_a), label="predicted")
-ax.loglog(omega, predicted(S_m, 0.0), color=PALETTE[1], linestyle="--", label="its part from the encoder steps")
-ax.loglog(omega, predicted(0.0, S_a), color=PALETTE[2], linestyle="--", label="its part from the unknown accelerations")
+ax.loglog(omega, predicted(S_m, 0.0), color=PALETTE.purple, linestyle="--", label="its part from the encoder steps")
+ax.loglog(
+    omega, predicted(0.0, S_a), color=PALETTE.sky, linestyle="--", label="its part from the unknown accelerations"
+)
 ax.loglog(np.sqrt(betas), found, "ko", markersize=4.5, label="found in simulation")
-ax.axvline(np.sqrt(chosen.beta), color="0.6", linestyle=":")
-ax.annotate("designed", (np.sqrt(chosen.beta), 0.0035), xytext=(4, 0), textcoords="offset points", color="0.4")
+ax.axvline(np.sqrt(chosen.beta), color=PALETTE.text, linestyle=":")
+ax.annotate("designed", (np.sqrt(chosen.beta), 0.0035), xytext=(4, 0), textcoords="offset points", color=PALETTE.text)
 ax.set(xlabel="bandwidth ω [rad/s]", ylabel="rms velocity error [rad/s]", ylim=(0.003, 0.4))
-ax.legend(fontsize=8, loc="upper center")
+ax.legend(loc="upper center")
 FIGURE.parent.mkdir(exist_ok=True)
 save_figure(figure, FIGURE)

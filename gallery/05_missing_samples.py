@@ -5,6 +5,8 @@ loose for 0.3 s. The observer knows a model whose masses are off by two per cent
 only predicts, so the velocities carry on, drifting apart slowly as the model is not the machine; the first readings
 after the gap bring them back. The filter without a model holds what it saw last, and misses a whole turn when readings
 return. Every step has a result code: 0 is good, 1 says that the step coasted.
+
+Figure: within the gap of 0.3 s the observer is at most 0.57 rad/s off, the filtered derivative 17 rad/s.
 """
 
 from pathlib import Path
@@ -52,19 +54,19 @@ titles = ("Velocity of the second joint", "Error of the velocity", "Result code 
 figure, axes = new_figure(3, 1, panel=(8.0, 2.0), titles=titles, sharex=True)
 velocity, error, result = axes[:, 0]
 for ax in axes[:, 0]:
-    ax.axvspan(2.0, 2.3, color="0.93", zorder=0)
-velocity.plot(t, v[:, 1], color="0.7", linewidth=3.5, label="true")
-for color, (name, done) in zip(PALETTE, runs.items(), strict=False):
+    ax.axvspan(2.0, 2.3, color=PALETTE.shade, zorder=0)
+velocity.plot(t, v[:, 1], color=PALETTE.truth, linewidth=3.5, label="true")
+for color, (name, done) in zip((PALETTE.covariant, PALETTE.filter), runs.items(), strict=True):
     estimate = np.asarray(done.estimate)[:, 3]
     velocity.plot(t, estimate, color, label=name)
     error.plot(t, estimate - v[:, 1], color, label=name)
     gap = (t > 2.0) & (t < 2.3)
     print(f"{name}: at most {np.abs(estimate - v[:, 1])[gap].max():.2g} rad/s off within the gap")
-result.plot(t, codes, "|", color=PALETTE[0])
+result.plot(t, codes, "|", color=PALETTE.covariant)
 velocity.set(xlim=(1.5, 3.0), ylabel="dq₂/dt [rad/s]")
 error.set(ylabel="estimate − truth [rad/s]", ylim=(-3, 3))
 result.set(ylim=(-0.5, 1.5), yticks=(0, 1), yticklabels=("0: ok", "1: coasted"), xlabel="t [s]")
-velocity.legend(fontsize=8, loc="upper right")
-velocity.annotate("no readings", (2.15, -25), ha="center", color="0.4", fontsize=8)
+velocity.legend(loc="upper right")
+velocity.annotate("no readings", (2.15, -25), ha="center", color=PALETTE.text)
 FIGURE.parent.mkdir(exist_ok=True)
 save_figure(figure, FIGURE)

@@ -5,6 +5,9 @@ noise of half a degree, and loses sight of the stars for two seconds. In Euler a
 90°, where the body passes many times; on the group that is no event. Three observers share the measurements: the
 intrinsic one with constant gains, the multiplicative Kalman filter that spacecraft carry, and Salcudean's, which has a
 Lyapunov function but no metric. The differences of successive attitudes show what there is without a model.
+
+Figure: 0.0082 rad/s for the intrinsic observer after 8 s, 0.0108 for Salcudean, 0.0062 for the multiplicative EKF,
+whose gains begin high and fall.
 """
 
 from pathlib import Path
@@ -48,26 +51,33 @@ titles = (
 )
 figure, axes = new_figure(3, 1, panel=(8.4, 2.1), titles=titles)
 top, middle, bottom = axes[:, 0]
-top.plot(t, pitch, "0.4")
+top.plot(t, pitch, PALETTE.truth)
 top.set(ylabel="[degree]", yticks=(-90, 0, 90))
 estimate = runs["intrinsic, on the group"].estimate.v
-for i, color in zip(range(3), PALETTE, strict=False):
-    middle.plot(t, truth.x.v[:, i], "0.75", linewidth=3.5, label="true" if i == 0 else None)
-    middle.plot(t, estimate[:, i], color, label=f"intrinsic, axis {i + 1}")
+for i, color in zip(range(3), (PALETTE.covariant, PALETTE.sky, PALETTE.navy), strict=True):
+    middle.plot(t, truth.x.v[:, i], PALETTE.truth, linewidth=3.5, label="true" if i == 0 else None)
+    middle.plot(t, estimate[:, i], color=color, label=f"intrinsic, axis {i + 1}")
 middle.set(ylabel="[rad/s]")
-middle.legend(fontsize=7, ncols=4, loc="lower left")
+middle.legend(ncols=4, loc="lower left")
 turned = jax.vmap(SO3.between)(y[:-1], y[1:]) * RATE
-bottom.semilogy(t[1:], np.linalg.norm(turned - truth.x.v[1:], axis=1), "0.8", label="differences of attitudes")
+bottom.semilogy(
+    t[1:],
+    np.linalg.norm(turned - truth.x.v[1:], axis=1),
+    PALETTE.amber,
+    linewidth=0.8,
+    label="differences of attitudes",
+)
 for name, result in runs.items():
     error = np.linalg.norm(result.estimate.v - truth.x.v, axis=1)
-    bottom.semilogy(t, error, label=name)
     settled = np.sqrt(np.mean(error[np.asarray(t) > 8] ** 2))
+    color = PALETTE.ekf if "EKF" in name else PALETTE.sky if name == "Salcudean" else PALETTE.covariant
+    bottom.semilogy(t, error, color=color, label=f"{name}: {settled:.2g} rad/s after 8 s")
     coasted = int((result.info.result == StepCode.COASTED).sum())
     print(f"{name}: {settled:.4f} rad/s RMSE after 8 s, {coasted} samples coasted")
 for ax in (middle, bottom):
-    ax.axvspan(*SILENT, color="0.93", zorder=0)
-bottom.text(np.mean(SILENT), 1.2, "no stars", ha="center", fontsize=8, color="0.4")
+    ax.axvspan(*SILENT, color=PALETTE.shade, zorder=0)
+bottom.text(np.mean(SILENT), 1.2, "no stars", ha="center", color=PALETTE.text)
 bottom.set(ylabel="|ω̂ − ω| [rad/s]", xlabel="t [s]", ylim=(1e-4, 4))
-bottom.legend(fontsize=7, ncols=2, loc="upper right")
+bottom.legend(ncols=2, loc="upper right")
 FIGURE.parent.mkdir(exist_ok=True)
 save_figure(figure, FIGURE)

@@ -17,7 +17,7 @@ import numpy as np
 from covariant.geometry.lie import SE3
 from covariant.models import Motion, underwater_vehicle
 from covariant.observers import EKF, Intrinsic, run
-from covariant.report import new_figure, save_figure
+from covariant.report import PALETTE, new_figure, save_figure
 from covariant.signals import Record
 from covariant.simulation import simulate
 
@@ -49,20 +49,20 @@ runs = {name: run(observer, record).estimate.v for name, observer in observers.i
 differences = jax.vmap(SE3.between)(record.y[:-1], record.y[1:]) * RATE
 
 titles = ("Path, seen from the side", "Surge", "Pitch rate")
-figure, axes = new_figure(1, 3, panel=(4.0, 3.2), titles=titles, sharex=False)
-side, surge, rate = axes[0]
-side.plot(truth.y[:, 0, 3], truth.y[:, 2, 3], "0.3")
+figure, axes = new_figure(3, 1, panel=(8.4, 2.4), titles=titles, sharex=False)
+side, surge, rate = axes[:, 0]
+side.plot(truth.y[:, 0, 3], truth.y[:, 2, 3], color=PALETTE.truth)
 for k in range(0, len(t), 24):
     nose = truth.y[k, :3, 3] + 0.8 * truth.y[k, :3, 0]
-    side.plot([truth.y[k, 0, 3], nose[0]], [truth.y[k, 2, 3], nose[2]], "0.1", linewidth=2)
+    side.plot([truth.y[k, 0, 3], nose[0]], [truth.y[k, 2, 3], nose[2]], color=PALETTE.text, linewidth=2)
 side.set(xlabel="ahead [m]", ylabel="up [m]", aspect="equal")
 for ax, i, unit in ((surge, 0, "m/s"), (rate, 4, "rad/s")):
-    ax.plot(t[1:], differences[:, i], "0.85", label="differences of poses")
-    ax.plot(t, truth.x.v[:, i], "0.6", linewidth=3.5, label="true")
+    ax.plot(t[1:], differences[:, i], color=PALETTE.amber, linewidth=0.7, label="differences of poses")
+    ax.plot(t, truth.x.v[:, i], color=PALETTE.truth, linewidth=4, label="true")
     for name, v in runs.items():
         ax.plot(t, v[:, i], label=name)
-    ax.set(xlabel="t [s]", ylabel=f"[{unit}]")
-surge.legend(fontsize=7, loc="upper right")
+    ax.set(xlabel="t [s]", ylabel=f"{'surge' if i == 0 else 'pitch rate'} [{unit}]")
+surge.legend(loc="upper right")
 for name, v in runs.items():
     error = np.sqrt(np.mean(np.asarray(v - truth.x.v)[100:] ** 2, axis=0))
     print(f"{name}: surge {error[0]:.3f} m/s, pitch rate {error[4]:.3f} rad/s RMSE")

@@ -108,22 +108,22 @@ for ax in axes[2]:
     ax.remove()
 curve = figure.add_subplot(axes[2, 0].get_gridspec()[2, :])
 curve.spines[["top", "right"]].set_visible(False)
-curve.grid(color="0.9", linewidth=0.7)
-for color, (label, values) in zip(PALETTE, error.items(), strict=False):
+curve.grid(color=PALETTE.shade, linewidth=0.7)
+for color, (label, values) in zip((PALETTE.covariant, PALETTE.sky), error.items(), strict=False):
     curve.semilogy(t, values, color, label=label)
 k = np.argmin(abs(t - 0.6 * duration))
 line = 2 * error["with curvature"][k] * np.exp(-0.3 * alpha * (t - t[k]))
-curve.semilogy(t[t > 4], line[t > 4], "0.5", linestyle="--", label="slope of the slow root, −0.3α")
+curve.semilogy(t[t > 4], line[t > 4], PALETTE.text, linestyle="--", label="slope of the slow root, −0.3α")
 curve.set(xlim=(0, duration), xlabel="t [s]", ylabel="|ṽ − v| / |v|")
-curve.set_title("Error of the velocity field in the kinetic-energy norm", loc="left", fontsize=10)
-curve.legend(fontsize=8, frameon=False)
+curve.set_title("Error of the velocity field in the kinetic-energy norm", loc="left")
+curve.legend(frameon=False)
 curve.tick_params(labelsize=8)
 OUT.mkdir(exist_ok=True)
 save_figure(figure, FIGURE)
 
 film, axes = new_figure(1, 2, panel=(2.6, 2.4), titles=("true vorticity", "estimate"))
 images = [picture(ax, np.zeros((points, points))) for ax in axes[0]]
-clock = film.suptitle("t = 0.0 s", x=0.5, fontsize=9)
+clock = film.suptitle("t = 0.0 s", x=0.5)
 film.set_dpi(80)
 canvas = FigureCanvasAgg(film)
 canvas.draw()

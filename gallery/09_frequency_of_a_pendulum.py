@@ -19,7 +19,7 @@ import numpy as np
 
 from covariant import certificates, metrics, models, simulation
 from covariant.observers import InformationEKF, Riccati, run
-from covariant.report import new_figure, save_figure
+from covariant.report import PALETTE, new_figure, save_figure
 from covariant.signals import Record, StepCode
 
 OUT = Path(__file__).parent / "out"
@@ -62,8 +62,9 @@ observers = {
     "extended Kalman filter": InformationEKF(model, equation, start, known),
     "high gain": Riccati(model, metrics.high_gain(model, 8.0), start, 0.5),
 }
-figure, axes = new_figure(1, 2, panel=(5.6, 4.0), titles=("How well ω² can be known", "ω² from the encoder"))
-for name, observer in observers.items():
+COLORS = dict(zip(observers, (PALETTE.sky, PALETTE.covariant, PALETTE.ekf, PALETTE.purple), strict=True))
+figure, axes = new_figure(1, 2, panel=(4.5, 3.4), titles=("How well ω² can be known", "ω² from the encoder"))
+for name, observer in reversed(observers.items()):  # the last hides the others least
     done = run(observer, record)
     squared = np.asarray(done.estimate)[:, 2]
     late = squared[t > 3]
@@ -71,12 +72,13 @@ for name, observer in observers.items():
     print(
         f"{name}: " + (f"ω² = {late.mean():.2f} ± {late.std():.2f} 1/s² in the last second" if kept else "broke down")
     )
-    axes[0, 1].plot(t, squared, label=name, linewidth=1.0)
-axes[0, 1].axhline(truth, color="0.3", linestyle=":", label=f"g / length = {truth:.1f} 1/s²")
-axes[0, 1].set_ylim(30, 90)
+    label = f"{name}: {late.mean():.1f} ± {late.std():.1f}" if kept else f"{name}: lost"
+    axes[0, 1].plot(t, squared, color=COLORS[name], label=label, linewidth=3.0 if "along" in name else 1.0)
+axes[0, 1].axhline(truth, color=PALETTE.text, linestyle=":", label=f"g / length = {truth:.1f} 1/s²")
+axes[0, 1].set_ylim(30, 130)
 axes[0, 1].set_xlabel("t [s]")
 axes[0, 1].set_ylabel("ω² [1/s²]")
-axes[0, 1].legend(fontsize=7)
+axes[0, 1].legend(loc="upper left")
 
 slice_ = metrics.open_grid(STORE).metric.sel(x3=truth, method="nearest").values
 missing = np.isnan(slice_).any(axis=(-2, -1))
@@ -84,9 +86,13 @@ inverse = np.linalg.inv(np.where(missing[..., None, None], np.eye(3), slice_))
 std = np.where(missing, np.nan, np.sqrt(inverse[..., 2, 2]))
 ax = axes[0, 0]
 shown = ax.pcolormesh(*grid.axes[:2], std.T, cmap="viridis_r", norm="log", shading="nearest")
-figure.colorbar(shown, ax=ax, label="standard deviation of ω² [1/s²]")
+figure.colorbar(
+    shown, ax=ax, label="standard deviation of ω² [1/s²]", location="bottom", ticks=[1, 2, 5, 10, 20, 50], format="%g"
+)
 ax.plot(*np.asarray(motion.x).T, color="w", linewidth=0.6)
-ax.annotate("not reconstructible", (0.0, 0.0), (0.012, -0.35), color="w", arrowprops={"arrowstyle": "->", "color": "w"})
+ax.annotate(
+    "at rest: not reconstructible", (0.0, 0.0), (-0.07, -0.58), color="w", arrowprops={"arrowstyle": "->", "color": "w"}
+)
 ax.set_xlabel("angle [rad]")
 ax.set_ylabel("velocity [rad/s]")
 save_figure(figure, FIGURE)

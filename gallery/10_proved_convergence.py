@@ -7,6 +7,9 @@ motion with these velocities there is a tube of a known radius from which no est
 the truth falls at a known rate. Without a bound of the velocity there is no such tube. The figure shows the boxes, the
 tube with estimates that begin on its border, and how much faster than proved they really converge: a proof covers the
 worst point of the region, and a motion hardly ever stays there.
+
+Figure: the proved tube is 0.02 m and 0.0095 m/s wide to each side; in it the distance falls at 0.05 1/s or faster,
+shown by 68 boxes.
 """
 
 import math

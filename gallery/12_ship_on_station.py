@@ -3,6 +3,9 @@
 The passive observer of Fossen & Strand has constant gains, a notch at the wave frequency, and a proof of convergence
 that needs no linearisation. An extended Kalman filter that is told the densities of all noises is better by a quarter,
 at some twenty times the cost of a sample; the filtered derivative takes waves for motion.
+
+Figure: surge velocity is off by 0.021 m/s with the passive observer, 0.0165 with the Kalman filter, 0.105 with the
+derivative (RMSE).
 """
 
 from pathlib import Path

@@ -69,7 +69,7 @@ print(f"condition number: {condition.min():.0f} to {condition.max():.0f}")
 figure, axes = new_figure(
     2,
     2,
-    panel=(5.2, 3.6),
+    panel=(4.5, 3.4),
     titles=(
         "Curvature of shoulder and elbow [1/(kg m²)]",
         "Condition number of the inertia",
@@ -100,6 +100,6 @@ for (name, ends), color in zip(WAYS.items(), PALETTE, strict=False):
     )
 axes[1, 0].set(xlabel="shoulder q₂ [rad]", ylabel="elbow q₄ [rad]")
 axes[1, 1].set(xlabel="distance of the hand from the axis of the base [m]", ylabel="height [m]", ylim=(0.15, 1.15))
-axes[1, 1].legend(fontsize=7, loc="upper right")
+axes[1, 1].legend(loc="upper right")
 FIGURE.parent.mkdir(exist_ok=True)
 save_figure(figure, FIGURE)

@@ -50,9 +50,9 @@ titles = ("Velocity of the second joint", "Error of the velocity, and two standa
 figure, axes = new_figure(2, 1, panel=(8.0, 2.4), titles=titles, sharex=True)
 velocity, error = axes[:, 0]
 for ax in axes[:, 0]:
-    ax.axvspan(*GAP, color="0.93", zorder=0)
-velocity.plot(t, v[:, 1], color="0.7", linewidth=3.5, label="true")
-for color, (name, run) in zip((PALETTE[4], PALETTE[0]), runs.items(), strict=True):
+    ax.axvspan(*GAP, color=PALETTE.shade, zorder=0)
+velocity.plot(t, v[:, 1], color=PALETTE.truth, linewidth=3.5, label="true")
+for color, (name, run) in zip((PALETTE.sky, PALETTE.covariant), runs.items(), strict=True):
     off = np.asarray(run.estimate)[:, 3] - v[:, 1]
     band = 2 * np.asarray(run.info.velocity_std)[:, 1]
     velocity.plot(t, v[:, 1] + off, color=color, label=name)
@@ -63,9 +63,7 @@ low, high = v[shown, 1].min(), v[shown, 1].max()
 velocity.set(xlim=(1.7, 2.9), ylim=(low - 2, high + 4), ylabel="dq₂/dt [rad/s]")
 largest = 2.2 * np.asarray(smoothed.filtered.info.velocity_std)[shown, 1].max()
 error.set(ylabel="estimate − truth [rad/s]", xlabel="t [s]", ylim=(-largest, largest))
-velocity.legend(fontsize=8, loc="upper left")
-velocity.annotate(
-    "no readings", (np.mean(GAP), velocity.get_ylim()[0]), ha="center", va="bottom", color="0.4", fontsize=8
-)
+velocity.legend(loc="upper left")
+velocity.annotate("no readings", (np.mean(GAP), velocity.get_ylim()[0]), ha="center", va="bottom", color=PALETTE.text)
 FIGURE.parent.mkdir(exist_ok=True)
 save_figure(figure, FIGURE)

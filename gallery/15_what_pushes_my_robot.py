@@ -88,17 +88,17 @@ true = np.asarray(push(t)[0])
 titles = ("The model knows the friction of the joints, 0.1 and 0.05 N m", "It does not know it")
 figure, axes = new_figure(2, 1, panel=(8.0, 2.5), titles=titles, sharex=True)
 for ax, estimates in zip(axes[:, 0], (upper, lower), strict=True):
-    ax.plot(t, true, color="0.7", linewidth=3.5, label="true push")
-    for color, (name, info) in zip((PALETTE[0], PALETTE[4]), estimates.items(), strict=True):
+    ax.plot(t, true, color=PALETTE.truth, linewidth=3.5, label="true push")
+    for color, (name, info) in zip((PALETTE.covariant, PALETTE.purple), estimates.items(), strict=True):
         force = np.asarray(info.slow[:, 0] if hasattr(info, "slow") else info)
         off = np.sqrt(np.mean((force - true)[t > 1] ** 2))
         print(f"{name}: {off:.3f} N m off, RMS")
-        if hasattr(info, "slow") and color == PALETTE[0]:
+        if hasattr(info, "slow") and color == PALETTE.covariant:
             band = 1.96 * np.asarray(info.slow_std)[:, 0]
             ax.fill_between(t, force - band, force + band, color=color, alpha=0.2, linewidth=0, label="95 % band")
         ax.plot(t, force, color=color, linewidth=1.0, label=name)
     ax.set(ylabel="torque on joint 1 [N m]", ylim=(-0.95, 1.25), xlim=(1.0, 9.0))
-    ax.legend(fontsize=8, loc="upper right", ncols=4)
+    ax.legend(loc="upper right", ncols=4)
 axes[1, 0].set(xlabel="t [s]")
 FIGURE.parent.mkdir(exist_ok=True)
 save_figure(figure, FIGURE)

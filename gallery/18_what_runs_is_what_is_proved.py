@@ -5,6 +5,9 @@ corrects when a sample comes, which may be late or never come. `certificates.cer
 step brings the estimate of a pendulum nearer to the truth, at any interval within a range and with samples missing, and
 that the errors of the Runge–Kutta steps do not spoil it. The figure shows the rate that is proved beside the
 slowest one that the step really has, at many states of the region, up to intervals at which errors grow.
+
+Figure: 1.86 to 1.98 1/s are proved for intervals from 1 to 50 ms, where the slowest rate found at 400 states is 5
+1/s.
 """
 
 from pathlib import Path
@@ -15,7 +18,7 @@ import numpy as np
 
 from covariant import certificates, models
 from covariant.observers import Intrinsic
-from covariant.report import new_figure, save_figure
+from covariant.report import PALETTE, new_figure, save_figure
 
 OUT = Path(__file__).parent / "out"
 OUT.mkdir(exist_ok=True)
@@ -67,15 +70,19 @@ figure, axes = new_figure(1, 1, panel=(7.2, 3.6), titles=["The sampled observer 
 panel = np.ravel(axes)[0]
 intervals = np.geomspace(1e-3, 0.4, 40)
 rates = np.array([float(slowest(jnp.asarray(h))) for h in intervals])
-panel.plot(1e3 * intervals, rates, color="C0", label="slowest rate of the step at 400 states")
+panel.plot(1e3 * intervals, rates, color=PALETTE.truth, lw=3, label="slowest found at 400 states")
 for k, (shortest, longest) in enumerate([(0.001, 0.005), (0.005, 0.02), (0.02, 0.05)]):
-    label = "proved, any interval in a range" if k == 0 else None
+    label = "proved for every interval in the bar's width" if k == 0 else None
     width = [1e3 * shortest, 1e3 * longest]
-    panel.fill_between(width, 0, proved(shortest, longest), color="C1", alpha=0.5, lw=0, label=label)
+    panel.fill_between(width, 0, proved(shortest, longest), color=PALETTE.covariant, alpha=0.5, lw=0, label=label)
 panel.plot(
-    [10, 36], [proved(0.01, 0.012, lost=2)] * 2, color="C3", lw=3, label="proved, 10 to 12 ms, up to 2 samples lost"
+    [10, 36],
+    [proved(0.01, 0.012, lost=2)] * 2,
+    color=PALETTE.purple,
+    lw=3,
+    label="proved, 10 to 12 ms, up to 2 samples lost",
 )
-panel.axhline(0.0, color="0.5", lw=0.8)
+panel.axhline(0.0, color=PALETTE.truth, lw=0.8)
 panel.set(xscale="log", xlabel="time since the last sample [ms]", ylabel="rate [1/s]", ylim=(-1.0, 1.1 * rates.max()))
-panel.legend(loc="upper right", bbox_to_anchor=(0.85, 0.9), fontsize=8)
+panel.legend(loc="upper right", bbox_to_anchor=(0.85, 0.9))
 print("wrote", save_figure(figure, OUT / "18_what_runs_is_what_is_proved.png"))

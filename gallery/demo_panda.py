@@ -105,19 +105,21 @@ def errors(record: Record, v: np.ndarray) -> dict[str, tuple[np.ndarray, float]]
 
 
 labels = {entry.name: entry.observer.__name__ for entry in REGISTRY}
-figure, axes = new_figure(2, 2, panel=(5.0, 2.6), titles=(*TITLES.values(), "", ""), sharex="row")
+figure, axes = new_figure(2, 2, panel=(4.5, 2.6), titles=(*TITLES.values(), "", ""), sharex="row")
 for column, (case, title) in enumerate(TITLES.items()):
     print(f"{title}:")
     record, v = swing(machine(case == "unknown"))
     found = errors(record, v)
     above, below = axes[:, column]
-    above.plot(record.t, v[:, 3], color="0.75", linewidth=4, label="true")
-    for color, (name, (estimate, rmse)) in zip(PALETTE, found.items(), strict=False):
+    above.plot(record.t, v[:, 3], color=PALETTE.truth, linewidth=4, label="true")
+    for color, (name, (estimate, rmse)) in zip(
+        (PALETTE.covariant, PALETTE.ekf, PALETTE.filter), found.items(), strict=False
+    ):
         above.plot(record.t, estimate[:, 3], color, linewidth=1, label=labels[name])
         below.plot(record.t, 1e3 * (estimate - v)[:, 3], color, linewidth=0.8, label=f"{name}: {1e3 * rmse:.2g}")
     above.set(xlim=(2, 3), ylabel="dq₄/dt [rad/s]")
     below.set(xlim=(2, 3), ylim=((-10, 10), (-150, 150))[column], xlabel="t [s]", ylabel="error of dq₄/dt [mrad/s]")
-    below.legend(title="RMSE of all joints [mrad/s]", fontsize=7, title_fontsize=7, loc="upper right")
-axes[0, 0].legend(fontsize=7)
+    below.legend(title="RMSE of all joints [mrad/s]", loc="upper right")
+axes[0, 0].legend()
 FIGURE.parent.mkdir(exist_ok=True)
 save_figure(figure, FIGURE)

@@ -140,15 +140,15 @@ figure, axes = new_figure(
 )
 spin, legs, below = axes[:, 0]
 for axis, first, where in ((spin, 3, "lower left"), (legs, 6, "upper right")):
-    for i, color in zip(range(first, first + 3), PALETTE, strict=False):
+    for i, color in zip(range(first, first + 3), (PALETTE.covariant, PALETTE.sky, PALETTE.navy), strict=True):
         label = joints[i - 6] if i >= 6 else f"ω{i - 2}"
-        axis.plot(t, v[:, i], "0.75", linewidth=3.5, label="true" if i == first else None)
+        axis.plot(t, v[:, i], PALETTE.truth, linewidth=3.5, label="true" if i == first else None)
         axis.plot(t, estimate.v[:, i], color, linewidth=1, label=label)
     axis.set(ylabel="[rad/s]")
-    axis.legend(fontsize=7, ncols=4, loc=where)
-below.semilogy(t, np.sqrt(squares), PALETTE[0], linewidth=0.6, label="intrinsic")
-below.axhline(bound, color="0.2", linestyle="--", label="predicted, root of the mean square")
-below.set(xlabel="t [s]", ylabel="[√(2 J)]", ylim=(1e-3, 10))
-below.legend(fontsize=7, loc="upper right")
+    axis.legend(ncols=4, loc=where)
+below.semilogy(t, np.sqrt(squares), PALETTE.covariant, linewidth=0.6, label="intrinsic")
+below.axhline(bound, color=PALETTE.text, linestyle="--", label="predicted, root of the mean square")
+below.set(xlabel="t [s]", ylabel="error, 1 = √(2 J)", ylim=(1e-3, 10))
+below.legend(loc="upper right")
 FIGURE.parent.mkdir(exist_ok=True)
 save_figure(figure, FIGURE)

@@ -404,3 +404,16 @@ def test_what_make_quick_runs_is_there():
     chosen = re.findall(r"^QUICK := (.*)$", text, re.MULTILINE)[0].split()
     assert "tests/laws/test_every_observer.py" in chosen
     assert [path for path in chosen if not (ROOT / path).is_file()] == []
+
+
+def test_figures_take_colours_and_sizes_from_the_palette():
+    """Of the gallery and of the papers: blue is this library, orange an EKF, green a filter, grey the truth."""
+    by_hand = re.compile(r"""color="|"C\d"|fontsize=|PALETTE\[\d""")
+    scripts = [*(ROOT / "gallery").glob("*.py"), *(ROOT / "src/covariant/papers").rglob("*.py")]
+    found = [
+        f"{script.name}: {line.strip()}"
+        for script in scripts
+        for line in script.read_text(encoding="utf-8").splitlines()
+        if by_hand.search(line) and 'color="w"' not in line  # on a map of colours
+    ]
+    assert not found

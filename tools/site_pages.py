@@ -4,6 +4,7 @@
 """
 
 import ast
+import html
 import re
 import tomllib
 from functools import cache
@@ -45,11 +46,15 @@ def front_page(readme: str) -> str:
 
 
 class Script(NamedTuple):
-    """A script of the gallery: its page, its title and text from its docstring, its source, and its figure if any."""
+    """A script of the gallery: its page, its source, its figure if any, and what its docstring says.
+
+    The paragraph of the docstring that begins with "Figure:" is the caption, with the number that the figure shows.
+    """
 
     path: Path
     title: str
     text: str
+    caption: str
     source: str
     figure: Path | None
 
@@ -78,7 +83,10 @@ def _script(path: Path) -> Script:
     tree = ast.parse(source)
     title, _, text = (ast.get_docstring(tree) or path.stem).partition("\n")
     lines = source.splitlines(keepends=True)[tree.body[0].end_lineno :]  # behind the docstring, which the page shows
-    return Script(path, title.removesuffix("."), text.strip(), "".join(lines).strip() + "\n", _figure(path))
+    paragraphs = text.strip().split("\n\n")
+    caption = " ".join(p.removeprefix("Figure: ").replace("\n", " ") for p in paragraphs if p.startswith("Figure: "))
+    text = "\n\n".join(p for p in paragraphs if not p.startswith("Figure: "))
+    return Script(path, title.removesuffix("."), text, caption, "".join(lines).strip() + "\n", _figure(path))
 
 
 def _figure(path: Path) -> Path | None:
@@ -95,6 +103,7 @@ def _figure(path: Path) -> Path | None:
 def gallery_page(script: Script) -> str:
     """The page of one script: what it shows, its figure, and its source."""
     picture = f"![{script.title}]({_picture(script)})\n\n" if script.figure else ""
+    picture += f"*{script.caption}*\n\n" if script.caption else ""
     run = f"`python gallery/{script.path.name}`, in a checkout, runs this script"
     run += " and draws its figure.\n" if script.figure else ".\n"
     source = f"## Source {{ data-search-exclude }}\n\n```python\n{script.source}```\n"  # found by words, not by names
@@ -109,10 +118,16 @@ def _picture(script: Script) -> str:
 
 def gallery_index(scripts: list[Script]) -> str:
     """The page that lists the scripts."""
-    lines = [f"- [{script.name}]({Path(script.page).name}): {script.title}" for script in scripts]
-    return "# Gallery\n\nShort scripts that each teach one topic, with the figures that they draw.\n\n" + "\n".join(
-        lines
-    )
+    cards = "\n".join(_card(script) for script in scripts)
+    text = "Short scripts that each teach one topic, with the figures that they draw."
+    return f'# Gallery\n\n{text}\n\n<div class="cards">\n{cards}\n</div>\n'
+
+
+def _card(script: Script) -> str:
+    """A link with the figure, the title and the caption."""
+    picture = f'<img class="card" loading="lazy" alt="" src="{_picture(script)}">' if script.figure else ""
+    title, caption = html.escape(script.title), html.escape(script.caption)
+    return f'<a href="{script.path.stem}.html">{picture}<strong>{title}</strong><span>{caption}</span></a>'
 
 
 @cache
@@ -234,8 +249,8 @@ def _unbroken(code: str) -> str:
     return re.sub(r"(?<!\S)[^\s-]{0,20}(?:-[^\s-]{0,20}){1,3}(?=\s|$)", r'<span class="whole">\g<0></span>', code)
 
 
-def on_page_content(html: str, **_: object) -> str:
+def on_page_content(html: str, **_: object) -> str:  # the name is that of the hook
     """Let every figure open on its own, which a small screen needs, and break no option or name at its hyphens."""
     inline = r"(?<!</span>)(?<!<pre>)<code>([^<]+)</code>"
     html = re.sub(inline, lambda code: f"<code>{_unbroken(code[1])}</code>", html)
-    return re.sub(r'<img [^>]*?src="([^"]+)"[^>]*>', r'<a href="\1">\g<0></a>', html)
+    return re.sub(r'<img (?!class="card")[^>]*?src="([^"]+)"[^>]*>', r'<a href="\1">\g<0></a>', html)

@@ -128,7 +128,7 @@ def test_four_panels(verdict, followed, tmp_path, monkeypatch):
     path = draw_certificate(canned(verdict), tmp_path / "proof.png")
     with Image.open(path) as image:
         drawn = np.asarray(image.convert("L")) < 250
-        assert image.width == round(150 * 2 * 5.6)
+        assert image.width == round(150 * 2 * 4.5)
     assert not np.concatenate([drawn[0], drawn[-1], drawn[:, 0], drawn[:, -1]]).any()  # no text runs out of the figure
     for row in np.array_split(drawn, 2):
         for panel in np.array_split(row, 2, axis=1):

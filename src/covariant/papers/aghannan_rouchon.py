@@ -249,6 +249,15 @@ LABELS = {
     "copy": "copy observer (15)",
     "no_curvature": "(5) without curvature",
 }
+COLORS = {
+    "exact": "navy",
+    "approximate": "covariant",
+    "corrected14": "sky",
+    "printed14": "purple",
+    "copy": "amber",
+    "no_curvature": "olive",
+}
+"""Names in the palette of the figures: one colour for an observer in all of them."""
 
 
 def figure4_runs(duration: float = 20.0) -> dict[str, Trajectory]:
@@ -287,7 +296,7 @@ def draw_figure4(runs: dict[str, Trajectory], path: Path) -> Path:
     Returns:
         The path.
     """
-    from covariant.report import new_figure, save_figure
+    from covariant.report import PALETTE, new_figure, save_figure
 
     titles = ("a) r, real as measured", "b) θ, real as measured", "c) r", "d) θ", "e) dr/dt", "f) dθ/dt")
     labels = ("r [m]", "θ [rad]", "r [m]", "θ [rad]", "dr/dt [m/s]", "dθ/dt [rad/s]")
@@ -296,14 +305,16 @@ def draw_figure4(runs: dict[str, Trajectory], path: Path) -> Path:
     for k, ax in enumerate(axes.flat):
         column = k if k < 2 else k - 2
         truth = real.y[:, column] if k < 2 else real.x[:, column]
-        ax.plot(real.t, truth, color="0.6", linewidth=2.5, label="real system")
+        ax.plot(real.t, truth, color=PALETTE.truth, linewidth=2.5, label="real system")
         for name, run in runs.items():
-            ax.plot(run.t, run.estimate[:, column], linewidth=1.0, label=LABELS[name])
+            ax.plot(
+                run.t, run.estimate[:, column], linewidth=1.0, color=getattr(PALETTE, COLORS[name]), label=LABELS[name]
+            )
         largest = 6 * np.abs(real.x[:, column]).max()
         ax.set_ylim(-largest, largest)
         ax.set_ylabel(labels[k])
         ax.set_xlabel("t [s]" if k > 3 else "")
-    axes[0, 0].legend(loc="lower left", fontsize=7, ncols=2)
+    axes[0, 0].legend(loc="lower left", ncols=2)
     return save_figure(figure, path)
 
 
@@ -317,21 +328,25 @@ def draw_errors(path: Path, duration: float = 40.0) -> Path:
     Returns:
         The path.
     """
-    from covariant.report import new_figure, save_figure
+    from covariant.report import PALETTE, new_figure, save_figure
 
     t = np.linspace(0.0, duration, 401)
     figure, axes = new_figure(panel=(8.0, 4.2))
     ax = axes[0, 0]
     for name, observer in figure4_observers().items():
         error = figure4(observer, t, rtol=1e-8).error
-        ax.semilogy(t, np.where(np.isfinite(error), error, np.nan), label=LABELS[name])
+        ax.semilogy(
+            t, np.where(np.isfinite(error), error, np.nan), color=getattr(PALETTE, COLORS[name]), label=LABELS[name]
+        )
     # The response of a double pole at −ω, (1 + ωt)e^(−ωt).
     omega = BETA**0.5
-    ax.semilogy(t, 2 * (1 + omega * t) * np.exp(-omega * t), "k:", label="theory: double pole at −ω0")
+    ax.semilogy(
+        t, 2 * (1 + omega * t) * np.exp(-omega * t), ":", color=PALETTE.text, label="theory: double pole at −ω0"
+    )
     ax.set_ylim(1e-11, 1e3)
     ax.set_xlabel("t [s]")
     ax.set_ylabel("|(q̂ − q, v̂ − v)|")
-    ax.legend(fontsize=8)
+    ax.legend()
     return save_figure(figure, path)
 
 

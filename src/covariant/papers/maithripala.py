@@ -264,43 +264,51 @@ def draw(path: Path) -> tuple[Path, Path]:
     Returns:
         The two paths.
     """
-    from covariant.report import new_figure, save_figure
+    from covariant.report import PALETTE, new_figure, save_figure
 
     t = np.linspace(0.0, 10.0, POINTS)
     runs = {doubled: follow(TOP, SPINNING, corrected(doubled), t) for doubled in (True, False)}
     titles = [f"angular velocity about body axis {i}" for i in (1, 2, 3)]
     figure, axes = new_figure(3, 1, panel=(8.0, 1.9), titles=titles)
     for i, ax in enumerate(axes[:, 0]):
-        ax.plot(t, runs[True].v[:, i], color="0.6", linewidth=2.5, label="top")
-        ax.plot(t, runs[True].estimate[:, i], linestyle="--", label="estimate, 2α = 20 as in the paper")
-        ax.plot(t, runs[False].estimate[:, i], linestyle="-.", label="estimate, α = 10")
+        ax.plot(t, runs[True].v[:, i], color=PALETTE.truth, linewidth=2.5, label="top")
+        ax.plot(
+            t,
+            runs[True].estimate[:, i],
+            color=PALETTE.covariant,
+            linestyle="--",
+            label="estimate, 2α = 20 as in the paper",
+        )
+        ax.plot(t, runs[False].estimate[:, i], color=PALETTE.sky, linestyle="-.", label="estimate, α = 10")
         ax.set_ylabel("[rad/s]")
     axes[-1, 0].set_xlabel("t [s]")
-    axes[-1, 0].legend(fontsize=8, loc="lower right")
+    axes[-1, 0].legend(loc="lower right")
     first = save_figure(figure, path)
     return first, _draw_errors(path.with_stem(f"{path.stem}_errors"))
 
 
 def _draw_errors(path: Path) -> Path:
-    from covariant.report import new_figure, save_figure
+    from covariant.report import PALETTE, new_figure, save_figure
 
     t = np.linspace(0.0, 20.0, POINTS)
     titles = ("elongated top, spinning", "disc, tumbling")
-    figure, axes = new_figure(1, 2, panel=(5.4, 3.6), titles=titles, sharex=False)
+    figure, axes = new_figure(1, 2, panel=(4.5, 3.6), titles=titles, sharex=False)
     for ax, inertia, velocity in zip(axes[0], (TOP, DISC), (SPINNING, TUMBLING), strict=True):
-        for label, make in (
-            ("2α = 20, corrected", corrected(True)),
-            ("α = 10, corrected", corrected(False)),
-            ("2α = 20, curvature as printed", printed),
+        for label, color, make in (
+            ("2α = 20, corrected", PALETTE.covariant, corrected(True)),
+            ("α = 10, corrected", PALETTE.sky, corrected(False)),
+            ("2α = 20, curvature as printed", PALETTE.purple, printed),
         ):
             error = follow(inertia, velocity, make, t).error
-            ax.semilogy(t, np.where(np.isfinite(error), error, np.nan), label=label)
-        for doubled, style in ((True, "k:"), (False, "k--")):
+            ax.semilogy(t, np.where(np.isfinite(error), error, np.nan), color=color, label=label)
+        for doubled, style in ((True, ":"), (False, "--")):
             rate = slow_rate(doubled)
-            ax.semilogy(t, 5 * np.exp(-rate * t), style, linewidth=1.0, label=f"theory: e^(−{rate:.3f} t)")
+            ax.semilogy(
+                t, 5 * np.exp(-rate * t), style, color=PALETTE.text, linewidth=1.0, label=f"theory: e^(−{rate:.3f} t)"
+            )
         ax.set(xlabel="t [s]", ylim=(1e-7, 30.0))
     axes[0, 0].set_ylabel("|ω̂ − ω| [rad/s]")
-    axes[0, 0].legend(fontsize=7)
+    axes[0, 0].legend()
     return save_figure(figure, path)
 
 

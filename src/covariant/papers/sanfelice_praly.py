@@ -322,43 +322,46 @@ def draw_figure1(path: Path) -> Path:
     from covariant.report import new_figure, save_figure
 
     titles = ("Largest error of an entry, as published", "Affine-invariant distance to the exact metric")
-    figure, axes = new_figure(1, 2, panel=(5.4, 3.6), titles=titles)
+    figure, axes = new_figure(1, 2, panel=(4.5, 3.6), titles=titles)
     for rate in RATES:
         curves = figure1(rate)
         for ax, kind in zip(axes[0], ("entry", "distance"), strict=True):
             (line,) = ax.semilogy(curves["t"], curves[kind], label=f"λ = {rate:g} 1/s")
             ax.plot(curves["t"][0], curves[kind][0], "*", color=line.get_color(), markersize=7)
     for ax in axes[0]:
-        ax.set_xlabel("t [s]")
+        ax.set_xlabel("t [s] before the present; ★: start, t = −T̄")
     axes[0, 0].set_ylabel("max |π − P| over the grid")
     axes[0, 1].set_ylabel("max distance over the grid")
-    axes[0, 1].legend(fontsize=8, ncols=2)
+    axes[0, 1].legend(ncols=2)
     return save_figure(figure, path)
 
 
 def draw_observer(path: Path) -> Path:
     """Draw the decay of the distance for each k_E, and the gap in the log, in which the P of the filter degenerates."""
-    from covariant.report import new_figure, save_figure
+    from covariant.report import PALETTE, new_figure, save_figure
 
     titles = ("Distance of observer and plant, λ = 2", "Error on a log with a gap", "Least eigenvalue of P")
-    figure, axes = new_figure(1, 3, panel=(4.6, 3.6), titles=titles)
+    figure, axes = new_figure(3, 1, panel=(8.4, 2.3), titles=titles, sharex=False)
     for gain in GAINS:
         t, d = decay(2.0, gain)
         axes[0, 0].semilogy(t, d, label=f"k_E = {gain:g}")
     t = np.linspace(0.0, 10.0, 2)
-    axes[0, 0].semilogy(t, 2e-3 * np.exp(-t), "k:", label="rate λ/2")
+    axes[0, 0].semilogy(t, 2e-3 * np.exp(-t), ":", color=PALETTE.text, label="rate λ/2")
     axes[0, 0].set_ylabel("distance in the metric")
     curves = gap()
-    for ax, suffix in ((axes[0, 1], ""), (axes[0, 2], "_least")):
-        for name, label in (("riccati", "Riccati observer, k_E = ¼"), ("ekf", "extended Kalman filter")):
-            ax.semilogy(curves["t"], curves[name + suffix], label=label)
-        ax.axvspan(15.0, 25.0, color="0.9", zorder=0, label="no measurement")
-    axes[0, 1].set_ylabel("|x̂ − x|")
-    axes[0, 2].set_ylabel("least eigenvalue of P")
-    for ax in axes[0]:
+    for ax, suffix in ((axes[1, 0], ""), (axes[2, 0], "_least")):
+        for name, label, color in (
+            ("riccati", "Riccati observer, k_E = ¼", PALETTE.covariant),
+            ("ekf", "extended Kalman filter", PALETTE.ekf),
+        ):
+            ax.semilogy(curves["t"], curves[name + suffix], color=color, label=label)
+        ax.axvspan(15.0, 25.0, color=PALETTE.shade, zorder=0, label="no measurement")
+    axes[1, 0].set_ylabel("|x̂ − x|")
+    axes[2, 0].set_ylabel("least eigenvalue of P")
+    for ax in axes[:, 0]:
         ax.set_xlabel("t [s]")
-    axes[0, 0].legend(fontsize=7, loc="lower left")
-    axes[0, 1].legend(fontsize=7)
+    axes[0, 0].legend(loc="lower left")
+    axes[1, 0].legend()
     return save_figure(figure, path)
 
 

@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     import matplotlib.axes
     import matplotlib.figure
 
-_PROVED, _WRONG, _TUBE, _ESTIMATE, _BEST = PALETTE[0], PALETTE[1], PALETTE[5], PALETTE[2], PALETTE[3]
-_OPEN = PALETTE[4]
+_PROVED = _ESTIMATE = PALETTE.covariant
+_TUBE, _WRONG, _OPEN, _BEST = PALETTE.sky, PALETTE.purple, PALETTE.amber, PALETTE.brown
 _WORDS = {
     "estimate": "estimate of {}",
     "velocity": "estimated velocity {}",
@@ -86,7 +86,7 @@ def certificate_figure(certificate: ContractionCertificate) -> "matplotlib.figur
         "Distance of estimates from the motion",
         "What the gains allow",
     )
-    figure, axes = new_figure(2, 2, panel=(5.6, 3.7), titles=titles, sharex=False)
+    figure, axes = new_figure(2, 2, panel=(4.5, 3.7), titles=titles, sharex=False)
     _draw_region(axes[0, 0], projection(certificate), certificate)
     try:
         motion = trajectories(certificate)
@@ -97,8 +97,8 @@ def certificate_figure(certificate: ContractionCertificate) -> "matplotlib.figur
         (_draw_velocity if _on_group(certificate) else _draw_tube)(axes[0, 1], motion, certificate)
         _draw_distances(axes[1, 0], motion, certificate)
     _draw_trade_off(axes[1, 1], trade_off(certificate))
-    lines = textwrap.wrap(_title(certificate), 105)
-    figure.suptitle("\n".join(lines), x=0.012, ha="left", fontsize=11, fontweight="bold", color=INK)
+    lines = textwrap.wrap(_title(certificate), 95)
+    figure.suptitle("\n".join(lines), x=0.012, ha="left", fontsize=10, fontweight="bold", color=INK)
     figure.set_figheight(figure.get_figheight() + 0.19 * len(lines))
     return figure
 
@@ -170,7 +170,7 @@ def _draw_region(ax: "matplotlib.axes.Axes", projected: Projection, certificate:
     share = claim.proof.open_share if claim.proof.verdict == "undecided" else 0.0
     others = len(claim.proof.box.low) - 2
     caption = f"{projected.claim}, {claim.proof.boxes} boxes, seen along {others} more variables"
-    ax.set_title(caption + (f"; {share:.1%} open" if share else ""), loc="right", fontsize=7, color=MUTED)
+    ax.set_xlabel(ax.get_xlabel() + "\n" + caption + (f"; {share:.1%} open" if share else ""))
     if len(projected.proved) or len(projected.open):
         _legend(ax, loc="upper right", ncols=3)
 
@@ -261,7 +261,7 @@ def _draw_distances(ax: "matplotlib.axes.Axes", motion: Trajectories, certificat
         color=_WRONG,
         linewidth=2,
         zorder=4,
-        label=f"proved: ε exp(−{certificate.decay:.3g} t), ε = {certificate.radius:.3g}",
+        label=f"proved: {certificate.radius:.2g} exp(−λt/2), λ/2 = {certificate.decay:.3g} 1/s",
     )
     ax.set_yscale("log")  # on which an exponential decay is a straight line
     ax.set_ylim(smallest, 2 * certificate.radius)
@@ -272,9 +272,7 @@ def _draw_distances(ax: "matplotlib.axes.Axes", motion: Trajectories, certificat
 
 def _draw_trade_off(ax: "matplotlib.axes.Axes", rates: TradeOff) -> None:
     ax.plot(rates.rate, rates.condition, color=BACKDROP, linewidth=2.5, label="best Q for each rate")
-    ax.axvline(
-        rates.certified, color=_WRONG, linewidth=1.5, label=f"rate of the certificate, {rates.certified:.3g} 1/s"
-    )
+    ax.axvline(rates.certified, color=_WRONG, linewidth=1.5, label=f"λ of the certificate, {rates.certified:.3g} 1/s")
     same = np.allclose(rates.used, rates.paper)
     if not same:
         ax.plot(*rates.paper, "D", color=_BEST, markersize=7, label=f"Q of the paper, {rates.paper[0]:.3g} 1/s")

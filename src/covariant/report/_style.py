@@ -16,13 +16,53 @@ from covariant.report._optional import optional
 if TYPE_CHECKING:
     import matplotlib.figure
 
-PALETTE = (
+BACKDROP = "#A8AEB5"
+"""Grey, for what was measured or is true."""
+
+INK, MUTED, GRID = "#24292F", "#6B737C", "#E4E7EA"
+
+
+class Palette(NamedTuple):
+    """Colours by what they stand for in every figure; further curves take the rest in order."""
+
+    covariant: str
+    ekf: str
+    filter: str
+    purple: str
+    amber: str
+    sky: str
+    brown: str
+    olive: str
+    violet: str
+    mint: str
+    plum: str
+    lavender: str
+    navy: str
+
+    @property
+    def truth(self) -> str:
+        """What is true or measured: a wide grey line behind all others."""
+        return BACKDROP
+
+    @property
+    def text(self) -> str:
+        """Remarks and marks beside the curves."""
+        return MUTED
+
+    @property
+    def shade(self) -> str:
+        """Shaded spans, such as a gap in a log."""
+        return GRID
+
+
+PALETTE = Palette(
     *("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#5D4037", "#8C8A2E"),
     *("#4A1FE0", "#1BCB7E", "#4A0E4E", "#8A7CFF", "#0A1464"),
 )
 """Colours for all kinds of colour vision (Okabe & Ito 2008), with brown and olive for its black and yellow, and five
 more that people without red, green or blue cones distinguish from these and from each other (Machado, Oliveira &
-Fernandes 2009)."""
+Fernandes 2009). `PALETTE.covariant` (blue), `PALETTE.ekf` (orange), `PALETTE.filter` (green) and `PALETTE.truth` (grey)
+keep their meaning in all figures."""
 
 DARK = {
     "#5D4037": "#FFC266",
@@ -31,11 +71,6 @@ DARK = {
     "#0A1464": "#C2FF29",
 }
 """Replacements of the darkest colours of the palette on a dark page, as far from all others as these are on white."""
-
-BACKDROP = "#A8AEB5"
-"""Grey, for what was measured."""
-
-INK, MUTED, GRID = "#24292F", "#6B737C", "#E4E7EA"
 
 DPI = 150
 
@@ -110,7 +145,7 @@ def new_figure(
     rows: int = 1,
     cols: int = 1,
     *,
-    panel: tuple[float, float] = (4.8, 2.3),
+    panel: tuple[float, float] = (4.5, 2.3),
     titles: Sequence[str] = (),
     sharex: bool | str = "col",
 ) -> "tuple[matplotlib.figure.Figure, np.ndarray]":
@@ -122,7 +157,7 @@ def new_figure(
     Args:
         rows: Number of rows of panels.
         cols: Number of columns of panels.
-        panel: Width and height of one panel [inch].
+        panel: Width and height of one panel [inch]. A figure of 9 inch keeps its 8 to 9 pt in a column of 870 pixels.
         titles: Titles of the panels, row by row.
         sharex: Which panels share their x axis, as for `matplotlib`; by default those of a column.
 
@@ -156,6 +191,8 @@ def new_figure(
         ax.set_axisbelow(True)
         ax.xaxis.label.set(fontsize=9, color=INK)
         ax.yaxis.label.set(fontsize=9, color=INK)
+        # Defaults of this figure alone: matplotlib's own are global.
+        ax.legend = functools.partial(ax.legend, fontsize=8, labelcolor=INK, framealpha=0.85, edgecolor="none")
     for ax, title in zip(axes.flat, titles, strict=False):
         ax.set_title(title, loc="left", fontsize=10, color=INK)
     return figure, axes
