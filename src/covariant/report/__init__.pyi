@@ -4,7 +4,7 @@ from ._certificate import certificate_figure as certificate_figure, draw_certifi
 from ._estimate import Along as Along, EstimateReport as EstimateReport
 from ._html import write_html as write_html, write_report as write_report
 from ._png import figure as figure, write_png as write_png
-from ._rerun import Curve as Curve, MovingBody as MovingBody, write_rerun as write_rerun
+from ._rerun import MovingBody as MovingBody, PlottedCurve as PlottedCurve, write_rerun as write_rerun
 from ._style import PALETTE as PALETTE, new_figure as new_figure, save_figure as save_figure
 from ._table import table as table
 

@@ -16,7 +16,7 @@ AXES = 0.1
 """Length [m] of the axes of a body's frame, which show how a last link turns."""
 
 
-class Curve(NamedTuple):
+class PlottedCurve(NamedTuple):
     """One curve: its view, as ("velocity", "q1"), its label with the unit, values (T,), colour and width."""
 
     view: tuple[str, str]
@@ -38,7 +38,7 @@ def write_rerun(
     path: Path,
     title: str,
     t: np.ndarray,
-    curves: Sequence[Curve],
+    curves: Sequence[PlottedCurve],
     results: Mapping[float, str],
     bodies: Sequence[MovingBody] = (),
     body_times: np.ndarray | None = None,
@@ -77,7 +77,7 @@ def _send_body(rr: Any, recording: Any, body: MovingBody, times: list[Any]) -> N
     recording.send_columns(entity, times, columns)
 
 
-def _arrangement(rr: Any, curves: Sequence[Curve], bodies: Sequence[MovingBody]) -> Any:
+def _arrangement(rr: Any, curves: Sequence[PlottedCurve], bodies: Sequence[MovingBody]) -> Any:
     """The robot on the left, curves by quantity and coordinate on the right, and the results of the samples below."""
     rrb = load_optional("rerun.blueprint", use="recordings are written with", extra="live")
     views: dict[str, list[Any]] = {}

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from covariant.models.robots import RobotSpace
-from covariant.report import PALETTE, Curve, MovingBody, write_rerun
+from covariant.report import PALETTE, MovingBody, PlottedCurve, write_rerun
 from covariant.signals import StepCode
 
 FRAME_SECONDS = 0.02
@@ -24,7 +24,7 @@ def write_recording(path: Path, title: str, columns: dict[str, np.ndarray], resu
     curves = []
     for name, values in measured.items():
         unit = kind.positions.table.get(name, "")
-        curves.append(Curve(("position", name), _label("measured", unit), values, MEASURED))
+        curves.append(PlottedCurve(("position", name), _label("measured", unit), values, MEASURED))
     units = result.units | dict(zip(result.outcome.slow_names, kind.force_units, strict=False))
     for name, values in columns.items():
         plain = name.removesuffix("_filtered")
@@ -37,9 +37,9 @@ def write_recording(path: Path, title: str, columns: dict[str, np.ndarray], resu
         if std is not None:
             for sign, end in ((1, "+2σ"), (-1, "−2σ")):
                 curves.append(
-                    Curve((quantity, plain), _label(f"{label} {end}", unit), values + sign * 2 * std, BAND, 0.7)
+                    PlottedCurve((quantity, plain), _label(f"{label} {end}", unit), values + sign * 2 * std, BAND, 0.7)
                 )
-        curves.append(Curve((quantity, plain), _label(label, unit), values, color))
+        curves.append(PlottedCurve((quantity, plain), _label(label, unit), values, color))
     codes = np.asarray(result.codes)
     changes = np.flatnonzero(np.r_[True, codes[1:] != codes[:-1]])
     results = {float(t[k]): StepCode(int(codes[k])).name.lower().replace("_", " ") for k in changes}
