@@ -53,5 +53,5 @@ def test_a_page_holds_the_figures_beside_it(paper, tmp_path):
 
 
 def test_another_paper_is_refused():
-    with pytest.raises(ValueError, match="unknown paper 'nobody'. Known: aghannan-rouchon"):
+    with pytest.raises(ValueError, match=r"unknown paper 'nobody'\. Known: aghannan-rouchon"):
         workflow.reproduce_paper("nobody")

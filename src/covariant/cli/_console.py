@@ -101,18 +101,22 @@ def show(
         if out is not None:
             places["out"] = str(result.save(out, **save))
             _print_paths([str(path) for path in result.written_files(out)], quiet=as_json)
-        if report is not None or figure is not None:
-            _print_paths(_draw(result, report, figure, places, as_json), quiet=as_json)
-        if rerun is not None:
-            places["rerun"] = str(result.rerun(rerun))
-            _print_paths([places["rerun"]], quiet=as_json)
+        if report is not None or figure is not None or rerun is not None:
+            _print_paths(_draw(result, report, figure, rerun, places, as_json), quiet=as_json)
     finally:  # a result that cannot be drawn is still printed, with the files that were written
         if as_json:
             print(json.dumps(result.summary | places), flush=True)
 
 
-def _draw(result: Any, report: Path | None, figure: Path | None, places: dict[str, Any], quiet: bool) -> list[str]:
-    """Draw the page and the figures of a result; returns their paths, which are noted in `places`."""
+def _draw(
+    result: Any,
+    report: Path | None,
+    figure: Path | None,
+    rerun: Path | None,
+    places: dict[str, Any],
+    quiet: bool,
+) -> list[str]:
+    """Draw page, figures and recording of a result; returns their paths, which are noted in `places`."""
     paths: list[Path] = []
     with progress_bar(quiet) as progress:
         progress("drawing")
@@ -122,6 +126,9 @@ def _draw(result: Any, report: Path | None, figure: Path | None, places: dict[st
         if figure is not None:
             paths += result.draw(figure)
             places["figure"] = str(figure)
+        if rerun is not None:
+            paths.append(result.rerun(rerun))
+            places["rerun"] = str(rerun)
     return [str(path) for path in paths]
 
 
