@@ -20,7 +20,20 @@ Samples = Float[np.ndarray | Array, "T n"]
 
 
 class Along(NamedTuple):
-    """What is estimated along with the motion, such as external forces: names, units, values and deviations (T, k)."""
+    """What is estimated along with the motion, such as external forces.
+
+    Attributes:
+        names: Names of the k numbers.
+        units: Unit of each.
+        values: Estimates (T, k) in these units.
+        std: Their standard deviations (T, k).
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant.report import Along
+        >>> Along(("external_force1",), ("N m",), np.zeros((3, 1)), np.ones((3, 1))).units
+        ('N m',)
+    """
 
     names: tuple[str, ...]
     units: tuple[str, ...]
