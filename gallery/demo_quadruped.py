@@ -145,6 +145,7 @@ for axis, first, where in ((spin, 3, "lower left"), (legs, 6, "upper right")):
         axis.plot(t, v[:, i], PALETTE.truth, linewidth=3.5, label="true" if i == first else None)
         axis.plot(t, estimate.v[:, i], color, linewidth=1, label=label)
     axis.set(ylabel="[rad/s]")
+    axis.margins(y=0.2)  # room for the legend
     axis.legend(ncols=4, loc=where)
 below.semilogy(t, np.sqrt(squares), PALETTE.covariant, linewidth=0.6, label="intrinsic")
 below.axhline(bound, color=PALETTE.text, linestyle="--", label="predicted, root of the mean square")

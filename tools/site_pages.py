@@ -85,6 +85,7 @@ def _script(path: Path) -> Script:
     lines = source.splitlines(keepends=True)[tree.body[0].end_lineno :]  # behind the docstring, which the page shows
     paragraphs = text.strip().split("\n\n")
     caption = " ".join(p.removeprefix("Figure: ").replace("\n", " ") for p in paragraphs if p.startswith("Figure: "))
+    caption = caption[:1].upper() + caption[1:]
     text = "\n\n".join(p for p in paragraphs if not p.startswith("Figure: "))
     return Script(path, title.removesuffix("."), text, caption, "".join(lines).strip() + "\n", _figure(path))
 
@@ -126,7 +127,7 @@ def gallery_index(scripts: list[Script]) -> str:
 def _card(script: Script) -> str:
     """A link with the figure, the title and the caption."""
     picture = f'<img class="card" loading="lazy" alt="" src="{_picture(script)}">' if script.figure else ""
-    title, caption = html.escape(script.title), html.escape(script.caption)
+    title, caption = (re.sub("`(.+?)`", r"<code>\1</code>", html.escape(t)) for t in (script.title, script.caption))
     return f'<a href="{script.path.stem}.html">{picture}<strong>{title}</strong><span>{caption}</span></a>'
 
 
