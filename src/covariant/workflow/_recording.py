@@ -24,7 +24,7 @@ def write_recording(path: Path, title: str, columns: dict[str, np.ndarray], resu
     curves = []
     for name, values in measured.items():
         unit = kind.positions.table.get(name, "")
-        curves.append(PlottedCurve(("position", name), _label("measured", unit), values, MEASURED, points=True))
+        curves.append(PlottedCurve(("position", name), _label("measured", unit), values, MEASURED, 1.0, points=True))
     units = result.units | dict(zip(result.outcome.slow_names, kind.force_units, strict=False))
     for name, values in columns.items():
         plain = name.removesuffix("_filtered")
@@ -39,7 +39,7 @@ def write_recording(path: Path, title: str, columns: dict[str, np.ndarray], resu
                 curves.append(
                     PlottedCurve((quantity, plain), _label(f"{label} {end}", unit), values + sign * 2 * std, BAND, 0.7)
                 )
-        curves.append(PlottedCurve((quantity, plain), _label(label, unit), values, color))
+        curves.append(PlottedCurve((quantity, plain), _label(label, unit), values, color, 3.0))
     codes = np.asarray(result.codes)
     changes = np.flatnonzero(np.r_[True, codes[1:] != codes[:-1]])
     results = {float(t[k]): StepCode(int(codes[k])).name.lower().replace("_", " ") for k in changes}
