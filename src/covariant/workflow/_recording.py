@@ -13,6 +13,8 @@ from covariant.signals import StepCode
 
 FRAME_SECONDS = 0.02
 """Least time [s] between two poses of a robot that are drawn; curves have every row."""
+STUB = 0.1
+"""Length [m] of a last link that is drawn, from its joint to the side on which its mass is."""
 ESTIMATED, MEASURED, FILTERED, BAND = PALETTE[0], PALETTE[4], PALETTE[3], PALETTE[5]
 
 
@@ -79,8 +81,9 @@ def _bodies(result: Any, rows: np.ndarray) -> list[MovingBody]:
         ends = [np.asarray(tree.place[k]) for k, parent in enumerate(tree.parents) if parent == body]
         ends += [np.asarray(links.place[k]) for k, of in enumerate(links.bodies) if of == body]
         ends = [end for end in ends if np.linalg.norm(end) > 0]
-        if not ends and body >= 0 and tree.mass[body] > 0:  # nothing follows: how long the link is no file says
-            ends = [np.asarray(tree.first[body] / tree.mass[body])]
+        first_moment = np.asarray(tree.first)[body]
+        if not ends and body >= 0 and np.any(first_moment):  # how long a last link is no file says
+            ends = [STUB * first_moment / np.linalg.norm(first_moment)]
         segments = np.stack([np.zeros((len(ends), 3)), np.reshape(ends, (-1, 3))], axis=1)
         # From the frame of the body, whose origin is on its joint, to that of the link: v @ R is Rᵀ v.
         segments = (segments - np.asarray(links.place[i])) @ np.asarray(links.rotation[i])
