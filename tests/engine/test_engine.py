@@ -332,3 +332,16 @@ def test_a_rate_that_is_none_is_refused():
 def test_a_rate_at_which_each_sample_would_start_anew_is_refused():
     with pytest.raises(ValueError, match=r"at least 1\.25 Hz, as an estimate starts anew after 1 s without"):
         Stream(gated(), record().y[0], 1.0)
+
+
+def test_a_sink_gets_every_sample_also_those_out_of_turn():
+    t, u, y, _ = record()
+    seen = []
+    stream = Stream(gated(), y[0], 100.0, sink=lambda *sample: seen.append(sample))
+    returned = [stream.step(t[k], y[k], u[k]) for k in (0, 1, 0)]
+    assert [(stamp, result) for stamp, _, result in seen] == [
+        (t[0], StepCode.OK),
+        (t[1], StepCode.OK),
+        (t[0], StepCode.STEP_REFUSED),
+    ]
+    np.testing.assert_array_equal([estimate for _, estimate, _ in seen], returned)

@@ -1,11 +1,15 @@
 """Recordings for the Rerun viewer hold what the result holds."""
 
 import sys
+from types import SimpleNamespace
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import covariant
+from covariant.models import robots
+from covariant.workflow._recording import _bodies
 
 rerun = pytest.importorskip("rerun")
 pytest.importorskip("rerun.chunk")
@@ -45,3 +49,16 @@ def test_a_recording_without_rerun_names_the_extra(result, tmp_path, monkeypatch
 def test_a_recording_has_its_suffix(result, tmp_path):
     with pytest.raises(ValueError, match=r"must end in \.rrd"):
         result.rerun(tmp_path / "run.csv")
+
+
+def test_bodies_stand_in_the_frames_of_their_links():
+    model, q = robots.load("double_pendulum"), jnp.array([1.0, 0.5])
+    kind = SimpleNamespace(positions=SimpleNamespace(names=("q1", "q2")))
+    given = SimpleNamespace(
+        loaded=SimpleNamespace(model=model, kind=kind), run=SimpleNamespace(estimate=np.array([[1.0, 0.5, 0.0, 0.0]]))
+    )
+    drawn = _bodies(given, np.array([0]))
+    assert {(body.name, body.label) for body in drawn} == {("base", ""), ("upper", "q1"), ("lower", "q2")}
+    for body in drawn:
+        np.testing.assert_allclose(body.poses[0], model.space.pose(q, body.name), rtol=0, atol=1e-12)
+        assert len(body.segments) == (body.name != "base")

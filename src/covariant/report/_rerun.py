@@ -17,19 +17,22 @@ AXES = 0.1
 
 
 class PlottedCurve(NamedTuple):
-    """One curve: its view, as ("velocity", "q1"), its label with the unit, values (T,), colour and width."""
+    """One curve: its view, as ("velocity", "q1"), its label with the unit, values (T,), colour, width, if as points."""
 
     view: tuple[str, str]
     label: str
     values: np.ndarray
     color: str
     width: float = 1.5
+    points: bool = False
 
 
 class MovingBody(NamedTuple):
-    """A body of a robot: line segments (k, 2, 3) in its frame [m], and its poses (R, 4, 4)."""
+    """A body of a robot: its joint's label and place (3,), line segments (k, 2, 3) [m], and its poses (R, 4, 4)."""
 
     name: str
+    label: str
+    joint: np.ndarray
     segments: np.ndarray
     poses: np.ndarray
 
@@ -52,7 +55,9 @@ def write_rerun(
         times = [rr.TimeColumn("t", duration=np.asarray(t, float))]
         for curve in curves:
             entity = rr.new_entity_path([*curve.view, curve.label])
-            style = rr.SeriesLines(names=curve.label, colors=_rgba(curve.color), widths=curve.width)
+            look = {"names": curve.label, "colors": _rgba(curve.color)}
+            line = rr.SeriesPoints(marker_sizes=curve.width, **look) if curve.points else None
+            style = line or rr.SeriesLines(widths=curve.width, **look)
             recording.log(entity, style, static=True)
             recording.send_columns(entity, times, rr.Scalars.columns(scalars=np.asarray(curve.values, float)))
         starts = [rr.TimeColumn("t", duration=list(results))]
@@ -72,6 +77,9 @@ def _rgba(color: str) -> int:
 def _send_body(rr: Any, recording: Any, body: MovingBody, times: list[Any]) -> None:
     entity = rr.new_entity_path(["robot", body.name])
     recording.log(f"{entity}/link", rr.LineStrips3D(body.segments, radii=RADIUS, colors=_rgba("#56B4E9")), static=True)
+    if body.label:
+        joint = rr.Points3D([body.joint], radii=1.5 * RADIUS, labels=[body.label], colors=_rgba("#FFFFFF"))
+        recording.log(f"{entity}/joint", joint, static=True)
     recording.log(entity, rr.TransformAxes3D(AXES), static=True)
     columns = rr.Transform3D.columns(translation=body.poses[:, :3, 3], mat3x3=body.poses[:, :3, :3])
     recording.send_columns(entity, times, columns)
@@ -91,8 +99,14 @@ def _arrangement(rr: Any, curves: Sequence[PlottedCurve], bodies: Sequence[Movin
     right = rrb.Vertical(plots, results, row_shares=[5, 1])
     if not bodies:
         return rrb.Blueprint(right, collapse_panels=True)
-    places = np.concatenate([body.poses[:, :3, 3] for body in bodies])
+    places = np.concatenate([_places(body) for body in bodies])
     middle, size = (places.min(0) + places.max(0)) / 2, np.ptp(places, axis=0).max() + 10 * RADIUS
-    eye = rrb.EyeControls3D(position=middle + size * np.array([1.8, 1.2, 0.6]), look_target=middle, eye_up=[0, 0, 1])
+    eye = rrb.EyeControls3D(position=middle + size * np.array([1.3, 0.9, 0.4]), look_target=middle, eye_up=[0, 0, 1])
     robot = rrb.Spatial3DView(origin="/robot", name="robot", eye_controls=eye)
     return rrb.Blueprint(rrb.Horizontal(robot, right, column_shares=[1, 2]), collapse_panels=True)
+
+
+def _places(body: MovingBody) -> np.ndarray:
+    """Places (R(2k + 1), 3) of the origin and the ends of the segments of a body."""
+    points = np.concatenate([np.zeros((1, 3)), body.segments.reshape(-1, 3)])
+    return (points @ body.poses[:, :3, :3].mT + body.poses[:, None, :3, 3]).reshape(-1, 3)

@@ -13,6 +13,8 @@ from covariant.signals import StepCode
 
 FRAME_SECONDS = 0.02
 """Least time [s] between two poses of a robot that are drawn; curves have every row."""
+STUB = 0.1
+"""Length [m] of a last link that is drawn, from its joint to the side on which its mass is."""
 ESTIMATED, MEASURED, FILTERED, BAND = PALETTE[0], PALETTE[4], PALETTE[3], PALETTE[5]
 
 
@@ -24,7 +26,7 @@ def write_recording(path: Path, title: str, columns: dict[str, np.ndarray], resu
     curves = []
     for name, values in measured.items():
         unit = kind.positions.table.get(name, "")
-        curves.append(PlottedCurve(("position", name), _label("measured", unit), values, MEASURED))
+        curves.append(PlottedCurve(("position", name), _label("measured", unit), values, MEASURED, 1.0, points=True))
     units = result.units | dict(zip(result.outcome.slow_names, kind.force_units, strict=False))
     for name, values in columns.items():
         plain = name.removesuffix("_filtered")
@@ -39,7 +41,7 @@ def write_recording(path: Path, title: str, columns: dict[str, np.ndarray], resu
                 curves.append(
                     PlottedCurve((quantity, plain), _label(f"{label} {end}", unit), values + sign * 2 * std, BAND, 0.7)
                 )
-        curves.append(PlottedCurve((quantity, plain), _label(label, unit), values, color))
+        curves.append(PlottedCurve((quantity, plain), _label(label, unit), values, color, 3.0))
     codes = np.asarray(result.codes)
     changes = np.flatnonzero(np.r_[True, codes[1:] != codes[:-1]])
     results = {float(t[k]): StepCode(int(codes[k])).name.lower().replace("_", " ") for k in changes}
@@ -63,7 +65,7 @@ def _rows_of_frames(t: np.ndarray) -> np.ndarray:
 
 
 def _bodies(result: Any, rows: np.ndarray) -> list[MovingBody]:
-    """The bodies of a robot at its estimated configurations; none of another model."""
+    """The bodies of a robot, each in the frame of its first link, at its estimated configurations."""
     space = getattr(result.loaded.model, "space", None)
     if not isinstance(space, RobotSpace):
         return []
@@ -71,19 +73,28 @@ def _bodies(result: Any, rows: np.ndarray) -> list[MovingBody]:
     q = jnp.asarray(getattr(estimate, "q", estimate))[rows]
     q = q if hasattr(estimate, "q") else q[:, : len(result.loaded.model.coordinates)]
     tree, links = space.tree, space.links
-    names = {body: name for name, body in reversed(list(zip(links.names, links.bodies, strict=True)))}
-    joints = jax.jit(jax.vmap(space.joints))(q)
-    base = np.asarray(q).reshape(len(q), -1)[:, :16].reshape(-1, 4, 4) if space.floating else np.eye(4)
-    poses = {-1: np.broadcast_to(base, (len(q), 4, 4))}
-    for body, parent in enumerate(tree.parents):  # parents come first
-        step = np.broadcast_to(np.eye(4), (len(q), 4, 4)).copy()
-        step[:, :3, :3], step[:, :3, 3] = np.asarray(joints.rotation)[:, body], np.asarray(joints.place)[:, body]
-        poses[body] = poses[parent] @ step
+    first = {body: i for i, body in reversed(list(enumerate(links.bodies)))}
+    names = {body: links.names[i] for body, i in first.items()}
+    poses = jax.jit(jax.vmap(lambda x: jnp.stack([space.pose(x, name) for name in names.values()])))(q)
     bodies = []
-    for body, name in names.items():
+    for (body, i), pose in zip(first.items(), np.moveaxis(np.asarray(poses), 1, 0), strict=True):
         ends = [np.asarray(tree.place[k]) for k, parent in enumerate(tree.parents) if parent == body]
         ends += [np.asarray(links.place[k]) for k, of in enumerate(links.bodies) if of == body]
         ends = [end for end in ends if np.linalg.norm(end) > 0]
+        first_moment = np.asarray(tree.first)[body]
+        if not ends and body >= 0 and np.any(first_moment):  # how long a last link is no file says
+            ends = [STUB * first_moment / np.linalg.norm(first_moment)]
         segments = np.stack([np.zeros((len(ends), 3)), np.reshape(ends, (-1, 3))], axis=1)
-        bodies.append(MovingBody(name, segments, poses[body]))
+        # From the frame of the body, whose origin is on its joint, to that of the link: v @ R is Rᵀ v.
+        segments = (segments - np.asarray(links.place[i])) @ np.asarray(links.rotation[i])
+        joint = -np.asarray(links.place[i]) @ np.asarray(links.rotation[i])
+        bodies.append(MovingBody(names[body], _joint(result.loaded, body), joint, segments, pose))
     return bodies
+
+
+def _joint(loaded: Any, body: int) -> str:
+    """Names of the positions that move a body on its parent, as in the curves; "" where they are not by joint."""
+    tree, names = loaded.model.space.tree, loaded.kind.positions.names
+    if body < 0 or tree.coordinates.shape[1] != len(names):
+        return ""
+    return ", ".join(names[k] for k in np.flatnonzero(np.asarray(tree.coordinates[body])))
