@@ -48,7 +48,7 @@ def notebook_line(description: str, fraction: float | None = None) -> None:
     The line goes when the cell ends, so that only results stay.
     """
     shell = sys.modules["IPython"].get_ipython() if "IPython" in sys.modules else None
-    if not hasattr(shell, "kernel"):
+    if shell is None or not hasattr(shell, "kernel"):
         return
     from IPython.display import display
 
