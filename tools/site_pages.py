@@ -6,7 +6,6 @@
 import ast
 import html
 import re
-import tempfile
 import tomllib
 from functools import cache
 from pathlib import Path
@@ -16,7 +15,6 @@ import nbformat
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
-from nbclient import NotebookClient
 from nbconvert import MarkdownExporter
 
 ROOT = Path(__file__).parents[1]
@@ -141,14 +139,11 @@ def notebooks() -> list[Notebook]:
 
 
 def notebook_page(notebook: Notebook) -> str:
-    """The page of one notebook, which runs here, in an empty folder."""
-    cells = nbformat.read(notebook.path, as_version=4)
-    with tempfile.TemporaryDirectory() as folder:
-        NotebookClient(cells, timeout=300, resources={"metadata": {"path": folder}}).execute()
-    text, _ = MarkdownExporter().from_notebook_node(cells)
-    # The files that it writes are in no site.
-    text = re.sub(r'<a href="[^"]*">([^<]*)</a>', r"\1", text)
-    run = f"`gallery/{notebook.path.name}`, in a checkout, is this notebook; its results are those of this build.\n"
+    """The page of one notebook as it is stored, without its outputs: to run them all takes longer than the site."""
+    text, _ = MarkdownExporter().from_filename(str(notebook.path))
+    run = (
+        f"`jupyter lab gallery/{notebook.path.name}`, in a checkout, opens this notebook; run it to see its results.\n"
+    )
     return f"{LATER}{text}\n\n{run}"
 
 
@@ -156,7 +151,7 @@ def gallery_index(scripts: list[Script]) -> str:
     """The page that lists the notebooks and the scripts."""
     cards = "\n".join(_card(script) for script in scripts)
     links = "\n".join(f"- [{each.title}]({each.path.stem}.md)" for each in notebooks())
-    text = f"Notebooks, with what they show:\n\n{links}\n\n"
+    text = f"Notebooks:\n\n{links}\n\n"
     text += "Short scripts that each teach one topic, with the figures that they draw."
     return f'# Gallery\n\n{text}\n\n<div class="cards">\n{cards}\n</div>\n'
 
@@ -292,4 +287,4 @@ def on_page_content(html: str, **_: object) -> str:  # the name is that of the h
     """Let every figure open on its own, which a small screen needs, and break no option or name at its hyphens."""
     inline = r"(?<!</span>)(?<!<pre>)<code>([^<]+)</code>"
     html = re.sub(inline, lambda code: f"<code>{_unbroken(code[1])}</code>", html)
-    return re.sub(r'<img (?!class="card")[^>]*?src="((?!data:)[^"]+)"[^>]*>', r'<a href="\1">\g<0></a>', html)
+    return re.sub(r'<img (?!class="card")[^>]*?src="([^"]+)"[^>]*>', r'<a href="\1">\g<0></a>', html)

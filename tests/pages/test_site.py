@@ -73,7 +73,6 @@ def test_the_gallery_and_the_papers_are_pages(site):
     scripts = {path.stem for path in (ROOT / "gallery").glob("[0-9]*.py")}
     notebooks = {path.stem for path in (ROOT / "gallery").glob("*.ipynb")}
     assert scripts | notebooks <= {path.stem for path in (site / "gallery").glob("*.html")}
-    assert all("data:image/png" in (site / "gallery" / f"{name}.html").read_text() for name in notebooks)
     for page in ("aghannan-rouchon", "maithripala", "sanfelice-praly", "jouffroy-fossen"):
         text = (site / f"{page}.html").read_text(encoding="utf-8")
         assert "as printed" in text
