@@ -1,4 +1,4 @@
-"""What the site has beside the pages in `docs`: the README, the scripts of the gallery, the docstrings of every room.
+"""What the site has beside the pages in `docs`: README, scripts and notebooks of the gallery, docstrings of every room.
 
 `mkdocs.yml` names this file as a hook; `make docs` builds the site.
 """
@@ -11,9 +11,11 @@ from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
+import nbformat
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
+from nbconvert import MarkdownExporter
 
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "src" / "covariant"
@@ -117,10 +119,41 @@ def _picture(script: Script) -> str:
     return f"../images/{script.figure.name}" if script.figure.parent == IMAGES else f"out/{script.figure.name}"
 
 
+class Notebook(NamedTuple):
+    """A notebook of the gallery, and its title."""
+
+    path: Path
+    title: str
+
+    @property
+    def page(self) -> str:
+        return f"gallery/{self.path.stem}.md"
+
+
+def notebooks() -> list[Notebook]:
+    """The notebooks of the gallery; the first cell of each begins with its title."""
+    found = sorted(GALLERY.glob("*.ipynb"))
+    return [
+        Notebook(path, nbformat.read(path, as_version=4).cells[0].source.partition("\n")[0].removeprefix("# "))
+        for path in found
+    ]
+
+
+def notebook_page(notebook: Notebook) -> str:
+    """The page of one notebook as it is stored, without its outputs: to run them all takes longer than the site."""
+    text, _ = MarkdownExporter().from_filename(str(notebook.path))
+    run = (
+        f"`jupyter lab gallery/{notebook.path.name}`, in a checkout, opens this notebook; run it to see its results.\n"
+    )
+    return f"{LATER}{text}\n\n{run}"
+
+
 def gallery_index(scripts: list[Script]) -> str:
-    """The page that lists the scripts."""
+    """The page that lists the notebooks and the scripts."""
     cards = "\n".join(_card(script) for script in scripts)
-    text = "Short scripts that each teach one topic, with the figures that they draw."
+    links = "\n".join(f"- [{each.title}]({each.path.stem}.md)" for each in notebooks())
+    text = f"Notebooks:\n\n{links}\n\n"
+    text += "Short scripts that each teach one topic, with the figures that they draw."
     return f'# Gallery\n\n{text}\n\n<div class="cards">\n{cards}\n</div>\n'
 
 
@@ -211,10 +244,10 @@ def on_config(config: MkDocsConfig) -> None:
     """Put the gallery and the reference into the navigation, and the version into the foot of every page."""
     assert config.nav is not None
     place = next(k for k, entry in enumerate(config.nav) if "API" in entry)
-    pages = [{script.name: script.page} for script in gallery()]
+    pages = [{each.title: each.page} for each in notebooks()] + [{script.name: script.page} for script in gallery()]
     users, inside = [room for room in rooms() if room.about], [room for room in rooms() if not room.about]
     config.nav[place]["API"] += [*map(_entry, users), {"Inside the library": [*map(_entry, inside)]}]
-    config.nav.insert(place, {"Gallery": [{"All scripts": "gallery/index.md"}, *pages]})
+    config.nav.insert(place, {"Gallery": [{"All of it": "gallery/index.md"}, *pages]})
     version = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["version"]
     config.copyright = f"covariant {version} · BSD-3-Clause"
 
@@ -237,6 +270,7 @@ def on_files(files: Files, config: MkDocsConfig) -> None:
         "gallery/index.md": gallery_index(scripts),
     }
     text |= {script.page: gallery_page(script) for script in scripts}
+    text |= {notebook.page: notebook_page(notebook) for notebook in notebooks()}
     for room in rooms():
         text |= reference(room)
     for name, content in text.items():

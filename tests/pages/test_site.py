@@ -71,7 +71,8 @@ def test_every_class_for_users_has_a_page(site):
 
 def test_the_gallery_and_the_papers_are_pages(site):
     scripts = {path.stem for path in (ROOT / "gallery").glob("[0-9]*.py")}
-    assert scripts <= {path.stem for path in (site / "gallery").glob("*.html")}
+    notebooks = {path.stem for path in (ROOT / "gallery").glob("*.ipynb")}
+    assert scripts | notebooks <= {path.stem for path in (site / "gallery").glob("*.html")}
     for page in ("aghannan-rouchon", "maithripala", "sanfelice-praly", "jouffroy-fossen"):
         text = (site / f"{page}.html").read_text(encoding="utf-8")
         assert "as printed" in text

@@ -48,13 +48,13 @@ def write_article(
     parts.append(facts_html(facts))
     for block in blocks:
         heading = block[2:] if isinstance(block, str) and block.startswith("# ") else heading
-        parts.append(_block(block, heading))
+        parts.append(block_html(block, heading))
     words = {"TITLE": escape(title), "STYLE": template("report", "page.css"), "BLOCKS": parts}
     page = fill("report", "article.html", words)
     return write_atomically(path, lambda file: file.write(page.encode()))
 
 
-def _block(block: Block, heading: str) -> str:
+def block_html(block: Block, heading: str) -> str:
     """A block in HTML; a figure is described by the heading above it."""
     if isinstance(block, Path):
         data = base64.b64encode(block.read_bytes()).decode()

@@ -4,7 +4,7 @@ import io
 import os
 import textwrap
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from covariant._files import write_atomically
 from covariant.report._axis_range import axis_range
@@ -13,7 +13,7 @@ from covariant.report._estimate import EstimateReport
 from covariant.report._optional import optional
 from covariant.report._panels import Quantity, depths, quantities, shorten
 from covariant.report._polylines import polyline
-from covariant.report._style import BAND, BOUNDS, DPI, INK, MUTED, Style, new_figure, styles
+from covariant.report._style import BAND, BOUNDS, DPI, INK, MUTED, SHADE, Style, new_figure, styles
 
 if TYPE_CHECKING:
     import matplotlib.axes
@@ -64,7 +64,7 @@ def draw_png(report: EstimateReport, path: str | os.PathLike[str]) -> dict[Path,
         shown = [panels[member] for member in members if member in panels]
         if shown:
             buffer = io.BytesIO()
-            _figure(report.title, shown, styled).savefig(buffer, format="png", dpi=DPI)
+            _figure(report.title, shown, styled, report.shaded).savefig(buffer, format="png", dpi=DPI)
             files[stem.with_name(f"{stem.name}_{name}.png")] = buffer.getvalue()
     return files
 
@@ -79,8 +79,10 @@ def write_all(files: dict[Path, bytes]) -> list[Path]:
 def figure(report: EstimateReport) -> "matplotlib.figure.Figure":
     """Draw velocities or states, and their errors where there is a reference: a row for each coordinate.
 
+    Below them is what is estimated along with the motion, such as forces.
+
     Args:
-        report: The curves; the figure is that of `write_png` in `<path>_velocity.png`.
+        report: The curves; those of the motion are in `<path>_velocity.png` of `write_png` too.
 
     Returns:
         A `matplotlib.figure.Figure` that belongs to no window; a notebook shows it, and `save_figure` writes it.
@@ -100,18 +102,37 @@ def figure(report: EstimateReport) -> "matplotlib.figure.Figure":
     """
     panels = condensed(quantities(report.check()))
     shown = [panels[member] for member in _FIGURES["velocity"] if member in panels]
-    return _figure(report.title, shown, styles(report))
+    return _figure(report.title, shown, styles(report), report.shaded, panels.get("along"))
 
 
-def _figure(title: str, shown: list[Quantity], styled: dict[str, Style]) -> "matplotlib.figure.Figure":
-    rows = len(shown[0].labels)
+def _figure(
+    title: str, shown: list[Quantity], styled: dict[str, Style], shaded: Any = None, below: Quantity | None = None
+) -> "matplotlib.figure.Figure":
+    """Draw a column for each quantity, and the panels of one more below them, with stretches of time shaded."""
+    count, cols = len(shown[0].labels), len(shown)
+    more = 0 if below is None else len(below.labels)
+    rows = count + -(-more // cols)  # rounded up
     panel = (4.8, 2.3) if len(shown) > 1 else (7.2, 3.0 if rows == 1 else 2.3)
-    figure, axes = new_figure(rows, len(shown), panel=panel, titles=[quantity.title for quantity in shown])
+    figure, axes = new_figure(rows, cols, panel=panel, titles=[quantity.title for quantity in shown])
     for j, quantity in enumerate(shown):
-        for i in range(rows):
+        for i in range(count):
             _draw(axes[i, j], quantity, i, styled)
         axes[-1, j].set_xlabel("t [s]")
-    used = {curve.label for quantity in shown for curve in quantity.curves}
+    drawn = [*axes[:count].flat]
+    if below is not None:
+        rest = [*axes[count:].flat]
+        for i, ax in enumerate(rest[:more]):
+            _draw(ax, below, i, styled)
+        rest[0].set_title(below.title, loc="left", fontsize=10, color=INK)
+        drawn += rest[:more]
+        for ax, above in zip(rest[more:], drawn[len(drawn) - cols :], strict=False):
+            ax.set_axis_off()
+            above.set_xlabel("t [s]")
+            above.tick_params(labelbottom=True)
+    for ax in drawn:
+        for begin, end in () if shaded is None else shaded:
+            ax.axvspan(begin, end, color=SHADE, alpha=0.15, linewidth=0, zorder=0)
+    used = {curve.label for quantity in (*shown, *([below] if below else [])) for curve in quantity.curves}
     legend_lines = _legend(figure, {label: style for label, style in styled.items() if label in used})
     lines = textwrap.wrap(title, int(10 * figure.get_figwidth()))
     figure.suptitle(_plain("\n".join(lines)), x=0.012, ha="left", fontsize=11, fontweight="bold", color=INK)

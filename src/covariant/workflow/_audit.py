@@ -15,7 +15,7 @@ from covariant.proofs import Box
 from covariant.workflow._arguments import Region, above_zero, bounds, gain_pair
 from covariant.workflow._design import design
 from covariant.workflow._kinds import kind_of
-from covariant.workflow._progress import Progress, silent
+from covariant.workflow._progress import Progress, notebook_line
 from covariant.workflow._result import AbstractResult
 
 if TYPE_CHECKING:
@@ -36,7 +36,7 @@ def audit_observer(
     points: int = 24,
     seed: int = 0,
     overrides: Overrides = (),
-    progress: Progress = silent,
+    progress: Progress = notebook_line,
 ) -> "AuditResult":
     """Measure the laws that an observer's convergence rests on, at random states.
 

@@ -31,7 +31,7 @@ from covariant.workflow._design import design
 from covariant.workflow._find import FIND, largest_proved
 from covariant.workflow._inputs import numbered
 from covariant.workflow._outputs import check_output
-from covariant.workflow._progress import Progress, silent
+from covariant.workflow._progress import Progress, notebook_line
 from covariant.workflow._result import AbstractResult
 
 if TYPE_CHECKING:
@@ -76,7 +76,7 @@ def certify(
     find: str | None = None,
     runs: int = 10,
     overrides: Overrides = (),
-    progress: Progress = silent,
+    progress: Progress = notebook_line,
 ) -> "CertifyResult":
     """Prove that an intrinsic observer converges: on which region, at which rate, from how far.
 
@@ -362,7 +362,7 @@ class CertifyResult(AbstractResult):
 
 
 def check_certificate(
-    path: str | Path, *, model: str | None = None, processes: int = 1, progress: Progress = silent
+    path: str | Path, *, model: str | None = None, processes: int = 1, progress: Progress = notebook_line
 ) -> "CertificateCheckResult":
     """Verify a saved certificate: all leaves of its proofs, and some of them again in ball arithmetic.
 

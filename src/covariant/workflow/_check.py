@@ -15,7 +15,7 @@ from covariant.calibration import Beside, Diagnosis, Finding, diagnose, mended_c
 from covariant.models import Overrides
 from covariant.signals import Record, acting_inputs
 from covariant.workflow._inputs import ColumnNames, Job, Loaded, load
-from covariant.workflow._progress import Progress, silent
+from covariant.workflow._progress import Progress, notebook_line
 from covariant.workflow._result import AbstractResult
 
 
@@ -28,7 +28,7 @@ def check(
     start: float | None = None,
     until: float | None = None,
     columns: ColumnNames | None = None,
-    progress: Progress = silent,
+    progress: Progress = notebook_line,
 ) -> "CheckResult":
     """Compare a log with a model: clock, units, order and signs of columns, delays, ticks, noise, outliers, gaps.
 
@@ -205,9 +205,8 @@ class CheckResult(AbstractResult):
         """The findings that are wrong, a sentence each."""
         return tuple(f"{_name(each)}: {each.evidence}; {each.line}" for each in self.findings if each.wrong)
 
-    def _write_page(self, path: Path) -> list[Path]:
-        from covariant.workflow._pages import write_result_page
-
+    @property
+    def _blocks(self) -> list[Any]:
         rows = [
             {
                 "": "WRONG" if each.wrong else "note",
@@ -217,11 +216,16 @@ class CheckResult(AbstractResult):
             }
             for each in self.findings
         ]
+        return [rows] if rows else []
+
+    def _write_page(self, path: Path) -> list[Path]:
+        from covariant.workflow._pages import write_result_page
+
         skipped = ", ".join(self.diagnosis.skipped)
         facts = {"model": self.model, "log": f"{self.log}, {self.rows} rows at {self.rate:.4g} Hz"}
         facts |= {"looked for": ", ".join(self.diagnosis.looked_for)} | ({"not looked for": skipped} if skipped else {})
         title = f"{Path(self.log).name} checked against {Path(self.model).stem}"
-        return write_result_page(path, title, self, [rows] if rows else [], facts)
+        return write_result_page(path, title, self, self._blocks, facts)
 
     def __str__(self) -> str:
         wrong = sum(finding.wrong for finding in self.findings)

@@ -35,7 +35,7 @@ from covariant.workflow._outcome import (
 )
 from covariant.workflow._outputs import write_table
 from covariant.workflow._pages import estimate_report, write_report
-from covariant.workflow._progress import Progress, silent
+from covariant.workflow._progress import Progress, notebook_line
 from covariant.workflow._result import AbstractTable
 from covariant.workflow._trial import Ahead, ahead, trial_part
 
@@ -51,7 +51,7 @@ def compare(
     columns: ColumnNames | None = None,
     anyway: bool = False,
     engine: EngineName = "auto",
-    progress: Progress = silent,
+    progress: Progress = notebook_line,
 ) -> "CompareResult":
     """Run all estimators that fit a model on a log, tuned from the same data sheet, and rank them.
 

@@ -21,7 +21,7 @@ from covariant.workflow._force_rivals import rivals
 from covariant.workflow._inputs import ColumnNames, Job, Loaded, column_names, load, numbered, refuse_delays
 from covariant.workflow._kind import Labels
 from covariant.workflow._outcome import force_names, mean_nis, plain, rounded
-from covariant.workflow._progress import Progress, silent
+from covariant.workflow._progress import Progress, notebook_line
 
 WITHIN = 1.96
 """Standard deviations of a normal distribution to both sides of its mean that hold 95 % of it."""
@@ -38,7 +38,7 @@ def compare_force(
     until: float | None = None,
     columns: ColumnNames | None = None,
     anyway: bool = False,
-    progress: Progress = silent,
+    progress: Progress = notebook_line,
 ) -> "CompareForceResult":
     """Estimate external forces from a log by filters and by their rivals, and score them against the true ones.
 

@@ -10,12 +10,12 @@ import numpy as np
 from covariant import models
 from covariant.models import Overrides, robots
 from covariant.workflow._placeholders import placeholder_sentence, placeholders
-from covariant.workflow._progress import Progress, silent
+from covariant.workflow._progress import Progress, notebook_line
 from covariant.workflow._result import AbstractResult
 
 
 def describe_model(
-    model: Any, *, samples: int = 200, seed: int = 0, overrides: Overrides = (), progress: Progress = silent
+    model: Any, *, samples: int = 200, seed: int = 0, overrides: Overrides = (), progress: Progress = notebook_line
 ) -> "ModelResult":
     """Describe a model: its coordinates and inputs, the tree of a robot, and the curvature of its metric.
 

@@ -48,7 +48,7 @@ from covariant.workflow._outcome import (
     with_units,
 )
 from covariant.workflow._pages import AbstractEstimates, accuracy, estimate_report
-from covariant.workflow._progress import Progress, silent
+from covariant.workflow._progress import Progress, notebook_line
 from covariant.workflow._refusals import LISTED, Refusal, refusals, refused_text
 from covariant.workflow._sensors import SensorCount, sensor_counts
 from covariant.workflow._without_model import WithoutModel, without_model
@@ -72,7 +72,7 @@ def estimate(
     columns: ColumnNames | None = None,
     anyway: bool = False,
     engine: EngineName = "auto",
-    progress: Progress = silent,
+    progress: Progress = notebook_line,
 ) -> "EstimateResult":
     """Estimate velocities, or states of a state-space model, from the positions or outputs in a log.
 

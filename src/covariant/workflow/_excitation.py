@@ -12,7 +12,7 @@ import numpy as np
 from covariant import logs
 from covariant.workflow._arguments import Amounts, Overrides, Region, above_zero
 from covariant.workflow._outputs import TABLES, check_output
-from covariant.workflow._progress import Progress, silent
+from covariant.workflow._progress import Progress, notebook_line
 from covariant.workflow._result import AbstractTable
 
 FEWEST_ROWS = 10
@@ -36,7 +36,7 @@ def design_excitation(
     starts: int = 3,
     seed: int = 0,
     overrides: Overrides = (),
-    progress: Progress = silent,
+    progress: Progress = notebook_line,
 ) -> "ExcitationResult":
     """Design a motion of a robot, within its limits, whose log determines open numbers best.
 

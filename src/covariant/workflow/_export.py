@@ -44,7 +44,7 @@ from covariant.workflow._design import Design, design
 from covariant.workflow._exported_program import exported_program, open_family
 from covariant.workflow._inputs import Job, densest_rate, describe_inputs, load, with_acting_inputs
 from covariant.workflow._kinds import kind_of
-from covariant.workflow._progress import Progress, silent
+from covariant.workflow._progress import Progress, notebook_line
 from covariant.workflow._result import AbstractResult
 from covariant.workflow._robot_file import FORMATS, RobotFileResult, write_robot
 from covariant.workflow._sensors import reading_delays
@@ -81,7 +81,7 @@ def export(
     audit: bool = True,
     overwrite: bool = False,
     overrides: Overrides = (),
-    progress: Progress = silent,
+    progress: Progress = notebook_line,
 ) -> "ExportResult | RobotFileResult":
     """Write an observer as C99 for microcontrollers and controllers, or as a unit (.fmu) for simulators.
 

@@ -12,7 +12,7 @@ import numpy as np
 from covariant.workflow._arguments import ColumnNames, Overrides, OverridesOfLogs
 from covariant.workflow._model_output import as_logs, read_sources, write_model
 from covariant.workflow._placeholders import placeholder_sentence
-from covariant.workflow._progress import Progress, silent
+from covariant.workflow._progress import Progress, notebook_line
 from covariant.workflow._result import AbstractTable
 
 
@@ -28,7 +28,7 @@ def fit(
     until: float | None = None,
     columns: ColumnNames | None = None,
     anyway: bool = False,
-    progress: Progress = silent,
+    progress: Progress = notebook_line,
 ) -> "FitResult":
     """Fit parameters of a model to logs, with standard errors, and name what the logs do not determine.
 
@@ -247,12 +247,11 @@ class FitResult(AbstractTable):
             for i, (name, unit) in enumerate(zip(result["coordinates"], result["units"], strict=True))
         ]
 
-    def _write_page(self, path: Path) -> list[Path]:
-        from covariant.workflow._pages import write_result_page
-
+    @property
+    def _blocks(self) -> list[Any]:
         result = self.details
         inputs = result["inputs"]["sentence"]
-        blocks = [
+        return [
             "# Parameters",
             self._numbers,
             "# Errors on held-out rows",
@@ -262,9 +261,42 @@ class FitResult(AbstractTable):
             *([inputs] if inputs else []),
             *([result["start"]] if result.get("start") else []),
         ]
+
+    def _figure(self) -> Any:
+        """The numbers before in units of the fitted ones, and the errors on what is held out over those before."""
+        from covariant.report import new_figure
+
+        columns, result = self.columns, self.details
+        before, after, error = (columns[name] for name in ("before", "after", "standard_error"))
+        unit = np.where(after == 0, np.nan, np.abs(after))
+        errors = {
+            f"{kind} {name}": result["held_out_errors"]["after"][kind][i] / result["held_out_errors"]["before"][kind][i]
+            for kind in ("position", "velocity")
+            for i, name in enumerate(result["coordinates"])
+            if result["held_out_errors"]["after"][kind][i] is not None and result["held_out_errors"]["before"][kind][i]
+        }
+        titles = ("Numbers over the fitted ones, ±2 standard errors", "RMS errors on held-out rows over those before")
+        height = 0.8 + 0.3 * max(len(after), len(errors))
+        figure, axes = new_figure(1, 2, panel=(4.8, height), titles=titles, sharex=False)
+        left, right = axes[0]
+        rows = np.arange(len(after))
+        left.plot(before / unit, rows, "o", fillstyle="none", label="before")
+        left.errorbar(after / unit, rows, xerr=2 * error / unit, fmt="o", capsize=3, label="fitted")
+        left.set_yticks(rows, [str(name) for name in columns["parameter"]])
+        left.invert_yaxis()
+        left.legend()
+        right.barh(list(errors), list(errors.values()))
+        right.axvline(1.0, color="black", linewidth=0.8)
+        right.invert_yaxis()
+        return figure
+
+    def _write_page(self, path: Path) -> list[Path]:
+        from covariant.workflow._pages import write_result_page
+
+        result = self.details
         model, logs = self.jobs[0].model_name, ", ".join(result["logs"])
         facts = {"model": model, "logs": logs, "fitted to": result["fitted_to"], "held out": result["held_out"]}
-        return write_result_page(path, f"{Path(model).stem} fitted to {Path(logs).name}", self, blocks, facts)
+        return write_result_page(path, f"{Path(model).stem} fitted to {Path(logs).name}", self, self._blocks, facts)
 
     def __str__(self) -> str:
         from covariant.report import table

@@ -16,7 +16,7 @@ from covariant.models import Overrides
 from covariant.workflow._inputs import ColumnNames, column_names
 from covariant.workflow._outputs import check_output
 from covariant.workflow._placeholders import marked
-from covariant.workflow._progress import Progress, silent
+from covariant.workflow._progress import Progress, notebook_line
 from covariant.workflow._result import AbstractResult
 from covariant.workflow._servo_draft import (
     Joints,
@@ -34,7 +34,7 @@ SETTABLE = ("units.t", "units.q", "units.u", "units.v", "parameters.path")
 
 
 def init(
-    log: Any, *, columns: ColumnNames | None = None, overrides: Overrides = (), progress: Progress = silent
+    log: Any, *, columns: ColumnNames | None = None, overrides: Overrides = (), progress: Progress = notebook_line
 ) -> "InitResult":
     """Draft a model file from the header and the content of a log.
 

@@ -18,7 +18,7 @@ from covariant.models import ModelFile, Overrides, StateSpace
 from covariant.workflow._arguments import Amounts, Region, above_zero, bounds, numbers
 from covariant.workflow._inputs import numbered
 from covariant.workflow._outputs import check_output
-from covariant.workflow._progress import Progress, silent
+from covariant.workflow._progress import Progress, notebook_line
 from covariant.workflow._result import AbstractResult
 
 PATIENCE = 4.0
@@ -45,7 +45,7 @@ def design_metric(
     workers: int | None = None,
     scheduler: str | None = None,
     overrides: Overrides = (),
-    progress: Progress = silent,
+    progress: Progress = notebook_line,
 ) -> "MetricResult":
     """Solve the equation of a contraction metric at every point of a grid of states.
 

@@ -260,6 +260,12 @@ class AbstractEstimates(AbstractTable):
 
         return figure(self._page())
 
+    @property
+    def _blocks(self) -> Sequence[Any]:
+        page = self._page()
+        lines = [*([page.facts["design"]] if "design" in page.facts else []), *page.notes]
+        return [page.rows, *lines] if page.rows else []
+
     @abc.abstractmethod
     def _page(self) -> Any:
         """What the page and the figures show."""

@@ -9,7 +9,7 @@ from covariant.models import Overrides
 from covariant.workflow._arguments import Region, bounds
 from covariant.workflow._inputs import numbered
 from covariant.workflow._metric import box_of, system_in_coordinates
-from covariant.workflow._progress import Progress, silent
+from covariant.workflow._progress import Progress, notebook_line
 from covariant.workflow._result import AbstractResult
 
 
@@ -21,7 +21,7 @@ def design_reduced_order(
     inputs: Region | None = None,
     full: bool = False,
     overrides: Overrides = (),
-    progress: Progress = silent,
+    progress: Progress = notebook_line,
 ) -> "ReducedOrderResult":
     """Design an observer of the states that are not measured, and prove that it converges from any distance.
 

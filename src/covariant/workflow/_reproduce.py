@@ -7,7 +7,7 @@ from typing import Any
 
 from covariant._names import unknown
 from covariant.workflow._outputs import check_output
-from covariant.workflow._progress import Progress, silent
+from covariant.workflow._progress import Progress, notebook_line
 from covariant.workflow._result import AbstractResult
 
 PAPERS = {
@@ -19,7 +19,7 @@ PAPERS = {
 """The module of each paper, with `STAGES`, `reproduce`, `draw`, `summary` and `write_page`."""
 
 
-def reproduce_paper(paper: str, *, progress: Progress = silent) -> "ReproduceResult":
+def reproduce_paper(paper: str, *, progress: Progress = notebook_line) -> "ReproduceResult":
     """Reproduce the numbers of a paper.
 
     Args:

@@ -3,6 +3,7 @@
 import abc
 import base64
 import html
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, ClassVar
 from urllib.parse import quote
@@ -19,6 +20,13 @@ class WrittenFiles(list[Path]):
     def _repr_html_(self) -> str:
         links = (f'<a href="{html.escape(quote(path.as_posix()))}">{html.escape(str(path))}</a>' for path in self)
         return "wrote " + ", ".join(links)
+
+
+_TABLES = (
+    "<style>.covariant table td, .covariant table th {text-align: left} "
+    ".covariant table .number {text-align: right}</style>"
+)
+"""Notebooks align all cells to the right, and sentences too."""
 
 
 def _warning_html(warning: str) -> str:
@@ -86,11 +94,18 @@ class AbstractResult(abc.ABC):
         return f"<{type(self).__name__}: {self.headline}>"
 
     def _repr_html_(self) -> str:
-        """What a notebook shows: headline, warnings in colour, text with its tables, and the figure if there is one."""
-        rest = str(self)
-        for warning in self.warnings:
-            rest = rest.replace(warning, "")
-        parts = [f"<p><b>{html.escape(self.headline)}</b></p>", *map(_warning_html, self.warnings), _html(rest)]
+        """What a notebook shows: headline, warnings, the tables of the page or else the text, and the figure."""
+        parts = [f"<p><b>{html.escape(self.headline)}</b></p>", *map(_warning_html, self.warnings)]
+        blocks = self._blocks
+        if blocks:
+            from covariant.report import block_html
+
+            parts += [_TABLES, '<div class="covariant">', *(block_html(block, "") for block in blocks), "</div>"]
+        else:
+            rest = str(self)
+            for warning in self.warnings:
+                rest = rest.replace(warning, "")
+            parts.append(_html(rest))
         try:
             picture = self._figure()._repr_png_()
         except (ValueError, ImportError):  # a result without a figure, or nothing that draws
@@ -98,6 +113,11 @@ class AbstractResult(abc.ABC):
         alt = html.escape(self.headline, quote=True)
         image = f'<img src="data:image/png;base64,{base64.b64encode(picture).decode()}" alt="{alt}">'
         return "".join([*parts, image])
+
+    @property
+    def _blocks(self) -> Sequence[Any]:
+        """Paragraphs, headings and rows of tables that the page has, and a notebook; empty where there is only text."""
+        return ()
 
     written: ClassVar[tuple[str, ...]] = ()
     """Suffixes of the file that `save` writes; none for a result that has no file."""

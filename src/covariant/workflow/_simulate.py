@@ -8,7 +8,7 @@ import numpy as np
 
 from covariant import logs
 from covariant.workflow._arguments import Amounts, Overrides
-from covariant.workflow._progress import Progress, silent
+from covariant.workflow._progress import Progress, notebook_line
 from covariant.workflow._result import AbstractTable
 from covariant.workflow._scenario import FORCE, Scenario, check_scenario
 
@@ -29,7 +29,7 @@ def simulate(
     seed: int = 0,
     push: Amounts | None = None,
     overrides: Overrides = (),
-    progress: Progress = silent,
+    progress: Progress = notebook_line,
 ) -> "SimulateResult":
     """Simulate a model and its sensors.
 

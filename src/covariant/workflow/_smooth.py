@@ -20,7 +20,7 @@ from covariant.workflow._inputs import (
 )
 from covariant.workflow._outcome import KEPT, deviations, rounded, scored, with_units
 from covariant.workflow._pages import AbstractEstimates, estimate_report
-from covariant.workflow._progress import Progress, silent
+from covariant.workflow._progress import Progress, notebook_line
 
 
 def smooth(
@@ -36,7 +36,7 @@ def smooth(
     until: float | None = None,
     columns: ColumnNames | None = None,
     anyway: bool = False,
-    progress: Progress = silent,
+    progress: Progress = notebook_line,
 ) -> "SmoothResult":
     """Estimate velocities, or states of a state-space model, offline: each row from the rows before and after it.
 

@@ -9,7 +9,7 @@ from covariant.engine import EngineName
 from covariant.workflow._arguments import ColumnNames, Overrides
 from covariant.workflow._model_output import as_logs, read_sources, write_model
 from covariant.workflow._outputs import check_output
-from covariant.workflow._progress import Progress, silent
+from covariant.workflow._progress import Progress, notebook_line
 from covariant.workflow._result import AbstractResult
 
 
@@ -24,7 +24,7 @@ def tune(
     columns: ColumnNames | None = None,
     anyway: bool = False,
     engine: EngineName = "auto",
-    progress: Progress = silent,
+    progress: Progress = notebook_line,
 ) -> "TuneResult":
     """Tune noise and gains to logs by the prediction of their measurements, and judge them on what was held out.
 
