@@ -17,7 +17,14 @@ AXES = 0.1
 
 
 class PlottedCurve(NamedTuple):
-    """One curve: its view, as ("velocity", "q1"), its label with the unit, values (T,), colour, width, if as points."""
+    """One curve: its view, as ("velocity", "q1"), its label with the unit, values (T,), colour, width, if as points.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant.report import PlottedCurve
+        >>> PlottedCurve(("velocity", "q1"), "v1 [rad/s]", np.zeros(3), "#0072b2").points
+        False
+    """
 
     view: tuple[str, str]
     label: str
@@ -28,7 +35,17 @@ class PlottedCurve(NamedTuple):
 
 
 class MovingBody(NamedTuple):
-    """A body of a robot: its joint's label and place (3,), line segments (k, 2, 3) [m], and its poses (R, 4, 4)."""
+    """A body of a robot: its joint's label and place (3,), line segments (k, 2, 3) [m], and its poses (R, 4, 4).
+
+    Example:
+        A rod of half a metre that does not move:
+
+        >>> import numpy as np
+        >>> from covariant.report import MovingBody
+        >>> rod = np.array([[[0.0, 0.0, 0.0], [0.5, 0.0, 0.0]]])
+        >>> MovingBody("rod", "q1", np.zeros(3), rod, np.eye(4)[None]).segments.shape
+        (1, 2, 3)
+    """
 
     name: str
     label: str

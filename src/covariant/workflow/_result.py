@@ -6,7 +6,6 @@ import html
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, ClassVar
-from urllib.parse import quote
 
 import numpy as np
 
@@ -18,7 +17,7 @@ class WrittenFiles(list[Path]):
     """Paths of the files that were written, which a notebook shows as links."""
 
     def _repr_html_(self) -> str:
-        links = (f'<a href="{html.escape(quote(path.as_posix()))}">{html.escape(str(path))}</a>' for path in self)
+        links = (f'<a href="{html.escape(path.as_posix())}">{html.escape(str(path))}</a>' for path in self)
         return "wrote " + ", ".join(links)
 
 
