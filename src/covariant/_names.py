@@ -6,9 +6,9 @@ from collections.abc import Collection
 
 def did_you_mean(name: str, known: Collection[str]) -> str:
     """Suggest the nearest known name, as a sentence after a blank; empty if none is near."""
-    lists = (each.partition("[")[0] for each in known)  # com[0] and com[1] are meant by com
-    nearest = difflib.get_close_matches(name, [*known, *lists], 1)
-    return f" Did you mean {nearest[0]!r}?" if nearest else ""
+    first = {each.partition("[")[0]: each for each in reversed(list(known))}  # com means com[0] or another of its entries
+    nearest = difflib.get_close_matches(name, [*first, *known], 1)
+    return f" Did you mean {first.get(nearest[0], nearest[0])!r}?" if nearest else ""
 
 
 def unknown(what: str, name: str, known: Collection[str]) -> str:

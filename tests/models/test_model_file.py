@@ -489,7 +489,7 @@ def test_what_is_estimated_with_the_motion(tmp_path):
         ("uncertainty.external_force_std=0.1", "needs external_force_std and external_force_time together"),
         ("uncertainty.parameters=0.3", "uncertainty.parameters must name numbers of [parameters]"),
         ('uncertainty.parameters={"mass[0]"=0}', "uncertainty.parameters.mass[0] must be a positive number; got 0"),
-        ('uncertainty.parameters={"mas"=0.1}', "unknown number 'mas'. Did you mean 'mass[1]'?"),
+        ('uncertainty.parameters={"mas"=0.1}', "unknown number 'mas'. Did you mean 'mass[0]'?"),
         ('uncertainty.parameters={"mass"=0.1, "mass[0]"=0.2}', "mass[0] is named twice; name it once"),
         ("uncertainty.parameters_drift=-1", "uncertainty.parameters_drift must be a number ≥ 0; got -1"),
     ],
