@@ -636,7 +636,8 @@ def command(monkeypatch, capsys, *words) -> tuple[int, str, str]:
 
 
 def commands_of_the_page() -> list[str]:
-    return re.findall(r"```bash\ncovariant export (.*?)\n```", (ROOT / "docs" / "firmware.md").read_text())
+    page = (ROOT / "docs" / "firmware.md").read_text().replace("\\\n", " ")
+    return re.findall(r"```bash\ncovariant export (.*?)\n```", page)
 
 
 @pytest.mark.exhaustive
