@@ -510,7 +510,7 @@ def _details(
     names, units = coordinates(logs.logs[0].loaded.file)
     reference = logs.logs[-1].loaded.reference
     ratio = error_growth(before, after)
-    known = {name for name, *_, determined in _rows(best) if determined}
+    known = {name for name, first, value, _, determined in _rows(best) if determined or value != first}
     return {
         "model": job.model_name,
         "logs": logs.names,

@@ -162,7 +162,13 @@ class InitResult(AbstractResult):
             lines.append(f"units {', '.join(units)}")
         registers = [name for names in self.draft.registers.values() for name in names]
         if registers:
-            lines.append(f"no torques, and left out: {', '.join(registers)}")
+            current = ", ".join(self.draft.registers.get("current", ()))
+            how = (
+                f'; with a torque constant of 0.08 N m/A, [columns] u = {current}, [units] u = "0.08 N m"'
+                if current
+                else ""
+            )
+            lines.append(f"no torques, and left out: {', '.join(registers)}{how}")
         others = [name for name in self.draft.left_out if name not in registers]
         if others:
             lines.append(f"left out: {', '.join(others)}")

@@ -70,8 +70,8 @@ class Job(NamedTuple):
         return f"{Path(self.model_name).stem} from {Path(self.log_name).name}"
 
 
-FITTED = ("friction", "rotor inertia", "friction and rotor inertia")
-"""Findings on what a fit is for: with it the model explains the log."""
+FITTED = ("friction", "rotor inertia", "friction and rotor inertia", "model")
+"""Findings on what a fit is for: the model may explain the log with other numbers."""
 
 
 class MisfitError(ValueError):
@@ -344,7 +344,8 @@ def _refuse_misfit(job: Job, file: models.ModelFile, log: logs.Log, record: Reco
         finding = misfit(file._replace(input_lag=0.0, input_delay=0.0, input_lead=0.0, input_between="held"), record)
     if finding is not None and not (job.fits and finding.what in FITTED):
         how = f"`covariant check {job.model_name} {job.log_name}` looks closer, and `anyway=True` goes on"
-        raise MisfitError(f"{job.log_name}: {finding.evidence}. {finding.line}; {how}")
+        guessed = placeholder_sentence(placeholders(job.model, job.overrides))
+        raise MisfitError(f"{job.log_name}: {finding.evidence}. {finding.line}; {how}{guessed and '. '}{guessed}")
 
 
 def _in_ticks(file: models.ModelFile, y: np.ndarray) -> tuple[models.ModelFile, str]:

@@ -51,7 +51,8 @@ def _remedy(file: ModelFile, missing: Sequence[str], record: Record | None) -> s
         return how + "".join(f"; this log suggests {suggestion.line} ({suggestion.evidence})" for suggestion in shown)
     options = [suggestion.setting for suggestion in shown]
     evidence = "; ".join(suggestion.evidence for suggestion in shown)
-    return f"this log suggests `overrides={options}` ({evidence}), or put {them} in the model file"
+    how = f"or put {them} in the model file, as `covariant tune` does"
+    return f"this log suggests `overrides={options}` ({evidence}), {how}"
 
 
 def _slow(file: ModelFile) -> tuple[SlowVariables, ...]:

@@ -91,6 +91,8 @@ COMPARED = (
 """Checks that compare accelerations."""
 HIDING = ("nothing moves", "several senders", "too little motion")
 """Findings on logs that show no accelerations."""
+LATE = ("delay", "delay against the inputs")
+"""Findings that friction looks like."""
 OF_COMMANDS = ("unit of a command", "sign of a command", "swapped commands", "period of a command")
 """Findings on commands that make a log useless."""
 WEIGHTS = (
@@ -248,6 +250,8 @@ def _findings(
     checks += COMPARED
     lacking, case, timing = _torques_or_timing(case, *best)
     delays = timing.findings(case, best[0])
+    if lacking and not timing.explains_most(case, best[0]):
+        delays = [_until_fitted(each) if each.what in LATE else each for each in delays]
     in_time = timing.apply(case)
     small = _rows_and_inputs(in_time, best[0], not any(each.what == "delay" for each in delays))
     # Readings of a column that is rows late are those of a sensor only in their own rows.
@@ -309,6 +313,13 @@ def _with_torques(
 
 def _both(first: Suspicion, second: Suspicion) -> Callable[[Case], Case]:
     return lambda case: second.apply(first.apply(case))
+
+
+def _until_fitted(delay: Finding) -> Finding:
+    """A delay that explains little beside torques that the model lacks, as a note: a law of friction with other numbers
+    or of another form than was tried looks like one."""
+    evidence = f"{delay.evidence}; friction that is not fitted yet looks like this"
+    return delay._replace(evidence=evidence, line="fit what the model lacks, then check again", wrong=False)
 
 
 def _torques_or_timing(case: Case, half: float, as_it_is: Residual) -> tuple[list[Finding], Case, Timing]:

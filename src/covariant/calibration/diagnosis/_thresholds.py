@@ -65,8 +65,8 @@ TWIN = 2.0
 DELAY_ERRORS, DELAY_ROWS = 4.0, 0.6
 """A delay of one coordinate against another; a model error may look like a delay below 0.6 rows."""
 LONG_GAIN = 0.4
-"""By which fraction the unexplained squares fall at least by a delay of more rows than are tried one by one: a wrong
-friction looks like it, but explains less."""
+"""By which fraction the unexplained squares fall at least by a delay of more rows than are tried one by one, and by any
+delay beside torques that the model lacks: a wrong friction looks like it, but explains less."""
 COMMAND_ERRORS = 8.0
 """The same of a command against its servo, whose friction and damping are not known either."""
 COMMON_ERRORS, COMMON_ROWS, COMMON_GAIN = 5.0, 1.5, LONG_GAIN

@@ -98,15 +98,23 @@ class Timing(NamedTuple):
         if not self.suspicions:
             return self
         comparison, late = self.comparison(case, half), self.delay - self.delay.min()
-        little = comparison.after > (1 - LONG_GAIN) * comparison.before and late.max() > MOST_ROWS * case.spacing
+        little = not _falls(comparison) and late.max() > MOST_ROWS * case.spacing
         if comparison.after < THRESHOLDS["torques"].most and not little:
             return self
         return Timing(np.zeros_like(self.delay), np.ones_like(self.scale), np.zeros_like(self.rows))
+
+    def explains_most(self, case: Case, half: float) -> bool:
+        """Whether it explains so much of what is left that no wrong friction looks like it."""
+        return not self.suspicions or _falls(self.comparison(case, half))
 
     @property
     def together(self) -> Suspicion:
         """All of it as one suspicion, to be judged against others."""
         return Suspicion("", "", "", "", self.apply, "fitted")
+
+
+def _falls(comparison: Comparison) -> bool:
+    return comparison.after <= (1 - LONG_GAIN) * comparison.before
 
 
 def fit_timing(case: Case, half: float) -> Timing:
