@@ -27,7 +27,7 @@ from covariant.models import MechanicalSystem, Overrides, input_count
 from covariant.proofs import read_file
 from covariant.workflow._arguments import Amounts, Region, above_zero, amounts, bounds, gain_pair, numbers
 from covariant.workflow._certify_sentences import in_degrees, verdict
-from covariant.workflow._design import design
+from covariant.workflow._design import design, runs_otherwise
 from covariant.workflow._find import FIND, largest_proved
 from covariant.workflow._inputs import numbered
 from covariant.workflow._outputs import check_output
@@ -183,10 +183,11 @@ def certify(
             **chosen,
         )
 
+    notes = designed.notes + runs_otherwise(file, observer)
     if find is None:
-        return CertifyResult(name, prove(), designed.notes)
+        return CertifyResult(name, prove(), notes)
     certificate, attempts = largest_proved(find, settings, prove, runs)
-    return CertifyResult(name, certificate, designed.notes, FIND[find], attempts)
+    return CertifyResult(name, certificate, notes, FIND[find], attempts)
 
 
 @dataclass(frozen=True, repr=False)

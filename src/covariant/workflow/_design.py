@@ -179,6 +179,13 @@ def default_observer(file: ModelFile) -> str:
     return WITH_FORCE if told and WITH_FORCE in fitting else fitting[0]
 
 
+def runs_otherwise(file: ModelFile, observer: str) -> str:
+    """A sentence if `estimate` and `export` run another observer of a model file, since it tells a force; else ""."""
+    if default_observer(file) != WITH_FORCE or observer == WITH_FORCE:
+        return ""
+    return f" Of this file `estimate` and `export` run {WITH_FORCE} unless they are asked for `observer={observer!r}`."
+
+
 def tells_noise(file: ModelFile) -> bool:
     """Whether a model file has the numbers of a data sheet, which a gate needs."""
     return file.measurement_std is not None and file.acceleration_std is not None
