@@ -357,7 +357,7 @@ class EstimateResult(AbstractEstimates):
             *error_lines(result, self.loaded),
             *hole_lines(result, self.loaded),
             *(
-                f"{name}: {each.readings} readings, {each.refused} refused, NIS {each.nis:.3g} a number"
+                f"{name}: {each.readings} readings, {each.refused} refused, NIS {each.nis:.3g} per component"
                 for name, each in self.sensors.items()
             ),
         ]
@@ -431,7 +431,7 @@ def error_lines(result: Mapping[str, Any], loaded: Loaded) -> list[str]:
         lines[-1] += f" of rows that were used, {refused} of those that were refused"
     measures = [f"{name.upper()} {result[name]:.3g}" for name in ("nis", "nees") if result.get(name) is not None]
     if measures:
-        lines.append(f"{' and '.join(measures)} a number; 1 is expected where model and noise are as told")
+        lines.append(f"{' and '.join(measures)} per component; about 1 if model and noise are right")
     return lines
 
 

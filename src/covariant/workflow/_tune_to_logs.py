@@ -262,23 +262,28 @@ def _round_errors(judged: HeldOut) -> dict[str, Any]:
     return {name: (rounded(np.atleast_1d(value))) for name, value in judged._asdict().items()}
 
 
+def _percent(share: float) -> str:
+    return f"{100 * share:.3g} %"
+
+
 def warning(found: Tuning, as_logged: np.ndarray | bool = True) -> str | None:
     """Warn in one line of a model that is no better than none, or does not explain the innovations."""
     gains, kalman = found.after.relative
     remedy = "run `covariant fit`"
     name, free = found.model_free or ("", np.inf)
-    without = f"{name} knows none and leaves {free:.3g} of the velocity"
+    without = f"{name}, which knows none, has a velocity error of {_percent(free)}"
     if min(gains, kalman) >= free:
-        return f"the model does not help here: {without}, the best with the model {min(gains, kalman):.3g}; {remedy}"
+        best = _percent(min(gains, kalman))
+        return f"the model does not help here: {without}, the best with the model {best}; {remedy}"
     if gains >= free:
         return (
-            f"with constant gains the model does not help here: {without}, constant gains {gains:.3g}; {remedy}, or "
-            f"estimate with the observer intrinsic-kalman ({kalman:.3g})"
+            f"with constant gains the model does not help here: {without}, constant gains {_percent(gains)}; {remedy}, or "
+            f"estimate with the observer intrinsic-kalman ({_percent(kalman)})"
         )
     if kalman > WORSE * gains:
         return (
-            f"the noise is not white: the most likely Kalman filter leaves {kalman:.3g} of the velocity and constant "
-            f"gains {gains:.3g}; estimate with the observer {'intrinsic-force' if found.force_rate else 'intrinsic'}"
+            f"the noise is not white: the velocity error of the most likely Kalman filter is {_percent(kalman)} and that "
+            f"of constant gains {_percent(gains)}; estimate with the observer {'intrinsic-force' if found.force_rate else 'intrinsic'}"
         )
     worst = float(np.max(np.abs(found.after.correlation) * as_logged))
     if worst > NOT_WHITE:

@@ -63,8 +63,8 @@ class WithoutModel(NamedTuple):
     def sentence(self, observer: str) -> str:
         """Both errors in one line."""
         return (
-            f"without a model {self.filter} leaves {self.error:.3g} of the velocity and {observer} {self.own:.3g}, "
-            f"against the {self.label}, on rows that did not tune the filter: {self.verdict}"
+            f"velocity error {100 * self.error:.3g} % without a model, by {self.filter}, and {100 * self.own:.3g} % by "
+            f"{observer}, against the {self.label}, on rows that did not tune the filter: {self.verdict}"
         )
 
     def advice(self, observer: str) -> str:
