@@ -277,13 +277,14 @@ def warning(found: Tuning, as_logged: np.ndarray | bool = True) -> str | None:
         return f"the model does not help here: {without}, the best with the model {best}; {remedy}"
     if gains >= free:
         return (
-            f"with constant gains the model does not help here: {without}, constant gains {_percent(gains)}; {remedy}, or "
-            f"estimate with the observer intrinsic-kalman ({_percent(kalman)})"
+            f"with constant gains the model does not help here: {without}, constant gains {_percent(gains)}; "
+            f"{remedy}, or estimate with the observer intrinsic-kalman ({_percent(kalman)})"
         )
     if kalman > WORSE * gains:
         return (
-            f"the noise is not white: the velocity error of the most likely Kalman filter is {_percent(kalman)} and that "
-            f"of constant gains {_percent(gains)}; estimate with the observer {'intrinsic-force' if found.force_rate else 'intrinsic'}"
+            f"the noise is not white: the velocity error of the most likely Kalman filter is {_percent(kalman)} and "
+            f"that of constant gains {_percent(gains)}; estimate with the observer "
+            f"{'intrinsic-force' if found.force_rate else 'intrinsic'}"
         )
     worst = float(np.max(np.abs(found.after.correlation) * as_logged))
     if worst > NOT_WHITE:
