@@ -99,7 +99,7 @@ def test_a_notebook_shows_tables_warnings_and_links(tmp_path):
     assert text.count("x &lt; 3") == 1
     written = Shown().report(tmp_path / "a b.html")
     assert written == [tmp_path / "a b.html"]
-    assert 'a%20b.html">' in written._repr_html_()
+    assert 'a b.html">' in written._repr_html_()
 
 
 def test_a_notebook_shows_the_figure(estimate, log):
