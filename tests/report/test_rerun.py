@@ -9,6 +9,7 @@ import pytest
 
 import covariant
 from covariant.models import robots
+from covariant.workflow._outcome import slow_units
 from covariant.workflow._recording import _bodies
 
 rerun = pytest.importorskip("rerun")
@@ -62,3 +63,11 @@ def test_bodies_stand_in_the_frames_of_their_links():
     for body in drawn:
         np.testing.assert_allclose(body.poses[0], model.space.pose(q, body.name), rtol=0, atol=1e-12)
         assert len(body.segments) == (body.name != "base")
+
+
+def test_a_parameter_before_a_force_does_not_take_its_unit(result):
+    """Units are found by name: a friction that is estimated along comes before the force in the order of the filter."""
+    units = slow_units(result.loaded)
+    assert units == {"external_force1": "N"}
+    wrenches = result.loaded._replace(file=result.loaded.file._replace(wrenches={"tip": {}}))
+    assert slow_units(wrenches) == units | {f"f{x}_tip": "N" for x in "xyz"} | {f"t{x}_tip": "N m" for x in "xyz"}

@@ -15,7 +15,7 @@ from covariant.models import ModelFile
 from covariant.observers import REGISTRY, AbstractObserver
 from covariant.scoring import SETTLED
 from covariant.signals import Run, StepCode
-from covariant.workflow._inputs import Job, Loaded
+from covariant.workflow._inputs import Job, Loaded, numbered
 
 KEPT = (
     *("innovation", "innovation_cov", "distance", "result", "nis", "noise_scale", "sensors"),
@@ -32,6 +32,14 @@ QUANTILE = 3.09
 FALSE_ALARM = 1e-3
 """Largest probability that a row in which nothing pushes is called pushed, where model and noise are right."""
 AXES = ("fx", "fy", "fz", "tx", "ty", "tz")
+
+
+def slow_units(loaded: Loaded) -> dict[str, str]:
+    """Units of the forces that are estimated along with the motion, by their names; other numbers have none here."""
+    units = dict(zip(numbered("external_force", loaded.file.dimension), loaded.kind.force_units, strict=False))
+    return units | {
+        f"{axis}_{link}": "N" if axis[0] == "f" else "N m" for axis in AXES for link in loaded.file.wrenches
+    }
 
 
 class Score(NamedTuple):

@@ -15,8 +15,8 @@ import covariant
 from covariant.models import Motion
 from covariant.report import Along, EstimateReport, write_article, write_report as write_page_and_figures
 from covariant.signals import StepCode
-from covariant.workflow._inputs import Job, Loaded, numbered
-from covariant.workflow._outcome import AXES, Outcome, deviations, known, pushes
+from covariant.workflow._inputs import Job, Loaded
+from covariant.workflow._outcome import Outcome, deviations, known, pushes, slow_units
 from covariant.workflow._outputs import check_output
 from covariant.workflow._recording import write_recording
 from covariant.workflow._result import AbstractResult, AbstractTable
@@ -121,8 +121,7 @@ def _along(loaded: Loaded, outcome: Outcome) -> Along | None:
     slow, std = (known(outcome.run.info, name) for name in ("slow", "slow_std"))
     if slow is None or std is None or not outcome.slow_names or slow.shape != std.shape:
         return None
-    units = dict(zip(numbered("external_force", loaded.file.dimension), loaded.kind.force_units, strict=False))
-    units |= {f"{axis}_{link}": "N" if axis[0] == "f" else "N m" for axis in AXES for link in loaded.file.wrenches}
+    units = slow_units(loaded)
     return Along(outcome.slow_names, tuple(units.get(name, "") for name in outcome.slow_names), slow, std)
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from covariant.models.robots import RobotSpace
 from covariant.report import PALETTE, MovingBody, PlottedCurve, write_rerun
 from covariant.signals import StepCode
+from covariant.workflow._outcome import slow_units
 
 FRAME_SECONDS = 0.02
 """Least time [s] between two poses of a robot that are drawn; curves have every row."""
@@ -27,7 +28,7 @@ def write_recording(path: Path, title: str, columns: dict[str, np.ndarray], resu
     for name, values in measured.items():
         unit = kind.positions.table.get(name, "")
         curves.append(PlottedCurve(("position", name), _label("measured", unit), values, MEASURED, 1.0, points=True))
-    units = result.units | dict(zip(result.outcome.slow_names, kind.force_units, strict=False))
+    units = result.units | slow_units(result.loaded)
     for name, values in columns.items():
         plain = name.removesuffix("_filtered")
         if name == "t" or name.endswith("_std"):
